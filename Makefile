@@ -1,0 +1,41 @@
+# The whole set-up in two commands: `make demo` and `make test`.
+# Both make .venv, build the C++ core, and do the job.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt' -o -name 'CMakePresets.json')
+
+.PHONY: demo test check cpp-test cpp-test-asan python-test install prerequisites clean
+
+demo: $(STAMP)
+	$(BIN)/python tools/demo.py --out out/demo
+
+test: check cpp-test cpp-test-asan python-test
+
+install: $(STAMP)
+
+check: $(STAMP)
+	scripts/check
+
+cpp-test: $(STAMP)
+	scripts/cpp-test release
+
+cpp-test-asan: $(STAMP)
+	scripts/cpp-test asan-ubsan
+
+python-test: $(STAMP)
+	$(BIN)/python -m pytest -n 2
+
+prerequisites:
+	@PYTHON="$(PYTHON)" scripts/prerequisites
+
+# Installed anew when the build's inputs change; Python sources are used from the tree.
+$(STAMP): pyproject.toml $(CPP_SOURCES) | prerequisites
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,octomap,sim,topside]'
+	touch $@
+
+clean:
+	rm -rf $(VENV) build out

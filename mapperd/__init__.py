@@ -1,0 +1,1 @@
+"""Live, trustworthy 3D maps from Oculus multibeam imaging sonars."""

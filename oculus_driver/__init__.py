@@ -1,0 +1,1 @@
+"""A driver of Blueprint Subsea Oculus multibeam imaging sonars, useful alone."""

@@ -1,0 +1,1 @@
+"""A simulator of Oculus multibeam imaging sonars that needs no GPU."""
