@@ -120,7 +120,9 @@ class VoxelMap:
     def blocks(self) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.uint16]]:
         """All blocks, sorted by key: keys (M, 3), log-odds and counts (M, 512), x fastest."""
 
-    def query(self, points_m: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
+    def query(
+        self, points_m: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
         """Log-odds and counts (N,) at points (N, 3); unknown is (0, 0)."""
 
     def octomap_bt(self, occupied_log_odds: float, free_log_odds: float) -> bytes:

@@ -1,0 +1,115 @@
+// One ping made ready for projection: beam edges, first returns, and integrals along range.
+//
+// Sonar frame: x along the centre beam, y to port, z up; positive bearing is to starboard, so a
+// point at range r, bearing b, elevation e is (r cos e cos b, -r cos e sin b, r sin e).
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "mapperd/iwlo.hpp"
+#include "mapperd/radial.hpp"
+#include "mapperd/vec.hpp"
+
+namespace mapperd {
+
+enum class Aggregation {
+  occupied_first,  // occupied evidence beats free evidence inside one ping
+  mean,            // the plain average of both kinds, as the seed documents have it
+};
+
+// A view of a ping image: row-major, row 0 nearest, column 0 the most negative bearing.
+struct PingImage {
+  const float* intensity = nullptr;
+  std::size_t rows = 0;
+  std::size_t beams = 0;
+  const double* bearings_rad = nullptr;  // strictly increasing, within +-90 degrees
+  double range_resolution_m = 0.0;
+
+  float at(std::size_t row, std::size_t beam) const { return intensity[row * beams + beam]; }
+  double max_range_m() const { return static_cast<double>(rows) * range_resolution_m; }
+};
+
+struct FanSettings {
+  double vertical_aperture_rad = 0.349065850398866;  // 20 degrees
+  double min_range_m = 0.5;
+  bool carve_no_return = false;
+  Aggregation aggregation = Aggregation::occupied_first;
+};
+
+// Throws std::invalid_argument, naming the argument, for a ping that cannot be projected.
+void check_ping(const PingImage& image, const FanSettings& settings);
+
+// Beam edges in radians, beams + 1 of them: half way between neighbours in sine space, because
+// the sonar spaces its beams uniformly in sine; the outermost are extrapolated.
+std::vector<double> beam_edges(const double* bearings_rad, std::size_t beams);
+
+// The part of the fan that a cube can lie in.
+struct FanPart {
+  std::size_t first_beam = 0;
+  std::size_t last_beam = 0;
+  double near_m = 0.0;
+  double far_m = 0.0;
+  bool cut_by_aperture = false;
+};
+
+// A ping in the frame the map is aligned with: the sonar at the origin, the map's axes.
+class Fan {
+ public:
+  // map_R_sonar is the rotation of `map_T_sonar`; its translation plays no part.
+  Fan(const PingImage& image, const FanSettings& settings, const IwloRule& rule,
+      const Transform& map_T_sonar);
+
+  std::size_t beams() const { return free_limit_m_.size(); }
+  double max_range_m() const { return max_range_; }
+  double sin_half_aperture() const { return sin_half_; }
+
+  // Beam edges; the plane through each edge and the sonar's vertical axis has a normal that
+  // points to larger bearings.
+  const std::vector<double>& edges_rad() const { return edges_; }
+  Vec3 normal_at(double bearing_rad) const;
+  const Vec3& edge_normal(std::size_t edge) const { return edge_normals_[edge]; }
+
+  // Planes through the sonar (normals inwards) that stand for the aperture's two cones between
+  // two bearings: those of the cones' mean height.
+  void aperture_planes(double low_rad, double high_rad, Vec3& upper, Vec3& lower) const;
+
+  // Rows with returns of beam j, and its free space from min_range on.
+  const RadialProfile& returns(std::size_t j) const { return returns_[j]; }
+  const RadialProfile& free_space(std::size_t j) const { return free_space_[j]; }
+  bool any_return(std::size_t first, std::size_t last, double near_m, double far_m) const;
+
+  // What a cube with the given centre (map axes, sonar as origin) and edge can hold:
+  // `mostly_free` is free by more than half, `less_free` by less, and neither holds a return.
+  enum class Content { nothing, less_free, undecided, mostly_free, all_free };
+  struct Verdict {
+    Content content = Content::nothing;
+    FanPart where;  // set when undecided
+  };
+  Verdict verdict(const Vec3& centre, double edge_m) const;
+
+ private:
+  struct Extent;
+  Extent extent_of(const Vec3& in_sonar, double edge_m) const;
+  void fill_beam(const PingImage& image, const IwloRule& rule, std::size_t j);
+  void link_profiles(std::size_t beams, const std::vector<std::size_t>& ends);
+
+  std::size_t row_count_;
+  double resolution_;
+  double min_range_;
+  double max_range_;
+  double sin_half_;
+  double cos_half_;
+  bool carve_no_return_;
+  Transform rotation_;
+  std::vector<double> edges_;
+  std::vector<Vec3> edge_normals_;    // map axes
+  std::vector<double> free_limit_m_;  // free from min_range up to here; 0: says nothing
+  std::vector<RadialPiece> pieces_;   // of all beams, returns first, then free space
+  std::vector<RadialProfile> returns_;
+  std::vector<RadialProfile> free_space_;
+  std::vector<std::uint32_t> returns_before_;  // beam-major, row_count_ + 1 a beam
+};
+
+}  // namespace mapperd

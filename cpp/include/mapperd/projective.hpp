@@ -1,0 +1,32 @@
+// The projective integrator: each voxel is projected into the ping once, without approximation.
+#pragma once
+
+#include <cstddef>
+
+#include "mapperd/fan.hpp"
+#include "mapperd/vec.hpp"
+#include "mapperd/voxel_map.hpp"
+
+namespace mapperd {
+
+// A voxel is occupied when at least this part of its volume holds a return ...
+inline constexpr double kOccupiedPart = 0.02;
+// ... and free, without one, when more than this part was seen free.
+inline constexpr double kFreePart = 0.5;
+
+struct PingStats {
+  std::size_t occupied = 0;
+  std::size_t free = 0;
+  std::size_t blocks_visited = 0;
+  std::size_t blocks_created = 0;
+};
+
+// Throws std::invalid_argument for a bad ping or pose, std::out_of_range for a pose so far away
+// that the ping would leave the map's reach. The map is unchanged then.
+PingStats integrate_projective(VoxelMap& map, const PingImage& image, const Transform& map_T_sonar,
+                               const FanSettings& settings);
+
+// Throws as above; shared by the integrators.
+void check_reach(const VoxelMap& map, const Transform& map_T_sonar, double max_range_m);
+
+}  // namespace mapperd

@@ -1,0 +1,200 @@
+#include "mapperd/rays.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <unordered_map>
+#include <vector>
+
+namespace mapperd {
+namespace {
+
+constexpr std::size_t kUsedBeams = 256;
+constexpr std::size_t kFreeRowStep = 10;
+constexpr std::size_t kReturnRows = 50;
+constexpr double kFreeVoxelStep = 4.0;
+constexpr double kReturnVoxelStep = 1.5;
+
+struct FirstHit {
+  double bearing_rad;
+  double range_m;
+};
+
+struct VoxelIndex {
+  std::int64_t x;
+  std::int64_t y;
+  std::int64_t z;
+
+  friend bool operator==(const VoxelIndex& a, const VoxelIndex& b) {
+    return a.x == b.x && a.y == b.y && a.z == b.z;
+  }
+};
+
+struct VoxelIndexHash {
+  std::size_t operator()(const VoxelIndex& v) const {
+    auto h = static_cast<std::uint64_t>(v.x) * 0x9E3779B97F4A7C15ULL;
+    h = (h ^ (h >> 32U) ^ static_cast<std::uint64_t>(v.y)) * 0xC2B2AE3D27D4EB4FULL;
+    h = (h ^ (h >> 29U) ^ static_cast<std::uint64_t>(v.z)) * 0x165667B19E3779F9ULL;
+    return h ^ (h >> 32U);
+  }
+};
+
+struct Sample {
+  VoxelIndex voxel;
+  bool occupied;
+  float intensity;
+};
+
+class RaySampler {
+ public:
+  RaySampler(VoxelMap& map, const PingImage& image, const Transform& map_T_sonar,
+             const RaysSettings& settings)
+      : map_(map),
+        image_(image),
+        map_T_sonar_(map_T_sonar),
+        settings_(settings),
+        stride_(std::max<std::size_t>(1, image.beams / kUsedBeams)) {
+    const double fov = image.bearings_rad[image.beams - 1] - image.bearings_rad[0];
+    shadow_tolerance_ = fov / static_cast<double>(image.beams) * settings.angular_cone_width * 2.0;
+  }
+
+  PingStats run() {
+    collect_first_hits();
+    for (std::size_t j = 0; j < image_.beams; j += stride_) {
+      const std::size_t hit = first_hit_row(j);
+      if (hit == image_.rows) continue;  // a beam without a return says nothing
+      sample_free(j, hit);
+      sample_returns(j, hit);
+    }
+    return update_map();
+  }
+
+ private:
+  double range_of(std::size_t row) const {
+    return static_cast<double>(row) * image_.range_resolution_m;
+  }
+
+  std::size_t first_hit_row(std::size_t j) const {
+    for (std::size_t k = 0; k < image_.rows; ++k) {
+      if (map_.rule().is_return(image_.at(k, j)) && range_of(k) >= settings_.min_range_m) return k;
+    }
+    return image_.rows;
+  }
+
+  void collect_first_hits() {
+    for (std::size_t j = 0; j < image_.beams; j += stride_) {
+      const std::size_t hit = first_hit_row(j);
+      if (hit < image_.rows) first_hits_.push_back({image_.bearings_rad[j], range_of(hit)});
+    }
+  }
+
+  template <typename Visit>
+  void for_elevations(double range, double voxel_step, const Visit& visit) const {
+    const double half = settings_.vertical_aperture_rad / 2;
+    const double steps = range * std::tan(half) / (voxel_step * map_.resolution_m());
+    const int n = std::max(1, static_cast<int>(steps));
+    for (int k = -n; k <= n; ++k) visit(static_cast<double>(k) / n * half);
+  }
+
+  void sample_free(std::size_t j, std::size_t hit) {
+    const double bearing = image_.bearings_rad[j];
+    for (std::size_t k = 0; k < hit; k += kFreeRowStep) {
+      const double range = range_of(k);
+      for_elevations(range, kFreeVoxelStep, [&](double elevation) {
+        const Vec3 offset = map_T_sonar_.rotate(fan_point(range, bearing, elevation));
+        if (!in_shadow(bearing, std::hypot(offset.x, offset.y))) {
+          merge(offset + map_T_sonar_.translation, false, 0.0F);
+        }
+      });
+    }
+  }
+
+  void sample_returns(std::size_t j, std::size_t hit) {
+    const std::size_t end = std::min(image_.rows, hit + kReturnRows);
+    for (std::size_t k = hit; k < end; ++k) {
+      if (!map_.rule().is_return(image_.at(k, j))) continue;
+      const double range = range_of(k);
+      for_elevations(range, kReturnVoxelStep, [&](double elevation) {
+        const Vec3 point = fan_point(range, image_.bearings_rad[j], elevation);
+        merge(map_T_sonar_.apply(point), true, image_.at(k, j));
+      });
+    }
+  }
+
+  bool in_shadow(double bearing, double horizontal_m) const {
+    const auto from =
+        std::upper_bound(first_hits_.begin(), first_hits_.end(), bearing - shadow_tolerance_,
+                         [](double b, const FirstHit& hit) { return b < hit.bearing_rad; });
+    for (auto hit = from; hit != first_hits_.end(); ++hit) {
+      if (hit->bearing_rad >= bearing + shadow_tolerance_) return false;
+      if (hit->bearing_rad != bearing && hit->range_m > 0 && horizontal_m > hit->range_m) {
+        return true;
+      }
+    }
+    return false;
+  }
+
+  void merge(const Vec3& point, bool occupied, float intensity) {
+    const auto index = [this](double v) {
+      return static_cast<std::int64_t>(std::floor(v / map_.resolution_m()));
+    };
+    const VoxelIndex voxel{index(point.x), index(point.y), index(point.z)};
+    const auto [found, is_new] = order_.try_emplace(voxel, samples_.size());
+    if (is_new) {
+      samples_.push_back({voxel, occupied, intensity});
+    } else if (occupied && !samples_[found->second].occupied) {
+      samples_[found->second] = {voxel, true, intensity};
+    }
+  }
+
+  PingStats update_map() {
+    PingStats stats;
+    const std::size_t before = map_.block_count();
+    for (const Sample& sample : samples_) {
+      const auto block = [](std::int64_t v) { return static_cast<std::int32_t>(v >> 3); };
+      const auto local = [](std::int64_t v) { return static_cast<int>(v & (kBlockEdge - 1)); };
+      const VoxelIndex& v = sample.voxel;
+      Block& opened = map_.get_or_create({block(v.x), block(v.y), block(v.z)});
+      const auto i = static_cast<std::size_t>(voxel_offset(local(v.x), local(v.y), local(v.z)));
+      const IwloRule& rule = map_.rule();
+      const double weight = sample.occupied ? rule.occupied_weight(sample.intensity) : 0.0;
+      const double step = sample.occupied
+                              ? rule.occupied_step(opened.log_odds[i], opened.count[i], weight)
+                              : rule.free_step(opened.log_odds[i], opened.count[i]);
+      rule.apply(step, opened.log_odds[i], opened.count[i]);
+      ++(sample.occupied ? stats.occupied : stats.free);
+    }
+    stats.blocks_created = map_.block_count() - before;
+    return stats;
+  }
+
+  VoxelMap& map_;
+  const PingImage& image_;
+  const Transform& map_T_sonar_;
+  const RaysSettings& settings_;
+  std::size_t stride_;
+  double shadow_tolerance_ = 0.0;
+  std::vector<FirstHit> first_hits_;  // by bearing
+  std::vector<Sample> samples_;       // in first-touch order
+  std::unordered_map<VoxelIndex, std::size_t, VoxelIndexHash> order_;
+};
+
+}  // namespace
+
+Vec3 fan_point(double range_m, double bearing_rad, double elevation_rad) {
+  const double horizontal = range_m * std::cos(elevation_rad);
+  return {horizontal * std::cos(bearing_rad), -horizontal * std::sin(bearing_rad),
+          range_m * std::sin(elevation_rad)};
+}
+
+PingStats integrate_rays(VoxelMap& map, const PingImage& image, const Transform& map_T_sonar,
+                         const RaysSettings& settings) {
+  FanSettings fan;
+  fan.vertical_aperture_rad = settings.vertical_aperture_rad;
+  fan.min_range_m = settings.min_range_m;
+  check_ping(image, fan);
+  check_reach(map, map_T_sonar, image.max_range_m());
+  return RaySampler(map, image, map_T_sonar, settings).run();
+}
+
+}  // namespace mapperd

@@ -1,0 +1,88 @@
+// The tests' harness: named cases, checks that print both sides, one line at the end.
+#pragma once
+
+#include <cmath>
+#include <cstdio>
+#include <exception>
+#include <functional>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace check {
+
+struct Case {
+  std::string name;
+  std::function<void()> body;
+};
+
+inline std::vector<Case>& cases() {
+  static std::vector<Case> all;
+  return all;
+}
+inline int& failures() {
+  static int count = 0;
+  return count;
+}
+
+struct Register {
+  Register(std::string name, std::function<void()> body) {
+    cases().push_back({std::move(name), std::move(body)});
+  }
+};
+
+inline void fail(const char* file, int line, const std::string& what) {
+  // A broken formula fails everywhere: the first few places tell enough.
+  if (++failures() <= 20) std::printf("%s:%d: %s\n", file, line, what.c_str());
+}
+
+inline int run() {
+  for (const Case& c : cases()) {
+    const int before = failures();
+    try {
+      c.body();
+    } catch (const std::exception& error) {
+      fail(c.name.c_str(), 0, std::string("unexpected exception: ") + error.what());
+    }
+    std::printf("%s %s\n", failures() == before ? "ok  " : "FAIL", c.name.c_str());
+  }
+  std::printf("%d failures in %d cases\n", failures(), static_cast<int>(cases().size()));
+  return failures() == 0 ? 0 : 1;
+}
+
+}  // namespace check
+
+#define CHECK_CONCAT_INNER(a, b) a##b
+#define CHECK_CONCAT(a, b) CHECK_CONCAT_INNER(a, b)
+#define TEST_CASE(name)                                                                          \
+  static void CHECK_CONCAT(test_, __LINE__)();                                                   \
+  static const check::Register CHECK_CONCAT(register_, __LINE__)(name,                           \
+                                                                 CHECK_CONCAT(test_, __LINE__)); \
+  static void CHECK_CONCAT(test_, __LINE__)()
+
+#define CHECK(condition)                                           \
+  do {                                                             \
+    if (!(condition)) check::fail(__FILE__, __LINE__, #condition); \
+  } while (false)
+
+#define CHECK_NEAR(actual, expected, tolerance)                                             \
+  do {                                                                                      \
+    const double check_a = (actual);                                                        \
+    const double check_e = (expected);                                                      \
+    if (!(std::abs(check_a - check_e) <= (tolerance))) {                                    \
+      check::fail(__FILE__, __LINE__,                                                       \
+                  std::string(#actual) + " is " + std::to_string(check_a) + ", expected " + \
+                      std::to_string(check_e));                                             \
+    }                                                                                       \
+  } while (false)
+
+#define CHECK_THROWS(expression, exception)                                                        \
+  do {                                                                                             \
+    bool check_thrown = false;                                                                     \
+    try {                                                                                          \
+      static_cast<void>(expression);                                                               \
+    } catch (const exception&) {                                                                   \
+      check_thrown = true;                                                                         \
+    }                                                                                              \
+    if (!check_thrown) check::fail(__FILE__, __LINE__, #expression " does not throw " #exception); \
+  } while (false)
