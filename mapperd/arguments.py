@@ -1,0 +1,144 @@
+"""The command line of `mapperd`: what may be said, checked before anything is opened."""
+
+import argparse
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+
+from mapperd.frames import Pose, pose_from_rpy
+from mapperd.version import version
+
+__all__ = ["Arguments", "parse_arguments"]
+
+MAX_POSITION_M = 1e7
+EPILOG = """\
+exit codes: 0 the map is written; 2 the command cannot be done as given; 65 the file is no
+recording, or nothing in it could be mapped; 66 the file cannot be opened; 73 results cannot be
+written; 78 the settings are wrong; 130 interrupted"""
+
+
+@dataclass(frozen=True, slots=True)
+class Arguments:
+    """What was asked.
+
+    Attributes:
+        replay: the recording.
+        config: the settings file, None for the defaults.
+        out: folder of the results.
+        pose: of the base in the map for every ping, None to take it from the odometry.
+        integrator: instead of the one in the settings.
+        start_s, duration_s: the part of the recording to map.
+    """
+
+    replay: Path
+    config: Path | None
+    out: Path
+    pose: Pose | None
+    integrator: str | None
+    start_s: float
+    duration_s: float | None
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with code 2."""
+        self.exit(2, f"mapperd: {message} (see mapperd --help)\n")
+
+
+def parse_arguments(argv: Sequence[str]) -> Arguments:
+    """Read the command line.
+
+    Raises:
+        SystemExit: with code 2 and one line on stderr; with 0 after --help and --version.
+    """
+    said = _parser().parse_args(_with_joined_pose(argv))
+    return Arguments(
+        replay=said.replay,
+        config=said.config,
+        out=said.out,
+        pose=said.pose,
+        integrator=said.integrator,
+        start_s=said.start,
+        duration_s=said.duration,
+    )
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="mapperd",
+        description="Turn a recording of an Oculus sonar into a 3D map.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    add = parser.add_argument
+    add("--replay", metavar="FILE", type=Path, required=True, help="the recording")
+    add("--config", metavar="YAML", type=Path, help="settings; without it the defaults hold")
+    add(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        default=Path("mapperd-replay"),
+        help="folder for map.bt, map.ply, map.png and summary.json (default: %(default)s)",
+    )
+    add(
+        "--pose",
+        metavar="X,Y,Z,ROLL,PITCH,YAW",
+        type=_pose,
+        help="the vehicle stands still here (metres, degrees); odometry is ignored",
+    )
+    add(
+        "--integrator",
+        choices=("projective", "rays"),
+        help="how a ping becomes voxels (default: mapping.integrator of the settings)",
+    )
+    add("--start", metavar="S", type=_seconds, default=0.0, help="skip the first S seconds")
+    add("--duration", metavar="S", type=_positive, help="map S seconds and stop")
+    add("--version", action="version", version=f"mapperd {version()}")
+    return parser
+
+
+def _with_joined_pose(argv: Sequence[str]) -> list[str]:
+    """Argparse takes "-1,0,..." for an option; joined to --pose it is a value."""
+    joined: list[str] = []
+    for word in argv:
+        if joined and joined[-1] == "--pose":
+            joined[-1] = f"--pose={word}"
+        else:
+            joined.append(word)
+    return joined
+
+
+def _pose(text: str) -> Pose:
+    try:
+        x, y, z, roll, pitch, yaw = (float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: six numbers x,y,z,roll,pitch,yaw were expected (metres, degrees)"
+        ) from None
+    if not all(math.isfinite(number) for number in (x, y, z, roll, pitch, yaw)):
+        raise argparse.ArgumentTypeError(f"{text!r}: every number must be finite")
+    if max(abs(x), abs(y), abs(z)) > MAX_POSITION_M:
+        raise argparse.ArgumentTypeError(f"{text!r}: farther than {MAX_POSITION_M:g} m away")
+    return pose_from_rpy((x, y, z), (roll, pitch, yaw))
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value < MAX_POSITION_M:
+        raise argparse.ArgumentTypeError(f"{text!r}: a number of seconds >= 0 was expected")
+    return value
+
+
+def _positive(text: str) -> float:
+    value = _seconds(text)
+    if value == 0:
+        raise argparse.ArgumentTypeError(f"{text!r}: a number of seconds > 0 was expected")
+    return value

@@ -1,0 +1,244 @@
+"""All settings: one immutable tree with names and defaults of the seed documents.
+
+Every field carries one sentence, its unit, its range, and whether it may change while the
+program runs. A parameter stands here only if it does something. Reading YAML is the business
+of `mapperd.config_file`.
+"""
+
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta, Struct
+
+__all__ = [
+    "Adaptive",
+    "Config",
+    "Filtering",
+    "Iwlo",
+    "Mapping",
+    "Mounting",
+    "Octree",
+    "Orientation",
+    "Position",
+    "Processing",
+    "Sonar",
+    "TimeSync",
+]
+
+MAX_COUNT = 65535  # observations that a voxel can count
+
+
+def rule(description: str, unit: str = "", *, live: bool = False, **limits: float) -> Meta:
+    """Say what a field means, its unit, its limits, and whether it may change at run time."""
+    known: dict[str, Any] = {**limits, "extra": {"unit": unit, "dynamic": live}}
+    return Meta(description=description, **known)
+
+
+class Sonar(Struct, frozen=True, forbid_unknown_fields=True):
+    """The sonar's fan."""
+
+    horizontal_fov: Annotated[
+        float,
+        rule("Full horizontal angle; beams outside it are left out.", "deg", gt=0, le=180),
+    ] = 130.0
+    vertical_aperture: Annotated[
+        float,
+        rule("Full vertical aperture; an echo may be anywhere in it.", "deg", gt=0, le=90),
+    ] = 20.0
+
+
+class Filtering(Struct, frozen=True, forbid_unknown_fields=True):
+    """Which samples count."""
+
+    min_range: Annotated[
+        float, rule("Nothing is learnt nearer than this.", "m", live=True, ge=0, le=100)
+    ] = 0.5
+    intensity_threshold: Annotated[
+        float,
+        rule(
+            "Samples above it are returns; 16 and 32 bit images are scaled to 0-255 first.",
+            "0-255",
+            live=True,
+            ge=0,
+            le=255,
+        ),
+    ] = 35.0
+
+
+class Position(Struct, frozen=True, forbid_unknown_fields=True):
+    """Where the sonar sits on the vehicle (base frame)."""
+
+    x: Annotated[float, rule("Offset forward.", "m", ge=-100, le=100)] = 0.0
+    y: Annotated[float, rule("Offset to port (left).", "m", ge=-100, le=100)] = 0.0
+    z: Annotated[float, rule("Offset up; negative is below.", "m", ge=-100, le=100)] = -0.5
+
+
+class Orientation(Struct, frozen=True, forbid_unknown_fields=True):
+    """How the sonar is turned: Rz(yaw) Ry(pitch) Rx(roll)."""
+
+    roll: Annotated[
+        float, rule("Turn about the forward axis.", "deg", live=True, ge=-360, le=360)
+    ] = 0.0
+    pitch: Annotated[
+        float,
+        rule("Nose down: 0 looks forward, 90 down.", "deg", live=True, ge=-360, le=360),
+    ] = 90.0
+    yaw: Annotated[float, rule("Turn to port.", "deg", live=True, ge=-360, le=360)] = 0.0
+
+
+class Mounting(Struct, frozen=True, forbid_unknown_fields=True):
+    """The sonar on the vehicle."""
+
+    position: Position = Position()
+    orientation: Orientation = Orientation()
+
+
+class Octree(Struct, frozen=True, forbid_unknown_fields=True):
+    """The grid."""
+
+    voxel_resolution: Annotated[
+        float,
+        rule("Voxel edge; smaller shows more, costs memory and time.", "m", ge=0.001, le=100),
+    ] = 0.05
+
+
+class Mapping(Struct, frozen=True, forbid_unknown_fields=True):
+    """From a ping to evidence, and from evidence to classes."""
+
+    occupied_threshold: Annotated[
+        float, rule("Voxels above this probability are occupied.", live=True, gt=0, lt=1)
+    ] = 0.7
+    free_threshold: Annotated[
+        float,
+        rule(
+            "Observed voxels below this probability are free, from here to "
+            "occupied_threshold uncertain; at most that.",
+            live=True,
+            gt=0,
+            lt=1,
+        ),
+    ] = 0.5
+    aggregation: Annotated[
+        Literal["occupied_first", "mean"],
+        rule("Both kinds of evidence in one ping: occupied wins, or their mean.", live=True),
+    ] = "occupied_first"
+    carve_no_return: Annotated[
+        bool, rule("Beams without a return free their whole length.", live=True)
+    ] = False
+    integrator: Annotated[
+        Literal["projective", "rays"],
+        rule("projective: exact; rays: the seed documents' sampled sub-rays.", live=True),
+    ] = "projective"
+    angular_cone_width: Annotated[
+        float,
+        rule("Shadow tolerance of rays: factor on twice a beam's width.", live=True, ge=0, le=100),
+    ] = 0.5
+
+    def __post_init__(self) -> None:
+        """Check what no single field can."""
+        if self.free_threshold > self.occupied_threshold:
+            raise ValueError(
+                f"free_threshold {self.free_threshold:g} is above occupied_threshold "
+                f"{self.occupied_threshold:g}; allowed: at most that"
+            )
+        if self.integrator == "rays" and (self.carve_no_return or self.aggregation == "mean"):
+            raise ValueError(
+                "integrator rays knows neither carve_no_return nor aggregation mean; "
+                "allowed: integrator projective with them"
+            )
+
+
+class Iwlo(Struct, frozen=True, forbid_unknown_fields=True):
+    """The intensity-weighted log-odds rule."""
+
+    L_occ: Annotated[float, rule("Step of an occupied observation.", ge=0, le=1000)] = 3.5
+    L_free: Annotated[float, rule("Step of a free observation.", ge=-1000, le=0)] = -3.0
+    L_min: Annotated[float, rule("Floor of the log-odds.", ge=-1000, lt=0)] = -10.0
+    L_max: Annotated[float, rule("Ceiling of the log-odds.", gt=0, le=1000)] = 10.0
+    sharpness: Annotated[
+        float, rule("Slope from intensity to weight; higher is more yes-or-no.", ge=0, le=1000)
+    ] = 3.0
+    decay_rate: Annotated[
+        float, rule("How fast the learning rate falls with observations.", ge=0, le=1000)
+    ] = 0.1
+    min_alpha: Annotated[
+        float, rule("Lowest learning rate: what keeps change visible.", gt=0, le=1)
+    ] = 0.1
+    intensity_max: Annotated[
+        float, rule("Intensity at which the weight is largest.", "0-255", gt=0, le=255)
+    ] = 255.0
+
+    def __post_init__(self) -> None:
+        """Check what no single field can."""
+        if self.decay_rate > 0 and (1 / self.min_alpha - 1) / self.decay_rate > MAX_COUNT:
+            raise ValueError(
+                f"decay_rate {self.decay_rate:g} with min_alpha {self.min_alpha:g} needs more "
+                f"than {MAX_COUNT} pings to settle; allowed: raise either of them"
+            )
+
+
+class Adaptive(Struct, frozen=True, forbid_unknown_fields=True):
+    """Protection of what is believed against single contrary observations."""
+
+    update: Annotated[bool, rule("Scale steps that contradict the map.")] = True
+    threshold: Annotated[
+        float,
+        rule(
+            "Probability below which occupied steps are scaled; free ones above 1 minus it.",
+            gt=0,
+            le=1,
+        ),
+    ] = 0.5
+    max_ratio: Annotated[float, rule("Factor of the most scaled step.", ge=0, le=1)] = 0.3
+    protect_occupied: Annotated[bool, rule("Scale free steps as well.")] = True
+
+
+class Processing(Struct, frozen=True, forbid_unknown_fields=True):
+    """Load."""
+
+    frame_skip: Annotated[
+        int,
+        rule("Map every Nth ping, count the rest as dropped.", "pings", live=True, ge=1, le=1000),
+    ] = 1
+
+
+class TimeSync(Struct, frozen=True, forbid_unknown_fields=True):
+    """The pose at a ping's time."""
+
+    max_gap_sec: Annotated[
+        float,
+        rule("Poses are interpolated over at most this.", "s", live=True, gt=0, le=60),
+    ] = 0.5
+    max_stamp_diff_sec: Annotated[
+        float,
+        rule(
+            "Where no such gap encloses the ping, motion is carried on this far; then it drops.",
+            "s",
+            live=True,
+            ge=0,
+            le=10,
+        ),
+    ] = 0.1
+    max_odom_age_sec: Annotated[
+        float,
+        rule(
+            "A record stamped further than this from its arrival is rejected.",
+            "s",
+            live=True,
+            gt=0,
+            le=3600,
+        ),
+    ] = 0.5
+
+
+class Config(Struct, frozen=True, forbid_unknown_fields=True):
+    """The whole tree; `Config()` is a working default."""
+
+    sonar: Sonar = Sonar()
+    filtering: Filtering = Filtering()
+    mounting: Mounting = Mounting()
+    octree: Octree = Octree()
+    mapping: Mapping = Mapping()
+    iwlo: Iwlo = Iwlo()
+    adaptive: Adaptive = Adaptive()
+    processing: Processing = Processing()
+    time_sync: TimeSync = TimeSync()

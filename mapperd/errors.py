@@ -1,0 +1,46 @@
+"""What can go wrong, by who is at fault.
+
+MapperdError
+ +-- ConfigError      our user's settings: place in them, what is allowed
+ +-- ReplayError      the recording cannot become a map with the options given
+ +-- MapError         the map cannot hold or give what was asked
+ +-- ExportError      a result cannot be written
+"""
+
+__all__ = ["ConfigError", "ExportError", "MapError", "MapperdError", "ReplayError"]
+
+
+class MapperdError(Exception):
+    """Root of all errors of this package; its text is one line for a person."""
+
+
+class ConfigError(MapperdError):
+    """A setting is wrong.
+
+    Attributes:
+        path: place in the tree, `$.octree.voxel_resolution`; `$` for the whole document.
+    """
+
+    def __init__(self, message: str, path: str = "$") -> None:
+        super().__init__(message)
+        self.path = path
+
+
+class ReplayError(MapperdError):
+    """The recording cannot become a map with the options given."""
+
+
+class MapError(MapperdError):
+    """The map cannot do what was asked.
+
+    Attributes:
+        reason: short and stable: the name of a counter.
+    """
+
+    def __init__(self, message: str, reason: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
+class ExportError(MapperdError):
+    """A file of results cannot be written."""

@@ -1,0 +1,227 @@
+"""The map: a thin public wrapper over the C++ core, built from the settings."""
+
+import hashlib
+import math
+import struct
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd import _core
+from mapperd.config import Config
+from mapperd.echo import Echo
+from mapperd.errors import ConfigError, MapError
+from mapperd.frames import pose_from_rpy
+
+__all__ = ["MapCounts", "SonarMap", "Voxels", "iwlo_params"]
+
+HASH_VERSION = 1
+"""Part of the fingerprint: another layout of its input is another version."""
+
+MAX_FAN_VOXELS = 500_000_000
+"""A fan with more voxels than this would take gigabytes for a single ping."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Voxels:
+    """Some voxels of a map, in the map's fixed order.
+
+    Attributes:
+        centres_m: (N, 3) float64, map frame.
+        probability: (N,) float32, of being occupied.
+        count: (N,) uint16, pings that told something about it (it saturates without loss).
+    """
+
+    centres_m: Floats
+    probability: NDArray[np.float32]
+    count: NDArray[np.uint16]
+
+    def __len__(self) -> int:
+        return len(self.count)
+
+
+@dataclass(frozen=True, slots=True)
+class MapCounts:
+    """Observed voxels by class."""
+
+    occupied: int
+    free: int
+    uncertain: int
+
+
+class SonarMap:
+    """A 3D occupancy map that sonar pings are integrated into.
+
+    Args:
+        config: the settings; the map keeps them.
+
+    Raises:
+        ConfigError: the core refuses the rule's constants.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self.config = config
+        self._map = _core.VoxelMap(config.octree.voxel_resolution, iwlo_params(config))
+        position, angles = config.mounting.position, config.mounting.orientation
+        mounting = pose_from_rpy(
+            (position.x, position.y, position.z), (angles.roll, angles.pitch, angles.yaw)
+        )
+        self._base_T_sonar = mounting.map_T_base
+
+    @property
+    def resolution_m(self) -> float:
+        """Edge of a voxel."""
+        return self._map.resolution_m
+
+    @property
+    def memory_bytes(self) -> int:
+        """Memory that the voxels take."""
+        return self._map.memory_bytes
+
+    @property
+    def base_T_sonar(self) -> Floats:  # noqa: N802 frames are named
+        """(4, 4) rigid transform of the mounting."""
+        return self._base_T_sonar.copy()
+
+    def integrate(
+        self,
+        echo: Echo,
+        map_T_sonar: Floats,  # noqa: N803 frames are named
+    ) -> _core.PingStats:
+        """Add one ping's evidence with the integrator of the settings.
+
+        Args:
+            echo: the ping's intensities and geometry.
+            map_T_sonar: (4, 4) rigid transform of the sonar at the ping's time.
+
+        Raises:
+            MapError: the geometry is not a ping's, the fan holds too many voxels to be meant, or
+                the pose leaves the map's reach. The map is as before.
+        """
+        self._check_size(echo)
+        settings = self.config.mapping
+        ping = (echo.intensity, echo.bearings_rad, echo.range_resolution_m, map_T_sonar)
+        aperture_rad = math.radians(self.config.sonar.vertical_aperture)
+        min_range_m = self.config.filtering.min_range
+        try:
+            if settings.integrator == "rays":
+                return self._map.integrate_rays(
+                    *ping,
+                    vertical_aperture_rad=aperture_rad,
+                    min_range_m=min_range_m,
+                    angular_cone_width=settings.angular_cone_width,
+                )
+            return self._map.integrate_projective(
+                *ping,
+                vertical_aperture_rad=aperture_rad,
+                min_range_m=min_range_m,
+                carve_no_return=settings.carve_no_return,
+                aggregation=settings.aggregation,
+            )
+        except (ValueError, IndexError, OverflowError) as error:
+            raise MapError(str(error), "refused_by_map") from error
+
+    def voxels(self, kind: Literal["occupied", "free"]) -> Voxels:
+        """Observed voxels of one class.
+
+        Occupied: above `mapping.occupied_threshold`. Free: below `mapping.free_threshold`.
+        """
+        limits = (
+            {"min_log_odds": self._occupied_log_odds}
+            if kind == "occupied"
+            else {"max_log_odds": self._free_log_odds}
+        )
+        centres, log_odds, count = self._map.voxels(**limits)
+        probability = 1 / (1 + np.exp(-log_odds.astype(np.float64)))
+        return Voxels(centres, probability.astype(np.float32), count)
+
+    def counts(self) -> MapCounts:
+        """Observed voxels by class."""
+        _, log_odds, count = self._map.blocks()
+        known = log_odds[count > 0].astype(np.float64)  # compare as the core does
+        occupied = int(np.count_nonzero(known > self._occupied_log_odds))
+        free = int(np.count_nonzero(known < self._free_log_odds))
+        return MapCounts(occupied, free, known.size - occupied - free)
+
+    def sha256(self) -> str:
+        """Fingerprint of the content: equal maps have equal ones, on every machine.
+
+        The hash runs over a header (name, version, resolution) and, for every block with an
+        observed voxel in order of its key: keys as int32, log-odds as float32, counts as uint16,
+        all little endian; unobserved voxels are zeros.
+        """
+        keys, log_odds, count = self._map.blocks()
+        seen = (count > 0).any(axis=1)
+        keys, log_odds, count = keys[seen], log_odds[seen], count[seen]
+        known = np.where(count > 0, log_odds, np.float32(0)) + np.float32(0)  # and no -0
+        digest = hashlib.sha256(b"mapperd map\0")
+        digest.update(struct.pack("<IdQ", HASH_VERSION, self.resolution_m, len(keys)))
+        for array, kind in ((keys, "<i4"), (known, "<f4"), (count, "<u2")):
+            digest.update(np.ascontiguousarray(array, dtype=kind).data)
+        return digest.hexdigest()
+
+    def octomap_bt(self) -> bytes:
+        """The map as an OctoMap binary tree, classes by the thresholds of the settings.
+
+        Raises:
+            MapError: a voxel lies outside OctoMap's reach of 32768 voxels from the origin.
+        """
+        try:
+            return self._map.octomap_bt(self._occupied_log_odds, self._free_log_odds)
+        except (ValueError, IndexError, OverflowError) as error:
+            raise MapError(str(error), "out_of_reach") from error
+
+    @property
+    def _occupied_log_odds(self) -> float:
+        return _log_odds(self.config.mapping.occupied_threshold)
+
+    @property
+    def _free_log_odds(self) -> float:
+        return _log_odds(self.config.mapping.free_threshold)
+
+    def _check_size(self, echo: Echo) -> None:
+        """Refuse what would exhaust the machine: a range that no sonar has, or tiny voxels."""
+        width = float(echo.bearings_rad[-1] - echo.bearings_rad[0])
+        height = 2 * math.sin(math.radians(self.config.sonar.vertical_aperture) / 2)
+        volume_m3 = width * height * echo.max_range_m**3 / 3
+        if not volume_m3 <= MAX_FAN_VOXELS * self.resolution_m**3:
+            raise MapError(
+                f"a fan of {echo.max_range_m:g} m holds over {MAX_FAN_VOXELS:.0e} voxels of "
+                f"{self.resolution_m:g} m: set a larger octree.voxel_resolution",
+                "fan_too_large",
+            )
+
+
+def iwlo_params(config: Config) -> _core.IwloParams:
+    """The update rule's constants for the core.
+
+    Raises:
+        ConfigError: the core refuses them.
+    """
+    iwlo, adaptive = config.iwlo, config.adaptive
+    try:
+        return _core.IwloParams(
+            L_occ=iwlo.L_occ,
+            L_free=iwlo.L_free,
+            L_min=iwlo.L_min,
+            L_max=iwlo.L_max,
+            sharpness=iwlo.sharpness,
+            decay_rate=iwlo.decay_rate,
+            min_alpha=iwlo.min_alpha,
+            intensity_threshold=config.filtering.intensity_threshold,
+            intensity_max=iwlo.intensity_max,
+            adaptive_update=adaptive.update,
+            adaptive_threshold=adaptive.threshold,
+            adaptive_max_ratio=adaptive.max_ratio,
+            protect_occupied=adaptive.protect_occupied,
+        )
+    except ValueError as error:
+        raise ConfigError(f"$.iwlo: {error}", "$.iwlo") from error
+
+
+def _log_odds(probability: float) -> float:
+    return math.log(probability / (1 - probability))

@@ -1,0 +1,72 @@
+"""From the sonar bytes of a recording to pings."""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from mapperd.counters import ReplayCounters
+from mapperd.reject import Reject
+from oculus_driver.ping import Ping, decode_ping
+from oculus_driver.sequence import PingSequence
+from oculus_driver.stream import Message, StreamParser
+from oculus_driver.wire import MessageId
+
+__all__ = ["Arrival", "PingStream"]
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """A ping message that came, decoded or not.
+
+    Attributes:
+        t_ns: when its first byte came, on the recording's clock; None if unknown.
+        ping: the ping, or why there is none.
+    """
+
+    t_ns: int | None
+    ping: Ping | Reject
+
+
+class PingStream:
+    """Cuts each link's bytes into pings; every ping message counts once, whatever it is."""
+
+    def __init__(self) -> None:
+        self._parsers: dict[str, StreamParser] = {}
+        self._sequence = PingSequence()
+        self._owner: str | None = None
+
+    def feed(self, link: str, data: bytes, arrival_ns: int | None) -> Iterator[Arrival]:
+        """Take the next bytes of a link; yield the ping messages that they complete."""
+        parser = self._parsers.setdefault(link, StreamParser())
+        yield from self._arrivals(link, parser.feed(data, arrival_ns))
+
+    def finish(self) -> Iterator[Arrival]:
+        """Settle what is pending at the end of all links."""
+        for link, parser in self._parsers.items():
+            yield from self._arrivals(link, parser.finish())
+
+    def count(self, counters: ReplayCounters) -> None:
+        """Write what the parsers and the ping numbers say."""
+        parsed = [parser.counters for parser in self._parsers.values()]
+        counters.bytes_total = sum(each.bytes_total for each in parsed)
+        counters.bytes_rejected = sum(each.bytes_rejected for each in parsed)
+        counters.resyncs = sum(each.resyncs for each in parsed)
+        counters.messages_rejected = sum((each.rejects for each in parsed), Counter())
+        counters.pings_lost = self._sequence.lost_pings
+
+    def _arrivals(self, link: str, messages: Iterable[Message]) -> Iterator[Arrival]:
+        for message in messages:
+            if message.message_id == MessageId.PING_RESULT:
+                yield Arrival(message.arrival_ns, self._ping_of(link, message))
+
+    def _ping_of(self, link: str, message: Message) -> Ping | Reject:
+        ping = decode_ping(message)
+        if not isinstance(ping, Ping):
+            return Reject(ping.reason, ping.detail)
+        # One mounting, one sonar: a second one would be drawn in the wrong place.
+        self._owner = self._owner or link
+        if link != self._owner:
+            return Reject("other_link", f"pings of {link!r}; those of {self._owner!r} are mapped")
+        if not self._sequence.accept(ping.ping_id):
+            return Reject("duplicate", f"ping {ping.ping_id} came twice")
+        return ping

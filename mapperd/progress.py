@@ -1,0 +1,63 @@
+"""A progress bar of one line: how far, how fast, how long yet."""
+
+from collections.abc import Callable
+from typing import TextIO
+
+__all__ = ["ProgressBar"]
+
+WIDTH = 28
+TTY_PERIOD_S = 0.1
+LOG_PERIOD_S = 5.0
+"""Where nobody looks on (a file, a pipe), a line every now and then is enough."""
+
+
+class ProgressBar:
+    """Draws itself on a terminal, or writes a line every few seconds elsewhere.
+
+    Args:
+        out: where to, stderr as a rule.
+        clock: seconds.
+    """
+
+    def __init__(self, out: TextIO, clock: Callable[[], float]) -> None:
+        self._out = out
+        self._clock = clock
+        self._tty = out.isatty()
+        self._began_s = clock()
+        self._shown_s = self._began_s
+
+    def show(self, fraction: float, pings: int) -> None:
+        """Draw, if it is time to.
+
+        Args:
+            fraction: of the work that is done, 0..1.
+            pings: mapped so far.
+        """
+        now_s = self._clock()
+        if now_s - self._shown_s >= (TTY_PERIOD_S if self._tty else LOG_PERIOD_S):
+            self._shown_s = now_s
+            self._draw(fraction, pings, now_s - self._began_s)
+
+    def close(self, pings: int) -> None:
+        """Draw the end state and leave the line."""
+        if self._tty:
+            self._draw(1.0, pings, self._clock() - self._began_s)
+            self._out.write("\n")
+
+    def _draw(self, fraction: float, pings: int, elapsed_s: float) -> None:
+        done = min(max(fraction, 0.0), 1.0)
+        rate = pings / elapsed_s if elapsed_s > 0 else 0.0
+        left = _time(elapsed_s * (1 - done) / done) if done > 0 else "?"
+        text = f"{100 * done:5.1f} %  {pings} pings  {rate:.1f} pings/s  {left} left"
+        if self._tty:
+            bar = "#" * round(WIDTH * done)
+            self._out.write(f"\r[{bar:<{WIDTH}}] {text}\x1b[K")
+        else:
+            self._out.write(f"mapperd: {text}\n")
+        self._out.flush()
+
+
+def _time(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"

@@ -1,0 +1,44 @@
+"""THE STEP: what happens to a ping. Live, replayed and simulated pings all come through here."""
+
+from dataclasses import dataclass
+
+from mapperd.echo import echo_of
+from mapperd.errors import MapError
+from mapperd.frames import Pose
+from mapperd.mapping import SonarMap
+from mapperd.reject import Reject
+from oculus_driver.ping import Ping
+
+__all__ = ["Mapped", "process_ping"]
+
+
+@dataclass(frozen=True, slots=True)
+class Mapped:
+    """A ping that is in the map.
+
+    Attributes:
+        ping_id: the sonar's number of it.
+        voxels_occupied: voxels that it gave occupied evidence.
+        voxels_free: voxels that it gave free evidence.
+    """
+
+    ping_id: int
+    voxels_occupied: int
+    voxels_free: int
+
+
+def process_ping(ping: Ping, pose: Pose, sonar_map: SonarMap) -> Mapped | Reject:
+    """Put one ping into the map.
+
+    Args:
+        ping: what the sonar heard.
+        pose: the base in the map frame, when the sound met the middle of the image.
+        sonar_map: the map; unchanged when the ping is rejected.
+    """
+    try:
+        echo = echo_of(ping, sonar_map.config.sonar)
+        map_T_sonar = pose.map_T_base @ sonar_map.base_T_sonar  # noqa: N806 frames are named
+        changed = sonar_map.integrate(echo, map_T_sonar)
+    except MapError as error:
+        return Reject(error.reason, str(error))
+    return Mapped(ping.ping_id, changed.occupied, changed.free)

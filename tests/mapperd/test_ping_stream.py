@@ -1,0 +1,58 @@
+from collections.abc import Callable
+
+from mapperd.counters import ReplayCounters
+from mapperd.ping_stream import Arrival, PingStream
+from mapperd.reject import Reject
+from oculus_driver.encode import encode_dummy
+from oculus_driver.ping import Ping
+
+PingBytes = Callable[..., bytes]
+
+
+def outcome(arrival: Arrival) -> int | str:
+    return arrival.ping.reason if isinstance(arrival.ping, Reject) else arrival.ping.ping_id
+
+
+def test_pings_come_out_with_their_arrival(ping_bytes: PingBytes) -> None:
+    data = ping_bytes(1) + encode_dummy(source_id=7) + ping_bytes(2)
+    stream = PingStream()
+    arrivals = [*stream.feed("sonar", data[:5000], 10), *stream.feed("sonar", data[5000:], 20)]
+    assert [outcome(each) for each in arrivals] == [1, 2]
+    assert [each.t_ns for each in arrivals] == [10, 20]
+    assert isinstance(arrivals[0].ping, Ping)
+
+
+def test_duplicates_are_told_once(ping_bytes: PingBytes) -> None:
+    stream = PingStream()
+    data = b"".join(ping_bytes(number) for number in (1, 1, 2, 5))
+    assert [outcome(each) for each in stream.feed("sonar", data, 0)] == [1, "duplicate", 2, 5]
+    counters = ReplayCounters()
+    stream.count(counters)
+    assert counters.pings_lost == 2
+
+
+def test_second_sonar_is_not_mixed_in(ping_bytes: PingBytes) -> None:
+    stream = PingStream()
+    assert [outcome(each) for each in stream.feed("bow", ping_bytes(1), 0)] == [1]
+    assert [outcome(each) for each in stream.feed("stern", ping_bytes(9), 1)] == ["other_link"]
+    assert [outcome(each) for each in stream.feed("bow", ping_bytes(2), 2)] == [2]
+
+
+def test_links_are_parsed_apart_and_their_bytes_added_up(ping_bytes: PingBytes) -> None:
+    stream, data = PingStream(), ping_bytes(1)
+    assert list(stream.feed("bow", data[:100], 0)) == []
+    assert list(stream.feed("stern", b"x" * 50, 0)) == []
+    assert [outcome(each) for each in stream.feed("bow", data[100:], 1)] == [1]
+    assert list(stream.finish()) == []
+    counters = ReplayCounters()
+    stream.count(counters)
+    assert counters.bytes_total == len(data) + 50
+    assert counters.bytes_rejected == 50
+    assert counters.resyncs == 1
+
+
+def test_message_that_is_no_ping_after_all_is_a_reject(ping_bytes: PingBytes) -> None:
+    stream = PingStream()
+    bad = ping_bytes(1, range_resolution_m=float("nan"))
+    (arrival,) = stream.feed("sonar", bad, 0)
+    assert outcome(arrival) == "bad_resolution"

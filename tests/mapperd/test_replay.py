@@ -1,0 +1,209 @@
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mapperd.config import Config, Mounting, Octree, Orientation, Processing
+from mapperd.counters import ReplayCounters
+from mapperd.errors import ReplayError
+from mapperd.frames import pose_from_rpy
+from mapperd.mapping import SonarMap
+from mapperd.pairing import FixedPose, OdometryPoses, PoseSource
+from mapperd.replay import Replay, Window
+from oculus_driver.recording import open_recording
+
+Write = Callable[..., list[int]]
+Survey = Callable[..., list[Any]]
+PingBytes = Callable[..., bytes]
+OdometryBytes = Callable[..., bytes]
+
+COARSE = Config(
+    octree=Octree(voxel_resolution=0.2), mounting=Mounting(orientation=Orientation(pitch=0.0))
+)
+
+
+def replayed(
+    path: Path,
+    config: Config = COARSE,
+    window: Window | None = None,
+    poses: PoseSource | None = None,
+) -> tuple[ReplayCounters, SonarMap]:
+    sonar_map = SonarMap(config)
+    source = OdometryPoses(config.time_sync) if poses is None else poses
+    replay = Replay(sonar_map, source, window or Window(), lambda: 0.0)
+    with open_recording(path) as recording:
+        for _ in replay.run(recording):
+            pass
+    counters = replay.counters
+    assert counters.pings_total == counters.pings_mapped + counters.pings_dropped.total()
+    assert set(counters.first_drop) == set(counters.pings_dropped)
+    return counters, sonar_map
+
+
+def test_every_ping_between_two_records_is_mapped(
+    tmp_path: Path, write_recording: Write, survey: Survey
+) -> None:
+    write_recording(tmp_path / "a", survey(5))
+    counters, sonar_map = replayed(tmp_path / "a")
+    assert counters.pings_total == counters.pings_mapped == 5
+    assert counters.bytes_rejected == 0
+    assert counters.bytes_total > 5 * 50 * 65
+    assert sonar_map.counts().occupied > 0
+
+
+def test_two_runs_give_one_map(tmp_path: Path, write_recording: Write, survey: Survey) -> None:
+    write_recording(tmp_path / "a", survey(5))
+    assert replayed(tmp_path / "a")[1].sha256() == replayed(tmp_path / "a")[1].sha256()
+
+
+def test_fragmentation_of_the_stream_does_not_matter(
+    tmp_path: Path, write_recording: Write, survey: Survey
+) -> None:
+    events = survey(4)
+    write_recording(tmp_path / "whole", events)
+    pieces = []
+    for kind, data, seconds in events:
+        size = 999 if kind == "ping" else len(data)
+        pieces += [(kind, data[k : k + size], seconds) for k in range(0, len(data), size)]
+    write_recording(tmp_path / "pieces", pieces)
+    whole, pieced = replayed(tmp_path / "whole"), replayed(tmp_path / "pieces")
+    assert whole[0].pings_mapped == pieced[0].pings_mapped == 4
+    assert whole[1].sha256() == pieced[1].sha256()
+
+
+def test_map_uses_the_pose_at_the_time_of_the_echo(
+    tmp_path: Path,
+    write_recording: Write,
+    ping_bytes: PingBytes,
+    odometry_bytes: OdometryBytes,
+) -> None:
+    flight_s = 1.5 * 5.0 / 1500.0  # from the middle of the image's flight to its arrival
+    events = [
+        ("odometry", odometry_bytes(p=(0.0, 0.0, 0.0)), 0.0),
+        ("ping", ping_bytes(1), 0.1 + flight_s),
+        ("odometry", odometry_bytes(p=(40.0, 0.0, 0.0)), 0.4),
+    ]
+    write_recording(tmp_path / "moving", events)
+    _, moving = replayed(tmp_path / "moving")
+    fixed = FixedPose(pose_from_rpy((10, 0, 0), (0, 0, 0)))
+    _, still = replayed(tmp_path / "moving", poses=fixed)
+    assert moving.sha256() == still.sha256()
+    assert fixed.ignored == 2
+
+
+def test_odometry_that_comes_late_still_serves(
+    tmp_path: Path,
+    write_recording: Write,
+    ping_bytes: PingBytes,
+    odometry_bytes: OdometryBytes,
+) -> None:
+    epoch = 1_700_000_000_000_000_000
+    unix = [
+        odometry_bytes(clk="unix", t=epoch + round(0.1 * k * 1e9), p=(1.0 * k, 0.0, 0.0))
+        for k in range(3)
+    ]
+    events = [
+        ("ping", ping_bytes(1), 0.12),
+        ("odometry", unix[0], 0.30),
+        ("odometry", unix[1], 0.31),
+        ("odometry", unix[2], 0.32),
+    ]
+    write_recording(tmp_path / "a", events)
+    counters, sonar_map = replayed(tmp_path / "a")
+    assert counters.pings_mapped == 1
+    assert sonar_map.voxels("occupied").centres_m[:, 0].max() > 3
+
+
+def test_pings_without_a_pose_are_dropped_with_the_reason(
+    tmp_path: Path,
+    write_recording: Write,
+    ping_bytes: PingBytes,
+    odometry_bytes: OdometryBytes,
+) -> None:
+    events = [
+        ("ping", ping_bytes(1), 1.0),
+        ("odometry", odometry_bytes(), 5.0),
+        ("ping", ping_bytes(2), 7.0),
+        ("odometry", odometry_bytes(), 9.0),
+        ("ping", ping_bytes(3), 11.0),
+    ]
+    write_recording(tmp_path / "a", events)
+    counters, sonar_map = replayed(tmp_path / "a")
+    assert counters.pings_total == 3
+    assert counters.pings_mapped == 0
+    reasons = ("before_odometry", "odometry_gap", "after_odometry")
+    assert counters.pings_dropped == dict.fromkeys(reasons, 1)
+    assert sonar_map.counts().free == 0
+
+
+def test_frame_skip_is_counted(tmp_path: Path, write_recording: Write, survey: Survey) -> None:
+    write_recording(tmp_path / "a", survey(7))
+    skipping = Config(
+        octree=COARSE.octree, mounting=COARSE.mounting, processing=Processing(frame_skip=3)
+    )
+    counters, _ = replayed(tmp_path / "a", skipping)
+    assert counters.pings_mapped == 3
+    assert counters.pings_dropped == {"frame_skip": 4}
+
+
+def test_bad_pings_are_counted_and_good_ones_go_on(
+    tmp_path: Path, write_recording: Write, ping_bytes: PingBytes, odometry_bytes: OdometryBytes
+) -> None:
+    backwards = np.linspace(6000, -6000, 65).round().astype(np.int16)
+    pings = [
+        ping_bytes(1),
+        ping_bytes(1),
+        ping_bytes(2, range_resolution_m=float("nan")),
+        ping_bytes(3, bearings_cdeg=backwards),
+        b"\x00" * 500,
+        ping_bytes(4),
+    ]
+    events = [("odometry", odometry_bytes(), 0.1 * k) for k in range(8)]
+    events += [("ping", data, 0.1 * k + 0.05) for k, data in enumerate(pings)]
+    write_recording(tmp_path / "a", sorted(events, key=lambda event: event[2]))
+    counters, _ = replayed(tmp_path / "a")
+    assert counters.pings_total == 5
+    assert counters.pings_mapped == 2
+    assert counters.pings_dropped == {"duplicate": 1, "bad_resolution": 1, "bad_bearings": 1}
+    assert counters.bytes_rejected == 500
+
+
+@pytest.mark.parametrize(
+    ("window", "expected"),
+    [
+        (Window(), [1, 2, 3, 4, 5, 6]),
+        (Window(start_s=0.2), [3, 4, 5, 6]),
+        (Window(duration_s=0.2), [1, 2]),
+        (Window(start_s=0.2, duration_s=0.3), [3, 4, 5]),
+        (Window(start_s=99.0), []),
+    ],
+)
+def test_window_chooses_pings_and_keeps_their_poses(
+    tmp_path: Path, write_recording: Write, survey: Survey, window: Window, expected: list[int]
+) -> None:
+    write_recording(tmp_path / "a", survey(6))
+    counters, _ = replayed(tmp_path / "a", window=window)
+    assert counters.pings_total == counters.pings_mapped == len(expected)
+
+
+def test_window_needs_time_stamps(tmp_path: Path, ping_bytes: PingBytes) -> None:
+    (tmp_path / "raw").write_bytes(ping_bytes(1) + ping_bytes(2))
+    fixed = FixedPose(pose_from_rpy((0, 0, 0), (0, 0, 0)))
+    with pytest.raises(ReplayError, match="no time stamps"):
+        replayed(tmp_path / "raw", window=Window(start_s=1.0), poses=fixed)
+
+
+def test_raw_stream_needs_only_a_pose(tmp_path: Path, ping_bytes: PingBytes) -> None:
+    (tmp_path / "raw").write_bytes(ping_bytes(1) + ping_bytes(2))
+    fixed = FixedPose(pose_from_rpy((0, 0, 0), (0, 0, 0)))
+    assert replayed(tmp_path / "raw", poses=fixed)[0].pings_mapped == 2
+
+
+def test_times_of_the_step_are_summed_up() -> None:
+    counters = ReplayCounters()
+    assert counters.ms_per_ping() == {"p50": 0.0, "p95": 0.0, "max": 0.0}
+    counters.step_s.extend([0.001, 0.002, 0.009])
+    assert counters.ms_per_ping()["p50"] == pytest.approx(2)
+    assert counters.ms_per_ping()["max"] == pytest.approx(9)

@@ -1,0 +1,223 @@
+"""Arrows between the rooms point one way; an import that points back fails here.
+
+tools -> mapperd -> oculus_driver; mapperd -> mapperd._core; sonar_sim -> oculus_driver only.
+Inside mapperd every module imports only modules that stand above it in `ORDER`.
+"""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+MAY_IMPORT = {
+    "oculus_driver": {"oculus_driver"},
+    "mapperd": {"mapperd", "oculus_driver"},
+    "sonar_sim": {"sonar_sim", "oculus_driver"},
+    "tools": {"tools", "sonar_sim", "mapperd", "oculus_driver"},
+}
+OUR_ROOMS = {"oculus_driver", "mapperd", "sonar_sim", "tools", "tests"}
+
+ORDER = (
+    "_core",
+    "version",
+    "errors",
+    "reject",
+    "yaml_strict",
+    "config",
+    "config_file",
+    "frames",
+    "timebase",
+    "odometry.records",
+    "odometry.native",
+    "odometry.stamps",
+    "odometry.buffer",
+    "odometry.source",
+    "echo",
+    "mapping",
+    "step",
+    "pairing",
+    "counters",
+    "ping_stream",
+    "replay",
+    "export.atomic",
+    "export.raster",
+    "export.picture",
+    "export.ply",
+    "export.summary",
+    "export.folder",
+    "progress",
+    "arguments",
+    "cli",
+    "__main__",
+)
+"""Modules of mapperd, lowest first. A new one is given its place here."""
+
+
+def room_of(path: Path, root: Path) -> str:
+    """The room a file belongs to: its package, or `tools` for a program of its own."""
+    parts = path.relative_to(root).parts
+    if parts[0] != "tools":
+        return parts[0]
+    return "sonar_sim" if parts[1] == "sonar_sim" else "tools"
+
+
+def module_of(path: Path, room: str, root: Path) -> str:
+    """`mapperd/odometry/native.py` is `mapperd.odometry.native`."""
+    base = root / "tools" if room == "sonar_sim" else root
+    parts = path.relative_to(base).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imports_of(path: Path, module: str) -> Iterator[str]:
+    """Every module or name that a file imports, wherever in it the import stands."""
+    is_package = path.name == "__init__.py"
+    for node in ast.walk(ast.parse(path.read_bytes(), str(path))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                above = module.split(".")
+                above = above[: len(above) - node.level + is_package]
+                base = ".".join([*above, base]).rstrip(".")
+            yield from (f"{base}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Call) and _imports_by_name(node):
+            argument = node.args[0]
+            assert isinstance(argument, ast.Constant), f"{path}:{node.lineno}: import of a variable"
+            yield str(argument.value)
+
+
+def _imports_by_name(call: ast.Call) -> bool:
+    name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+    return name in ("import_module", "__import__") and bool(call.args)
+
+
+def place_of(name: str) -> int | None:
+    """Place in ORDER of an imported name such as `mapperd.odometry.native.decode_native`."""
+    parts = name.split(".")[1:]
+    for length in range(len(parts), 0, -1):
+        inner = ".".join(parts[:length])
+        if inner in ORDER:
+            return ORDER.index(inner)
+    return None
+
+
+def back_arrows(root: Path) -> list[str]:
+    """Every import under `root` that points the wrong way."""
+    wrong = []
+    for folder in ("oculus_driver", "mapperd", "tools"):
+        for path in sorted((root / folder).rglob("*.py")):
+            room = room_of(path, root)
+            module = module_of(path, room, root)
+            wrong += [
+                f"{path.relative_to(root)} imports {name}"
+                for name in imports_of(path, module)
+                if points_back(room, module, name)
+            ]
+    return wrong
+
+
+def points_back(room: str, module: str, name: str) -> bool:
+    target = name.partition(".")[0]
+    if target in OUR_ROOMS and target not in MAY_IMPORT[room]:
+        return True
+    if target != "mapperd":
+        return False
+    if room != "mapperd":  # the core is reached through mapperd.mapping
+        return name.startswith("mapperd._core")
+    here, there = place_of(module), place_of(name)
+    return here is None or there is None or there >= here  # also: a package imports nothing
+
+
+def python_in_core(root: Path) -> list[str]:
+    """C++ sources outside cpp/bind that know of Python."""
+    pattern = re.compile(rb"#\s*include\s*[<\"](Python\.h|pybind11/|nanobind/|numpy/)")
+    return [
+        str(path.relative_to(root))
+        for folder in ("include", "src")
+        for path in sorted((root / "cpp" / folder).rglob("*"))
+        if path.is_file() and pattern.search(path.read_bytes())
+    ]
+
+
+def test_no_import_points_back() -> None:
+    assert back_arrows(ROOT) == []
+
+
+def test_every_module_of_mapperd_has_its_place() -> None:
+    modules = {
+        module_of(path, "mapperd", ROOT).removeprefix("mapperd").removeprefix(".")
+        for path in (ROOT / "mapperd").rglob("*.py")
+        if path.name != "__init__.py"
+    }
+    assert modules == set(ORDER) - {"_core"}
+
+
+def test_core_knows_no_python() -> None:
+    assert python_in_core(ROOT) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "line"),
+    [
+        ("oculus_driver/ping.py", "import mapperd"),
+        ("oculus_driver/ping.py", "from mapperd.config import Config"),
+        ("oculus_driver/deep/inside.py", "def f():\n    from mapperd import _core"),
+        ("oculus_driver/ping.py", "import sonar_sim.scene"),
+        ("oculus_driver/ping.py", "import importlib\nimportlib.import_module('mapperd')"),
+        ("oculus_driver/ping.py", "if TYPE_CHECKING:\n    import mapperd.frames"),
+        ("tools/sonar_sim/scene.py", "from mapperd.frames import Pose"),
+        ("tools/sonar_sim/scene.py", "from mapperd import _core"),
+        ("tools/demo.py", "import mapperd._core"),
+        ("tools/bench/run.py", "from mapperd import _core"),
+        ("mapperd/frames.py", "import sonar_sim"),
+        ("mapperd/frames.py", "import tools.demo"),
+        ("mapperd/frames.py", "from mapperd import cli"),
+        ("mapperd/frames.py", "from mapperd.mapping import SonarMap"),
+        ("mapperd/mapping.py", "from mapperd.step import process_ping"),
+        ("mapperd/odometry/native.py", "from mapperd.odometry.buffer import PoseBuffer"),
+        ("mapperd/odometry/native.py", "from . import buffer"),
+        ("mapperd/odometry/native.py", "from ..mapping import SonarMap"),
+        ("mapperd/odometry/__init__.py", "from mapperd.odometry.buffer import PoseBuffer"),
+        ("mapperd/step.py", "import mapperd.replay"),
+        ("mapperd/unheard_of.py", "import mapperd.errors"),
+    ],
+)
+def test_planted_back_arrow_is_found(tmp_path: Path, file: str, line: str) -> None:
+    path = tmp_path / file
+    path.parent.mkdir(parents=True)
+    path.write_text(line + "\n", encoding="utf-8")
+    assert back_arrows(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("file", "line"),
+    [
+        ("oculus_driver/ping.py", "import numpy\nfrom oculus_driver.wire import X"),
+        ("oculus_driver/deep/inside.py", "from ..wire import X"),
+        ("mapperd/mapping.py", "from mapperd import _core\nfrom mapperd.frames import Pose"),
+        ("mapperd/cli.py", "import mapperd.replay\nimport oculus_driver.ping"),
+        (
+            "tools/sonar_sim/scene.py",
+            "from oculus_driver import encode_ping\nimport sonar_sim.path",
+        ),
+        ("tools/demo.py", "import mapperd.cli\nimport sonar_sim"),
+    ],
+)
+def test_forward_arrow_is_left_alone(tmp_path: Path, file: str, line: str) -> None:
+    path = tmp_path / file
+    path.parent.mkdir(parents=True)
+    path.write_text(line + "\n", encoding="utf-8")
+    assert back_arrows(tmp_path) == []
+
+
+def test_planted_python_header_is_found(tmp_path: Path) -> None:
+    for folder in ("include/mapperd", "src", "bind"):
+        path = tmp_path / "cpp" / folder / "a.hpp"
+        path.parent.mkdir(parents=True)
+        path.write_text("#include <pybind11/pybind11.h>\n", encoding="utf-8")
+    assert python_in_core(tmp_path) == ["cpp/include/mapperd/a.hpp", "cpp/src/a.hpp"]
