@@ -1,0 +1,30 @@
+"""What can go wrong, as a tree that says who is at fault.
+
+OculusError
+├── ProtocolError    bytes or values that do not fit the wire format
+│   └── EncodeError  a value that has no place in the message it was given for
+└── RecordingError   a file that cannot be opened, read or written as a recording
+
+Parsers never raise these on bytes from outside: bad bytes are data, counted and reported.
+"""
+
+from __future__ import annotations
+
+
+class OculusError(Exception):
+    """Root of everything that this package raises on purpose."""
+
+
+class ProtocolError(OculusError):
+    """Bytes or values do not fit the wire format."""
+
+
+class EncodeError(ProtocolError, ValueError):
+    """A value has no place in the message that it was given for."""
+
+
+class RecordingError(OculusError):
+    """A file cannot be opened, read or written as a recording.
+
+    The text is one line: what is wrong, with which file, and what to do.
+    """

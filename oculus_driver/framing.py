@@ -1,0 +1,232 @@
+"""Is this a message, and where does it end? Pure verdicts on one place of a byte stream.
+
+A ping says its size three times: in the header, as message size in the body, and as end of the
+image. Where the three agree it is believed at once. Where they do not, and for ids that nobody
+knows, the bytes after it decide: a message is one that is followed by another good header. With
+two sizes to choose from (header and body) the one that leads to a good header wins, so a
+damaged size costs one ping and never the pings behind it.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from oculus_driver.wire import (
+    HEADER,
+    MAGIC,
+    MAGIC_BYTES,
+    MAX_MESSAGE_SIZE,
+    MIN_PING_PAYLOAD,
+    PAYLOAD_LIMITS,
+    PING_RESULT_V1,
+    PING_RESULT_V2,
+    UNKNOWN_PAYLOAD_LIMIT,
+    MessageId,
+    ping_layout,
+)
+
+_HEADER: Final = struct.Struct("<HHHHHIH")
+_SIZES: Final = struct.Struct("<III")
+_U16: Final = struct.Struct("<H")
+
+MAX_STRICT_VERSION: Final = 2
+MAX_VERSION: Final = 255
+
+# Small and frequent: believed at once while synchronised, so that a sign of life is not held back.
+_PLAIN_IDS: Final = frozenset(
+    {MessageId.FIRE, MessageId.USER_CONFIG, MessageId.LOG, MessageId.DUMMY}
+)
+
+CANDIDATE: Final = re.compile(
+    rb"SO.{4}[\x15\x22\x23\x55\x80\xff]\x00[\x00-\x02]\x00.{3}[\x00\x01]", re.DOTALL
+)
+"""Start of a header with a known id, version and a payload below 32 MiB, found at C speed."""
+
+CANDIDATE_SIZE: Final = 14
+
+
+class Header(NamedTuple):
+    """The first 16 bytes of a message."""
+
+    magic: int
+    source_id: int
+    destination_id: int
+    message_id: int
+    version: int
+    payload_size: int
+    part_number: int
+
+    @property
+    def size(self) -> int:
+        """Bytes of the whole message, as the header claims."""
+        return HEADER.size + self.payload_size
+
+
+@dataclass(frozen=True, slots=True)
+class Accept:
+    """A message of `size` bytes starts here; `proven` if its own sizes agree."""
+
+    header: Header
+    size: int
+    proven: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Refuse:
+    """No message starts here, or none that can be told from noise."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Wait:
+    """No verdict before `size` bytes from here have come."""
+
+    size: int
+
+
+Verdict = Accept | Refuse | Wait
+
+
+def read_header(buffer: bytes | bytearray, position: int) -> Header:
+    """Return the header at `position`; 16 bytes must be there."""
+    return Header._make(_HEADER.unpack_from(buffer, position))
+
+
+def header_fault(header: Header, *, strict: bool) -> str | None:
+    """Return why the header is not plausible, or None.
+
+    Args:
+        header: what stands there.
+        strict: only known ids, versions and sizes, as demanded while resynchronising.
+    """
+    if header.magic != MAGIC:
+        return "bad_magic"
+    limit = PAYLOAD_LIMITS.get(header.message_id)
+    if limit is None and strict:
+        return "unknown_id"
+    if header.payload_size > (UNKNOWN_PAYLOAD_LIMIT if limit is None else limit):
+        return "oversize"
+    if header.version > (MAX_STRICT_VERSION if strict else MAX_VERSION):
+        return "unknown_version"
+    if (
+        strict
+        and header.message_id == MessageId.PING_RESULT
+        and header.payload_size < MIN_PING_PAYLOAD
+    ):
+        return "short_message"
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class Judge:
+    """What is known when a place in the stream is judged.
+
+    Attributes:
+        synchronised: the place is where the last message ended.
+        source_id: the sonar's id, or None before the first good ping.
+        final: no more bytes will come.
+    """
+
+    synchronised: bool
+    source_id: int | None
+    final: bool
+
+    def verdict(self, buffer: bytes | bytearray, position: int) -> Verdict:
+        """Return what stands at `position`. Takes constant time, whatever the sizes claimed."""
+        left = len(buffer) - position
+        if left < HEADER.size:
+            return self._need(HEADER.size) if _magic_prefix(buffer, position) else _BAD_MAGIC
+        header = read_header(buffer, position)
+        fault = header_fault(header, strict=not self.synchronised)
+        if fault is not None:
+            return Refuse(fault)
+        if header.message_id == MessageId.PING_RESULT:
+            return self._ping(buffer, position, header)
+        if self.synchronised and header.message_id in _PLAIN_IDS:
+            return self._whole(buffer, position, header, proven=False)
+        reason = "truncated" if header.message_id in PAYLOAD_LIMITS else "unknown_id"
+        return self._followed(buffer, position, header, (header.size,), reason)
+
+    def _need(self, size: int) -> Verdict:
+        return Refuse("truncated") if self.final else Wait(size)
+
+    def _whole(
+        self, buffer: bytes | bytearray, position: int, header: Header, *, proven: bool
+    ) -> Verdict:
+        if len(buffer) - position < header.size:
+            return self._need(header.size)
+        return Accept(header, header.size, proven)
+
+    def _ping(self, buffer: bytes | bytearray, position: int, header: Header) -> Verdict:
+        layout = ping_layout(header.version)
+        if layout is None:
+            return self._followed(buffer, position, header, (header.size,), "unknown_version")
+        reason = "short_message" if header.size < layout.size else "size_mismatch"
+        if len(buffer) - position < layout.size:
+            if not self.final:
+                return Wait(layout.size)
+            return self._followed(buffer, position, header, (header.size,), reason)
+        known_source = self.synchronised or self.source_id in (None, header.source_id)
+        own = _own_size(buffer, position, header.version)
+        if own == header.size and known_source:
+            return self._whole(buffer, position, header, proven=True)
+        sizes = (header.size,) if own is None else tuple(sorted({own, header.size}))
+        return self._followed(buffer, position, header, sizes, reason)
+
+    def _followed(
+        self,
+        buffer: bytes | bytearray,
+        position: int,
+        header: Header,
+        sizes: tuple[int, ...],
+        reason: str,
+    ) -> Verdict:
+        """Accept the first of `sizes` (ascending) behind which a good header stands."""
+        left = len(buffer) - position
+        for size in sizes:
+            if left >= size + HEADER.size:
+                if self._good(read_header(buffer, position + size), header.source_id):
+                    return Accept(header, size, proven=False)
+            elif not self.final:
+                return Wait(size + HEADER.size)
+            elif left >= size and _magic_prefix(buffer, position + size):
+                return Accept(header, size, proven=False)
+            elif left < size:
+                reason = "truncated"
+        return Refuse(reason)
+
+    def _good(self, follower: Header, source_id: int) -> bool:
+        if self.synchronised:
+            return header_fault(follower, strict=False) is None
+        return header_fault(follower, strict=True) is None and follower.source_id == source_id
+
+
+_BAD_MAGIC: Final = Refuse("bad_magic")
+
+
+def _magic_prefix(buffer: bytes | bytearray, position: int) -> bool:
+    """Tell whether what is there of the next header (perhaps nothing) can begin a message."""
+    return MAGIC_BYTES.startswith(bytes(buffer[position : position + len(MAGIC_BYTES)]))
+
+
+_PLACES: Final = {
+    version: (layout.size, layout.offset_of("beams"), layout.offset_of("image_offset"))
+    for version, layout in ((0, PING_RESULT_V1), (1, PING_RESULT_V1), (2, PING_RESULT_V2))
+}
+
+
+def _own_size(buffer: bytes | bytearray, position: int, version: int) -> int | None:
+    """Return the size that a ping's body states, if table, image and size agree with each other.
+
+    Together with equality to the header's size these are the three size identities.
+    """
+    fixed, beams_at, sizes_at = _PLACES[version]
+    (beams,) = _U16.unpack_from(buffer, position + beams_at)
+    image_offset, image_size, message_size = _SIZES.unpack_from(buffer, position + sizes_at)
+    if image_offset + image_size != message_size or image_offset < fixed + 2 * beams:
+        return None
+    return int(message_size) if message_size <= MAX_MESSAGE_SIZE else None

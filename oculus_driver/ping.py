@@ -1,0 +1,301 @@
+"""A ping: what the sonar heard, where from, and what of it can be believed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from oculus_driver.bearings import CENTIDEGREE_RAD, edges_rad
+from oculus_driver.reject import Reject
+from oculus_driver.shape import GAIN_WORD, Shape, shape_of
+from oculus_driver.wire import FireFlags, MessageId, ping_layout
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from oculus_driver.stream import Message
+
+__all__ = ["Ping", "Reject", "decode_ping"]
+
+NOMINAL_SPEED_OF_SOUND_MPS: Final = 1500.0
+_SPEEDS_MPS: Final = (1300.0, 1700.0)
+_TEMPERATURES_C: Final = (-40.0, 120.0)
+_PRESSURES_BAR: Final = (-5.0, 1000.0)
+_HEADINGS_DEG: Final = (-360.0, 360.0)
+_TILTS_DEG: Final = (-180.0, 180.0)
+_USUAL_BEAMS: Final = (256, 512)
+_TABLE_END_RAD: Final = math.pi / 2
+
+_SMALLEST_READING: Final = 1e-30
+"""Sensors read 0 or something far above this; left-over memory seen in captures lies below."""
+
+_BITS_24: Final = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ping:
+    """One ping. Arrays are read-only; the image is a view of the message's own bytes.
+
+    Attributes:
+        ping_id: counts up by one per ping, wraps at 2³², restarts at power-up.
+        arrival_ns: when the first byte of the message came, on the clock of the stream, or None.
+        offset: position of the message in its stream.
+        version: 1 or 2, the message's layout.
+        source_id: low 16 bits of the sonar's device id.
+        part_number: see `oculus_driver.models`; 0 from older firmware.
+        mode: 1 low frequency, wide; 2 high frequency, narrow.
+        flags: echo of the fire flags, see `oculus_driver.wire.FireFlags`.
+        status: raw status word, meaning unknown.
+        frequency_hz: acoustic frequency, NaN where it is not a positive number.
+        range_setting_m: the range asked for, None where it was asked for in percent.
+            The image ends at `max_range_m`, not here.
+        gain_percent: gain in use, NaN where not finite.
+        gamma: exponent gamma/255 was applied to the image; 0 and 255 mean linear.
+        speed_of_sound_mps: the one that the sonar used, as sent.
+        salinity_ppt: as sent, NaN where not finite.
+        range_resolution_m: depth of one row.
+        bearings_rad: float64 (beams,), positive to starboard.
+        image: (rows, beams) of uint8, uint16 or uint32, row 0 nearest; perhaps unaligned.
+        bits_per_sample: 8, 16, 24 or 32.
+        gains: uint32 (rows,) gain words, or None. 0 means that the row has no gain.
+        start_time_s: seconds since power-up (version 2), else None.
+        start_ticks: clock ticks of undocumented length, modulo 2³² (version 1), else None.
+        temperature_c, pressure_bar: of the water; None = not available.
+        heading_rad, pitch_rad, roll_rad: of the sonar, conventions undocumented; None = not
+            available (always in version 1).
+        warnings: of odd_beams, bad_bearings, odd_sound_speed, bad_frequency, gain_flag,
+            bad_data_size, size_mismatch.
+    """
+
+    ping_id: int
+    arrival_ns: int | None
+    offset: int
+    version: int
+    source_id: int
+    part_number: int
+    mode: int
+    flags: int
+    status: int
+    frequency_hz: float
+    range_setting_m: float | None
+    gain_percent: float
+    gamma: int
+    speed_of_sound_mps: float
+    salinity_ppt: float
+    range_resolution_m: float
+    bearings_rad: NDArray[np.float64] = field(repr=False)
+    image: NDArray[Any] = field(repr=False)
+    bits_per_sample: int
+    gains: NDArray[np.uint32] | None = field(repr=False)
+    start_time_s: float | None
+    start_ticks: int | None
+    temperature_c: float | None
+    pressure_bar: float | None
+    heading_rad: float | None
+    pitch_rad: float | None
+    roll_rad: float | None
+    warnings: frozenset[str]
+
+    @property
+    def rows(self) -> int:
+        """Number of ranges."""
+        return int(self.image.shape[0])
+
+    @property
+    def beams(self) -> int:
+        """Number of bearings."""
+        return int(self.image.shape[1])
+
+    @property
+    def max_range_m(self) -> float:
+        """Far end of the image, metres."""
+        return self.rows * self.range_resolution_m
+
+    @property
+    def ranges_m(self) -> NDArray[np.float64]:
+        """Centres of the rows, float64 (rows,): (k + ½)·resolution.
+
+        The true offset of row 0 is not documented; others take k or k + 1.
+        """
+        centres: NDArray[np.float64] = np.arange(0.5, self.rows) * self.range_resolution_m
+        return centres
+
+    @property
+    def full_scale(self) -> int:
+        """Largest value that a sample can have."""
+        return (1 << self.bits_per_sample) - 1
+
+    @property
+    def row_valid(self) -> NDArray[np.bool_]:
+        """Bool (rows,): False where the gain word is 0 and the row's level is not known."""
+        return np.ones(self.rows, dtype=np.bool_) if self.gains is None else self.gains != 0
+
+    def amplitude(self) -> NDArray[np.float32]:
+        """Return the echo level, float32 (rows, beams): sample / sqrt(gain of the row).
+
+        Always finite. Rows without a gain (`row_valid` False) are 0: no level, not silence.
+        """
+        samples = self.image.astype(np.float32)
+        if self.gains is None:
+            return samples
+        scale = np.zeros(self.rows, dtype=np.float32)
+        valid = self.row_valid
+        scale[valid] = 1.0 / np.sqrt(self.gains[valid].astype(np.float64))
+        samples *= scale[:, np.newaxis]
+        return samples
+
+    def beam_edges_rad(self) -> NDArray[np.float64]:
+        """Return the borders between beams, float64 (beams + 1,), half way in sine."""
+        return edges_rad(self.bearings_rad)
+
+    def transmit_time_ns(self, latency_ns: int = 0) -> int | None:
+        """Return when the ping left the sonar, on the clock of `arrival_ns`.
+
+        Arrival minus the time of flight to the end of the image and back. A speed of sound
+        that cannot be true (odd_sound_speed) is replaced by 1500 m/s here: at most 15 % wrong.
+
+        Args:
+            latency_ns: processing and network time between the last echo and the first byte.
+        """
+        if self.arrival_ns is None:
+            return None
+        return self.arrival_ns - latency_ns - self._flight_ns(2.0 * self.max_range_m)
+
+    def echo_time_ns(self, range_m: float, latency_ns: int = 0) -> int | None:
+        """Return when sound met a target at `range_m`: the pose that the echo belongs to."""
+        start = self.transmit_time_ns(latency_ns)
+        return None if start is None else start + self._flight_ns(range_m)
+
+    def _flight_ns(self, distance_m: float) -> int:
+        speed = self.speed_of_sound_mps
+        if not _SPEEDS_MPS[0] <= speed <= _SPEEDS_MPS[1]:
+            speed = NOMINAL_SPEED_OF_SOUND_MPS
+        return round(distance_m / speed * 1e9)
+
+
+def decode_ping(message: Message, *, deliver_mismatched: bool = False) -> Ping | Reject:
+    """Return the ping in a message, or why there is none. Total: never raises on bytes.
+
+    Args:
+        message: of any id.
+        deliver_mismatched: deliver a ping whose sizes contradict each other, with the warning
+            size_mismatch, if table and image lie inside it all the same.
+    """
+    if message.message_id != MessageId.PING_RESULT:
+        return Reject("not_a_ping", f"message id {message.message_id:#x}", message.offset)
+    layout = ping_layout(message.version)
+    if layout is None:
+        return Reject("unknown_version", f"ping result version {message.version}", message.offset)
+    if len(message.data) < layout.size:
+        detail = f"{len(message.data)} bytes, a {layout.name} has {layout.size}"
+        return Reject("short_message", detail, message.offset)
+    fields = layout.unpack(message.data)
+    shape = shape_of(message, layout, fields, deliver_mismatched=deliver_mismatched)
+    if isinstance(shape, Reject):
+        return shape
+    bearings_rad = _bearings_rad(message.data, shape)
+    in_metres = fields["flags"] & FireFlags.RANGE_IN_METRES
+    return Ping(
+        ping_id=fields["ping_id"],
+        arrival_ns=message.arrival_ns,
+        offset=message.offset,
+        version=max(1, message.version),
+        source_id=message.source_id,
+        part_number=message.part_number,
+        mode=fields["mode"],
+        flags=fields["flags"],
+        status=fields["status"],
+        frequency_hz=fields["frequency_hz"] if _is_frequency(fields["frequency_hz"]) else math.nan,
+        range_setting_m=_within(fields["range_demand"], 0.0, math.inf) if in_metres else None,
+        gain_percent=_finite_or_nan(fields["gain_percent"]),
+        gamma=fields["gamma"],
+        speed_of_sound_mps=fields["speed_of_sound_mps"],
+        salinity_ppt=_finite_or_nan(fields["salinity_ppt"]),
+        range_resolution_m=fields["range_resolution_m"],
+        bearings_rad=bearings_rad,
+        image=_image(message.data, shape),
+        bits_per_sample=8 * shape.width,
+        gains=_gains(message.data, shape),
+        start_time_s=_within(fields.get("start_time_s"), 0.0, math.inf),
+        start_ticks=fields.get("start_ticks"),
+        temperature_c=_reading(fields["temperature_c"], _TEMPERATURES_C),
+        pressure_bar=_reading(fields["pressure_bar"], _PRESSURES_BAR),
+        heading_rad=_angle_rad(fields.get("heading_deg"), _HEADINGS_DEG),
+        pitch_rad=_angle_rad(fields.get("pitch_deg"), _TILTS_DEG),
+        roll_rad=_angle_rad(fields.get("roll_deg"), _TILTS_DEG),
+        warnings=shape.warnings | _warnings(fields, bearings_rad),
+    )
+
+
+def _bearings_rad(data: bytes, shape: Shape) -> NDArray[np.float64]:
+    table = np.frombuffer(data, dtype="<i2", count=shape.beams, offset=shape.table_offset)
+    bearings: NDArray[np.float64] = table * CENTIDEGREE_RAD
+    bearings.flags.writeable = False
+    return bearings
+
+
+def _image(data: bytes, shape: Shape) -> NDArray[Any]:
+    """Return the samples: a view over the gain words, or a copy where samples have 24 bit."""
+    offset = shape.image_offset + (GAIN_WORD if shape.gain_words else 0)
+    size = (shape.rows, shape.beams)
+    if shape.width != _BITS_24:
+        strides = (shape.stride, shape.width)
+        return np.ndarray(size, f"<u{shape.width}", buffer=data, offset=offset, strides=strides)
+    low = np.ndarray(size, "<u2", data, offset, (shape.stride, 3))
+    high = np.ndarray(size, np.uint8, data, offset + 2, (shape.stride, 3))
+    samples = low.astype(np.uint32)
+    samples |= high.astype(np.uint32) << 16
+    samples.flags.writeable = False
+    return samples
+
+
+def _gains(data: bytes, shape: Shape) -> NDArray[np.uint32] | None:
+    if not shape.gain_words:
+        return None
+    words = np.ndarray((shape.rows,), "<u4", data, shape.image_offset, (shape.stride,))
+    gains = words.astype(np.uint32)
+    gains.flags.writeable = False
+    return gains
+
+
+def _warnings(fields: dict[str, Any], bearings_rad: NDArray[np.float64]) -> frozenset[str]:
+    steps_back = bool((np.diff(bearings_rad) <= 0.0).any())
+    outside = bool((np.abs(bearings_rad) > _TABLE_END_RAD + CENTIDEGREE_RAD / 2).any())
+    speed = fields["speed_of_sound_mps"]
+    doubts = {
+        "odd_beams": fields["beams"] not in _USUAL_BEAMS,
+        "bad_bearings": steps_back or outside,
+        "odd_sound_speed": not _SPEEDS_MPS[0] <= speed <= _SPEEDS_MPS[1],
+        "bad_frequency": not _is_frequency(fields["frequency_hz"]),
+    }
+    return frozenset(name for name, doubtful in doubts.items() if doubtful)
+
+
+def _is_frequency(value: float) -> bool:
+    return math.isfinite(value) and value > 0.0
+
+
+def _finite_or_nan(value: float) -> float:
+    return value if math.isfinite(value) else math.nan
+
+
+def _within(value: float | None, low: float, high: float) -> float | None:
+    """Return the value if it is finite and within the limits, else None: not available."""
+    if value is None or not math.isfinite(value) or not low <= value <= high:
+        return None
+    return value
+
+
+def _reading(value: float | None, limits: tuple[float, float]) -> float | None:
+    """Return a sensor's value if a sensor can have sent it, else None."""
+    if value is not None and 0.0 < abs(value) < _SMALLEST_READING:
+        return None
+    return _within(value, *limits)
+
+
+def _angle_rad(value: float | None, limits: tuple[float, float]) -> float | None:
+    degrees = _reading(value, limits)
+    return None if degrees is None else math.radians(degrees)

@@ -1,0 +1,69 @@
+"""What a recording yields, and what is known about a file while it is read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+OCULUS: Final = "oculus"
+"""Encoding of a link that carries an Oculus TCP stream, in any fragmentation."""
+
+ODOMETRY_NATIVE: Final = "odometry-native"
+"""Encoding of a link that carries one msgpack odometry record in each chunk."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """Bytes that came in together.
+
+    Attributes:
+        link: where they came from, such as "sonar".
+        encoding: what they are: "oculus", "odometry-native", or another name.
+        arrival_ns: when they came, nanoseconds since 1970 UTC, or None where not recorded.
+        data: the bytes as they came.
+    """
+
+    link: str
+    encoding: str
+    arrival_ns: int | None
+    data: bytes = field(repr=False)
+
+
+@dataclass(slots=True)
+class Progress:
+    """What reading a file has shown so far.
+
+    Attributes:
+        bytes_read: of the file.
+        truncated: the file ends before its content does.
+        damage: the first thing that is wrong with the file, for a person, or None.
+        faults: how many things were wrong.
+        first_ns, last_ns: earliest and latest stamp.
+        metadata: of the recording, by key.
+    """
+
+    bytes_read: int = 0
+    truncated: bool = False
+    damage: str | None = None
+    faults: int = 0
+    first_ns: int | None = None
+    last_ns: int | None = None
+    metadata: dict[str, str] = field(default_factory=dict)
+
+    def report(self, text: str) -> None:
+        """Note that something is wrong; the first text is kept, all are counted."""
+        self.faults += 1
+        if self.damage is None:
+            self.damage = text
+
+    def cut(self, text: str) -> None:
+        """Note that the file ends too early."""
+        self.truncated = True
+        self.report(text)
+
+    def saw(self, stamp_ns: int | None) -> None:
+        """Note a stamp."""
+        if stamp_ns is None:
+            return
+        self.first_ns = stamp_ns if self.first_ns is None else min(self.first_ns, stamp_ns)
+        self.last_ns = stamp_ns if self.last_ns is None else max(self.last_ns, stamp_ns)

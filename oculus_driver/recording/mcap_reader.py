@@ -1,0 +1,330 @@
+"""Read MCAP files from front to back, whole, cut or damaged, and never raise on what they hold.
+
+The index at the end is not needed. An uncompressed chunk is transparent: its head is read and
+passed, and the messages in it are read like messages of the file, so a chunk that was cut
+yields everything up to the cut. Compressed chunks are inflated piece by piece.
+Of a message that is cut itself the bytes that are there are yielded if its link is a byte
+stream. No size that the file claims is believed before the bytes are there.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, BinaryIO, Final
+
+from oculus_driver.recording import mcap_records as mcap
+from oculus_driver.recording.chunk import OCULUS, Chunk, Progress
+from oculus_driver.recording.inflate import ByteSource, Inflated
+from oculus_driver.recording.mcap_records import Opcode
+from oculus_driver.recording.salvage import MAX_RECORD, find_record
+from oculus_driver.recording.summary import channel_of, read_summary
+from oculus_driver.recording.writer import METADATA_NAME
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Iterator
+
+_STREAMS: Final = frozenset({OCULUS})
+"""Encodings of which a part of a chunk is worth as much as its bytes."""
+
+_SMALL_RECORD: Final = 1 << 20
+_MAX_NAME: Final = 64
+_PRIVATE: Final = 0x80
+_LIKELY_LENGTH: Final = 1 << 40
+_OPCODES: Final = frozenset(int(opcode) for opcode in Opcode)
+
+
+class _DamagedError(Exception):
+    """The bytes here are no records; carries what to tell a person."""
+
+
+class _CutError(Exception):
+    """The source ended inside a record.
+
+    Attributes:
+        resume: offset behind which other records may lie, None for right behind the damage.
+    """
+
+    def __init__(self, resume: int | None = None) -> None:
+        super().__init__()
+        self.resume = resume
+
+
+def read_mcap(file: BinaryIO, size: int, progress: Progress) -> Iterator[Chunk]:
+    """Yield what an MCAP file of `size` bytes holds, in recorded order; fill in `progress`."""
+    return iter(_Reader(file, size, progress))
+
+
+@dataclass(slots=True)
+class _Checksum:
+    """The rest of an uncompressed chunk whose bytes are being summed."""
+
+    offset: int
+    left: int
+    expected: int
+    value: int = 0
+
+
+@dataclass(slots=True)
+class _Limited:
+    """A part of a file, for a decompressor."""
+
+    reader: _Reader
+    left: int
+
+    def read(self, size: int, /) -> bytes:
+        data = self.reader.read(min(size, self.left))
+        self.left -= len(data)
+        return data
+
+
+@dataclass(slots=True)
+class _Reader:
+    file: BinaryIO
+    size: int
+    progress: Progress
+    position: int = 0
+    channels: dict[int, tuple[str, str]] = field(default_factory=dict)
+    stamp_ns: int | None = None
+    checksum: _Checksum | None = None
+    summary_read: bool = False
+    finished: bool = False
+
+    def read(self, size: int, /) -> bytes:
+        """Return up to `size` bytes of the file; fewer only at its end."""
+        data = self.file.read(min(size, self.size - self.position))
+        self.position += len(data)
+        self.progress.bytes_read = max(self.progress.bytes_read, self.position)
+        if self.checksum is not None:
+            self._sum(data)
+        return data
+
+    def __iter__(self) -> Generator[Chunk]:
+        if self.read(len(mcap.MAGIC)) != mcap.MAGIC:
+            self._lose(1, "the first bytes are damaged", "the first bytes are damaged")
+        while not self.finished:
+            start = self.position
+            try:
+                yield from self._record()
+            except _CutError as cut:
+                end = f"ends inside a record, at byte {self.size}"
+                self._lose(
+                    start + 1 if cut.resume is None else cut.resume,
+                    f"damaged at byte {start}: a record claims more than there is",
+                    "the recording was not closed" if start == self.size else end,
+                )
+            except _DamagedError as damage:
+                text = f"damaged at byte {start}: {damage}"
+                self._lose(start + 1, text, text)
+        self.progress.bytes_read = self.size
+
+    def _record(self) -> Generator[Chunk]:
+        """Read one record of the file."""
+        opcode, length = self._head(self)
+        if opcode == Opcode.MESSAGE:
+            yield from self._message(self, length)
+        elif opcode == Opcode.CHUNK:
+            yield from self._chunk(length)
+        elif opcode == Opcode.FOOTER:
+            self._footer(length)
+        else:
+            self._other(self, opcode, length)
+
+    def _footer(self, length: int) -> None:
+        if length != mcap.FOOTER.size:
+            raise _DamagedError(f"a footer that claims {length} bytes")
+        _exactly(self, length)
+        if _exactly(self, len(mcap.MAGIC)) != mcap.MAGIC:
+            raise _DamagedError("no end mark")
+        self.finished = True
+
+    def _head(self, source: ByteSource) -> tuple[int, int]:
+        head = source.read(mcap.HEAD.size)
+        if len(head) < mcap.HEAD.size:
+            raise _CutError
+        opcode, length = mcap.HEAD.unpack(head)
+        if opcode not in _OPCODES and opcode < _PRIVATE:
+            raise _DamagedError(f"no record of kind {opcode:#04x}")
+        return opcode, length
+
+    def _message(self, source: ByteSource, length: int) -> Generator[Chunk]:
+        if not mcap.MESSAGE_HEAD.size <= length <= MAX_RECORD:
+            raise _DamagedError(f"a message that claims {length} bytes")
+        head = source.read(mcap.MESSAGE_HEAD.size)
+        if len(head) < mcap.MESSAGE_HEAD.size:
+            raise _CutError
+        number, _, log_time_ns, _ = mcap.MESSAGE_HEAD.unpack(head)
+        if not self._declared(number):
+            raise _DamagedError(f"a message of a link {number} that was not declared")
+        self.stamp_ns = self.stamp_ns or log_time_ns or None
+        data, fault = self._content(source, length - mcap.MESSAGE_HEAD.size)
+        link, encoding = self.channels[number]
+        if fault is None or (data and encoding in _STREAMS):
+            self.stamp_ns = log_time_ns or None
+            self.progress.saw(self.stamp_ns)
+            yield Chunk(link, encoding, self.stamp_ns, data)
+        if fault is not None:
+            raise fault
+
+    def _declared(self, number: int) -> bool:
+        """Tell whether a link is known; if its record was lost, from the summary."""
+        if number not in self.channels and not self.summary_read:
+            self.summary_read = True
+            self.channels = read_summary(self.file, self.size).channels | self.channels
+            self.file.seek(self.position)
+        return number in self.channels
+
+    def _content(
+        self, source: ByteSource, size: int
+    ) -> tuple[bytes, _CutError | _DamagedError | None]:
+        """Return the data of a message and, if they are not all of it, why.
+
+        A message that no record follows is suspect: its length may be damaged. If a record
+        stands inside what it claims, its data end there.
+        """
+        start = self.position
+        data = source.read(size)
+        cut = len(data) < size
+        if source is self and (cut or not self._record_follows()):
+            found = self._next_record(start, self.position)
+            if found is not None:
+                return data[: found - start], _DamagedError(f"a message claims {size} bytes")
+        return data, _CutError() if cut else None
+
+    def _record_follows(self) -> bool:
+        """Tell whether the next bytes can begin a record; at the end of the file they can."""
+        head = self.file.read(mcap.HEAD.size)
+        self.file.seek(self.position)
+        if len(head) < mcap.HEAD.size:
+            return not head or head[0] in _OPCODES
+        opcode, length = mcap.HEAD.unpack(head)
+        if opcode < _PRIVATE:
+            return opcode in _OPCODES and length < _LIKELY_LENGTH
+        return bool(length <= self.size - self.position - mcap.HEAD.size)
+
+    def _chunk(self, length: int) -> Generator[Chunk]:
+        start = self.position
+        head = _exactly(self, mcap.CHUNK_HEAD.size)
+        _, _, inflated_size, crc, name_size = mcap.CHUNK_HEAD.unpack(head)
+        if name_size > _MAX_NAME:
+            raise _DamagedError("a chunk head that makes no sense")
+        compression = _exactly(self, name_size).decode(errors="replace")
+        (size,) = mcap.U64.unpack(_exactly(self, mcap.U64.size))
+        if self.position - start + size != length:
+            raise _DamagedError("a chunk whose sizes contradict each other")
+        if compression == "":
+            if crc:
+                self.checksum = _Checksum(self.position, size, crc)
+            return
+        yield from self._inflated(compression, size, inflated_size)
+
+    def _inflated(self, compression: str, size: int, inflated_size: int) -> Generator[Chunk]:
+        """Read the records of a compressed chunk, then go to its end."""
+        start = self.position
+        compressed = _Limited(self, size)
+        source = Inflated(compression, compressed)
+        try:
+            while source.size < inflated_size:
+                opcode, length = self._head(source)
+                if opcode == Opcode.MESSAGE:
+                    yield from self._message(source, length)
+                else:
+                    self._other(source, opcode, length)
+        except _CutError:
+            if source.fault is None and start + size <= self.size:
+                source.fault = "it ends too early"
+        except _DamagedError as damage:
+            source.fault = str(damage)
+        if source.fault is not None and start + size <= self.size:
+            self.progress.report(f"damaged chunk at byte {start}: {source.fault}")
+        if start + size > self.size:
+            raise _CutError(self.size)  # stored bytes of this chunk could look like messages
+        self._skip(start + size - self.position)
+
+    def _other(self, source: ByteSource, opcode: int, length: int) -> None:
+        """Read a record that is no message."""
+        if opcode in (Opcode.CHANNEL, Opcode.METADATA) and length <= _SMALL_RECORD:
+            content = _exactly(source, length)
+            if opcode == Opcode.CHANNEL:
+                self._declare(content)
+            else:
+                self._note(content)
+        elif source is self:
+            self._pass_over(opcode, length)
+        else:
+            for left in range(length, 0, -_SMALL_RECORD):
+                _exactly(source, min(left, _SMALL_RECORD))
+
+    def _declare(self, content: bytes) -> None:
+        channel = channel_of(content)
+        if channel is None:
+            raise _DamagedError("a link without a name")
+        self.channels[channel[0]] = channel[1:]
+
+    def _note(self, content: bytes) -> None:
+        name = next(iter(mcap.strings(content, 0)), "")
+        if name != METADATA_NAME:
+            return
+        texts = iter(mcap.strings(content, 2 * mcap.U32.size + len(name.encode())))
+        self.progress.metadata = dict(zip(texts, texts, strict=False))
+
+    def _pass_over(self, opcode: int, length: int) -> None:
+        """Skip a record that is not needed, unless it is a chunk or message in disguise.
+
+        A changed opcode byte would otherwise hide a whole chunk. Attachments may hold anything.
+        """
+        end = self.position + length
+        if opcode != Opcode.ATTACHMENT and end <= self.size:
+            found = self._next_record(self.position, end)
+            if found is not None:
+                raise _DamagedError(f"a record of kind {opcode:#04x} with messages in it")
+        self._skip(length)
+
+    def _skip(self, length: int) -> None:
+        if length > self.size - self.position:
+            raise _CutError
+        if self.checksum is not None:
+            for left in range(length, 0, -_SMALL_RECORD):
+                _exactly(self, min(left, _SMALL_RECORD))
+            return
+        self.position += length
+        self.file.seek(self.position)
+
+    def _lose(self, start: int, damage: str, end: str) -> None:
+        """Go on with the record found at or behind `start` (`damage`), or stop (`end`)."""
+        self.checksum = None
+        found = self._next_record(start, self.size)
+        if found is None:
+            self.progress.cut(end)
+            self.finished = True
+            return
+        self.progress.report(damage)
+        self.position = found
+        self.file.seek(found)
+
+    def _next_record(self, start: int, stop: int) -> int | None:
+        """Return the offset of a record that starts in between; the file's position is kept."""
+        found = find_record(self.file, (start, stop), self.size, self.channels, self.stamp_ns)
+        self.file.seek(self.position)
+        return found
+
+    def _sum(self, data: bytes) -> None:
+        """Sum the bytes of a chunk; at its end compare."""
+        check = self.checksum
+        if check is None:
+            return
+        part = data if len(data) <= check.left else data[: check.left]
+        check.value = zlib.crc32(part, check.value)
+        check.left -= len(part)
+        if check.left == 0:
+            self.checksum = None
+            if check.value != check.expected:
+                text = f"wrong checksum of the chunk at byte {check.offset}: some bytes changed"
+                self.progress.report(text)
+
+
+def _exactly(source: ByteSource, size: int) -> bytes:
+    data = source.read(size)
+    if len(data) < size:
+        raise _CutError
+    return data

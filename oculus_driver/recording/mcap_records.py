@@ -1,0 +1,160 @@
+"""The records of an MCAP file, as far as recordings need them: ids, heads and packing.
+
+An MCAP file is 8 magic bytes, records of opcode (u8), length (u64) and content, and the magic
+again. All numbers are little-endian; strings and maps carry a u32 length in bytes.
+"""
+
+from __future__ import annotations
+
+import struct
+from enum import IntEnum
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+
+
+class Opcode(IntEnum):
+    """Kinds of records."""
+
+    HEADER = 0x01
+    FOOTER = 0x02
+    SCHEMA = 0x03
+    CHANNEL = 0x04
+    MESSAGE = 0x05
+    CHUNK = 0x06
+    MESSAGE_INDEX = 0x07
+    CHUNK_INDEX = 0x08
+    ATTACHMENT = 0x09
+    ATTACHMENT_INDEX = 0x0A
+    STATISTICS = 0x0B
+    METADATA = 0x0C
+    METADATA_INDEX = 0x0D
+    SUMMARY_OFFSET = 0x0E
+    DATA_END = 0x0F
+
+
+HEAD: Final = struct.Struct("<BQ")
+"""Opcode and length of the content."""
+
+MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
+"""Channel, sequence, log time, publish time; the data follow."""
+
+CHUNK_HEAD: Final = struct.Struct("<QQQII")
+"""First and last log time, uncompressed size and checksum, length of the compression's name;
+the name, the u64 size of the records and the records follow."""
+
+FOOTER: Final = struct.Struct("<QQI")
+STATISTICS: Final = struct.Struct("<QHIIIIQQ")
+"""Messages, schemas, channels, attachments, metadata, chunks, first and last log time."""
+
+U16: Final = struct.Struct("<H")
+U32: Final = struct.Struct("<I")
+U64: Final = struct.Struct("<Q")
+
+
+def record(opcode: Opcode, *content: bytes) -> bytes:
+    """Return a record with this content."""
+    return b"".join((HEAD.pack(opcode, sum(map(len, content))), *content))
+
+
+def string(text: str) -> bytes:
+    """Return a string with its length."""
+    data = text.encode()
+    return U32.pack(len(data)) + data
+
+
+def string_map(values: Mapping[str, str]) -> bytes:
+    """Return a map of strings with its length."""
+    data = b"".join(string(key) + string(value) for key, value in values.items())
+    return U32.pack(len(data)) + data
+
+
+def header(library: str) -> bytes:
+    """Return the first record of a file."""
+    return record(Opcode.HEADER, string(""), string(library))
+
+
+def channel(number: int, topic: str, encoding: str) -> bytes:
+    """Return the record that names a channel; it has no schema."""
+    return record(
+        Opcode.CHANNEL, struct.pack("<HH", number, 0), string(topic), string(encoding), U32.pack(0)
+    )
+
+
+def metadata(name: str, values: Mapping[str, str]) -> bytes:
+    """Return a metadata record."""
+    return record(Opcode.METADATA, string(name), string_map(values))
+
+
+def metadata_index(offset: int, length: int, name: str) -> bytes:
+    """Return where a metadata record lies."""
+    return record(Opcode.METADATA_INDEX, struct.pack("<QQ", offset, length), string(name))
+
+
+def message_head(number: int, sequence: int, log_time_ns: int, size: int) -> bytes:
+    """Return what stands before the `size` data bytes of a message, record head included."""
+    stamp = log_time_ns
+    head = HEAD.pack(Opcode.MESSAGE, MESSAGE_HEAD.size + size)
+    return head + MESSAGE_HEAD.pack(number, sequence & 0xFFFFFFFF, stamp, stamp)
+
+
+def chunk_head(first_ns: int, last_ns: int, size: int, crc: int) -> bytes:
+    """Return what stands before the `size` record bytes of an uncompressed chunk."""
+    content = CHUNK_HEAD.size + U64.size
+    return (
+        HEAD.pack(Opcode.CHUNK, content + size)
+        + CHUNK_HEAD.pack(first_ns, last_ns, size, crc, 0)
+        + U64.pack(size)
+    )
+
+
+CHUNK_HEAD_SIZE: Final = len(chunk_head(0, 0, 0, 0))
+
+
+def message_index(number: int, entries: bytes) -> bytes:
+    """Return the index of one channel in the chunk before: u64 pairs of log time and offset."""
+    return record(Opcode.MESSAGE_INDEX, U16.pack(number), U32.pack(len(entries)), entries)
+
+
+def chunk_index(
+    span_ns: tuple[int, int], place: tuple[int, int], indexes: Mapping[int, int], index_size: int
+) -> bytes:
+    """Return where an uncompressed chunk (`place` = offset, length) and its indexes lie."""
+    offset, length = place
+    size = length - CHUNK_HEAD_SIZE
+    offsets = b"".join(struct.pack("<HQ", number, at) for number, at in indexes.items())
+    return record(
+        Opcode.CHUNK_INDEX,
+        struct.pack("<QQQQ", *span_ns, offset, length),
+        U32.pack(len(offsets)),
+        offsets,
+        U64.pack(index_size),
+        string(""),
+        struct.pack("<QQ", size, size),
+    )
+
+
+def statistics(span_ns: tuple[int, int], counts: Mapping[int, int], chunks: int) -> bytes:
+    """Return the statistics of a file with one metadata record and no schemas."""
+    per_channel = b"".join(struct.pack("<HQ", number, n) for number, n in counts.items())
+    head = STATISTICS.pack(sum(counts.values()), 0, len(counts), 0, 1, chunks, *span_ns)
+    return record(Opcode.STATISTICS, head, U32.pack(len(per_channel)), per_channel)
+
+
+def summary_offset(opcode: Opcode, start: int, length: int) -> bytes:
+    """Return where the records of one kind lie in the summary."""
+    return record(Opcode.SUMMARY_OFFSET, struct.pack("<BQQ", opcode, start, length))
+
+
+def strings(content: bytes, offset: int) -> Iterable[str]:
+    """Yield the strings that follow each other from `offset`; stops at what is no string."""
+    while offset + U32.size <= len(content):
+        (size,) = U32.unpack_from(content, offset)
+        offset += U32.size
+        if offset + size > len(content):
+            return
+        yield content[offset : offset + size].decode(errors="replace")
+        offset += size

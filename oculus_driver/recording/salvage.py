@@ -1,0 +1,89 @@
+"""Find the next record behind a damaged place of an MCAP file."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Final
+
+from oculus_driver.recording import mcap_records as mcap
+from oculus_driver.recording.mcap_records import Opcode
+
+if TYPE_CHECKING:
+    from collections.abc import Container
+    from typing import BinaryIO
+
+MAX_RECORD: Final = 1 << 26
+"""Largest record, in bytes, that is read into memory. Larger ones are passed over."""
+
+_WINDOW: Final = 1 << 20
+_NEAR_NS: Final = 3_600_000_000_000
+"""Messages behind a damaged place are at most this far in time from those before it."""
+
+_HEADS: Final = re.compile(rb"\x05(?=.{3}[\x00-\x04]\x00{4})|\x06(?=.{5}\x00{3})", re.DOTALL)
+_LONGEST: Final = mcap.HEAD.size + mcap.CHUNK_HEAD.size + 4 + mcap.U64.size
+_COMPRESSIONS: Final = {0: b"", 3: b"lz4", 4: b"zstd"}
+
+
+def find_record(
+    file: BinaryIO,
+    place: tuple[int, int],
+    size: int,
+    channels: Container[int],
+    near_ns: int | None,
+) -> int | None:
+    """Return the offset of the first chunk or message that starts in `place`, or None.
+
+    The two magic opcodes occur in any image, so a place counts only if everything that its head
+    says fits together. Reads each byte once, whatever the file holds.
+
+    Args:
+        file: is moved.
+        place: first offset to look at, and the offset to stop at.
+        size: of the file.
+        channels: numbers that messages may have.
+        near_ns: a stamp before the damage; None if there was none.
+    """
+    start, stop = place
+    while start < stop:
+        file.seek(start)
+        span = min(_WINDOW, stop - start)
+        window = file.read(span + _LONGEST)
+        for found in _HEADS.finditer(window):
+            at = found.start()
+            if at >= span:
+                break
+            room = size - start - at
+            if _chunk(window, at, room) or _message(window, at, room, channels, near_ns):
+                return start + at
+        start += span
+    return None
+
+
+def _chunk(window: bytes, at: int, room: int) -> bool:
+    """Tell whether a whole chunk stands here: its three sizes must agree."""
+    if window[at] != Opcode.CHUNK or len(window) - at < _LONGEST:
+        return False
+    _, length = mcap.HEAD.unpack_from(window, at)
+    at += mcap.HEAD.size
+    first, last, inflated, _, name_size = mcap.CHUNK_HEAD.unpack_from(window, at)
+    at += mcap.CHUNK_HEAD.size
+    name = _COMPRESSIONS.get(name_size)
+    if name is None or window[at : at + name_size] != name or first > last:
+        return False
+    (size,) = mcap.U64.unpack_from(window, at + name_size)
+    whole = length == mcap.CHUNK_HEAD.size + name_size + mcap.U64.size + size
+    return whole and (inflated == size or bool(name)) and mcap.HEAD.size + length <= room
+
+
+def _message(
+    window: bytes, at: int, room: int, channels: Container[int], near_ns: int | None
+) -> bool:
+    """Tell whether a whole message of a known channel and a likely time stands here."""
+    if window[at] != Opcode.MESSAGE or len(window) - at < mcap.HEAD.size + mcap.MESSAGE_HEAD.size:
+        return False
+    _, length = mcap.HEAD.unpack_from(window, at)
+    number, _, stamp, _ = mcap.MESSAGE_HEAD.unpack_from(window, at + mcap.HEAD.size)
+    if number not in channels or not mcap.MESSAGE_HEAD.size <= length <= MAX_RECORD:
+        return False
+    likely = near_ns is not None and abs(stamp - near_ns) <= _NEAR_NS
+    return likely and mcap.HEAD.size + length <= room

@@ -1,0 +1,259 @@
+"""Write recordings that lose nothing when the program is killed.
+
+The file is MCAP. Each `write` goes to the operating system at once, as a message behind the head
+of an empty chunk; when enough messages stand there the head is changed in place, so that they
+become the chunk's content, and the chunk's index is appended. So a killed program leaves every
+byte that it was given, as messages outside of chunks, which any MCAP reader knows; and a closed
+file is fully indexed. Chunks are not compressed: sonar images hardly shrink (zstd saves a fifth),
+and what is compressed must be held back first.
+"""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, Self
+
+from oculus_driver.errors import RecordingError
+from oculus_driver.recording import mcap_records as mcap
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from types import TracebackType
+
+FORMAT_VERSION: Final = 1
+METADATA_NAME: Final = "oculus_driver.recording"
+LIBRARY: Final = "oculus_driver"
+CHUNK_SIZE: Final = 1 << 20
+_MAX_LINKS: Final = 1 << 15
+_U64_END: Final = 1 << 64
+
+
+@dataclass(slots=True)
+class _OpenChunk:
+    """A chunk that is being written; its size counts record bytes."""
+
+    offset: int
+    size: int = 0
+    crc: int = 0
+    span_ns: tuple[int, int] | None = None
+    indexes: dict[int, bytearray] = field(default_factory=dict)
+
+    def add(self, number: int, stamp_ns: int, head: bytes, data: bytes) -> None:
+        entry = mcap.U64.pack(stamp_ns) + mcap.U64.pack(self.size)
+        self.indexes.setdefault(number, bytearray()).extend(entry)
+        self.crc = zlib.crc32(data, zlib.crc32(head, self.crc))
+        self.size += len(head) + len(data)
+        first, last = self.span_ns or (stamp_ns, stamp_ns)
+        self.span_ns = (min(first, stamp_ns), max(last, stamp_ns))
+
+
+class RecordingWriter:
+    """An MCAP file that holds raw bytes as they came, one channel a link. Not thread-safe.
+
+    Args:
+        path: file to make.
+        monotonic_to_unix_ns: added to every stamp; 0 if stamps are nanoseconds since 1970.
+        metadata: free words about the recording, such as vehicle or site.
+        overwrite: replace a file that exists.
+
+    Raises:
+        RecordingError: the file cannot be made, or exists and `overwrite` is not given.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        monotonic_to_unix_ns: int = 0,
+        metadata: Mapping[str, str] | None = None,
+        overwrite: bool = False,
+    ) -> None:
+        self.path = Path(path)
+        self._offset_ns = monotonic_to_unix_ns
+        self._file = _create(self.path, overwrite=overwrite)
+        self._position = 0
+        self._channels: list[bytes] = []
+        self._counts: Counter[int] = Counter()
+        self._span_ns: tuple[int, int] | None = None
+        self._chunk: _OpenChunk | None = None
+        self._chunk_indexes = bytearray()
+        self._chunks = 0
+        self._append(mcap.MAGIC + mcap.header(LIBRARY))
+        facts = {
+            "format_version": str(FORMAT_VERSION),
+            "monotonic_to_unix_ns": str(monotonic_to_unix_ns),
+        }
+        note = mcap.metadata(METADATA_NAME, dict(metadata or {}) | facts)
+        self._metadata_index = mcap.metadata_index(self._position, len(note), METADATA_NAME)
+        self._append(note)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes in the file so far."""
+        return self._position
+
+    @property
+    def messages(self) -> int:
+        """Chunks of bytes written so far."""
+        return self._counts.total()
+
+    def add_link(self, name: str, encoding: str) -> int:
+        """Declare a source of bytes and return its number for `write`."""
+        number = len(self._channels) + 1
+        if number > _MAX_LINKS:
+            raise RecordingError(f"{self.path}: more than {_MAX_LINKS} links")
+        note = mcap.channel(number, name, encoding)
+        self._close_chunk()
+        self._append(note)
+        self._channels.append(note)
+        self._counts[number] = 0
+        return number
+
+    def write(
+        self, link: int, data: bytes | bytearray | memoryview, arrival_ns: int | None
+    ) -> None:
+        """Record bytes as they came; they are with the operating system when this returns.
+
+        Args:
+            link: from `add_link`.
+            data: any number of bytes.
+            arrival_ns: when they came; None where nobody knows.
+
+        Raises:
+            RecordingError: the disk is full or fails (the file stays as it was before this
+                call), or `link` or `arrival_ns` cannot be.
+        """
+        stamp_ns = 0 if arrival_ns is None else arrival_ns + self._offset_ns
+        if not 1 <= link <= len(self._channels) or not 0 <= stamp_ns < _U64_END:
+            raise RecordingError(f"{self.path}: no link {link}, or no time {stamp_ns} ns")
+        whole = bytes(data)
+        head = mcap.message_head(link, self._counts[link], stamp_ns, len(whole))
+        size = len(head) + len(whole)
+        if self._chunk is not None and self._chunk.size + size > CHUNK_SIZE:
+            self._close_chunk()
+        chunk = self._chunk or self._open_chunk()
+        self._append(head, whole)
+        chunk.add(link, stamp_ns, head, whole)
+        self._counts[link] += 1
+
+    def sync(self) -> None:
+        """Ask the operating system to bring everything to the disk; may take a while."""
+        os.fdatasync(self._file)
+
+    def close(self) -> None:
+        """Finish the file with its index. Safe to call again."""
+        if self._file < 0:
+            return
+        try:
+            self._close_chunk()
+            self._append(mcap.record(mcap.Opcode.DATA_END, mcap.U32.pack(0)))
+            self._append(self._summary())
+        finally:
+            os.close(self._file)
+            self._file = -1
+
+    def _open_chunk(self) -> _OpenChunk:
+        chunk = _OpenChunk(self._position)
+        self._append(mcap.chunk_head(0, 0, 0, 0))
+        self._chunk = chunk
+        return chunk
+
+    def _close_chunk(self) -> None:
+        chunk = self._chunk
+        if chunk is None:
+            return
+        self._chunk = None
+        if chunk.span_ns is None:
+            self._truncate(chunk.offset)
+            return
+        self._patch(mcap.chunk_head(*chunk.span_ns, chunk.size, chunk.crc), chunk.offset)
+        start = self._position
+        places: dict[int, int] = {}
+        notes = bytearray()
+        for number, entries in chunk.indexes.items():
+            places[number] = start + len(notes)
+            notes += mcap.message_index(number, bytes(entries))
+        place = (chunk.offset, start - chunk.offset)
+        self._chunk_indexes += mcap.chunk_index(chunk.span_ns, place, places, len(notes))
+        self._chunks += 1
+        first, last = self._span_ns or chunk.span_ns
+        self._span_ns = (min(first, chunk.span_ns[0]), max(last, chunk.span_ns[1]))
+        self._append(bytes(notes))
+
+    def _summary(self) -> bytes:
+        groups = (
+            (mcap.Opcode.CHANNEL, b"".join(self._channels)),
+            (
+                mcap.Opcode.STATISTICS,
+                mcap.statistics(self._span_ns or (0, 0), self._counts, self._chunks),
+            ),
+            (mcap.Opcode.CHUNK_INDEX, bytes(self._chunk_indexes)),
+            (mcap.Opcode.METADATA_INDEX, self._metadata_index),
+        )
+        start = self._position
+        body, offsets = bytearray(), bytearray()
+        for opcode, notes in groups:
+            if notes:
+                offsets += mcap.summary_offset(opcode, start + len(body), len(notes))
+                body += notes
+        places = (start, start + len(body))
+        footer = mcap.HEAD.pack(mcap.Opcode.FOOTER, mcap.FOOTER.size)
+        footer += mcap.U64.pack(places[0]) + mcap.U64.pack(places[1])
+        whole = bytes(body + offsets) + footer
+        return whole + mcap.U32.pack(zlib.crc32(whole)) + mcap.MAGIC
+
+    def _append(self, *parts: bytes) -> None:
+        """Write at the end, all or nothing."""
+        todo = b"".join(parts) if len(parts) != 1 else parts[0]
+        start = self._position
+        view = memoryview(todo)
+        try:
+            while view:
+                view = view[os.write(self._file, view) :]
+        except OSError as error:
+            self._truncate(start)
+            raise self._failure(error) from error
+        self._position = start + len(todo)
+
+    def _patch(self, data: bytes, offset: int) -> None:
+        try:
+            os.pwrite(self._file, data, offset)
+        except OSError as error:
+            raise self._failure(error) from error
+
+    def _failure(self, error: OSError) -> RecordingError:
+        reason = error.strerror or str(error)
+        return RecordingError(f"{self.path}: cannot write: {reason}; check the disk")
+
+    def _truncate(self, size: int) -> None:
+        os.ftruncate(self._file, size)
+        os.lseek(self._file, size, os.SEEK_SET)
+        self._position = size
+
+
+def _create(path: Path, *, overwrite: bool) -> int:
+    flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | (os.O_TRUNC if overwrite else os.O_EXCL)
+    try:
+        return os.open(path, flags, 0o644)
+    except FileExistsError as error:
+        raise RecordingError(f"{path}: exists already; choose another name") from error
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise RecordingError(
+            f"{path}: cannot be made: {reason}; check folder and rights"
+        ) from error

@@ -1,0 +1,115 @@
+"""The status datagram: who the sonar is, where it is, and how it is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from ipaddress import IPv4Address
+from typing import Final
+
+from oculus_driver.models import Model, model_of
+from oculus_driver.reject import Reject
+from oculus_driver.wire import MAGIC, STATUS
+
+_TEMPERATURES_C: Final = (-40.0, 120.0)
+_PRESSURES_BAR: Final = (-5.0, 1000.0)
+
+MASTER_STATES: Final = ("boot loader booting", "boot loader halted", "booting", "running")
+PAUSE_REASONS: Final = (
+    "magnetic switch",
+    "boot from main",
+    "flash error",
+    "JTAG load",
+    "firmware error",
+    "compatibility error",
+    "brown-out",
+    "undefined",
+)
+TEMPERATURE_STATES: Final = ("good", "high", "reserved", "shut down")
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """One status datagram.
+
+    Attributes:
+        device_id: serial number.
+        model: from the part number; unknown ones have a model too.
+        status_bits: raw.
+        address, netmask: of the sonar.
+        client_address: who holds the sonar, None where nobody does.
+        mac: six bytes.
+        firmware: versions of ARM 0, ARM 1 and FPGA, raw.
+        temperatures_c: eight places inside; None = not available.
+        pressure_bar: None = not available.
+    """
+
+    device_id: int
+    model: Model
+    status_bits: int
+    address: IPv4Address
+    netmask: IPv4Address
+    client_address: IPv4Address | None
+    mac: bytes
+    firmware: tuple[int, int, int]
+    temperatures_c: tuple[float | None, ...]
+    pressure_bar: float | None
+
+    @property
+    def source_id(self) -> int:
+        """What the headers of this sonar's messages carry."""
+        return self.device_id & 0xFFFF
+
+    @property
+    def master_state(self) -> str:
+        """One of `MASTER_STATES`, or "unknown"."""
+        state = self.status_bits & 0b111
+        return MASTER_STATES[state] if state < len(MASTER_STATES) else "unknown"
+
+    @property
+    def pause_reason(self) -> str | None:
+        """Why the sonar is halted in its boot loader, None where it is not."""
+        if self.status_bits & 0b111 > 1:
+            return None
+        return PAUSE_REASONS[self.status_bits >> 3 & 0b111]
+
+    @property
+    def busy(self) -> bool:
+        """Whether a client uses the data port."""
+        return bool(self.status_bits & 1 << 7) or self.client_address is not None
+
+    @property
+    def temperature_state(self) -> str:
+        """One of `TEMPERATURE_STATES`; at "shut down" the pings have stopped."""
+        return TEMPERATURE_STATES[self.status_bits >> 14 & 0b11]
+
+    @property
+    def transmitter_failed(self) -> bool:
+        """Whether the transmit circuit has failed."""
+        return bool(self.status_bits & 1 << 16)
+
+
+def decode_status(datagram: bytes) -> Status | Reject:
+    """Return the status in a datagram of at least 142 bytes; what follows them is ignored."""
+    if len(datagram) < STATUS.size:
+        return Reject("short_message", f"{len(datagram)} bytes, a status has {STATUS.size}", 0)
+    fields = STATUS.unpack(datagram)
+    if fields["magic"] != MAGIC:
+        return Reject("bad_magic", f"starts with {datagram[:2].hex()}", 0)
+    client = IPv4Address(fields["client_address"])
+    return Status(
+        device_id=fields["device_id"],
+        model=model_of(fields["device_part_number"]),
+        status_bits=fields["status_bits"],
+        address=IPv4Address(fields["address"]),
+        netmask=IPv4Address(fields["netmask"]),
+        client_address=client if int(client) else None,
+        mac=fields["mac"],
+        firmware=(fields["arm0_version"], fields["arm1_version"], fields["fpga_version"]),
+        temperatures_c=tuple(_available(t, _TEMPERATURES_C) for t in fields["temperatures_c"]),
+        pressure_bar=_available(fields["pressure_bar"], _PRESSURES_BAR),
+    )
+
+
+def _available(value: float, limits: tuple[float, float]) -> float | None:
+    return value if math.isfinite(value) and limits[0] <= value <= limits[1] else None

@@ -1,0 +1,226 @@
+"""Any bytes in, messages and counted rejects out."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import Counter
+from dataclasses import dataclass, field
+
+from oculus_driver.framing import (
+    CANDIDATE,
+    CANDIDATE_SIZE,
+    Accept,
+    Header,
+    Judge,
+    Refuse,
+    Wait,
+)
+from oculus_driver.wire import PAYLOAD_LIMITS
+
+_MAX_STAMPS = 1 << 16
+"""Chunks of one unfinished message whose stamps are kept apart; beyond, every second one goes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One whole message, cut out of the stream.
+
+    Attributes:
+        message_id: see `oculus_driver.wire.MessageId`; other ids occur.
+        version: the header's version; 0 means 1.
+        source_id: low 16 bits of the sonar's device id.
+        part_number: of the sender; 0 from older firmware.
+        data: all bytes, header included, owned by the message.
+        offset: position of the first byte in the stream.
+        arrival_ns: stamp of the chunk that held the first byte, None where it had none.
+    """
+
+    message_id: int
+    version: int
+    source_id: int
+    part_number: int
+    data: bytes = field(repr=False)
+    offset: int
+    arrival_ns: int | None
+
+
+@dataclass(slots=True)
+class StreamCounters:
+    """What a parser has seen. After `finish`, total = bytes in messages + rejected.
+
+    Attributes:
+        bytes_total: bytes fed.
+        bytes_rejected: bytes that belong to no message.
+        resyncs: times that the start of the next message was lost.
+        messages: messages by id.
+        rejects: by reason: bad_magic, oversize, unknown_id, unknown_version, short_message,
+            size_mismatch, truncated. An unknown id that was skipped in step counts here too.
+        warnings: by reason: source_mismatch (another source id than the message before).
+    """
+
+    bytes_total: int = 0
+    bytes_rejected: int = 0
+    resyncs: int = 0
+    messages: Counter[int] = field(default_factory=Counter)
+    rejects: Counter[str] = field(default_factory=Counter)
+    warnings: Counter[str] = field(default_factory=Counter)
+
+
+class StreamParser:
+    """Cuts a TCP stream, or a recording of one, into messages. Total: never raises on bytes.
+
+    Messages do not depend on how the stream is split into chunks. Time is linear in the number
+    of bytes, whatever they are; memory is bounded by the largest message (16 MiB) and the chunk
+    in hand. The start of the stream is taken for the start of a message, as it is on a fresh
+    connection; anything else costs one resynchronisation.
+
+    Args:
+        source_id: the sonar's id where it is known (low 16 bits of its device id), else it is
+            learned from the pings.
+    """
+
+    def __init__(self, source_id: int | None = None) -> None:
+        self.counters = StreamCounters()
+        self._source_id = source_id
+        self._buffer = bytearray()
+        self._position = 0  # in the buffer; what is before it is settled
+        self._base = 0  # stream offset of the buffer's first byte
+        self._needed = 0  # buffer length before which nothing can be decided
+        self._synchronised = True
+        self._lost_at = 0
+        self._stamp_offsets: list[int] = []
+        self._stamps: list[int | None] = []
+
+    @property
+    def synchronised(self) -> bool:
+        """False while looking for the start of a message."""
+        return self._synchronised
+
+    @property
+    def source_id(self) -> int | None:
+        """The sonar's id, once known."""
+        return self._source_id
+
+    @property
+    def pending_bytes(self) -> int:
+        """Bytes fed that are not settled yet: the part of a message that has come so far."""
+        return len(self._buffer) - self._position
+
+    @property
+    def bytes_since_lost(self) -> int:
+        """Bytes fed since synchronisation was lost; 0 while synchronised."""
+        return 0 if self._synchronised else self._base + len(self._buffer) - self._lost_at
+
+    def feed(
+        self, data: bytes | bytearray | memoryview, arrival_ns: int | None = None
+    ) -> list[Message]:
+        """Take the next bytes of the stream and return the messages that they complete.
+
+        Args:
+            data: any number of bytes; they are copied.
+            arrival_ns: when the bytes came, on any clock, or None.
+        """
+        before = len(self._buffer)
+        self._stamp(self._base + before, arrival_ns)
+        self._buffer += data
+        self.counters.bytes_total += len(self._buffer) - before
+        if len(self._buffer) < self._needed:
+            return []
+        return self._settle(final=False)
+
+    def finish(self) -> list[Message]:
+        """Settle what is pending at the end of the stream; the rest counts as truncated.
+
+        The parser can be fed again afterwards: a new stream whose offsets go on.
+        """
+        messages = self._settle(final=True)
+        self._synchronised = True
+        return messages
+
+    def _settle(self, *, final: bool) -> list[Message]:
+        messages: list[Message] = []
+        self._needed = 0
+        while self._synchronised or self._find_candidate(final=final):
+            if self._position == len(self._buffer):
+                break
+            judge = Judge(self._synchronised, self._source_id, final)
+            match judge.verdict(self._buffer, self._position):
+                case Accept(header, size, proven):
+                    messages.append(self._take(header, size, proven=proven))
+                case Refuse(reason):
+                    self._lose(reason)
+                case Wait(size):
+                    self._needed = self._position + size
+                    break
+        self._forget_settled()
+        return messages
+
+    def _find_candidate(self, *, final: bool) -> bool:
+        """Move to the next place that could be a header; count what is passed over."""
+        found = CANDIDATE.search(self._buffer, self._position)
+        if found is not None:
+            self._reject(found.start() - self._position)
+            return True
+        left = len(self._buffer) - self._position
+        self._reject(left if final else max(0, left - CANDIDATE_SIZE + 1))
+        return False
+
+    def _take(self, header: Header, size: int, *, proven: bool) -> Message:
+        start = self._position
+        offset = self._base + start
+        with memoryview(self._buffer) as view:
+            data = bytes(view[start : start + size])
+        self._position += size
+        self._synchronised = True
+        self.counters.messages[header.message_id] += 1
+        if header.message_id not in PAYLOAD_LIMITS:
+            self.counters.rejects["unknown_id"] += 1
+        if self._source_id not in (None, header.source_id):
+            self.counters.warnings["source_mismatch"] += 1
+        if proven:
+            self._source_id = header.source_id
+        return Message(
+            header.message_id,
+            header.version,
+            header.source_id,
+            header.part_number,
+            data,
+            offset,
+            self._stamp_of(offset),
+        )
+
+    def _lose(self, reason: str) -> None:
+        """No message starts here: go on from the next byte."""
+        if self._synchronised:
+            self._synchronised = False
+            self._lost_at = self._base + self._position
+            self.counters.rejects[reason] += 1
+            self.counters.resyncs += reason != "truncated"
+        self._reject(1)
+
+    def _reject(self, count: int) -> None:
+        self._position += count
+        self.counters.bytes_rejected += count
+
+    def _stamp(self, offset: int, arrival_ns: int | None) -> None:
+        if self._stamps and self._stamps[-1] == arrival_ns:
+            return
+        if self._stamp_offsets and self._stamp_offsets[-1] == offset:  # the chunk before was empty
+            self._stamps[-1] = arrival_ns
+            return
+        self._stamp_offsets.append(offset)
+        self._stamps.append(arrival_ns)
+        if len(self._stamps) > _MAX_STAMPS:
+            del self._stamp_offsets[1::2], self._stamps[1::2]
+
+    def _stamp_of(self, offset: int) -> int | None:
+        return self._stamps[bisect_right(self._stamp_offsets, offset) - 1]
+
+    def _forget_settled(self) -> None:
+        del self._buffer[: self._position]
+        self._base += self._position
+        self._needed = max(0, self._needed - self._position)
+        self._position = 0
+        current = bisect_right(self._stamp_offsets, self._base) - 1
+        if current > 0:
+            del self._stamp_offsets[:current], self._stamps[:current]

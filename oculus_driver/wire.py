@@ -1,0 +1,215 @@
+"""The messages of the Oculus protocol: layouts, ids, bits and limits.
+
+Every layout starts with the 16-byte header and its offsets count from the message's first byte.
+Little-endian, packed. The simulator writes with the same declarations the driver reads with.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum, IntFlag
+from typing import TYPE_CHECKING, Final
+
+from oculus_driver.layout import F64, U8, U16, U32, Field, Layout
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+TCP_PORT: Final = 52100
+STATUS_PORT: Final = 52102
+
+MAGIC: Final = 0x4F53
+MAGIC_BYTES: Final = b"SO"
+
+
+class MessageId(IntEnum):
+    """Message ids that are documented or were seen."""
+
+    STATUS = 0x01
+    FIRE = 0x15
+    FULL_PING_RESULT = 0x22
+    PING_RESULT = 0x23
+    USER_CONFIG = 0x55
+    LOG = 0x80
+    DUMMY = 0xFF
+
+
+class PingRate(IntEnum):
+    """Ping rate of a fire message: an enumeration, not Hz. The echo in results is garbage."""
+
+    NORMAL = 0  # up to 10 Hz
+    HIGH = 1  # 15 Hz
+    HIGHEST = 2  # 40 Hz
+    LOW = 3  # 5 Hz
+    LOWEST = 4  # 2 Hz
+    STANDBY = 5  # no transmission
+
+
+class FireFlags(IntFlag):
+    """Flags byte of a fire message."""
+
+    RANGE_IN_METRES = 0x01
+    SIXTEEN_BIT = 0x02
+    SEND_GAIN = 0x04
+    SIMPLE_RETURN = 0x08
+    GAIN_ASSIST = 0x10  # sources disagree on the meaning of 1; taken as "on"
+    LOW_POWER = 0x20
+    FULL_BEAMS = 0x40  # 512 beams instead of 256
+    NETWORK_TRIGGER = 0x80
+
+
+EXTENDED_32_BIT: Final = 0x200
+"""Extended flag of a version-2 fire message: 32-bit "scientific" samples."""
+
+BYTES_PER_SAMPLE: Final = {0: 1, 1: 2, 2: 3, 3: 4}
+"""Data-size field of a ping result to bytes per sample."""
+
+HEADER: Final = Layout(
+    "header",
+    16,
+    (
+        Field("magic", 0, U16, default=MAGIC),
+        Field("source_id", 2, U16),
+        Field("destination_id", 4, U16),
+        Field("message_id", 6, U16),
+        Field("version", 8, U16),
+        Field("payload_size", 10, U32),
+        Field("part_number", 14, U16),
+    ),
+)
+
+FIRE_V1: Final = Layout(
+    "fire v1",
+    53,
+    (
+        *HEADER.fields,
+        Field("mode", 16, U8),
+        Field("ping_rate", 17, U8),
+        Field("network_speed_mbps", 18, U8),
+        Field("gamma", 19, U8),
+        Field("flags", 20, U8),
+        Field("range_demand", 21, F64, default=0.0),  # metres or percent, see flags
+        Field("gain_percent", 29, F64, default=0.0),
+        Field("speed_of_sound_demand_mps", 37, F64, default=0.0),  # 0: the sonar computes it
+        Field("salinity_ppt", 45, F64, default=0.0),
+    ),
+)
+
+FIRE_V2: Final = Layout(
+    "fire v2",
+    89,
+    (
+        *FIRE_V1.fields,
+        Field("extended_flags", 53, U32),
+        Field("reserved_57", 57, "8s", default=b""),
+        Field("beacon_frequency_hz", 65, U32),
+        Field("reserved_69", 69, "20s", default=b""),
+    ),
+)
+
+PING_RESULT_V1: Final = Layout(
+    "ping result v1",
+    122,
+    (
+        *FIRE_V1.fields,
+        Field("ping_id", 53, U32),
+        Field("status", 57, U32),
+        Field("frequency_hz", 61, F64, default=0.0),
+        Field("temperature_c", 69, F64, default=0.0),
+        Field("pressure_bar", 77, F64, default=0.0),
+        Field("speed_of_sound_mps", 85, F64, default=0.0),
+        Field("start_ticks", 93, U32),
+        Field("data_size", 97, U8),
+        Field("range_resolution_m", 98, F64, default=0.0),
+        Field("rows", 106, U16),
+        Field("beams", 108, U16),
+        Field("image_offset", 110, U32),
+        Field("image_size", 114, U32),
+        Field("message_size", 118, U32),
+    ),
+)
+
+PING_RESULT_V2: Final = Layout(
+    "ping result v2",
+    202,
+    (
+        *FIRE_V2.fields,
+        Field("ping_id", 89, U32),
+        Field("status", 93, U32),
+        Field("frequency_hz", 97, F64, default=0.0),
+        Field("temperature_c", 105, F64, default=0.0),
+        Field("pressure_bar", 113, F64, default=0.0),
+        Field("heading_deg", 121, F64, default=0.0),
+        Field("pitch_deg", 129, F64, default=0.0),
+        Field("roll_deg", 137, F64, default=0.0),
+        Field("speed_of_sound_mps", 145, F64, default=0.0),
+        Field("start_time_s", 153, F64, default=0.0),
+        Field("data_size", 161, U8),
+        Field("range_resolution_m", 162, F64, default=0.0),
+        Field("rows", 170, U16),
+        Field("beams", 172, U16),
+        Field("spare_174", 174, "16s", default=b""),
+        Field("image_offset", 190, U32),
+        Field("image_size", 194, U32),
+        Field("message_size", 198, U32),
+    ),
+)
+
+STATUS: Final = Layout(
+    "status",
+    142,
+    (
+        *HEADER.fields,
+        Field("device_id", 16, U32),
+        Field("device_type", 20, U16),
+        Field("device_part_number", 22, U16),
+        Field("status_bits", 24, U32),
+        Field("arm0_version", 28, U32),
+        Field("arm0_date", 32, U32),
+        Field("arm1_version", 36, U32),
+        Field("arm1_date", 40, U32),
+        Field("fpga_version", 44, U32),
+        Field("fpga_date", 48, U32),
+        Field("address", 52, "4s", default=b""),  # octets in dotted order
+        Field("netmask", 56, "4s", default=b""),
+        Field("client_address", 60, "4s", default=b""),
+        Field("mac", 64, "6s", default=b""),
+        Field("temperatures_c", 70, F64, count=8, default=0.0),
+        Field("pressure_bar", 134, F64, default=0.0),
+    ),
+)
+
+USER_CONFIG: Final = Layout(
+    "user configuration",
+    28,
+    (
+        *HEADER.fields,
+        Field("address", 16, U32),  # 192.168.2.3 is the integer 0xC0A80203, unlike in STATUS
+        Field("netmask", 20, U32),
+        Field("dhcp", 24, U32),
+    ),
+)
+
+DUMMY: Final = Layout("dummy", 16, HEADER.fields)
+
+MIB: Final = 1 << 20
+
+PAYLOAD_LIMITS: Final[Mapping[int, int]] = {
+    MessageId.FIRE: 4096,
+    MessageId.FULL_PING_RESULT: 16 * MIB,
+    MessageId.PING_RESULT: 16 * MIB,
+    MessageId.USER_CONFIG: 64,
+    MessageId.LOG: 64 << 10,
+    MessageId.DUMMY: 4096,
+}
+"""Largest payload, in bytes, that is believed, by message id of the TCP stream."""
+
+UNKNOWN_PAYLOAD_LIMIT: Final = MIB
+MAX_MESSAGE_SIZE: Final = HEADER.size + 16 * MIB
+MIN_PING_PAYLOAD: Final = PING_RESULT_V1.size - HEADER.size + 2
+
+
+def ping_layout(version: int) -> Layout | None:
+    """Return the layout of a ping result with this header version, or None where unknown."""
+    if version in (0, 1):  # firmware that writes 0 means 1
+        return PING_RESULT_V1
+    return PING_RESULT_V2 if version == 2 else None  # noqa: PLR2004 - the version's own number

@@ -1,0 +1,163 @@
+"""Opening files: recordings by content, and everything else by a clear line."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from oculus_driver.encode import encode_dummy
+from oculus_driver.errors import RecordingError
+from oculus_driver.recording import MCAP, OCULUS, OCULUS_RAW, open_recording
+from oculus_driver.stream import StreamParser
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.oculus_driver.recording.conftest import Written
+
+STARTS = [0, 182016, 364032]
+
+
+def opened(path: Path, data: bytes) -> tuple[str, bytes, bool, str | None]:
+    path.write_bytes(data)
+    with open_recording(path) as recording:
+        assert recording.size_bytes == len(data)
+        whole = b"".join(chunk.data for chunk in recording)
+        return recording.format, whole, recording.truncated, recording.damage
+
+
+def test_an_mcap_file_is_known_by_its_content(written: Written) -> None:
+    with open_recording(written.path) as recording:
+        assert (recording.format, recording.has_time) == (MCAP, True)
+        assert recording.path == written.path
+        assert recording.size_bytes == len(written.data)
+        assert (recording.start_ns, recording.end_ns) == (written.rows[0][2], written.rows[-1][2])
+        assert recording.metadata["format_version"] == "1"
+        assert recording.bytes_read == 0
+        iterator = iter(recording)
+        for _ in range(60):
+            next(iterator)
+        assert 0 < recording.bytes_read < recording.size_bytes
+        assert len(list(iterator)) == 60
+        assert recording.bytes_read == recording.size_bytes
+        assert len(list(recording)) == 120
+        assert (recording.truncated, recording.damage, recording.faults) == (False, None, 0)
+
+
+def test_a_cut_mcap_file_is_known_down_to_its_first_byte(written: Written, tmp_path: Path) -> None:
+    for size in (1, 5, 8, 9, 30, 200, 3000):
+        kind, _, truncated, damage = opened(tmp_path / "cut", written.data[:size])
+        assert (kind, truncated) == (MCAP, True)
+        assert damage is not None
+
+
+def test_the_span_of_a_cut_file_is_known_after_reading(written: Written, tmp_path: Path) -> None:
+    path = tmp_path / "cut"
+    path.write_bytes(written.data[: written.ends[30]])
+    with open_recording(path) as recording:
+        assert (recording.start_ns, recording.end_ns) == (written.rows[0][2], None)
+        list(recording)
+        assert recording.end_ns == written.rows[30][2]
+
+
+def test_a_raw_stream_is_known_by_its_content(capture_path: Path, capture: bytes) -> None:
+    with open_recording(capture_path) as recording:
+        assert (recording.format, recording.has_time) == (OCULUS_RAW, False)
+        assert (recording.start_ns, recording.end_ns) == (None, None)
+        chunks = list(recording)
+    assert {(chunk.link, chunk.encoding, chunk.arrival_ns) for chunk in chunks} == {
+        ("sonar", OCULUS, None)
+    }
+    assert b"".join(chunk.data for chunk in chunks) == capture
+    assert recording.bytes_read == recording.size_bytes == len(capture)
+    assert (recording.truncated, recording.damage) == (False, None)
+
+
+@pytest.mark.parametrize(
+    ("start", "found"),
+    [
+        (1, STARTS[1:]),
+        (634, STARTS[1:]),
+        (1000, STARTS[1:]),
+        (2048, STARTS[1:]),
+        (182015, STARTS[1:]),
+        (182017, STARTS[2:]),
+    ],
+)
+def test_a_raw_stream_without_its_beginning_is_known(
+    capture: bytes, tmp_path: Path, start: int, found: list[int]
+) -> None:
+    kind, data, truncated, damage = opened(tmp_path / "late", capture[start:])
+    parser = StreamParser()
+    messages = parser.feed(data) + parser.finish()
+    assert kind == OCULUS_RAW
+    assert [message.offset + start for message in messages] == found
+    assert not truncated
+    assert damage == f"{found[0] - start} bytes belong to no message"
+
+
+def test_a_raw_stream_without_one_whole_message_is_told(capture: bytes, tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="holds no sonar messages"):
+        opened(tmp_path / "late", capture[364033:])
+
+
+@pytest.mark.parametrize("cut", [16, 1000, 182015, 182017, 500_000])
+def test_a_cut_raw_stream_is_truncated(capture: bytes, tmp_path: Path, cut: int) -> None:
+    kind, data, truncated, damage = opened(tmp_path / "cut", capture[:cut])
+    assert (kind, data, truncated) == (OCULUS_RAW, capture[:cut], True)
+    assert damage is not None
+    assert "ends inside a message" in damage
+
+
+def test_a_stream_of_a_sonar_in_standby_is_known(tmp_path: Path) -> None:
+    assert opened(tmp_path / "standby", b"??" + encode_dummy() * 2)[0] == OCULUS_RAW
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        (b"", "is empty; nothing was recorded"),
+        (bytes(1), "holds only zeros"),
+        (bytes(200_000), "holds only zeros"),
+        (b"hello\nworld\n" * 1000, "is a text file"),
+        (b"SO what, says the text", "is a text file"),
+        (np.random.default_rng(5).bytes(200_000), "holds no sonar messages"),
+        (b"SQLite format 3\0" + bytes(100), "is a ViewPoint log"),
+        (b"\x44\x33\x22\x11" + bytes(100), "is an Oculus Viewer log"),
+        (b"\xd4\xc3\xb2\xa1" + bytes(100), "is a pcap network capture"),
+        (b"SO\0\0\0\0\x23\0\0\0\xff\xff\xff\xff\0\0" + bytes(5000), "holds no sonar messages"),
+    ],
+)
+def test_what_is_no_recording_is_told_in_one_line(
+    tmp_path: Path, content: bytes, text: str
+) -> None:
+    path = tmp_path / "capture.mcap"
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=text) as failure:
+        open_recording(path)
+    assert str(path) in str(failure.value)
+    assert "\n" not in str(failure.value)
+
+
+def test_what_is_no_file_is_told(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="no such file"):
+        open_recording(tmp_path / "missing")
+    with pytest.raises(RecordingError, match="is a directory"):
+        open_recording(tmp_path)
+    with pytest.raises(RecordingError, match=r"no such file|cannot be opened"):
+        open_recording("a\0b")
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(RecordingError, match="no plain file"):
+        open_recording(tmp_path / "pipe")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_what_may_not_be_read_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "secret"
+    path.write_bytes(b"x")
+    path.chmod(0)
+    with pytest.raises(RecordingError, match="may not be read"):
+        open_recording(path)
