@@ -5,21 +5,22 @@ Usage: python tools/bench/integrators.py [out/demo/capture.bin] [--pings N]
 
 import argparse
 import itertools
-import math
 import statistics
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
-from mapperd import _core
-from mapperd.config import Config
+from mapperd.config import Config, Mapping, Octree
 from mapperd.echo import Echo, echo_of
+from mapperd.mapping import SonarMap
 from oculus_driver import Ping, StreamParser, decode_ping
 from oculus_driver.recording import OCULUS, open_recording
 
-INTEGRATORS = ("rays", "projective")
+Integrator = Literal["rays", "projective"]
+INTEGRATORS: tuple[Integrator, ...] = ("rays", "projective")
 
 
 def echoes(path: Path) -> Iterator[Echo]:
@@ -35,23 +36,19 @@ def echoes(path: Path) -> Iterator[Echo]:
                     yield echo_of(ping, Config().sonar)
 
 
-def milliseconds(pings: list[Echo], resolution_m: float, integrator: str) -> list[float]:
+def milliseconds(pings: list[Echo], resolution_m: float, integrator: Integrator) -> list[float]:
     """Time of each ping, the sonar moving 5 cm between them and looking straight down."""
-    sonar_map = _core.VoxelMap(resolution_m, _core.IwloParams())
-    integrate = getattr(sonar_map, f"integrate_{integrator}")
+    config = Config(
+        octree=Octree(voxel_resolution=resolution_m), mapping=Mapping(integrator=integrator)
+    )
+    sonar_map = SonarMap(config)
     map_T_sonar = np.eye(4)  # noqa: N806 frames are named
     map_T_sonar[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
     times = []
     for i, echo in enumerate(pings):
         map_T_sonar[0, 3] = 0.05 * i
         began_s = time.perf_counter()
-        integrate(
-            echo.intensity,
-            echo.bearings_rad,
-            echo.range_resolution_m,
-            map_T_sonar,
-            vertical_aperture_rad=math.radians(20),
-        )
+        sonar_map.integrate(echo, map_T_sonar)
         times.append(1e3 * (time.perf_counter() - began_s))
     return times
 
