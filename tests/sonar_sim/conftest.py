@@ -1,0 +1,50 @@
+"""Simple shapes to look at."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from sonar_sim.poses import Pose
+from sonar_sim.scene import Material, Scene, Surface
+
+Plate = Callable[..., Scene]
+
+
+@pytest.fixture
+def plate() -> Plate:
+    """A rectangle about a centre, spanned by two edge vectors, in `cuts` x `cuts` pieces."""
+
+    def build(
+        centre: tuple[float, float, float],
+        edge_u: tuple[float, float, float],
+        edge_v: tuple[float, float, float],
+        cuts: int = 1,
+    ) -> Scene:
+        steps = np.linspace(-0.5, 0.5, cuts + 1)
+        grid_u, grid_v = np.meshgrid(steps, steps, indexing="ij")
+        points = (
+            np.array(centre)
+            + grid_u.reshape(-1, 1) * np.array(edge_u)
+            + grid_v.reshape(-1, 1) * np.array(edge_v)
+        )
+        index = np.arange((cuts + 1) ** 2).reshape(cuts + 1, cuts + 1)
+        a, b, c, d = (
+            part.ravel()
+            for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:])
+        )
+        faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+        return Scene((Surface("plate", points, faces.astype(np.int64), Material.SAND),))
+
+    return build
+
+
+@pytest.fixture
+def level_pose() -> Pose:
+    """At the origin, looking along +x."""
+    return Pose(np.zeros(3), np.eye(3))
+
+
+@pytest.fixture
+def decibel() -> Callable[[float | NDArray[np.float64]], float]:
+    return lambda power: float(10.0 * np.log10(power))

@@ -1,0 +1,6 @@
+"""The programs in tools/ are no package: put their folder where they look for each other."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))

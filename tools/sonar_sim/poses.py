@@ -1,0 +1,90 @@
+"""Rigid poses and the sonar's mounting; quaternions are (w, x, y, z), scalar first."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """Where a frame stands in its parent.
+
+    Attributes:
+        position_m: origin, (3,).
+        rotation: parent from child, (3, 3).
+    """
+
+    position_m: NDArray[np.float64]
+    rotation: NDArray[np.float64]
+
+    def __matmul__(self, child: "Pose") -> "Pose":
+        """Chain: the child's pose, given in this frame, in this frame's parent."""
+        return Pose(
+            self.position_m + self.rotation @ child.position_m, self.rotation @ child.rotation
+        )
+
+    @property
+    def quaternion(self) -> NDArray[np.float64]:
+        """Unit quaternion (w, x, y, z) with w >= 0."""
+        return quaternion_of(self.rotation)
+
+
+@dataclass(frozen=True, slots=True)
+class Mounting:
+    """The sonar on its vehicle: Rz(yaw) Ry(pitch) Rx(roll); pitch 90° looks straight down."""
+
+    position_m: tuple[float, float, float] = (0.0, 0.0, -0.5)
+    roll_deg: float = 0.0
+    pitch_deg: float = 90.0
+    yaw_deg: float = 0.0
+
+    @property
+    def pose(self) -> Pose:
+        """The sonar frame in the base frame."""
+        rotation = rotation_of(
+            math.radians(self.roll_deg), math.radians(self.pitch_deg), math.radians(self.yaw_deg)
+        )
+        return Pose(np.asarray(self.position_m, dtype=np.float64), rotation)
+
+
+def rotation_of(roll_rad: float, pitch_rad: float, yaw_rad: float) -> NDArray[np.float64]:
+    """Rz(yaw) Ry(pitch) Rx(roll), (3, 3); positive pitch turns the nose (+x) down."""
+    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
+    cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
+    cy, sy = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def quaternion_of(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit quaternion (w, x, y, z), w >= 0, of a rotation matrix.
+
+    Solved from the largest of the four squares (Shepperd 1978), so that nothing small divides.
+    """
+    m = rotation
+    squares = np.array(
+        [
+            1.0 + m[0, 0] + m[1, 1] + m[2, 2],
+            1.0 + m[0, 0] - m[1, 1] - m[2, 2],
+            1.0 - m[0, 0] + m[1, 1] - m[2, 2],
+            1.0 - m[0, 0] - m[1, 1] + m[2, 2],
+        ]
+    )
+    products = np.array(
+        [
+            [squares[0], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
+            [m[2, 1] - m[1, 2], squares[1], m[1, 0] + m[0, 1], m[0, 2] + m[2, 0]],
+            [m[0, 2] - m[2, 0], m[1, 0] + m[0, 1], squares[2], m[2, 1] + m[1, 2]],
+            [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[2, 1] + m[1, 2], squares[3]],
+        ]
+    )
+    row = products[int(np.argmax(squares))]
+    unit: NDArray[np.float64] = row / np.linalg.norm(row)
+    return -unit if unit[0] < 0.0 else unit
