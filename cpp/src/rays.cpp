@@ -20,16 +20,6 @@ struct FirstHit {
   double range_m;
 };
 
-struct VoxelIndex {
-  std::int64_t x;
-  std::int64_t y;
-  std::int64_t z;
-
-  friend bool operator==(const VoxelIndex& a, const VoxelIndex& b) {
-    return a.x == b.x && a.y == b.y && a.z == b.z;
-  }
-};
-
 struct VoxelIndexHash {
   std::size_t operator()(const VoxelIndex& v) const {
     auto h = static_cast<std::uint64_t>(v.x) * 0x9E3779B97F4A7C15ULL;

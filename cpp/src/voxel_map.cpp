@@ -23,6 +23,20 @@ std::uint64_t hash_of(const BlockKey& key) {
   return mix(mix(xy) + static_cast<std::uint32_t>(key.z));
 }
 
+bool block_of(const VoxelIndex& voxel, BlockKey& key) {
+  const auto coordinate = [](std::int64_t i, std::int32_t& block) {
+    const std::int64_t shifted = i >> 3;
+    block = static_cast<std::int32_t>(shifted);
+    return shifted >= -kMaxBlock && shifted <= kMaxBlock;
+  };
+  return coordinate(voxel.x, key.x) && coordinate(voxel.y, key.y) && coordinate(voxel.z, key.z);
+}
+
+int offset_of(const VoxelIndex& voxel) {
+  const auto local = [](std::int64_t i) { return static_cast<int>(i & (kBlockEdge - 1)); };
+  return voxel_offset(local(voxel.x), local(voxel.y), local(voxel.z));
+}
+
 bool in_reach(const BlockKey& key) {
   const auto ok = [](std::int32_t v) { return v >= -kMaxBlock && v <= kMaxBlock; };
   return ok(key.x) && ok(key.y) && ok(key.z);
@@ -71,21 +85,45 @@ const Block* VoxelMap::find(const BlockKey& key) const {
   return slots_[slot] == kEmpty ? nullptr : &blocks_[slots_[slot]];
 }
 
+bool VoxelMap::index_of(const Vec3& point_m, VoxelIndex& voxel) const {
+  const auto index = [this](double position, std::int64_t& i) {
+    const double floored = std::floor(position / resolution_m_);
+    // The negation also refuses what is not finite.
+    if (!(std::abs(floored) < static_cast<double>(kMaxBlock) * kBlockEdge)) return false;
+    i = static_cast<std::int64_t>(floored);
+    return true;
+  };
+  return index(point_m.x, voxel.x) && index(point_m.y, voxel.y) && index(point_m.z, voxel.z);
+}
+
+Vec3 VoxelMap::centre_of(const VoxelIndex& voxel) const {
+  const auto centre = [this](std::int64_t i) {
+    return (static_cast<double>(i) + 0.5) * resolution_m_;
+  };
+  return {centre(voxel.x), centre(voxel.y), centre(voxel.z)};
+}
+
 VoxelState VoxelMap::at(const Vec3& point_m) const {
-  const std::array<double, 3> point{point_m.x, point_m.y, point_m.z};
-  std::array<std::int32_t, 3> block{};
-  std::array<int, 3> local{};
-  for (std::size_t i = 0; i < 3; ++i) {
-    const double index = std::floor(point[i] / resolution_m_);
-    if (!(std::abs(index) < static_cast<double>(kMaxBlock) * kBlockEdge)) return {};
-    const auto voxel = static_cast<std::int64_t>(index);
-    block[i] = static_cast<std::int32_t>(voxel >> 3);
-    local[i] = static_cast<int>(voxel & (kBlockEdge - 1));
-  }
-  const Block* found = find({block[0], block[1], block[2]});
+  VoxelIndex voxel;
+  return index_of(point_m, voxel) ? at(voxel) : VoxelState{};
+}
+
+VoxelState VoxelMap::at(const VoxelIndex& voxel) const {
+  BlockKey key;
+  if (!block_of(voxel, key)) return {};
+  const Block* found = find(key);
   if (found == nullptr) return {};
-  const auto offset = static_cast<std::size_t>(voxel_offset(local[0], local[1], local[2]));
+  const auto offset = static_cast<std::size_t>(offset_of(voxel));
   return {found->log_odds[offset], found->count[offset]};
+}
+
+void VoxelMap::set(const VoxelIndex& voxel, const VoxelState& state) {
+  BlockKey key;
+  if (!block_of(voxel, key)) throw std::out_of_range("the voxel lies beyond the map's reach");
+  Block& block = get_or_create(key);
+  const auto offset = static_cast<std::size_t>(offset_of(voxel));
+  block.log_odds[offset] = state.count == 0 ? 0.0F : state.log_odds;
+  block.count[offset] = state.count;
 }
 
 std::vector<const Block*> VoxelMap::sorted_blocks() const {

@@ -33,6 +33,17 @@ struct BlockKey {
   }
 };
 
+// A voxel of the map: it spans index to index + 1 times the resolution along each axis.
+struct VoxelIndex {
+  std::int64_t x = 0;
+  std::int64_t y = 0;
+  std::int64_t z = 0;
+
+  friend bool operator==(const VoxelIndex& a, const VoxelIndex& b) {
+    return a.x == b.x && a.y == b.y && a.z == b.z;
+  }
+};
+
 // Index of a voxel inside its block, x fastest.
 inline int voxel_offset(int x, int y, int z) { return x + kBlockEdge * (y + kBlockEdge * z); }
 
@@ -67,6 +78,31 @@ class VoxelMap {
 
   // The voxel at a point of the map frame; unknown for points beyond the map's reach.
   VoxelState at(const Vec3& point_m) const;
+  VoxelState at(const VoxelIndex& voxel) const;
+
+  // Sets a voxel as if it had been observed so; a count of 0 forgets it.
+  // Throws std::out_of_range beyond the map's reach.
+  void set(const VoxelIndex& voxel, const VoxelState& state);
+
+  // The voxel that holds a point; false beyond the map's reach and for points that are not finite.
+  bool index_of(const Vec3& point_m, VoxelIndex& voxel) const;
+  Vec3 centre_of(const VoxelIndex& voxel) const;
+
+  // Visits all observed voxels, in the map's canonical order.
+  template <typename Visit>  // void(const VoxelIndex&, const VoxelState&)
+  void for_each_known(const Visit& visit) const {
+    for (const Block* block : sorted_blocks()) {
+      for (int i = 0; i < kBlockVoxels; ++i) {
+        const auto at = static_cast<std::size_t>(i);
+        if (block->count[at] == 0) continue;
+        const VoxelIndex voxel{
+            block->key.x * std::int64_t{kBlockEdge} + i % kBlockEdge,
+            block->key.y * std::int64_t{kBlockEdge} + i / kBlockEdge % kBlockEdge,
+            block->key.z * std::int64_t{kBlockEdge} + i / (kBlockEdge * kBlockEdge)};
+        visit(voxel, VoxelState{block->log_odds[at], block->count[at]});
+      }
+    }
+  }
 
   // Blocks ordered by key: the map's canonical order.
   std::vector<const Block*> sorted_blocks() const;

@@ -1,0 +1,13 @@
+// One function a file of bindings; module.cpp calls them in turn.
+#pragma once
+
+#include <pybind11/pybind11.h>
+
+namespace mapperd::bind {
+
+namespace py = pybind11;
+
+void bind_iwlo(py::module_& module);
+void bind_map(py::module_& module);
+
+}  // namespace mapperd::bind
