@@ -114,7 +114,7 @@ py::tuple query(const VoxelMap& map, const py::object& points_object) {
   py::array_t<float> log_odds(points.shape(0));
   py::array_t<std::uint16_t> counts(points.shape(0));
   for (py::ssize_t i = 0; i < points.shape(0); ++i) {
-    const VoxelState state = map.at({at(i, 0), at(i, 1), at(i, 2)});
+    const VoxelState state = map.at(Vec3{at(i, 0), at(i, 1), at(i, 2)});
     log_odds.mutable_at(i) = state.log_odds;
     counts.mutable_at(i) = state.count;
   }

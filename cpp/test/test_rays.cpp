@@ -96,7 +96,7 @@ TEST_CASE("the first occupied intensity of a ping counts, and occupied beats fre
   Transform pose;
   pose.translation = {0.0, 0.5, 0.5};
   integrate_rays(map, ping.image(), pose, {});
-  const auto hit = map.at({3.05, 0.5, 0.5});
+  const auto hit = map.at(mapperd::Vec3{3.05, 0.5, 0.5});
   CHECK(hit.count == 1);
   CHECK_NEAR(hit.log_odds, 1.75, 1e-6);
 }

@@ -48,8 +48,8 @@ TEST_CASE("a voxel's centre leads back to the voxel") {
 
 TEST_CASE("points and blocks beyond the reach are unknown or refused") {
   VoxelMap map(0.05, {});
-  CHECK(map.at({1e30, 0, 0}).count == 0);
-  CHECK(map.at({std::numeric_limits<double>::quiet_NaN(), 0, 0}).count == 0);
+  CHECK(map.at(mapperd::Vec3{1e30, 0, 0}).count == 0);
+  CHECK(map.at(mapperd::Vec3{std::numeric_limits<double>::quiet_NaN(), 0, 0}).count == 0);
   CHECK_THROWS(map.get_or_create({mapperd::kMaxBlock + 1, 0, 0}), std::out_of_range);
   CHECK(map.block_count() == 0);
 }
