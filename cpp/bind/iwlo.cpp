@@ -3,6 +3,8 @@
 
 #include <pybind11/pybind11.h>
 
+#include <algorithm>
+
 #include "bindings.hpp"
 
 namespace mapperd::bind {
@@ -34,12 +36,12 @@ IwloParams iwlo_params(double L_occ, double L_free, double L_min, double L_max, 
 py::tuple update(const IwloParams& params, double log_odds, int count, bool occupied, double weight,
                  double factor) {
   const IwloRule rule(params);
-  auto state = static_cast<float>(log_odds);
-  auto seen = static_cast<std::uint16_t>(count);
+  std::int32_t units = units_of(std::clamp(log_odds, params.L_min, params.L_max));
+  auto seen = static_cast<std::uint16_t>(std::clamp(count, 0, 65535));
   const double step =
       occupied ? rule.occupied_step(log_odds, seen, weight) : rule.free_step(log_odds, seen);
-  rule.apply(factor * step, state, seen);
-  return py::make_tuple(static_cast<double>(state), static_cast<int>(seen));
+  rule.add(factor * step, units, seen);
+  return py::make_tuple(log_odds_of(units), static_cast<int>(seen));
 }
 
 }  // namespace

@@ -1,12 +1,12 @@
 // The map and its integrators.
 #include <pybind11/pybind11.h>
 
+#include <algorithm>
 #include <limits>
 #include <vector>
 
 #include "arrays.hpp"
 #include "bindings.hpp"
-#include "mapperd/octomap_file.hpp"
 #include "mapperd/projective.hpp"
 #include "mapperd/rays.hpp"
 #include "mapperd/voxel_map.hpp"
@@ -70,17 +70,13 @@ py::tuple voxels(const VoxelMap& map, double min_log_odds, double max_log_odds) 
   std::vector<std::uint16_t> counts;
   {
     const py::gil_scoped_release release;
-    for (const Block* block : map.sorted_blocks()) {
-      for (int i = 0; i < kBlockVoxels; ++i) {
-        const auto at = static_cast<std::size_t>(i);
-        const double value = block->log_odds[at];
-        if (block->count[at] == 0 || !(value > min_log_odds && value < max_log_odds)) continue;
-        const Vec3 centre = map.voxel_centre(block->key, i);
-        centres.insert(centres.end(), {centre.x, centre.y, centre.z});
-        log_odds.push_back(block->log_odds[at]);
-        counts.push_back(block->count[at]);
-      }
-    }
+    map.for_each_known([&](const VoxelIndex& voxel, const VoxelState& state) {
+      if (!(state.log_odds > min_log_odds && state.log_odds < max_log_odds)) return;
+      const Vec3 centre = map.centre_of(voxel);
+      centres.insert(centres.end(), {centre.x, centre.y, centre.z});
+      log_odds.push_back(state.log_odds);
+      counts.push_back(state.count);
+    });
   }
   const auto n = static_cast<py::ssize_t>(log_odds.size());
   return py::make_tuple(py::array_t<double>({n, py::ssize_t{3}}, centres.data()),
@@ -88,23 +84,29 @@ py::tuple voxels(const VoxelMap& map, double min_log_odds, double max_log_odds) 
                         py::array_t<std::uint16_t>(n, counts.data()));
 }
 
-py::tuple blocks(const VoxelMap& map) {
-  const auto sorted = map.sorted_blocks();
-  const auto n = static_cast<py::ssize_t>(sorted.size());
+// A slice of the sorted blocks, every voxel written out.
+py::tuple blocks(const VoxelMap& map, std::size_t begin, std::size_t count) {
+  auto sorted = map.sorted_blocks();
+  begin = std::min(begin, sorted.size());
+  count = std::min(count, sorted.size() - begin);
+  const auto n = static_cast<py::ssize_t>(count);
   py::array_t<std::int32_t> keys({n, py::ssize_t{3}});
-  py::array_t<float> log_odds({n, py::ssize_t{kBlockVoxels}});
+  py::array_t<std::int32_t> units({n, py::ssize_t{kBlockVoxels}});
   py::array_t<std::uint16_t> counts({n, py::ssize_t{kBlockVoxels}});
   auto* key = keys.mutable_data();
-  auto* value = log_odds.mutable_data();
-  auto* count = counts.mutable_data();
-  for (const Block* block : sorted) {
-    *key++ = block->key.x;
-    *key++ = block->key.y;
-    *key++ = block->key.z;
-    value = std::copy(block->log_odds.begin(), block->log_odds.end(), value);
-    count = std::copy(block->count.begin(), block->count.end(), count);
+  auto* unit = units.mutable_data();
+  auto* seen = counts.mutable_data();
+  for (std::size_t b = begin; b < begin + count; ++b) {
+    *key++ = sorted[b]->key.x;
+    *key++ = sorted[b]->key.y;
+    *key++ = sorted[b]->key.z;
+    for (int i = 0; i < kBlockVoxels; ++i) {
+      const Voxel voxel = sorted[b]->voxel(map.rule(), i);
+      *unit++ = voxel.units;
+      *seen++ = voxel.count;
+    }
   }
-  return py::make_tuple(keys, log_odds, counts);
+  return py::make_tuple(keys, units, counts);
 }
 
 py::tuple query(const VoxelMap& map, const py::object& points_object) {
@@ -121,15 +123,6 @@ py::tuple query(const VoxelMap& map, const py::object& points_object) {
   return py::make_tuple(log_odds, counts);
 }
 
-py::bytes bt(const VoxelMap& map, double occupied_log_odds, double free_log_odds) {
-  std::string file;
-  {
-    const py::gil_scoped_release release;
-    file = octomap_bt(map, occupied_log_odds, free_log_odds);
-  }
-  return file;
-}
-
 }  // namespace
 
 void bind_map(py::module_& module) {
@@ -142,6 +135,7 @@ void bind_map(py::module_& module) {
   py::class_<VoxelMap>(module, "VoxelMap")
       .def(py::init<double, const IwloParams&>(), "resolution_m"_a, "iwlo"_a)
       .def_property_readonly("resolution_m", &VoxelMap::resolution_m)
+      .def_property_readonly("revision", &VoxelMap::revision)
       .def_property_readonly("block_count", &VoxelMap::block_count)
       .def_property_readonly("memory_bytes", &VoxelMap::memory_bytes)
       .def("integrate_projective", &projective, "intensity"_a, "bearings_rad"_a,
@@ -152,9 +146,8 @@ void bind_map(py::module_& module) {
            "map_T_sonar"_a, py::kw_only(), "vertical_aperture_rad"_a,
            "min_range_m"_a = fan.min_range_m, "angular_cone_width"_a = 0.5)
       .def("voxels", &voxels, "min_log_odds"_a = -kInfinity, "max_log_odds"_a = kInfinity)
-      .def("blocks", &blocks)
+      .def("blocks", &blocks, "begin"_a = 0, "count"_a = std::numeric_limits<std::size_t>::max())
       .def("query", &query, "points_m"_a)
-      .def("octomap_bt", &bt, "occupied_log_odds"_a, "free_log_odds"_a)
       .def("clear", &VoxelMap::clear);
 }
 

@@ -9,7 +9,6 @@ namespace mapperd {
 namespace {
 
 constexpr double kMaxCount = 65535.0;
-constexpr double kMaxLogOdds = 1e4;  // exp() of it still has a meaning next to 1
 
 void require(bool ok, const std::string& what) {
   if (!ok) throw std::invalid_argument(what);
@@ -19,13 +18,14 @@ double sigmoid(double x) { return 1.0 / (1.0 + std::exp(-x)); }
 
 double checked_settling_count(const IwloParams& p) {
   const auto finite = [](double v) { return std::isfinite(v) && std::abs(v) <= kMaxLogOdds; };
-  require(finite(p.L_occ) && p.L_occ >= 0, "L_occ must be a finite number, 0 or more");
-  require(finite(p.L_free) && p.L_free <= 0, "L_free must be a finite number, 0 or less");
-  require(finite(p.L_min) && p.L_min < 0, "L_min must be a finite number below 0");
-  require(finite(p.L_max) && p.L_max > 0, "L_max must be a finite number above 0");
-  require(finite(p.sharpness) && p.sharpness >= 0, "sharpness must be a finite number, 0 or more");
-  require(finite(p.decay_rate) && p.decay_rate >= 0,
-          "decay_rate must be a finite number, 0 or more");
+  require(finite(p.L_occ) && p.L_occ >= 0,
+          "L_occ must be a number, 0 or more, of at most 127 in size");
+  require(finite(p.L_free) && p.L_free <= 0,
+          "L_free must be a number, 0 or less, of at most 127 in size");
+  require(finite(p.L_min) && p.L_min < 0, "L_min must be a number below 0, of at most 127 in size");
+  require(finite(p.L_max) && p.L_max > 0, "L_max must be a number above 0, of at most 127 in size");
+  require(finite(p.sharpness) && p.sharpness >= 0, "sharpness must be a number from 0 to 127");
+  require(finite(p.decay_rate) && p.decay_rate >= 0, "decay_rate must be a number from 0 to 127");
   require(p.min_alpha > 0 && p.min_alpha <= 1, "min_alpha must lie in (0, 1]");
   require(std::isfinite(p.intensity_threshold), "intensity_threshold must be finite");
   require(std::isfinite(p.intensity_max), "intensity_max must be finite");
@@ -50,6 +50,20 @@ IwloRule::IwloRule(const IwloParams& params) : params_(params) {
   for (double n = 0; n <= settled; ++n) {
     alpha_.push_back(std::max(params_.min_alpha, 1.0 / (1.0 + params_.decay_rate * n)));
   }
+  min_units_ = units_of(params.L_min);
+  max_units_ = units_of(params.L_max);
+  // Free steps are scaled down above p = 1 - adaptive.threshold.
+  const double p = 1.0 - params.adaptive_threshold;
+  const bool scales = params.adaptive_update && params.protect_occupied;
+  const double limit = scales ? (p > 0 ? std::log(p / (1.0 - p)) : -kMaxLogOdds) : kMaxLogOdds;
+  unscaled_up_to_ = units_of(std::clamp(limit, -kMaxLogOdds, kMaxLogOdds));
+  const auto free_units = [this](double a) {
+    return std::llround(params_.L_free * a / kLogOddsUnit);
+  };
+  free_steps_sum_.push_back(0);
+  for (const double a : alpha_) free_steps_sum_.push_back(free_steps_sum_.back() + free_units(a));
+  free_steps_sum_.pop_back();
+  settled_free_step_ = free_units(alpha_.back());
 }
 
 double IwloRule::alpha(std::uint16_t count) const {
@@ -88,10 +102,22 @@ double IwloRule::free_step(double log_odds, std::uint16_t count) const {
   return params_.L_free * alpha(count) * scale;
 }
 
-void IwloRule::apply(double step, float& log_odds, std::uint16_t& count) const {
-  const double updated = static_cast<double>(log_odds) + step;
-  log_odds = static_cast<float>(std::clamp(updated, params_.L_min, params_.L_max));
+void IwloRule::add(double step, std::int32_t& units, std::uint16_t& count) const {
+  const std::int64_t updated = units + static_cast<std::int64_t>(std::llrint(step / kLogOddsUnit));
+  units = static_cast<std::int32_t>(std::clamp<std::int64_t>(updated, min_units_, max_units_));
   if (count < settled_count()) ++count;
+}
+
+void IwloRule::add_unscaled_free(std::int32_t& units, std::uint16_t& count,
+                                 std::uint32_t times) const {
+  const auto settled = static_cast<std::uint32_t>(settled_count());
+  const auto before = std::min<std::uint32_t>(count, settled);
+  const std::uint32_t learning = std::min(times, settled - before);
+  const std::int64_t step = free_steps_sum_[before + learning] - free_steps_sum_[before] +
+                            static_cast<std::int64_t>(times - learning) * settled_free_step_;
+  // All steps go down, so that clamping once at the end is clamping at each.
+  units = static_cast<std::int32_t>(std::max<std::int64_t>(units + step, min_units_));
+  count = static_cast<std::uint16_t>(before + learning);
 }
 
 }  // namespace mapperd

@@ -21,7 +21,8 @@ class Walk {
         fan_(image, settings, map.rule(), map_T_sonar),
         aggregation_(settings.aggregation),
         edge_m_(map.resolution_m()),
-        block_m_(map.resolution_m() * kBlockEdge) {
+        block_m_(map.resolution_m() * kBlockEdge),
+        revision_(map.next_revision()) {
     const auto split = [this](double position, std::int32_t& block, double& offset) {
       block = static_cast<std::int32_t>(std::floor(position / block_m_));
       offset = position - static_cast<double>(block) * block_m_;
@@ -32,112 +33,104 @@ class Walk {
   }
 
   PingStats run() {
-    int level = 0;
-    while ((1 << level) * block_m_ < fan_.max_range_m() + block_m_) ++level;
-    const int span = 1 << level;
+    int span = kBlockEdge;
+    while (span * edge_m_ < fan_.max_range_m() + block_m_) span *= 2;
     for (int octant = 0; octant < 8; ++octant) {
-      visit((octant & 1) - 1, (octant >> 1 & 1) - 1, (octant >> 2 & 1) - 1, level, span);
+      visit((octant & 1) - 1, (octant >> 1 & 1) - 1, (octant >> 2 & 1) - 1, span);
     }
     return stats_;
   }
 
  private:
-  // A cube of `span` blocks along an edge, at (x, y, z) in units of its own edge.
-  void visit(int x, int y, int z, int level, int span) {
-    const double cube_m = span * block_m_;
+  // A cube of `span` voxels along an edge, at (x, y, z) in units of its own edge.
+  void visit(int x, int y, int z, int span) {
+    const double cube_m = span * edge_m_;
     const Vec3 centre = Vec3{(x + 0.5) * cube_m, (y + 0.5) * cube_m, (z + 0.5) * cube_m} - offset_;
-    const Fan::Content content = fan_.verdict(centre, cube_m).content;
-    if (content == Fan::Content::nothing || content == Fan::Content::less_free) return;
-    if (level == 0) {
-      ++stats_.blocks_visited;
-      visit_block({x, y, z}, content);
-      return;
+    const Fan::Verdict verdict = fan_.verdict(centre, cube_m);
+    const bool settled = verdict.content == Fan::Content::nothing ||
+                         (span == 1 && verdict.content == Fan::Content::less_free);
+    if (settled) return;
+    if (span == 1) return visit_voxel(centre, verdict, offset_in_block(x, y, z));
+    if (span == kBlockEdge) return visit_block({x, y, z}, verdict.content);
+    if (span < kBlockEdge && verdict.content == Fan::Content::all_free) {
+      return free_part_of_block(x * span, y * span, z * span, span);
     }
+    visit_children(x, y, z, span);
+  }
+
+  void visit_children(int x, int y, int z, int span) {
     for (int child = 0; child < 8; ++child) {
-      visit(2 * x + (child & 1), 2 * y + (child >> 1 & 1), 2 * z + (child >> 2 & 1), level - 1,
-            span / 2);
+      visit(2 * x + (child & 1), 2 * y + (child >> 1 & 1), 2 * z + (child >> 2 & 1), span / 2);
     }
   }
 
   void visit_block(const BlockKey& local, Fan::Content content) {
+    ++stats_.blocks_visited;
     block_ = nullptr;
+    voxels_ = nullptr;
     local_ = local;
-    for (int z = 0, offset = 0; z < kBlockEdge; ++z) {
-      for (int y = 0; y < kBlockEdge; ++y) {
-        for (int x = 0; x < kBlockEdge; ++x, ++offset) {
-          if (content == Fan::Content::all_free) {
-            apply_free(offset);
-          } else {
-            visit_voxel(x, y, z, offset);
-          }
-        }
+    if (content == Fan::Content::all_free) {
+      if (block().add_free_everywhere(map_.rule())) block().revision = revision_;
+      stats_.free += kBlockVoxels;
+      return;
+    }
+    visit_children(local.x, local.y, local.z, kBlockEdge);
+    if (voxels_ == nullptr) return;
+    block().close(map_.rule());
+    block().revision = revision_;
+  }
+
+  static int offset_in_block(int x, int y, int z) {
+    const int mask = kBlockEdge - 1;
+    return voxel_offset(x & mask, y & mask, z & mask);
+  }
+
+  void free_part_of_block(int x0, int y0, int z0, int span) {
+    for (int z = z0; z < z0 + span; ++z) {
+      for (int y = y0; y < y0 + span; ++y) {
+        for (int x = x0; x < x0 + span; ++x) apply_free(offset_in_block(x, y, z));
       }
     }
   }
 
-  void visit_voxel(int x, int y, int z, int offset) {
-    const auto along = [this](std::int32_t block, int voxel, double sonar) {
-      return block * block_m_ + (voxel + 0.5) * edge_m_ - sonar;
-    };
-    const Vec3 centre{along(local_.x, x, offset_.x), along(local_.y, y, offset_.y),
-                      along(local_.z, z, offset_.z)};
-    const Fan::Verdict verdict = fan_.verdict(centre, edge_m_);
-    switch (verdict.content) {
-      case Fan::Content::nothing:
-      case Fan::Content::less_free:
-        return;
-      case Fan::Content::mostly_free:
-      case Fan::Content::all_free:
-        return apply_free(offset);
-      case Fan::Content::undecided:
-        return decide({{centre.x, centre.y, centre.z}, edge_m_ / 2}, verdict.where, offset);
-    }
-  }
-
-  void decide(const Cube& cube, const FanPart& where, int offset) {
-    const Two occupied = occupied_part(fan_, cube, where);
+  void visit_voxel(const Vec3& centre, const Fan::Verdict& verdict, int offset) {
+    if (verdict.content != Fan::Content::undecided) return apply_free(offset);
+    const Cube cube{{centre.x, centre.y, centre.z}, edge_m_ / 2};
+    const Two occupied = occupied_part(fan_, cube, verdict.where);
     if (occupied.part >= kOccupiedPart) {
       const double weight = std::clamp(occupied.weight / occupied.part, 0.0, 1.0);
       if (aggregation_ == Aggregation::occupied_first) return apply_occupied(weight, offset);
-      return apply_mean(occupied.part, weight, free_part(fan_, cube, where), offset);
+      return apply_mean(occupied.part, weight, free_part(fan_, cube, verdict.where), offset);
     }
-    if (free_part(fan_, cube, where) > kFreePart) apply_free(offset);
+    if (free_part(fan_, cube, verdict.where) > kFreePart) apply_free(offset);
   }
 
   void apply_occupied(double weight, int offset) {
-    const VoxelState state = state_of(offset);
-    add(map_.rule().occupied_step(state.log_odds, state.count, weight), offset);
+    const auto i = static_cast<std::size_t>(offset);
+    std::int32_t& units = voxels().units[i];
+    std::uint16_t& count = voxels().count[i];
+    map_.rule().add(map_.rule().occupied_step(log_odds_of(units), count, weight), units, count);
     ++stats_.occupied;
   }
 
   void apply_mean(double occupied, double weight, double free, int offset) {
-    const VoxelState state = state_of(offset);
-    const double up = map_.rule().occupied_step(state.log_odds, state.count, weight);
-    const double down = map_.rule().free_step(state.log_odds, state.count);
-    add((occupied * up + free * down) / (occupied + free), offset);
+    const auto i = static_cast<std::size_t>(offset);
+    std::int32_t& units = voxels().units[i];
+    std::uint16_t& count = voxels().count[i];
+    const double up = map_.rule().occupied_step(log_odds_of(units), count, weight);
+    const double down = map_.rule().free_step(log_odds_of(units), count);
+    map_.rule().add((occupied * up + free * down) / (occupied + free), units, count);
     ++stats_.occupied;
   }
 
   void apply_free(int offset) {
-    const VoxelState state = state_of(offset);
-    add(map_.rule().free_step(state.log_odds, state.count), offset);
+    const auto i = static_cast<std::size_t>(offset);
+    map_.rule().add_free(voxels().units[i], voxels().count[i]);
     ++stats_.free;
   }
 
-  VoxelState state_of(int offset) {
-    Block& block = opened_block();
-    const auto i = static_cast<std::size_t>(offset);
-    return {block.log_odds[i], block.count[i]};
-  }
-
-  void add(double step, int offset) {
-    Block& block = opened_block();
-    const auto i = static_cast<std::size_t>(offset);
-    map_.rule().apply(step, block.log_odds[i], block.count[i]);
-  }
-
-  // The block is made at its first evidence, so that looking at nothing creates nothing.
-  Block& opened_block() {
+  // The block is made, and opened, at its first evidence: looking at nothing creates nothing.
+  Block& block() {
     if (block_ == nullptr) {
       const std::size_t before = map_.block_count();
       block_ =
@@ -145,6 +138,11 @@ class Walk {
       stats_.blocks_created += map_.block_count() - before;
     }
     return *block_;
+  }
+
+  DenseVoxels& voxels() {
+    if (voxels_ == nullptr) voxels_ = &block().open(map_.rule());
+    return *voxels_;
   }
 
   VoxelMap& map_;
@@ -156,6 +154,8 @@ class Walk {
   Vec3 offset_;      // the sonar inside it
   BlockKey local_;   // the block at hand, relative to origin_
   Block* block_ = nullptr;
+  DenseVoxels* voxels_ = nullptr;
+  std::uint64_t revision_;
   PingStats stats_;
 };
 

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdint>
 #include <unordered_map>
+#include <unordered_set>
 #include <vector>
 
 namespace mapperd {
@@ -140,22 +141,32 @@ class RaySampler {
   PingStats update_map() {
     PingStats stats;
     const std::size_t before = map_.block_count();
+    std::unordered_set<Block*> opened;
+    const std::uint64_t revision = map_.next_revision();
     for (const Sample& sample : samples_) {
-      const auto block = [](std::int64_t v) { return static_cast<std::int32_t>(v >> 3); };
-      const auto local = [](std::int64_t v) { return static_cast<int>(v & (kBlockEdge - 1)); };
       const VoxelIndex& v = sample.voxel;
-      Block& opened = map_.get_or_create({block(v.x), block(v.y), block(v.z)});
+      const auto block = [](std::int64_t i) { return static_cast<std::int32_t>(i >> kBlockShift); };
+      const auto local = [](std::int64_t i) { return static_cast<int>(i & (kBlockEdge - 1)); };
+      Block& at = map_.get_or_create({block(v.x), block(v.y), block(v.z)});
+      DenseVoxels& voxels = at.open(map_.rule());
+      opened.insert(&at);
       const auto i = static_cast<std::size_t>(voxel_offset(local(v.x), local(v.y), local(v.z)));
-      const IwloRule& rule = map_.rule();
-      const double weight = sample.occupied ? rule.occupied_weight(sample.intensity) : 0.0;
-      const double step = sample.occupied
-                              ? rule.occupied_step(opened.log_odds[i], opened.count[i], weight)
-                              : rule.free_step(opened.log_odds[i], opened.count[i]);
-      rule.apply(step, opened.log_odds[i], opened.count[i]);
+      update(sample, voxels.units[i], voxels.count[i]);
       ++(sample.occupied ? stats.occupied : stats.free);
+    }
+    for (Block* block : opened) {
+      block->close(map_.rule());
+      block->revision = revision;
     }
     stats.blocks_created = map_.block_count() - before;
     return stats;
+  }
+
+  void update(const Sample& sample, std::int32_t& units, std::uint16_t& count) const {
+    const IwloRule& rule = map_.rule();
+    if (!sample.occupied) return rule.add_free(units, count);
+    const double weight = rule.occupied_weight(sample.intensity);
+    rule.add(rule.occupied_step(log_odds_of(units), count, weight), units, count);
   }
 
   VoxelMap& map_;

@@ -25,7 +25,7 @@ std::uint64_t hash_of(const BlockKey& key) {
 
 bool block_of(const VoxelIndex& voxel, BlockKey& key) {
   const auto coordinate = [](std::int64_t i, std::int32_t& block) {
-    const std::int64_t shifted = i >> 3;
+    const std::int64_t shifted = i >> kBlockShift;
     block = static_cast<std::int32_t>(shifted);
     return shifted >= -kMaxBlock && shifted <= kMaxBlock;
   };
@@ -52,9 +52,9 @@ VoxelMap::VoxelMap(double resolution_m, const IwloParams& iwlo)
 }
 
 std::size_t VoxelMap::memory_bytes() const {
-  // A deque of elements larger than its node size holds one element and one pointer a node.
-  return blocks_.size() * (sizeof(Block) + sizeof(Block*)) +
-         slots_.capacity() * sizeof(std::uint32_t) + sizeof(VoxelMap);
+  std::size_t bytes = sizeof(VoxelMap) + slots_.capacity() * sizeof(std::uint32_t);
+  for (const Block& block : blocks_) bytes += block.memory_bytes();
+  return bytes;
 }
 
 std::size_t VoxelMap::slot_of(const BlockKey& key) const {
@@ -113,17 +113,29 @@ VoxelState VoxelMap::at(const VoxelIndex& voxel) const {
   if (!block_of(voxel, key)) return {};
   const Block* found = find(key);
   if (found == nullptr) return {};
-  const auto offset = static_cast<std::size_t>(offset_of(voxel));
-  return {found->log_odds[offset], found->count[offset]};
+  return state_of(found->voxel(rule_, offset_of(voxel)));
 }
 
 void VoxelMap::set(const VoxelIndex& voxel, const VoxelState& state) {
   BlockKey key;
   if (!block_of(voxel, key)) throw std::out_of_range("the voxel lies beyond the map's reach");
   Block& block = get_or_create(key);
+  DenseVoxels& voxels = block.open(rule_);
   const auto offset = static_cast<std::size_t>(offset_of(voxel));
-  block.log_odds[offset] = state.count == 0 ? 0.0F : state.log_odds;
-  block.count[offset] = state.count;
+  const double log_odds =
+      std::clamp<double>(state.log_odds, rule_.params().L_min, rule_.params().L_max);
+  voxels.units[offset] = state.count == 0 ? 0 : units_of(log_odds);
+  voxels.count[offset] = std::min(state.count, rule_.settled_count());
+  block.close(rule_);
+  block.revision = next_revision();
+}
+
+VoxelIndex VoxelMap::index_of(const BlockKey& key, int offset) {
+  const auto index = [](std::int32_t block, int local) {
+    return static_cast<std::int64_t>(block) * kBlockEdge + local;
+  };
+  return {index(key.x, offset % kBlockEdge), index(key.y, offset / kBlockEdge % kBlockEdge),
+          index(key.z, offset / (kBlockEdge * kBlockEdge))};
 }
 
 std::vector<const Block*> VoxelMap::sorted_blocks() const {
@@ -135,16 +147,9 @@ std::vector<const Block*> VoxelMap::sorted_blocks() const {
   return sorted;
 }
 
-Vec3 VoxelMap::voxel_centre(const BlockKey& key, int offset) const {
-  const auto centre = [this](std::int32_t block, int local) {
-    return (static_cast<double>(block) * kBlockEdge + local + 0.5) * resolution_m_;
-  };
-  return {centre(key.x, offset % kBlockEdge), centre(key.y, offset / kBlockEdge % kBlockEdge),
-          centre(key.z, offset / (kBlockEdge * kBlockEdge))};
-}
-
 void VoxelMap::clear() {
   blocks_.clear();
+  ++revision_;
   slots_.assign(kFirstSlots, kEmpty);
 }
 

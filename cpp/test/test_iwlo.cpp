@@ -11,6 +11,7 @@ namespace {
 
 using mapperd::IwloParams;
 using mapperd::IwloRule;
+using mapperd::log_odds_of;
 
 IwloParams set_a() { return {}; }
 
@@ -34,15 +35,15 @@ struct Observation {
 
 void follow(const IwloParams& params, const std::vector<Observation>& observations) {
   const IwloRule rule(params);
-  float log_odds = 0.0F;
+  std::int32_t units = 0;
   std::uint16_t count = 0;
   for (const Observation& seen : observations) {
     const double step =
         rule.is_return(seen.intensity)
-            ? rule.occupied_step(log_odds, count, rule.occupied_weight(seen.intensity))
-            : rule.free_step(log_odds, count);
-    rule.apply(seen.factor * step, log_odds, count);
-    CHECK_NEAR(log_odds, seen.expected, 2e-6);
+            ? rule.occupied_step(log_odds_of(units), count, rule.occupied_weight(seen.intensity))
+            : rule.free_step(log_odds_of(units), count);
+    rule.add(seen.factor * step, units, count);
+    CHECK_NEAR(log_odds_of(units), seen.expected, 2e-6);
   }
 }
 
@@ -78,9 +79,9 @@ TEST_CASE("protect_occupied off leaves free steps unscaled") {
 TEST_CASE("counts stop, without loss, where alpha has settled") {
   const IwloRule rule(set_a());
   CHECK(rule.settled_count() == 90);
-  float log_odds = 0.0F;
+  std::int32_t units = 0;
   std::uint16_t count = 0;
-  for (int i = 0; i < 1000; ++i) rule.apply(0.0, log_odds, count);
+  for (int i = 0; i < 1000; ++i) rule.add(0.0, units, count);
   CHECK(count == 90);
   CHECK_NEAR(rule.free_step(0.0, 90), -0.3, 1e-12);
   CHECK(rule.free_step(0.0, 89) < rule.free_step(0.0, 90));
@@ -98,13 +99,34 @@ TEST_CASE("a threshold at full scale gives no NaN") {
 
 TEST_CASE("log-odds stay inside the clamps") {
   const IwloRule rule(set_a());
-  float log_odds = 0.0F;
+  std::int32_t units = 0;
   std::uint16_t count = 0;
-  for (int i = 0; i < 10000; ++i)
-    rule.apply(rule.occupied_step(log_odds, count, 1), log_odds, count);
-  CHECK(log_odds == 10.0F);
-  for (int i = 0; i < 10000; ++i) rule.apply(rule.free_step(log_odds, count), log_odds, count);
-  CHECK(log_odds == -10.0F);
+  for (int i = 0; i < 10000; ++i) {
+    rule.add(rule.occupied_step(log_odds_of(units), count, 1), units, count);
+  }
+  CHECK(log_odds_of(units) == 10.0);
+  for (int i = 0; i < 10000; ++i) rule.add_free(units, count);
+  CHECK(log_odds_of(units) == -10.0);
+}
+
+TEST_CASE("free steps taken together are free steps one by one, to the bit") {
+  IwloParams params;
+  params.decay_rate = 0.037;
+  const IwloRule rule(params);
+  for (const std::int32_t start : {0, -12345, mapperd::units_of(-9.5)}) {
+    for (std::uint16_t seen = 0; seen <= rule.settled_count();
+         seen = static_cast<std::uint16_t>(seen + 7)) {
+      std::int32_t one_by_one = start;
+      std::uint16_t count = seen;
+      for (std::uint32_t times = 0; times < 400; ++times) {
+        std::int32_t together = start;
+        std::uint16_t together_count = seen;
+        rule.add_unscaled_free(together, together_count, times);
+        CHECK(together == one_by_one && together_count == count);
+        rule.add_free(one_by_one, count);
+      }
+    }
+  }
 }
 
 TEST_CASE("parameters out of range are refused by name") {

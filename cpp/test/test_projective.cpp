@@ -27,13 +27,9 @@ struct Agreement {
 
 std::set<Voxel> known_voxels(const VoxelMap& map) {
   std::set<Voxel> known;
-  for (const mapperd::Block* block : map.sorted_blocks()) {
-    for (int i = 0; i < mapperd::kBlockVoxels; ++i) {
-      if (block->count[static_cast<std::size_t>(i)] == 0) continue;
-      known.insert({block->key.x * 8LL + i % 8, block->key.y * 8LL + i / 8 % 8,
-                    block->key.z * 8LL + i / 64});
-    }
-  }
+  map.for_each_known([&known](const mapperd::VoxelIndex& v, const mapperd::VoxelState&) {
+    known.insert({v.x, v.y, v.z});
+  });
   return known;
 }
 
@@ -260,9 +256,9 @@ TEST_CASE("no intensity brings a NaN into the map") {
   for (std::size_t i = 0; i < ping.intensity.size(); ++i) ping.intensity[i] = values[i % 6];
   for (int i = 0; i < 5; ++i) mapperd::integrate_projective(map, ping.image(), {}, {});
   CHECK(map.block_count() > 0);
-  for (const mapperd::Block* block : map.sorted_blocks()) {
-    for (const float value : block->log_odds) CHECK(std::isfinite(value));
-  }
+  map.for_each_known([](const mapperd::VoxelIndex&, const mapperd::VoxelState& state) {
+    CHECK(std::abs(state.log_odds) <= 10.0F);
+  });
 }
 
 TEST_CASE("looking at nothing creates no block") {

@@ -1,3 +1,4 @@
+#include <array>
 #include <limits>
 #include <map>
 #include <stdexcept>
@@ -8,42 +9,32 @@
 
 namespace {
 
-using mapperd::BlockKey;
+using mapperd::VoxelIndex;
 using mapperd::VoxelMap;
 
-TEST_CASE("blocks are found again among thousands, near and far") {
+TEST_CASE("voxels are found again among thousands of blocks, near and far") {
   VoxelMap map(0.05, {});
   scenes::Random random(3);
   std::map<std::array<int, 3>, float> expected;
-  for (int i = 0; i < 20000; ++i) {
-    const int spread = i % 2 == 0 ? 20 : mapperd::kMaxBlock;
+  for (int i = 0; i < 4000; ++i) {
+    const int spread = i % 2 == 0 ? 100 : mapperd::kMaxBlock;
     const std::array<int, 3> at{random.integer(-spread, spread), random.integer(-spread, spread),
                                 random.integer(-spread, spread)};
-    const auto value = static_cast<float>(i);
-    map.get_or_create({at[0], at[1], at[2]}).log_odds[5] = value;
+    const float value = static_cast<float>(i) / 512.0F;
+    map.set({at[0], at[1], at[2]}, {value, 1});
     expected[at] = value;
   }
-  CHECK(map.block_count() == expected.size());
   for (const auto& [at, value] : expected) {
-    const mapperd::Block* block = map.find({at[0], at[1], at[2]});
-    CHECK(block != nullptr && block->log_odds[5] == value);
+    CHECK_NEAR(map.at(VoxelIndex{at[0], at[1], at[2]}).log_odds, value, 1e-6);
+    CHECK(map.at(map.centre_of({at[0], at[1], at[2]})).count == 1);
   }
-  CHECK(map.find({12345, 1, 1}) == nullptr);
-  CHECK(map.memory_bytes() > expected.size() * sizeof(mapperd::Block));
+  std::size_t known = 0;
+  map.for_each_known([&known](const VoxelIndex&, const mapperd::VoxelState&) { ++known; });
+  CHECK(known == expected.size());
+  CHECK(map.at(VoxelIndex{1, 1, 12345}).count == 0);
+  CHECK(map.memory_bytes() > map.block_count() * sizeof(mapperd::DenseVoxels));
   map.clear();
-  CHECK(map.block_count() == 0 && map.find({0, 0, 0}) == nullptr);
-}
-
-TEST_CASE("a voxel's centre leads back to the voxel") {
-  VoxelMap map(0.05, {});
-  scenes::Random random(4);
-  for (int i = 0; i < 1000; ++i) {
-    const BlockKey key{random.integer(-100000, 100000), random.integer(-9, 9), -1};
-    const int offset = random.integer(0, mapperd::kBlockVoxels - 1);
-    mapperd::Block& block = map.get_or_create(key);
-    block.log_odds[static_cast<std::size_t>(offset)] = static_cast<float>(i + 1);
-    CHECK(map.at(map.voxel_centre(key, offset)).log_odds == static_cast<float>(i + 1));
-  }
+  CHECK(map.block_count() == 0);
 }
 
 TEST_CASE("points and blocks beyond the reach are unknown or refused") {

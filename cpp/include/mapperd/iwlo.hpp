@@ -1,6 +1,7 @@
 // The Intensity-Weighted Log-Odds rule: the one place where evidence becomes log-odds.
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 #include <vector>
 
@@ -23,8 +24,16 @@ struct IwloParams {
   bool protect_occupied = true;  // false: free steps are never scaled down
 };
 
-// What one ping says about one voxel.
-enum class Evidence : std::uint8_t { none, free, occupied, mixed };
+// Log-odds are held in whole units of 2^-24. Sums of whole numbers do not depend on their order,
+// so free steps that are kept pending, or applied to many voxels at once, give the same bits as
+// free steps applied one by one. 32 bits reach to +-127.
+inline constexpr double kLogOddsUnit = 0x1p-24;
+inline constexpr double kMaxLogOdds = 127.0;
+
+inline double log_odds_of(std::int32_t units) { return kLogOddsUnit * units; }
+inline std::int32_t units_of(double log_odds) {
+  return static_cast<std::int32_t>(std::lround(log_odds / kLogOddsUnit));
+}
 
 class IwloRule {
  public:
@@ -46,15 +55,35 @@ class IwloRule {
   double occupied_step(double log_odds, std::uint16_t count, double weight) const;
   double free_step(double log_odds, std::uint16_t count) const;
 
-  // Adds a step, clamps, and counts the observation. Float32 holds the state: its resolution at
-  // the clamps (1e-6) is a hundredth of the accuracy asked of the integrators.
-  void apply(double step, float& log_odds, std::uint16_t& count) const;
+  // Adds a step, clamps, and counts the observation.
+  void add(double step, std::int32_t& units, std::uint16_t& count) const;
+
+  // One free step; the same as `times` = 1 below, but for any voxel.
+  void add_free(std::int32_t& units, std::uint16_t& count) const {
+    if (is_unscaled(units)) {
+      add_unscaled_free(units, count, 1);
+    } else {
+      add(free_step(log_odds_of(units), count), units, count);
+    }
+  }
+
+  // Below this the free step does not depend on the log-odds, and free steps telescope.
+  bool is_unscaled(std::int32_t units) const { return units <= unscaled_up_to_; }
+  void add_unscaled_free(std::int32_t& units, std::uint16_t& count, std::uint32_t times) const;
+
+  std::int32_t min_units() const { return min_units_; }
+  std::int32_t max_units() const { return max_units_; }
 
  private:
   double alpha(std::uint16_t count) const;
 
   IwloParams params_;
   std::vector<double> alpha_;  // by count, up to the settled count
+  std::int32_t min_units_;
+  std::int32_t max_units_;
+  std::int32_t unscaled_up_to_;
+  std::int64_t settled_free_step_;            // units a ping once alpha has settled
+  std::vector<std::int64_t> free_steps_sum_;  // of the first n free steps, n up to settled
 };
 
 }  // namespace mapperd

@@ -1,37 +1,17 @@
-// The map: a hash of blocks of 8x8x8 voxels, each with log-odds and an observation count.
+// The map: a hash of blocks of voxels, each with log-odds and an observation count.
 #pragma once
 
-#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
 #include <functional>
 #include <vector>
 
+#include "mapperd/block.hpp"
 #include "mapperd/iwlo.hpp"
 #include "mapperd/vec.hpp"
 
 namespace mapperd {
-
-inline constexpr int kBlockEdge = 8;
-inline constexpr int kBlockVoxels = kBlockEdge * kBlockEdge * kBlockEdge;
-
-// Block coordinates stay within +-kMaxBlock, so that voxel indices and sums of them fit easily.
-inline constexpr std::int32_t kMaxBlock = 1 << 30;
-
-struct BlockKey {
-  std::int32_t x = 0;
-  std::int32_t y = 0;
-  std::int32_t z = 0;
-
-  friend bool operator==(const BlockKey& a, const BlockKey& b) {
-    return a.x == b.x && a.y == b.y && a.z == b.z;
-  }
-  friend bool operator<(const BlockKey& a, const BlockKey& b) {
-    if (a.x != b.x) return a.x < b.x;
-    return a.y != b.y ? a.y < b.y : a.z < b.z;
-  }
-};
 
 // A voxel of the map: it spans index to index + 1 times the resolution along each axis.
 struct VoxelIndex {
@@ -42,18 +22,6 @@ struct VoxelIndex {
   friend bool operator==(const VoxelIndex& a, const VoxelIndex& b) {
     return a.x == b.x && a.y == b.y && a.z == b.z;
   }
-};
-
-// Index of a voxel inside its block, x fastest.
-inline int voxel_offset(int x, int y, int z) { return x + kBlockEdge * (y + kBlockEdge * z); }
-
-// Structure of arrays. A voxel with count 0 was never observed.
-struct Block {
-  explicit Block(const BlockKey& block_key) : key(block_key) {}
-
-  BlockKey key;
-  std::array<float, kBlockVoxels> log_odds{};
-  std::array<std::uint16_t, kBlockVoxels> count{};
 };
 
 struct VoxelState {
@@ -71,6 +39,10 @@ class VoxelMap {
 
   std::size_t block_count() const { return blocks_.size(); }
   std::size_t memory_bytes() const;  // blocks and hash table
+
+  // Counts up with every change of the map; a block's revision tells when it last changed.
+  std::uint64_t revision() const { return revision_; }
+  std::uint64_t next_revision() { return ++revision_; }
 
   // Throws std::out_of_range when the key lies beyond +-kMaxBlock.
   Block& get_or_create(const BlockKey& key);
@@ -93,13 +65,8 @@ class VoxelMap {
   void for_each_known(const Visit& visit) const {
     for (const Block* block : sorted_blocks()) {
       for (int i = 0; i < kBlockVoxels; ++i) {
-        const auto at = static_cast<std::size_t>(i);
-        if (block->count[at] == 0) continue;
-        const VoxelIndex voxel{
-            block->key.x * std::int64_t{kBlockEdge} + i % kBlockEdge,
-            block->key.y * std::int64_t{kBlockEdge} + i / kBlockEdge % kBlockEdge,
-            block->key.z * std::int64_t{kBlockEdge} + i / (kBlockEdge * kBlockEdge)};
-        visit(voxel, VoxelState{block->log_odds[at], block->count[at]});
+        const Voxel voxel = block->voxel(rule_, i);
+        if (voxel.count != 0) visit(index_of(block->key, i), state_of(voxel));
       }
     }
   }
@@ -107,8 +74,10 @@ class VoxelMap {
   // Blocks ordered by key: the map's canonical order.
   std::vector<const Block*> sorted_blocks() const;
 
-  // Centre of a voxel in the map frame.
-  Vec3 voxel_centre(const BlockKey& key, int offset) const;
+  static VoxelIndex index_of(const BlockKey& key, int offset);
+  static VoxelState state_of(const Voxel& voxel) {
+    return {static_cast<float>(log_odds_of(voxel.units)), voxel.count};
+  }
 
   void clear();
 
@@ -120,6 +89,7 @@ class VoxelMap {
 
   double resolution_m_;
   IwloRule rule_;
+  std::uint64_t revision_ = 0;
   std::deque<Block> blocks_;          // references stay valid while blocks are added
   std::vector<std::uint32_t> slots_;  // open addressing, a power of two, at most half full
 };

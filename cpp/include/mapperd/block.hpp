@@ -1,0 +1,79 @@
+// A block of 16 x 16 x 16 voxels, in as little memory as its content needs.
+//
+// Space that is wholly free, or seen alike throughout, is one state for all voxels. A block that a
+// surface crosses holds every voxel; free pings over the whole of it are only counted, as long as
+// every voxel's free step is independent of its log-odds, and applied when somebody opens it.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+
+#include "mapperd/iwlo.hpp"
+
+namespace mapperd {
+
+inline constexpr int kBlockEdge = 16;
+inline constexpr int kBlockShift = 4;
+inline constexpr int kBlockVoxels = kBlockEdge * kBlockEdge * kBlockEdge;
+
+// Block coordinates stay within +-kMaxBlock, so that voxel indices and sums of them fit easily.
+inline constexpr std::int32_t kMaxBlock = 1 << 30;
+
+struct BlockKey {
+  std::int32_t x = 0;
+  std::int32_t y = 0;
+  std::int32_t z = 0;
+
+  friend bool operator==(const BlockKey& a, const BlockKey& b) {
+    return a.x == b.x && a.y == b.y && a.z == b.z;
+  }
+  friend bool operator<(const BlockKey& a, const BlockKey& b) {
+    if (a.x != b.x) return a.x < b.x;
+    return a.y != b.y ? a.y < b.y : a.z < b.z;
+  }
+};
+
+// Index of a voxel inside its block, x fastest.
+inline int voxel_offset(int x, int y, int z) { return x + kBlockEdge * (y + kBlockEdge * z); }
+
+// A voxel with count 0 was never observed.
+struct Voxel {
+  std::int32_t units = 0;  // log-odds in kLogOddsUnit
+  std::uint16_t count = 0;
+};
+
+// Every voxel of a block, structure of arrays.
+struct DenseVoxels {
+  std::array<std::int32_t, kBlockVoxels> units;
+  std::array<std::uint16_t, kBlockVoxels> count;
+};
+
+class Block {
+ public:
+  explicit Block(const BlockKey& block_key) : key(block_key) {}
+
+  BlockKey key;
+  std::uint64_t revision = 0;  // of the map, when this block last changed
+
+  // One free observation of every voxel; false when nothing changed, all being settled. O(1)
+  // unless a voxel is believed occupied.
+  bool add_free_everywhere(const IwloRule& rule);
+
+  // The voxels themselves, to be changed; call close() after it.
+  DenseVoxels& open(const IwloRule& rule);
+  void close(const IwloRule& rule);
+
+  Voxel voxel(const IwloRule& rule, int offset) const;
+  bool is_dense() const { return dense_ != nullptr; }
+  std::size_t memory_bytes() const;
+
+ private:
+  Voxel uniform_;  // all voxels, unless dense_
+  bool all_unscaled_ = true;
+  std::uint32_t pending_ = 0;  // free steps not yet applied to dense_
+  std::unique_ptr<DenseVoxels> dense_;
+};
+
+}  // namespace mapperd

@@ -1,0 +1,70 @@
+#include "mapperd/block.hpp"
+
+#include <algorithm>
+
+namespace mapperd {
+namespace {
+
+// What malloc adds to an allocation of this size, in glibc.
+constexpr std::size_t kAllocationOverhead = 16;
+
+}  // namespace
+
+bool Block::add_free_everywhere(const IwloRule& rule) {
+  if (dense_ == nullptr) {
+    const Voxel before = uniform_;
+    rule.add_free(uniform_.units, uniform_.count);
+    return uniform_.units != before.units || uniform_.count != before.count;
+  }
+  if (all_unscaled_) {
+    ++pending_;
+    return true;
+  }
+  for (std::size_t i = 0; i < kBlockVoxels; ++i) rule.add_free(dense_->units[i], dense_->count[i]);
+  close(rule);
+  return true;
+}
+
+DenseVoxels& Block::open(const IwloRule& rule) {
+  if (dense_ == nullptr) {
+    dense_ = std::make_unique<DenseVoxels>();
+    dense_->units.fill(uniform_.units);
+    dense_->count.fill(uniform_.count);
+  } else if (pending_ > 0) {
+    for (std::size_t i = 0; i < kBlockVoxels; ++i) {
+      rule.add_unscaled_free(dense_->units[i], dense_->count[i], pending_);
+    }
+  }
+  pending_ = 0;
+  return *dense_;
+}
+
+void Block::close(const IwloRule& rule) {
+  const auto& units = dense_->units;
+  const auto& count = dense_->count;
+  const Voxel first{units[0], count[0]};
+  std::int32_t highest = units[0];
+  bool alike = true;
+  for (std::size_t i = 0; i < kBlockVoxels; ++i) {
+    highest = std::max(highest, units[i]);
+    alike = alike && units[i] == first.units && count[i] == first.count;
+  }
+  all_unscaled_ = rule.is_unscaled(highest);
+  if (!alike) return;
+  uniform_ = first;
+  dense_.reset();
+}
+
+Voxel Block::voxel(const IwloRule& rule, int offset) const {
+  if (dense_ == nullptr) return uniform_;
+  const auto i = static_cast<std::size_t>(offset);
+  Voxel voxel{dense_->units[i], dense_->count[i]};
+  if (pending_ > 0) rule.add_unscaled_free(voxel.units, voxel.count, pending_);
+  return voxel;
+}
+
+std::size_t Block::memory_bytes() const {
+  return sizeof(Block) + (dense_ == nullptr ? 0 : sizeof(DenseVoxels) + kAllocationOverhead);
+}
+
+}  // namespace mapperd

@@ -1,0 +1,102 @@
+// Blocks: however the content is held, it is the same to the bit.
+#include <vector>
+
+#include "check.hpp"
+#include "mapperd/block.hpp"
+#include "scenes.hpp"
+
+namespace {
+
+using mapperd::Block;
+using mapperd::IwloParams;
+using mapperd::IwloRule;
+using mapperd::Voxel;
+
+// The same block, every voxel on its own.
+class Plain {
+ public:
+  explicit Plain(const IwloRule& rule) : voxels(mapperd::kBlockVoxels), rule_(rule) {}
+  void free_everywhere() {
+    for (Voxel& voxel : voxels) rule_.add_free(voxel.units, voxel.count);
+  }
+  std::vector<Voxel> voxels;
+
+ private:
+  const IwloRule& rule_;
+};
+
+void check_equal(const Block& block, const Plain& plain, const IwloRule& rule) {
+  for (int i = 0; i < mapperd::kBlockVoxels; ++i) {
+    const Voxel a = block.voxel(rule, i);
+    const Voxel& b = plain.voxels[static_cast<std::size_t>(i)];
+    CHECK(a.units == b.units && a.count == b.count);
+  }
+}
+
+void run_random_updates(const IwloParams& params, std::uint64_t seed) {
+  const IwloRule rule(params);
+  scenes::Random random(seed);
+  Block block({0, 0, 0});
+  Plain plain(rule);
+  for (int ping = 0; ping < 400; ++ping) {
+    if (random.uniform(0, 1) < 0.8) {
+      block.add_free_everywhere(rule);
+      plain.free_everywhere();
+    } else {
+      auto& voxels = block.open(rule);
+      const int updates = random.integer(1, 40);
+      for (int i = 0; i < updates; ++i) {
+        const auto at = static_cast<std::size_t>(random.integer(0, mapperd::kBlockVoxels - 1));
+        const double weight = random.uniform(0, 1);
+        const auto step = [&](const Voxel& v) {
+          return rule.occupied_step(mapperd::log_odds_of(v.units), v.count, weight);
+        };
+        rule.add(step({voxels.units[at], voxels.count[at]}), voxels.units[at], voxels.count[at]);
+        rule.add(step(plain.voxels[at]), plain.voxels[at].units, plain.voxels[at].count);
+      }
+      block.close(rule);
+    }
+    if (ping % 40 == 0) check_equal(block, plain, rule);
+  }
+  check_equal(block, plain, rule);
+}
+
+TEST_CASE("pending, opened and uniform blocks hold the same bits as plain voxels") {
+  IwloParams params;
+  run_random_updates(params, 1);
+  params.adaptive_threshold = 0.3;
+  run_random_updates(params, 2);
+  params.adaptive_threshold = 0.8;
+  run_random_updates(params, 3);
+  params.adaptive_threshold = 1.0;
+  run_random_updates(params, 4);
+  params.adaptive_update = false;
+  run_random_updates(params, 5);
+  params = {};
+  params.decay_rate = 0;
+  run_random_updates(params, 6);
+}
+
+TEST_CASE("free space costs one state a block, and a settled one does not change") {
+  const IwloRule rule{IwloParams{}};
+  Block block({0, 0, 0});
+  for (int i = 0; i < 90; ++i) CHECK(block.add_free_everywhere(rule));
+  CHECK(!block.is_dense());
+  CHECK(block.memory_bytes() < 100);
+  CHECK(!block.add_free_everywhere(rule));
+}
+
+TEST_CASE("a block that ends up free throughout gives its memory back") {
+  const IwloRule rule{IwloParams{}};
+  Block block({0, 0, 0});
+  auto& voxels = block.open(rule);
+  rule.add(0.5, voxels.units[77], voxels.count[77]);
+  block.close(rule);
+  CHECK(block.is_dense());
+  for (int i = 0; i < 1000; ++i) block.add_free_everywhere(rule);
+  block.open(rule);
+  block.close(rule);
+  CHECK(!block.is_dense());
+}
+
+}  // namespace
