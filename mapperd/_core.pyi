@@ -4,7 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 BLOCK_EDGE: int
-"""Voxels along one edge of a block (8)."""
+"""Voxels along one edge of a block."""
+
+LOG_ODDS_UNIT: float
+"""Log-odds are held in whole units of this, 2**-24."""
 
 class IwloParams:
     """The IWLO rule's constants (seed names; `iwlo.*`, `adaptive.*`, `filtering.*`).
@@ -53,7 +56,7 @@ class PingStats:
     blocks_created: int
 
 class VoxelMap:
-    """Hash of 8x8x8 blocks of voxels: log-odds (float32) and observation count (uint16).
+    """Hash of blocks of voxels: log-odds (whole units of 2**-24) and observation counts.
 
     Raises:
         ValueError: `resolution_m` is not finite and positive.
@@ -62,6 +65,10 @@ class VoxelMap:
     def __init__(self, resolution_m: float, iwlo: IwloParams) -> None: ...
     @property
     def resolution_m(self) -> float: ...
+    @property
+    def revision(self) -> int:
+        """Counts up with every change of the map."""
+
     @property
     def block_count(self) -> int: ...
     @property
@@ -117,8 +124,14 @@ class VoxelMap:
             centres (N, 3) in metres in the map frame, log-odds (N,), observation counts (N,).
         """
 
-    def blocks(self) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.uint16]]:
-        """All blocks, sorted by key: keys (M, 3), log-odds and counts (M, 512), x fastest."""
+    def blocks(
+        self, begin: int = 0, count: int = ...
+    ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.uint16]]:
+        """A slice of the blocks, sorted by key.
+
+        Returns:
+            keys (M, 3), log-odds in LOG_ODDS_UNIT and counts, both (M, BLOCK_EDGE**3), x fastest.
+        """
 
     def query(
         self, points_m: NDArray[np.float64]
@@ -129,7 +142,155 @@ class VoxelMap:
         """The map as an OctoMap binary tree: occupied above, free below, the rest unknown.
 
         Raises:
-            ValueError: a voxel lies outside OctoMap's 16-bit reach.
+            ValueError: the limits are out of order.
+            IndexError: a voxel lies outside OctoMap's 16-bit reach.
         """
+
+    def octomap_ot(self) -> bytes:
+        """The map as a full OctoMap tree: the log-odds of every known voxel, without counts.
+
+        Raises:
+            IndexError: a voxel lies outside OctoMap's 16-bit reach.
+        """
+
+    def load_octomap(self, data: bytes, *, max_voxels: int = ...) -> None:
+        """Make the map's content that of a `.bt` or `.ot` file.
+
+        Every count becomes 1. Log-odds are clamped to L_min and L_max; those of a `.bt` are
+        OctoMap's own, -2 for free and 3.5 for occupied, within L_min and L_max.
+
+        Args:
+            data: the whole file.
+            max_voxels: limit of memory: all voxels of each cube of 16^3 that the tree touches.
+                By default 2^28, about 1.6 GB.
+
+        Raises:
+            ValueError: no whole tree of this resolution, or over `max_voxels`; the text says what
+                and at which byte. The map is as before.
+        """
+
+    def known_count(self) -> int:
+        """Voxels that were ever observed."""
+
+    def classify(
+        self, points_m: NDArray[np.float64], occupied_log_odds: float, free_log_odds: float
+    ) -> NDArray[np.int8]:
+        """1 occupied (above), 0 free (below), -1 unknown, at points (N, 3).
+
+        Raises:
+            ValueError: points that are not finite; free_log_odds above occupied_log_odds.
+        """
+
+    def classify_box(
+        self,
+        low_m: NDArray[np.float64],
+        high_m: NDArray[np.float64],
+        occupied_log_odds: float,
+        free_log_odds: float,
+    ) -> tuple[NDArray[np.int8], NDArray[np.float64]]:
+        """The same for all voxels whose centres lie in low <= centre < high.
+
+        Returns:
+            (nx, ny, nz), and the centre (3,) of the first voxel.
+
+        Raises:
+            ValueError: corners not finite or not in order; over 2**27 voxels.
+        """
+
+    def ray_cast_depth(
+        self,
+        origins_m: NDArray[np.float64],
+        directions: NDArray[np.float64],
+        max_range_m: float,
+        occupied_log_odds: float,
+    ) -> NDArray[np.float64]:
+        """Distances (N,) to where rays enter the first occupied voxel; -1 where they meet none.
+
+        Raises:
+            ValueError: not finite, a direction of length 0, a range over a million voxels.
+        """
+
+    def distance_field(
+        self,
+        low_m: NDArray[np.float64],
+        high_m: NDArray[np.float64],
+        max_distance_m: float,
+        occupied_log_odds: float,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+        """Distances between voxel centres, to the nearest occupied voxel, truncated.
+
+        Returns:
+            (nx, ny, nz) in metres, and the centre (3,) of the first voxel.
+
+        Raises:
+            ValueError: bad corners, max_distance_m not above 0 or over 255 voxels, over 2**27
+                voxels in the box with max_distance_m around it.
+        """
+
+    def distance_slice(
+        self,
+        low_m: NDArray[np.float64],
+        high_m: NDArray[np.float64],
+        z_m: float,
+        max_distance_m: float,
+        occupied_log_odds: float,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+        """The layer that holds z_m, (nx, ny, 1); corners (2,)."""
+
+    def occupied_in(
+        self, low_m: NDArray[np.float64], high_m: NDArray[np.float64], occupied_log_odds: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.uint16]]:
+        """Occupied voxels of a box: centres (N, 3), log-odds (N,), counts (N,)."""
+
+    def observe(
+        self,
+        points_m: NDArray[np.float64],
+        intensities: NDArray[np.float64],
+        occupied: NDArray[np.bool_],
+        weights: NDArray[np.float64] | None = None,
+    ) -> None:
+        """One IWLO observation a point, in their order; weights (N,) multiply the steps.
+
+        Raises:
+            ValueError: wrong shapes, not finite, negative, beyond the reach; nothing is changed.
+        """
+
+    def add_log_odds(
+        self,
+        points_m: NDArray[np.float64],
+        steps: NDArray[np.float64],
+        *,
+        low: float,
+        high: float,
+    ) -> None:
+        """Add steps (N,); they stop at low and high. Raises as `observe`."""
+
+    def set_log_odds(self, points_m: NDArray[np.float64], log_odds: NDArray[np.float64]) -> None:
+        """Set values (N,), inside the map's clamps. Raises as `observe`."""
+
+    def add_ray(
+        self,
+        origin_m: NDArray[np.float64],
+        end_m: NDArray[np.float64],
+        *,
+        hit: float,
+        miss: float,
+        low: float,
+        high: float,
+    ) -> None:
+        """Step `miss` in the voxels of a segment, `hit` in its last. Raises as `observe`."""
+
+    def merge(self, *others: VoxelMap) -> None:
+        """Add the evidence of other maps: log-odds summed, then clamped; counts summed, saturated.
+
+        Neither the order of the others, nor which of all the maps takes them, changes the result.
+
+        Raises:
+            ValueError: another resolution, clamp or settled count, or the map itself; nothing is
+                changed.
+        """
+
+    def with_rule(self, iwlo: IwloParams) -> VoxelMap:
+        """A copy under another rule: log-odds inside its clamps, counts up to its settled one."""
 
     def clear(self) -> None: ...

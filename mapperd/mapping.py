@@ -3,6 +3,7 @@
 import hashlib
 import math
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,13 +18,16 @@ from mapperd.frames import pose_from_rpy
 
 __all__ = ["MapCounts", "SonarMap", "Voxels", "iwlo_params"]
 
-HASH_VERSION = 1
+HASH_VERSION = 2
 """Part of the fingerprint: another layout of its input is another version."""
+
+BLOCKS_AT_ONCE = 1024
 
 MAX_FAN_VOXELS = 500_000_000
 """A fan with more voxels than this would take gigabytes for a single ping."""
 
 Floats = NDArray[np.float64]
+Blocks = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.uint16]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +75,11 @@ class SonarMap:
             (position.x, position.y, position.z), (angles.roll, angles.pitch, angles.yaw)
         )
         self._base_T_sonar = mounting.map_T_base
+
+    @property
+    def core(self) -> _core.VoxelMap:
+        """The one store of voxels, for what reads or writes it without a ping."""
+        return self._map
 
     @property
     def resolution_m(self) -> float:
@@ -141,27 +150,33 @@ class SonarMap:
 
     def counts(self) -> MapCounts:
         """Observed voxels by class."""
-        _, log_odds, count = self._map.blocks()
-        known = log_odds[count > 0].astype(np.float64)  # compare as the core does
-        occupied = int(np.count_nonzero(known > self._occupied_log_odds))
-        free = int(np.count_nonzero(known < self._free_log_odds))
-        return MapCounts(occupied, free, known.size - occupied - free)
+        occupied = free = known = 0
+        for _, units, count in self._block_slices():
+            log_odds = (units[count > 0] * _core.LOG_ODDS_UNIT).astype(np.float32)
+            occupied += int(np.count_nonzero(log_odds > self._occupied_log_odds))
+            free += int(np.count_nonzero(log_odds < self._free_log_odds))
+            known += log_odds.size
+        return MapCounts(occupied, free, known - occupied - free)
+
+    def _block_slices(self) -> Iterator[Blocks]:
+        """All blocks, some at a time: written out in full they are larger than the map."""
+        for begin in range(0, self._map.block_count, BLOCKS_AT_ONCE):
+            yield self._map.blocks(begin, BLOCKS_AT_ONCE)
 
     def sha256(self) -> str:
         """Fingerprint of the content: equal maps have equal ones, on every machine.
 
         The hash runs over a header (name, version, resolution) and, for every block with an
-        observed voxel in order of its key: keys as int32, log-odds as float32, counts as uint16,
-        all little endian; unobserved voxels are zeros.
+        observed voxel in order of its key: key as int32, log-odds in units of 2**-24 as int32,
+        counts as uint16, all little endian; unobserved voxels are zeros.
         """
-        keys, log_odds, count = self._map.blocks()
-        seen = (count > 0).any(axis=1)
-        keys, log_odds, count = keys[seen], log_odds[seen], count[seen]
-        known = np.where(count > 0, log_odds, np.float32(0)) + np.float32(0)  # and no -0
         digest = hashlib.sha256(b"mapperd map\0")
-        digest.update(struct.pack("<IdQ", HASH_VERSION, self.resolution_m, len(keys)))
-        for array, kind in ((keys, "<i4"), (known, "<f4"), (count, "<u2")):
-            digest.update(np.ascontiguousarray(array, dtype=kind).data)
+        digest.update(struct.pack("<Id", HASH_VERSION, self.resolution_m))
+        for keys, units, count in self._block_slices():
+            for i in np.flatnonzero((count > 0).any(axis=1)):
+                known = np.where(count[i] > 0, units[i], 0)
+                for array, kind in ((keys[i], "<i4"), (known, "<i4"), (count[i], "<u2")):
+                    digest.update(np.ascontiguousarray(array, dtype=kind).data)
         return digest.hexdigest()
 
     def octomap_bt(self) -> bytes:
@@ -174,6 +189,33 @@ class SonarMap:
             return self._map.octomap_bt(self._occupied_log_odds, self._free_log_odds)
         except (ValueError, IndexError, OverflowError) as error:
             raise MapError(str(error), "out_of_reach") from error
+
+    def octomap_ot(self) -> bytes:
+        """The map as a full OctoMap tree: log-odds of all observed voxels, without counts.
+
+        Raises:
+            MapError: a voxel lies outside OctoMap's reach of 32768 voxels from the origin.
+        """
+        try:
+            return self._map.octomap_ot()
+        except IndexError as error:
+            raise MapError(str(error), "out_of_reach") from error
+
+    def load_octomap(self, data: bytes) -> None:
+        """Replace the map's content by that of an OctoMap file, `.bt` or `.ot`.
+
+        The file does not know how often a voxel was observed: counts become 1. A `.bt` has classes
+        only; free becomes log-odds -2 and occupied 3.5 (probabilities 0.12 and 0.97), which
+        thresholds further out would call uncertain.
+
+        Raises:
+            MapError: not a whole tree of this map's resolution, or one too large; the text says
+                what and at which byte. The map is as before.
+        """
+        try:
+            self._map.load_octomap(data)
+        except ValueError as error:
+            raise MapError(str(error), "bad_octomap_file") from error
 
     @property
     def _occupied_log_odds(self) -> float:

@@ -7,6 +7,10 @@
 PYBIND11_MODULE(_core, module) {
   module.doc() = "The C++ map core of mapperd.";
   module.attr("BLOCK_EDGE") = mapperd::kBlockEdge;
+  module.attr("LOG_ODDS_UNIT") = mapperd::kLogOddsUnit;
   mapperd::bind::bind_iwlo(module);
   mapperd::bind::bind_map(module);
+  mapperd::bind::bind_octomap(module);
+  mapperd::bind::bind_queries(module);
+  mapperd::bind::bind_point_updates(module);
 }

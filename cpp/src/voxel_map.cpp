@@ -116,16 +116,37 @@ VoxelState VoxelMap::at(const VoxelIndex& voxel) const {
   return state_of(found->voxel(rule_, offset_of(voxel)));
 }
 
+Voxel VoxelMap::voxel_of(const VoxelState& state) const {
+  if (state.count == 0) return {};
+  const double log_odds =
+      std::clamp<double>(state.log_odds, rule_.params().L_min, rule_.params().L_max);
+  return {units_of(log_odds), std::min(state.count, rule_.settled_count())};
+}
+
 void VoxelMap::set(const VoxelIndex& voxel, const VoxelState& state) {
   BlockKey key;
   if (!block_of(voxel, key)) throw std::out_of_range("the voxel lies beyond the map's reach");
   Block& block = get_or_create(key);
   DenseVoxels& voxels = block.open(rule_);
   const auto offset = static_cast<std::size_t>(offset_of(voxel));
-  const double log_odds =
-      std::clamp<double>(state.log_odds, rule_.params().L_min, rule_.params().L_max);
-  voxels.units[offset] = state.count == 0 ? 0 : units_of(log_odds);
-  voxels.count[offset] = std::min(state.count, rule_.settled_count());
+  const Voxel updated = voxel_of(state);
+  voxels.units[offset] = updated.units;
+  voxels.count[offset] = updated.count;
+  block.close(rule_);
+  block.revision = next_revision();
+}
+
+void VoxelMap::set_block(const BlockKey& key, const std::array<VoxelState, kBlockVoxels>& states) {
+  const auto observed = [](const VoxelState& state) { return state.count != 0; };
+  if (std::none_of(states.begin(), states.end(), observed)) return;
+  Block& block = get_or_create(key);
+  DenseVoxels& voxels = block.open(rule_);
+  for (std::size_t i = 0; i < states.size(); ++i) {
+    if (!observed(states[i])) continue;
+    const Voxel updated = voxel_of(states[i]);
+    voxels.units[i] = updated.units;
+    voxels.count[i] = updated.count;
+  }
   block.close(rule_);
   block.revision = next_revision();
 }

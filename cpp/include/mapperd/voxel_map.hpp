@@ -1,6 +1,7 @@
 // The map: a hash of blocks of voxels, each with log-odds and an observation count.
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
@@ -56,6 +57,9 @@ class VoxelMap {
   // Throws std::out_of_range beyond the map's reach.
   void set(const VoxelIndex& voxel, const VoxelState& state);
 
+  // The same for many voxels of one block at once; those with a count of 0 stay as they are.
+  void set_block(const BlockKey& key, const std::array<VoxelState, kBlockVoxels>& states);
+
   // The voxel that holds a point; false beyond the map's reach and for points that are not finite.
   bool index_of(const Vec3& point_m, VoxelIndex& voxel) const;
   Vec3 centre_of(const VoxelIndex& voxel) const;
@@ -84,6 +88,7 @@ class VoxelMap {
  private:
   static constexpr std::uint32_t kEmpty = 0xFFFFFFFFU;
 
+  Voxel voxel_of(const VoxelState& state) const;
   std::size_t slot_of(const BlockKey& key) const;
   void grow();
 

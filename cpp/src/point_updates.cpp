@@ -1,0 +1,101 @@
+#include "mapperd/point_updates.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "mapperd/voxel_walk.hpp"
+
+namespace mapperd {
+namespace {
+
+std::vector<VoxelIndex> voxels_of(const VoxelMap& map, const Points& points) {
+  check_finite(points, "points_m");
+  std::vector<VoxelIndex> voxels(points.count);
+  for (std::size_t i = 0; i < points.count; ++i) {
+    if (!map.index_of(points[i], voxels[i])) {
+      throw std::invalid_argument("points_m: beyond the map's reach in row " + std::to_string(i));
+    }
+  }
+  return voxels;
+}
+
+void check_numbers(const double* values, std::size_t count, const char* name, double lowest) {
+  for (std::size_t i = 0; i < count; ++i) {
+    if (!(std::isfinite(values[i]) && values[i] >= lowest)) {
+      throw std::invalid_argument(std::string(name) + ": not a finite number in its range in row " +
+                                  std::to_string(i));
+    }
+  }
+}
+
+// One observation that leaves a voxel at the given log-odds.
+void put(VoxelMap& map, const VoxelIndex& voxel, const VoxelState& before, double log_odds) {
+  const IwloRule& rule = map.rule();
+  const double clamped = std::clamp(log_odds, rule.params().L_min, rule.params().L_max);
+  const int count = std::min<int>(before.count + 1, rule.settled_count());
+  map.set(voxel, {static_cast<float>(clamped), static_cast<std::uint16_t>(count)});
+}
+
+void add_step(VoxelMap& map, const VoxelIndex& voxel, double step, const StepLimits& limits) {
+  const VoxelState before = map.at(voxel);
+  const double sum = before.log_odds + step;
+  const double limit = step > 0 ? std::max<double>(limits.high, before.log_odds)
+                                : std::min<double>(limits.low, before.log_odds);
+  put(map, voxel, before, step > 0 ? std::min(sum, limit) : std::max(sum, limit));
+}
+
+}  // namespace
+
+void observe(VoxelMap& map, const ObservedPoints& observed) {
+  const std::size_t n = observed.points.count;
+  check_numbers(observed.intensity, n, "intensities", 0.0);
+  if (observed.step_factor != nullptr) check_numbers(observed.step_factor, n, "weights", 0.0);
+  const std::vector<VoxelIndex> voxels = voxels_of(map, observed.points);
+  const IwloRule& rule = map.rule();
+  for (std::size_t i = 0; i < n; ++i) {
+    const VoxelState before = map.at(voxels[i]);
+    const double step = observed.occupied[i]
+                            ? rule.occupied_step(before.log_odds, before.count,
+                                                 rule.occupied_weight(observed.intensity[i]))
+                            : rule.free_step(before.log_odds, before.count);
+    const double factor = observed.step_factor == nullptr ? 1.0 : observed.step_factor[i];
+    put(map, voxels[i], before, before.log_odds + factor * step);
+  }
+}
+
+void add_log_odds(VoxelMap& map, const Points& points, const double* steps,
+                  const StepLimits& limits) {
+  check_numbers(steps, points.count, "steps", -HUGE_VAL);
+  const std::vector<VoxelIndex> voxels = voxels_of(map, points);
+  for (std::size_t i = 0; i < points.count; ++i) add_step(map, voxels[i], steps[i], limits);
+}
+
+void set_log_odds(VoxelMap& map, const Points& points, const double* values) {
+  check_numbers(values, points.count, "log_odds", -HUGE_VAL);
+  const std::vector<VoxelIndex> voxels = voxels_of(map, points);
+  for (std::size_t i = 0; i < points.count; ++i) {
+    put(map, voxels[i], map.at(voxels[i]), values[i]);
+  }
+}
+
+void add_ray(VoxelMap& map, const Vec3& origin_m, const Vec3& end_m, double hit, double miss,
+             const StepLimits& limits) {
+  const double ends[] = {origin_m.x, origin_m.y, origin_m.z, end_m.x, end_m.y, end_m.z};
+  const std::vector<VoxelIndex> voxels = voxels_of(map, {ends, 2});
+  const double length_m = norm(end_m - origin_m);
+  if (!(length_m <= kMaxRayVoxels * map.resolution_m())) {
+    throw std::invalid_argument("a ray must not be longer than a million voxels");
+  }
+  if (!(voxels[0] == voxels[1])) {
+    VoxelWalk walk(map.resolution_m(), voxels[0], origin_m, unit_vector(end_m - origin_m));
+    for (; !(walk.voxel() == voxels[1]) && walk.entry_m() < length_m; walk.advance()) {
+      add_step(map, walk.voxel(), miss, limits);
+    }
+  }
+  add_step(map, voxels[1], hit, limits);
+}
+
+}  // namespace mapperd
