@@ -47,7 +47,7 @@ class Walk {
     const double cube_m = span * block_m_;
     const Vec3 centre = Vec3{(x + 0.5) * cube_m, (y + 0.5) * cube_m, (z + 0.5) * cube_m} - offset_;
     const Fan::Content content = fan_.verdict(centre, cube_m).content;
-    if (content == Fan::Content::nothing || content == Fan::Content::less_free) return;
+    if (content == Fan::Content::nothing) return;  // less than half free may hold free voxels
     if (level == 0) {
       ++stats_.blocks_visited;
       visit_block({x, y, z}, content);

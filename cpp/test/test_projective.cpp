@@ -216,6 +216,59 @@ TEST_CASE("the parts of all voxels add up to the volume of the fan") {
   }
 }
 
+// Each voxel of the sonar's surroundings on its own, without the walk from large cubes.
+std::map<Voxel, Class> classes_by_brute_force(const mapperd::PingImage& image,
+                                              const mapperd::Transform& pose, double s) {
+  const mapperd::FanSettings settings;
+  const mapperd::Fan fan(image, settings, mapperd::IwloRule{mapperd::IwloParams{}}, pose);
+  const auto reach = static_cast<std::int64_t>(image.max_range_m() / s) + 2;
+  const auto base = [s](double at) { return static_cast<std::int64_t>(std::floor(at / s)); };
+  const Voxel sonar{base(pose.translation.x), base(pose.translation.y), base(pose.translation.z)};
+  std::map<Voxel, Class> classes;
+  for (std::int64_t x = sonar[0] - reach; x <= sonar[0] + reach; ++x) {
+    for (std::int64_t y = sonar[1] - reach; y <= sonar[1] + reach; ++y) {
+      for (std::int64_t z = sonar[2] - reach; z <= sonar[2] + reach; ++z) {
+        const mapperd::Vec3 centre = centre_of({x, y, z}, s) - pose.translation;
+        const mapperd::Fan::Verdict verdict = fan.verdict(centre, s);
+        if (verdict.content == mapperd::Fan::Content::nothing) continue;
+        oracle::Parts parts{0.0, 1.0, 0.0};
+        if (verdict.content != mapperd::Fan::Content::all_free) {
+          mapperd::FanPart where = verdict.where;
+          where.cut_by_aperture = true;
+          const mapperd::Cube cube{{centre.x, centre.y, centre.z}, s / 2};
+          parts = {mapperd::occupied_part(fan, cube, where).part,
+                   mapperd::free_part(fan, cube, where), 0.0};
+        }
+        const Class seen = oracle::class_of(parts);
+        if (seen != Class::untouched) classes[{x, y, z}] = seen;
+      }
+    }
+  }
+  return classes;
+}
+
+TEST_CASE("the walk from large cubes to voxels passes none over, far from the sonar") {
+  // More than a hundred voxels along a ray: there whole blocks fit beside the aperture's edge.
+  scenes::Random random(31);
+  scenes::Ping ping = scenes::empty_ping(120, 128, 0.5, 12.0);
+  for (std::size_t j = 0; j < 128; ++j) {
+    for (std::size_t k = 100; k < 102; ++k) ping.intensity[k * 128 + j] = 150.0F;
+  }
+  for (int i = 0; i < 2; ++i) {
+    VoxelMap map(0.1, {});
+    const mapperd::Transform pose = scenes::random_pose(random);
+    const auto expected = classes_by_brute_force(ping.image(), pose, 0.1);
+    mapperd::integrate_projective(map, ping.image(), pose, {});
+    CHECK(known_voxels(map).size() == expected.size());
+    std::size_t wrong = 0;
+    for (const auto& [voxel, seen] : expected) {
+      const float log_odds = map.at(centre_of(voxel, 0.1)).log_odds;
+      if ((seen == Class::occupied) != (log_odds > 0) || log_odds == 0) ++wrong;
+    }
+    CHECK(wrong == 0);
+  }
+}
+
 TEST_CASE("a bad ping or pose is refused and leaves the map alone") {
   const double not_a_number = std::numeric_limits<double>::quiet_NaN();
   VoxelMap map(0.1, {});
