@@ -34,6 +34,7 @@ def summary_of(
     return {
         "version": version(),
         "pings_total": counters.pings_total,
+        "pings_outside": counters.pings_outside,
         "pings_mapped": counters.pings_mapped,
         "pings_dropped": dict(sorted(counters.pings_dropped.items())),
         "pings_dropped_details": dict(sorted(counters.first_drop.items())),

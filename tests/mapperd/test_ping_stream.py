@@ -56,3 +56,23 @@ def test_message_that_is_no_ping_after_all_is_a_reject(ping_bytes: PingBytes) ->
     bad = ping_bytes(1, range_resolution_m=float("nan"))
     (arrival,) = stream.feed("sonar", bad, 0)
     assert outcome(arrival) == "bad_resolution"
+
+
+def test_dropped_messages_are_not_counted_as_lost_too(ping_bytes: PingBytes) -> None:
+    stream = PingStream()
+    strange = bytearray(ping_bytes(4))
+    strange[8] = 9  # a version that nobody knows: its ping number cannot be read
+    data = [
+        ping_bytes(1),
+        ping_bytes(2, range_resolution_m=float("nan")),
+        ping_bytes(3),
+        bytes(strange),
+        ping_bytes(6),
+        ping_bytes(6, range_resolution_m=float("nan")),
+        ping_bytes(7),
+    ]
+    came = [outcome(each) for each in stream.feed("sonar", b"".join(data), 0)]
+    assert came == [1, "bad_resolution", 3, "unknown_version", 6, "bad_resolution", 7]
+    counters = ReplayCounters()
+    stream.count(counters)
+    assert counters.pings_lost == 1
