@@ -23,6 +23,7 @@ class ReplayCounters:
         bytes_rejected: bytes that belong to no message.
         resyncs: times that the start of the next message was lost.
         messages_rejected: reason to count, from the stream parser.
+        messages_doubtful: warning to count, of messages that were taken all the same.
         pings_lost: ping numbers that never came, not even with a message that was dropped.
         step_s: seconds that each mapped or refused ping took in the step.
     """
@@ -36,6 +37,7 @@ class ReplayCounters:
     bytes_rejected: int = 0
     resyncs: int = 0
     messages_rejected: Counter[str] = field(default_factory=Counter)
+    messages_doubtful: Counter[str] = field(default_factory=Counter)
     pings_lost: int = 0
     step_s: "array[float]" = field(default_factory=lambda: array("d"))
 

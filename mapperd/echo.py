@@ -48,12 +48,9 @@ def echo_of(ping: Ping, sonar: Sonar) -> Echo:
     """Scale the image and leave out beams beyond `sonar.horizontal_fov`.
 
     Raises:
-        MapError: bytes are missing from the image, the bearings are no fan, or none of them lies
-            in the field of view.
+        MapError: the bearings are no fan, or none of them lies in the field of view.
     """
     bearings = ping.bearings_rad
-    if "bytes_missing" in ping.warnings:
-        raise MapError("bytes were lost on the way, so the image is shifted", "bytes_missing")
     if "bad_bearings" in ping.warnings:
         raise MapError("bearings do not rise from port to starboard", "bad_bearings")
     half_rad = math.radians(sonar.horizontal_fov) / 2 + EDGE_RAD

@@ -28,19 +28,34 @@ class Arrival:
 
 
 class PingStream:
-    """Cuts each link's bytes into pings; every ping message counts once, whatever it is."""
+    """Cuts each link's bytes into pings; every ping message counts once, whatever it is.
 
-    def __init__(self) -> None:
+    Args:
+        confirm: hold each ping back until what follows it confirms that no byte is missing from
+            it: right for a recording, too late for a live picture.
+    """
+
+    def __init__(self, *, confirm: bool = False) -> None:
+        self._confirm = confirm
         self._parsers: dict[str, StreamParser] = {}
         self._sequence = PingSequence()
         self._owner: str | None = None
         self._unnumbered = 0  # messages that came since the last ping, but gave none
         self._not_lost = 0  # numbers that are missing because of those
 
-    def feed(self, link: str, data: bytes, arrival_ns: int | None) -> Iterator[Arrival]:
-        """Take the next bytes of a link; yield the ping messages that they complete."""
-        parser = self._parsers.setdefault(link, StreamParser())
-        yield from self._arrivals(link, parser.feed(data, arrival_ns))
+    def feed(
+        self, link: str, data: bytes, arrival_ns: int | None, *, gap_before: bool = False
+    ) -> Iterator[Arrival]:
+        """Take the next bytes of a link; yield the ping messages that they complete.
+
+        Args:
+            link: name of the link.
+            data: its bytes, cut anywhere.
+            arrival_ns: when they came.
+            gap_before: bytes before them are known to be missing.
+        """
+        parser = self._parsers.setdefault(link, StreamParser(confirm=self._confirm))
+        yield from self._arrivals(link, parser.feed(data, arrival_ns, gap_before=gap_before))
 
     def finish(self) -> Iterator[Arrival]:
         """Settle what is pending at the end of all links."""
@@ -54,6 +69,7 @@ class PingStream:
         counters.bytes_rejected = sum(each.bytes_rejected for each in parsed)
         counters.resyncs = sum(each.resyncs for each in parsed)
         counters.messages_rejected = sum((each.rejects for each in parsed), Counter())
+        counters.messages_doubtful = sum((each.warnings for each in parsed), Counter())
         counters.pings_lost = self._sequence.lost_pings - self._not_lost
 
     def _arrivals(self, link: str, messages: Iterable[Message]) -> Iterator[Arrival]:

@@ -6,7 +6,7 @@ not is counted with a reason.
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from statistics import median_low
 
 from mapperd.counters import ReplayCounters
@@ -89,7 +89,7 @@ class Replay:
         self._poses = poses
         self._window = window
         self._clock = clock
-        self._stream = PingStream()
+        self._stream = PingStream(confirm=True)
         self._frame_skip = sonar_map.config.processing.frame_skip
         self._offered = 0
 
@@ -127,7 +127,9 @@ class Replay:
         if chunk.encoding == ODOMETRY_NATIVE:
             self._poses.add_odometry(chunk.data, chunk.arrival_ns)
         elif chunk.encoding == OCULUS:
-            arrivals = self._stream.feed(chunk.link, chunk.data, chunk.arrival_ns)
+            arrivals = self._stream.feed(
+                chunk.link, chunk.data, chunk.arrival_ns, gap_before=chunk.gap_before
+            )
             self._offer(arrivals, start_ns, end_ns)
 
     def _offer(self, arrivals: Iterable[Arrival], start_ns: int | None, end_ns: int | None) -> None:
@@ -182,12 +184,15 @@ def first_range_m(recording: Recording) -> float:
 
 
 def _pings(recording: Recording) -> Iterator[Ping]:
-    stream = PingStream()
-    for chunk in recording:
-        if chunk.encoding == OCULUS:
-            for arrival in stream.feed(chunk.link, chunk.data, chunk.arrival_ns):
-                if isinstance(arrival.ping, Ping):
-                    yield arrival.ping
+    stream = PingStream(confirm=True)
+    chunks = (chunk for chunk in recording if chunk.encoding == OCULUS)
+    arrivals = chain.from_iterable(
+        stream.feed(chunk.link, chunk.data, chunk.arrival_ns, gap_before=chunk.gap_before)
+        for chunk in chunks
+    )
+    for arrival in chain(arrivals, stream.finish()):
+        if isinstance(arrival.ping, Ping):
+            yield arrival.ping
 
 
 def _first_sonar_ns(recording: Recording) -> int | None:

@@ -43,6 +43,7 @@ def summary_of(
         "bytes_rejected": counters.bytes_rejected,
         "resyncs": counters.resyncs,
         "messages_rejected": dict(sorted(counters.messages_rejected.items())),
+        "messages_doubtful": dict(sorted(counters.messages_doubtful.items())),
         "voxels_occupied": voxels.occupied,
         "voxels_free": voxels.free,
         "voxels_uncertain": voxels.uncertain,

@@ -1,4 +1,3 @@
-import dataclasses
 import inspect
 from collections.abc import Callable
 
@@ -86,12 +85,3 @@ def test_lever_arm_and_turned_mounting_are_of_the_base(ping: MakePing) -> None:
     # The 120 degrees of the fan lie across the base, east to west; along it is the aperture.
     assert np.abs(centres[:, 0] - 99).max() == pytest.approx(3.1 * np.sin(np.pi / 3), abs=0.3)
     assert np.abs(centres[:, 1] - 52).max() < 3.2 * np.sin(np.radians(10)) + 0.2
-
-
-def test_ping_that_lost_bytes_is_not_mapped(ping: MakePing) -> None:
-    sonar_map = SonarMap(COARSE)
-    cut = dataclasses.replace(ping(), warnings=frozenset({"odd_beams", "bytes_missing"}))
-    result = process_ping(cut, HERE, sonar_map)
-    assert isinstance(result, Reject)
-    assert result.reason == "bytes_missing"
-    assert sonar_map.counts().free == 0
