@@ -10,7 +10,7 @@ LOG_ODDS_UNIT: float
 """Log-odds are held in whole units of this, 2**-24."""
 
 class IwloParams:
-    """The IWLO rule's constants (seed names; `iwlo.*`, `adaptive.*`, `filtering.*`).
+    """The IWLO rule's constants (`iwlo.*`, `adaptive.*`, `filtering.*`).
 
     Raises:
         ValueError: a value is not finite, out of range, or needs more than 65535 pings to settle.
@@ -19,7 +19,7 @@ class IwloParams:
     def __init__(
         self,
         *,
-        L_occ: float = 3.5,  # noqa: N803 the seeds' names
+        L_occ: float = 3.5,  # noqa: N803 the rule's names
         L_free: float = -3.0,  # noqa: N803
         L_min: float = -10.0,  # noqa: N803
         L_max: float = 10.0,  # noqa: N803
@@ -113,7 +113,7 @@ class VoxelMap:
         min_range_m: float = 0.5,
         angular_cone_width: float = 0.5,
     ) -> PingStats:
-        """Integrate one ping by the seed's sampled sub-rays; arguments as above."""
+        """Integrate one ping by sampled sub-rays; arguments as above."""
 
     def voxels(
         self, min_log_odds: float = ..., max_log_odds: float = ...

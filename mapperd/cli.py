@@ -6,9 +6,10 @@ import time
 from collections.abc import Sequence
 from enum import IntEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import msgspec
+import numpy as np
 
 from mapperd.arguments import Arguments, parse_arguments
 from mapperd.config import Config
@@ -18,10 +19,11 @@ from mapperd.export.atomic import make_folder
 from mapperd.export.folder import write_results
 from mapperd.export.picture import MISSING, can_draw
 from mapperd.export.summary import summary_of
+from mapperd.frames import Pose
 from mapperd.mapping import SonarMap
 from mapperd.pairing import FixedPose, OdometryPoses
 from mapperd.progress import ProgressBar
-from mapperd.replay import Replay, Window, encodings
+from mapperd.replay import Replay, Window, encodings, first_range_m
 from oculus_driver.errors import RecordingError
 from oculus_driver.recording import OCULUS, ODOMETRY_NATIVE, open_recording
 
@@ -49,6 +51,7 @@ _EXITS = {
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; every failure that input can cause is one line and an exit code."""
+    _open_closed_streams()
     arguments = parse_arguments(sys.argv[1:] if argv is None else argv)
     try:
         return _replay(arguments)
@@ -56,8 +59,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(Exit.USAGE, f"{arguments.replay}: {error}")
     except (ConfigError, RecordingError, ExportError) as error:
         return _fail(_EXITS[type(error)], error)
-    except OSError as error:
-        return _fail(Exit.NO_INPUT, f"{arguments.replay}: {error.strerror}")
     except KeyboardInterrupt:
         return _fail(Exit.INTERRUPTED, f"interrupted; results in {arguments.out} may be missing")
 
@@ -68,6 +69,8 @@ def _replay(arguments: Arguments) -> Exit:
     if (problem := _unreadable(arguments.replay)) is not None:
         return _fail(Exit.NO_INPUT, problem)
     _require_data(arguments.replay, odometry=arguments.pose is None)
+    if arguments.pose is not None:
+        _require_reach(arguments.replay, arguments.pose, sonar_map)
     make_folder(arguments.out)
     if not can_draw():
         _say(MISSING)
@@ -92,30 +95,46 @@ def _config(arguments: Arguments) -> Config:
 
 def _unreadable(path: Path) -> str | None:
     """Why a path cannot be a recording at all, before its content is looked at."""
-    if path.is_dir():
-        return f"{path}: is a folder, not a recording"
-    if not path.exists():
-        return f"{path}: there is no such file"
-    if not path.is_file():
-        return f"{path}: is not a file"
+    try:
+        if path.is_dir():
+            return f"{path}: is a folder, not a recording"
+        if not path.exists():
+            return f"{path}: there is no such file"
+        if not path.is_file():
+            return f"{path}: is not a file"
+    except OSError as error:  # such as a name that is too long
+        return f"{path}: {error.strerror}"
     return None if os.access(path, os.R_OK) else f"{path}: may not be read"
 
 
 def _require_data(path: Path, *, odometry: bool) -> None:
     """Refuse early what could only end in a map without a ping."""
-    needed = ODOMETRY_NATIVE if odometry else OCULUS
+    needed = {OCULUS, ODOMETRY_NATIVE} if odometry else {OCULUS}
     with open_recording(path) as recording:
         found = encodings(recording, until=needed)
         damage = f" ({recording.damage})" if recording.damage else ""
         if not found:
             raise RecordingError(f"{path}: nothing can be read from it{damage}")
-        if OCULUS not in found and needed not in found:
+        if OCULUS not in found:
             raise RecordingError(f"{path}: no sonar data in it{damage}")
-        if needed not in found:
+        if not needed <= found:
             raise ReplayError(
                 f"no odometry in it{damage}, so nobody knows where the vehicle was; if it stood "
                 "still, say where with --pose x,y,z,roll,pitch,yaw"
             )
+
+
+def _require_reach(path: Path, pose: Pose, sonar_map: SonarMap) -> None:
+    """Refuse early a pose whose map would not fit into map.bt."""
+    sonar_m = (pose.map_T_base @ sonar_map.base_T_sonar)[:3, 3]
+    with open_recording(path) as recording:
+        range_m = first_range_m(recording)
+    if np.abs(sonar_m).max() + range_m > sonar_map.octomap_reach_m:
+        raise ReplayError(
+            f"--pose and the range of {range_m:g} m leave the reach of map.bt, "
+            f"+-{sonar_map.octomap_reach_m:g} m with voxels of {sonar_map.resolution_m:g} m; "
+            "set a larger octree.voxel_resolution, or move the pose nearer to the origin"
+        )
 
 
 def _mapped(arguments: Arguments, sonar_map: SonarMap) -> dict[str, Any]:
@@ -139,27 +158,52 @@ def _verdict(arguments: Arguments, summary: dict[str, Any]) -> Exit:
     dropped = ", ".join(f"{why} {count}" for why, count in summary["pings_dropped"].items())
     damage = summary["recording"]["damage"]
     if summary["pings_mapped"] == 0:
-        rejected, total = summary["bytes_rejected"], summary["bytes_total"]
-        reason = (
-            f"no ping could be mapped: {dropped}"
-            if summary["pings_total"]
-            else f"no ping in it; {rejected} of {total} bytes of sonar data rejected"
-        )
         damaged = f" (damaged: {damage})" if damage else ""
-        return _fail(Exit.BAD_DATA, f"{arguments.replay}: {reason}{damaged}")
+        return _fail(Exit.BAD_DATA, f"{arguments.replay}: {_why_empty(summary, dropped)}{damaged}")
     if damage:
         _say(f"{arguments.replay}: damaged: {damage}")
     lost = f" (dropped: {dropped})" if dropped else ""
-    sys.stdout.write(
+    problem = _written(
+        sys.stdout,
         f"mapped {summary['pings_mapped']} of {summary['pings_total']} pings{lost} in "
         f"{summary['wall_s']:.1f} s: {summary['voxels_occupied']} occupied voxels in "
-        f"{arguments.out}\n"
+        f"{arguments.out}\n",
     )
+    if problem is not None:
+        return _fail(Exit.CANNOT_WRITE, f"standard output: cannot be written: {problem}")
     return Exit.OK
 
 
+def _why_empty(summary: dict[str, Any], dropped: str) -> str:
+    if summary["pings_total"]:
+        return f"no ping could be mapped: {dropped}"
+    if outside := summary["pings_outside"]:
+        return f"no ping lies in the chosen part; {outside} were read outside of it"
+    rejected, total = summary["bytes_rejected"], summary["bytes_total"]
+    return f"no ping in it; {rejected} of {total} bytes of sonar data rejected"
+
+
+def _open_closed_streams() -> None:
+    """Give standard streams that are closed (`>&-`) a place to write to."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            nowhere = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 while we run
+            setattr(sys, name, nowhere)
+
+
+def _written(stream: TextIO, text: str) -> str | None:
+    """Write to a standard stream; returns why not, if not, and silences it from then on."""
+    try:
+        stream.write(text)
+        stream.flush()
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        return error.strerror
+    return None
+
+
 def _say(message: object) -> None:
-    sys.stderr.write(f"mapperd: {message}\n")
+    _written(sys.stderr, f"mapperd: {message}\n")  # if not, nobody is there to be told
 
 
 def _fail(code: Exit, message: object) -> Exit:

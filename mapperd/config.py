@@ -1,5 +1,6 @@
-"""All settings: one immutable tree with names and defaults of the seed documents.
+"""All settings: one immutable tree.
 
+Names and defaults are those of the published sonar mapper that this project grew from.
 Every field carries one sentence, its unit, its range, and whether it may change while the
 program runs. A parameter stands here only if it does something. Reading YAML is the business
 of `mapperd.config_file`.
@@ -126,7 +127,7 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True):
     ] = False
     integrator: Annotated[
         Literal["projective", "rays"],
-        rule("projective: exact; rays: the seed documents' sampled sub-rays.", live=True),
+        rule("projective: exact; rays: sampled sub-rays.", live=True),
     ] = "projective"
     angular_cone_width: Annotated[
         float,

@@ -27,6 +27,9 @@ def load_config(path: Path) -> Config:
             the file, the place, what is wrong and what is allowed.
     """
     try:
+        if path.exists() and not path.is_file():  # a pipe would keep us waiting
+            kind = "a directory" if path.is_dir() else "no regular file"
+            raise ConfigError(f"{path}: cannot be read: is {kind}")
         with path.open("rb") as file:
             data = file.read(MAX_FILE_BYTES + 1)
     except OSError as error:

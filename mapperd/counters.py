@@ -15,6 +15,7 @@ class ReplayCounters:
 
     Attributes:
         pings_total: pings that came within the chosen time, whatever became of them.
+        pings_outside: pings that were read and came outside of it.
         pings_mapped: pings in the map.
         pings_dropped: reason to count.
         first_drop: reason to the sentence that its first case was explained with.
@@ -22,11 +23,13 @@ class ReplayCounters:
         bytes_rejected: bytes that belong to no message.
         resyncs: times that the start of the next message was lost.
         messages_rejected: reason to count, from the stream parser.
-        pings_lost: ping numbers that never came.
+        messages_doubtful: warning to count, of messages that were taken all the same.
+        pings_lost: ping numbers that never came, not even with a message that was dropped.
         step_s: seconds that each mapped or refused ping took in the step.
     """
 
     pings_total: int = 0
+    pings_outside: int = 0
     pings_mapped: int = 0
     pings_dropped: Counter[str] = field(default_factory=Counter)
     first_drop: dict[str, str] = field(default_factory=dict)
@@ -34,6 +37,7 @@ class ReplayCounters:
     bytes_rejected: int = 0
     resyncs: int = 0
     messages_rejected: Counter[str] = field(default_factory=Counter)
+    messages_doubtful: Counter[str] = field(default_factory=Counter)
     pings_lost: int = 0
     step_s: "array[float]" = field(default_factory=lambda: array("d"))
 

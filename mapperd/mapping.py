@@ -23,6 +23,9 @@ HASH_VERSION = 2
 
 BLOCKS_AT_ONCE = 1024
 
+OCTOMAP_REACH_VOXELS = 32768
+"""OctoMap numbers voxels with 16 bits, the origin in the middle."""
+
 MAX_FAN_VOXELS = 500_000_000
 """A fan with more voxels than this would take gigabytes for a single ping."""
 
@@ -95,6 +98,11 @@ class SonarMap:
     def base_T_sonar(self) -> Floats:  # noqa: N802 frames are named
         """(4, 4) rigid transform of the mounting."""
         return self._base_T_sonar.copy()
+
+    @property
+    def octomap_reach_m(self) -> float:
+        """How far from the origin, along each axis, a voxel may lie for `octomap_bt`."""
+        return OCTOMAP_REACH_VOXELS * self.resolution_m
 
     def integrate(
         self,
@@ -183,7 +191,7 @@ class SonarMap:
         """The map as an OctoMap binary tree, classes by the thresholds of the settings.
 
         Raises:
-            MapError: a voxel lies outside OctoMap's reach of 32768 voxels from the origin.
+            MapError: a voxel lies farther than `octomap_reach_m` from the origin.
         """
         try:
             return self._map.octomap_bt(self._occupied_log_odds, self._free_log_odds)

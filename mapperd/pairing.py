@@ -105,7 +105,8 @@ class OdometryPoses:
             return True
         if newest_ns is not None and newest_ns >= t_ns:
             return True
-        return now_ns is not None and now_ns - t_ns > self._patience_ns
+        # Far ahead of the clock is a stamp gone astray: nobody else must wait for it.
+        return now_ns is not None and abs(now_ns - t_ns) > self._patience_ns
 
     def _pose_of(self, ping: Ping) -> Pose | Reject:
         t_ns = ping_time_ns(ping)

@@ -1,5 +1,6 @@
 """A progress bar of one line: how far, how fast, how long yet."""
 
+import contextlib
 from collections.abc import Callable
 from typing import TextIO
 
@@ -42,7 +43,7 @@ class ProgressBar:
         """Draw the end state and leave the line."""
         if self._tty:
             self._draw(1.0, pings, self._clock() - self._began_s)
-            self._out.write("\n")
+            self._write("\n")
 
     def _draw(self, fraction: float, pings: int, elapsed_s: float) -> None:
         done = min(max(fraction, 0.0), 1.0)
@@ -51,10 +52,14 @@ class ProgressBar:
         text = f"{100 * done:5.1f} %  {pings} pings  {rate:.1f} pings/s  {left} left"
         if self._tty:
             bar = "#" * round(WIDTH * done)
-            self._out.write(f"\r[{bar:<{WIDTH}}] {text}\x1b[K")
+            self._write(f"\r[{bar:<{WIDTH}}] {text}\x1b[K")
         else:
-            self._out.write(f"mapperd: {text}\n")
-        self._out.flush()
+            self._write(f"mapperd: {text}\n")
+
+    def _write(self, text: str) -> None:
+        with contextlib.suppress(OSError):  # nobody can look on: no reason to stop the work
+            self._out.write(text)
+            self._out.flush()
 
 
 def _time(seconds: float) -> str:

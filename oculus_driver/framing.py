@@ -1,10 +1,13 @@
 """Is this a message, and where does it end? Pure verdicts on one place of a byte stream.
 
 A ping says its size three times: in the header, as message size in the body, and as end of the
-image. Where the three agree it is believed at once. Where they do not, and for ids that nobody
+image. Where the three agree it is believed. Where they do not, and for ids that nobody
 knows, the bytes after it decide: a message is one that is followed by another good header. With
 two sizes to choose from (header and body) the one that leads to a good header wins, so a
 damaged size costs one ping and never the pings behind it.
+
+Sizes agree also where bytes are missing inside: then the ping reaches into the next one. So a
+ping is refused if no header follows it and another ping, of the same sonar, begins inside it.
 """
 
 from __future__ import annotations
@@ -47,6 +50,18 @@ CANDIDATE: Final = re.compile(
 
 CANDIDATE_SIZE: Final = 14
 
+_ID_AT: Final = 6
+_PING_ID: Final = int(MessageId.PING_RESULT)
+
+_MARK_SIZE: Final = 4
+"""Magic and source id: how all messages of one sonar begin."""
+
+_STEADY: Final = 10
+"""Bytes of a header that seldom differ from one message to the next: all before the size."""
+
+_MAX_CHANGED: Final = 2
+"""Of these, how many may be changed in a header that is still known as one."""
+
 
 class Header(NamedTuple):
     """The first 16 bytes of a message."""
@@ -67,18 +82,27 @@ class Header(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Accept:
-    """A message of `size` bytes starts here; `proven` if its own sizes agree."""
+    """A message of `size` bytes starts here.
+
+    Attributes:
+        header: of the message.
+        size: of the message.
+        proven: its own sizes agree.
+        confirmed: nothing behind it speaks against its end, or nobody asked.
+    """
 
     header: Header
     size: int
     proven: bool
+    confirmed: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class Refuse:
-    """No message starts here, or none that can be told from noise."""
+    """No message starts here, or none that can be told from noise; go on `skip` bytes later."""
 
     reason: str
+    skip: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,14 +153,20 @@ class Judge:
         synchronised: the place is where the last message ended.
         source_id: the sonar's id, or None before the first good ping.
         final: no more bytes will come.
+        confirm: wait for the header behind a ping whose sizes agree.
     """
 
     synchronised: bool
     source_id: int | None
     final: bool
+    confirm: bool = False
 
     def verdict(self, buffer: bytes | bytearray, position: int) -> Verdict:
-        """Return what stands at `position`. Takes constant time, whatever the sizes claimed."""
+        """Return what stands at `position`.
+
+        Takes constant time, whatever the sizes claimed; but for a ping whose sizes agree and
+        whose bytes are there, time in proportion to the bytes that its verdict settles.
+        """
         left = len(buffer) - position
         if left < HEADER.size:
             return self._need(HEADER.size) if _magic_prefix(buffer, position) else _BAD_MAGIC
@@ -147,19 +177,17 @@ class Judge:
         if header.message_id == MessageId.PING_RESULT:
             return self._ping(buffer, position, header)
         if self.synchronised and header.message_id in _PLAIN_IDS:
-            return self._whole(buffer, position, header, proven=False)
+            return self._plain(buffer, position, header)
         reason = "truncated" if header.message_id in PAYLOAD_LIMITS else "unknown_id"
         return self._followed(buffer, position, header, (header.size,), reason)
 
     def _need(self, size: int) -> Verdict:
         return Refuse("truncated") if self.final else Wait(size)
 
-    def _whole(
-        self, buffer: bytes | bytearray, position: int, header: Header, *, proven: bool
-    ) -> Verdict:
+    def _plain(self, buffer: bytes | bytearray, position: int, header: Header) -> Verdict:
         if len(buffer) - position < header.size:
             return self._need(header.size)
-        return Accept(header, header.size, proven)
+        return Accept(header, header.size, proven=False)
 
     def _ping(self, buffer: bytes | bytearray, position: int, header: Header) -> Verdict:
         layout = ping_layout(header.version)
@@ -173,9 +201,55 @@ class Judge:
         known_source = self.synchronised or self.source_id in (None, header.source_id)
         own = _own_size(buffer, position, header.version)
         if own == header.size and known_source:
-            return self._whole(buffer, position, header, proven=True)
+            return self._proven(buffer, position, header)
         sizes = (header.size,) if own is None else tuple(sorted({own, header.size}))
         return self._followed(buffer, position, header, sizes, reason)
+
+    def _proven(self, buffer: bytes | bytearray, position: int, header: Header) -> Verdict:
+        """Judge a ping whose sizes agree; one that may hold another is not believed at once."""
+        size, left = header.size, len(buffer) - position
+        if left < size:
+            return self._need(size)
+        if not self.confirm and self._inside(buffer, position, size) is None:
+            return Accept(header, size, proven=True)
+        if left < size + HEADER.size and not self.final:
+            return Wait(size + HEADER.size)
+        if left > size and _ends_well(buffer, position, position + size):
+            return Accept(header, size, proven=True)
+        return self._doubtful(buffer, position, header)
+
+    def _doubtful(self, buffer: bytes | bytearray, position: int, header: Header) -> Verdict:
+        """Judge a ping whose sizes agree, but behind which nothing or no message stands."""
+        size = header.size
+        last = len(buffer) - position == size
+        inside = self._inside(buffer, position, size)
+        if inside is None:
+            return Accept(header, size, proven=True, confirmed=last or not self.confirm)
+        if inside < 0:
+            return Wait(size + PING_RESULT_V2.size)
+        if last:
+            return Accept(header, size, proven=True, confirmed=False)
+        return Refuse("bytes_missing", inside - position)
+
+    def _inside(self, buffer: bytes | bytearray, position: int, size: int) -> int | None:
+        """Return where another ping of this sonar starts in a ping, or None; -1 if yet unknown.
+
+        A last byte alone that could start one tells nothing. It counts only while confirming, as
+        otherwise one ping in 256 would have to wait.
+        """
+        mark = bytes(buffer[position : position + _MARK_SIZE])
+        least = 1 if self.confirm else len(MAGIC_BYTES)
+        last = position + size - least
+        at = buffer.find(mark, position + 1, last + _MARK_SIZE)
+        while at >= 0:
+            starts = _ping_starts(buffer, at)
+            if starts or (starts is None and not self.final):
+                return at if starts else -1
+            at = buffer.find(mark, at + 1, last + _MARK_SIZE)
+        for at in range(max(len(buffer) - _MARK_SIZE + 1, position + 1), last + 1):
+            if not self.final and mark.startswith(bytes(buffer[at:])):
+                return -1
+        return None
 
     def _followed(
         self,
@@ -211,6 +285,40 @@ _BAD_MAGIC: Final = Refuse("bad_magic")
 def _magic_prefix(buffer: bytes | bytearray, position: int) -> bool:
     """Tell whether what is there of the next header (perhaps nothing) can begin a message."""
     return MAGIC_BYTES.startswith(bytes(buffer[position : position + len(MAGIC_BYTES)]))
+
+
+def _ends_well(buffer: bytes | bytearray, start: int, end: int) -> bool:
+    """Tell whether the bytes behind a message can begin another one, be it damaged.
+
+    A header that resembles the message's own confirms the end too: so a changed byte in a header
+    casts no doubt on the message before.
+    """
+    if len(buffer) - end < HEADER.size:
+        return _magic_prefix(buffer, end)
+    if header_fault(read_header(buffer, end), strict=False) is None:
+        return True
+    own, follower = buffer[start : start + _STEADY], buffer[end : end + _STEADY]
+    return sum(a == b for a, b in zip(own, follower, strict=True)) >= _STEADY - _MAX_CHANGED
+
+
+def _ping_starts(buffer: bytes | bytearray, position: int) -> bool | None:
+    """Tell whether a ping with a strictly good head starts here; None if too few bytes are here."""
+    left = len(buffer) - position
+    if left < HEADER.size:
+        return None
+    if buffer[position + _ID_AT] != _PING_ID:  # most often so, and quickly seen
+        return False
+    header = read_header(buffer, position)
+    layout = ping_layout(header.version)
+    if (
+        layout is None
+        or header.message_id != _PING_ID
+        or header_fault(header, strict=True) is not None
+    ):
+        return False
+    if left < layout.size:
+        return None
+    return _own_size(buffer, position, header.version) == header.size
 
 
 _PLACES: Final = {

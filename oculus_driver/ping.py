@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,6 +17,7 @@ from oculus_driver.wire import FireFlags, MessageId, ping_layout
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from oculus_driver.layout import Layout
     from oculus_driver.stream import Message
 
 __all__ = ["Ping", "Reject", "decode_ping"]
@@ -33,6 +35,7 @@ _SMALLEST_READING: Final = 1e-30
 """Sensors read 0 or something far above this; left-over memory seen in captures lies below."""
 
 _BITS_24: Final = 3
+_U32: Final = struct.Struct("<I")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +70,8 @@ class Ping:
         heading_rad, pitch_rad, roll_rad: of the sonar, conventions undocumented; None = not
             available (always in version 1).
         warnings: of odd_beams, bad_bearings, odd_sound_speed, bad_frequency, gain_flag,
-            bad_data_size, size_mismatch.
+            bad_data_size, size_mismatch, unconfirmed_end (from the stream, see
+            `oculus_driver.stream.Message`).
     """
 
     ping_id: int
@@ -191,7 +195,7 @@ def decode_ping(message: Message, *, deliver_mismatched: bool = False) -> Ping |
         return Reject("unknown_version", f"ping result version {message.version}", message.offset)
     if len(message.data) < layout.size:
         detail = f"{len(message.data)} bytes, a {layout.name} has {layout.size}"
-        return Reject("short_message", detail, message.offset)
+        return Reject("short_message", detail, message.offset, _ping_id(message.data, layout))
     fields = layout.unpack(message.data)
     shape = shape_of(message, layout, fields, deliver_mismatched=deliver_mismatched)
     if isinstance(shape, Reject):
@@ -226,8 +230,16 @@ def decode_ping(message: Message, *, deliver_mismatched: bool = False) -> Ping |
         heading_rad=_angle_rad(fields.get("heading_deg"), _HEADINGS_DEG),
         pitch_rad=_angle_rad(fields.get("pitch_deg"), _TILTS_DEG),
         roll_rad=_angle_rad(fields.get("roll_deg"), _TILTS_DEG),
-        warnings=shape.warnings | _warnings(fields, bearings_rad),
+        warnings=message.warnings | shape.warnings | _warnings(fields, bearings_rad),
     )
+
+
+def _ping_id(data: bytes, layout: Layout) -> int | None:
+    """Return the id of a ping that ends within its fixed part, if its id is still there."""
+    place = layout.offset_of("ping_id")
+    if len(data) < place + _U32.size:
+        return None
+    return int(_U32.unpack_from(data, place)[0])
 
 
 def _bearings_rad(data: bytes, shape: Shape) -> NDArray[np.float64]:

@@ -14,8 +14,10 @@ class Reject:
             out_of_bounds, size_mismatch, bad_resolution, bad_data_size.
         detail: a sentence for a person.
         offset: position of the message in its stream.
+        ping_id: of the ping, None where it cannot be read. Such a ping came; it is not lost.
     """
 
     reason: str
     detail: str
     offset: int
+    ping_id: int | None = None

@@ -115,7 +115,7 @@ def _reject(reason: str, message: Message, fields: dict[str, Any]) -> Reject:
         f"{fields['message_size']}, header {fields['payload_size']} + {HEADER.size}, "
         f"{len(message.data)} bytes there"
     )
-    return Reject(reason, detail, message.offset)
+    return Reject(reason, detail, message.offset, fields["ping_id"])
 
 
 def _samples(data_size: int, image_size: int, rows: int, beams: int) -> tuple[int, bool] | None:

@@ -10,7 +10,6 @@ from oculus_driver.framing import (
     CANDIDATE,
     CANDIDATE_SIZE,
     Accept,
-    Header,
     Judge,
     Refuse,
     Wait,
@@ -19,6 +18,8 @@ from oculus_driver.wire import PAYLOAD_LIMITS
 
 _MAX_STAMPS = 1 << 16
 """Chunks of one unfinished message whose stamps are kept apart; beyond, every second one goes."""
+
+_UNCONFIRMED = frozenset({"unconfirmed_end"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +34,9 @@ class Message:
         data: all bytes, header included, owned by the message.
         offset: position of the first byte in the stream.
         arrival_ns: stamp of the chunk that held the first byte, None where it had none.
+        warnings: unconfirmed_end: what follows is no message, or another ping may start inside.
+            Either the message is whole and something foreign follows it, or bytes are missing
+            or too many inside it. Nothing in the stream can tell these apart.
     """
 
     message_id: int
@@ -42,6 +46,7 @@ class Message:
     data: bytes = field(repr=False)
     offset: int
     arrival_ns: int | None
+    warnings: frozenset[str] = frozenset()
 
 
 @dataclass(slots=True)
@@ -54,8 +59,10 @@ class StreamCounters:
         resyncs: times that the start of the next message was lost.
         messages: messages by id.
         rejects: by reason: bad_magic, oversize, unknown_id, unknown_version, short_message,
-            size_mismatch, truncated. An unknown id that was skipped in step counts here too.
-        warnings: by reason: source_mismatch (another source id than the message before).
+            size_mismatch, truncated, bytes_missing (a ping that another one begins in). An
+            unknown id that was skipped in step counts here too.
+        warnings: by reason: source_mismatch (another source id than the message before),
+            unconfirmed_end (see `Message`).
     """
 
     bytes_total: int = 0
@@ -74,14 +81,23 @@ class StreamParser:
     in hand. The start of the stream is taken for the start of a message, as it is on a fresh
     connection; anything else costs one resynchronisation.
 
+    A ping inside which bytes are missing reaches into the next one. It is refused
+    (bytes_missing), and the next one is found, with and without `confirm`. Not noticed by either:
+    missing bytes after which all sizes fit, such as exactly one ping's length.
+
     Args:
         source_id: the sonar's id where it is known (low 16 bits of its device id), else it is
             learned from the pings.
+        confirm: hold each ping back until the header behind it has come, and warn
+            (unconfirmed_end) if there is none. For recordings. Otherwise a ping comes out with
+            its last byte, unless another seems to start inside it; then it too waits. Only where
+            exactly one byte is missing does the next ping get lost without `confirm`.
     """
 
-    def __init__(self, source_id: int | None = None) -> None:
+    def __init__(self, source_id: int | None = None, *, confirm: bool = False) -> None:
         self.counters = StreamCounters()
         self._source_id = source_id
+        self._confirm = confirm
         self._buffer = bytearray()
         self._position = 0  # in the buffer; what is before it is settled
         self._base = 0  # stream offset of the buffer's first byte
@@ -112,21 +128,28 @@ class StreamParser:
         return 0 if self._synchronised else self._base + len(self._buffer) - self._lost_at
 
     def feed(
-        self, data: bytes | bytearray | memoryview, arrival_ns: int | None = None
+        self,
+        data: bytes | bytearray | memoryview,
+        arrival_ns: int | None = None,
+        *,
+        gap_before: bool = False,
     ) -> list[Message]:
         """Take the next bytes of the stream and return the messages that they complete.
 
         Args:
             data: any number of bytes; they are copied.
             arrival_ns: when the bytes came, on any clock, or None.
+            gap_before: bytes are known to be missing before these. What is pending is settled as
+                at an end, a message cut by the gap is truncated, and the next one is searched.
         """
+        messages = self._jump() if gap_before else []
         before = len(self._buffer)
         self._stamp(self._base + before, arrival_ns)
         self._buffer += data
         self.counters.bytes_total += len(self._buffer) - before
-        if len(self._buffer) < self._needed:
-            return []
-        return self._settle(final=False)
+        if len(self._buffer) >= self._needed:
+            messages += self._settle(final=False)
+        return messages
 
     def finish(self) -> list[Message]:
         """Settle what is pending at the end of the stream; the rest counts as truncated.
@@ -137,18 +160,28 @@ class StreamParser:
         self._synchronised = True
         return messages
 
+    def _jump(self) -> list[Message]:
+        """Settle what came before a gap, then look for the start of a message."""
+        before = self._synchronised, self.counters.resyncs
+        messages = self._settle(final=True)
+        if self._synchronised or before == (True, self.counters.resyncs):
+            self._synchronised = False
+            self._lost_at = self._base
+            self.counters.resyncs += 1
+        return messages
+
     def _settle(self, *, final: bool) -> list[Message]:
         messages: list[Message] = []
         self._needed = 0
         while self._synchronised or self._find_candidate(final=final):
             if self._position == len(self._buffer):
                 break
-            judge = Judge(self._synchronised, self._source_id, final)
+            judge = Judge(self._synchronised, self._source_id, final, self._confirm)
             match judge.verdict(self._buffer, self._position):
-                case Accept(header, size, proven):
-                    messages.append(self._take(header, size, proven=proven))
-                case Refuse(reason):
-                    self._lose(reason)
+                case Accept() as accepted:
+                    messages.append(self._take(accepted))
+                case Refuse(reason, skip):
+                    self._lose(reason, skip)
                 case Wait(size):
                     self._needed = self._position + size
                     break
@@ -165,8 +198,8 @@ class StreamParser:
         self._reject(left if final else max(0, left - CANDIDATE_SIZE + 1))
         return False
 
-    def _take(self, header: Header, size: int, *, proven: bool) -> Message:
-        start = self._position
+    def _take(self, accepted: Accept) -> Message:
+        header, size, start = accepted.header, accepted.size, self._position
         offset = self._base + start
         with memoryview(self._buffer) as view:
             data = bytes(view[start : start + size])
@@ -177,8 +210,10 @@ class StreamParser:
             self.counters.rejects["unknown_id"] += 1
         if self._source_id not in (None, header.source_id):
             self.counters.warnings["source_mismatch"] += 1
-        if proven:
+        if accepted.proven:
             self._source_id = header.source_id
+        warnings = frozenset[str]() if accepted.confirmed else _UNCONFIRMED
+        self.counters.warnings.update(warnings)
         return Message(
             header.message_id,
             header.version,
@@ -187,16 +222,18 @@ class StreamParser:
             data,
             offset,
             self._stamp_of(offset),
+            warnings,
         )
 
-    def _lose(self, reason: str) -> None:
-        """No message starts here: go on from the next byte."""
+    def _lose(self, reason: str, skip: int) -> None:
+        """No message starts here: go on `skip` bytes later. Noise is counted once, pings each."""
+        if self._synchronised or reason == "bytes_missing":
+            self.counters.rejects[reason] += 1
         if self._synchronised:
             self._synchronised = False
             self._lost_at = self._base + self._position
-            self.counters.rejects[reason] += 1
             self.counters.resyncs += reason != "truncated"
-        self._reject(1)
+        self._reject(skip)
 
     def _reject(self, count: int) -> None:
         self._position += count

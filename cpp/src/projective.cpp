@@ -47,6 +47,7 @@ class Walk {
     const double cube_m = span * edge_m_;
     const Vec3 centre = Vec3{(x + 0.5) * cube_m, (y + 0.5) * cube_m, (z + 0.5) * cube_m} - offset_;
     const Fan::Verdict verdict = fan_.verdict(centre, cube_m);
+    // A large cube that is less than half free may hold free voxels; a voxel is one.
     const bool settled = verdict.content == Fan::Content::nothing ||
                          (span == 1 && verdict.content == Fan::Content::less_free);
     if (settled) return;

@@ -1,4 +1,4 @@
-// The seed's integrator: its geometry, steps and quirks.
+// The sampling integrator: its geometry, steps and quirks.
 #include <cmath>
 
 #include "check.hpp"
@@ -87,6 +87,19 @@ TEST_CASE("the shadow test fires only with a cone wider than the beam spacing") 
   };
   CHECK(free_voxels(0.4) == free_voxels(0.0));
   CHECK(free_voxels(1.0) < free_voxels(0.4));
+}
+
+TEST_CASE("the shadow test measures horizontally, so that looking down nothing is in shadow") {
+  scenes::Ping ping = wall(64, 80);
+  for (std::size_t k = 0; k < 100; ++k) ping.intensity[k * 64 + 32] = k == 20 ? 145.0F : 0.0F;
+  const auto free_voxels = [&](double pitch, double width) {
+    VoxelMap map(0.1, {});
+    mapperd::RaysSettings settings;
+    settings.angular_cone_width = width;
+    return integrate_rays(map, ping.image(), scenes::rotation_zyx(0, pitch, 0), settings).free;
+  };
+  CHECK(free_voxels(0, 1.0) < free_voxels(0, 0.4));
+  CHECK(free_voxels(90 * kDegree, 1.0) == free_voxels(90 * kDegree, 0.4));
 }
 
 TEST_CASE("the first occupied intensity of a ping counts, and occupied beats free") {

@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 from mapperd.errors import ExportError
 
-__all__ = ["atomic_file", "make_folder"]
+__all__ = ["atomic_file", "make_folder", "remove"]
 
 
 def make_folder(folder: Path) -> None:
@@ -43,4 +43,17 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
     except OSError as error:
         raise ExportError(f"{path}: cannot be written: {error.strerror}") from error
     finally:
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            partial.unlink()
+
+
+def remove(path: Path) -> None:
+    """Remove a file, if it is there.
+
+    Raises:
+        ExportError: it cannot be removed.
+    """
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise ExportError(f"{path}: cannot be removed: {error.strerror}") from error

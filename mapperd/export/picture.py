@@ -3,7 +3,6 @@
 matplotlib belongs to the extra `topside`; it is imported only when a picture is drawn.
 """
 
-import importlib.util
 import math
 from typing import Any, BinaryIO
 
@@ -14,7 +13,7 @@ from mapperd.mapping import Voxels
 
 __all__ = ["MISSING", "can_draw", "write_picture"]
 
-MISSING = "map.png is not drawn: matplotlib is missing (pip install 'mapperd[topside]')"
+MISSING = "map.png is not drawn: matplotlib cannot be imported (pip install 'mapperd[topside]')"
 
 PAPER, INK, WATER = "#ffffff", "#1b2733", "#eef2f5"
 SIZE_IN, DPI = (15.0, 11.0), 110
@@ -26,8 +25,12 @@ FLATTEST = 1 / 8
 
 
 def can_draw() -> bool:
-    """Whether matplotlib is there."""
-    return importlib.util.find_spec("matplotlib") is not None
+    """Whether matplotlib is there and works, which only an import can tell."""
+    try:
+        import matplotlib.backends.backend_agg  # noqa: F401, PLC0415 an extra
+    except Exception:  # noqa: BLE001 an installation can be broken in any way
+        return False
+    return True
 
 
 def write_picture(file: BinaryIO, voxels: Voxels, resolution_m: float, title: str) -> None:

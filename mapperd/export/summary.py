@@ -34,6 +34,7 @@ def summary_of(
     return {
         "version": version(),
         "pings_total": counters.pings_total,
+        "pings_outside": counters.pings_outside,
         "pings_mapped": counters.pings_mapped,
         "pings_dropped": dict(sorted(counters.pings_dropped.items())),
         "pings_dropped_details": dict(sorted(counters.first_drop.items())),
@@ -42,6 +43,7 @@ def summary_of(
         "bytes_rejected": counters.bytes_rejected,
         "resyncs": counters.resyncs,
         "messages_rejected": dict(sorted(counters.messages_rejected.items())),
+        "messages_doubtful": dict(sorted(counters.messages_doubtful.items())),
         "voxels_occupied": voxels.occupied,
         "voxels_free": voxels.free,
         "voxels_uncertain": voxels.uncertain,

@@ -21,12 +21,14 @@ class Chunk:
         encoding: what they are: "oculus", "odometry-native", or another name.
         arrival_ns: when they came, nanoseconds since 1970 UTC, or None where not recorded.
         data: the bytes as they came.
+        gap_before: bytes of this link are known to be missing between these and those before.
     """
 
     link: str
     encoding: str
     arrival_ns: int | None
     data: bytes = field(repr=False)
+    gap_before: bool = False
 
 
 @dataclass(slots=True)

@@ -5,6 +5,10 @@ passed, and the messages in it are read like messages of the file, so a chunk th
 yields everything up to the cut. Compressed chunks are inflated piece by piece.
 Of a message that is cut itself the bytes that are there are yielded if its link is a byte
 stream. No size that the file claims is believed before the bytes are there.
+
+Where bytes of a link are missing its next piece says so. In recordings that `RecordingWriter`
+made, the messages of a link are numbered, so damage elsewhere leaves no gap in a link and a chunk
+that is missing with all its records is noticed. In other files any damage is a gap in all links.
 """
 
 from __future__ import annotations
@@ -26,6 +30,9 @@ if TYPE_CHECKING:
 
 _STREAMS: Final = frozenset({OCULUS})
 """Encodings of which a part of a chunk is worth as much as its bytes."""
+
+_NUMBERED: Final = "format_version"
+"""Metadata key of our writer, which numbers the messages of each link without a gap."""
 
 _SMALL_RECORD: Final = 1 << 20
 _MAX_NAME: Final = 64
@@ -66,6 +73,21 @@ class _Checksum:
 
 
 @dataclass(slots=True)
+class _Last:
+    """What was read last of a link.
+
+    Attributes:
+        sequence: number that its next message should have.
+        losses: of the file, so far.
+        broken: a part of the message is missing.
+    """
+
+    sequence: int
+    losses: int
+    broken: bool = False
+
+
+@dataclass(slots=True)
 class _Limited:
     """A part of a file, for a decompressor."""
 
@@ -85,6 +107,8 @@ class _Reader:
     progress: Progress
     position: int = 0
     channels: dict[int, tuple[str, str]] = field(default_factory=dict)
+    last: dict[int, _Last] = field(default_factory=dict)
+    losses: int = 0
     stamp_ns: int | None = None
     checksum: _Checksum | None = None
     summary_read: bool = False
@@ -153,7 +177,7 @@ class _Reader:
         head = source.read(mcap.MESSAGE_HEAD.size)
         if len(head) < mcap.MESSAGE_HEAD.size:
             raise _CutError
-        number, _, log_time_ns, _ = mcap.MESSAGE_HEAD.unpack(head)
+        number, sequence, log_time_ns, _ = mcap.MESSAGE_HEAD.unpack(head)
         if not self._declared(number):
             raise _DamagedError(f"a message of a link {number} that was not declared")
         self.stamp_ns = self.stamp_ns or log_time_ns or None
@@ -162,9 +186,25 @@ class _Reader:
         if fault is None or (data and encoding in _STREAMS):
             self.stamp_ns = log_time_ns or None
             self.progress.saw(self.stamp_ns)
-            yield Chunk(link, encoding, self.stamp_ns, data)
+            gap = self._gap_before(number, sequence, broken=fault is not None)
+            yield Chunk(link, encoding, self.stamp_ns, data, gap)
         if fault is not None:
             raise fault
+
+    def _gap_before(self, number: int, sequence: int, *, broken: bool) -> bool:
+        """Tell whether something of a link is missing before this message; note the message."""
+        last = self.last.get(number) or _Last(0 if self.losses else sequence, 0)
+        self.last[number] = _Last(sequence + 1, self.losses, broken)
+        lost = self.losses != last.losses
+        if _NUMBERED not in self.progress.metadata:
+            return lost or last.broken
+        missing = sequence - last.sequence
+        if missing > 0 and not lost:
+            link, _ = self.channels[number]
+            self.progress.report(
+                f"damaged before byte {self.position}: {missing} pieces of link {link!r} missing"
+            )
+        return missing > 0 or last.broken
 
     def _declared(self, number: int) -> bool:
         """Tell whether a link is known; if its record was lost, from the summary."""
@@ -236,6 +276,7 @@ class _Reader:
         except _DamagedError as damage:
             source.fault = str(damage)
         if source.fault is not None and start + size <= self.size:
+            self.losses += 1
             self.progress.report(f"damaged chunk at byte {start}: {source.fault}")
         if start + size > self.size:
             raise _CutError(self.size)  # stored bytes of this chunk could look like messages
@@ -298,6 +339,7 @@ class _Reader:
             self.progress.cut(end)
             self.finished = True
             return
+        self.losses += 1
         self.progress.report(damage)
         self.position = found
         self.file.seek(found)

@@ -42,7 +42,7 @@ def _has_known(parser: StreamParser) -> bool:
 def read_raw(file: BinaryIO, progress: Progress) -> Iterator[Chunk]:
     """Yield the bytes of a raw stream in blocks; tell in `progress` what belongs to no message."""
     file.seek(0)
-    parser = StreamParser()
+    parser = StreamParser(confirm=True)
     while block := file.read(BLOCK):
         progress.bytes_read += len(block)
         parser.feed(block)

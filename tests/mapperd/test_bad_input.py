@@ -324,15 +324,138 @@ def test_results_that_cannot_be_written_are_exit_73(
 
 
 def test_map_beyond_octomap_keeps_its_other_files(
-    tmp_path: Path, run: Callable[..., Ran], ping_bytes: PingBytes
+    tmp_path: Path,
+    run: Callable[..., Ran],
+    write_recording: Write,
+    ping_bytes: PingBytes,
+    odometry_bytes: OdometryBytes,
 ) -> None:
-    (tmp_path / "raw").write_bytes(ping_bytes(1))
-    ran = run(tmp_path / "raw", "--pose", "1000000,0,0,0,0,0")
+    far = odometry_bytes(p=(1e6, 0.0, 0.0))
+    track = [("odometry", far, 0.0), ("ping", ping_bytes(1), 0.05), ("odometry", far, 0.1)]
+    write_recording(tmp_path / "a", track)
+    ran = run(tmp_path / "a")
     assert ran.code == Exit.CANNOT_WRITE
     assert "map.bt" in ran.said
     assert ran.summary["pings_mapped"] == 1
     assert_finite(ran.out)
     assert not (ran.out / "map.bt").exists()
+
+
+@pytest.mark.parametrize(
+    ("pose", "code"),
+    [
+        ("1000000,0,0,0,0,0", Exit.USAGE),
+        ("0,0,-6550,0,0,0", Exit.USAGE),  # the reach is 6553.6 m, the range 5 m
+        ("0,0,-6540,0,0,0", Exit.OK),
+    ],
+)
+def test_pose_beyond_octomap_is_refused_at_once(
+    tmp_path: Path, run: Callable[..., Ran], ping_bytes: PingBytes, pose: str, code: int
+) -> None:
+    (tmp_path / "raw").write_bytes(ping_bytes(1))
+    ran = run(tmp_path / "raw", f"--pose={pose}")
+    assert ran.code == code, ran.said
+    assert ran.out.exists() == (code == Exit.OK)
+    assert ("reach of map.bt" in ran.said) == (code == Exit.USAGE)
+
+
+def test_part_without_a_ping_says_so(
+    tmp_path: Path, run: Callable[..., Ran], write_recording: Write, survey: Survey
+) -> None:
+    write_recording(tmp_path / "a", survey(3))
+    ran = run(tmp_path / "a", "--start", "100")
+    assert ran.code == Exit.BAD_DATA
+    assert "no ping lies in the chosen part" in ran.said
+    assert ran.summary["pings_outside"] == 3
+
+
+@pytest.mark.parametrize("pose", [[], [STILL]], ids=["odometry", "pose"])
+def test_recording_without_a_sonar_is_refused_at_once(
+    tmp_path: Path,
+    run: Callable[..., Ran],
+    write_recording: Write,
+    odometry_bytes: OdometryBytes,
+    pose: list[str],
+) -> None:
+    write_recording(tmp_path / "a", [("odometry", odometry_bytes(), 0.1 * k) for k in range(5)])
+    ran = run(tmp_path / "a", *pose)
+    assert ran.code == Exit.BAD_DATA
+    assert "no sonar data in it" in ran.said
+    assert not ran.out.exists()
+
+
+def test_name_that_is_too_long_is_one_line(tmp_path: Path, run: Callable[..., Ran]) -> None:
+    ran = run(tmp_path / ("a" * 300), STILL)
+    assert ran.code == Exit.NO_INPUT
+    assert ran.said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "name", ["map.png", "map.ply", "map.bt", "summary.json", ".map.bt.partial"]
+)
+def test_result_that_cannot_be_written_costs_only_itself(
+    tmp_path: Path, run: Callable[..., Ran], ping_bytes: PingBytes, name: str
+) -> None:
+    (tmp_path / "raw").write_bytes(ping_bytes(1))
+    (tmp_path / "out" / name / "inside").mkdir(parents=True)
+    ran = run(tmp_path / "raw", STILL)
+    assert ran.code == Exit.CANNOT_WRITE
+    assert ran.said.count("\n") == 1
+    lost = name.removeprefix(".").removesuffix(".partial")
+    assert lost in ran.said
+    written = {path.name for path in ran.out.iterdir() if path.is_file()}
+    assert written == {"map.bt", "map.ply", "map.png", "summary.json"} - {lost}
+
+
+def test_picture_in_the_way_that_cannot_be_removed_is_named(
+    tmp_path: Path,
+    run: Callable[..., Ran],
+    ping_bytes: PingBytes,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("mapperd.export.folder.can_draw", lambda: False)
+    (tmp_path / "raw").write_bytes(ping_bytes(1))
+    (tmp_path / "out" / "map.png").mkdir(parents=True)
+    ran = run(tmp_path / "raw", STILL)
+    assert ran.code == Exit.CANNOT_WRITE
+    assert "map.png: cannot be removed" in ran.said
+    assert (ran.out / "map.bt").exists()
+
+
+@pytest.mark.parametrize(
+    ("redirection", "code", "said"),
+    [
+        (">&-", Exit.OK, ""),
+        ("2>&-", Exit.OK, ""),
+        (">&- 2>&-", Exit.OK, ""),
+        ("2>/dev/full", Exit.OK, ""),
+        (
+            ">/dev/full",
+            Exit.CANNOT_WRITE,
+            "mapperd: standard output: cannot be written: No space left on device\n",
+        ),
+    ],
+)
+def test_standard_streams_that_take_nothing(
+    tmp_path: Path,
+    ping_bytes: PingBytes,
+    redirection: str,
+    code: int,
+    said: str,
+) -> None:
+    (tmp_path / "raw").write_bytes(ping_bytes(1))
+    words = f"--replay {tmp_path}/raw --out {tmp_path}/out {STILL}"
+    done = subprocess.run(  # noqa: S602 our own program
+        f"{sys.executable} -m mapperd {words} {redirection}",
+        shell=True,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.stderr == said
+    assert done.returncode == code
+    assert (tmp_path / "out" / "summary.json").exists()
 
 
 def test_the_real_program_has_no_traceback_either(tmp_path: Path) -> None:

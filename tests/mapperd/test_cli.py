@@ -1,4 +1,5 @@
 import json
+import os
 import random
 import subprocess
 import sys
@@ -132,6 +133,27 @@ def test_missing_matplotlib_costs_the_picture_only(
     assert "mapperd[topside]" in capsys.readouterr().err
     assert not (out / "map.png").exists()
     assert (out / "map.ply").exists()
+
+
+def test_broken_matplotlib_costs_the_picture_only(
+    recording: Path, quick_config: Path, tmp_path: Path
+) -> None:
+    broken = tmp_path / "site" / "matplotlib"
+    broken.mkdir(parents=True)
+    (broken / "__init__.py").write_text("raise ImportError('numpy is too new')", encoding="utf-8")
+    out = tmp_path / "out"
+    words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(out)]
+    done = subprocess.run(  # noqa: S603 our own program
+        [sys.executable, "-m", "mapperd", *words],
+        env=os.environ | {"PYTHONPATH": str(broken.parent)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == Exit.OK, done.stderr
+    assert "mapperd[topside]" in done.stderr
+    assert {path.name for path in out.iterdir()} == {"map.bt", "map.ply", "summary.json"}
 
 
 def test_interrupt_writes_nothing_and_says_so(

@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,8 @@ def test_nothing_means_the_defaults(text: str) -> None:
         ("octree: {voxel_resolution: 2}", 2.0),
         ("octree: {voxel_resolution: 2e-1}", 0.2),
         ("octree:\n  voxel_resolution: 1.0e-1\n", 0.1),
+        ("octree: {voxel_resolution: +.5}", 0.5),
+        ("octree: {voxel_resolution: 10.}", 10.0),
         ("\ufeffoctree: {voxel_resolution: 0.2}", 0.2),
     ],
 )
@@ -48,6 +51,15 @@ def test_values_are_read(text: str, resolution: float, tmp_path: Path) -> None:
         ("octree: {voxel_resolution: }", "$.octree.voxel_resolution", ["nothing"]),
         ("octree: {voxel_resolution: true}", "$.octree.voxel_resolution", ["true"]),
         ("octree: {voxel_resolution: 2001-01-01}", "$.octree.voxel_resolution", ["2001"]),
+        ("octree: {voxel_resolution: 1:30}", "$.octree.voxel_resolution", ["1:30"]),
+        ("octree: {voxel_resolution: 1:30.5}", "$.octree.voxel_resolution", ["1:30.5"]),
+        ("octree: {voxel_resolution: 1_0}", "$.octree.voxel_resolution", ["1_0"]),
+        ("octree: {voxel_resolution: 1_0.5}", "$.octree.voxel_resolution", ["1_0.5"]),
+        ("octree: {voxel_resolution: 0x10}", "$.octree.voxel_resolution", ["0x10"]),
+        ("octree: {voxel_resolution: 0b11}", "$.octree.voxel_resolution", ["0b11"]),
+        ("processing: {frame_skip: 010}", "$.processing.frame_skip", ["010"]),
+        ("adaptive: {update: off}", "$.adaptive.update", ["off"]),
+        ("adaptive: {update: Yes}", "$.adaptive.update", ["Yes"]),
         ("mounting: {position: {z: .nan}}", "$.mounting.position.z", [".nan"]),
         ("processing: {frame_skip: 1.5}", "$.processing.frame_skip", ["whole number"]),
         ("processing: {frame_skip: 0}", "$.processing.frame_skip", [">= 1"]),
@@ -109,9 +121,11 @@ def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
     binary.write_bytes(b"octree: \xff\xfe")
     huge = tmp_path / "huge.yaml"
     huge.write_bytes(b"#" * (MAX_FILE_BYTES + 1))
+    os.mkfifo(tmp_path / "pipe")
     cases = {
         tmp_path / "none.yaml": "No such file",
         tmp_path: "directory",
+        tmp_path / "pipe": "no regular file",
         binary: "not UTF-8",
         huge: "not a settings file",
     }

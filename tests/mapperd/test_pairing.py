@@ -95,6 +95,20 @@ def test_waiting_is_bounded_in_bytes(
     assert settled == [0, 1, 2, 3, 4, 5, 6]
 
 
+def test_nobody_waits_behind_a_ping_with_a_stray_stamp(
+    ping: MakePing, odometry_bytes: OdometryBytes
+) -> None:
+    poses = OdometryPoses(TimeSync())
+    poses.add_odometry(odometry_bytes(), T0)
+    poses.add_ping(at_ms(ping, 1e12, 1))
+    assert list(poses.settled(T0 + round(1e12 + 5) * MS)) == []
+    poses.add_ping(at_ms(ping, 50, 2))
+    poses.add_odometry(odometry_bytes(), T0 + 100 * MS)
+    (_, stray), (_, pose) = poses.settled(T0 + 100 * MS)
+    assert isinstance(stray, Reject)
+    assert isinstance(pose, Pose)
+
+
 def test_fixed_pose_is_everywhere_the_same_and_counts_odometry(ping: MakePing) -> None:
     fixed = pose_from_rpy((1, 2, 3), (0, 0, 0))
     poses = FixedPose(fixed)

@@ -58,3 +58,15 @@ def test_strange_fractions_are_drawn_all_the_same() -> None:
         bar.show(fraction, 0)
     assert "? left" in out.getvalue()
     assert "0:00 left" in out.getvalue()
+
+
+def test_output_that_fails_does_not_stop_the_work() -> None:
+    class Full(Terminal):
+        def write(self, _: str) -> int:
+            raise OSError(28, "No space left on device")
+
+    clock = Clock()
+    bar = ProgressBar(Full(), clock)
+    clock.now_s += 10
+    bar.show(0.5, 1)
+    bar.close(2)

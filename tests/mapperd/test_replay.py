@@ -14,6 +14,7 @@ from mapperd.pairing import FixedPose, OdometryPoses, PoseSource
 from mapperd.replay import Replay, Window
 from oculus_driver.recording import open_recording
 
+START_NS = 1_700_000_000_000_000_000
 Write = Callable[..., list[int]]
 Survey = Callable[..., list[Any]]
 PingBytes = Callable[..., bytes]
@@ -207,3 +208,74 @@ def test_times_of_the_step_are_summed_up() -> None:
     counters.step_s.extend([0.001, 0.002, 0.009])
     assert counters.ms_per_ping()["p50"] == pytest.approx(2)
     assert counters.ms_per_ping()["max"] == pytest.approx(9)
+
+
+ASTRAY_S = 1e9
+
+
+def restamped(events: list[Any], kind: str, number: int, seconds: float) -> list[Any]:
+    """The events, the given one of its kind with another stamp."""
+    places = [k for k, event in enumerate(events) if event[0] == kind]
+    changed = list(events)
+    changed[places[number]] = (kind, events[places[number]][1], seconds)
+    return changed
+
+
+def test_ping_with_a_stray_stamp_does_not_end_the_chosen_part(
+    tmp_path: Path, write_recording: Write, survey: Survey
+) -> None:
+    write_recording(tmp_path / "a", restamped(survey(10), "ping", 2, ASTRAY_S))
+    counters, _ = replayed(tmp_path / "a", window=Window(duration_s=0.9))
+    assert counters.pings_total == counters.pings_mapped == 8
+    assert counters.pings_outside == 2
+
+
+def test_odometry_with_a_stray_stamp_does_not_end_the_chosen_part(
+    tmp_path: Path, write_recording: Write, survey: Survey
+) -> None:
+    write_recording(tmp_path / "a", restamped(survey(10), "odometry", 3, ASTRAY_S))
+    counters, _ = replayed(tmp_path / "a", window=Window(duration_s=0.9))
+    assert counters.pings_total == counters.pings_mapped == 9
+
+
+@pytest.mark.parametrize(("kind", "left"), [("odometry", 8), ("ping", 7)])
+def test_stray_first_stamp_is_not_the_start(
+    tmp_path: Path, write_recording: Write, survey: Survey, kind: str, left: int
+) -> None:
+    events = survey(10)
+    write_recording(tmp_path / "a", restamped(events, kind, 0, 1 - START_NS / 1e9))
+    counters, _ = replayed(tmp_path / "a", window=Window(start_s=0.2))
+    assert counters.pings_total == left
+
+
+def test_reading_stops_behind_the_chosen_part_and_blames_no_byte(
+    tmp_path: Path,
+    write_recording: Write,
+    survey: Survey,
+    ping_bytes: PingBytes,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("mapperd.replay.MAX_LATE_CHUNKS", 10)
+    late = ping_bytes(3)
+    pieces = [("ping", late[k : k + 100], 9.0) for k in range(0, len(late), 100)]
+    write_recording(tmp_path / "a", [*survey(2), *pieces])
+    replay = Replay(
+        SonarMap(COARSE), OdometryPoses(COARSE.time_sync), Window(duration_s=1.0), lambda: 0.0
+    )
+    with open_recording(tmp_path / "a") as recording:
+        chunks = list(replay.run(recording))
+    assert len(chunks) == 5 + 10
+    assert replay.counters.pings_mapped == 2
+    assert replay.counters.bytes_rejected == 0
+    assert replay.counters.messages_rejected.total() == 0
+
+
+def test_message_that_ends_behind_the_chosen_part_is_whole(
+    tmp_path: Path, write_recording: Write, survey: Survey, ping_bytes: PingBytes
+) -> None:
+    data = ping_bytes(3)
+    split = [("ping", data[:1000], 0.25), ("ping", data[1000:], 9.0)]
+    write_recording(tmp_path / "a", [*survey(2), *split])
+    counters, _ = replayed(tmp_path / "a", window=Window(duration_s=1.0))
+    assert counters.pings_mapped == 3
+    assert counters.bytes_rejected == 0

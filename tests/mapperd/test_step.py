@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapperd import step
-from mapperd.config import Config, Mounting, Octree, Orientation
+from mapperd.config import Config, Mounting, Octree, Orientation, Position
 from mapperd.frames import pose_from_rpy
 from mapperd.mapping import SonarMap
 from mapperd.reject import Reject
@@ -70,3 +70,18 @@ def test_pose_beyond_the_reach_of_the_map_is_refused(ping: MakePing) -> None:
     )
     assert isinstance(result, Reject)
     assert result.reason == "refused_by_map"
+
+
+def test_lever_arm_and_turned_mounting_are_of_the_base(ping: MakePing) -> None:
+    mounting = Mounting(position=Position(x=2.0, y=1.0, z=-0.5), orientation=Orientation(pitch=90))
+    sonar_map = SonarMap(msgspec.structs.replace(COARSE, mounting=mounting))
+    process_ping(ping(), pose_from_rpy((100, 50, -10), (0, 0, 90)), sonar_map)
+    centres = sonar_map.voxels("occupied").centres_m
+    # Yaw 90: forward is north, port is west. So 2 m north and 1 m west, looking straight down.
+    sonar = np.array([99.0, 52.0, -10.5])
+    assert np.linalg.norm(centres - sonar, axis=1) == pytest.approx(3.1, abs=0.3)
+    target = np.array([99.0, 52.0, -13.6])
+    assert np.linalg.norm(centres - target, axis=1).min() < 0.2
+    # The 120 degrees of the fan lie across the base, east to west; along it is the aperture.
+    assert np.abs(centres[:, 0] - 99).max() == pytest.approx(3.1 * np.sin(np.pi / 3), abs=0.3)
+    assert np.abs(centres[:, 1] - 52).max() < 3.2 * np.sin(np.radians(10)) + 0.2

@@ -16,7 +16,7 @@ namespace mapperd {
 
 enum class Aggregation {
   occupied_first,  // occupied evidence beats free evidence inside one ping
-  mean,            // the plain average of both kinds, as the seed documents have it
+  mean,            // the plain average of both kinds, as the published rule has it
 };
 
 // A view of a ping image: row-major, row 0 nearest, column 0 the most negative bearing.

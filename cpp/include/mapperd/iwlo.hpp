@@ -7,7 +7,7 @@
 
 namespace mapperd {
 
-// Names and defaults are the seed documents'.
+// Names and defaults are those of the published sonar mapper that this project grew from.
 struct IwloParams {
   double L_occ = 3.5;
   double L_free = -3.0;

@@ -1,6 +1,7 @@
-// The seed's integrator: sampled sub-rays, with its steps and its quirks.
+// Sampled sub-rays, as the published sonar mapper has them that this project grew from.
 //
-// The baseline that the projective integrator is measured against. Kept as the seed has it:
+// The baseline that the projective integrator is measured against, with that mapper's steps and
+// quirks:
 // - of a wide image only every (beams / 256)-th beam is used;
 // - a row's range is its near edge;
 // - free space is sampled in rows 0, 10, 20, ... and about every 4 voxels of elevation, from the
@@ -11,7 +12,7 @@
 //   the sonar's own table those around the centre beam are;
 // - of a voxel's returns in a ping the first one's intensity counts; occupied beats free.
 // Not kept: the equal-angle bearings (the ping's own table is used), and the sample count as a
-// weight, which only one of the seed's two back ends had.
+// weight, which only one of its two back ends had.
 #pragma once
 
 #include "mapperd/fan.hpp"

@@ -1,0 +1,72 @@
+"""What the package asks for when it is installed."""
+
+import ast
+import os
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+IMPORT_NAMES = {"pyyaml": "yaml"}
+
+OLD = """
+case "$1$2" in
+  --version) echo Python 3.9.1 ;;
+  -c) ;;
+  *) exit 1 ;;
+esac
+"""
+
+
+def imported(folder: Path) -> set[str]:
+    """First names of all modules that the files of a folder import, in code or by name."""
+    names: set[str] = set()
+    for path in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_bytes())):
+            if isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                names.add(node.module or "")
+            elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "import_module":
+                names |= {str(a.value) for a in node.args if isinstance(a, ast.Constant)}
+    return {name.partition(".")[0] for name in names}
+
+
+def required(words: list[str]) -> set[str]:
+    names = (re.split(r"[^a-z0-9_-]", word)[0] for word in words)
+    return {IMPORT_NAMES.get(name, name) for name in names}
+
+
+def test_vehicle_gets_what_it_imports_and_nothing_else() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    used = imported(ROOT / "mapperd") | imported(ROOT / "oculus_driver")
+    assert required(project["dependencies"]) <= used
+    assert "msgpack" in required(project["optional-dependencies"]["sim"])
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ("exit 127", "cannot be run"),
+        ('[ "$1" = --version ] && echo Python 3.12.0', "cannot be run"),
+        (OLD, "Python 3.9.1 is too old"),
+    ],
+    ids=["shim", "half a shim", "old"],
+)
+def test_python_that_will_not_do_is_told_why(tmp_path: Path, body: str, words: str) -> None:
+    shim = tmp_path / "python3"
+    shim.write_text(f"#!/bin/sh\n{body}\n", encoding="utf-8")
+    shim.chmod(0o755)
+    done = subprocess.run(  # noqa: S603 our own script
+        [str(ROOT / "scripts" / "prerequisites")],
+        env=os.environ | {"PYTHON": str(shim)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert done.returncode == 1
+    assert words in done.stderr
