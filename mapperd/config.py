@@ -151,10 +151,10 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True):
 class Iwlo(Struct, frozen=True, forbid_unknown_fields=True):
     """The intensity-weighted log-odds rule."""
 
-    L_occ: Annotated[float, rule("Step of an occupied observation.", ge=0, le=1000)] = 3.5
-    L_free: Annotated[float, rule("Step of a free observation.", ge=-1000, le=0)] = -3.0
-    L_min: Annotated[float, rule("Floor of the log-odds.", ge=-1000, lt=0)] = -10.0
-    L_max: Annotated[float, rule("Ceiling of the log-odds.", gt=0, le=1000)] = 10.0
+    L_occ: Annotated[float, rule("Step of an occupied observation.", ge=0, le=127)] = 3.5
+    L_free: Annotated[float, rule("Step of a free observation.", ge=-127, le=0)] = -3.0
+    L_min: Annotated[float, rule("Floor of the log-odds.", ge=-127, lt=0)] = -10.0
+    L_max: Annotated[float, rule("Ceiling of the log-odds.", gt=0, le=127)] = 10.0
     sharpness: Annotated[
         float, rule("Slope from intensity to weight; higher is more yes-or-no.", ge=0, le=1000)
     ] = 3.0

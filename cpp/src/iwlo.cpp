@@ -24,8 +24,8 @@ double checked_settling_count(const IwloParams& p) {
           "L_free must be a number, 0 or less, of at most 127 in size");
   require(finite(p.L_min) && p.L_min < 0, "L_min must be a number below 0, of at most 127 in size");
   require(finite(p.L_max) && p.L_max > 0, "L_max must be a number above 0, of at most 127 in size");
-  require(finite(p.sharpness) && p.sharpness >= 0, "sharpness must be a number from 0 to 127");
-  require(finite(p.decay_rate) && p.decay_rate >= 0, "decay_rate must be a number from 0 to 127");
+  require(p.sharpness >= 0 && p.sharpness <= 1e4, "sharpness must be a number from 0 to 10000");
+  require(p.decay_rate >= 0 && p.decay_rate <= 1e4, "decay_rate must be a number from 0 to 10000");
   require(p.min_alpha > 0 && p.min_alpha <= 1, "min_alpha must lie in (0, 1]");
   require(std::isfinite(p.intensity_threshold), "intensity_threshold must be finite");
   require(std::isfinite(p.intensity_max), "intensity_max must be finite");

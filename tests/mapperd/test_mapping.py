@@ -149,7 +149,7 @@ def test_octomap_refuses_what_it_cannot_hold(ping: MakePing) -> None:
 def test_every_allowed_extreme_of_the_rule_is_taken_by_the_core() -> None:
     for iwlo in (
         Iwlo(L_occ=0.0, L_free=0.0, sharpness=0.0),
-        Iwlo(L_occ=1000.0, L_free=-1000.0, L_min=-1000.0, L_max=1000.0, sharpness=1000.0),
+        Iwlo(L_occ=127.0, L_free=-127.0, L_min=-127.0, L_max=127.0, sharpness=1000.0),
         Iwlo(decay_rate=0.0, min_alpha=1.0),
         Iwlo(decay_rate=1000.0, min_alpha=1e-6),
         Iwlo(intensity_max=1e-9),

@@ -66,7 +66,7 @@ def test_ping_that_cannot_be_mapped_leaves_the_map_alone(
 def test_pose_beyond_the_reach_of_the_map_is_refused(ping: MakePing) -> None:
     fine = msgspec.structs.replace(COARSE, octree=Octree(voxel_resolution=0.001))
     result = process_ping(
-        ping(range_resolution_m=0.001), pose_from_rpy((1e7, 0, 0), (0, 0, 0)), SonarMap(fine)
+        ping(range_resolution_m=0.001), pose_from_rpy((3e7, 0, 0), (0, 0, 0)), SonarMap(fine)
     )
     assert isinstance(result, Reject)
     assert result.reason == "refused_by_map"
