@@ -15,7 +15,7 @@ from mapperd.config import Sonar
 from mapperd.errors import MapError
 from oculus_driver.ping import Ping
 
-__all__ = ["Echo", "echo_of"]
+__all__ = ["Echo", "beams_in_view", "display_units", "echo_of"]
 
 EDGE_RAD = math.radians(0.01)
 """Resolution of the sonar's bearing table: a beam on the edge of the fan belongs to it."""
@@ -53,18 +53,28 @@ def echo_of(ping: Ping, sonar: Sonar) -> Echo:
     bearings = ping.bearings_rad
     if "bad_bearings" in ping.warnings:
         raise MapError("bearings do not rise from port to starboard", "bad_bearings")
-    half_rad = math.radians(sonar.horizontal_fov) / 2 + EDGE_RAD
-    first, last = np.searchsorted(bearings, [-half_rad, half_rad])
-    if first == last:
-        raise MapError("no beam lies within sonar.horizontal_fov", "outside_fov")
-    intensity = _scaled(ping.image[:, first:last], ping.full_scale)
-    kept = np.ascontiguousarray(bearings[first:last])
+    view = beams_in_view(bearings, sonar)
+    intensity = display_units(ping.image[:, view], ping.full_scale)
+    kept = np.ascontiguousarray(bearings[view])
     intensity.setflags(write=False)
     kept.setflags(write=False)
     return Echo(intensity, kept, ping.range_resolution_m)
 
 
-def _scaled(samples: NDArray[np.unsignedinteger], full_scale: int) -> NDArray[np.float32]:
+def beams_in_view(bearings_rad: NDArray[np.float64], sonar: Sonar) -> slice:
+    """The beams, of increasing bearings, within `sonar.horizontal_fov`.
+
+    Raises:
+        MapError: none of them lies in it.
+    """
+    half_rad = math.radians(sonar.horizontal_fov) / 2 + EDGE_RAD
+    first, last = np.searchsorted(bearings_rad, [-half_rad, half_rad])
+    if first == last:
+        raise MapError("no beam lies within sonar.horizontal_fov", "outside_fov")
+    return slice(int(first), int(last))
+
+
+def display_units(samples: NDArray[np.unsignedinteger], full_scale: int) -> NDArray[np.float32]:
     """Samples as 0..255; a division, so that multiples of the step come out whole."""
     wide = np.float32 if samples.itemsize <= EXACT_BYTES else np.float64
     intensity = np.divide(samples, wide(full_scale / 255), dtype=wide)

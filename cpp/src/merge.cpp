@@ -4,6 +4,8 @@
 #include <cstdint>
 #include <stdexcept>
 
+#include "mapperd/block_writer.hpp"
+
 namespace mapperd {
 namespace {
 
@@ -32,12 +34,13 @@ float clamped(double log_odds, const IwloParams& params) {
 void merge(VoxelMap& map, const std::vector<const VoxelMap*>& others) {
   for (const VoxelMap* other : others) check_equal_kind(map, *other);
   const IwloRule& rule = map.rule();
+  BlockWriter writer(map);
   for (std::size_t k = 0; k < others.size(); ++k) {
     others[k]->for_each_known([&](const VoxelIndex& voxel, const VoxelState&) {
       for (std::size_t earlier = 0; earlier < k; ++earlier) {
         if (others[earlier]->at(voxel).count != 0) return;  // already done
       }
-      const VoxelState own = map.at(voxel);
+      const VoxelState own = writer.at(voxel);
       double log_odds = own.log_odds;
       std::uint64_t count = own.count;
       for (const VoxelMap* other : others) {
@@ -46,7 +49,7 @@ void merge(VoxelMap& map, const std::vector<const VoxelMap*>& others) {
         count += state.count;
       }
       count = std::min<std::uint64_t>(count, rule.settled_count());
-      map.set(voxel, {clamped(log_odds, rule.params()), static_cast<std::uint16_t>(count)});
+      writer.set(voxel, {clamped(log_odds, rule.params()), static_cast<std::uint16_t>(count)});
     });
   }
 }
@@ -54,9 +57,11 @@ void merge(VoxelMap& map, const std::vector<const VoxelMap*>& others) {
 VoxelMap with_rule(const VoxelMap& map, const IwloParams& params) {
   VoxelMap copy(map.resolution_m(), params);
   const std::uint16_t settled = copy.rule().settled_count();
+  BlockWriter writer(copy);
   map.for_each_known([&](const VoxelIndex& voxel, const VoxelState& state) {
-    copy.set(voxel, {clamped(state.log_odds, params), std::min(state.count, settled)});
+    writer.set(voxel, {clamped(state.log_odds, params), std::min(state.count, settled)});
   });
+  writer.flush();
   return copy;
 }
 

@@ -2,10 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <stdexcept>
 #include <string>
 #include <vector>
 
+#include "mapperd/block_writer.hpp"
 #include "mapperd/voxel_walk.hpp"
 
 namespace mapperd {
@@ -31,20 +33,31 @@ void check_numbers(const double* values, std::size_t count, const char* name, do
   }
 }
 
-// One observation that leaves a voxel at the given log-odds.
-void put(VoxelMap& map, const VoxelIndex& voxel, const VoxelState& before, double log_odds) {
-  const IwloRule& rule = map.rule();
-  const double clamped = std::clamp(log_odds, rule.params().L_min, rule.params().L_max);
-  const int count = std::min<int>(before.count + 1, rule.settled_count());
-  map.set(voxel, {static_cast<float>(clamped), static_cast<std::uint16_t>(count)});
+// Rows ordered by the blocks of their voxels; those of one block stay in their order.
+std::vector<std::size_t> by_block(const std::vector<VoxelIndex>& voxels) {
+  std::vector<std::size_t> rows(voxels.size());
+  std::iota(rows.begin(), rows.end(), std::size_t{0});
+  std::stable_sort(rows.begin(), rows.end(), [&voxels](std::size_t a, std::size_t b) {
+    return block_holding(voxels[a]) < block_holding(voxels[b]);
+  });
+  return rows;
 }
 
-void add_step(VoxelMap& map, const VoxelIndex& voxel, double step, const StepLimits& limits) {
-  const VoxelState before = map.at(voxel);
+// One observation that leaves a voxel at the given log-odds.
+void put(BlockWriter& writer, const IwloRule& rule, const VoxelIndex& voxel,
+         const VoxelState& before, double log_odds) {
+  const double clamped = std::clamp(log_odds, rule.params().L_min, rule.params().L_max);
+  const int count = std::min<int>(before.count + 1, rule.settled_count());
+  writer.set(voxel, {static_cast<float>(clamped), static_cast<std::uint16_t>(count)});
+}
+
+void add_step(BlockWriter& writer, const IwloRule& rule, const VoxelIndex& voxel, double step,
+              const StepLimits& limits) {
+  const VoxelState before = writer.at(voxel);
   const double sum = before.log_odds + step;
   const double limit = step > 0 ? std::max<double>(limits.high, before.log_odds)
                                 : std::min<double>(limits.low, before.log_odds);
-  put(map, voxel, before, step > 0 ? std::min(sum, limit) : std::max(sum, limit));
+  put(writer, rule, voxel, before, step > 0 ? std::min(sum, limit) : std::max(sum, limit));
 }
 
 }  // namespace
@@ -55,14 +68,15 @@ void observe(VoxelMap& map, const ObservedPoints& observed) {
   if (observed.step_factor != nullptr) check_numbers(observed.step_factor, n, "weights", 0.0);
   const std::vector<VoxelIndex> voxels = voxels_of(map, observed.points);
   const IwloRule& rule = map.rule();
-  for (std::size_t i = 0; i < n; ++i) {
-    const VoxelState before = map.at(voxels[i]);
+  BlockWriter writer(map);
+  for (const std::size_t i : by_block(voxels)) {
+    const VoxelState before = writer.at(voxels[i]);
     const double step = observed.occupied[i]
                             ? rule.occupied_step(before.log_odds, before.count,
                                                  rule.occupied_weight(observed.intensity[i]))
                             : rule.free_step(before.log_odds, before.count);
     const double factor = observed.step_factor == nullptr ? 1.0 : observed.step_factor[i];
-    put(map, voxels[i], before, before.log_odds + factor * step);
+    put(writer, rule, voxels[i], before, before.log_odds + factor * step);
   }
 }
 
@@ -70,14 +84,18 @@ void add_log_odds(VoxelMap& map, const Points& points, const double* steps,
                   const StepLimits& limits) {
   check_numbers(steps, points.count, "steps", -HUGE_VAL);
   const std::vector<VoxelIndex> voxels = voxels_of(map, points);
-  for (std::size_t i = 0; i < points.count; ++i) add_step(map, voxels[i], steps[i], limits);
+  BlockWriter writer(map);
+  for (const std::size_t i : by_block(voxels)) {
+    add_step(writer, map.rule(), voxels[i], steps[i], limits);
+  }
 }
 
 void set_log_odds(VoxelMap& map, const Points& points, const double* values) {
   check_numbers(values, points.count, "log_odds", -HUGE_VAL);
   const std::vector<VoxelIndex> voxels = voxels_of(map, points);
-  for (std::size_t i = 0; i < points.count; ++i) {
-    put(map, voxels[i], map.at(voxels[i]), values[i]);
+  BlockWriter writer(map);
+  for (const std::size_t i : by_block(voxels)) {
+    put(writer, map.rule(), voxels[i], writer.at(voxels[i]), values[i]);
   }
 }
 
@@ -89,13 +107,14 @@ void add_ray(VoxelMap& map, const Vec3& origin_m, const Vec3& end_m, double hit,
   if (!(length_m <= kMaxRayVoxels * map.resolution_m())) {
     throw std::invalid_argument("a ray must not be longer than a million voxels");
   }
+  BlockWriter writer(map);
   if (!(voxels[0] == voxels[1])) {
     VoxelWalk walk(map.resolution_m(), voxels[0], origin_m, unit_vector(end_m - origin_m));
     for (; !(walk.voxel() == voxels[1]) && walk.entry_m() < length_m; walk.advance()) {
-      add_step(map, walk.voxel(), miss, limits);
+      add_step(writer, map.rule(), walk.voxel(), miss, limits);
     }
   }
-  add_step(map, voxels[1], hit, limits);
+  add_step(writer, map.rule(), voxels[1], hit, limits);
 }
 
 }  // namespace mapperd

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
@@ -68,6 +69,26 @@ TEST_CASE("set values are absolute and clamped by the map") {
   set_log_odds(map, {xyz, 2}, values);
   CHECK(map.at(Vec3{0, 0, 0}).log_odds == 10.0F && map.at(Vec3{0, 0, 0}).count == 2);
   CHECK(map.at(Vec3{1, 0, 0}).log_odds == -10.0F);
+}
+
+TEST_CASE("points all over the blocks give what one call a point gives") {
+  VoxelMap together(0.1, {}), alone(0.1, {});
+  scenes::Random random(8);
+  std::vector<double> xyz, intensity, weights;
+  bool occupied[3000];
+  for (bool& flag : occupied) {
+    for (int axis = 0; axis < 3; ++axis) xyz.push_back(random.uniform(-2, 2));
+    if (random.integer(0, 3) == 0) std::fill(xyz.end() - 3, xyz.end(), 0.5);  // many in one voxel
+    intensity.push_back(random.uniform(0, 255));
+    weights.push_back(random.uniform(0, 2));
+    flag = random.integer(0, 1) == 1;
+  }
+  observe(together, {{xyz.data(), 3000}, intensity.data(), occupied, weights.data()});
+  for (std::size_t i = 0; i < 3000; ++i) {
+    observe(alone, {{&xyz[3 * i], 1}, &intensity[i], &occupied[i], &weights[i]});
+  }
+  CHECK(maps::content(together) == maps::content(alone));
+  CHECK(known_count(alone) > 2000);
 }
 
 TEST_CASE("a bad point anywhere leaves the map as it was") {

@@ -1,0 +1,171 @@
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mapperd import ProbabilityUpdater
+from mapperd.map_queries import OCCUPIED, UNKNOWN
+
+HERE = [[0.01, 0.02, 0.03]]
+
+
+def log_odds(updater: ProbabilityUpdater) -> float:
+    ((*_, probability),) = updater.get_occupied_voxels(0)
+    return math.log(probability / (1 - probability))
+
+
+def set_a() -> ProbabilityUpdater:
+    """Set A of the reference's test vectors."""
+    updater = ProbabilityUpdater()
+    updater.set_iwlo_params(3.0, 0.1, 0.1, -10.0, 10.0)
+    return updater
+
+
+def test_published_vectors() -> None:
+    updater = set_a()
+    steps = [
+        (145, 1.75),
+        (145, 3.340909),
+        (145, 4.799242),
+        (255, 7.000404),
+        (0, 6.354815),
+        (0, 5.749956),
+        (145, 6.843706),
+        (145, 7.873118),
+    ]
+    for intensity, expected in steps:
+        updater.batch_update_iwlo(HERE, [intensity], [intensity > 0])
+        assert log_odds(updater) == pytest.approx(expected, abs=1e-5)
+    assert updater.get_observation_count((0, 0, 0)) == len(steps)
+    assert updater.get_observation_count((1, 0, 0)) == 0
+
+
+@pytest.mark.parametrize("weights", [[3, 2, 1], np.array([3.0, 2.0, 1.0])])
+def test_published_vectors_with_weights(weights: Any) -> None:
+    single = set_a()
+    for (intensity, expected), weight in zip(
+        ((145, 5.25), (0, 3.573774), (145, 5.032107)), weights, strict=True
+    ):
+        single.batch_update_iwlo(HERE, [intensity], [intensity > 0], [weight])
+        assert log_odds(single) == pytest.approx(expected, abs=1e-5)
+    batch = set_a()
+    batch.batch_update_iwlo(HERE * 3, [145, 0, 145], [True, False, True], weights)
+    assert log_odds(batch) == log_odds(single)
+
+
+def test_set_b_through_all_setters() -> None:
+    updater = ProbabilityUpdater()
+    updater.set_log_odds_params(2.0, -4.0)
+    updater.set_iwlo_params(0.1, 0.1, 0.3, -12.0, 8.0)
+    updater.set_adaptive_params(enable=True, threshold=0.5, max_ratio=0.3)
+    updater.set_intensity_params(100.0, 255.0)
+    for intensity, expected in ((150, 0.991129), (150, 1.892156), (150, 2.718097)):
+        updater.batch_update_iwlo(HERE, [intensity], [True])
+        assert log_odds(updater) == pytest.approx(expected, abs=1e-5)
+
+
+def test_own_defaults() -> None:
+    updater = ProbabilityUpdater()
+    assert updater.get_resolution() == 0.05
+    updater.batch_update_iwlo(HERE, [255], [True])
+    assert log_odds(updater) == pytest.approx(3.5 / (1 + math.exp(-0.05)), abs=1e-5)
+
+
+def test_flag_decides() -> None:
+    updater = ProbabilityUpdater()
+    updater.batch_update_iwlo(HERE, [200], [False])
+    assert log_odds(updater) == pytest.approx(-3.0, abs=1e-5)
+    dark = ProbabilityUpdater()
+    dark.batch_update_iwlo(HERE, [10], [True])
+    assert log_odds(dark) == 0.0
+    assert dark.get_observation_count((0, 0, 0)) == 1
+
+
+def test_empty_weights_are_no_weights() -> None:
+    with_none, with_empty = ProbabilityUpdater(), ProbabilityUpdater()
+    with_none.batch_update_iwlo(HERE, [100], [1])
+    with_empty.batch_update_iwlo(HERE, [100], [1], [])
+    assert log_odds(with_none) == log_odds(with_empty)
+
+
+def test_clamps_are_one_pair_and_hold_at_once() -> None:
+    updater = ProbabilityUpdater()
+    updater.batch_update_iwlo(HERE * 40, [255] * 40, [True] * 40)
+    assert log_odds(updater) == pytest.approx(10.0, abs=1e-4)
+    updater.set_clamping_thresholds(0.1, 0.9)
+    assert log_odds(updater) == pytest.approx(math.log(9), abs=1e-5)
+    assert len(updater.get_occupied_voxels()) == 1  # and max_prob is no threshold
+    updater.batch_update_iwlo(HERE * 40, [0] * 40, [False] * 40)
+    assert log_odds(updater) == pytest.approx(-math.log(9), abs=1e-5)
+    assert updater.get_observation_count([0, 0, 0]) > 1  # kept through the change of rule
+
+
+def test_occupied_threshold_is_the_queries() -> None:
+    updater = ProbabilityUpdater()
+    updater.batch_update_iwlo(HERE, [100], [True])  # p = 0.85
+    assert updater.queries.classify(HERE).tolist() == [OCCUPIED]
+    updater.set_occupied_threshold(0.95)
+    assert updater.queries.classify(HERE).tolist() == [UNKNOWN]
+    with pytest.raises(ValueError, match="threshold"):
+        updater.set_occupied_threshold(1.0)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ([[0, 0, 0], [math.nan, 0, 0]], [1, 1], [True, True]),
+        ([[0, 0, 0]], [math.nan], [True]),
+        ([[0, 0, 0]], [-1.0], [True]),
+        ([[0, 0, 0]], [1.0, 2.0], [True]),
+        ([[0, 0, 0]], [1.0], [True, False]),
+        ([[0, 0, 0]], [1.0], [0.5]),
+        ([[0, 0, 0]], [1.0], [True], [-1.0]),
+        ([[0, 0, 0]], [1.0], [True], [math.inf]),
+        ([[0, 0, 0]], [1.0], [True], [1.0, 1.0]),
+        ([[0, 0]], [1.0], [True]),
+    ],
+)
+def test_bad_batches_change_nothing(arguments: tuple[Any, ...]) -> None:
+    updater = ProbabilityUpdater()
+    with pytest.raises(ValueError, match=r"\w"):
+        updater.batch_update_iwlo(*arguments)
+    assert updater.get_num_nodes() == 0
+
+
+@pytest.mark.parametrize(
+    ("setter", "arguments"),
+    [
+        ("set_log_odds_params", (-1.0, -3.0)),
+        ("set_adaptive_params", (False, 0.0, 0.3)),
+        ("set_clamping_thresholds", (0.6, 0.9)),
+        ("set_clamping_thresholds", (0.0, 1.0)),
+        ("set_iwlo_params", (3.0, 0.1, 0.0, -10.0, 10.0)),
+        ("set_intensity_params", (math.nan, 255.0)),
+    ],
+)
+def test_bad_parameters_change_nothing(setter: str, arguments: tuple[Any, ...]) -> None:
+    updater, reference = ProbabilityUpdater(), ProbabilityUpdater()
+    with pytest.raises(ValueError, match=r"\w"):
+        getattr(updater, setter)(*arguments)
+    for one in (updater, reference):
+        one.batch_update_iwlo(HERE * 3, [0, 150, 200], [False, True, True])
+    assert log_odds(updater) == log_odds(reference)
+
+
+@pytest.mark.parametrize("key", [(0, 0), (0.5, 0, 0), "0_0_0"])
+def test_bad_keys_are_refused(key: Any) -> None:
+    with pytest.raises(ValueError, match="three whole numbers"):
+        ProbabilityUpdater().get_observation_count(key)
+
+
+def test_the_rest_of_the_seed_documents_names() -> None:
+    updater = ProbabilityUpdater(0.1)
+    updater.batch_update_iwlo([[0, 0, 0], [1, 1, 1]], [100, 0], [True, False])
+    updater.set_incremental_sync(False)
+    updater.force_full_sync()
+    assert updater.get_occupied_voxels()[0, :3] == pytest.approx([0.05, 0.05, 0.05])
+    assert updater.get_memory_usage().num_leaf_nodes == 2
+    assert updater.prune_tree() == 0
+    updater.clear()
+    assert updater.get_num_nodes() == 0
