@@ -16,13 +16,16 @@ from mapperd.mapping import Voxels
 from mapperd.point_arrays import numbers_of, points_of
 from mapperd.probability import log_odds_of, probabilities_of
 
-__all__ = ["FREE", "OCCUPIED", "UNKNOWN", "BoxGrid", "MapQueries"]
+__all__ = ["EVEN", "FREE", "OCCUPIED", "UNKNOWN", "BoxGrid", "MapQueries", "voxels_above"]
 
 UNKNOWN: Final = -1
 """Never observed, or observed without a clear result (between the two thresholds)."""
 
 FREE: Final = 0
 OCCUPIED: Final = 1
+
+EVEN: Final = 0.5
+"""The probability of a voxel that nothing is known about."""
 
 Number = TypeVar("Number", np.int8, np.float32)
 
@@ -168,3 +171,21 @@ class MapQueries:
         corners = numbers_of(low), numbers_of(high)
         centres, log_odds, count = self._core.occupied_in(*corners, self._occupied)
         return Voxels(centres, probabilities_of(log_odds).astype(np.float32), count)
+
+
+def voxels_above(core: _core.VoxelMap, min_probability: float) -> NDArray[np.float64]:
+    """Voxels of a map above a probability; 0 means all observed ones, negative means 0.5.
+
+    Returns:
+        (N, 4): x, y, z of the centre, probability.
+
+    Raises:
+        ValueError: above 1, or not a number.
+    """
+    if not min_probability <= 1:
+        raise ValueError(f"min_probability must be at most 1, not {min_probability!r}")
+    limits = {0.0: -np.inf, 1.0: np.inf}
+    asked = EVEN if min_probability < 0 else float(min_probability)
+    limit = limits[asked] if asked in limits else log_odds_of(asked, "min_probability")
+    centres, log_odds, _ = core.voxels(min_log_odds=limit)
+    return np.column_stack([centres, probabilities_of(log_odds)])

@@ -14,17 +14,15 @@ from numpy.typing import ArrayLike, NDArray
 from mapperd import _core
 from mapperd.errors import MapError
 from mapperd.export.atomic import atomic_file
-from mapperd.map_queries import MapQueries
+from mapperd.map_queries import EVEN, MapQueries, voxels_above
 from mapperd.memory_stats import MemoryStats, memory_stats
 from mapperd.point_arrays import flags_of, numbers_of, points_of
-from mapperd.probability import log_odds_of, probabilities_of
+from mapperd.probability import log_odds_of
 
-__all__ = ["MAX_FILE_BYTES", "OctreeMapper", "voxels_above"]
+__all__ = ["MAX_FILE_BYTES", "OctreeMapper"]
 
 MAX_FILE_BYTES = 2**31
 """A larger file would not become a map that fits into memory."""
-
-EVEN = 0.5
 
 
 class OctreeMapper:
@@ -240,21 +238,3 @@ class OctreeMapper:
         except ValueError as error:
             raise MapError(f"{path}: {error}", "bad_octomap_file") from error
         return True
-
-
-def voxels_above(core: _core.VoxelMap, min_probability: float) -> NDArray[np.float64]:
-    """Voxels of a map above a probability; 0 means all observed ones, negative means 0.5.
-
-    Returns:
-        (N, 4): x, y, z of the centre, probability.
-
-    Raises:
-        ValueError: above 1, or not a number.
-    """
-    if not min_probability <= 1:
-        raise ValueError(f"min_probability must be at most 1, not {min_probability!r}")
-    limits = {0.0: -np.inf, 1.0: np.inf}
-    asked = EVEN if min_probability < 0 else float(min_probability)
-    limit = limits[asked] if asked in limits else log_odds_of(asked, "min_probability")
-    centres, log_odds, _ = core.voxels(min_log_odds=limit)
-    return np.column_stack([centres, probabilities_of(log_odds)])

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapperd import _core
-from mapperd.map_queries import MapQueries
+from mapperd.map_queries import EVEN, MapQueries, voxels_above
 from mapperd.memory_stats import MemoryStats, memory_stats
-from mapperd.octree_mapper import EVEN, voxels_above
 from mapperd.point_arrays import flags_of, numbers_of, points_of
 from mapperd.probability import log_odds_of
 

@@ -19,18 +19,15 @@ from mapperd.errors import MapError
 from mapperd.export.atomic import atomic_file
 from mapperd.export.ply import write_ply
 from mapperd.flat_config import config_from_flat
-from mapperd.frames import rigid_transform
 from mapperd.map_queries import MapQueries
 from mapperd.mapping import SonarMap
 from mapperd.memory_stats import memory_stats
 from mapperd.polar_image import echo_of_image
+from mapperd.robot_pose import robot_pose
 
 __all__ = ["FrameStats", "PointCloud", "SonarTo3DMapper"]
 
 Floats = NDArray[np.float64]
-
-LENGTH_TOLERANCE = 1e-3
-"""Quaternions come with rounding errors; one further from unit length is a mistake."""
 
 
 class FrameStats(TypedDict):
@@ -123,7 +120,7 @@ class SonarTo3DMapper:
         start = self._clock()
         self._frames += 1
         echo = echo_of_image(polar_image, max_range, bearings, self._config.sonar)
-        map_T_base = _pose(robot_position, robot_orientation)  # noqa: N806 frames are named
+        map_T_base = robot_pose(robot_position, robot_orientation)  # noqa: N806 frames are named
         changed = self._map.integrate(echo, map_T_base @ self._map.base_T_sonar)
         self._processed += 1
         known = self._map.core.known_count()
@@ -237,19 +234,3 @@ class SonarTo3DMapper:
         with atomic_file(path) as file:
             file.write(data)
         return True
-
-
-def _pose(position: ArrayLike, orientation: ArrayLike) -> Floats:
-    """(4, 4) transform from a position and a quaternion [qx, qy, qz, qw], brought to length 1."""
-    try:
-        place = np.asarray(position, dtype=np.float64)
-        turn = np.asarray(orientation, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise MapError(f"a pose is made of numbers: {error}", "bad_pose") from error
-    if place.shape != (3,) or turn.shape != (4,):
-        raise MapError("a pose is a position of 3 and a quaternion of 4 numbers", "bad_pose")
-    length = float(np.linalg.norm(turn))
-    if not (np.isfinite(place).all() and abs(length - 1) <= LENGTH_TOLERANCE):
-        raise MapError("a pose is a finite position and a unit quaternion", "bad_pose")
-    x, y, z, w = turn / length
-    return rigid_transform(place, (w, x, y, z))

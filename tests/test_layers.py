@@ -59,6 +59,7 @@ ORDER = (
     "probability_updater",
     "flat_config",
     "polar_image",
+    "robot_pose",
     "sonar_to_3d",
     "progress",
     "arguments",

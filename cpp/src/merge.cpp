@@ -52,6 +52,7 @@ void merge(VoxelMap& map, const std::vector<const VoxelMap*>& others) {
       writer.set(voxel, {clamped(log_odds, rule.params()), static_cast<std::uint16_t>(count)});
     });
   }
+  writer.flush();
 }
 
 VoxelMap with_rule(const VoxelMap& map, const IwloParams& params) {

@@ -78,6 +78,7 @@ void observe(VoxelMap& map, const ObservedPoints& observed) {
     const double factor = observed.step_factor == nullptr ? 1.0 : observed.step_factor[i];
     put(writer, rule, voxels[i], before, before.log_odds + factor * step);
   }
+  writer.flush();
 }
 
 void add_log_odds(VoxelMap& map, const Points& points, const double* steps,
@@ -88,6 +89,7 @@ void add_log_odds(VoxelMap& map, const Points& points, const double* steps,
   for (const std::size_t i : by_block(voxels)) {
     add_step(writer, map.rule(), voxels[i], steps[i], limits);
   }
+  writer.flush();
 }
 
 void set_log_odds(VoxelMap& map, const Points& points, const double* values) {
@@ -97,6 +99,7 @@ void set_log_odds(VoxelMap& map, const Points& points, const double* values) {
   for (const std::size_t i : by_block(voxels)) {
     put(writer, map.rule(), voxels[i], writer.at(voxels[i]), values[i]);
   }
+  writer.flush();
 }
 
 void add_ray(VoxelMap& map, const Vec3& origin_m, const Vec3& end_m, double hit, double miss,
@@ -115,6 +118,7 @@ void add_ray(VoxelMap& map, const Vec3& origin_m, const Vec3& end_m, double hit,
     }
   }
   add_step(writer, map.rule(), voxels[1], hit, limits);
+  writer.flush();
 }
 
 }  // namespace mapperd

@@ -16,14 +16,11 @@ inline BlockKey block_holding(const VoxelIndex& voxel) {
   return {block(voxel.x), block(voxel.y), block(voxel.z)};
 }
 
-// Changes reach the map when another block is written to, at flush(), and at the end of the
-// writer's life. All voxels must lie within the map's reach, all states be observed.
+// Changes reach the map when another block is written to, and at flush(): the writer's user ends
+// with it. All voxels must lie within the map's reach, all states be observed.
 class BlockWriter {
  public:
   explicit BlockWriter(VoxelMap& map) : map_(map) {}
-  ~BlockWriter() { flush(); }
-  BlockWriter(const BlockWriter&) = delete;
-  BlockWriter& operator=(const BlockWriter&) = delete;
 
   // The voxel as it stands, with what was written to it.
   VoxelState at(const VoxelIndex& voxel) const;
