@@ -1,5 +1,6 @@
 """Small pings, odometry records and recordings to test with."""
 
+import json
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mapperd.cli import main
 from mapperd.odometry.native import NativeRecord, encode_native
 from oculus_driver.encode import encode_ping
 from oculus_driver.ping import Ping, decode_ping
@@ -124,3 +126,38 @@ def quick_config(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "octree: {voxel_resolution: 0.2}\nmounting: {orientation: {pitch: 0}}\n", encoding="utf-8"
     )
     return path
+
+
+class Ran:
+    """What one run of the command did; every ping is accounted for."""
+
+    def __init__(self, code: int, said: str, out: Path) -> None:
+        self.code = code
+        self.said = said
+        self.out = out
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        summary: dict[str, Any] = json.loads((self.out / "summary.json").read_text("utf-8"))
+        dropped = sum(summary["pings_dropped"].values())
+        assert summary["pings_total"] == summary["pings_mapped"] + dropped
+        return summary
+
+
+@pytest.fixture
+def run(
+    tmp_path: Path, quick_config: Path, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., Ran]:
+    def call(path: Path, *more: str, config: Path = quick_config) -> Ran:
+        out = tmp_path / "out"
+        words = ["--replay", str(path), "--config", str(config), "--out", str(out), *more]
+        code = main(words)
+        return Ran(code, capsys.readouterr().err, out)
+
+    return call
+
+
+@pytest.fixture
+def no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hundreds of runs: the picture is drawn elsewhere."""
+    monkeypatch.setattr("mapperd.export.folder.write_picture", lambda *_: None)

@@ -1,10 +1,7 @@
 """Whatever is given to the command: one clear line or a counted drop, never a traceback."""
 
-import json
 import os
 import struct
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,42 +17,9 @@ Survey = Callable[..., list[Any]]
 PingBytes = Callable[..., bytes]
 OdometryBytes = Callable[..., bytes]
 
+Run = Callable[..., Any]
+
 STILL = "--pose=0,0,0,0,0,0"
-
-
-class Ran:
-    """What one run of the command did."""
-
-    def __init__(self, code: int, said: str, out: Path) -> None:
-        self.code = code
-        self.said = said
-        self.out = out
-
-    @property
-    def summary(self) -> dict[str, Any]:
-        summary: dict[str, Any] = json.loads((self.out / "summary.json").read_text("utf-8"))
-        dropped = sum(summary["pings_dropped"].values())
-        assert summary["pings_total"] == summary["pings_mapped"] + dropped
-        return summary
-
-
-@pytest.fixture
-def run(
-    tmp_path: Path, quick_config: Path, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., Ran]:
-    def call(path: Path, *more: str, config: Path = quick_config) -> Ran:
-        out = tmp_path / "out"
-        words = ["--replay", str(path), "--config", str(config), "--out", str(out), *more]
-        code = main(words)
-        return Ran(code, capsys.readouterr().err, out)
-
-    return call
-
-
-@pytest.fixture
-def no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Hundreds of runs: the picture is drawn elsewhere."""
-    monkeypatch.setattr("mapperd.export.folder.write_picture", lambda *_: None)
 
 
 def assert_finite(folder: Path) -> None:
@@ -82,7 +46,7 @@ def assert_finite(folder: Path) -> None:
 )
 @pytest.mark.parametrize("pose", [[], [STILL]], ids=["odometry", "pose"])
 def test_file_that_is_no_recording(
-    tmp_path: Path, run: Callable[..., Ran], content: bytes, words: str, pose: list[str]
+    tmp_path: Path, run: Run, content: bytes, words: str, pose: list[str]
 ) -> None:
     path = tmp_path / "file"
     path.write_bytes(content)
@@ -95,7 +59,7 @@ def test_file_that_is_no_recording(
 
 
 @pytest.mark.parametrize("pose", [[], [STILL]], ids=["odometry", "pose"])
-def test_path_that_is_no_file(tmp_path: Path, run: Callable[..., Ran], pose: list[str]) -> None:
+def test_path_that_is_no_file(tmp_path: Path, run: Run, pose: list[str]) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path, words in (
         (tmp_path, "folder"),
@@ -111,7 +75,7 @@ def test_path_that_is_no_file(tmp_path: Path, run: Callable[..., Ran], pose: lis
 
 @pytest.mark.usefixtures("no_picture")
 def test_recording_cut_anywhere_maps_every_ping_before_the_cut(
-    tmp_path: Path, run: Callable[..., Ran], write_recording: Write, survey: Survey
+    tmp_path: Path, run: Run, write_recording: Write, survey: Survey
 ) -> None:
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     events = survey(4)
@@ -138,7 +102,7 @@ def test_recording_cut_anywhere_maps_every_ping_before_the_cut(
 
 @pytest.mark.usefixtures("no_picture")
 def test_recording_damaged_anywhere_never_ends_in_a_traceback(
-    tmp_path: Path, run: Callable[..., Ran], write_recording: Write, survey: Survey
+    tmp_path: Path, run: Run, write_recording: Write, survey: Survey
 ) -> None:
     whole, damaged = tmp_path / "whole", tmp_path / "damaged"
     write_recording(whole, survey(2))
@@ -156,7 +120,7 @@ def test_recording_damaged_anywhere_never_ends_in_a_traceback(
 
 
 def test_ping_that_claims_4_gb_costs_only_its_bytes(
-    tmp_path: Path, run: Callable[..., Ran], ping_bytes: PingBytes
+    tmp_path: Path, run: Run, ping_bytes: PingBytes
 ) -> None:
     liar = bytearray(ping_bytes(2))
     struct.pack_into("<I", liar, 10, 0xFFFFFFFF)
@@ -169,7 +133,7 @@ def test_ping_that_claims_4_gb_costs_only_its_bytes(
 
 
 def test_image_that_claims_4_gb_is_a_counted_drop(
-    tmp_path: Path, run: Callable[..., Ran], ping_bytes: PingBytes
+    tmp_path: Path, run: Run, ping_bytes: PingBytes
 ) -> None:
     good = ping_bytes(2)
     place = good.index(struct.pack("<I", 50 * 65))  # the image size in the body
@@ -184,7 +148,7 @@ def test_image_that_claims_4_gb_is_a_counted_drop(
 
 
 def test_image_as_deep_as_no_sonar_sees_is_a_counted_drop(
-    tmp_path: Path, run: Callable[..., Ran], ping_bytes: PingBytes
+    tmp_path: Path, run: Run, ping_bytes: PingBytes
 ) -> None:
     path = tmp_path / "raw"
     path.write_bytes(ping_bytes(1) + ping_bytes(2, range_resolution_m=19.9))
@@ -195,7 +159,7 @@ def test_image_as_deep_as_no_sonar_sees_is_a_counted_drop(
 
 def test_bad_odometry_is_counted_and_never_reaches_the_map(
     tmp_path: Path,
-    run: Callable[..., Ran],
+    run: Run,
     write_recording: Write,
     ping_bytes: PingBytes,
     odometry_bytes: OdometryBytes,
@@ -228,7 +192,7 @@ def test_bad_odometry_is_counted_and_never_reaches_the_map(
 
 def test_recording_whose_odometry_is_all_bad_says_why(
     tmp_path: Path,
-    run: Callable[..., Ran],
+    run: Run,
     write_recording: Write,
     ping_bytes: PingBytes,
     odometry_bytes: OdometryBytes,
@@ -243,7 +207,7 @@ def test_recording_whose_odometry_is_all_bad_says_why(
 
 
 def test_recording_without_a_ping_names_the_bytes(
-    tmp_path: Path, run: Callable[..., Ran], write_recording: Write, odometry_bytes: OdometryBytes
+    tmp_path: Path, run: Run, write_recording: Write, odometry_bytes: OdometryBytes
 ) -> None:
     path = tmp_path / "a"
     write_recording(path, [("odometry", odometry_bytes(), 0.0), ("ping", b"x" * 1234, 0.1)])
@@ -255,7 +219,7 @@ def test_recording_without_a_ping_names_the_bytes(
 
 
 def test_recording_without_odometry_is_refused_without_a_pose(
-    tmp_path: Path, run: Callable[..., Ran], write_recording: Write, ping_bytes: PingBytes
+    tmp_path: Path, run: Run, write_recording: Write, ping_bytes: PingBytes
 ) -> None:
     path = tmp_path / "a"
     write_recording(path, [("ping", ping_bytes(1), 0.0)])
@@ -268,7 +232,7 @@ def test_recording_without_odometry_is_refused_without_a_pose(
 
 @pytest.mark.parametrize("more", [["--start", "1"], ["--duration", "1"]])
 def test_part_of_a_recording_without_stamps_is_refused(
-    tmp_path: Path, run: Callable[..., Ran], ping_bytes: PingBytes, more: list[str]
+    tmp_path: Path, run: Run, ping_bytes: PingBytes, more: list[str]
 ) -> None:
     path = tmp_path / "raw"
     path.write_bytes(ping_bytes(1))
@@ -291,7 +255,7 @@ def test_part_of_a_recording_without_stamps_is_refused(
     ],
 )
 def test_bad_settings_are_one_line_and_exit_78(
-    tmp_path: Path, run: Callable[..., Ran], ping_bytes: PingBytes, text: str, words: str
+    tmp_path: Path, run: Run, ping_bytes: PingBytes, text: str, words: str
 ) -> None:
     recording, config = tmp_path / "raw", tmp_path / "bad.yaml"
     recording.write_bytes(ping_bytes(1))
@@ -304,9 +268,7 @@ def test_bad_settings_are_one_line_and_exit_78(
     assert not ran.out.exists()
 
 
-def test_missing_settings_file_is_exit_78(
-    tmp_path: Path, run: Callable[..., Ran], ping_bytes: PingBytes
-) -> None:
+def test_missing_settings_file_is_exit_78(tmp_path: Path, run: Run, ping_bytes: PingBytes) -> None:
     (tmp_path / "raw").write_bytes(ping_bytes(1))
     ran = run(tmp_path / "raw", STILL, config=tmp_path / "none.yaml")
     assert ran.code == Exit.BAD_CONFIG
@@ -325,7 +287,7 @@ def test_results_that_cannot_be_written_are_exit_73(
 
 def test_map_beyond_octomap_keeps_its_other_files(
     tmp_path: Path,
-    run: Callable[..., Ran],
+    run: Run,
     write_recording: Write,
     ping_bytes: PingBytes,
     odometry_bytes: OdometryBytes,
@@ -350,7 +312,7 @@ def test_map_beyond_octomap_keeps_its_other_files(
     ],
 )
 def test_pose_beyond_octomap_is_refused_at_once(
-    tmp_path: Path, run: Callable[..., Ran], ping_bytes: PingBytes, pose: str, code: int
+    tmp_path: Path, run: Run, ping_bytes: PingBytes, pose: str, code: int
 ) -> None:
     (tmp_path / "raw").write_bytes(ping_bytes(1))
     ran = run(tmp_path / "raw", f"--pose={pose}")
@@ -360,7 +322,7 @@ def test_pose_beyond_octomap_is_refused_at_once(
 
 
 def test_part_without_a_ping_says_so(
-    tmp_path: Path, run: Callable[..., Ran], write_recording: Write, survey: Survey
+    tmp_path: Path, run: Run, write_recording: Write, survey: Survey
 ) -> None:
     write_recording(tmp_path / "a", survey(3))
     ran = run(tmp_path / "a", "--start", "100")
@@ -372,7 +334,7 @@ def test_part_without_a_ping_says_so(
 @pytest.mark.parametrize("pose", [[], [STILL]], ids=["odometry", "pose"])
 def test_recording_without_a_sonar_is_refused_at_once(
     tmp_path: Path,
-    run: Callable[..., Ran],
+    run: Run,
     write_recording: Write,
     odometry_bytes: OdometryBytes,
     pose: list[str],
@@ -384,95 +346,7 @@ def test_recording_without_a_sonar_is_refused_at_once(
     assert not ran.out.exists()
 
 
-def test_name_that_is_too_long_is_one_line(tmp_path: Path, run: Callable[..., Ran]) -> None:
+def test_name_that_is_too_long_is_one_line(tmp_path: Path, run: Run) -> None:
     ran = run(tmp_path / ("a" * 300), STILL)
     assert ran.code == Exit.NO_INPUT
     assert ran.said.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    "name", ["map.png", "map.ply", "map.bt", "summary.json", ".map.bt.partial"]
-)
-def test_result_that_cannot_be_written_costs_only_itself(
-    tmp_path: Path, run: Callable[..., Ran], ping_bytes: PingBytes, name: str
-) -> None:
-    (tmp_path / "raw").write_bytes(ping_bytes(1))
-    (tmp_path / "out" / name / "inside").mkdir(parents=True)
-    ran = run(tmp_path / "raw", STILL)
-    assert ran.code == Exit.CANNOT_WRITE
-    assert ran.said.count("\n") == 1
-    lost = name.removeprefix(".").removesuffix(".partial")
-    assert lost in ran.said
-    written = {path.name for path in ran.out.iterdir() if path.is_file()}
-    assert written == {"map.bt", "map.ply", "map.png", "summary.json"} - {lost}
-
-
-def test_picture_in_the_way_that_cannot_be_removed_is_named(
-    tmp_path: Path,
-    run: Callable[..., Ran],
-    ping_bytes: PingBytes,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr("mapperd.export.folder.can_draw", lambda: False)
-    (tmp_path / "raw").write_bytes(ping_bytes(1))
-    (tmp_path / "out" / "map.png").mkdir(parents=True)
-    ran = run(tmp_path / "raw", STILL)
-    assert ran.code == Exit.CANNOT_WRITE
-    assert "map.png: cannot be removed" in ran.said
-    assert (ran.out / "map.bt").exists()
-
-
-@pytest.mark.parametrize(
-    ("redirection", "code", "said"),
-    [
-        (">&-", Exit.OK, ""),
-        ("2>&-", Exit.OK, ""),
-        (">&- 2>&-", Exit.OK, ""),
-        ("2>/dev/full", Exit.OK, ""),
-        (
-            ">/dev/full",
-            Exit.CANNOT_WRITE,
-            "mapperd: standard output: cannot be written: No space left on device\n",
-        ),
-    ],
-)
-def test_standard_streams_that_take_nothing(
-    tmp_path: Path,
-    ping_bytes: PingBytes,
-    redirection: str,
-    code: int,
-    said: str,
-) -> None:
-    (tmp_path / "raw").write_bytes(ping_bytes(1))
-    words = f"--replay {tmp_path}/raw --out {tmp_path}/out {STILL}"
-    done = subprocess.run(  # noqa: S602 our own program
-        f"{sys.executable} -m mapperd {words} {redirection}",
-        shell=True,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
-    assert done.stderr == said
-    assert done.returncode == code
-    assert (tmp_path / "out" / "summary.json").exists()
-
-
-def test_the_real_program_has_no_traceback_either(tmp_path: Path) -> None:
-    (tmp_path / "zeros").write_bytes(bytes(1000))
-    for words in (
-        ["--replay", str(tmp_path / "zeros")],
-        ["--replay", str(tmp_path)],
-        ["--replay", str(tmp_path / "zeros"), "--pose", "a"],
-        [],
-    ):
-        done = subprocess.run(  # noqa: S603 our own program
-            [sys.executable, "-m", "mapperd", *words],
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=60,
-        )
-        assert done.returncode in (2, 65, 66)
-        assert done.stderr.count("\n") == 1
-        assert done.stderr.startswith("mapperd: ")
