@@ -1,12 +1,21 @@
 #include "mapperd/block.hpp"
 
 #include <algorithm>
+#include <cstring>
+
+#include "mapperd/kernels.hpp"
 
 namespace mapperd {
 namespace {
 
 // What malloc adds to an allocation of this size, in glibc.
 constexpr std::size_t kAllocationOverhead = 16;
+
+VoxelRows every_voxel() {
+  VoxelRows rows;
+  rows.fill(0xFFFF);
+  return rows;
+}
 
 }  // namespace
 
@@ -20,9 +29,26 @@ bool Block::add_free_everywhere(const IwloRule& rule) {
     ++pending_;
     return true;
   }
-  for (std::size_t i = 0; i < kBlockVoxels; ++i) rule.add_free(dense_->units[i], dense_->count[i]);
+  add_free(rule, every_voxel());
   close(rule);
   return true;
+}
+
+void Block::add_free(const IwloRule& rule, const VoxelRows& rows) {
+  add_free_steps(rule, rule.one_free_step(), rows);
+}
+
+void Block::add_free_steps(const IwloRule& rule, const IwloRule::FreeSteps& steps,
+                           const VoxelRows& rows) {
+  const std::int32_t limit = rule.unscaled_up_to();
+  const bool any_scaled =
+      kernels().lower(dense_->units.data(), dense_->count.data(), rows.data(), steps.down.data(),
+                      steps.count.data(), rule.min_units(), limit);
+  if (!any_scaled) return;
+  for (std::size_t i = 0; i < kBlockVoxels; ++i) {
+    const bool taken = (rows[i / kBlockEdge] >> (i % kBlockEdge) & 1) != 0;
+    if (taken && dense_->units[i] > limit) rule.add_free(dense_->units[i], dense_->count[i]);
+  }
 }
 
 DenseVoxels& Block::open(const IwloRule& rule) {
@@ -31,9 +57,9 @@ DenseVoxels& Block::open(const IwloRule& rule) {
     dense_->units.fill(uniform_.units);
     dense_->count.fill(uniform_.count);
   } else if (pending_ > 0) {
-    for (std::size_t i = 0; i < kBlockVoxels; ++i) {
-      rule.add_unscaled_free(dense_->units[i], dense_->count[i], pending_);
-    }
+    // Nothing is pending unless every voxel's free steps are unscaled.
+    add_free_steps(rule, pending_ == 1 ? rule.one_free_step() : rule.free_steps(pending_),
+                   every_voxel());
   }
   pending_ = 0;
   return *dense_;
@@ -42,16 +68,16 @@ DenseVoxels& Block::open(const IwloRule& rule) {
 void Block::close(const IwloRule& rule) {
   const auto& units = dense_->units;
   const auto& count = dense_->count;
-  const Voxel first{units[0], count[0]};
-  std::int32_t highest = units[0];
-  bool alike = true;
-  for (std::size_t i = 0; i < kBlockVoxels; ++i) {
-    highest = std::max(highest, units[i]);
-    alike = alike && units[i] == first.units && count[i] == first.count;
-  }
-  all_unscaled_ = rule.is_unscaled(highest);
+  const std::int32_t limit = rule.unscaled_up_to();
+  std::uint32_t scaled = 0;
+  for (const std::int32_t u : units) scaled |= u > limit ? 1U : 0U;
+  all_unscaled_ = scaled == 0;
+  // Each voxel equals the next.
+  const bool alike =
+      std::memcmp(&units[0], &units[1], sizeof units - sizeof units[0]) == 0 &&
+      std::memcmp(&count[0], &count[1], sizeof count - sizeof count[0]) == 0;
   if (!alike) return;
-  uniform_ = first;
+  uniform_ = {units[0], count[0]};
   dense_.reset();
 }
 

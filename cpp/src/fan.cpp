@@ -60,18 +60,46 @@ Fan::Fan(const PingImage& image, const FanSettings& settings, const IwloRule& ru
       max_range_(image.max_range_m()),
       sin_half_(std::sin(settings.vertical_aperture_rad / 2)),
       cos_half_(std::cos(settings.vertical_aperture_rad / 2)),
-      carve_no_return_(settings.carve_no_return),
       rotation_{map_T_sonar.rows, {}},
       edges_(beam_edges(image.bearings_rad, image.beams)),
-      free_limit_m_(image.beams, 0.0),
-      returns_before_(image.beams * (image.rows + 1)) {
+      weights_(image.beams * image.rows, kNoReturn),
+      return_rows_(image.beams, image.rows),
+      free_limit_m_(image.beams, settings.carve_no_return ? image.max_range_m() : 0.0) {
   for (const double edge : edges_) edge_normals_.push_back(normal_at(edge));
+  index_sines();
+  fill_weights(image, rule);
+  least_free_m_ = RunExtreme<Smaller>(free_limit_m_);
+  most_free_m_ = RunExtreme<Larger>(free_limit_m_);
+  fill_profiles();
+}
+
+// Row by row, as the image lies in memory.
+void Fan::fill_weights(const PingImage& image, const IwloRule& rule) {
+  std::vector<bool> has_return(image.beams, false);
+  // A row partly nearer than min_range counts with the part beyond.
+  const double first = std::floor(min_range_ / resolution_ * (1 - 1e-12));
+  for (auto k = static_cast<std::size_t>(std::min(first, 1e9)); k < row_count_; ++k) {
+    if (!(static_cast<double>(k + 1) * resolution_ > min_range_)) continue;
+    for (std::size_t j = 0; j < image.beams; ++j) {
+      const float intensity = image.at(k, j);
+      if (!rule.is_return(intensity)) continue;
+      weights_[j * row_count_ + k] = static_cast<float>(rule.occupied_weight(intensity));
+      return_rows_.mark(j, k);
+      if (has_return[j]) continue;
+      has_return[j] = true;
+      free_limit_m_[j] = std::max(static_cast<double>(k) * resolution_, min_range_);
+    }
+  }
+  return_rows_.build();
+}
+
+void Fan::fill_profiles() {
   std::vector<std::size_t> ends;
-  for (std::size_t j = 0; j < image.beams; ++j) {
-    fill_beam(image, rule, j);
+  for (std::size_t j = 0; j < beams(); ++j) {
+    add_returns(j);
     ends.push_back(pieces_.size());
   }
-  for (std::size_t j = 0; j < image.beams; ++j) {
+  for (std::size_t j = 0; j < beams(); ++j) {
     if (free_limit_m_[j] > min_range_) {
       RadialBuilder free(pieces_);
       free.add(min_range_, {1.0, 1.0});
@@ -79,43 +107,53 @@ Fan::Fan(const PingImage& image, const FanSettings& settings, const IwloRule& ru
     }
     ends.push_back(pieces_.size());
   }
-  link_profiles(image.beams, ends);
+  link_profiles(ends);
 }
 
-void Fan::fill_beam(const PingImage& image, const IwloRule& rule, std::size_t j) {
-  std::uint32_t* before = &returns_before_[j * (row_count_ + 1)];
+void Fan::add_returns(std::size_t j) {
   RadialBuilder builder(pieces_);
-  std::size_t end_row = 0;
-  for (std::size_t k = 0; k < row_count_; ++k) {
-    // A row partly nearer than min_range counts with the part beyond.
-    const double far_edge = static_cast<double>(k + 1) * resolution_;
-    const bool is_return = far_edge > min_range_ && rule.is_return(image.at(k, j));
-    before[k + 1] = before[k] + (is_return ? 1 : 0);
-    if (!is_return) continue;
-    const double near_edge = std::max(static_cast<double>(k) * resolution_, min_range_);
-    if (before[k] == 0) {
-      free_limit_m_[j] = near_edge;
-    } else if (end_row < k) {
-      builder.add(static_cast<double>(end_row) * resolution_, {});
-    }
-    builder.add(near_edge, {1.0, rule.occupied_weight(image.at(k, j))});
-    end_row = k + 1;
-  }
-  if (end_row > 0) {
-    builder.add(static_cast<double>(end_row) * resolution_, {});
-  } else if (carve_no_return_) {
-    free_limit_m_[j] = max_range_;
+  const float* weight = weights(j);
+  bool inside = false;
+  for (std::size_t k = return_rows_.next(j, 0); k < row_count_; k = return_rows_.next(j, k)) {
+    builder.add(std::max(static_cast<double>(k) * resolution_, min_range_), {1.0, weight[k]});
+    ++k;
+    inside = k < row_count_ && weight[k] >= 0;
+    if (!inside) builder.add(static_cast<double>(k) * resolution_, {});
   }
 }
 
-void Fan::link_profiles(std::size_t beams, const std::vector<std::size_t>& ends) {
+void Fan::link_profiles(const std::vector<std::size_t>& ends) {
   std::size_t begin = 0;
-  for (std::size_t i = 0; i < 2 * beams; ++i) {
-    auto& profiles = i < beams ? returns_ : free_space_;
-    const double spacing = i < beams ? resolution_ : 0.0;
+  for (std::size_t i = 0; i < 2 * beams(); ++i) {
+    auto& profiles = i < beams() ? returns_ : free_space_;
+    const double spacing = i < beams() ? resolution_ : 0.0;
     profiles.emplace_back(pieces_.data() + begin, ends[i] - begin, spacing);
     begin = ends[i];
   }
+}
+
+// Four cells a beam: the guess is then right or off by one.
+void Fan::index_sines() {
+  for (const double edge : edges_) edge_sines_.push_back(std::sin(edge));
+  const std::size_t cells = 4 * beams();
+  const double low = edge_sines_.front();
+  const double width = (edge_sines_.back() - low) / static_cast<double>(cells);
+  guesses_per_sine_ = 1.0 / width;
+  std::size_t beam = 0;
+  for (std::size_t i = 0; i < cells; ++i) {
+    const double sine = low + static_cast<double>(i) * width;
+    while (beam + 1 < beams() && edge_sines_[beam + 1] <= sine) ++beam;
+    beam_guess_.push_back(static_cast<std::uint32_t>(beam));
+  }
+}
+
+std::size_t Fan::beam_at_sine(double sine) const {
+  const double cell = (sine - edge_sines_.front()) * guesses_per_sine_;
+  const auto last = static_cast<double>(beam_guess_.size() - 1);
+  std::size_t beam = beam_guess_[static_cast<std::size_t>(std::clamp(cell, 0.0, last))];
+  while (beam + 1 < beams() && edge_sines_[beam + 1] <= sine) ++beam;
+  while (beam > 0 && edge_sines_[beam] > sine) --beam;
+  return beam;
 }
 
 Vec3 Fan::normal_at(double bearing_rad) const {
@@ -139,24 +177,9 @@ bool Fan::any_return(std::size_t first, std::size_t last, double near_m, double 
   };
   // A hair of slack swallows the rounding of the division.
   const double slack = 1e-9 * max_range_;
-  const std::size_t from = row_of(near_m - slack);
   const std::size_t end = std::min(row_of(far_m + slack) + 1, row_count_);
-  for (std::size_t j = first; j <= last; ++j) {
-    const std::uint32_t* before = &returns_before_[j * (row_count_ + 1)];
-    if (before[end] != before[from]) return true;
-  }
-  return false;
+  return return_rows_.any(first, last, row_of(near_m - slack), end);
 }
-
-// How far a cube reaches from its centre, along the directions that matter.
-struct Fan::Extent {
-  double inward;    // towards the sonar
-  double outward;   // away from it
-  double sideways;  // in bearing, horizontally
-  double forward;   // horizontally towards and away from the sonar's vertical axis
-  double aperture;  // across the nearer of the aperture's cones
-  double bend;      // by how much that cone departs from a plane inside the cube
-};
 
 // Support widths of the cube, plus what the curvature of spheres and cones adds. Beside the sonar,
 // where directions change within the cube, those of the ball around it.
@@ -187,44 +210,75 @@ Fan::Extent Fan::extent_of(const Vec3& in_sonar, double edge_m) const {
 }
 
 Fan::Verdict Fan::verdict(const Vec3& centre, double edge_m) const {
-  const Vec3 in_sonar = rotation_.rotate_back(centre);
-  const double horizontal = std::sqrt(in_sonar.x * in_sonar.x + in_sonar.y * in_sonar.y);
-  const double range = norm(centre);
-  const Extent extent = extent_of(in_sonar, edge_m);
-  const double near_m = range - extent.inward;
-  const double far_m = range + extent.outward;
-  if (near_m > max_range_ || far_m < min_range_) return {};
-  const double inside_aperture = horizontal * sin_half_ - std::abs(in_sonar.z) * cos_half_;
-  const double inside_sides =
-      std::min(dot(edge_normals_.front(), centre), -dot(edge_normals_.back(), centre));
-  // Any horizontal direction: the outermost planes are not square to the centre's bearing.
-  const double level = std::max(extent.sideways, extent.forward) * 1.4142135623730951;
-  if (inside_sides < -level || inside_aperture < -extent.aperture) return {};
+  return verdict(place_of(centre), extent_of(to_sonar(centre), edge_m));
+}
 
-  FanPart where{0, beams() - 1, near_m, far_m, inside_aperture < extent.aperture};
-  if (horizontal > extent.forward) {
-    const double bearing = std::atan2(-in_sonar.y, in_sonar.x);
-    const double spread = std::atan(extent.sideways / (horizontal - extent.forward));
-    const auto beam_at = [this](double b) {
-      const auto above = std::upper_bound(edges_.begin() + 1, edges_.end() - 1, b);
-      return static_cast<std::size_t>(above - edges_.begin() - 1);
-    };
-    where.first_beam = beam_at(bearing - spread);
-    where.last_beam = beam_at(bearing + spread);
+Fan::Place Fan::place_of(const Vec3& centre) const {
+  const Vec3 in_sonar = to_sonar(centre);
+  Place place{};
+  place.horizontal = std::sqrt(in_sonar.x * in_sonar.x + in_sonar.y * in_sonar.y);
+  place.range = norm(centre);
+  place.sine = place.horizontal > 0 ? -in_sonar.y / place.horizontal : 0.0;
+  place.inside_aperture = place.horizontal * sin_half_ - std::abs(in_sonar.z) * cos_half_;
+  place.inside_sides =
+      std::min(dot(edge_normals_.front(), centre), -dot(edge_normals_.back(), centre));
+  return place;
+}
+
+Fan::Extent Fan::extent_in_cell(const Vec3& in_sonar, double edge_m, int cell) const {
+  const double reach = kHalfDiagonal * edge_m * cell;
+  const double horizontal = std::sqrt(in_sonar.x * in_sonar.x + in_sonar.y * in_sonar.y);
+  const double radius = kHalfDiagonal * edge_m;
+  if (horizontal < 4 * reach) {
+    return {radius, radius, radius, radius, radius, radius};
   }
-  double least_free = max_range_;
-  double most_free = 0.0;
-  for (std::size_t j = where.first_beam; j <= where.last_beam; ++j) {
-    least_free = std::min(least_free, free_limit_m_[j]);
-    most_free = std::max(most_free, free_limit_m_[j]);
+  Extent extent = extent_of(in_sonar, edge_m);
+  // Unit directions turn by at most reach / distance within the cell, support widths change by at
+  // most the cube's radius times that.
+  const double turn = radius * reach / (horizontal - reach);
+  const double bend = radius * radius / (2 * (horizontal - reach - radius));
+  extent.inward += turn;
+  extent.outward = extent.inward + bend;
+  extent.sideways += turn;
+  extent.forward += turn + bend;
+  extent.bend = bend * sin_half_;
+  // A cell around the fan's middle plane meets both cones, and their directions.
+  if (std::abs(in_sonar.z) < reach) {
+    const Extent mirrored = extent_of({in_sonar.x, in_sonar.y, -in_sonar.z}, edge_m);
+    extent.aperture = std::max(extent.aperture, mirrored.aperture);
   }
-  if (far_m <= least_free && near_m >= min_range_ && inside_sides >= level) {
+  extent.aperture += turn + extent.bend;
+  if ((horizontal - reach) * sin_half_ < 2 * radius) extent.bend = extent.aperture = radius;
+  return extent;
+}
+
+Fan::Verdict Fan::verdict(const Place& place, const Extent& extent) const {
+  const double near_m = place.range - extent.inward;
+  const double far_m = place.range + extent.outward;
+  if (near_m > max_range_ || far_m < min_range_) return {};
+  const double level = extent.level();
+  if (place.inside_sides < -level || place.inside_aperture < -extent.aperture) return {};
+
+  FanPart where{0, beams() - 1, near_m, far_m, place.inside_aperture < extent.aperture};
+  const double nearest = place.horizontal - extent.forward;
+  if (nearest > 0) {
+    // The cube's bearings lie within atan(t) <= t of its centre's: sin(b + t) - sin(b) is at most
+    // t cos(b) + t^2 / 2.
+    const double t = extent.sideways / nearest;
+    const double cosine = std::sqrt(std::max(1.0 - place.sine * place.sine, 0.0));
+    const double spread = t * cosine + 0.5 * t * t;
+    where.first_beam = beam_at_sine(place.sine - spread);
+    where.last_beam = beam_at_sine(place.sine + spread);
+  }
+  if (far_m <= least_free_m_.of(where.first_beam, where.last_beam) && near_m >= min_range_ &&
+      place.inside_sides >= level) {
     // Free but for the aperture: a cut through the centre would halve the cube.
-    if (inside_aperture >= extent.aperture) return {Content::all_free, where};
-    if (inside_aperture > extent.bend) return {Content::mostly_free, where};
-    if (inside_aperture < -extent.bend) return {Content::less_free, where};
+    if (place.inside_aperture >= extent.aperture) return {Content::all_free, where};
+    if (place.inside_aperture > extent.bend) return {Content::mostly_free, where};
+    if (place.inside_aperture < -extent.bend) return {Content::less_free, where};
   }
-  if (near_m >= most_free && !any_return(where.first_beam, where.last_beam, near_m, far_m)) {
+  if (near_m >= most_free_m_.of(where.first_beam, where.last_beam) &&
+      !any_return(where.first_beam, where.last_beam, near_m, far_m)) {
     return {};
   }
   return {Content::undecided, where};

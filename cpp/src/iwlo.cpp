@@ -64,6 +64,21 @@ IwloRule::IwloRule(const IwloParams& params) : params_(params) {
   for (const double a : alpha_) free_steps_sum_.push_back(free_steps_sum_.back() + free_units(a));
   free_steps_sum_.pop_back();
   settled_free_step_ = free_units(alpha_.back());
+  one_free_step_ = free_steps(1);
+}
+
+IwloRule::FreeSteps IwloRule::free_steps(std::uint32_t times) const {
+  constexpr std::int64_t kMost = 0xFFFFFFFF;  // more than any voxel is above its clamp
+  const auto settled = static_cast<std::uint32_t>(settled_count());
+  FreeSteps steps;
+  for (std::uint32_t count = 0; count <= settled; ++count) {
+    const std::uint32_t learning = std::min(times, settled - count);
+    const std::int64_t sum = free_steps_sum_[count] - free_steps_sum_[count + learning] -
+                             static_cast<std::int64_t>(times - learning) * settled_free_step_;
+    steps.down.push_back(static_cast<std::uint32_t>(std::min(sum, kMost)));
+    steps.count.push_back(count + learning);
+  }
+  return steps;
 }
 
 double IwloRule::alpha(std::uint16_t count) const {

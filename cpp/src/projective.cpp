@@ -1,28 +1,43 @@
 #include "mapperd/projective.hpp"
 
 #include <algorithm>
-#include <array>
+#include <atomic>
 #include <cmath>
 #include <cstdint>
 #include <stdexcept>
+#include <thread>
+#include <vector>
 
-#include "mapperd/voxel_integral.hpp"
+#include "mapperd/block_evidence.hpp"
 
 namespace mapperd {
 namespace {
 
-// The walk from large cubes of space down to voxels, in coordinates local to the sonar's block:
-// far from the map's origin no precision is lost.
-class Walk {
+// Runs task(0) ... task(count - 1) on some threads; which of them does what is left open.
+template <typename Task>
+void run_parallel(std::size_t count, int threads, const Task& task) {
+  std::atomic<std::size_t> next{0};
+  const auto work = [&] {
+    for (std::size_t i = next++; i < count; i = next++) task(i);
+  };
+  std::vector<std::thread> helpers;
+  for (int i = 1; i < threads && static_cast<std::size_t>(i) < count; ++i) {
+    helpers.emplace_back(work);
+  }
+  work();
+  for (std::thread& helper : helpers) helper.join();
+}
+
+// One ping: from large cubes of space down to blocks, then each block on its own. Coordinates are
+// local to the sonar's block: far from the map's origin no precision is lost.
+class PingUpdate {
  public:
-  Walk(VoxelMap& map, const PingImage& image, const Transform& map_T_sonar,
-       const FanSettings& settings)
+  PingUpdate(VoxelMap& map, const PingImage& image, const Transform& map_T_sonar,
+             const FanSettings& settings)
       : map_(map),
+        settings_(settings),
         fan_(image, settings, map.rule(), map_T_sonar),
-        aggregation_(settings.aggregation),
-        edge_m_(map.resolution_m()),
-        block_m_(map.resolution_m() * kBlockEdge),
-        revision_(map.next_revision()) {
+        block_m_(map.resolution_m() * kBlockEdge) {
     const auto split = [this](double position, std::int32_t& block, double& offset) {
       block = static_cast<std::int32_t>(std::floor(position / block_m_));
       offset = position - static_cast<double>(block) * block_m_;
@@ -33,130 +48,110 @@ class Walk {
   }
 
   PingStats run() {
-    int span = kBlockEdge;
-    while (span * edge_m_ < fan_.max_range_m() + block_m_) span *= 2;
-    for (int octant = 0; octant < 8; ++octant) {
-      visit((octant & 1) - 1, (octant >> 1 & 1) - 1, (octant >> 2 & 1) - 1, span);
-    }
+    find_blocks();
+    look();
+    apply();
     return stats_;
   }
 
  private:
-  // A cube of `span` voxels along an edge, at (x, y, z) in units of its own edge.
-  void visit(int x, int y, int z, int span) {
-    const double cube_m = span * edge_m_;
-    const Vec3 centre = Vec3{(x + 0.5) * cube_m, (y + 0.5) * cube_m, (z + 0.5) * cube_m} - offset_;
-    const Fan::Verdict verdict = fan_.verdict(centre, cube_m);
-    // A large cube that is less than half free may hold free voxels; a voxel is one.
-    const bool settled = verdict.content == Fan::Content::nothing ||
-                         (span == 1 && verdict.content == Fan::Content::less_free);
-    if (settled) return;
-    if (span == 1) return visit_voxel(centre, verdict, offset_in_block(x, y, z));
-    if (span == kBlockEdge) return visit_block({x, y, z}, verdict.content);
-    if (span < kBlockEdge && verdict.content == Fan::Content::all_free) {
-      return free_part_of_block(x * span, y * span, z * span, span);
+  void find_blocks() {
+    int span = 1;
+    while (span * block_m_ < fan_.max_range_m() + block_m_) span *= 2;
+    for (int octant = 0; octant < 8; ++octant) {
+      visit({(octant & 1) - 1, (octant >> 1 & 1) - 1, (octant >> 2 & 1) - 1}, span);
     }
-    visit_children(x, y, z, span);
+    stats_.blocks_visited = free_.size() + crossed_.size();
   }
 
-  void visit_children(int x, int y, int z, int span) {
+  // A cube of `span` blocks along an edge, at `at` in units of its own edge.
+  void visit(const BlockKey& at, int span) {
+    const double cube_m = span * block_m_;
+    const Vec3 centre =
+        Vec3{(at.x + 0.5) * cube_m, (at.y + 0.5) * cube_m, (at.z + 0.5) * cube_m} - offset_;
+    const Fan::Content content = fan_.verdict(centre, cube_m).content;
+    // A cube that is less than half free may hold free voxels.
+    if (content == Fan::Content::nothing) return;
+    if (span == 1) {
+      return (content == Fan::Content::all_free ? free_ : crossed_).push_back(at);
+    }
     for (int child = 0; child < 8; ++child) {
-      visit(2 * x + (child & 1), 2 * y + (child >> 1 & 1), 2 * z + (child >> 2 & 1), span / 2);
+      visit({2 * at.x + (child & 1), 2 * at.y + (child >> 1 & 1), 2 * at.z + (child >> 2 & 1)},
+            span / 2);
     }
   }
 
-  void visit_block(const BlockKey& local, Fan::Content content) {
-    ++stats_.blocks_visited;
-    block_ = nullptr;
-    voxels_ = nullptr;
-    local_ = local;
-    if (content == Fan::Content::all_free) {
-      if (block().add_free_everywhere(map_.rule())) block().revision = revision_;
+  void look() {
+    evidence_.resize(crossed_.size());
+    const BlockLooker looker(fan_, settings_, map_.rule(), map_.resolution_m(), offset_);
+    run_parallel(crossed_.size(), settings_.threads,
+                 [&](std::size_t i) { looker.look(crossed_[i], evidence_[i]); });
+  }
+
+  // Blocks are made at their first evidence, looking at nothing creates nothing; then each is
+  // changed by one thread.
+  void apply() {
+    const std::size_t before = map_.block_count();
+    const std::uint64_t revision = map_.next_revision();
+    for (const BlockKey& at : free_) {
+      Block& block = block_at(at);
+      if (block.add_free_everywhere(map_.rule())) block.revision = revision;
       stats_.free += kBlockVoxels;
-      return;
     }
-    visit_children(local.x, local.y, local.z, kBlockEdge);
-    if (voxels_ == nullptr) return;
-    block().close(map_.rule());
-    block().revision = revision_;
-  }
-
-  static int offset_in_block(int x, int y, int z) {
-    const int mask = kBlockEdge - 1;
-    return voxel_offset(x & mask, y & mask, z & mask);
-  }
-
-  void free_part_of_block(int x0, int y0, int z0, int span) {
-    for (int z = z0; z < z0 + span; ++z) {
-      for (int y = y0; y < y0 + span; ++y) {
-        for (int x = x0; x < x0 + span; ++x) apply_free(offset_in_block(x, y, z));
-      }
+    std::vector<Block*> blocks;
+    for (const BlockEvidence& evidence : evidence_) {
+      blocks.push_back(evidence.empty() ? nullptr : &block_at(evidence.key));
     }
+    run_parallel(blocks.size(), settings_.threads, [&](std::size_t i) {
+      if (blocks[i] == nullptr) return;
+      change(*blocks[i], evidence_[i]);
+      blocks[i]->revision = revision;
+    });
+    for (const BlockEvidence& evidence : evidence_) count(evidence);
+    stats_.blocks_created = map_.block_count() - before;
   }
 
-  void visit_voxel(const Vec3& centre, const Fan::Verdict& verdict, int offset) {
-    if (verdict.content != Fan::Content::undecided) return apply_free(offset);
-    const Cube cube{{centre.x, centre.y, centre.z}, edge_m_ / 2};
-    const Two occupied = occupied_part(fan_, cube, verdict.where);
-    if (occupied.part >= kOccupiedPart) {
-      const double weight = std::clamp(occupied.weight / occupied.part, 0.0, 1.0);
-      if (aggregation_ == Aggregation::occupied_first) return apply_occupied(weight, offset);
-      return apply_mean(occupied.part, weight, free_part(fan_, cube, verdict.where), offset);
+  Block& block_at(const BlockKey& at) {
+    return map_.get_or_create({origin_.x + at.x, origin_.y + at.y, origin_.z + at.z});
+  }
+
+  void change(Block& block, const BlockEvidence& evidence) const {
+    const IwloRule& rule = map_.rule();
+    DenseVoxels& voxels = block.open(rule);
+    if (evidence.any_free) block.add_free(rule, evidence.free);
+    for (const OccupiedVoxel& voxel : evidence.occupied) {
+      std::int32_t& units = voxels.units[voxel.offset];
+      std::uint16_t& count = voxels.count[voxel.offset];
+      rule.add(step_of(voxel.evidence, units, count), units, count);
     }
-    if (free_part(fan_, cube, verdict.where) > kFreePart) apply_free(offset);
+    block.close(rule);
   }
 
-  void apply_occupied(double weight, int offset) {
-    const auto i = static_cast<std::size_t>(offset);
-    std::int32_t& units = voxels().units[i];
-    std::uint16_t& count = voxels().count[i];
-    map_.rule().add(map_.rule().occupied_step(log_odds_of(units), count, weight), units, count);
-    ++stats_.occupied;
+  double step_of(const Evidence& sum, std::int32_t units, std::uint16_t count) const {
+    const double log_odds = log_odds_of(units);
+    const double weight = std::clamp(sum.weight(), 0.0, 1.0);
+    const double up = map_.rule().occupied_step(log_odds, count, weight);
+    if (settings_.aggregation == Aggregation::occupied_first) return up;
+    const double down = map_.rule().free_step(log_odds, count);
+    return (sum.occupied * up + sum.free * down) / (sum.occupied + sum.free);
   }
 
-  void apply_mean(double occupied, double weight, double free, int offset) {
-    const auto i = static_cast<std::size_t>(offset);
-    std::int32_t& units = voxels().units[i];
-    std::uint16_t& count = voxels().count[i];
-    const double up = map_.rule().occupied_step(log_odds_of(units), count, weight);
-    const double down = map_.rule().free_step(log_odds_of(units), count);
-    map_.rule().add((occupied * up + free * down) / (occupied + free), units, count);
-    ++stats_.occupied;
-  }
-
-  void apply_free(int offset) {
-    const auto i = static_cast<std::size_t>(offset);
-    map_.rule().add_free(voxels().units[i], voxels().count[i]);
-    ++stats_.free;
-  }
-
-  // The block is made, and opened, at its first evidence: looking at nothing creates nothing.
-  Block& block() {
-    if (block_ == nullptr) {
-      const std::size_t before = map_.block_count();
-      block_ =
-          &map_.get_or_create({origin_.x + local_.x, origin_.y + local_.y, origin_.z + local_.z});
-      stats_.blocks_created += map_.block_count() - before;
+  void count(const BlockEvidence& evidence) {
+    stats_.occupied += evidence.occupied.size();
+    for (std::uint32_t row : evidence.free) {
+      for (; row != 0; row &= row - 1) ++stats_.free;
     }
-    return *block_;
-  }
-
-  DenseVoxels& voxels() {
-    if (voxels_ == nullptr) voxels_ = &block().open(map_.rule());
-    return *voxels_;
   }
 
   VoxelMap& map_;
+  const FanSettings& settings_;
   Fan fan_;
-  Aggregation aggregation_;
-  double edge_m_;
   double block_m_;
   BlockKey origin_;  // the sonar's block
   Vec3 offset_;      // the sonar inside it
-  BlockKey local_;   // the block at hand, relative to origin_
-  Block* block_ = nullptr;
-  DenseVoxels* voxels_ = nullptr;
-  std::uint64_t revision_;
+  std::vector<BlockKey> free_;     // blocks that are wholly free, relative to origin_
+  std::vector<BlockKey> crossed_;  // and those that have to be looked at
+  std::vector<BlockEvidence> evidence_;
   PingStats stats_;
 };
 
@@ -182,7 +177,7 @@ PingStats integrate_projective(VoxelMap& map, const PingImage& image, const Tran
                                const FanSettings& settings) {
   check_ping(image, settings);
   check_reach(map, map_T_sonar, image.max_range_m());
-  return Walk(map, image, map_T_sonar, settings).run();
+  return PingUpdate(map, image, map_T_sonar, settings).run();
 }
 
 }  // namespace mapperd

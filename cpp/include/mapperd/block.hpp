@@ -50,6 +50,10 @@ struct DenseVoxels {
   std::array<std::uint16_t, kBlockVoxels> count;
 };
 
+// Some voxels of a block: a bit a voxel, 16 in a row along x, the rows as voxel_offset() has them.
+inline constexpr int kBlockRows = kBlockEdge * kBlockEdge;
+using VoxelRows = std::array<std::uint16_t, kBlockRows>;
+
 class Block {
  public:
   explicit Block(const BlockKey& block_key) : key(block_key) {}
@@ -61,6 +65,9 @@ class Block {
   // unless a voxel is believed occupied.
   bool add_free_everywhere(const IwloRule& rule);
 
+  // One free observation of some of an open block's voxels.
+  void add_free(const IwloRule& rule, const VoxelRows& rows);
+
   // The voxels themselves, to be changed; call close() after it.
   DenseVoxels& open(const IwloRule& rule);
   void close(const IwloRule& rule);
@@ -70,6 +77,9 @@ class Block {
   std::size_t memory_bytes() const;
 
  private:
+  void add_free_steps(const IwloRule& rule, const IwloRule::FreeSteps& steps,
+                      const VoxelRows& rows);
+
   Voxel uniform_;  // all voxels, unless dense_
   bool all_unscaled_ = true;
   std::uint32_t pending_ = 0;  // free steps not yet applied to dense_

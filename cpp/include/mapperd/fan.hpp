@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "mapperd/beam_pyramid.hpp"
 #include "mapperd/iwlo.hpp"
 #include "mapperd/radial.hpp"
 #include "mapperd/vec.hpp"
@@ -36,6 +37,9 @@ struct FanSettings {
   double min_range_m = 0.5;
   bool carve_no_return = false;
   Aggregation aggregation = Aggregation::occupied_first;
+  // Log-odds that one ping's step may be off by in a voxel; 0: exact.
+  double error_bound = 0.0;
+  int threads = 1;  // the map does not depend on it
 };
 
 // Throws std::invalid_argument, naming the argument, for a ping that cannot be projected.
@@ -62,8 +66,16 @@ class Fan {
       const Transform& map_T_sonar);
 
   std::size_t beams() const { return free_limit_m_.size(); }
+  std::size_t rows() const { return row_count_; }
+  double range_resolution_m() const { return resolution_; }
+  double min_range_m() const { return min_range_; }
   double max_range_m() const { return max_range_; }
   double sin_half_aperture() const { return sin_half_; }
+  double cos_half_aperture() const { return cos_half_; }
+
+  // From the map's axes to the sonar's, and back.
+  Vec3 to_sonar(const Vec3& v) const { return rotation_.rotate_back(v); }
+  Vec3 to_map(const Vec3& v) const { return rotation_.rotate(v); }
 
   // Beam edges; the plane through each edge and the sonar's vertical axis has a normal that
   // points to larger bearings.
@@ -75,10 +87,23 @@ class Fan {
   // two bearings: those of the cones' mean height.
   void aperture_planes(double low_rad, double high_rad, Vec3& upper, Vec3& lower) const;
 
-  // Rows with returns of beam j, and its free space from min_range on.
+  // Beam j's w(I), row by row; kNoReturn in rows without one, or wholly nearer than min_range.
+  static constexpr float kNoReturn = -1.0F;
+  const float* weights(std::size_t j) const { return &weights_[j * row_count_]; }
+  // Beam j is free from min_range up to here; 0: it says nothing of free space.
+  double free_limit_m(std::size_t j) const { return free_limit_m_[j]; }
+
+  // The same as functions of range: returns of beam j, and its free space.
   const RadialProfile& returns(std::size_t j) const { return returns_[j]; }
   const RadialProfile& free_space(std::size_t j) const { return free_space_[j]; }
   bool any_return(std::size_t first, std::size_t last, double near_m, double far_m) const;
+  bool any_return_in_rows(std::size_t first, std::size_t last, std::size_t row,
+                          std::size_t end) const {
+    return return_rows_.any(first, last, row, end);
+  }
+
+  // The beam that holds a bearing, given its sine; the outermost for bearings outside the fan.
+  std::size_t beam_at_sine(double sine) const;
 
   // What a cube with the given centre (map axes, sonar as origin) and edge can hold:
   // `mostly_free` is free by more than half, `less_free` by less, and neither holds a return.
@@ -89,11 +114,39 @@ class Fan {
   };
   Verdict verdict(const Vec3& centre, double edge_m) const;
 
- private:
-  struct Extent;
+  // How far a cube reaches from its centre, along the directions that matter.
+  struct Extent {
+    double inward;    // towards the sonar
+    double outward;   // away from it
+    double sideways;  // in bearing, horizontally
+    double forward;   // horizontally towards and away from the sonar's vertical axis
+    double aperture;  // across the nearer of the aperture's cones
+    double bend;      // by how much that cone departs from a plane inside the cube
+
+    // Any horizontal direction: the outermost beams' planes are not square to the bearing.
+    double level() const { return (sideways > forward ? sideways : forward) * 1.4142135623730951; }
+  };
+  // Where a cube's centre lies, seen from the sonar.
+  struct Place {
+    double range;
+    double horizontal;  // distance from the sonar's vertical axis
+    double sine;        // of the bearing
+    double inside_aperture;
+    double inside_sides;
+  };
   Extent extent_of(const Vec3& in_sonar, double edge_m) const;
-  void fill_beam(const PingImage& image, const IwloRule& rule, std::size_t j);
-  void link_profiles(std::size_t beams, const std::vector<std::size_t>& ends);
+  // One that holds for every cube of that edge in a cell of them, `cell` along an edge, around a
+  // point at least five cells away from the sonar.
+  Extent extent_in_cell(const Vec3& in_sonar, double edge_m, int cell) const;
+  Place place_of(const Vec3& centre) const;
+  Verdict verdict(const Place& place, const Extent& extent) const;
+
+ private:
+  void fill_weights(const PingImage& image, const IwloRule& rule);
+  void fill_profiles();
+  void add_returns(std::size_t j);
+  void link_profiles(const std::vector<std::size_t>& ends);
+  void index_sines();
 
   std::size_t row_count_;
   double resolution_;
@@ -105,11 +158,17 @@ class Fan {
   Transform rotation_;
   std::vector<double> edges_;
   std::vector<Vec3> edge_normals_;    // map axes
+  std::vector<double> edge_sines_;
+  std::vector<std::uint32_t> beam_guess_;  // by sine, the beam at the cell's low end
+  double guesses_per_sine_ = 0.0;
+  std::vector<float> weights_;  // beam-major
+  ReturnRows return_rows_;
   std::vector<double> free_limit_m_;  // free from min_range up to here; 0: says nothing
+  RunExtreme<Smaller> least_free_m_;
+  RunExtreme<Larger> most_free_m_;
   std::vector<RadialPiece> pieces_;   // of all beams, returns first, then free space
   std::vector<RadialProfile> returns_;
   std::vector<RadialProfile> free_space_;
-  std::vector<std::uint32_t> returns_before_;  // beam-major, row_count_ + 1 a beam
 };
 
 }  // namespace mapperd

@@ -71,6 +71,16 @@ class IwloRule {
   bool is_unscaled(std::int32_t units) const { return units <= unscaled_up_to_; }
   void add_unscaled_free(std::int32_t& units, std::uint16_t& count, std::uint32_t times) const;
 
+  // What so many unscaled free steps do to a voxel, by its count: by how many units they lower it
+  // (those that lower any voxel to the clamp are all alike) and the count after them.
+  struct FreeSteps {
+    std::vector<std::uint32_t> down;
+    std::vector<std::uint32_t> count;
+  };
+  FreeSteps free_steps(std::uint32_t times) const;
+  const FreeSteps& one_free_step() const { return one_free_step_; }
+  std::int32_t unscaled_up_to() const { return unscaled_up_to_; }
+
   std::int32_t min_units() const { return min_units_; }
   std::int32_t max_units() const { return max_units_; }
 
@@ -84,6 +94,7 @@ class IwloRule {
   std::int32_t unscaled_up_to_;
   std::int64_t settled_free_step_;            // units a ping once alpha has settled
   std::vector<std::int64_t> free_steps_sum_;  // of the first n free steps, n up to settled
+  FreeSteps one_free_step_;
 };
 
 }  // namespace mapperd

@@ -1,4 +1,4 @@
-// The projective integrator: each voxel is projected into the ping once, without approximation.
+// The projective integrator: each voxel is projected into the ping once.
 #pragma once
 
 #include <cstddef>
@@ -8,11 +8,6 @@
 #include "mapperd/voxel_map.hpp"
 
 namespace mapperd {
-
-// A voxel is occupied when at least this part of its volume holds a return ...
-inline constexpr double kOccupiedPart = 0.02;
-// ... and free, without one, when more than this part was seen free.
-inline constexpr double kFreePart = 0.5;
 
 struct PingStats {
   std::size_t occupied = 0;

@@ -31,6 +31,15 @@ struct Cube {
   double half_m;
 };
 
+// What a ping says of a voxel, as parts of its volume.
+struct Evidence {
+  double occupied = 0.0;
+  double weighted = 0.0;  // integral of w(I) over the occupied part
+  double free = 0.0;
+
+  double weight() const { return weighted / occupied; }
+};
+
 // Integrals over the cube, as parts of its volume.
 Two occupied_part(const Fan& fan, const Cube& cube, const FanPart& where);
 double free_part(const Fan& fan, const Cube& cube, const FanPart& where);

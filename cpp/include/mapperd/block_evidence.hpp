@@ -1,0 +1,66 @@
+// What one ping says of the voxels of one block. Reads the fan and nothing of the map, so that any
+// number of blocks can be looked at side by side.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "mapperd/block.hpp"
+#include "mapperd/fan.hpp"
+#include "mapperd/voxel_integral.hpp"
+#include "mapperd/voxel_lines.hpp"
+
+namespace mapperd {
+
+// A voxel is occupied when at least this part of its volume holds a return ...
+inline constexpr double kOccupiedPart = 0.02;
+// ... and free, without one, when more than this part was seen free.
+inline constexpr double kFreePart = 0.5;
+
+struct OccupiedVoxel {
+  std::uint16_t offset;
+  Evidence evidence;
+};
+
+struct BlockEvidence {
+  BlockKey key;  // relative to the sonar's block
+  VoxelRows free{};
+  std::vector<OccupiedVoxel> occupied;
+  bool any_free = false;
+
+  bool empty() const { return !any_free && occupied.empty(); }
+};
+
+class BlockLooker {
+ public:
+  // `block_T_sonar` is where the sonar is in block (0, 0, 0): its offset in metres, map axes.
+  BlockLooker(const Fan& fan, const FanSettings& settings, const IwloRule& rule, double edge_m,
+              const Vec3& offset_m);
+
+  // Replaces `evidence`.
+  void look(const BlockKey& local, BlockEvidence& evidence) const;
+
+ private:
+  struct Cell;  // 4 x 4 x 4 voxels
+
+  Vec3 centre_of(const BlockKey& local, double x, double y, double z) const;
+  void look_at_cell(const BlockKey& local, int x, int y, int z, BlockEvidence& evidence) const;
+  void look_near(const Cell& cell, BlockEvidence& evidence) const;
+  void look_far(const Cell& cell, BlockEvidence& evidence) const;
+  void settle(const Fan::Verdict& verdict, const Vec3& centre, int offset,
+              BlockEvidence& evidence) const;
+  void decide(const Evidence& sum, int offset, BlockEvidence& evidence) const;
+  Evidence exact(const Cube& cube, const FanPart& where) const;
+  bool sampled(const Cube& cube, const FanPart& where, Evidence& sum) const;
+
+  const Fan& fan_;
+  VoxelLines lines_;
+  Aggregation aggregation_;
+  double edge_m_;
+  Vec3 offset_m_;
+  double error_bound_;  // of the weight: the log-odds' over the step's size
+};
+
+}  // namespace mapperd

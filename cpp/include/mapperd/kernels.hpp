@@ -1,0 +1,73 @@
+// The inner loops, compiled twice: for any machine, and for AVX2. Both do the same operations in
+// the same order, lane by lane, and so give the same bits.
+//
+// They see plain data only. Inline functions of the standard library compiled with AVX2 could be
+// the copies that the linker keeps for the whole program, and crash it on older machines.
+#pragma once
+
+#include <cstdint>
+
+namespace mapperd {
+
+inline constexpr int kLanes = 8;
+inline constexpr int kMaxBeamsOfVoxel = 32;
+
+// A plane, over the lines of a voxel: positive on the inner side at
+// base + u * (line's u) + v * (line's v) + t * (place along the line).
+struct LinePlane {
+  float base;
+  float u;
+  float v;
+  float t;
+};
+
+// One beam where it passes a voxel.
+struct LineBeam {
+  const float* weight;  // w(I) of the voxel's rows, negative where there is no return; or null
+  float free_row;       // free up to here, in rows from the voxel's first
+};
+
+// A voxel as seen along parallel lines through it. Lengths in metres; range in rows of the image,
+// counted from the first row that the voxel touches.
+struct LineTask {
+  float half;         // half the voxel's edge
+  float row;          // of the centre
+  float rows_per_m;
+  float ahead_u;      // direction of increasing range
+  float ahead_v;
+  float ahead_t;      // along the lines, positive
+  float inverse_range;
+  float min_row;      // nothing is learnt before it
+  int rows;           // that the voxel touches
+  int beams;
+  bool outermost_low;   // the first beam is the fan's first: its lower edge counts
+  bool outermost_high;  // and the last beam's upper edge
+  int cones;            // planes of the aperture that cut the voxel
+  LinePlane cone[2];
+  LinePlane edge[kMaxBeamsOfVoxel + 1];  // positive towards larger bearings
+  LineBeam beam[kMaxBeamsOfVoxel];
+};
+
+struct LineSums {
+  float occupied;  // lengths of lines, in metres
+  float weighted;
+  float free;
+};
+
+struct Kernels {
+  const char* name;
+  // Sums over 8 * `chunks` lines, at u and v times the voxel's edge.
+  LineSums (*lines)(const LineTask& task, const float* u, const float* v, int chunks);
+  // Free steps of voxels: `down` (units, positive) and `next` (the new count) by count. Skips
+  // voxels whose bit in `rows` (16 voxels a row) is not set, and those above `limit`; true when
+  // there were any of these.
+  bool (*lower)(std::int32_t* units, std::uint16_t* count, const std::uint16_t* rows,
+                const std::uint32_t* down, const std::uint32_t* next, std::int32_t min_units,
+                std::int32_t limit);
+};
+
+// The fastest that this machine runs, and the plain ones.
+const Kernels& kernels();
+const Kernels& plain_kernels();
+
+}  // namespace mapperd

@@ -1,0 +1,171 @@
+#include "mapperd/block_evidence.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace mapperd {
+namespace {
+
+constexpr int kCell = 4;  // voxels along an edge
+constexpr int kCellVoxels = kCell * kCell * kCell;
+
+// Lines have to be so many: a part of the volume is off by at most kPartError / lines. Measured:
+// docs/mapping.md.
+constexpr double kPartError = 2.0;
+constexpr int kFewestLines = 8;
+constexpr int kMostLines = 128;
+// For voxels whose class is not clear with the fewest.
+constexpr int kLinesForClass = 32;
+
+void mark_free(int x, int y, int z, BlockEvidence& evidence) {
+  evidence.free[static_cast<std::size_t>(y + kBlockEdge * z)] |= static_cast<std::uint16_t>(1U << x);
+  evidence.any_free = true;
+}
+
+void mark_free_cube(int x0, int y0, int z0, int span, BlockEvidence& evidence) {
+  const auto run = static_cast<std::uint16_t>(((1U << span) - 1U) << x0);
+  for (int z = z0; z < z0 + span; ++z) {
+    for (int y = y0; y < y0 + span; ++y) {
+      evidence.free[static_cast<std::size_t>(y + kBlockEdge * z)] |= run;
+    }
+  }
+  evidence.any_free = true;
+}
+
+}  // namespace
+
+BlockLooker::BlockLooker(const Fan& fan, const FanSettings& settings, const IwloRule& rule,
+                         double edge_m, const Vec3& offset_m)
+    : fan_(fan),
+      lines_(fan, edge_m, kernels()),
+      aggregation_(settings.aggregation),
+      edge_m_(edge_m),
+      offset_m_(offset_m),
+      error_bound_(rule.params().L_occ > 0 ? settings.error_bound / rule.params().L_occ : 0.0) {}
+
+struct BlockLooker::Cell {
+  int x;  // of its first voxel, in the block
+  int y;
+  int z;
+  Vec3 centre;
+  Fan::Verdict verdict;
+};
+
+Vec3 BlockLooker::centre_of(const BlockKey& local, double x, double y, double z) const {
+  const double block_m = edge_m_ * kBlockEdge;
+  return Vec3{local.x * block_m + x * edge_m_, local.y * block_m + y * edge_m_,
+              local.z * block_m + z * edge_m_} -
+         offset_m_;
+}
+
+void BlockLooker::look(const BlockKey& local, BlockEvidence& evidence) const {
+  evidence.key = local;
+  evidence.free.fill(0);
+  evidence.occupied.clear();
+  evidence.any_free = false;
+  constexpr int kHalf = kBlockEdge / 2;
+  for (int octant = 0; octant < 8; ++octant) {
+    const int x = (octant & 1) * kHalf;
+    const int y = (octant >> 1 & 1) * kHalf;
+    const int z = (octant >> 2 & 1) * kHalf;
+    const Vec3 centre = centre_of(local, x + kHalf / 2, y + kHalf / 2, z + kHalf / 2);
+    const Fan::Verdict verdict = fan_.verdict(centre, kHalf * edge_m_);
+    if (verdict.content == Fan::Content::nothing) continue;
+    if (verdict.content == Fan::Content::all_free) {
+      mark_free_cube(x, y, z, kHalf, evidence);
+      continue;
+    }
+    for (int child = 0; child < 8; ++child) {
+      look_at_cell(local, x + (child & 1) * kCell, y + (child >> 1 & 1) * kCell,
+                   z + (child >> 2 & 1) * kCell, evidence);
+    }
+  }
+}
+
+void BlockLooker::look_at_cell(const BlockKey& local, int x, int y, int z,
+                               BlockEvidence& evidence) const {
+  Cell cell{x, y, z, centre_of(local, x + kCell / 2, y + kCell / 2, z + kCell / 2), {}};
+  cell.verdict = fan_.verdict(cell.centre, kCell * edge_m_);
+  if (cell.verdict.content == Fan::Content::nothing) return;
+  if (cell.verdict.content == Fan::Content::all_free) {
+    return mark_free_cube(x, y, z, kCell, evidence);
+  }
+  // There the directions change too much within the cell for one set of widths.
+  const bool near = norm(cell.centre) < 5 * kCell * edge_m_;
+  near ? look_near(cell, evidence) : look_far(cell, evidence);
+}
+
+void BlockLooker::look_near(const Cell& cell, BlockEvidence& evidence) const {
+  for (int i = 0; i < kCellVoxels; ++i) {
+    const int x = i % kCell;
+    const int y = i / kCell % kCell;
+    const int z = i / (kCell * kCell);
+    const auto shift = [this](int at) { return (at + 0.5 - kCell / 2) * edge_m_; };
+    const Vec3 centre = cell.centre + Vec3{shift(x), shift(y), shift(z)};
+    settle(fan_.verdict(centre, edge_m_), centre, voxel_offset(cell.x + x, cell.y + y, cell.z + z),
+           evidence);
+  }
+}
+
+void BlockLooker::look_far(const Cell& cell, BlockEvidence& evidence) const {
+  const Fan::Extent extent = fan_.extent_in_cell(fan_.to_sonar(cell.centre), edge_m_, kCell);
+  for (int i = 0; i < kCellVoxels; ++i) {
+    const int x = i % kCell;
+    const int y = i / kCell % kCell;
+    const int z = i / (kCell * kCell);
+    const auto shift = [this](int at) { return (at + 0.5 - kCell / 2) * edge_m_; };
+    const Vec3 centre = cell.centre + Vec3{shift(x), shift(y), shift(z)};
+    settle(fan_.verdict(fan_.place_of(centre), extent), centre,
+           voxel_offset(cell.x + x, cell.y + y, cell.z + z), evidence);
+  }
+}
+
+void BlockLooker::settle(const Fan::Verdict& verdict, const Vec3& centre, int offset,
+                         BlockEvidence& evidence) const {
+  switch (verdict.content) {
+    case Fan::Content::nothing:
+    case Fan::Content::less_free:
+      return;
+    case Fan::Content::mostly_free:
+    case Fan::Content::all_free:
+      return mark_free(offset % kBlockEdge, offset / kBlockEdge % kBlockEdge,
+                       offset / kBlockRows, evidence);
+    case Fan::Content::undecided:
+      break;
+  }
+  const Cube cube{{centre.x, centre.y, centre.z}, edge_m_ / 2};
+  Evidence sum;
+  if (!(error_bound_ > 0 && sampled(cube, verdict.where, sum))) sum = exact(cube, verdict.where);
+  decide(sum, offset, evidence);
+}
+
+Evidence BlockLooker::exact(const Cube& cube, const FanPart& where) const {
+  const Two occupied = occupied_part(fan_, cube, where);
+  Evidence sum{occupied.part, occupied.weight, 0.0};
+  if (aggregation_ == Aggregation::mean || occupied.part < kOccupiedPart) {
+    sum.free = free_part(fan_, cube, where);
+  }
+  return sum;
+}
+
+// As few lines as the bound allows: what they can be off by is known from how much the weights
+// differ inside the voxel, and from how much of it is occupied.
+bool BlockLooker::sampled(const Cube& cube, const FanPart& where, Evidence& sum) const {
+  if (!lines_.evidence(cube, where, kFewestLines, sum)) return false;
+  double contrast = 0.0;
+  int lines = kFewestLines;
+  if (sum.occupied < kOccupiedPart + kPartError / kLinesForClass) lines = kLinesForClass;
+  (void)contrast;
+  if (lines > kFewestLines) lines_.evidence(cube, where, lines, sum);
+  return true;
+}
+
+void BlockLooker::decide(const Evidence& sum, int offset, BlockEvidence& evidence) const {
+  if (sum.occupied >= kOccupiedPart) {
+    evidence.occupied.push_back({static_cast<std::uint16_t>(offset), sum});
+  } else if (sum.free > kFreePart) {
+    mark_free(offset % kBlockEdge, offset / kBlockEdge % kBlockEdge, offset / kBlockRows, evidence);
+  }
+}
+
+}  // namespace mapperd

@@ -1,0 +1,166 @@
+// The kernels' text, included once a target; MAPPERD_KERNELS names the target's namespace.
+// Nothing but plain data and vectors of it: see kernels.hpp.
+#include "mapperd/kernels.hpp"
+
+namespace mapperd {
+namespace MAPPERD_KERNELS {
+namespace {
+
+using Lanes = float __attribute__((vector_size(sizeof(float) * kLanes)));
+
+inline Lanes smaller(Lanes a, Lanes b) { return a < b ? a : b; }
+inline Lanes larger(Lanes a, Lanes b) { return a > b ? a : b; }
+inline Lanes all(float value) { return Lanes{} + value; }
+
+inline Lanes load(const float* values) {
+  Lanes lanes;
+  __builtin_memcpy(&lanes, values, sizeof lanes);
+  return lanes;
+}
+
+inline float sum(Lanes a) {
+  return ((a[0] + a[4]) + (a[2] + a[6])) + ((a[1] + a[5]) + (a[3] + a[7]));
+}
+
+// Eight lines of a voxel.
+class Lines {
+ public:
+  Lines(const LineTask& task, Lanes u, Lanes v)
+      : task_(task),
+        u_(u),
+        v_(v),
+        across_(u * u + v * v),
+        ahead_(task.ahead_u * u + task.ahead_v * v) {
+    const Lanes first = row_at(all(-task.half));
+    const Lanes last = row_at(all(task.half));
+    metres_per_row_ = 2 * task.half / (last - first);
+    low_ = all(-task.half);
+    high_ = all(task.half);
+    for (int i = 0; i < task.cones; ++i) keep(task.cone[i], crossing(task.cone[i]), low_, high_);
+  }
+
+  void add(Lanes& occupied, Lanes& weighted, Lanes& free) const {
+    Lanes lower{};
+    Lanes upper = crossing(task_.edge[0]);
+    for (int j = 0; j < task_.beams; ++j) {
+      lower = upper;
+      upper = crossing(task_.edge[j + 1]);
+      const LineBeam& beam = task_.beam[j];
+      if (beam.weight == nullptr && !(beam.free_row > 0)) continue;
+      Lanes from = low_;
+      Lanes to = high_;
+      if (j > 0 || task_.outermost_low) keep(task_.edge[j], lower, from, to);
+      if (j + 1 < task_.beams || task_.outermost_high) {
+        drop(task_.edge[j + 1], upper, from, to);
+      }
+      to = larger(from, to);
+      add_beam(beam, larger(row_at(from), all(task_.min_row)),
+               larger(row_at(to), all(task_.min_row)), occupied, weighted, free);
+    }
+  }
+
+ private:
+  // Range along the lines, to third order in the voxel's size over its range.
+  Lanes row_at(Lanes t) const {
+    const Lanes along = ahead_ + task_.ahead_t * t;
+    const Lanes bend = (across_ + t * t - along * along) * (0.5F * task_.inverse_range);
+    const Lanes range = along + bend * (1.0F - along * task_.inverse_range);
+    return task_.row + range * task_.rows_per_m;
+  }
+
+  Lanes crossing(const LinePlane& plane) const {
+    const Lanes value = plane.base + plane.u * u_ + plane.v * v_;
+    return smaller(larger(value * (-1.0F / plane.t), all(-task_.half)), all(task_.half));
+  }
+
+  // Narrows a piece of the lines to a plane's inner side, or to its outer side.
+  static void keep(const LinePlane& plane, Lanes crossing, Lanes& from, Lanes& to) {
+    if (plane.t > 0) {
+      from = larger(from, crossing);
+    } else {
+      to = smaller(to, crossing);
+    }
+  }
+  static void drop(const LinePlane& plane, Lanes crossing, Lanes& from, Lanes& to) {
+    if (plane.t > 0) {
+      to = smaller(to, crossing);
+    } else {
+      from = larger(from, crossing);
+    }
+  }
+
+  void add_beam(const LineBeam& beam, Lanes near, Lanes far, Lanes& occupied, Lanes& weighted,
+                Lanes& free) const {
+    free += larger(smaller(far, all(beam.free_row)) - near, Lanes{}) * metres_per_row_;
+    if (beam.weight == nullptr) return;
+    Lanes rows{};
+    Lanes weight{};
+    for (int k = 0; k < task_.rows; ++k) {
+      if (beam.weight[k] < 0) continue;
+      const Lanes begin = all(static_cast<float>(k));
+      const Lanes end = begin + 1.0F;
+      const Lanes part = smaller(larger(far, begin), end) - smaller(larger(near, begin), end);
+      rows += part;
+      weight += beam.weight[k] * part;
+    }
+    occupied += rows * metres_per_row_;
+    weighted += weight * metres_per_row_;
+  }
+
+  const LineTask& task_;
+  Lanes u_;
+  Lanes v_;
+  Lanes across_;  // squared distance of the line from the centre
+  Lanes ahead_;   // how much farther than the centre the line's middle is
+  Lanes metres_per_row_;
+  Lanes low_;  // the piece of each line inside the aperture
+  Lanes high_;
+};
+
+LineSums lines(const LineTask& task, const float* u, const float* v, int chunks) {
+  Lanes occupied{};
+  Lanes weighted{};
+  Lanes free{};
+  const float edge = 2 * task.half;
+  for (int i = 0; i < chunks; ++i) {
+    const Lines part(task, load(u + i * kLanes) * edge, load(v + i * kLanes) * edge);
+    part.add(occupied, weighted, free);
+  }
+  const float scale = 1.0F / static_cast<float>(kLanes * chunks);
+  return {sum(occupied) * scale, sum(weighted) * scale, sum(free) * scale};
+}
+
+bool lower(std::int32_t* units, std::uint16_t* count, const std::uint16_t* rows,
+           const std::uint32_t* down, const std::uint32_t* next, std::int32_t min_units,
+           std::int32_t limit) {
+  constexpr int kEdge = 16;
+  bool any_above = false;
+  for (int row = 0; row < kEdge * kEdge; ++row, units += kEdge, count += kEdge) {
+    if (rows[row] == 0) continue;
+    std::uint32_t above = 0;
+    for (int i = 0; i < kEdge; ++i) {
+      const bool taken = (rows[row] >> i & 1) != 0;
+      const bool lowered = taken && units[i] <= limit;
+      above |= taken && !lowered ? 1U : 0U;
+      const std::uint32_t step = down[count[i]];
+      // Modulo 2^32, so that no sum overflows.
+      const auto room = static_cast<std::uint32_t>(units[i]) - static_cast<std::uint32_t>(min_units);
+      const std::int32_t after =
+          room <= step ? min_units
+                       : static_cast<std::int32_t>(static_cast<std::uint32_t>(units[i]) - step);
+      const auto after_count = static_cast<std::uint16_t>(next[count[i]]);
+      units[i] = lowered ? after : units[i];
+      count[i] = lowered ? after_count : count[i];
+    }
+    any_above = any_above || above != 0;
+  }
+  return any_above;
+}
+
+}  // namespace
+
+extern const Kernels kKernels;
+const Kernels kKernels{MAPPERD_KERNELS_NAME, lines, lower};
+
+}  // namespace MAPPERD_KERNELS
+}  // namespace mapperd
