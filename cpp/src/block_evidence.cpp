@@ -6,8 +6,7 @@
 namespace mapperd {
 namespace {
 
-constexpr int kCell = 4;  // voxels along an edge
-constexpr int kCellVoxels = kCell * kCell * kCell;
+constexpr int kCell = kCellEdge;
 
 // Lines have to be so many: a part of the volume is off by at most kPartError / lines. Measured:
 // docs/mapping.md.
@@ -37,7 +36,8 @@ void mark_free_cube(int x0, int y0, int z0, int span, BlockEvidence& evidence) {
 BlockLooker::BlockLooker(const Fan& fan, const FanSettings& settings, const IwloRule& rule,
                          double edge_m, const Vec3& offset_m)
     : fan_(fan),
-      lines_(fan, edge_m, kernels()),
+      kernels_(kernels()),
+      lines_(fan, edge_m, kernels_),
       aggregation_(settings.aggregation),
       edge_m_(edge_m),
       offset_m_(offset_m),
@@ -100,24 +100,57 @@ void BlockLooker::look_near(const Cell& cell, BlockEvidence& evidence) const {
     const int x = i % kCell;
     const int y = i / kCell % kCell;
     const int z = i / (kCell * kCell);
-    const auto shift = [this](int at) { return (at + 0.5 - kCell / 2) * edge_m_; };
-    const Vec3 centre = cell.centre + Vec3{shift(x), shift(y), shift(z)};
+    const Vec3 centre = voxel_centre(cell, i);
     settle(fan_.verdict(centre, edge_m_), centre, voxel_offset(cell.x + x, cell.y + y, cell.z + z),
            evidence);
   }
 }
 
+// One set of widths for the whole cell; what is the same for many of its voxels is asked once.
 void BlockLooker::look_far(const Cell& cell, BlockEvidence& evidence) const {
+  CellPlaces at;
+  places(cell, at);
   const Fan::Extent extent = fan_.extent_in_cell(fan_.to_sonar(cell.centre), edge_m_, kCell);
+  const double level = extent.level();
+  const FanPart& where = cell.verdict.where;
+  const double least_free = fan_.least_free_m(where.first_beam, where.last_beam);
   for (int i = 0; i < kCellVoxels; ++i) {
-    const int x = i % kCell;
-    const int y = i / kCell % kCell;
-    const int z = i / (kCell * kCell);
-    const auto shift = [this](int at) { return (at + 0.5 - kCell / 2) * edge_m_; };
-    const Vec3 centre = cell.centre + Vec3{shift(x), shift(y), shift(z)};
-    settle(fan_.verdict(fan_.place_of(centre), extent), centre,
-           voxel_offset(cell.x + x, cell.y + y, cell.z + z), evidence);
+    const double near_m = at.range[i] - extent.inward;
+    const double far_m = at.range[i] + extent.outward;
+    if (at.inside_aperture[i] < -extent.aperture || at.inside_sides[i] < -level) continue;
+    const int x = cell.x + i % kCell;
+    const int y = cell.y + i / kCell % kCell;
+    const int z = cell.z + i / (kCell * kCell);
+    const bool clear = far_m <= least_free && near_m >= fan_.min_range_m() &&
+                       at.inside_sides[i] >= level;
+    if (clear && at.inside_aperture[i] > extent.bend) {
+      mark_free(x, y, z, evidence);
+      continue;
+    }
+    if (clear && at.inside_aperture[i] < -extent.bend) continue;
+    const Fan::Place place{at.range[i], at.horizontal[i], at.sine[i], at.inside_aperture[i],
+                           at.inside_sides[i]};
+    settle(fan_.verdict(place, extent), voxel_centre(cell, i), voxel_offset(x, y, z), evidence);
   }
+}
+
+void BlockLooker::places(const Cell& cell, CellPlaces& at) const {
+  const Vec3 first = voxel_centre(cell, 0);
+  const auto along = [&](const Vec3& direction) {  // a function of the voxel's place
+    return CellLine{dot(direction, first),
+                    {direction.x * edge_m_, direction.y * edge_m_, direction.z * edge_m_}};
+  };
+  const CellTask task{along(fan_.to_map({1, 0, 0})), along(fan_.to_map({0, 1, 0})),
+                      along(fan_.to_map({0, 0, 1})), along(fan_.low_side()),
+                      along(fan_.high_side()),       fan_.sin_half_aperture(),
+                      fan_.cos_half_aperture()};
+  kernels_.places(task, at);
+}
+
+Vec3 BlockLooker::voxel_centre(const Cell& cell, int i) const {
+  const auto shift = [this](int at) { return (at + 0.5 - kCell / 2) * edge_m_; };
+  return cell.centre +
+         Vec3{shift(i % kCell), shift(i / kCell % kCell), shift(i / (kCell * kCell))};
 }
 
 void BlockLooker::settle(const Fan::Verdict& verdict, const Vec3& centre, int offset,

@@ -1,6 +1,7 @@
 #include "mapperd/fan.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <stdexcept>
 #include <string>
@@ -17,6 +18,20 @@ void require(bool ok, const char* what) {
 }
 
 const double kHalfDiagonal = std::sqrt(3.0) / 2;  // of a unit cube
+
+// Half of the part that makes a voxel occupied: it has two ends.
+constexpr double kNegligiblePart = 0.01;
+
+// How deep a slice off the corner of a unit cube may be, along a direction that is known to `turn`,
+// to hold less than `part` of it. The slice is part of a tetrahedron, of a prism over a triangle,
+// and of a slab; whichever bounds its volume best.
+double cap_depth(const Vec3& direction, double turn, double part) {
+  std::array<double, 3> width{std::abs(direction.x), std::abs(direction.y), std::abs(direction.z)};
+  std::sort(width.begin(), width.end());
+  for (double& w : width) w = std::max(w - turn, 0.0);
+  return std::max({std::cbrt(6 * width[0] * width[1] * width[2] * part),
+                   std::sqrt(2 * width[1] * width[2] * part), width[2] * part});
+}
 
 }  // namespace
 
@@ -186,7 +201,7 @@ bool Fan::any_return(std::size_t first, std::size_t last, double near_m, double 
 Fan::Extent Fan::extent_of(const Vec3& in_sonar, double edge_m) const {
   const double radius = kHalfDiagonal * edge_m;
   const double horizontal = std::sqrt(in_sonar.x * in_sonar.x + in_sonar.y * in_sonar.y);
-  if (horizontal < 2 * radius) return {radius, radius, radius, radius, radius, radius};
+  if (horizontal < 2 * radius) return {radius, radius, radius, radius, radius, radius, 0.0};
   const auto width = [&](const Vec3& direction) {
     const Vec3 d = rotation_.rotate(direction);
     return 0.5 * edge_m * (std::abs(d.x) + std::abs(d.y) + std::abs(d.z));
@@ -230,7 +245,7 @@ Fan::Extent Fan::extent_in_cell(const Vec3& in_sonar, double edge_m, int cell) c
   const double horizontal = std::sqrt(in_sonar.x * in_sonar.x + in_sonar.y * in_sonar.y);
   const double radius = kHalfDiagonal * edge_m;
   if (horizontal < 4 * reach) {
-    return {radius, radius, radius, radius, radius, radius};
+    return {radius, radius, radius, radius, radius, radius, 0.0};
   }
   Extent extent = extent_of(in_sonar, edge_m);
   // Unit directions turn by at most reach / distance within the cell, support widths change by at
@@ -249,6 +264,8 @@ Fan::Extent Fan::extent_in_cell(const Vec3& in_sonar, double edge_m, int cell) c
   }
   extent.aperture += turn + extent.bend;
   if ((horizontal - reach) * sin_half_ < 2 * radius) extent.bend = extent.aperture = radius;
+  const Vec3 direction = rotation_.rotate((1.0 / norm(in_sonar)) * in_sonar);
+  extent.cap = cap_depth(direction, reach / (horizontal - reach), kNegligiblePart) * edge_m;
   return extent;
 }
 
@@ -278,7 +295,7 @@ Fan::Verdict Fan::verdict(const Place& place, const Extent& extent) const {
     if (place.inside_aperture < -extent.bend) return {Content::less_free, where};
   }
   if (near_m >= most_free_m_.of(where.first_beam, where.last_beam) &&
-      !any_return(where.first_beam, where.last_beam, near_m, far_m)) {
+      !any_return(where.first_beam, where.last_beam, near_m + extent.cap, far_m - extent.cap)) {
     return {};
   }
   return {Content::undecided, where};

@@ -22,6 +22,13 @@ inline float sum(Lanes a) {
   return ((a[0] + a[4]) + (a[2] + a[6])) + ((a[1] + a[5]) + (a[3] + a[7]));
 }
 
+struct Sums {
+  Lanes occupied{};
+  Lanes weighted{};
+  Lanes squared{};
+  Lanes free{};
+};
+
 // Eight lines of a voxel.
 class Lines {
  public:
@@ -39,7 +46,7 @@ class Lines {
     for (int i = 0; i < task.cones; ++i) keep(task.cone[i], crossing(task.cone[i]), low_, high_);
   }
 
-  void add(Lanes& occupied, Lanes& weighted, Lanes& free) const {
+  void add(Sums& sums) const {
     Lanes lower{};
     Lanes upper = crossing(task_.edge[0]);
     for (int j = 0; j < task_.beams; ++j) {
@@ -55,7 +62,7 @@ class Lines {
       }
       to = larger(from, to);
       add_beam(beam, larger(row_at(from), all(task_.min_row)),
-               larger(row_at(to), all(task_.min_row)), occupied, weighted, free);
+               larger(row_at(to), all(task_.min_row)), sums);
     }
   }
 
@@ -89,22 +96,25 @@ class Lines {
     }
   }
 
-  void add_beam(const LineBeam& beam, Lanes near, Lanes far, Lanes& occupied, Lanes& weighted,
-                Lanes& free) const {
-    free += larger(smaller(far, all(beam.free_row)) - near, Lanes{}) * metres_per_row_;
+  void add_beam(const LineBeam& beam, Lanes near, Lanes far, Sums& sums) const {
+    sums.free += larger(smaller(far, all(beam.free_row)) - near, Lanes{}) * metres_per_row_;
     if (beam.weight == nullptr) return;
     Lanes rows{};
     Lanes weight{};
+    Lanes squared{};
     for (int k = 0; k < task_.rows; ++k) {
       if (beam.weight[k] < 0) continue;
       const Lanes begin = all(static_cast<float>(k));
       const Lanes end = begin + 1.0F;
       const Lanes part = smaller(larger(far, begin), end) - smaller(larger(near, begin), end);
       rows += part;
-      weight += beam.weight[k] * part;
+      const Lanes weighted = beam.weight[k] * part;
+      weight += weighted;
+      squared += beam.weight[k] * weighted;
     }
-    occupied += rows * metres_per_row_;
-    weighted += weight * metres_per_row_;
+    sums.occupied += rows * metres_per_row_;
+    sums.weighted += weight * metres_per_row_;
+    sums.squared += squared * metres_per_row_;
   }
 
   const LineTask& task_;
@@ -118,16 +128,49 @@ class Lines {
 };
 
 LineSums lines(const LineTask& task, const float* u, const float* v, int chunks) {
-  Lanes occupied{};
-  Lanes weighted{};
-  Lanes free{};
+  Sums sums;
   const float edge = 2 * task.half;
   for (int i = 0; i < chunks; ++i) {
-    const Lines part(task, load(u + i * kLanes) * edge, load(v + i * kLanes) * edge);
-    part.add(occupied, weighted, free);
+    Lines(task, load(u + i * kLanes) * edge, load(v + i * kLanes) * edge).add(sums);
   }
   const float scale = 1.0F / static_cast<float>(kLanes * chunks);
-  return {sum(occupied) * scale, sum(weighted) * scale, sum(free) * scale};
+  return {sum(sums.occupied) * scale, sum(sums.weighted) * scale, sum(sums.squared) * scale,
+          sum(sums.free) * scale};
+}
+
+using Row = double __attribute__((vector_size(sizeof(double) * kCellEdge)));
+
+inline Row root(Row a) {
+  for (int i = 0; i < kCellEdge; ++i) a[i] = __builtin_sqrt(a[i]);
+  return a;
+}
+
+inline Row row_of(const CellLine& line, int y, int z) {
+  constexpr Row kX{0, 1, 2, 3};
+  return line.first + y * line.step[1] + z * line.step[2] + kX * line.step[0];
+}
+
+inline void store(Row a, double* values) { __builtin_memcpy(values, &a, sizeof a); }
+
+void places(const CellTask& task, CellPlaces& places) {
+  for (int row = 0; row < kCellEdge * kCellEdge; ++row) {
+    const int y = row % kCellEdge;
+    const int z = row / kCellEdge;
+    const Row ahead = row_of(task.ahead, y, z);
+    const Row port = row_of(task.port, y, z);
+    const Row up = row_of(task.up, y, z);
+    const Row flat = ahead * ahead + port * port;
+    const Row horizontal = root(flat);
+    const Row height = up < 0.0 ? -up : up;
+    const Row low = row_of(task.low_side, y, z);
+    const Row high = row_of(task.high_side, y, z);
+    store(root(flat + up * up), &places.range[row * kCellEdge]);
+    store(horizontal, &places.horizontal[row * kCellEdge]);
+    store(-port / horizontal, &places.sine[row * kCellEdge]);
+    store(horizontal * task.sin_half_aperture - height * task.cos_half_aperture,
+          &places.inside_aperture[row * kCellEdge]);
+    store(low < high ? low : high, &places.inside_sides[row * kCellEdge]);
+  }
 }
 
 bool lower(std::int32_t* units, std::uint16_t* count, const std::uint16_t* rows,
@@ -160,7 +203,7 @@ bool lower(std::int32_t* units, std::uint16_t* count, const std::uint16_t* rows,
 }  // namespace
 
 extern const Kernels kKernels;
-const Kernels kKernels{MAPPERD_KERNELS_NAME, lines, lower};
+const Kernels kKernels{MAPPERD_KERNELS_NAME, lines, places, lower};
 
 }  // namespace MAPPERD_KERNELS
 }  // namespace mapperd

@@ -121,7 +121,8 @@ bool VoxelLines::evidence(const Cube& cube, const FanPart& where, int lines, Evi
   }
   const Lattice& lattice = lattice_for(lines);
   const LineSums sums = kernels_.lines(task, lattice.u.data(), lattice.v.data(), lines / kLanes);
-  sum = {sums.occupied / edge_m_, sums.weighted / edge_m_, sums.free / edge_m_};
+  sum = {sums.occupied / edge_m_, sums.weighted / edge_m_, sums.free / edge_m_,
+         sums.squared / edge_m_};
   return true;
 }
 

@@ -49,6 +49,8 @@ class BlockLooker {
   void look_at_cell(const BlockKey& local, int x, int y, int z, BlockEvidence& evidence) const;
   void look_near(const Cell& cell, BlockEvidence& evidence) const;
   void look_far(const Cell& cell, BlockEvidence& evidence) const;
+  void places(const Cell& cell, CellPlaces& at) const;
+  Vec3 voxel_centre(const Cell& cell, int i) const;
   void settle(const Fan::Verdict& verdict, const Vec3& centre, int offset,
               BlockEvidence& evidence) const;
   void decide(const Evidence& sum, int offset, BlockEvidence& evidence) const;
@@ -56,6 +58,7 @@ class BlockLooker {
   bool sampled(const Cube& cube, const FanPart& where, Evidence& sum) const;
 
   const Fan& fan_;
+  const Kernels& kernels_;
   VoxelLines lines_;
   Aggregation aggregation_;
   double edge_m_;

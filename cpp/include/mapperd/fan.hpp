@@ -92,6 +92,9 @@ class Fan {
   const float* weights(std::size_t j) const { return &weights_[j * row_count_]; }
   // Beam j is free from min_range up to here; 0: it says nothing of free space.
   double free_limit_m(std::size_t j) const { return free_limit_m_[j]; }
+  double least_free_m(std::size_t first, std::size_t last) const {
+    return least_free_m_.of(first, last);
+  }
 
   // The same as functions of range: returns of beam j, and its free space.
   const RadialProfile& returns(std::size_t j) const { return returns_[j]; }
@@ -122,6 +125,9 @@ class Fan {
     double forward;   // horizontally towards and away from the sonar's vertical axis
     double aperture;  // across the nearer of the aperture's cones
     double bend;      // by how much that cone departs from a plane inside the cube
+    // The nearest and farthest slices of a voxel, this deep, hold less than 1 % of it each: returns
+    // there alone do not make it occupied. 0 for larger cubes.
+    double cap;
 
     // Any horizontal direction: the outermost beams' planes are not square to the bearing.
     double level() const { return (sideways > forward ? sideways : forward) * 1.4142135623730951; }
@@ -139,6 +145,9 @@ class Fan {
   // point at least five cells away from the sonar.
   Extent extent_in_cell(const Vec3& in_sonar, double edge_m, int cell) const;
   Place place_of(const Vec3& centre) const;
+  // The plane at one of the fan's sides as a linear function: positive inside.
+  Vec3 low_side() const { return edge_normals_.front(); }
+  Vec3 high_side() const { return -1.0 * edge_normals_.back(); }
   Verdict verdict(const Place& place, const Extent& extent) const;
 
  private:

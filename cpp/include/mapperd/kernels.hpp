@@ -10,7 +10,7 @@
 namespace mapperd {
 
 inline constexpr int kLanes = 8;
-inline constexpr int kMaxBeamsOfVoxel = 32;
+inline constexpr int kMaxBeamsOfVoxel = 64;
 
 // A plane, over the lines of a voxel: positive on the inner side at
 // base + u * (line's u) + v * (line's v) + t * (place along the line).
@@ -51,13 +51,44 @@ struct LineTask {
 struct LineSums {
   float occupied;  // lengths of lines, in metres
   float weighted;
+  float squared;  // integral of the squared weight
   float free;
+};
+
+// Voxels of a cell, 4 along each edge, x fastest.
+inline constexpr int kCellEdge = 4;
+inline constexpr int kCellVoxels = kCellEdge * kCellEdge * kCellEdge;
+
+// A linear function of a voxel's place in its cell: first + x * step[0] + y * step[1] + z * step[2].
+struct CellLine {
+  double first;
+  double step[3];
+};
+
+struct CellTask {
+  CellLine ahead;  // the centres' coordinates in the sonar's frame
+  CellLine port;
+  CellLine up;
+  CellLine low_side;  // distance inside the fan's outermost edges
+  CellLine high_side;
+  double sin_half_aperture;
+  double cos_half_aperture;
+};
+
+// Where the voxels' centres lie, seen from the sonar.
+struct CellPlaces {
+  double range[kCellVoxels];
+  double horizontal[kCellVoxels];  // distance from the sonar's vertical axis
+  double sine[kCellVoxels];  // of the bearing
+  double inside_aperture[kCellVoxels];
+  double inside_sides[kCellVoxels];
 };
 
 struct Kernels {
   const char* name;
   // Sums over 8 * `chunks` lines, at u and v times the voxel's edge.
   LineSums (*lines)(const LineTask& task, const float* u, const float* v, int chunks);
+  void (*places)(const CellTask& task, CellPlaces& places);
   // Free steps of voxels: `down` (units, positive) and `next` (the new count) by count. Skips
   // voxels whose bit in `rows` (16 voxels a row) is not set, and those above `limit`; true when
   // there were any of these.

@@ -6,6 +6,7 @@
 // beams that is parallel to the lines, the worst case, is off by half a step at most.
 #pragma once
 
+#include <array>
 #include <vector>
 
 #include "mapperd/fan.hpp"
@@ -15,7 +16,7 @@
 namespace mapperd {
 
 // Nearer than this many voxels the sonar is too near for the series that the lines use.
-inline constexpr double kNearestForLines = 20.0;
+inline constexpr double kNearestForLines = 8.0;
 
 class VoxelLines {
  public:
