@@ -8,13 +8,15 @@ namespace {
 
 constexpr int kCell = kCellEdge;
 
-// Lines have to be so many: a part of the volume is off by at most kPartError / lines. Measured:
-// docs/mapping.md.
-constexpr double kPartError = 2.0;
+// The error of a sampled mean weight is up to kSpread sigma / (lines sqrt(part)) in 99 of 100
+// voxels, sigma being how much the weights inside the voxel differ and part how much of it is
+// occupied; measured for 8 to 128 lines, see docs/mapping.md.
+constexpr double kSpread = 2.5;
 constexpr int kFewestLines = 8;
 constexpr int kMostLines = 128;
-// For voxels whose class is not clear with the fewest.
-constexpr int kLinesForClass = 32;
+// A part of the volume as near as this to the limit that it is compared with is sampled again.
+constexpr double kUnclear = 0.06;
+constexpr int kLinesIfUnclear = 32;
 
 void mark_free(int x, int y, int z, BlockEvidence& evidence) {
   evidence.free[static_cast<std::size_t>(y + kBlockEdge * z)] |= static_cast<std::uint16_t>(1U << x);
@@ -41,7 +43,7 @@ BlockLooker::BlockLooker(const Fan& fan, const FanSettings& settings, const Iwlo
       aggregation_(settings.aggregation),
       edge_m_(edge_m),
       offset_m_(offset_m),
-      error_bound_(rule.params().L_occ > 0 ? settings.error_bound / rule.params().L_occ : 0.0) {}
+      weight_error_(settings.error_bound / std::max(rule.params().L_occ, 1e-3)) {}
 
 struct BlockLooker::Cell {
   int x;  // of its first voxel, in the block
@@ -114,6 +116,7 @@ void BlockLooker::look_far(const Cell& cell, BlockEvidence& evidence) const {
   const double level = extent.level();
   const FanPart& where = cell.verdict.where;
   const double least_free = fan_.least_free_m(where.first_beam, where.last_beam);
+  const double most_free = fan_.most_free_m(where.first_beam, where.last_beam);
   for (int i = 0; i < kCellVoxels; ++i) {
     const double near_m = at.range[i] - extent.inward;
     const double far_m = at.range[i] + extent.outward;
@@ -128,6 +131,11 @@ void BlockLooker::look_far(const Cell& cell, BlockEvidence& evidence) const {
       continue;
     }
     if (clear && at.inside_aperture[i] < -extent.bend) continue;
+    if (near_m >= most_free &&
+        !fan_.any_return(where.first_beam, where.last_beam, near_m + extent.cap,
+                         far_m - extent.cap)) {
+      continue;
+    }
     const Fan::Place place{at.range[i], at.horizontal[i], at.sine[i], at.inside_aperture[i],
                            at.inside_sides[i]};
     settle(fan_.verdict(place, extent), voxel_centre(cell, i), voxel_offset(x, y, z), evidence);
@@ -168,7 +176,7 @@ void BlockLooker::settle(const Fan::Verdict& verdict, const Vec3& centre, int of
   }
   const Cube cube{{centre.x, centre.y, centre.z}, edge_m_ / 2};
   Evidence sum;
-  if (!(error_bound_ > 0 && sampled(cube, verdict.where, sum))) sum = exact(cube, verdict.where);
+  if (!(weight_error_ > 0 && sampled(cube, verdict.where, sum))) sum = exact(cube, verdict.where);
   decide(sum, offset, evidence);
 }
 
@@ -181,21 +189,42 @@ Evidence BlockLooker::exact(const Cube& cube, const FanPart& where) const {
   return sum;
 }
 
-// As few lines as the bound allows: what they can be off by is known from how much the weights
-// differ inside the voxel, and from how much of it is occupied.
+// As few lines as the bound allows.
 bool BlockLooker::sampled(const Cube& cube, const FanPart& where, Evidence& sum) const {
-  if (!lines_.evidence(cube, where, kFewestLines, sum)) return false;
-  double contrast = 0.0;
+  VoxelLines::Sample sample;
+  for (int lines = kFewestLines;;) {
+    if (!lines_.evidence(cube, where, lines, sample)) return false;
+    sum = sample.sum;
+    // The mean of both kinds of evidence depends on the parts themselves.
+    const bool both = sum.occupied > 0 && sum.free > 0;
+    if (aggregation_ == Aggregation::mean && both) return false;
+    const int needed = lines == kFewestLines ? lines_for(sample) : lines;
+    if (needed <= lines) return true;
+    lines = needed;
+  }
+}
+
+int BlockLooker::lines_for(const VoxelLines::Sample& sample) const {
+  const Evidence& sum = sample.sum;
+  const bool unclear = sample.any_return ? sum.occupied < kOccupiedPart + kUnclear
+                                         : std::abs(sum.free - kFreePart) < kUnclear;
+  double needed = unclear ? kLinesIfUnclear : kFewestLines;
+  if (sum.occupied > 0) {
+    const double weight = sum.weight();
+    const double variance = std::max(sample.squared / sum.occupied - weight * weight, 0.0);
+    const double sigma_over_root = std::sqrt(variance / sum.occupied);
+    needed = std::max(needed, kSpread * sigma_over_root / weight_error_);
+  }
   int lines = kFewestLines;
-  if (sum.occupied < kOccupiedPart + kPartError / kLinesForClass) lines = kLinesForClass;
-  (void)contrast;
-  if (lines > kFewestLines) lines_.evidence(cube, where, lines, sum);
-  return true;
+  while (lines < needed && lines < kMostLines) lines *= 2;
+  return lines;
 }
 
 void BlockLooker::decide(const Evidence& sum, int offset, BlockEvidence& evidence) const {
   if (sum.occupied >= kOccupiedPart) {
-    evidence.occupied.push_back({static_cast<std::uint16_t>(offset), sum});
+    evidence.occupied.push_back({std::clamp(sum.weight(), 0.0, 1.0),
+                                 sum.occupied / (sum.occupied + sum.free),
+                                 static_cast<std::uint16_t>(offset)});
   } else if (sum.free > kFreePart) {
     mark_free(offset % kBlockEdge, offset / kBlockEdge % kBlockEdge, offset / kBlockRows, evidence);
   }

@@ -185,6 +185,14 @@ void Fan::aperture_planes(double low_rad, double high_rad, Vec3& upper, Vec3& lo
   lower = rotation_.rotate(level + Vec3{0.0, 0.0, cos_half_});
 }
 
+void Fan::aperture_planes_at(const Vec3& in_sonar, Vec3& upper, Vec3& lower) const {
+  const double horizontal = std::sqrt(in_sonar.x * in_sonar.x + in_sonar.y * in_sonar.y);
+  const double scale = sin_half_ / horizontal;
+  const Vec3 level{scale * in_sonar.x, scale * in_sonar.y, 0.0};
+  upper = rotation_.rotate(level - Vec3{0.0, 0.0, cos_half_});
+  lower = rotation_.rotate(level + Vec3{0.0, 0.0, cos_half_});
+}
+
 bool Fan::any_return(std::size_t first, std::size_t last, double near_m, double far_m) const {
   const auto row_of = [this](double range) {
     const double row = std::clamp(range / resolution_, 0.0, static_cast<double>(row_count_));
@@ -285,18 +293,31 @@ Fan::Verdict Fan::verdict(const Place& place, const Extent& extent) const {
     const double cosine = std::sqrt(std::max(1.0 - place.sine * place.sine, 0.0));
     const double spread = t * cosine + 0.5 * t * t;
     where.first_beam = beam_at_sine(place.sine - spread);
-    where.last_beam = beam_at_sine(place.sine + spread);
+    where.last_beam = where.first_beam;
+    while (where.last_beam + 1 < beams() &&
+           edge_sines_[where.last_beam + 1] <= place.sine + spread) {
+      ++where.last_beam;
+    }
   }
-  if (far_m <= least_free_m_.of(where.first_beam, where.last_beam) && near_m >= min_range_ &&
-      place.inside_sides >= level) {
+  const double least_free = least_free_m_.of(where.first_beam, where.last_beam);
+  const double most_free = most_free_m_.of(where.first_beam, where.last_beam);
+  const bool clear_of_sides = near_m >= min_range_ && place.inside_sides >= level;
+  if (far_m <= least_free && clear_of_sides) {
     // Free but for the aperture: a cut through the centre would halve the cube.
     if (place.inside_aperture >= extent.aperture) return {Content::all_free, where};
     if (place.inside_aperture > extent.bend) return {Content::mostly_free, where};
     if (place.inside_aperture < -extent.bend) return {Content::less_free, where};
   }
-  if (near_m >= most_free_m_.of(where.first_beam, where.last_beam) &&
-      !any_return(where.first_beam, where.last_beam, near_m + extent.cap, far_m - extent.cap)) {
-    return {};
+  if (any_return(where.first_beam, where.last_beam, near_m + extent.cap, far_m - extent.cap)) {
+    return {Content::undecided, where};
+  }
+  if (near_m >= most_free) return {};
+  // The sphere through the centre halves the cube, but for its bend.
+  if (most_free < place.range) return {Content::less_free, where};
+  const double bend = extent.outward - extent.inward;
+  if (clear_of_sides && place.inside_aperture >= extent.aperture &&
+      least_free > place.range + bend) {
+    return {Content::mostly_free, where};
   }
   return {Content::undecided, where};
 }

@@ -102,15 +102,19 @@ class Lines {
     Lanes rows{};
     Lanes weight{};
     Lanes squared{};
+    // What of the piece lies beyond row k's near edge, but for a constant: inside row k lies the
+    // difference of two of them.
+    Lanes beyond = larger(far, Lanes{}) - larger(near, Lanes{});
     for (int k = 0; k < task_.rows; ++k) {
-      if (beam.weight[k] < 0) continue;
-      const Lanes begin = all(static_cast<float>(k));
-      const Lanes end = begin + 1.0F;
-      const Lanes part = smaller(larger(far, begin), end) - smaller(larger(near, begin), end);
+      const Lanes edge = all(static_cast<float>(k + 1));
+      const Lanes next = larger(far, edge) - larger(near, edge);
+      const Lanes part = beyond - next;
+      beyond = next;
+      const float w = beam.weight[k];
+      if (w < 0) continue;
       rows += part;
-      const Lanes weighted = beam.weight[k] * part;
-      weight += weighted;
-      squared += beam.weight[k] * weighted;
+      weight += w * part;
+      squared += w * w * part;
     }
     sums.occupied += rows * metres_per_row_;
     sums.weighted += weight * metres_per_row_;

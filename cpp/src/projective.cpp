@@ -122,18 +122,17 @@ class PingUpdate {
     for (const OccupiedVoxel& voxel : evidence.occupied) {
       std::int32_t& units = voxels.units[voxel.offset];
       std::uint16_t& count = voxels.count[voxel.offset];
-      rule.add(step_of(voxel.evidence, units, count), units, count);
+      rule.add(step_of(voxel, units, count), units, count);
     }
     block.close(rule);
   }
 
-  double step_of(const Evidence& sum, std::int32_t units, std::uint16_t count) const {
+  double step_of(const OccupiedVoxel& voxel, std::int32_t units, std::uint16_t count) const {
     const double log_odds = log_odds_of(units);
-    const double weight = std::clamp(sum.weight(), 0.0, 1.0);
-    const double up = map_.rule().occupied_step(log_odds, count, weight);
+    const double up = map_.rule().occupied_step(log_odds, count, voxel.weight);
     if (settings_.aggregation == Aggregation::occupied_first) return up;
     const double down = map_.rule().free_step(log_odds, count);
-    return (sum.occupied * up + sum.free * down) / (sum.occupied + sum.free);
+    return voxel.share * up + (1.0 - voxel.share) * down;
   }
 
   void count(const BlockEvidence& evidence) {

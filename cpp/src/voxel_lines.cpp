@@ -61,7 +61,8 @@ VoxelLines::VoxelLines(const Fan& fan, double edge_m, const Kernels& kernels)
   }
 }
 
-bool VoxelLines::evidence(const Cube& cube, const FanPart& where, int lines, Evidence& sum) const {
+bool VoxelLines::evidence(const Cube& cube, const FanPart& where, int lines,
+                          Sample& sample) const {
   const std::array<double, 3>& c = cube.centre_m;
   const double range = std::sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2]);
   const std::size_t beams = where.last_beam - where.first_beam + 1;
@@ -99,18 +100,19 @@ bool VoxelLines::evidence(const Cube& cube, const FanPart& where, int lines, Evi
     const double base = normals_[0][e] * c[0] + normals_[1][e] * c[1] + normals_[2][e] * c[2];
     task.edge[i] = plane_of(static_cast<float>(base), normals_[u][e], normals_[v][e], normals_[t][e]);
   }
+  sample.any_return = false;
   for (std::size_t i = 0; i < beams; ++i) {
     const std::size_t j = where.first_beam + i;
     const bool any = fan_.any_return_in_rows(j, j, first_row, end_row);
+    sample.any_return = sample.any_return || any;
     task.beam[i] = {any ? fan_.weights(j) + first_row : nullptr,
                     fan_.free_limit_m(j) > where.near_m ? row_of(fan_.free_limit_m(j)) : 0.0F};
   }
   task.cones = 0;
   if (where.cut_by_aperture) {
     const Vec3 in_sonar = fan_.to_sonar({c[0], c[1], c[2]});
-    const double bearing = std::atan2(-in_sonar.y, in_sonar.x);
     std::array<Vec3, 2> cone;
-    fan_.aperture_planes(bearing, bearing, cone[0], cone[1]);
+    fan_.aperture_planes_at(in_sonar, cone[0], cone[1]);
     for (const Vec3& n : cone) {
       const std::array<double, 3> normal{n.x, n.y, n.z};
       const double base = normal[0] * c[0] + normal[1] * c[1] + normal[2] * c[2];
@@ -121,8 +123,8 @@ bool VoxelLines::evidence(const Cube& cube, const FanPart& where, int lines, Evi
   }
   const Lattice& lattice = lattice_for(lines);
   const LineSums sums = kernels_.lines(task, lattice.u.data(), lattice.v.data(), lines / kLanes);
-  sum = {sums.occupied / edge_m_, sums.weighted / edge_m_, sums.free / edge_m_,
-         sums.squared / edge_m_};
+  sample.sum = {sums.occupied / edge_m_, sums.weighted / edge_m_, sums.free / edge_m_};
+  sample.squared = sums.squared / edge_m_;
   return true;
 }
 

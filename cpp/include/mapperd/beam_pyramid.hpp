@@ -13,12 +13,7 @@ namespace mapperd {
 
 // Floor of the binary logarithm of n >= 1.
 inline std::size_t floor_log2(std::size_t n) {
-  std::size_t level = 0;
-  while (n > 1) {
-    n >>= 1U;
-    ++level;
-  }
-  return level;
+  return 63 - static_cast<std::size_t>(__builtin_clzll(n));
 }
 
 // The smallest or the largest value of a run of beams.

@@ -20,8 +20,9 @@ inline constexpr double kOccupiedPart = 0.02;
 inline constexpr double kFreePart = 0.5;
 
 struct OccupiedVoxel {
+  double weight;  // mean w(I) over the occupied part
+  double share;   // of the occupied part in what was seen
   std::uint16_t offset;
-  Evidence evidence;
 };
 
 struct BlockEvidence {
@@ -56,6 +57,7 @@ class BlockLooker {
   void decide(const Evidence& sum, int offset, BlockEvidence& evidence) const;
   Evidence exact(const Cube& cube, const FanPart& where) const;
   bool sampled(const Cube& cube, const FanPart& where, Evidence& sum) const;
+  int lines_for(const VoxelLines::Sample& sample) const;
 
   const Fan& fan_;
   const Kernels& kernels_;
@@ -63,7 +65,7 @@ class BlockLooker {
   Aggregation aggregation_;
   double edge_m_;
   Vec3 offset_m_;
-  double error_bound_;  // of the weight: the log-odds' over the step's size
+  double weight_error_;  // that a voxel's weight may have; 0: exact
 };
 
 }  // namespace mapperd

@@ -86,6 +86,8 @@ class Fan {
   // Planes through the sonar (normals inwards) that stand for the aperture's two cones between
   // two bearings: those of the cones' mean height.
   void aperture_planes(double low_rad, double high_rad, Vec3& upper, Vec3& lower) const;
+  // Those that touch the cones straight above and below a point of the sonar's frame.
+  void aperture_planes_at(const Vec3& in_sonar, Vec3& upper, Vec3& lower) const;
 
   // Beam j's w(I), row by row; kNoReturn in rows without one, or wholly nearer than min_range.
   static constexpr float kNoReturn = -1.0F;
@@ -94,6 +96,9 @@ class Fan {
   double free_limit_m(std::size_t j) const { return free_limit_m_[j]; }
   double least_free_m(std::size_t first, std::size_t last) const {
     return least_free_m_.of(first, last);
+  }
+  double most_free_m(std::size_t first, std::size_t last) const {
+    return most_free_m_.of(first, last);
   }
 
   // The same as functions of range: returns of beam j, and its free space.

@@ -36,7 +36,6 @@ struct Evidence {
   double occupied = 0.0;
   double weighted = 0.0;  // integral of w(I) over the occupied part
   double free = 0.0;
-  double squared = 0.0;  // integral of the squared w(I), where it was asked for
 
   double weight() const { return weighted / occupied; }
 };

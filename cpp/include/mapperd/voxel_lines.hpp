@@ -20,11 +20,17 @@ inline constexpr double kNearestForLines = 8.0;
 
 class VoxelLines {
  public:
+  struct Sample {
+    Evidence sum;
+    double squared = 0.0;     // integral of the squared w(I)
+    bool any_return = false;  // in the rows and beams that the voxel touches
+  };
+
   VoxelLines(const Fan& fan, double edge_m, const Kernels& kernels);
 
   // False, and nothing done, for voxels too near to the sonar or with too many beams.
   // `lines` is 8, 16, 32, 64 or 128.
-  bool evidence(const Cube& cube, const FanPart& where, int lines, Evidence& sum) const;
+  bool evidence(const Cube& cube, const FanPart& where, int lines, Sample& sample) const;
 
  private:
   const Fan& fan_;
