@@ -13,7 +13,8 @@ class IwloParams:
     """The IWLO rule's constants (`iwlo.*`, `adaptive.*`, `filtering.*`).
 
     Raises:
-        ValueError: a value is not finite, out of range, or needs more than 65535 pings to settle.
+        ValueError: a value is not finite, out of range, needs more than 65535 pings to settle, or
+            adaptive_min_ratio is above adaptive_max_ratio.
     """
 
     def __init__(
@@ -31,6 +32,7 @@ class IwloParams:
         adaptive_update: bool = True,
         adaptive_threshold: float = 0.5,
         adaptive_max_ratio: float = 0.3,
+        adaptive_min_ratio: float = 0.25,
         protect_occupied: bool = True,
     ) -> None: ...
     def occupied_weight(self, intensity: float) -> float:

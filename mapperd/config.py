@@ -190,7 +190,24 @@ class Adaptive(Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = 0.5
     max_ratio: Annotated[float, rule("Factor of the most scaled step.", ge=0, le=1)] = 0.3
+    min_ratio: Annotated[
+        float,
+        rule(
+            "Scaled occupied steps are at least this part of L_occ w, so that a voxel believed "
+            "free comes back; at most max_ratio, 0 is the published rule.",
+            ge=0,
+            le=1,
+        ),
+    ] = 0.25
     protect_occupied: Annotated[bool, rule("Scale free steps as well.")] = True
+
+    def __post_init__(self) -> None:
+        """Check what no single field can."""
+        if self.min_ratio > self.max_ratio:
+            raise ValueError(
+                f"min_ratio {self.min_ratio:g} is above max_ratio {self.max_ratio:g}; "
+                "allowed: at most that"
+            )
 
 
 class Processing(Struct, frozen=True, forbid_unknown_fields=True):

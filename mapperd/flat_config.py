@@ -68,7 +68,8 @@ _RESTING = {
 def config_from_flat(flat: Mapping[str, Any]) -> Config:
     """Settings from the seed documents' flat keys; what is not named has its default.
 
-    An `occupied_threshold` below 0.5 takes `free_threshold` down with it, unless that is named.
+    An `occupied_threshold` below 0.5 takes `free_threshold` down with it, and a low
+    `adaptive_max_ratio` `adaptive_min_ratio`, unless those are named.
 
     Args:
         flat: keys and values, NumPy's numbers as good as Python's.
@@ -89,7 +90,8 @@ def config_from_flat(flat: Mapping[str, Any]) -> Config:
             tree.setdefault("mounting", {})[part] = dict(zip(names, numbers, strict=True))
         else:
             _check_fixed(key, value, flat)
-    _lower_free_threshold(tree)
+    _lower(tree, "mapping", "free_threshold", "occupied_threshold")
+    _lower(tree, "adaptive", "min_ratio", "max_ratio")
     try:
         return msgspec.convert(tree, Config)
     except msgspec.ValidationError as error:
@@ -132,11 +134,12 @@ def _check_fixed(key: str, value: object, flat: Mapping[str, Any]) -> None:
     raise ConfigError(f"{key}: there is no such setting; {hint}", str(key))
 
 
-def _lower_free_threshold(tree: dict[str, Any]) -> None:
-    mapping = tree.get("mapping", {})
-    occupied = mapping.get("occupied_threshold")
-    if isinstance(occupied, float) and "free_threshold" not in mapping:
-        mapping["free_threshold"] = min(occupied, MappingSection().free_threshold)
+def _lower(tree: dict[str, Any], section: str, field: str, limit: str) -> None:
+    """Keep a field that is not named at most as high as the one that limits it."""
+    named = tree.get(section, {})
+    highest = named.get(limit)
+    if type(highest) in (int, float) and field not in named:
+        named[field] = min(highest, getattr(_SECTIONS[section](), field))
 
 
 def _explained(message: str) -> ConfigError:

@@ -267,6 +267,7 @@ def iwlo_params(config: Config) -> _core.IwloParams:
             adaptive_update=adaptive.update,
             adaptive_threshold=adaptive.threshold,
             adaptive_max_ratio=adaptive.max_ratio,
+            adaptive_min_ratio=adaptive.min_ratio,
             protect_occupied=adaptive.protect_occupied,
         )
     except ValueError as error:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapperd import _core
+from mapperd.config import Adaptive
 from mapperd.map_queries import EVEN, MapQueries, voxels_above
 from mapperd.memory_stats import MemoryStats, memory_stats
 from mapperd.point_arrays import flags_of, numbers_of, points_of
@@ -60,15 +61,26 @@ class ProbabilityUpdater:
         enable: bool,  # noqa: FBT001 the seed's
         threshold: float,
         max_ratio: float,
+        min_ratio: float | None = None,
     ) -> None:
         """Set the protection of what is believed: on or off, probability (0..1], factor [0..1].
+
+        Below `threshold` an occupied observation moves a voxel by at least `min_ratio` of the
+        largest step, L_occ w; 0 is the published rule, by which a voxel that was seen free five
+        times stays so (W-14). None means 0.25, or `max_ratio` where that is less.
 
         Raises:
             ValueError: out of range.
         """
         before, self._adaptive = self._adaptive, bool(enable)
         try:
-            self._change(adaptive_threshold=threshold, adaptive_max_ratio=max_ratio)
+            self._change(
+                adaptive_threshold=threshold,
+                adaptive_max_ratio=max_ratio,
+                adaptive_min_ratio=min(Adaptive().min_ratio, max_ratio)
+                if min_ratio is None
+                else min_ratio,
+            )
         except ValueError:
             self._adaptive = before
             raise

@@ -15,7 +15,8 @@ using namespace pybind11::literals;
 IwloParams iwlo_params(double L_occ, double L_free, double L_min, double L_max, double sharpness,
                        double decay_rate, double min_alpha, double intensity_threshold,
                        double intensity_max, bool adaptive_update, double adaptive_threshold,
-                       double adaptive_max_ratio, bool protect_occupied) {
+                       double adaptive_max_ratio, double adaptive_min_ratio,
+                       bool protect_occupied) {
   const IwloParams params{L_occ,
                           L_free,
                           L_min,
@@ -28,6 +29,7 @@ IwloParams iwlo_params(double L_occ, double L_free, double L_min, double L_max, 
                           adaptive_update,
                           adaptive_threshold,
                           adaptive_max_ratio,
+                          adaptive_min_ratio,
                           protect_occupied};
   const IwloRule checked_rule(params);
   return checked_rule.params();
@@ -58,6 +60,7 @@ void bind_iwlo(py::module_& module) {
            "adaptive_update"_a = defaults.adaptive_update,
            "adaptive_threshold"_a = defaults.adaptive_threshold,
            "adaptive_max_ratio"_a = defaults.adaptive_max_ratio,
+           "adaptive_min_ratio"_a = defaults.adaptive_min_ratio,
            "protect_occupied"_a = defaults.protect_occupied)
       .def(
           "occupied_weight",

@@ -33,6 +33,9 @@ double checked_settling_count(const IwloParams& p) {
           "adaptive_threshold must lie in (0, 1]");
   require(p.adaptive_max_ratio >= 0 && p.adaptive_max_ratio <= 1,
           "adaptive_max_ratio must lie in [0, 1]");
+  require(p.adaptive_min_ratio >= 0 && p.adaptive_min_ratio <= p.adaptive_max_ratio,
+          "adaptive_min_ratio " + std::to_string(p.adaptive_min_ratio) +
+              " must lie between 0 and adaptive_max_ratio " + std::to_string(p.adaptive_max_ratio));
   if (p.decay_rate == 0 || p.min_alpha == 1) return 1.0;
   // At least 1: a count of 0 means "never observed".
   const double settled = std::max(1.0, std::ceil((1.0 / p.min_alpha - 1.0) / p.decay_rate));
@@ -94,14 +97,13 @@ double IwloRule::occupied_weight(double intensity) const {
 }
 
 double IwloRule::occupied_step(double log_odds, std::uint16_t count, double weight) const {
-  double scale = 1.0;
-  if (params_.adaptive_update) {
-    const double p = sigmoid(log_odds);
-    if (p < params_.adaptive_threshold) {
-      scale = p / params_.adaptive_threshold * params_.adaptive_max_ratio;
-    }
-  }
-  return params_.L_occ * weight * alpha(count) * scale;
+  const double full = params_.L_occ * weight;
+  const double p = sigmoid(log_odds);
+  if (!params_.adaptive_update || p >= params_.adaptive_threshold) return full * alpha(count);
+  const double scale = p / params_.adaptive_threshold * params_.adaptive_max_ratio;
+  // The floor holds for the rate and not for the scale alone: alpha, once settled, would else make
+  // the way back from L_min long again.
+  return std::max(full * alpha(count) * scale, full * params_.adaptive_min_ratio);
 }
 
 double IwloRule::free_step(double log_odds, std::uint16_t count) const {

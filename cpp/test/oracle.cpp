@@ -216,10 +216,11 @@ void update(State& state, const Parts& parts, const Settings& settings) {
   const mapperd::IwloParams& p = settings.iwlo;
   const double probability = 1.0 / (1.0 + std::exp(-state.log_odds));
   const double alpha = std::max(p.min_alpha, 1.0 / (1.0 + p.decay_rate * state.count));
-  double occupied_scale = 1.0;
+  double occupied_rate = alpha;
   double free_scale = 1.0;
   if (p.adaptive_update && probability < p.adaptive_threshold) {
-    occupied_scale = probability / p.adaptive_threshold * p.adaptive_max_ratio;
+    occupied_rate *= probability * p.adaptive_max_ratio / p.adaptive_threshold;
+    if (occupied_rate < p.adaptive_min_ratio) occupied_rate = p.adaptive_min_ratio;
   }
   if (p.adaptive_update && p.protect_occupied && probability > 1 - p.adaptive_threshold) {
     const double f = (probability - (1 - p.adaptive_threshold)) / p.adaptive_threshold;
@@ -228,7 +229,7 @@ void update(State& state, const Parts& parts, const Settings& settings) {
   const double free_step = p.L_free * alpha * free_scale;
   double step = free_step;
   if (now == Class::occupied) {
-    step = p.L_occ * parts.weight() * alpha * occupied_scale;
+    step = p.L_occ * parts.weight() * occupied_rate;
     if (settings.fan.aggregation == mapperd::Aggregation::mean) {
       step = (parts.occupied * step + parts.free * free_step) / (parts.occupied + parts.free);
     }

@@ -13,10 +13,15 @@ using mapperd::IwloParams;
 using mapperd::IwloRule;
 using mapperd::log_odds_of;
 
-IwloParams set_a() { return {}; }
+// The published rule: no floor.
+IwloParams set_a() {
+  IwloParams p;
+  p.adaptive_min_ratio = 0;
+  return p;
+}
 
 IwloParams set_b() {
-  IwloParams p;
+  IwloParams p = set_a();
   p.L_occ = 2;
   p.L_free = -4;
   p.sharpness = 0.1;
@@ -66,6 +71,84 @@ TEST_CASE("the update reproduces the published vectors") {
                    {150, 1, 2.077651},
                    {150, 1, 2.660668}});
   follow(set_b(), {{145, 3, 2.96855}, {0, 2, 0.289175}, {145, 1, 1.113773}});
+}
+
+constexpr double kOccupied = 0.8472978603872037;  // log-odds of p = 0.7
+constexpr double kMiddle = 145;                   // half way from threshold to maximum: w = 0.5
+
+struct Voxel {
+  std::int32_t units = 0;
+  std::uint16_t count = 0;
+  double log_odds() const { return log_odds_of(units); }
+};
+
+Voxel seen_free(const IwloRule& rule, int pings) {
+  Voxel voxel;
+  for (int i = 0; i < pings; ++i) rule.add_free(voxel.units, voxel.count);
+  return voxel;
+}
+
+void see_occupied(const IwloRule& rule, double intensity, Voxel& voxel) {
+  const double weight = rule.occupied_weight(intensity);
+  rule.add(rule.occupied_step(voxel.log_odds(), voxel.count, weight), voxel.units, voxel.count);
+}
+
+int pings_back(const IwloParams& params, int free_pings) {
+  const IwloRule rule(params);
+  Voxel voxel = seen_free(rule, free_pings);
+  int pings = 0;
+  for (; voxel.log_odds() <= kOccupied && pings < 300000; ++pings) {
+    see_occupied(rule, kMiddle, voxel);
+  }
+  return pings;
+}
+
+TEST_CASE("without a floor a voxel once believed free is held there, as published") {
+  CHECK(pings_back(set_a(), 1) == 84);
+  CHECK(pings_back(set_a(), 2) == 2850);
+  // 209 764 in real numbers; steps of 80 units of log-odds are rounded to whole ones.
+  CHECK_NEAR(pings_back(set_a(), 5), 210000, 1000);
+}
+
+TEST_CASE("a changed voxel is seen within 30 pings, however long it was free") {
+  for (const int free_pings : {1, 2, 3, 4, 5, 7, 10, 20, 30, 50, 90, 100, 1000, 10000}) {
+    CHECK(pings_back({}, free_pings) <= 30);
+  }
+  CHECK(pings_back({}, 10000) == 28);
+  IwloParams lower;
+  lower.adaptive_min_ratio = 0.2;
+  CHECK(pings_back(lower, 10000) > 30);
+}
+
+TEST_CASE("one false return at full intensity does not make free water anything else") {
+  const IwloRule rule{IwloParams{}};
+  for (const int free_pings : {1, 2, 5, 30, 1000}) {
+    Voxel voxel = seen_free(rule, free_pings);
+    see_occupied(rule, 255, voxel);
+    CHECK(voxel.log_odds() < -2);
+  }
+}
+
+TEST_CASE("the floor is of rates below the threshold, and of nothing else") {
+  const IwloRule rule{IwloParams{}};
+  const IwloRule published(set_a());
+  CHECK_NEAR(rule.occupied_step(-10, 90, 0.5), 3.5 * 0.5 * 0.25, 1e-12);
+  CHECK_NEAR(rule.occupied_step(-10, 0, 0.5), 3.5 * 0.5 * 0.25, 1e-12);
+  for (const int seen : {0, 1, 90}) {
+    const auto count = static_cast<std::uint16_t>(seen);
+    for (const double log_odds : {0.0, 0.1, 5.0, 10.0}) {
+      CHECK(rule.occupied_step(log_odds, count, 0.5) ==
+            published.occupied_step(log_odds, count, 0.5));
+    }
+    for (const double log_odds : {-10.0, -0.1, 0.0, 0.1, 5.0, 10.0}) {
+      CHECK(rule.free_step(log_odds, count) == published.free_step(log_odds, count));
+    }
+  }
+  // Above the floor the published scale holds.
+  CHECK(rule.occupied_step(-0.01, 0, 1) == published.occupied_step(-0.01, 0, 1));
+  IwloParams off;
+  off.adaptive_update = false;
+  CHECK_NEAR(IwloRule(off).occupied_step(-10, 90, 0.5), 3.5 * 0.5 * 0.1, 1e-12);
 }
 
 TEST_CASE("protect_occupied off leaves free steps unscaled") {
@@ -136,18 +219,21 @@ TEST_CASE("parameters out of range are refused by name") {
     CHECK_THROWS(IwloRule(params), std::invalid_argument);
   };
   const double not_a_number = std::numeric_limits<double>::quiet_NaN();
-  for (const auto field :
-       {&IwloParams::L_occ, &IwloParams::L_free, &IwloParams::L_min, &IwloParams::L_max,
-        &IwloParams::sharpness, &IwloParams::decay_rate, &IwloParams::min_alpha,
-        &IwloParams::intensity_threshold, &IwloParams::intensity_max,
-        &IwloParams::adaptive_threshold, &IwloParams::adaptive_max_ratio}) {
+  for (const auto field : {&IwloParams::L_occ, &IwloParams::L_free, &IwloParams::L_min,
+                           &IwloParams::L_max, &IwloParams::sharpness, &IwloParams::decay_rate,
+                           &IwloParams::min_alpha, &IwloParams::intensity_threshold,
+                           &IwloParams::intensity_max, &IwloParams::adaptive_threshold,
+                           &IwloParams::adaptive_max_ratio, &IwloParams::adaptive_min_ratio}) {
     refuses(field, not_a_number);
   }
   refuses(&IwloParams::L_occ, -1);
   refuses(&IwloParams::L_free, 1);
   refuses(&IwloParams::min_alpha, 0);
   refuses(&IwloParams::min_alpha, 1.5);
-  refuses(&IwloParams::decay_rate, 1e-5);  // 900 000 pings to settle
+  refuses(&IwloParams::adaptive_min_ratio, -0.1);
+  refuses(&IwloParams::adaptive_min_ratio, 0.31);  // above max_ratio
+  refuses(&IwloParams::adaptive_max_ratio, 0.24);  // below min_ratio
+  refuses(&IwloParams::decay_rate, 1e-5);          // 900 000 pings to settle
 }
 
 }  // namespace

@@ -103,6 +103,15 @@ def test_rule_that_never_settles_is_refused() -> None:
     assert Adaptive(threshold=1.0)
 
 
+def test_min_ratio_stays_below_max_ratio() -> None:
+    assert Adaptive().min_ratio == 0.25
+    assert Adaptive(min_ratio=0.3)
+    with pytest.raises(ValueError, match=r"min_ratio 0\.4 is above max_ratio 0\.3"):
+        Adaptive(min_ratio=0.4)
+    with pytest.raises(ValueError, match="above max_ratio"):
+        Adaptive(max_ratio=0.2)
+
+
 @pytest.mark.parametrize("path", sorted((ROOT / "config").glob("*.yaml")), ids=lambda p: p.name)
 def test_sample_files_load(path: Path) -> None:
     assert load_config(path)

@@ -38,6 +38,13 @@ def test_values_are_read(text: str, resolution: float, tmp_path: Path) -> None:
     assert load_config(path).octree.voxel_resolution == resolution
 
 
+def test_floor_of_the_scale_is_read_and_bounded() -> None:
+    assert config_from_text("adaptive: {min_ratio: 0}").adaptive.min_ratio == 0
+    assert config_from_text("adaptive: {min_ratio: 0.1}").adaptive.min_ratio == 0.1
+    with pytest.raises(ConfigError, match=r"\$\.adaptive: min_ratio 0\.25 is above max_ratio 0\.1"):
+        config_from_text("adaptive: {max_ratio: 0.1}")
+
+
 @pytest.mark.parametrize(
     ("text", "path", "words"),
     [
@@ -63,6 +70,8 @@ def test_values_are_read(text: str, resolution: float, tmp_path: Path) -> None:
         ("mounting: {position: {z: .nan}}", "$.mounting.position.z", [".nan"]),
         ("processing: {frame_skip: 1.5}", "$.processing.frame_skip", ["whole number"]),
         ("processing: {frame_skip: 0}", "$.processing.frame_skip", [">= 1"]),
+        ("adaptive: {min_ratio: 1.5}", "$.adaptive.min_ratio", ["1.5", "<= 1"]),
+        ("adaptive: {min_ratio: -0.1}", "$.adaptive.min_ratio", ["-0.1", ">= 0"]),
         ("adaptive: {update: 1}", "$.adaptive.update", ["true or false"]),
         ("mapping: {integrator: x}", "$.mapping.integrator", ["projective or rays"]),
         ("octree: {voxel_size: 1}", "$.octree.voxel_size", ["no such setting"]),

@@ -76,6 +76,15 @@ def test_low_occupied_threshold_takes_the_free_one_along() -> None:
         config_from_flat({"occupied_threshold": 0.4, "free_threshold": 0.5})
 
 
+def test_low_max_ratio_takes_the_min_ratio_along() -> None:
+    assert config_from_flat({"adaptive_max_ratio": 0.1}).adaptive.min_ratio == 0.1
+    assert config_from_flat({"adaptive_max_ratio": 0}).adaptive.min_ratio == 0
+    assert config_from_flat({"adaptive_max_ratio": 0.9}).adaptive.min_ratio == 0.25
+    assert config_from_flat({"adaptive_min_ratio": 0.0}).adaptive.min_ratio == 0
+    with pytest.raises(ConfigError, match="min_ratio"):
+        config_from_flat({"adaptive_max_ratio": 0.1, "adaptive_min_ratio": 0.2})
+
+
 @pytest.mark.parametrize(
     ("flat", "message"),
     [
@@ -87,6 +96,8 @@ def test_low_occupied_threshold_takes_the_free_one_along() -> None:
         ({"L_occ": math.nan}, "L_occ: nan is not allowed"),
         ({"L_free": math.inf}, "L_free: inf is not allowed"),
         ({"adaptive_threshold": 2.0}, "adaptive_threshold: .*<= 1"),
+        ({"adaptive_max_ratio": -1}, "adaptive_max_ratio: .*>= 0"),
+        ({"adaptive_min_ratio": 0.5}, "adaptive: min_ratio 0.5 is above max_ratio 0.3"),
         ({"decay_rate": 1e-9}, "iwlo: .*settle"),
         ({"sonar_position": [0, 0]}, "sonar_position: three finite numbers"),
         ({"sonar_position": [0, 0, math.nan]}, "sonar_position: three finite numbers"),

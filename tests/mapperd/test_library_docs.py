@@ -38,8 +38,8 @@ def test_every_public_call_of_the_mapper_is_explained() -> None:
 
 
 def test_keys_named_are_keys() -> None:
-    keys = ("voxel_resolution", "min_range", "L_occ", "occupied_threshold", "adaptive_max_ratio")
-    for key in keys:
+    keys = ("voxel_resolution", "min_range", "L_occ", "occupied_threshold")
+    for key in (*keys, "adaptive_max_ratio", "adaptive_min_ratio"):
         assert f"`{key}`" in PAGE
     off = {"use_outofcore": False, "crosstalk_enabled": False, "use_cpp_backend": True}
     assert config_from_flat(off | {"dynamic_expansion": True, "frame_skip": 1}) == Config()

@@ -65,6 +65,47 @@ def test_set_b_through_all_setters() -> None:
         assert log_odds(updater) == pytest.approx(expected, abs=1e-5)
 
 
+def pings_back(updater: ProbabilityUpdater, free_pings: int) -> int:
+    """Pings at mid intensity until a voxel that was seen free is above 0.7."""
+    updater.batch_update_iwlo(HERE * free_pings, [0] * free_pings, [False] * free_pings)
+    for ping in range(1, 10_000):
+        updater.batch_update_iwlo(HERE, [145], [True])
+        if len(updater.get_occupied_voxels(0.7)):
+            return ping
+    raise AssertionError("never")
+
+
+def test_changed_voxel_comes_back_within_30_pings() -> None:
+    for free_pings, pings in ((1, 8), (2, 15), (5, 25), (1000, 28)):
+        assert pings_back(set_a(), free_pings) == pings
+
+
+def test_min_ratio_of_zero_is_the_published_rule() -> None:
+    for free_pings, pings in ((1, 84), (2, 2850)):
+        updater = set_a()
+        updater.set_adaptive_params(enable=True, threshold=0.5, max_ratio=0.3, min_ratio=0)
+        assert pings_back(updater, free_pings) == pings
+
+
+def test_adaptive_setter_without_min_ratio_takes_any_max_ratio() -> None:
+    low, named = set_a(), set_a()
+    low.set_adaptive_params(enable=True, threshold=0.5, max_ratio=0.1)
+    named.set_adaptive_params(enable=True, threshold=0.5, max_ratio=0.1, min_ratio=0.1)
+    assert pings_back(low, 5) == pings_back(named, 5) > pings_back(set_a(), 5)
+    low.set_adaptive_params(enable=True, threshold=0.5, max_ratio=0.3)  # the default is back
+    low.clear()
+    assert pings_back(low, 5) == 25
+
+
+def test_false_returns_in_free_water_flip_nothing() -> None:
+    updater, generator = set_a(), np.random.default_rng(7)
+    water = (np.stack(np.unravel_index(np.arange(4096), (16, 16, 16)), axis=1) + 0.5) * 0.05
+    for rate in (0.0, 0.0, 1.0, 0.0, *[0.05] * 300):  # twice free, then a burst, then noise
+        seen = generator.random(len(water)) < rate
+        updater.batch_update_iwlo(water, 255.0 * seen, seen)
+        assert len(updater.get_occupied_voxels(0.7)) == 0
+
+
 def test_own_defaults() -> None:
     updater = ProbabilityUpdater()
     assert updater.get_resolution() == 0.05
@@ -138,6 +179,8 @@ def test_bad_batches_change_nothing(arguments: tuple[Any, ...]) -> None:
     [
         ("set_log_odds_params", (-1.0, -3.0)),
         ("set_adaptive_params", (False, 0.0, 0.3)),
+        ("set_adaptive_params", (True, 0.5, 0.3, 0.4)),
+        ("set_adaptive_params", (True, 0.5, math.nan)),
         ("set_clamping_thresholds", (0.6, 0.9)),
         ("set_clamping_thresholds", (0.0, 1.0)),
         ("set_iwlo_params", (3.0, 0.1, 0.0, -10.0, 10.0)),

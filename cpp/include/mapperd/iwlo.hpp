@@ -21,6 +21,9 @@ struct IwloParams {
   bool adaptive_update = true;
   double adaptive_threshold = 0.5;
   double adaptive_max_ratio = 0.3;
+  // Below the adaptive threshold, the least that alpha times the scale may be for an occupied step.
+  // 0 is the published rule, by which a voxel seen free five times stays so for 210 000 pings.
+  double adaptive_min_ratio = 0.25;
   bool protect_occupied = true;  // false: free steps are never scaled down
 };
 
@@ -38,7 +41,7 @@ inline std::int32_t units_of(double log_odds) {
 class IwloRule {
  public:
   // Throws std::invalid_argument, naming the parameter, for values that are not finite, out of
-  // range, or that need more than 65535 pings to settle.
+  // range, or that need more than 65535 pings to settle; for a min_ratio above the max_ratio.
   explicit IwloRule(const IwloParams& params);
 
   const IwloParams& params() const { return params_; }
