@@ -113,19 +113,18 @@ void BlockLooker::look_far(const Cell& cell, BlockEvidence& evidence) const {
   CellPlaces at;
   places(cell, at);
   const Fan::Extent extent = fan_.extent_in_cell(fan_.to_sonar(cell.centre), edge_m_, kCell);
-  const double level = extent.level();
   const FanPart& where = cell.verdict.where;
   const double least_free = fan_.least_free_m(where.first_beam, where.last_beam);
   const double most_free = fan_.most_free_m(where.first_beam, where.last_beam);
   for (int i = 0; i < kCellVoxels; ++i) {
     const double near_m = at.range[i] - extent.inward;
     const double far_m = at.range[i] + extent.outward;
-    if (at.inside_aperture[i] < -extent.aperture || at.inside_sides[i] < -level) continue;
+    if (at.inside_aperture[i] < -extent.aperture || at.inside_sides[i] < -extent.level) continue;
     const int x = cell.x + i % kCell;
     const int y = cell.y + i / kCell % kCell;
     const int z = cell.z + i / (kCell * kCell);
     const bool clear = far_m <= least_free && near_m >= fan_.min_range_m() &&
-                       at.inside_sides[i] >= level;
+                       at.inside_sides[i] >= extent.level;
     if (clear && at.inside_aperture[i] > extent.bend) {
       mark_free(x, y, z, evidence);
       continue;
@@ -138,7 +137,9 @@ void BlockLooker::look_far(const Cell& cell, BlockEvidence& evidence) const {
     }
     const Fan::Place place{at.range[i], at.horizontal[i], at.sine[i], at.inside_aperture[i],
                            at.inside_sides[i]};
-    settle(fan_.verdict(place, extent), voxel_centre(cell, i), voxel_offset(x, y, z), evidence);
+    const Fan::Verdict verdict = fan_.verdict(place, extent);
+    if (verdict.content == Fan::Content::nothing) continue;
+    settle(verdict, voxel_centre(cell, i), voxel_offset(x, y, z), evidence);
   }
 }
 
@@ -192,8 +193,10 @@ Evidence BlockLooker::exact(const Cube& cube, const FanPart& where) const {
 // As few lines as the bound allows.
 bool BlockLooker::sampled(const Cube& cube, const FanPart& where, Evidence& sum) const {
   VoxelLines::Sample sample;
+  const auto direction =
+      VoxelLines::direction_at({cube.centre_m[0], cube.centre_m[1], cube.centre_m[2]});
   for (int lines = kFewestLines;;) {
-    if (!lines_.evidence(cube, where, lines, sample)) return false;
+    if (!lines_.evidence(cube, where, direction, lines, sample)) return false;
     sum = sample.sum;
     // The mean of both kinds of evidence depends on the parts themselves.
     const bool both = sum.occupied > 0 && sum.free > 0;

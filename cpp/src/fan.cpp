@@ -71,6 +71,7 @@ Fan::Fan(const PingImage& image, const FanSettings& settings, const IwloRule& ru
          const Transform& map_T_sonar)
     : row_count_(image.rows),
       resolution_(image.range_resolution_m),
+      rows_per_m_(1.0 / image.range_resolution_m),
       min_range_(settings.min_range_m),
       max_range_(image.max_range_m()),
       sin_half_(std::sin(settings.vertical_aperture_rad / 2)),
@@ -162,15 +163,6 @@ void Fan::index_sines() {
   }
 }
 
-std::size_t Fan::beam_at_sine(double sine) const {
-  const double cell = (sine - edge_sines_.front()) * guesses_per_sine_;
-  const auto last = static_cast<double>(beam_guess_.size() - 1);
-  std::size_t beam = beam_guess_[static_cast<std::size_t>(std::clamp(cell, 0.0, last))];
-  while (beam + 1 < beams() && edge_sines_[beam + 1] <= sine) ++beam;
-  while (beam > 0 && edge_sines_[beam] > sine) --beam;
-  return beam;
-}
-
 Vec3 Fan::normal_at(double bearing_rad) const {
   return rotation_.rotate({-std::sin(bearing_rad), -std::cos(bearing_rad), 0.0});
 }
@@ -193,23 +185,37 @@ void Fan::aperture_planes_at(const Vec3& in_sonar, Vec3& upper, Vec3& lower) con
   lower = rotation_.rotate(level + Vec3{0.0, 0.0, cos_half_});
 }
 
-bool Fan::any_return(std::size_t first, std::size_t last, double near_m, double far_m) const {
-  const auto row_of = [this](double range) {
-    const double row = std::clamp(range / resolution_, 0.0, static_cast<double>(row_count_));
-    return static_cast<std::size_t>(row);
-  };
-  // A hair of slack swallows the rounding of the division.
-  const double slack = 1e-9 * max_range_;
-  const std::size_t end = std::min(row_of(far_m + slack) + 1, row_count_);
-  return return_rows_.any(first, last, row_of(near_m - slack), end);
+namespace {
+
+double level_of(const Fan::Extent& extent) {
+  return std::max(extent.sideways, extent.forward) * 1.4142135623730951;
 }
 
-// Support widths of the cube, plus what the curvature of spheres and cones adds. Beside the sonar,
-// where directions change within the cube, those of the ball around it.
+// Bearings within atan(t) <= t of one whose cosine is known: sin(b + t) - sin(b) is at most
+// t cos(b) + t^2 / 2.
+double spread_of(const Fan::Extent& extent, double horizontal, double cosine) {
+  constexpr double kAnyBearing = 2.0;
+  const double nearest = horizontal - extent.forward;
+  if (!(nearest > 0)) return kAnyBearing;
+  const double t = extent.sideways / nearest;
+  return std::min(t * cosine + 0.5 * t * t, kAnyBearing);
+}
+
+}  // namespace
+
+// Beside the sonar directions change within the cube: the ball around it.
+Fan::Extent Fan::ball(double radius, double horizontal) {
+  Extent extent{radius, radius, radius, radius, radius, radius, 0.0, 0.0, 0.0};
+  extent.level = level_of(extent);
+  extent.spread = spread_of(extent, horizontal, 1.0);
+  return extent;
+}
+
+// Support widths of the cube, plus what the curvature of spheres and cones adds.
 Fan::Extent Fan::extent_of(const Vec3& in_sonar, double edge_m) const {
   const double radius = kHalfDiagonal * edge_m;
   const double horizontal = std::sqrt(in_sonar.x * in_sonar.x + in_sonar.y * in_sonar.y);
-  if (horizontal < 2 * radius) return {radius, radius, radius, radius, radius, radius, 0.0};
+  if (horizontal < 2 * radius) return ball(radius, horizontal);
   const auto width = [&](const Vec3& direction) {
     const Vec3 d = rotation_.rotate(direction);
     return 0.5 * edge_m * (std::abs(d.x) + std::abs(d.y) + std::abs(d.z));
@@ -229,6 +235,8 @@ Fan::Extent Fan::extent_of(const Vec3& in_sonar, double edge_m) const {
   extent.aperture = width(across_cone) + extent.bend;
   // Both cones cross a cube where the fan is thin: the centre decides nothing there.
   if (horizontal * sin_half_ < 2 * radius) extent.bend = extent.aperture = radius;
+  extent.level = level_of(extent);
+  extent.spread = spread_of(extent, horizontal, std::abs(in_sonar.x) / horizontal);
   return extent;
 }
 
@@ -252,9 +260,7 @@ Fan::Extent Fan::extent_in_cell(const Vec3& in_sonar, double edge_m, int cell) c
   const double reach = kHalfDiagonal * edge_m * cell;
   const double horizontal = std::sqrt(in_sonar.x * in_sonar.x + in_sonar.y * in_sonar.y);
   const double radius = kHalfDiagonal * edge_m;
-  if (horizontal < 4 * reach) {
-    return {radius, radius, radius, radius, radius, radius, 0.0};
-  }
+  if (horizontal < 4 * reach) return ball(radius, horizontal - reach);
   Extent extent = extent_of(in_sonar, edge_m);
   // Unit directions turn by at most reach / distance within the cell, support widths change by at
   // most the cube's radius times that.
@@ -272,8 +278,12 @@ Fan::Extent Fan::extent_in_cell(const Vec3& in_sonar, double edge_m, int cell) c
   }
   extent.aperture += turn + extent.bend;
   if ((horizontal - reach) * sin_half_ < 2 * radius) extent.bend = extent.aperture = radius;
+  extent.level = level_of(extent);
+  const double angle = reach / (horizontal - reach);
+  extent.spread = spread_of(extent, horizontal - reach,
+                            std::min(std::abs(in_sonar.x) / horizontal + angle, 1.0));
   const Vec3 direction = rotation_.rotate((1.0 / norm(in_sonar)) * in_sonar);
-  extent.cap = cap_depth(direction, reach / (horizontal - reach), kNegligiblePart) * edge_m;
+  extent.cap = cap_depth(direction, angle, kNegligiblePart) * edge_m;
   return extent;
 }
 
@@ -281,27 +291,18 @@ Fan::Verdict Fan::verdict(const Place& place, const Extent& extent) const {
   const double near_m = place.range - extent.inward;
   const double far_m = place.range + extent.outward;
   if (near_m > max_range_ || far_m < min_range_) return {};
-  const double level = extent.level();
-  if (place.inside_sides < -level || place.inside_aperture < -extent.aperture) return {};
+  if (place.inside_sides < -extent.level || place.inside_aperture < -extent.aperture) return {};
 
   FanPart where{0, beams() - 1, near_m, far_m, place.inside_aperture < extent.aperture};
-  const double nearest = place.horizontal - extent.forward;
-  if (nearest > 0) {
-    // The cube's bearings lie within atan(t) <= t of its centre's: sin(b + t) - sin(b) is at most
-    // t cos(b) + t^2 / 2.
-    const double t = extent.sideways / nearest;
-    const double cosine = std::sqrt(std::max(1.0 - place.sine * place.sine, 0.0));
-    const double spread = t * cosine + 0.5 * t * t;
-    where.first_beam = beam_at_sine(place.sine - spread);
-    where.last_beam = where.first_beam;
-    while (where.last_beam + 1 < beams() &&
-           edge_sines_[where.last_beam + 1] <= place.sine + spread) {
-      ++where.last_beam;
-    }
+  where.first_beam = beam_at_sine(place.sine - extent.spread);
+  where.last_beam = where.first_beam;
+  const double highest = place.sine + extent.spread;
+  while (where.last_beam + 1 < beams() && edge_sines_[where.last_beam + 1] <= highest) {
+    ++where.last_beam;
   }
   const double least_free = least_free_m_.of(where.first_beam, where.last_beam);
   const double most_free = most_free_m_.of(where.first_beam, where.last_beam);
-  const bool clear_of_sides = near_m >= min_range_ && place.inside_sides >= level;
+  const bool clear_of_sides = near_m >= min_range_ && place.inside_sides >= extent.level;
   if (far_m <= least_free && clear_of_sides) {
     // Free but for the aperture: a cut through the centre would halve the cube.
     if (place.inside_aperture >= extent.aperture) return {Content::all_free, where};

@@ -38,31 +38,41 @@ class Lines {
         v_(v),
         across_(u * u + v * v),
         ahead_(task.ahead_u * u + task.ahead_v * v) {
-    const Lanes first = row_at(all(-task.half));
-    const Lanes last = row_at(all(task.half));
-    metres_per_row_ = 2 * task.half / (last - first);
-    low_ = all(-task.half);
-    high_ = all(task.half);
-    for (int i = 0; i < task.cones; ++i) keep(task.cone[i], crossing(task.cone[i]), low_, high_);
+    Lanes low = all(-task.half);
+    Lanes high = all(task.half);
+    low_ = row_at(low);
+    high_ = row_at(high);
+    metres_per_row_ = 2 * task.half / (high_ - low_);
+    if (task.cones == 0) return;
+    for (int i = 0; i < task.cones; ++i) {
+      keep(task.cone[i], crossing(task.cone[i], task.cone_base[i]), low, high);
+    }
+    low_ = row_at(low);
+    high_ = row_at(high);
   }
 
+  // Rows grow along the lines, so that pieces of them are pieces in rows.
   void add(Sums& sums) const {
     Lanes lower{};
-    Lanes upper = crossing(task_.edge[0]);
+    Lanes upper = row_at(crossing(task_.edge[0], task_.edge_base[0]));
     for (int j = 0; j < task_.beams; ++j) {
       lower = upper;
-      upper = crossing(task_.edge[j + 1]);
+      upper = row_at(crossing(task_.edge[j + 1], task_.edge_base[j + 1]));
       const LineBeam& beam = task_.beam[j];
-      if (beam.weight == nullptr && !(beam.free_row > 0)) continue;
+      if (beam.returns == 0 && !(beam.free_row > 0)) continue;
       Lanes from = low_;
       Lanes to = high_;
       if (j > 0 || task_.outermost_low) keep(task_.edge[j], lower, from, to);
       if (j + 1 < task_.beams || task_.outermost_high) {
         drop(task_.edge[j + 1], upper, from, to);
       }
+      if (task_.min_row > 0) {
+        from = larger(from, all(task_.min_row));
+        to = larger(to, all(task_.min_row));
+      }
       to = larger(from, to);
-      add_beam(beam, larger(row_at(from), all(task_.min_row)),
-               larger(row_at(to), all(task_.min_row)), sums);
+      if (beam.free_row > 0) add_free(beam, from, to, sums);
+      if (beam.returns != 0) add_returns(beam, from, to, sums);
     }
   }
 
@@ -75,9 +85,9 @@ class Lines {
     return task_.row + range * task_.rows_per_m;
   }
 
-  Lanes crossing(const LinePlane& plane) const {
-    const Lanes value = plane.base + plane.u * u_ + plane.v * v_;
-    return smaller(larger(value * (-1.0F / plane.t), all(-task_.half)), all(task_.half));
+  Lanes crossing(const LinePlane& plane, float base) const {
+    const Lanes value = base + plane.u * u_ + plane.v * v_;
+    return smaller(larger(value * plane.minus_inverse_t, all(-task_.half)), all(task_.half));
   }
 
   // Narrows a piece of the lines to a plane's inner side, or to its outer side.
@@ -96,22 +106,29 @@ class Lines {
     }
   }
 
-  void add_beam(const LineBeam& beam, Lanes near, Lanes far, Sums& sums) const {
+  void add_free(const LineBeam& beam, Lanes near, Lanes far, Sums& sums) const {
     sums.free += larger(smaller(far, all(beam.free_row)) - near, Lanes{}) * metres_per_row_;
-    if (beam.weight == nullptr) return;
+  }
+
+  void add_returns(const LineBeam& beam, Lanes near, Lanes far, Sums& sums) const {
+    // What of the piece lies beyond a row's edge, but for a constant: inside the row lies the
+    // difference of two of them.
+    const auto beyond = [near, far](int row) {
+      const Lanes edge = all(static_cast<float>(row));
+      return larger(far, edge) - larger(near, edge);
+    };
     Lanes rows{};
     Lanes weight{};
     Lanes squared{};
-    // What of the piece lies beyond row k's near edge, but for a constant: inside row k lies the
-    // difference of two of them.
-    Lanes beyond = larger(far, Lanes{}) - larger(near, Lanes{});
-    for (int k = 0; k < task_.rows; ++k) {
-      const Lanes edge = all(static_cast<float>(k + 1));
-      const Lanes next = larger(far, edge) - larger(near, edge);
-      const Lanes part = beyond - next;
-      beyond = next;
+    Lanes next{};
+    int after = -1;  // the row whose edge `next` stands for
+    for (std::uint64_t left = beam.returns; left != 0; left &= left - 1) {
+      const int k = __builtin_ctzll(left);
+      const Lanes here = k == after ? next : beyond(k);
+      after = k + 1;
+      next = beyond(after);
+      const Lanes part = here - next;
       const float w = beam.weight[k];
-      if (w < 0) continue;
       rows += part;
       weight += w * part;
       squared += w * w * part;
@@ -127,7 +144,7 @@ class Lines {
   Lanes across_;  // squared distance of the line from the centre
   Lanes ahead_;   // how much farther than the centre the line's middle is
   Lanes metres_per_row_;
-  Lanes low_;  // the piece of each line inside the aperture
+  Lanes low_;  // rows between which each line lies inside the aperture
   Lanes high_;
 };
 

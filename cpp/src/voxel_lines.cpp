@@ -41,86 +41,113 @@ float not_zero(float slope) {
   return std::abs(slope) < kParallel ? std::copysign(kParallel, slope) : slope;
 }
 
-std::size_t widest_axis(const std::array<double, 3>& v) {
-  const double x = std::abs(v[0]);
-  const double y = std::abs(v[1]);
-  const double z = std::abs(v[2]);
-  if (x >= y && x >= z) return 0;
-  return y >= z ? 1 : 2;
+std::size_t table_of(const VoxelLines::Direction& d) { return 2 * d.axis + (d.backwards ? 1 : 0); }
+
+double component(const Vec3& v, std::size_t axis) {
+  return axis == 0 ? v.x : axis == 1 ? v.y : v.z;
 }
 
 }  // namespace
 
 VoxelLines::VoxelLines(const Fan& fan, double edge_m, const Kernels& kernels)
-    : fan_(fan), kernels_(kernels), edge_m_(edge_m) {
-  for (std::size_t e = 0; e <= fan.beams(); ++e) {
-    const Vec3& normal = fan.edge_normal(e);
-    normals_[0].push_back(static_cast<float>(normal.x));
-    normals_[1].push_back(static_cast<float>(normal.y));
-    normals_[2].push_back(static_cast<float>(normal.z));
+    : fan_(fan),
+      kernels_(kernels),
+      edge_m_(edge_m),
+      rows_per_m_(1.0 / fan.range_resolution_m()) {
+  for (std::size_t j = 0; j < fan.beams(); ++j) {
+    free_limit_rows_.push_back(fan.free_limit_m(j) * rows_per_m_);
+  }
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    for (const bool backwards : {false, true}) {
+      const Direction direction{axis, backwards};
+      for (std::size_t e = 0; e <= fan.beams(); ++e) {
+        edge_planes_[table_of(direction)].push_back(plane_of(fan.edge_normal(e), direction));
+      }
+    }
   }
 }
 
-bool VoxelLines::evidence(const Cube& cube, const FanPart& where, int lines,
-                          Sample& sample) const {
-  const std::array<double, 3>& c = cube.centre_m;
-  const double range = std::sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2]);
-  const std::size_t beams = where.last_beam - where.first_beam + 1;
-  if (range < kNearestForLines * edge_m_ || beams > kMaxBeamsOfVoxel) return false;
-  const std::size_t t = widest_axis(c);
-  const std::size_t u = (t + 1) % 3;
-  const std::size_t v = (t + 2) % 3;
-  const float forwards = c[t] < 0 ? -1.0F : 1.0F;
+VoxelLines::Direction VoxelLines::direction_at(const Vec3& centre) {
+  const double x = std::abs(centre.x);
+  const double y = std::abs(centre.y);
+  const double z = std::abs(centre.z);
+  const std::size_t axis = x >= y && x >= z ? 0 : y >= z ? 1 : 2;
+  return {axis, component(centre, axis) < 0};
+}
 
-  const double rows_per_m = 1.0 / fan_.range_resolution_m();
-  const auto first_row = static_cast<std::size_t>(std::max(where.near_m * rows_per_m, 0.0));
-  const auto end_row = std::min(static_cast<std::size_t>(where.far_m * rows_per_m) + 1, fan_.rows());
-  const auto row_of = [&](double r) {
-    return static_cast<float>(r * rows_per_m - static_cast<double>(first_row));
-  };
+LinePlane VoxelLines::plane_of(const Vec3& normal, const Direction& d) const {
+  const auto along = static_cast<float>(component(normal, d.axis));
+  const float t = not_zero(d.backwards ? -along : along);
+  return {static_cast<float>(component(normal, (d.axis + 1) % 3)),
+          static_cast<float>(component(normal, (d.axis + 2) % 3)), t, -1.0F / t};
+}
+
+void VoxelLines::cut_by_aperture(const Vec3& centre, const Direction& direction,
+                                 LineTask& task) const {
+  std::array<Vec3, 2> normals;
+  fan_.aperture_planes_at(fan_.to_sonar(centre), normals[0], normals[1]);
+  for (const Vec3& normal : normals) {
+    task.cone[task.cones] = plane_of(normal, direction);
+    task.cone_base[task.cones++] = static_cast<float>(dot(normal, centre));
+  }
+}
+
+// Of the beams that the voxel may lie in those that it does; where their edges are.
+VoxelLines::Beams VoxelLines::beams_of(const Vec3& centre, double half_m, const FanPart& where,
+                                       LineTask& task) const {
+  const Vec3& n = fan_.edge_normal(where.first_beam);
+  // Their normals differ by less than a percent from the first one's in all but the nearest voxels.
+  const double widest = 1.7320508075688772 * half_m;
+  const double reach =
+      std::min(1.02 * half_m * (std::abs(n.x) + std::abs(n.y) + std::abs(n.z)), widest);
+  std::size_t first = where.first_beam;
+  std::size_t last = where.last_beam;
+  while (first < last && dot(fan_.edge_normal(first + 1), centre) > reach) ++first;
+  while (first < last && dot(fan_.edge_normal(last), centre) < -reach) --last;
+  for (std::size_t e = first; e <= last + 1; ++e) {
+    task.edge_base[e - first] = static_cast<float>(dot(fan_.edge_normal(e), centre));
+  }
+  return {first, last - first + 1};
+}
+
+bool VoxelLines::evidence(const Cube& cube, const FanPart& where, const Direction& direction,
+                          int lines, Sample& sample) const {
+  const Vec3 centre{cube.centre_m[0], cube.centre_m[1], cube.centre_m[2]};
+  const double range = norm(centre);
+  const auto first_row = static_cast<std::size_t>(std::max(where.near_m * rows_per_m_, 0.0));
+  const auto end_row =
+      std::min(static_cast<std::size_t>(where.far_m * rows_per_m_) + 1, fan_.rows());
+  if (range < kNearestForLines * edge_m_ || where.last_beam - where.first_beam >= kMaxBeamsOfVoxel ||
+      first_row + kMaxRowsOfVoxel < end_row) {
+    return false;
+  }
+  const double inverse_range = 1.0 / range;
+  const double rows_before = static_cast<double>(first_row);
+  const double ahead_t = component(centre, direction.axis) * inverse_range;
   LineTask task;
   task.half = static_cast<float>(cube.half_m);
-  task.row = row_of(range);
-  task.rows_per_m = static_cast<float>(rows_per_m);
-  task.ahead_u = static_cast<float>(c[u] / range);
-  task.ahead_v = static_cast<float>(c[v] / range);
-  task.ahead_t = static_cast<float>(std::abs(c[t]) / range);
-  task.inverse_range = static_cast<float>(1.0 / range);
-  task.min_row = where.near_m < fan_.min_range_m() ? row_of(fan_.min_range_m()) : -1e9F;
-  task.rows = first_row < end_row ? static_cast<int>(end_row - first_row) : 0;
-  task.beams = static_cast<int>(beams);
-  task.outermost_low = where.first_beam == 0;
-  task.outermost_high = where.last_beam + 1 == fan_.beams();
-
-  const auto plane_of = [&](float base, float nu, float nv, float nt) {
-    return LinePlane{base, nu, nv, not_zero(nt * forwards)};
-  };
-  for (std::size_t i = 0; i <= beams; ++i) {
-    const std::size_t e = where.first_beam + i;
-    const double base = normals_[0][e] * c[0] + normals_[1][e] * c[1] + normals_[2][e] * c[2];
-    task.edge[i] = plane_of(static_cast<float>(base), normals_[u][e], normals_[v][e], normals_[t][e]);
-  }
+  task.row = static_cast<float>(range * rows_per_m_ - rows_before);
+  task.rows_per_m = static_cast<float>(rows_per_m_);
+  task.ahead_u = static_cast<float>(component(centre, (direction.axis + 1) % 3) * inverse_range);
+  task.ahead_v = static_cast<float>(component(centre, (direction.axis + 2) % 3) * inverse_range);
+  task.ahead_t = static_cast<float>(std::abs(ahead_t));
+  task.inverse_range = static_cast<float>(inverse_range);
+  task.min_row = static_cast<float>(fan_.min_range_m() * rows_per_m_ - rows_before);
+  const Beams beams = beams_of(centre, cube.half_m, where, task);
+  task.beams = static_cast<int>(beams.count);
+  task.outermost_low = beams.first == 0;
+  task.outermost_high = beams.first + beams.count == fan_.beams();
+  task.edge = &edge_planes_[table_of(direction)][beams.first];
   sample.any_return = false;
-  for (std::size_t i = 0; i < beams; ++i) {
-    const std::size_t j = where.first_beam + i;
-    const bool any = fan_.any_return_in_rows(j, j, first_row, end_row);
-    sample.any_return = sample.any_return || any;
-    task.beam[i] = {any ? fan_.weights(j) + first_row : nullptr,
-                    fan_.free_limit_m(j) > where.near_m ? row_of(fan_.free_limit_m(j)) : 0.0F};
+  for (std::size_t i = 0; i < beams.count; ++i) {
+    const std::size_t j = beams.first + i;
+    const std::uint64_t returns = fan_.returns_in_rows(j, first_row, end_row);
+    sample.any_return = sample.any_return || returns != 0;
+    task.beam[i] = {fan_.weights(j) + first_row, returns,
+                    static_cast<float>(free_limit_rows_[j] - rows_before)};
   }
   task.cones = 0;
-  if (where.cut_by_aperture) {
-    const Vec3 in_sonar = fan_.to_sonar({c[0], c[1], c[2]});
-    std::array<Vec3, 2> cone;
-    fan_.aperture_planes_at(in_sonar, cone[0], cone[1]);
-    for (const Vec3& n : cone) {
-      const std::array<double, 3> normal{n.x, n.y, n.z};
-      const double base = normal[0] * c[0] + normal[1] * c[1] + normal[2] * c[2];
-      task.cone[task.cones++] =
-          plane_of(static_cast<float>(base), static_cast<float>(normal[u]),
-                   static_cast<float>(normal[v]), static_cast<float>(normal[t]));
-    }
-  }
+  if (where.cut_by_aperture) cut_by_aperture(centre, direction, task);
   const Lattice& lattice = lattice_for(lines);
   const LineSums sums = kernels_.lines(task, lattice.u.data(), lattice.v.data(), lines / kLanes);
   sample.sum = {sums.occupied / edge_m_, sums.weighted / edge_m_, sums.free / edge_m_};

@@ -90,6 +90,16 @@ class ReturnRows {
     return 64 * words_;
   }
 
+  // A beam's rows from <= row < end, at most 64 of them, `from` in the lowest bit.
+  std::uint64_t rows_of(std::size_t beam, std::size_t from, std::size_t end) const {
+    if (from >= end) return 0;
+    const std::uint64_t* bits = &bits_[beam * words_ + from / 64];
+    const std::size_t shift = from % 64;
+    std::uint64_t rows = bits[0] >> shift;
+    if (shift + (end - from) > 64) rows |= bits[1] << (64 - shift);
+    return rows & (~std::uint64_t{0} >> (64 - (end - from)));
+  }
+
   // A return in any of the beams first to last, in rows from <= row < end.
   bool any(std::size_t first, std::size_t last, std::size_t from, std::size_t end) const {
     if (from >= end) return false;

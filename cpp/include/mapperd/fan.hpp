@@ -4,6 +4,7 @@
 // point at range r, bearing b, elevation e is (r cos e cos b, -r cos e sin b, r sin e).
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -104,14 +105,31 @@ class Fan {
   // The same as functions of range: returns of beam j, and its free space.
   const RadialProfile& returns(std::size_t j) const { return returns_[j]; }
   const RadialProfile& free_space(std::size_t j) const { return free_space_[j]; }
-  bool any_return(std::size_t first, std::size_t last, double near_m, double far_m) const;
-  bool any_return_in_rows(std::size_t first, std::size_t last, std::size_t row,
-                          std::size_t end) const {
-    return return_rows_.any(first, last, row, end);
+  bool any_return(std::size_t first, std::size_t last, double near_m, double far_m) const {
+    // A hair of slack swallows the rounding of the product.
+    const double from = near_m * rows_per_m_ - kRowSlack;
+    const double end = far_m * rows_per_m_ + (1.0 + kRowSlack);
+    const auto rows = static_cast<std::ptrdiff_t>(row_count_);
+    const auto first_row = std::max(static_cast<std::ptrdiff_t>(from), std::ptrdiff_t{0});
+    const auto end_row = std::min(static_cast<std::ptrdiff_t>(end), rows);
+    return first_row < end_row &&
+           return_rows_.any(first, last, static_cast<std::size_t>(first_row),
+                            static_cast<std::size_t>(end_row));
+  }
+  // Beam j's returns in up to 64 rows from `row` to before `end`, a bit each.
+  std::uint64_t returns_in_rows(std::size_t j, std::size_t row, std::size_t end) const {
+    return return_rows_.rows_of(j, row, end);
   }
 
   // The beam that holds a bearing, given its sine; the outermost for bearings outside the fan.
-  std::size_t beam_at_sine(double sine) const;
+  std::size_t beam_at_sine(double sine) const {
+    const double cell = (sine - edge_sines_.front()) * guesses_per_sine_;
+    const auto most = static_cast<double>(beam_guess_.size() - 1);
+    std::size_t beam = beam_guess_[static_cast<std::size_t>(std::min(std::max(cell, 0.0), most))];
+    while (beam + 1 < beams() && edge_sines_[beam + 1] <= sine) ++beam;
+    while (beam > 0 && edge_sines_[beam] > sine) --beam;
+    return beam;
+  }
 
   // What a cube with the given centre (map axes, sonar as origin) and edge can hold:
   // `mostly_free` is free by more than half, `less_free` by less, and neither holds a return.
@@ -133,9 +151,8 @@ class Fan {
     // The nearest and farthest slices of a voxel, this deep, hold less than 1 % of it each: returns
     // there alone do not make it occupied. 0 for larger cubes.
     double cap;
-
-    // Any horizontal direction: the outermost beams' planes are not square to the bearing.
-    double level() const { return (sideways > forward ? sideways : forward) * 1.4142135623730951; }
+    double level;   // in any horizontal direction: the fan's sides are not square to the bearing
+    double spread;  // of the bearing's sine
   };
   // Where a cube's centre lies, seen from the sonar.
   struct Place {
@@ -146,6 +163,7 @@ class Fan {
     double inside_sides;
   };
   Extent extent_of(const Vec3& in_sonar, double edge_m) const;
+  static Extent ball(double radius, double horizontal);
   // One that holds for every cube of that edge in a cell of them, `cell` along an edge, around a
   // point at least five cells away from the sonar.
   Extent extent_in_cell(const Vec3& in_sonar, double edge_m, int cell) const;
@@ -162,8 +180,11 @@ class Fan {
   void link_profiles(const std::vector<std::size_t>& ends);
   void index_sines();
 
+  static constexpr double kRowSlack = 1e-6;
+
   std::size_t row_count_;
   double resolution_;
+  double rows_per_m_;
   double min_range_;
   double max_range_;
   double sin_half_;

@@ -11,20 +11,22 @@ namespace mapperd {
 
 inline constexpr int kLanes = 8;
 inline constexpr int kMaxBeamsOfVoxel = 64;
+inline constexpr int kMaxRowsOfVoxel = 64;
 
-// A plane, over the lines of a voxel: positive on the inner side at
+// The direction of a plane, over the lines of a voxel: positive on the inner side at
 // base + u * (line's u) + v * (line's v) + t * (place along the line).
 struct LinePlane {
-  float base;
   float u;
   float v;
   float t;
+  float minus_inverse_t;
 };
 
 // One beam where it passes a voxel.
 struct LineBeam {
-  const float* weight;  // w(I) of the voxel's rows, negative where there is no return; or null
-  float free_row;       // free up to here, in rows from the voxel's first
+  const float* weight;    // w(I) of the voxel's rows
+  std::uint64_t returns;  // those with a return, the first row in the lowest bit
+  float free_row;         // free up to here, in rows from the voxel's first
 };
 
 // A voxel as seen along parallel lines through it. Lengths in metres; range in rows of the image,
@@ -38,13 +40,14 @@ struct LineTask {
   float ahead_t;      // along the lines, positive
   float inverse_range;
   float min_row;      // nothing is learnt before it
-  int rows;           // that the voxel touches
   int beams;
   bool outermost_low;   // the first beam is the fan's first: its lower edge counts
   bool outermost_high;  // and the last beam's upper edge
   int cones;            // planes of the aperture that cut the voxel
   LinePlane cone[2];
-  LinePlane edge[kMaxBeamsOfVoxel + 1];  // positive towards larger bearings
+  float cone_base[2];
+  const LinePlane* edge;  // of the beams, one more than there are; positive to larger bearings
+  float edge_base[kMaxBeamsOfVoxel + 1];
   LineBeam beam[kMaxBeamsOfVoxel];
 };
 

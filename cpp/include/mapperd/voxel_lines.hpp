@@ -28,15 +28,33 @@ class VoxelLines {
 
   VoxelLines(const Fan& fan, double edge_m, const Kernels& kernels);
 
-  // False, and nothing done, for voxels too near to the sonar or with too many beams.
+  // The lines' direction, for voxels around a point: an axis of the map, either way.
+  struct Direction {
+    std::size_t axis;
+    bool backwards;
+  };
+  static Direction direction_at(const Vec3& centre);
+
+  // False, and nothing done, for voxels too near to the sonar, or with too many beams or rows.
   // `lines` is 8, 16, 32, 64 or 128.
-  bool evidence(const Cube& cube, const FanPart& where, int lines, Sample& sample) const;
+  bool evidence(const Cube& cube, const FanPart& where, const Direction& direction, int lines,
+                Sample& sample) const;
 
  private:
+  struct Beams {
+    std::size_t first;
+    std::size_t count;
+  };
+  Beams beams_of(const Vec3& centre, double half_m, const FanPart& where, LineTask& task) const;
+  LinePlane plane_of(const Vec3& normal, const Direction& direction) const;
+  void cut_by_aperture(const Vec3& centre, const Direction& direction, LineTask& task) const;
+
   const Fan& fan_;
   const Kernels& kernels_;
   double edge_m_;
-  std::array<std::vector<float>, 3> normals_;  // of the beams' edges, by axis
+  double rows_per_m_;
+  std::vector<double> free_limit_rows_;                // by beam
+  std::array<std::vector<LinePlane>, 6> edge_planes_;  // by direction
 };
 
 }  // namespace mapperd
