@@ -86,8 +86,10 @@ class VoxelMap:
         min_range_m: float = 0.5,
         carve_no_return: bool = False,
         aggregation: str = "occupied_first",
+        error_bound: float = 0.0,
+        threads: int = 1,
     ) -> PingStats:
-        """Integrate one ping, exactly: each voxel is projected into the ping once.
+        """Integrate one ping: each voxel is projected into the ping once.
 
         Args:
             intensity: (rows, beams), 0..255, row 0 nearest, column 0 the most negative bearing.

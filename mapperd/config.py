@@ -127,8 +127,22 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True):
     ] = False
     integrator: Annotated[
         Literal["projective", "rays"],
-        rule("projective: exact; rays: sampled sub-rays.", live=True),
+        rule("projective: each voxel once; rays: sampled sub-rays.", live=True),
     ] = "projective"
+    error_bound: Annotated[
+        float,
+        rule(
+            "What one ping's step may be off by, in 99 of 100 voxels of projective; 0 is exact.",
+            "log-odds",
+            live=True,
+            ge=0,
+            le=10,
+        ),
+    ] = 0.2
+    threads: Annotated[
+        int,
+        rule("Threads of projective; the map does not depend on them.", live=True, ge=1, le=64),
+    ] = 1
     angular_cone_width: Annotated[
         float,
         rule("Shadow tolerance of rays: factor on twice a beam's width.", live=True, ge=0, le=100),

@@ -138,6 +138,8 @@ class SonarMap:
                 min_range_m=min_range_m,
                 carve_no_return=settings.carve_no_return,
                 aggregation=settings.aggregation,
+                error_bound=settings.error_bound,
+                threads=settings.threads,
             )
         except (ValueError, IndexError, OverflowError) as error:
             raise MapError(str(error), "refused_by_map") from error

@@ -45,11 +45,11 @@ Aggregation aggregation_of(const std::string& name) {
 PingStats projective(VoxelMap& map, const py::object& intensity, const py::object& bearings,
                      double range_resolution_m, const py::object& map_T_sonar,
                      double vertical_aperture_rad, double min_range_m, bool carve_no_return,
-                     const std::string& aggregation) {
+                     const std::string& aggregation, double error_bound, int threads) {
   const Ping ping(intensity, bearings, range_resolution_m);
   const Transform pose = transform_of(map_T_sonar, "map_T_sonar");
   const FanSettings settings{vertical_aperture_rad, min_range_m, carve_no_return,
-                             aggregation_of(aggregation)};
+                             aggregation_of(aggregation), error_bound, threads};
   const py::gil_scoped_release release;
   return integrate_projective(map, ping.image, pose, settings);
 }
@@ -141,7 +141,8 @@ void bind_map(py::module_& module) {
       .def("integrate_projective", &projective, "intensity"_a, "bearings_rad"_a,
            "range_resolution_m"_a, "map_T_sonar"_a, py::kw_only(), "vertical_aperture_rad"_a,
            "min_range_m"_a = fan.min_range_m, "carve_no_return"_a = fan.carve_no_return,
-           "aggregation"_a = "occupied_first")
+           "aggregation"_a = "occupied_first", "error_bound"_a = fan.error_bound,
+           "threads"_a = fan.threads)
       .def("integrate_rays", &rays, "intensity"_a, "bearings_rad"_a, "range_resolution_m"_a,
            "map_T_sonar"_a, py::kw_only(), "vertical_aperture_rad"_a,
            "min_range_m"_a = fan.min_range_m, "angular_cone_width"_a = 0.5)

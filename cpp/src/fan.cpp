@@ -12,6 +12,7 @@ namespace {
 constexpr double kHalfPi = 1.5707963267948966;
 constexpr double kMaxCells = 64.0 * 1024 * 1024;  // far above 16 MiB of any real message
 constexpr double kMaxRange = 10000.0;
+constexpr int kMostThreads = 64;
 
 void require(bool ok, const char* what) {
   if (!ok) throw std::invalid_argument(what);
@@ -53,6 +54,10 @@ void check_ping(const PingImage& image, const FanSettings& settings) {
           "vertical_aperture_rad must lie between 0 and 180 degrees");
   require(std::isfinite(settings.min_range_m) && settings.min_range_m >= 0,
           "min_range_m must be finite, 0 or more");
+  require(std::isfinite(settings.error_bound) && settings.error_bound >= 0,
+          "error_bound must be finite, 0 or more");
+  require(settings.threads >= 1 && settings.threads <= kMostThreads,
+          "threads must lie between 1 and 64");
 }
 
 std::vector<double> beam_edges(const double* bearings_rad, std::size_t beams) {
