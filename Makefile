@@ -7,13 +7,17 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt' -o -name 'CMakePresets.json')
 
-.PHONY: demo test check cpp-test cpp-test-asan python-test install prerequisites clean
+.PHONY: demo test bench check cpp-test cpp-test-asan python-test install prerequisites clean
 
 demo: $(STAMP)
 	$(BIN)/python tools/demo.py --out out/demo
 
 # The demo is a test too: it fails when the map is worse than it promises.
 test: check cpp-test cpp-test-asan demo python-test
+
+# Compares the integrators with OctoMap and OpenVDB; writes docs/performance.md. Some minutes.
+bench: $(STAMP)
+	$(BIN)/python tools/bench/rivals.py
 
 install: $(STAMP)
 

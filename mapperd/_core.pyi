@@ -100,6 +100,9 @@ class VoxelMap:
             min_range_m: nothing is learnt nearer than this.
             carve_no_return: beams without a return free their whole length.
             aggregation: "occupied_first" or "mean".
+            error_bound: log-odds that this ping's step may be off by, in 99 of 100 voxels; 0 for
+                the exact integral.
+            threads: 1 to 64; the map does not depend on it.
 
         Raises:
             ValueError: an argument has the wrong shape, is not finite, or the pose would leave

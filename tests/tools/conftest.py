@@ -1,6 +1,7 @@
-"""The programs in tools/ are no package: put their folder where they look for each other."""
+"""The programs in tools/ are no package: put their folders where they look for each other."""
 
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+TOOLS = Path(__file__).resolve().parents[2] / "tools"
+sys.path[:0] = [str(TOOLS), str(TOOLS / "bench")]
