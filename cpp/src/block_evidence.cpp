@@ -3,10 +3,13 @@
 #include <algorithm>
 #include <cmath>
 
+#include "mapperd/cube_cut.hpp"
+
 namespace mapperd {
 namespace {
 
 constexpr int kCell = kCellEdge;
+constexpr std::size_t kMostChanges = 16;  // from free beams to others in a cell
 
 // The error of a sampled mean weight is up to kSpread sigma / (lines sqrt(part)) in 99 of 100
 // voxels, sigma being how much the weights inside the voxel differ and part how much of it is
@@ -92,9 +95,65 @@ void BlockLooker::look_at_cell(const BlockKey& local, int x, int y, int z,
   if (cell.verdict.content == Fan::Content::all_free) {
     return mark_free_cube(x, y, z, kCell, evidence);
   }
+  if (look_between_beams(cell, evidence)) return;
   // There the directions change too much within the cell for one set of widths.
   const bool near = norm(cell.centre) < 5 * kCell * edge_m_;
   near ? look_near(cell, evidence) : look_far(cell, evidence);
+}
+
+// A cell without returns whose beams are each wholly free or wholly not: the edges of shadows. What
+// matters are the planes between free beams and others; one plane leaves the half that holds a
+// voxel's centre the larger. False for other cells.
+bool BlockLooker::look_between_beams(const Cell& cell, BlockEvidence& evidence) const {
+  const FanPart& where = cell.verdict.where;
+  if (where.cut_by_aperture || where.cut_by_sides ||
+      fan_.any_return(where.first_beam, where.last_beam, where.near_m, where.far_m)) {
+    return false;
+  }
+  const auto is_free = [&](std::size_t j) { return fan_.free_limit_m(j) >= where.far_m; };
+  std::array<std::size_t, kMostChanges> change{};
+  std::size_t changes = 0;
+  for (std::size_t j = where.first_beam; j <= where.last_beam; ++j) {
+    if (!is_free(j) && fan_.free_limit_m(j) > where.near_m) return false;
+    if (j == where.first_beam || is_free(j) == is_free(j - 1)) continue;
+    if (changes == kMostChanges) return false;
+    change[changes++] = j;
+  }
+  std::array<std::uint8_t, kCellVoxels> beyond{};  // planes on whose far side the centre is
+  std::array<std::uint8_t, kCellVoxels> cut{};     // planes that cut the voxel
+  const Vec3 first = voxel_centre(cell, 0);
+  for (std::size_t c = 0; c < changes; ++c) {
+    const Vec3& n = fan_.edge_normal(change[c]);
+    const double reach = 0.5 * edge_m_ * (std::abs(n.x) + std::abs(n.y) + std::abs(n.z));
+    const double base = dot(n, first);
+    for (std::size_t i = 0; i < kCellVoxels; ++i) {
+      const auto x = static_cast<double>(i % kCell);
+      const auto y = static_cast<double>(i / kCell % kCell);
+      const auto z = static_cast<double>(i / (kCell * kCell));
+      const double inside = base + edge_m_ * (n.x * x + n.y * y + n.z * z);
+      beyond[i] = static_cast<std::uint8_t>(beyond[i] + (inside > 0 ? 1 : 0));
+      cut[i] = static_cast<std::uint8_t>(cut[i] + (std::abs(inside) < reach ? 1 : 0));
+    }
+  }
+  const bool first_is_free = is_free(where.first_beam);
+  for (std::size_t i = 0; i < kCellVoxels; ++i) {
+    bool free = first_is_free != (beyond[i] % 2 != 0);
+    if (cut[i] > 1) {
+      const Vec3 centre = voxel_centre(cell, static_cast<int>(i));
+      double part = first_is_free ? 1.0 : 0.0;
+      double sign = first_is_free ? -1.0 : 1.0;
+      for (std::size_t c = 0; c < changes; ++c, sign = -sign) {
+        const Vec3& n = fan_.edge_normal(change[c]);
+        part += sign * part_beyond(n, dot(n, centre) / edge_m_);
+      }
+      free = part > kFreePart;
+    }
+    if (!free) continue;
+    const auto at = static_cast<int>(i);
+    mark_free(cell.x + at % kCell, cell.y + at / kCell % kCell, cell.z + at / (kCell * kCell),
+              evidence);
+  }
+  return true;
 }
 
 void BlockLooker::look_near(const Cell& cell, BlockEvidence& evidence) const {
@@ -137,9 +196,8 @@ void BlockLooker::look_far(const Cell& cell, BlockEvidence& evidence) const {
     }
     const Fan::Place place{at.range[i], at.horizontal[i], at.sine[i], at.inside_aperture[i],
                            at.inside_sides[i]};
-    const Fan::Verdict verdict = fan_.verdict(place, extent);
-    if (verdict.content == Fan::Content::nothing) continue;
-    settle(verdict, voxel_centre(cell, i), voxel_offset(x, y, z), evidence);
+    const Vec3 centre = voxel_centre(cell, i);
+    settle(fan_.verdict(centre, place, extent), centre, voxel_offset(x, y, z), evidence);
   }
 }
 

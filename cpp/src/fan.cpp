@@ -6,6 +6,8 @@
 #include <stdexcept>
 #include <string>
 
+#include "mapperd/cube_cut.hpp"
+
 namespace mapperd {
 namespace {
 
@@ -22,6 +24,7 @@ const double kHalfDiagonal = std::sqrt(3.0) / 2;  // of a unit cube
 
 // Half of the part that makes a voxel occupied: it has two ends.
 constexpr double kNegligiblePart = 0.01;
+constexpr double kHalf = 0.5;
 
 // How deep a slice off the corner of a unit cube may be, along a direction that is known to `turn`,
 // to hold less than `part` of it. The slice is part of a tetrahedron, of a prism over a triangle,
@@ -210,7 +213,7 @@ double spread_of(const Fan::Extent& extent, double horizontal, double cosine) {
 
 // Beside the sonar directions change within the cube: the ball around it.
 Fan::Extent Fan::ball(double radius, double horizontal) {
-  Extent extent{radius, radius, radius, radius, radius, radius, 0.0, 0.0, 0.0};
+  Extent extent{radius, radius, radius, radius, radius, radius, 0.0, 0.0, 0.0, 0.0};
   extent.level = level_of(extent);
   extent.spread = spread_of(extent, horizontal, 1.0);
   return extent;
@@ -246,7 +249,7 @@ Fan::Extent Fan::extent_of(const Vec3& in_sonar, double edge_m) const {
 }
 
 Fan::Verdict Fan::verdict(const Vec3& centre, double edge_m) const {
-  return verdict(place_of(centre), extent_of(to_sonar(centre), edge_m));
+  return verdict(centre, place_of(centre), extent_of(to_sonar(centre), edge_m));
 }
 
 Fan::Place Fan::place_of(const Vec3& centre) const {
@@ -287,18 +290,42 @@ Fan::Extent Fan::extent_in_cell(const Vec3& in_sonar, double edge_m, int cell) c
   const double angle = reach / (horizontal - reach);
   extent.spread = spread_of(extent, horizontal - reach,
                             std::min(std::abs(in_sonar.x) / horizontal + angle, 1.0));
+  extent.edge = edge_m;
   const Vec3 direction = rotation_.rotate((1.0 / norm(in_sonar)) * in_sonar);
   extent.cap = cap_depth(direction, angle, kNegligiblePart) * edge_m;
   return extent;
 }
 
-Fan::Verdict Fan::verdict(const Place& place, const Extent& extent) const {
+// A voxel without returns but in its nearest and farthest slices: each beam is wholly free or wholly
+// not, but for those slices. The planes between beams run through the sonar and do not meet inside
+// the voxel, so that the free part is a sum over those that part free from not free.
+Fan::Content Fan::free_between_beams(const Vec3& centre, const Extent& extent,
+                                     const FanPart& where) const {
+  const auto is_free = [&](std::size_t j) { return free_limit_m_[j] >= where.far_m - extent.cap; };
+  double part = is_free(where.first_beam) ? 1.0 : 0.0;
+  double slack = 0.0;
+  for (std::size_t j = where.first_beam; j <= where.last_beam; ++j) {
+    const double limit = free_limit_m_[j];
+    if (limit < where.far_m && limit > where.near_m) slack = kNegligiblePart;
+    if (!is_free(j) && limit > where.near_m + extent.cap) return Content::undecided;
+    if (j == where.first_beam || is_free(j) == is_free(j - 1)) continue;
+    const double beyond =
+        part_beyond(edge_normals_[j], dot(edge_normals_[j], centre) / extent.edge);
+    part += is_free(j) ? beyond : -beyond;
+  }
+  if (part > kHalf + slack) return Content::mostly_free;
+  return part <= kHalf - slack ? Content::less_free : Content::undecided;
+}
+
+Fan::Verdict Fan::verdict(const Vec3& centre, const Place& place, const Extent& extent) const {
   const double near_m = place.range - extent.inward;
   const double far_m = place.range + extent.outward;
   if (near_m > max_range_ || far_m < min_range_) return {};
   if (place.inside_sides < -extent.level || place.inside_aperture < -extent.aperture) return {};
 
-  FanPart where{0, beams() - 1, near_m, far_m, place.inside_aperture < extent.aperture};
+  const bool clear_of_sides = near_m >= min_range_ && place.inside_sides >= extent.level;
+  FanPart where{0,     beams() - 1, near_m, far_m, place.inside_aperture < extent.aperture,
+                !clear_of_sides};
   where.first_beam = beam_at_sine(place.sine - extent.spread);
   where.last_beam = where.first_beam;
   const double highest = place.sine + extent.spread;
@@ -307,7 +334,6 @@ Fan::Verdict Fan::verdict(const Place& place, const Extent& extent) const {
   }
   const double least_free = least_free_m_.of(where.first_beam, where.last_beam);
   const double most_free = most_free_m_.of(where.first_beam, where.last_beam);
-  const bool clear_of_sides = near_m >= min_range_ && place.inside_sides >= extent.level;
   if (far_m <= least_free && clear_of_sides) {
     // Free but for the aperture: a cut through the centre would halve the cube.
     if (place.inside_aperture >= extent.aperture) return {Content::all_free, where};
@@ -320,10 +346,10 @@ Fan::Verdict Fan::verdict(const Place& place, const Extent& extent) const {
   if (near_m >= most_free) return {};
   // The sphere through the centre halves the cube, but for its bend.
   if (most_free < place.range) return {Content::less_free, where};
-  const double bend = extent.outward - extent.inward;
-  if (clear_of_sides && place.inside_aperture >= extent.aperture &&
-      least_free > place.range + bend) {
-    return {Content::mostly_free, where};
+  if (extent.cap > 0 && clear_of_sides && !where.cut_by_aperture) {
+    const double bend = extent.outward - extent.inward;
+    if (least_free > place.range + bend) return {Content::mostly_free, where};
+    return {free_between_beams(centre, extent, where), where};
   }
   return {Content::undecided, where};
 }

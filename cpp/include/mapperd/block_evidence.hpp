@@ -48,6 +48,7 @@ class BlockLooker {
 
   Vec3 centre_of(const BlockKey& local, double x, double y, double z) const;
   void look_at_cell(const BlockKey& local, int x, int y, int z, BlockEvidence& evidence) const;
+  bool look_between_beams(const Cell& cell, BlockEvidence& evidence) const;
   void look_near(const Cell& cell, BlockEvidence& evidence) const;
   void look_far(const Cell& cell, BlockEvidence& evidence) const;
   void places(const Cell& cell, CellPlaces& at) const;

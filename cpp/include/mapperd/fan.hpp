@@ -57,6 +57,7 @@ struct FanPart {
   double near_m = 0.0;
   double far_m = 0.0;
   bool cut_by_aperture = false;
+  bool cut_by_sides = false;  // or by min_range
 };
 
 // A ping in the frame the map is aligned with: the sonar at the origin, the map's axes.
@@ -153,6 +154,7 @@ class Fan {
     double cap;
     double level;   // in any horizontal direction: the fan's sides are not square to the bearing
     double spread;  // of the bearing's sine
+    double edge;    // of a voxel, where `cap` is known
   };
   // Where a cube's centre lies, seen from the sonar.
   struct Place {
@@ -171,9 +173,10 @@ class Fan {
   // The plane at one of the fan's sides as a linear function: positive inside.
   Vec3 low_side() const { return edge_normals_.front(); }
   Vec3 high_side() const { return -1.0 * edge_normals_.back(); }
-  Verdict verdict(const Place& place, const Extent& extent) const;
+  Verdict verdict(const Vec3& centre, const Place& place, const Extent& extent) const;
 
  private:
+  Content free_between_beams(const Vec3& centre, const Extent& extent, const FanPart& where) const;
   void fill_weights(const PingImage& image, const IwloRule& rule);
   void fill_profiles();
   void add_returns(std::size_t j);
