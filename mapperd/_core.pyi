@@ -1,5 +1,7 @@
 """The C++ map core. Arrays are C-contiguous; every call over a millisecond releases the GIL."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,6 +59,9 @@ class PingStats:
 
 class VoxelMap:
     """Hash of blocks of voxels: log-odds (whole units of 2**-24) and observation counts.
+
+    Any number of threads may read while one writes: each call sees, or makes, one whole state of
+    the map, and waits for its turn without the GIL.
 
     Raises:
         ValueError: `resolution_m` is not finite and positive.
@@ -131,6 +136,23 @@ class VoxelMap:
 
         Returns:
             keys (M, 3), log-odds in LOG_ODDS_UNIT and counts, both (M, BLOCK_EDGE**3), x fastest.
+        """
+
+    def visit_blocks(
+        self,
+        visit: Callable[[NDArray[np.int32], NDArray[np.int32], NDArray[np.uint16]], None],
+        at_once: int,
+    ) -> None:
+        """Call `visit` with all blocks in turn, as `blocks` gives them, `at_once` at a time.
+
+        All are of one state: nobody writes to the map meanwhile, and `visit` must not use it.
+        """
+
+    def class_counts(self, occupied_log_odds: float, free_log_odds: float) -> tuple[int, int, int]:
+        """Observed voxels above the one, below the other, and the rest.
+
+        Raises:
+            ValueError: free_log_odds above occupied_log_odds.
         """
 
     def query(

@@ -3,7 +3,6 @@
 import hashlib
 import math
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -30,7 +29,6 @@ MAX_FAN_VOXELS = 500_000_000
 """A fan with more voxels than this would take gigabytes for a single ping."""
 
 Floats = NDArray[np.float64]
-Blocks = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.uint16]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,33 +156,28 @@ class SonarMap:
 
     def counts(self) -> MapCounts:
         """Observed voxels by class."""
-        occupied = free = known = 0
-        for _, units, count in self._block_slices():
-            log_odds = (units[count > 0] * _core.LOG_ODDS_UNIT).astype(np.float32)
-            occupied += int(np.count_nonzero(log_odds > self._occupied_log_odds))
-            free += int(np.count_nonzero(log_odds < self._free_log_odds))
-            known += log_odds.size
-        return MapCounts(occupied, free, known - occupied - free)
-
-    def _block_slices(self) -> Iterator[Blocks]:
-        """All blocks, some at a time: written out in full they are larger than the map."""
-        for begin in range(0, self._map.block_count, BLOCKS_AT_ONCE):
-            yield self._map.blocks(begin, BLOCKS_AT_ONCE)
+        return MapCounts(*self._map.class_counts(self._occupied_log_odds, self._free_log_odds))
 
     def sha256(self) -> str:
         """Fingerprint of the content: equal maps have equal ones, on every machine.
 
         The hash runs over a header (name, version, resolution) and, for every block with an
         observed voxel in order of its key: key as int32, log-odds in units of 2**-24 as int32,
-        counts as uint16, all little endian; unobserved voxels are zeros.
+        counts as uint16, all little endian; unobserved voxels are zeros. Nobody writes to the map
+        meanwhile.
         """
         digest = hashlib.sha256(b"mapperd map\0")
         digest.update(struct.pack("<Id", HASH_VERSION, self.resolution_m))
-        for keys, units, count in self._block_slices():
+
+        def add(
+            keys: NDArray[np.int32], units: NDArray[np.int32], count: NDArray[np.uint16]
+        ) -> None:
             for i in np.flatnonzero((count > 0).any(axis=1)):
                 known = np.where(count[i] > 0, units[i], 0)
                 for array, kind in ((keys[i], "<i4"), (known, "<i4"), (count[i], "<u2")):
                     digest.update(np.ascontiguousarray(array, dtype=kind).data)
+
+        self._map.visit_blocks(add, BLOCKS_AT_ONCE)
         return digest.hexdigest()
 
     def octomap_bt(self) -> bytes:

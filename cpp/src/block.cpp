@@ -45,14 +45,22 @@ void Block::close(const IwloRule& rule) {
   const Voxel first{units[0], count[0]};
   std::int32_t highest = units[0];
   bool alike = true;
+  int known = 0;
   for (std::size_t i = 0; i < kBlockVoxels; ++i) {
     highest = std::max(highest, units[i]);
+    known += count[i] != 0 ? 1 : 0;
     alike = alike && units[i] == first.units && count[i] == first.count;
   }
   all_unscaled_ = rule.is_unscaled(highest);
+  dense_known_ = static_cast<std::uint16_t>(known);
   if (!alike) return;
   uniform_ = first;
   dense_.reset();
+}
+
+int Block::known_count() const {
+  if (dense_ == nullptr) return uniform_.count != 0 ? kBlockVoxels : 0;
+  return pending_ > 0 ? kBlockVoxels : dense_known_;
 }
 
 Voxel Block::voxel(const IwloRule& rule, int offset) const {

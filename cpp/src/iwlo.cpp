@@ -104,7 +104,7 @@ double IwloRule::free_step(double log_odds, std::uint16_t count) const {
 
 void IwloRule::add(double step, std::int32_t& units, std::uint16_t& count) const {
   const std::int64_t updated = units + static_cast<std::int64_t>(std::llrint(step / kLogOddsUnit));
-  units = static_cast<std::int32_t>(std::clamp<std::int64_t>(updated, min_units_, max_units_));
+  units = clamped(updated);
   if (count < settled_count()) ++count;
 }
 

@@ -53,6 +53,7 @@ template <typename ValueOf>  // bool(float log_odds, float& value)
 std::vector<Leaf> sorted_leaves(const VoxelMap& map, const ValueOf& value_of) {
   std::vector<Leaf> leaves;
   const double s = map.resolution_m();
+  const ReadLock lock(map);
   map.for_each_known([&](const VoxelIndex& voxel, const VoxelState& state) {
     float value = 0.0F;
     if (!value_of(state.log_odds, value)) return;

@@ -182,6 +182,7 @@ PingStats integrate_projective(VoxelMap& map, const PingImage& image, const Tran
                                const FanSettings& settings) {
   check_ping(image, settings);
   check_reach(map, map_T_sonar, image.max_range_m());
+  const WriteLock lock(map);
   return Walk(map, image, map_T_sonar, settings).run();
 }
 

@@ -140,6 +140,7 @@ class RaySampler {
 
   PingStats update_map() {
     PingStats stats;
+    const WriteLock lock(map_);
     const std::size_t before = map_.block_count();
     std::unordered_set<Block*> opened;
     const std::uint64_t revision = map_.next_revision();

@@ -57,6 +57,12 @@ std::size_t VoxelMap::memory_bytes() const {
   return bytes;
 }
 
+std::size_t VoxelMap::known_count() const {
+  std::size_t count = 0;
+  for (const Block& block : blocks_) count += static_cast<std::size_t>(block.known_count());
+  return count;
+}
+
 std::size_t VoxelMap::slot_of(const BlockKey& key) const {
   const std::size_t mask = slots_.size() - 1;
   std::size_t slot = hash_of(key) & mask;
@@ -136,16 +142,15 @@ void VoxelMap::set(const VoxelIndex& voxel, const VoxelState& state) {
   block.revision = next_revision();
 }
 
-void VoxelMap::set_block(const BlockKey& key, const std::array<VoxelState, kBlockVoxels>& states) {
-  const auto observed = [](const VoxelState& state) { return state.count != 0; };
+void VoxelMap::set_block(const BlockKey& key, const std::array<Voxel, kBlockVoxels>& states) {
+  const auto observed = [](const Voxel& state) { return state.count != 0; };
   if (std::none_of(states.begin(), states.end(), observed)) return;
   Block& block = get_or_create(key);
   DenseVoxels& voxels = block.open(rule_);
   for (std::size_t i = 0; i < states.size(); ++i) {
     if (!observed(states[i])) continue;
-    const Voxel updated = voxel_of(states[i]);
-    voxels.units[i] = updated.units;
-    voxels.count[i] = updated.count;
+    voxels.units[i] = states[i].units;
+    voxels.count[i] = states[i].count;
   }
   block.close(rule_);
   block.revision = next_revision();
@@ -172,6 +177,11 @@ void VoxelMap::clear() {
   blocks_.clear();
   ++revision_;
   slots_.assign(kFirstSlots, kEmpty);
+}
+
+void clear(VoxelMap& map) {
+  const WriteLock lock(map);
+  map.clear();
 }
 
 }  // namespace mapperd

@@ -66,13 +66,15 @@ class Block {
   void close(const IwloRule& rule);
 
   Voxel voxel(const IwloRule& rule, int offset) const;
+  int known_count() const;  // voxels that were ever observed; of a block that is not open
   bool is_dense() const { return dense_ != nullptr; }
   std::size_t memory_bytes() const;
 
  private:
   Voxel uniform_;  // all voxels, unless dense_
   bool all_unscaled_ = true;
-  std::uint32_t pending_ = 0;  // free steps not yet applied to dense_
+  std::uint16_t dense_known_ = 0;  // observed voxels of dense_, without pending_
+  std::uint32_t pending_ = 0;      // free steps not yet applied to dense_
   std::unique_ptr<DenseVoxels> dense_;
 };
 

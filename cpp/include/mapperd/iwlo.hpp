@@ -1,6 +1,7 @@
 // The Intensity-Weighted Log-Odds rule: the one place where evidence becomes log-odds.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <vector>
@@ -73,6 +74,9 @@ class IwloRule {
 
   std::int32_t min_units() const { return min_units_; }
   std::int32_t max_units() const { return max_units_; }
+  std::int32_t clamped(std::int64_t units) const {
+    return static_cast<std::int32_t>(std::clamp<std::int64_t>(units, min_units_, max_units_));
+  }
 
  private:
   double alpha(std::uint16_t count) const;
