@@ -2,14 +2,9 @@
 
 #include <algorithm>
 
+#include "mapperd/memory_use.hpp"
+
 namespace mapperd {
-namespace {
-
-// What malloc adds to an allocation of this size, in glibc.
-constexpr std::size_t kAllocationOverhead = 16;
-
-}  // namespace
-
 bool Block::add_free_everywhere(const IwloRule& rule) {
   if (dense_ == nullptr) {
     const Voxel before = uniform_;
@@ -71,8 +66,8 @@ Voxel Block::voxel(const IwloRule& rule, int offset) const {
   return voxel;
 }
 
-std::size_t Block::memory_bytes() const {
-  return sizeof(Block) + (dense_ == nullptr ? 0 : sizeof(DenseVoxels) + kAllocationOverhead);
+std::size_t Block::voxel_bytes() const {
+  return dense_ == nullptr ? 0 : allocated_bytes(sizeof(DenseVoxels));
 }
 
 }  // namespace mapperd

@@ -5,6 +5,8 @@
 #include <stdexcept>
 #include <string>
 
+#include "mapperd/memory_use.hpp"
+
 namespace mapperd {
 namespace {
 
@@ -60,10 +62,15 @@ IwloRule::IwloRule(const IwloParams& params) : params_(params) {
   const auto free_units = [this](double a) {
     return std::llround(params_.L_free * a / kLogOddsUnit);
   };
+  free_steps_sum_.reserve(alpha_.size() + 1);
   free_steps_sum_.push_back(0);
   for (const double a : alpha_) free_steps_sum_.push_back(free_steps_sum_.back() + free_units(a));
   free_steps_sum_.pop_back();
   settled_free_step_ = free_units(alpha_.back());
+}
+
+std::size_t IwloRule::memory_bytes() const {
+  return allocated_by(alpha_) + allocated_by(free_steps_sum_);
 }
 
 double IwloRule::alpha(std::uint16_t count) const {

@@ -68,7 +68,8 @@ class Block {
   Voxel voxel(const IwloRule& rule, int offset) const;
   int known_count() const;  // voxels that were ever observed; of a block that is not open
   bool is_dense() const { return dense_ != nullptr; }
-  std::size_t memory_bytes() const;
+  std::size_t voxel_bytes() const;  // allocated for voxels, beside the block itself
+  std::size_t memory_bytes() const { return sizeof(Block) + voxel_bytes(); }
 
  private:
   Voxel uniform_;  // all voxels, unless dense_

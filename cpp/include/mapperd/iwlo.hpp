@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
@@ -71,6 +72,8 @@ class IwloRule {
   // Below this the free step does not depend on the log-odds, and free steps telescope.
   bool is_unscaled(std::int32_t units) const { return units <= unscaled_up_to_; }
   void add_unscaled_free(std::int32_t& units, std::uint16_t& count, std::uint32_t times) const;
+
+  std::size_t memory_bytes() const;  // of its tables
 
   std::int32_t min_units() const { return min_units_; }
   std::int32_t max_units() const { return max_units_; }
