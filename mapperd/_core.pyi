@@ -11,6 +11,9 @@ BLOCK_EDGE: int
 LOG_ODDS_UNIT: float
 """Log-odds are held in whole units of this, 2**-24."""
 
+MAP_FILE_MAGIC: bytes
+"""How the bytes of `VoxelMap.encode_map` begin."""
+
 class IwloParams:
     """The IWLO rule's constants (`iwlo.*`, `adaptive.*`, `filtering.*`).
 
@@ -159,6 +162,17 @@ class VoxelMap:
         self, points_m: NDArray[np.float64]
     ) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
         """Log-odds and counts (N,) at points (N, 3); unknown is (0, 0)."""
+
+    def encode_map(self) -> bytes:
+        """All of the map, without loss. Equal maps give equal bytes, however they came about."""
+
+    def load_map(self, data: bytes) -> None:
+        """Make the map's content that of `encode_map`'s bytes.
+
+        Raises:
+            ValueError: not all of a map, or one of another resolution, clamps or settled count;
+                the text says what is wrong. The map is as before.
+        """
 
     def octomap_bt(self, occupied_log_odds: float, free_log_odds: float) -> bytes:
         """The map as an OctoMap binary tree: occupied above, free below, the rest unknown.

@@ -4,6 +4,8 @@ import hashlib
 import math
 import struct
 from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -14,6 +16,7 @@ from mapperd.config import Config
 from mapperd.echo import Echo
 from mapperd.errors import ConfigError, MapError
 from mapperd.frames import pose_from_rpy
+from mapperd.map_file import load_map, save_map
 
 __all__ = ["MapCounts", "SonarMap", "Voxels", "iwlo_params"]
 
@@ -179,6 +182,25 @@ class SonarMap:
 
         self._map.visit_blocks(add, BLOCKS_AT_ONCE)
         return digest.hexdigest()
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the map into a file, without loss, whole or not at all; `.map` is customary.
+
+        Equal maps give equal files.
+
+        Raises:
+            ExportError: the file cannot be written.
+        """
+        save_map(self._map, Path(path))
+
+    def load(self, path: str | PathLike[str]) -> None:
+        """Replace the content by that of a file of `save`; it goes on as the saved map would have.
+
+        Raises:
+            MapError: the file cannot be read, is damaged, or was saved with another resolution,
+                other clamps or another learning rate. The map is as before.
+        """
+        load_map(self._map, Path(path))
 
     def octomap_bt(self) -> bytes:
         """The map as an OctoMap binary tree, classes by the thresholds of the settings.

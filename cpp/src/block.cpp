@@ -53,6 +53,12 @@ void Block::close(const IwloRule& rule) {
   dense_.reset();
 }
 
+void Block::fill(const Voxel& voxel) {
+  uniform_ = voxel;
+  pending_ = 0;
+  dense_.reset();
+}
+
 int Block::known_count() const {
   if (dense_ == nullptr) return uniform_.count != 0 ? kBlockVoxels : 0;
   return pending_ > 0 ? kBlockVoxels : dense_known_;

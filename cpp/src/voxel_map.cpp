@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
+#include <utility>
 
 #include "mapperd/memory_use.hpp"
 
@@ -39,12 +40,12 @@ int offset_of(const VoxelIndex& voxel) {
   return voxel_offset(local(voxel.x), local(voxel.y), local(voxel.z));
 }
 
+}  // namespace
+
 bool in_reach(const BlockKey& key) {
   const auto ok = [](std::int32_t v) { return v >= -kMaxBlock && v <= kMaxBlock; };
   return ok(key.x) && ok(key.y) && ok(key.z);
 }
-
-}  // namespace
 
 VoxelMap::VoxelMap(double resolution_m, const IwloParams& iwlo)
     : resolution_m_(resolution_m), rule_(iwlo), slots_(kFirstSlots, kEmpty) {
@@ -183,6 +184,13 @@ void VoxelMap::clear() {
   blocks_ = BlockStore();
   slots_.swap(empty);
   ++revision_;
+}
+
+void VoxelMap::take_blocks(VoxelMap& other) {
+  std::swap(blocks_, other.blocks_);
+  slots_.swap(other.slots_);
+  ++revision_;
+  for (std::size_t i = 0; i < blocks_.size(); ++i) blocks_[i].revision = revision_;
 }
 
 void clear(VoxelMap& map) {

@@ -48,13 +48,13 @@ void run_random_updates(const IwloParams& params, std::uint64_t seed) {
       for (int i = 0; i < updates; ++i) {
         const auto at = static_cast<std::size_t>(random.integer(0, mapperd::kBlockVoxels - 1));
         // Far enough up, at times, that free steps are scaled and may not be kept pending.
-        const double step = random.uniform(-1, 5);
+        const double step = random.uniform(-1, 25);
         rule.add(step, voxels.units[at], voxels.count[at]);
         rule.add(step, plain.voxels[at].units, plain.voxels[at].count);
       }
       block.close(rule);
     }
-    if (ping % 40 == 0) check_equal(block, plain, rule);
+    if (ping % 3 == 0) check_equal(block, plain, rule);
   }
   check_equal(block, plain, rule);
 }

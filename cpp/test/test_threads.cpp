@@ -8,6 +8,7 @@
 
 #include "check.hpp"
 #include "mapperd/distance_field.hpp"
+#include "mapperd/map_file.hpp"
 #include "mapperd/merge.hpp"
 #include "mapperd/octomap_file.hpp"
 #include "mapperd/point_updates.hpp"
@@ -90,6 +91,11 @@ std::vector<std::function<bool()>> all_reads(const VoxelMap& map) {
         return blocks <= 4000;
       },
       [&map] { return !octomap_ot(map).empty() && !octomap_bt(map, 0.8, -0.8).empty(); },
+      [&map] {
+        VoxelMap loaded(kResolution, {});
+        load_map(encode_map(map), loaded);
+        return twins_agree(loaded);
+      },
       [&map] { return with_rule(map, {}).resolution_m() == kResolution; },
       [&map] {
         VoxelMap sum(kResolution, {});
@@ -122,6 +128,7 @@ class Writes {
         [](VoxelMap& map) { add_ray(map, {0, 0, 0}, {1, 2, 3}, 0.85, -0.4, {-2, 3.5}); },
         [this](VoxelMap& map) { merge(map, {&other_}); },
         [this](VoxelMap& map) { load_octomap(file_, map); },
+        [this](VoxelMap& map) { load_map(encode_map(other_), map); },
         [](VoxelMap& map) { clear(map); },
     };
   }

@@ -65,6 +65,9 @@ class Block {
   DenseVoxels& open(const IwloRule& rule);
   void close(const IwloRule& rule);
 
+  // Makes all voxels alike, whatever they were; not between open() and close().
+  void fill(const Voxel& voxel);
+
   Voxel voxel(const IwloRule& rule, int offset) const;
   int known_count() const;  // voxels that were ever observed; of a block that is not open
   bool is_dense() const { return dense_ != nullptr; }

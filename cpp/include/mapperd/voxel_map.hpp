@@ -16,6 +16,9 @@
 
 namespace mapperd {
 
+// Within +-kMaxBlock on every axis.
+bool in_reach(const BlockKey& key);
+
 // A voxel of the map: it spans index to index + 1 times the resolution along each axis.
 struct VoxelIndex {
   std::int64_t x = 0;
@@ -93,6 +96,10 @@ class VoxelMap {
   }
 
   void clear();
+
+  // Exchanges the content with that of a map of the same resolution, clamps and settled count,
+  // which nobody else knows. All blocks count as changed.
+  void take_blocks(VoxelMap& other);
 
   MapMutex& mutex() const { return mutex_; }
 
