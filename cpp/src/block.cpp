@@ -13,6 +13,10 @@ bool Block::add_free_everywhere(const IwloRule& rule) {
   }
   if (all_unscaled_) {
     ++pending_;
+    if (pending_ >= rule.free_steps_to_floor()) {  // all voxels are alike by now
+      open(rule);
+      close(rule);
+    }
     return true;
   }
   for (std::size_t i = 0; i < kBlockVoxels; ++i) rule.add_free(dense_->units[i], dense_->count[i]);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <stdexcept>
 #include <string>
 
@@ -67,6 +68,13 @@ IwloRule::IwloRule(const IwloParams& params) : params_(params) {
   for (const double a : alpha_) free_steps_sum_.push_back(free_steps_sum_.back() + free_units(a));
   free_steps_sum_.pop_back();
   settled_free_step_ = free_units(alpha_.back());
+  free_steps_to_floor_ = std::numeric_limits<std::uint32_t>::max();
+  if (settled_free_step_ < 0) {
+    const std::int64_t span = std::int64_t{max_units_} - min_units_;
+    const std::int64_t steps = settled_count() + span / -settled_free_step_ + 1;
+    free_steps_to_floor_ =
+        static_cast<std::uint32_t>(std::min<std::int64_t>(steps, free_steps_to_floor_));
+  }
 }
 
 std::size_t IwloRule::memory_bytes() const {

@@ -84,7 +84,7 @@ TEST_CASE("a block of one state and the same block voxel by voxel are the same f
   VoxelMap uniform(0.1, {}), dense(0.1, {});
   for (VoxelMap* map : {&uniform, &dense}) {
     const mapperd::IwloRule& rule = map->rule();
-    for (int i = 0; i < 300; ++i) {
+    for (int i = 0; i < 120; ++i) {
       for (int x = -2; x < 2; ++x) {
         mapperd::Block& block = map->get_or_create({x, 0, 0});
         // One voxel lags behind until all are at the clamp: the block stays dense.

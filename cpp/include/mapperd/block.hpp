@@ -2,7 +2,8 @@
 //
 // Space that is wholly free, or seen alike throughout, is one state for all voxels. A block that a
 // surface crosses holds every voxel; free pings over the whole of it are only counted, as long as
-// every voxel's free step is independent of its log-odds, and applied when somebody opens it.
+// every voxel's free step is independent of its log-odds, and applied when somebody opens it, or
+// when they are so many that all voxels must have come to be alike.
 #pragma once
 
 #include <array>

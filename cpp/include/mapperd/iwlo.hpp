@@ -73,6 +73,9 @@ class IwloRule {
   bool is_unscaled(std::int32_t units) const { return units <= unscaled_up_to_; }
   void add_unscaled_free(std::int32_t& units, std::uint16_t& count, std::uint32_t times) const;
 
+  // After so many free steps without a scale every voxel is at L_min and counted out.
+  std::uint32_t free_steps_to_floor() const { return free_steps_to_floor_; }
+
   std::size_t memory_bytes() const;  // of its tables
 
   std::int32_t min_units() const { return min_units_; }
@@ -89,7 +92,8 @@ class IwloRule {
   std::int32_t min_units_;
   std::int32_t max_units_;
   std::int32_t unscaled_up_to_;
-  std::int64_t settled_free_step_;            // units a ping once alpha has settled
+  std::int64_t settled_free_step_;  // units a ping once alpha has settled
+  std::uint32_t free_steps_to_floor_;
   std::vector<std::int64_t> free_steps_sum_;  // of the first n free steps, n up to settled
 };
 
