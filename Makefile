@@ -7,13 +7,13 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt' -o -name 'CMakePresets.json')
 
-.PHONY: demo test bench check cpp-test cpp-test-asan python-test install prerequisites clean
+.PHONY: demo test bench check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
 
 demo: $(STAMP)
 	$(BIN)/python tools/demo.py --out out/demo
 
 # The demo is a test too: it fails when the map is worse than it promises.
-test: check cpp-test cpp-test-asan demo python-test
+test: check cpp-test cpp-test-asan cpp-test-tsan demo python-test
 
 # Compares the integrators with OctoMap and OpenVDB; writes docs/performance.md. Some minutes.
 bench: $(STAMP)
@@ -29,6 +29,9 @@ cpp-test: $(STAMP)
 
 cpp-test-asan: $(STAMP)
 	scripts/cpp-test asan-ubsan
+
+cpp-test-tsan: $(STAMP)
+	scripts/cpp-test tsan
 
 python-test: $(STAMP)
 	$(BIN)/python -m pytest -n 2

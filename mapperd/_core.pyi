@@ -1,5 +1,7 @@
 """The C++ map core. Arrays are C-contiguous; every call over a millisecond releases the GIL."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,6 +10,9 @@ BLOCK_EDGE: int
 
 LOG_ODDS_UNIT: float
 """Log-odds are held in whole units of this, 2**-24."""
+
+MAP_FILE_MAGIC: bytes
+"""How the bytes of `VoxelMap.encode_map` begin."""
 
 class IwloParams:
     """The IWLO rule's constants (`iwlo.*`, `adaptive.*`, `filtering.*`).
@@ -59,6 +64,9 @@ class PingStats:
 
 class VoxelMap:
     """Hash of blocks of voxels: log-odds (whole units of 2**-24) and observation counts.
+
+    Any number of threads may read while one writes: each call sees, or makes, one whole state of
+    the map, and waits for its turn without the GIL.
 
     Raises:
         ValueError: `resolution_m` is not finite and positive.
@@ -140,10 +148,38 @@ class VoxelMap:
             keys (M, 3), log-odds in LOG_ODDS_UNIT and counts, both (M, BLOCK_EDGE**3), x fastest.
         """
 
+    def visit_blocks(
+        self,
+        visit: Callable[[NDArray[np.int32], NDArray[np.int32], NDArray[np.uint16]], None],
+        at_once: int,
+    ) -> None:
+        """Call `visit` with all blocks in turn, as `blocks` gives them, `at_once` at a time.
+
+        All are of one state: nobody writes to the map meanwhile, and `visit` must not use it.
+        """
+
+    def class_counts(self, occupied_log_odds: float, free_log_odds: float) -> tuple[int, int, int]:
+        """Observed voxels above the one, below the other, and the rest.
+
+        Raises:
+            ValueError: free_log_odds above occupied_log_odds.
+        """
+
     def query(
         self, points_m: NDArray[np.float64]
     ) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
         """Log-odds and counts (N,) at points (N, 3); unknown is (0, 0)."""
+
+    def encode_map(self) -> bytes:
+        """All of the map, without loss. Equal maps give equal bytes, however they came about."""
+
+    def load_map(self, data: bytes) -> None:
+        """Make the map's content that of `encode_map`'s bytes.
+
+        Raises:
+            ValueError: not all of a map, or one of another resolution, clamps or settled count;
+                the text says what is wrong. The map is as before.
+        """
 
     def octomap_bt(self, occupied_log_odds: float, free_log_odds: float) -> bytes:
         """The map as an OctoMap binary tree: occupied above, free below, the rest unknown.

@@ -3,8 +3,9 @@
 import hashlib
 import math
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -15,6 +16,7 @@ from mapperd.config import Config
 from mapperd.echo import Echo
 from mapperd.errors import ConfigError, MapError
 from mapperd.frames import pose_from_rpy
+from mapperd.map_file import load_map, save_map
 
 __all__ = ["MapCounts", "SonarMap", "Voxels", "iwlo_params"]
 
@@ -30,7 +32,6 @@ MAX_FAN_VOXELS = 500_000_000
 """A fan with more voxels than this would take gigabytes for a single ping."""
 
 Floats = NDArray[np.float64]
-Blocks = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.uint16]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,34 +161,48 @@ class SonarMap:
 
     def counts(self) -> MapCounts:
         """Observed voxels by class."""
-        occupied = free = known = 0
-        for _, units, count in self._block_slices():
-            log_odds = (units[count > 0] * _core.LOG_ODDS_UNIT).astype(np.float32)
-            occupied += int(np.count_nonzero(log_odds > self._occupied_log_odds))
-            free += int(np.count_nonzero(log_odds < self._free_log_odds))
-            known += log_odds.size
-        return MapCounts(occupied, free, known - occupied - free)
-
-    def _block_slices(self) -> Iterator[Blocks]:
-        """All blocks, some at a time: written out in full they are larger than the map."""
-        for begin in range(0, self._map.block_count, BLOCKS_AT_ONCE):
-            yield self._map.blocks(begin, BLOCKS_AT_ONCE)
+        return MapCounts(*self._map.class_counts(self._occupied_log_odds, self._free_log_odds))
 
     def sha256(self) -> str:
         """Fingerprint of the content: equal maps have equal ones, on every machine.
 
         The hash runs over a header (name, version, resolution) and, for every block with an
         observed voxel in order of its key: key as int32, log-odds in units of 2**-24 as int32,
-        counts as uint16, all little endian; unobserved voxels are zeros.
+        counts as uint16, all little endian; unobserved voxels are zeros. Nobody writes to the map
+        meanwhile.
         """
         digest = hashlib.sha256(b"mapperd map\0")
         digest.update(struct.pack("<Id", HASH_VERSION, self.resolution_m))
-        for keys, units, count in self._block_slices():
+
+        def add(
+            keys: NDArray[np.int32], units: NDArray[np.int32], count: NDArray[np.uint16]
+        ) -> None:
             for i in np.flatnonzero((count > 0).any(axis=1)):
                 known = np.where(count[i] > 0, units[i], 0)
                 for array, kind in ((keys[i], "<i4"), (known, "<i4"), (count[i], "<u2")):
                     digest.update(np.ascontiguousarray(array, dtype=kind).data)
+
+        self._map.visit_blocks(add, BLOCKS_AT_ONCE)
         return digest.hexdigest()
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the map into a file, without loss, whole or not at all; `.map` is customary.
+
+        Equal maps give equal files.
+
+        Raises:
+            ExportError: the file cannot be written.
+        """
+        save_map(self._map, Path(path))
+
+    def load(self, path: str | PathLike[str]) -> None:
+        """Replace the content by that of a file of `save`; it goes on as the saved map would have.
+
+        Raises:
+            MapError: the file cannot be read, is damaged, or was saved with another resolution,
+                other clamps or another learning rate. The map is as before.
+        """
+        load_map(self._map, Path(path))
 
     def octomap_bt(self) -> bytes:
         """The map as an OctoMap binary tree, classes by the thresholds of the settings.

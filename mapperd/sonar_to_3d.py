@@ -213,7 +213,10 @@ class SonarTo3DMapper:
         return self.save_map(filename)
 
     def save_map(self, filename: str | PathLike[str]) -> bool:
-        """Write the map as its name ends: `.bt`, `.ot` (log-odds) or `.ply` (occupied voxels).
+        """Write the map as its name ends.
+
+        `.map`: all of it, for `load_map`; `.bt`: OctoMap's classes; `.ot`: OctoMap's log-odds;
+        `.ply`: occupied voxels.
 
         Returns:
             True; failing is an exception.
@@ -224,8 +227,11 @@ class SonarTo3DMapper:
         """
         path = Path(filename)
         forms = {".bt": self._map.octomap_bt, ".ot": self._map.octomap_ot}
-        if path.suffix not in (*forms, ".ply"):
-            raise MapError(f"{path}: .bt, .ot or .ply was expected", "bad_file_name")
+        if path.suffix not in (*forms, ".ply", ".map"):
+            raise MapError(f"{path}: .map, .bt, .ot or .ply was expected", "bad_file_name")
+        if path.suffix == ".map":
+            self._map.save(path)
+            return True
         if path.suffix == ".ply":
             with atomic_file(path) as file:
                 write_ply(file, self._map.voxels("occupied"), self._map.resolution_m)
@@ -233,4 +239,17 @@ class SonarTo3DMapper:
         data = forms[path.suffix]()
         with atomic_file(path) as file:
             file.write(data)
+        return True
+
+    def load_map(self, filename: str | PathLike[str]) -> bool:
+        """Replace the map by that of a `.map` file; the counters of images stay.
+
+        Returns:
+            True; failing is an exception, and leaves the map as it was.
+
+        Raises:
+            MapError: the file cannot be read, is no whole map, or was saved with another
+                resolution, other clamps or another learning rate.
+        """
+        self._map.load(filename)
         return True

@@ -1,15 +1,17 @@
 // The map and its integrators.
 #include <pybind11/pybind11.h>
 
-#include <algorithm>
 #include <limits>
+#include <string>
 #include <vector>
 
 #include "arrays.hpp"
 #include "bindings.hpp"
 #include "mapperd/projective.hpp"
 #include "mapperd/rays.hpp"
+#include "mapperd/snapshot.hpp"
 #include "mapperd/voxel_map.hpp"
+#include "points.hpp"
 
 namespace mapperd::bind {
 namespace {
@@ -65,62 +67,72 @@ PingStats rays(VoxelMap& map, const py::object& intensity, const py::object& bea
 }
 
 py::tuple voxels(const VoxelMap& map, double min_log_odds, double max_log_odds) {
-  std::vector<double> centres;
-  std::vector<float> log_odds;
-  std::vector<std::uint16_t> counts;
+  std::vector<KnownVoxel> found;
   {
     const py::gil_scoped_release release;
-    map.for_each_known([&](const VoxelIndex& voxel, const VoxelState& state) {
-      if (!(state.log_odds > min_log_odds && state.log_odds < max_log_odds)) return;
-      const Vec3 centre = map.centre_of(voxel);
-      centres.insert(centres.end(), {centre.x, centre.y, centre.z});
-      log_odds.push_back(state.log_odds);
-      counts.push_back(state.count);
-    });
+    found = voxels_between(map, min_log_odds, max_log_odds);
   }
-  const auto n = static_cast<py::ssize_t>(log_odds.size());
-  return py::make_tuple(py::array_t<double>({n, py::ssize_t{3}}, centres.data()),
-                        py::array_t<float>(n, log_odds.data()),
-                        py::array_t<std::uint16_t>(n, counts.data()));
+  return arrays_of(map, found);
 }
 
-// A slice of the sorted blocks, every voxel written out.
+py::tuple arrays_of(const DenseBlocks& dense) {
+  const auto n = static_cast<py::ssize_t>(dense.keys.size());
+  static_assert(sizeof(BlockKey) == 3 * sizeof(std::int32_t));
+  const auto* keys = reinterpret_cast<const std::int32_t*>(dense.keys.data());
+  return py::make_tuple(
+      py::array_t<std::int32_t>({n, py::ssize_t{3}}, keys),
+      py::array_t<std::int32_t>({n, py::ssize_t{kBlockVoxels}}, dense.units.data()),
+      py::array_t<std::uint16_t>({n, py::ssize_t{kBlockVoxels}}, dense.counts.data()));
+}
+
 py::tuple blocks(const VoxelMap& map, std::size_t begin, std::size_t count) {
-  auto sorted = map.sorted_blocks();
-  begin = std::min(begin, sorted.size());
-  count = std::min(count, sorted.size() - begin);
-  const auto n = static_cast<py::ssize_t>(count);
-  py::array_t<std::int32_t> keys({n, py::ssize_t{3}});
-  py::array_t<std::int32_t> units({n, py::ssize_t{kBlockVoxels}});
-  py::array_t<std::uint16_t> counts({n, py::ssize_t{kBlockVoxels}});
-  auto* key = keys.mutable_data();
-  auto* unit = units.mutable_data();
-  auto* seen = counts.mutable_data();
-  for (std::size_t b = begin; b < begin + count; ++b) {
-    *key++ = sorted[b]->key.x;
-    *key++ = sorted[b]->key.y;
-    *key++ = sorted[b]->key.z;
-    for (int i = 0; i < kBlockVoxels; ++i) {
-      const Voxel voxel = sorted[b]->voxel(map.rule(), i);
-      *unit++ = voxel.units;
-      *seen++ = voxel.count;
-    }
+  DenseBlocks dense;
+  {
+    const py::gil_scoped_release release;
+    dense = dense_blocks(map, begin, count);
   }
-  return py::make_tuple(keys, units, counts);
+  return arrays_of(dense);
+}
+
+// The map is locked for reading while the visitor runs. Threads that wait to write hold no GIL.
+void visit_blocks(const VoxelMap& map, const py::function& visit, std::size_t at_once) {
+  if (at_once == 0) throw std::invalid_argument("at_once must be 1 or more");
+  const py::gil_scoped_release release;
+  for_dense_blocks(map, at_once, [&visit](const DenseBlocks& dense) {
+    const py::gil_scoped_acquire acquire;
+    visit(*arrays_of(dense));
+  });
 }
 
 py::tuple query(const VoxelMap& map, const py::object& points_object) {
-  const auto points = checked<double>(points_object, "points_m", 2);
-  if (points.shape(1) != 3) throw std::invalid_argument("points_m must have shape (N, 3)");
-  const auto at = points.unchecked<2>();
-  py::array_t<float> log_odds(points.shape(0));
-  py::array_t<std::uint16_t> counts(points.shape(0));
-  for (py::ssize_t i = 0; i < points.shape(0); ++i) {
-    const VoxelState state = map.at(Vec3{at(i, 0), at(i, 1), at(i, 2)});
-    log_odds.mutable_at(i) = state.log_odds;
-    counts.mutable_at(i) = state.count;
+  const PointArray points(points_object, "points_m");
+  std::vector<VoxelState> states;
+  {
+    const py::gil_scoped_release release;
+    states = states_at(map, points.view());
+  }
+  py::array_t<float> log_odds(points.rows());
+  py::array_t<std::uint16_t> counts(points.rows());
+  for (py::ssize_t i = 0; i < points.rows(); ++i) {
+    log_odds.mutable_at(i) = states[static_cast<std::size_t>(i)].log_odds;
+    counts.mutable_at(i) = states[static_cast<std::size_t>(i)].count;
   }
   return py::make_tuple(log_odds, counts);
+}
+
+py::tuple class_counts(const VoxelMap& map, double occupied_log_odds, double free_log_odds) {
+  ClassCounts counts;
+  {
+    const py::gil_scoped_release release;
+    counts = count_classes(map, {occupied_log_odds, free_log_odds});
+  }
+  return py::make_tuple(counts.occupied, counts.free, counts.uncertain);
+}
+
+// Nobody waits for the map with the GIL in hand: who has the map may need the GIL.
+MapSize size_without_gil(const VoxelMap& map) {
+  const py::gil_scoped_release release;
+  return size_of(map);
 }
 
 }  // namespace
@@ -135,9 +147,12 @@ void bind_map(py::module_& module) {
   py::class_<VoxelMap>(module, "VoxelMap")
       .def(py::init<double, const IwloParams&>(), "resolution_m"_a, "iwlo"_a)
       .def_property_readonly("resolution_m", &VoxelMap::resolution_m)
-      .def_property_readonly("revision", &VoxelMap::revision)
-      .def_property_readonly("block_count", &VoxelMap::block_count)
-      .def_property_readonly("memory_bytes", &VoxelMap::memory_bytes)
+      .def_property_readonly("revision",
+                             [](const VoxelMap& map) { return size_without_gil(map).revision; })
+      .def_property_readonly("block_count",
+                             [](const VoxelMap& map) { return size_without_gil(map).blocks; })
+      .def_property_readonly("memory_bytes",
+                             [](const VoxelMap& map) { return size_without_gil(map).memory_bytes; })
       .def("integrate_projective", &projective, "intensity"_a, "bearings_rad"_a,
            "range_resolution_m"_a, "map_T_sonar"_a, py::kw_only(), "vertical_aperture_rad"_a,
            "min_range_m"_a = fan.min_range_m, "carve_no_return"_a = fan.carve_no_return,
@@ -148,8 +163,11 @@ void bind_map(py::module_& module) {
            "min_range_m"_a = fan.min_range_m, "angular_cone_width"_a = 0.5)
       .def("voxels", &voxels, "min_log_odds"_a = -kInfinity, "max_log_odds"_a = kInfinity)
       .def("blocks", &blocks, "begin"_a = 0, "count"_a = std::numeric_limits<std::size_t>::max())
+      .def("visit_blocks", &visit_blocks, "visit"_a, "at_once"_a)
+      .def("class_counts", &class_counts, "occupied_log_odds"_a, "free_log_odds"_a)
       .def("query", &query, "points_m"_a)
-      .def("clear", &VoxelMap::clear);
+      .def("clear", static_cast<void (*)(VoxelMap&)>(&clear),
+           py::call_guard<py::gil_scoped_release>());
 }
 
 }  // namespace mapperd::bind

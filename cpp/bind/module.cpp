@@ -10,6 +10,7 @@ PYBIND11_MODULE(_core, module) {
   module.attr("LOG_ODDS_UNIT") = mapperd::kLogOddsUnit;
   mapperd::bind::bind_iwlo(module);
   mapperd::bind::bind_map(module);
+  mapperd::bind::bind_map_file(module);
   mapperd::bind::bind_octomap(module);
   mapperd::bind::bind_queries(module);
   mapperd::bind::bind_point_updates(module);

@@ -100,20 +100,7 @@ py::tuple occupied_of_region(const VoxelMap& map, const py::object& low_m, const
     const py::gil_scoped_release release;
     found = occupied_in(map, box, occupied_log_odds);
   }
-  const auto n = static_cast<py::ssize_t>(found.size());
-  py::array_t<double> centres({n, py::ssize_t{3}});
-  py::array_t<float> log_odds(n);
-  py::array_t<std::uint16_t> counts(n);
-  for (py::ssize_t i = 0; i < n; ++i) {
-    const KnownVoxel& known = found[static_cast<std::size_t>(i)];
-    const Vec3 centre = map.centre_of(known.voxel);
-    centres.mutable_at(i, 0) = centre.x;
-    centres.mutable_at(i, 1) = centre.y;
-    centres.mutable_at(i, 2) = centre.z;
-    log_odds.mutable_at(i) = known.state.log_odds;
-    counts.mutable_at(i) = known.state.count;
-  }
-  return py::make_tuple(centres, log_odds, counts);
+  return arrays_of(map, found);
 }
 
 std::size_t count_known(const VoxelMap& map) {

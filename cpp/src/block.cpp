@@ -4,12 +4,10 @@
 #include <cstring>
 
 #include "mapperd/kernels.hpp"
+#include "mapperd/memory_use.hpp"
 
 namespace mapperd {
 namespace {
-
-// What malloc adds to an allocation of this size, in glibc.
-constexpr std::size_t kAllocationOverhead = 16;
 
 VoxelRows every_voxel() {
   VoxelRows rows;
@@ -27,6 +25,10 @@ bool Block::add_free_everywhere(const IwloRule& rule) {
   }
   if (all_unscaled_) {
     ++pending_;
+    if (pending_ >= rule.free_steps_to_floor()) {  // all voxels are alike by now
+      open(rule);
+      close(rule);
+    }
     return true;
   }
   add_free(rule, every_voxel());
@@ -72,6 +74,9 @@ void Block::close(const IwloRule& rule) {
   std::uint32_t scaled = 0;
   for (const std::int32_t u : units) scaled |= u > limit ? 1U : 0U;
   all_unscaled_ = scaled == 0;
+  std::uint32_t known = 0;
+  for (const std::uint16_t c : count) known += c != 0 ? 1U : 0U;
+  dense_known_ = static_cast<std::uint16_t>(known);
   // Each voxel equals the next.
   const bool alike =
       std::memcmp(&units[0], &units[1], sizeof units - sizeof units[0]) == 0 &&
@@ -79,6 +84,17 @@ void Block::close(const IwloRule& rule) {
   if (!alike) return;
   uniform_ = {units[0], count[0]};
   dense_.reset();
+}
+
+void Block::fill(const Voxel& voxel) {
+  uniform_ = voxel;
+  pending_ = 0;
+  dense_.reset();
+}
+
+int Block::known_count() const {
+  if (dense_ == nullptr) return uniform_.count != 0 ? kBlockVoxels : 0;
+  return pending_ > 0 ? kBlockVoxels : dense_known_;
 }
 
 Voxel Block::voxel(const IwloRule& rule, int offset) const {
@@ -89,8 +105,8 @@ Voxel Block::voxel(const IwloRule& rule, int offset) const {
   return voxel;
 }
 
-std::size_t Block::memory_bytes() const {
-  return sizeof(Block) + (dense_ == nullptr ? 0 : sizeof(DenseVoxels) + kAllocationOverhead);
+std::size_t Block::voxel_bytes() const {
+  return dense_ == nullptr ? 0 : allocated_bytes(sizeof(DenseVoxels));
 }
 
 }  // namespace mapperd

@@ -74,7 +74,9 @@ struct Grid {
   std::vector<Squared> cells;
 
   std::size_t stride(std::size_t axis) const {
-    return axis == 2 ? 1 : size[axis + 1] * stride(axis + 1);
+    std::size_t product = 1;
+    for (std::size_t faster = axis + 1; faster < size.size(); ++faster) product *= size[faster];
+    return product;
   }
 };
 
@@ -124,9 +126,12 @@ std::vector<float> distance_field(const VoxelMap& map, const VoxelBox& box, doub
   Grid grid{{static_cast<std::size_t>(around.size[0]), static_cast<std::size_t>(around.size[1]),
              static_cast<std::size_t>(around.size[2])},
             std::vector<Squared>(around.count(), kFar)};
-  for_each_known_in(map, around, [&](const VoxelIndex& voxel, const VoxelState& state) {
-    if (state.log_odds > occupied_log_odds) grid.cells[around.place_of(voxel)] = 0;
-  });
+  {
+    const ReadLock lock(map);
+    for_each_known_in(map, around, [&](const VoxelIndex& voxel, const VoxelState& state) {
+      if (state.log_odds > occupied_log_odds) grid.cells[around.place_of(voxel)] = 0;
+    });
+  }
   for (const std::size_t axis : {2U, 1U, 0U}) grid = transformed(grid, axis, margin);
   std::vector<float> distances(grid.cells.size());
   std::transform(grid.cells.begin(), grid.cells.end(), distances.begin(), [&](Squared squared) {

@@ -2,8 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <stdexcept>
 #include <string>
+
+#include "mapperd/memory_use.hpp"
 
 namespace mapperd {
 namespace {
@@ -63,17 +66,27 @@ IwloRule::IwloRule(const IwloParams& params) : params_(params) {
   const auto free_units = [this](double a) {
     return std::llround(params_.L_free * a / kLogOddsUnit);
   };
+  free_steps_sum_.reserve(alpha_.size() + 1);
   free_steps_sum_.push_back(0);
   for (const double a : alpha_) free_steps_sum_.push_back(free_steps_sum_.back() + free_units(a));
   free_steps_sum_.pop_back();
   settled_free_step_ = free_units(alpha_.back());
   one_free_step_ = free_steps(1);
+  free_steps_to_floor_ = std::numeric_limits<std::uint32_t>::max();
+  if (settled_free_step_ < 0) {
+    const std::int64_t span = std::int64_t{max_units_} - min_units_;
+    const std::int64_t steps = settled_count() + span / -settled_free_step_ + 1;
+    free_steps_to_floor_ =
+        static_cast<std::uint32_t>(std::min<std::int64_t>(steps, free_steps_to_floor_));
+  }
 }
 
 IwloRule::FreeSteps IwloRule::free_steps(std::uint32_t times) const {
   constexpr std::int64_t kMost = 0xFFFFFFFF;  // more than any voxel is above its clamp
   const auto settled = static_cast<std::uint32_t>(settled_count());
   FreeSteps steps;
+  steps.down.reserve(settled + 1);
+  steps.count.reserve(settled + 1);
   for (std::uint32_t count = 0; count <= settled; ++count) {
     const std::uint32_t learning = std::min(times, settled - count);
     const std::int64_t sum = free_steps_sum_[count] - free_steps_sum_[count + learning] -
@@ -82,6 +95,11 @@ IwloRule::FreeSteps IwloRule::free_steps(std::uint32_t times) const {
     steps.count.push_back(count + learning);
   }
   return steps;
+}
+
+std::size_t IwloRule::memory_bytes() const {
+  return allocated_by(alpha_) + allocated_by(free_steps_sum_) + allocated_by(one_free_step_.down) +
+         allocated_by(one_free_step_.count);
 }
 
 double IwloRule::alpha(std::uint16_t count) const {
@@ -121,7 +139,7 @@ double IwloRule::free_step(double log_odds, std::uint16_t count) const {
 
 void IwloRule::add(double step, std::int32_t& units, std::uint16_t& count) const {
   const std::int64_t updated = units + static_cast<std::int64_t>(std::llrint(step / kLogOddsUnit));
-  units = static_cast<std::int32_t>(std::clamp<std::int64_t>(updated, min_units_, max_units_));
+  units = clamped(updated);
   if (count < settled_count()) ++count;
 }
 

@@ -56,13 +56,13 @@ class Filler {
  public:
   explicit Filler(VoxelMap& map) : map_(map) {}
 
-  void add(const OctomapCube& leaf, float log_odds) {
+  void add(const OctomapCube& leaf, std::int32_t units) {
     // Once for a leaf within a block, else for each block of the leaf.
     for (std::uint32_t z = 0; z < leaf.edge(); z += kBlock) {
       for (std::uint32_t y = 0; y < leaf.edge(); y += kBlock) {
         for (std::uint32_t x = 0; x < leaf.edge(); x += kBlock) {
           enter({corner_of(leaf.x + x), corner_of(leaf.y + y), corner_of(leaf.z + z)});
-          set(leaf, log_odds);
+          set(leaf, units);
         }
       }
     }
@@ -87,19 +87,19 @@ class Filler {
   }
 
   // The leaf's voxels in this block: all of them, or the part from its corner on.
-  void set(const OctomapCube& leaf, float log_odds) {
+  void set(const OctomapCube& leaf, std::int32_t units) {
     const std::uint32_t edge = std::min(leaf.edge(), kBlock);
     for (std::uint32_t i = 0; i < edge * edge * edge; ++i) {
       const std::uint32_t x = leaf.x % kBlock + i % edge;
       const std::uint32_t y = leaf.y % kBlock + i / edge % edge;
       const std::uint32_t z = leaf.z % kBlock + i / (edge * edge);
-      states_[x + kBlock * (y + kBlock * z)] = {log_odds, 1};
+      states_[x + kBlock * (y + kBlock * z)] = {units, 1};
     }
   }
 
   VoxelMap& map_;
   OctomapCube block_;
-  std::array<VoxelState, kBlock * kBlock * kBlock> states_{};
+  std::array<Voxel, kBlock * kBlock * kBlock> states_{};
 };
 
 }  // namespace
@@ -112,12 +112,13 @@ void load_octomap(std::string_view file, VoxelMap& map, std::uint64_t max_voxels
   for_each_octomap_leaf(file, header, [&](std::size_t at, const OctomapCube& leaf, double) {
     budget.spend(at, leaf);
   });
+  const WriteLock lock(map);
   map.clear();
   const IwloParams& iwlo = map.rule().params();
   try {
     Filler filler(map);
     for_each_octomap_leaf(file, header, [&](std::size_t, const OctomapCube& leaf, double log_odds) {
-      filler.add(leaf, static_cast<float>(std::clamp(log_odds, iwlo.L_min, iwlo.L_max)));
+      filler.add(leaf, units_of(std::clamp(log_odds, iwlo.L_min, iwlo.L_max)));
     });
     filler.flush();
   } catch (...) {

@@ -13,9 +13,14 @@
 namespace mapperd {
 namespace {
 
+// A block is a node of the tree, because keys begin at a multiple of its edge.
+constexpr int kBlockDepth = kOctomapDepth - kBlockShift;
+static_assert(kOctomapKeyOrigin % kBlockEdge == 0);
+
 struct Leaf {
   std::uint64_t path;  // three bits a level, from the root's child down
   float value;
+  int depth;  // of a voxel, or of a whole block
 };
 
 enum class Kind : unsigned char { unknown = 0, leaf, inner };
@@ -48,19 +53,28 @@ std::uint64_t key_of(std::int64_t voxel, double resolution_m) {
   return static_cast<std::uint64_t>(key);
 }
 
-// The leaves in the order of the file. `value_of` says what a voxel is written as, and whether.
+// The leaves in the order of the file; a block of one state is one leaf. `value_of` says what a
+// voxel is written as, and whether.
 template <typename ValueOf>  // bool(float log_odds, float& value)
 std::vector<Leaf> sorted_leaves(const VoxelMap& map, const ValueOf& value_of) {
   std::vector<Leaf> leaves;
   const double s = map.resolution_m();
-  map.for_each_known([&](const VoxelIndex& voxel, const VoxelState& state) {
+  const auto add = [&](const VoxelIndex& voxel, const Voxel& state, int depth) {
     float value = 0.0F;
-    if (!value_of(state.log_odds, value)) return;
+    if (state.count == 0 || !value_of(VoxelMap::state_of(state).log_odds, value)) return;
     const std::uint64_t x = key_of(voxel.x, s);
     const std::uint64_t y = key_of(voxel.y, s);
     const std::uint64_t z = key_of(voxel.z, s);
-    leaves.push_back({spread(x) | spread(y) << 1U | spread(z) << 2U, value});
-  });
+    leaves.push_back({spread(x) | spread(y) << 1U | spread(z) << 2U, value, depth});
+  };
+  const ReadLock lock(map);
+  for (const Block* block : map.sorted_blocks()) {
+    const bool dense = block->is_dense();
+    for (int i = 0; i < (dense ? kBlockVoxels : 1); ++i) {
+      add(VoxelMap::index_of(block->key, i), block->voxel(map.rule(), i),
+          dense ? kOctomapDepth : kBlockDepth);
+    }
+  }
   std::sort(leaves.begin(), leaves.end(),
             [](const Leaf& a, const Leaf& b) { return a.path < b.path; });
   return leaves;
@@ -144,7 +158,7 @@ class TreeWriter {
  private:
   // Writes the node over leaves [begin, end) at `depth`; as one leaf, if it prunes to that.
   Node write(std::size_t begin, std::size_t end, int depth) {
-    if (depth == kOctomapDepth) return write_leaf(leaves_[begin].value);
+    if (depth == leaves_[begin].depth) return write_leaf(leaves_[begin].value);
     const std::size_t record = data_.size();
     const std::size_t nodes_before = nodes_++;
     data_.append(Record::kBytes, '\0');

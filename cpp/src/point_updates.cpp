@@ -43,21 +43,24 @@ std::vector<std::size_t> by_block(const std::vector<VoxelIndex>& voxels) {
   return rows;
 }
 
+// In whole units. Steps and limits of any size come to no more than the whole span of log-odds.
+std::int64_t whole_units(double log_odds) {
+  return std::llrint(std::clamp(log_odds, -2 * kMaxLogOdds, 2 * kMaxLogOdds) / kLogOddsUnit);
+}
+
 // One observation that leaves a voxel at the given log-odds.
-void put(BlockWriter& writer, const IwloRule& rule, const VoxelIndex& voxel,
-         const VoxelState& before, double log_odds) {
-  const double clamped = std::clamp(log_odds, rule.params().L_min, rule.params().L_max);
-  const int count = std::min<int>(before.count + 1, rule.settled_count());
-  writer.set(voxel, {static_cast<float>(clamped), static_cast<std::uint16_t>(count)});
+void put(BlockWriter& writer, const IwloRule& rule, const VoxelIndex& voxel, std::int64_t units) {
+  const int count = std::min<int>(writer.at(voxel).count + 1, rule.settled_count());
+  writer.set(voxel, {rule.clamped(units), static_cast<std::uint16_t>(count)});
 }
 
 void add_step(BlockWriter& writer, const IwloRule& rule, const VoxelIndex& voxel, double step,
               const StepLimits& limits) {
-  const VoxelState before = writer.at(voxel);
-  const double sum = before.log_odds + step;
-  const double limit = step > 0 ? std::max<double>(limits.high, before.log_odds)
-                                : std::min<double>(limits.low, before.log_odds);
-  put(writer, rule, voxel, before, step > 0 ? std::min(sum, limit) : std::max(sum, limit));
+  const std::int64_t before = writer.at(voxel).units;
+  const std::int64_t sum = before + whole_units(step);
+  const std::int64_t updated = step > 0 ? std::min(sum, std::max(whole_units(limits.high), before))
+                                        : std::max(sum, std::min(whole_units(limits.low), before));
+  put(writer, rule, voxel, updated);
 }
 
 }  // namespace
@@ -68,38 +71,39 @@ void observe(VoxelMap& map, const ObservedPoints& observed) {
   if (observed.step_factor != nullptr) check_numbers(observed.step_factor, n, "weights", 0.0);
   const std::vector<VoxelIndex> voxels = voxels_of(map, observed.points);
   const IwloRule& rule = map.rule();
+  const WriteLock lock(map);
   BlockWriter writer(map);
   for (const std::size_t i : by_block(voxels)) {
-    const VoxelState before = writer.at(voxels[i]);
+    const Voxel before = writer.at(voxels[i]);
+    const double log_odds = log_odds_of(before.units);
     const double step = observed.occupied[i]
-                            ? rule.occupied_step(before.log_odds, before.count,
+                            ? rule.occupied_step(log_odds, before.count,
                                                  rule.occupied_weight(observed.intensity[i]))
-                            : rule.free_step(before.log_odds, before.count);
+                            : rule.free_step(log_odds, before.count);
     const double factor = observed.step_factor == nullptr ? 1.0 : observed.step_factor[i];
-    put(writer, rule, voxels[i], before, before.log_odds + factor * step);
+    put(writer, rule, voxels[i], before.units + whole_units(factor * step));
   }
-  writer.flush();
 }
 
 void add_log_odds(VoxelMap& map, const Points& points, const double* steps,
                   const StepLimits& limits) {
   check_numbers(steps, points.count, "steps", -HUGE_VAL);
   const std::vector<VoxelIndex> voxels = voxels_of(map, points);
+  const WriteLock lock(map);
   BlockWriter writer(map);
   for (const std::size_t i : by_block(voxels)) {
     add_step(writer, map.rule(), voxels[i], steps[i], limits);
   }
-  writer.flush();
 }
 
 void set_log_odds(VoxelMap& map, const Points& points, const double* values) {
   check_numbers(values, points.count, "log_odds", -HUGE_VAL);
   const std::vector<VoxelIndex> voxels = voxels_of(map, points);
+  const WriteLock lock(map);
   BlockWriter writer(map);
   for (const std::size_t i : by_block(voxels)) {
-    put(writer, map.rule(), voxels[i], writer.at(voxels[i]), values[i]);
+    put(writer, map.rule(), voxels[i], whole_units(values[i]));
   }
-  writer.flush();
 }
 
 void add_ray(VoxelMap& map, const Vec3& origin_m, const Vec3& end_m, double hit, double miss,
@@ -110,6 +114,7 @@ void add_ray(VoxelMap& map, const Vec3& origin_m, const Vec3& end_m, double hit,
   if (!(length_m <= kMaxRayVoxels * map.resolution_m())) {
     throw std::invalid_argument("a ray must not be longer than a million voxels");
   }
+  const WriteLock lock(map);
   BlockWriter writer(map);
   if (!(voxels[0] == voxels[1])) {
     VoxelWalk walk(map.resolution_m(), voxels[0], origin_m, unit_vector(end_m - origin_m));
@@ -118,7 +123,6 @@ void add_ray(VoxelMap& map, const Vec3& origin_m, const Vec3& end_m, double hit,
     }
   }
   add_step(writer, map.rule(), voxels[1], hit, limits);
-  writer.flush();
 }
 
 }  // namespace mapperd

@@ -91,6 +91,7 @@ class PingUpdate {
   // Blocks are made at their first evidence, looking at nothing creates nothing; then each is
   // changed by one thread.
   void apply() {
+    const WriteLock lock(map_);
     const std::size_t before = map_.block_count();
     const std::uint64_t revision = map_.next_revision();
     for (const BlockKey& at : free_) {

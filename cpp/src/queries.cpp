@@ -45,6 +45,7 @@ std::vector<Occupancy> classify(const VoxelMap& map, const Points& points,
   check_thresholds(thresholds);
   check_finite(points, "points_m");
   std::vector<Occupancy> answers(points.count);
+  const ReadLock lock(map);
   for (std::size_t i = 0; i < points.count; ++i) answers[i] = thresholds.of(map.at(points[i]));
   return answers;
 }
@@ -54,6 +55,7 @@ std::vector<Occupancy> classify_box(const VoxelMap& map, const VoxelBox& box,
   check_thresholds(thresholds);
   check_dense(box);
   std::vector<Occupancy> answers(box.count(), Occupancy::unknown);
+  const ReadLock lock(map);
   for_each_known_in(map, box, [&](const VoxelIndex& voxel, const VoxelState& state) {
     answers[box.place_of(voxel)] = thresholds.of(state);
   });
@@ -75,6 +77,7 @@ std::vector<double> ray_cast_depth(const VoxelMap& map, const Points& origins,
   check_finite(origins, "origins_m");
   check_finite(directions, "directions");
   std::vector<double> depths(origins.count);
+  const ReadLock lock(map);
   for (std::size_t i = 0; i < origins.count; ++i) {
     const Vec3 direction = directions[i];
     if (direction.x == 0 && direction.y == 0 && direction.z == 0) {
@@ -96,6 +99,7 @@ std::vector<KnownVoxel> occupied_in(const VoxelMap& map, const VoxelBox& box,
     throw std::invalid_argument("occupied_log_odds must be a number");
   }
   std::vector<KnownVoxel> found;
+  const ReadLock lock(map);
   for_each_known_in(map, box, [&](const VoxelIndex& voxel, const VoxelState& state) {
     if (state.log_odds > occupied_log_odds) found.push_back({voxel, state});
   });
@@ -103,9 +107,8 @@ std::vector<KnownVoxel> occupied_in(const VoxelMap& map, const VoxelBox& box,
 }
 
 std::size_t known_count(const VoxelMap& map) {
-  std::size_t count = 0;
-  map.for_each_known([&count](const VoxelIndex&, const VoxelState&) { ++count; });
-  return count;
+  const ReadLock lock(map);
+  return map.known_count();
 }
 
 }  // namespace mapperd

@@ -42,11 +42,20 @@ class RaySampler {
              const RaysSettings& settings)
       : map_(map),
         image_(image),
-        map_T_sonar_(map_T_sonar),
+        block_T_sonar_(map_T_sonar),
         settings_(settings),
         stride_(std::max<std::size_t>(1, image.beams / kUsedBeams)) {
     const double fov = image.bearings_rad[image.beams - 1] - image.bearings_rad[0];
     shadow_tolerance_ = fov / static_cast<double>(image.beams) * settings.angular_cone_width * 2.0;
+    const double block_m = map.resolution_m() * kBlockEdge;
+    const auto split = [block_m](double& position, std::int64_t& first_voxel) {
+      const double block = std::floor(position / block_m);
+      first_voxel = static_cast<std::int64_t>(block) * kBlockEdge;
+      position -= block * block_m;
+    };
+    split(block_T_sonar_.translation.x, origin_.x);
+    split(block_T_sonar_.translation.y, origin_.y);
+    split(block_T_sonar_.translation.z, origin_.z);
   }
 
   PingStats run() {
@@ -92,9 +101,9 @@ class RaySampler {
     for (std::size_t k = 0; k < hit; k += kFreeRowStep) {
       const double range = range_of(k);
       for_elevations(range, kFreeVoxelStep, [&](double elevation) {
-        const Vec3 offset = map_T_sonar_.rotate(fan_point(range, bearing, elevation));
+        const Vec3 offset = block_T_sonar_.rotate(fan_point(range, bearing, elevation));
         if (!in_shadow(bearing, std::hypot(offset.x, offset.y))) {
-          merge(offset + map_T_sonar_.translation, false, 0.0F);
+          merge(offset + block_T_sonar_.translation, false, 0.0F);
         }
       });
     }
@@ -107,7 +116,7 @@ class RaySampler {
       const double range = range_of(k);
       for_elevations(range, kReturnVoxelStep, [&](double elevation) {
         const Vec3 point = fan_point(range, image_.bearings_rad[j], elevation);
-        merge(map_T_sonar_.apply(point), true, image_.at(k, j));
+        merge(block_T_sonar_.apply(point), true, image_.at(k, j));
       });
     }
   }
@@ -129,7 +138,8 @@ class RaySampler {
     const auto index = [this](double v) {
       return static_cast<std::int64_t>(std::floor(v / map_.resolution_m()));
     };
-    const VoxelIndex voxel{index(point.x), index(point.y), index(point.z)};
+    const VoxelIndex voxel{origin_.x + index(point.x), origin_.y + index(point.y),
+                           origin_.z + index(point.z)};
     const auto [found, is_new] = order_.try_emplace(voxel, samples_.size());
     if (is_new) {
       samples_.push_back({voxel, occupied, intensity});
@@ -140,6 +150,7 @@ class RaySampler {
 
   PingStats update_map() {
     PingStats stats;
+    const WriteLock lock(map_);
     const std::size_t before = map_.block_count();
     std::unordered_set<Block*> opened;
     const std::uint64_t revision = map_.next_revision();
@@ -171,7 +182,8 @@ class RaySampler {
 
   VoxelMap& map_;
   const PingImage& image_;
-  const Transform& map_T_sonar_;
+  Transform block_T_sonar_;  // in the sonar's block: far from the origin no precision is lost
+  VoxelIndex origin_;        // that block's first voxel
   const RaysSettings& settings_;
   std::size_t stride_;
   double shadow_tolerance_ = 0.0;

@@ -3,11 +3,14 @@
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
+#include <utility>
+
+#include "mapperd/memory_use.hpp"
 
 namespace mapperd {
 namespace {
 
-constexpr std::size_t kFirstSlots = 1024;
+constexpr std::size_t kFirstSlots = 64;
 
 // Mixes three 32-bit coordinates; the constants are those of the MurmurHash3 finaliser.
 std::uint64_t hash_of(const BlockKey& key) {
@@ -37,12 +40,12 @@ int offset_of(const VoxelIndex& voxel) {
   return voxel_offset(local(voxel.x), local(voxel.y), local(voxel.z));
 }
 
+}  // namespace
+
 bool in_reach(const BlockKey& key) {
   const auto ok = [](std::int32_t v) { return v >= -kMaxBlock && v <= kMaxBlock; };
   return ok(key.x) && ok(key.y) && ok(key.z);
 }
-
-}  // namespace
 
 VoxelMap::VoxelMap(double resolution_m, const IwloParams& iwlo)
     : resolution_m_(resolution_m), rule_(iwlo), slots_(kFirstSlots, kEmpty) {
@@ -52,9 +55,15 @@ VoxelMap::VoxelMap(double resolution_m, const IwloParams& iwlo)
 }
 
 std::size_t VoxelMap::memory_bytes() const {
-  std::size_t bytes = sizeof(VoxelMap) + slots_.capacity() * sizeof(std::uint32_t);
-  for (const Block& block : blocks_) bytes += block.memory_bytes();
-  return bytes;
+  return sizeof(VoxelMap) + rule_.memory_bytes() + allocated_by(slots_) + blocks_.memory_bytes();
+}
+
+std::size_t VoxelMap::known_count() const {
+  std::size_t count = 0;
+  for (std::size_t i = 0; i < blocks_.size(); ++i) {
+    count += static_cast<std::size_t>(blocks_[i].known_count());
+  }
+  return count;
 }
 
 std::size_t VoxelMap::slot_of(const BlockKey& key) const {
@@ -65,19 +74,22 @@ std::size_t VoxelMap::slot_of(const BlockKey& key) const {
 }
 
 void VoxelMap::grow() {
-  slots_.assign(slots_.size() * 2, kEmpty);
-  std::uint32_t index = 0;
-  for (const Block& block : blocks_) slots_[slot_of(block.key)] = index++;
+  std::vector<std::uint32_t> wider(2 * slots_.size(), kEmpty);
+  slots_.swap(wider);
+  for (std::size_t i = 0; i < blocks_.size(); ++i) {
+    slots_[slot_of(blocks_[i].key)] = static_cast<std::uint32_t>(i);
+  }
 }
 
 Block& VoxelMap::get_or_create(const BlockKey& key) {
   if (!in_reach(key)) throw std::out_of_range("the block lies beyond the map's reach");
   const std::size_t slot = slot_of(key);
   if (slots_[slot] != kEmpty) return blocks_[slots_[slot]];
-  slots_[slot] = static_cast<std::uint32_t>(blocks_.size());
-  blocks_.emplace_back(key);
-  if (2 * blocks_.size() > slots_.size()) grow();
-  return blocks_.back();
+  if (2 * (blocks_.size() + 1) > slots_.size()) grow();
+  // Memory may run out up to here, and the map is as before.
+  Block& block = blocks_.add(key);
+  slots_[slot_of(key)] = static_cast<std::uint32_t>(blocks_.size() - 1);
+  return block;
 }
 
 const Block* VoxelMap::find(const BlockKey& key) const {
@@ -136,16 +148,15 @@ void VoxelMap::set(const VoxelIndex& voxel, const VoxelState& state) {
   block.revision = next_revision();
 }
 
-void VoxelMap::set_block(const BlockKey& key, const std::array<VoxelState, kBlockVoxels>& states) {
-  const auto observed = [](const VoxelState& state) { return state.count != 0; };
+void VoxelMap::set_block(const BlockKey& key, const std::array<Voxel, kBlockVoxels>& states) {
+  const auto observed = [](const Voxel& state) { return state.count != 0; };
   if (std::none_of(states.begin(), states.end(), observed)) return;
   Block& block = get_or_create(key);
   DenseVoxels& voxels = block.open(rule_);
   for (std::size_t i = 0; i < states.size(); ++i) {
     if (!observed(states[i])) continue;
-    const Voxel updated = voxel_of(states[i]);
-    voxels.units[i] = updated.units;
-    voxels.count[i] = updated.count;
+    voxels.units[i] = states[i].units;
+    voxels.count[i] = states[i].count;
   }
   block.close(rule_);
   block.revision = next_revision();
@@ -162,16 +173,29 @@ VoxelIndex VoxelMap::index_of(const BlockKey& key, int offset) {
 std::vector<const Block*> VoxelMap::sorted_blocks() const {
   std::vector<const Block*> sorted;
   sorted.reserve(blocks_.size());
-  for (const Block& block : blocks_) sorted.push_back(&block);
+  for (std::size_t i = 0; i < blocks_.size(); ++i) sorted.push_back(&blocks_[i]);
   std::sort(sorted.begin(), sorted.end(),
             [](const Block* a, const Block* b) { return a->key < b->key; });
   return sorted;
 }
 
 void VoxelMap::clear() {
-  blocks_.clear();
+  std::vector<std::uint32_t> empty(kFirstSlots, kEmpty);
+  blocks_ = BlockStore();
+  slots_.swap(empty);
   ++revision_;
-  slots_.assign(kFirstSlots, kEmpty);
+}
+
+void VoxelMap::take_blocks(VoxelMap& other) {
+  std::swap(blocks_, other.blocks_);
+  slots_.swap(other.slots_);
+  ++revision_;
+  for (std::size_t i = 0; i < blocks_.size(); ++i) blocks_[i].revision = revision_;
+}
+
+void clear(VoxelMap& map) {
+  const WriteLock lock(map);
+  map.clear();
 }
 
 }  // namespace mapperd

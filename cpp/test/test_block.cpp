@@ -48,13 +48,13 @@ void run_random_updates(const IwloParams& params, std::uint64_t seed) {
       for (int i = 0; i < updates; ++i) {
         const auto at = static_cast<std::size_t>(random.integer(0, mapperd::kBlockVoxels - 1));
         // Far enough up, at times, that free steps are scaled and may not be kept pending.
-        const double step = random.uniform(-1, 5);
+        const double step = random.uniform(-1, 25);
         rule.add(step, voxels.units[at], voxels.count[at]);
         rule.add(step, plain.voxels[at].units, plain.voxels[at].count);
       }
       block.close(rule);
     }
-    if (ping % 40 == 0) check_equal(block, plain, rule);
+    if (ping % 3 == 0) check_equal(block, plain, rule);
   }
   check_equal(block, plain, rule);
 }
@@ -91,10 +91,26 @@ TEST_CASE("a block that ends up free throughout gives its memory back") {
   rule.add(0.5, voxels.units[77], voxels.count[77]);
   block.close(rule);
   CHECK(block.is_dense());
-  for (int i = 0; i < 1000; ++i) block.add_free_everywhere(rule);
-  block.open(rule);
+  bool changed = true;
+  for (int i = 0; i < 200 && changed; ++i) changed = block.add_free_everywhere(rule);
+  CHECK(!changed);
+  CHECK(!block.is_dense() && block.memory_bytes() < 100);
+  CHECK(block.voxel(rule, 77).units == rule.min_units());
+  CHECK(block.voxel(rule, 77).count == rule.settled_count());
+}
+
+TEST_CASE("where free steps say nothing, a block is only counted, for ever") {
+  IwloParams params;
+  params.L_free = 0.0;
+  const IwloRule rule(params);
+  Block block({0, 0, 0});
+  auto& voxels = block.open(rule);
+  rule.add(-0.5, voxels.units[77], voxels.count[77]);
   block.close(rule);
-  CHECK(!block.is_dense());
+  for (int i = 0; i < 1000000; ++i) block.add_free_everywhere(rule);
+  CHECK(block.is_dense());
+  CHECK(block.voxel(rule, 77).units == mapperd::units_of(-0.5));
+  CHECK(block.voxel(rule, 0).units == 0 && block.voxel(rule, 0).count == rule.settled_count());
 }
 
 }  // namespace

@@ -5,7 +5,9 @@
 #include <vector>
 
 #include "check.hpp"
+#include "mapperd/merge.hpp"
 #include "mapperd/point_updates.hpp"
+#include "mapperd/snapshot.hpp"
 #include "maps.hpp"
 
 namespace {
@@ -69,6 +71,21 @@ TEST_CASE("set values are absolute and clamped by the map") {
   set_log_odds(map, {xyz, 2}, values);
   CHECK(map.at(Vec3{0, 0, 0}).log_odds == 10.0F && map.at(Vec3{0, 0, 0}).count == 2);
   CHECK(map.at(Vec3{1, 0, 0}).log_odds == -10.0F);
+}
+
+TEST_CASE("log-odds are kept to their unit, which 32-bit floats are too coarse for") {
+  VoxelMap map(0.1, {});
+  const double xyz[] = {0, 0, 0};
+  const double odd = 9.0 + mapperd::kLogOddsUnit, half = 0.5;
+  const auto units = [](const VoxelMap& of) { return dense_blocks(of, 0, 1).units.at(0); };
+  const std::int32_t expected = 9 * (1 << 24) + 1;
+  set_log_odds(map, {xyz, 1}, &odd);
+  CHECK(units(map) == expected);
+  VoxelMap sum(0.1, {});
+  merge(sum, {&map});
+  CHECK(units(sum) == expected && units(with_rule(map, {})) == expected);
+  add_log_odds(map, {xyz, 1}, &half, {-2, 10});
+  CHECK(units(map) == expected + (1 << 23));
 }
 
 TEST_CASE("points all over the blocks give what one call a point gives") {

@@ -4,6 +4,7 @@
 #include <stdexcept>
 
 #include "check.hpp"
+#include "mapperd/projective.hpp"
 #include "mapperd/voxel_map.hpp"
 #include "scenes.hpp"
 
@@ -43,6 +44,34 @@ TEST_CASE("points and blocks beyond the reach are unknown or refused") {
   CHECK(map.at(mapperd::Vec3{std::numeric_limits<double>::quiet_NaN(), 0, 0}).count == 0);
   CHECK_THROWS(map.get_or_create({mapperd::kMaxBlock + 1, 0, 0}), std::out_of_range);
   CHECK(map.block_count() == 0);
+}
+
+TEST_CASE("a block's revision tells when it last changed, and it stops with the changes") {
+  mapperd::IwloParams quick;  // all is said after some twenty pings
+  quick.decay_rate = 1.0;
+  quick.min_alpha = 0.5;
+  VoxelMap map(0.1, quick);
+  // Free water, and far from it a wall that goes away after two pings.
+  const scenes::Ping water = scenes::empty_ping(30, 8, 1.0, 6.0);
+  mapperd::FanSettings settings;
+  settings.vertical_aperture_rad = 1.2;
+  settings.carve_no_return = true;
+  mapperd::Transform here, there;
+  here.translation = {0.8, 0.8, 0.8};
+  there.translation = {100.8, 0.8, 0.8};
+  scenes::Ping wall = water;
+  for (std::size_t j = 0; j < 8; ++j) wall.intensity[15 * 8 + j] = 50.0F;
+  for (int i = 0; i < 2; ++i) integrate_projective(map, wall.image(), here, settings);
+  const std::uint64_t of_wall = map.revision();
+  const mapperd::BlockKey key{2, 0, 0};
+  CHECK(map.find(key)->is_dense() && map.find(key)->revision == of_wall);
+  integrate_projective(map, water.image(), there, settings);
+  CHECK(map.revision() > of_wall);
+  CHECK(map.find(key)->revision == of_wall);
+  CHECK(map.find({65, 0, 0})->revision == map.revision());
+  for (int i = 0; i < 30; ++i) integrate_projective(map, water.image(), here, settings);
+  CHECK(!map.find(key)->is_dense());
+  CHECK(map.find(key)->revision > of_wall && map.find(key)->revision < map.revision());
 }
 
 TEST_CASE("a resolution that is no length is refused") {

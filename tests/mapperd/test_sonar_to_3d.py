@@ -210,6 +210,12 @@ def test_maps_are_saved_in_every_form(tmp_path: Path) -> None:
     assert mapper.save_map(tmp_path / "map.ply")
     count = mapper.get_point_cloud()["num_occupied"]
     assert f"element vertex {count}\n".encode() in (tmp_path / "map.ply").read_bytes()
+    assert mapper.save_map(tmp_path / "all.map")
+    loaded = SonarTo3DMapper(COARSE)
+    assert loaded.load_map(tmp_path / "all.map")
+    assert (loaded.get_point_cloud()["points"] == mapper.get_point_cloud()["points"]).all()
+    with pytest.raises(MapError, match="voxels are"):
+        SonarTo3DMapper({"voxel_resolution": 0.1}).load_map(tmp_path / "all.map")
     for bad in ("map.txt", "map"):
         with pytest.raises(MapError, match="expected"):
             mapper.save_map(tmp_path / bad)

@@ -2,7 +2,8 @@
 //
 // Space that is wholly free, or seen alike throughout, is one state for all voxels. A block that a
 // surface crosses holds every voxel; free pings over the whole of it are only counted, as long as
-// every voxel's free step is independent of its log-odds, and applied when somebody opens it.
+// every voxel's free step is independent of its log-odds, and applied when somebody opens it, or
+// when they are so many that all voxels must have come to be alike.
 #pragma once
 
 #include <array>
@@ -72,9 +73,14 @@ class Block {
   DenseVoxels& open(const IwloRule& rule);
   void close(const IwloRule& rule);
 
+  // Makes all voxels alike, whatever they were; not between open() and close().
+  void fill(const Voxel& voxel);
+
   Voxel voxel(const IwloRule& rule, int offset) const;
+  int known_count() const;  // voxels that were ever observed; of a block that is not open
   bool is_dense() const { return dense_ != nullptr; }
-  std::size_t memory_bytes() const;
+  std::size_t voxel_bytes() const;  // allocated for voxels, beside the block itself
+  std::size_t memory_bytes() const { return sizeof(Block) + voxel_bytes(); }
 
  private:
   void add_free_steps(const IwloRule& rule, const IwloRule::FreeSteps& steps,
@@ -82,7 +88,8 @@ class Block {
 
   Voxel uniform_;  // all voxels, unless dense_
   bool all_unscaled_ = true;
-  std::uint32_t pending_ = 0;  // free steps not yet applied to dense_
+  std::uint16_t dense_known_ = 0;  // observed voxels of dense_, without pending_
+  std::uint32_t pending_ = 0;      // free steps not yet applied to dense_
   std::unique_ptr<DenseVoxels> dense_;
 };
 

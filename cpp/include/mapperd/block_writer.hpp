@@ -1,10 +1,8 @@
-// Many voxels changed one by one, written block by block: a block that is opened for each of its
-// voxels costs more than the voxels themselves.
+// Many voxels changed one by one, each block opened once: opening and closing it costs more than
+// its voxels.
 #pragma once
 
-#include <array>
 #include <cstdint>
-#include <vector>
 
 #include "mapperd/voxel_map.hpp"
 
@@ -16,22 +14,26 @@ inline BlockKey block_holding(const VoxelIndex& voxel) {
   return {block(voxel.x), block(voxel.y), block(voxel.z)};
 }
 
-// Changes reach the map when another block is written to, and at flush(): the writer's user ends
-// with it. All voxels must lie within the map's reach, all states be observed.
+// Takes voxels in any order, but is quick when those of a block follow each other. All must lie
+// within the map's reach, all states be observed and inside the clamps. As long as it lives,
+// nobody else may look at the map.
 class BlockWriter {
  public:
   explicit BlockWriter(VoxelMap& map) : map_(map) {}
+  ~BlockWriter() { leave(); }
+  BlockWriter(const BlockWriter&) = delete;
+  BlockWriter& operator=(const BlockWriter&) = delete;
 
-  // The voxel as it stands, with what was written to it.
-  VoxelState at(const VoxelIndex& voxel) const;
-  void set(const VoxelIndex& voxel, const VoxelState& state);
-  void flush();
+  Voxel at(const VoxelIndex& voxel);
+  void set(const VoxelIndex& voxel, const Voxel& state);
 
  private:
+  std::size_t enter(const VoxelIndex& voxel);  // its offset
+  void leave();
+
   VoxelMap& map_;
-  BlockKey key_;
-  std::vector<int> written_;                       // offsets
-  std::array<VoxelState, kBlockVoxels> states_{};  // count 0 unless written
+  Block* block_ = nullptr;  // open
+  DenseVoxels* voxels_ = nullptr;
 };
 
 }  // namespace mapperd

@@ -1,7 +1,9 @@
 // The Intensity-Weighted Log-Odds rule: the one place where evidence becomes log-odds.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
@@ -84,8 +86,16 @@ class IwloRule {
   const FreeSteps& one_free_step() const { return one_free_step_; }
   std::int32_t unscaled_up_to() const { return unscaled_up_to_; }
 
+  // After so many free steps without a scale every voxel is at L_min and counted out.
+  std::uint32_t free_steps_to_floor() const { return free_steps_to_floor_; }
+
+  std::size_t memory_bytes() const;  // of its tables
+
   std::int32_t min_units() const { return min_units_; }
   std::int32_t max_units() const { return max_units_; }
+  std::int32_t clamped(std::int64_t units) const {
+    return static_cast<std::int32_t>(std::clamp<std::int64_t>(units, min_units_, max_units_));
+  }
 
  private:
   double alpha(std::uint16_t count) const;
@@ -95,7 +105,8 @@ class IwloRule {
   std::int32_t min_units_;
   std::int32_t max_units_;
   std::int32_t unscaled_up_to_;
-  std::int64_t settled_free_step_;            // units a ping once alpha has settled
+  std::int64_t settled_free_step_;  // units a ping once alpha has settled
+  std::uint32_t free_steps_to_floor_;
   std::vector<std::int64_t> free_steps_sum_;  // of the first n free steps, n up to settled
   FreeSteps one_free_step_;
 };

@@ -45,24 +45,34 @@ void check_dense(const VoxelBox& box);
 
 namespace detail {
 
-// Visits a box block by block, in the map's canonical order.
-template <typename Visit>
-void for_each_voxel_of(const VoxelBox& box, const Visit& visit) {
-  const VoxelIndex& low = box.first;
-  const VoxelIndex high{low.x + box.size[0], low.y + box.size[1], low.z + box.size[2]};
-  // First voxel of the block after the one that holds `i`, but not beyond `end`.
-  const auto next_block = [](std::int64_t i, std::int64_t end) {
-    const std::int64_t local = (i % kBlockEdge + kBlockEdge) % kBlockEdge;
-    return std::min(i - local + kBlockEdge, end);
+// The box that holds all blocks which share voxels with a box of voxels, in blocks.
+inline VoxelBox blocks_of(const VoxelBox& box) {
+  const auto first = [](std::int64_t i) { return i >> kBlockShift; };
+  const auto span = [](std::int64_t i, std::int64_t size) {
+    return size == 0 ? 0 : ((i + size - 1) >> kBlockShift) - (i >> kBlockShift) + 1;
   };
-  for (std::int64_t bx = low.x; bx < high.x; bx = next_block(bx, high.x)) {
-    for (std::int64_t by = low.y; by < high.y; by = next_block(by, high.y)) {
-      for (std::int64_t bz = low.z; bz < high.z; bz = next_block(bz, high.z)) {
-        for (std::int64_t z = bz; z < next_block(bz, high.z); ++z) {
-          for (std::int64_t y = by; y < next_block(by, high.y); ++y) {
-            for (std::int64_t x = bx; x < next_block(bx, high.x); ++x) visit(VoxelIndex{x, y, z});
-          }
-        }
+  return {{first(box.first.x), first(box.first.y), first(box.first.z)},
+          {span(box.first.x, box.size[0]), span(box.first.y, box.size[1]),
+           span(box.first.z, box.size[2])}};
+}
+
+// Visits the observed voxels that a block shares with a box.
+template <typename Visit>
+void for_each_known_of(const VoxelMap& map, const Block& block, const VoxelBox& box,
+                       const Visit& visit) {
+  const VoxelIndex corner = VoxelMap::index_of(block.key, 0);
+  const auto from = [](std::int64_t low, std::int64_t begin) {
+    return static_cast<int>(std::clamp<std::int64_t>(low - begin, 0, kBlockEdge));
+  };
+  const int x_end = from(box.first.x + box.size[0], corner.x);
+  const int y_end = from(box.first.y + box.size[1], corner.y);
+  const int z_end = from(box.first.z + box.size[2], corner.z);
+  for (int z = from(box.first.z, corner.z); z < z_end; ++z) {
+    for (int y = from(box.first.y, corner.y); y < y_end; ++y) {
+      for (int x = from(box.first.x, corner.x); x < x_end; ++x) {
+        const Voxel voxel = block.voxel(map.rule(), voxel_offset(x, y, z));
+        if (voxel.count == 0) continue;
+        visit(VoxelIndex{corner.x + x, corner.y + y, corner.z + z}, VoxelMap::state_of(voxel));
       }
     }
   }
@@ -70,20 +80,29 @@ void for_each_voxel_of(const VoxelBox& box, const Visit& visit) {
 
 }  // namespace detail
 
-// Visits the observed voxels of a box, in the map's canonical order. Walks the box or the map,
-// whichever is smaller.
+// Visits the observed voxels of a box, in the map's canonical order. Looks up the blocks of the
+// box, or goes through those of the map, whichever are fewer.
 template <typename Visit>  // void(const VoxelIndex&, const VoxelState&)
 void for_each_known_in(const VoxelMap& map, const VoxelBox& box, const Visit& visit) {
-  if (box.count() <= map.block_count() * std::size_t{kBlockVoxels}) {
-    detail::for_each_voxel_of(box, [&](const VoxelIndex& voxel) {
-      const VoxelState state = map.at(voxel);
-      if (state.count != 0) visit(voxel, state);
-    });
+  const VoxelBox blocks = detail::blocks_of(box);
+  if (blocks.count() > map.block_count()) {
+    for (const Block* block : map.sorted_blocks()) {
+      const BlockKey& key = block->key;
+      if (!blocks.contains({key.x, key.y, key.z})) continue;
+      detail::for_each_known_of(map, *block, box, visit);
+    }
     return;
   }
-  map.for_each_known([&](const VoxelIndex& voxel, const VoxelState& state) {
-    if (box.contains(voxel)) visit(voxel, state);
-  });
+  const VoxelIndex& low = blocks.first;
+  for (std::int64_t x = low.x; x < low.x + blocks.size[0]; ++x) {
+    for (std::int64_t y = low.y; y < low.y + blocks.size[1]; ++y) {
+      for (std::int64_t z = low.z; z < low.z + blocks.size[2]; ++z) {
+        const Block* block = map.find({static_cast<std::int32_t>(x), static_cast<std::int32_t>(y),
+                                       static_cast<std::int32_t>(z)});
+        if (block != nullptr) detail::for_each_known_of(map, *block, box, visit);
+      }
+    }
+  }
 }
 
 }  // namespace mapperd

@@ -4,15 +4,20 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <deque>
-#include <functional>
+#include <mutex>
+#include <shared_mutex>
 #include <vector>
 
 #include "mapperd/block.hpp"
+#include "mapperd/block_store.hpp"
 #include "mapperd/iwlo.hpp"
+#include "mapperd/map_mutex.hpp"
 #include "mapperd/vec.hpp"
 
 namespace mapperd {
+
+// Within +-kMaxBlock on every axis.
+bool in_reach(const BlockKey& key);
 
 // A voxel of the map: it spans index to index + 1 times the resolution along each axis.
 struct VoxelIndex {
@@ -30,6 +35,11 @@ struct VoxelState {
   std::uint16_t count = 0;
 };
 
+// Threads: the members take no lock. The functions of the other headers (integrators, updates,
+// queries, snapshots, files) each take the one that they need, once, and see or make one whole
+// state of the map; who calls the members of a map that other threads know holds a ReadLock or a
+// WriteLock (below), and calls none of those functions under it. The resolution and the rule never
+// change and need no lock; nor does what they alone decide (index_of, centre_of).
 class VoxelMap {
  public:
   // Throws std::invalid_argument for a resolution that is not finite and positive, or bad rules.
@@ -39,7 +49,8 @@ class VoxelMap {
   const IwloRule& rule() const { return rule_; }
 
   std::size_t block_count() const { return blocks_.size(); }
-  std::size_t memory_bytes() const;  // blocks and hash table
+  std::size_t memory_bytes() const;  // all that is allocated, within 5 % of what malloc says
+  std::size_t known_count() const;   // voxels that were ever observed
 
   // Counts up with every change of the map; a block's revision tells when it last changed.
   std::uint64_t revision() const { return revision_; }
@@ -57,8 +68,9 @@ class VoxelMap {
   // Throws std::out_of_range beyond the map's reach.
   void set(const VoxelIndex& voxel, const VoxelState& state);
 
-  // The same for many voxels of one block at once; those with a count of 0 stay as they are.
-  void set_block(const BlockKey& key, const std::array<VoxelState, kBlockVoxels>& states);
+  // The same for many voxels of one block at once, inside the clamps; those with a count of 0 stay
+  // as they are.
+  void set_block(const BlockKey& key, const std::array<Voxel, kBlockVoxels>& states);
 
   // The voxel that holds a point; false beyond the map's reach and for points that are not finite.
   bool index_of(const Vec3& point_m, VoxelIndex& voxel) const;
@@ -85,6 +97,12 @@ class VoxelMap {
 
   void clear();
 
+  // Exchanges the content with that of a map of the same resolution, clamps and settled count,
+  // which nobody else knows. All blocks count as changed.
+  void take_blocks(VoxelMap& other);
+
+  MapMutex& mutex() const { return mutex_; }
+
  private:
   static constexpr std::uint32_t kEmpty = 0xFFFFFFFFU;
 
@@ -92,11 +110,33 @@ class VoxelMap {
   std::size_t slot_of(const BlockKey& key) const;
   void grow();
 
+  mutable MapMutex mutex_;
   double resolution_m_;
   IwloRule rule_;
   std::uint64_t revision_ = 0;
-  std::deque<Block> blocks_;          // references stay valid while blocks are added
+  BlockStore blocks_;
   std::vector<std::uint32_t> slots_;  // open addressing, a power of two, at most half full
 };
+
+// As long as it lives, nobody writes to the map.
+class [[nodiscard]] ReadLock {
+ public:
+  explicit ReadLock(const VoxelMap& map) : lock_(map.mutex()) {}
+
+ private:
+  std::shared_lock<MapMutex> lock_;
+};
+
+// As long as it lives, nobody else reads the map or writes to it.
+class [[nodiscard]] WriteLock {
+ public:
+  explicit WriteLock(VoxelMap& map) : lock_(map.mutex()) {}
+
+ private:
+  std::unique_lock<MapMutex> lock_;
+};
+
+// Forgets all voxels.
+void clear(VoxelMap& map);
 
 }  // namespace mapperd
