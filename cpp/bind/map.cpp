@@ -50,7 +50,7 @@ PingStats projective(VoxelMap& map, const py::object& intensity, const py::objec
                      const std::string& aggregation, double error_bound, int threads) {
   const Ping ping(intensity, bearings, range_resolution_m);
   const Transform pose = transform_of(map_T_sonar, "map_T_sonar");
-  const FanSettings settings{vertical_aperture_rad, min_range_m, carve_no_return,
+  const FanSettings settings{vertical_aperture_rad,       min_range_m, carve_no_return,
                              aggregation_of(aggregation), error_bound, threads};
   const py::gil_scoped_release release;
   return integrate_projective(map, ping.image, pose, settings);

@@ -78,9 +78,8 @@ void Block::close(const IwloRule& rule) {
   for (const std::uint16_t c : count) known += c != 0 ? 1U : 0U;
   dense_known_ = static_cast<std::uint16_t>(known);
   // Each voxel equals the next.
-  const bool alike =
-      std::memcmp(&units[0], &units[1], sizeof units - sizeof units[0]) == 0 &&
-      std::memcmp(&count[0], &count[1], sizeof count - sizeof count[0]) == 0;
+  const bool alike = std::memcmp(&units[0], &units[1], sizeof units - sizeof units[0]) == 0 &&
+                     std::memcmp(&count[0], &count[1], sizeof count - sizeof count[0]) == 0;
   if (!alike) return;
   uniform_ = {units[0], count[0]};
   dense_.reset();

@@ -22,7 +22,8 @@ constexpr double kUnclear = 0.06;
 constexpr int kLinesIfUnclear = 32;
 
 void mark_free(int x, int y, int z, BlockEvidence& evidence) {
-  evidence.free[static_cast<std::size_t>(y + kBlockEdge * z)] |= static_cast<std::uint16_t>(1U << x);
+  evidence.free[static_cast<std::size_t>(y + kBlockEdge * z)] |=
+      static_cast<std::uint16_t>(1U << x);
   evidence.any_free = true;
 }
 
@@ -182,16 +183,15 @@ void BlockLooker::look_far(const Cell& cell, BlockEvidence& evidence) const {
     const int x = cell.x + i % kCell;
     const int y = cell.y + i / kCell % kCell;
     const int z = cell.z + i / (kCell * kCell);
-    const bool clear = far_m <= least_free && near_m >= fan_.min_range_m() &&
-                       at.inside_sides[i] >= extent.level;
+    const bool clear =
+        far_m <= least_free && near_m >= fan_.min_range_m() && at.inside_sides[i] >= extent.level;
     if (clear && at.inside_aperture[i] > extent.bend) {
       mark_free(x, y, z, evidence);
       continue;
     }
     if (clear && at.inside_aperture[i] < -extent.bend) continue;
-    if (near_m >= most_free &&
-        !fan_.any_return(where.first_beam, where.last_beam, near_m + extent.cap,
-                         far_m - extent.cap)) {
+    if (near_m >= most_free && !fan_.any_return(where.first_beam, where.last_beam,
+                                                near_m + extent.cap, far_m - extent.cap)) {
       continue;
     }
     const Fan::Place place{at.range[i], at.horizontal[i], at.sine[i], at.inside_aperture[i],
@@ -216,8 +216,7 @@ void BlockLooker::places(const Cell& cell, CellPlaces& at) const {
 
 Vec3 BlockLooker::voxel_centre(const Cell& cell, int i) const {
   const auto shift = [this](int at) { return (at + 0.5 - kCell / 2) * edge_m_; };
-  return cell.centre +
-         Vec3{shift(i % kCell), shift(i / kCell % kCell), shift(i / (kCell * kCell))};
+  return cell.centre + Vec3{shift(i % kCell), shift(i / kCell % kCell), shift(i / (kCell * kCell))};
 }
 
 void BlockLooker::settle(const Fan::Verdict& verdict, const Vec3& centre, int offset,
@@ -228,8 +227,8 @@ void BlockLooker::settle(const Fan::Verdict& verdict, const Vec3& centre, int of
       return;
     case Fan::Content::mostly_free:
     case Fan::Content::all_free:
-      return mark_free(offset % kBlockEdge, offset / kBlockEdge % kBlockEdge,
-                       offset / kBlockRows, evidence);
+      return mark_free(offset % kBlockEdge, offset / kBlockEdge % kBlockEdge, offset / kBlockRows,
+                       evidence);
     case Fan::Content::undecided:
       break;
   }

@@ -30,8 +30,7 @@ double part_beyond(const Vec3& normal, double offset) {
     part = (t - 0.5 * (w[1] + w[2])) / w[0];
   } else if (w[2] <= flat) {
     const double s = t - 0.5 * w[2];
-    part = (square_above(s) - square_above(s - w[0]) - square_above(s - w[1])) /
-           (2 * w[0] * w[1]);
+    part = (square_above(s) - square_above(s - w[0]) - square_above(s - w[1])) / (2 * w[0] * w[1]);
   } else {
     part = (cube_above(t) - cube_above(t - w[0]) - cube_above(t - w[1]) - cube_above(t - w[2]) +
             cube_above(t - w[1] - w[2])) /

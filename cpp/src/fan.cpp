@@ -296,9 +296,9 @@ Fan::Extent Fan::extent_in_cell(const Vec3& in_sonar, double edge_m, int cell) c
   return extent;
 }
 
-// A voxel without returns but in its nearest and farthest slices: each beam is wholly free or wholly
-// not, but for those slices. The planes between beams run through the sonar and do not meet inside
-// the voxel, so that the free part is a sum over those that part free from not free.
+// A voxel without returns but in its nearest and farthest slices: each beam is wholly free or
+// wholly not, but for those slices. The planes between beams run through the sonar and do not meet
+// inside the voxel, so that the free part is a sum over those that part free from not free.
 Fan::Content Fan::free_between_beams(const Vec3& centre, const Extent& extent,
                                      const FanPart& where) const {
   const auto is_free = [&](std::size_t j) { return free_limit_m_[j] >= where.far_m - extent.cap; };
@@ -324,8 +324,8 @@ Fan::Verdict Fan::verdict(const Vec3& centre, const Place& place, const Extent& 
   if (place.inside_sides < -extent.level || place.inside_aperture < -extent.aperture) return {};
 
   const bool clear_of_sides = near_m >= min_range_ && place.inside_sides >= extent.level;
-  FanPart where{0,     beams() - 1, near_m, far_m, place.inside_aperture < extent.aperture,
-                !clear_of_sides};
+  FanPart where{
+      0, beams() - 1, near_m, far_m, place.inside_aperture < extent.aperture, !clear_of_sides};
   where.first_beam = beam_at_sine(place.sine - extent.spread);
   where.last_beam = where.first_beam;
   const double highest = place.sine + extent.spread;

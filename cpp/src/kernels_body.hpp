@@ -208,7 +208,8 @@ bool lower(std::int32_t* units, std::uint16_t* count, const std::uint16_t* rows,
       above |= taken && !lowered ? 1U : 0U;
       const std::uint32_t step = down[count[i]];
       // Modulo 2^32, so that no sum overflows.
-      const auto room = static_cast<std::uint32_t>(units[i]) - static_cast<std::uint32_t>(min_units);
+      const auto room =
+          static_cast<std::uint32_t>(units[i]) - static_cast<std::uint32_t>(min_units);
       const std::int32_t after =
           room <= step ? min_units
                        : static_cast<std::int32_t>(static_cast<std::uint32_t>(units[i]) - step);

@@ -147,8 +147,8 @@ class PingUpdate {
   const FanSettings& settings_;
   Fan fan_;
   double block_m_;
-  BlockKey origin_;  // the sonar's block
-  Vec3 offset_;      // the sonar inside it
+  BlockKey origin_;                // the sonar's block
+  Vec3 offset_;                    // the sonar inside it
   std::vector<BlockKey> free_;     // blocks that are wholly free, relative to origin_
   std::vector<BlockKey> crossed_;  // and those that have to be looked at
   std::vector<BlockEvidence> evidence_;

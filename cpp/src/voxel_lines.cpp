@@ -50,10 +50,7 @@ double component(const Vec3& v, std::size_t axis) {
 }  // namespace
 
 VoxelLines::VoxelLines(const Fan& fan, double edge_m, const Kernels& kernels)
-    : fan_(fan),
-      kernels_(kernels),
-      edge_m_(edge_m),
-      rows_per_m_(1.0 / fan.range_resolution_m()) {
+    : fan_(fan), kernels_(kernels), edge_m_(edge_m), rows_per_m_(1.0 / fan.range_resolution_m()) {
   for (std::size_t j = 0; j < fan.beams(); ++j) {
     free_limit_rows_.push_back(fan.free_limit_m(j) * rows_per_m_);
   }
@@ -117,7 +114,8 @@ bool VoxelLines::evidence(const Cube& cube, const FanPart& where, const Directio
   const auto first_row = static_cast<std::size_t>(std::max(where.near_m * rows_per_m_, 0.0));
   const auto end_row =
       std::min(static_cast<std::size_t>(where.far_m * rows_per_m_) + 1, fan_.rows());
-  if (range < kNearestForLines * edge_m_ || where.last_beam - where.first_beam >= kMaxBeamsOfVoxel ||
+  if (range < kNearestForLines * edge_m_ ||
+      where.last_beam - where.first_beam >= kMaxBeamsOfVoxel ||
       first_row + kMaxRowsOfVoxel < end_row) {
     return false;
   }

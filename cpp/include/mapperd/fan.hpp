@@ -113,9 +113,8 @@ class Fan {
     const auto rows = static_cast<std::ptrdiff_t>(row_count_);
     const auto first_row = std::max(static_cast<std::ptrdiff_t>(from), std::ptrdiff_t{0});
     const auto end_row = std::min(static_cast<std::ptrdiff_t>(end), rows);
-    return first_row < end_row &&
-           return_rows_.any(first, last, static_cast<std::size_t>(first_row),
-                            static_cast<std::size_t>(end_row));
+    return first_row < end_row && return_rows_.any(first, last, static_cast<std::size_t>(first_row),
+                                                   static_cast<std::size_t>(end_row));
   }
   // Beam j's returns in up to 64 rows from `row` to before `end`, a bit each.
   std::uint64_t returns_in_rows(std::size_t j, std::size_t row, std::size_t end) const {
@@ -195,7 +194,7 @@ class Fan {
   bool carve_no_return_;
   Transform rotation_;
   std::vector<double> edges_;
-  std::vector<Vec3> edge_normals_;    // map axes
+  std::vector<Vec3> edge_normals_;  // map axes
   std::vector<double> edge_sines_;
   std::vector<std::uint32_t> beam_guess_;  // by sine, the beam at the cell's low end
   double guesses_per_sine_ = 0.0;
@@ -204,7 +203,7 @@ class Fan {
   std::vector<double> free_limit_m_;  // free from min_range up to here; 0: says nothing
   RunExtreme<Smaller> least_free_m_;
   RunExtreme<Larger> most_free_m_;
-  std::vector<RadialPiece> pieces_;   // of all beams, returns first, then free space
+  std::vector<RadialPiece> pieces_;  // of all beams, returns first, then free space
   std::vector<RadialProfile> returns_;
   std::vector<RadialProfile> free_space_;
 };

@@ -32,14 +32,14 @@ struct LineBeam {
 // A voxel as seen along parallel lines through it. Lengths in metres; range in rows of the image,
 // counted from the first row that the voxel touches.
 struct LineTask {
-  float half;         // half the voxel's edge
-  float row;          // of the centre
+  float half;  // half the voxel's edge
+  float row;   // of the centre
   float rows_per_m;
-  float ahead_u;      // direction of increasing range
+  float ahead_u;  // direction of increasing range
   float ahead_v;
-  float ahead_t;      // along the lines, positive
+  float ahead_t;  // along the lines, positive
   float inverse_range;
-  float min_row;      // nothing is learnt before it
+  float min_row;  // nothing is learnt before it
   int beams;
   bool outermost_low;   // the first beam is the fan's first: its lower edge counts
   bool outermost_high;  // and the last beam's upper edge
@@ -62,7 +62,8 @@ struct LineSums {
 inline constexpr int kCellEdge = 4;
 inline constexpr int kCellVoxels = kCellEdge * kCellEdge * kCellEdge;
 
-// A linear function of a voxel's place in its cell: first + x * step[0] + y * step[1] + z * step[2].
+// A linear function of a voxel's place in its cell: first + x * step[0] + y * step[1] + z *
+// step[2].
 struct CellLine {
   double first;
   double step[3];
@@ -82,7 +83,7 @@ struct CellTask {
 struct CellPlaces {
   double range[kCellVoxels];
   double horizontal[kCellVoxels];  // distance from the sonar's vertical axis
-  double sine[kCellVoxels];  // of the bearing
+  double sine[kCellVoxels];        // of the bearing
   double inside_aperture[kCellVoxels];
   double inside_sides[kCellVoxels];
 };
