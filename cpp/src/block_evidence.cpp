@@ -249,34 +249,27 @@ Evidence BlockLooker::exact(const Cube& cube, const FanPart& where) const {
 
 // As few lines as the bound allows.
 bool BlockLooker::sampled(const Cube& cube, const FanPart& where, Evidence& sum) const {
-  VoxelLines::Sample sample;
-  const auto direction =
-      VoxelLines::direction_at({cube.centre_m[0], cube.centre_m[1], cube.centre_m[2]});
-  for (int lines = kFewestLines;;) {
-    if (!lines_.evidence(cube, where, direction, lines, sample)) return false;
-    sum = sample.sum;
-    // The mean of both kinds of evidence depends on the parts themselves.
-    const bool both = sum.occupied > 0 && sum.free > 0;
-    if (aggregation_ == Aggregation::mean && both) return false;
-    const int needed = lines == kFewestLines ? lines_for(sample) : lines;
-    if (needed <= lines) return true;
-    lines = needed;
-  }
+  LineTask task;
+  if (!lines_.prepare(cube, where, task)) return false;
+  VoxelLines::Sample sample = lines_.sample(task, kFewestLines);
+  const int lines = lines_for(sample, task.any_return);
+  if (lines > kFewestLines) sample = lines_.sample(task, lines);
+  sum = sample.sum;
+  // The mean of both kinds of evidence depends on the parts themselves.
+  return aggregation_ != Aggregation::mean || sum.occupied <= 0 || sum.free <= 0;
 }
 
-int BlockLooker::lines_for(const VoxelLines::Sample& sample) const {
+int BlockLooker::lines_for(const VoxelLines::Sample& sample, bool any_return) const {
   const Evidence& sum = sample.sum;
-  const bool unclear = sample.any_return ? sum.occupied < kOccupiedPart + kUnclear
-                                         : std::abs(sum.free - kFreePart) < kUnclear;
-  double needed = unclear ? kLinesIfUnclear : kFewestLines;
-  if (sum.occupied > 0) {
-    const double weight = sum.weight();
-    const double variance = std::max(sample.squared / sum.occupied - weight * weight, 0.0);
-    const double sigma_over_root = std::sqrt(variance / sum.occupied);
-    needed = std::max(needed, kSpread * sigma_over_root / weight_error_);
-  }
-  int lines = kFewestLines;
-  while (lines < needed && lines < kMostLines) lines *= 2;
+  const bool unclear = any_return ? sum.occupied < kOccupiedPart + kUnclear
+                                  : std::abs(sum.free - kFreePart) < kUnclear;
+  int lines = unclear ? kLinesIfUnclear : kFewestLines;
+  if (!(sum.occupied > 0)) return lines;
+  // kSpread sigma / (lines sqrt(occupied)) against the bound, squared.
+  const double variance = sample.squared / sum.occupied - sum.weight() * sum.weight();
+  const double needed = kSpread * kSpread * variance;
+  const double allowed = weight_error_ * weight_error_ * sum.occupied;
+  while (lines < kMostLines && needed > allowed * (lines * lines)) lines *= 2;
   return lines;
 }
 

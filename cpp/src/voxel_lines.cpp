@@ -41,8 +41,6 @@ float not_zero(float slope) {
   return std::abs(slope) < kParallel ? std::copysign(kParallel, slope) : slope;
 }
 
-std::size_t table_of(const VoxelLines::Direction& d) { return 2 * d.axis + (d.backwards ? 1 : 0); }
-
 double component(const Vec3& v, std::size_t axis) {
   return axis == 0 ? v.x : axis == 1 ? v.y : v.z;
 }
@@ -50,7 +48,9 @@ double component(const Vec3& v, std::size_t axis) {
 }  // namespace
 
 VoxelLines::VoxelLines(const Fan& fan, double edge_m, const Kernels& kernels)
-    : fan_(fan), kernels_(kernels), edge_m_(edge_m), rows_per_m_(1.0 / fan.range_resolution_m()) {
+    : fan_(fan), kernels_(kernels), edge_m_(edge_m),
+      per_edge_m_(static_cast<float>(1.0 / edge_m)),
+      rows_per_m_(1.0 / fan.range_resolution_m()) {
   for (std::size_t j = 0; j < fan.beams(); ++j) {
     free_limit_rows_.push_back(fan.free_limit_m(j) * rows_per_m_);
   }
@@ -64,6 +64,10 @@ VoxelLines::VoxelLines(const Fan& fan, double edge_m, const Kernels& kernels)
   }
 }
 
+std::size_t VoxelLines::table_of(const Direction& direction) {
+  return 2 * direction.axis + (direction.backwards ? 1 : 0);
+}
+
 VoxelLines::Direction VoxelLines::direction_at(const Vec3& centre) {
   const double x = std::abs(centre.x);
   const double y = std::abs(centre.y);
@@ -72,7 +76,7 @@ VoxelLines::Direction VoxelLines::direction_at(const Vec3& centre) {
   return {axis, component(centre, axis) < 0};
 }
 
-LinePlane VoxelLines::plane_of(const Vec3& normal, const Direction& d) const {
+LinePlane VoxelLines::plane_of(const Vec3& normal, const Direction& d) {
   const auto along = static_cast<float>(component(normal, d.axis));
   const float t = not_zero(d.backwards ? -along : along);
   return {static_cast<float>(component(normal, (d.axis + 1) % 3)),
@@ -89,26 +93,29 @@ void VoxelLines::cut_by_aperture(const Vec3& centre, const Direction& direction,
   }
 }
 
-// Of the beams that the voxel may lie in those that it does; where their edges are.
-VoxelLines::Beams VoxelLines::beams_of(const Vec3& centre, double half_m, const FanPart& where,
-                                       LineTask& task) const {
-  const Vec3& n = fan_.edge_normal(where.first_beam);
-  // Their normals differ by less than a percent from the first one's in all but the nearest voxels.
-  const double widest = 1.7320508075688772 * half_m;
-  const double reach =
-      std::min(1.02 * half_m * (std::abs(n.x) + std::abs(n.y) + std::abs(n.z)), widest);
+// Of the beams that the voxel may lie in those that it does; returns the first.
+std::size_t VoxelLines::find_beams(const Vec3& centre, double half_m, const FanPart& where,
+                                   LineTask& task) const {
   std::size_t first = where.first_beam;
   std::size_t last = where.last_beam;
-  while (first < last && dot(fan_.edge_normal(first + 1), centre) > reach) ++first;
-  while (first < last && dot(fan_.edge_normal(last), centre) < -reach) --last;
+  if (first < last) {
+    const Vec3& n = fan_.edge_normal(first);
+    // The edges' normals differ by less than a percent from the first one's, but nearest to the
+    // sonar, and there the voxel reaches no farther than its corners.
+    constexpr double kRootOf3 = 1.7320508075688772;
+    const double width = std::abs(n.x) + std::abs(n.y) + std::abs(n.z);
+    const double reach = half_m * std::min(1.02 * width, kRootOf3);
+    while (first < last && dot(fan_.edge_normal(first + 1), centre) > reach) ++first;
+    while (first < last && dot(fan_.edge_normal(last), centre) < -reach) --last;
+  }
   for (std::size_t e = first; e <= last + 1; ++e) {
     task.edge_base[e - first] = static_cast<float>(dot(fan_.edge_normal(e), centre));
   }
-  return {first, last - first + 1};
+  task.beams = static_cast<int>(last - first + 1);
+  return first;
 }
 
-bool VoxelLines::evidence(const Cube& cube, const FanPart& where, const Direction& direction,
-                          int lines, Sample& sample) const {
+bool VoxelLines::prepare(const Cube& cube, const FanPart& where, LineTask& task) const {
   const Vec3 centre{cube.centre_m[0], cube.centre_m[1], cube.centre_m[2]};
   const double range = norm(centre);
   const auto first_row = static_cast<std::size_t>(std::max(where.near_m * rows_per_m_, 0.0));
@@ -119,38 +126,40 @@ bool VoxelLines::evidence(const Cube& cube, const FanPart& where, const Directio
       first_row + kMaxRowsOfVoxel < end_row) {
     return false;
   }
+  const Direction direction = direction_at(centre);
   const double inverse_range = 1.0 / range;
-  const double rows_before = static_cast<double>(first_row);
-  const double ahead_t = component(centre, direction.axis) * inverse_range;
-  LineTask task;
+  const auto rows_before = static_cast<double>(first_row);
   task.half = static_cast<float>(cube.half_m);
   task.row = static_cast<float>(range * rows_per_m_ - rows_before);
   task.rows_per_m = static_cast<float>(rows_per_m_);
   task.ahead_u = static_cast<float>(component(centre, (direction.axis + 1) % 3) * inverse_range);
   task.ahead_v = static_cast<float>(component(centre, (direction.axis + 2) % 3) * inverse_range);
-  task.ahead_t = static_cast<float>(std::abs(ahead_t));
+  task.ahead_t = static_cast<float>(std::abs(component(centre, direction.axis)) * inverse_range);
   task.inverse_range = static_cast<float>(inverse_range);
   task.min_row = static_cast<float>(fan_.min_range_m() * rows_per_m_ - rows_before);
-  const Beams beams = beams_of(centre, cube.half_m, where, task);
-  task.beams = static_cast<int>(beams.count);
-  task.outermost_low = beams.first == 0;
-  task.outermost_high = beams.first + beams.count == fan_.beams();
-  task.edge = &edge_planes_[table_of(direction)][beams.first];
-  sample.any_return = false;
-  for (std::size_t i = 0; i < beams.count; ++i) {
-    const std::size_t j = beams.first + i;
+  const std::size_t first = find_beams(centre, cube.half_m, where, task);
+  const auto beams = static_cast<std::size_t>(task.beams);
+  task.outermost_low = first == 0;
+  task.outermost_high = first + beams == fan_.beams();
+  task.edge = &edge_planes_[table_of(direction)][first];
+  task.any_return = false;
+  for (std::size_t i = 0; i < beams; ++i) {
+    const std::size_t j = first + i;
     const std::uint64_t returns = fan_.returns_in_rows(j, first_row, end_row);
-    sample.any_return = sample.any_return || returns != 0;
+    task.any_return = task.any_return || returns != 0;
     task.beam[i] = {fan_.weights(j) + first_row, returns,
                     static_cast<float>(free_limit_rows_[j] - rows_before)};
   }
   task.cones = 0;
   if (where.cut_by_aperture) cut_by_aperture(centre, direction, task);
+  return true;
+}
+
+VoxelLines::Sample VoxelLines::sample(const LineTask& task, int lines) const {
   const Lattice& lattice = lattice_for(lines);
   const LineSums sums = kernels_.lines(task, lattice.u.data(), lattice.v.data(), lines / kLanes);
-  sample.sum = {sums.occupied / edge_m_, sums.weighted / edge_m_, sums.free / edge_m_};
-  sample.squared = sums.squared / edge_m_;
-  return true;
+  return {{sums.occupied * per_edge_m_, sums.weighted * per_edge_m_, sums.free * per_edge_m_},
+          sums.squared * per_edge_m_};
 }
 
 }  // namespace mapperd

@@ -41,6 +41,7 @@ struct LineTask {
   float inverse_range;
   float min_row;  // nothing is learnt before it
   int beams;
+  bool any_return;      // in these rows and beams
   bool outermost_low;   // the first beam is the fan's first: its lower edge counts
   bool outermost_high;  // and the last beam's upper edge
   int cones;            // planes of the aperture that cut the voxel

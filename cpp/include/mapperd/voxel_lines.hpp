@@ -22,36 +22,35 @@ class VoxelLines {
  public:
   struct Sample {
     Evidence sum;
-    double squared = 0.0;     // integral of the squared w(I)
-    bool any_return = false;  // in the rows and beams that the voxel touches
+    double squared = 0.0;  // integral of the squared w(I)
   };
 
   VoxelLines(const Fan& fan, double edge_m, const Kernels& kernels);
 
-  // The lines' direction, for voxels around a point: an axis of the map, either way.
+  // What the kernel has to know of a voxel. False for voxels too near to the sonar, or with too
+  // many beams or rows.
+  bool prepare(const Cube& cube, const FanPart& where, LineTask& task) const;
+
+  // Samples a prepared voxel along 8, 16, 32, 64 or 128 lines.
+  Sample sample(const LineTask& task, int lines) const;
+
+ private:
+  // The lines' direction: an axis of the map, either way.
   struct Direction {
     std::size_t axis;
     bool backwards;
   };
   static Direction direction_at(const Vec3& centre);
-
-  // False, and nothing done, for voxels too near to the sonar, or with too many beams or rows.
-  // `lines` is 8, 16, 32, 64 or 128.
-  bool evidence(const Cube& cube, const FanPart& where, const Direction& direction, int lines,
-                Sample& sample) const;
-
- private:
-  struct Beams {
-    std::size_t first;
-    std::size_t count;
-  };
-  Beams beams_of(const Vec3& centre, double half_m, const FanPart& where, LineTask& task) const;
-  LinePlane plane_of(const Vec3& normal, const Direction& direction) const;
+  static std::size_t table_of(const Direction& direction);
+  static LinePlane plane_of(const Vec3& normal, const Direction& direction);
+  std::size_t find_beams(const Vec3& centre, double half_m, const FanPart& where,
+                         LineTask& task) const;
   void cut_by_aperture(const Vec3& centre, const Direction& direction, LineTask& task) const;
 
   const Fan& fan_;
   const Kernels& kernels_;
   double edge_m_;
+  float per_edge_m_;
   double rows_per_m_;
   std::vector<double> free_limit_rows_;                // by beam
   std::array<std::vector<LinePlane>, 6> edge_planes_;  // by direction
