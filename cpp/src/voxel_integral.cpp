@@ -189,11 +189,21 @@ Two flux_through(const Polygon& face, double distance, const RadialProfile& prof
   return {flux.part - distance * turn * foot.part, flux.weight - distance * turn * foot.weight};
 }
 
+// Squared distance of a face's farthest corner.
+double farthest(const Cube& cube, std::size_t axis, double distance) {
+  const double u = std::abs(cube.centre_m[(axis + 1) % 3]) + cube.half_m;
+  const double v = std::abs(cube.centre_m[(axis + 2) % 3]) + cube.half_m;
+  return distance * distance + u * u + v * v;
+}
+
 // Flux out of the cube's faces, inside the wedge.
 void add_wedge(const Cube& cube, const Wedge& wedge, const RadialProfile& profile, Two& sum) {
+  // Before the first evidence there is no flux.
+  const double start_squared = profile.start_m() * profile.start_m();
   for (std::size_t axis = 0; axis < 3; ++axis) {
     for (const double outward : {-1.0, 1.0}) {
       const double distance = cube.centre_m[axis] + outward * cube.half_m;
+      if (farthest(cube, axis, distance) <= start_squared) continue;
       const Polygon face = clipped_face(cube, wedge, axis, distance);
       if (face.count < 3) continue;
       const Two flux = flux_through(face, distance, profile);
@@ -203,12 +213,28 @@ void add_wedge(const Cube& cube, const Wedge& wedge, const RadialProfile& profil
   }
 }
 
+// Where a cube lies as a plane through the sonar sees it.
+enum class Side { inside, across, outside };
+
+Side side_of(const Cube& cube, const Vec3& inwards) {
+  const double at = dot(inwards, {cube.centre_m[0], cube.centre_m[1], cube.centre_m[2]});
+  const double reach =
+      cube.half_m * (std::abs(inwards.x) + std::abs(inwards.y) + std::abs(inwards.z));
+  if (at <= -reach) return Side::outside;
+  return at >= reach ? Side::inside : Side::across;
+}
+
 // The beam as one wedge, or as several where the aperture's cone bends too much inside it.
 void add_beam(const Fan& fan, std::size_t beam, const Cube& cube, const FanPart& where,
               const RadialProfile& profile, Two& sum) {
   if (!where.cut_by_aperture) {
-    add_wedge(cube, {{fan.edge_normal(beam), -1.0 * fan.edge_normal(beam + 1)}, 2}, profile, sum);
-    return;
+    Wedge wedge;
+    for (const Vec3& inwards : {fan.edge_normal(beam), -1.0 * fan.edge_normal(beam + 1)}) {
+      const Side side = side_of(cube, inwards);
+      if (side == Side::outside) return;
+      if (side == Side::across) wedge.normals[wedge.count++] = inwards;
+    }
+    return add_wedge(cube, wedge, profile, sum);
   }
   const double from = fan.edges_rad()[beam];
   const double width = fan.edges_rad()[beam + 1] - from;
