@@ -9,6 +9,7 @@ from bench_pings import (
     Pings,
     first_rows,
     load,
+    loud_share,
     only_first_returns,
     ray_ends_m,
     write_rays,
@@ -37,6 +38,10 @@ def pings() -> Pings:
 def test_first_return_is_above_the_threshold_and_not_too_near() -> None:
     assert first_rows(pings().images[0], ROW_M).tolist() == [7, -1, 3]
     assert first_rows(pings().images[1], ROW_M).tolist() == [-1, -1, -1]
+
+
+def test_loud_pixels_are_those_above_the_threshold() -> None:
+    assert loud_share(pings()) == 4 / (2 * 20 * 3)
 
 
 def test_image_of_first_returns_holds_nothing_else() -> None:

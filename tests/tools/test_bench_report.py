@@ -5,8 +5,19 @@ from pathlib import Path
 import msgspec
 import pytest
 from accuracy import Accuracy
+from bench_input import AHEAD, DOWN
 from bench_report import BEGIN, END, markdown, put_into
-from contenders import CONTENDERS, EXACT_FIRST, FIRST, FULL, OPENVDB
+from bench_tables import per_voxel
+from contenders import (
+    CONTENDERS,
+    DEFAULT_FIRST,
+    DEFAULT_FULL,
+    EXACT_FIRST,
+    FIRST,
+    FULL,
+    OCTOMAP,
+    OPENVDB,
+)
 from measured import Measured, times_faster
 from results import CaseResult, Machine, Results, read_results
 from targets import verdicts
@@ -29,7 +40,7 @@ def run_of(ms: float) -> Measured:
     return msgspec.structs.replace(RUN, ms=[ms, ms, ms])
 
 
-def results(exact_ms: float = 1.0, rival_ms: float = 60.0) -> Results:
+def results(exact_ms: float = 1.0, rival_ms: float = 60.0, look: str = DOWN) -> Results:
     runs = {c.name: run_of(exact_ms if c.name == EXACT_FIRST else rival_ms) for c in CONTENDERS}
     accuracy = {takes: {"rays": SAMPLED, "default": SAMPLED} for takes in (FIRST, FULL)}
     return Results(
@@ -38,7 +49,7 @@ def results(exact_ms: float = 1.0, rival_ms: float = 60.0) -> Results:
         seed=1,
         error_bound=0.25,
         machine=Machine("a CPU", 2, "a compiler", "abc", 0.5, 24e9),
-        cases=[CaseResult("10 m, 5 cm", 10.0, 0.05, runs, accuracy)],
+        cases=[CaseResult("10 m, 5 cm", look, 10.0, 0.05, 0.014, runs, accuracy)],
         open_water={
             "exact": {"5": 1.0, "10": 4.0, "20": 17.9},
             "default": {"5": 1.0, "10": 3.1, "20": 4.0},
@@ -83,8 +94,11 @@ def test_a_rival_that_is_missing_is_said_and_not_met() -> None:
     alone = results()
     for rival in OPENVDB:
         del alone.cases[0].runs[rival.name]
-    (verdict,) = [v for v in verdicts(alone) if "OpenVDB" in v.wish]
-    assert (verdict.found, verdict.met) == ("not measured", False)
+    judged = [v for v in verdicts(alone) if "OpenVDB" in v.wish]
+    assert [(v.found, v.met, v.asked) for v in judged] == [
+        ("not measured", False, True),
+        ("not measured", False, False),
+    ]
     assert "OpenVDB, each visit" not in markdown(alone)
 
 
@@ -96,8 +110,61 @@ def test_growth_is_judged_by_the_worst_doubling() -> None:
 
 def test_medians_are_judged_in_all_four_ways() -> None:
     judged = met(results(exact_ms=19.9, rival_ms=20.0))
-    assert judged["10 m, 5 cm: one thread, exact, first returns, median under 20 ms"]
-    assert not judged["10 m, 5 cm: one thread, default, full image, median under 20 ms"]
+    assert judged["10 m, 5 cm: one thread, exact, first returns: median under 20 ms"]
+    vehicle = "default bound, full image (what a vehicle runs)"
+    assert not judged[f"10 m, 5 cm: one thread, {vehicle}: median under 20 ms"]
+
+
+def test_medians_are_asked_looking_down_and_told_looking_ahead() -> None:
+    for look, name in ((DOWN, "10 m, 5 cm"), (AHEAD, "10 m, 5 cm (dense seabed)")):
+        medians = [v for v in verdicts(results(look=look)) if "median" in v.wish]
+        assert len(medians) == 4
+        assert all(v.wish.startswith(f"{name}: ") for v in medians)
+        assert {v.asked for v in medians} == {look == DOWN}
+
+
+@pytest.mark.parametrize("look", [DOWN, AHEAD])
+def test_ratios_are_asked_of_exact_and_told_of_the_default(look: str) -> None:
+    run = results(exact_ms=1.0, rival_ms=60.0, look=look)
+    run.cases[0].runs[DEFAULT_FIRST] = run_of(30.0)
+    ratios = {v.wish.partition(": ")[2]: v for v in verdicts(run) if "faster than" in v.wish}
+    exact = ratios["exact on first returns at least 50x faster than OctoMap"]
+    assert (exact.asked, exact.met, exact.found) == (True, True, "60x")
+    default = ratios["default bound on first returns at least 50x faster than OctoMap"]
+    assert (default.asked, default.met, default.found) == (False, False, "2x")
+
+
+def test_a_part_of_the_run_says_what_was_not_measured() -> None:
+    whole = results()
+    case = whole.cases[0]
+    only = {name: case.runs[name] for name in (DEFAULT_FULL, OCTOMAP.name)}
+    part = msgspec.structs.replace(
+        whole,
+        cases=[msgspec.structs.replace(case, runs=only, accuracy={})],
+        open_water={},
+    )
+    found = {v.wish: v.found for v in verdicts(part)}
+    assert len(found) == len(verdicts(whole))
+    (measured,) = [wish for wish, said in found.items() if said != "not measured"]
+    assert "default bound, full image" in measured
+    assert "Open water" not in markdown(part)
+
+
+def test_cost_of_a_voxel_is_compared_on_the_same_first_returns() -> None:
+    run = results(exact_ms=1.0, rival_ms=60.0)
+    twice = msgspec.structs.replace(run_of(4.0), touched=[4000, None, 4000])
+    run.cases[0].runs[EXACT_FIRST] = twice
+    run.cases[0].runs[OPENVDB[1].name] = run_of(2.0)
+    *_, line = per_voxel(run.cases).splitlines()
+    cells = [cell.strip() for cell in line.strip("|").split("|")]
+    # 60 ms for 2 k voxels; the faster OpenVDB; rays; exact; default; and the ratios.
+    assert cells[1:4] == ["2 k, 30,000 ns", "2 k, 1,000 ns", "2 k, 30,000 ns"]
+    assert cells[4:6] == ["4 k, 1,000 ns", "2 k, 30,000 ns"]
+    assert cells[6:] == ["30x, 1x", "1x, 0.0333x"]
+
+
+def test_a_look_says_how_many_pixels_are_loud() -> None:
+    assert "Pixels above the threshold: 1.4% at 10 m." in markdown(results())
 
 
 def test_results_are_read_back_as_they_were_saved(tmp_path: Path) -> None:

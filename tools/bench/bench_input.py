@@ -1,13 +1,15 @@
 """The benchmark's input: pings of the simulator, made once for each setting and seed."""
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import bench_scene
+import bench_seabed
 import numpy as np
 from bench_pings import Pings
-from bench_scene import basin, mounting, path
-from sonar_sim import SonarSettings, Water
+from sonar_sim import Pose, Scene, SonarSettings, Water
 from sonar_sim.pool import SimulatorRecipe, simulate_pings
 
 from oculus_driver.encode import bearing_table_cdeg
@@ -17,11 +19,26 @@ ROWS = 500
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
-    """How the sonar is set for a range: its tilt and gain as an operator would choose them."""
+class Look:
+    """Where the sonar looks: a scene, and poses by range and number of pings."""
 
+    scene: Callable[[], Scene]
+    poses: Callable[[float, int], list[Pose]]
+
+
+DOWN, AHEAD = "down", "ahead"
+LOOKS = {
+    DOWN: Look(bench_seabed.seabed, bench_seabed.poses),
+    AHEAD: Look(bench_scene.basin, bench_scene.poses),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """Where the sonar looks, how far, and its gain as an operator would choose it."""
+
+    look: str
     range_m: float
-    pitch_deg: float
     gain_percent: float
 
     @property
@@ -34,15 +51,19 @@ class Setting:
         )
 
 
-SETTINGS = (Setting(10.0, 25.0, 60.0), Setting(30.0, 10.0, 46.0))
+SETTINGS = (
+    Setting(DOWN, 10.0, 46.0),
+    Setting(DOWN, 30.0, 42.0),
+    Setting(AHEAD, 10.0, 60.0),
+    Setting(AHEAD, 30.0, 46.0),
+)
 
 
 def simulate(setting: Setting, pings: int, seed: int) -> Pings:
-    """Simulate pings evenly along the path."""
-    sonar, trajectory = setting.sonar, path()
-    times_s = np.linspace(0.0, trajectory.duration_s, pings)
-    poses = [trajectory.pose(float(t)) @ mounting(setting.pitch_deg).pose for t in times_s]
-    recipe = SimulatorRecipe(basin(), sonar, Water(), seed)
+    """Simulate pings along the look's path."""
+    sonar, look = setting.sonar, LOOKS[setting.look]
+    poses = look.poses(setting.range_m, pings)
+    recipe = SimulatorRecipe(look.scene(), sonar, Water(), seed)
     images = np.stack([ping.image for ping in simulate_pings(recipe, poses, processes=1)])
     map_T_sonar = np.tile(np.eye(4), (pings, 1, 1))  # noqa: N806 frames are named
     map_T_sonar[:, :3, :3] = [pose.rotation for pose in poses]
@@ -53,10 +74,10 @@ def simulate(setting: Setting, pings: int, seed: int) -> Pings:
 
 def cached(folder: Path, setting: Setting, pings: int, seed: int) -> Path:
     """File of the simulated pings, made anew only if what makes them has changed."""
-    sources = [*sorted((BENCH.parent / "sonar_sim").glob("*.py")), BENCH / "bench_scene.py"]
-    made_of = b"".join(source.read_bytes() for source in [*sources, Path(__file__)])
-    stamp = hashlib.sha256(made_of).hexdigest()[:8]
-    file = folder / f"pings-{setting.range_m:g}m-{pings}-{seed}-{stamp}.npz"
+    scenes = [BENCH / f"bench_{part}.py" for part in ("scene", "seabed", "shapes")]
+    sources = [*sorted((BENCH.parent / "sonar_sim").glob("*.py")), *scenes, Path(__file__)]
+    stamp = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:8]
+    file = folder / f"pings-{setting.look}-{setting.range_m:g}m-{pings}-{seed}-{stamp}.npz"
     if not file.exists():
         simulate(setting, pings, seed).save(file)
     return file

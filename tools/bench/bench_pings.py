@@ -68,6 +68,11 @@ def load(path: Path) -> Pings:
         )
 
 
+def loud_share(pings: Pings) -> float:
+    """Share of all pixels that lie above the map's intensity threshold."""
+    return float((pings.images > Config().filtering.intensity_threshold).mean())
+
+
 def first_rows(image: NDArray[np.uint8], range_resolution_m: float) -> NDArray[np.int64]:
     """Row of each beam's first return, (beams,); -1 in beams without one."""
     filtering = Config().filtering

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import matplotlib as mpl
+from bench_input import DOWN
 from contenders import CONTENDERS, FULL, Contender
 from measured import figure
 from results import CaseResult, Results
@@ -15,16 +16,25 @@ from matplotlib.patches import Patch
 
 RIVAL, FIRST_RETURNS, FULL_IMAGE = "#9a9a9a", "#1f77b4", "#ff7f0e"
 TOP = len(CONTENDERS)
-"""Where the limit is named: above the first bar."""
+"""Where the limit is named: beside its line, above the first bar."""
 
 
 def draw(path: Path, results: Results) -> None:
     """One panel a case: bars of the median, whiskers to the 95th percentile."""
-    picture, panels = plt.subplots(2, 2, figsize=(13, 8), sharex=True, sharey=True)
-    for panel, case in zip(panels.ravel(), results.cases, strict=False):
+    looks = list(dict.fromkeys(case.look for case in results.cases))
+    columns = len(results.cases) // len(looks)
+    picture, panels = plt.subplots(
+        len(looks),
+        columns,
+        figsize=(3.0 + 3.6 * columns, 4.2 * len(looks)),
+        sharex=True,
+        sharey=True,
+        squeeze=False,
+    )
+    for panel, case in zip(panels.ravel(), results.cases, strict=True):
         _panel(panel, case)
     for panel in panels[-1]:
-        panel.set_xlabel("milliseconds a ping: median, line to the 95th percentile")
+        panel.set_xlabel("ms a ping: median, line to 95th percentile")
     kinds = {
         "11 rays a first return": RIVAL,
         "ours, the same first returns": FIRST_RETURNS,
@@ -56,8 +66,8 @@ def _panel(panel: Axes, case: CaseResult) -> None:
     if case.resolution_m == FINE_M:
         limit_ms = MOST_MEDIAN_MS[case.range_m]
         panel.axvline(limit_ms, color="firebrick", linestyle="--", linewidth=1)
-        note = f"asked: {limit_ms:g} ms"
-        panel.text(limit_ms, TOP, note, fontsize=8, color="firebrick", ha="center")
+        note = f"{'asked: ' if case.look == DOWN else ''}{limit_ms:g} ms"
+        panel.text(1.15 * limit_ms, TOP, note, fontsize=8, color="firebrick")
 
 
 def _label(contender: Contender) -> str:

@@ -1,4 +1,4 @@
-"""The benchmark's scene and path: a harbour basin with something in sight at 30 m.
+"""Looking ahead: a path through a harbour basin with something in sight at 30 m.
 
 The demo's harbour ends 8 m from its middle; a survey that looks ahead at 30 m needs more of the
 same: a sandy floor 4 m below the sonar, quays on two sides, rows of piles before them, and caissons
@@ -6,20 +6,19 @@ on the floor.
 """
 
 import math
-from typing import cast
 
 import numpy as np
-import trimesh
-from numpy.typing import NDArray
-from sonar_sim import Material, Motion, Mounting, Scene, Surface, Trajectory, Waypoint
+from bench_shapes import box, floor, pile, surface
+from sonar_sim import Material, Motion, Mounting, Pose, Scene, Trajectory, Waypoint
 from sonar_sim.harbour import floor_height_m
 
 FLOOR_X_M = (-30.0, 28.0)
 FLOOR_Y_M = (-28.0, 30.0)
-FLOOR_CELL_M = 0.25
 SONAR_Z_M = -2.5
 """4 m above the mean floor."""
 QUAY_X_M, QUAY_Y_M = 27.0, 29.0
+PITCH_DEG = {10.0: 25.0, 30.0: 10.0}
+"""By range: the tilt that an operator would choose."""
 PILE_RADIUS_M = 0.3
 PILES_XY_M = (
     *((22.0, float(y)) for y in range(-20, 24, 4)),
@@ -38,20 +37,20 @@ CAISSONS_M = (
 def basin() -> Scene:
     """Build the scene; the same every time."""
     piles = [
-        _surface(f"pile {i}", _pile(x, y), Material.OVERGROWN_CONCRETE)
+        surface(f"pile {i}", pile((x, y, -4.0), PILE_RADIUS_M, 8.0), Material.OVERGROWN_CONCRETE)
         for i, (x, y) in enumerate(PILES_XY_M, start=1)
     ]
     caissons = [
-        _surface(f"caisson {i}", _box(centre_m, edges_m), Material.OVERGROWN_CONCRETE)
+        surface(f"caisson {i}", box(centre_m, edges_m), Material.OVERGROWN_CONCRETE)
         for i, (centre_m, edges_m) in enumerate(CAISSONS_M, start=1)
     ]
-    east = _box((QUAY_X_M + 0.5, 0.0, -4.0), (1.0, 60.0, 8.0))
-    north = _box((0.0, QUAY_Y_M + 0.5, -4.0), (60.0, 1.0, 8.0))
+    east = box((QUAY_X_M + 0.5, 0.0, -4.0), (1.0, 60.0, 8.0))
+    north = box((0.0, QUAY_Y_M + 0.5, -4.0), (60.0, 1.0, 8.0))
     return Scene(
         (
-            _surface("floor", _floor(), Material.SAND),
-            _surface("east quay", east, Material.SHEET_PILING),
-            _surface("north quay", north, Material.SHEET_PILING),
+            surface("floor", floor(FLOOR_X_M, FLOOR_Y_M, floor_height_m), Material.SAND),
+            surface("east quay", east, Material.SHEET_PILING),
+            surface("north quay", north, Material.SHEET_PILING),
             *piles,
             *caissons,
         )
@@ -78,42 +77,8 @@ def path() -> Trajectory:
     return Trajectory([Waypoint(0.0, 0.0, SONAR_Z_M, 0.0), *turn], Motion(speed_mps=0.5))
 
 
-def _surface(name: str, mesh: trimesh.Trimesh, material: Material) -> Surface:
-    vertices_m = np.asarray(mesh.vertices, dtype=np.float64)
-    return Surface(name, vertices_m, np.asarray(mesh.faces, dtype=np.int64), material)
-
-
-def _floor() -> trimesh.Trimesh:
-    x, y = (
-        np.linspace(low, high, round((high - low) / FLOOR_CELL_M) + 1)
-        for low, high in (FLOOR_X_M, FLOOR_Y_M)
-    )
-    gx, gy = np.meshgrid(x, y, indexing="ij")
-    return trimesh.Trimesh(
-        np.stack([gx, gy, floor_height_m(gx, gy)], axis=-1).reshape(-1, 3),
-        _grid_faces(*gx.shape),
-        process=False,
-    )
-
-
-def _grid_faces(rows: int, columns: int) -> NDArray[np.int64]:
-    """Two triangles a cell of a grid of points, (F, 3)."""
-    index = np.arange(rows * columns).reshape(rows, columns)
-    a, b = index[:-1, :-1].ravel(), index[1:, :-1].ravel()
-    c, d = index[1:, 1:].ravel(), index[:-1, 1:].ravel()
-    return np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
-
-
-def _pile(x_m: float, y_m: float) -> trimesh.Trimesh:
-    tube = trimesh.creation.cylinder(radius=PILE_RADIUS_M, height=8.0, sections=32)
-    mesh = cast("trimesh.Trimesh", tube)
-    mesh.apply_translation((x_m, y_m, -4.0))
-    return mesh
-
-
-def _box(
-    centre_m: tuple[float, float, float], edges_m: tuple[float, float, float]
-) -> trimesh.Trimesh:
-    mesh = cast("trimesh.Trimesh", trimesh.creation.box(extents=edges_m))
-    mesh.apply_translation(centre_m)
-    return mesh
+def poses(range_m: float, pings: int) -> list[Pose]:
+    """Of the sonar in the map, evenly along the path."""
+    trajectory, mounted = path(), mounting(PITCH_DEG[range_m]).pose
+    times_s = np.linspace(0.0, trajectory.duration_s, pings)
+    return [trajectory.pose(float(t)) @ mounted for t in times_s]

@@ -10,17 +10,23 @@ BENCH = Path(__file__).resolve().parent
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One range and voxel size, and the files that hold its pings."""
+    """One look, range and voxel size, and the files that hold its pings.
 
+    Attributes:
+        loud_share: of the pixels, those above the map's intensity threshold.
+    """
+
+    look: str
     range_m: float
     resolution_m: float
     pings_file: Path
     rays_file: Path
+    loud_share: float
 
     @property
     def name(self) -> str:
         """As people say it."""
-        return f"{self.range_m:g} m, {100 * self.resolution_m:g} cm"
+        return f"looking {self.look}, {self.range_m:g} m, {100 * self.resolution_m:g} cm"
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +46,13 @@ class Contender:
     takes: str
     threads: int
     words: tuple[str, ...]
+
+    @property
+    def label(self) -> str:
+        """As people say it; what the rivals take is always the same."""
+        takes = f", {self.takes}" if self.is_ours else ""
+        threads = f", {self.threads} threads" if self.threads > 1 else ""
+        return f"{self.map_name}{takes}{threads}"
 
     @property
     def is_ours(self) -> bool:

@@ -55,6 +55,11 @@ class Measured(msgspec.Struct, frozen=True):
         return 1e3 * sum(counted.values()) / sum(self.ms[i] for i in counted)
 
     @property
+    def ns_a_voxel(self) -> float:
+        """Time by voxels, over the pings whose voxels were counted."""
+        return 1e9 / self.touched_a_second
+
+    @property
     def bytes_a_voxel(self) -> float:
         """Of the whole map, by its known voxels."""
         return self.memory_bytes / max(self.known_voxels, 1)

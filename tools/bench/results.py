@@ -27,18 +27,26 @@ class Machine(msgspec.Struct, frozen=True):
 
 
 class CaseResult(msgspec.Struct, frozen=True):
-    """One range and voxel size.
+    """One look, range and voxel size.
 
     Attributes:
+        loud_share: of the pixels, those above the map's intensity threshold.
         runs: by name of the contender.
         accuracy: of `rays` and the default, by what they were given, then by name.
     """
 
     name: str
+    look: str
     range_m: float
     resolution_m: float
+    loud_share: float
     runs: dict[str, Measured]
     accuracy: dict[str, dict[str, Accuracy]]
+
+    @property
+    def size(self) -> str:
+        """Range and voxel size, as people say them."""
+        return f"{self.range_m:g} m, {100 * self.resolution_m:g} cm"
 
 
 class Results(msgspec.Struct, frozen=True):
