@@ -86,6 +86,7 @@ void BlockLooker::look(const BlockKey& local, BlockEvidence& evidence) const {
                    z + (child >> 2 & 1) * kCell, evidence);
     }
   }
+  evidence.occupied.shrink_to_fit();  // it is kept until the whole ping has been looked at
 }
 
 void BlockLooker::look_at_cell(const BlockKey& local, int x, int y, int z,
@@ -275,8 +276,8 @@ int BlockLooker::lines_for(const VoxelLines::Sample& sample, bool any_return) co
 
 void BlockLooker::decide(const Evidence& sum, int offset, BlockEvidence& evidence) const {
   if (sum.occupied >= kOccupiedPart) {
-    evidence.occupied.push_back({std::clamp(sum.weight(), 0.0, 1.0),
-                                 sum.occupied / (sum.occupied + sum.free),
+    evidence.occupied.push_back({static_cast<float>(std::clamp(sum.weight(), 0.0, 1.0)),
+                                 static_cast<float>(sum.occupied / (sum.occupied + sum.free)),
                                  static_cast<std::uint16_t>(offset)});
   } else if (sum.free > kFreePart) {
     mark_free(offset % kBlockEdge, offset / kBlockEdge % kBlockEdge, offset / kBlockRows, evidence);

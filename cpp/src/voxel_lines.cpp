@@ -48,7 +48,9 @@ double component(const Vec3& v, std::size_t axis) {
 }  // namespace
 
 VoxelLines::VoxelLines(const Fan& fan, double edge_m, const Kernels& kernels)
-    : fan_(fan), kernels_(kernels), edge_m_(edge_m),
+    : fan_(fan),
+      kernels_(kernels),
+      edge_m_(edge_m),
       per_edge_m_(static_cast<float>(1.0 / edge_m)),
       rows_per_m_(1.0 / fan.range_resolution_m()) {
   for (std::size_t j = 0; j < fan.beams(); ++j) {

@@ -19,9 +19,10 @@ inline constexpr double kOccupiedPart = 0.02;
 // ... and free, without one, when more than this part was seen free.
 inline constexpr double kFreePart = 0.5;
 
+// Millions a ping at long range: single precision is as fine as the map's unit of log-odds.
 struct OccupiedVoxel {
-  double weight;  // mean w(I) over the occupied part
-  double share;   // of the occupied part in what was seen
+  float weight;  // mean w(I) over the occupied part
+  float share;   // of the occupied part in what was seen
   std::uint16_t offset;
 };
 
@@ -36,7 +37,7 @@ struct BlockEvidence {
 
 class BlockLooker {
  public:
-  // `block_T_sonar` is where the sonar is in block (0, 0, 0): its offset in metres, map axes.
+  // `offset_m` is where the sonar is, from the corner of block (0, 0, 0), in the map's axes.
   BlockLooker(const Fan& fan, const FanSettings& settings, const IwloRule& rule, double edge_m,
               const Vec3& offset_m);
 

@@ -123,9 +123,10 @@ class Fan {
 
   // The beam that holds a bearing, given its sine; the outermost for bearings outside the fan.
   std::size_t beam_at_sine(double sine) const {
-    const double cell = (sine - edge_sines_.front()) * guesses_per_sine_;
+    double cell = (sine - edge_sines_.front()) * guesses_per_sine_;
+    if (!(cell > 0)) cell = 0;  // straight above the sonar the sine is no number
     const auto most = static_cast<double>(beam_guess_.size() - 1);
-    std::size_t beam = beam_guess_[static_cast<std::size_t>(std::min(std::max(cell, 0.0), most))];
+    std::size_t beam = beam_guess_[static_cast<std::size_t>(std::min(cell, most))];
     while (beam + 1 < beams() && edge_sines_[beam + 1] <= sine) ++beam;
     while (beam > 0 && edge_sines_[beam] > sine) --beam;
     return beam;
@@ -136,7 +137,7 @@ class Fan {
   enum class Content { nothing, less_free, undecided, mostly_free, all_free };
   struct Verdict {
     Content content = Content::nothing;
-    FanPart where;  // set when undecided
+    FanPart where;  // set unless nothing
   };
   Verdict verdict(const Vec3& centre, double edge_m) const;
 
@@ -172,6 +173,7 @@ class Fan {
   // The plane at one of the fan's sides as a linear function: positive inside.
   Vec3 low_side() const { return edge_normals_.front(); }
   Vec3 high_side() const { return -1.0 * edge_normals_.back(); }
+  // As above, for a cube whose place and extent are known.
   Verdict verdict(const Vec3& centre, const Place& place, const Extent& extent) const;
 
  private:
@@ -191,7 +193,6 @@ class Fan {
   double max_range_;
   double sin_half_;
   double cos_half_;
-  bool carve_no_return_;
   Transform rotation_;
   std::vector<double> edges_;
   std::vector<Vec3> edge_normals_;  // map axes
