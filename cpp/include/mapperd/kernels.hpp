@@ -10,7 +10,7 @@
 namespace mapperd {
 
 inline constexpr int kLanes = 8;
-inline constexpr int kMaxBeamsOfVoxel = 64;
+inline constexpr int kMaxBeamsOfVoxel = 128;
 inline constexpr int kMaxRowsOfVoxel = 64;
 
 // The direction of a plane, over the lines of a voxel: positive on the inner side at

@@ -16,7 +16,7 @@
 namespace mapperd {
 
 // Nearer than this many voxels the sonar is too near for the series that the lines use.
-inline constexpr double kNearestForLines = 8.0;
+inline constexpr double kNearestForLines = 4.0;
 
 class VoxelLines {
  public:
