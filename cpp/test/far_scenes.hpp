@@ -83,6 +83,19 @@ class Borders {
     return mapperd::fan_point(range, bearing, elevation);
   }
 
+  // Where a beam with a return ends, and its neighbour begins: voxels that both of these cut.
+  mapperd::Vec3 corner(Random& random) const {
+    const auto last = static_cast<int>(ping_.bearings_rad.size()) - 1;
+    std::size_t beam = 0;
+    do {
+      beam = static_cast<std::size_t>(random.integer(0, last));
+    } while (!(first_return_m(beam) < ping_.image().max_range_m()));
+    const double range = first_return_m(beam) + random.uniform(-1, 1) * edge_m_;
+    const double edge = edges_[beam + static_cast<std::size_t>(random.integer(0, 1))];
+    const double beside = random.uniform(-0.5, 0.5) * edge_m_ / std::max(range, edge_m_);
+    return mapperd::fan_point(range, edge + beside, random.uniform(-0.8, 0.8) * half_aperture_);
+  }
+
  private:
   double first_return_m(std::size_t beam) const {
     for (std::size_t k = 0; k < ping_.rows; ++k) {

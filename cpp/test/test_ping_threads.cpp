@@ -14,7 +14,7 @@ using mapperd::Aggregation;
 using mapperd::FanSettings;
 using mapperd::VoxelMap;
 
-constexpr double kResolution = 0.1;
+constexpr double kResolution = 0.05;
 
 struct Shot {
   scenes::Ping ping;
@@ -27,13 +27,13 @@ std::vector<Shot> moving_pings() {
   std::vector<Shot> all;
   for (int i = 0; i < 6; ++i) {
     scenes::Ragged want;
-    want.max_range_m = 5;
+    want.max_range_m = 3;
     want.beams = 96;
     want.rows = 160;
     want.surface = i % 3 == 0 ? 0.4 : 0.8;
     want.thickness = 5;
     Shot shot{scenes::ragged_ping(want, random), scenes::rotation_zyx(0.05 * i, 0.3, 0.1)};
-    shot.pose.translation = {0.13 * i, -0.07 * i, 0.02 * i};
+    shot.pose.translation = {0.06 * i, -0.03 * i, 0.01 * i};
     all.push_back(std::move(shot));
   }
   return all;
@@ -73,7 +73,7 @@ std::vector<FanSettings> all_settings() {
   all[3].aggregation = Aggregation::mean;
   all[3].error_bound = 0.2;
   all[3].carve_no_return = true;
-  for (FanSettings& settings : all) settings.vertical_aperture_rad = 0.25;
+  for (FanSettings& settings : all) settings.vertical_aperture_rad = 0.9;
   return all;
 }
 
