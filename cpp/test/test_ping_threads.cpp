@@ -14,7 +14,7 @@ using mapperd::Aggregation;
 using mapperd::FanSettings;
 using mapperd::VoxelMap;
 
-constexpr double kResolution = 0.05;
+constexpr double kResolution = 0.06;
 
 struct Shot {
   scenes::Ping ping;
@@ -25,7 +25,7 @@ struct Shot {
 std::vector<Shot> moving_pings() {
   scenes::Random random(500);
   std::vector<Shot> all;
-  for (int i = 0; i < 6; ++i) {
+  for (int i = 0; i < 4; ++i) {
     scenes::Ragged want;
     want.max_range_m = 3;
     want.beams = 96;
@@ -39,16 +39,10 @@ std::vector<Shot> moving_pings() {
   return all;
 }
 
-VoxelMap mapped(const std::vector<Shot>& shots, const FanSettings& settings, bool open_after) {
+VoxelMap mapped(const std::vector<Shot>& shots, const FanSettings& settings) {
   VoxelMap map(kResolution, {});
   for (const Shot& shot : shots) {
     integrate_projective(map, shot.ping.image(), shot.pose, settings);
-    if (!open_after) continue;
-    for (const mapperd::BlockKey& key : dense_blocks(map, 0, map.block_count()).keys) {
-      mapperd::Block& block = map.get_or_create(key);
-      block.open(map.rule());
-      block.close(map.rule());
-    }
   }
   return map;
 }
@@ -80,27 +74,14 @@ std::vector<FanSettings> all_settings() {
 TEST_CASE("one, two or four threads make the same map, to the bit") {
   const std::vector<Shot> shots = moving_pings();
   for (FanSettings settings : all_settings()) {
-    const VoxelMap alone = mapped(shots, settings, false);
+    const VoxelMap alone = mapped(shots, settings);
     CHECK(alone.known_count() > 10000);
     for (const int threads : {2, 4}) {
       settings.threads = threads;
-      const VoxelMap shared = mapped(shots, settings, false);
+      const VoxelMap shared = mapped(shots, settings);
       check_equal(alone, shared);
       CHECK(encode_map(alone) == encode_map(shared));
     }
-  }
-}
-
-TEST_CASE("sampled by threads, pending blocks are those opened after every ping") {
-  std::vector<Shot> shots = moving_pings();
-  const std::vector<Shot> again = moving_pings();
-  shots.insert(shots.end(), again.begin(), again.end());
-  for (FanSettings settings : all_settings()) {
-    settings.threads = 2;
-    const VoxelMap pending = mapped(shots, settings, false);
-    const VoxelMap opened = mapped(shots, settings, true);
-    check_equal(pending, opened);
-    CHECK(encode_map(pending) == encode_map(opened));
   }
 }
 
