@@ -14,12 +14,12 @@ constexpr std::size_t kMostChanges = 16;  // from free beams to others in a cell
 // The error of a sampled mean weight is up to kSpread sigma / (lines sqrt(part)) in 99 of 100
 // voxels, sigma being how much the weights inside the voxel differ and part how much of it is
 // occupied; measured for 8 to 128 lines, see docs/mapping.md.
-constexpr double kSpread = 2.5;
+constexpr double kSpread = 3.0;
 constexpr int kFewestLines = 8;
 constexpr int kMostLines = 128;
 // A part of the volume as near as this to the limit that it is compared with is sampled again.
-constexpr double kUnclear = 0.06;
-constexpr int kLinesIfUnclear = 32;
+constexpr double kUnclear = 0.12;
+constexpr int kLinesIfUnclear = 64;
 
 void mark_free(int x, int y, int z, BlockEvidence& evidence) {
   evidence.free[static_cast<std::size_t>(y + kBlockEdge * z)] |=

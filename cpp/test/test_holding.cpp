@@ -56,8 +56,8 @@ std::vector<Shot> shots() {
   return all;
 }
 
-void integrate(VoxelMap& map, const Shot& shot) {
-  integrate_projective(map, shot.ping.image(), shot.pose, wide());
+void integrate(VoxelMap& map, const Shot& shot, const mapperd::FanSettings& settings = wide()) {
+  integrate_projective(map, shot.ping.image(), shot.pose, settings);
 }
 
 void open_and_close_all(VoxelMap& map) {
@@ -80,10 +80,10 @@ void ask_everything(const VoxelMap& map) {
 
 bool equal(const VoxelMap& a, const VoxelMap& b) { return encode_map(a) == encode_map(b); }
 
-TEST_CASE("pending blocks are the blocks that are opened after every ping, to the bit") {
+void check_pending(const mapperd::FanSettings& settings) {
   VoxelMap pending(kResolution, {}), opened(kResolution, {}), asked(kResolution, {});
   for (const Shot& shot : shots()) {
-    for (VoxelMap* map : {&pending, &opened, &asked}) integrate(*map, shot);
+    for (VoxelMap* map : {&pending, &opened, &asked}) integrate(*map, shot, settings);
     open_and_close_all(opened);
     ask_everything(asked);
   }
@@ -92,6 +92,17 @@ TEST_CASE("pending blocks are the blocks that are opened after every ping, to th
   const auto a = dense_blocks(pending, 0, 10000), b = dense_blocks(opened, 0, 10000);
   CHECK(a.keys == b.keys && a.units == b.units && a.counts == b.counts);
   CHECK(known_count(pending) == known_count(opened));
+}
+
+TEST_CASE("pending blocks are the blocks that are opened after every ping, to the bit") {
+  check_pending(wide());
+}
+
+TEST_CASE("so are those of sampled pings, written by two threads") {
+  mapperd::FanSettings settings = wide();
+  settings.error_bound = 0.2;
+  settings.threads = 2;
+  check_pending(settings);
 }
 
 TEST_CASE("saved and loaded at any time, a map goes on as if it had not been") {

@@ -117,6 +117,13 @@ class Writes {
   std::vector<std::function<void(VoxelMap&)>> all() {
     return {
         [this](VoxelMap& map) { integrate_projective(map, next_ping().image(), pose_, {}); },
+        [this](VoxelMap& map) {
+          mapperd::FanSettings shared;
+          shared.threads = 2;
+          shared.error_bound = 0.2;
+          shared.carve_no_return = true;
+          integrate_projective(map, next_ping().image(), pose_, shared);
+        },
         [this](VoxelMap& map) { integrate_rays(map, next_ping().image(), pose_, {}); },
         [this](VoxelMap& map) { set_log_odds(map, kTwinPoints, next_values()); },
         [this](VoxelMap& map) { add_log_odds(map, kTwinPoints, next_values(), {-2, 3.5}); },
@@ -158,7 +165,7 @@ TEST_CASE("every kind of reader sees whole states while everything is written") 
   Writes writes;
   const auto kinds = writes.all();
   run(
-      map, 180, [&](int i) { kinds[static_cast<std::size_t>(i) % kinds.size()](map); },
+      map, 198, [&](int i) { kinds[static_cast<std::size_t>(i) % kinds.size()](map); },
       all_reads(map));
 }
 

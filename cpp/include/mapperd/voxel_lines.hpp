@@ -3,7 +3,8 @@
 // The lines run along the axis that is nearest to the direction of range. Along a line everything
 // is exact: where it crosses from beam to beam and from row to row. Across, the lines lie on a
 // lattice of rank one (Korobov), whose projection on either axis is evenly spaced: a plane between
-// beams that is parallel to the lines, the worst case, is off by half a step at most.
+// beams that is parallel to the lines is off by half a step at most if it runs along an axis;
+// askew, by half of the lattice's widest gap, up to some 1 / sqrt(lines) of the voxel.
 #pragma once
 
 #include <array>
