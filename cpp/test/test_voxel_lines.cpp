@@ -72,15 +72,15 @@ void add_voxel(const Fan& fan, const Fan& of_squares, const VoxelLines& voxel_li
   const Fan::Verdict verdict = fan.verdict(centre, edge_m);
   if (verdict.content != Fan::Content::undecided || mapperd::norm(centre) < 10 * edge_m) return;
   const mapperd::Cube cube{{centre.x, centre.y, centre.z}, edge_m / 2};
-  const auto direction = VoxelLines::direction_at(centre);
+  mapperd::LineTask task;
+  if (!voxel_lines.prepare(cube, verdict.where, task)) return;
   const Parts own = scenes::parts_on_its_own(fan, centre, edge_m);
   const double sigma = own.occupied < 0.02
                            ? 0.0
                            : sigma_of(own, scenes::parts_on_its_own(of_squares, centre, edge_m));
   const bool cut = verdict.where.cut_by_aperture || verdict.where.cut_by_sides;
   for (std::size_t i = 0; i < kLines.size(); ++i) {
-    VoxelLines::Sample sample;
-    if (!voxel_lines.evidence(cube, verdict.where, direction, kLines[i], sample)) return;
+    const VoxelLines::Sample sample = voxel_lines.sample(task, kLines[i]);
     add(sample, own, sigma, kLines[i], cut, errors[i]);
   }
 }
@@ -201,9 +201,9 @@ TEST_CASE("rings that are alike in all beams lose next to nothing along the axes
           random.uniform(5.0, 9.0), random.uniform(-0.1, 0.1), random.uniform(-0.1, 0.1)));
       const Fan::Verdict verdict = fan.verdict(centre, 0.5);
       const mapperd::Cube cube{{centre.x, centre.y, centre.z}, 0.25};
-      const auto direction = VoxelLines::direction_at(centre);
-      VoxelLines::Sample sample;
-      CHECK(voxel_lines.evidence(cube, verdict.where, direction, 128, sample));
+      mapperd::LineTask task;
+      CHECK(voxel_lines.prepare(cube, verdict.where, task));
+      const VoxelLines::Sample sample = voxel_lines.sample(task, 128);
       const Parts own = scenes::parts_on_its_own(fan, centre, 0.5);
       worst = std::max(worst, std::abs(sample.sum.occupied - own.occupied));
     }
