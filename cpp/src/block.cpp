@@ -31,26 +31,27 @@ bool Block::add_free_everywhere(const IwloRule& rule) {
     }
     return true;
   }
-  add_free(rule, every_voxel());
+  const bool changed = add_free(rule, every_voxel());
   close(rule);
-  return true;
+  return changed;
 }
 
-void Block::add_free(const IwloRule& rule, const VoxelRows& rows) {
-  add_free_steps(rule, rule.one_free_step(), rows);
+bool Block::add_free(const IwloRule& rule, const VoxelRows& rows) {
+  return add_free_steps(rule, rule.one_free_step(), rows);
 }
 
-void Block::add_free_steps(const IwloRule& rule, const IwloRule::FreeSteps& steps,
+bool Block::add_free_steps(const IwloRule& rule, const IwloRule::FreeSteps& steps,
                            const VoxelRows& rows) {
   const std::int32_t limit = rule.unscaled_up_to();
-  const bool any_scaled =
+  const Lowered lowered =
       kernels().lower(dense_->units.data(), dense_->count.data(), rows.data(), steps.down.data(),
                       steps.count.data(), rule.min_units(), limit);
-  if (!any_scaled) return;
+  if (!lowered.any_above) return lowered.changed;
   for (std::size_t i = 0; i < kBlockVoxels; ++i) {
     const bool taken = (rows[i / kBlockEdge] >> (i % kBlockEdge) & 1) != 0;
     if (taken && dense_->units[i] > limit) rule.add_free(dense_->units[i], dense_->count[i]);
   }
+  return true;
 }
 
 DenseVoxels& Block::open(const IwloRule& rule) {

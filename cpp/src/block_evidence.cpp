@@ -9,6 +9,7 @@ namespace mapperd {
 namespace {
 
 constexpr int kCell = kCellEdge;
+constexpr double kTie = 1e-9;  // parts, and edges of a voxel: what rounding can make of a tie
 constexpr std::size_t kMostChanges = 16;  // from free beams to others in a cell
 
 // The error of a sampled mean weight is up to kSpread sigma / (lines sqrt(part)) in 99 of 100
@@ -123,6 +124,7 @@ bool BlockLooker::look_between_beams(const Cell& cell, BlockEvidence& evidence) 
   }
   std::array<std::uint8_t, kCellVoxels> beyond{};  // planes on whose far side the centre is
   std::array<std::uint8_t, kCellVoxels> cut{};     // planes that cut the voxel
+  std::array<std::uint8_t, kCellVoxels> halved{};  // whether one runs through the centre
   const Vec3 first = voxel_centre(cell, 0);
   for (std::size_t c = 0; c < changes; ++c) {
     const Vec3& n = fan_.edge_normal(change[c]);
@@ -135,11 +137,14 @@ bool BlockLooker::look_between_beams(const Cell& cell, BlockEvidence& evidence) 
       const double inside = base + edge_m_ * (n.x * x + n.y * y + n.z * z);
       beyond[i] = static_cast<std::uint8_t>(beyond[i] + (inside > 0 ? 1 : 0));
       cut[i] = static_cast<std::uint8_t>(cut[i] + (std::abs(inside) < reach ? 1 : 0));
+      halved[i] =
+          static_cast<std::uint8_t>(halved[i] | (std::abs(inside) < kTie * edge_m_ ? 1 : 0));
     }
   }
   const bool first_is_free = is_free(where.first_beam);
   for (std::size_t i = 0; i < kCellVoxels; ++i) {
-    bool free = first_is_free != (beyond[i] % 2 != 0);
+    // Just half is not more than half.
+    bool free = halved[i] == 0 && first_is_free != (beyond[i] % 2 != 0);
     if (cut[i] > 1) {
       const Vec3 centre = voxel_centre(cell, static_cast<int>(i));
       double part = first_is_free ? 1.0 : 0.0;
@@ -148,7 +153,7 @@ bool BlockLooker::look_between_beams(const Cell& cell, BlockEvidence& evidence) 
         const Vec3& n = fan_.edge_normal(change[c]);
         part += sign * part_beyond(n, dot(n, centre) / edge_m_);
       }
-      free = part > kFreePart;
+      free = part > kFreePart + kTie;
     }
     if (!free) continue;
     const auto at = static_cast<int>(i);
@@ -248,16 +253,27 @@ Evidence BlockLooker::exact(const Cube& cube, const FanPart& where) const {
   return sum;
 }
 
-// As few lines as the bound allows.
+// As few lines as the bound allows; false where the most do not suffice.
 bool BlockLooker::sampled(const Cube& cube, const FanPart& where, Evidence& sum) const {
   LineTask task;
   if (!lines_.prepare(cube, where, task)) return false;
-  VoxelLines::Sample sample = lines_.sample(task, kFewestLines);
-  const int lines = lines_for(sample, task.any_return);
-  if (lines > kFewestLines) sample = lines_.sample(task, lines);
-  sum = sample.sum;
   // The mean of both kinds of evidence depends on the parts themselves.
-  return aggregation_ != Aggregation::mean || sum.occupied <= 0 || sum.free <= 0;
+  if (aggregation_ == Aggregation::mean && task.any_return && may_be_free(task)) return false;
+  for (int lines = kFewestLines; lines <= kMostLines;) {
+    const VoxelLines::Sample sample = lines_.sample(task, lines);
+    const int needed = lines_for(sample, task.any_return);
+    if (needed <= lines) {
+      sum = sample.sum;
+      return true;
+    }
+    lines = needed;
+  }
+  return false;
+}
+
+bool BlockLooker::may_be_free(const LineTask& task) {
+  return std::any_of(task.beam, task.beam + task.beams,
+                     [](const LineBeam& beam) { return beam.free_row > 0; });
 }
 
 int BlockLooker::lines_for(const VoxelLines::Sample& sample, bool any_return) const {
@@ -270,7 +286,7 @@ int BlockLooker::lines_for(const VoxelLines::Sample& sample, bool any_return) co
   const double variance = sample.squared / sum.occupied - sum.weight() * sum.weight();
   const double needed = kSpread * kSpread * variance;
   const double allowed = weight_error_ * weight_error_ * sum.occupied;
-  while (lines < kMostLines && needed > allowed * (lines * lines)) lines *= 2;
+  while (lines <= kMostLines && needed > allowed * (lines * lines)) lines *= 2;
   return lines;
 }
 

@@ -14,6 +14,8 @@ namespace {
 constexpr double kHalfPi = 1.5707963267948966;
 constexpr double kMaxCells = 64.0 * 1024 * 1024;  // far above 16 MiB of any real message
 constexpr double kMaxRange = 10000.0;
+constexpr double kFinestRow = 1e-6;
+constexpr std::size_t kMaxBeams = 65536;
 constexpr int kMostThreads = 64;
 
 void require(bool ok, const char* what) {
@@ -25,6 +27,7 @@ const double kHalfDiagonal = std::sqrt(3.0) / 2;  // of a unit cube
 // Half of the part that makes a voxel occupied: it has two ends.
 constexpr double kNegligiblePart = 0.01;
 constexpr double kHalf = 0.5;
+constexpr double kRounding = 1e-9;
 
 // How deep a slice off the corner of a unit cube may be, along a direction that is known to `turn`,
 // to hold less than `part` of it. The slice is part of a tetrahedron, of a prism over a triangle,
@@ -44,8 +47,9 @@ void check_ping(const PingImage& image, const FanSettings& settings) {
           "intensity must have at least one row and two beams");
   require(static_cast<double>(image.rows) * static_cast<double>(image.beams) <= kMaxCells,
           "intensity has more than 2^26 samples");
-  require(std::isfinite(image.range_resolution_m) && image.range_resolution_m > 0,
-          "range_resolution_m must be finite and positive");
+  require(image.beams <= kMaxBeams, "intensity has more than 65536 beams");
+  require(std::isfinite(image.range_resolution_m) && image.range_resolution_m >= kFinestRow,
+          "range_resolution_m must be finite, and a micrometre or more");
   require(image.max_range_m() <= kMaxRange, "the ping reaches farther than 10 km");
   for (std::size_t j = 0; j < image.beams; ++j) {
     require(std::abs(image.bearings_rad[j]) <= kHalfPi,
@@ -313,8 +317,9 @@ Fan::Content Fan::free_between_beams(const Vec3& centre, const Extent& extent,
         part_beyond(edge_normals_[j], dot(edge_normals_[j], centre) / extent.edge);
     part += is_free(j) ? beyond : -beyond;
   }
-  if (part > kHalf + slack) return Content::mostly_free;
-  return part <= kHalf - slack ? Content::less_free : Content::undecided;
+  // Just half is not more than half, whatever the rounding.
+  if (part > kHalf + slack + kRounding) return Content::mostly_free;
+  return part <= kHalf - slack + kRounding ? Content::less_free : Content::undecided;
 }
 
 Fan::Verdict Fan::verdict(const Vec3& centre, const Place& place, const Extent& extent) const {

@@ -181,7 +181,8 @@ void places(const CellTask& task, CellPlaces& places) {
     const Row port = row_of(task.port, y, z);
     const Row up = row_of(task.up, y, z);
     const Row flat = ahead * ahead + port * port;
-    const Row horizontal = root(flat);
+    // Never 0, by which is divided.
+    const Row horizontal = root(flat) + 1e-300;
     const Row height = up < 0.0 ? -up : up;
     const Row low = row_of(task.low_side, y, z);
     const Row high = row_of(task.high_side, y, z);
@@ -194,14 +195,14 @@ void places(const CellTask& task, CellPlaces& places) {
   }
 }
 
-bool lower(std::int32_t* units, std::uint16_t* count, const std::uint16_t* rows,
-           const std::uint32_t* down, const std::uint32_t* next, std::int32_t min_units,
-           std::int32_t limit) {
+Lowered lower(std::int32_t* units, std::uint16_t* count, const std::uint16_t* rows,
+              const std::uint32_t* down, const std::uint32_t* next, std::int32_t min_units,
+              std::int32_t limit) {
   constexpr int kEdge = 16;
-  bool any_above = false;
+  std::uint32_t above = 0;
+  std::uint32_t moved = 0;
   for (int row = 0; row < kEdge * kEdge; ++row, units += kEdge, count += kEdge) {
     if (rows[row] == 0) continue;
-    std::uint32_t above = 0;
     for (int i = 0; i < kEdge; ++i) {
       const bool taken = (rows[row] >> i & 1) != 0;
       const bool lowered = taken && units[i] <= limit;
@@ -214,12 +215,12 @@ bool lower(std::int32_t* units, std::uint16_t* count, const std::uint16_t* rows,
           room <= step ? min_units
                        : static_cast<std::int32_t>(static_cast<std::uint32_t>(units[i]) - step);
       const auto after_count = static_cast<std::uint16_t>(next[count[i]]);
+      moved |= lowered && (after != units[i] || after_count != count[i]) ? 1U : 0U;
       units[i] = lowered ? after : units[i];
       count[i] = lowered ? after_count : count[i];
     }
-    any_above = any_above || above != 0;
   }
-  return any_above;
+  return {above != 0, moved != 0};
 }
 
 }  // namespace

@@ -1,32 +1,16 @@
 #include "mapperd/projective.hpp"
 
 #include <algorithm>
-#include <atomic>
 #include <cmath>
 #include <cstdint>
 #include <stdexcept>
-#include <thread>
 #include <vector>
 
 #include "mapperd/block_evidence.hpp"
+#include "mapperd/parallel.hpp"
 
 namespace mapperd {
 namespace {
-
-// Runs task(0) ... task(count - 1) on some threads; which of them does what is left open.
-template <typename Task>
-void run_parallel(std::size_t count, int threads, const Task& task) {
-  std::atomic<std::size_t> next{0};
-  const auto work = [&] {
-    for (std::size_t i = next++; i < count; i = next++) task(i);
-  };
-  std::vector<std::thread> helpers;
-  for (int i = 1; i < threads && static_cast<std::size_t>(i) < count; ++i) {
-    helpers.emplace_back(work);
-  }
-  work();
-  for (std::thread& helper : helpers) helper.join();
-}
 
 // One ping: from large cubes of space down to blocks, then each block on its own. Coordinates are
 // local to the sonar's block: far from the map's origin no precision is lost.
@@ -104,9 +88,7 @@ class PingUpdate {
       blocks.push_back(evidence.empty() ? nullptr : &block_at(evidence.key));
     }
     run_parallel(blocks.size(), settings_.threads, [&](std::size_t i) {
-      if (blocks[i] == nullptr) return;
-      change(*blocks[i], evidence_[i]);
-      blocks[i]->revision = revision;
+      if (blocks[i] != nullptr && change(*blocks[i], evidence_[i])) blocks[i]->revision = revision;
     });
     for (const BlockEvidence& evidence : evidence_) count(evidence);
     stats_.blocks_created = map_.block_count() - before;
@@ -116,16 +98,21 @@ class PingUpdate {
     return map_.get_or_create({origin_.x + at.x, origin_.y + at.y, origin_.z + at.z});
   }
 
-  void change(Block& block, const BlockEvidence& evidence) const {
+  // False when nothing changed: all that the ping says was settled before.
+  bool change(Block& block, const BlockEvidence& evidence) const {
     const IwloRule& rule = map_.rule();
+    if (evidence.occupied.empty() && block.is_settled_free(rule)) return false;
     DenseVoxels& voxels = block.open(rule);
-    if (evidence.any_free) block.add_free(rule, evidence.free);
+    bool changed = evidence.any_free && block.add_free(rule, evidence.free);
     for (const OccupiedVoxel& voxel : evidence.occupied) {
       std::int32_t& units = voxels.units[voxel.offset];
       std::uint16_t& count = voxels.count[voxel.offset];
+      const Voxel before{units, count};
       rule.add(step_of(voxel, units, count), units, count);
+      changed = changed || units != before.units || count != before.count;
     }
     block.close(rule);
+    return changed;
   }
 
   double step_of(const OccupiedVoxel& voxel, std::int32_t units, std::uint16_t count) const {
@@ -166,10 +153,13 @@ void check_reach(const VoxelMap& map, const Transform& map_T_sonar, double max_r
       throw std::out_of_range("the ping lies beyond the map's reach");
     }
   }
-  for (const Vec3& row : map_T_sonar.rows) {
-    if (!(std::abs(norm(row) - 1.0) < 1e-6)) {
-      throw std::invalid_argument("map_T_sonar is no rigid transform");
-    }
+  const auto& [x, y, z] = map_T_sonar.rows;
+  const auto zero = [](double v) { return std::abs(v) < 1e-6; };
+  const double handedness =
+      dot(x, {y.y * z.z - y.z * z.y, y.z * z.x - y.x * z.z, y.x * z.y - y.y * z.x});
+  if (!(zero(norm(x) - 1) && zero(norm(y) - 1) && zero(norm(z) - 1) && zero(dot(x, y)) &&
+        zero(dot(y, z)) && zero(dot(z, x)) && handedness > 0)) {
+    throw std::invalid_argument("map_T_sonar is no rigid transform");
   }
 }
 

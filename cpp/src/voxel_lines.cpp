@@ -8,6 +8,7 @@ namespace mapperd {
 namespace {
 
 constexpr int kMostLines = 128;
+constexpr double kNearestForPlanes = 3.0;  // edges from the sonar's vertical axis
 
 // Lattices of 8, 16, ... 128 lines in the unit square about 0, by their number's logarithm.
 struct Lattice {
@@ -85,14 +86,23 @@ LinePlane VoxelLines::plane_of(const Vec3& normal, const Direction& d) {
           static_cast<float>(component(normal, (d.axis + 2) % 3)), t, -1.0F / t};
 }
 
-void VoxelLines::cut_by_aperture(const Vec3& centre, const Direction& direction,
+// The cones as the planes that touch them above and below the voxel; false where they bend too much
+// for that, or few lines would miss what lies between them.
+bool VoxelLines::cut_by_aperture(const Vec3& centre, const Direction& direction,
                                  LineTask& task) const {
+  const Vec3 in_sonar = fan_.to_sonar(centre);
+  const double horizontal = std::hypot(in_sonar.x, in_sonar.y);
+  if (horizontal < kNearestForPlanes * edge_m_ ||
+      2 * horizontal * fan_.sin_half_aperture() < edge_m_) {
+    return false;
+  }
   std::array<Vec3, 2> normals;
-  fan_.aperture_planes_at(fan_.to_sonar(centre), normals[0], normals[1]);
+  fan_.aperture_planes_at(in_sonar, normals[0], normals[1]);
   for (const Vec3& normal : normals) {
     task.cone[task.cones] = plane_of(normal, direction);
     task.cone_base[task.cones++] = static_cast<float>(dot(normal, centre));
   }
+  return true;
 }
 
 // Of the beams that the voxel may lie in those that it does; returns the first.
@@ -101,12 +111,7 @@ std::size_t VoxelLines::find_beams(const Vec3& centre, double half_m, const FanP
   std::size_t first = where.first_beam;
   std::size_t last = where.last_beam;
   if (first < last) {
-    const Vec3& n = fan_.edge_normal(first);
-    // The edges' normals differ by less than a percent from the first one's, but nearest to the
-    // sonar, and there the voxel reaches no farther than its corners.
-    constexpr double kRootOf3 = 1.7320508075688772;
-    const double width = std::abs(n.x) + std::abs(n.y) + std::abs(n.z);
-    const double reach = half_m * std::min(1.02 * width, kRootOf3);
+    const double reach = half_m * 1.7320508075688772;  // to the corners
     while (first < last && dot(fan_.edge_normal(first + 1), centre) > reach) ++first;
     while (first < last && dot(fan_.edge_normal(last), centre) < -reach) --last;
   }
@@ -153,8 +158,7 @@ bool VoxelLines::prepare(const Cube& cube, const FanPart& where, LineTask& task)
                     static_cast<float>(free_limit_rows_[j] - rows_before)};
   }
   task.cones = 0;
-  if (where.cut_by_aperture) cut_by_aperture(centre, direction, task);
-  return true;
+  return !where.cut_by_aperture || cut_by_aperture(centre, direction, task);
 }
 
 VoxelLines::Sample VoxelLines::sample(const LineTask& task, int lines) const {

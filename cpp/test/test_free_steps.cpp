@@ -149,8 +149,9 @@ void check_lower(const mapperd::Kernels& kernels, const IwloRule& rule, std::uin
   const DenseVoxels before = voxels;
   const VoxelRows rows = random_rows(random);
   const IwloRule::FreeSteps steps = rule.free_steps(times);
-  const bool above = kernels.lower(voxels.units.data(), voxels.count.data(), rows.data(),
-                                   steps.down.data(), steps.count.data(), rule.min_units(), limit);
+  const mapperd::Lowered lowered =
+      kernels.lower(voxels.units.data(), voxels.count.data(), rows.data(), steps.down.data(),
+                    steps.count.data(), rule.min_units(), limit);
   bool expected_above = false;
   for (std::size_t i = 0; i < kBlockVoxels; ++i) {
     std::int64_t units = before.units[i];
@@ -162,7 +163,8 @@ void check_lower(const mapperd::Kernels& kernels, const IwloRule& rule, std::uin
     }
     CHECK(voxels.units[i] == units && voxels.count[i] == count);
   }
-  CHECK(above == expected_above);
+  CHECK(lowered.any_above == expected_above);
+  CHECK(lowered.changed == (voxels.units != before.units || voxels.count != before.count));
 }
 
 TEST_CASE("the kernels lower what they are told to, to the clamp and no further") {

@@ -138,7 +138,9 @@ TEST_CASE("lowered voxels, to the bit") {
       return kernels.lower(v.units.data(), v.count.data(), rows.data(), down.data(), next.data(),
                            least, limit);
     };
-    CHECK(run(mapperd::kernels(), voxels) == run(mapperd::plain_kernels(), other));
+    const mapperd::Lowered a = run(mapperd::kernels(), voxels);
+    const mapperd::Lowered b = run(mapperd::plain_kernels(), other);
+    CHECK(a.any_above == b.any_above && a.changed == b.changed);
     CHECK(std::memcmp(&voxels, &other, sizeof other) == 0);
   }
 }

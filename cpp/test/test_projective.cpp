@@ -1,4 +1,5 @@
 // The projective integrator against the converged oracle.
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
@@ -335,6 +336,47 @@ TEST_CASE("no intensity brings a NaN into the map") {
   map.for_each_known([](const mapperd::VoxelIndex&, const mapperd::VoxelState& state) {
     CHECK(std::abs(state.log_odds) <= 10.0F);
   });
+}
+
+TEST_CASE("a pose that is no rotation is refused: skewed, mirrored") {
+  VoxelMap map(0.1, {});
+  scenes::Ping ping = scenes::empty_ping(10, 8, 0.5, 2.0);
+  ping.intensity.assign(80, 200.0F);
+  mapperd::Transform skewed;
+  skewed.rows[1] = skewed.rows[0];
+  mapperd::Transform mirrored;
+  mirrored.rows[2].z = -1.0;
+  for (const mapperd::Transform& pose : {skewed, mirrored}) {
+    CHECK_THROWS(mapperd::integrate_projective(map, ping.image(), pose, {}), std::logic_error);
+    CHECK_THROWS(mapperd::integrate_rays(map, ping.image(), pose, {}), std::logic_error);
+  }
+  CHECK(map.block_count() == 0);
+}
+
+TEST_CASE("what is settled does not change any more, nor does its revision") {
+  scenes::Random random(91);
+  const scenes::Ping ping = scenes::empty_ping(40, 32, 0.6, 4.0);
+  mapperd::FanSettings settings;
+  settings.carve_no_return = true;
+  const mapperd::Transform pose = scenes::random_pose(random);
+  VoxelMap map(0.05, {});
+  const auto last_change = [&map] {
+    std::uint64_t latest = 0;
+    for (const mapperd::Block* block : map.sorted_blocks()) {
+      latest = std::max(latest, block->revision);
+    }
+    return latest;
+  };
+  for (int i = 0; i < 100; ++i) {
+    mapperd::integrate_projective(map, ping.image(), pose, settings);
+  }
+  CHECK(last_change() > 80);  // counts settle after 90 pings
+  const std::uint64_t settled = last_change();
+  CHECK(settled < map.revision());
+  for (int i = 0; i < 5; ++i) {
+    mapperd::integrate_projective(map, ping.image(), pose, settings);
+    CHECK(last_change() == settled);
+  }
 }
 
 TEST_CASE("looking at nothing creates no block") {

@@ -66,8 +66,14 @@ class Block {
   // unless a voxel is believed occupied.
   bool add_free_everywhere(const IwloRule& rule);
 
-  // One free observation of some of an open block's voxels.
-  void add_free(const IwloRule& rule, const VoxelRows& rows);
+  // One free observation of some of an open block's voxels; false when nothing changed.
+  bool add_free(const IwloRule& rule, const VoxelRows& rows);
+
+  // Every voxel is at the lower clamp and its count settled: free observations change nothing.
+  bool is_settled_free(const IwloRule& rule) const {
+    return dense_ == nullptr && uniform_.units == rule.min_units() &&
+           uniform_.count == rule.settled_count();
+  }
 
   // The voxels themselves, to be changed; call close() after it.
   DenseVoxels& open(const IwloRule& rule);
@@ -83,7 +89,7 @@ class Block {
   std::size_t memory_bytes() const { return sizeof(Block) + voxel_bytes(); }
 
  private:
-  void add_free_steps(const IwloRule& rule, const IwloRule::FreeSteps& steps,
+  bool add_free_steps(const IwloRule& rule, const IwloRule::FreeSteps& steps,
                       const VoxelRows& rows);
 
   Voxel uniform_;  // all voxels, unless dense_

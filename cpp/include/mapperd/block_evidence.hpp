@@ -59,6 +59,7 @@ class BlockLooker {
   void decide(const Evidence& sum, int offset, BlockEvidence& evidence) const;
   Evidence exact(const Cube& cube, const FanPart& where) const;
   bool sampled(const Cube& cube, const FanPart& where, Evidence& sum) const;
+  static bool may_be_free(const LineTask& task);
   int lines_for(const VoxelLines::Sample& sample, bool any_return) const;
 
   const Fan& fan_;

@@ -89,17 +89,21 @@ struct CellPlaces {
   double inside_sides[kCellVoxels];
 };
 
+struct Lowered {
+  bool any_above;  // voxels that were skipped because of the limit
+  bool changed;
+};
+
 struct Kernels {
   const char* name;
   // Sums over 8 * `chunks` lines, at u and v times the voxel's edge.
   LineSums (*lines)(const LineTask& task, const float* u, const float* v, int chunks);
   void (*places)(const CellTask& task, CellPlaces& places);
   // Free steps of voxels: `down` (units, positive) and `next` (the new count) by count. Skips
-  // voxels whose bit in `rows` (16 voxels a row) is not set, and those above `limit`; true when
-  // there were any of these.
-  bool (*lower)(std::int32_t* units, std::uint16_t* count, const std::uint16_t* rows,
-                const std::uint32_t* down, const std::uint32_t* next, std::int32_t min_units,
-                std::int32_t limit);
+  // voxels whose bit in `rows` (16 voxels a row) is not set, and those above `limit`.
+  Lowered (*lower)(std::int32_t* units, std::uint16_t* count, const std::uint16_t* rows,
+                   const std::uint32_t* down, const std::uint32_t* next, std::int32_t min_units,
+                   std::int32_t limit);
 };
 
 // The fastest that this machine runs, and the plain ones.

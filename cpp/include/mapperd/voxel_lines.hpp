@@ -46,7 +46,7 @@ class VoxelLines {
   static LinePlane plane_of(const Vec3& normal, const Direction& direction);
   std::size_t find_beams(const Vec3& centre, double half_m, const FanPart& where,
                          LineTask& task) const;
-  void cut_by_aperture(const Vec3& centre, const Direction& direction, LineTask& task) const;
+  bool cut_by_aperture(const Vec3& centre, const Direction& direction, LineTask& task) const;
 
   const Fan& fan_;
   const Kernels& kernels_;

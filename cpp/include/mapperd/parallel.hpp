@@ -1,0 +1,44 @@
+// A loop on several threads.
+#pragma once
+
+#include <atomic>
+#include <cstddef>
+#include <exception>
+#include <mutex>
+#include <system_error>
+#include <thread>
+#include <vector>
+
+namespace mapperd {
+
+// Runs task(0) ... task(count - 1); which thread does which is left open. Where the system has no
+// more threads to give, fewer do. Rethrows the first exception of a task, after which no further
+// one is begun.
+template <typename Task>
+void run_parallel(std::size_t count, int threads, const Task& task) {
+  std::atomic<std::size_t> next{0};
+  std::exception_ptr failure;
+  std::mutex failing;
+  const auto work = [&] {
+    try {
+      for (std::size_t i = next++; i < count; i = next++) task(i);
+    } catch (...) {
+      const std::lock_guard<std::mutex> lock(failing);
+      if (!failure) failure = std::current_exception();
+      next = count;
+    }
+  };
+  std::vector<std::thread> helpers;
+  try {
+    for (int i = 1; i < threads && static_cast<std::size_t>(i) < count; ++i) {
+      helpers.emplace_back(work);
+    }
+  } catch (const std::exception&) {
+    // Those that there are, and this one, do it all.
+  }
+  work();
+  for (std::thread& helper : helpers) helper.join();
+  if (failure) std::rethrow_exception(failure);
+}
+
+}  // namespace mapperd
