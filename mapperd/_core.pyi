@@ -113,8 +113,9 @@ class VoxelMap:
             threads: 1 to 64; the map does not depend on it.
 
         Raises:
-            ValueError: an argument has the wrong shape, is not finite, or the pose would leave
-                the map's reach.
+            ValueError: an argument has the wrong shape or is not finite, or the pose is no rigid
+                transform.
+            IndexError: the ping would leave the map's reach.
         """
 
     def integrate_rays(

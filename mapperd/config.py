@@ -138,7 +138,7 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True):
             ge=0,
             le=10,
         ),
-    ] = 0.05
+    ] = 0.1
     threads: Annotated[
         int,
         rule("Threads of projective; the map does not depend on them.", live=True, ge=1, le=64),

@@ -1,8 +1,8 @@
-"""The seed documents' flat dictionary of settings, as the library class took it.
+"""The published mapper's flat dictionary of settings, as the library class took it.
 
 Every key is one setting of `mapperd.config` under its own name (`adaptive.*` carries its section:
 `adaptive_threshold`), so that ranges and defaults stand in one place. Keys of functions that do
-not exist yet are taken only when they say "off": no setting is ever read and then ignored (W-44).
+not exist yet are taken only when they say "off": no setting is ever read and then ignored.
 """
 
 import difflib
@@ -66,7 +66,7 @@ _RESTING = {
 
 
 def config_from_flat(flat: Mapping[str, Any]) -> Config:
-    """Settings from the seed documents' flat keys; what is not named has its default.
+    """Settings from the published mapper's flat keys; what is not named has its default.
 
     An `occupied_threshold` below 0.5 takes `free_threshold` down with it, and a low
     `adaptive_max_ratio` `adaptive_min_ratio`, unless those are named.

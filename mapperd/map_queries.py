@@ -101,7 +101,7 @@ class MapQueries:
     ) -> NDArray[np.float64]:
         """Distance from each origin to where its ray enters the first occupied voxel.
 
-        Every voxel that the ray runs through is looked at (the seed documents' fixed steps miss
+        Every voxel that the ray runs through is looked at (the published mapper's fixed steps miss
         corners). Unknown space does not stop a ray.
 
         Args:

@@ -9,7 +9,7 @@ __all__ = ["MemoryStats", "memory_stats"]
 
 @dataclass(frozen=True, slots=True)
 class MemoryStats:
-    """The seed documents' fields, truthful: they counted 1/12 to 1/18 of the memory (W-22).
+    """The published mapper's fields, truthful: they counted 1/12 to 1/18 of the memory.
 
     Attributes:
         num_nodes: observed voxels and the blocks that hold them.

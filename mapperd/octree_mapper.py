@@ -1,8 +1,7 @@
 """`OctreeMapper`: occupancy by points and rays, with a probability for hit and for miss.
 
-The names and defaults are the seed documents'. The map beneath is the one of `SonarMap`; where
-their class had defects this one deliberately differs, and says so with the defect's number in
-`iwlo-mapping.md`.
+The names and defaults are the published mapper's. The map beneath is the one of `SonarMap`; where
+their class had defects this one deliberately differs, and says so.
 """
 
 from os import PathLike
@@ -29,7 +28,7 @@ class OctreeMapper:
     """A map that hits and misses are added to.
 
     Points are metres in the map frame; lists or arrays of any real dtype. Whatever is refused
-    leaves the map as it was: the seed's batch calls dropped points that are not finite.
+    leaves the map as it was: the published mapper's batch calls dropped points that are not finite.
 
     Args:
         resolution: edge of a voxel, metres.
@@ -54,7 +53,7 @@ class OctreeMapper:
         self.set_probability_params(prob_hit, prob_miss)
         self.set_occupancy_thresholds(prob_thres_min, prob_thres_max)
 
-    def update_point(self, point: ArrayLike, occupied: bool) -> None:  # noqa: FBT001 the seed's
+    def update_point(self, point: ArrayLike, occupied: bool) -> None:  # noqa: FBT001 the published name
         """Add one hit or miss.
 
         Args:
@@ -117,8 +116,8 @@ class OctreeMapper:
             min_probability: 0 gives all observed voxels; negative means 0.5.
 
         Returns:
-            (N, 4): x, y, z of the voxel's CENTRE (the seed gave its lowest corner, W-24) and the
-            probability.
+            (N, 4): x, y, z of the voxel's CENTRE (the published mapper gave its lowest corner) and
+            the probability.
 
         Raises:
             ValueError: above 1, or not a number.
@@ -141,7 +140,7 @@ class OctreeMapper:
         self._map.merge(*(other._map for other in others))  # noqa: SLF001 of the same class
 
     def get_memory_usage(self) -> MemoryStats:
-        """Voxels, and the memory that is really in use (W-22)."""
+        """Voxels, and the memory that is really in use."""
         return memory_stats(self._map)
 
     def get_num_nodes(self) -> int:
@@ -166,8 +165,8 @@ class OctreeMapper:
     def set_occupancy_thresholds(self, min_thresh: float, max_thresh: float) -> None:
         """Set the probabilities that hits and misses stop at.
 
-        A voxel already beyond is not brought back. Unlike the seed's, max_thresh is not also the
-        threshold of being occupied, which called everything not saturated free (W-25).
+        A voxel already beyond is not brought back. Unlike the published mapper's, max_thresh is
+        not also the threshold of being occupied, which called everything not saturated free.
 
         Raises:
             ValueError: not 0 < min_thresh < 0.5 < max_thresh < 1.
@@ -191,8 +190,8 @@ class OctreeMapper:
     def save_to_file(self, filename: str | PathLike[str]) -> bool:
         """Write an OctoMap tree, whole or not at all.
 
-        `.bt` holds classes alone: occupied above 0.5, free below (W-26). `.ot` holds log-odds.
-        Neither holds counts. No output of the process is redirected (W-36).
+        `.bt` holds classes alone: occupied above 0.5, free below. `.ot` holds log-odds.
+        Neither holds counts. No output of the process is redirected.
 
         Returns:
             True; failing is an exception.
@@ -200,7 +199,7 @@ class OctreeMapper:
         Raises:
             ValueError: another suffix.
             ExportError: the file cannot be written.
-            MapError: a voxel lies beyond OctoMap's keys, 32768 voxels from the origin (W-29).
+            MapError: a voxel lies beyond OctoMap's keys, 32768 voxels from the origin.
         """
         path = Path(filename)
         if path.suffix not in (".bt", ".ot"):
@@ -217,14 +216,14 @@ class OctreeMapper:
     def load_from_file(self, filename: str | PathLike[str]) -> bool:
         """Replace the content by that of an OctoMap tree, `.bt` or `.ot`.
 
-        What was loaded answers all queries (the seed filled a tree that its queries did not read).
-        Counts become 1; a `.bt`, having classes alone, gives log-odds -2 and 3.5.
+        What was loaded answers all queries (the published mapper filled a tree that its queries
+        did not read). Counts become 1; a `.bt`, having classes alone, gives log-odds -2 and 3.5.
 
         Returns:
             True; failing is an exception, and leaves the map as it was.
 
         Raises:
-            MapError: the file cannot be read, is no tree, or has another resolution (W-34).
+            MapError: the file cannot be read, is no tree, or has another resolution.
         """
         path = Path(filename)
         try:

@@ -1,6 +1,6 @@
 """`ProbabilityUpdater`: IWLO updates of points whose evidence somebody else has worked out.
 
-The names and defaults are the seed documents' (`iwlo-mapping.md` 9.2). The rule is applied by the
+The names and defaults are the published mapper's. The rule is applied by the
 core, in its one place. Deliberate differences carry the number of the defect that they avoid.
 """
 
@@ -34,7 +34,7 @@ class ProbabilityUpdater:
     """
 
     def __init__(self, resolution: float = 0.05) -> None:
-        # The seed's own defaults of this class, not those of the settings.
+        # The published mapper's own defaults of this class, not those of the settings.
         self._rule: dict[str, Any] = {"sharpness": 0.1, "min_alpha": 0.3}
         self._adaptive = True
         self._occupied_threshold = 0.7
@@ -58,7 +58,7 @@ class ProbabilityUpdater:
 
     def set_adaptive_params(
         self,
-        enable: bool,  # noqa: FBT001 the seed's
+        enable: bool,  # noqa: FBT001 the published name
         threshold: float,
         max_ratio: float,
         min_ratio: float | None = None,
@@ -67,7 +67,7 @@ class ProbabilityUpdater:
 
         Below `threshold` an occupied observation moves a voxel by at least `min_ratio` of the
         largest step, L_occ w; 0 is the published rule, by which a voxel that was seen free five
-        times stays so (W-14). None means 0.25, or `max_ratio` where that is less.
+        times stays so. None means 0.25, or `max_ratio` where that is less.
 
         Raises:
             ValueError: out of range.
@@ -88,8 +88,8 @@ class ProbabilityUpdater:
     def set_clamping_thresholds(self, min_prob: float, max_prob: float) -> None:
         """Set the clamps as probabilities; the same clamps as L_min and L_max.
 
-        The seed clamped twice, here and to a fixed -10..10, and made max_prob the threshold of
-        being occupied (W-25). Here is one pair of clamps, and what is set last holds.
+        The published mapper clamped twice, here and to a fixed -10..10, and made max_prob the
+        threshold of being occupied. Here is one pair of clamps, and what is set last holds.
 
         Raises:
             ValueError: not 0 < min_prob < 0.5 < max_prob < 1.
@@ -102,7 +102,7 @@ class ProbabilityUpdater:
         sharpness: float,
         decay_rate: float,
         min_alpha: float,
-        L_min: float,  # noqa: N803 the seed's
+        L_min: float,  # noqa: N803 the published name
         L_max: float,  # noqa: N803
     ) -> None:
         """Set the rule's shape and clamps.
@@ -144,10 +144,11 @@ class ProbabilityUpdater:
     ) -> None:
         """Add one observation a point, in their order; a voxel named twice is observed twice.
 
-        The flag decides between occupied and free; the seed ignored it and tested the intensity
+        The flag decides between occupied and free; the published mapper ignored it and tested the
+        intensity
         again. An occupied point that is not above the intensity threshold has weight 0: it counts
         as an observation and moves nothing. A weight multiplies its point's step and plays no part
-        in the count; pass sample counts as weights only if the samples are independent (W-16).
+        in the count; pass sample counts as weights only if the samples are independent.
 
         Args:
             points: (N, 3), metres, map frame.
@@ -168,8 +169,8 @@ class ProbabilityUpdater:
         """Voxels above a probability; 0 gives all observed ones, negative means 0.5.
 
         Returns:
-            (N, 4): x, y, z of the voxel's CENTRE (the seed gave its lowest corner, W-24) and the
-            probability.
+            (N, 4): x, y, z of the voxel's CENTRE (the published mapper gave its lowest corner) and
+            the probability.
 
         Raises:
             ValueError: above 1, or not a number.
@@ -179,8 +180,8 @@ class ProbabilityUpdater:
     def get_observation_count(self, key: Sequence[int]) -> int:
         """Observations of the voxel with index (ix, iy, iz); 0 when there are none.
 
-        It saturates, without loss, where the learning rate no longer changes. The seed's key was
-        the text "ix_iy_iz" (W-22).
+        It saturates, without loss, where the learning rate no longer changes. The published
+        mapper's key was the text "ix_iy_iz".
 
         Raises:
             ValueError: not three whole numbers.
@@ -202,7 +203,7 @@ class ProbabilityUpdater:
         return MapQueries(self._map, occupied_threshold=limit, free_threshold=min(limit, EVEN))
 
     def get_memory_usage(self) -> MemoryStats:
-        """Voxels, and the memory that is really in use (W-22)."""
+        """Voxels, and the memory that is really in use."""
         return memory_stats(self._map)
 
     def get_num_nodes(self) -> int:
@@ -221,8 +222,8 @@ class ProbabilityUpdater:
         """Forget all voxels; the parameters stay."""
         self._map.clear()
 
-    def set_incremental_sync(self, enable: bool) -> None:  # noqa: FBT001 the seed's
-        """Accept either value: there is one map, and no second store to bring up to date (W-22)."""
+    def set_incremental_sync(self, enable: bool) -> None:  # noqa: FBT001 the published name
+        """Accept either value: there is one map, and no second store to bring up to date."""
 
     def force_full_sync(self) -> None:
-        """Return at once: every query reads the one map, which is always up to date (W-23)."""
+        """Return at once: every query reads the one map, which is always up to date."""

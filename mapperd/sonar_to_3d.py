@@ -1,6 +1,6 @@
 """`SonarTo3DMapper`: images of a sonar and poses of a robot become a 3D map, in a few lines.
 
-The names are the seed documents'. The map beneath is that of `mapperd.mapping.SonarMap`, kept in
+The names are the published mapper's. The map beneath is that of `mapperd.mapping.SonarMap`, kept in
 memory.
 """
 
@@ -66,7 +66,7 @@ class SonarTo3DMapper:
     """A map that images of a sonar are added to.
 
     Args:
-        config: the seed documents' flat keys, such as `voxel_resolution`; docs/library.md has
+        config: the published mapper's flat keys, such as `voxel_resolution`; docs/library.md has
             them all. What is not named has its default.
         clock: seconds, for the processing times.
 
@@ -100,8 +100,8 @@ class SonarTo3DMapper:
     ) -> FrameStats:
         """Add one image.
 
-        The whole of every beam is used (the seed left out every second beam of 512, W-5, and free
-        space between its samples, W-6).
+        The whole of every beam is used (the published mapper left out every second beam of 512,
+        and free space between its samples).
 
         Args:
             polar_image: (rows, beams), row 0 nearest, column 0 the most negative bearing; uint8,
@@ -137,10 +137,10 @@ class SonarTo3DMapper:
         )
 
     def get_point_cloud(self, include_free: bool = False) -> PointCloud:  # noqa: FBT001, FBT002
-        """Occupied voxels, and free ones if asked for (the seed only warned, W-47).
+        """Occupied voxels, and free ones if asked for (the published mapper only warned).
 
         Occupied: above `occupied_threshold`. Free: observed and below `free_threshold`. Points are
-        voxel CENTRES (the seed's were the lowest corners, W-24).
+        voxel CENTRES (the published mapper's were the lowest corners).
         """
         occupied = self._map.voxels("occupied")
         cloud = PointCloud(
@@ -197,8 +197,8 @@ class SonarTo3DMapper:
     def save_merged_octree(self, filename: str | PathLike[str]) -> bool:
         """Write the map as an OctoMap binary tree (`.bt`), whole or not at all.
 
-        Classes by the thresholds of the settings; the seed could not save this map (W-28), and
-        saved others with everything above 0.5 as occupied (W-26).
+        Classes by the thresholds of the settings; the published mapper could not save this map, and
+        saved others with everything above 0.5 as occupied.
 
         Returns:
             True; failing is an exception.

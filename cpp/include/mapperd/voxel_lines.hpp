@@ -1,7 +1,8 @@
 // A ping's evidence over a voxel's volume, sampled along parallel lines through the voxel.
 //
-// The lines run along the axis that is nearest to the direction of range. Along a line everything
-// is exact: where it crosses from beam to beam and from row to row. Across, the lines lie on a
+// The lines run along the axis that is nearest to the direction of range. Along a line it is
+// followed where it crosses from beam to beam and from row to row, with a series for its range and
+// planes for the aperture's cones. Across, the lines lie on a
 // lattice of rank one (Korobov), whose projection on either axis is evenly spaced: a plane between
 // beams that is parallel to the lines is off by half a step at most if it runs along an axis;
 // askew, by half of the lattice's widest gap, up to some 1 / sqrt(lines) of the voxel.
