@@ -1,5 +1,15 @@
 """A driver of Blueprint Subsea Oculus multibeam imaging sonars, useful alone."""
 
+from oculus_driver.diagnosis import (
+    Finding,
+    bind_finding,
+    connection_finding,
+    sighting_findings,
+    silence_finding,
+    status_findings,
+    subnet_finding,
+)
+from oculus_driver.discovery import Discovery, Sightings
 from oculus_driver.encode import (
     bearing_table_cdeg,
     encode_dummy,
@@ -8,15 +18,26 @@ from oculus_driver.encode import (
     encode_status,
     encode_user_config,
 )
-from oculus_driver.errors import EncodeError, OculusError, ProtocolError, RecordingError
+from oculus_driver.errors import (
+    DiscoveryError,
+    EncodeError,
+    OculusError,
+    ProtocolError,
+    RecordingError,
+)
 from oculus_driver.models import Model, model_of
+from oculus_driver.own_addresses import addresses_towards
 from oculus_driver.ping import Ping, Reject, decode_ping
 from oculus_driver.sequence import PingSequence
+from oculus_driver.sighting import Sighting, SonarWatch
 from oculus_driver.status import Status, decode_status
 from oculus_driver.stream import Message, StreamCounters, StreamParser
 
 __all__ = [
+    "Discovery",
+    "DiscoveryError",
     "EncodeError",
+    "Finding",
     "Message",
     "Model",
     "OculusError",
@@ -25,10 +46,16 @@ __all__ = [
     "ProtocolError",
     "RecordingError",
     "Reject",
+    "Sighting",
+    "Sightings",
+    "SonarWatch",
     "Status",
     "StreamCounters",
     "StreamParser",
+    "addresses_towards",
     "bearing_table_cdeg",
+    "bind_finding",
+    "connection_finding",
     "decode_ping",
     "decode_status",
     "encode_dummy",
@@ -37,4 +64,8 @@ __all__ = [
     "encode_status",
     "encode_user_config",
     "model_of",
+    "sighting_findings",
+    "silence_finding",
+    "status_findings",
+    "subnet_finding",
 ]
