@@ -1,5 +1,6 @@
 """A driver of Blueprint Subsea Oculus multibeam imaging sonars, useful alone."""
 
+from oculus_driver.clock import PingTime, SonarClock, row_times_ns
 from oculus_driver.diagnosis import (
     Finding,
     bind_finding,
@@ -43,11 +44,13 @@ __all__ = [
     "OculusError",
     "Ping",
     "PingSequence",
+    "PingTime",
     "ProtocolError",
     "RecordingError",
     "Reject",
     "Sighting",
     "Sightings",
+    "SonarClock",
     "SonarWatch",
     "Status",
     "StreamCounters",
@@ -64,6 +67,7 @@ __all__ = [
     "encode_status",
     "encode_user_config",
     "model_of",
+    "row_times_ns",
     "sighting_findings",
     "silence_finding",
     "status_findings",
