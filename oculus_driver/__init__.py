@@ -23,6 +23,7 @@ from oculus_driver.errors import (
     DiscoveryError,
     EncodeError,
     OculusError,
+    OutsideLimitsError,
     ProtocolError,
     RecordingError,
 )
@@ -31,6 +32,11 @@ from oculus_driver.own_addresses import addresses_towards
 from oculus_driver.ping import Ping, Reject, decode_ping
 from oculus_driver.sequence import PingSequence
 from oculus_driver.sighting import Sighting, SonarWatch
+from oculus_driver.sound_speed import (
+    pressure_bar_at,
+    speed_of_sound_at_depth_mps,
+    speed_of_sound_mps,
+)
 from oculus_driver.status import Status, decode_status
 from oculus_driver.stream import Message, StreamCounters, StreamParser
 
@@ -42,6 +48,7 @@ __all__ = [
     "Message",
     "Model",
     "OculusError",
+    "OutsideLimitsError",
     "Ping",
     "PingSequence",
     "PingTime",
@@ -67,9 +74,12 @@ __all__ = [
     "encode_status",
     "encode_user_config",
     "model_of",
+    "pressure_bar_at",
     "row_times_ns",
     "sighting_findings",
     "silence_finding",
+    "speed_of_sound_at_depth_mps",
+    "speed_of_sound_mps",
     "status_findings",
     "subnet_finding",
 ]

@@ -4,7 +4,8 @@ OculusError
 ├── ProtocolError    bytes or values that do not fit the wire format
 │   └── EncodeError  a value that has no place in the message it was given for
 ├── RecordingError   a file that cannot be opened, read or written as a recording
-└── DiscoveryError   the port of the status broadcasts cannot be listened on
+├── DiscoveryError   the port of the status broadcasts cannot be listened on
+└── OutsideLimitsError  a value for which a formula does not hold
 
 Parsers never raise these on bytes from outside: bad bytes are data, counted and reported.
 """
@@ -36,3 +37,7 @@ class DiscoveryError(OculusError):
 
     The text is one line: which port, why not, and what to do.
     """
+
+
+class OutsideLimitsError(OculusError, ValueError):
+    """A value for which a formula does not hold. The text names the value and its limits."""
