@@ -2,6 +2,7 @@
 
 from oculus_driver.recording.background_log import BackgroundLog
 from oculus_driver.recording.chunk import OCULUS, OCULUS_STATUS, ODOMETRY_NATIVE, Chunk
+from oculus_driver.recording.convert import WRITABLE, Conversion, convert
 from oculus_driver.recording.formats import (
     MCAP,
     OCULUS_LOG,
@@ -26,8 +27,10 @@ __all__ = [
     "PCAP",
     "PCAPNG",
     "VIEWPOINT_LOG",
+    "WRITABLE",
     "BackgroundLog",
     "Chunk",
+    "Conversion",
     "LogCounters",
     "LogPolicy",
     "PingInfo",
@@ -35,6 +38,7 @@ __all__ = [
     "RecordingInfo",
     "RecordingWriter",
     "SonarLog",
+    "convert",
     "describe",
     "open_recording",
 ]
