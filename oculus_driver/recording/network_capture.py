@@ -11,9 +11,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, BinaryIO, Final
 
 from oculus_driver.framing import header_fault, read_header
-from oculus_driver.recording.capture_packets import read_packets
 from oculus_driver.recording.chunk import OCULUS, OCULUS_STATUS, Chunk, Progress
 from oculus_driver.recording.packet_layers import SYN, UDP, Flow, Segment, segment_of
+from oculus_driver.recording.pcap_packets import read_pcap_packets
+from oculus_driver.recording.pcapng_packets import PCAPNG_MAGIC, read_pcapng_packets
 from oculus_driver.recording.reassembly import Piece, TcpStream
 from oculus_driver.wire import HEADER, MAGIC, STATUS, STATUS_PORT, TCP_PORT, MessageId
 
@@ -30,6 +31,9 @@ Source = tuple[bytes, int]
 
 def read_network_capture(file: BinaryIO, size: int, progress: Progress) -> Iterator[Chunk]:
     """Yield what sonars sent in a capture of `size` bytes, in order; fill in `progress`."""
+    file.seek(0)
+    is_new = file.read(len(PCAPNG_MAGIC)) == PCAPNG_MAGIC
+    read_packets = read_pcapng_packets if is_new else read_pcap_packets
     sorter = _Sorter(progress)
     for packet in read_packets(file, size, progress):
         segment = segment_of(packet.link_type, packet.data)

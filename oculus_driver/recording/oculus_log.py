@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
-from oculus_driver.framing import header_fault, read_header
+from oculus_driver.framing import Header, header_fault, read_header
 from oculus_driver.recording.chunk import OCULUS, Chunk, Progress
 from oculus_driver.recording.oculus_log_records import (
     CONVERTED_MAGIC,
@@ -25,6 +25,7 @@ from oculus_driver.recording.oculus_log_records import (
     stamp_ns,
 )
 from oculus_driver.recording.qt_compression import uncompress
+from oculus_driver.recording.windows import windows
 from oculus_driver.wire import HEADER, MAX_MESSAGE_SIZE
 
 if TYPE_CHECKING:
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 
 LINK: Final = "sonar"
 _MAX_FILE_HEADER: Final = 4096
-_WINDOW: Final = 1 << 20
 
 
 def is_encrypted(head: bytes) -> bool:
@@ -123,13 +123,25 @@ class _Items:
         if len(data) < HEADER.size:
             return None
         header = read_header(data, 0)
-        if header_fault(header, strict=False) is not None:
+        if not self._believable(header):
             return None
         return fields | {
             "kind": MESSAGE_ITEM,
             "payload_size": header.size,
             "compression": PLAIN,
         }
+
+    def _believable(self, header: Header) -> bool:
+        """Tell whether a message starts here; one of an unknown id only if an item follows it."""
+        if header_fault(header, strict=True) is None:
+            return True
+        start, end = self.position, self.position + header.size
+        if header_fault(header, strict=False) is not None or end > self.size:
+            return False
+        self._go(end)
+        follower = self._bytes(4)
+        self._go(start)
+        return not follower or follower == self.magic.to_bytes(4, "little")
 
     def _item(self, head: dict[str, Any]) -> _Item | None:
         """Return the item behind `head`, None if it is of no interest or of no use."""
@@ -183,19 +195,14 @@ class _Items:
 
     def _find(self, start: int) -> bool:
         """Go to the first plausible item head at or behind `start`; stay if there is none."""
-        back = self.position
         wanted = ITEM_HEADER.pack({"magic": self.magic})[:8]
-        while start < self.size:
-            self._go(start)
-            window = self._bytes(_WINDOW + ITEM_HEADER.size)
+        for place, window in windows(self.file, start, self.size, ITEM_HEADER.size):
             at = window.find(wanted)
             while 0 <= at <= len(window) - ITEM_HEADER.size:
-                if self._plausible(window, at, start):
-                    self._go(start + at)
+                if self._plausible(window, at, place):
+                    self._go(place + at)
                     return True
                 at = window.find(wanted, at + 1)
-            start += _WINDOW
-        self._go(back)
         return False
 
     def _plausible(self, window: bytes, at: int, start: int) -> bool:

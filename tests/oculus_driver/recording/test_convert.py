@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sqlite3
 from contextlib import closing
 from typing import TYPE_CHECKING
@@ -25,13 +26,14 @@ from oculus_driver.recording import (
     describe,
     open_recording,
 )
+from oculus_driver.recording.pcap_sink import PcapSink
 from tests.oculus_driver.recording.foreign_files import Wire, log_header, log_item, pcap
 from tests.oculus_driver.recording.test_viewpoint_log import TABLES
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from oculus_driver.recording import PingInfo, RecordingInfo
+    from oculus_driver.recording import Chunk, PingInfo, RecordingInfo
     from tests.oculus_driver.conftest import MakePing
 
 START_NS = 1_790_000_000_123_456_789
@@ -84,6 +86,7 @@ def test_a_real_capture_is_the_same_in_every_format(
     assert (info.start_ns, info.end_ns) == (None, None)
     assert pings(target) == pings(capture_path)
     convert(target, back, OCULUS_RAW)
+    assert capture.count(b"\n") == 13634  # quirk 27: no reader stops at them
     assert back.read_bytes() == capture
     assert sorted(path.name for path in tmp_path.iterdir()) == ["back", "target"]
 
@@ -183,3 +186,16 @@ def test_what_cannot_be_converted_is_told_and_nothing_is_left_behind(
             convert(source, target, kind, overwrite=source == target)
     assert (other.read_bytes(), dive.read_bytes()) == (b"precious", before)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["dive.mcap", "other"]
+
+
+def test_a_disk_that_fails_leaves_nothing_behind(
+    tmp_path: Path, dive: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(sink: PcapSink, chunk: Chunk) -> None:
+        del sink, chunk
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(PcapSink, "put", full)
+    with pytest.raises(RecordingError, match="cannot be written: No space left"):
+        convert(dive, tmp_path / "x", PCAP)
+    assert [path.name for path in tmp_path.iterdir()] == ["dive.mcap"]

@@ -50,6 +50,7 @@ def test_garbage_is_counted_by_reason(tmp_path: Path, make_ping: MakePing) -> No
     info = described(tmp_path / "bad", data)
     assert (info.messages, info.pings, info.bytes_rejected) == (3, 2, 600)
     assert info.rejects == {"bad_magic": 1, "bad_resolution": 1, "truncated": 1}
+    assert info.warnings == {"unconfirmed_end": 1}
     assert info.truncated
     assert info.lost_pings == 0
 

@@ -140,19 +140,19 @@ def test_below_the_free_space_floor_nothing_is_written_until_there_is_room(
     pings = [make_ping(ping_id=index) for index in range(6)]
     with SonarLog(tmp_path, policy, free_bytes=lambda _: free[0]) as log:
         assert log.write(pings[0] + pings[1][:500], 0)
-        free[0] = 50 * MIB
+        free[0] = 50 * MIB + MIB // 2  # no room for the index
         assert not log.write(pings[1][500:] + pings[2][:500], 2 * SECOND)
         assert (log.state, log.reason) == ("paused", "free_space")
         free[0] = 100 * MIB
-        assert not log.write(pings[2][500:600], 3 * SECOND - 1)  # too early to try again
-        assert not log.write(pings[2][600:] + pings[3][:50], 4 * SECOND)
+        assert not log.write(pings[2][500:] + pings[3], 3 * SECOND - 1)  # too early to try again
+        assert log.write(pings[4][:50], 4 * SECOND)
         assert (log.state, log.reason) == ("logging", None)
-        assert log.write(pings[3][50:] + pings[4], 5 * SECOND)
+        assert log.write(pings[4][50:] + pings[5], 5 * SECOND)
     (info,) = everything(tmp_path)
-    assert ids([info]) == [0, 3, 4]
+    assert ids([info]) == [0, 4, 5]
     assert info.rejects == {"truncated": 1}  # the part of ping 1, not joined with what followed
-    assert log.counters.drops == {"free_space": 1, "resuming": 2}
-    total = len(b"".join(pings[:5]))
+    assert log.counters.drops == {"free_space": 2, "resuming": 1}
+    total = len(b"".join(pings))
     assert log.counters.bytes_written + log.counters.bytes_dropped == total
 
 
@@ -206,7 +206,9 @@ def test_data_are_brought_to_the_disk_as_often_as_asked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     synced: list[int] = []
+    names: list[int] = []
     monkeypatch.setattr(os, "fdatasync", synced.append)
+    monkeypatch.setattr(os, "fsync", names.append)
     for interval, expected in ((0, 10), (3 * SECOND, 3), (None, 0)):
         policy = LogPolicy(free_floor_bytes=0, sync_interval_ns=interval)
         log = SonarLog(tmp_path, policy)
@@ -215,7 +217,17 @@ def test_data_are_brought_to_the_disk_as_often_as_asked(
         assert log.counters.syncs == len(synced) == expected
         log.close()
         assert len(synced) == expected + (interval is not None)
+        assert len(names) == (interval is not None)  # the new file's name
         synced.clear()
+        names.clear()
+
+
+def test_a_log_that_is_killed_holds_what_it_was_given(tmp_path: Path, make_ping: MakePing) -> None:
+    log = SonarLog(tmp_path, SMALL)
+    log.write(make_ping() + make_ping(ping_id=8), 1)
+    (info,) = everything(tmp_path)  # not closed
+    assert ids([info]) == [7, 8]
+    log.close()
 
 
 def test_a_name_that_is_no_name_is_refused(tmp_path: Path) -> None:

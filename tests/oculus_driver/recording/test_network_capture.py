@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import tracemalloc
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +11,9 @@ import pytest
 
 from oculus_driver.encode import encode_dummy, encode_fire, encode_status
 from oculus_driver.recording import OCULUS_STATUS, PCAP, PCAPNG, describe, open_recording
-from oculus_driver.recording.packet_layers import segment_of
+from oculus_driver.recording.chunk import Progress
+from oculus_driver.recording.network_capture import _Sorter
+from oculus_driver.recording.packet_layers import TCP, Flow, Segment, segment_of
 from tests.oculus_driver.recording.foreign_files import (
     HOST,
     SONAR,
@@ -175,6 +178,7 @@ def test_packets_are_read_through_all_their_layers() -> None:
     offloaded = four[:2] + bytes(2) + four[4:]
     for link_type, data in (
         (1, ethernet(four)),
+        (1, ethernet(four) + b"\xee" * 6),
         (1, ethernet(four, vlan=5)),
         (1, ethernet(six)),
         (0, struct.pack("<I", 2) + four),
@@ -212,13 +216,80 @@ def test_cut_captures_give_what_is_there(tmp_path: Path, capture: bytes, wire: W
 
 def test_lengths_that_cannot_be_are_not_believed(tmp_path: Path, wire: Wire) -> None:
     whole = pcap(wire.frames)
-    lie = whole[:24] + struct.pack("<IIII", 1, 1, 0xFFFFFFFF, 5) + whole[24:]
+    tracemalloc.start()
+    lie = whole[:24] + struct.pack("<IIII", 1, 1, 0xFFFFFFFF, 0xFFFFFFFF) + whole[24:]
     chunks, recording = read(tmp_path / "c", lie)
     assert (chunks, recording.truncated) == ([], True)
     for size in (0, 4, 13, 0xFFFFFFF0):
         hurt = section() + struct.pack("<II", 6, size) + bytes(100)
         chunks, recording = read(tmp_path / "c", hurt, PCAPNG)
         assert (chunks, recording.truncated) == ([], True)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 8 << 20
+
+
+def test_each_section_of_a_pcapng_file_has_its_own_interfaces(
+    tmp_path: Path, make_ping: MakePing
+) -> None:
+    wire = Wire()
+    wire.send(make_ping(), size=2000)
+    (stamp, frame), (_, other) = wire.frames
+    data = section() + interface() + packet(stamp, frame)
+    data += section(">") + interface(">", resolution=6) + packet(stamp // 1000, other, ">")
+    chunks, recording = read(tmp_path / "c", data, PCAPNG)
+    assert b"".join(chunk.data for chunk in chunks) == make_ping()
+    assert [chunk.arrival_ns for chunk in chunks] == [stamp, stamp]
+    assert recording.damage is None
+
+
+def test_flows_are_bounded_and_the_longest_silent_go_first() -> None:
+    sorter = _Sorter(Progress())
+    data = b""
+    for port in range(3000):
+        for at in (1, 3):  # what comes last waits for a hole
+            flow = Flow(SONAR, 52100, HOST, port)
+            chunks = sorter.take(Segment(TCP, flow, 2 * at, 0, b"ab"), 5)
+            data += b"".join(chunk.data for chunk in chunks)
+        assert len(sorter.flows) <= 256
+    data += b"".join(chunk.data for chunk in sorter.finish())
+    assert data == b"ab" * 6000
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("flip", [8, 9, 10, 11])
+def test_a_damaged_packet_head_costs_packets_and_not_the_rest(
+    tmp_path: Path, wire: Wire, order: str, flip: int
+) -> None:
+    """Flip bits in the captured length of a packet of the second ping."""
+    for whole, place in (
+        (pcap(wire.frames[:200], order=order), flip),
+        (
+            section(order)
+            + interface(order)
+            + b"".join(packet(*item, order) for item in wire.frames[:200]),
+            flip - 4,  # the block's length
+        ),
+    ):
+        rest = (
+            pcap(wire.frames[200:], order=order)[24:]
+            if whole[0] != 0x0A
+            else b"".join(packet(*item, order) for item in wire.frames[200:])
+        )
+        hurt = bytearray(whole + rest)
+        hurt[len(whole) + place] ^= 0x11
+        info = described(tmp_path / "c", bytes(hurt))
+        assert [ping.id for ping in info.ping_list] == [415323, 415325]
+        assert (info.faults, info.truncated) == (2, False)  # the head, and the hole in the stream
+
+
+def test_searching_a_file_of_lies_takes_no_longer_than_the_file_is_long(tmp_path: Path) -> None:
+    record = struct.pack("<IIII", 5, 0, 1, 1) + b"x" + struct.pack("<IIII", 5, 0, 1, 1) + b"x?"
+    _, recording = read(tmp_path / "c", pcap([(5 * 10**9, b"x")]) + record * 5000)
+    assert recording.faults > 4000
+    lie = packet(0, b"") + b"????"
+    _, recording = read(tmp_path / "c", section() + interface() + lie * 5000, PCAPNG)
+    assert recording.faults > 4000
 
 
 def test_no_bytes_make_reading_fail(tmp_path: Path, make_ping: MakePing) -> None:

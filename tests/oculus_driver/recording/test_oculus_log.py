@@ -99,6 +99,28 @@ def test_a_broken_conversion_is_read_by_the_messages_own_sizes(
     assert [ping.id for ping in info.ping_list][-1] == 2
 
 
+def test_messages_of_unknown_ids_are_kept_in_any_log(tmp_path: Path, make_ping: MakePing) -> None:
+    odd = struct.pack("<HHHHHIH", 0x4F53, 7892, 0, 0x91, 0, 20, 0) + bytes(20)  # quirk 32
+    for magic, item_magic in ((0x11223344, 0xAABBCCDD), (2037, 2037)):
+        data = log_header(magic=magic)
+        for message in (odd, make_ping(), odd):
+            size = 0 if magic == 2037 else len(message)
+            data += log_item(message, magic=item_magic, size=size)
+        chunks, recording = read(tmp_path / "log", data)
+        assert [chunk.data for chunk in chunks] == [odd, make_ping(), odd]
+        assert recording.damage is None
+        info = described(tmp_path / "log", data)
+        assert (info.messages_by_id, info.rejects) == ({0x23: 1, 0x91: 2}, {"unknown_id": 2})
+
+
+def test_a_broken_conversion_swallows_nothing(tmp_path: Path, make_ping: MakePing) -> None:
+    lie = log_item(b"SO??", magic=2037, size=0)
+    data = log_header(magic=2037) + lie * 3 + log_item(make_ping(), magic=2037, size=0)
+    chunks, recording = read(tmp_path / "log", data)
+    assert [(chunk.data, chunk.gap_before) for chunk in chunks] == [(make_ping(), True)]
+    assert recording.faults == 3
+
+
 def test_an_encrypted_log_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "log"
     path.write_bytes(log_header(encryption=1) + log_item(bytes(100)))
@@ -125,6 +147,20 @@ def test_a_size_beyond_the_file_hides_nothing(tmp_path: Path, make_ping: MakePin
     assert [ping.id for ping in info.ping_list] == [7, 8]
     assert not info.truncated
     assert info.faults == 2
+
+
+def test_a_message_item_beyond_the_file_hides_nothing(tmp_path: Path, make_ping: MakePing) -> None:
+    data = log_header() + log_item(b"abc", size=1 << 20) + log_item(make_ping())
+    chunks, recording = read(tmp_path / "log", data)
+    assert [(chunk.data, chunk.gap_before) for chunk in chunks] == [(make_ping(), True)]
+    assert (recording.faults, recording.truncated) == (1, False)
+
+
+def test_an_item_larger_than_any_message_is_a_gap(tmp_path: Path, make_ping: MakePing) -> None:
+    data = log_header() + log_item(bytes(17 << 20)) + log_item(make_ping())
+    chunks, recording = read(tmp_path / "log", data)
+    assert [(chunk.data, chunk.gap_before) for chunk in chunks] == [(make_ping(), True)]
+    assert recording.damage == "damaged at byte 88: an item larger than any message"
 
 
 @pytest.mark.parametrize("cut", [4, 30, 48, 60, 88, 100, 1000])

@@ -119,6 +119,17 @@ def test_other_databases_hold_nothing(tmp_path: Path, tables: str) -> None:
     assert recording.damage is not None
 
 
+def test_a_table_that_is_code_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "log"
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("CREATE VIRTUAL TABLE data USING fts5(timestamp, dataSourceId, payload)")
+        connection.execute("INSERT INTO data VALUES (5, 0, 'SO, a text')")
+        connection.commit()
+    chunks, recording = read(path)
+    assert chunks == []
+    assert recording.damage == "is no ViewPoint log: it has no table named data"
+
+
 def test_a_log_that_was_not_closed_is_read_with_its_write_ahead_log(
     tmp_path: Path, make_ping: MakePing
 ) -> None:
