@@ -84,9 +84,22 @@ class BackgroundLog:
         """Bytes that wait for the disk."""
         return self._waiting
 
-    def write(self, data: bytes, arrival_ns: int, *, gap_before: bool = False) -> bool:
-        """Take the next bytes of the sonar's stream at once; False if there is no room for them."""
-        taken = self._offer(_Entry(data, arrival_ns, gap_before or self._gap, is_status=False))
+    def write(
+        self,
+        data: bytes | bytearray | memoryview,
+        arrival_ns: int,
+        *,
+        gap_before: bool = False,
+    ) -> bool:
+        """Take the next bytes of the sonar's stream at once; False if there is no room for them.
+
+        Args:
+            data: as they came; copied unless they cannot change.
+            arrival_ns: when they came.
+            gap_before: bytes before these were lost, or this is a new connection.
+        """
+        gap = gap_before or self._gap
+        taken = self._offer(_Entry(bytes(data), arrival_ns, gap, is_status=False))
         self._gap = not taken
         return taken
 

@@ -45,7 +45,9 @@ def read_viewpoint_log(file: BinaryIO, size: int, progress: Progress) -> Iterato
     try:
         connection = _open(Path(file.name))
         try:
-            yield from _chunks(connection, progress)
+            for chunk in _chunks(connection, progress):
+                progress.bytes_read = min(progress.bytes_read + len(chunk.data), size)
+                yield chunk
         finally:
             connection.close()
     except (sqlite3.Error, OverflowError) as error:

@@ -123,6 +123,19 @@ def test_the_oldest_files_go_and_the_budget_holds(tmp_path: Path, stream: bytes)
     assert log.counters.bytes_dropped == 0
 
 
+def test_files_of_earlier_runs_count_and_go_first(tmp_path: Path, stream: bytes) -> None:
+    policy = LogPolicy(
+        max_file_bytes=MIB, budget_bytes=4 * MIB, free_floor_bytes=0, sync_interval_ns=None
+    )
+    for turn in range(3):
+        with SonarLog(tmp_path, policy) as log:
+            for piece in pieces(stream[: len(stream) // 3]):
+                assert log.write(piece, turn)
+    sizes = [path.stat().st_size for path in tmp_path.iterdir()]
+    assert 2 * MIB < sum(sizes) <= 4 * MIB
+    assert min(path.name for path in tmp_path.iterdir()) > "sonar_000003"
+
+
 def test_a_log_goes_on_where_another_stopped(tmp_path: Path, make_ping: MakePing) -> None:
     for number in range(3):
         with SonarLog(tmp_path, SMALL, monotonic_to_unix_ns=-number) as log:  # clock set back

@@ -63,6 +63,9 @@ def test_the_messages_of_a_log_come_with_their_stamps(tmp_path: Path, capture: b
     assert recording.metadata == {"logVersion": "2", "applicationName": "ViewPoint"}
     assert (recording.damage, recording.start_ns) == (None, START_MS * 10**6)
     assert sorted(entry.name for entry in tmp_path.iterdir()) == [path.name]
+    with open_recording(path) as again:
+        assert [again.bytes_read for _ in again] == [182016, 364032, 546048]
+        assert again.bytes_read == again.size_bytes > 546048
 
 
 def test_sources_are_kept_apart_and_others_left_out(tmp_path: Path, make_ping: MakePing) -> None:
