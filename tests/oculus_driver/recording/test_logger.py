@@ -106,6 +106,7 @@ def test_statuses_are_recorded_beside_the_stream(tmp_path: Path, make_ping: Make
 def test_the_oldest_files_go_and_the_budget_holds(tmp_path: Path, stream: bytes) -> None:
     foreign = tmp_path / "sonar_notes.mcap"
     foreign.write_bytes(b"mine")
+    (tmp_path / "sonar_000009_20260921T141320Z.mcap").mkdir()
     policy = LogPolicy(
         max_file_bytes=MIB, budget_bytes=4 * MIB, free_floor_bytes=0, sync_interval_ns=None
     )
@@ -113,11 +114,16 @@ def test_the_oldest_files_go_and_the_budget_holds(tmp_path: Path, stream: bytes)
     with SonarLog(tmp_path, policy) as log:
         for index, piece in enumerate(pieces(stream)):
             assert log.write(piece, index)
-            used = max(used, sum(path.stat().st_size for path in tmp_path.iterdir()))
+            used = max(
+                used,
+                sum(path.stat().st_size for path in tmp_path.glob("*Z.mcap") if path.is_file()),
+            )
     assert 2.5 * MIB < used <= 4 * MIB + 4
     assert log.counters.files_deleted >= 2
     assert foreign.read_bytes() == b"mine"
     foreign.unlink()
+    (tmp_path / "sonar_000009_20260921T141320Z.mcap").rmdir()
+    assert max(path.name for path in tmp_path.iterdir()) < "sonar_000009"
     kept = ids(everything(tmp_path))
     assert kept == list(range(40 - len(kept), 40))
     assert log.counters.bytes_dropped == 0
@@ -149,22 +155,24 @@ def test_below_the_free_space_floor_nothing_is_written_until_there_is_room(
     tmp_path: Path, make_ping: MakePing
 ) -> None:
     free = [100 * MIB]
-    policy = LogPolicy(free_floor_bytes=50 * MIB, sync_interval_ns=None)
-    pings = [make_ping(ping_id=index) for index in range(6)]
+    policy = LogPolicy(free_floor_bytes=50 * MIB, sync_interval_ns=None, retry_ns=5 * SECOND)
+    pings = [make_ping(ping_id=index) for index in range(7)]
     with SonarLog(tmp_path, policy, free_bytes=lambda _: free[0]) as log:
         assert log.write(pings[0] + pings[1][:500], 0)
         free[0] = 50 * MIB + MIB // 2  # no room for the index
         assert not log.write(pings[1][500:] + pings[2][:500], 2 * SECOND)
         assert (log.state, log.reason) == ("paused", "free_space")
         free[0] = 100 * MIB
-        assert not log.write(pings[2][500:] + pings[3], 3 * SECOND - 1)  # too early to try again
-        assert log.write(pings[4][:50], 4 * SECOND)
+        assert not log.write(pings[2][500:] + pings[3] + pings[4][:300], 4 * SECOND)  # too early
+        assert not log.write(pings[4][300:400], 8 * SECOND)  # the middle of a message
+        assert not log.write(pings[4][400:] + pings[5][:50], 9 * SECOND)
         assert (log.state, log.reason) == ("logging", None)
-        assert log.write(pings[4][50:] + pings[5], 5 * SECOND)
+        assert log.write(pings[5][50:] + pings[6], 10 * SECOND)
     (info,) = everything(tmp_path)
-    assert ids([info]) == [0, 4, 5]
-    assert info.rejects == {"truncated": 1}  # the part of ping 1, not joined with what followed
-    assert log.counters.drops == {"free_space": 2, "resuming": 1}
+    assert ids([info]) == [0, 5, 6]
+    # The part of ping 1, not joined with what followed:
+    assert (info.rejects, info.bytes_rejected) == ({"truncated": 1}, 500)
+    assert log.counters.drops == {"free_space": 2, "resuming": 3}
     total = len(b"".join(pings))
     assert log.counters.bytes_written + log.counters.bytes_dropped == total
 

@@ -236,10 +236,10 @@ def test_each_section_of_a_pcapng_file_has_its_own_interfaces(
     wire.send(make_ping(), size=2000)
     (stamp, frame), (_, other) = wire.frames
     data = section() + interface() + packet(stamp, frame)
-    data += section(">") + interface(">", resolution=6) + packet(stamp // 1000, other, ">")
+    data += section(">") + interface(">", resolution=6) + packet(stamp // 1000 + 10**6, other, ">")
     chunks, recording = read(tmp_path / "c", data, PCAPNG)
     assert b"".join(chunk.data for chunk in chunks) == make_ping()
-    assert [chunk.arrival_ns for chunk in chunks] == [stamp, stamp]
+    assert [chunk.arrival_ns for chunk in chunks] == [stamp, stamp + 10**9]
     assert recording.damage is None
 
 
@@ -262,6 +262,7 @@ def test_a_damaged_packet_head_costs_packets_and_not_the_rest(
     tmp_path: Path, wire: Wire, order: str, flip: int
 ) -> None:
     """Flip bits in the captured length of a packet of the second ping."""
+    later = [(stamp + 3600 * 10**9, frame) for stamp, frame in wire.frames[200:]]
     for whole, place in (
         (pcap(wire.frames[:200], order=order), flip),
         (
@@ -272,15 +273,25 @@ def test_a_damaged_packet_head_costs_packets_and_not_the_rest(
         ),
     ):
         rest = (
-            pcap(wire.frames[200:], order=order)[24:]
+            pcap(later, order=order)[24:]
             if whole[0] != 0x0A
-            else b"".join(packet(*item, order) for item in wire.frames[200:])
+            else b"".join(packet(*item, order) for item in later)
         )
         hurt = bytearray(whole + rest)
-        hurt[len(whole) + place] ^= 0x11
+        hurt[len(whole) + place] ^= 0x10
         info = described(tmp_path / "c", bytes(hurt))
         assert [ping.id for ping in info.ping_list] == [415323, 415325]
         assert (info.faults, info.truncated) == (2, False)  # the head, and the hole in the stream
+
+
+def test_what_looks_like_a_packet_head_is_not_believed_alone(tmp_path: Path, wire: Wire) -> None:
+    stamp, _ = wire.frames[0]
+    fake = struct.pack("<IIII", stamp // 10**9, 0, 40, 40)
+    noise = ethernet(ipv4(17, udp(fake + bytes(200), ports=(1, 2)), SONAR, HOST))
+    broken = struct.pack("<IIII", 0, 0, 1 << 31, 0)
+    data = pcap([(stamp, noise)]) + broken + pcap(wire.frames)[24:]
+    info = described(tmp_path / "c", data)
+    assert (info.pings, info.faults) == (3, 1)
 
 
 def test_searching_a_file_of_lies_takes_no_longer_than_the_file_is_long(tmp_path: Path) -> None:

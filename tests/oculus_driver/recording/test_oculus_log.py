@@ -114,7 +114,8 @@ def test_messages_of_unknown_ids_are_kept_in_any_log(tmp_path: Path, make_ping: 
 
 
 def test_a_broken_conversion_swallows_nothing(tmp_path: Path, make_ping: MakePing) -> None:
-    lie = log_item(b"SO??", magic=2037, size=0)
+    head = struct.pack("<HHHHHIH", 0x4F53, 7892, 0, 0x91, 0, 500, 0)  # claims 500 bytes
+    lie = log_item(head, magic=2037, size=0)
     data = log_header(magic=2037) + lie * 3 + log_item(make_ping(), magic=2037, size=0)
     chunks, recording = read(tmp_path / "log", data)
     assert [(chunk.data, chunk.gap_before) for chunk in chunks] == [(make_ping(), True)]
@@ -137,6 +138,14 @@ def test_a_damaged_item_costs_itself_only(tmp_path: Path, make_ping: MakePing) -
         info = described(tmp_path / "log", data)
         assert [ping.id for ping in info.ping_list if ping.id != 1] == [0, 2, 3]
         assert info.faults >= 1
+
+
+@pytest.mark.parametrize("size", range(980, 1030, 3))
+def test_an_item_is_found_wherever_it_lies(tmp_path: Path, size: int) -> None:
+    data = log_header() + bytes(size) + log_item(encode_dummy())
+    chunks, recording = read(tmp_path / "log", data)
+    assert [(chunk.data, chunk.gap_before) for chunk in chunks] == [(encode_dummy(), True)]
+    assert recording.faults == 1
 
 
 def test_a_size_beyond_the_file_hides_nothing(tmp_path: Path, make_ping: MakePing) -> None:
