@@ -11,17 +11,22 @@ from oculus_driver.encode import (
 from oculus_driver.errors import EncodeError, OculusError, ProtocolError, RecordingError
 from oculus_driver.models import Model, model_of
 from oculus_driver.ping import Ping, Reject, decode_ping
+from oculus_driver.play import Faults, Identity, PlayCounters, PlayedSonar
 from oculus_driver.sequence import PingSequence
 from oculus_driver.status import Status, decode_status
 from oculus_driver.stream import Message, StreamCounters, StreamParser
 
 __all__ = [
     "EncodeError",
+    "Faults",
+    "Identity",
     "Message",
     "Model",
     "OculusError",
     "Ping",
     "PingSequence",
+    "PlayCounters",
+    "PlayedSonar",
     "ProtocolError",
     "RecordingError",
     "Reject",
