@@ -159,6 +159,8 @@ class PlayedSonar:
                 self._client = None
             self._writers.discard(writer)
             await _let_go(writer)
+            if self.device.ended:
+                self.finished.set()
 
     async def _hear(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Obey the client until it leaves."""
@@ -174,6 +176,7 @@ class PlayedSonar:
     async def _send(self, writer: asyncio.StreamWriter) -> None:
         """Send what is due until the connection is cut on purpose."""
         self._due_s = self._alive_s = _now_s()
+        writer.transport.set_write_buffer_limits(high=0)  # what is drained is with the kernel
         while True:
             if self.device.ended:
                 self.finished.set()
