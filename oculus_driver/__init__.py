@@ -1,5 +1,16 @@
 """A driver of Blueprint Subsea Oculus multibeam imaging sonars, useful alone."""
 
+from oculus_driver.clock import PingTime, SonarClock, row_times_ns
+from oculus_driver.diagnosis import (
+    Finding,
+    bind_finding,
+    connection_finding,
+    sighting_findings,
+    silence_finding,
+    status_findings,
+    subnet_finding,
+)
+from oculus_driver.discovery import Discovery, Sightings
 from oculus_driver.encode import (
     bearing_table_cdeg,
     encode_dummy,
@@ -8,32 +19,58 @@ from oculus_driver.encode import (
     encode_status,
     encode_user_config,
 )
-from oculus_driver.errors import EncodeError, OculusError, ProtocolError, RecordingError
+from oculus_driver.errors import (
+    DiscoveryError,
+    EncodeError,
+    OculusError,
+    OutsideLimitsError,
+    ProtocolError,
+    RecordingError,
+)
 from oculus_driver.models import Model, model_of
+from oculus_driver.own_addresses import addresses_towards
 from oculus_driver.ping import Ping, Reject, decode_ping
 from oculus_driver.play import Faults, Identity, PlayCounters, PlayedSonar
 from oculus_driver.sequence import PingSequence
+from oculus_driver.sighting import Sighting, SonarWatch
+from oculus_driver.sound_speed import (
+    pressure_bar_at,
+    speed_of_sound_at_depth_mps,
+    speed_of_sound_mps,
+)
 from oculus_driver.status import Status, decode_status
 from oculus_driver.stream import Message, StreamCounters, StreamParser
 
 __all__ = [
+    "Discovery",
+    "DiscoveryError",
     "EncodeError",
     "Faults",
+    "Finding",
     "Identity",
     "Message",
     "Model",
     "OculusError",
+    "OutsideLimitsError",
     "Ping",
     "PingSequence",
+    "PingTime",
     "PlayCounters",
     "PlayedSonar",
     "ProtocolError",
     "RecordingError",
     "Reject",
+    "Sighting",
+    "Sightings",
+    "SonarClock",
+    "SonarWatch",
     "Status",
     "StreamCounters",
     "StreamParser",
+    "addresses_towards",
     "bearing_table_cdeg",
+    "bind_finding",
+    "connection_finding",
     "decode_ping",
     "decode_status",
     "encode_dummy",
@@ -42,4 +79,12 @@ __all__ = [
     "encode_status",
     "encode_user_config",
     "model_of",
+    "pressure_bar_at",
+    "row_times_ns",
+    "sighting_findings",
+    "silence_finding",
+    "speed_of_sound_at_depth_mps",
+    "speed_of_sound_mps",
+    "status_findings",
+    "subnet_finding",
 ]

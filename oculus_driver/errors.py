@@ -3,7 +3,9 @@
 OculusError
 ├── ProtocolError    bytes or values that do not fit the wire format
 │   └── EncodeError  a value that has no place in the message it was given for
-└── RecordingError   a file that cannot be opened, read or written as a recording
+├── RecordingError   a file that cannot be opened, read or written as a recording
+├── DiscoveryError   the port of the status broadcasts cannot be listened on
+└── OutsideLimitsError  a value for which a formula does not hold
 
 Parsers never raise these on bytes from outside: bad bytes are data, counted and reported.
 """
@@ -28,3 +30,14 @@ class RecordingError(OculusError):
 
     The text is one line: what is wrong, with which file, and what to do.
     """
+
+
+class DiscoveryError(OculusError):
+    """The port of the status broadcasts cannot be listened on.
+
+    The text is one line: which port, why not, and what to do.
+    """
+
+
+class OutsideLimitsError(OculusError, ValueError):
+    """A value for which a formula does not hold. The text names the value and its limits."""

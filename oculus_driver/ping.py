@@ -158,22 +158,27 @@ class Ping:
     def transmit_time_ns(self, latency_ns: int = 0) -> int | None:
         """Return when the ping left the sonar, on the clock of `arrival_ns`.
 
-        Arrival minus the time of flight to the end of the image and back. A speed of sound
-        that cannot be true (odd_sound_speed) is replaced by 1500 m/s here: at most 15 % wrong.
+        Arrival minus the time of flight to the end of the image and back: from this ping alone.
+        `oculus_driver.clock` does better where the sonar says when it pinged.
 
         Args:
             latency_ns: processing and network time between the last echo and the first byte.
         """
         if self.arrival_ns is None:
             return None
-        return self.arrival_ns - latency_ns - self._flight_ns(2.0 * self.max_range_m)
+        return self.arrival_ns - latency_ns - self.flight_ns(2.0 * self.max_range_m)
 
     def echo_time_ns(self, range_m: float, latency_ns: int = 0) -> int | None:
         """Return when sound met a target at `range_m`: the pose that the echo belongs to."""
         start = self.transmit_time_ns(latency_ns)
-        return None if start is None else start + self._flight_ns(range_m)
+        return None if start is None else start + self.flight_ns(range_m)
 
-    def _flight_ns(self, distance_m: float) -> int:
+    def flight_ns(self, distance_m: float) -> int:
+        """Return how long sound needs for a distance.
+
+        A speed of sound that cannot be true (odd_sound_speed) is replaced by 1500 m/s here: at
+        most 15 % wrong.
+        """
         speed = self.speed_of_sound_mps
         if not _SPEEDS_MPS[0] <= speed <= _SPEEDS_MPS[1]:
             speed = NOMINAL_SPEED_OF_SOUND_MPS

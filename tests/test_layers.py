@@ -32,7 +32,6 @@ ORDER = (
     "config",
     "config_file",
     "frames",
-    "timebase",
     "odometry.records",
     "odometry.native",
     "odometry.stamps",

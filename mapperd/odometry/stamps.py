@@ -2,7 +2,7 @@
 
 from mapperd.odometry.records import Odometry
 from mapperd.reject import Reject
-from mapperd.timebase import LowerEnvelope
+from oculus_driver.envelope import LowerEnvelope
 
 __all__ = ["OdometryClock"]
 

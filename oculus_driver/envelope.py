@@ -1,0 +1,171 @@
+"""A sender's clock carried over to ours: the lower envelope of arrival minus stamp.
+
+Delay only ever adds. So all points (arrival, arrival minus stamp) lie above the line that is the
+true offset between the clocks, offset and drift, and the line closest to them from below is its
+best estimate. That line is an edge of the points' lower convex hull: S. Moon, P. Skelly and
+D. Towsley, "Estimation and removal of clock skew from network delay measurements", INFOCOM 1999;
+L. Zhang, Z. Liu and C. Xia, "Clock synchronization algorithms for network measurements", INFOCOM
+2002. Without the drift: E. Olson, "A passive solution to the sensor synchronization problem",
+IROS 2010.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Final
+
+__all__ = ["LowerEnvelope"]
+
+WINDOW_NS: Final = 30_000_000_000
+"""How long a point counts: long enough to see a drift, short enough for it to be constant."""
+
+BUCKET_NS: Final = 250_000_000
+"""Of the points in such a time only the lowest is kept: bounds memory and work at any rate."""
+
+MIN_SPAN_NS: Final = 10_000_000_000
+"""Points over less time say nothing about drift: 1 ms of delay would look like 100 ppm and more."""
+
+MAX_DRIFT: Final = 200e-6
+"""No crystal drifts more. A steeper edge is a change of delay; the line follows it at this rate."""
+
+MAX_RATE_ERROR: Final = 0.01
+"""A steeper edge than this is no clock at all, such as a stamp that stands still."""
+
+JUMP_NS: Final = 1_000_000_000
+"""A stamp further than this ahead of its arrival is no drift: the clock has jumped."""
+
+_Point = tuple[int, int]  # arrival, arrival minus stamp
+
+
+@dataclass(frozen=True, slots=True)
+class _Line:
+    arrival_ns: int
+    offset_ns: int
+    slope: float
+    rate_error: float  # slope before it was limited
+
+    def at(self, arrival_ns: int) -> int:
+        return self.offset_ns + round(self.slope * (arrival_ns - self.arrival_ns))
+
+
+class LowerEnvelope:
+    """Offset and drift of one sender's clock, learnt from its stamps as they arrive."""
+
+    def __init__(self) -> None:
+        self._points: deque[_Point] = deque(maxlen=2 * WINDOW_NS // BUCKET_NS)
+        self._line: _Line | None = None
+        self._last_stamp_ns: int | None = None
+        self._suspect: tuple[int, int] | None = None  # (stamp, arrival)
+
+    @property
+    def drift(self) -> float:
+        """Seconds that the host's clock gains per second on the sender's; 0 until it is known."""
+        return 0.0 if self._line is None else self._line.slope
+
+    @property
+    def believable(self) -> bool:
+        """False where the stamps do not run like a clock; then their host times are of no use."""
+        return self._line is None or abs(self._line.rate_error) <= MAX_RATE_ERROR
+
+    def restart(self) -> None:
+        """Forget everything: the sender is known to have restarted its clock."""
+        self._points.clear()
+        self._line = self._last_stamp_ns = self._suspect = None
+
+    def to_host_ns(self, stamp_ns: int, arrival_ns: int) -> int | None:
+        """Host time of a stamp, or None while the clock looks as if it had jumped.
+
+        A late record is only late. One stray stamp is left out; two in a row that agree with
+        each other start the fit anew.
+
+        Args:
+            stamp_ns: on the sender's clock.
+            arrival_ns: when it arrived, on the host's clock.
+        """
+        if self._jumped(stamp_ns, arrival_ns):
+            confirmed = self._suspect is not None and _agree(self._suspect, (stamp_ns, arrival_ns))
+            if not confirmed:
+                self._suspect = (stamp_ns, arrival_ns)
+                return None
+            self.restart()
+        self._last_stamp_ns, self._suspect = stamp_ns, None
+        line = self._fitted((arrival_ns, arrival_ns - stamp_ns))
+        on_time_ns = stamp_ns + line.at(arrival_ns)
+        # Of the line at the moment itself, not at the arrival. A point that was not kept can lie
+        # below the line by the drift over one bucket; nothing happens after it has arrived.
+        return min(arrival_ns, stamp_ns + line.at(on_time_ns))
+
+    def _jumped(self, stamp_ns: int, arrival_ns: int) -> bool:
+        if self._last_stamp_ns is None or self._line is None:
+            return False
+        ahead_ns = stamp_ns + self._line.at(arrival_ns) - arrival_ns
+        return stamp_ns < self._last_stamp_ns or ahead_ns > JUMP_NS
+
+    def _fitted(self, point: _Point) -> _Line:
+        """Take a point, forget old ones, and return the line below all."""
+        news = self._keep(point)
+        while abs(point[0] - self._points[0][0]) > WINDOW_NS:
+            self._points.popleft()
+            news = True
+        if news or self._line is None:
+            self._line = _line_below(sorted(self._points))
+        return self._line
+
+    def _keep(self, point: _Point) -> bool:
+        """Keep the point unless another of its time is lower; return whether it was kept."""
+        if self._points and self._points[-1][0] // BUCKET_NS == point[0] // BUCKET_NS:
+            if self._points[-1][1] <= point[1]:
+                return False
+            self._points[-1] = point
+        else:
+            self._points.append(point)
+        return True
+
+
+def _line_below(points: list[_Point]) -> _Line:
+    """Return the line that is below all points and closest to them on average.
+
+    Args:
+        points: in order of arrival, at least one.
+    """
+    hull = _lower_hull(points)
+    rate_error = 0.0
+    if points[-1][0] - points[0][0] >= MIN_SPAN_NS:
+        first = points[0][0]
+        middle = first + sum(arrival - first for arrival, _ in points) // len(points)
+        rate_error = _slope_over(hull, middle)
+    slope = max(-MAX_DRIFT, min(MAX_DRIFT, rate_error))
+    origin = hull[0][0]
+    arrival, offset = min(hull, key=lambda point: point[1] - slope * (point[0] - origin))
+    return _Line(arrival, offset, slope, rate_error)
+
+
+def _lower_hull(points: list[_Point]) -> list[_Point]:
+    """Return the lower convex hull, left to right (Andrew's monotone chain), exact in integers."""
+    hull: list[_Point] = []
+    for x, y in points:
+        while len(hull) > 1:
+            (x0, y0), (x1, y1) = hull[-2:]
+            if (x1 - x0) * (y - y0) > (y1 - y0) * (x - x0):
+                break
+            hull.pop()
+        if hull and hull[-1][0] == x:
+            if hull[-1][1] <= y:
+                continue
+            hull.pop()
+        hull.append((x, y))
+    return hull
+
+
+def _slope_over(hull: list[_Point], x: int) -> float:
+    """Return the slope of the hull's edge above `x`, which lies between its ends."""
+    right = next(index for index, point in enumerate(hull) if point[0] >= x)
+    (x0, y0), (x1, y1) = hull[max(right, 1) - 1], hull[max(right, 1)]
+    return (y1 - y0) / (x1 - x0)
+
+
+def _agree(before: tuple[int, int], now: tuple[int, int]) -> bool:
+    """Whether both clocks say the same about the time between two records."""
+    stamps, arrivals = now[0] - before[0], now[1] - before[1]
+    return stamps >= 0 and abs(stamps - arrivals) <= JUMP_NS

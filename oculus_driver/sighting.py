@@ -1,0 +1,196 @@
+"""Which sonars are there: status datagrams in, one `Sighting` per sonar out. No sockets, no clock.
+
+A sonar says who it is about once a second, to whoever listens, even from another subnet.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
+
+from oculus_driver.reject import Reject
+from oculus_driver.status import Status, decode_status
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from ipaddress import IPv4Address
+
+    from oculus_driver.models import Model
+
+STALE_NS: Final = 2_000_000_000
+"""Without a status for longer: doubtful. The maker's viewer drops the sonar then."""
+
+GONE_NS: Final = 5_000_000_000
+"""Without a status for longer: not there any more."""
+
+DUPLICATE_NS: Final = 20_000_000
+"""The same status again within this time is the copy of another network port, not news."""
+
+MAX_SONARS: Final = 64
+"""More than anybody owns; a flood of invented serial numbers shall not fill the memory."""
+
+MAIN_TEMPERATURE: Final = 6
+"""The place among the eight that other drivers take for the temperature of the sonar."""
+
+SonarKey = tuple[int, int]
+"""Part number and serial number: one sonar."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """A sonar as it was last heard.
+
+    Attributes:
+        address: where to connect, dotted. What the sonar says of itself; the datagram's source
+            only where that is no address of a host.
+        status: the newest.
+        model: from the part number; unknown ones have a model too.
+        first_seen_ns: arrival of the first status since the sonar was last gone.
+        last_seen_ns: arrival of the newest; both on the host's monotonic clock.
+        count: statuses since `first_seen_ns`; 1 means that the sonar has just appeared.
+        source_address: where the newest datagram came from, None where not known.
+    """
+
+    address: str
+    status: Status
+    model: Model
+    first_seen_ns: int
+    last_seen_ns: int
+    count: int
+    source_address: str | None = None
+
+    @property
+    def key(self) -> SonarKey:
+        """Part number and serial number."""
+        return self.model.part_number, self.status.device_id
+
+    def stale(self, now_ns: int) -> bool:
+        """Whether the sonar was not heard for so long that it is doubtful."""
+        return now_ns - self.last_seen_ns > STALE_NS
+
+    def gone(self, now_ns: int) -> bool:
+        """Whether the sonar was not heard for so long that it is not there any more."""
+        return now_ns - self.last_seen_ns > GONE_NS
+
+    def matches(self, wanted: str) -> bool:
+        """Whether this sonar is meant by a serial number, an address, a model or a family."""
+        names = (self.model.name, self.model.family.name)
+        exact = (self.address, str(self.status.device_id))
+        return wanted in exact or wanted.casefold() in (name.casefold() for name in names)
+
+    def facts(self) -> dict[str, Any]:
+        """Return all that the status says, as JSON knows it; None = not available."""
+        status = self.status
+        return {
+            "address": self.address,
+            "source_address": self.source_address,
+            "netmask": str(status.netmask),
+            "mac": status.mac.hex(":"),
+            "serial_number": status.device_id,
+            "part_number": self.model.part_number,
+            "model": self.model.name,
+            "family": self.model.family.name,
+            "state": status.master_state,
+            "pause_reason": status.pause_reason,
+            "busy": status.busy,
+            "held_by": None if status.client_address is None else str(status.client_address),
+            "firmware": dict(
+                zip(("arm0", "arm1", "fpga"), map(version_text, status.firmware), strict=True)
+            ),
+            "temperature_state": status.temperature_state,
+            "temperature_c": status.temperatures_c[MAIN_TEMPERATURE],
+            "temperatures_c": list(status.temperatures_c),
+            "pressure_bar": status.pressure_bar,
+            "transmitter_failed": status.transmitter_failed,
+            "status_bits": status.status_bits,
+            "count": self.count,
+        }
+
+
+def version_text(raw: int) -> str:
+    """Return a firmware version as major.minor.build: 8, 8 and 16 bits from the top."""
+    return f"{raw >> 24 & 0xFF}.{raw >> 16 & 0xFF}.{raw & 0xFFFF}"
+
+
+class SonarWatch:
+    """Keeps the newest status of every sonar heard. Total: any datagram is taken.
+
+    Memory is bounded by `max_sonars`: while that many are there, others are refused.
+
+    Attributes:
+        statuses: datagrams that were news.
+        rejects: the others by reason: short_message, bad_magic, duplicate, too_many_sonars.
+    """
+
+    def __init__(self, max_sonars: int = MAX_SONARS) -> None:
+        self.statuses = 0
+        self.rejects: Counter[str] = Counter()
+        self._max_sonars = max_sonars
+        self._sightings: dict[SonarKey, Sighting] = {}
+
+    @property
+    def sightings(self) -> Mapping[SonarKey, Sighting]:
+        """Every sonar that is remembered, also those that are gone."""
+        return self._sightings
+
+    def present(self, now_ns: int) -> list[Sighting]:
+        """Return the sonars that are not gone, in order of their first status."""
+        there = (seen for seen in self._sightings.values() if not seen.gone(now_ns))
+        return sorted(there, key=lambda seen: seen.first_seen_ns)
+
+    def feed(
+        self, datagram: bytes, source_address: str | None, arrival_ns: int
+    ) -> Sighting | Reject:
+        """Take a datagram of the status port and return the sonar's new sighting.
+
+        Args:
+            datagram: of any size and content.
+            source_address: where it came from, dotted.
+            arrival_ns: when, on the host's monotonic clock.
+
+        Returns:
+            The sighting, or the reason why there is no news in the datagram.
+        """
+        status = decode_status(datagram)
+        if isinstance(status, Reject):
+            return self._refuse(status)
+        key = status.model.part_number, status.device_id
+        before = self._sightings.get(key)
+        if before is not None and _is_copy(before, status, arrival_ns):
+            return self._refuse(Reject("duplicate", f"status of {status.device_id} again", 0))
+        if before is None and not self._has_room(arrival_ns):
+            detail = f"{self._max_sonars} sonars are there already"
+            return self._refuse(Reject("too_many_sonars", detail, 0))
+        self.statuses += 1
+        seen = _sighting(status, source_address, arrival_ns)
+        if before is not None and not before.gone(arrival_ns):
+            seen = replace(seen, first_seen_ns=before.first_seen_ns, count=before.count + 1)
+        self._sightings[key] = seen
+        return seen
+
+    def _has_room(self, now_ns: int) -> bool:
+        if len(self._sightings) < self._max_sonars:
+            return True
+        for key in [key for key, seen in self._sightings.items() if seen.gone(now_ns)]:
+            del self._sightings[key]
+        return len(self._sightings) < self._max_sonars
+
+    def _refuse(self, reject: Reject) -> Reject:
+        self.rejects[reject.reason] += 1
+        return reject
+
+
+def _is_copy(before: Sighting, status: Status, arrival_ns: int) -> bool:
+    return status == before.status and arrival_ns - before.last_seen_ns <= DUPLICATE_NS
+
+
+def _sighting(status: Status, source_address: str | None, arrival_ns: int) -> Sighting:
+    address = str(status.address)
+    if source_address is not None and not _is_a_host(status.address):
+        address = source_address
+    return Sighting(address, status, status.model, arrival_ns, arrival_ns, 1, source_address)
+
+
+def _is_a_host(address: IPv4Address) -> bool:
+    return not (address.is_unspecified or address.is_multicast or address.is_reserved)
