@@ -8,23 +8,37 @@ from oculus_driver.encode import (
     encode_status,
     encode_user_config,
 )
-from oculus_driver.errors import EncodeError, OculusError, ProtocolError, RecordingError
+from oculus_driver.errors import (
+    EncodeError,
+    LinkError,
+    OculusError,
+    ProtocolError,
+    RecordingError,
+    SettingsError,
+)
 from oculus_driver.models import Model, model_of
 from oculus_driver.ping import Ping, Reject, decode_ping
 from oculus_driver.sequence import PingSequence
+from oculus_driver.settings import FireSettings, Mode
 from oculus_driver.status import Status, decode_status
 from oculus_driver.stream import Message, StreamCounters, StreamParser
+from oculus_driver.wire import PingRate
 
 __all__ = [
     "EncodeError",
+    "FireSettings",
+    "LinkError",
     "Message",
+    "Mode",
     "Model",
     "OculusError",
     "Ping",
+    "PingRate",
     "PingSequence",
     "ProtocolError",
     "RecordingError",
     "Reject",
+    "SettingsError",
     "Status",
     "StreamCounters",
     "StreamParser",
