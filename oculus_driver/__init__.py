@@ -22,16 +22,19 @@ from oculus_driver.encode import (
 from oculus_driver.errors import (
     DiscoveryError,
     EncodeError,
+    LinkError,
     OculusError,
     OutsideLimitsError,
     ProtocolError,
     RecordingError,
+    SettingsError,
 )
 from oculus_driver.models import Model, model_of
 from oculus_driver.own_addresses import addresses_towards
 from oculus_driver.ping import Ping, Reject, decode_ping
 from oculus_driver.play import Faults, Identity, PlayCounters, PlayedSonar
 from oculus_driver.sequence import PingSequence
+from oculus_driver.settings import FireSettings, Mode
 from oculus_driver.sighting import Sighting, SonarWatch
 from oculus_driver.sound_speed import (
     pressure_bar_at,
@@ -40,6 +43,7 @@ from oculus_driver.sound_speed import (
 )
 from oculus_driver.status import Status, decode_status
 from oculus_driver.stream import Message, StreamCounters, StreamParser
+from oculus_driver.wire import PingRate
 
 __all__ = [
     "Discovery",
@@ -47,12 +51,16 @@ __all__ = [
     "EncodeError",
     "Faults",
     "Finding",
+    "FireSettings",
     "Identity",
+    "LinkError",
     "Message",
+    "Mode",
     "Model",
     "OculusError",
     "OutsideLimitsError",
     "Ping",
+    "PingRate",
     "PingSequence",
     "PingTime",
     "PlayCounters",
@@ -60,6 +68,7 @@ __all__ = [
     "ProtocolError",
     "RecordingError",
     "Reject",
+    "SettingsError",
     "Sighting",
     "Sightings",
     "SonarClock",
