@@ -1,16 +1,33 @@
 """Recordings: bytes as they came, with arrival stamps, in files that survive a kill."""
 
-from oculus_driver.recording.chunk import OCULUS, ODOMETRY_NATIVE, Chunk
-from oculus_driver.recording.recording import MCAP, OCULUS_RAW, Recording, open_recording
+from oculus_driver.recording.chunk import OCULUS, OCULUS_STATUS, ODOMETRY_NATIVE, Chunk
+from oculus_driver.recording.formats import (
+    MCAP,
+    OCULUS_LOG,
+    OCULUS_RAW,
+    PCAP,
+    PCAPNG,
+    VIEWPOINT_LOG,
+)
+from oculus_driver.recording.info import PingInfo, RecordingInfo, describe
+from oculus_driver.recording.recording import Recording, open_recording
 from oculus_driver.recording.writer import RecordingWriter
 
 __all__ = [
     "MCAP",
     "OCULUS",
+    "OCULUS_LOG",
     "OCULUS_RAW",
+    "OCULUS_STATUS",
     "ODOMETRY_NATIVE",
+    "PCAP",
+    "PCAPNG",
+    "VIEWPOINT_LOG",
     "Chunk",
+    "PingInfo",
     "Recording",
+    "RecordingInfo",
     "RecordingWriter",
+    "describe",
     "open_recording",
 ]

@@ -8,6 +8,9 @@ from typing import Final
 OCULUS: Final = "oculus"
 """Encoding of a link that carries an Oculus TCP stream, in any fragmentation."""
 
+OCULUS_STATUS: Final = "oculus-status"
+"""Encoding of a link that carries one status datagram of a sonar in each chunk."""
+
 ODOMETRY_NATIVE: Final = "odometry-native"
 """Encoding of a link that carries one msgpack odometry record in each chunk."""
 
@@ -18,7 +21,7 @@ class Chunk:
 
     Attributes:
         link: where they came from, such as "sonar".
-        encoding: what they are: "oculus", "odometry-native", or another name.
+        encoding: what they are: "oculus", "oculus-status", "odometry-native", or another name.
         arrival_ns: when they came, nanoseconds since 1970 UTC, or None where not recorded.
         data: the bytes as they came.
         gap_before: bytes of this link are known to be missing between these and those before.

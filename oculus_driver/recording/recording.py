@@ -3,38 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Final, Self
+from typing import TYPE_CHECKING, BinaryIO, Self
 
 from oculus_driver.errors import RecordingError
 from oculus_driver.recording.chunk import Chunk, Progress
-from oculus_driver.recording.mcap_reader import read_mcap
-from oculus_driver.recording.mcap_records import MAGIC
-from oculus_driver.recording.raw import is_raw_stream, read_raw
+from oculus_driver.recording.formats import MCAP, OCULUS_RAW, READERS, kind_of
 from oculus_driver.recording.summary import read_summary
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Iterator
     from types import TracebackType
-
-MCAP: Final = "mcap"
-OCULUS_RAW: Final = "oculus-raw"
-
-_PROBE: Final = 1 << 16
-_LEAST_MAGIC: Final = 6
-
-_FOREIGN: Final = {
-    b"SQLite format 3\0": "a ViewPoint log (SQLite)",
-    b"\x44\x33\x22\x11": "an Oculus Viewer log",
-    b"\xf5\x07\x00\x00": "a broken conversion of an Oculus Viewer log",
-    b"\xd4\xc3\xb2\xa1": "a pcap network capture",
-    b"\x4d\x3c\xb2\xa1": "a pcap network capture",
-    b"\x0a\x0d\x0d\x0a": "a pcapng network capture",
-    b"#ROSBAG": "a ROS 1 bag",
-    b"\x1f\x8b": "compressed with gzip",
-    b"\x28\xb5\x2f\xfd": "compressed with zstd",
-    b"PK\x03\x04": "a zip archive",
-}
 
 
 class Recording:
@@ -45,7 +24,7 @@ class Recording:
 
     Attributes:
         path: of the file.
-        format: "mcap" or "oculus-raw".
+        format: see `oculus_driver.recording.formats`.
         size_bytes: of the file.
         has_time: whether chunks carry arrival stamps.
     """
@@ -57,7 +36,7 @@ class Recording:
         self._file = file
         self._span_ns: tuple[int | None, int | None] = (None, None)
         self._progress = Progress()
-        if kind == MCAP:
+        if kind != OCULUS_RAW:
             self._look_ahead()
         self.has_time = self._span_ns[0] is not None
 
@@ -118,10 +97,7 @@ class Recording:
     def _chunks(self, progress: Progress) -> Iterator[Chunk]:
         try:
             self._file.seek(0)
-            if self.format == MCAP:
-                yield from read_mcap(self._file, self.size_bytes, progress)
-            else:
-                yield from read_raw(self._file, progress)
+            yield from READERS[self.format](self._file, self.size_bytes, progress)
         except OSError as error:
             progress.cut(f"cannot be read on: {error.strerror or error}")
 
@@ -131,8 +107,8 @@ class Recording:
         first = next(self._chunks(glimpse), None)
         self._progress.metadata = glimpse.metadata
         start_ns = None if first is None else first.arrival_ns
-        summary = read_summary(self._file, self.size_bytes)
-        self._span_ns = summary.span_ns or (start_ns, None)
+        indexed = read_summary(self._file, self.size_bytes).span_ns if self.format == MCAP else None
+        self._span_ns = indexed or (start_ns, None)
 
 
 def open_recording(path: str | os.PathLike[str]) -> Recording:
@@ -145,7 +121,7 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
     file = _open(where)
     try:
         size = file.seek(0, 2)
-        return Recording(where, _kind(where, file, size), file, size)
+        return Recording(where, kind_of(where, file, size), file, size)
     except OSError as error:
         file.close()
         raise RecordingError(f"{where}: cannot be read: {error.strerror or error}") from error
@@ -167,30 +143,3 @@ def _open(path: Path) -> BinaryIO:
         raise RecordingError(f"{path}: may not be read; check its access rights") from error
     except (OSError, ValueError) as error:
         raise RecordingError(f"{path}: cannot be opened: {error}") from error
-
-
-def _kind(path: Path, file: BinaryIO, size: int) -> str:
-    """Return the format, told by content."""
-    if size == 0:
-        raise RecordingError(f"{path}: is empty; nothing was recorded")
-    file.seek(0)
-    probe = file.read(_PROBE)
-    head = probe[: len(MAGIC)]
-    alike = sum(a == b for a, b in zip(head, MAGIC, strict=False))
-    if alike >= min(_LEAST_MAGIC, size):
-        return MCAP
-    if is_raw_stream(file):
-        return OCULUS_RAW
-    raise RecordingError(f"{path}: {_description(probe)}; expected MCAP or a raw Oculus stream")
-
-
-def _description(probe: bytes) -> str:
-    for magic, name in _FOREIGN.items():
-        if probe.startswith(magic):
-            return f"is {name}, which cannot be read"
-    if not any(probe):
-        return "holds only zeros"
-    printable = sum(byte >= 0x20 or byte in b"\t\n\r\f" for byte in probe)  # noqa: PLR2004 - space
-    if printable == len(probe):
-        return "is a text file"
-    return "holds no sonar messages"

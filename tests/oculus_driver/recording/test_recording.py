@@ -125,9 +125,6 @@ def test_a_stream_of_a_sonar_in_standby_is_known(tmp_path: Path) -> None:
         (b"hello\nworld\n" * 1000, "is a text file"),
         (b"SO what, says the text", "is a text file"),
         (np.random.default_rng(5).bytes(200_000), "holds no sonar messages"),
-        (b"SQLite format 3\0" + bytes(100), "is a ViewPoint log"),
-        (b"\x44\x33\x22\x11" + bytes(100), "is an Oculus Viewer log"),
-        (b"\xd4\xc3\xb2\xa1" + bytes(100), "is a pcap network capture"),
         (b"SO\0\0\0\0\x23\0\0\0\xff\xff\xff\xff\0\0" + bytes(5000), "holds no sonar messages"),
     ],
 )

@@ -1,0 +1,222 @@
+"""Read Oculus Viewer logs (`.oculus`, version 1) as the vendor and as ENSTA's recorder write them.
+
+Each item of kind 10 holds one message, so chunks begin and end with messages. Where an item's
+head makes no sense the next one that does is searched for; the vendor's own reader stops there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
+
+from oculus_driver.framing import header_fault, read_header
+from oculus_driver.recording.chunk import OCULUS, Chunk, Progress
+from oculus_driver.recording.oculus_log_records import (
+    CONVERTED_MAGIC,
+    FILE_HEADER,
+    ITEM_HEADER,
+    ITEM_MAGIC,
+    MESSAGE_ITEM,
+    NS_PER_S,
+    PLAIN,
+    QT_COMPRESSED,
+    STAMP,
+    STAMP_ITEM,
+    stamp_ns,
+)
+from oculus_driver.recording.qt_compression import uncompress
+from oculus_driver.wire import HEADER, MAX_MESSAGE_SIZE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+LINK: Final = "sonar"
+_MAX_FILE_HEADER: Final = 4096
+_WINDOW: Final = 1 << 20
+
+
+def is_encrypted(head: bytes) -> bool:
+    """Tell whether a log whose first bytes are `head` says that its content is encrypted."""
+    return len(head) >= FILE_HEADER.size and FILE_HEADER.unpack(head)["encryption"] != 0
+
+
+def read_oculus_log(file: BinaryIO, size: int, progress: Progress) -> Iterator[Chunk]:
+    """Yield the messages of a log of `size` bytes in recorded order; fill in `progress`."""
+    held: Chunk | None = None  # until it is known whether a stamp follows
+    for item in _Items(file, size, progress).read():
+        if item.kind == STAMP_ITEM:
+            if held is not None:
+                held = replace(held, arrival_ns=_stamp(item.data) or held.arrival_ns)
+            continue
+        if held is not None:
+            progress.saw(held.arrival_ns)
+            yield held
+        held = Chunk(LINK, OCULUS, item.arrival_ns, item.data, item.gap_before)
+    if held is not None:
+        progress.saw(held.arrival_ns)
+        yield held
+
+
+@dataclass(frozen=True, slots=True)
+class _Item:
+    """A message or the stamp of one, its payload unpacked; perhaps less than all of it."""
+
+    kind: int
+    arrival_ns: int | None
+    data: bytes
+    gap_before: bool
+
+
+@dataclass(slots=True)
+class _Items:
+    file: BinaryIO
+    size: int
+    progress: Progress
+    position: int = 0
+    magic: int = ITEM_MAGIC
+    gap: bool = False
+
+    def read(self) -> Iterator[_Item]:
+        """Yield the items that matter, from front to back."""
+        self._open()
+        while self.position < self.size:
+            head = self._head()
+            if head is None:
+                if not self._search():
+                    break
+                continue
+            item = self._item(head)
+            self.progress.bytes_read = self.position
+            if item is not None:
+                yield item
+        self.progress.bytes_read = self.size
+
+    def _open(self) -> None:
+        head = self._bytes(FILE_HEADER.size)
+        if len(head) < FILE_HEADER.size:
+            self.progress.cut("the file ends inside its header")
+            return
+        fields = FILE_HEADER.unpack(head)
+        if fields["magic"] == CONVERTED_MAGIC:
+            self.magic = CONVERTED_MAGIC
+        if FILE_HEADER.size < fields["header_size"] <= _MAX_FILE_HEADER:
+            self._go(fields["header_size"])
+
+    def _head(self) -> dict[str, Any] | None:
+        """Return the head of the item here with its true payload size, None if there is none."""
+        data = self._bytes(ITEM_HEADER.size)
+        if len(data) < ITEM_HEADER.size:
+            return None
+        fields = ITEM_HEADER.unpack(data)
+        if fields["magic"] != self.magic or fields["header_size"] != ITEM_HEADER.size:
+            return None
+        if self.magic == CONVERTED_MAGIC:
+            return self._converted(fields)
+        return fields
+
+    def _converted(self, fields: dict[str, Any]) -> dict[str, Any] | None:
+        """Give an item of a broken conversion its size, which only the message in it knows."""
+        if fields["kind"] == STAMP_ITEM:
+            return fields | {"payload_size": STAMP.size, "compression": PLAIN}
+        data = self._bytes(HEADER.size)
+        self._go(self.position - len(data))
+        if len(data) < HEADER.size:
+            return None
+        header = read_header(data, 0)
+        if header_fault(header, strict=False) is not None:
+            return None
+        return fields | {
+            "kind": MESSAGE_ITEM,
+            "payload_size": header.size,
+            "compression": PLAIN,
+        }
+
+    def _item(self, head: dict[str, Any]) -> _Item | None:
+        """Return the item behind `head`, None if it is of no interest or of no use."""
+        start, size = self.position, head["payload_size"]
+        missing = start + size - self.size
+        kind = head["kind"]
+        if kind not in (MESSAGE_ITEM, STAMP_ITEM) or size > MAX_MESSAGE_SIZE:
+            self._skip(head)
+            return None
+        if missing > 0 and self._find(start):
+            self._lost(f"damaged at byte {start}: an item claims more than there is")
+            return None
+        if missing > 0:
+            self.progress.cut(f"ends inside an item, at byte {self.size}")
+        data: bytes | None = self._bytes(size)
+        if head["compression"] == QT_COMPRESSED and data is not None:
+            data = uncompress(data)
+        elif head["compression"] != PLAIN:
+            data = None
+        if data is None:
+            self._lost(f"damaged at byte {start}: a message that cannot be unpacked")
+            return None
+        gap, self.gap = self.gap and kind == MESSAGE_ITEM, self.gap and kind != MESSAGE_ITEM
+        return _Item(kind, stamp_ns(head["unix_s"]), data, gap)
+
+    def _skip(self, head: dict[str, Any]) -> None:
+        start, size = self.position, head["payload_size"]
+        if start + size > self.size:
+            if self._find(start):
+                self._lost(f"damaged at byte {start}: an item claims more than there is")
+            else:
+                self.progress.cut(f"ends inside an item, at byte {self.size}")
+                self._go(self.size)
+            return
+        self._go(start + size)
+        if head["kind"] == MESSAGE_ITEM:
+            self._lost(f"damaged at byte {start}: an item larger than any message")
+
+    def _lost(self, text: str) -> None:
+        self.gap = True
+        self.progress.report(text)
+
+    def _search(self) -> bool:
+        """Go to the next head behind a place without one; False if there is none."""
+        start = self.position
+        if self._find(max(0, start - ITEM_HEADER.size) + 1):
+            self._lost(f"damaged at byte {start}: no item here")
+            return True
+        self.progress.cut(f"ends inside an item, at byte {self.size}")
+        return False
+
+    def _find(self, start: int) -> bool:
+        """Go to the first plausible item head at or behind `start`; stay if there is none."""
+        back = self.position
+        wanted = ITEM_HEADER.pack({"magic": self.magic})[:8]
+        while start < self.size:
+            self._go(start)
+            window = self._bytes(_WINDOW + ITEM_HEADER.size)
+            at = window.find(wanted)
+            while 0 <= at <= len(window) - ITEM_HEADER.size:
+                if self._plausible(window, at, start):
+                    self._go(start + at)
+                    return True
+                at = window.find(wanted, at + 1)
+            start += _WINDOW
+        self._go(back)
+        return False
+
+    def _plausible(self, window: bytes, at: int, start: int) -> bool:
+        fields = ITEM_HEADER.unpack(window, at)
+        room = self.size - start - at - ITEM_HEADER.size
+        known = fields["compression"] in (PLAIN, QT_COMPRESSED)
+        return bool(known and fields["payload_size"] <= room)
+
+    def _bytes(self, size: int) -> bytes:
+        self.file.seek(self.position)
+        data = self.file.read(min(size, self.size - self.position))
+        self.position += len(data)
+        return data
+
+    def _go(self, position: int) -> None:
+        self.position = position
+
+
+def _stamp(data: bytes) -> int | None:
+    if len(data) < STAMP.size:
+        return None
+    fields = STAMP.unpack(data)
+    value = int(fields["s"]) * NS_PER_S + int(fields["ns"])
+    return value if 0 < value < 1 << 63 else None
