@@ -8,6 +8,8 @@ import sys
 from typing import TYPE_CHECKING, NoReturn
 
 from oculus_driver.command import (
+    discover,
+    info,
     play,
     render,
 )
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-SUBCOMMANDS = (play, render)
+SUBCOMMANDS = (discover, info, play, render)
 
 EPILOG = """\
 exit codes: 0 done; 1 something is wrong with the sonar or the link, as told; 2 the command cannot

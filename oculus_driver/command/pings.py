@@ -7,14 +7,15 @@ from dataclasses import dataclass, field
 from itertools import islice
 from typing import TYPE_CHECKING
 
+from oculus_driver.chunk_messages import messages_of
 from oculus_driver.ping import Ping, decode_ping
-from oculus_driver.stream import Message, StreamParser
 from oculus_driver.wire import MessageId
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from oculus_driver.recording import Recording
+    from oculus_driver.stream import Message
 
 
 @dataclass(slots=True)
@@ -37,7 +38,7 @@ class Choice:
 
     def of(self, recording: Recording) -> Iterator[Ping]:
         """Yield the chosen pings of an open recording."""
-        pings = self._decoded(_messages(recording))
+        pings = self._decoded(messages_of(recording))
         if self.ping_id is not None:
             pings = (ping for ping in pings if ping.ping_id == self.ping_id)
         return islice(islice(pings, self.first, None, self.step), self.limit)
@@ -51,13 +52,3 @@ class Choice:
                 yield ping
             else:
                 self.rejects[ping.reason] += 1
-
-
-def _messages(recording: Recording) -> Iterator[Message]:
-    from oculus_driver.recording import OCULUS  # noqa: PLC0415 - needs more than numpy
-
-    parser = StreamParser(confirm=True)
-    for chunk in recording:
-        if chunk.encoding == OCULUS:
-            yield from parser.feed(chunk.data, chunk.arrival_ns, gap_before=chunk.gap_before)
-    yield from parser.finish()

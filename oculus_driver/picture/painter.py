@@ -11,8 +11,8 @@ import numpy as np
 
 from oculus_driver.bearings import edges_rad
 from oculus_driver.errors import OculusError
+from oculus_driver.labels import caption_of
 from oculus_driver.picture.fan import Fan, fan_of
-from oculus_driver.picture.labels import caption_of
 from oculus_driver.picture.scale import ring_ranges_m, spoke_bearings_deg
 
 if TYPE_CHECKING:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from oculus_driver.chunk_messages import messages_of
 from oculus_driver.stream import Message, StreamParser
 from oculus_driver.wire import MessageId, ping_layout
 
@@ -54,24 +55,20 @@ class Track:
     def _messages(self) -> Iterator[Message]:
         if not isinstance(self._source, Sequence) or isinstance(self._source, str):
             return _recorded(self._source)
-        return _parsed((data, None, False) for data in self._source)
+        return _parsed(self._source)
 
 
 def _recorded(path: str | os.PathLike[str]) -> Iterator[Message]:
-    from oculus_driver.recording import OCULUS, open_recording  # noqa: PLC0415 - needs more
+    from oculus_driver.recording import open_recording  # noqa: PLC0415 - needs more than numpy
 
     with open_recording(path) as recording:
-        yield from _parsed(
-            (chunk.data, chunk.arrival_ns, chunk.gap_before)
-            for chunk in recording
-            if chunk.encoding == OCULUS
-        )
+        yield from messages_of(recording)
 
 
-def _parsed(chunks: Iterable[tuple[bytes, int | None, bool]]) -> Iterator[Message]:
+def _parsed(pieces: Iterable[bytes]) -> Iterator[Message]:
     parser = StreamParser(confirm=True)
-    for data, arrival_ns, gap in chunks:
-        yield from parser.feed(data, arrival_ns, gap_before=gap)
+    for data in pieces:
+        yield from parser.feed(data)
     yield from parser.finish()
 
 

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oculus_driver import OculusError, Ping, bearing_table_cdeg, decode_ping
+from oculus_driver.labels import caption_of, time_of
 from oculus_driver.picture import Painter, Style, fan_of
 from oculus_driver.picture.film import Film, PngFolder
-from oculus_driver.picture.labels import caption_of, time_of
 from oculus_driver.picture.scale import ring_ranges_m, spoke_bearings_deg
 
 if TYPE_CHECKING:
