@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 from oculus_driver.command import (
     discover,
+    doctor,
     info,
     play,
     render,
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-SUBCOMMANDS = (discover, info, play, render)
+SUBCOMMANDS = (discover, doctor, info, play, render)
 
 EPILOG = """\
 exit codes: 0 done; 1 something is wrong with the sonar or the link, as told; 2 the command cannot
