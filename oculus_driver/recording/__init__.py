@@ -1,6 +1,8 @@
 """Recordings: bytes as they came, with arrival stamps, in files that survive a kill."""
 
+from oculus_driver.recording.background_log import BackgroundLog
 from oculus_driver.recording.chunk import OCULUS, OCULUS_STATUS, ODOMETRY_NATIVE, Chunk
+from oculus_driver.recording.convert import WRITABLE, Conversion, convert
 from oculus_driver.recording.formats import (
     MCAP,
     OCULUS_LOG,
@@ -10,7 +12,9 @@ from oculus_driver.recording.formats import (
     VIEWPOINT_LOG,
 )
 from oculus_driver.recording.info import PingInfo, RecordingInfo, describe
+from oculus_driver.recording.logger import LogCounters, SonarLog
 from oculus_driver.recording.recording import Recording, open_recording
+from oculus_driver.recording.retention import LogPolicy
 from oculus_driver.recording.writer import RecordingWriter
 
 __all__ = [
@@ -23,11 +27,18 @@ __all__ = [
     "PCAP",
     "PCAPNG",
     "VIEWPOINT_LOG",
+    "WRITABLE",
+    "BackgroundLog",
     "Chunk",
+    "Conversion",
+    "LogCounters",
+    "LogPolicy",
     "PingInfo",
     "Recording",
     "RecordingInfo",
     "RecordingWriter",
+    "SonarLog",
+    "convert",
     "describe",
     "open_recording",
 ]

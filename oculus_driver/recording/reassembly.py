@@ -17,7 +17,8 @@ class Piece(NamedTuple):
     """Bytes that are next in the stream.
 
     Attributes:
-        arrival_ns: when they could be read: never before what precedes them.
+        arrival_ns: when they could be read: never before what precedes them. Behind a hole that
+            was given up, when they came: the receiver had what the capture does not hold.
         data: one or more bytes.
         lost: bytes before these that the capture does not hold.
         gap_before: something is missing before these; how much may not be known.
@@ -39,9 +40,9 @@ class TcpStream:
 
     _next: int | None = None  # not wrapped
     _syn: int | None = None
-    _held: list[tuple[int, bytes]] = field(default_factory=list)
+    _held: list[tuple[int, bytes, int | None]] = field(default_factory=list)
     _held_bytes: int = 0
-    _latest_ns: int | None = None
+    _read_ns: int | None = None
     _lost: int = 0
     _gap: bool = False
 
@@ -66,10 +67,8 @@ class TcpStream:
         elif self._next is None or abs(start - self._next) > _NEAR:
             pieces += self._restart(sequence)
             start = sequence
-        if arrival_ns is not None:
-            self._latest_ns = max(arrival_ns, self._latest_ns or arrival_ns)
         if payload:
-            pieces += self._place(start, payload)
+            pieces += self._place(start, payload, arrival_ns)
         return pieces
 
     def flush(self) -> list[Piece]:
@@ -90,20 +89,20 @@ class TcpStream:
         self._next = start
         return pieces
 
-    def _place(self, start: int, payload: bytes) -> list[Piece]:
+    def _place(self, start: int, payload: bytes, arrival_ns: int | None) -> list[Piece]:
         if self._next is not None and start > self._next:
-            self._hold(start, payload)
+            self._hold(start, payload, arrival_ns)
             full = self._held_bytes > MAX_HELD_BYTES or len(self._held) > MAX_HELD_SEGMENTS
             return self._jump() if full else []
-        return self._take(start, payload) + self._drain()
+        return self._take(start, payload, arrival_ns) + self._drain()
 
-    def _hold(self, start: int, payload: bytes) -> None:
+    def _hold(self, start: int, payload: bytes, arrival_ns: int | None) -> None:
         at = bisect_left(self._held, start, key=lambda held: held[0])
         if at < len(self._held) and self._held[at][0] == start:
             if len(self._held[at][1]) >= len(payload):
                 return
             self._held_bytes -= len(self._held.pop(at)[1])
-        self._held.insert(at, (start, payload))
+        self._held.insert(at, (start, payload, arrival_ns))
         self._held_bytes += len(payload)
 
     def _jump(self) -> list[Piece]:
@@ -117,18 +116,20 @@ class TcpStream:
     def _drain(self) -> list[Piece]:
         pieces: list[Piece] = []
         while self._held and self._next is not None and self._held[0][0] <= self._next:
-            start, payload = self._held.pop(0)
+            start, payload, arrival_ns = self._held.pop(0)
             self._held_bytes -= len(payload)
-            pieces += self._take(start, payload)
+            pieces += self._take(start, payload, arrival_ns)
         return pieces
 
-    def _take(self, start: int, payload: bytes) -> list[Piece]:
+    def _take(self, start: int, payload: bytes, arrival_ns: int | None) -> list[Piece]:
         """Return the part of a segment that is new; it starts no later than what is next."""
         known = (self._next or start) - start
         data = payload[known:] if known else payload
         if not data:
             return []
         self._next = start + len(payload)
-        piece = Piece(self._latest_ns, data, self._lost, self._gap)
+        if arrival_ns is not None:
+            self._read_ns = max(arrival_ns, self._read_ns or arrival_ns)
+        piece = Piece(self._read_ns, data, self._lost, self._gap)
         self._lost, self._gap = 0, False
         return [piece]

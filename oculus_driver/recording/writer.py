@@ -78,6 +78,7 @@ class RecordingWriter:
         self._position = 0
         self._channels: list[bytes] = []
         self._counts: Counter[int] = Counter()
+        self._gaps: Counter[int] = Counter()
         self._span_ns: tuple[int, int] | None = None
         self._chunk: _OpenChunk | None = None
         self._chunk_indexes = bytearray()
@@ -125,7 +126,12 @@ class RecordingWriter:
         return number
 
     def write(
-        self, link: int, data: bytes | bytearray | memoryview, arrival_ns: int | None
+        self,
+        link: int,
+        data: bytes | bytearray | memoryview,
+        arrival_ns: int | None,
+        *,
+        gap_before: bool = False,
     ) -> None:
         """Record bytes as they came; they are with the operating system when this returns.
 
@@ -133,6 +139,9 @@ class RecordingWriter:
             link: from `add_link`.
             data: any number of bytes.
             arrival_ns: when they came; None where nobody knows.
+            gap_before: bytes of this link are missing before these. A number is left out in the
+                count of the link's messages, so that readers know. Nothing is noted before the
+                first bytes of a link.
 
         Raises:
             RecordingError: the disk is full or fails (the file stays as it was before this
@@ -142,7 +151,8 @@ class RecordingWriter:
         if not 1 <= link <= len(self._channels) or not 0 <= stamp_ns < _U64_END:
             raise RecordingError(f"{self.path}: no link {link}, or no time {stamp_ns} ns")
         whole = bytes(data)
-        head = mcap.message_head(link, self._counts[link], stamp_ns, len(whole))
+        gaps = self._gaps[link] + (gap_before and self._counts[link] > 0)
+        head = mcap.message_head(link, self._counts[link] + gaps, stamp_ns, len(whole))
         size = len(head) + len(whole)
         if self._chunk is not None and self._chunk.size + size > CHUNK_SIZE:
             self._close_chunk()
@@ -150,6 +160,7 @@ class RecordingWriter:
         self._append(head, whole)
         chunk.add(link, stamp_ns, head, whole)
         self._counts[link] += 1
+        self._gaps[link] = gaps
 
     def sync(self) -> None:
         """Ask the operating system to bring everything to the disk; may take a while."""

@@ -205,3 +205,17 @@ def test_a_raw_stream_with_missing_bytes_is_told(tmp_path: Path) -> None:
         assert ids == [0, 2]
         size = len(ping_of(1)) - 4000
         assert recording.damage == f"{size} bytes belong to no message"
+
+
+def test_a_gap_that_the_recorder_knows_of_is_in_the_recording(tmp_path: Path) -> None:
+    path = tmp_path / "gap.mcap"
+    with RecordingWriter(path) as writer:
+        sonar, dvl = writer.add_link("sonar", OCULUS), writer.add_link("dvl", ODOMETRY_NATIVE)
+        for number in range(6):
+            writer.write(sonar, b"%d" % number, number, gap_before=number in (0, 2, 5))
+            writer.write(dvl, b"x", number)
+        assert writer.messages == 12
+    with open_recording(path) as recording:
+        assert gaps(list(recording)) == [("sonar", b"2"), ("sonar", b"5")]
+        assert recording.faults == 2
+        assert "1 pieces of link 'sonar' missing" in (recording.damage or "")

@@ -78,6 +78,7 @@ def test_a_hole_that_nobody_fills_is_told() -> None:
     stream.feed(*segment(150, 200), 2)
     stream.feed(*segment(300, 400), 3)
     first, second = stream.flush()
+    assert (first.arrival_ns, second.arrival_ns) == (2, 3)
     assert (first.data, first.lost, first.gap_before) == (DATA[150:200], 50, True)
     assert (second.data, second.lost, second.gap_before) == (DATA[300:400], 100, True)
     assert stream.feed(*segment(100, 150), 4) == []  # too late

@@ -1,0 +1,112 @@
+"""When a log file is full, and which old ones must go: decisions only, no files touched."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from oculus_driver.errors import RecordingError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+MIB: Final = 1 << 20
+_LEAST_FILE: Final = MIB
+_NS_PER_S: Final = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class LogPolicy:
+    """Limits of a log.
+
+    Attributes:
+        max_file_bytes: a file is closed at the first end of a message beyond; at least 1 MiB.
+        max_file_ns: the same for the time since its first bytes; None = no limit.
+        budget_bytes: what all files of the log may take together, None = no limit. The oldest
+            are deleted first. At least two files' worth.
+        free_floor_bytes: what must stay free on the disk. Old files are deleted for it; when
+            none is left, nothing more is recorded until there is room.
+        sync_interval_ns: how much may be lost with the power: data are brought to the disk this
+            often. 0 = with every write; None = whenever the operating system likes.
+        retry_ns: how long nothing is recorded after the disk failed or was full.
+
+    Raises:
+        RecordingError: a limit outside its range, or limits that contradict each other.
+    """
+
+    max_file_bytes: int = 512 * MIB
+    max_file_ns: int | None = None
+    budget_bytes: int | None = None
+    free_floor_bytes: int = 1024 * MIB
+    sync_interval_ns: int | None = 5 * _NS_PER_S
+    retry_ns: int = _NS_PER_S
+
+    def __post_init__(self) -> None:
+        if self.max_file_bytes < _LEAST_FILE:
+            raise RecordingError(f"max_file_bytes {self.max_file_bytes}: give at least 1 MiB")
+        if self.max_file_ns is not None and self.max_file_ns < _NS_PER_S:
+            raise RecordingError(f"max_file_ns {self.max_file_ns}: give at least one second")
+        if self.budget_bytes is not None and self.budget_bytes < 2 * self.max_file_bytes:
+            raise RecordingError(
+                f"budget_bytes {self.budget_bytes}: holds no two files of {self.max_file_bytes} "
+                "bytes; raise it or lower max_file_bytes"
+            )
+        if min(self.free_floor_bytes, self.sync_interval_ns or 0, self.retry_ns) < 0:
+            raise RecordingError("a limit of a log is negative")
+
+    def full(self, size_bytes: int, age_ns: int) -> str | None:
+        """Return why a file of this size and age is to be closed, "size" or "time", or None."""
+        if size_bytes >= self.max_file_bytes:
+            return "size"
+        too_old = self.max_file_ns is not None and age_ns >= self.max_file_ns
+        return "time" if too_old else None
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class LogFile:
+    """A closed file of a log: they are ordered by number, the oldest first."""
+
+    number: int
+    name: str
+    size_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """What must happen before bytes can be written.
+
+    Attributes:
+        delete: closed files, oldest first.
+        shortage: why the bytes cannot be written all the same: "budget", "free_space", or None.
+    """
+
+    delete: tuple[LogFile, ...]
+    shortage: str | None
+
+
+def make_room(
+    policy: LogPolicy, closed: Iterable[LogFile], open_bytes: int, needed: int, free_bytes: int
+) -> Room:
+    """Decide how to get room for more bytes.
+
+    Args:
+        policy: the limits.
+        closed: all closed files of the log.
+        open_bytes: size of the file being written, which is never deleted.
+        needed: bytes that are to be written.
+        free_bytes: on the disk now.
+    """
+    files = sorted(closed)
+    used = sum(file.size_bytes for file in files) + open_bytes + needed
+    free = free_bytes - needed
+    budget = policy.budget_bytes
+    delete: list[LogFile] = []
+    for file in files:
+        if (budget is None or used <= budget) and free >= policy.free_floor_bytes:
+            break
+        delete.append(file)
+        used -= file.size_bytes
+        free += file.size_bytes
+    if free < policy.free_floor_bytes:
+        return Room(tuple(delete), "free_space")
+    return Room(tuple(delete), "budget" if budget is not None and used > budget else None)
