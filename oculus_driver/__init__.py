@@ -1,5 +1,6 @@
 """A driver of Blueprint Subsea Oculus multibeam imaging sonars, useful alone."""
 
+from oculus_driver.confirmation import Confirmation, Difference
 from oculus_driver.encode import (
     bearing_table_cdeg,
     encode_dummy,
@@ -16,29 +17,41 @@ from oculus_driver.errors import (
     RecordingError,
     SettingsError,
 )
+from oculus_driver.link_state import LinkState, LinkStatus, LinkTimes
 from oculus_driver.models import Model, model_of
 from oculus_driver.ping import Ping, Reject, decode_ping
+from oculus_driver.ping_queue import PingQueue
 from oculus_driver.sequence import PingSequence
 from oculus_driver.settings import FireSettings, Mode
+from oculus_driver.sonar import OculusSonar
+from oculus_driver.sonar_counters import SonarCounters
 from oculus_driver.status import Status, decode_status
 from oculus_driver.stream import Message, StreamCounters, StreamParser
 from oculus_driver.wire import PingRate
 
 __all__ = [
+    "Confirmation",
+    "Difference",
     "EncodeError",
     "FireSettings",
     "LinkError",
+    "LinkState",
+    "LinkStatus",
+    "LinkTimes",
     "Message",
     "Mode",
     "Model",
     "OculusError",
+    "OculusSonar",
     "Ping",
+    "PingQueue",
     "PingRate",
     "PingSequence",
     "ProtocolError",
     "RecordingError",
     "Reject",
     "SettingsError",
+    "SonarCounters",
     "Status",
     "StreamCounters",
     "StreamParser",
