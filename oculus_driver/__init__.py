@@ -1,6 +1,7 @@
 """A driver of Blueprint Subsea Oculus multibeam imaging sonars, useful alone."""
 
 from oculus_driver.clock import PingTime, SonarClock, row_times_ns
+from oculus_driver.confirmation import Confirmation, Difference
 from oculus_driver.diagnosis import (
     Finding,
     bind_finding,
@@ -29,13 +30,17 @@ from oculus_driver.errors import (
     RecordingError,
     SettingsError,
 )
+from oculus_driver.link_state import LinkState, LinkStatus, LinkTimes
 from oculus_driver.models import Model, model_of
 from oculus_driver.own_addresses import addresses_towards
 from oculus_driver.ping import Ping, Reject, decode_ping
+from oculus_driver.ping_queue import PingQueue
 from oculus_driver.play import Faults, Identity, PlayCounters, PlayedSonar
 from oculus_driver.sequence import PingSequence
 from oculus_driver.settings import FireSettings, Mode
 from oculus_driver.sighting import Sighting, SonarWatch
+from oculus_driver.sonar import OculusSonar
+from oculus_driver.sonar_counters import SonarCounters
 from oculus_driver.sound_speed import (
     pressure_bar_at,
     speed_of_sound_at_depth_mps,
@@ -46,6 +51,8 @@ from oculus_driver.stream import Message, StreamCounters, StreamParser
 from oculus_driver.wire import PingRate
 
 __all__ = [
+    "Confirmation",
+    "Difference",
     "Discovery",
     "DiscoveryError",
     "EncodeError",
@@ -54,12 +61,17 @@ __all__ = [
     "FireSettings",
     "Identity",
     "LinkError",
+    "LinkState",
+    "LinkStatus",
+    "LinkTimes",
     "Message",
     "Mode",
     "Model",
     "OculusError",
+    "OculusSonar",
     "OutsideLimitsError",
     "Ping",
+    "PingQueue",
     "PingRate",
     "PingSequence",
     "PingTime",
@@ -72,6 +84,7 @@ __all__ = [
     "Sighting",
     "Sightings",
     "SonarClock",
+    "SonarCounters",
     "SonarWatch",
     "Status",
     "StreamCounters",

@@ -178,10 +178,15 @@ class Link:
         self._held = reason
         return self._ask(now_ns) if self._state in _CONNECTED else []
 
+    @property
+    def can_trigger(self) -> bool:
+        """Whether `trigger` would fire: in triggered mode, connected, not held, none waiting."""
+        free = self._held is None and self._pending is None
+        return free and self._state in _CONNECTED and self._settings.network_trigger
+
     def trigger(self, now_ns: int) -> list[Action]:
-        """Fire once in triggered mode; no action where that cannot be done now."""
-        ready = self._state in _CONNECTED and self._held is None and self._pending is None
-        if not ready or not self._settings.network_trigger:
+        """Fire once in triggered mode; nothing where that cannot be done (`can_trigger`)."""
+        if not self.can_trigger:
             return []
         if self._state is LinkState.STANDBY:
             self._enter(LinkState.CONFIGURING, "first trigger sent, no ping yet", now_ns)
@@ -219,11 +224,11 @@ class Link:
             case LinkState.BACKING_OFF:
                 yield self._retry_ns, self._retry
             case LinkState.CONFIGURING if expected_since_ns is not None:
-                yield expected_since_ns + times.fallback_ns, self._no_first_ping
+                yield expected_since_ns + times.fallback_ns + self._period_ns, self._no_first_ping
             case LinkState.PINGING if expected_since_ns is not None:
-                yield expected_since_ns + self._patience_ns, self._fell_silent
+                yield expected_since_ns + times.silence_ns + self._period_ns, self._fell_silent
             case LinkState.SILENT:
-                yield self._heard_ns + times.reconnect_ns, self._hangs
+                yield self._heard_ns + times.reconnect_ns + self._period_ns, self._hangs
             case LinkState.STANDBY if self._dummies:
                 yield self._heard_ns + times.reconnect_ns, self._hangs
 
@@ -234,8 +239,9 @@ class Link:
             yield sent_ns + self._times.keep_alive_ns, self._repeat
 
     @property
-    def _patience_ns(self) -> int:
-        return self._times.silence_ns + round(self._settings.longest_period_s * SECOND_NS)
+    def _period_ns(self) -> int:
+        """How long one ping may take: over a slow network many seconds."""
+        return 0 if self._settings.standby else round(self._settings.longest_period_s * SECOND_NS)
 
     def _no_answer(self, now_ns: int) -> list[Action]:
         seconds = self._times.connect_ns / SECOND_NS

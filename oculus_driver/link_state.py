@@ -27,11 +27,13 @@ class LinkState(StrEnum):
 class LinkTimes:
     """How long the link waits for what, nanoseconds.
 
+    Silence, reconnection and fallback count beyond the time that one ping may take.
+
     Attributes:
         connect_ns: for the sonar to accept the connection.
         keep_alive_ns: between repeated fire messages, 0.2 to 10 s; None repeats none.
         send_gap_ns: least time between two messages to the sonar.
-        silence_ns: beyond the expected ping period, before the link is called silent.
+        silence_ns: without a ping, before the link is called silent.
         reconnect_ns: of no message at all, before the connection is made anew.
         fallback_ns: for the first ping, before the other fire version is tried.
         status_gone_ns: after which a sonar that sends no status is gone.
