@@ -8,21 +8,25 @@ import sys
 from typing import TYPE_CHECKING, NoReturn
 
 from oculus_driver.command import (
+    convert,
     discover,
     doctor,
+    fire,
     info,
+    log,
     play,
     render,
+    watch,
 )
 from oculus_driver.command.say import Exit, Say
-from oculus_driver.errors import OculusError, RecordingError
+from oculus_driver.errors import OculusError, RecordingError, SettingsError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 __all__ = ["main"]
 
-SUBCOMMANDS = (discover, doctor, info, play, render)
+SUBCOMMANDS = (discover, watch, log, info, play, convert, render, fire, doctor)
 
 EPILOG = """\
 exit codes: 0 done; 1 something is wrong with the sonar or the link, as told; 2 the command cannot
@@ -43,6 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     say = Say(as_json=said.json)
     try:
         return int(said.run(said, say))
+    except SettingsError as error:
+        return say.failure(error, Exit.USAGE)
     except RecordingError as error:
         return say.failure(error, Exit.BAD_DATA)
     except OculusError as error:

@@ -11,6 +11,7 @@ from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.played.commands import Command, CommandReader, ConfigDemand, FireDemand
 from oculus_driver.played.numbering import Numbering
 from oculus_driver.played.remake import remake
+from oculus_driver.played.track import USUAL_WAIT_NS
 from oculus_driver.stream import StreamParser
 from oculus_driver.wire import MessageId, PingRate
 
@@ -100,6 +101,7 @@ class PlayedDevice:
         self._loops_left = loops
         self._deaf_to_version = deaf_to_version
         self._numbering = Numbering()
+        self._join_wait_ns = 0  # between the end of the track and its beginning
         self._steps: Generator[Step, None, None] | None = None
         self._upcoming: Step | None = None
         self._load()
@@ -145,10 +147,11 @@ class PlayedDevice:
         """Return the time between the last message and the next one."""
         if self._upcoming is None or (self.triggered and self.next_is_ping):
             return 0
+        recorded_ns = self._join_wait_ns or self._upcoming.wait_ns
         if self.demand is None or not self.next_is_ping:
-            return self._upcoming.wait_ns
+            return recorded_ns
         rate_hz = RATES_HZ.get(PingRate(self.demand.ping_rate)) if self._rate_known() else None
-        return max(self._upcoming.wait_ns, round(1e9 / rate_hz) if rate_hz else 0)
+        return max(recorded_ns, round(1e9 / rate_hz) if rate_hz else 0)
 
     def take(self) -> tuple[bytes, int | None]:
         """Return the next message and, of a ping, its id.
@@ -216,11 +219,15 @@ class PlayedDevice:
 
     def _load(self) -> None:
         """Fetch the next step; at the end of the track begin it again while loops are left."""
+        last_wait_ns = USUAL_WAIT_NS if self._upcoming is None else self._upcoming.wait_ns
+        self._join_wait_ns = 0
         self._upcoming = None if self._steps is None else next(self._steps, None)
         if self._upcoming is not None or self._loops_left == 0:
             return
         if self._loops_left is not None:
             self._loops_left -= 1
+        if self._steps is not None:
+            self._join_wait_ns = last_wait_ns or USUAL_WAIT_NS
         self._steps = iter(self._track)
         self._upcoming = next(self._steps, None)
         self._numbering.join()

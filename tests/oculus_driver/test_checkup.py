@@ -16,7 +16,11 @@ OWN = (IPv4Address("192.168.2.10"),)
 
 
 def seen(**values: Any) -> Sighting:
-    status = {"device_id": 9, "address": "192.168.2.3", "netmask": "255.255.255.0"} | values
+    status: dict[str, Any] = {
+        "device_id": 9,
+        "address": "192.168.2.3",
+        "netmask": "255.255.255.0",
+    } | values
     sighting = SonarWatch().feed(encode_status(**status), None, 0)
     assert isinstance(sighting, Sighting)
     return sighting

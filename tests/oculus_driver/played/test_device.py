@@ -89,6 +89,15 @@ def test_the_pace_is_the_sonars_own_where_nobody_noted_times(capture_path: Path)
     assert [step.wait_ns for step in Track(capture_path)] == [0, 500_017_040, 500_016_776]
 
 
+def test_the_pace_goes_on_where_the_recording_begins_again(capture_path: Path) -> None:
+    device = PlayedDevice(Track(capture_path), loops=2)
+    waits = []
+    while not device.ended:
+        waits.append(device.wait_ns())
+        device.take()
+    assert [round(wait / 1e6) for wait in waits] == [0, 500, 500, 500, 500, 500]
+
+
 def test_times_that_cannot_be_give_the_usual_pace(make_ping: Callable[..., bytes]) -> None:
     times = (5.0, 4.0, float("nan"), 6.0)
     pings = [make_ping(ping_id=index, start_time=time) for index, time in enumerate(times)]
