@@ -26,6 +26,9 @@ BUCKET_NS: Final = 250_000_000
 MIN_SPAN_NS: Final = 10_000_000_000
 """Points over less time say nothing about drift: 1 ms of delay would look like 100 ppm and more."""
 
+MIN_POINTS: Final = 10
+"""Of fewer points each can be late."""
+
 MAX_DRIFT: Final = 200e-6
 """No crystal drifts more. A steeper edge is a change of delay; the line follows it at this rate."""
 
@@ -131,7 +134,7 @@ def _line_below(points: list[_Point]) -> _Line:
     """
     hull = _lower_hull(points)
     rate_error = 0.0
-    if points[-1][0] - points[0][0] >= MIN_SPAN_NS:
+    if len(points) >= MIN_POINTS and points[-1][0] - points[0][0] >= MIN_SPAN_NS:
         first = points[0][0]
         middle = first + sum(arrival - first for arrival, _ in points) // len(points)
         rate_error = _slope_over(hull, middle)

@@ -1,9 +1,39 @@
-"""Which sonar a part number is, and how far it sees."""
+"""Which sonar a part number is, and how far, how wide and how fast it sees.
+
+Ranges and frequencies are those of the maker's published viewer; angles are from data sheets and
+other drivers. They are labels and limits: the bearings of a ping say its aperture, its own field
+the frequency.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+from oculus_driver.wire import PingRate
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """One master mode of a family. None = not known.
+
+    Attributes:
+        max_range_m: largest range that may be asked for.
+        frequency_hz: nominal.
+        aperture_deg: horizontal, edge to edge.
+        elevation_deg: vertical beam width; two values where older and newer units differ, the
+            part number does not tell which.
+        resolution_deg: horizontal beam width. Beams lie closer than this.
+    """
+
+    max_range_m: float
+    frequency_hz: float | None = None
+    aperture_deg: float | None = None
+    elevation_deg: tuple[float, ...] | None = None
+    resolution_deg: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -12,11 +42,16 @@ class Family:
 
     Attributes:
         name: as the maker writes it.
-        max_range_m: largest range of modes 1 and 2; None where the mode does not exist.
+        modes: mode 1 (low frequency, wide) and, where it exists, mode 2 (high, narrow).
     """
 
     name: str
-    max_range_m: tuple[float, float | None]
+    modes: tuple[Mode, ...]
+
+    @property
+    def max_range_m(self) -> tuple[float, float | None]:
+        """Largest range of modes 1 and 2; None where the mode does not exist."""
+        return self.modes[0].max_range_m, self.modes[1].max_range_m if len(self.modes) > 1 else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,12 +63,36 @@ class Model:
     family: Family
 
 
-M370S: Final = Family("M370s", (200.0, None))
-C550D: Final = Family("C550d", (100.0, 30.0))
-M750D: Final = Family("M750d", (120.0, 40.0))
-M1200D: Final = Family("M1200d", (40.0, 10.0))
-M3000D: Final = Family("M3000d", (30.0, 5.0))
-UNKNOWN: Final = Family("unknown", (120.0, 40.0))
+BEAMS: Final = (256, 512)
+"""Of every model, in both modes."""
+
+MAX_RATE_HZ: Final[Mapping[PingRate, float]] = {
+    PingRate.LOWEST: 2.0,
+    PingRate.LOW: 5.0,
+    PingRate.NORMAL: 10.0,
+    PingRate.HIGH: 15.0,
+    PingRate.HIGHEST: 40.0,
+    PingRate.STANDBY: 0.0,
+}
+"""Most pings per second that a setting allows."""
+
+M370S: Final = Family("M370s", (Mode(200.0, 375e3, elevation_deg=(20.0,)),))
+C550D: Final = Family("C550d", (Mode(100.0, 550e3), Mode(30.0, 820e3)))
+M750D: Final = Family(
+    "M750d",
+    (Mode(120.0, 750e3, 130.0, (20.0,), 1.0), Mode(40.0, 1.2e6, 70.0, (12.0, 20.0), 0.6)),
+)
+M1200D: Final = Family(
+    "M1200d",
+    (Mode(40.0, 1.2e6, 130.0, (20.0,), 0.6), Mode(10.0, 2.1e6, 60.0, (12.0,), 0.4)),
+)
+M3000D: Final = Family(
+    "M3000d",
+    (Mode(30.0, 1.2e6, 130.0, (20.0,), 0.6), Mode(5.0, 3.0e6, 40.0, (20.0,), 0.4)),
+)
+UNKNOWN: Final = Family("unknown", (Mode(120.0), Mode(40.0)))
+
+FAMILIES: Final = (M750D, M1200D, M3000D, M370S, C550D, UNKNOWN)
 
 _NAMES: Final[dict[Family, dict[int, str]]] = {
     M750D: {
@@ -77,7 +136,7 @@ _NAMES: Final[dict[Family, dict[int, str]]] = {
     UNKNOWN: {1220: "N1200s", 1221: "N1200s Deep"},
 }
 
-_MODELS: Final = {
+MODELS: Final[Mapping[int, Model]] = {
     number: Model(number, name, family)
     for family, names in _NAMES.items()
     for number, name in names.items()
@@ -86,4 +145,17 @@ _MODELS: Final = {
 
 def model_of(part_number: int) -> Model:
     """Return the model; an unknown part number is a model of family `UNKNOWN`, never an error."""
-    return _MODELS.get(part_number) or Model(part_number, f"part {part_number}", UNKNOWN)
+    return MODELS.get(part_number) or Model(part_number, f"part {part_number}", UNKNOWN)
+
+
+def fastest_rate_hz(
+    ping_rate: PingRate, range_m: float, speed_of_sound_mps: float = 1500.0
+) -> float:
+    """Return the most pings per second that setting and sound allow; network and sonar allow less.
+
+    Args:
+        ping_rate: the setting.
+        range_m: more than 0. The next ping waits for the last echo of the one before.
+        speed_of_sound_mps: more than 0.
+    """
+    return min(MAX_RATE_HZ[ping_rate], speed_of_sound_mps / (2.0 * range_m))

@@ -154,6 +154,22 @@ def test_the_period_counts_lost_pings_and_forgives_a_hiccup(ping_at: Pings) -> N
     assert clock.period_s == pytest.approx(1 / 40)
 
 
+def test_lost_pings_do_not_make_the_period_longer(ping_at: Pings) -> None:
+    clock = SonarClock()
+    placed(clock, (ping_at(3 * k, 10 + 3 * k / 40, arrival(10 + 3 * k / 40)) for k in range(9)))
+    assert clock.period_s == pytest.approx(1 / 40)
+
+
+def test_the_period_is_not_taken_over_long_gaps_and_restarts(ping_at: Pings) -> None:
+    clock = SonarClock()
+    placed(clock, [ping_at(k, 10.0 + k / 5, arrival(10.0 + k / 5)) for k in (0, 5000)])
+    assert clock.period_s is None
+    placed(clock, [ping_at(5000 + k, 1010.0 + k, arrival(1010.0 + k)) for k in range(1, 9)])
+    assert clock.period_s == pytest.approx(1.0)
+    placed(clock, [ping_at(k, 1.0 + k / 4, arrival(1030.0 + k / 4)) for k in range(2)])
+    assert clock.period_s == pytest.approx(0.25)
+
+
 def test_ticks_of_version_1_are_used_where_their_length_is_given(captured: list[Message]) -> None:
     pings = [decode_ping(message) for message in captured]
     clock, unknown = SonarClock(tick_ns=8.0), SonarClock()
@@ -177,6 +193,16 @@ def test_ticks_run_on_over_wraps_and_long_pauses(ping_at: Pings) -> None:
         late_ns = time.transmit_ns - (BOOT_NS + round(start_s * S))
         assert late_ns + time.lateness_ns == k * MS
         assert late_ns == 0 or k > 2  # a prompt ping is remembered for 30 s
+
+
+def test_wraps_that_nobody_saw_are_counted_by_the_arrivals(ping_at: Pings) -> None:
+    clock = SonarClock(tick_ns=1.0)  # a wrap every 4.3 s
+    for k, start_s in enumerate((1.0, 2.0, 20.0, 29.0)):
+        ticks = round(start_s * 1e9) % 2**32
+        time = clock.place(ping_at(k, None, arrival(start_s, k * 100 * MS), start_ticks=ticks))
+        assert time is not None
+        assert time.lateness_ns == pytest.approx(k * 100 * MS, abs=6 * MS)
+    assert clock.period_s == pytest.approx(9.0)
 
 
 def test_ticks_start_anew_with_the_sonar(ping_at: Pings) -> None:

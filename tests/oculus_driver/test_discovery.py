@@ -161,6 +161,16 @@ def test_leaving_while_a_reader_waits_leaks_nothing(recwarn: pytest.WarningsReco
     assert [str(warning.message) for warning in recwarn] == []
 
 
+def test_the_port_is_free_when_the_discovery_is_left() -> None:
+    async def work() -> None:
+        async with Discovery(port=0) as discovery:
+            pass
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as selfish:
+            selfish.bind((ANY_HOST, discovery.port))
+
+    run(work())
+
+
 def test_a_cancelled_reader_loses_no_sighting() -> None:
     async def work() -> None:
         async with Discovery(port=0, host="127.0.0.1") as discovery:

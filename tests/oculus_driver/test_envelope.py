@@ -59,6 +59,31 @@ def test_drift_is_measured_and_taken_out(drift_ppm: int) -> None:
     assert clock.believable
 
 
+def test_drift_is_not_guessed_from_a_few_late_records() -> None:
+    clock = LowerEnvelope()
+    for k in range(4):
+        assert clock.to_host_ns(k * 5 * S, 100 * S + k * 5 * S + k * 200 * MS) == (100 + 5 * k) * S
+    assert clock.believable
+
+
+def test_a_late_record_gets_the_offset_of_its_own_time() -> None:
+    clock = LowerEnvelope()
+    for k in range(200):
+        stamp_ns = round(k * 100 * MS * (1 - 200e-6))
+        late_ns = 900 * MS if k == 199 else 0
+        host_ns = clock.to_host_ns(stamp_ns, 1000 * S + k * 100 * MS + late_ns) or 0
+    assert abs(host_ns - (1000 * S + 199 * 100 * MS)) < 1000  # of the arrival: 180 000
+
+
+def test_a_prompt_record_counts_for_the_window_and_no_longer() -> None:
+    for pause_ns, lateness_ns in ((WINDOW_NS, 200 * MS), (WINDOW_NS + S, 0)):
+        clock = LowerEnvelope()
+        clock.to_host_ns(0, 100 * S)
+        arrival_ns = 100 * S + pause_ns
+        host_ns = clock.to_host_ns(pause_ns - 200 * MS, arrival_ns)
+        assert host_ns == pytest.approx(arrival_ns - lateness_ns, abs=pause_ns * MAX_DRIFT)
+
+
 def test_drift_is_not_guessed_from_a_short_time() -> None:
     clock = LowerEnvelope()
     for k in range(20):
@@ -114,7 +139,7 @@ def test_no_line_below_all_points_is_closer_to_them(some: list[tuple[int, int]])
     line = _line_below(some)
     above = [offset - line.at(arrival) for arrival, offset in some]
     assert min(above) >= -1  # whole nanoseconds
-    if line.rate_error != line.slope or some[-1][0] - some[0][0] < 10 * S:
+    if line.rate_error != line.slope or len(some) < 10 or some[-1][0] - some[0][0] < 10 * S:
         return
     for (x0, y0), (x1, y1) in itertools.combinations(some, 2):
         other = [y - y0 - (y1 - y0) * (x - x0) / (x1 - x0) for x, y in some]

@@ -42,14 +42,14 @@ def test_the_captures_were_made_in_water_of_a_laboratory() -> None:
     assert speed_of_sound_mps(22.81, 0.0) == pytest.approx(1490.658551, abs=0.02)
 
 
-@given(st.floats(2, 30), st.floats(25, 40), st.floats(0, 1000))
+@given(st.floats(2, 30), st.floats(25, 40), st.floats(0, 300))
 def test_it_agrees_with_mackenzie_in_the_sea(t: float, s: float, d: float) -> None:
-    """K. Mackenzie, J. Acoust. Soc. Am. 70 (1981), within what the two are known to differ."""
+    """K. Mackenzie, J. Acoust. Soc. Am. 70 (1981); they differ most, by 0.52 m/s, at 30 °C."""
     mackenzie = (
         1448.96 + 4.591 * t - 5.304e-2 * t**2 + 2.374e-4 * t**3 + 1.340 * (s - 35)
         + 1.630e-2 * d + 1.675e-7 * d**2 - 1.025e-2 * t * (s - 35) - 7.139e-13 * t * d**3
     )  # fmt: skip
-    assert speed_of_sound_at_depth_mps(t, s, d) == pytest.approx(mackenzie, abs=0.6)
+    assert speed_of_sound_at_depth_mps(t, s, d) == pytest.approx(mackenzie, abs=0.55)
 
 
 @given(st.floats(0, 40))
