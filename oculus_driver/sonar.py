@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 from oculus_driver.confirmation import CONFIRM_NS, Confirmation, ConfirmationWatch, differences
 from oculus_driver.errors import LinkError, SettingsError
+from oculus_driver.heat import HeatGuard
 from oculus_driver.link import Link
 from oculus_driver.link_driver import LinkDriver
 from oculus_driver.link_state import SECOND_NS, LinkState, LinkStatus, LinkTimes
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
 
 _LOG: Final = logging.getLogger(__name__)
 _QUIET_S: Final = 1.0
-_TOO_HOT: Final = "the sonar is too hot and has stopped pinging: is it under water?"
 
 
 class OculusSonar:
@@ -54,6 +54,8 @@ class OculusSonar:
         version: of the fire messages, None for 2 with fallback to 1.
         times: how long the link waits for what.
         max_pings: held for readers at most.
+        max_temperature_c: the sonar is held in standby above, and until its status shows 3 °C
+            less; where its address was given, until `release`. None: by its own limit alone.
         keep_pinging: leave the sonar pinging at the end.
         on_bytes: called with all bytes before they are parsed, and their arrival time.
         on_state: called whenever the link enters a state or has another reason.
@@ -73,6 +75,7 @@ class OculusSonar:
         version: int | None = None,
         times: LinkTimes | None = None,
         max_pings: int = MAX_PINGS,
+        max_temperature_c: float | None = None,
         keep_pinging: bool = False,
         on_bytes: Callable[[bytes, int], None] | None = None,
         on_state: Callable[[LinkStatus], None] | None = None,
@@ -87,6 +90,7 @@ class OculusSonar:
         self._on_state = on_state
         self._queue = PingQueue(max_pings)
         self._search = Search(serial, discovery) if host is None else None
+        self._heat = HeatGuard(max_temperature_c)
         self._holds: dict[str, str] = {}
         self._last_ping: Ping | None = None
         self._next_pings: set[asyncio.Future[Ping]] = set()
@@ -212,7 +216,9 @@ class OculusSonar:
         self._hold("user", reason)
 
     def release(self) -> None:
-        """End the `hold`."""
+        """End the `hold`, and one for heat: it comes back where the sonar is still hot."""
+        self._heat.reason = None
+        self._hold("heat", None)
         self._hold("user", None)
 
     async def wait_for(self, *states: LinkState) -> LinkState:
@@ -264,6 +270,8 @@ class OculusSonar:
             return
         if self._model is None and ping.part_number:
             self._learn(model_of(ping.part_number))
+        self._heat.ping(ping)
+        self._hold("heat", self._heat.reason)
         self._last_ping = ping
         self._queue.put(ping)
         self._answer(lambda watch: watch.ping(ping, now_ns))
@@ -281,8 +289,8 @@ class OculusSonar:
         status = sighting.status
         if self._model is None:
             self._learn(status.model)
-        hot = status.temperature_state == "shut down"
-        self._hold("heat", _TOO_HOT if hot else None)
+        self._heat.status(status)
+        self._hold("heat", self._heat.reason)
         client = status.client_address
         holder = str(client) if client else "another client" if status.busy else None
         now_ns = self._clock()
@@ -308,6 +316,8 @@ class OculusSonar:
         return fitted
 
     def _hold(self, who: str, reason: str | None) -> None:
+        if reason == self._holds.get(who):
+            return
         if reason is None:
             self._holds.pop(who, None)
         else:

@@ -174,6 +174,24 @@ def test_a_hold_keeps_the_sonar_quiet_until_released(fake: MakeSonar, run: Run) 
     run(main())
 
 
+def test_a_sonar_over_the_callers_limit_is_kept_quiet(fake: MakeSonar, run: Run) -> None:
+    # quirk 16
+    async def main() -> None:
+        async with (
+            fake(echo={"temperature_c": 36.0}) as device,
+            OculusSonar(HOST, FREE, port=device.port, max_temperature_c=35.0) as sonar,
+        ):
+            await take(sonar, 1)
+            await sonar.wait_for(LinkState.STANDBY)
+            assert sonar.link.reason.startswith("36.0 °C, the limit is 35")
+            sonar.release()
+            await sonar.wait_for(LinkState.PINGING, LinkState.STANDBY)
+            await take(sonar, 1)
+            await sonar.wait_for(LinkState.STANDBY)
+
+    run(main())
+
+
 def test_the_range_is_cut_to_the_model(fake: MakeSonar, run: Run) -> None:
     async def main() -> None:
         far = replace(FREE, range_m=100.0)
