@@ -152,6 +152,7 @@ class PlayedSonar:
                 self.counters.clients += 1
                 self._client = IPv4Address(writer.get_extra_info("peername")[0])
                 await _first_of(self._hear(reader, writer), self._send(writer))
+                await _say_goodbye(reader, writer)
         except ConnectionError:
             pass  # the client is gone, which is its right
         finally:
@@ -276,6 +277,19 @@ class PlayedSonar:
             dice=self._dice,
             counters=self.counters,
         )
+
+
+async def _say_goodbye(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """End the stream and read on until the client has seen it.
+
+    To close with commands unread would reset the connection, and the client would lose pings that
+    were sent whole.
+    """
+    writer.write_eof()
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(_FLUSH_S):
+            while await reader.read(_LARGEST_READ):
+                pass
 
 
 async def _let_go(writer: asyncio.StreamWriter) -> None:
