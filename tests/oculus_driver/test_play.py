@@ -241,6 +241,28 @@ def test_a_cut_ends_the_connection_inside_a_ping(pings: list[bytes]) -> None:
     run(work())
 
 
+def test_a_cut_takes_nothing_that_was_sent_before_it(pings: list[bytes]) -> None:
+    async def work() -> None:
+        loop, gone = asyncio.get_running_loop(), asyncio.Event()
+        faults = Faults(cut=1.0, number=2)
+        async with PlayedSonar(
+            pings, speed=None, faults=faults, on_ping=lambda *_: gone.set()
+        ) as sonar:
+            with socket.create_connection((sonar.host, sonar.port)) as link:
+                link.settimeout(0)
+                await gone.wait()
+                await asyncio.sleep(0.01)
+                for _ in range(3):  # a reset would throw away what was not read yet
+                    await loop.sock_sendall(link, STANDBY)
+                    await asyncio.sleep(0.01)
+                data = b""
+                while piece := await loop.sock_recv(link, 1 << 16):
+                    data += piece
+            assert len(data) == sonar.counters.bytes_sent
+
+    run(work())
+
+
 def test_flipped_and_lost_pings_are_told_and_the_others_arrive(pings: list[bytes]) -> None:
     async def work() -> None:
         sent: dict[int, bool] = {}

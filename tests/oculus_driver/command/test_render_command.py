@@ -44,9 +44,11 @@ def test_a_film_runs_as_fast_as_it_was_recorded(
         for index in range(3):
             writer.write(link, capture[182016 * index :][:182016], 10**18 + 250_000_000 * index)
     assert oculus("render", path, tmp_path / "a.mp4", "--height", "200").code == 0
-    film = cv2.VideoCapture(str(tmp_path / "a.mp4"))
-    assert (film.get(cv2.CAP_PROP_FPS), film.get(cv2.CAP_PROP_FRAME_COUNT)) == (4.0, 3.0)
-    film.release()
+    assert oculus("render", path, tmp_path / "b.mp4", "--height", "200", "--every", 2).code == 0
+    for name, facts in (("a.mp4", (4.0, 3.0)), ("b.mp4", (2.0, 2.0))):
+        film = cv2.VideoCapture(str(tmp_path / name))
+        assert (film.get(cv2.CAP_PROP_FPS), film.get(cv2.CAP_PROP_FRAME_COUNT)) == facts
+        film.release()
 
 
 def test_some_pings_can_be_chosen(oculus: Oculus, capture_path: Path, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import cv2
 import pytest
 
 from oculus_driver import Faults
+from oculus_driver.recording import open_recording
 from tests.oculus_driver.command.sonar_thread import free_udp_port, played
 
 if TYPE_CHECKING:
@@ -89,6 +90,8 @@ def test_a_log_goes_on_after_the_link_was_cut(
     assert states.count("pinging") >= 2
     (info,) = oculus("info", *tmp_path.iterdir(), "--json").facts
     assert info["restarts"] >= 1
+    with open_recording(next(tmp_path.iterdir())) as recording:
+        assert any(chunk.gap_before for chunk in recording)  # two connections do not join
     assert info["pings"] > 0
 
 
