@@ -150,11 +150,12 @@ class PlayedSonar:
                 return
             async with self._turn:
                 self.counters.clients += 1
-                self._client = IPv4Address(writer.get_extra_info("peername")[0])
+                peer = writer.get_extra_info("peername")  # None if it has left already
+                self._client = IPv4Address(peer[0]) if peer else None
                 await _first_of(self._hear(reader, writer), self._send(writer))
                 await _say_goodbye(reader, writer)
-        except ConnectionError:
-            pass  # the client is gone, which is its right
+        except OSError:
+            pass  # the client is gone, which is its right; "not connected" is no ConnectionError
         finally:
             if not self._turn.locked():
                 self._client = None
@@ -303,7 +304,7 @@ async def _let_go(writer: asyncio.StreamWriter) -> None:
     except asyncio.CancelledError:
         writer.transport.abort()
         raise
-    except ConnectionError:
+    except OSError:
         pass  # the client was first
 
 

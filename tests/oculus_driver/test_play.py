@@ -7,6 +7,7 @@ import socket
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
 import pytest
 
 from oculus_driver import (
@@ -36,8 +37,8 @@ if TYPE_CHECKING:
     from oculus_driver import Message
 
 LIMIT_S = 20.0
+FIRE = encode_fire()
 STANDBY = encode_fire(ping_rate=5)
-MakePing = "Callable[..., bytes]"
 
 
 def run(work: Coroutine[Any, Any, None]) -> None:
@@ -395,6 +396,34 @@ def test_messages_handed_over_in_pieces_are_the_same_messages(pings: list[bytes]
         ):
             await client.messages(4)
             assert client.data == b"".join(pings)
+
+    run(work())
+
+
+RESET_ON_CLOSE = b"\1\0\0\0\0\0\0\0"
+
+
+def test_clients_may_come_and_go_at_any_moment(make_ping: Callable[..., bytes]) -> None:
+    async def work() -> None:
+        loop = asyncio.get_running_loop()
+        rng = np.random.default_rng(1)
+        faults = Faults(cut=0.3, restart=0.2, number=1)
+        large = make_ping(rows=700)
+        async with PlayedSonar([large], loops=None, speed=None, faults=faults) as sonar:
+            for _ in range(400):
+                with socket.socket() as link:
+                    link.settimeout(0)
+                    await loop.sock_connect(link, (sonar.host, sonar.port))
+                    if rng.random() < 0.5:
+                        await loop.sock_sendall(link, STANDBY if rng.random() < 0.5 else FIRE)
+                    if rng.random() < 0.3:
+                        link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET_ON_CLOSE)
+                    await asyncio.sleep(0.002 * float(rng.integers(0, 2)))
+            whole: list[Message] = []
+            while not whole:  # of clients that may meet a fault too
+                async with await Client.of(sonar) as client:
+                    client.writer.write(FIRE)
+                    whole = await client.messages(1)
 
     run(work())
 
