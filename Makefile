@@ -42,7 +42,7 @@ prerequisites:
 # Installed anew when the build's inputs change; Python sources are used from the tree.
 $(STAMP): pyproject.toml $(CPP_SOURCES) | prerequisites
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,octomap,sim,topside]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,octomap,render,sim,topside]'
 	touch $@
 
 clean:

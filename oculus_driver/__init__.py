@@ -1,6 +1,7 @@
 """A driver of Blueprint Subsea Oculus multibeam imaging sonars, useful alone."""
 
 from oculus_driver.clock import PingTime, SonarClock, row_times_ns
+from oculus_driver.confirmation import Confirmation, Difference
 from oculus_driver.diagnosis import (
     Finding,
     bind_finding,
@@ -22,16 +23,24 @@ from oculus_driver.encode import (
 from oculus_driver.errors import (
     DiscoveryError,
     EncodeError,
+    LinkError,
     OculusError,
     OutsideLimitsError,
     ProtocolError,
     RecordingError,
+    SettingsError,
 )
+from oculus_driver.link_state import LinkState, LinkStatus, LinkTimes
 from oculus_driver.models import Model, model_of
 from oculus_driver.own_addresses import addresses_towards
 from oculus_driver.ping import Ping, Reject, decode_ping
+from oculus_driver.ping_queue import PingQueue
+from oculus_driver.play import Faults, Identity, PlayCounters, PlayedSonar
 from oculus_driver.sequence import PingSequence
+from oculus_driver.settings import FireSettings, Mode
 from oculus_driver.sighting import Sighting, SonarWatch
+from oculus_driver.sonar import OculusSonar
+from oculus_driver.sonar_counters import SonarCounters
 from oculus_driver.sound_speed import (
     pressure_bar_at,
     speed_of_sound_at_depth_mps,
@@ -39,25 +48,43 @@ from oculus_driver.sound_speed import (
 )
 from oculus_driver.status import Status, decode_status
 from oculus_driver.stream import Message, StreamCounters, StreamParser
+from oculus_driver.wire import PingRate
 
 __all__ = [
+    "Confirmation",
+    "Difference",
     "Discovery",
     "DiscoveryError",
     "EncodeError",
+    "Faults",
     "Finding",
+    "FireSettings",
+    "Identity",
+    "LinkError",
+    "LinkState",
+    "LinkStatus",
+    "LinkTimes",
     "Message",
+    "Mode",
     "Model",
     "OculusError",
+    "OculusSonar",
     "OutsideLimitsError",
     "Ping",
+    "PingQueue",
+    "PingRate",
     "PingSequence",
     "PingTime",
+    "PlayCounters",
+    "PlayedSonar",
     "ProtocolError",
     "RecordingError",
     "Reject",
+    "SettingsError",
     "Sighting",
     "Sightings",
     "SonarClock",
+    "SonarCounters",
     "SonarWatch",
     "Status",
     "StreamCounters",

@@ -6,6 +6,9 @@ OculusError
 ├── RecordingError   a file that cannot be opened, read or written as a recording
 ├── DiscoveryError   the port of the status broadcasts cannot be listened on
 └── OutsideLimitsError  a value for which a formula does not hold
+├── SettingsError    the sonar is asked for something that it cannot be asked for
+├── LinkError        the sonar cannot be reached, or does not answer: may be better later
+└── RecordingError   a file that cannot be opened, read or written as a recording
 
 Parsers never raise these on bytes from outside: bad bytes are data, counted and reported.
 """
@@ -23,6 +26,14 @@ class ProtocolError(OculusError):
 
 class EncodeError(ProtocolError, ValueError):
     """A value has no place in the message that it was given for."""
+
+
+class SettingsError(OculusError, ValueError):
+    """The sonar is asked for something that it cannot be asked for: the caller's to correct."""
+
+
+class LinkError(OculusError):
+    """The sonar cannot be reached or does not answer; trying again later may help."""
 
 
 class RecordingError(OculusError):

@@ -1,0 +1,65 @@
+"""What a command says: text for a person, or the same facts as JSON lines."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+class Exit(IntEnum):
+    """Exit codes; those above 64 are of sysexits.h."""
+
+    OK = 0
+    FAULT = 1
+    USAGE = 2
+    BAD_DATA = 65
+    INTERRUPTED = 130
+
+
+class Say:
+    """Writes to standard output, and failures to standard error.
+
+    Args:
+        as_json: write facts instead of text.
+    """
+
+    def __init__(self, *, as_json: bool) -> None:
+        self.as_json = as_json
+
+    def report(self, facts: Mapping[str, Any], text: str) -> None:
+        """Say one thing: `facts` as one line of JSON, or `text`, which may have many lines."""
+        said = json.dumps(_plain(facts), allow_nan=False) if self.as_json else text
+        sys.stdout.write(said + "\n")
+        sys.stdout.flush()
+
+    def note(self, text: str) -> None:
+        """Tell a person what goes on; never mixed with the facts."""
+        sys.stderr.write(text + "\n")
+        sys.stderr.flush()
+
+    def failure(self, error: object, code: Exit) -> Exit:
+        """Say why the command ends, and return its exit code."""
+        if self.as_json:
+            self.report({"error": str(error)}, "")
+        self.note(f"oculus: {error}")
+        return code
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever facts hold
+    """Return the value in JSON's own types; what is not a number is null."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        items = sorted(value) if isinstance(value, (set, frozenset)) else value
+        return [_plain(item) for item in items]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, (bool, int)):
+        return value
+    return str(value)

@@ -1,0 +1,161 @@
+"""What pings show against what was asked for: there is no other answer to a fire message."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from oculus_driver.wire import FireFlags
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from oculus_driver.ping import Ping
+    from oculus_driver.settings import FireSettings
+
+CONFIRM_NS: Final = 8_000_000_000
+"""Speed of sound and salinity may take 6 s and more to show; the rest shows sooner."""
+
+_DECISIVE_FLAGS: Final = {
+    "range unit": FireFlags.RANGE_IN_METRES,
+    "16-bit flag": FireFlags.SIXTEEN_BIT,
+    "512-beam flag": FireFlags.FULL_BEAMS,
+}
+_RANGE_ROUNDING_M: Final = 1e-3
+_GAIN_ROUNDING: Final = 0.1
+_SPEED_ROUNDING_MPS: Final = 0.5
+_SALINITY_ROUNDING_PPT: Final = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One thing that a ping shows otherwise than asked.
+
+    Attributes:
+        name: what it is.
+        asked: for what.
+        shown: by the ping.
+        decisive: whether the settings are not in force while this differs. The other
+            differences may be slow to settle, or are the sonar's own choice.
+    """
+
+    name: str
+    asked: float
+    shown: float
+    decisive: bool
+
+    def __str__(self) -> str:
+        return f"{self.name}: asked {self.asked:g}, got {self.shown:g}"
+
+
+@dataclass(frozen=True, slots=True)
+class Confirmation:
+    """What became of settings.
+
+    Attributes:
+        confirmed: whether a ping showed them in force, or standby was kept.
+        reason: in words for a person.
+        waited_ns: from asking to this answer.
+        pings: that were looked at.
+        changed: what the sonar did otherwise, by the last of them.
+    """
+
+    confirmed: bool
+    reason: str
+    waited_ns: int
+    pings: int
+    changed: tuple[Difference, ...]
+
+
+def differences(settings: FireSettings, ping: Ping) -> tuple[Difference, ...]:
+    """Return what a ping shows otherwise than asked, as far as its echo can be trusted.
+
+    Never compared: ping rate and network speed, whose echo is left-over memory, and the speed
+    of sound where the sonar was to compute it. A range in percent has no echo in metres.
+    """
+    return tuple(
+        Difference(name, asked, shown, decisive)
+        for name, asked, shown, rounding, decisive in _compared(settings, ping)
+        if not abs(asked - shown) <= rounding
+    )
+
+
+def _compared(
+    settings: FireSettings, ping: Ping
+) -> Iterator[tuple[str, float, float, float, bool]]:
+    """Yield name, what was asked, what is shown, how far they may be apart, and if decisive."""
+    yield "mode", settings.mode, ping.mode, 0.0, True
+    yield "gamma", settings.gamma, ping.gamma, 0.0, True
+    for name, flag in _DECISIVE_FLAGS.items():
+        yield name, bool(settings.flags & flag), bool(ping.flags & flag), 0.0, True
+    if settings.range_m is not None and ping.range_setting_m is not None:
+        yield "range, m", settings.range_m, ping.range_setting_m, _RANGE_ROUNDING_M, True
+    yield "beams", settings.beams, ping.beams, 0.0, False
+    yield "bits per sample", settings.bits_per_sample, ping.bits_per_sample, 0.0, False
+    yield "gain words", settings.gain_words, ping.gains is not None, 0.0, False
+    yield "gain, percent", _gain_percent(settings, ping), ping.gain_percent, _GAIN_ROUNDING, False
+    yield "salinity, ppt", settings.salinity_ppt, ping.salinity_ppt, _SALINITY_ROUNDING_PPT, False
+    if settings.speed_of_sound_mps is not None:
+        asked, shown = settings.speed_of_sound_mps, ping.speed_of_sound_mps
+        yield "speed of sound, m/s", asked, shown, _SPEED_ROUNDING_MPS, False
+
+
+def _gain_percent(settings: FireSettings, ping: Ping) -> float:
+    """Return the gain to expect: older firmware maps it to 40 to 100 % in mode 2."""
+    mapped = 40.0 + 0.6 * settings.gain_percent
+    older = settings.mode == 2 and abs(ping.gain_percent - mapped) <= _GAIN_ROUNDING  # noqa: PLR2004 - the mode's own number
+    return mapped if older else settings.gain_percent
+
+
+class ConfirmationWatch:
+    """Looks at pings until they show settings in force, or time is up.
+
+    Args:
+        settings: that were asked for; the report compares with these.
+        asked_ns: when, host monotonic.
+        sent: what was sent for them, where that is not the same.
+        patience_ns: how long to wait. Standby is confirmed by a sign that the sonar is quiet.
+    """
+
+    def __init__(
+        self,
+        settings: FireSettings,
+        asked_ns: int,
+        sent: FireSettings | None = None,
+        patience_ns: int = CONFIRM_NS,
+    ) -> None:
+        self._settings = settings
+        self._sent = sent or settings
+        self._asked_ns = asked_ns
+        self._pings = 0
+        self._last: tuple[Difference, ...] = ()
+        self.deadline_ns = asked_ns + patience_ns
+
+    def ping(self, ping: Ping, now_ns: int) -> Confirmation | None:
+        """Take a ping; return the answer if it gives one."""
+        self._pings += 1
+        if self._sent.standby:
+            return None
+        self._last = differences(self._settings, ping)
+        if any(difference.decisive for difference in differences(self._sent, ping)):
+            return None
+        return self._answer("a ping shows the settings", now_ns, confirmed=True)
+
+    def dummy(self, now_ns: int) -> Confirmation | None:
+        """Take a dummy message, which a sonar in standby sends."""
+        if not self._sent.standby:
+            return None
+        return self._answer("the sonar says that it is in standby", now_ns, confirmed=True)
+
+    def expire(self, now_ns: int) -> Confirmation:
+        """Return the answer when time is up."""
+        if self._pings == 0:
+            return self._answer("no ping came", now_ns, confirmed=False)
+        if self._sent.standby:
+            return self._answer("pings came, no word of standby", now_ns, confirmed=False)
+        shown = "; ".join(str(one) for one in self._last if one.decisive)
+        return self._answer(f"the pings show otherwise: {shown}", now_ns, confirmed=False)
+
+    def _answer(self, reason: str, now_ns: int, *, confirmed: bool) -> Confirmation:
+        waited_ns = now_ns - self._asked_ns
+        return Confirmation(confirmed, reason, waited_ns, self._pings, self._last)

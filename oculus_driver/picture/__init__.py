@@ -1,0 +1,6 @@
+"""Pings as pictures. Needs OpenCV: the extra `render`."""
+
+from oculus_driver.picture.fan import Fan, fan_of
+from oculus_driver.picture.painter import COLOURS, Painter, Style
+
+__all__ = ["COLOURS", "Fan", "Painter", "Style", "fan_of"]

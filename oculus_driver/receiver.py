@@ -1,0 +1,98 @@
+"""From the bytes of a connection to pings, each once; everything else is counted."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Final
+
+from oculus_driver.ping import Ping, decode_ping
+from oculus_driver.reject import Reject
+from oculus_driver.sequence import PingSequence
+from oculus_driver.stream import Message, StreamCounters, StreamParser
+from oculus_driver.wire import MIB, MessageId
+
+LOST_BYTES: Final = 16 * MIB
+LOST_NS: Final = 5_000_000_000
+STALL_NS: Final = 2_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A whole message, and the ping in it if it is a good and new one."""
+
+    message_id: int
+    ping: Ping | None
+
+
+class PingReceiver:
+    """Parses one sonar's connections, one after the other, and judges whether to go on.
+
+    Attributes:
+        sequence: lost, duplicate and restarted ids.
+        pings: good pings, each counted once.
+        rejects: ping messages that could not be used, by reason; bytes that are no message at
+            all are counted in `stream`.
+    """
+
+    def __init__(self) -> None:
+        self.sequence = PingSequence()
+        self.pings = 0
+        self.rejects: Counter[str] = Counter()
+        self._parser = StreamParser()
+        self._heard_ns = 0
+        self._lost_since_ns: int | None = None
+
+    @property
+    def stream(self) -> StreamCounters:
+        """What the parser counted."""
+        return self._parser.counters
+
+    @property
+    def deadline_ns(self) -> int | None:
+        """When `trouble` has to be asked, if no bytes come until then."""
+        if self._lost_since_ns is not None:
+            return self._lost_since_ns + LOST_NS
+        return self._heard_ns + STALL_NS if self._parser.pending_bytes else None
+
+    def feed(self, data: bytes, arrival_ns: int) -> list[Received]:
+        """Take the next bytes; return the messages that they complete."""
+        self._heard_ns = arrival_ns
+        received = [self._received(one) for one in self._parser.feed(data, arrival_ns)]
+        if self._parser.synchronised:
+            self._lost_since_ns = None
+        elif self._lost_since_ns is None:
+            self._lost_since_ns = arrival_ns
+        return received
+
+    def finish(self) -> list[Received]:
+        """Settle what is left of a connection that ended; the next one starts afresh."""
+        self._lost_since_ns = None
+        return [self._received(one) for one in self._parser.finish()]
+
+    def trouble(self, now_ns: int) -> str | None:
+        """Return why only a new connection can help, or None.
+
+        A message that stops coming in the middle is one reason. It is judged by the last bytes,
+        not by its beginning: over a slow network a big message may well take seconds.
+        """
+        if self._lost_since_ns is None:
+            if not self._parser.pending_bytes or now_ns - self._heard_ns < STALL_NS:
+                return None
+            return f"a message stopped after {self._parser.pending_bytes} bytes"
+        lost_bytes = self._parser.bytes_since_lost
+        if lost_bytes < LOST_BYTES and now_ns - self._lost_since_ns < LOST_NS:
+            return None
+        return f"no message found in {lost_bytes} bytes"
+
+    def _received(self, message: Message) -> Received:
+        if message.message_id != MessageId.PING_RESULT:
+            return Received(message.message_id, None)
+        ping = decode_ping(message)
+        ping_id = ping.ping_id
+        fresh = ping_id is None or self.sequence.accept(ping_id)
+        if isinstance(ping, Reject):
+            self.rejects[ping.reason] += 1
+            return Received(message.message_id, None)
+        self.pings += fresh
+        return Received(message.message_id, ping if fresh else None)

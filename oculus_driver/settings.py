@@ -1,0 +1,219 @@
+"""What a sonar is asked to do: settings that are checked before anything is sent."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import TYPE_CHECKING, Final
+
+from oculus_driver.encode import encode_fire
+from oculus_driver.errors import SettingsError
+from oculus_driver.models import UNKNOWN
+from oculus_driver.wire import EXTENDED_32_BIT, FireFlags, PingRate
+
+if TYPE_CHECKING:
+    from oculus_driver.models import Model
+
+__all__ = ["FireSettings", "Mode", "PingRate"]
+
+MAX_RATE_HZ: Final = {
+    PingRate.NORMAL: 10.0,
+    PingRate.HIGH: 15.0,
+    PingRate.HIGHEST: 40.0,
+    PingRate.LOW: 5.0,
+    PingRate.LOWEST: 2.0,
+}
+"""Most pings a second that a rate allows; the range and the network may allow fewer."""
+
+FULL_BEAMS: Final = 512
+HALF_BEAMS: Final = 256
+LINK_SPEED: Final = 255
+"""Network-speed byte: no limit below the link's own speed, 100 Mbit/s or 1 Gbit/s alike."""
+
+_RANGES_M: Final = (0.1, 200.0)  # of all models; the sonar's own limit is known with its model
+_SPEEDS_MPS: Final = (1300.0, 1700.0)
+_SALINITIES_PPT: Final = (0.0, 42.0)  # where practical salinity is defined
+_BITS: Final = (8, 16, 32)
+_BITS_32: Final = 32
+_SLOWEST_SOUND_MPS: Final = 1400.0
+_MOST_ROWS: Final = 800
+_FIXED_BYTES: Final = 4096
+_SLOWEST_LINK_MBPS: Final = 100
+
+
+class Mode(IntEnum):
+    """Master mode. How many hertz and degrees these are depends on the model."""
+
+    LOW_FREQUENCY = 1  # wide fan, long range
+    HIGH_FREQUENCY = 2  # narrow fan, short range
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FireSettings:
+    """The content of a fire message.
+
+    Attributes:
+        mode: frequency and fan.
+        ping_rate: an upper limit; see `MAX_RATE_HZ`.
+        range_m: how far to look, 0.1 to 200 m, or None where `range_percent` is given.
+        range_percent: how far to look as a part of the mode's farthest, more than 0 to 100.
+        gain_percent: 0 to 100. Little effect while `gain_assist` is on.
+        gamma: 0 to 255; the image is shown with the exponent gamma/255; 0 and 255 mean linear.
+        speed_of_sound_mps: 1300 to 1700, or None: the sonar computes it with `salinity_ppt`.
+        salinity_ppt: 0 (fresh) to 42; the sea has 35.
+        beams: 256 or 512.
+        bits_per_sample: 8, 16, or 32: the "scientific" data without time-varying gain, which
+            only version 2 of the fire message can ask for.
+        gain_words: send the gain of each row, so that levels can be compared.
+        gain_assist: let the sonar choose the gain. Sources disagree on what this bit means
+            (taken as 1 = on), and one finds it without effect in mode 2.
+        network_trigger: ping only when a fire message comes. Some sonars broke their stream
+            with it and had to be restarted.
+        network_limit_mbps: 1 to 254 Mbit/s, or None: as fast as the link.
+
+    Raises:
+        SettingsError: a value outside these limits; the text names it and the limits.
+    """
+
+    mode: Mode = Mode.LOW_FREQUENCY
+    ping_rate: PingRate = PingRate.NORMAL
+    range_m: float | None = 10.0
+    range_percent: float | None = None
+    gain_percent: float = 50.0
+    gamma: int = 255
+    speed_of_sound_mps: float | None = None
+    salinity_ppt: float = 35.0
+    beams: int = FULL_BEAMS
+    bits_per_sample: int = 8
+    gain_words: bool = True
+    gain_assist: bool = False
+    network_trigger: bool = False
+    network_limit_mbps: int | None = None
+
+    def __post_init__(self) -> None:
+        _choice("mode", self.mode, tuple(Mode))
+        _choice("ping_rate", self.ping_rate, tuple(PingRate))
+        _choice("beams", self.beams, (HALF_BEAMS, FULL_BEAMS))
+        _choice("bits_per_sample", self.bits_per_sample, _BITS)
+        if (self.range_m is None) == (self.range_percent is None):
+            raise SettingsError("give either range_m or range_percent, and None for the other")
+        if self.range_m is not None:
+            _between("range_m", self.range_m, *_RANGES_M)
+        if self.range_percent is not None:
+            _between("range_percent", self.range_percent, 0.0, 100.0)
+            if self.range_percent == 0.0:
+                raise SettingsError("range_percent is 0: it must be more than 0 to 100")
+        _between("gain_percent", self.gain_percent, 0.0, 100.0)
+        _whole("gamma", self.gamma, 0, 255)
+        if self.speed_of_sound_mps is not None:
+            _between("speed_of_sound_mps", self.speed_of_sound_mps, *_SPEEDS_MPS)
+        _between("salinity_ppt", self.salinity_ppt, *_SALINITIES_PPT)
+        if self.network_limit_mbps is not None:
+            _whole("network_limit_mbps", self.network_limit_mbps, 1, LINK_SPEED - 1)
+
+    @property
+    def standby(self) -> bool:
+        """Whether these settings ask the sonar to be quiet."""
+        return self.ping_rate == PingRate.STANDBY
+
+    @property
+    def needs_version_2(self) -> bool:
+        """Whether a version-1 fire message cannot say this."""
+        return self.bits_per_sample == _BITS_32
+
+    @property
+    def flags(self) -> FireFlags:
+        """The flags byte. `SIMPLE_RETURN` is always set: other results are closed to us."""
+        flags = FireFlags.SIMPLE_RETURN
+        for bit, wanted in (
+            (FireFlags.RANGE_IN_METRES, self.range_m is not None),
+            (FireFlags.SIXTEEN_BIT, self.bits_per_sample > 8),  # noqa: PLR2004 - bits of a byte
+            (FireFlags.SEND_GAIN, self.gain_words),
+            (FireFlags.GAIN_ASSIST, self.gain_assist),
+            (FireFlags.FULL_BEAMS, self.beams == FULL_BEAMS),
+            (FireFlags.NETWORK_TRIGGER, self.network_trigger),
+        ):
+            if wanted:
+                flags |= bit
+        return flags
+
+    @property
+    def longest_period_s(self) -> float:
+        """Time that one ping may take by rate, way of the sound and network, seconds.
+
+        Infinite in standby. An upper estimate to judge silence by, not a promise: it counts
+        with cold fresh water, the most rows that were seen, and no better than 100 Mbit/s.
+        """
+        if self.standby:
+            return math.inf
+        far_m = _RANGES_M[1] * (self.range_percent or 0.0) / 100.0
+        two_way_s = 2.0 * (self.range_m or far_m) / _SLOWEST_SOUND_MPS
+        row_bytes = self.beams * self.bits_per_sample // 8 + 4
+        speed_bps = 1e6 * (self.network_limit_mbps or _SLOWEST_LINK_MBPS)
+        transfer_s = 8.0 * (_FIXED_BYTES + _MOST_ROWS * row_bytes) / speed_bps
+        return max(1.0 / MAX_RATE_HZ[self.ping_rate], two_way_s, transfer_s)
+
+    def in_standby(self) -> FireSettings:
+        """Return the same settings with the sonar quiet: no pings, triggered ones neither."""
+        return replace(self, ping_rate=PingRate.STANDBY, network_trigger=False)
+
+    def fitted_to(self, model: Model) -> FireSettings:
+        """Return the settings with the range that the model has at most in this mode.
+
+        What firmware makes of a longer range is not documented, so it is never asked. Models
+        that are not known get what was asked for.
+
+        Raises:
+            SettingsError: the model does not have the mode.
+        """
+        if model.family == UNKNOWN:
+            return self
+        farthest_m = model.family.max_range_m[self.mode - 1]
+        if farthest_m is None:
+            raise SettingsError(f"{model.name} has no mode {int(self.mode)}: use mode 1")
+        if self.range_m is None or self.range_m <= farthest_m:
+            return self
+        return replace(self, range_m=farthest_m)
+
+    def encode(self, version: int = 2) -> bytes:
+        """Return the fire message, 89 bytes (version 2) or 53 bytes (version 1).
+
+        Raises:
+            SettingsError: version 1 cannot say this, or there is no such version.
+        """
+        if version not in (1, 2):
+            raise SettingsError(f"there is no fire message of version {version}: use 1 or 2")
+        if version == 1 and self.needs_version_2:
+            raise SettingsError("32 bit per sample need a fire message of version 2")
+        limit = self.network_limit_mbps
+        return encode_fire(
+            version=version,
+            mode=self.mode,
+            ping_rate=self.ping_rate,
+            network_speed_mbps=LINK_SPEED if limit is None else limit,
+            gamma=self.gamma,
+            flags=self.flags,
+            range_demand=self.range_m or self.range_percent or 0.0,
+            gain_percent=self.gain_percent,
+            speed_of_sound_demand_mps=self.speed_of_sound_mps or 0.0,
+            salinity_ppt=self.salinity_ppt,
+            extended_flags=EXTENDED_32_BIT if self.needs_version_2 else 0,
+        )
+
+
+def _choice(name: str, value: int, allowed: tuple[int, ...]) -> None:
+    if value not in allowed:
+        names = ", ".join(str(int(one)) for one in allowed)
+        raise SettingsError(f"{name} is {value}: it must be one of {names}")
+
+
+def _between(name: str, value: float, low: float, high: float) -> None:
+    if not low <= value <= high:  # NaN is not
+        raise SettingsError(f"{name} is {value}: it must be from {low:g} to {high:g}")
+
+
+def _whole(name: str, value: int, low: int, high: int) -> None:
+    if not isinstance(value, int):
+        raise SettingsError(f"{name} is {value}: it must be a whole number")
+    _between(name, value, low, high)

@@ -1,0 +1,359 @@
+"""A sonar on the network: its link kept up, its pings handed on, its settings asked for."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import random
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final, Self
+
+from oculus_driver.confirmation import CONFIRM_NS, Confirmation, ConfirmationWatch, differences
+from oculus_driver.errors import LinkError, SettingsError
+from oculus_driver.heat import HeatGuard
+from oculus_driver.link import Link
+from oculus_driver.link_driver import LinkDriver
+from oculus_driver.link_state import SECOND_NS, LinkState, LinkStatus, LinkTimes
+from oculus_driver.models import UNKNOWN, model_of
+from oculus_driver.ping_queue import MAX_PINGS, PingQueue
+from oculus_driver.search import Search
+from oculus_driver.settings import FireSettings
+from oculus_driver.wire import TCP_PORT, MessageId, PingRate
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Callable
+    from types import TracebackType
+
+    from oculus_driver.confirmation import Difference
+    from oculus_driver.models import Model
+    from oculus_driver.ping import Ping
+    from oculus_driver.receiver import Received
+    from oculus_driver.search import MakeDiscovery, Sighting
+    from oculus_driver.sonar_counters import SonarCounters
+    from oculus_driver.status import Status
+
+_LOG: Final = logging.getLogger(__name__)
+_QUIET_S: Final = 1.0
+
+
+class OculusSonar:
+    """One Oculus sonar, for the time of an `async with` block.
+
+    The link is kept up whatever happens: `state` and `link` say what it does. Pings are taken
+    from `pings`; a reader that is slow loses old ones, never the link. When the block ends the
+    sonar is put into standby. One sonar serves one client at a time.
+
+    Args:
+        host: the sonar's address, None to find it by its status.
+        settings: what it shall do; None: standby, until `apply` says otherwise. A sonar that
+            pings in air gets hot.
+        serial: the sonar's device id, to choose among several; without it the first one heard.
+        model: where it is known and `host` is given; else it is learned from what is received.
+        port: of the data connection.
+        version: of the fire messages, None for 2 with fallback to 1.
+        times: how long the link waits for what.
+        max_pings: held for readers at most.
+        max_temperature_c: the sonar is held in standby above, and until its status shows 3 °C
+            less; where its address was given, until `release`. None: by its own limit alone.
+        keep_pinging: leave the sonar pinging at the end.
+        on_bytes: called with all bytes before they are parsed, and their arrival time.
+        on_state: called whenever the link enters a state or has another reason.
+        discovery: where statuses come from, None for `oculus_driver.discovery`.
+        clock: host monotonic time, nanoseconds.
+        chance: random numbers from 0 to 1.
+    """
+
+    def __init__(
+        self,
+        host: str | None = None,
+        settings: FireSettings | None = None,
+        *,
+        serial: int | None = None,
+        model: Model | None = None,
+        port: int = TCP_PORT,
+        version: int | None = None,
+        times: LinkTimes | None = None,
+        max_pings: int = MAX_PINGS,
+        max_temperature_c: float | None = None,
+        keep_pinging: bool = False,
+        on_bytes: Callable[[bytes, int], None] | None = None,
+        on_state: Callable[[LinkStatus], None] | None = None,
+        discovery: MakeDiscovery | None = None,
+        clock: Callable[[], int] = time.monotonic_ns,
+        chance: Callable[[], float] = random.random,
+    ) -> None:
+        self._asked = settings or FireSettings(ping_rate=PingRate.STANDBY)
+        self._model = model
+        self._clock = clock
+        self._keep_pinging = keep_pinging
+        self._on_state = on_state
+        self._queue = PingQueue(max_pings)
+        self._search = Search(serial, discovery) if host is None else None
+        self._heat = HeatGuard(max_temperature_c)
+        self._holds: dict[str, str] = {}
+        self._last_ping: Ping | None = None
+        self._next_pings: set[asyncio.Future[Ping]] = set()
+        self._watches: dict[asyncio.Future[Confirmation], ConfirmationWatch] = {}
+        self._state_changed: set[asyncio.Future[None]] = set()
+        self._quiet: asyncio.Future[None] | None = None
+        self._entered = False
+        link = Link(self._fitted(), address=host, version=version, times=times, chance=chance)
+        self._driver = LinkDriver(
+            link,
+            port=port,
+            clock=clock,
+            on_bytes=on_bytes,
+            on_received=self._received,
+            on_status=self._link_changed,
+            on_failure=self._failed,
+        )
+
+    @property
+    def state(self) -> LinkState:
+        """What the link does now."""
+        return self._driver.link.status.state
+
+    @property
+    def link(self) -> LinkStatus:
+        """The link's state with its reason, since when, address and fire version."""
+        return self._driver.link.status
+
+    @property
+    def settings(self) -> FireSettings:
+        """What was asked for last."""
+        return self._asked
+
+    @property
+    def status(self) -> Status | None:
+        """The sonar's last status; none where its address was given."""
+        return None if self._search is None else self._search.status
+
+    @property
+    def model(self) -> Model | None:
+        """Which sonar it is, once known."""
+        return self._model
+
+    @property
+    def changed(self) -> tuple[Difference, ...]:
+        """What the last ping shows otherwise than asked for."""
+        ping = self._last_ping
+        return () if ping is None or self._asked.standby else differences(self._asked, ping)
+
+    @property
+    def counters(self) -> SonarCounters:
+        """Everything counted so far."""
+        return self._driver.counted(
+            taken=self._queue.taken, dropped=self._queue.dropped, queued=len(self._queue)
+        )
+
+    def pings(self) -> AsyncIterator[Ping]:
+        """Return the pings as they come, until the sonar is closed.
+
+        Several readers share them. What goes wrong in `on_bytes`, `on_state` or the search is
+        raised here, and at the end of the `async with` block.
+        """
+        return self._queue
+
+    async def apply(
+        self, settings: FireSettings, patience_s: float = CONFIRM_NS / SECOND_NS
+    ) -> Confirmation:
+        """Ask for settings, now and after every reconnection, and wait for what pings show.
+
+        Not confirmed is an answer, not an error: the link stays and keeps asking.
+
+        Raises:
+            SettingsError: the model has not got the mode.
+            LinkError: the sonar was closed meanwhile.
+        """
+        fitted = self._fit(settings)
+        self._asked = settings
+        now_ns = self._clock()
+        self._driver.do(self._driver.link.apply(fitted, now_ns))
+        sent = fitted.in_standby() if fitted.network_trigger else fitted
+        watch = ConfirmationWatch(settings, now_ns, sent)
+        future: asyncio.Future[Confirmation] = asyncio.get_running_loop().create_future()
+        self._watches[future] = watch
+        try:
+            async with asyncio.timeout(patience_s):
+                return await future
+        except TimeoutError:
+            return watch.expire(self._clock())
+        finally:
+            del self._watches[future]
+
+    async def standby(self) -> Confirmation:
+        """Make the sonar quiet and wait for a sign that it is."""
+        return await self.apply(replace(self._asked, ping_rate=PingRate.STANDBY))
+
+    async def fire(self, patience_s: float = 3.0) -> Ping:
+        """Trigger one ping (`FireSettings.network_trigger`) and return it.
+
+        The ping goes to readers of `pings` as well.
+
+        Raises:
+            SettingsError: the sonar is not in triggered mode.
+            LinkError: it cannot be fired now, or no ping came in time.
+        """
+        if not self._asked.network_trigger:
+            raise SettingsError("fire() needs settings with network_trigger=True: apply them first")
+        link = self._driver.link
+        if not link.can_trigger:
+            raise LinkError(f"the sonar cannot be fired now: {link.status.reason}")
+        future: asyncio.Future[Ping] = asyncio.get_running_loop().create_future()
+        self._next_pings.add(future)
+        self._driver.do(link.trigger(self._clock()))
+        try:
+            async with asyncio.timeout(patience_s):
+                return await future
+        except TimeoutError:
+            raise LinkError(f"no ping within {patience_s:g} s of the trigger") from None
+        finally:
+            self._next_pings.discard(future)
+
+    def hold(self, reason: str) -> None:
+        """Keep the sonar quiet, whatever is asked for, until `release`: out of the water, say."""
+        self._hold("user", reason)
+
+    def release(self) -> None:
+        """End the `hold`, and one for heat: it comes back where the sonar is still hot."""
+        self._heat.reason = None
+        self._hold("heat", None)
+        self._hold("user", None)
+
+    async def wait_for(self, *states: LinkState) -> LinkState:
+        """Wait until the link is in one of the states, and return it."""
+        while self.state not in states:
+            future = asyncio.get_running_loop().create_future()
+            self._state_changed.add(future)
+            try:
+                await future
+            finally:
+                self._state_changed.discard(future)
+        return self.state
+
+    async def __aenter__(self) -> Self:
+        if self._entered:
+            raise LinkError("a sonar can be opened once: make another OculusSonar")
+        self._entered = True
+        self._driver.start()
+        if self._search is not None:
+            self._search.start(self._sighted, self._failed)
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            if self._search is not None:
+                await self._search.stop()
+            await self._silence()
+        finally:
+            self._end_waiting(LinkError("the sonar was closed"))
+            self._queue.close()
+            await self._driver.close("closed by the caller")
+        if error is None and self._driver.failure is not None:
+            raise self._driver.failure
+
+    # What the link, the search and the bytes bring.
+
+    def _received(self, received: Received, now_ns: int) -> None:
+        if received.message_id == MessageId.DUMMY:
+            if self._quiet is not None and not self._quiet.done():
+                self._quiet.set_result(None)
+            self._answer(lambda watch: watch.dummy(now_ns))
+        ping = received.ping
+        if ping is None:
+            return
+        if self._model is None and ping.part_number:
+            self._learn(model_of(ping.part_number))
+        self._heat.ping(ping)
+        self._hold("heat", self._heat.reason)
+        self._last_ping = ping
+        self._queue.put(ping)
+        self._answer(lambda watch: watch.ping(ping, now_ns))
+        for future in self._next_pings:
+            if not future.done():
+                future.set_result(ping)
+
+    def _answer(self, ask: Callable[[ConfirmationWatch], Confirmation | None]) -> None:
+        for future, watch in self._watches.items():
+            confirmation = ask(watch)
+            if confirmation is not None and not future.done():
+                future.set_result(confirmation)
+
+    def _sighted(self, sighting: Sighting) -> None:
+        status = sighting.status
+        if self._model is None:
+            self._learn(status.model)
+        self._heat.status(status)
+        self._hold("heat", self._heat.reason)
+        client = status.client_address
+        holder = str(client) if client else "another client" if status.busy else None
+        now_ns = self._clock()
+        self._driver.do(self._driver.link.sighted(sighting.address, now_ns, holder=holder))
+
+    def _learn(self, model: Model) -> None:
+        self._model = model
+        if model.family == UNKNOWN:
+            _LOG.warning("%s is not known: its limits are not checked", model.name)
+        fitted = self._fitted()
+        if fitted != self._asked:
+            self._driver.do(self._driver.link.apply(fitted, self._clock()))
+
+    def _fitted(self) -> FireSettings:
+        return self._fit(self._asked)
+
+    def _fit(self, settings: FireSettings) -> FireSettings:
+        fitted = settings if self._model is None else settings.fitted_to(self._model)
+        if fitted != settings and self._model is not None:
+            words = "range %s m is cut to %s m, the farthest of %s in mode %d"
+            name = self._model.name
+            _LOG.warning(words, settings.range_m, fitted.range_m, name, settings.mode)
+        return fitted
+
+    def _hold(self, who: str, reason: str | None) -> None:
+        if reason == self._holds.get(who):
+            return
+        if reason is None:
+            self._holds.pop(who, None)
+        else:
+            self._holds[who] = reason
+        first = next(iter(self._holds.values()), None)
+        self._driver.do(self._driver.link.hold(first, self._clock()))
+
+    def _link_changed(self, status: LinkStatus) -> None:
+        _LOG.info("%s: %s (%s)", status.address or "sonar", status.state, status.reason)
+        for future in self._state_changed:
+            if not future.done():
+                future.set_result(None)
+        if self._on_state is not None:
+            self._on_state(status)
+
+    def _failed(self, error: BaseException) -> None:
+        """End after an error that is not the sonar's: readers and the block get it."""
+        self._driver.fail(error)
+        self._queue.close(error)
+        self._end_waiting(error)
+
+    # The end.
+
+    async def _silence(self) -> None:
+        """Ask for standby, and give the sonar a moment to say that it is quiet."""
+        if self._keep_pinging or not self._driver.is_connected:
+            return
+        self._quiet = asyncio.get_running_loop().create_future()
+        self._hold("close", "closing")
+        closed = self._driver.connection_closed
+        await asyncio.wait(
+            (self._quiet, closed), timeout=_QUIET_S, return_when=asyncio.FIRST_COMPLETED
+        )
+
+    def _end_waiting(self, error: BaseException) -> None:
+        waiting: list[asyncio.Future[Any]] = [*self._next_pings, *self._watches]
+        for future in (*waiting, *self._state_changed):
+            if not future.done():
+                future.set_exception(error)
