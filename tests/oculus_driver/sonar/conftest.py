@@ -91,6 +91,13 @@ class FakeSonar:
         assert self._writer is not None
         self._writer.write(data)
 
+    async def send_at(self, megabits_per_s: float, data: bytes) -> None:
+        """Send as a network of this speed would let through."""
+        piece = 1 << 15
+        for start in range(0, len(data), piece):
+            self.send(data[start : start + piece])
+            await asyncio.sleep(8e-6 * piece / megabits_per_s)
+
     def ping_message(self, **changes: Any) -> bytes:
         """Return the next ping, with the echo of the last fire message."""
         fire = self._settings or {}
