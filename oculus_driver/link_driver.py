@@ -128,7 +128,7 @@ class LinkDriver:
         connection, attempt = self._connection, self._attempt
         self.link.close(reason, self._clock())
         self._stop()
-        if attempt is not None:
+        if attempt is not None and not attempt.done():
             await asyncio.wait((attempt,))
         if connection is not None:
             await connection.closed
@@ -201,8 +201,14 @@ class LinkDriver:
     def _flush(self) -> None:
         """Hand on what the connection that ended still had in it."""
         now_ns = self._clock()
-        for received in self._receiver.finish():
-            self._on_received(received, now_ns)
+        received = self._receiver.finish()
+        if self.failure is not None:
+            return
+        try:
+            for one in received:
+                self._on_received(one, now_ns)
+        except Exception as error:  # noqa: BLE001 - a caller's function may raise anything
+            self._on_failure(error)
 
     def _look(self, now_ns: int) -> None:
         """Do what is due, and give up a connection whose bytes make no sense."""

@@ -73,6 +73,14 @@ def test_the_next_connection_starts_afresh(make_ping: MakePing) -> None:
     assert receiver.stream.bytes_rejected == 700
 
 
+def test_the_noise_of_one_connection_is_no_trouble_for_the_next() -> None:
+    receiver = PingReceiver()
+    receiver.feed(bytes(1000), 0)
+    receiver.finish()
+    assert deadline_ns(receiver) is None
+    assert receiver.trouble(60 * S) is None
+
+
 def test_a_message_that_stops_is_trouble_after_two_seconds(make_ping: MakePing) -> None:
     message = make_ping()
     receiver = PingReceiver()
