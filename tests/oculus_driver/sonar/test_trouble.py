@@ -196,7 +196,8 @@ def test_a_message_that_stops_in_the_middle_costs_the_connection_not_the_program
 
     async def main() -> None:
         told: list[LinkStatus] = []
-        quiet = LinkTimes(keep_alive_ns=None, silence_ns=10**11)  # no other timer runs out
+        never_ns = 10**11  # no other timer runs out
+        quiet = LinkTimes(never_ns, None, silence_ns=never_ns, fallback_ns=never_ns)
         async with (
             fake() as device,
             OculusSonar(HOST, FREE, port=device.port, times=quiet, on_state=told.append) as sonar,
