@@ -56,6 +56,7 @@ class Connection(asyncio.Protocol):
         self._on_lost = on_lost
         self._transport: asyncio.Transport | None = None
         self._dropped = False
+        self._deaf = False
         self.closed = asyncio.get_running_loop().create_future()
 
     @property
@@ -75,15 +76,14 @@ class Connection(asyncio.Protocol):
             return
         self._transport.write(data)
         if self._transport.get_write_buffer_size() > _MOST_UNSENT_BYTES:
+            self._deaf = True
             self._transport.abort()
 
-    def drop(self, *, flush: bool = False) -> None:
-        """End it at once, or after what was written is sent."""
+    def drop(self) -> None:
+        """End it at once."""
         self._dropped = True
         if self._transport is None:
             self._close()
-        elif flush:
-            self._transport.close()
         else:
             self._transport.abort()
 
@@ -97,15 +97,14 @@ class Connection(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Hand bytes on, from the event loop."""
-        if not self._dropped:
-            self._on_data(data)
+        self._on_data(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Tell the end, from the event loop."""
         self._close()
         if not self._dropped:
             self._dropped = True
-            self._on_lost(reason_of(exc))
+            self._on_lost("the sonar takes no more commands" if self._deaf else reason_of(exc))
 
     def _close(self) -> None:
         if not self.closed.done():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from oculus_driver.connection import Connection, open_connection, reason_of
 from oculus_driver.link_state import SECOND_NS, Action, Connect, Disconnect, LinkState, Send
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from oculus_driver.link import Link
     from oculus_driver.link_state import LinkStatus
     from oculus_driver.receiver import Received
-
-_CLOSE_S: Final = 1.0
 
 
 class LinkDriver:
@@ -122,22 +120,18 @@ class LinkDriver:
     def fail(self, error: BaseException) -> None:
         """Stop for good."""
         self.failure = self.failure or error
-        self._stop(flush=False)
+        self._stop()
         self.link.close(f"failed: {error}", self._clock())
 
     async def close(self, reason: str) -> None:
         """End the connection and wait until nothing is left of it."""
         connection, attempt = self._connection, self._attempt
         self.link.close(reason, self._clock())
-        self._stop(flush=True)
-        try:
-            if attempt is not None:
-                await asyncio.wait((attempt,))
-            if connection is not None and not connection.closed.done():
-                await asyncio.wait((connection.closed,), timeout=_CLOSE_S)
-        finally:
-            if connection is not None:
-                connection.drop()
+        self._stop()
+        if attempt is not None and not attempt.done():
+            await asyncio.wait((attempt,))
+        if connection is not None:
+            await connection.closed
         if self.failure is None:
             self._tell()
 
@@ -149,7 +143,7 @@ class LinkDriver:
                 self._attempt = asyncio.create_task(self._connect(connection, address))
             case Disconnect():
                 self._losses += 1
-                self._stop(flush=False)
+                self._stop()
             case Send(data):
                 self._sent += 1
                 if self._connection is not None:
@@ -192,7 +186,7 @@ class LinkDriver:
         self._flush()
         self.do(self.link.lost(reason, self._clock()))
 
-    def _stop(self, *, flush: bool) -> None:
+    def _stop(self) -> None:
         """Drop connection, attempt and timer."""
         if self._timer is not None:
             self._timer.cancel()
@@ -200,15 +194,21 @@ class LinkDriver:
         if self._attempt is not None:
             self._attempt.cancel()
         if self._connection is not None:
-            self._connection.drop(flush=flush)
+            self._connection.drop()
             self._connection = None
             self._flush()
 
     def _flush(self) -> None:
         """Hand on what the connection that ended still had in it."""
         now_ns = self._clock()
-        for received in self._receiver.finish():
-            self._on_received(received, now_ns)
+        received = self._receiver.finish()
+        if self.failure is not None:
+            return
+        try:
+            for one in received:
+                self._on_received(one, now_ns)
+        except Exception as error:  # noqa: BLE001 - a caller's function may raise anything
+            self._on_failure(error)
 
     def _look(self, now_ns: int) -> None:
         """Do what is due, and give up a connection whose bytes make no sense."""

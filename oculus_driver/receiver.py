@@ -40,6 +40,7 @@ class PingReceiver:
         self.pings = 0
         self.rejects: Counter[str] = Counter()
         self._parser = StreamParser()
+        self._last: tuple[int, float | None, int | None] | None = None
         self._heard_ns = 0
         self._lost_since_ns: int | None = None
 
@@ -89,10 +90,19 @@ class PingReceiver:
         if message.message_id != MessageId.PING_RESULT:
             return Received(message.message_id, None)
         ping = decode_ping(message)
-        ping_id = ping.ping_id
-        fresh = ping_id is None or self.sequence.accept(ping_id)
         if isinstance(ping, Reject):
             self.rejects[ping.reason] += 1
+            if ping.ping_id is not None:
+                self.sequence.accept(ping.ping_id)
             return Received(message.message_id, None)
+        fresh = self._is_new(ping)
         self.pings += fresh
         return Received(message.message_id, ping if fresh else None)
+
+    def _is_new(self, ping: Ping) -> bool:
+        """Return whether it is no repetition: the same id of another time is a restart."""
+        identity = ping.ping_id, ping.start_time_s, ping.start_ticks
+        last, self._last = self._last, identity
+        if last is not None and last[0] == identity[0] and last != identity:
+            self.sequence.restart()
+        return self.sequence.accept(ping.ping_id)

@@ -36,3 +36,8 @@ class PingSequence:
         else:
             self.restarts += 1
         return True
+
+    def restart(self) -> None:
+        """Count a restart that something else shows; the next id follows none."""
+        self.restarts += 1
+        self._last = None

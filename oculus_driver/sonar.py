@@ -95,7 +95,7 @@ class OculusSonar:
         self._last_ping: Ping | None = None
         self._next_pings: set[asyncio.Future[Ping]] = set()
         self._watches: dict[asyncio.Future[Confirmation], ConfirmationWatch] = {}
-        self._state_changed: set[asyncio.Future[None]] = set()
+        self._awaited_states: dict[asyncio.Future[LinkState], tuple[LinkState, ...]] = {}
         self._quiet: asyncio.Future[None] | None = None
         self._entered = False
         link = Link(self._fitted(), address=host, version=version, times=times, chance=chance)
@@ -222,15 +222,19 @@ class OculusSonar:
         self._hold("user", None)
 
     async def wait_for(self, *states: LinkState) -> LinkState:
-        """Wait until the link is in one of the states, and return it."""
-        while self.state not in states:
-            future = asyncio.get_running_loop().create_future()
-            self._state_changed.add(future)
-            try:
-                await future
-            finally:
-                self._state_changed.discard(future)
-        return self.state
+        """Wait until the link is, or was for a moment, in one of the states; return which.
+
+        Raises:
+            LinkError: the sonar was closed meanwhile.
+        """
+        if self.state in states:
+            return self.state
+        future: asyncio.Future[LinkState] = asyncio.get_running_loop().create_future()
+        self._awaited_states[future] = states
+        try:
+            return await future
+        finally:
+            del self._awaited_states[future]
 
     async def __aenter__(self) -> Self:
         if self._entered:
@@ -327,9 +331,9 @@ class OculusSonar:
 
     def _link_changed(self, status: LinkStatus) -> None:
         _LOG.info("%s: %s (%s)", status.address or "sonar", status.state, status.reason)
-        for future in self._state_changed:
-            if not future.done():
-                future.set_result(None)
+        for future, states in self._awaited_states.items():
+            if status.state in states and not future.done():
+                future.set_result(status.state)
         if self._on_state is not None:
             self._on_state(status)
 
@@ -354,6 +358,6 @@ class OculusSonar:
 
     def _end_waiting(self, error: BaseException) -> None:
         waiting: list[asyncio.Future[Any]] = [*self._next_pings, *self._watches]
-        for future in (*waiting, *self._state_changed):
+        for future in (*waiting, *self._awaited_states):
             if not future.done():
                 future.set_exception(error)

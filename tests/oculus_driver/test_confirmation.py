@@ -141,7 +141,7 @@ def test_the_first_ping_with_the_settings_confirms_them(show: Callable[..., Ping
 def test_pings_that_show_otherwise_are_named_in_the_end(show: Callable[..., Ping]) -> None:
     # quirk 6: eight seconds, because speed of sound and salinity take six and more.
     watch = ConfirmationWatch(ASKED, 0)
-    watch.ping(show(range_m=3.0, gamma=1), S)
+    watch.ping(show(range_m=3.0, gamma=1, gain_percent=10.0), S)
     assert watch.deadline_ns == CONFIRM_NS == 8 * S
     answer = watch.expire(8 * S)
     assert not answer.confirmed

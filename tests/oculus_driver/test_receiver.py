@@ -64,6 +64,14 @@ def test_repeated_lost_and_rejected_pings_are_counted(make_ping: MakePing) -> No
     assert (receiver.sequence.duplicates, receiver.sequence.lost_pings) == (1, 3)
 
 
+@pytest.mark.parametrize("version", [1, 2])
+def test_the_same_id_of_another_time_is_a_restart(make_ping: MakePing, version: int) -> None:
+    receiver = PingReceiver()
+    stream = [make_ping(ping_id=1, start_time=at, version=version) for at in (70, 70, 90)]
+    assert ids(receiver.feed(b"".join(stream), 0)) == [1, 1]
+    assert (receiver.sequence.duplicates, receiver.sequence.restarts) == (1, 1)
+
+
 def test_the_next_connection_starts_afresh(make_ping: MakePing) -> None:
     receiver = PingReceiver()
     receiver.feed(make_ping(ping_id=1)[:700], 0)
@@ -71,6 +79,14 @@ def test_the_next_connection_starts_afresh(make_ping: MakePing) -> None:
     assert ids(receiver.feed(make_ping(ping_id=2), S)) == [2]
     assert receiver.stream.rejects["truncated"] == 1
     assert receiver.stream.bytes_rejected == 700
+
+
+def test_the_noise_of_one_connection_is_no_trouble_for_the_next() -> None:
+    receiver = PingReceiver()
+    receiver.feed(bytes(1000), 0)
+    receiver.finish()
+    assert deadline_ns(receiver) is None
+    assert receiver.trouble(60 * S) is None
 
 
 def test_a_message_that_stops_is_trouble_after_two_seconds(make_ping: MakePing) -> None:

@@ -139,6 +139,15 @@ def test_a_sonar_without_status_that_still_pings_is_kept(pinging: MakeBench) -> 
     assert bench.state is LinkState.PINGING
 
 
+def test_a_sonar_without_status_that_says_anything_is_kept(pinging: MakeBench) -> None:
+    bench = pinging(address=None)
+    for _ in range(20):
+        bench.wait(1.0)
+        bench.dummy()
+    assert bench.state is LinkState.SILENT
+    assert bench.disconnects == []
+
+
 def test_an_old_status_is_no_reason_to_connect_after_a_pause(start: MakeBench) -> None:
     bench = start(address=None, times=LinkTimes(back_off_ns=(6 * S,)))
     bench.sight()

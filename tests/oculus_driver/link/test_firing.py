@@ -105,6 +105,18 @@ def test_without_a_ping_version_1_is_tried_and_stays_if_it_helps(start: MakeBenc
     assert bench.sent[-1]["version"] == 1
 
 
+def test_a_version_that_worked_is_doubted_again_on_a_new_connection(start: MakeBench) -> None:
+    bench = start()
+    bench.connect()
+    bench.wait(5.2)
+    bench.ping()
+    bench.lose()
+    bench.wait(1.0)
+    bench.connect()
+    bench.wait(5.2)  # another sonar, or other firmware: version 1 gets no ping now
+    assert bench.sent[-1]["version"] == 2
+
+
 def test_without_a_ping_to_either_version_the_link_is_silent_and_starts_over(
     start: MakeBench,
 ) -> None:

@@ -24,9 +24,9 @@ QUICK = LinkTimes(
     connect_ns=500 * MS,
     keep_alive_ns=20 * MS,
     send_gap_ns=MS,
-    silence_ns=60 * MS,
-    reconnect_ns=150 * MS,
-    fallback_ns=80 * MS,
+    silence_ns=200 * MS,
+    reconnect_ns=500 * MS,
+    fallback_ns=200 * MS,
     back_off_ns=(10 * MS, 20 * MS),
 )
 """A link's patience, for tests that wait for it to end."""
@@ -68,6 +68,7 @@ class FakeSonar:
         self._settings: dict[str, Any] | None = None
         self._writer: asyncio.StreamWriter | None = None
         self._awaited: tuple[int, asyncio.Event] | None = None
+        self._serving = 0
         self._free = asyncio.Event()
         self._free.set()
 
@@ -90,6 +91,13 @@ class FakeSonar:
     def send(self, data: bytes) -> None:
         assert self._writer is not None
         self._writer.write(data)
+
+    async def send_at(self, megabits_per_s: float, data: bytes) -> None:
+        """Send as a network of this speed would let through."""
+        piece = 1 << 15
+        for start in range(0, len(data), piece):
+            self.send(data[start : start + piece])
+            await asyncio.sleep(8e-6 * piece / megabits_per_s)
 
     def ping_message(self, **changes: Any) -> bytes:
         """Return the next ping, with the echo of the last fire message."""
@@ -124,6 +132,7 @@ class FakeSonar:
             writer.transport.abort()
             return
         self._writer = writer
+        self._serving += 1
         self._free.clear()
         self.clients += 1
         self._settings = None
@@ -139,7 +148,9 @@ class FakeSonar:
             writer.close()
             with suppress(ConnectionError):
                 await writer.wait_closed()
-            self._free.set()
+            self._serving -= 1
+            if self._serving == 0:
+                self._free.set()
 
     async def _obey(self, reader: asyncio.StreamReader) -> None:
         parser = StreamParser()

@@ -261,6 +261,23 @@ def test_what_a_callers_function_raises_ends_the_sonar_and_is_told(
     run(main())
 
 
+def test_an_error_that_nobody_waited_for_is_raised_at_the_end(fake: MakeSonar, run: Run) -> None:
+    def broken(_data: bytes, _at: int) -> None:
+        raise ZeroDivisionError
+
+    async def use(port: int) -> None:
+        async with OculusSonar(HOST, FREE, port=port, on_bytes=broken) as sonar:
+            while sonar.state is not LinkState.CLOSED:  # noqa: ASYNC110 - it must not wait
+                await asyncio.sleep(0)
+
+    async def main() -> None:
+        async with fake() as device:
+            with pytest.raises(ZeroDivisionError):
+                await use(device.port)
+
+    run(main())
+
+
 def test_each_state_is_told_with_its_reason(fake: MakeSonar, run: Run) -> None:
     async def main() -> None:
         told: list[LinkStatus] = []

@@ -8,13 +8,13 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from oculus_driver import FireSettings, LinkState, OculusSonar
+import pytest
+
+from oculus_driver import FireSettings, LinkState, LinkTimes, OculusSonar
 from oculus_driver.wire import MessageId
 
 if TYPE_CHECKING:
-    import pytest
-
-    from oculus_driver import LinkTimes, Ping
+    from oculus_driver import LinkStatus, Ping
     from tests.oculus_driver.conftest import MakePing
     from tests.oculus_driver.sonar.conftest import MakeSonar, Run
 
@@ -70,6 +70,66 @@ def test_a_sonar_that_is_switched_on_later_is_found(
             assert "refused: another client may hold the sonar" in sonar.link.reason
             async with device:
                 await take(sonar, 2)
+
+    run(main())
+
+
+def test_an_address_that_never_answers_is_given_up_and_left(run: Run, quick: LinkTimes) -> None:
+    async def main() -> None:
+        with socket.create_server((HOST, 0), backlog=0) as full:
+            port = full.getsockname()[1]
+            waiting = [socket.socket() for _ in range(4)]
+            for one in waiting:  # the queue is full: the next attempt gets no answer at all
+                one.settimeout(0.0)
+                one.connect_ex((HOST, port))
+            async with OculusSonar(HOST, FREE, port=port, times=quick) as sonar:
+                await sonar.wait_for(LinkState.BACKING_OFF)
+                assert "did not answer within 0.5 s: check" in sonar.link.reason
+                await sonar.wait_for(LinkState.CONNECTING)
+            for one in waiting:
+                one.close()
+
+    run(main())
+
+
+def test_nothing_is_left_of_a_connection_at_the_end(fake: MakeSonar, run: Run) -> None:
+    async def main() -> None:
+        async with fake() as device:
+            async with OculusSonar(HOST, FREE, port=device.port) as sonar:
+                await take(sonar, 1)
+                connection = sonar._driver._connection
+            assert connection is not None
+            assert connection.closed.done()
+
+    run(main())
+
+
+def test_a_peer_that_never_reads_is_left_all_the_same(run: Run) -> None:
+    async def main() -> None:
+        with socket.create_server((HOST, 0)) as deaf:
+            async with OculusSonar(HOST, FREE, port=deaf.getsockname()[1]) as sonar:
+                await sonar.wait_for(LinkState.CONFIGURING)
+                connection = sonar._driver._connection
+                assert connection is not None
+                assert connection._transport is not None
+                connection._transport.write(bytes(1 << 25))
+            assert connection.closed.done()
+
+    run(main())
+
+
+def test_commands_that_do_not_get_out_end_the_connection(run: Run, quick: LinkTimes) -> None:
+    async def main() -> None:
+        with socket.create_server((HOST, 0)) as deaf:
+            port = deaf.getsockname()[1]
+            async with OculusSonar(HOST, FREE, port=port, times=quick) as sonar:
+                await sonar.wait_for(LinkState.CONFIGURING)
+                connection = sonar._driver._connection
+                assert connection is not None
+                assert connection._transport is not None
+                connection._transport.write(bytes(1 << 25))
+                await sonar.wait_for(LinkState.BACKING_OFF)
+                assert sonar.link.reason == "the sonar takes no more commands"
 
     run(main())
 
@@ -135,15 +195,49 @@ def test_a_message_that_stops_in_the_middle_costs_the_connection_not_the_program
     monkeypatch.setattr("oculus_driver.receiver.STALL_NS", 50_000_000)
 
     async def main() -> None:
-        async with fake() as device, OculusSonar(HOST, FREE, port=device.port) as sonar:
+        told: list[LinkStatus] = []
+        never_ns = 10**11  # no other timer runs out
+        quiet = LinkTimes(never_ns, None, silence_ns=never_ns, fallback_ns=never_ns)
+        async with (
+            fake() as device,
+            OculusSonar(HOST, FREE, port=device.port, times=quiet, on_state=told.append) as sonar,
+        ):
             await take(sonar, 1)
             device.mute = True
             device.send(device.ping_message()[:1000])
             await sonar.wait_for(LinkState.BACKING_OFF)
             assert sonar.link.reason == "a message stopped after 1000 bytes"
+            assert LinkState.SILENT not in [status.state for status in told]
             device.mute = False
             await sonar.wait_for(LinkState.PINGING)
             assert sonar.counters.rejects["truncated"] == 1
+
+    run(main())
+
+
+@pytest.mark.parametrize("limit_mbps", [100, None])
+def test_big_pings_come_through_slow_and_fast_networks(
+    fake: MakeSonar, run: Run, limit_mbps: int | None
+) -> None:
+    # 100 Mbit/s and 1 Gbit/s: the byte in the fire message, and pings at that speed.
+    async def main() -> None:
+        settings = replace(FREE, network_limit_mbps=limit_mbps)
+        async with (
+            fake(rows=703) as device,
+            OculusSonar(HOST, settings, port=device.port) as sonar,
+        ):
+            await take(sonar, 1)
+            assert device.fires[-1]["network_speed_mbps"] == (limit_mbps or 255)
+            device.mute = True
+            first_id = device.next_id
+            for _ in range(10):
+                await device.send_at(limit_mbps or 1000, device.ping_message())
+            pings = await take(sonar, 1)
+            while pings[-1].ping_id < first_id + 9:
+                pings += await take(sonar, 1)
+            assert (sonar.counters.losses, sonar.counters.lost_pings) == (0, 0)
+            assert sonar.counters.bytes_rejected == 0
+            assert pings[-1].image.shape == (703, 512)
 
     run(main())
 
