@@ -1,8 +1,8 @@
 // The converged oracle: the rule for one ping, evaluated over each voxel's volume by brute force.
 //
-// The published mapper's rays, ever finer: thousands of sub-rays through the fan, each walked voxel by voxel,
-// each piece of it weighed with its volume r^2 cos(e) dr de db. Slow and obvious, in double
-// precision, and with nothing of the library in it but the plain data types.
+// The published mapper's rays, ever finer: thousands of sub-rays through the fan, each walked voxel
+// by voxel, each piece of it weighed with its volume r^2 cos(e) dr de db. Slow and obvious, in
+// double precision, and with nothing of the library in it but the plain data types.
 #pragma once
 
 #include <array>
