@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt' -o -name 'CMakePresets.json')
 
-.PHONY: demo test bench check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
+.PHONY: demo test bench soak fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
 
 demo: $(STAMP)
 	$(BIN)/python tools/demo.py --out out/demo
@@ -18,6 +18,15 @@ test: check cpp-test cpp-test-asan cpp-test-tsan demo python-test
 # Compares the integrators with OctoMap and OpenVDB; writes docs/performance.md. Some minutes.
 bench: $(STAMP)
 	$(BIN)/python tools/bench/rivals.py
+
+# A night at sea: 200 000 pings through cuts, stalls, flipped bits and restarts. Some minutes.
+soak: $(STAMP)
+	NIGHT_LOOPS=400 $(BIN)/python -X dev -m pytest -o timeout=1800 tests/oculus_driver/test_night_at_sea.py
+
+# Ten minutes of the coverage-guided fuzzer on the driver's parser; the corpus grows and is kept.
+fuzz: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[fuzz]'
+	$(BIN)/python tests/fuzz/fuzz_stream.py tests/fuzz/corpus -max_total_time=600 -max_len=8192
 
 install: $(STAMP)
 

@@ -1,4 +1,10 @@
-"""A driver of Blueprint Subsea Oculus multibeam imaging sonars, useful alone."""
+"""A driver of Blueprint Subsea Oculus multibeam imaging sonars, useful alone.
+
+What needs asyncio is imported when first asked for, so that importing this package stays quick.
+"""
+
+import importlib
+from typing import TYPE_CHECKING
 
 from oculus_driver.clock import PingTime, SonarClock, row_times_ns
 from oculus_driver.confirmation import Confirmation, Difference
@@ -11,7 +17,6 @@ from oculus_driver.diagnosis import (
     status_findings,
     subnet_finding,
 )
-from oculus_driver.discovery import Discovery, Sightings
 from oculus_driver.encode import (
     bearing_table_cdeg,
     encode_dummy,
@@ -35,11 +40,9 @@ from oculus_driver.models import Model, model_of
 from oculus_driver.own_addresses import addresses_towards
 from oculus_driver.ping import Ping, Reject, decode_ping
 from oculus_driver.ping_queue import PingQueue
-from oculus_driver.play import Faults, Identity, PlayCounters, PlayedSonar
 from oculus_driver.sequence import PingSequence
 from oculus_driver.settings import FireSettings, Mode
 from oculus_driver.sighting import Sighting, SonarWatch
-from oculus_driver.sonar import OculusSonar
 from oculus_driver.sonar_counters import SonarCounters
 from oculus_driver.sound_speed import (
     pressure_bar_at,
@@ -49,6 +52,11 @@ from oculus_driver.sound_speed import (
 from oculus_driver.status import Status, decode_status
 from oculus_driver.stream import Message, StreamCounters, StreamParser
 from oculus_driver.wire import PingRate
+
+if TYPE_CHECKING:
+    from oculus_driver.discovery import Discovery, Sightings
+    from oculus_driver.play import Faults, Identity, PlayCounters, PlayedSonar
+    from oculus_driver.sonar import OculusSonar
 
 __all__ = [
     "Confirmation",
@@ -110,3 +118,23 @@ __all__ = [
     "status_findings",
     "subnet_finding",
 ]
+
+_MODULES = {
+    "Discovery": "oculus_driver.discovery",
+    "Faults": "oculus_driver.play",
+    "Identity": "oculus_driver.play",
+    "OculusSonar": "oculus_driver.sonar",
+    "PlayCounters": "oculus_driver.play",
+    "PlayedSonar": "oculus_driver.play",
+    "Sightings": "oculus_driver.discovery",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(_MODULES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])
