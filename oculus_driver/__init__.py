@@ -39,7 +39,6 @@ from oculus_driver.link_state import LinkState, LinkStatus, LinkTimes
 from oculus_driver.models import Model, model_of
 from oculus_driver.own_addresses import addresses_towards
 from oculus_driver.ping import Ping, Reject, decode_ping
-from oculus_driver.ping_queue import PingQueue
 from oculus_driver.sequence import PingSequence
 from oculus_driver.settings import FireSettings, Mode
 from oculus_driver.sighting import Sighting, SonarWatch
@@ -55,6 +54,7 @@ from oculus_driver.wire import PingRate
 
 if TYPE_CHECKING:
     from oculus_driver.discovery import Discovery, Sightings
+    from oculus_driver.ping_queue import PingQueue
     from oculus_driver.play import Faults, Identity, PlayCounters, PlayedSonar
     from oculus_driver.sonar import OculusSonar
 
@@ -124,6 +124,7 @@ _MODULES = {
     "Faults": "oculus_driver.play",
     "Identity": "oculus_driver.play",
     "OculusSonar": "oculus_driver.sonar",
+    "PingQueue": "oculus_driver.ping_queue",
     "PlayCounters": "oculus_driver.play",
     "PlayedSonar": "oculus_driver.play",
     "Sightings": "oculus_driver.discovery",
