@@ -47,7 +47,7 @@ def reason_of(data: bytes, version: int = 2) -> str:
     return reject.reason
 
 
-@pytest.mark.parametrize("version", [0, 1, 2])
+@pytest.mark.parametrize("version", [0, 1, 2])  # quirk 15: 0 means 1
 @pytest.mark.parametrize("beams", [256, 512])
 @pytest.mark.parametrize("gains", [False, True])
 @pytest.mark.parametrize(
