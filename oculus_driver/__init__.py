@@ -119,22 +119,17 @@ __all__ = [
     "subnet_finding",
 ]
 
-_MODULES = {
-    "Discovery": "oculus_driver.discovery",
-    "Faults": "oculus_driver.play",
-    "Identity": "oculus_driver.play",
-    "OculusSonar": "oculus_driver.sonar",
-    "PingQueue": "oculus_driver.ping_queue",
-    "PlayCounters": "oculus_driver.play",
-    "PlayedSonar": "oculus_driver.play",
-    "Sightings": "oculus_driver.discovery",
-}
-
 
 def __getattr__(name: str) -> object:
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(_MODULES[name]), name)
+    if name in {"Discovery", "Sightings"}:
+        return getattr(importlib.import_module("oculus_driver.discovery"), name)
+    if name in {"Faults", "Identity", "PlayCounters", "PlayedSonar"}:
+        return getattr(importlib.import_module("oculus_driver.play"), name)
+    if name == "OculusSonar":
+        return importlib.import_module("oculus_driver.sonar").OculusSonar
+    if name == "PingQueue":
+        return importlib.import_module("oculus_driver.ping_queue").PingQueue
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
