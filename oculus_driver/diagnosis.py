@@ -54,8 +54,7 @@ def status_findings(
     if status.busy and not connected:
         found.append(_held(status, frozenset(own_addresses)))
     if status.model.family is UNKNOWN:
-        name, (far, near) = status.model.name, UNKNOWN.max_range_m
-        text = f"model not known ({name}): taken to reach {far:g} m in mode 1, {near:g} m in mode 2"
+        text = f"model not known ({status.model.name}): settings go to it unchecked"
         found.append(_finding("unknown_model", "warning", status, text))
     rank = {"error": 0, "warning": 1, "note": 2}
     return sorted(found, key=lambda finding: rank[finding.severity])

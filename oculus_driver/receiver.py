@@ -41,6 +41,7 @@ class PingReceiver:
         self.rejects: Counter[str] = Counter()
         self._parser = StreamParser()
         self._last: tuple[int, float | None, int | None] | None = None
+        self._same_connection = True
         self._heard_ns = 0
         self._lost_since_ns: int | None = None
 
@@ -69,7 +70,9 @@ class PingReceiver:
     def finish(self) -> list[Received]:
         """Settle what is left of a connection that ended; the next one starts afresh."""
         self._lost_since_ns = None
-        return [self._received(one) for one in self._parser.finish()]
+        received = [self._received(one) for one in self._parser.finish()]
+        self._same_connection = False
+        return received
 
     def trouble(self, now_ns: int) -> str | None:
         """Return why only a new connection can help, or None.
@@ -100,9 +103,13 @@ class PingReceiver:
         return Received(message.message_id, ping if fresh else None)
 
     def _is_new(self, ping: Ping) -> bool:
-        """Return whether it is no repetition: the same id of another time is a restart."""
+        """Return whether it is no repetition: the same id of another time is a restart.
+
+        So is the same ping over another connection: nothing there is sent twice.
+        """
         identity = ping.ping_id, ping.start_time_s, ping.start_ticks
         last, self._last = self._last, identity
-        if last is not None and last[0] == identity[0] and last != identity:
+        repeats, self._same_connection = self._same_connection and last == identity, True
+        if last is not None and last[0] == identity[0] and not repeats:
             self.sequence.restart()
         return self.sequence.accept(ping.ping_id)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import os
-import sys
+import errno
 from typing import TYPE_CHECKING, NoReturn
 
 from oculus_driver.command import (
@@ -18,7 +17,7 @@ from oculus_driver.command import (
     render,
     watch,
 )
-from oculus_driver.command.say import Exit, Say
+from oculus_driver.command.say import Exit, Say, silence_stdout
 from oculus_driver.errors import OculusError, RecordingError, SettingsError
 
 if TYPE_CHECKING:
@@ -53,11 +52,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         return say.failure(error, Exit.BAD_DATA)
     except OculusError as error:
         return say.failure(error, Exit.FAULT)
-    except BrokenPipeError:  # whoever read our output has had enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return Exit.OK
+    except OSError as error:
+        return _end_of_output(error, say)
     except KeyboardInterrupt:
         return Exit.INTERRUPTED
+
+
+def _end_of_output(error: OSError, say: Say) -> Exit:
+    """Whoever read our output has had enough, or there is no room for it."""
+    if not isinstance(error, BrokenPipeError) and error.errno != errno.ENOSPC:
+        raise error
+    silence_stdout()
+    if isinstance(error, BrokenPipeError):
+        return Exit.OK
+    return say.failure(f"standard output: {error}", Exit.FAULT)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -52,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(said: argparse.Namespace, say: Say) -> Exit:
     """Record until somebody stops it; nothing recorded at all is a fault."""
+    say.must_go_on = True
     settings = settings_of(said)
     from oculus_driver.recording import SonarLog  # noqa: PLC0415 - more than numpy
 

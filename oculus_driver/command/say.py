@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import os
 import sys
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
@@ -22,26 +24,41 @@ class Exit(IntEnum):
     INTERRUPTED = 130
 
 
+def silence_stdout() -> None:
+    """Let what is still said, and what is still buffered, go nowhere."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 class Say:
     """Writes to standard output, and failures to standard error.
 
-    Args:
+    Attributes:
         as_json: write facts instead of text.
+        must_go_on: go on in silence when nobody can be told any more: a recording is worth more
+            than words about it.
     """
 
     def __init__(self, *, as_json: bool) -> None:
         self.as_json = as_json
+        self.must_go_on = False
 
     def report(self, facts: Mapping[str, Any], text: str) -> None:
         """Say one thing: `facts` as one line of JSON, or `text`, which may have many lines."""
         said = json.dumps(_plain(facts), allow_nan=False) if self.as_json else text
-        sys.stdout.write(said + "\n")
-        sys.stdout.flush()
+        try:
+            sys.stdout.write(said + "\n")
+            sys.stdout.flush()
+        except OSError as error:
+            if not self.must_go_on:
+                raise
+            silence_stdout()
+            self.note(f"oculus: standard output is gone ({error}): going on without it")
 
     def note(self, text: str) -> None:
         """Tell a person what goes on; never mixed with the facts."""
-        sys.stderr.write(text + "\n")
-        sys.stderr.flush()
+        with contextlib.suppress(OSError):
+            sys.stderr.write(text + "\n")
+            sys.stderr.flush()
 
     def failure(self, error: object, code: Exit) -> Exit:
         """Say why the command ends, and return its exit code."""

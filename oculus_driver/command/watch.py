@@ -41,14 +41,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(said: argparse.Namespace, say: Say) -> Exit:
     """Watch until somebody stops it."""
-    work = _watch_pings(said, say) if said.ping else _watch_statuses(said, say)
-    run_until_stopped(work, said.duration)
-    return Exit.OK
-
-
-async def _watch_statuses(said: argparse.Namespace, say: Say) -> None:
-    """Tell of each status; what is wrong only when it is new."""
+    if said.ping:
+        watch = _PingWatch(said.every, say)
+        run_until_stopped(_watch_pings(said, say, watch), said.duration)
+        return Exit.OK if watch.last is not None else say.failure("no ping came", Exit.FAULT)
     told: dict[tuple[int, int], frozenset[str]] = {}
+    run_until_stopped(_watch_statuses(said, say, told), said.duration)
+    return Exit.OK if told else say.failure("no sonar was heard", Exit.FAULT)
+
+
+async def _watch_statuses(
+    said: argparse.Namespace, say: Say, told: dict[tuple[int, int], frozenset[str]]
+) -> None:
+    """Tell of each status; what is wrong only when it is new."""
     async with Discovery(said.status_port, said.listen) as discovery:
         async for sighting in discovery.sightings():
             if _meant(said, sighting):
@@ -65,14 +70,13 @@ def _meant(said: argparse.Namespace, sighting: Sighting) -> bool:
     return by_address and said.serial in (None, sighting.status.device_id)
 
 
-async def _watch_pings(said: argparse.Namespace, say: Say) -> None:
+async def _watch_pings(said: argparse.Namespace, say: Say, watch: _PingWatch) -> None:
     from oculus_driver.command.sonar_link import sonar_of  # noqa: PLC0415 - of this way alone
 
     def tell_state(link: LinkStatus) -> None:
         facts = {"event": "state", "state": str(link.state), "reason": link.reason}
         say.report(facts | {"address": link.address}, f"{link.state}: {link.reason}")
 
-    watch = _PingWatch(said.every, say)
     async with (
         sonar_of(said, settings_of(said), on_state=tell_state) as sonar,
         asyncio.TaskGroup() as tasks,

@@ -27,6 +27,7 @@ class Numbering:
         self._anchor: str | None = None  # what the next ping shall do: join or restart
         self._id_shift = 0
         self._time_shift = 0.0
+        self._boots = 0
         self._last: tuple[int, float] | None = None  # id and time
 
     def join(self) -> None:
@@ -65,6 +66,8 @@ class Numbering:
             self._id_shift = self._last[0] + 1 - ping_id
             self._time_shift = self._last[1] + step - time
         elif self._anchor == "restart":
+            # No two boots take the same time: their first pings are not one ping twice.
+            self._boots += 1
             self._id_shift = _FIRST_ID - ping_id
-            self._time_shift = step - time
+            self._time_shift = step * (1 + self._boots / 1024) - time
         self._anchor = None

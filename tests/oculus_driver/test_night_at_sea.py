@@ -90,5 +90,8 @@ def test_every_undamaged_ping_arrives_exactly_once(make_ping: Callable[..., byte
     assert len(sent) == PINGS * LOOPS
     whole = Counter(ping_id for ping_id, undamaged in sent if undamaged)
     assert whole - arrived == Counter()
-    strays = (arrived - whole).total()  # flipped where nobody looks: gap, echo, temperature
-    assert strays <= len(sent) - whole.total()
+    damaged = Counter(ping_id for ping_id, undamaged in sent if not undamaged)
+    # Bits may flip where nobody looks: the gap, the echo of the settings. Those of the id, 32 of
+    # some 20 000, give a ping another one's name: less than one of 20 000 pings.
+    renamed = (arrived - whole - damaged).total()
+    assert renamed <= 3 + len(sent) // 20_000

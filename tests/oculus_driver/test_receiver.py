@@ -124,3 +124,12 @@ def test_trouble_is_over_when_a_message_is_found(make_ping: MakePing) -> None:
     assert ids(receiver.feed(make_ping() + encode_dummy(source_id=7892), S)) == [7]
     assert receiver.trouble(60 * S) is None
     assert deadline_ns(receiver) is None
+
+
+def test_the_first_ping_after_a_restart_is_new_even_if_it_is_the_same(make_ping: MakePing) -> None:
+    ping = make_ping(ping_id=1)
+    receiver = PingReceiver()
+    assert ids(receiver.feed(ping + ping, 0)) == [1]  # twice over one connection: a repetition
+    receiver.finish()
+    assert ids(receiver.feed(ping + ping, 1)) == [1]
+    assert (receiver.sequence.duplicates, receiver.sequence.restarts) == (2, 1)

@@ -23,7 +23,7 @@ from oculus_driver import Ping, StreamParser, bearing_table_cdeg, decode_ping, e
 PICTURE = Path("docs/images/driver-throughput.png")
 ROWS = (16, 64, 200, 400, 703, 1400, 2800)
 LARGEST_ROWS = 703
-"""Rows of the largest ping in the captures we have: 512 beams, 8 bit."""
+"""Rows of the pings in the captures that we have."""
 FASTEST_HZ = 40.0
 BEAMS = 512
 PIECE = 1 << 16

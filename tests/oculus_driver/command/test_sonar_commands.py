@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -12,8 +15,6 @@ from oculus_driver.recording import open_recording
 from tests.oculus_driver.command.sonar_thread import free_udp_port, played
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from oculus_driver import PlayedSonar
     from tests.oculus_driver.command.conftest import Oculus
 
@@ -129,3 +130,31 @@ def test_settings_that_cannot_be_are_one_line(oculus: Oculus, command: str) -> N
     assert said.code == 2
     assert "range_m" in said.err
     assert said.err.count("\n") == 1
+
+
+def test_watching_nothing_is_a_fault(oculus: Oculus) -> None:
+    said = oculus("watch", "--duration", 0.3, "--status-port", free_udp_port())
+    assert (said.code, said.out) == (1, "")
+    assert "no sonar was heard" in said.err
+    said = oculus("watch", "127.0.0.1", "--ping", "--port", 9, "--duration", 0.3)
+    assert said.code == 1
+    assert "no ping came" in said.err
+
+
+def test_a_log_goes_on_when_its_words_have_nowhere_to_go(
+    capture_path: Path, tmp_path: Path
+) -> None:
+    with (
+        played(capture_path, speed=None, loops=20) as (sonar, _),
+        Path("/dev/full").open("w", encoding="ascii") as full,
+    ):
+        words = ["log", "127.0.0.1", "--port", str(sonar.port), "--range", "2", "--mode", "2"]
+        words += ["--out", str(tmp_path), "--duration", "2"]
+        command = [sys.executable, "-m", "oculus_driver.command", *words]
+        done = subprocess.run(  # noqa: S603 - our own words
+            command, stdout=full, stderr=subprocess.PIPE, text=True, check=False, timeout=60
+        )
+    assert "going on without it" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert sum(file.stat().st_size for file in tmp_path.iterdir()) > 100_000
+    assert done.returncode == 0
