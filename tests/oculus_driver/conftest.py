@@ -68,3 +68,8 @@ def parse() -> Callable[[bytes], Message]:
         return message
 
     return one
+
+
+@pytest.fixture
+def pings(make_ping: Callable[..., bytes]) -> list[bytes]:
+    return [make_ping(ping_id=40 + index, start_time=5.0 + 0.1 * index) for index in range(4)]
