@@ -10,7 +10,6 @@ namespace {
 
 constexpr int kCell = kCellEdge;
 constexpr double kTie = 1e-9;  // parts, and edges of a voxel: what rounding can make of a tie
-constexpr std::size_t kMostChanges = 16;  // from free beams to others in a cell
 
 // The error of a sampled mean weight is up to kSpread sigma / (lines sqrt(part)) in 99 of 100
 // voxels, sigma being how much the weights inside the voxel differ and part how much of it is
@@ -104,6 +103,19 @@ void BlockLooker::look_at_cell(const BlockKey& local, int x, int y, int z,
   near ? look_near(cell, evidence) : look_far(cell, evidence);
 }
 
+// Planes that do not meet inside the voxel, in order of bearing, each from free to not or back.
+double BlockLooker::free_part_between(const std::array<std::size_t, kMostChanges>& change,
+                                      std::size_t changes, bool first_is_free,
+                                      const Vec3& centre) const {
+  double part = first_is_free ? 1.0 : 0.0;
+  double sign = first_is_free ? -1.0 : 1.0;
+  for (std::size_t c = 0; c < changes; ++c, sign = -sign) {
+    const Vec3& n = fan_.edge_normal(change[c]);
+    part += sign * part_beyond(n, dot(n, centre) / edge_m_);
+  }
+  return part;
+}
+
 // A cell without returns whose beams are each wholly free or wholly not: the edges of shadows. What
 // matters are the planes between free beams and others; one plane leaves the half that holds a
 // voxel's centre the larger. False for other cells.
@@ -147,13 +159,7 @@ bool BlockLooker::look_between_beams(const Cell& cell, BlockEvidence& evidence) 
     bool free = halved[i] == 0 && first_is_free != (beyond[i] % 2 != 0);
     if (cut[i] > 1) {
       const Vec3 centre = voxel_centre(cell, static_cast<int>(i));
-      double part = first_is_free ? 1.0 : 0.0;
-      double sign = first_is_free ? -1.0 : 1.0;
-      for (std::size_t c = 0; c < changes; ++c, sign = -sign) {
-        const Vec3& n = fan_.edge_normal(change[c]);
-        part += sign * part_beyond(n, dot(n, centre) / edge_m_);
-      }
-      free = part > kFreePart + kTie;
+      free = free_part_between(change, changes, first_is_free, centre) > kFreePart + kTie;
     }
     if (!free) continue;
     const auto at = static_cast<int>(i);

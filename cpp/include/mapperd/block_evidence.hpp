@@ -47,8 +47,12 @@ class BlockLooker {
  private:
   struct Cell;  // 4 x 4 x 4 voxels
 
+  static constexpr std::size_t kMostChanges = 16;  // from free beams to others in a cell
+
   Vec3 centre_of(const BlockKey& local, double x, double y, double z) const;
   void look_at_cell(const BlockKey& local, int x, int y, int z, BlockEvidence& evidence) const;
+  double free_part_between(const std::array<std::size_t, kMostChanges>& change, std::size_t changes,
+                           bool first_is_free, const Vec3& centre) const;
   bool look_between_beams(const Cell& cell, BlockEvidence& evidence) const;
   void look_near(const Cell& cell, BlockEvidence& evidence) const;
   void look_far(const Cell& cell, BlockEvidence& evidence) const;
