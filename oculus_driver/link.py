@@ -214,6 +214,8 @@ class Link:
             yield from self._sending_timers(self._sent_ns)
         if self._searches and self._state in (LinkState.SILENT, LinkState.STANDBY):
             last_ns = max(self._sighted_ns, self._heard_ns)
+            if self._state is LinkState.STANDBY:  # it gets the time to answer that question
+                last_ns = max(last_ns, self._since_ns)
             yield last_ns + self._times.status_gone_ns, self._gone
 
     def _waiting_timers(self) -> Iterator[Timer]:

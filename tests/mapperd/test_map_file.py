@@ -117,7 +117,7 @@ def test_a_file_is_replaced_whole_or_not_at_all(
         sonar_map.save(tmp_path / "nowhere" / "dive.map")
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=200, deadline=None)
 @given(data=st.data())
 def test_a_damaged_file_is_refused_whatever_was_done_to_it(data: st.DataObject) -> None:
     whole = map_bytes()

@@ -52,6 +52,18 @@ def test_a_hold_keeps_the_sonar_quiet_until_it_is_let_go(pinging: MakeBench) -> 
     assert bench.state == "configuring"
 
 
+def test_a_sonar_long_unheard_gets_time_to_answer_in_standby(start: MakeBench) -> None:
+    bench = start(address=None)
+    bench.sight()
+    bench.connect()
+    bench.wait(6.0)  # longer than a sonar without status and data is thought to be there
+    bench.actions += bench.link.apply(FireSettings(ping_rate=PingRate.STANDBY), bench.now_ns)
+    bench.wait(4.9)
+    assert bench.state is LinkState.STANDBY
+    bench.wait(0.2)
+    assert bench.state is LinkState.SEARCHING
+
+
 TRIGGERED = FireSettings(network_trigger=True)
 
 
