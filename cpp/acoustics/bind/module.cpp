@@ -1,0 +1,11 @@
+// sonar_sim._core: the simulator's kernels. Their documentation is in _core.pyi.
+#include <pybind11/pybind11.h>
+
+#include "receiving.hpp"
+#include "scatter.hpp"
+
+PYBIND11_MODULE(_core, module) {
+  module.doc() = "The C++ kernels of the sonar simulator.";
+  bind_receiving(module);
+  bind_scatter(module);
+}

@@ -1,0 +1,111 @@
+#include "acoustics/bands.hpp"
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <thread>
+
+#include "acoustics/footprint.hpp"
+
+namespace acoustics {
+
+namespace {
+
+constexpr std::size_t kBands = 16;
+constexpr double kJitterColumns = 2.0;  // scatterers lie up to half a lattice step outside a cell
+
+// Sine at which a leg hears a point.
+double sine_of(const Leg& leg, const Vector& point_m) {
+  const Vector d{point_m[0] - leg.origin_m[0], point_m[1] - leg.origin_m[1],
+                 point_m[2] - leg.origin_m[2]};
+  const auto& m = leg.rotation;
+  return -(m[1] * d[0] + m[4] * d[1] + m[7] * d[2]) / std::sqrt(std::max(dot(d, d), 1e-12));
+}
+
+void widen(const Echoes& echoes, std::size_t hit, double& low, double& high) {
+  const Hits& hits = echoes.hits;
+  if (hits.seen[hit] == hits.receive[hit]) {
+    low = std::min<double>(low, hits.cell[4 * hit]);
+    high = std::max<double>(high, hits.cell[4 * hit + 1]);
+    return;
+  }
+  Footprint patch;
+  if (footprint_of(echoes, hit, patch)) {
+    for (const Vector& corner : patch.corner_m) {
+      const double s = sine_of(hits.legs[hits.receive[hit]], corner);
+      low = std::min(low, s);
+      high = std::max(high, s);
+    }
+  }
+}
+
+// First hit of a part of the fan; hits come in the order of their columns.
+std::size_t first_from(const Echoes& echoes, std::size_t part) {
+  if (part == 0 || part >= kBands) {
+    return part == 0 ? 0 : echoes.hits.count;
+  }
+  const EchoGrid& grid = echoes.grid;
+  const double wide = static_cast<double>(grid.columns) * grid.sine_pitch;
+  const double sine =
+      grid.first_sine + wide * static_cast<double>(part) / static_cast<double>(kBands);
+  std::size_t from = 0;
+  std::size_t to = echoes.hits.count;
+  while (from < to) {
+    const std::size_t middle = from + (to - from) / 2;
+    if (echoes.hits.cell[4 * middle] < sine) {
+      from = middle + 1;
+    } else {
+      to = middle;
+    }
+  }
+  return from;
+}
+
+Band band_of(const Echoes& echoes, std::size_t first, std::size_t last) {
+  double low = 1.0;
+  double high = -1.0;
+  for (std::size_t hit = first; hit < last; ++hit) {
+    widen(echoes, hit, low, high);
+  }
+  if (low > high) {
+    return {first, first, 0, 0};
+  }
+  const double reach = static_cast<double>(echoes.response.tap_count) + kJitterColumns;
+  const double most = static_cast<double>(echoes.grid.columns);
+  const double from = std::clamp(column_of(echoes.grid, low) - reach, 0.0, most);
+  const double to = std::clamp(column_of(echoes.grid, high) + reach, 0.0, most);
+  const auto column = static_cast<std::ptrdiff_t>(from);
+  return {first, last, column, static_cast<std::ptrdiff_t>(std::ceil(to)) - column};
+}
+
+}  // namespace
+
+void share(std::size_t count, int threads, const std::function<void(std::size_t)>& task) {
+  std::atomic<std::size_t> next{0};
+  const auto work = [&] {
+    for (std::size_t i = next++; i < count; i = next++) {
+      task(i);
+    }
+  };
+  std::vector<std::thread> helpers;
+  for (int t = 1; t < threads; ++t) {
+    helpers.emplace_back(work);
+  }
+  work();
+  for (std::thread& helper : helpers) {
+    helper.join();
+  }
+}
+
+std::vector<Band> bands_of(const Echoes& echoes, int threads) {
+  // Cut by bearing, not by number: what is out of earshot then changes no sum's order.
+  std::vector<Band> bands(kBands);
+  share(kBands, threads, [&](std::size_t i) {
+    bands[i] = band_of(echoes, first_from(echoes, i), first_from(echoes, i + 1));
+  });
+  return bands;
+}
+
+double column_of(const EchoGrid& grid, double s) { return (s - grid.first_sine) / grid.sine_pitch; }
+
+}  // namespace acoustics

@@ -1,0 +1,113 @@
+#include "acoustics/beams.hpp"
+
+#include <algorithm>
+#include <vector>
+
+#include "acoustics/fast_math.hpp"
+#include "acoustics/row_bands.hpp"
+#include "convolution.hpp"
+
+namespace acoustics {
+
+namespace {
+
+// Above so many taps the Fourier transform is quicker than the sum itself.
+constexpr std::size_t kDirectTaps = 64;
+
+ACOUSTICS_VECTORISED void add_weighted(float* to, const float* from, float weight,
+                                       std::size_t count) {
+  for (std::size_t i = 0; i < count; ++i) to[i] += weight * from[i];
+}
+
+// sum over k of taps[k] from[i + k * parts], in pieces that stay in registers.
+ACOUSTICS_VECTORISED void slide(const float* from, const float* taps, std::size_t tap_count,
+                                std::size_t parts, std::size_t count, float* to) {
+  constexpr std::size_t kPiece = 32;
+  std::size_t start = 0;
+  for (; start + kPiece <= count; start += kPiece) {
+    float sum[kPiece] = {};
+    for (std::size_t k = 0; k < tap_count; ++k) {
+      const float* at = from + start + k * parts;
+      for (std::size_t i = 0; i < kPiece; ++i) sum[i] += taps[k] * at[i];
+    }
+    std::copy(sum, sum + kPiece, to + start);
+  }
+  for (; start < count; ++start) {
+    float sum = 0.0F;
+    for (std::size_t k = 0; k < tap_count; ++k) sum += taps[k] * from[start + k * parts];
+    to[start] = sum;
+  }
+}
+
+// A row as the range response leaves it, in `to`, which holds columns * parts numbers.
+void spread_row(const Grid& grid, const Response& response, std::size_t row, float* to) {
+  const std::size_t width = grid.columns * grid.parts;
+  const std::size_t reach = response.range_count / 2;
+  std::fill(to, to + width, 0.0F);
+  for (std::size_t k = 0; k < response.range_count; ++k) {
+    if (row + k < reach || row + k - reach >= grid.rows) continue;
+    add_weighted(to, grid.cells + (row + k - reach) * width, response.range_taps[k], width);
+  }
+}
+
+void form_directly(const Grid& grid, const Response& response, std::size_t first, std::size_t beams,
+                   float* out, unsigned threads) {
+  const std::size_t reach = response.count / 2;
+  const std::size_t width = beams * grid.parts;
+  // Silence on both sides, wide enough for every beam's taps.
+  const std::size_t end = std::max(grid.columns, first + beams) + reach;
+  in_row_bands(grid.rows, threads, [=](std::size_t row, std::size_t last) {
+    std::vector<float> padded((reach + end) * grid.parts);
+    for (; row < last; ++row) {
+      spread_row(grid, response, row, padded.data() + reach * grid.parts);
+      slide(padded.data() + first * grid.parts, response.taps, response.count, grid.parts, width,
+            out + row * width);
+    }
+  });
+}
+
+void form_by_transform(const Grid& grid, const Response& response, std::size_t first,
+                       std::size_t beams, float* out, unsigned threads) {
+  const Convolution convolution(response.taps, response.count, grid.columns, first, beams);
+  in_row_bands(grid.rows, threads, [&](std::size_t row, std::size_t last) {
+    Convolution::Rows rows(convolution, grid.parts);
+    std::vector<float> spread(grid.columns * grid.parts);
+    for (; row < last; ++row) {
+      spread_row(grid, response, row, spread.data());
+      rows.take(spread.data(), out + row * beams * grid.parts);
+    }
+    rows.finish();
+  });
+}
+
+}  // namespace
+
+void form_beams(const Grid& grid, const Response& response, std::size_t first, std::size_t beams,
+                float* out, unsigned threads) {
+  const auto form = response.count <= kDirectTaps ? form_directly : form_by_transform;
+  form(grid, response, first, beams, out, threads);
+}
+
+void form_beams_at(const Grid& grid, const Response& response, const std::int64_t* firsts,
+                   std::size_t beams, float* out, unsigned threads) {
+  const auto columns = static_cast<std::int64_t>(grid.columns);
+  in_row_bands(grid.rows, threads, [=](std::size_t row, std::size_t last) {
+    std::vector<float> spread(grid.columns * grid.parts);
+    for (; row < last; ++row) {
+      spread_row(grid, response, row, spread.data());
+      for (std::size_t beam = 0; beam < beams; ++beam) {
+        float sum[2] = {};
+        for (std::size_t k = 0; k < response.count; ++k) {
+          const std::int64_t column = firsts[beam] + static_cast<std::int64_t>(k);
+          if (column < 0 || column >= columns) continue;
+          const float* cell = spread.data() + static_cast<std::size_t>(column) * grid.parts;
+          const float weight = response.taps[beam * response.count + k];
+          for (std::size_t part = 0; part < grid.parts; ++part) sum[part] += weight * cell[part];
+        }
+        std::copy(sum, sum + grid.parts, out + (row * beams + beam) * grid.parts);
+      }
+    }
+  });
+}
+
+}  // namespace acoustics

@@ -1,0 +1,191 @@
+#include <algorithm>
+#include <cmath>
+#include <memory>
+#include <vector>
+
+#include "acoustics/bands.hpp"
+#include "acoustics/hearing.hpp"
+#include "acoustics/scatter.hpp"
+
+namespace acoustics {
+
+namespace {
+
+constexpr double kMostPieces = 512.0;
+constexpr double kRowsPerPiece = 1.0;
+
+// Mean powers of one hit after another, into a band's part of the picture.
+class Averager {
+ public:
+  Averager(const Echoes& echoes, const Band& band, float* power)
+      : e_(echoes), band_(band), power_(power) {}
+
+  // Cuts a hit's cell into pieces so small that each lies within about one row.
+  void add(std::size_t hit) {
+    if (!footprint_of(e_, hit, patch_)) {
+      return;
+    }
+    begin(hit);
+    const float* cell = e_.hits.cell + 4 * hit;
+    const double s_width = cell[1] - cell[0];
+    const double w_width = cell[3] - cell[2];
+    const double s_mid = 0.5 * (cell[0] + cell[1]);
+    const double w_mid = 0.5 * (cell[2] + cell[3]);
+    const Extent all = extent_of(s_mid, w_mid, s_width, w_width);
+    const double most_m = patch_.far_m - patch_.near_m;
+    const double s_count = pieces(std::min(all.across_m, most_m));
+    const double w_count = pieces(std::min(all.along_m, most_m));
+    for (double i = 0.5; i < s_count; i += 1.0) {
+      for (double j = 0.5; j < w_count; j += 1.0) {
+        piece(cell[0] + s_width * i / s_count, cell[2] + w_width * j / w_count, s_width / s_count,
+              w_width / w_count);
+      }
+    }
+  }
+
+ private:
+  struct Extent {
+    double across_m, along_m;
+  };
+
+  [[nodiscard]] double pieces(double extent_m) const {
+    const double rows = std::ceil(extent_m / (kRowsPerPiece * e_.grid.row_m));
+    return std::clamp(rows, bent_ != nullptr || strength_.has_lobe() ? 8.0 : 4.0, kMostPieces);
+  }
+
+  void begin(std::size_t hit) {
+    const Hits& hits = e_.hits;
+    const int face = hits.face[hit];
+    seen_ = &hits.legs[hits.seen[hit]];
+    transmit_ = &hits.legs[hits.transmit[hit]];
+    receive_ = &hits.legs[hits.receive[hit]];
+    const float* cell = hits.cell + 4 * hit;
+    const double step_rad = 0.125 * std::max(cell[1] - cell[0], cell[3] - cell[2]);
+    bent_ = e_.faces.smooth[face] < 0 ? nullptr : e_.faces.bent + 12 * e_.faces.smooth[face];
+    const double turn = bent_ != nullptr ? 1.0 + turn_per_m(bent_) * patch_.far_m : 1.0;
+    strength_ = Strength(e_.laws, e_.faces.table[e_.faces.materials[face]], step_rad * turn);
+    gain_ = hits.gain[hit] * transmit_->gain * receive_->gain;
+    const auto& m = seen_->rotation;
+    const Vector& n = patch_.normal;
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      normal_[axis] = m[axis] * n[0] + m[3 + axis] * n[1] + m[6 + axis] * n[2];
+    }
+  }
+
+  // How far a cell reaches in range: on the plane R = height / n.d, so dR = -R (n.dd) / (n.d).
+  [[nodiscard]] Extent extent_of(double s, double w, double s_width, double w_width) const {
+    const double x = std::sqrt(std::max(1.0 - s * s - w * w, 1e-6));
+    const double facing =
+        std::max(std::fabs(normal_[0] * x - normal_[1] * s + normal_[2] * w), patch_.least_facing);
+    const double reach_m = std::fabs(patch_.height_m) / (facing * facing);
+    return {reach_m * std::fabs(normal_[0] * s / x + normal_[1]) * s_width,
+            reach_m * std::fabs(normal_[2] - normal_[0] * w / x) * w_width};
+  }
+
+  void piece(double s, double w, double s_width, double w_width) {
+    const Vector d = direction(*seen_, s, w);
+    const double facing = dot(patch_.normal, d);
+    if (facing * patch_.height_m <= 0.0 || std::fabs(facing) < patch_.least_facing) {
+      return;
+    }
+    const double range_m = std::clamp(patch_.height_m / facing, patch_.least_m, patch_.most_m);
+    Vector point_m;
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      point_m[axis] = seen_->origin_m[axis] + range_m * d[axis];
+    }
+    const double x = std::sqrt(std::max(1.0 - s * s - w * w, 1e-6));
+    const Vector normal = bent_ != nullptr ? bent_normal(bent_, point_m) : patch_.normal;
+    const double cosine =
+        std::max(std::fabs(dot(normal, d)), bent_ != nullptr ? kLeastCosine : 0.0);
+    const double area_m2 = range_m * range_m * s_width * w_width / (x * cosine);
+    const Sight seen{range_m, s, w, d};
+    const Sight out = transmit_ == seen_ ? seen : sight_of(*transmit_, point_m);
+    const Sight back = receive_ == seen_ ? seen : sight_of(*receive_, point_m);
+    const Extent extent = extent_of(s, w, s_width, w_width);
+    heard(out, back, area_m2 * cross_section(out, back, normal),
+          std::min(extent.across_m + extent.along_m, patch_.far_m - patch_.near_m));
+  }
+
+  [[nodiscard]] double cross_section(const Sight& out, const Sight& back, const Vector& n) const {
+    return strength_.at(std::fabs(dot(n, out.direction)), std::fabs(dot(n, back.direction)),
+                        half_cosine(n, out.direction, back.direction));
+  }
+
+  void heard(const Sight& out, const Sight& back, double section_m2, double extent_m) {
+    const EchoGrid& grid = e_.grid;
+    const double way_m = 0.5 * (out.range_m + back.range_m);
+    const double apparent_m = grid.range_scale * way_m + dot(receive_->drift_m, out.direction);
+    const Spread at = spread_at(e_.response, column_of(grid, back.s));
+    const std::ptrdiff_t column = at.column - band_.column;
+    const auto taps = static_cast<std::ptrdiff_t>(e_.response.tap_count);
+    if (column < 0 || column + taps > band_.columns) {
+      return;
+    }
+    const double beam = static_cast<double>(vertical_at(e_.response, out.w)) *
+                        static_cast<double>(vertical_at(e_.response, back.w)) * gain_;
+    double power = section_m2 * beam * beam;
+    if (e_.laws.spreading) {
+      power /= out.range_m * out.range_m * back.range_m * back.range_m;
+    }
+    over_rows(power, apparent_m / grid.row_m, std::max(extent_m / grid.row_m, 1e-6), column,
+              e_.response.taps + at.fraction * e_.response.tap_count);
+  }
+
+  void over_rows(double power, double middle, double width, std::ptrdiff_t column,
+                 const float* taps) {
+    const double low = middle - 0.5 * width;
+    const double high = middle + 0.5 * width;
+    const double last = static_cast<double>(e_.grid.rows - 1);
+    for (double row = std::max(std::floor(low), 0.0); row <= std::min(std::floor(high), last);
+         row += 1.0) {
+      const double part = (std::min(high, row + 1.0) - std::max(low, row)) / width;
+      const auto at = static_cast<std::ptrdiff_t>(row);
+      const double loss = e_.response.loss[at];
+      const auto share = static_cast<float>(power * part * loss * loss);
+      float* cell = power_ + at * band_.columns + column;
+      for (std::size_t k = 0; k < e_.response.tap_count; ++k) {
+        cell[k] += taps[k] * share;
+      }
+    }
+  }
+
+  const Echoes& e_;
+  const Band& band_;
+  float* power_;
+  Footprint patch_{};
+  Strength strength_{Laws{}, Material{}, 0.0};
+  const Leg* seen_ = nullptr;
+  const Leg* transmit_ = nullptr;
+  const Leg* receive_ = nullptr;
+  const double* bent_ = nullptr;
+  Vector normal_{};  // sonar's frame
+  double gain_ = 0.0;
+};
+
+}  // namespace
+
+void scatter_power(const Echoes& echoes, float* power, int threads) {
+  const std::vector<Band> bands = bands_of(echoes, threads);
+  std::vector<std::unique_ptr<float[]>> parts(bands.size());
+  share(bands.size(), threads, [&](std::size_t i) {
+    const Band& band = bands[i];
+    parts[i] = std::make_unique<float[]>(static_cast<std::size_t>(echoes.grid.rows) *
+                                         static_cast<std::size_t>(band.columns));
+    Averager averager(echoes, band, parts[i].get());
+    for (std::size_t hit = band.first; hit < band.last; ++hit) {
+      averager.add(hit);
+    }
+  });
+  for (std::size_t i = 0; i < bands.size(); ++i) {
+    const Band& band = bands[i];
+    for (std::ptrdiff_t row = 0; row < echoes.grid.rows; ++row) {
+      const float* from = parts[i].get() + row * band.columns;
+      float* to = power + row * echoes.grid.columns + band.column;
+      for (std::ptrdiff_t column = 0; column < band.columns; ++column) {
+        to[column] += from[column];
+      }
+    }
+  }
+}
+
+}  // namespace acoustics

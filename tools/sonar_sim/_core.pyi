@@ -1,0 +1,242 @@
+"""The simulator's kernels, in C++; they run without the interpreter's lock.
+
+Rows are ranges, nearest first. A field is complex64, a power float32. How many threads work never
+changes a byte of what comes out. Arrays of wrong shape raise ValueError.
+"""
+
+from typing import Literal, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+def complex_gaussian(key: int, count: int) -> NDArray[np.complex64]:
+    """Circular complex Gaussian numbers of mean power 1, (count,), of a 64-bit key's stream."""
+
+def add_gaussian(
+    field: NDArray[np.complex64],
+    row_rms: NDArray[np.float32],
+    column_rms: NDArray[np.float32],
+    key: int,
+    threads: int = 2,
+) -> None:
+    """Add to each cell a complex Gaussian number of its own, in place.
+
+    Args:
+        field: (rows, columns), C-contiguous.
+        row_rms: rms amplitude, (rows,); 0 leaves a row alone.
+        column_rms: factor to it, (columns,).
+        key: 64 bits that choose the numbers.
+        threads: that share the rows.
+    """
+
+def add_gaussian_power(
+    field: NDArray[np.complex64], power: NDArray[np.float32], key: int, threads: int = 2
+) -> None:
+    """Add to each cell a complex Gaussian number of a mean power of its own, in place.
+
+    Args:
+        field: (rows, columns), C-contiguous.
+        power: (rows, columns).
+        key: 64 bits that choose the numbers.
+        threads: that share the rows.
+    """
+
+@overload
+def form_beams(
+    cells: NDArray[np.complex64],
+    taps: NDArray[np.float32],
+    first: int,
+    beams: int,
+    range_taps: NDArray[np.float32],
+    threads: int = 2,
+) -> NDArray[np.complex64]: ...
+@overload
+def form_beams(
+    cells: NDArray[np.float32],
+    taps: NDArray[np.float32],
+    first: int,
+    beams: int,
+    range_taps: NDArray[np.float32],
+    threads: int = 2,
+) -> NDArray[np.float32]:
+    """Range response and azimuth pattern of beams that follow the columns' pitch.
+
+    Args:
+        cells: (rows, columns), a field or a power; what lies outside is silent.
+        taps: weights about a beam's own column, (odd,); many of them go by Fourier transform.
+        first: column of beam 0.
+        beams: their number.
+        range_taps: weights about a cell's own row, (odd,).
+        threads: that share the rows.
+
+    Returns:
+        (rows, beams), field or power as given.
+    """
+
+@overload
+def form_beams_at(
+    cells: NDArray[np.complex64],
+    taps: NDArray[np.float32],
+    firsts: NDArray[np.int64],
+    range_taps: NDArray[np.float32],
+    threads: int = 2,
+) -> NDArray[np.complex64]: ...
+@overload
+def form_beams_at(
+    cells: NDArray[np.float32],
+    taps: NDArray[np.float32],
+    firsts: NDArray[np.int64],
+    range_taps: NDArray[np.float32],
+    threads: int = 2,
+) -> NDArray[np.float32]:
+    """As `form_beams`, for beams anywhere: beam b weighs column firsts[b] + k by taps[b, k].
+
+    Args:
+        cells: (rows, columns), a field or a power.
+        taps: (beams, count).
+        firsts: (beams,), may be negative.
+        range_taps: (odd,).
+        threads: that share the rows.
+    """
+
+def amplitudes(
+    beams: NDArray[np.complex64] | NDArray[np.float32], gain: NDArray[np.float32], threads: int = 2
+) -> NDArray[np.float32]:
+    """Amplitude after gain, (rows, beams): of a field, or the root of a power; NaN becomes 0.
+
+    Args:
+        beams: (rows, beams).
+        gain: factor to amplitude, (rows,).
+        threads: that share the rows.
+    """
+
+@overload
+def pixels(
+    amplitude: NDArray[np.float32], gamma: float, bits: Literal[0], clip: bool, threads: int = 2
+) -> NDArray[np.float32]: ...
+@overload
+def pixels(
+    amplitude: NDArray[np.float32], gamma: float, bits: Literal[8], clip: bool, threads: int = 2
+) -> NDArray[np.uint8]: ...
+@overload
+def pixels(
+    amplitude: NDArray[np.float32], gamma: float, bits: Literal[16], clip: bool, threads: int = 2
+) -> NDArray[np.uint16]: ...
+@overload
+def pixels(
+    amplitude: NDArray[np.float32], gamma: float, bits: Literal[32], clip: bool, threads: int = 2
+) -> NDArray[np.uint32]: ...
+@overload
+def pixels(
+    amplitude: NDArray[np.float32], gamma: float, bits: int, clip: bool, threads: int = 2
+) -> NDArray[np.float32] | NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.uint32]:
+    """The pixel law: amplitude^gamma, times the greatest integer and rounded; any shape.
+
+    Args:
+        amplitude: 1 is full scale.
+        gamma: exponent, in (0, 2].
+        bits: of a pixel, 8, 16 or 32; 0 gives floats.
+        clip: at full scale; integers end there in any case.
+        threads: that share the work.
+    """
+
+class FaceTable:
+    """Triangles as their planes, with what they are made of."""
+
+    def __init__(
+        self,
+        planes: NDArray[np.float64],
+        objects: NDArray[np.uint32],
+        materials: NDArray[np.int32],
+        smooth: NDArray[np.int32],
+        bent: NDArray[np.float64],
+        table: NDArray[np.float64],
+    ) -> None:
+        """Keep the arrays.
+
+        Args:
+            planes: normal n and offset, n.p = offset, (F, 4), in the frame of the face's object.
+            objects: key of each face's object, (F,); scatterers belong to it.
+            materials: index into the table, (F,).
+            smooth: index into `bent`, or -1 for a flat face, (F,).
+            bent: rows of G | g, whose G p + g is a round surface's normal at p, (S, 12).
+            table: mu, squared reflection, roughness in m, slope in rad, (M, 4).
+        """
+
+class Rays:
+    """What was met, and by which legs the sound goes there and back."""
+
+    def __init__(
+        self,
+        face: NDArray[np.int32],
+        seen: NDArray[np.int32],
+        transmit: NDArray[np.int32],
+        receive: NDArray[np.int32],
+        cell: NDArray[np.float32],
+        span_m: NDArray[np.float32],
+        gain: NDArray[np.float32],
+        legs: NDArray[np.float64],
+    ) -> None:
+        """Keep the arrays.
+
+        Args:
+            face: that was met, (H,).
+            seen: leg that looked, (H,).
+            transmit: leg from which the sound came, (H,).
+            receive: leg that hears it, (H,).
+            cell: s from, s to, w from, w to of the directions that the hit stands for, as `seen`
+                has them, (H, 4); s is starboard, w up.
+            span_m: ranges from `seen` between which the face's plane is followed, (H, 2).
+            gain: of pressure, (H,).
+            legs: origin in m, rotation object from sonar row by row, drift of the apparent range
+                per unit of direction in m, gain of pressure; in the object's frame, (L, 16).
+        """
+
+class Setting:
+    """Cells, receiver and laws of scattering."""
+
+    def __init__(
+        self,
+        loss: NDArray[np.float32],
+        vertical: NDArray[np.float32],
+        taps: NDArray[np.float32],
+        columns: int,
+        row_m: float,
+        first_sine: float,
+        sine_pitch: float,
+        range_scale: float,
+        lambert: bool,
+        specular: bool,
+        spreading: bool,
+        turns_per_m: float,
+        nodes_per_cell: float,
+        key: int,
+    ) -> None:
+        """Keep the settings.
+
+        Args:
+            loss: pressure that the way to a row and back leaves, source included, (rows,).
+            vertical: one-way pressure over |w|, evenly from 0 to 1, (2 or more,).
+            taps: how an echo between columns spreads over whole ones, by the fraction, (F, even).
+            columns: of the grid.
+            row_m: range of a row.
+            first_sine: of column 0's bearing.
+            sine_pitch: of the columns.
+            range_scale: apparent range over true range.
+            lambert: whether strength falls as cos² of incidence.
+            specular: whether reflecting materials have their lobe.
+            spreading: whether pressure falls as 1 / range each way.
+            turns_per_m: 1 / wavelength.
+            nodes_per_cell: scatterers in a row's and column's cell, about.
+            key: 64 bits that choose the scatterers.
+        """
+
+def scatter_field(
+    field: NDArray[np.complex64], faces: FaceTable, rays: Rays, setting: Setting, threads: int
+) -> None:
+    """Add the surfaces' random scatterers, in place, (rows, columns)."""
+
+def scatter_power(
+    power: NDArray[np.float32], faces: FaceTable, rays: Rays, setting: Setting, threads: int
+) -> None:
+    """Add the surfaces' mean powers, in place, (rows, columns)."""
