@@ -47,23 +47,31 @@ Aggregation aggregation_of(const std::string& name) {
 PingStats projective(VoxelMap& map, const py::object& intensity, const py::object& bearings,
                      double range_resolution_m, const py::object& map_T_sonar,
                      double vertical_aperture_rad, double min_range_m, bool carve_no_return,
-                     const std::string& aggregation, double error_bound, int threads) {
+                     const std::string& aggregation, double error_bound, int threads,
+                     const PingMotion& motion) {
   const Ping ping(intensity, bearings, range_resolution_m);
   const Transform pose = transform_of(map_T_sonar, "map_T_sonar");
   const FanSettings settings{vertical_aperture_rad,       min_range_m, carve_no_return,
                              aggregation_of(aggregation), error_bound, threads};
   const py::gil_scoped_release release;
-  return integrate_projective(map, ping.image, pose, settings);
+  return integrate_projective(map, ping.image, pose, settings, motion);
 }
 
 PingStats rays(VoxelMap& map, const py::object& intensity, const py::object& bearings,
                double range_resolution_m, const py::object& map_T_sonar,
-               double vertical_aperture_rad, double min_range_m, double angular_cone_width) {
+               double vertical_aperture_rad, double min_range_m, double angular_cone_width,
+               const PingMotion& motion) {
   const Ping ping(intensity, bearings, range_resolution_m);
   const Transform pose = transform_of(map_T_sonar, "map_T_sonar");
   const RaysSettings settings{vertical_aperture_rad, min_range_m, angular_cone_width};
   const py::gil_scoped_release release;
-  return integrate_rays(map, ping.image, pose, settings);
+  return integrate_rays(map, ping.image, pose, settings, motion);
+}
+
+PingMotion motion_of(const py::object& linear_mps, const py::object& angular_radps, double valid_s,
+                     double speed_of_sound_mps) {
+  return {vec3_of(linear_mps, "linear_mps"), vec3_of(angular_radps, "angular_radps"), valid_s,
+          speed_of_sound_mps};
 }
 
 py::tuple voxels(const VoxelMap& map, double min_log_odds, double max_log_odds) {
@@ -139,6 +147,10 @@ MapSize size_without_gil(const VoxelMap& map) {
 
 void bind_map(py::module_& module) {
   const FanSettings fan;
+  const PingMotion still;
+  py::class_<PingMotion>(module, "PingMotion")
+      .def(py::init(&motion_of), py::kw_only(), "linear_mps"_a, "angular_radps"_a, "valid_s"_a,
+           "speed_of_sound_mps"_a);
   py::class_<PingStats>(module, "PingStats")
       .def_readonly("occupied", &PingStats::occupied)
       .def_readonly("free", &PingStats::free)
@@ -157,10 +169,10 @@ void bind_map(py::module_& module) {
            "range_resolution_m"_a, "map_T_sonar"_a, py::kw_only(), "vertical_aperture_rad"_a,
            "min_range_m"_a = fan.min_range_m, "carve_no_return"_a = fan.carve_no_return,
            "aggregation"_a = "occupied_first", "error_bound"_a = fan.error_bound,
-           "threads"_a = fan.threads)
+           "threads"_a = fan.threads, "motion"_a = still)
       .def("integrate_rays", &rays, "intensity"_a, "bearings_rad"_a, "range_resolution_m"_a,
            "map_T_sonar"_a, py::kw_only(), "vertical_aperture_rad"_a,
-           "min_range_m"_a = fan.min_range_m, "angular_cone_width"_a = 0.5)
+           "min_range_m"_a = fan.min_range_m, "angular_cone_width"_a = 0.5, "motion"_a = still)
       .def("voxels", &voxels, "min_log_odds"_a = -kInfinity, "max_log_odds"_a = kInfinity)
       .def("blocks", &blocks, "begin"_a = 0, "count"_a = std::numeric_limits<std::size_t>::max())
       .def("visit_blocks", &visit_blocks, "visit"_a, "at_once"_a)

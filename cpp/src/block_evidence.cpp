@@ -20,6 +20,8 @@ constexpr int kMostLines = 128;
 // A part of the volume as near as this to the limit that it is compared with is sampled again.
 constexpr double kUnclear = 0.12;
 constexpr int kLinesIfUnclear = 64;
+// More planes than there can be through a voxel: whether it is free is worked out for it alone.
+constexpr std::uint8_t kAskItself = 128;
 
 void mark_free(int x, int y, int z, BlockEvidence& evidence) {
   evidence.free[static_cast<std::size_t>(y + kBlockEdge * z)] |=
@@ -36,6 +38,8 @@ void mark_free_cube(int x0, int y0, int z0, int span, BlockEvidence& evidence) {
   }
   evidence.any_free = true;
 }
+
+const double kHalfDiagonal = std::sqrt(3.0) / 2;  // of a unit cube
 
 }  // namespace
 
@@ -55,6 +59,17 @@ struct BlockLooker::Cell {
   int z;
   Vec3 centre;
   Fan::Verdict verdict;
+  // As a moving sonar sees it; without motion as it is.
+  Seen seen;
+  Widening widening;
+
+  // A direction of what is seen as one of the map, and where in it a place of the cell is.
+  Vec3 of_place(const Vec3& normal) const {
+    return widening.stretch > 0 ? seen.axes.of_place(normal) : normal;
+  }
+  Vec3 seen_from(const Vec3& place) const {
+    return widening.stretch > 0 ? seen.at + seen.axes.apply(place - centre) : place;
+  }
 };
 
 Vec3 BlockLooker::centre_of(const BlockKey& local, double x, double y, double z) const {
@@ -91,11 +106,15 @@ void BlockLooker::look(const BlockKey& local, BlockEvidence& evidence) const {
 
 void BlockLooker::look_at_cell(const BlockKey& local, int x, int y, int z,
                                BlockEvidence& evidence) const {
-  Cell cell{x, y, z, centre_of(local, x + kCell / 2, y + kCell / 2, z + kCell / 2), {}};
+  Cell cell{x, y, z, centre_of(local, x + kCell / 2, y + kCell / 2, z + kCell / 2), {}, {}, {}};
   cell.verdict = fan_.verdict(cell.centre, kCell * edge_m_);
   if (cell.verdict.content == Fan::Content::nothing) return;
   if (cell.verdict.content == Fan::Content::all_free) {
     return mark_free_cube(x, y, z, kCell, evidence);
+  }
+  if (fan_.view() != nullptr) {
+    cell.seen = fan_.view()->look(cell.centre);
+    cell.widening = fan_.view()->widening(cell.centre, kHalfDiagonal * kCell * edge_m_);
   }
   if (look_between_beams(cell, evidence)) return;
   // There the directions change too much within the cell for one set of widths.
@@ -106,12 +125,12 @@ void BlockLooker::look_at_cell(const BlockKey& local, int x, int y, int z,
 // Planes that do not meet inside the voxel, in order of bearing, each from free to not or back.
 double BlockLooker::free_part_between(const std::array<std::size_t, kMostChanges>& change,
                                       std::size_t changes, bool first_is_free,
-                                      const Vec3& centre) const {
+                                      const Cube& cube) const {
   double part = first_is_free ? 1.0 : 0.0;
   double sign = first_is_free ? -1.0 : 1.0;
   for (std::size_t c = 0; c < changes; ++c, sign = -sign) {
     const Vec3& n = fan_.edge_normal(change[c]);
-    part += sign * part_beyond(n, dot(n, centre) / edge_m_);
+    part += sign * part_beyond(cube.of_place(n), dot(n, cube.centre()) / edge_m_);
   }
   return part;
 }
@@ -137,11 +156,13 @@ bool BlockLooker::look_between_beams(const Cell& cell, BlockEvidence& evidence) 
   std::array<std::uint8_t, kCellVoxels> beyond{};  // planes on whose far side the centre is
   std::array<std::uint8_t, kCellVoxels> cut{};     // planes that cut the voxel
   std::array<std::uint8_t, kCellVoxels> halved{};  // whether one runs through the centre
-  const Vec3 first = voxel_centre(cell, 0);
+  const Vec3 first = cell.seen_from(voxel_centre(cell, 0));
+  // What a moving sonar sees is known to this, from one linear function for the whole cell.
+  const double unsure = cell.widening.bend;
   for (std::size_t c = 0; c < changes; ++c) {
-    const Vec3& n = fan_.edge_normal(change[c]);
-    const double reach = 0.5 * edge_m_ * (std::abs(n.x) + std::abs(n.y) + std::abs(n.z));
-    const double base = dot(n, first);
+    const double base = dot(fan_.edge_normal(change[c]), first);
+    const Vec3 n = cell.of_place(fan_.edge_normal(change[c]));
+    const double reach = 0.5 * edge_m_ * (std::abs(n.x) + std::abs(n.y) + std::abs(n.z)) + unsure;
     for (std::size_t i = 0; i < kCellVoxels; ++i) {
       const auto x = static_cast<double>(i % kCell);
       const auto y = static_cast<double>(i / kCell % kCell);
@@ -149,8 +170,8 @@ bool BlockLooker::look_between_beams(const Cell& cell, BlockEvidence& evidence) 
       const double inside = base + edge_m_ * (n.x * x + n.y * y + n.z * z);
       beyond[i] = static_cast<std::uint8_t>(beyond[i] + (inside > 0 ? 1 : 0));
       cut[i] = static_cast<std::uint8_t>(cut[i] + (std::abs(inside) < reach ? 1 : 0));
-      halved[i] =
-          static_cast<std::uint8_t>(halved[i] | (std::abs(inside) < kTie * edge_m_ ? 1 : 0));
+      if (std::abs(inside) >= kTie * edge_m_ + unsure) continue;
+      unsure > 0 ? cut[i] = kAskItself : halved[i] = 1;
     }
   }
   const bool first_is_free = is_free(where.first_beam);
@@ -158,8 +179,9 @@ bool BlockLooker::look_between_beams(const Cell& cell, BlockEvidence& evidence) 
     // Just half is not more than half.
     bool free = halved[i] == 0 && first_is_free != (beyond[i] % 2 != 0);
     if (cut[i] > 1) {
-      const Vec3 centre = voxel_centre(cell, static_cast<int>(i));
-      free = free_part_between(change, changes, first_is_free, centre) > kFreePart + kTie;
+      SeenAxes axes;
+      const Cube cube = cube_at(voxel_centre(cell, static_cast<int>(i)), axes);
+      free = free_part_between(change, changes, first_is_free, cube) > kFreePart + kTie;
     }
     if (!free) continue;
     const auto at = static_cast<int>(i);
@@ -175,8 +197,9 @@ void BlockLooker::look_near(const Cell& cell, BlockEvidence& evidence) const {
     const int y = i / kCell % kCell;
     const int z = i / (kCell * kCell);
     const Vec3 centre = voxel_centre(cell, i);
-    settle(fan_.verdict(centre, edge_m_), centre, voxel_offset(cell.x + x, cell.y + y, cell.z + z),
-           evidence);
+    SeenAxes axes;
+    settle(fan_.verdict(centre, edge_m_), cube_at(centre, axes),
+           voxel_offset(cell.x + x, cell.y + y, cell.z + z), evidence);
   }
 }
 
@@ -184,7 +207,8 @@ void BlockLooker::look_near(const Cell& cell, BlockEvidence& evidence) const {
 void BlockLooker::look_far(const Cell& cell, BlockEvidence& evidence) const {
   CellPlaces at;
   places(cell, at);
-  const Fan::Extent extent = fan_.extent_in_cell(fan_.to_sonar(cell.centre), edge_m_, kCell);
+  const Fan::Extent extent = fan_.extent_in_cell(fan_.to_sonar(cell.seen_from(cell.centre)),
+                                                 edge_m_, kCell, cell.widening);
   const FanPart& where = cell.verdict.where;
   const double least_free = fan_.least_free_m(where.first_beam, where.last_beam);
   const double most_free = fan_.most_free_m(where.first_beam, where.last_beam);
@@ -208,16 +232,18 @@ void BlockLooker::look_far(const Cell& cell, BlockEvidence& evidence) const {
     }
     const Fan::Place place{at.range[i], at.horizontal[i], at.sine[i], at.inside_aperture[i],
                            at.inside_sides[i]};
-    const Vec3 centre = voxel_centre(cell, i);
-    settle(fan_.verdict(centre, place, extent), centre, voxel_offset(x, y, z), evidence);
+    SeenAxes axes;
+    const Cube cube = cube_at(voxel_centre(cell, i), axes);
+    settle(fan_.verdict(cube.centre(), place, extent, cube.seen), cube, voxel_offset(x, y, z),
+           evidence);
   }
 }
 
 void BlockLooker::places(const Cell& cell, CellPlaces& at) const {
-  const Vec3 first = voxel_centre(cell, 0);
+  const Vec3 first = cell.seen_from(voxel_centre(cell, 0));
   const auto along = [&](const Vec3& direction) {  // a function of the voxel's place
-    return CellLine{dot(direction, first),
-                    {direction.x * edge_m_, direction.y * edge_m_, direction.z * edge_m_}};
+    const Vec3 n = cell.of_place(direction);
+    return CellLine{dot(direction, first), {n.x * edge_m_, n.y * edge_m_, n.z * edge_m_}};
   };
   const CellTask task{along(fan_.to_map({1, 0, 0})), along(fan_.to_map({0, 1, 0})),
                       along(fan_.to_map({0, 0, 1})), along(fan_.low_side()),
@@ -231,7 +257,15 @@ Vec3 BlockLooker::voxel_centre(const Cell& cell, int i) const {
   return cell.centre + Vec3{shift(i % kCell), shift(i / kCell % kCell), shift(i / (kCell * kCell))};
 }
 
-void BlockLooker::settle(const Fan::Verdict& verdict, const Vec3& centre, int offset,
+// As the sonar sees a voxel, which keeps a pointer to `axes` then.
+Cube BlockLooker::cube_at(const Vec3& centre, SeenAxes& axes) const {
+  if (fan_.view() == nullptr) return {{centre.x, centre.y, centre.z}, edge_m_ / 2};
+  const Seen seen = fan_.view()->look(centre);
+  axes = seen.axes;
+  return {{seen.at.x, seen.at.y, seen.at.z}, edge_m_ / 2, &axes};
+}
+
+void BlockLooker::settle(const Fan::Verdict& verdict, const Cube& cube, int offset,
                          BlockEvidence& evidence) const {
   switch (verdict.content) {
     case Fan::Content::nothing:
@@ -244,7 +278,6 @@ void BlockLooker::settle(const Fan::Verdict& verdict, const Vec3& centre, int of
     case Fan::Content::undecided:
       break;
   }
-  const Cube cube{{centre.x, centre.y, centre.z}, edge_m_ / 2};
   Evidence sum;
   if (!(weight_error_ > 0 && sampled(cube, verdict.where, sum))) sum = exact(cube, verdict.where);
   decide(sum, offset, evidence);

@@ -22,23 +22,8 @@ void require(bool ok, const char* what) {
   if (!ok) throw std::invalid_argument(what);
 }
 
-const double kHalfDiagonal = std::sqrt(3.0) / 2;  // of a unit cube
-
-// Half of the part that makes a voxel occupied: it has two ends.
-constexpr double kNegligiblePart = 0.01;
 constexpr double kHalf = 0.5;
 constexpr double kRounding = 1e-9;
-
-// How deep a slice off the corner of a unit cube may be, along a direction that is known to `turn`,
-// to hold less than `part` of it. The slice is part of a tetrahedron, of a prism over a triangle,
-// and of a slab; whichever bounds its volume best.
-double cap_depth(const Vec3& direction, double turn, double part) {
-  std::array<double, 3> width{std::abs(direction.x), std::abs(direction.y), std::abs(direction.z)};
-  std::sort(width.begin(), width.end());
-  for (double& w : width) w = std::max(w - turn, 0.0);
-  return std::max({std::cbrt(6 * width[0] * width[1] * width[2] * part),
-                   std::sqrt(2 * width[1] * width[2] * part), width[2] * part});
-}
 
 }  // namespace
 
@@ -80,7 +65,7 @@ std::vector<double> beam_edges(const double* bearings_rad, std::size_t beams) {
 }
 
 Fan::Fan(const PingImage& image, const FanSettings& settings, const IwloRule& rule,
-         const Transform& map_T_sonar)
+         const Transform& map_T_sonar, const PingMotion& motion)
     : row_count_(image.rows),
       resolution_(image.range_resolution_m),
       rows_per_m_(1.0 / image.range_resolution_m),
@@ -93,6 +78,7 @@ Fan::Fan(const PingImage& image, const FanSettings& settings, const IwloRule& ru
       weights_(image.beams * image.rows, kNoReturn),
       return_rows_(image.beams, image.rows),
       free_limit_m_(image.beams, settings.carve_no_return ? image.max_range_m() : 0.0) {
+  if (motion.any()) view_.emplace(motion, rotation_);
   for (const double edge : edges_) edge_normals_.push_back(normal_at(edge));
   index_sines();
   fill_weights(image, rule);
@@ -197,132 +183,37 @@ void Fan::aperture_planes_at(const Vec3& in_sonar, Vec3& upper, Vec3& lower) con
   lower = rotation_.rotate(level + Vec3{0.0, 0.0, cos_half_});
 }
 
-namespace {
-
-double level_of(const Fan::Extent& extent) {
-  return std::max(extent.sideways, extent.forward) * 1.4142135623730951;
-}
-
-// Bearings within atan(t) <= t of one whose cosine is known: sin(b + t) - sin(b) is at most
-// t cos(b) + t^2 / 2.
-double spread_of(const Fan::Extent& extent, double horizontal, double cosine) {
-  constexpr double kAnyBearing = 2.0;
-  const double nearest = horizontal - extent.forward;
-  if (!(nearest > 0)) return kAnyBearing;
-  const double t = extent.sideways / nearest;
-  return std::min(t * cosine + 0.5 * t * t, kAnyBearing);
-}
-
-}  // namespace
-
-// Beside the sonar directions change within the cube: the ball around it.
-Fan::Extent Fan::ball(double radius, double horizontal) {
-  Extent extent{radius, radius, radius, radius, radius, radius, 0.0, 0.0, 0.0, 0.0};
-  extent.level = level_of(extent);
-  extent.spread = spread_of(extent, horizontal, 1.0);
-  return extent;
-}
-
-// Support widths of the cube, plus what the curvature of spheres and cones adds.
-Fan::Extent Fan::extent_of(const Vec3& in_sonar, double edge_m) const {
-  const double radius = kHalfDiagonal * edge_m;
-  const double horizontal = std::sqrt(in_sonar.x * in_sonar.x + in_sonar.y * in_sonar.y);
-  if (horizontal < 2 * radius) return ball(radius, horizontal);
-  const auto width = [&](const Vec3& direction) {
-    const Vec3 d = rotation_.rotate(direction);
-    return 0.5 * edge_m * (std::abs(d.x) + std::abs(d.y) + std::abs(d.z));
-  };
-  const Vec3 ahead{in_sonar.x / horizontal, in_sonar.y / horizontal, 0.0};
-  // The square to the nearer of the aperture's cones, as it is in the centre's half-plane.
-  const double up = std::copysign(cos_half_, in_sonar.z);
-  const Vec3 across_cone{-ahead.x * sin_half_, -ahead.y * sin_half_, up};
-  // A horizontal offset d to the side lengthens the distance from the vertical axis by d^2 / 2.
-  const double bend = radius * radius / (2 * (horizontal - radius));
-  Extent extent{};
-  extent.inward = width((1.0 / norm(in_sonar)) * in_sonar);
-  extent.outward = extent.inward + bend;
-  extent.sideways = width({-ahead.y, ahead.x, 0.0});
-  extent.forward = width(ahead) + bend;
-  extent.bend = bend * sin_half_;
-  extent.aperture = width(across_cone) + extent.bend;
-  // Both cones cross a cube where the fan is thin: the centre decides nothing there.
-  if (horizontal * sin_half_ < 2 * radius) extent.bend = extent.aperture = radius;
-  extent.level = level_of(extent);
-  extent.spread = spread_of(extent, horizontal, std::abs(in_sonar.x) / horizontal);
-  return extent;
-}
-
-Fan::Verdict Fan::verdict(const Vec3& centre, double edge_m) const {
-  return verdict(centre, place_of(centre), extent_of(to_sonar(centre), edge_m));
-}
-
-Fan::Place Fan::place_of(const Vec3& centre) const {
-  const Vec3 in_sonar = to_sonar(centre);
-  Place place{};
-  place.horizontal = std::sqrt(in_sonar.x * in_sonar.x + in_sonar.y * in_sonar.y);
-  place.range = norm(centre);
-  place.sine = place.horizontal > 0 ? -in_sonar.y / place.horizontal : 0.0;
-  place.inside_aperture = place.horizontal * sin_half_ - std::abs(in_sonar.z) * cos_half_;
-  place.inside_sides =
-      std::min(dot(edge_normals_.front(), centre), -dot(edge_normals_.back(), centre));
-  return place;
-}
-
-Fan::Extent Fan::extent_in_cell(const Vec3& in_sonar, double edge_m, int cell) const {
-  const double reach = kHalfDiagonal * edge_m * cell;
-  const double horizontal = std::sqrt(in_sonar.x * in_sonar.x + in_sonar.y * in_sonar.y);
-  const double radius = kHalfDiagonal * edge_m;
-  if (horizontal < 4 * reach) return ball(radius, horizontal - reach);
-  Extent extent = extent_of(in_sonar, edge_m);
-  // Unit directions turn by at most reach / distance within the cell, support widths change by at
-  // most the cube's radius times that.
-  const double turn = radius * reach / (horizontal - reach);
-  const double bend = radius * radius / (2 * (horizontal - reach - radius));
-  extent.inward += turn;
-  extent.outward = extent.inward + bend;
-  extent.sideways += turn;
-  extent.forward += turn + bend;
-  extent.bend = bend * sin_half_;
-  // A cell around the fan's middle plane meets both cones, and their directions.
-  if (std::abs(in_sonar.z) < reach) {
-    const Extent mirrored = extent_of({in_sonar.x, in_sonar.y, -in_sonar.z}, edge_m);
-    extent.aperture = std::max(extent.aperture, mirrored.aperture);
-  }
-  extent.aperture += turn + extent.bend;
-  if ((horizontal - reach) * sin_half_ < 2 * radius) extent.bend = extent.aperture = radius;
-  extent.level = level_of(extent);
-  const double angle = reach / (horizontal - reach);
-  extent.spread = spread_of(extent, horizontal - reach,
-                            std::min(std::abs(in_sonar.x) / horizontal + angle, 1.0));
-  extent.edge = edge_m;
-  const Vec3 direction = rotation_.rotate((1.0 / norm(in_sonar)) * in_sonar);
-  extent.cap = cap_depth(direction, angle, kNegligiblePart) * edge_m;
-  return extent;
-}
-
 // A voxel without returns but in its nearest and farthest slices: each beam is wholly free or
 // wholly not, but for those slices. The planes between beams run through the sonar and do not meet
 // inside the voxel, so that the free part is a sum over those that part free from not free.
-Fan::Content Fan::free_between_beams(const Vec3& centre, const Extent& extent,
-                                     const FanPart& where) const {
+Fan::Content Fan::free_between_beams(const Vec3& centre, const Extent& extent, const FanPart& where,
+                                     const SeenAxes* axes) const {
   const auto is_free = [&](std::size_t j) { return free_limit_m_[j] >= where.far_m - extent.cap; };
   double part = is_free(where.first_beam) ? 1.0 : 0.0;
   double slack = 0.0;
+  // A plane's part of the voxel changes by at most this where it is bent.
+  const double bent = 2 * extent.warp / extent.edge;
+  double unsure = kRounding;
   for (std::size_t j = where.first_beam; j <= where.last_beam; ++j) {
     const double limit = free_limit_m_[j];
     if (limit < where.far_m && limit > where.near_m) slack = kNegligiblePart;
     if (!is_free(j) && limit > where.near_m + extent.cap) return Content::undecided;
     if (j == where.first_beam || is_free(j) == is_free(j - 1)) continue;
-    const double beyond =
-        part_beyond(edge_normals_[j], dot(edge_normals_[j], centre) / extent.edge);
+    const Vec3& normal = edge_normals_[j];
+    const double beyond = part_beyond(axes != nullptr ? axes->of_place(normal) : normal,
+                                      dot(normal, centre) / extent.edge);
+    unsure += bent;
     part += is_free(j) ? beyond : -beyond;
   }
   // Just half is not more than half, whatever the rounding.
-  if (part > kHalf + slack + kRounding) return Content::mostly_free;
-  return part <= kHalf - slack + kRounding ? Content::less_free : Content::undecided;
+  if (part > kHalf + slack + unsure) return Content::mostly_free;
+  // At rest a tie is one to the last digits.
+  const double tie = extent.warp > 0 ? -unsure : unsure;
+  return part <= kHalf - slack + tie ? Content::less_free : Content::undecided;
 }
 
-Fan::Verdict Fan::verdict(const Vec3& centre, const Place& place, const Extent& extent) const {
+Fan::Verdict Fan::verdict(const Vec3& centre, const Place& place, const Extent& extent,
+                          const SeenAxes* axes) const {
   const double near_m = place.range - extent.inward;
   const double far_m = place.range + extent.outward;
   if (near_m > max_range_ || far_m < min_range_) return {};
@@ -350,11 +241,11 @@ Fan::Verdict Fan::verdict(const Vec3& centre, const Place& place, const Extent& 
   }
   if (near_m >= most_free) return {};
   // The sphere through the centre halves the cube, but for its bend.
-  if (most_free < place.range) return {Content::less_free, where};
+  if (most_free < place.range - extent.warp) return {Content::less_free, where};
   if (extent.cap > 0 && clear_of_sides && !where.cut_by_aperture) {
     const double bend = extent.outward - extent.inward;
     if (least_free > place.range + bend) return {Content::mostly_free, where};
-    return {free_between_beams(centre, extent, where), where};
+    return {free_between_beams(centre, extent, where, axes), where};
   }
   return {Content::undecided, where};
 }

@@ -17,19 +17,12 @@ namespace {
 class PingUpdate {
  public:
   PingUpdate(VoxelMap& map, const PingImage& image, const Transform& map_T_sonar,
-             const FanSettings& settings)
+             const FanSettings& settings, const PingMotion& motion)
       : map_(map),
         settings_(settings),
-        fan_(image, settings, map.rule(), map_T_sonar),
-        block_m_(map.resolution_m() * kBlockEdge) {
-    const auto split = [this](double position, std::int32_t& block, double& offset) {
-      block = static_cast<std::int32_t>(std::floor(position / block_m_));
-      offset = position - static_cast<double>(block) * block_m_;
-    };
-    split(map_T_sonar.translation.x, origin_.x, offset_.x);
-    split(map_T_sonar.translation.y, origin_.y, offset_.y);
-    split(map_T_sonar.translation.z, origin_.z, offset_.z);
-  }
+        block_m_(map.resolution_m() * kBlockEdge),
+        start_(at_transmission(map_T_sonar, motion, block_m_)),
+        fan_(image, settings, map.rule(), start_.block_T_sonar, motion) {}
 
   PingStats run() {
     find_blocks();
@@ -41,7 +34,7 @@ class PingUpdate {
  private:
   void find_blocks() {
     int span = 1;
-    while (span * block_m_ < fan_.max_range_m() + block_m_) span *= 2;
+    while (span * block_m_ < fan_.reach_m() + block_m_) span *= 2;
     for (int octant = 0; octant < 8; ++octant) {
       visit({(octant & 1) - 1, (octant >> 1 & 1) - 1, (octant >> 2 & 1) - 1}, span);
     }
@@ -51,8 +44,8 @@ class PingUpdate {
   // A cube of `span` blocks along an edge, at `at` in units of its own edge.
   void visit(const BlockKey& at, int span) {
     const double cube_m = span * block_m_;
-    const Vec3 centre =
-        Vec3{(at.x + 0.5) * cube_m, (at.y + 0.5) * cube_m, (at.z + 0.5) * cube_m} - offset_;
+    const Vec3 centre = Vec3{(at.x + 0.5) * cube_m, (at.y + 0.5) * cube_m, (at.z + 0.5) * cube_m} -
+                        start_.block_T_sonar.translation;
     const Fan::Content content = fan_.verdict(centre, cube_m).content;
     // A cube that is less than half free may hold free voxels.
     if (content == Fan::Content::nothing) return;
@@ -67,7 +60,8 @@ class PingUpdate {
 
   void look() {
     evidence_.resize(crossed_.size());
-    const BlockLooker looker(fan_, settings_, map_.rule(), map_.resolution_m(), offset_);
+    const BlockLooker looker(fan_, settings_, map_.rule(), map_.resolution_m(),
+                             start_.block_T_sonar.translation);
     run_parallel(crossed_.size(), settings_.threads,
                  [&](std::size_t i) { looker.look(crossed_[i], evidence_[i]); });
   }
@@ -95,7 +89,8 @@ class PingUpdate {
   }
 
   Block& block_at(const BlockKey& at) {
-    return map_.get_or_create({origin_.x + at.x, origin_.y + at.y, origin_.z + at.z});
+    const BlockKey& origin = start_.block;
+    return map_.get_or_create({origin.x + at.x, origin.y + at.y, origin.z + at.z});
   }
 
   // False when nothing changed: all that the ping says was settled before.
@@ -132,11 +127,10 @@ class PingUpdate {
 
   VoxelMap& map_;
   const FanSettings& settings_;
-  Fan fan_;
   double block_m_;
-  BlockKey origin_;                // the sonar's block
-  Vec3 offset_;                    // the sonar inside it
-  std::vector<BlockKey> free_;     // blocks that are wholly free, relative to origin_
+  BlockPose start_;
+  Fan fan_;
+  std::vector<BlockKey> free_;     // blocks that are wholly free, relative to the sonar's
   std::vector<BlockKey> crossed_;  // and those that have to be looked at
   std::vector<BlockEvidence> evidence_;
   PingStats stats_;
@@ -144,12 +138,39 @@ class PingUpdate {
 
 }  // namespace
 
-void check_reach(const VoxelMap& map, const Transform& map_T_sonar, double max_range_m) {
+BlockPose at_transmission(const Transform& map_T_sonar, const PingMotion& motion, double block_m) {
+  BlockPose start{{}, map_T_sonar};
+  const auto split = [block_m](double& position, std::int32_t& block) {
+    const double whole = std::floor(position / block_m);
+    block += static_cast<std::int32_t>(whole);
+    position -= whole * block_m;
+  };
+  Vec3& at = start.block_T_sonar.translation;
+  const auto split_all = [&] {
+    split(at.x, start.block.x);
+    split(at.y, start.block.y);
+    split(at.z, start.block.z);
+  };
+  split_all();
+  if (!motion.any()) return start;
+  start.block_T_sonar = turned_to_transmission(start.block_T_sonar, motion);
+  at = at - motion.valid_s * motion.linear_mps;
+  split_all();
+  return start;
+}
+
+void check_reach(const VoxelMap& map, const Transform& map_T_sonar, double max_range_m,
+                 const PingMotion& motion) {
+  check_motion(motion, max_range_m);
   const double block_m = map.resolution_m() * kBlockEdge;
+  // A moving sonar was elsewhere, and what it sees is nearer by less than a fiftieth.
+  const double reach_m =
+      motion.any() ? 1.02 * max_range_m + std::abs(motion.valid_s) * norm(motion.linear_mps)
+                   : max_range_m;
   const Vec3& at = map_T_sonar.translation;
   for (const double position : {at.x, at.y, at.z}) {
     if (!std::isfinite(position)) throw std::invalid_argument("map_T_sonar is not finite");
-    if ((std::abs(position) + max_range_m) / block_m + 2 > kMaxBlock) {
+    if ((std::abs(position) + reach_m) / block_m + 2 > kMaxBlock) {
       throw std::out_of_range("the ping lies beyond the map's reach");
     }
   }
@@ -164,10 +185,10 @@ void check_reach(const VoxelMap& map, const Transform& map_T_sonar, double max_r
 }
 
 PingStats integrate_projective(VoxelMap& map, const PingImage& image, const Transform& map_T_sonar,
-                               const FanSettings& settings) {
+                               const FanSettings& settings, const PingMotion& motion) {
   check_ping(image, settings);
-  check_reach(map, map_T_sonar, image.max_range_m());
-  return PingUpdate(map, image, map_T_sonar, settings).run();
+  check_reach(map, map_T_sonar, image.max_range_m(), motion);
+  return PingUpdate(map, image, map_T_sonar, settings, motion).run();
 }
 
 }  // namespace mapperd

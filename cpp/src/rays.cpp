@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <optional>
 #include <unordered_map>
 #include <unordered_set>
 #include <vector>
@@ -39,23 +40,18 @@ struct Sample {
 class RaySampler {
  public:
   RaySampler(VoxelMap& map, const PingImage& image, const Transform& map_T_sonar,
-             const RaysSettings& settings)
+             const RaysSettings& settings, const PingMotion& motion)
       : map_(map),
         image_(image),
-        block_T_sonar_(map_T_sonar),
         settings_(settings),
         stride_(std::max<std::size_t>(1, image.beams / kUsedBeams)) {
     const double fov = image.bearings_rad[image.beams - 1] - image.bearings_rad[0];
     shadow_tolerance_ = fov / static_cast<double>(image.beams) * settings.angular_cone_width * 2.0;
-    const double block_m = map.resolution_m() * kBlockEdge;
-    const auto split = [block_m](double& position, std::int64_t& first_voxel) {
-      const double block = std::floor(position / block_m);
-      first_voxel = static_cast<std::int64_t>(block) * kBlockEdge;
-      position -= block * block_m;
-    };
-    split(block_T_sonar_.translation.x, origin_.x);
-    split(block_T_sonar_.translation.y, origin_.y);
-    split(block_T_sonar_.translation.z, origin_.z);
+    const BlockPose start = at_transmission(map_T_sonar, motion, map.resolution_m() * kBlockEdge);
+    block_T_sonar_ = start.block_T_sonar;
+    const auto first_voxel = [](std::int32_t block) { return std::int64_t{block} * kBlockEdge; };
+    origin_ = {first_voxel(start.block.x), first_voxel(start.block.y), first_voxel(start.block.z)};
+    if (motion.any()) view_.emplace(motion, block_T_sonar_);
   }
 
   PingStats run() {
@@ -96,12 +92,18 @@ class RaySampler {
     for (int k = -n; k <= n; ++k) visit(static_cast<double>(k) / n * half);
   }
 
+  // From where the sonar was at transmission, in the map's axes.
+  Vec3 placed(double range, double bearing, double elevation) const {
+    const Vec3 seen = block_T_sonar_.rotate(fan_point(range, bearing, elevation));
+    return view_ ? view_->place_of(seen) : seen;
+  }
+
   void sample_free(std::size_t j, std::size_t hit) {
     const double bearing = image_.bearings_rad[j];
     for (std::size_t k = 0; k < hit; k += kFreeRowStep) {
       const double range = range_of(k);
       for_elevations(range, kFreeVoxelStep, [&](double elevation) {
-        const Vec3 offset = block_T_sonar_.rotate(fan_point(range, bearing, elevation));
+        const Vec3 offset = placed(range, bearing, elevation);
         if (!in_shadow(bearing, std::hypot(offset.x, offset.y))) {
           merge(offset + block_T_sonar_.translation, false, 0.0F);
         }
@@ -115,8 +117,8 @@ class RaySampler {
       if (!map_.rule().is_return(image_.at(k, j))) continue;
       const double range = range_of(k);
       for_elevations(range, kReturnVoxelStep, [&](double elevation) {
-        const Vec3 point = fan_point(range, image_.bearings_rad[j], elevation);
-        merge(block_T_sonar_.apply(point), true, image_.at(k, j));
+        const Vec3 offset = placed(range, image_.bearings_rad[j], elevation);
+        merge(offset + block_T_sonar_.translation, true, image_.at(k, j));
       });
     }
   }
@@ -182,8 +184,9 @@ class RaySampler {
 
   VoxelMap& map_;
   const PingImage& image_;
-  Transform block_T_sonar_;  // in the sonar's block: far from the origin no precision is lost
-  VoxelIndex origin_;        // that block's first voxel
+  Transform block_T_sonar_;  // at transmission, in the sonar's block
+  std::optional<MovingView> view_;
+  VoxelIndex origin_;  // that block's first voxel
   const RaysSettings& settings_;
   std::size_t stride_;
   double shadow_tolerance_ = 0.0;
@@ -201,13 +204,13 @@ Vec3 fan_point(double range_m, double bearing_rad, double elevation_rad) {
 }
 
 PingStats integrate_rays(VoxelMap& map, const PingImage& image, const Transform& map_T_sonar,
-                         const RaysSettings& settings) {
+                         const RaysSettings& settings, const PingMotion& motion) {
   FanSettings fan;
   fan.vertical_aperture_rad = settings.vertical_aperture_rad;
   fan.min_range_m = settings.min_range_m;
   check_ping(image, fan);
-  check_reach(map, map_T_sonar, image.max_range_m());
-  return RaySampler(map, image, map_T_sonar, settings).run();
+  check_reach(map, map_T_sonar, image.max_range_m(), motion);
+  return RaySampler(map, image, map_T_sonar, settings, motion).run();
 }
 
 }  // namespace mapperd

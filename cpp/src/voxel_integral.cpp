@@ -150,6 +150,21 @@ double component(const Vec3& v, std::size_t axis) {
   return axis == 0 ? v.x : axis == 1 ? v.y : v.z;
 }
 
+// A face's plane: its distance from the sonar, and axes in it from the foot of the perpendicular.
+struct Plane {
+  Vec3 normal;
+  Vec3 u;
+  Vec3 v;
+  double distance;
+};
+
+void clip(Polygon& polygon, const Plane& plane, const Wedge& wedge) {
+  for (std::size_t i = 0; i < wedge.count && polygon.count > 0; ++i) {
+    const Vec3& n = wedge.normals[i];
+    clip(polygon, dot(n, plane.u), dot(n, plane.v), dot(n, plane.normal) * plane.distance);
+  }
+}
+
 Polygon clipped_face(const Cube& cube, const Wedge& wedge, std::size_t axis, double distance) {
   const std::size_t u = (axis + 1) % 3;
   const std::size_t v = (axis + 2) % 3;
@@ -196,8 +211,40 @@ double farthest(const Cube& cube, std::size_t axis, double distance) {
   return distance * distance + u * u + v * v;
 }
 
+// Flux out of the faces of what a moving sonar sees, inside the wedge.
+void add_seen_wedge(const Cube& cube, const Wedge& wedge, const RadialProfile& profile, Two& sum) {
+  const std::array<Vec3, 3> edge{cube.half_m * cube.seen->x, cube.half_m * cube.seen->y,
+                                 cube.half_m * cube.seen->z};
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    const Vec3& along_u = edge[(axis + 1) % 3];
+    const Vec3& along_v = edge[(axis + 2) % 3];
+    const Vec3 square = cross(along_u, along_v);
+    Plane plane;
+    plane.normal = (1.0 / norm(square)) * square;
+    plane.u = (1.0 / norm(along_u)) * along_u;
+    plane.v = cross(plane.normal, plane.u);
+    for (const double outward : {-1.0, 1.0}) {
+      const Vec3 middle = cube.centre() + outward * edge[axis];
+      plane.distance = dot(plane.normal, middle);
+      const auto corner = [&](double u, double v) {
+        const Vec3 at = middle + (u * along_u + v * along_v);
+        return Point{dot(plane.u, at), dot(plane.v, at)};
+      };
+      Polygon face;
+      face.points = {corner(-1, -1), corner(1, -1), corner(1, 1), corner(-1, 1)};
+      face.count = 4;
+      clip(face, plane, wedge);
+      if (face.count < 3) continue;
+      const Two flux = flux_through(face, plane.distance, profile);
+      sum.part += outward * flux.part;
+      sum.weight += outward * flux.weight;
+    }
+  }
+}
+
 // Flux out of the cube's faces, inside the wedge.
 void add_wedge(const Cube& cube, const Wedge& wedge, const RadialProfile& profile, Two& sum) {
+  if (cube.seen != nullptr) return add_seen_wedge(cube, wedge, profile, sum);
   // Before the first evidence there is no flux.
   const double start_squared = profile.start_m() * profile.start_m();
   for (std::size_t axis = 0; axis < 3; ++axis) {
@@ -217,9 +264,9 @@ void add_wedge(const Cube& cube, const Wedge& wedge, const RadialProfile& profil
 enum class Side { inside, across, outside };
 
 Side side_of(const Cube& cube, const Vec3& inwards) {
-  const double at = dot(inwards, {cube.centre_m[0], cube.centre_m[1], cube.centre_m[2]});
-  const double reach =
-      cube.half_m * (std::abs(inwards.x) + std::abs(inwards.y) + std::abs(inwards.z));
+  const double at = dot(inwards, cube.centre());
+  const Vec3 n = cube.of_place(inwards);
+  const double reach = cube.half_m * (std::abs(n.x) + std::abs(n.y) + std::abs(n.z));
   if (at <= -reach) return Side::outside;
   return at >= reach ? Side::inside : Side::across;
 }
@@ -251,6 +298,11 @@ void add_beam(const Fan& fan, std::size_t beam, const Cube& cube, const FanPart&
   }
 }
 
+double volume_of(const Cube& cube) {
+  const double volume = 8 * cube.half_m * cube.half_m * cube.half_m;
+  return cube.seen != nullptr ? volume * cube.seen->volume() : volume;
+}
+
 }  // namespace
 
 Two occupied_part(const Fan& fan, const Cube& cube, const FanPart& where) {
@@ -261,7 +313,7 @@ Two occupied_part(const Fan& fan, const Cube& cube, const FanPart& where) {
       add_beam(fan, j, cube, where, fan.returns(j), sum);
     }
   }
-  const double volume = 8 * cube.half_m * cube.half_m * cube.half_m;
+  const double volume = volume_of(cube);
   return {sum.part / volume, sum.weight / volume};
 }
 
@@ -273,7 +325,7 @@ double free_part(const Fan& fan, const Cube& cube, const FanPart& where) {
       add_beam(fan, j, cube, where, profile, sum);
     }
   }
-  return sum.part / (8 * cube.half_m * cube.half_m * cube.half_m);
+  return sum.part / volume_of(cube);
 }
 
 }  // namespace mapperd

@@ -88,8 +88,9 @@ LinePlane VoxelLines::plane_of(const Vec3& normal, const Direction& d) {
 
 // The cones as the planes that touch them above and below the voxel; false where they bend too much
 // for that, or few lines would miss what lies between them.
-bool VoxelLines::cut_by_aperture(const Vec3& centre, const Direction& direction,
+bool VoxelLines::cut_by_aperture(const Cube& cube, const Direction& direction,
                                  LineTask& task) const {
+  const Vec3 centre = cube.centre();
   const Vec3 in_sonar = fan_.to_sonar(centre);
   const double horizontal = std::hypot(in_sonar.x, in_sonar.y);
   if (horizontal < kNearestForPlanes * edge_m_ ||
@@ -99,19 +100,18 @@ bool VoxelLines::cut_by_aperture(const Vec3& centre, const Direction& direction,
   std::array<Vec3, 2> normals;
   fan_.aperture_planes_at(in_sonar, normals[0], normals[1]);
   for (const Vec3& normal : normals) {
-    task.cone[task.cones] = plane_of(normal, direction);
+    task.cone[task.cones] = plane_of(cube.of_place(normal), direction);
     task.cone_base[task.cones++] = static_cast<float>(dot(normal, centre));
   }
   return true;
 }
 
 // Of the beams that the voxel may lie in those that it does; returns the first.
-std::size_t VoxelLines::find_beams(const Vec3& centre, double half_m, const FanPart& where,
+std::size_t VoxelLines::find_beams(const Vec3& centre, double reach, const FanPart& where,
                                    LineTask& task) const {
   std::size_t first = where.first_beam;
   std::size_t last = where.last_beam;
   if (first < last) {
-    const double reach = half_m * 1.7320508075688772;  // to the corners
     while (first < last && dot(fan_.edge_normal(first + 1), centre) > reach) ++first;
     while (first < last && dot(fan_.edge_normal(last), centre) < -reach) --last;
   }
@@ -122,8 +122,20 @@ std::size_t VoxelLines::find_beams(const Vec3& centre, double half_m, const FanP
   return first;
 }
 
+void VoxelLines::set_edges(const Cube& cube, const Direction& direction, std::size_t first_beam,
+                           LineTask& task) const {
+  if (cube.seen == nullptr) {
+    task.edge = &edge_planes_[table_of(direction)][first_beam];
+    return;
+  }
+  for (std::size_t i = 0; i <= static_cast<std::size_t>(task.beams); ++i) {
+    task.seen_edge[i] = plane_of(cube.of_place(fan_.edge_normal(first_beam + i)), direction);
+  }
+  task.edge = task.seen_edge;
+}
+
 bool VoxelLines::prepare(const Cube& cube, const FanPart& where, LineTask& task) const {
-  const Vec3 centre{cube.centre_m[0], cube.centre_m[1], cube.centre_m[2]};
+  const Vec3 centre = cube.centre();
   const double range = norm(centre);
   const auto first_row = static_cast<std::size_t>(std::max(where.near_m * rows_per_m_, 0.0));
   const auto end_row =
@@ -133,22 +145,27 @@ bool VoxelLines::prepare(const Cube& cube, const FanPart& where, LineTask& task)
       first_row + kMaxRowsOfVoxel < end_row) {
     return false;
   }
-  const Direction direction = direction_at(centre);
+  // The lines run through the voxel as it is in the map: what is linear in what the sonar sees of
+  // it is linear there.
+  const Vec3 outward = cube.of_place(centre);
+  const Direction direction = direction_at(outward);
   const double inverse_range = 1.0 / range;
   const auto rows_before = static_cast<double>(first_row);
   task.half = static_cast<float>(cube.half_m);
   task.row = static_cast<float>(range * rows_per_m_ - rows_before);
   task.rows_per_m = static_cast<float>(rows_per_m_);
-  task.ahead_u = static_cast<float>(component(centre, (direction.axis + 1) % 3) * inverse_range);
-  task.ahead_v = static_cast<float>(component(centre, (direction.axis + 2) % 3) * inverse_range);
-  task.ahead_t = static_cast<float>(std::abs(component(centre, direction.axis)) * inverse_range);
+  task.ahead_u = static_cast<float>(component(outward, (direction.axis + 1) % 3) * inverse_range);
+  task.ahead_v = static_cast<float>(component(outward, (direction.axis + 2) % 3) * inverse_range);
+  task.ahead_t = static_cast<float>(std::abs(component(outward, direction.axis)) * inverse_range);
   task.inverse_range = static_cast<float>(inverse_range);
   task.min_row = static_cast<float>(fan_.min_range_m() * rows_per_m_ - rows_before);
-  const std::size_t first = find_beams(centre, cube.half_m, where, task);
+  const double stretch = cube.seen != nullptr ? 1 + fan_.view()->widening(centre, 0).stretch : 1.0;
+  const double reach = cube.half_m * 1.7320508075688772 * stretch;  // to the corners
+  const std::size_t first = find_beams(centre, reach, where, task);
   const auto beams = static_cast<std::size_t>(task.beams);
   task.outermost_low = first == 0;
   task.outermost_high = first + beams == fan_.beams();
-  task.edge = &edge_planes_[table_of(direction)][first];
+  set_edges(cube, direction, first, task);
   task.any_return = false;
   for (std::size_t i = 0; i < beams; ++i) {
     const std::size_t j = first + i;
@@ -158,7 +175,7 @@ bool VoxelLines::prepare(const Cube& cube, const FanPart& where, LineTask& task)
                     static_cast<float>(free_limit_rows_[j] - rows_before)};
   }
   task.cones = 0;
-  return !where.cut_by_aperture || cut_by_aperture(centre, direction, task);
+  return !where.cut_by_aperture || cut_by_aperture(cube, direction, task);
 }
 
 VoxelLines::Sample VoxelLines::sample(const LineTask& task, int lines) const {

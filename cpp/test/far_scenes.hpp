@@ -113,9 +113,12 @@ class Borders {
 };
 
 // The closed form over one voxel, all beams and rows that its circumscribed ball meets.
-inline oracle::Parts parts_on_its_own(const mapperd::Fan& fan, const mapperd::Vec3& centre,
+inline oracle::Parts parts_on_its_own(const mapperd::Fan& fan, const mapperd::Vec3& place,
                                       double edge_m) {
-  const double radius = 0.867 * edge_m;
+  const mapperd::Seen seen =
+      fan.view() == nullptr ? mapperd::Seen{place, {}} : fan.view()->look(place);
+  const mapperd::Vec3& centre = seen.at;
+  const double radius = (fan.view() == nullptr ? 0.867 : 1.2) * edge_m;
   const mapperd::Vec3 at = fan.to_sonar(centre);
   const double horizontal = std::hypot(at.x, at.y);
   const double range = mapperd::norm(at);
@@ -131,7 +134,8 @@ inline oracle::Parts parts_on_its_own(const mapperd::Fan& fan, const mapperd::Ve
         static_cast<std::size_t>(std::max<std::ptrdiff_t>(from - edges.begin(), 1) - 1);
     where.last_beam = std::min(static_cast<std::size_t>(to - edges.begin()), fan.beams()) - 1;
   }
-  const mapperd::Cube cube{{centre.x, centre.y, centre.z}, edge_m / 2};
+  const mapperd::Cube cube{
+      {centre.x, centre.y, centre.z}, edge_m / 2, fan.view() == nullptr ? nullptr : &seen.axes};
   const mapperd::Two occupied = mapperd::occupied_part(fan, cube, where);
   return {occupied.part, mapperd::free_part(fan, cube, where), occupied.weight};
 }

@@ -7,7 +7,6 @@
 #include <vector>
 
 namespace oracle {
-namespace {
 
 using mapperd::PingImage;
 using mapperd::Transform;
@@ -32,6 +31,8 @@ std::vector<double> edges_of(const PingImage& image) {
   edges.push_back(std::asin(sine(last) + (sine(last) - sine(last - 1)) / 2));
   return edges;
 }
+
+namespace {
 
 struct Ray {
   std::size_t beam;

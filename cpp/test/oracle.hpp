@@ -8,6 +8,7 @@
 #include <array>
 #include <cstdint>
 #include <map>
+#include <vector>
 
 #include "mapperd/fan.hpp"
 #include "mapperd/iwlo.hpp"
@@ -35,6 +36,10 @@ struct Settings {
   // oracle itself is good to some 4e-5 in log-odds.
   int rays_per_voxel = 250;
 };
+
+double weight_of(double intensity, const mapperd::IwloParams& params);
+// In radians, half way between beams in sine.
+std::vector<double> edges_of(const mapperd::PingImage& image);
 
 std::map<Voxel, Parts> parts_of_ping(const mapperd::PingImage& image,
                                      const mapperd::Transform& map_T_sonar,

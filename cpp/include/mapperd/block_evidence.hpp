@@ -52,13 +52,14 @@ class BlockLooker {
   Vec3 centre_of(const BlockKey& local, double x, double y, double z) const;
   void look_at_cell(const BlockKey& local, int x, int y, int z, BlockEvidence& evidence) const;
   double free_part_between(const std::array<std::size_t, kMostChanges>& change, std::size_t changes,
-                           bool first_is_free, const Vec3& centre) const;
+                           bool first_is_free, const Cube& cube) const;
   bool look_between_beams(const Cell& cell, BlockEvidence& evidence) const;
   void look_near(const Cell& cell, BlockEvidence& evidence) const;
   void look_far(const Cell& cell, BlockEvidence& evidence) const;
   void places(const Cell& cell, CellPlaces& at) const;
   Vec3 voxel_centre(const Cell& cell, int i) const;
-  void settle(const Fan::Verdict& verdict, const Vec3& centre, int offset,
+  Cube cube_at(const Vec3& centre, SeenAxes& axes) const;
+  void settle(const Fan::Verdict& verdict, const Cube& cube, int offset,
               BlockEvidence& evidence) const;
   void decide(const Evidence& sum, int offset, BlockEvidence& evidence) const;
   Evidence exact(const Cube& cube, const FanPart& where) const;

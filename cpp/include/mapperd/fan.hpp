@@ -7,10 +7,12 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "mapperd/beam_pyramid.hpp"
 #include "mapperd/iwlo.hpp"
+#include "mapperd/ping_motion.hpp"
 #include "mapperd/radial.hpp"
 #include "mapperd/vec.hpp"
 
@@ -60,18 +62,25 @@ struct FanPart {
   bool cut_by_sides = false;  // or by min_range
 };
 
-// A ping in the frame the map is aligned with: the sonar at the origin, the map's axes.
+// A ping in the frame the map is aligned with: the sonar at the origin, the map's axes. Of a sonar
+// that moves, this is the fan at transmission, and all but `verdict` and `reach_m` is about what is
+// seen there (ping_motion.hpp).
 class Fan {
  public:
-  // map_R_sonar is the rotation of `map_T_sonar`; its translation plays no part.
+  // map_R_sonar is the rotation of `map_T_sonar`, of a moving sonar that at transmission; its
+  // translation plays no part.
   Fan(const PingImage& image, const FanSettings& settings, const IwloRule& rule,
-      const Transform& map_T_sonar);
+      const Transform& map_T_sonar, const PingMotion& motion = {});
 
   std::size_t beams() const { return free_limit_m_.size(); }
   std::size_t rows() const { return row_count_; }
   double range_resolution_m() const { return resolution_; }
   double min_range_m() const { return min_range_; }
   double max_range_m() const { return max_range_; }
+  // The ping says nothing of places farther away.
+  double reach_m() const { return view_ ? view_->reach_m(max_range_) : max_range_; }
+  // Null for a sonar at rest.
+  const MovingView* view() const { return view_ ? &*view_ : nullptr; }
   double sin_half_aperture() const { return sin_half_; }
   double cos_half_aperture() const { return cos_half_; }
 
@@ -155,6 +164,7 @@ class Fan {
     double level;   // in any horizontal direction: the fan's sides are not square to the bearing
     double spread;  // of the bearing's sine
     double edge;    // of a voxel, where `cap` is known
+    double warp;    // by how much what a moving sonar sees of the cube is bent
   };
   // Where a cube's centre lies, seen from the sonar.
   struct Place {
@@ -164,27 +174,38 @@ class Fan {
     double inside_aperture;
     double inside_sides;
   };
-  Extent extent_of(const Vec3& in_sonar, double edge_m) const;
+  Extent extent_of(const Vec3& in_sonar, double edge_m, const Widening& widening = {}) const;
   static Extent ball(double radius, double horizontal);
   // One that holds for every cube of that edge in a cell of them, `cell` along an edge, around a
   // point at least five cells away from the sonar.
-  Extent extent_in_cell(const Vec3& in_sonar, double edge_m, int cell) const;
+  Extent extent_in_cell(const Vec3& in_sonar, double edge_m, int cell,
+                        const Widening& widening = {}) const;
   Place place_of(const Vec3& centre) const;
   // The plane at one of the fan's sides as a linear function: positive inside.
   Vec3 low_side() const { return edge_normals_.front(); }
   Vec3 high_side() const { return -1.0 * edge_normals_.back(); }
-  // As above, for a cube whose place and extent are known.
-  Verdict verdict(const Vec3& centre, const Place& place, const Extent& extent) const;
+  // As above, for a cube whose place and extent are known, `centre` being where it is seen. `axes`
+  // says how; null for a sonar at rest.
+  Verdict verdict(const Vec3& centre, const Place& place, const Extent& extent,
+                  const SeenAxes* axes = nullptr) const;
 
  private:
-  Content free_between_beams(const Vec3& centre, const Extent& extent, const FanPart& where) const;
+  Content free_between_beams(const Vec3& centre, const Extent& extent, const FanPart& where,
+                             const SeenAxes* axes) const;
+  static void widen(Extent& extent, const Widening& widening);
   void fill_weights(const PingImage& image, const IwloRule& rule);
   void fill_profiles();
   void add_returns(std::size_t j);
   void link_profiles(const std::vector<std::size_t>& ends);
   void index_sines();
 
+  static double seen_edge(double edge_m, const Widening& widening);
+  Extent extent_at_rest(const Vec3& in_sonar, double edge_m) const;
+  Extent extent_in_cell_at_rest(const Vec3& in_sonar, double edge_m, int cell) const;
+
   static constexpr double kRowSlack = 1e-6;
+  // Half of the part that makes a voxel occupied: it has two ends.
+  static constexpr double kNegligiblePart = 0.01;
 
   std::size_t row_count_;
   double resolution_;
@@ -194,6 +215,7 @@ class Fan {
   double sin_half_;
   double cos_half_;
   Transform rotation_;
+  std::optional<MovingView> view_;
   std::vector<double> edges_;
   std::vector<Vec3> edge_normals_;  // map axes
   std::vector<double> edge_sines_;

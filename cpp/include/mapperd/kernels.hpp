@@ -50,6 +50,7 @@ struct LineTask {
   const LinePlane* edge;  // of the beams, one more than there are; positive to larger bearings
   float edge_base[kMaxBeamsOfVoxel + 1];
   LineBeam beam[kMaxBeamsOfVoxel];
+  LinePlane seen_edge[kMaxBeamsOfVoxel + 1];  // where a moving sonar's `edge` lies
 };
 
 struct LineSums {

@@ -33,6 +33,6 @@ Vec3 fan_point(double range_m, double bearing_rad, double elevation_rad);
 
 // Throws as integrate_projective().
 PingStats integrate_rays(VoxelMap& map, const PingImage& image, const Transform& map_T_sonar,
-                         const RaysSettings& settings);
+                         const RaysSettings& settings, const PingMotion& motion = {});
 
 }  // namespace mapperd

@@ -25,10 +25,19 @@
 
 namespace mapperd {
 
-// A cube parallel to the map's axes, with the sonar as the origin.
+// A cube parallel to the map's axes, with the sonar as the origin: as a sonar at rest sees it. What
+// a moving one sees of it is nearly a parallelepiped, and all the above holds for its faces as
+// well.
 struct Cube {
   std::array<double, 3> centre_m;
   double half_m;
+  const SeenAxes* seen = nullptr;  // what the map's axes look like; null: as they are
+
+  Vec3 centre() const { return {centre_m[0], centre_m[1], centre_m[2]}; }
+  // A linear function of what is seen, as one of the place.
+  Vec3 of_place(const Vec3& normal) const {
+    return seen != nullptr ? seen->of_place(normal) : normal;
+  }
 };
 
 // What a ping says of a voxel, as parts of its volume.

@@ -45,9 +45,11 @@ class VoxelLines {
   static Direction direction_at(const Vec3& centre);
   static std::size_t table_of(const Direction& direction);
   static LinePlane plane_of(const Vec3& normal, const Direction& direction);
-  std::size_t find_beams(const Vec3& centre, double half_m, const FanPart& where,
+  std::size_t find_beams(const Vec3& centre, double reach_m, const FanPart& where,
                          LineTask& task) const;
-  bool cut_by_aperture(const Vec3& centre, const Direction& direction, LineTask& task) const;
+  void set_edges(const Cube& cube, const Direction& direction, std::size_t first_beam,
+                 LineTask& task) const;
+  bool cut_by_aperture(const Cube& cube, const Direction& direction, LineTask& task) const;
 
   const Fan& fan_;
   const Kernels& kernels_;
