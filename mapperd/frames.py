@@ -18,6 +18,8 @@ __all__ = [
     "Body",
     "Pose",
     "World",
+    "compass_quaternion",
+    "compass_to_map",
     "orientation_to_map",
     "pose_from_rpy",
     "quaternion_between",
@@ -27,7 +29,9 @@ __all__ = [
     "rotation_from_rpy",
 ]
 
-World = Literal["enu", "ned"]
+World = Literal["enu", "ned", "local_flu", "local_frd"]
+"""Axes of a fixed frame; the local ones point along and across an arbitrary heading."""
+
 Body = Literal["flu", "frd"]
 Floats = NDArray[np.float64]
 
@@ -46,8 +50,13 @@ def _constant(rows: ArrayLike) -> Floats:
 WORLD_TO_ENU: dict[World, Floats] = {
     "enu": _constant([[1, 0, 0], [0, 1, 0], [0, 0, 1]]),
     "ned": _constant([[0, 1, 0], [1, 0, 0], [0, 0, -1]]),
+    "local_flu": _constant([[1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+    "local_frd": _constant([[1, 0, 0], [0, -1, 0], [0, 0, -1]]),
 }
-"""Rotation from a sender's world axes to the map's; each is its own inverse."""
+"""Rotation from a sender's world axes to the map's; each is its own inverse.
+
+Of a local world, x becomes the map's x: such a map is turned, but level.
+"""
 
 BODY_TO_FLU: dict[Body, Floats] = {
     "flu": _constant([[1, 0, 0], [0, 1, 0], [0, 0, 1]]),
@@ -56,14 +65,20 @@ BODY_TO_FLU: dict[Body, Floats] = {
 """Rotation from a sender's body axes to the base's; each is its own inverse."""
 
 _HALF = math.sqrt(0.5)
-_ENU_Q_WORLD: dict[World, tuple[float, ...]] = {"enu": (1, 0, 0, 0), "ned": (0, _HALF, _HALF, 0)}
+_ENU_Q_WORLD: dict[World, tuple[float, ...]] = {
+    "enu": (1, 0, 0, 0),
+    "ned": (0, _HALF, _HALF, 0),
+    "local_flu": (1, 0, 0, 0),
+    "local_frd": (0, 1, 0, 0),
+}
 _BODY_Q_FLU: dict[Body, tuple[float, ...]] = {"flu": (1, 0, 0, 0), "frd": (0, 1, 0, 0)}
 
 
 def quaternion_product(left: ArrayLike, right: ArrayLike) -> Floats:
     """Hamilton product of (w, x, y, z) quaternions: first `right` turns, then `left`."""
-    w1, x1, y1, z1 = np.asarray(left, dtype=np.float64)
-    w2, x2, y2, z2 = np.asarray(right, dtype=np.float64)
+    # Python's floats: on single numbers numpy's take several times as long.
+    w1, x1, y1, z1 = np.asarray(left, dtype=np.float64).tolist()
+    w2, x2, y2, z2 = np.asarray(right, dtype=np.float64).tolist()
     return np.array(
         [
             w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
@@ -126,6 +141,17 @@ def orientation_to_map(quaternion: ArrayLike, world: World, body: Body) -> Float
     """A sender's world_q_body as our map_q_base: q_enu_world, then its own, then q_body_flu."""
     turned = quaternion_product(_ENU_Q_WORLD[world], np.asarray(quaternion, dtype=np.float64))
     return quaternion_product(turned, _BODY_Q_FLU[body])
+
+
+def compass_quaternion(roll_deg: float, pitch_deg: float, heading_deg: float) -> Floats:
+    """map_q_base of a vehicle's own angles: starboard down, nose up, clockwise from north."""
+    ned_q_frd = rotation_from_rpy(roll_deg, pitch_deg, heading_deg)
+    return orientation_to_map(ned_q_frd, "ned", "frd")
+
+
+def compass_to_map(heading_deg: float) -> float:
+    """A compass heading, or a course, as an angle in the map: radians from east, -pi to pi."""
+    return math.remainder(math.radians(90.0 - heading_deg), math.tau)
 
 
 def rigid_transform(position_m: ArrayLike, quaternion: ArrayLike) -> Floats:

@@ -4,9 +4,11 @@
 |---|---|---|
 | `v` | int | format version, 1 |
 | `t`, `clk` | int ns, `unix`/`boot`/`arrival` | which clock the number belongs to |
-| `w`, `b` | `ned`/`enu`, `frd`/`flu` | world and body conventions, never guessed |
+| `w` | `ned`/`enu`, or `local_frd`/`local_flu` of arbitrary heading | world axes, never guessed |
+| `b` | `frd`/`flu` | body axes, never guessed |
 | `p`, `q` | 3 floats m, 4 floats w,x,y,z | either may be absent |
 | `u`, `r` | 3 floats m/s body, 3 floats rad/s body | may be absent |
+| `a` | 3 floats m/s² | specific force in body axes, as an accelerometer has it; may be absent |
 | `pc`, `uc` | 21 floats | upper triangles, row by row; absent = unknown |
 | `rst`, `src` | int, str | reset counter (0), sender name (empty) |
 
@@ -14,6 +16,7 @@
 otherwise vanish.
 """
 
+from collections.abc import Iterator
 from typing import Annotated
 
 import msgspec
@@ -21,21 +24,37 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from mapperd.frames import BODY_TO_FLU, WORLD_TO_ENU, Body, World, orientation_to_map
+from mapperd.frames import BODY_TO_FLU, WORLD_TO_ENU, Body, World
+from mapperd.odometry.convert import (
+    MAX_COVARIANCE,
+    MAX_DISTANCE_M,
+    MAX_RATE_RADPS,
+    MAX_SPEED_MPS,
+    bad_numbers,
+    bad_quaternion,
+    bad_variance,
+    orientation,
+    symmetric,
+    turned,
+    turned_covariance,
+)
+from mapperd.odometry.decoder import DecoderCounters
 from mapperd.odometry.records import Clock, Odometry
 from mapperd.reject import Reject
 
-__all__ = ["MAX_RECORD_BYTES", "NativeRecord", "decode_native", "encode_native"]
+__all__ = [
+    "MAX_RECORD_BYTES",
+    "NativeDecoder",
+    "NativeRecord",
+    "decode_native",
+    "encode_native",
+    "odometry_of",
+]
 
 MAX_RECORD_BYTES = 2048
 """A full record takes about 700 bytes."""
 
-MAX_DISTANCE_M = 1e7  # a quarter of the way around the Earth
-MAX_SPEED_MPS = 1e3
-MAX_RATE_RADPS = 1e3
-MAX_COVARIANCE = 1e12
-QUATERNION_TOLERANCE = 0.01  # on the norm: text with three digits passes, a wrong field does not
-ZERO_NORM = 1e-6
+MAX_FORCE_MPS2 = 1e3
 
 Numbers3 = Annotated[tuple[float, ...], Meta(min_length=3, max_length=3)]
 Numbers4 = Annotated[tuple[float, ...], Meta(min_length=4, max_length=4)]
@@ -56,6 +75,7 @@ class NativeRecord(Struct, frozen=True, forbid_unknown_fields=True, omit_default
     q: Numbers4 | None = None
     u: Numbers3 | None = None
     r: Numbers3 | None = None
+    a: Numbers3 | None = None
     pc: Numbers21 | None = None
     uc: Numbers21 | None = None
     rst: Count = 0
@@ -77,19 +97,27 @@ def decode_native(data: bytes) -> Odometry | Reject:
     Args:
         data: exactly one MessagePack map.
     """
+    wire = _wire_of(data)
+    return wire if isinstance(wire, Reject) else odometry_of(wire)
+
+
+def _wire_of(data: bytes) -> NativeRecord | Reject:
     if len(data) > MAX_RECORD_BYTES:
         return Reject("too_long", f"{len(data)} bytes; a record has at most {MAX_RECORD_BYTES}")
     try:
-        wire = _DECODER.decode(data)
+        return _DECODER.decode(data)
     except msgspec.ValidationError as error:
         return Reject("wrong_shape", str(error))
     except ValueError as error:  # malformed MessagePack, or text that is not UTF-8
         return Reject("not_msgpack", str(error))
+
+
+def odometry_of(wire: NativeRecord) -> Odometry | Reject:
+    """A well-formed record in our frames, or what is wrong with it."""
     return _problem(wire) or _converted(wire)
 
 
 def _problem(wire: NativeRecord) -> Reject | None:
-    """The first thing wrong with a well-formed record."""
     if wire.v != 1:
         return Reject("version", f"version {wire.v}; this program reads 1")
     if wire.t is None and wire.clk != "arrival":
@@ -99,39 +127,18 @@ def _problem(wire: NativeRecord) -> Reject | None:
         ("q", wire.q, 1e3),
         ("u", wire.u, MAX_SPEED_MPS),
         ("r", wire.r, MAX_RATE_RADPS),
+        ("a", wire.a, MAX_FORCE_MPS2),
         ("pc", wire.pc, MAX_COVARIANCE),
         ("uc", wire.uc, MAX_COVARIANCE),
     )
     for key, numbers, limit in limits:
-        if numbers is not None and (bad := _bad_numbers(key, numbers, limit)):
+        if numbers is not None and (bad := bad_numbers(key, numbers, limit)):
             return bad
-    return _bad_quaternion(wire.q) or _bad_variance(wire)
-
-
-def _bad_numbers(key: str, numbers: tuple[float, ...], limit: float) -> Reject | None:
-    values = np.abs(numbers)
-    if not np.isfinite(values).all():
-        return Reject("not_finite", f"{key} holds NaN or infinity")
-    if (values > limit).any():
-        return Reject("out_of_range", f"{key} holds {values.max():g}; at most {limit:g}")
-    return None
-
-
-def _bad_quaternion(quaternion: tuple[float, ...] | None) -> Reject | None:
-    if quaternion is None:
-        return None
-    norm = float(np.linalg.norm(quaternion))
-    if norm < ZERO_NORM:
-        return Reject("zero_quaternion", "q is zero: no orientation")
-    if abs(norm - 1) > QUATERNION_TOLERANCE:
-        return Reject("unnormalised_quaternion", f"q has the norm {norm:.4g}, not 1")
-    return None
-
-
-def _bad_variance(wire: NativeRecord) -> Reject | None:
+    if wire.q is not None and (bad := bad_quaternion(wire.q)):
+        return bad
     for key, triangle in (("pc", wire.pc), ("uc", wire.uc)):
-        if triangle is not None and (np.diag(_symmetric(triangle)) < 0).any():
-            return Reject("negative_variance", f"{key} has a variance below 0")
+        if triangle is not None and (bad := bad_variance(key, triangle)):
+            return bad
     return None
 
 
@@ -140,37 +147,39 @@ def _converted(wire: NativeRecord) -> Odometry:
     return Odometry(
         stamp_ns=wire.t or 0,
         clock=wire.clk,
-        position_m=_turned(world, wire.p),
-        map_q_base=_orientation(wire.q, wire.w, wire.b),
-        velocity_mps=_turned(body, wire.u),
-        rate_radps=_turned(body, wire.r),
-        pose_covariance=_turned_covariance(world, wire.pc),
-        twist_covariance=_turned_covariance(body, wire.uc),
+        position_m=None if wire.p is None else turned(world, wire.p),
+        map_q_base=None if wire.q is None else orientation(wire.q, wire.w, wire.b),
+        velocity_mps=None if wire.u is None else turned(body, wire.u),
+        rate_radps=None if wire.r is None else turned(body, wire.r),
+        pose_covariance=_covariance(world, wire.pc),
+        twist_covariance=_covariance(body, wire.uc),
         reset_count=wire.rst,
         source=wire.src,
+        specific_force_mps2=None if wire.a is None else turned(body, wire.a),
+        north_referenced=wire.w in ("enu", "ned"),
     )
 
 
-def _orientation(numbers: tuple[float, ...] | None, world: World, body: Body) -> Floats | None:
-    if numbers is None:
-        return None
-    quaternion = orientation_to_map(numbers, world, body)
-    return np.asarray(quaternion / np.linalg.norm(quaternion), dtype=np.float64)
+def _covariance(rotation: Floats, triangle: tuple[float, ...] | None) -> Floats | None:
+    return None if triangle is None else turned_covariance(rotation, symmetric(triangle))
 
 
-def _turned(rotation: Floats, numbers: tuple[float, ...] | None) -> Floats | None:
-    return None if numbers is None else rotation @ np.array(numbers, dtype=np.float64)
+class NativeDecoder:
+    """Datagrams of one MessagePack record each.
 
+    Attributes:
+        counters: what came in and what became of it.
+    """
 
-def _turned_covariance(rotation: Floats, triangle: tuple[float, ...] | None) -> Floats | None:
-    if triangle is None:
-        return None
-    both = np.kron(np.eye(2), rotation)  # linear block, angular block
-    return np.asarray(both @ _symmetric(triangle) @ both.T, dtype=np.float64)
+    def __init__(self) -> None:
+        self.counters = DecoderCounters()
 
+    def feed(self, data: bytes, arrival_ns: int | None) -> Iterator[Odometry | Reject]:  # noqa: ARG002 the stamp is in the record
+        """Take one datagram."""
+        self.counters.bytes_total += len(data)
+        wire = _wire_of(data)
+        self.counters.heard("record", len(data), whole=isinstance(wire, NativeRecord))
+        yield self.counters.out(wire if isinstance(wire, Reject) else odometry_of(wire))
 
-def _symmetric(triangle: tuple[float, ...]) -> Floats:
-    """(6, 6) from the 21 numbers of its upper triangle, row by row."""
-    matrix = np.zeros((6, 6))
-    matrix[np.triu_indices(6)] = triangle
-    return np.asarray(matrix + np.triu(matrix, 1).T, dtype=np.float64)
+    def restart(self) -> None:
+        """Nothing is half received: each datagram is whole."""

@@ -1,0 +1,69 @@
+"""Settings become a decoder. Libraries of a format are imported only where it is wanted."""
+
+from mapperd.errors import ConfigError
+from mapperd.odometry.decoder import Decoder
+from mapperd.odometry.format_settings import FormatSettings
+from mapperd.odometry.lines import LineDecoder, ReadLine
+from mapperd.odometry.native import NativeDecoder
+from mapperd.odometry.native_json import MAX_LINE_BYTES as JSON_BYTES
+from mapperd.odometry.native_json import read_native_json
+from mapperd.odometry.native_serial import NativeSerialDecoder
+from mapperd.odometry.water_linked_json import MAX_LINE_BYTES as DVL_JSON_BYTES
+from mapperd.odometry.water_linked_json import read_water_linked_json
+from mapperd.odometry.water_linked_serial import MAX_LINE_BYTES as DVL_SERIAL_BYTES
+from mapperd.odometry.water_linked_serial import read_water_linked_serial
+
+__all__ = ["make_decoder"]
+
+_LINES: dict[str, tuple[ReadLine, int]] = {
+    "native_json": (read_native_json, JSON_BYTES),
+    "water_linked_json": (read_water_linked_json, DVL_JSON_BYTES),
+    "water_linked_serial": (read_water_linked_serial, DVL_SERIAL_BYTES),
+}
+
+
+def make_decoder(settings: FormatSettings, *, datagrams: bool = False) -> Decoder:
+    """The decoder of one link.
+
+    Args:
+        settings: which format, and what its bytes do not say.
+        datagrams: the bytes come in whole datagrams, not as a stream.
+
+    Raises:
+        ConfigError: the format needs a library that is not installed.
+    """
+    if settings.format == "native":
+        return NativeDecoder()
+    if settings.format == "native_serial":
+        return NativeSerialDecoder()
+    if settings.format == "nmea":
+        return _nmea(datagrams=datagrams)
+    if settings.format == "mavlink":
+        return _mavlink(settings, datagrams=datagrams)
+    read, max_line_bytes = _LINES[settings.format]
+    return LineDecoder(read, max_line_bytes, datagrams=datagrams)
+
+
+def _nmea(*, datagrams: bool) -> Decoder:
+    try:
+        from mapperd.odometry.nmea import MAX_LINE_BYTES, NmeaReader  # noqa: PLC0415 an extra
+    except ModuleNotFoundError as error:
+        raise _explained(error, "pynmea2", "nmea") from error
+    return LineDecoder(NmeaReader(), MAX_LINE_BYTES, datagrams=datagrams)
+
+
+def _mavlink(settings: FormatSettings, *, datagrams: bool) -> Decoder:
+    try:
+        from mapperd.odometry.mavlink import MavlinkDecoder  # noqa: PLC0415 an extra
+    except ModuleNotFoundError as error:
+        raise _explained(error, "pymavlink", "mavlink") from error
+    return MavlinkDecoder(settings, datagrams=datagrams)
+
+
+def _explained(error: ModuleNotFoundError, library: str, extra: str) -> Exception:
+    if (error.name or "").partition(".")[0] != library:
+        return error
+    return ConfigError(
+        f"format {extra} needs {library}, which is not installed; "
+        f"allowed: pip install 'mapperd[{extra}]'"
+    )

@@ -1,0 +1,225 @@
+"""NMEA 0183: GGA and RMC (place), VTG (course), HDT (heading), PRDID, PASHR (attitude).
+
+Sentences are taken apart by pynmea2; the numbers in them are read here, strictly: a field that
+is empty is unknown, not 0. Angles of PRDID and PASHR are the vehicle's own: pitch nose up, roll
+starboard down, heading clockwise from true north.
+"""
+
+import math
+import re
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pynmea2
+from numpy.typing import NDArray
+from pynmea2.types.proprietary.ash import ASHRATT
+from pynmea2.types.proprietary.rdi import RDID
+
+from mapperd.frames import compass_quaternion, compass_to_map
+from mapperd.odometry.convert import MAX_SPEED_MPS
+from mapperd.odometry.decoder import DecoderCounters
+from mapperd.odometry.precedence import Precedence
+from mapperd.odometry.records import GeoPoint, Odometry
+from mapperd.odometry.utc import UtcDay
+from mapperd.reject import Reject
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+__all__ = ["MAX_LINE_BYTES", "NmeaReader"]
+
+MAX_LINE_BYTES = 512
+"""The standard says 82; longer ones exist."""
+
+ORDER = ("PASHR", "PRDID", "GGA", "RMC", "VTG", "HDT")
+"""Sentences that tell the same, best first."""
+
+SOURCE = "nmea"
+KNOT_MPS = 1852 / 3600
+KMH_MPS = 1 / 3.6
+MAX_ALTITUDE_M = 20e3
+
+# pynmea2 has its own errors (all ValueErrors) and lets some of Python's through.
+_PYNMEA2_ERRORS = (ValueError, IndexError, KeyError, TypeError, AttributeError)
+_NUMBER = re.compile(r"[+-]?\d{1,12}(\.\d{0,12})?|[+-]?\.\d{1,12}")
+_ANGLE = re.compile(r"(\d{2,3})(\d{2}(?:\.\d{0,12})?)")
+
+Fields = dict[str, str]
+Floats = NDArray[np.float64]
+
+
+class _NoFixError(ValueError):
+    """The receiver itself says that it does not know where it is."""
+
+
+class NmeaReader:
+    """Reads sentences of one link; remembers the date between them."""
+
+    def __init__(self) -> None:
+        self._day = UtcDay()
+        self._precedence = Precedence(ORDER)
+        self._readers: dict[str, Callable[[Fields, int | None], Odometry]] = {
+            "GGA": self._gga,
+            "RMC": self._rmc,
+            "VTG": _vtg,
+            "HDT": _hdt,
+            "PRDID": _prdid,
+            "PASHR": self._pashr,
+        }
+
+    def __call__(
+        self, line: bytes, arrival_ns: int | None, counters: DecoderCounters
+    ) -> Odometry | Reject | None:
+        """Read one line."""
+        text = line.decode("latin-1")
+        text = text[max(text.rfind("$"), 0) :].rstrip()
+        if not text.startswith("$"):
+            return Reject("not_a_sentence", f"{len(line)} bytes without a $")
+        try:
+            # Some devices write the check in lower case, which the parser does not know.
+            sentence: Any = pynmea2.parse(text[:-2] + text[-2:].upper(), check=True)
+        except pynmea2.ChecksumError:
+            return Reject("bad_checksum", f"{text[:6]}: the check is missing or wrong")
+        except pynmea2.SentenceTypeError:
+            counters.heard("other", len(line))
+            counters.ignore("other")
+            return None
+        except _PYNMEA2_ERRORS as error:
+            return Reject("not_a_sentence", f"cannot be taken apart ({type(error).__name__})")
+        return self._read(sentence, len(line), arrival_ns, counters)
+
+    def _read(
+        self,
+        sentence: Any,  # noqa: ANN401 pynmea2 has no types
+        size: int,
+        arrival_ns: int | None,
+        counters: DecoderCounters,
+    ) -> Odometry | Reject | None:
+        name = _name(sentence)
+        counters.heard(name, size)
+        fields = {
+            names[1]: value for names, value in zip(sentence.fields, sentence.data, strict=False)
+        }
+        reader = self._readers.get(name)
+        if reader is None and name != "ZDA":
+            counters.ignore(name)
+            return None
+        try:
+            if reader is not None:
+                odometry = reader(fields, arrival_ns)
+                odometry_or_less = self._precedence.filtered(name, odometry, arrival_ns)
+                if odometry_or_less is None:
+                    counters.ignore("superseded")
+                return odometry_or_less
+            self._day.learn(fields["day"], fields["month"], fields["year"])
+        except _NoFixError as error:
+            return Reject("no_fix", f"{name}: {error}")
+        except (ValueError, KeyError) as error:
+            return Reject("wrong_shape", f"{name}: {error}")
+        return None
+
+    def _gga(self, fields: Fields, arrival_ns: int | None) -> Odometry:
+        if fields["gps_qual"] in ("", "0"):
+            raise _NoFixError("quality 0")
+        altitude = fields["altitude"]
+        if altitude and fields["altitude_units"] != "M":
+            raise ValueError("the altitude is not in metres")
+        altitude_m = _limited(altitude, MAX_ALTITUDE_M) if altitude else None
+        geo = GeoPoint(*_place(fields), altitude_m)
+        stamp_ns, clock = self._day.stamp(fields["timestamp"], arrival_ns)
+        return Odometry(stamp_ns, clock, source=SOURCE, geo=geo)
+
+    def _rmc(self, fields: Fields, arrival_ns: int | None) -> Odometry:
+        if fields["status"] != "A":
+            raise _NoFixError("status is not A")
+        if date := fields["datestamp"]:
+            self._day.learn(date[:2], date[2:4], "20" + date[4:])
+        geo = GeoPoint(*_place(fields), None)
+        velocity = None
+        if fields["spd_over_grnd"] and fields["true_course"]:
+            speed_mps = _limited(fields["spd_over_grnd"], MAX_SPEED_MPS / KNOT_MPS) * KNOT_MPS
+            velocity = _along(fields["true_course"], speed_mps)
+        stamp_ns, clock = self._day.stamp(fields["timestamp"], arrival_ns)
+        return Odometry(stamp_ns, clock, source=SOURCE, geo=geo, velocity_east_north_mps=velocity)
+
+    def _pashr(self, fields: Fields, arrival_ns: int | None) -> Odometry:
+        if fields["is_true_heading"] != "T":
+            raise ValueError("the heading is not true")
+        stamp_ns, clock = self._day.stamp(fields["timestamp"], arrival_ns)
+        quaternion = _attitude(fields["roll"], fields["pitch"], fields["true_heading"])
+        return Odometry(stamp_ns, clock, source=SOURCE, map_q_base=quaternion)
+
+
+def _vtg(fields: Fields, _arrival_ns: int | None) -> Odometry:
+    if not fields["true_track"]:  # undefined at rest
+        raise _NoFixError("no course")
+    if knots := fields["spd_over_grnd_kts"]:
+        speed_mps = _limited(knots, MAX_SPEED_MPS / KNOT_MPS) * KNOT_MPS
+    else:
+        speed_mps = _limited(fields["spd_over_grnd_kmph"], MAX_SPEED_MPS / KMH_MPS) * KMH_MPS
+    velocity = _along(fields["true_track"], speed_mps)
+    return Odometry(0, "arrival", source=SOURCE, velocity_east_north_mps=velocity)
+
+
+def _hdt(fields: Fields, _arrival_ns: int | None) -> Odometry:
+    heading_rad = compass_to_map(_limited(fields["heading"], 360))
+    return Odometry(0, "arrival", source=SOURCE, heading_rad=heading_rad)
+
+
+def _prdid(fields: Fields, _arrival_ns: int | None) -> Odometry:
+    quaternion = _attitude(fields["roll"], fields["pitch"], fields["heading"])
+    return Odometry(0, "arrival", source=SOURCE, map_q_base=quaternion)
+
+
+def _attitude(roll: str, pitch: str, heading: str) -> Floats:
+    return compass_quaternion(_limited(roll, 180), _limited(pitch, 90), _limited(heading, 360))
+
+
+def _along(course: str, speed_mps: float) -> Floats:
+    """East and north parts of a speed along a compass course."""
+    angle_rad = compass_to_map(_limited(course, 360))
+    return np.array([speed_mps * math.cos(angle_rad), speed_mps * math.sin(angle_rad)])
+
+
+def _place(fields: Fields) -> tuple[float, float]:
+    """Latitude and longitude in radians."""
+    latitude = _angle(fields["lat"], 2, 90) * _sign(fields["lat_dir"], "NS")
+    longitude = _angle(fields["lon"], 3, 180) * _sign(fields["lon_dir"], "EW")
+    return latitude, longitude
+
+
+def _angle(text: str, digits: int, most_deg: float) -> float:
+    """Radians of degrees (so many digits) and minutes written as one number."""
+    match = _ANGLE.fullmatch(text)
+    if match is None or len(match[1]) != digits:
+        raise ValueError(f"{text[:20]!r} is no angle")
+    minutes = float(match[2])
+    degrees = int(match[1]) + minutes / 60
+    if minutes >= 60 or degrees > most_deg:  # noqa: PLR2004 minutes
+        raise ValueError(f"{text[:20]!r} is no angle")
+    return math.radians(degrees)
+
+
+def _sign(text: str, letters: str) -> float:
+    if len(text) != 1 or text not in letters:
+        raise ValueError(f"{text[:20]!r} where {letters[0]} or {letters[1]} was expected")
+    return 1.0 if text == letters[0] else -1.0
+
+
+def _limited(text: str, limit: float) -> float:
+    """A number that is written out, between -limit and limit."""
+    if _NUMBER.fullmatch(text) is None:
+        raise ValueError(f"{text[:20]!r} is no number")
+    number = float(text)
+    if abs(number) > limit:
+        raise ValueError(f"{number:g} is beyond {limit:g}")
+    return number
+
+
+def _name(sentence: Any) -> str:  # noqa: ANN401 pynmea2 has no types
+    """GGA of a talker, PRDID and PASHR of a maker."""
+    if isinstance(sentence, pynmea2.TalkerSentence):
+        return str(sentence.sentence_type)
+    if isinstance(sentence, RDID):
+        return "PRDID"
+    return "PASHR" if isinstance(sentence, ASHRATT) else "other"
