@@ -8,7 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapperd.odometry.native import MAX_RECORD_BYTES, NativeRecord, decode_native, encode_native
+from mapperd.odometry.native import (
+    MAX_RECORD_BYTES,
+    NativeDecoder,
+    NativeRecord,
+    decode_native,
+    encode_native,
+)
 from mapperd.odometry.records import Odometry
 from mapperd.reject import Reject
 
@@ -65,6 +71,20 @@ def test_ned_frd_record_is_converted() -> None:
     assert abs(float(odometry.map_q_base @ [half, 0, 0, half])) == pytest.approx(1)  # type: ignore[operator]
     assert odometry.velocity_mps == pytest.approx([1, -2, -3])
     assert odometry.rate_radps == pytest.approx([0.1, -0.2, -0.3])
+
+
+@pytest.mark.parametrize(("world", "place"), [("local_flu", [1, 2, 3]), ("local_frd", [1, -2, -3])])
+def test_world_of_arbitrary_heading_says_so(world: str, place: list[float]) -> None:
+    odometry = accepted(w=world)
+    assert odometry.position_m == pytest.approx(place)
+    assert not odometry.north_referenced
+    assert accepted().north_referenced
+
+
+def test_level_vehicle_at_the_start_of_a_local_world_is_not_turned() -> None:
+    quaternion = accepted(w="local_frd", b="frd").map_q_base
+    assert quaternion is not None
+    assert abs(quaternion) == pytest.approx([1, 0, 0, 0])
 
 
 def test_covariance_turns_with_its_axes() -> None:
@@ -214,3 +234,15 @@ def test_encoded_record_is_read_back(odometry_bytes: Callable[..., bytes]) -> No
     assert isinstance(odometry, Odometry)
     assert odometry.pose_covariance == pytest.approx(np.full((6, 6), 0.5))
     assert odometry.reset_count == 9
+
+
+def test_datagrams_are_counted() -> None:
+    decoder = NativeDecoder()
+    for data in (packed(), b"hello", packed(p=[math.nan, 0.0, 0.0])):
+        list(decoder.feed(data, None))
+    counters = decoder.counters
+    assert counters.bytes_total == 2 * len(packed()) + 5
+    assert counters.bytes_skipped == 5
+    assert counters.records == 1
+    assert counters.rejects == {"wrong_shape": 1, "not_finite": 1}
+    assert counters.messages == {"record": 2}

@@ -1,0 +1,144 @@
+"""The bridge: bytes of the vehicle's links become records, records become poses."""
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+from mapperd.config import Config
+from mapperd.config_odometry import OdometrySource
+from mapperd.errors import ConfigError
+from mapperd.links.address import parse_address
+from mapperd.odometry.decoder import Decoder
+from mapperd.odometry.format_settings import FormatSettings
+from mapperd.odometry.formats import make_decoder
+from mapperd.odometry.fusion import Fusion
+from mapperd.odometry.records import Odometry
+from mapperd.reject import Reject
+
+__all__ = ["ENCODING_PREFIX", "OdometryBridge", "encoding_of"]
+
+ENCODING_PREFIX = "odometry-"
+"""Of the encodings of recorded links that hold odometry; the format's name follows."""
+
+
+def encoding_of(settings: FormatSettings) -> str:
+    """Encoding of a recorded link of this format."""
+    return ENCODING_PREFIX + settings.format
+
+
+class OdometryBridge:
+    """All odometry of one vehicle, live or recorded.
+
+    Args:
+        config: the sources, and how they are fused.
+
+    Attributes:
+        fusion: the records together.
+        accepted: records of which anything was used.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self._sources = {source.name: source for source in config.odometry.sources}
+        self._decoders: dict[str, Decoder] = {}
+        self._unreadable: Counter[str] = Counter()
+        self.accepted = 0
+        self.fusion = Fusion(
+            config.odometry,
+            config.time_sync,
+            config.slam_quality,
+            config.world_init,
+            {name: source.latency_sec for name, source in self._sources.items()},
+        )
+
+    def feed(
+        self,
+        link: str,
+        data: bytes,
+        arrival_ns: int | None,
+        *,
+        encoding: str | None = None,
+        gap_before: bool = False,
+    ) -> None:
+        """Take the next bytes of a link.
+
+        Args:
+            link: name of a source, or of a recorded link.
+            data: of a stream any piece, of datagrams exactly one.
+            arrival_ns: when they came, host clock; None where a recording does not say.
+            encoding: of a recorded link, which says its format where no source has its name.
+            gap_before: bytes before them are missing.
+        """
+        decoder = self._decoders.get(link)
+        if decoder is None:
+            found = self._decoder(link, encoding)
+            if found is None:
+                self._unreadable[link] += 1
+                return
+            decoder = self._decoders[link] = found
+        if gap_before:
+            decoder.restart()
+        for record in self._decoded(decoder, data, arrival_ns):
+            if not isinstance(record, Reject) and (
+                self.fusion.take(link, record, arrival_ns) is None
+            ):
+                self.accepted += 1
+
+    @staticmethod
+    def _decoded(
+        decoder: Decoder, data: bytes, arrival_ns: int | None
+    ) -> Iterator[Odometry | Reject]:
+        """The decoder's records; a fault of its own costs these bytes, never the dive."""
+        try:
+            yield from decoder.feed(data, arrival_ns)
+        except Exception as error:  # noqa: BLE001 decoders are total; this is what if not
+            decoder.restart()
+            yield decoder.counters.out(Reject("internal_error", f"{type(error).__name__}: {error}"))
+
+    @property
+    def received(self) -> int:
+        """Records that came, good or bad."""
+        return sum(
+            decoder.counters.records + decoder.counters.rejects.total()
+            for decoder in self._decoders.values()
+        )
+
+    @property
+    def rejects(self) -> Counter[str]:
+        """Reason to count, of decoding and of fusion; received == accepted + their sum."""
+        counts: Counter[str] = Counter()
+        for decoder in self._decoders.values():
+            counts += decoder.counters.rejects
+        for rejects in self.fusion.rejects.values():
+            counts += rejects
+        return counts
+
+    def decoder_of(self, link: str) -> Decoder | None:
+        """The decoder of a link; None before its first bytes."""
+        return self._decoders.get(link)
+
+    def status(self) -> dict[str, Any]:
+        """For a person: each link's bytes, frames and records, and what fusion made of them."""
+        links = {
+            name: {
+                "bytes": decoder.counters.bytes_total,
+                "bytes_skipped": decoder.counters.bytes_skipped,
+                "frames": decoder.counters.frames,
+                "messages": dict(sorted(decoder.counters.messages.items())),
+                "ignored": dict(sorted(decoder.counters.ignored.items())),
+                "records": decoder.counters.records,
+                "rejected": dict(sorted(decoder.counters.rejects.items())),
+            }
+            for name, decoder in self._decoders.items()
+        }
+        return {"links": links, "unreadable": dict(self._unreadable), **self.fusion.status()}
+
+    def _decoder(self, link: str, encoding: str | None) -> Decoder | None:
+        source = self._sources.get(link)
+        if source is not None and encoding in (None, encoding_of(source)):
+            datagrams = parse_address(source.link).kind == "udp"
+            return make_decoder(source, datagrams=datagrams)
+        try:
+            format_name = (encoding or "").removeprefix(ENCODING_PREFIX)
+            return make_decoder(OdometrySource(format=format_name))  # type: ignore[arg-type]
+        except (ConfigError, KeyError):
+            return None

@@ -1,0 +1,311 @@
+"""Fusion: the records of all sources become one pose at any moment, each quantity from one owner.
+
+Position, attitude, depth and velocity are followed each by itself, so that they may come from
+different senders at different rates; a pose is put together when it is asked for. Where no position
+comes, the way by velocity and attitude is carried on from the last one.
+"""
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd.config_odometry import NOBODY, OdometryFusion, SlamQuality, TimeSync, WorldInit
+from mapperd.frames import Pose, quaternion_to_matrix
+from mapperd.odometry.confidence import ConfidenceGate
+from mapperd.odometry.intake import Intake
+from mapperd.odometry.levelling import Levelling, levelled
+from mapperd.odometry.lookup import Reach, enclosing, is_settled, stretch, value_at
+from mapperd.odometry.records import Odometry
+from mapperd.odometry.stamps import OdometryClock
+from mapperd.odometry.states import (
+    ATTITUDE,
+    HEIGHT,
+    POSITION,
+    Attitude,
+    Position,
+    turn_between,
+)
+from mapperd.reject import Reject
+
+if TYPE_CHECKING:
+    from mapperd.odometry.series import Sample
+
+__all__ = ["FusedPose", "Fusion"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FusedPose:
+    """The vehicle at a moment.
+
+    Attributes:
+        pose: base in map.
+        velocity_mps: (3,) of the base, map axes; None is unknown.
+        rate_radps: (3,) of the base, about base axes; None is unknown.
+        covariance: (6, 6), x y z in map axes then rotations about map axes; m and rad.
+        segment: counts up where the odometry jumped; poses of one segment fit together.
+        reckoned_s: how long before the moment the last position came, where that was carried on
+            by velocity; 0 where positions enclose it.
+    """
+
+    pose: Pose
+    velocity_mps: Floats | None
+    rate_radps: Floats | None
+    covariance: Floats
+    segment: int
+    reckoned_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Placed:
+    """A position, and how it came about."""
+
+    value: Position
+    segment: int
+    reckoned_s: float = 0.0
+
+
+class Fusion:
+    """All odometry of one vehicle.
+
+    Args:
+        settings: owners, limits, dead reckoning.
+        time_sync: how far records are believed around a moment.
+        quality: the confidence gate.
+        world_init: levelling.
+        latency_sec: source to the seconds by which its records arrive late at least.
+
+    Attributes:
+        received: source to records that came.
+        rejects: source to reason to count.
+    """
+
+    def __init__(
+        self,
+        settings: OdometryFusion | None = None,
+        time_sync: TimeSync | None = None,
+        quality: SlamQuality | None = None,
+        world_init: WorldInit | None = None,
+        latency_sec: dict[str, float] | None = None,
+    ) -> None:
+        self._settings = settings or OdometryFusion()
+        time_sync = time_sync or TimeSync()
+        self._depth_is_named = self._settings.owners.depth not in ("", NOBODY)
+        self._reach = Reach.of(time_sync)
+        self._max_age_ns = round(time_sync.max_odom_age_sec * 1e9)
+        self._latency_ns = {
+            name: round(seconds * 1e9) for name, seconds in (latency_sec or {}).items()
+        }
+        self._clocks: dict[tuple[str, str, str], OdometryClock] = {}
+        self._gate = ConfidenceGate(quality or SlamQuality())
+        self._level = Levelling(world_init or WorldInit())
+        self._in = Intake(self._settings, self._reach.max_gap_ns)
+        self.received: Counter[str] = Counter()
+        self.rejects: dict[str, Counter[str]] = {}
+
+    def take(self, source: str, odometry: Odometry, arrival_ns: int | None) -> Reject | None:
+        """Take a record; None when anything of it was used, else why not (and it is counted).
+
+        Args:
+            source: configured name of where it came from.
+            odometry: the record.
+            arrival_ns: host time; None where the recording does not say.
+        """
+        self.received[source] += 1
+        reject = self._taken(source, odometry, arrival_ns)
+        if reject is not None:
+            self.rejects.setdefault(source, Counter())[reject.reason] += 1
+        return reject
+
+    def ready(self, t_ns: int) -> bool:
+        """Whether no later record can make the pose at a moment better."""
+        position = self._in.position.series.newest
+        way, depth = self._in.reckoning.ways.newest, self._in.depth.series.newest
+        if not is_settled(self._in.attitude.series, t_ns, self._reach):
+            return False
+        if self._waits_for_depth(position) and (
+            depth is None or 0 < t_ns - depth.t_ns <= self._reach.max_gap_ns
+        ):
+            return False
+        if position is not None and t_ns - position.t_ns <= self._reach.max_gap_ns:
+            return is_settled(self._in.position.series, t_ns, self._reach)
+        return way is not None and way.t_ns >= t_ns
+
+    def at(self, t_ns: int) -> FusedPose | Reject:
+        """The vehicle at a moment, or why that is not known."""
+        problem = self._level.pending or self._gate.check(t_ns)
+        if problem is not None:
+            return problem
+        attitude = value_at(self._in.attitude.series, t_ns, self._reach, ATTITUDE)
+        if isinstance(attitude, Reject):
+            return attitude
+        placed = self._placed(t_ns)
+        return placed if isinstance(placed, Reject) else self._fused(t_ns, attitude, placed)
+
+    def status(self) -> dict[str, Any]:
+        """For a person: who owns what, what came and what became of it."""
+        return {
+            "quantities": {
+                "position": self._in.position.status(),
+                "attitude": self._in.attitude.status(),
+                "depth": self._in.depth.status(),
+                "velocity": self._in.velocity.status(),
+            },
+            "sources": {
+                name: {"received": count, "rejected": dict(self.rejects.get(name, {}))}
+                for name, count in self.received.items()
+            },
+            "confidence": self._gate.confidence,
+            "unchecked_pings": self._gate.unchecked,
+            "velocities_without_attitude": self._in.reckoning.unattended,
+            "levelling": self._level.status(),
+        }
+
+    def _taken(self, source: str, odometry: Odometry, arrival_ns: int | None) -> Reject | None:
+        who = (source, odometry.source)
+        # One sender may stamp some messages since boot and others with Unix time.
+        key = (*who, odometry.clock)
+        clock = self._clocks.get(key)
+        if clock is None:
+            clock = OdometryClock(self._max_age_ns, self._latency_ns.get(source, 0))
+            self._clocks[key] = clock
+        t_ns = clock.t_host_ns(odometry, arrival_ns)
+        if isinstance(t_ns, Reject):
+            return t_ns
+        reject = self._in.take(who, odometry, t_ns)
+        # Of the source that says where the vehicle is: another's doubts are about something else.
+        placer = self._in.position.owner or self._in.velocity.owner
+        self._gate.heard(t_ns, odometry.confidence if who == placer else None)
+        force, orientation = odometry.specific_force_mps2, odometry.map_q_base
+        mine = reject is None and who == self._in.attitude.owner
+        if mine and force is not None and orientation is not None:
+            self._level.add(force, odometry.rate_radps, orientation, _speed_mps(odometry))
+        return reject
+
+    def _waits_for_depth(self, position: "Sample[Position] | None") -> bool:
+        """Whether heights are those of a source of depth."""
+        if self._depth_is_named:
+            return True
+        return self._in.depth.owner is not None and (
+            position is None or not position.value.has_height
+        )
+
+    def _placed(self, t_ns: int) -> _Placed | Reject:
+        """The position: between two, by dead reckoning, or carried on a little."""
+        series = self._in.position.series
+        before, after = series.around(t_ns)
+        interpolates = self._reach.policy == "interpolate"
+        if interpolates and enclosing(before, after, self._reach) is None:
+            reckoned = self._reckoned(before, t_ns)
+            if reckoned is not None:
+                return reckoned
+        found = value_at(series, t_ns, self._reach, POSITION)
+        return found if isinstance(found, Reject) else _Placed(found.value, found.segment)
+
+    def _reckoned(self, last: "Sample[Position] | None", t_ns: int) -> _Placed | None:
+        """By velocity from the last position, or from nowhere where there is no source of any."""
+        end = self._in.reckoning.at(t_ns)
+        if end is None or (last is not None and last.t_ns == t_ns):
+            return None
+        if last is None:
+            awaited = self._settings.owners.position not in ("", NOBODY)
+            if awaited or self._in.position.owner is not None:
+                return None
+            covariance = end.value.variance_m2 * np.eye(3)
+            value = Position(end.value.way_m, end.value.velocity_mps, covariance, has_height=False)
+            return _Placed(value, end.segment)
+        start = self._in.reckoning.at(last.t_ns)
+        seconds = (t_ns - last.t_ns) / 1e9
+        if (
+            start is None
+            or start.segment != end.segment
+            or seconds > self._settings.dead_reckoning.max_sec
+        ):
+            return None
+        grown = max(end.value.variance_m2 - start.value.variance_m2, 0.0) * np.eye(3)
+        value = Position(
+            last.value.position_m + end.value.way_m - start.value.way_m,
+            end.value.velocity_mps,
+            last.value.covariance_m2 + grown,
+            last.value.has_height,
+        )
+        return _Placed(value, last.segment, seconds)
+
+    def _fused(
+        self, t_ns: int, attitude: "Sample[Attitude]", placed: _Placed
+    ) -> FusedPose | Reject:
+        position_m, map_q_base = placed.value.position_m, attitude.value.map_q_base
+        velocity = self._velocity(t_ns, placed)
+        if (level := self._level.level_q_odometry) is not None:
+            matrix = quaternion_to_matrix(level)
+            position_m, map_q_base = matrix @ position_m, levelled(level, map_q_base)
+            velocity = None if velocity is None else matrix @ velocity
+        by_depth = self._depth_is_named or (
+            self._in.depth.owner is not None and not placed.value.has_height
+        )
+        if by_depth:
+            # After levelling: pressure knows no tilt. And without it a place has no height at all.
+            height = self._height_m(t_ns)
+            if isinstance(height, Reject):
+                return height
+            position_m = np.array([position_m[0], position_m[1], height])
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = placed.value.covariance_m2
+        covariance[3:, 3:] = attitude.value.covariance_rad2
+        return FusedPose(
+            Pose(position_m, map_q_base),
+            velocity,
+            self._rate(t_ns, attitude.value),
+            covariance,
+            placed.segment + attitude.segment + by_depth,
+            placed.reckoned_s,
+        )
+
+    def _height_m(self, t_ns: int) -> float | Reject:
+        height = value_at(self._in.depth.series, t_ns, self._reach, HEIGHT)
+        if isinstance(height, Reject):
+            return Reject("no_depth", f"no depth: {height.detail}")
+        return float(height.value[0])
+
+    def _velocity(self, t_ns: int, placed: _Placed) -> Floats | None:
+        """Of a source of velocity, of the positions' own, or by the positions around the moment.
+
+        None where those lie further apart than the vehicle can go: that is their noise.
+        """
+        way = self._in.reckoning.at(t_ns)
+        if way is not None:
+            return way.value.velocity_mps
+        if placed.value.velocity_mps is not None:
+            return placed.value.velocity_mps
+        pair = stretch(self._in.position.series, t_ns, self._reach)
+        if pair is None:
+            return None
+        way_m = pair[1].value.position_m - pair[0].value.position_m
+        velocity = np.asarray(way_m / ((pair[1].t_ns - pair[0].t_ns) / 1e9))
+        limit_mps = self._settings.limits.max_speed
+        return velocity if float(np.linalg.norm(velocity)) <= limit_mps else None
+
+    def _rate(self, t_ns: int, attitude: Attitude) -> Floats | None:
+        """The source's own, or by the attitudes around the moment; None where that is noise."""
+        if attitude.rate_radps is not None:
+            return attitude.rate_radps
+        pair = stretch(self._in.attitude.series, t_ns, self._reach)
+        if pair is None:
+            return None
+        turn = turn_between(pair[0].value.map_q_base, pair[1].value.map_q_base)
+        rate = np.asarray(turn / ((pair[1].t_ns - pair[0].t_ns) / 1e9))
+        limit_radps = math.radians(self._settings.limits.max_turn_rate)
+        return rate if float(np.linalg.norm(rate)) <= limit_radps else None
+
+
+def _speed_mps(odometry: Odometry) -> float | None:
+    """How fast the record says that the vehicle goes; None where it does not say."""
+    velocity = odometry.velocity_mps
+    if velocity is None:
+        velocity = odometry.velocity_map_mps
+    return None if velocity is None else float(np.linalg.norm(velocity))

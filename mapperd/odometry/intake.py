@@ -1,0 +1,345 @@
+"""What comes in: each quantity of a record goes to its track, or is refused with a reason."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd.config_odometry import OdometryFusion
+from mapperd.frames import quaternion_to_matrix, rotation_from_rpy
+from mapperd.geodesy import Origin
+from mapperd.odometry.anchor import Anchor, yaw_between
+from mapperd.odometry.reckoning import DeadReckoning
+from mapperd.odometry.records import UNKNOWN_VARIANCE, Odometry
+from mapperd.odometry.states import (
+    Attitude,
+    Position,
+    blend_attitude,
+    carry_attitude,
+    length,
+    turn_between,
+)
+from mapperd.odometry.track import Owner, Track
+from mapperd.reject import Reject
+
+__all__ = ["Intake"]
+
+Floats = NDArray[np.float64]
+
+
+class Intake:
+    """The tracks, and what may enter them.
+
+    Args:
+        settings: owners, limits, what a jump means.
+        max_gap_ns: velocities further apart than this do not tell the way between.
+
+    Attributes:
+        position, attitude, depth, velocity: the tracks.
+        reckoning: the way by velocity.
+    """
+
+    def __init__(self, settings: OdometryFusion, max_gap_ns: int) -> None:
+        self._settings = settings
+        self._anchor = Anchor.none()
+        self._rejoin = False
+        self._north_of: dict[Owner, bool] = {}
+        self._origin: Origin | None = None
+        if (geo := settings.origin) is not None:
+            self._origin = Origin(math.radians(geo.latitude), math.radians(geo.longitude))
+        owners = settings.owners
+        self.position: Track[Position] = Track(owners.position, self._too_far)
+        self.attitude: Track[Attitude] = Track(owners.attitude, self._too_turned)
+        self.depth: Track[Floats] = Track(owners.depth, self._too_far)
+        self.velocity: Track[Floats] = Track(owners.velocity)
+        self.reckoning = DeadReckoning(max_gap_ns, settings.dead_reckoning.noise)
+
+    def take(self, who: Owner, odometry: Odometry, t_ns: int) -> Reject | None:
+        """Let the record's quantities in; None when any was used, else why none was."""
+        if (mixed := self._mixed(who, odometry)) is not None:
+            return mixed
+        results = []
+        orientation = _orientation(odometry)
+        if orientation is not None and self.attitude.owned_by(who, t_ns):
+            taken = self._take_attitude(odometry, orientation, t_ns)
+            results.append(self.attitude.counted(taken))
+        if _says_position(odometry) and self.position.owned_by(who, t_ns):
+            taken = self._take_position(odometry, self._source_position(odometry), t_ns)
+            results.append(self.position.counted(taken))
+        if odometry.depth_m is not None and self.depth.owned_by(who, t_ns):
+            results.append(self.depth.counted(self._take_depth(odometry.depth_m, t_ns)))
+        # A report without a velocity may break the way of its owner, not make it one.
+        mine = self.velocity.owner == who or _velocity(odometry)[0] is not None
+        if _says_velocity(odometry) and mine and self.velocity.owned_by(who, t_ns):
+            results.append(self.velocity.counted(self._take_velocity(who, odometry, t_ns)))
+        self.reckoning.go_on(self._matrix_at, self._attitude_until_ns())
+        if not results:
+            if not _says_anything(odometry):
+                return Reject("no_pose", "no position, attitude, depth or velocity in it")
+            return Reject("other_source", f"{who[0]!r} ({who[1]!r}) owns nothing of what it says")
+        if None not in results:
+            return results[0]
+        if _says_heading(odometry):
+            self._north_of[who] = odometry.north_referenced
+        return None
+
+    def expected(self, t_ns: int) -> tuple[Floats | None, Floats | None]:
+        """Where the vehicle is by all that came before: position (3,) and attitude (4,)."""
+        return self._expected_position(t_ns), self._expected_attitude(t_ns)
+
+    def _mixed(self, who: Owner, odometry: Odometry) -> Reject | None:
+        """A world of arbitrary heading and a compass do not make one pose."""
+        if not _says_heading(odometry):
+            return None
+        owners = {track.owner for track in (self.position, self.attitude, self.velocity)}
+        others = {
+            owner: north
+            for owner, north in self._north_of.items()
+            if owner != who and owner in owners
+        }
+        # A world of its own heading cannot be matched with another's attitude, come or to come.
+        astray = not odometry.north_referenced and not self.attitude.open_to(who)
+        if astray or any(north != odometry.north_referenced for north in others.values()):
+            other = self._settings.owners.attitude if astray else next(iter(others))[0]
+            return Reject(
+                "mixed_headings",
+                f"{who[0]!r} and {other!r} do not have the same north; take position and attitude "
+                "from one source, or both from sources with a compass",
+            )
+        return None
+
+    # One quantity each.
+
+    def _take_attitude(self, odometry: Odometry, source_q_base: Floats, t_ns: int) -> Reject | None:
+        rate = odometry.rate_radps
+        limit = self._settings.limits.max_turn_rate
+        if rate is not None and length(rate) > math.radians(limit):
+            turn = math.degrees(length(rate))
+            return Reject("turns_too_fast", f"{turn:.0f} deg/s; at most {limit:g}")
+        jumped = self.attitude.judge(t_ns, source_q_base, odometry.reset_count)
+        if isinstance(jumped, Reject):
+            return jumped
+        if jumped and self._anchors_attitude() and self.attitude.taken > 1:
+            expected = self._expected_attitude(t_ns)
+            if expected is not None:
+                yaw_rad = yaw_between(source_q_base, expected)
+                self._anchor = Anchor(yaw_rad, self._anchor.shift_m)
+                self._rejoin = True  # the position's world has turned with it
+        value = Attitude(
+            self._anchor.attitude(source_q_base), rate, self._attitude_covariance(odometry)
+        )
+        self.attitude.take(t_ns, value, jumped=jumped)
+        return None
+
+    def _take_position(self, odometry: Odometry, source_m: Floats, t_ns: int) -> Reject | None:
+        if (problem := self._too_fast(odometry)) is not None:
+            return problem
+        jumped = self.position.judge(t_ns, source_m, odometry.reset_count)
+        if isinstance(jumped, Reject):
+            return jumped
+        jumped = jumped or self._returns_elsewhere(t_ns, self._anchor.place(source_m))
+        if (jumped or self._rejoin) and self._settings.at_jump == "continue":
+            expected = self._expected_position(t_ns)
+            # Nothing is placed by one record: where that was a stray, the map is not moved there.
+            if expected is not None and self.position.taken > 1:
+                self._anchor = Anchor.joining(source_m, expected, self._anchor.yaw_rad)
+            jumped, self._rejoin = True, False
+        way = self.reckoning.ways.newest
+        if not self.position.taken and way is not None and not self._settings.owners.position:
+            # Until now the way was reckoned from a zero of its own.
+            self.position.segment, jumped = way.segment + 1, True
+        value = Position(
+            self._anchor.place(source_m),
+            self._map_velocity(odometry, t_ns),
+            self._position_covariance(odometry),
+            odometry.geo is None,
+        )
+        self.position.take(t_ns, value, jumped=jumped)
+        return None
+
+    def _take_depth(self, depth_m: float, t_ns: int) -> Reject | None:
+        height = np.array([-depth_m])
+        jumped = self.depth.judge(t_ns, height, 0)
+        if isinstance(jumped, Reject):
+            return jumped
+        self.depth.take(t_ns, height, jumped=False)  # one pressure: no other world to jump to
+        return None
+
+    def _take_velocity(self, who: Owner, odometry: Odometry, t_ns: int) -> Reject | None:
+        if (problem := self._too_fast(odometry)) is not None:
+            return problem
+        velocity, in_map = _velocity(odometry)
+        anew = self.velocity.judge(t_ns, np.zeros(3), 0)
+        if isinstance(anew, Reject):
+            return anew
+        if anew:
+            self.reckoning.begin_anew()
+        if velocity is None:
+            self.reckoning.add(t_ns, None, in_map=in_map)
+            return Reject("no_lock", "the source says that its velocity is not valid")
+        if in_map and who in (self.position.owner, self.attitude.owner):
+            velocity = self._anchor.direction(velocity)  # of the world that jumped, no other's
+        self.velocity.take(t_ns, velocity, jumped=False)
+        self.reckoning.add(t_ns, velocity, in_map=in_map, noise=_velocity_noise(odometry))
+        return None
+
+    # What is expected, and what is too much.
+
+    def _expected_position(self, t_ns: int) -> Floats | None:
+        last = self.position.series.newest
+        if last is None:
+            return None
+        way = self.way_m(last.t_ns, t_ns)
+        if way is not None:
+            return last.value.position_m + way
+        velocity = last.value.velocity_mps
+        if velocity is None or t_ns - last.t_ns > self.reckoning.max_gap_ns:
+            return last.value.position_m
+        return np.asarray(last.value.position_m + (t_ns - last.t_ns) / 1e9 * velocity)
+
+    def _returns_elsewhere(self, t_ns: int, map_m: Floats) -> bool:
+        """Whether a position after a silence is off from where dead reckoning has come to."""
+        last = self.position.series.newest
+        if last is None or t_ns - last.t_ns <= self.reckoning.max_gap_ns:
+            return False
+        way = self.way_m(last.t_ns, t_ns)
+        if way is None:
+            return False
+        off_m = length(map_m - last.value.position_m - way)
+        return off_m > self._settings.limits.max_jump
+
+    def way_m(self, from_ns: int, to_ns: int) -> Floats | None:
+        """The way by velocity (3,) between two moments, map axes; None where it is not known."""
+        start, end = self.reckoning.at(from_ns), self.reckoning.at(to_ns)
+        if start is None or end is None or start.segment != end.segment:
+            return None
+        return end.value.way_m - start.value.way_m
+
+    def _expected_attitude(self, t_ns: int) -> Floats | None:
+        last = self.attitude.series.newest
+        if last is None:
+            return None
+        carried = carry_attitude(last.value, (t_ns - last.t_ns) / 1e9)
+        near = t_ns - last.t_ns <= self.reckoning.max_gap_ns
+        return carried.map_q_base if carried is not None and near else last.value.map_q_base
+
+    def _anchors_attitude(self) -> bool:
+        """Whether the attitude's world moves with a jump: a compass always means north."""
+        alone = self.position.owner is None or self.position.owner == self.attitude.owner
+        return alone and self._settings.at_jump == "continue"
+
+    def _too_far(self, a: Floats, b: Floats, seconds: float) -> float:
+        limits = self._settings.limits
+        return (length(b - a) - limits.max_speed * seconds) / limits.max_jump
+
+    def _too_turned(self, a: Floats, b: Floats, seconds: float) -> float:
+        limits = self._settings.limits
+        turned_deg = math.degrees(length(turn_between(a, b)))
+        return (turned_deg - limits.max_turn_rate * seconds) / limits.max_jump_angle
+
+    def _too_fast(self, odometry: Odometry) -> Reject | None:
+        limit = self._settings.limits.max_speed
+        velocity, _ = _velocity(odometry)
+        speed = 0.0 if velocity is None else length(velocity)
+        return Reject("too_fast", f"{speed:.1f} m/s; at most {limit:g}") if speed > limit else None
+
+    # Conversions that need what is known already.
+
+    def _source_position(self, odometry: Odometry) -> Floats:
+        """A position that is said; the owner's first place on Earth is the map's origin."""
+        if (geo := odometry.geo) is None:
+            return np.asarray(odometry.position_m)
+        if self._origin is None:
+            self._origin = Origin(geo.latitude_rad, geo.longitude_rad)
+        return self._origin.enu_m(geo.latitude_rad, geo.longitude_rad, geo.altitude_m or 0.0)
+
+    def _map_velocity(self, odometry: Odometry, t_ns: int) -> Floats | None:
+        velocity, in_map = _velocity(odometry)
+        if velocity is None or in_map:
+            return None if velocity is None else self._anchor.direction(velocity)
+        orientation = odometry.map_q_base
+        if orientation is not None:
+            return quaternion_to_matrix(self._anchor.attitude(orientation)) @ velocity
+        matrix = self._matrix_at(t_ns)
+        return None if matrix is None else matrix @ velocity
+
+    def _matrix_at(self, t_ns: int) -> Floats | None:
+        before, after = self.attitude.series.around(t_ns)
+        if before is None or t_ns - before.t_ns > self.reckoning.max_gap_ns:
+            return None
+        carried = carry_attitude(before.value, (t_ns - before.t_ns) / 1e9)
+        if after is not None and after.segment == before.segment:
+            fraction = (t_ns - before.t_ns) / (after.t_ns - before.t_ns)
+            carried = blend_attitude(before.value, after.value, fraction)
+        return quaternion_to_matrix((carried or before.value).map_q_base)
+
+    def _attitude_until_ns(self) -> int | None:
+        newest = self.attitude.series.newest
+        return None if newest is None else newest.t_ns
+
+    def _position_covariance(self, odometry: Odometry) -> Floats:
+        own = self._settings.position_std**2 * np.eye(3)
+        return _known(odometry.pose_covariance, slice(0, 3), own)
+
+    def _attitude_covariance(self, odometry: Odometry) -> Floats:
+        own = math.radians(self._settings.attitude_std) ** 2 * np.eye(3)
+        return _known(odometry.pose_covariance, slice(3, 6), own)
+
+
+def _orientation(odometry: Odometry) -> Floats | None:
+    """The attitude; of a heading alone, that of a level vehicle."""
+    if not odometry.valid:
+        return None
+    if odometry.map_q_base is None and odometry.heading_rad is not None:
+        return rotation_from_rpy(0.0, 0.0, math.degrees(odometry.heading_rad))
+    return odometry.map_q_base
+
+
+def _says_position(odometry: Odometry) -> bool:
+    return odometry.valid and not (odometry.geo is None and odometry.position_m is None)
+
+
+def _says_heading(odometry: Odometry) -> bool:
+    """Whether it holds directions in a world: they mean something only beside the same north."""
+    said = (odometry.position_m, odometry.velocity_map_mps, _orientation(odometry))
+    return any(quantity is not None for quantity in said)
+
+
+def _says_anything(odometry: Odometry) -> bool:
+    said = (odometry.position_m, odometry.geo, odometry.depth_m, _orientation(odometry))
+    return _says_velocity(odometry) or any(quantity is not None for quantity in said)
+
+
+def _says_velocity(odometry: Odometry) -> bool:
+    """Whether it is a report of a velocity, even of one that was not had."""
+    return not odometry.valid or _velocity(odometry)[0] is not None
+
+
+def _velocity(odometry: Odometry) -> tuple[Floats | None, bool]:
+    """Velocity (3,) and whether its axes are the map's."""
+    if not odometry.valid:
+        return None, False
+    if odometry.velocity_map_mps is not None:
+        return odometry.velocity_map_mps, True
+    if odometry.velocity_mps is None and odometry.velocity_east_north_mps is not None:
+        return np.array([*odometry.velocity_east_north_mps, 0.0]), True
+    return odometry.velocity_mps, False
+
+
+def _velocity_noise(odometry: Odometry) -> float | None:
+    """The source's own standard deviation, m/s: that of its worst axis."""
+    if odometry.twist_covariance is None:
+        return None
+    worst = float(np.max(np.diag(odometry.twist_covariance)[:3]))
+    return math.sqrt(worst) if 0.0 < worst < UNKNOWN_VARIANCE else None
+
+
+def _known(covariance: Floats | None, part: slice, own: Floats) -> Floats:
+    """A block (3, 3) of the source's covariance, or our own figure where it says nothing."""
+    if covariance is None:
+        return own
+    block = covariance[part, part]
+    diagonal = np.diag(block)
+    return (
+        block if float(diagonal.min()) > 0.0 and float(diagonal.max()) < UNKNOWN_VARIANCE else own
+    )

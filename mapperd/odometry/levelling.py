@@ -1,0 +1,130 @@
+"""Levelling: the tilt of an odometry's world, from gravity while the vehicle stands still.
+
+The rotation is the shortest one that takes the mean direction of the specific force, in the
+odometry's world, to straight up. It is applied as a rotation, not as negated angles: that is exact
+at any tilt, and leaves the heading of level vehicles alone.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd.config_odometry import WorldInit
+from mapperd.frames import quaternion_product, quaternion_to_matrix
+from mapperd.reject import Reject
+
+__all__ = ["Levelling"]
+
+Floats = NDArray[np.float64]
+
+GRAVITY_MPS2 = (9.0, 10.6)
+"""What standing still feels like, with some margin for an accelerometer's own errors."""
+
+OPPOSITE = 1e-9
+
+
+class Levelling:
+    """Averages specific forces until the tilt is known.
+
+    Attributes:
+        level_q_odometry: (4,), from the odometry's world to the level one; None until known.
+        refused: samples that were thrown away because the vehicle moved.
+    """
+
+    def __init__(self, settings: WorldInit) -> None:
+        self._settings = settings
+        self._forces: list[Floats] = []
+        self.level_q_odometry: Floats | None = None
+        self.refused = 0
+
+    @property
+    def pending(self) -> Reject | None:
+        """Why nothing can be mapped yet; None once level, or where levelling is off."""
+        if not self._settings.enabled or self.level_q_odometry is not None:
+            return None
+        return Reject(
+            "levelling",
+            f"{len(self._forces)} of {self._settings.init_samples} accelerations of a vehicle "
+            "that stands still; keep it still",
+        )
+
+    def add(
+        self,
+        specific_force_mps2: Floats,
+        rate_radps: Floats | None,
+        map_q_base: Floats,
+        speed_mps: float | None = None,
+    ) -> Reject | None:
+        """Take an acceleration as an accelerometer measures it: (0, 0, 9.8) when level.
+
+        Args:
+            specific_force_mps2: (3,), base axes.
+            rate_radps: (3,), about base axes; None is not known.
+            map_q_base: (4,), the odometry's own attitude at that moment.
+            speed_mps: of the vehicle; None is not known.
+
+        Returns:
+            Why it was thrown away, with all before it; None when it was taken.
+        """
+        if self.pending is None:
+            return None
+        force = quaternion_to_matrix(map_q_base) @ specific_force_mps2
+        problem = self._driving(speed_mps) or self._moving(force, rate_radps)
+        if problem is not None:
+            self.refused += 1 + len(self._forces)
+            self._forces.clear()
+            return problem
+        self._forces.append(force)
+        if len(self._forces) >= self._settings.init_samples:
+            self.level_q_odometry = _upright(np.mean(self._forces, axis=0))
+        return None
+
+    def status(self) -> dict[str, Any] | None:
+        """For a person: the two frames and the turn between them; None where levelling is off."""
+        settings, level = self._settings, self.level_q_odometry
+        if not settings.enabled:
+            return None
+        return {
+            "parent_frame": settings.parent_frame,
+            "child_frame": settings.child_frame,
+            "parent_q_child": None if level is None else level.tolist(),
+            "waits_for": None if self.pending is None else self.pending.detail,
+            "refused": self.refused,
+        }
+
+    def _driving(self, speed_mps: float | None) -> Reject | None:
+        limit = self._settings.max_speed
+        if speed_mps is None or speed_mps <= limit:
+            return None
+        return Reject("moving", f"drives at {speed_mps:.2f} m/s; at most {limit:g}")
+
+    def _moving(self, force: Floats, rate: Floats | None) -> Reject | None:
+        settings = self._settings
+        strength = float(np.linalg.norm(force))
+        if not GRAVITY_MPS2[0] <= strength <= GRAVITY_MPS2[1]:
+            return Reject("moving", f"an acceleration of {strength:.2f} m/s2 is not gravity alone")
+        if rate is not None and np.linalg.norm(rate) > math.radians(settings.max_rate):
+            turn_dps = math.degrees(float(np.linalg.norm(rate)))
+            return Reject("moving", f"turns at {turn_dps:.1f} deg/s; at most {settings.max_rate:g}")
+        if self._forces:
+            # Compared in the world, where the gravity of a vehicle that stands still is one vector.
+            spread = float(np.linalg.norm(force - np.mean(self._forces, axis=0)))
+            if spread > settings.max_spread:
+                return Reject("moving", f"accelerations differ by {spread:.2f} m/s2")
+        return None
+
+
+def _upright(force: Floats) -> Floats:
+    """Shortest rotation (4,) that takes a direction to +z (half-angle form of Rodrigues)."""
+    x, y, z = force / np.linalg.norm(force)
+    if z < OPPOSITE - 1.0:  # upside down: any horizontal axis will do
+        return np.array([0.0, 1.0, 0.0, 0.0])
+    quaternion = np.array([1.0 + z, y, -x, 0.0])
+    return np.asarray(quaternion / np.linalg.norm(quaternion), dtype=np.float64)
+
+
+def levelled(level_q_odometry: Floats, map_q_base: Floats) -> Floats:
+    """An attitude in the level world."""
+    return quaternion_product(level_q_odometry, map_q_base)

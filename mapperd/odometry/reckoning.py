@@ -1,0 +1,130 @@
+"""Dead reckoning: the way travelled, from velocity over ground and attitude."""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd.odometry.series import Sample, Series
+
+__all__ = ["DeadReckoning", "Way"]
+
+Floats = NDArray[np.float64]
+
+MAX_WAITING = 1024
+"""Velocities that may wait for the attitude at their time."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Way:
+    """What was travelled since the beginning of a segment.
+
+    Attributes:
+        way_m: (3,), map axes.
+        velocity_mps: (3,) at its end, map axes.
+        variance_m2: that has grown on the way, of each axis.
+    """
+
+    way_m: Floats
+    velocity_mps: Floats
+    variance_m2: float
+
+
+class DeadReckoning:
+    """Sums the way up, by the trapezoid rule, from velocities whose attitude is known.
+
+    Args:
+        max_gap_ns: velocities further apart than this do not tell the way between.
+        noise: growth of the standard deviation, m per square root of a second.
+    """
+
+    def __init__(self, max_gap_ns: int, noise: float) -> None:
+        self.max_gap_ns = max_gap_ns
+        self._noise = noise
+        self._waiting: deque[tuple[int, Floats | None, bool, float | None]] = deque()
+        self._segment = 0
+        self.ways: Series[Way] = Series()
+        self.unattended = 0
+        """Velocities for whose time no attitude ever came."""
+
+    def add(
+        self, t_ns: int, velocity_mps: Floats | None, *, in_map: bool, noise: float | None = None
+    ) -> None:
+        """Take a velocity; None is a report without one, which breaks the way.
+
+        Args:
+            t_ns: host time, later than all before.
+            velocity_mps: (3,).
+            in_map: in map axes, else in base axes.
+            noise: standard deviation that the source says, m/s.
+        """
+        if len(self._waiting) >= MAX_WAITING:
+            self._waiting.popleft()
+            self.unattended += 1
+        self._waiting.append((t_ns, velocity_mps, in_map, noise))
+
+    def begin_anew(self) -> None:
+        """Forget the way: time was set back."""
+        self._waiting.clear()
+        self.ways.clear()
+        self._segment += 1
+
+    def go_on(self, matrix_at: Callable[[int], Floats | None], known_until_ns: int | None) -> None:
+        """Sum up what can be: velocities up to the newest attitude.
+
+        Args:
+            matrix_at: rotation (3, 3), map from base, at a moment; None where unknown.
+            known_until_ns: time of the newest attitude; later velocities wait for the next one.
+        """
+        while self._waiting:
+            t_ns, velocity, in_map, noise = self._waiting[0]
+            if velocity is None:
+                self._segment += 1
+            elif in_map:
+                self._sum_up(t_ns, velocity, noise)
+            else:
+                if known_until_ns is None or t_ns > known_until_ns:
+                    return
+                matrix = matrix_at(t_ns)
+                if matrix is None:
+                    self._segment += 1
+                    self.unattended += 1
+                else:
+                    self._sum_up(t_ns, matrix @ velocity, noise)
+            self._waiting.popleft()
+
+    def at(self, t_ns: int) -> "Sample[Way] | None":
+        """The way up to a moment; beyond the newest velocity for no longer than a gap."""
+        before, after = self.ways.around(t_ns)
+        if before is None:
+            return None
+        way, seconds = before.value, (t_ns - before.t_ns) / 1e9
+        if after is not None and after.segment == before.segment:
+            # The velocity changes evenly between two reports: the way is a parabola.
+            fraction = (t_ns - before.t_ns) / (after.t_ns - before.t_ns)
+            velocity = way.velocity_mps + fraction * (after.value.velocity_mps - way.velocity_mps)
+        elif t_ns - before.t_ns <= self.max_gap_ns:
+            velocity = way.velocity_mps
+        else:
+            return None
+        gone = way.way_m + 0.5 * seconds * (way.velocity_mps + velocity)
+        variance = way.variance_m2 + seconds * self._noise**2
+        return Sample(t_ns, Way(gone, velocity, variance), before.segment)
+
+    def _sum_up(self, t_ns: int, velocity_mps: Floats, noise: float | None) -> None:
+        last = self.ways.newest
+        if last is not None and t_ns <= last.t_ns:
+            return
+        if last is None or last.segment != self._segment or t_ns - last.t_ns > self.max_gap_ns:
+            self._segment += last is not None and last.segment == self._segment
+            zero = np.zeros(3) if last is None else last.value.way_m
+            variance = 0.0 if last is None else last.value.variance_m2
+            self.ways.add(t_ns, Way(zero, velocity_mps, variance), self._segment)
+            return
+        seconds = (t_ns - last.t_ns) / 1e9
+        way = last.value.way_m + 0.5 * seconds * (last.value.velocity_mps + velocity_mps)
+        # A velocity's error lasts for about a second: its variance grows with the time.
+        growth = seconds * (self._noise if noise is None else noise) ** 2
+        self.ways.add(t_ns, Way(way, velocity_mps, last.value.variance_m2 + growth), self._segment)

@@ -1,0 +1,134 @@
+"""What is followed over time: position and attitude, and how each goes on by itself."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd.frames import quaternion_between, quaternion_product
+from mapperd.odometry.lookup import Course
+
+__all__ = [
+    "ATTITUDE",
+    "HEIGHT",
+    "POSITION",
+    "Attitude",
+    "Position",
+    "blend_attitude",
+    "carry_attitude",
+    "length",
+    "turn_between",
+]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Position:
+    """Where the base is.
+
+    Attributes:
+        position_m: (3,), map frame.
+        velocity_mps: (3,), map frame; None is unknown.
+        covariance_m2: (3, 3), map axes.
+        has_height: False where only the place on Earth is known, such as a surface fix.
+    """
+
+    position_m: Floats
+    velocity_mps: Floats | None
+    covariance_m2: Floats
+    has_height: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Attitude:
+    """How the base is turned.
+
+    Attributes:
+        map_q_base: (4,), unit quaternion (w, x, y, z).
+        rate_radps: (3,), about base axes; None is unknown.
+        covariance_rad2: (3, 3), rotations about map axes.
+    """
+
+    map_q_base: Floats
+    rate_radps: Floats | None
+    covariance_rad2: Floats
+
+
+def _blend_numbers(a: Floats, b: Floats, fraction: float) -> Floats:
+    """On the straight line from a to b."""
+    return a + fraction * (b - a)
+
+
+def _blend_position(a: Position, b: Position, fraction: float) -> Position:
+    """On the straight line; the covariance is that of the worse end."""
+    velocity = None
+    if a.velocity_mps is not None and b.velocity_mps is not None:
+        velocity = _blend_numbers(a.velocity_mps, b.velocity_mps, fraction)
+    worse = a if np.trace(a.covariance_m2) >= np.trace(b.covariance_m2) else b
+    return Position(
+        _blend_numbers(a.position_m, b.position_m, fraction),
+        velocity,
+        worse.covariance_m2,
+        a.has_height and b.has_height,
+    )
+
+
+def _carry_position(position: Position, seconds: float) -> Position | None:
+    """On by its own velocity."""
+    if position.velocity_mps is None:
+        return None
+    moved = position.position_m + seconds * position.velocity_mps
+    return Position(moved, position.velocity_mps, position.covariance_m2, position.has_height)
+
+
+def blend_attitude(a: Attitude, b: Attitude, fraction: float) -> Attitude:
+    """Along the shorter arc at a constant rate."""
+    rate = None
+    if a.rate_radps is not None and b.rate_radps is not None:
+        rate = _blend_numbers(a.rate_radps, b.rate_radps, fraction)
+    worse = a if np.trace(a.covariance_rad2) >= np.trace(b.covariance_rad2) else b
+    turned = quaternion_between(a.map_q_base, b.map_q_base, fraction)
+    return Attitude(turned, rate, worse.covariance_rad2)
+
+
+def carry_attitude(attitude: Attitude, seconds: float) -> Attitude | None:
+    """On by its own rate."""
+    if attitude.rate_radps is None:
+        return None
+    turned = quaternion_product(attitude.map_q_base, _rotation(attitude.rate_radps * seconds))
+    return Attitude(turned / length(turned), attitude.rate_radps, attitude.covariance_rad2)
+
+
+def _carry_nothing(value: Floats, seconds: float) -> Floats | None:  # noqa: ARG001 as every carry
+    """Of a quantity whose rate of change nobody says."""
+    return None
+
+
+def length(vector: Floats) -> float:
+    """Euclidean, of a vector (n,); several times as fast as numpy's norm on so few numbers."""
+    return math.sqrt(float(vector @ vector))
+
+
+def turn_between(start: Floats, end: Floats) -> Floats:
+    """Rotation vector (3,), rad, about base axes, from one attitude to another, the shorter way."""
+    conjugate = start * np.array([1.0, -1.0, -1.0, -1.0])
+    w, *xyz = quaternion_product(conjugate, end)
+    axis = np.asarray(xyz, dtype=np.float64) * math.copysign(1.0, w)
+    sine = length(axis)
+    angle = 2.0 * math.atan2(sine, abs(w))
+    return axis * (angle / sine if sine > 0 else 2.0)
+
+
+def _rotation(vector_rad: Floats) -> Floats:
+    """Quaternion (4,) of a rotation vector (3,)."""
+    angle = length(vector_rad)
+    # sin(angle/2)/angle without 0/0: np.sinc(x) is sin(pi x)/(pi x).
+    scale = 0.5 * float(np.sinc(angle / (2.0 * math.pi)))
+    return np.array([math.cos(angle / 2.0), *(scale * vector_rad)])
+
+
+POSITION = Course(_blend_position, _carry_position)
+ATTITUDE = Course(blend_attitude, carry_attitude)
+HEIGHT = Course(_blend_numbers, _carry_nothing)
