@@ -23,7 +23,7 @@ class _Entry(NamedTuple):
     data: bytes
     arrival_ns: int
     gap_before: bool
-    is_status: bool
+    link: str | None  # None is the sonar's stream
 
 
 class BackgroundLog:
@@ -99,13 +99,19 @@ class BackgroundLog:
             gap_before: bytes before these were lost, or this is a new connection.
         """
         gap = gap_before or self._gap
-        taken = self._offer(_Entry(bytes(data), arrival_ns, gap, is_status=False))
+        taken = self._offer(_Entry(bytes(data), arrival_ns, gap, None))
         self._gap = not taken
         return taken
 
     def write_status(self, datagram: bytes, arrival_ns: int) -> bool:
         """Take a status datagram at once; False if there is no room for it."""
-        return self._offer(_Entry(datagram, arrival_ns, gap_before=False, is_status=True))
+        return self._offer(_Entry(datagram, arrival_ns, gap_before=False, link="status"))
+
+    def write_other(
+        self, link: str, data: bytes, arrival_ns: int, *, gap_before: bool = False
+    ) -> bool:
+        """Take bytes of a link beside the sonar at once; False if there is no room for them."""
+        return self._offer(_Entry(data, arrival_ns, gap_before, link))
 
     def _offer(self, entry: _Entry) -> bool:
         size = max(len(entry.data), _LEAST_SIZE)
@@ -141,7 +147,9 @@ class BackgroundLog:
             self._log.tick(self._clock())
 
     def _record(self, entry: _Entry) -> None:
-        if entry.is_status:
-            self._log.write_status(entry.data, entry.arrival_ns)
-        else:
+        if entry.link is None:
             self._log.write(entry.data, entry.arrival_ns, gap_before=entry.gap_before)
+        else:
+            self._log.write_other(
+                entry.link, entry.data, entry.arrival_ns, gap_before=entry.gap_before
+            )

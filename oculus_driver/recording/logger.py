@@ -1,4 +1,4 @@
-"""Record one sonar, and nothing else, for as long as it takes, within the limits of a disk."""
+"""Record one sonar, and links beside it, for as long as it takes, within a disk's limits."""
 
 from __future__ import annotations
 
@@ -22,9 +22,8 @@ if TYPE_CHECKING:
 
     from oculus_driver.stream import Message
 
-_LINKS: Final = (("sonar", OCULUS), ("status", OCULUS_STATUS))
-_SONAR: Final = 1
-_STATUS: Final = 2
+_SONAR: Final = "sonar"
+_STATUS: Final = "status"
 
 _MARGIN: Final = MIB
 """Bytes beyond the data themselves that a file may grow by: heads of records and the index."""
@@ -72,6 +71,7 @@ class SonarLog:
         prefix: of the files' names.
         monotonic_to_unix_ns: added to every stamp; 0 if stamps are nanoseconds since 1970.
         metadata: free words that go into each file.
+        others: name to encoding of links that are recorded beside the sonar, such as odometry.
         free_bytes: tells what is free on the folder's disk.
 
     Raises:
@@ -86,6 +86,7 @@ class SonarLog:
         prefix: str = "sonar",
         monotonic_to_unix_ns: int = 0,
         metadata: Mapping[str, str] | None = None,
+        others: Mapping[str, str] | None = None,
         free_bytes: Callable[[Path], int] = free_bytes_of,
     ) -> None:
         self.policy = policy or LogPolicy()
@@ -94,6 +95,8 @@ class SonarLog:
         self._folder = LogFolder(folder, prefix)
         self._offset_ns = monotonic_to_unix_ns
         self._metadata = dict(metadata or {})
+        self._links = {_SONAR: OCULUS, _STATUS: OCULUS_STATUS, **(others or {})}
+        self._numbers: dict[str, int] = {}
         self._free_bytes = free_bytes
         self._free: int | None = None
         self._free_checked_ns = 0
@@ -156,6 +159,12 @@ class SonarLog:
         """Record a status datagram; True if it is recorded."""
         return self._put(_STATUS, datagram, arrival_ns)
 
+    def write_other(
+        self, link: str, data: bytes, arrival_ns: int, *, gap_before: bool = False
+    ) -> bool:
+        """Record bytes of another link, named in `others`; True if they are recorded."""
+        return self._put(link, data, arrival_ns, gap_before=gap_before)
+
     def tick(self, now_ns: int) -> None:
         """Do what time asks for while nothing comes: close an old file, bring data to the disk."""
         full = self._full(now_ns)
@@ -181,7 +190,7 @@ class SonarLog:
             return None
         return self.policy.full(self._writer.size_bytes, now_ns - self._began_ns)
 
-    def _put(self, link: int, data: bytes, arrival_ns: int, *, gap_before: bool = False) -> bool:
+    def _put(self, link: str, data: bytes, arrival_ns: int, *, gap_before: bool = False) -> bool:
         if not data:
             return True
         if self._retry_at_ns is not None and arrival_ns < self._retry_at_ns:
@@ -192,8 +201,8 @@ class SonarLog:
                 self._pause(shortage, shortage, arrival_ns)
                 return self._refuse(link, shortage, len(data))
             writer = self._writer or self._open(arrival_ns)
-            gap = link == _SONAR and (gap_before or self._gap)
-            writer.write(link, data, arrival_ns, gap_before=gap)
+            gap = gap_before or (link == _SONAR and self._gap)
+            writer.write(self._numbers[link], data, arrival_ns, gap_before=gap)
             self._sync(arrival_ns)
         except (RecordingError, OSError) as error:
             self._finish("failure")
@@ -209,7 +218,7 @@ class SonarLog:
         self.reason = reason
         self._retry_at_ns = now_ns + self.policy.retry_ns
 
-    def _refuse(self, link: int, reason: str, size: int) -> bool:
+    def _refuse(self, link: str, reason: str, size: int) -> bool:
         self._drop(reason, size)
         if link == _SONAR:
             self._torn = self._parser.pending_bytes > 0
@@ -254,8 +263,9 @@ class SonarLog:
         self._writer = writer
         self._began_ns = self._synced_ns = now_ns
         self.counters.files_opened += 1
-        for name, encoding in _LINKS:
-            writer.add_link(name, encoding)
+        self._numbers = {
+            name: writer.add_link(name, encoding) for name, encoding in self._links.items()
+        }
         if self.policy.sync_interval_ns is not None:
             self._folder.sync()
         return writer
