@@ -174,15 +174,17 @@ class Ping:
         return None if start is None else start + self.flight_ns(range_m)
 
     def flight_ns(self, distance_m: float) -> int:
-        """Return how long sound needs for a distance.
+        """Return how long sound needs for a distance, at `credible_speed_of_sound_mps`."""
+        return round(distance_m / self.credible_speed_of_sound_mps * 1e9)
 
-        A speed of sound that cannot be true (odd_sound_speed) is replaced by 1500 m/s here: at
-        most 15 % wrong.
+    @property
+    def credible_speed_of_sound_mps(self) -> float:
+        """The speed of sound for times: as sent, but where it cannot be true (odd_sound_speed).
+
+        There it is 1500 m/s: at most 15 % wrong.
         """
         speed = self.speed_of_sound_mps
-        if not _SPEEDS_MPS[0] <= speed <= _SPEEDS_MPS[1]:
-            speed = NOMINAL_SPEED_OF_SOUND_MPS
-        return round(distance_m / speed * 1e9)
+        return speed if _SPEEDS_MPS[0] <= speed <= _SPEEDS_MPS[1] else NOMINAL_SPEED_OF_SOUND_MPS
 
 
 def decode_ping(message: Message, *, deliver_mismatched: bool = False) -> Ping | Reject:

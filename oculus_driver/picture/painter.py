@@ -80,7 +80,7 @@ class Painter:
         order = np.argsort(ping.bearings_rad, kind="stable")[:: -(-ping.beams // _MOST_BEAMS)]
         fan = self._fan_for(ping, ping.bearings_rad[order])
         level = self._level(ping)[:, order]
-        frame = self._coloured(_laid_out(level, fan), fan.outside)
+        frame = self._coloured(laid_out(level, fan), fan.outside)
         if self.style.labels:
             self._draw_rings(frame, fan, ping)
             self._draw_spokes(frame, fan, ping)
@@ -189,8 +189,16 @@ def _size_px(
     return 2 * -(-max(width, least) // 2), 2 * (height_px // 2)
 
 
-def _laid_out(level: NDArray[np.float32], fan: Fan) -> NDArray[np.float32]:
-    """Return the level of each pixel, bilinear; rows too many for the picture are averaged."""
+def laid_out(level: NDArray[np.float32], fan: Fan) -> NDArray[np.float32]:
+    """Lay samples into a fan, bilinear; rows too many for the picture are averaged.
+
+    Args:
+        level: float32 (rows, beams), beams in the order of their bearings.
+        fan: where the pixels lie.
+
+    Returns:
+        float32 (fan.height_px, fan.width_px); outside the fan, what is nearest.
+    """
     rows, beams = level.shape
     most = max(1, 2 * fan.height_px)
     if rows > most:

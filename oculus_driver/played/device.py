@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from ipaddress import IPv4Address
 from typing import TYPE_CHECKING, Final
 
-from oculus_driver.encode import encode_status, encode_user_config
 from oculus_driver.ping import Ping, decode_ping
-from oculus_driver.played.commands import Command, CommandReader, ConfigDemand, FireDemand
 from oculus_driver.played.numbering import Numbering
+from oculus_driver.played.obedient import M750D_PART, Identity, ObedientDevice
 from oculus_driver.played.remake import remake
 from oculus_driver.played.track import USUAL_WAIT_NS
 from oculus_driver.stream import StreamParser
@@ -18,12 +15,8 @@ from oculus_driver.wire import MessageId, PingRate
 if TYPE_CHECKING:
     from collections.abc import Generator
 
+    from oculus_driver.played.commands import FireDemand
     from oculus_driver.played.track import Step, Track
-
-RUNNING: Final = 0x03
-"""Status bits of a sonar that is well: its main application runs."""
-
-DATA_PORT_IN_USE: Final = 1 << 7
 
 RATES_HZ: Final = {
     PingRate.NORMAL: 10.0,
@@ -32,30 +25,9 @@ RATES_HZ: Final = {
     PingRate.LOW: 5.0,
     PingRate.LOWEST: 2.0,
 }
-LOCAL: Final = IPv4Address("127.0.0.1")
-LOCAL_MASK: Final = IPv4Address("255.0.0.0")
-M750D_PART: Final = 1032
-_MASTER_STATE: Final = 0b111
-_SHUT_DOWN: Final = 0b11 << 14
 
 
-@dataclass(frozen=True, slots=True)
-class Identity:
-    """Who the sonar says it is; None takes it from the recording.
-
-    Attributes:
-        device_id: serial number.
-        part_number: see `oculus_driver.models`; M750d where the recording does not know either.
-        address, netmask: told in statuses.
-    """
-
-    device_id: int | None = None
-    part_number: int | None = None
-    address: IPv4Address = LOCAL
-    netmask: IPv4Address = LOCAL_MASK
-
-
-class PlayedDevice:
+class PlayedDevice(ObedientDevice):
     """Obeys fire messages and deals out what was recorded. No sockets, no clock.
 
     Until a fire message comes it pings as recorded, or is in standby: real sonars keep their last
@@ -70,13 +42,6 @@ class PlayedDevice:
         standby: be silent until a fire message asks for pings.
         loops: how often the track is played, None for ever.
         deaf_to_version: version of fire messages that are not understood.
-
-    Attributes:
-        demand: the last fire message obeyed, or None.
-        status_bits: as in statuses; change them to overheat the sonar or halt it.
-        fires: fire messages obeyed.
-        fires_ignored: fire messages not understood.
-        triggers: fire messages that have not had their ping yet, in triggered mode.
     """
 
     def __init__(
@@ -89,32 +54,26 @@ class PlayedDevice:
         loops: int | None = 1,
         deaf_to_version: int | None = None,
     ) -> None:
-        self.identity = identity or Identity()
-        self.demand: FireDemand | None = None
-        self.status_bits = RUNNING
-        self.fires = 0
-        self.fires_ignored = 0
-        self.triggers = 0
+        identity = identity or Identity()
         self._track = track
         self._remade = remade
         self._standby = standby
         self._loops_left = loops
-        self._deaf_to_version = deaf_to_version
         self._numbering = Numbering()
         self._join_wait_ns = 0  # between the end of the track and its beginning
         self._steps: Generator[Step, None, None] | None = None
         self._upcoming: Step | None = None
         self._load()
         first = None if self._upcoming is None else self._upcoming.message
-        self._device_id = self.identity.device_id or (first.source_id if first else 0) or 1
+        device_id = identity.device_id or (first.source_id if first else 0) or 1
         known_part = first.part_number if first else 0
-        self._part_number = self.identity.part_number or known_part or M750D_PART
+        part_number = identity.part_number or known_part or M750D_PART
+        super().__init__(identity, device_id, part_number, deaf_to_version)
 
     @property
     def pinging(self) -> bool:
         """Whether it transmits by itself or on triggers."""
-        halted = self.status_bits & _MASTER_STATE != RUNNING
-        if halted or self.status_bits & _SHUT_DOWN == _SHUT_DOWN or self._upcoming is None:
+        if not self.able or self._upcoming is None:
             return False
         return not (self._standby if self.demand is None else self.demand.standby)
 
@@ -124,24 +83,13 @@ class PlayedDevice:
         return self._upcoming is None
 
     @property
-    def source_id(self) -> int:
-        """What the headers of its own messages carry."""
-        return self._device_id & 0xFFFF
-
-    @property
-    def triggered(self) -> bool:
-        """Whether each ping needs a fire message of its own."""
-        return self.demand is not None and self.demand.triggered
-
-    @property
     def next_is_ping(self) -> bool:
         """Whether the next message is a ping."""
         step = self._upcoming
         return step is not None and step.message.message_id == MessageId.PING_RESULT
 
-    def hear(self, reader: CommandReader, data: bytes) -> list[bytes]:
-        """Take bytes of a client and return the messages that answer them."""
-        return [reply for command in reader.feed(data) if (reply := self._obey(command))]
+    async def prepare(self) -> None:
+        """Do nothing: what was recorded is ready."""
 
     def wait_ns(self) -> int:
         """Return the time between the last message and the next one."""
@@ -179,38 +127,8 @@ class PlayedDevice:
         if self._steps is not None:
             self._steps.close()
 
-    def status(self, client: IPv4Address | None) -> bytes:
-        """Return a status datagram; `client` is who holds the data port."""
-        return encode_status(
-            device_id=self._device_id,
-            part_number=self._part_number,
-            status_bits=self.status_bits | (DATA_PORT_IN_USE if client else 0),
-            address=self.identity.address,
-            netmask=self.identity.netmask,
-            client_address=client,
-            temperatures_c=(20.0,) * 8,
-            pressure_bar=1.0,
-        )
-
     def _rate_known(self) -> bool:
         return self.demand is not None and self.demand.ping_rate in RATES_HZ
-
-    def _obey(self, command: Command) -> bytes | None:
-        if isinstance(command, ConfigDemand):
-            return self._configuration() if command.asks else None
-        if command.version == self._deaf_to_version:
-            self.fires_ignored += 1
-            return None
-        self.fires += 1
-        self.demand = command
-        self.triggers = self.triggers + 1 if command.triggered else 0
-        return None
-
-    def _configuration(self) -> bytes:
-        who = self.identity
-        return encode_user_config(
-            address=who.address, netmask=who.netmask, source_id=self.source_id
-        )
 
     def _remake(self, data: bytes, demand: FireDemand) -> bytes:
         messages = StreamParser().feed(data)

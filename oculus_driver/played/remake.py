@@ -52,7 +52,7 @@ def remake(ping: Ping, demand: FireDemand, part_number: int) -> bytes:
         start_time=_start_time(ping, demand.version),
         range_resolution_m=step_m,
         bearings_cdeg=bearings_cdeg,
-        image=_samples(image, ping.bits_per_sample, _bits(demand)),
+        image=_samples(image, ping.bits_per_sample, bits_of(demand)),
         gains=gains if demand.flags & FireFlags.SEND_GAIN else None,
         source_id=ping.source_id,
         part_number=ping.part_number,
@@ -61,7 +61,7 @@ def remake(ping: Ping, demand: FireDemand, part_number: int) -> bytes:
         temperature_c=ping.temperature_c or 0.0,
         pressure_bar=ping.pressure_bar or 0.0,
     )
-    return _with_echo(data, demand)
+    return with_echo(data, demand)
 
 
 def range_m_of(demand: FireDemand, part_number: int) -> float:
@@ -71,7 +71,7 @@ def range_m_of(demand: FireDemand, part_number: int) -> float:
     asked = demand.range_demand
     if not demand.flags & FireFlags.RANGE_IN_METRES:
         asked *= largest / 100.0
-    return min(max(asked, _SMALLEST_RANGE_M), largest)
+    return min(max(_SMALLEST_RANGE_M, asked), largest)  # in this order NaN is the smallest
 
 
 def _rows(ping: Ping, range_m: float) -> tuple[NDArray[Any], float, NDArray[np.uint32]]:
@@ -98,7 +98,8 @@ def _beams(ping: Ping, image: NDArray[Any], beams: int) -> tuple[NDArray[np.int1
     return bearing_table_cdeg(beams, half_rad), image[:, nearest]
 
 
-def _bits(demand: FireDemand) -> int:
+def bits_of(demand: FireDemand) -> int:
+    """Return the bits per sample asked for."""
     if demand.version == _VERSION_2 and demand.extended_flags & EXTENDED_32_BIT:
         return 32
     return 16 if demand.flags & FireFlags.SIXTEEN_BIT else 8
@@ -123,7 +124,8 @@ def _start_time(ping: Ping, version: int) -> float:
     return float(round((ping.start_time_s or 0.0) / 8e-9))
 
 
-def _with_echo(data: bytes, demand: FireDemand) -> bytes:
+def with_echo(data: bytes, demand: FireDemand) -> bytes:
+    """Return a ping with what real firmware echoes of a fire message, the rubbish included."""
     changed = bytearray(data)
     changed[FIRE_V1.offset_of("ping_rate")] = GARBAGE_PING_RATE
     changed[FIRE_V1.offset_of("network_speed_mbps")] = GARBAGE_NETWORK_SPEED

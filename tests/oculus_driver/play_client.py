@@ -42,7 +42,11 @@ class Client:
 
     @classmethod
     async def of(cls, sonar: PlayedSonar) -> Client:
-        return cls(*await asyncio.open_connection(sonar.host, sonar.port))
+        return await cls.of_address(sonar.host, sonar.port)
+
+    @classmethod
+    async def of_address(cls, host: str, port: int) -> Client:
+        return cls(*await asyncio.open_connection(host, port))
 
     async def __aenter__(self) -> Self:
         return self

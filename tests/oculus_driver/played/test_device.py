@@ -13,6 +13,7 @@ from oculus_driver import Ping, StreamParser, decode_ping, encode_dummy, encode_
 from oculus_driver.played.commands import CommandReader, FireDemand
 from oculus_driver.played.device import PlayedDevice
 from oculus_driver.played.faults import SHARES, Dice, Faults
+from oculus_driver.played.remake import range_m_of
 from oculus_driver.played.track import Track
 from oculus_driver.recording import OCULUS, RecordingWriter
 
@@ -210,3 +211,11 @@ def test_every_share_is_a_fault_of_its_own() -> None:
         "restart_ids",
         "reorder_statuses",
     )
+
+
+@pytest.mark.parametrize(
+    ("asked", "metres"),
+    [(np.nan, 0.1), (-np.inf, 0.1), (np.inf, 120.0), (1e300, 120.0), (7.5, 7.5)],
+)
+def test_whatever_range_is_asked_for_is_one_that_the_model_has(asked: float, metres: float) -> None:
+    assert range_m_of(FireDemand(range_demand=asked), 1032) == metres
