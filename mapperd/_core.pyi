@@ -54,6 +54,27 @@ class IwloParams:
     ) -> tuple[float, int]:
         """One voxel's state after one ping; `weight` is w(I), `factor` multiplies the step."""
 
+class PingMotion:
+    """How the sonar moves while its ping is in the water.
+
+    Args:
+        linear_mps: (3,), of the sonar, map frame.
+        angular_radps: (3,), sonar frame.
+        valid_s: after transmission, when map_T_sonar holds.
+        speed_of_sound_mps: turns ranges into times.
+
+    What cannot be is refused when it is integrated.
+    """
+
+    def __init__(
+        self,
+        *,
+        linear_mps: NDArray[np.float64],
+        angular_radps: NDArray[np.float64],
+        valid_s: float,
+        speed_of_sound_mps: float,
+    ) -> None: ...
+
 class PingStats:
     """What one ping changed, in voxels."""
 
@@ -96,6 +117,7 @@ class VoxelMap:
         aggregation: str = "occupied_first",
         error_bound: float = 0.0,
         threads: int = 1,
+        motion: PingMotion = ...,
     ) -> PingStats:
         """Integrate one ping: each voxel is projected into the ping once.
 
@@ -111,10 +133,12 @@ class VoxelMap:
             error_bound: log-odds that this ping's step may be off by, in 99 of 100 voxels; 0 for
                 the exact integral.
             threads: 1 to 64; the map does not depend on it.
+            motion: of the sonar; without any, the ping's bits are those of a sonar at rest.
 
         Raises:
-            ValueError: an argument has the wrong shape or is not finite, or the pose is no rigid
-                transform.
+            ValueError: an argument has the wrong shape or is not finite, the pose is no rigid
+                transform, or the motion is faster than a fiftieth of sound or turns the sonar by
+                more than a radian before the last row is back.
             IndexError: the ping would leave the map's reach.
         """
 
@@ -128,6 +152,7 @@ class VoxelMap:
         vertical_aperture_rad: float,
         min_range_m: float = 0.5,
         angular_cone_width: float = 0.5,
+        motion: PingMotion = ...,
     ) -> PingStats:
         """Integrate one ping by sampled sub-rays; arguments as above."""
 

@@ -14,9 +14,11 @@ __all__ = ["Arguments", "parse_arguments"]
 
 MAX_POSITION_M = 1e7
 EPILOG = """\
+`mapperd doctor` checks every link and says what to do about the first thing that fails.
+
 exit codes: 0 the map is written; 2 the command cannot be done as given; 65 the file is no
-recording, or nothing in it could be mapped; 66 the file cannot be opened; 73 results cannot be
-written; 78 the settings are wrong; 130 interrupted"""
+recording, or nothing in it or from the sonar could be mapped; 66 the file cannot be opened; 69 a
+link cannot be opened; 73 results cannot be written; 78 the settings are wrong; 130 interrupted"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +26,7 @@ class Arguments:
     """What was asked.
 
     Attributes:
-        replay: the recording.
+        replay: the recording; None maps live.
         config: the settings file, None for the defaults.
         out: folder of the results.
         pose: of the base in the map for every ping, None to take it from the odometry.
@@ -32,7 +34,7 @@ class Arguments:
         start_s, duration_s: the part of the recording to map.
     """
 
-    replay: Path
+    replay: Path | None
     config: Path | None
     out: Path
     pose: Pose | None
@@ -55,11 +57,14 @@ def parse_arguments(argv: Sequence[str]) -> Arguments:
     Raises:
         SystemExit: with code 2 and one line on stderr; with 0 after --help and --version.
     """
-    said = _parser().parse_args(_with_joined_pose(argv))
+    parser = _parser()
+    said = parser.parse_args(_with_joined_pose(argv))
+    if said.replay is None and said.start:
+        parser.error("--start is of a recording: it needs --replay")
     return Arguments(
         replay=said.replay,
         config=said.config,
-        out=said.out,
+        out=said.out or Path("mapperd-live" if said.replay is None else "mapperd-replay"),
         pose=said.pose,
         integrator=said.integrator,
         start_s=said.start,
@@ -70,20 +75,20 @@ def parse_arguments(argv: Sequence[str]) -> Arguments:
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="mapperd",
-        description="Turn a recording of an Oculus sonar into a 3D map.",
+        description="Turn what an Oculus sonar hears, live or recorded, into a 3D map.",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     add = parser.add_argument
-    add("--replay", metavar="FILE", type=Path, required=True, help="the recording")
+    add("--replay", metavar="FILE", type=Path, help="a recording; without it, live")
     add("--config", metavar="YAML", type=Path, help="settings; without it the defaults hold")
     add(
         "--out",
         metavar="DIR",
         type=Path,
-        default=Path("mapperd-replay"),
-        help="folder for map.bt, map.ply, map.png and summary.json (default: %(default)s)",
+        help="folder for map.bt, map.ply, map.png and summary.json (default: mapperd-replay, or "
+        "mapperd-live)",
     )
     add(
         "--pose",
@@ -96,7 +101,7 @@ def _parser() -> argparse.ArgumentParser:
         choices=("projective", "rays"),
         help="how a ping becomes voxels (default: mapping.integrator of the settings)",
     )
-    add("--start", metavar="S", type=_seconds, default=0.0, help="skip the first S seconds")
+    add("--start", metavar="S", type=_seconds, default=0.0, help="skip the first S seconds of it")
     add("--duration", metavar="S", type=_positive, help="map S seconds and stop")
     add("--version", action="version", version=f"mapperd {version()}")
     return parser

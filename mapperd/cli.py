@@ -1,4 +1,4 @@
-"""The command `mapperd`: settings and a recording in, a folder of results out."""
+"""The command `mapperd`: settings and a recording or a sonar in, a folder of results out."""
 
 import os
 import sys
@@ -14,18 +14,20 @@ import numpy as np
 from mapperd.arguments import Arguments, parse_arguments
 from mapperd.config import Config
 from mapperd.config_file import load_config
-from mapperd.errors import ConfigError, ExportError, ReplayError
+from mapperd.doctor_command import doctor
+from mapperd.errors import ConfigError, ExportError, LiveError, ReplayError
 from mapperd.export.atomic import make_folder
 from mapperd.export.folder import write_results
 from mapperd.export.picture import MISSING, can_draw
-from mapperd.export.summary import summary_of
+from mapperd.export.summary import recording_facts, summary_of
 from mapperd.frames import Pose
+from mapperd.live_command import map_live
 from mapperd.mapping import SonarMap
 from mapperd.pairing import FixedPose, OdometryPoses
 from mapperd.progress import ProgressBar
-from mapperd.replay import Replay, Window, encodings, first_range_m
-from oculus_driver.errors import RecordingError
-from oculus_driver.recording import OCULUS, ODOMETRY_NATIVE, open_recording
+from mapperd.replay import Replay, Window, contents, first_range_m
+from oculus_driver.errors import OculusError, RecordingError, SettingsError
+from oculus_driver.recording import open_recording
 
 __all__ = ["Exit", "main"]
 
@@ -37,6 +39,7 @@ class Exit(IntEnum):
     USAGE = 2
     BAD_DATA = 65
     NO_INPUT = 66
+    UNAVAILABLE = 69
     CANNOT_WRITE = 73
     BAD_CONFIG = 78
     INTERRUPTED = 130
@@ -44,38 +47,58 @@ class Exit(IntEnum):
 
 _EXITS = {
     ConfigError: Exit.BAD_CONFIG,
+    LiveError: Exit.UNAVAILABLE,
+    SettingsError: Exit.BAD_CONFIG,
     RecordingError: Exit.BAD_DATA,
     ExportError: Exit.CANNOT_WRITE,
+    OculusError: Exit.UNAVAILABLE,
 }
+"""The first kind that an error is."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; every failure that input can cause is one line and an exit code."""
     _open_closed_streams()
-    arguments = parse_arguments(sys.argv[1:] if argv is None else argv)
+    words = sys.argv[1:] if argv is None else argv
+    if words[:1] == ["doctor"]:
+        return doctor(words[1:])
+    arguments = parse_arguments(words)
     try:
-        return _replay(arguments)
+        return (
+            _live(arguments) if arguments.replay is None else _replay(arguments, arguments.replay)
+        )
     except ReplayError as error:
         return _fail(Exit.USAGE, f"{arguments.replay}: {error}")
-    except (ConfigError, RecordingError, ExportError) as error:
-        return _fail(_EXITS[type(error)], error)
+    except (ConfigError, LiveError, ExportError, OculusError) as error:
+        return _fail(next(code for kind, code in _EXITS.items() if isinstance(error, kind)), error)
     except KeyboardInterrupt:
         return _fail(Exit.INTERRUPTED, f"interrupted; results in {arguments.out} may be missing")
 
 
-def _replay(arguments: Arguments) -> Exit:
+def _live(arguments: Arguments) -> Exit:
+    """Map until told to stop, write."""
+    sonar_map = SonarMap(_config(arguments))
+    make_folder(arguments.out)
+    if not can_draw():
+        _say(MISSING)
+    summary = map_live(sonar_map, _poses(arguments, sonar_map), arguments.duration_s, _say)
+    write_results(arguments.out, sonar_map, summary)
+    return _verdict(arguments, summary)
+
+
+def _replay(arguments: Arguments, path: Path) -> Exit:
     """Check everything that can be checked, map, write."""
     sonar_map = SonarMap(_config(arguments))
-    if (problem := _unreadable(arguments.replay)) is not None:
+    if (problem := _unreadable(path)) is not None:
         return _fail(Exit.NO_INPUT, problem)
-    _require_data(arguments.replay, odometry=arguments.pose is None)
+    _require_data(path, odometry=arguments.pose is None)
     if arguments.pose is not None:
-        _require_reach(arguments.replay, arguments.pose, sonar_map)
+        _require_reach(path, arguments.pose, sonar_map)
     make_folder(arguments.out)
     if not can_draw():
         _say(MISSING)
     try:
-        summary = _mapped(arguments, sonar_map)
+        summary = _mapped(arguments, path, sonar_map)
     except KeyboardInterrupt:
         return _fail(Exit.INTERRUPTED, "interrupted; nothing was written")
     write_results(arguments.out, sonar_map, summary)
@@ -109,15 +132,14 @@ def _unreadable(path: Path) -> str | None:
 
 def _require_data(path: Path, *, odometry: bool) -> None:
     """Refuse early what could only end in a map without a ping."""
-    needed = {OCULUS, ODOMETRY_NATIVE} if odometry else {OCULUS}
     with open_recording(path) as recording:
-        found = encodings(recording, until=needed)
+        has_sonar, has_odometry = contents(recording)
         damage = f" ({recording.damage})" if recording.damage else ""
-        if not found:
+        if not has_sonar and not has_odometry:
             raise RecordingError(f"{path}: nothing can be read from it{damage}")
-        if OCULUS not in found:
+        if not has_sonar:
             raise RecordingError(f"{path}: no sonar data in it{damage}")
-        if not needed <= found:
+        if odometry and not has_odometry:
             raise ReplayError(
                 f"no odometry in it{damage}, so nobody knows where the vehicle was; if it stood "
                 "still, say where with --pose x,y,z,roll,pitch,yaw"
@@ -137,31 +159,37 @@ def _require_reach(path: Path, pose: Pose, sonar_map: SonarMap) -> None:
         )
 
 
-def _mapped(arguments: Arguments, sonar_map: SonarMap) -> dict[str, Any]:
+def _poses(arguments: Arguments, sonar_map: SonarMap) -> FixedPose | OdometryPoses:
+    if arguments.pose is not None:
+        return FixedPose(arguments.pose)
+    return OdometryPoses(sonar_map.config)
+
+
+def _mapped(arguments: Arguments, path: Path, sonar_map: SonarMap) -> dict[str, Any]:
     """Run the replay; returns its summary."""
-    settings = sonar_map.config.time_sync
-    poses = OdometryPoses(settings) if arguments.pose is None else FixedPose(arguments.pose)
+    poses = _poses(arguments, sonar_map)
     window = Window(arguments.start_s, arguments.duration_s)
     replay = Replay(sonar_map, poses, window, time.perf_counter)
     began_s = time.perf_counter()
-    with open_recording(arguments.replay) as recording:
+    with open_recording(path) as recording:
         bar = ProgressBar(sys.stderr, time.perf_counter)
         for _ in replay.run(recording):
             bar.show(recording.bytes_read / recording.size_bytes, replay.counters.pings_mapped)
         bar.close(replay.counters.pings_mapped)
         wall_s = time.perf_counter() - began_s
-        return summary_of(recording, sonar_map, poses, replay.counters, wall_s)
+        return summary_of(recording_facts(recording), sonar_map, poses, replay.counters, wall_s)
 
 
 def _verdict(arguments: Arguments, summary: dict[str, Any]) -> Exit:
     """Say how it went; a map without a single ping is a failure."""
     dropped = ", ".join(f"{why} {count}" for why, count in summary["pings_dropped"].items())
-    damage = summary["recording"]["damage"]
+    damage = summary["recording"]["damage"] if "recording" in summary else None
+    source = arguments.replay or "live"
     if summary["pings_mapped"] == 0:
         damaged = f" (damaged: {damage})" if damage else ""
-        return _fail(Exit.BAD_DATA, f"{arguments.replay}: {_why_empty(summary, dropped)}{damaged}")
+        return _fail(Exit.BAD_DATA, f"{source}: {_why_empty(summary, dropped)}{damaged}")
     if damage:
-        _say(f"{arguments.replay}: damaged: {damage}")
+        _say(f"{source}: damaged: {damage}")
     lost = f" (dropped: {dropped})" if dropped else ""
     problem = _written(
         sys.stdout,
@@ -179,6 +207,8 @@ def _why_empty(summary: dict[str, Any], dropped: str) -> str:
         return f"no ping could be mapped: {dropped}"
     if outside := summary["pings_outside"]:
         return f"no ping lies in the chosen part; {outside} were read outside of it"
+    if "live" in summary:
+        return f"no ping came from the sonar ({summary['live']['sonar']})"
     rejected, total = summary["bytes_rejected"], summary["bytes_total"]
     return f"no ping in it; {rejected} of {total} bytes of sonar data rejected"
 

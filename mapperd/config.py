@@ -6,32 +6,38 @@ program runs. A parameter stands here only if it does something. Reading YAML is
 of `mapperd.config_file`.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from msgspec import Meta, Struct
+from msgspec import Struct
+
+from mapperd.config_odometry import OdometryFusion, SlamQuality, TimeSync, WorldInit
+from mapperd.setting import rule
 
 __all__ = [
     "Adaptive",
     "Config",
+    "Device",
     "Filtering",
     "Iwlo",
     "Mapping",
     "Mounting",
     "Octree",
+    "OdometryFusion",
     "Orientation",
     "Position",
     "Processing",
+    "Recording",
+    "SlamQuality",
     "Sonar",
     "TimeSync",
+    "WorldInit",
 ]
 
 MAX_COUNT = 65535  # observations that a voxel can count
 
 
-def rule(description: str, unit: str = "", *, live: bool = False, **limits: float) -> Meta:
-    """Say what a field means, its unit, its limits, and whether it may change at run time."""
-    known: dict[str, Any] = {**limits, "extra": {"unit": unit, "dynamic": live}}
-    return Meta(description=description, **known)
+IPV4 = r"((25[0-5]|2[0-4]\d|1?\d?\d)\.){3}(25[0-5]|2[0-4]\d|1?\d?\d)"
+"""Pattern of an address in dotted decimals."""
 
 
 class Sonar(Struct, frozen=True, forbid_unknown_fields=True):
@@ -143,6 +149,14 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True):
         int,
         rule("Threads of projective; the map does not depend on them.", live=True, ge=1, le=64),
     ] = 1
+    within_ping_motion: Annotated[
+        bool,
+        rule(
+            "Samples are placed with the pose at their own time of flight, where velocity or "
+            "rate is known.",
+            live=True,
+        ),
+    ] = True
     angular_cone_width: Annotated[
         float,
         rule("Shadow tolerance of rays: factor on twice a beam's width.", live=True, ge=0, le=100),
@@ -233,33 +247,63 @@ class Processing(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 1
 
 
-class TimeSync(Struct, frozen=True, forbid_unknown_fields=True):
-    """The pose at a ping's time."""
+class Device(Struct, frozen=True, forbid_unknown_fields=True):
+    """The sonar on the network and what it is asked for; a recording needs none of it."""
 
-    max_gap_sec: Annotated[
-        float,
-        rule("Poses are interpolated over at most this.", "s", live=True, gt=0, le=60),
-    ] = 0.5
-    max_stamp_diff_sec: Annotated[
-        float,
+    address: Annotated[
+        str,
         rule(
-            "Where no such gap encloses the ping, motion is carried on this far; then it drops.",
-            "s",
-            live=True,
+            "Of the sonar; without one it is found by its status broadcasts.",
+            "an IPv4 address or nothing",
+            pattern=f"^({IPV4})?$",
+        ),
+    ] = ""
+    port: Annotated[int, rule("Of the sonar's data connection.", ge=1, le=65535)] = 52100
+    serial: Annotated[
+        int,
+        rule(
+            "Of the sonar to choose among several that are found; 0 takes the first one heard.",
             ge=0,
-            le=10,
+            le=2**32 - 1,
         ),
-    ] = 0.1
-    max_odom_age_sec: Annotated[
+    ] = 0
+    mode: Annotated[
+        Literal[1, 2], rule("1 is low frequency, wide and far; 2 is high, narrow and near.")
+    ] = 1
+    ping_rate: Annotated[
+        Literal["normal", "high", "highest", "low", "lowest"],
+        rule("At most 10, 15, 40, 5 or 2 pings a second; long ranges allow fewer."),
+    ] = "normal"
+    range: Annotated[float, rule("How far to look.", "m", ge=0.1, le=200)] = 10.0
+    gain: Annotated[float, rule("Of the receiver.", "%", ge=0, le=100)] = 50.0
+    beams: Annotated[Literal[256, 512], rule("Columns of the image.")] = 512
+    latency_sec: Annotated[
         float,
         rule(
-            "A record stamped further than this from its arrival is rejected.",
+            "Least time from the last echo to the first byte's arrival, which nothing in the "
+            "stream tells; pings are placed that much earlier.",
             "s",
-            live=True,
-            gt=0,
-            le=3600,
+            ge=0,
+            le=1,
         ),
-    ] = 0.5
+    ] = 0.0
+
+
+class Recording(Struct, frozen=True, forbid_unknown_fields=True):
+    """Everything that comes in while mapping live, on disk as it came."""
+
+    folder: Annotated[
+        str,
+        rule("For the recordings; without one nothing is recorded.", "a path or nothing"),
+    ] = ""
+    max_file: Annotated[
+        int, rule("Of one file, then the next begins.", "MiB", ge=1, le=1 << 20)
+    ] = 512
+    budget: Annotated[
+        int,
+        rule("Of all files together, the oldest go; 0 has no limit.", "MiB", ge=0, le=1 << 30),
+    ] = 0
+    free_floor: Annotated[int, rule("What stays free on the disk.", "MiB", ge=0, le=1 << 30)] = 1024
 
 
 class Config(Struct, frozen=True, forbid_unknown_fields=True):
@@ -274,3 +318,8 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     adaptive: Adaptive = Adaptive()
     processing: Processing = Processing()
     time_sync: TimeSync = TimeSync()
+    slam_quality: SlamQuality = SlamQuality()
+    odometry: OdometryFusion = OdometryFusion()
+    world_init: WorldInit = WorldInit()
+    device: Device = Device()
+    recording: Recording = Recording()

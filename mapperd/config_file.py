@@ -117,6 +117,8 @@ def rule_text(path: str) -> str | None:
     base, meta = get_args(hint)[0], hint.__metadata__[0]
     if base is bool:
         return "true or false"
+    if base is str:
+        return str(meta.extra["unit"])
     if get_origin(base) is not None:
         return " or ".join(str(choice) for choice in get_args(base))
     signs = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}

@@ -2,12 +2,13 @@
 
 MapperdError
  +-- ConfigError      our user's settings: place in them, what is allowed
+ +-- LiveError        a link cannot be opened
  +-- ReplayError      the recording cannot become a map with the options given
  +-- MapError         the map cannot hold or give what was asked
  +-- ExportError      a result cannot be written
 """
 
-__all__ = ["ConfigError", "ExportError", "MapError", "MapperdError", "ReplayError"]
+__all__ = ["ConfigError", "ExportError", "LiveError", "MapError", "MapperdError", "ReplayError"]
 
 
 class MapperdError(Exception):
@@ -24,6 +25,10 @@ class ConfigError(MapperdError):
     def __init__(self, message: str, path: str = "$") -> None:
         super().__init__(message)
         self.path = path
+
+
+class LiveError(MapperdError):
+    """A link cannot be opened."""
 
 
 class ReplayError(MapperdError):

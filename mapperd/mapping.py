@@ -17,6 +17,7 @@ from mapperd.echo import Echo
 from mapperd.errors import ConfigError, MapError
 from mapperd.frames import pose_from_rpy
 from mapperd.map_file import load_map, save_map
+from mapperd.motion import PingMotion
 
 __all__ = ["MapCounts", "SonarMap", "Voxels", "iwlo_params"]
 
@@ -32,6 +33,8 @@ MAX_FAN_VOXELS = 500_000_000
 """A fan with more voxels than this would take gigabytes for a single ping."""
 
 Floats = NDArray[np.float64]
+
+AT_REST = PingMotion(np.zeros(3), np.zeros(3), 0.0, 1500.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,16 +112,20 @@ class SonarMap:
         self,
         echo: Echo,
         map_T_sonar: Floats,  # noqa: N803 frames are named
+        motion: PingMotion | None = None,
     ) -> _core.PingStats:
         """Add one ping's evidence with the integrator of the settings.
 
         Args:
             echo: the ping's intensities and geometry.
             map_T_sonar: (4, 4) rigid transform of the sonar at the ping's time.
+            motion: of the sonar during the ping, which `mapping.within_ping_motion` may leave
+                out; None is a sonar at rest.
 
         Raises:
-            MapError: the geometry is not a ping's, the fan holds too many voxels to be meant, or
-                the pose leaves the map's reach. The map is as before.
+            MapError: the geometry is not a ping's, the fan holds too many voxels to be meant, the
+                pose leaves the map's reach, or the sonar cannot move so (faster than a fiftieth of
+                sound, by more than a radian in one ping). The map is as before.
         """
         self._check_size(echo)
         settings = self.config.mapping
@@ -126,12 +133,14 @@ class SonarMap:
         aperture_rad = math.radians(self.config.sonar.vertical_aperture)
         min_range_m = self.config.filtering.min_range
         try:
+            moved = _core_motion(motion if settings.within_ping_motion else None)
             if settings.integrator == "rays":
                 return self._map.integrate_rays(
                     *ping,
                     vertical_aperture_rad=aperture_rad,
                     min_range_m=min_range_m,
                     angular_cone_width=settings.angular_cone_width,
+                    motion=moved,
                 )
             return self._map.integrate_projective(
                 *ping,
@@ -141,6 +150,7 @@ class SonarMap:
                 aggregation=settings.aggregation,
                 error_bound=settings.error_bound,
                 threads=settings.threads,
+                motion=moved,
             )
         except (ValueError, IndexError, OverflowError) as error:
             raise MapError(str(error), "refused_by_map") from error
@@ -261,6 +271,17 @@ class SonarMap:
                 f"{self.resolution_m:g} m: set a larger octree.voxel_resolution",
                 "fan_too_large",
             )
+
+
+def _core_motion(motion: PingMotion | None) -> _core.PingMotion:
+    if motion is None:
+        motion = AT_REST
+    return _core.PingMotion(
+        linear_mps=np.ascontiguousarray(motion.linear_mps, dtype=np.float64),
+        angular_radps=np.ascontiguousarray(motion.angular_radps, dtype=np.float64),
+        valid_s=motion.valid_s,
+        speed_of_sound_mps=motion.speed_of_sound_mps,
+    )
 
 
 def iwlo_params(config: Config) -> _core.IwloParams:

@@ -12,14 +12,16 @@ from statistics import median_low
 from mapperd.counters import ReplayCounters
 from mapperd.errors import ReplayError
 from mapperd.mapping import SonarMap
-from mapperd.pairing import PoseSource
+from mapperd.odometry.bridge import ENCODING_PREFIX
+from mapperd.pairing import PoseSource, ping_time_ns
 from mapperd.ping_stream import Arrival, PingStream
 from mapperd.reject import Reject
-from mapperd.step import Mapped, process_ping
+from mapperd.stepping import Stepping
+from oculus_driver.clock import SonarClock
 from oculus_driver.ping import Ping
-from oculus_driver.recording import OCULUS, ODOMETRY_NATIVE, Chunk, Recording
+from oculus_driver.recording import OCULUS, Chunk, Recording
 
-__all__ = ["Replay", "Window", "encodings", "first_range_m"]
+__all__ = ["Replay", "Window", "contents", "first_range_m"]
 
 MAX_LATE_CHUNKS = 1000
 """So many chunks in a row after the chosen part are its end; fewer are stamps gone astray."""
@@ -72,9 +74,6 @@ class Replay:
         poses: fixed, or from the recording's odometry.
         window: which part of the recording.
         clock: seconds, to time the steps with.
-
-    Attributes:
-        counters: what happened.
     """
 
     def __init__(
@@ -84,14 +83,17 @@ class Replay:
         window: Window,
         clock: Callable[[], float],
     ) -> None:
-        self.counters = ReplayCounters()
         self._map = sonar_map
         self._poses = poses
         self._window = window
-        self._clock = clock
+        self._stepping = Stepping(sonar_map, poses, clock)
         self._stream = PingStream(confirm=True)
-        self._frame_skip = sonar_map.config.processing.frame_skip
-        self._offered = 0
+        self._clocks: dict[int, SonarClock] = {}
+
+    @property
+    def counters(self) -> ReplayCounters:
+        """What happened."""
+        return self._stepping.counters
 
     def run(self, recording: Recording) -> Iterator[None]:
         """Map the recording; yields after every chunk, so that the caller can show progress.
@@ -124,8 +126,14 @@ class Replay:
         return chunk.arrival_ns >= end_ns + grace_ns
 
     def _take(self, chunk: Chunk, start_ns: int | None, end_ns: int | None) -> None:
-        if chunk.encoding == ODOMETRY_NATIVE:
-            self._poses.add_odometry(chunk.data, chunk.arrival_ns)
+        if chunk.encoding.startswith(ENCODING_PREFIX):
+            self._poses.add_odometry(
+                chunk.link,
+                chunk.data,
+                chunk.arrival_ns,
+                encoding=chunk.encoding,
+                gap_before=chunk.gap_before,
+            )
         elif chunk.encoding == OCULUS:
             arrivals = self._stream.feed(
                 chunk.link, chunk.data, chunk.arrival_ns, gap_before=chunk.gap_before
@@ -133,33 +141,25 @@ class Replay:
             self._offer(arrivals, start_ns, end_ns)
 
     def _offer(self, arrivals: Iterable[Arrival], start_ns: int | None, end_ns: int | None) -> None:
-        """Count the pings of the window and let every Nth of them wait for its pose."""
+        """Let the pings of the window wait for their poses."""
         for arrival in arrivals:
             if not _within(arrival.t_ns, start_ns, end_ns):
                 self.counters.pings_outside += 1
-                continue
-            self.counters.pings_total += 1
-            if isinstance(arrival.ping, Reject):
-                self.counters.drop(arrival.ping.reason, arrival.ping.detail)
-                continue
-            self._offered += 1
-            if (self._offered - 1) % self._frame_skip:
-                self.counters.drop("frame_skip", f"every {self._frame_skip}th ping is mapped")
             else:
-                self._poses.add_ping(arrival.ping)
+                self._stepping.offer(arrival.ping, self._time_ns(arrival.ping))
+
+    def _time_ns(self, ping: Ping | Reject) -> int | None:
+        """By the sonar's own clock, as in live mapping."""
+        if isinstance(ping, Reject):
+            return None
+        if ping.source_id not in self._clocks:
+            latency_ns = round(self._map.config.device.latency_sec * 1e9)
+            self._clocks[ping.source_id] = SonarClock(latency_ns=latency_ns)
+        return ping_time_ns(ping, self._clocks[ping.source_id])
 
     def _map_settled(self, now_ns: int | None, *, final: bool = False) -> None:
         for ping, pose in self._poses.settled(now_ns, final=final):
-            if isinstance(pose, Reject):
-                self.counters.drop(pose.reason, pose.detail)
-                continue
-            began_s = self._clock()
-            result = process_ping(ping, pose, self._map)
-            self.counters.step_s.append(self._clock() - began_s)
-            if isinstance(result, Mapped):
-                self.counters.pings_mapped += 1
-            else:
-                self.counters.drop(result.reason, result.detail)
+            self._stepping.step(ping, pose)
 
 
 def _within(t_ns: int | None, start_ns: int | None, end_ns: int | None) -> bool:
@@ -168,14 +168,15 @@ def _within(t_ns: int | None, start_ns: int | None, end_ns: int | None) -> bool:
     return t_ns is not None and t_ns >= start_ns and (end_ns is None or t_ns < end_ns)
 
 
-def encodings(recording: Recording, until: set[str]) -> set[str]:
-    """The kinds of data in a recording; reads no further than until all of `until` are found."""
-    found: set[str] = set()
+def contents(recording: Recording) -> tuple[bool, bool]:
+    """Whether a recording holds sonar data, and odometry; reads until it has found both."""
+    sonar = odometry = False
     for chunk in recording:
-        found.add(chunk.encoding)
-        if until <= found:
+        sonar = sonar or chunk.encoding == OCULUS
+        odometry = odometry or chunk.encoding.startswith(ENCODING_PREFIX)
+        if sonar and odometry:
             break
-    return found
+    return sonar, odometry
 
 
 def first_range_m(recording: Recording) -> float:

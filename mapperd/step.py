@@ -6,10 +6,13 @@ from mapperd.echo import echo_of
 from mapperd.errors import MapError
 from mapperd.frames import Pose
 from mapperd.mapping import SonarMap
+from mapperd.motion import BaseMotion
 from mapperd.reject import Reject
 from oculus_driver.ping import Ping
 
 __all__ = ["Mapped", "process_ping"]
+
+AT_REST = BaseMotion()
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,18 +30,24 @@ class Mapped:
     voxels_free: int
 
 
-def process_ping(ping: Ping, pose: Pose, sonar_map: SonarMap) -> Mapped | Reject:
+def process_ping(
+    ping: Ping, pose: Pose, sonar_map: SonarMap, moving: BaseMotion = AT_REST
+) -> Mapped | Reject:
     """Put one ping into the map.
 
     Args:
         ping: what the sonar heard.
         pose: the base in the map frame, when the sound met the middle of the image.
         sonar_map: the map; unchanged when the ping is rejected.
+        moving: how the base moves then.
     """
     try:
         echo = echo_of(ping, sonar_map.config.sonar)
         map_T_sonar = pose.map_T_base @ sonar_map.base_T_sonar  # noqa: N806 frames are named
-        changed = sonar_map.integrate(echo, map_T_sonar)
+        sound_mps = ping.credible_speed_of_sound_mps
+        middle_s = ping.max_range_m / 2 / sound_mps
+        motion = moving.of_sonar(pose, sonar_map.base_T_sonar, middle_s, sound_mps)
+        changed = sonar_map.integrate(echo, map_T_sonar, motion)
     except MapError as error:
         return Reject(error.reason, str(error))
     return Mapped(ping.ping_id, changed.occupied, changed.free)

@@ -11,20 +11,20 @@ from mapperd.pairing import FixedPose, OdometryPoses
 from mapperd.version import version
 from oculus_driver.recording import Recording
 
-__all__ = ["summary_of"]
+__all__ = ["recording_facts", "summary_of"]
 
 
 def summary_of(
-    recording: Recording,
+    source: dict[str, Any],
     sonar_map: SonarMap,
     poses: FixedPose | OdometryPoses,
     counters: ReplayCounters,
     wall_s: float,
 ) -> dict[str, Any]:
-    """Everything that there is to say about a replay; units are in the names.
+    """Everything that there is to say about a run; units are in the names.
 
     Args:
-        recording: read to its end, or to the end of the chosen part.
+        source: where pings and odometry came from, by its kind: `recording` or `live`.
         sonar_map: the map.
         poses: where the poses came from.
         counters: what happened.
@@ -54,7 +54,7 @@ def summary_of(
         "wall_s": wall_s,
         "integrator": sonar_map.config.mapping.integrator,
         "poses": _poses(poses),
-        "recording": _recording(recording),
+        **source,
         "config": _plain(sonar_map.config),
     }
 
@@ -68,18 +68,20 @@ def _poses(poses: FixedPose | OdometryPoses) -> dict[str, Any]:
         "odometry_received": odometry.received,
         "odometry_accepted": odometry.accepted,
         "odometry_rejected": dict(sorted(odometry.rejects.items())),
-        "odometry_resets": odometry.resets,
+        "odometry": odometry.status(),
     }
 
 
-def _recording(recording: Recording) -> dict[str, Any]:
-    return {
+def recording_facts(recording: Recording) -> dict[str, Any]:
+    """What there is to say about a recording that was read to the end of the chosen part."""
+    facts = {
         "format": recording.format,
         "size_bytes": recording.size_bytes,
         "bytes_read": recording.bytes_read,
         "truncated": recording.truncated,
         "damage": recording.damage,
     }
+    return {"recording": facts}
 
 
 def _plain(config: Config) -> dict[str, Any]:

@@ -14,6 +14,19 @@ def test_only_the_recording_is_needed() -> None:
     assert said.start_s == 0
 
 
+def test_without_a_recording_it_is_live() -> None:
+    said = parse_arguments(["--duration", "5"])
+    assert (said.replay, said.duration_s) == (None, 5)
+    assert said.out == Path("mapperd-live")
+
+
+def test_a_start_is_of_a_recording(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        parse_arguments(["--start", "5"])
+    assert caught.value.code == 2
+    assert "--start is of a recording" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("words", [["--pose", "-1,2,-3,0,90,0"], ["--pose=-1,2,-3,0,90,0"]])
 def test_pose_may_begin_with_a_minus(words: list[str]) -> None:
     pose = parse_arguments(["--replay", "a", *words]).pose
@@ -24,7 +37,6 @@ def test_pose_may_begin_with_a_minus(words: list[str]) -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        [],
         ["--pose", "1,2,3"],
         ["--pose", "1,2,3,4,5,x"],
         ["--pose", "nan,0,0,0,0,0"],
@@ -44,9 +56,8 @@ def test_pose_may_begin_with_a_minus(words: list[str]) -> None:
 def test_bad_word_is_one_line_and_exit_2(
     words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    needed = ["--replay", "a"] if words else []
     with pytest.raises(SystemExit) as caught:
-        parse_arguments([*needed, *words])
+        parse_arguments(["--replay", "a", *words])
     assert caught.value.code == 2
     said = capsys.readouterr().err
     assert said.startswith("mapperd: ")

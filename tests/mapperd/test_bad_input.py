@@ -171,7 +171,7 @@ def test_bad_odometry_is_counted_and_never_reaches_the_map(
         "unnormalised_quaternion": odometry_bytes(q=(3.0, 0.0, 0.0, 0.0)),
         "out_of_range": odometry_bytes(p=(1e300, 0.0, 0.0)),
         "not_msgpack": b"\xc1\xc1",
-        "no_pose": odometry_bytes(p=None),
+        "no_pose": odometry_bytes(p=None, q=None),
     }
     events = [("odometry", odometry_bytes(), 0.0)]
     for k, data in enumerate(bad.values()):

@@ -7,7 +7,7 @@ from typing import Any
 
 from mapperd.cli import Exit
 from mapperd.config import Config
-from mapperd.export.summary import summary_of
+from mapperd.export.summary import recording_facts, summary_of
 from mapperd.frames import pose_from_rpy
 from mapperd.mapping import SonarMap
 from mapperd.pairing import FixedPose
@@ -34,7 +34,7 @@ def test_every_key_of_the_summary_is_explained(
     replay = Replay(sonar_map, poses, Window(), lambda: 0.0)
     with open_recording(tmp_path / "raw") as recording:
         list(replay.run(recording))
-        summary = summary_of(recording, sonar_map, poses, replay.counters, 0.0)
+        summary = summary_of(recording_facts(recording), sonar_map, poses, replay.counters, 0.0)
     for key in summary:
         assert f"`{key}`" in PAGE
 

@@ -11,6 +11,8 @@ from mapperd.frames import (
     Body,
     Pose,
     World,
+    compass_quaternion,
+    compass_to_map,
     orientation_to_map,
     pose_from_rpy,
     quaternion_between,
@@ -66,6 +68,22 @@ def test_rotation_order_is_yaw_after_pitch_after_roll() -> None:
     )
     assert together == pytest.approx(yaw @ pitch @ roll)
     assert not np.allclose(together, roll @ pitch @ yaw)
+
+
+@pytest.mark.parametrize(
+    ("compass_deg", "map_deg"), [(0, 90), (90, 0), (180, -90), (359, 91), (315, 135), (225, -135)]
+)
+def test_compass_is_clockwise_from_north(compass_deg: float, map_deg: float) -> None:
+    assert compass_to_map(compass_deg) == pytest.approx(math.radians(map_deg))
+
+
+def test_angles_of_a_vehicle_are_starboard_down_nose_up_clockwise() -> None:
+    east = quaternion_to_matrix(compass_quaternion(0, 0, 90))
+    assert east[:, 0] == pytest.approx([1, 0, 0])
+    nose_up = quaternion_to_matrix(compass_quaternion(0, 30, 0))
+    assert nose_up[:, 0] == pytest.approx([0, math.sqrt(0.75), 0.5])
+    starboard_down = quaternion_to_matrix(compass_quaternion(30, 0, 90))
+    assert starboard_down[:, 1] == pytest.approx([0, math.sqrt(0.75), 0.5])
 
 
 def test_quaternion_is_w_first() -> None:

@@ -2,10 +2,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
-from mapperd.config import Config, Mounting, Octree, Orientation, Processing
+from mapperd.config import Config, Mapping, Mounting, Octree, Orientation, Processing
 from mapperd.counters import ReplayCounters
 from mapperd.errors import ReplayError
 from mapperd.frames import pose_from_rpy
@@ -32,7 +33,7 @@ def replayed(
     poses: PoseSource | None = None,
 ) -> tuple[ReplayCounters, SonarMap]:
     sonar_map = SonarMap(config)
-    source = OdometryPoses(config.time_sync) if poses is None else poses
+    source = OdometryPoses(config) if poses is None else poses
     replay = Replay(sonar_map, source, window or Window(), lambda: 0.0)
     with open_recording(path) as recording:
         for _ in replay.run(recording):
@@ -84,12 +85,13 @@ def test_map_uses_the_pose_at_the_time_of_the_echo(
     events = [
         ("odometry", odometry_bytes(p=(0.0, 0.0, 0.0)), 0.0),
         ("ping", ping_bytes(1), 0.1 + flight_s),
-        ("odometry", odometry_bytes(p=(40.0, 0.0, 0.0)), 0.4),
+        ("odometry", odometry_bytes(p=(1.2, 0.0, 0.0)), 0.4),
     ]
     write_recording(tmp_path / "moving", events)
-    _, moving = replayed(tmp_path / "moving")
-    fixed = FixedPose(pose_from_rpy((10, 0, 0), (0, 0, 0)))
-    _, still = replayed(tmp_path / "moving", poses=fixed)
+    whole = msgspec.structs.replace(COARSE, mapping=Mapping(within_ping_motion=False))
+    _, moving = replayed(tmp_path / "moving", whole)
+    fixed = FixedPose(pose_from_rpy((0.3, 0, 0), (0, 0, 0)))
+    _, still = replayed(tmp_path / "moving", whole, poses=fixed)
     assert moving.sha256() == still.sha256()
     assert fixed.ignored == 2
 
@@ -124,11 +126,11 @@ def test_pings_without_a_pose_are_dropped_with_the_reason(
     odometry_bytes: OdometryBytes,
 ) -> None:
     events = [
-        ("ping", ping_bytes(1), 1.0),
+        ("ping", ping_bytes(1, start_time=1.0), 1.0),
         ("odometry", odometry_bytes(), 5.0),
-        ("ping", ping_bytes(2), 7.0),
+        ("ping", ping_bytes(2, start_time=7.0), 7.0),
         ("odometry", odometry_bytes(), 9.0),
-        ("ping", ping_bytes(3), 11.0),
+        ("ping", ping_bytes(3, start_time=11.0), 11.0),
     ]
     write_recording(tmp_path / "a", events)
     counters, sonar_map = replayed(tmp_path / "a")
@@ -259,9 +261,7 @@ def test_reading_stops_behind_the_chosen_part_and_blames_no_byte(
     late = ping_bytes(3)
     pieces = [("ping", late[k : k + 100], 9.0) for k in range(0, len(late), 100)]
     write_recording(tmp_path / "a", [*survey(2), *pieces])
-    replay = Replay(
-        SonarMap(COARSE), OdometryPoses(COARSE.time_sync), Window(duration_s=1.0), lambda: 0.0
-    )
+    replay = Replay(SonarMap(COARSE), OdometryPoses(COARSE), Window(duration_s=1.0), lambda: 0.0)
     with open_recording(tmp_path / "a") as recording:
         chunks = list(replay.run(recording))
     assert len(chunks) == 5 + 10
@@ -279,3 +279,22 @@ def test_message_that_ends_behind_the_chosen_part_is_whole(
     counters, _ = replayed(tmp_path / "a", window=Window(duration_s=1.0))
     assert counters.pings_mapped == 3
     assert counters.bytes_rejected == 0
+
+
+def test_pings_are_placed_by_the_sonars_own_clock(
+    tmp_path: Path, write_recording: Write, ping_bytes: PingBytes, odometry_bytes: OdometryBytes
+) -> None:
+    """A ping that arrives 60 ms late at 3 m/s is mapped where it was, not 18 cm on."""
+    said = [("odometry", odometry_bytes(p=(0.15 * k, 0.0, 0.0)), 0.05 * k) for k in range(60)]
+    pings = []
+    for k in range(20):
+        late_s = 0.06 if k % 2 else 0.0
+        pings.append(("ping", ping_bytes(k + 1, start_time=5 + 0.1 * k), 0.5 + 0.1 * k + late_s))
+    prompt = [("ping", data, 0.5 + 0.1 * k) for k, (_, data, _) in enumerate(pings)]
+    maps = []
+    for events in (prompt, pings):
+        write_recording(tmp_path / "a", sorted([*said, *events], key=lambda event: event[2]))
+        counters, sonar_map = replayed(tmp_path / "a")
+        assert counters.pings_mapped == 20
+        maps.append(sonar_map.sha256())
+    assert maps[0] == maps[1]
