@@ -1,11 +1,15 @@
-"""The sonar's fixed properties: an Oculus M750d in its 750 kHz band."""
+"""The sonar's fixed properties: an Oculus, by default an M750d in its 750 kHz band."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from oculus_driver.models import M370S, M750D, M1200D, M3000D
+from sonar_sim.errors import SceneError
 
 MAX_ROWS = 720
 """Rows that an Oculus sends at most; it coarsens the spacing by powers of two to keep to it."""
@@ -31,7 +35,14 @@ class SonarSettings:
         gain_percent: the operator's gain, 0 to 100.
         tvg_spreading_log: a in the time-varied gain a log R + 2 alpha R; 30 is what a public
             recording shows, and what levels an extended surface.
-        gamma_byte: pixel = 255 amplitude^(gamma_byte / 255); 0 and 255 mean linear.
+        gamma_byte: pixel = full scale * amplitude^(gamma_byte / 255); 0 and 255 mean linear.
+        model, mode: what it calls itself; see `sonar_preset`.
+        most_range_m: what may be asked for.
+        bits: of a sample, 8, 16 or 32.
+        forced_rows: rows of the image whatever an Oculus would choose; None lets it choose.
+        told_speed_mps: speed of sound that the sonar reckons with; None is the true one.
+        pulse_s: length of the transmitted chirp, for the Doppler shift.
+        crosstalk_db: electrical, of a row's mean power into all its beams; None has none.
     """
 
     frequency_hz: float = 750e3
@@ -48,10 +59,31 @@ class SonarSettings:
     gain_percent: float = 50.0
     tvg_spreading_log: float = 30.0
     gamma_byte: int = 255
+    model: str = "M750d"
+    mode: int = 1
+    most_range_m: float = 120.0
+    bits: int = 8
+    forced_rows: int | None = None
+    told_speed_mps: float | None = None
+    pulse_s: float = 1e-3
+    crosstalk_db: float | None = -60.0
+
+    def __post_init__(self) -> None:
+        if not 0.1 <= self.demanded_range_m <= self.most_range_m:  # noqa: PLR2004 Oculus' nearest
+            raise SceneError(
+                f"range {self.demanded_range_m:g} m is not 0.1 to {self.most_range_m:g} m, "
+                f"which is what an {self.model} in mode {self.mode} hears"
+            )
+        if self.bits not in (8, 16, 32):
+            raise SceneError(f"{self.bits} bits a sample; an Oculus sends 8, 16 or 32")
+        if self.beams < 2 or (self.forced_rows is not None and self.forced_rows < 1):  # noqa: PLR2004 one beam has no pitch
+            raise SceneError(f"{self.beams} beams, {self.forced_rows} rows are no image")
 
     @cached_property
     def range_resolution_m(self) -> float:
         """Row spacing: the base spacing times the smallest power of two that fits `MAX_ROWS`."""
+        if self.forced_rows is not None:
+            return self.demanded_range_m / self.forced_rows
         spacing_m = self.base_row_m
         while self.demanded_range_m / spacing_m > MAX_ROWS:
             spacing_m *= 2.0
@@ -60,6 +92,8 @@ class SonarSettings:
     @cached_property
     def rows(self) -> int:
         """Range rows of the image."""
+        if self.forced_rows is not None:
+            return self.forced_rows
         return int(self.demanded_range_m / self.range_resolution_m + 1e-9)
 
     @property
@@ -81,3 +115,47 @@ class SonarSettings:
     def bandwidth_hz(self, speed_of_sound_mps: float) -> float:
         """Bandwidth whose resolution is one row."""
         return speed_of_sound_mps / (2.0 * self.range_resolution_m)
+
+
+def sonar_preset(model: str = "M750d", mode: int = 1, **changes: Any) -> SonarSettings:  # noqa: ANN401 any field
+    """One of the sonars that can be had, in one of its modes.
+
+    Frequencies, ranges and angles are those that the driver knows (docs/models.md).
+
+    Args:
+        model: M370s, M750d, M1200d or M3000d.
+        mode: 1 is wide and looks far, 2 is narrow and sharp; the M370s has mode 1 only.
+        changes: fields that shall differ.
+
+    Raises:
+        SceneError: there is no such sonar or mode, or a change cannot be.
+    """
+    try:
+        band = _BANDS[model, mode]
+    except KeyError:
+        known = ", ".join(f"{name} mode {number}" for name, number in _BANDS)
+        raise SceneError(f"no {model} with mode {mode}; there are {known}") from None
+    frequency_hz = band.frequency_hz or 0.0
+    standard = SonarSettings(
+        frequency_hz=frequency_hz,
+        half_aperture_rad=math.radians((band.aperture_deg or UNKNOWN_APERTURE_DEG) / 2.0),
+        beam_width_rad=math.radians(band.resolution_deg or UNKNOWN_BEAM_DEG),
+        vertical_width_rad=math.radians((band.elevation_deg or UNKNOWN_ELEVATION_DEG)[0]),
+        demanded_range_m=min(SonarSettings.demanded_range_m, band.max_range_m),
+        base_row_m=_BASE_ROW_M[frequency_hz],
+        model=model,
+        mode=mode,
+        most_range_m=band.max_range_m,
+    )
+    return replace(standard, **changes)
+
+
+UNKNOWN_APERTURE_DEG, UNKNOWN_BEAM_DEG, UNKNOWN_ELEVATION_DEG = 130.0, 2.0, (20.0,)
+"""Of the M370s, of which no one says: its neighbour's fan, and the beam of an array as long."""
+_BASE_ROW_M = {375e3: 0.008, 750e3: 0.004, 1.2e6: 0.0025, 2.1e6: 0.0025, 3.0e6: 0.002}
+"""Finest row by frequency: 4 mm and 2.5 mm by the M750d's data sheet, the others by their like."""
+_BANDS = {
+    (family.name, number): band
+    for family in (M370S, M750D, M1200D, M3000D)
+    for number, band in enumerate(family.modes, start=1)
+}

@@ -1,0 +1,21 @@
+from pathlib import Path
+
+from sonar_sim.scene_file import schema
+from sonar_sim.scene_file.reference import PAGE, reference
+from sonar_sim.scene_file.sections import Section
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def test_page_is_what_the_types_say() -> None:
+    page = (ROOT / PAGE).read_text(encoding="utf-8")
+    assert page == reference(), "write it anew: python -m sonar_sim.scene_file.reference"
+
+
+def test_every_setting_has_a_meaning() -> None:
+    lines = [line for line in reference().splitlines() if line.startswith("| `")]
+    names = {line.split("`")[1] for line in lines}
+    for section in vars(schema).values():
+        if isinstance(section, type) and issubclass(section, Section):
+            assert set(section.__struct_fields__) <= names, section
+    assert [line for line in lines if line.endswith("|  |")] == []

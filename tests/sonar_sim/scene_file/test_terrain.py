@@ -1,0 +1,89 @@
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sonar_sim.errors import SceneError
+from sonar_sim.scenario import Scenario
+from sonar_sim.scene_file import schema
+from sonar_sim.scene_file.terrain import floor_of, height_of
+
+Load = Callable[..., Scenario]
+GRID = np.meshgrid(np.linspace(0.0, 200.0, 401), np.linspace(0.0, 200.0, 401), indexing="ij")
+
+
+def terrain(relief: schema.Flat | schema.Procedural | schema.HeightField) -> schema.TerrainSection:
+    return schema.TerrainSection(relief=relief, x_m=(-4.0, 4.0), y_m=(-3.0, 3.0), cell_m=0.5)
+
+
+def rugged(seed: int, **others: float) -> np.ndarray:
+    relief = schema.Procedural(depth_m=10.0, relief_m=0.5, seed=seed, **others)  # type: ignore[arg-type]
+    return height_of(terrain(relief), Path())(*GRID)
+
+
+def test_procedural_floor_has_its_relief_and_is_its_seeds() -> None:
+    one, again, other = rugged(1), rugged(1), rugged(2)
+    assert np.array_equal(one, again)
+    assert np.abs(one - other).max() > 0.5
+    assert one.mean() == pytest.approx(-10.0, abs=0.1)
+    assert one.std() == pytest.approx(0.5, rel=0.1)
+
+
+def test_waves_are_no_shorter_than_asked_for() -> None:
+    height = rugged(1, longest_m=20.0, shortest_m=4.0)
+    spectrum = np.abs(np.fft.rfft(height[:, 100] * np.hanning(401)))
+    per_m = np.fft.rfftfreq(401, 0.5)
+    assert spectrum[per_m > 0.3].max() < 1e-2 * spectrum[1:].max()
+
+
+def test_slope_and_ripples_come_on_top() -> None:
+    ripples = schema.Ripples(height_m=0.1, length_m=2.0, direction_deg=90.0)
+    relief = schema.Procedural(depth_m=10.0, relief_m=0.0, slope=(0.1, 0.0), ripples=ripples)
+    height = height_of(terrain(relief), Path())(*GRID)
+    assert height[:, 0] == pytest.approx(-10.0 + 0.1 * GRID[0][:, 0])
+    assert np.ptp(height[0]) == pytest.approx(0.1, rel=1e-3)
+    assert height[0, 4] == pytest.approx(height[0, 8])  # 2 m on along y
+
+
+def test_floor_fills_its_spans_with_its_cells(load: Load, flat: str) -> None:
+    floor = load(flat).scene.surfaces[0]
+    assert floor.name == "floor"
+    assert floor.vertices_m.min(axis=0).tolist() == [-4.0, -3.0, -5.0]
+    assert floor.vertices_m.max(axis=0).tolist() == [4.0, 3.0, -5.0]
+    assert len(floor.faces) == 16 * 12 * 2
+
+
+@pytest.mark.parametrize("ending", ["npy", "csv"])
+def test_height_field_is_read_rows_north(tmp_path: Path, ending: str) -> None:
+    table = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])  # rows along y, columns along x
+    path = tmp_path / f"heights.{ending}"
+    if ending == "npy":
+        np.save(path, table)
+    else:
+        np.savetxt(path, table, delimiter=",")
+    field = schema.HeightField(file=path.name, scale=0.5, offset_m=-10.0)
+    height_m = height_of(terrain(field), tmp_path)
+    x_m, y_m = np.array([-4.0, 0.0, 4.0, 4.0, 2.0]), np.array([-3.0, -3.0, -3.0, 3.0, 0.0])
+    assert height_m(x_m, y_m) == pytest.approx([-9.5, -9.0, -8.5, -7.0, -8.0])
+    assert len(floor_of(terrain(field), height_m).faces) == 16 * 12 * 2
+
+
+@pytest.mark.parametrize("content", [b"", b"1,2\n3", b"1,nan\n3,4\n", b"1,2,3\n", b"a,b\nc,d\n"])
+def test_broken_height_field_is_refused_by_name(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "heights.csv").write_bytes(content)
+    with pytest.raises(SceneError, match=r"heights\.csv"):
+        height_of(terrain(schema.HeightField(file="heights.csv")), tmp_path)
+
+
+@pytest.mark.parametrize("name", ["none.npy", "none.csv", "none.tif"])
+def test_missing_height_field_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(SceneError, match=r"none\."):
+        height_of(terrain(schema.HeightField(file=name)), tmp_path)
+
+
+def test_terrain_without_area_or_with_too_many_cells_is_refused(load: Load) -> None:
+    flat = "relief: {kind: flat, depth_m: 5}"
+    with pytest.raises(SceneError, match=r"\$\.terrain: .*no length"):
+        load(f"terrain: {{{flat}, x_m: [3, 3], y_m: [0, 1]}}")
+    with pytest.raises(SceneError, match=r"\$\.terrain: .*too small"):
+        load(f"terrain: {{{flat}, x_m: [0, 1000], y_m: [0, 1000], cell_m: 0.01}}")

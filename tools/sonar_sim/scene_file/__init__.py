@@ -1,0 +1,36 @@
+"""Scenarios from YAML: the shipped ones by name, others by path."""
+
+from pathlib import Path
+
+from sonar_sim.errors import SceneError
+from sonar_sim.scenario import Scenario
+from sonar_sim.scene_file.build import build_scenario
+from sonar_sim.scene_file.reading import read_scene_file
+
+SHIPPED = Path(__file__).resolve().parent.parent / "scenes"
+
+
+def scene_names() -> list[str]:
+    """Names of the shipped scenes, sorted."""
+    return sorted(path.stem for path in SHIPPED.glob("*.yaml"))
+
+
+def load_scenario(name_or_path: str | Path) -> Scenario:
+    """Read a scenario.
+
+    Args:
+        name_or_path: a shipped scene's name, or a file's path (with a folder or an ending).
+
+    Raises:
+        SceneError: there is none, or something in it is wrong: one line with file, place, reason.
+    """
+    path = Path(name_or_path)
+    if path.suffix == "" and path.parent == Path():
+        path = SHIPPED / f"{path}.yaml"
+        if not path.is_file():
+            known = ", ".join(scene_names())
+            raise SceneError(f"no scene is called {name_or_path}; there are {known}, and files")
+    return build_scenario(path.stem, read_scene_file(path), path.parent)
+
+
+__all__ = ["SHIPPED", "load_scenario", "scene_names"]

@@ -1,0 +1,196 @@
+"""From a checked file to a scenario."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import msgspec
+
+from sonar_sim.errors import SceneError
+from sonar_sim.material import MATERIALS, Material
+from sonar_sim.poses import Mounting
+from sonar_sim.scenario import Scenario
+from sonar_sim.scene import (
+    Bubbles,
+    CloudSpec,
+    Emitter,
+    PointTarget,
+    Scene,
+    Sea,
+    Sediment,
+    Surface,
+)
+from sonar_sim.scene_file import schema
+from sonar_sim.scene_file.objects import Placed, place, surface_of, without_hidden
+from sonar_sim.scene_file.paths import motion_of, path_of
+from sonar_sim.scene_file.terrain import floor_of, height_of
+from sonar_sim.sonar import SonarSettings, sonar_preset
+from sonar_sim.vehicle import OdometryErrors, Vehicle
+from sonar_sim.water import Water
+
+FLOOR = "floor"
+MICRO, MILLI, KILO = 1e6, 1e3, 1e3
+"""Parts of a unit, and units in a thousand; dividing keeps 5 µm at exactly 5e-6 m."""
+
+
+def build_scenario(name: str, file: schema.SceneFile, folder: Path) -> Scenario:
+    """Build what a file says.
+
+    Args:
+        name: of the scenario.
+        file: checked.
+        folder: where the files are that it names.
+
+    Raises:
+        SceneError: something in it cannot be; names the place.
+    """
+    path = folder / f"{name}.yaml"
+    with _place(f"{path}: $.sonar"):
+        sonar = _sonar(file.sonar)
+    with _place(f"{path}: $.trajectory"):
+        trajectory = path_of(file.trajectory)
+    with _place(f"{path}: $.vehicle"):
+        vehicle = _vehicle(file.vehicle)
+    return Scenario(
+        name=name,
+        scene=_scene(file, folder, str(path)),
+        sonar=sonar,
+        mounting=Mounting(**msgspec.structs.asdict(file.mounting)),
+        trajectory=trajectory,
+        vehicle=vehicle,
+        ping_rate_hz=file.sonar.ping_rate_hz,
+        description=file.description,
+    )
+
+
+def _scene(file: schema.SceneFile, folder: Path, where: str) -> Scene:
+    materials = _materials(file, where)
+    with _place(f"{where}: $.water"):
+        water = _water(file.water)
+    return Scene(
+        surfaces=_surfaces(file, materials, folder, where),
+        targets=_targets(file, where),
+        emitters=tuple(_emitter(emitter) for emitter in file.emitters),
+        clouds=_clouds(file, where),
+        water=water,
+        sea=None if file.sea is None else Sea(file.sea.rms_height_mm / MILLI, file.sea.lambert_db),
+    )
+
+
+def _materials(file: schema.SceneFile, where: str) -> Mapping[str, Material]:
+    own = {}
+    for name, section in file.materials.items():
+        with _place(f"{where}: $.materials.{name}"):
+            own[name] = Material(
+                name,
+                section.lambert_db,
+                section.reflection,
+                section.roughness_mm / MILLI,
+                section.slope_rad,
+            )
+    return {**MATERIALS, **own}
+
+
+def _surfaces(
+    file: schema.SceneFile, materials: Mapping[str, Material], folder: Path, where: str
+) -> tuple[Surface, ...]:
+    """The floor first, then the objects in the file's order."""
+    floor_m = None
+    if file.terrain is not None:
+        with _place(f"{where}: $.terrain"):
+            floor_m = height_of(file.terrain, folder)
+    placed: list[Placed] = []
+    for k, section in enumerate(file.objects):
+        with _place(f"{where}: $.objects[{k}] ({section.name})"):
+            material = _material(section.material, materials)
+            placed += place(section, material, floor_m, folder)
+    surfaces = [one.surface for one in placed]
+    if file.terrain is not None and floor_m is not None:
+        with _place(f"{where}: $.terrain"):
+            bodies = [one.whole for one in placed if one.whole is not None]
+            floor = without_hidden(floor_of(file.terrain, floor_m), bodies)
+            material = _material(file.terrain.material, materials)
+            surfaces.insert(0, surface_of(FLOOR, floor, material, smooth=True))
+    names = [surface.name for surface in surfaces]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise SceneError(f"{where}: $.objects: two objects are called {twice}")
+    return tuple(surfaces)
+
+
+def _material(name: str, materials: Mapping[str, Material]) -> Material:
+    if name not in materials:
+        raise SceneError(f"no material is called {name}; there are {', '.join(materials)}")
+    return materials[name]
+
+
+def _targets(file: schema.SceneFile, where: str) -> tuple[PointTarget, ...]:
+    """A target that moves is at its motion's origin."""
+    made = []
+    for k, target in enumerate(file.targets):
+        with _place(f"{where}: $.targets[{k}] ({target.name})"):
+            motion = motion_of(target.motion, target.position_m, (0.0, 0.0, 0.0))
+        here = target.position_m if motion is None else (0.0, 0.0, 0.0)
+        made.append(PointTarget(target.name, here, target.target_strength_db, motion))
+    return tuple(made)
+
+
+def _emitter(section: schema.EmitterSection) -> Emitter:
+    return Emitter(
+        section.name,
+        section.position_m,
+        section.frequency_khz * KILO,
+        section.bandwidth_khz * KILO,
+        section.source_level_db,
+        section.period_s,
+        section.pulse_ms / MILLI,
+        section.offset_s,
+    )
+
+
+def _clouds(file: schema.SceneFile, where: str) -> tuple[CloudSpec, ...]:
+    made = []
+    for k, cloud in enumerate(file.clouds):
+        match cloud.matter:
+            case schema.BubblesSection(radius_um=radius_um, per_m3=per_m3):
+                matter: Bubbles | Sediment = Bubbles(radius_um / MICRO, per_m3)
+            case schema.SedimentSection(kg_per_m3=kg_per_m3, radius_um=radius_um):
+                matter = Sediment(kg_per_m3, radius_um / MICRO)
+        with _place(f"{where}: $.clouds[{k}]"):
+            made.append(CloudSpec(cloud.name, cloud.low_m, cloud.high_m, matter))
+    return tuple(made)
+
+
+def _water(section: schema.WaterSection) -> Water:
+    values = msgspec.structs.asdict(section)
+    values["sediment_radius_m"] = values.pop("sediment_radius_um") / MICRO
+    return Water(**values)
+
+
+def _sonar(section: schema.SonarSection) -> SonarSettings:
+    values = {k: v for k, v in msgspec.structs.asdict(section).items() if v is not msgspec.UNSET}
+    values["demanded_range_m"] = values.pop("range_m")
+    values["forced_rows"] = values.pop("rows")
+    del values["ping_rate_hz"]
+    return sonar_preset(values.pop("model"), values.pop("mode"), **values)
+
+
+def _vehicle(section: schema.VehicleSection) -> Vehicle:
+    values = msgspec.structs.asdict(section.odometry)
+    rate_hz = values.pop("rate_hz")
+    return Vehicle(
+        section.name,
+        rate_hz,
+        OdometryErrors(**values),
+        section.latitude_deg,
+        section.longitude_deg,
+    )
+
+
+@contextmanager
+def _place(where: str) -> Iterator[None]:
+    """Say where in the file something cannot be."""
+    try:
+        yield
+    except SceneError as error:
+        raise SceneError(f"{where}: {error}") from error

@@ -1,0 +1,165 @@
+"""Objects of a scene's file as meshes at their places, with what the floor hides left out."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import msgspec
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from sonar_sim.errors import SceneError
+from sonar_sim.material import Material
+from sonar_sim.motions import ObjectMotion
+from sonar_sim.poses import rotation_of
+from sonar_sim.scene import Surface
+from sonar_sim.scene_file import schema, shape_schema
+from sonar_sim.scene_file.meshes import read_mesh
+from sonar_sim.scene_file.paths import motion_of
+from sonar_sim.scene_file.shapes import HeightOf, triangles_of
+
+Triple = tuple[float, float, float]
+MOST_ROUNDS = 20
+"""Of cutting triangles in halves."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """One object.
+
+    Attributes:
+        surface: what echoes.
+        whole: its mesh in the map, with the parts that the floor hides; None if it moves.
+    """
+
+    surface: Surface
+    whole: trimesh.Trimesh | None
+
+
+def place(
+    section: schema.ObjectSection, material: Material, floor_m: HeightOf | None, folder: Path
+) -> Iterator[Placed]:
+    """Build an object and its copies.
+
+    Args:
+        section: what the file says.
+        material: of its name.
+        floor_m: height of the floor, None where there is none.
+        folder: where its files are.
+
+    Raises:
+        SceneError: the object cannot be.
+    """
+    mesh = _mesh(section, floor_m, folder)
+    repeat = section.repeat or schema.Repeat(count=1, step_m=(0.0, 0.0, 0.0))
+    for k in range(repeat.count):
+        name = section.name if section.repeat is None else f"{section.name} {k + 1}"
+        position_m = np.array(section.position_m) + k * np.array(repeat.step_m)
+        one = msgspec.structs.replace(section, name=name, position_m=tuple(position_m.tolist()))
+        yield _at(one, mesh, material, floor_m)
+
+
+def _at(
+    section: schema.ObjectSection,
+    mesh: trimesh.Trimesh,
+    material: Material,
+    floor_m: HeightOf | None,
+) -> Placed:
+    position_m = np.array(section.position_m)
+    if section.on_floor:
+        if floor_m is None:
+            raise SceneError("nothing can stand on_floor where there is no terrain")
+        position_m[2] += float(floor_m(position_m[:1], position_m[1:2])[0])
+    attitude_deg = (section.roll_deg, section.pitch_deg, section.yaw_deg)
+    x, y, z = (float(p) for p in position_m)
+    motion = motion_of(section.motion, (x, y, z), attitude_deg)
+    if motion is not None:
+        return Placed(
+            surface_of(section.name, mesh, material, smooth=section.smooth, motion=motion), None
+        )
+    whole = _turned(mesh, position_m, attitude_deg)
+    seen = _in_water(whole, floor_m)
+    if not len(seen.faces):
+        raise SceneError("nothing of it is between the floor and the water's surface")
+    return Placed(surface_of(section.name, seen, material, smooth=section.smooth), whole)
+
+
+def without_hidden(floor: trimesh.Trimesh, objects: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """The floor without the triangles that lie inside closed objects: nothing ever sees them."""
+    inside = np.zeros(len(floor.vertices), dtype=bool)
+    for body in objects:
+        low, high = body.bounds
+        near = np.flatnonzero(np.all((floor.vertices >= low) & (floor.vertices <= high), axis=1))
+        if len(near) and body.is_watertight:
+            inside[near] |= body.contains(floor.vertices[near])
+    floor.update_faces(~np.all(inside[floor.faces], axis=1))
+    return floor
+
+
+def surface_of(
+    name: str,
+    mesh: trimesh.Trimesh,
+    material: Material,
+    *,
+    smooth: bool = False,
+    motion: ObjectMotion | None = None,
+) -> Surface:
+    """Make a mesh a surface; points that no triangle uses are left out."""
+    used, faces = np.unique(mesh.faces, return_inverse=True)
+    vertices_m = np.asarray(mesh.vertices, dtype=np.float64)[used]
+    return Surface(
+        name, vertices_m, faces.reshape(-1, 3).astype(np.int64), material, smooth, motion
+    )
+
+
+def _mesh(section: schema.ObjectSection, floor_m: HeightOf | None, folder: Path) -> trimesh.Trimesh:
+    mesh = _shaped(section.shape, floor_m, folder)
+    if section.cell_m is None:
+        return mesh
+    vertices, faces = trimesh.remesh.subdivide_to_size(  # type: ignore[no-untyped-call]
+        mesh.vertices, mesh.faces, section.cell_m, max_iter=MOST_ROUNDS
+    )
+    fine = trimesh.Trimesh(vertices, faces, process=False)
+    fine.merge_vertices()
+    return fine
+
+
+def _shaped(shape: shape_schema.Shape, floor_m: HeightOf | None, folder: Path) -> trimesh.Trimesh:
+    match shape:
+        case shape_schema.Mesh(file=file, scale=scale):
+            mesh = read_mesh(folder / file, scale)
+        case shape_schema.Group(parts=parts):
+            meshes = [_part(part, floor_m, folder) for part in parts]
+            mesh = cast("trimesh.Trimesh", trimesh.util.concatenate(meshes))
+        case _:
+            mesh = triangles_of(shape, floor_m)
+    return mesh
+
+
+def _part(part: shape_schema.Part, floor_m: HeightOf | None, folder: Path) -> trimesh.Trimesh:
+    mesh = _shaped(part.shape, floor_m, folder)
+    return _turned(mesh, np.array(part.position_m), (part.roll_deg, part.pitch_deg, part.yaw_deg))
+
+
+def _turned(
+    mesh: trimesh.Trimesh, position_m: NDArray[np.float64], attitude_deg: Triple
+) -> trimesh.Trimesh:
+    transform = np.eye(4)
+    transform[:3, :3] = rotation_of(*(math.radians(angle) for angle in attitude_deg))
+    transform[:3, 3] = position_m
+    moved = mesh.copy()
+    moved.apply_transform(transform)
+    return moved
+
+
+def _in_water(whole: trimesh.Trimesh, floor_m: HeightOf | None) -> trimesh.Trimesh:
+    """What of a mesh is above the floor and under the water's surface, by whole triangles."""
+    x, y, z = whole.vertices.T
+    below = np.zeros(len(z), dtype=bool) if floor_m is None else z < floor_m(x, y)
+    hidden = np.all(below[whole.faces], axis=1) | np.all((z >= 0.0)[whole.faces], axis=1)
+    seen = whole.copy()
+    seen.update_faces(~hidden)
+    return seen

@@ -1,0 +1,163 @@
+"""The reference of the scenes' files, made from their types: `python -m` this writes the page."""
+
+from pathlib import Path
+from typing import Any
+
+import msgspec.inspect as mi
+from msgspec import NODEFAULT, UNSET
+
+from sonar_sim.material import MATERIALS
+from sonar_sim.scene_file import SHIPPED, load_scenario, scene_names, schema, shape_schema
+from sonar_sim.scene_file.sections import Section
+
+PAGE = Path("docs/simulator-scenes.md")
+SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
+INTRODUCTION = """# Scenes of the simulator
+
+A scene is one YAML file: the water, what stands and moves in it, the sonar, and the vehicle with
+its path and its odometry's errors. `load_scenario(name_or_path)` reads it; a mistake is told with
+its file and place. `python -m sonar_sim.scene_file.reference` makes this page from the types.
+
+- Map frame: x east, y north, z up, and z = 0 is the water's surface. Above it there is nothing to
+  hear, so what stands out of the water is cut off there, as is what the floor hides.
+- A vehicle's frame is x ahead, y to port, z up. Angles turn Rz(yaw) Ry(pitch) Rx(roll).
+- Neither aliases nor tags are taken, and no key twice. Words are text unless they are a number,
+  `true`, `false` or `null`.
+- Meshes and tables of heights are named by their path from the scene's file. Triangles without an
+  area are left out; vertices that are not finite, and files without a triangle, are refused.
+- An emitter whose pulse is as long as its period sounds all the time: a thruster, a pump.
+- An object that moves is no part of a map's truth.
+"""
+
+
+def reference() -> str:
+    """The whole page."""
+    parts = [INTRODUCTION, _shipped(), _materials()]
+    parts += [_section(section) for section in _sections()]
+    return "\n".join(parts)
+
+
+def _shipped() -> str:
+    lines = [
+        "## Shipped scenes\n",
+        "| name | sonar | range, m | triangles | what |",
+        "|---|---|---|---|---|",
+    ]
+    for name in scene_names():
+        scenario = load_scenario(name)
+        sonar, triangles = scenario.sonar, len(scenario.scene.triangles_m)
+        band = f"{sonar.model}, {sonar.frequency_hz / 1e3:g} kHz"
+        lines.append(
+            f"| `{name}` | {band} | {sonar.demanded_range_m:g} | {triangles} "
+            f"| {scenario.description} |"
+        )
+    return "\n".join([*lines, f"\nTheir files are in `tools/sonar_sim/{SHIPPED.name}/`.\n"])
+
+
+def _materials() -> str:
+    lines = [
+        "## Materials\n",
+        "| name | Lambert, dB | reflection | roughness, mm | slope, rad |",
+        "|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| `{m.name}` | {m.lambert_db:g} | {m.reflection:g} | {m.roughness_m * 1e3:g} "
+        f"| {m.slope_rad:g} |"
+        for m in MATERIALS.values()
+    ]
+    return "\n".join([*lines, ""])
+
+
+def _sections() -> list[type[Section]]:
+    """The whole file first, then in the order of their definition, shapes last."""
+    types = [
+        one
+        for module in (schema, shape_schema)
+        for one in vars(module).values()
+        if isinstance(one, type) and one.__module__ == module.__name__
+    ]
+    known = [one for one in types if issubclass(one, Section)]
+    return [schema.SceneFile, *(s for s in known if s is not schema.SceneFile)]
+
+
+def _section(section: type[Section]) -> str:
+    info = mi.type_info(section)
+    if not isinstance(info, mi.StructType):
+        raise TypeError(section)
+    kind = f" (`kind: {info.tag}`)" if info.tag else ""
+    lines = [f"## {section.__name__}{kind}\n", f"{section.__doc__}\n"]
+    lines += ["| setting | takes | unit | default | meaning |", "|---|---|---|---|---|"]
+    for field in info.fields:
+        said, inner = _described(field.type)
+        unit = (said.get("extra") or {}).get("unit", "")
+        lines.append(
+            f"| `{field.name}` | {_takes(inner)} | {unit} | {_default(field)} "
+            f"| {said['description']} |"
+        )
+    return "\n".join([*lines, ""])
+
+
+def _described(kind: mi.Type) -> tuple[dict[str, Any], mi.Type]:
+    """A field's description and unit, and its bare type."""
+    if isinstance(kind, mi.Metadata):
+        schema_of = kind.extra_json_schema or {}
+        return {"description": schema_of.get("description", ""), "extra": kind.extra}, kind.type
+    return {"description": "", "extra": None}, kind
+
+
+def _takes(kind: mi.Type) -> str:
+    """What a type allows, in words."""
+    _, kind = _described(kind)
+    match kind:
+        case mi.BoolType():
+            words = "true, false"
+        case mi.FloatType() | mi.IntType():
+            words = _number(kind)
+        case mi.LiteralType(values=values):
+            words = ", ".join(f"`{value}`" for value in values)
+        case mi.StructType(cls=cls):
+            words = f"[{cls.__name__}](#{_anchor(kind)})"
+        case mi.UnionType(types=types):
+            said = [one for one in types if not isinstance(one, (mi.NoneType, mi.CustomType))]
+            words = " or ".join(_takes(one) for one in said)
+        case mi.TupleType(item_types=items):
+            words = f"{len(items)} x {_takes(items[0])}"
+        case mi.VarTupleType(item_type=item):
+            words = f"list of {_takes(item)}"
+        case mi.DictType(value_type=value):
+            words = f"names with {_takes(value)}"
+        case _:
+            words = "text"
+    return words
+
+
+def _number(kind: mi.FloatType | mi.IntType) -> str:
+    name = "number" if isinstance(kind, mi.FloatType) else "whole number"
+    limits = {sign: getattr(kind, key) for key, sign in SIGNS.items()}
+    said = [f"{sign} {limit:g}" for sign, limit in limits.items() if limit is not None]
+    return " ".join([name, *said])
+
+
+def _anchor(kind: mi.StructType) -> str:
+    """How the heading of a section is linked to."""
+    tag = f"-kind-{kind.tag}" if kind.tag else ""
+    return f"{kind.cls.__name__}{tag}".lower()
+
+
+def _default(field: mi.Field) -> str:
+    value = field.default
+    if field.required:
+        return "must be said"
+    if value is UNSET:
+        return "the model's"
+    if value in (None, NODEFAULT):
+        return "none"
+    if isinstance(value, Section):
+        return "its own"
+    if isinstance(value, tuple):
+        return f"{list(value)}"
+    return f"{value}".lower() if isinstance(value, bool) else f"{value}"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(reference(), encoding="utf-8")

@@ -1,0 +1,334 @@
+"""What may stand in a scene's file: one type a section, one field a setting.
+
+Each field carries its meaning and unit, from which docs/simulator-scenes.md is made.
+"""
+
+from typing import Annotated, Literal
+
+from msgspec import UNSET, Meta, UnsetType
+
+from sonar_sim.scene_file.sections import Degrees3, Number3, Point, Section, Span, says
+from sonar_sim.scene_file.shape_schema import Shape
+
+
+class WaterSection(Section, frozen=True):
+    """The water, as the sound meets it."""
+
+    temperature_c: Annotated[float, says("Temperature.", "°C", ge=-2, le=40)] = 10.0
+    salinity_ppt: Annotated[float, says("Salinity; 0 is fresh.", "ppt", ge=0, le=45)] = 35.0
+    depth_m: Annotated[float, says("Where the formulas are taken.", "m", ge=0, le=7000)] = 5.0
+    acidity_ph: Annotated[float, says("Acidity.", "pH", ge=6, le=9)] = 8.0
+    absorption_model: Annotated[
+        Literal["francois_garrison", "ainslie_mccolm"], says("Whose formula of absorption.")
+    ] = "francois_garrison"
+    profile: Annotated[
+        tuple[tuple[float, float], ...] | None,
+        says("Speed of sound over depth: pairs of depth and speed.", "m, m/s"),
+    ] = None
+    sediment_kg_per_m3: Annotated[
+        float, says("Quartz in suspension everywhere.", "kg/m³", ge=0, le=100)
+    ] = 0.0
+    sediment_radius_um: Annotated[float, says("Radius of its grains.", "µm", ge=0.1, le=1000)] = 5.0
+    volume_strength_db: Annotated[
+        float, says("Back scattering strength of the water.", "dB re 1/m", ge=-150, le=0)
+    ] = -80.0
+
+
+class SeaSection(Section, frozen=True):
+    """The surface of the water, at z = 0, as sound from below meets it."""
+
+    rms_height_mm: Annotated[
+        float, says("Standard deviation of its height.", "mm", ge=0, le=10000)
+    ] = 0.0
+    lambert_db: Annotated[
+        float, says("Back scattering strength, bubbles included.", "dB", ge=-100, le=0)
+    ] = -20.0
+
+
+class MaterialSection(Section, frozen=True):
+    """A material of one's own, beside the named ones."""
+
+    lambert_db: Annotated[
+        float, says("Back scattering strength at normal incidence.", "dB", ge=-200, le=0)
+    ]
+    reflection: Annotated[float, says("Reflection of pressure, signed.", "", ge=-1, le=1)] = 0.0
+    roughness_mm: Annotated[
+        float, says("Standard deviation of the height.", "mm", ge=0, le=1000)
+    ] = 10.0
+    slope_rad: Annotated[
+        float, says("Standard deviation of the facets' slopes.", "rad", ge=0.001, le=1)
+    ] = 0.1
+
+
+class Repeat(Section, frozen=True):
+    """Copies of an object in a row."""
+
+    count: Annotated[int, says("How many in all.", "", ge=1, le=1000)]
+    step_m: Annotated[Point, says("From one to the next.", "m")]
+
+
+class DriftMotion(Section, frozen=True, tag="drift", tag_field="kind"):
+    """Steady drift and turning with a swing on top."""
+
+    velocity_mps: Annotated[Number3, says("In the map.", "m/s")] = (0.0, 0.0, 0.0)
+    yaw_rate_dps: Annotated[float, says("About the vertical.", "°/s", ge=-360, le=360)] = 0.0
+    swing_m: Annotated[Number3, says("Amplitude along the map's axes.", "m")] = (0.0, 0.0, 0.0)
+    swing_deg: Annotated[Degrees3, says("Amplitude in roll, pitch, yaw.", "°")] = (0.0, 0.0, 0.0)
+    period_s: Annotated[float, says("Of the swing.", "s", gt=0, le=1e5)] = 10.0
+    phase_deg: Annotated[float, says("Of the swing at time 0.", "°", ge=-360, le=360)] = 0.0
+
+
+class WaypointSection(Section, frozen=True):
+    """A place to pass."""
+
+    position_m: Annotated[Point, says("In the map.", "m")]
+    yaw_deg: Annotated[
+        float, says("Heading, anticlockwise from east, unwrapped.", "°", ge=-36000, le=36000)
+    ] = 0.0
+    roll_deg: Annotated[float, says("Roll.", "°", ge=-180, le=180)] = 0.0
+
+
+class PathSection(Section, frozen=True):
+    """A smooth path through waypoints."""
+
+    waypoints: Annotated[tuple[WaypointSection, ...], says("At least two.")]
+    speed_mps: Annotated[float, says("Along straight legs.", "m/s", gt=0, le=50)] = 0.6
+    turn_rate_dps: Annotated[float, says("Of heading and roll.", "°/s", gt=0, le=360)] = 30.0
+    smoothing_s: Annotated[float, says("Rounds the corners.", "s", gt=0, le=60)] = 0.8
+    sway_deg: Annotated[float, says("Roll and pitch of the waves.", "°", ge=0, le=60)] = 1.0
+    heave_m: Annotated[float, says("Heave of the waves.", "m", ge=0, le=10)] = 0.03
+
+
+class TourMotion(Section, frozen=True, tag="tour", tag_field="kind"):
+    """Along a path, again and again."""
+
+    path: Annotated[PathSection, says("The path of the object's frame.")]
+
+
+class ObjectSection(Section, frozen=True):
+    """Something that echoes: a shape of one material at a place."""
+
+    name: Annotated[str, says("For people; copies are numbered.", "", min_length=1)]
+    shape: Annotated[Shape, says("One of the shapes below.")]
+    material: Annotated[str, says("Name of a material.")]
+    position_m: Annotated[Point, says("Of the shape's origin in the map.", "m")] = (0.0, 0.0, 0.0)
+    roll_deg: Annotated[float, says("About x, first.", "°", ge=-360, le=360)] = 0.0
+    pitch_deg: Annotated[float, says("About y, nose down.", "°", ge=-360, le=360)] = 0.0
+    yaw_deg: Annotated[float, says("About z, last.", "°", ge=-360, le=360)] = 0.0
+    on_floor: Annotated[bool, says("The position's z counts from the terrain below it.")] = False
+    smooth: Annotated[
+        bool, says("Round between its vertices: spheres, pipes, hulls. Boxes are not.")
+    ] = False
+    cell_m: Annotated[
+        Annotated[float, Meta(gt=0, le=100)] | None,
+        says("Triangles are cut until their edges are no longer.", "m"),
+    ] = None
+    repeat: Annotated[Repeat | None, says("Copies of it.")] = None
+    motion: Annotated[DriftMotion | TourMotion | None, says("How it moves.")] = None
+
+
+class Flat(Section, frozen=True, tag="flat", tag_field="kind"):
+    """A level floor."""
+
+    depth_m: Annotated[float, says("Below the surface.", "m", gt=0, le=10000)]
+
+
+class Ripples(Section, frozen=True):
+    """Long-crested sand ripples."""
+
+    height_m: Annotated[float, says("Crest to trough.", "m", ge=0, le=10)]
+    length_m: Annotated[float, says("Crest to crest.", "m", gt=0, le=1000)]
+    direction_deg: Annotated[float, says("Across the crests, from east.", "°")] = 0.0
+
+
+class Procedural(Section, frozen=True, tag="procedural", tag_field="kind"):
+    """A floor of random waves of all lengths, the same for the same seed."""
+
+    depth_m: Annotated[float, says("Of its mean below the surface.", "m", gt=0, le=10000)]
+    relief_m: Annotated[float, says("Standard deviation of its height.", "m", ge=0, le=1000)]
+    longest_m: Annotated[float, says("Of the waves.", "m", gt=0, le=10000)] = 20.0
+    shortest_m: Annotated[float, says("Of the waves.", "m", gt=0, le=10000)] = 1.0
+    hurst: Annotated[
+        float, says("Heights go as length to this power: 1 smooth, 0 rugged.", "", ge=0, le=2)
+    ] = 1.0
+    seed: Annotated[int, says("Of the waves.", "", ge=0)] = 0
+    slope: Annotated[
+        tuple[float, float], says("Rise of the mean floor a metre east and north.", "m/m")
+    ] = (0.0, 0.0)
+    ripples: Annotated[Ripples | None, says("On top.")] = None
+
+
+class HeightField(Section, frozen=True, tag="height_field", tag_field="kind"):
+    """A floor of measured heights: a .npy or .csv table, rows along y, columns along x."""
+
+    file: Annotated[str, says("Path, seen from the scene's file.")]
+    scale: Annotated[float, says("Metres a unit of the file.", "m", gt=0, le=1e6)] = 1.0
+    offset_m: Annotated[float, says("Added to the heights; z is up.", "m")] = 0.0
+
+
+class TerrainSection(Section, frozen=True):
+    """The floor."""
+
+    relief: Annotated[Flat | Procedural | HeightField, says("Its height.")]
+    x_m: Annotated[Span, says("From west to east.", "m")]
+    y_m: Annotated[Span, says("From south to north.", "m")]
+    cell_m: Annotated[float, says("Distance of its points.", "m", ge=0.005, le=1000)] = 0.25
+    material: Annotated[str, says("Name of a material.")] = "sand"
+
+
+class TargetSection(Section, frozen=True):
+    """A point that echoes alike in all directions."""
+
+    name: Annotated[str, says("For people.", "", min_length=1)]
+    position_m: Annotated[Point, says("In the map.", "m")]
+    target_strength_db: Annotated[float, says("Target strength.", "dB", ge=-150, le=60)]
+    motion: Annotated[DriftMotion | TourMotion | None, says("How it moves.")] = None
+
+
+class EmitterSection(Section, frozen=True):
+    """Another sonar or pinger."""
+
+    name: Annotated[str, says("For people.", "", min_length=1)]
+    position_m: Annotated[Point, says("In the map.", "m")]
+    frequency_khz: Annotated[float, says("Middle of its band.", "kHz", gt=0, le=1e4)]
+    bandwidth_khz: Annotated[float, says("Width of its band.", "kHz", gt=0, le=1e4)]
+    source_level_db: Annotated[float, says("Towards us.", "dB re 1 µPa at 1 m", ge=0, le=260)]
+    period_s: Annotated[float, says("Between its pulses.", "s", gt=0, le=1e4)]
+    pulse_ms: Annotated[float, says("Length of a pulse.", "ms", gt=0, le=1e4)]
+    offset_s: Annotated[float, says("Of the first pulse.", "s", ge=0, le=1e6)] = 0.0
+
+
+class BubblesSection(Section, frozen=True, tag="bubbles", tag_field="kind"):
+    """Gas bubbles of one radius."""
+
+    radius_um: Annotated[float, says("Radius.", "µm", gt=0, le=1e5)]
+    per_m3: Annotated[float, says("How many.", "1/m³", ge=0, le=1e12)]
+
+
+class SedimentSection(Section, frozen=True, tag="sediment", tag_field="kind"):
+    """Quartz grains of one radius."""
+
+    kg_per_m3: Annotated[float, says("Concentration.", "kg/m³", ge=0, le=100)]
+    radius_um: Annotated[float, says("Radius.", "µm", ge=0.1, le=1000)] = 5.0
+
+
+class CloudSection(Section, frozen=True):
+    """Something in the water, in a box along the map's axes."""
+
+    name: Annotated[str, says("For people.", "", min_length=1)]
+    low_m: Annotated[Point, says("Lowest corner.", "m")]
+    high_m: Annotated[Point, says("Highest corner.", "m")]
+    matter: Annotated[BubblesSection | SedimentSection, says("What is in it.")]
+
+
+class SonarSection(Section, frozen=True):
+    """The sonar and its setting; what is left out is the model's own."""
+
+    model: Annotated[Literal["M370s", "M750d", "M1200d", "M3000d"], says("Oculus model.")] = "M750d"
+    mode: Annotated[int, says("1 wide and far, 2 narrow and sharp.", "", ge=1, le=2)] = 1
+    range_m: Annotated[float, says("Range asked for.", "m", ge=0.1, le=200)] = 10.0
+    beams: Annotated[Literal[256, 512], says("Columns of the image.")] = 512
+    bits: Annotated[Literal[8, 16, 32], says("Of a sample.")] = 8
+    gain_percent: Annotated[float, says("The operator's gain.", "%", ge=0, le=100)] = 50.0
+    gamma_byte: Annotated[
+        int, says("Exponent of the pixels times 255; 0 and 255 are linear.", "", ge=0, le=255)
+    ] = 255
+    ping_rate_hz: Annotated[
+        float, says("Asked for; the sound's travel may allow less.", "Hz", gt=0, le=40)
+    ] = 5.0
+    rows: Annotated[
+        Annotated[int, Meta(ge=1, le=10000)] | None,
+        says("Of the image, whatever an Oculus would choose.", ""),
+    ] = None
+    told_speed_mps: Annotated[
+        Annotated[float, Meta(ge=1300, le=1700)] | None,
+        says("Speed of sound it reckons with.", "m/s"),
+    ] = None
+    source_level_db: Annotated[
+        Annotated[float, Meta(ge=0, le=260)] | UnsetType,
+        says("Source level.", "dB re 1 µPa at 1 m"),
+    ] = UNSET
+    side_lobe_db: Annotated[
+        Annotated[float, Meta(ge=13.3, le=80)] | UnsetType,
+        says("Azimuth side lobes under the main lobe.", "dB"),
+    ] = UNSET
+    noise_excess_db: Annotated[
+        Annotated[float, Meta(ge=-50, le=120)] | UnsetType,
+        says("Receiver's noise above thermal noise.", "dB"),
+    ] = UNSET
+    tvg_spreading_log: Annotated[
+        Annotated[float, Meta(ge=0, le=60)] | UnsetType,
+        says("a of the gain over range a log R.", "dB"),
+    ] = UNSET
+    crosstalk_db: Annotated[
+        Annotated[float, Meta(ge=-200, le=0)] | UnsetType | None,
+        says("Electrical, of a row's mean power in all its beams.", "dB"),
+    ] = UNSET
+
+
+class MountingSection(Section, frozen=True):
+    """The sonar on the vehicle: Rz(yaw) Ry(pitch) Rx(roll); pitch 90° looks straight down."""
+
+    position_m: Annotated[Point, says("In the vehicle: ahead, port, up.", "m")] = (0.0, 0.0, -0.5)
+    roll_deg: Annotated[float, says("Roll.", "°", ge=-360, le=360)] = 0.0
+    pitch_deg: Annotated[float, says("Pitch, nose down.", "°", ge=-360, le=360)] = 90.0
+    yaw_deg: Annotated[float, says("Yaw, to port.", "°", ge=-360, le=360)] = 0.0
+
+
+class OdometrySection(Section, frozen=True):
+    """The odometry's rate and errors."""
+
+    rate_hz: Annotated[float, says("Records a second.", "Hz", gt=0, le=1000)] = 25.0
+    position_noise_m: Annotated[float, says("White error.", "m", ge=0, le=100)] = 0.005
+    attitude_noise_deg: Annotated[float, says("White error.", "°", ge=0, le=90)] = 0.1
+    velocity_noise_mps: Annotated[float, says("White error.", "m/s", ge=0, le=10)] = 0.0
+    turn_rate_noise_dps: Annotated[float, says("White error.", "°/s", ge=0, le=90)] = 0.0
+    position_bias_m: Annotated[Point, says("Constant, in the map.", "m")] = (0.0, 0.0, 0.0)
+    attitude_bias_deg: Annotated[
+        Degrees3, says("Constant roll, pitch and yaw, in the body.", "°")
+    ] = (0.0, 0.0, 0.0)
+    scale: Annotated[
+        float, says("Part by which distances from the start are overrated.", "", ge=-0.5, le=0.5)
+    ] = 0.0
+    drift_mps: Annotated[Number3, says("Steady drift, in the map.", "m/s")] = (0.0, 0.0, 0.0)
+    walk_m_per_sqrt_s: Annotated[
+        float, says("Random walk: its spread after a second.", "m/√s", ge=0, le=10)
+    ] = 0.0
+    yaw_drift_deg_per_min: Annotated[
+        float, says("Steady drift of the heading.", "°/min", ge=-60, le=60)
+    ] = 0.0
+    latency_s: Annotated[float, says("From validity to arrival.", "s", ge=0, le=10)] = 0.002
+    jitter_s: Annotated[float, says("Mean of what comes on top.", "s", ge=0, le=10)] = 0.0
+    dropout: Annotated[float, says("Share of records lost.", "", ge=0, lt=1)] = 0.0
+    outages_s: Annotated[
+        tuple[tuple[float, float], ...], says("Stretches without any record.", "s")
+    ] = ()
+
+
+class VehicleSection(Section, frozen=True):
+    """What carries the sonar."""
+
+    name: Annotated[str, says("For people.")] = "vehicle"
+    latitude_deg: Annotated[float, says("Of the map's origin.", "°", ge=-90, le=90)] = 53.5
+    longitude_deg: Annotated[float, says("Of the map's origin.", "°", ge=-180, le=180)] = 8.1
+    odometry: Annotated[OdometrySection, says("Its navigation.")] = OdometrySection()
+
+
+class SceneFile(Section, frozen=True):
+    """A whole file."""
+
+    trajectory: Annotated[PathSection, says("The vehicle's true path.")]
+    description: Annotated[str, says("One sentence.")] = ""
+    water: Annotated[WaterSection, says("The water.")] = WaterSection()
+    sea: Annotated[
+        SeaSection | None, says("The water's surface; left out it is too far to be heard.")
+    ] = None
+    materials: Annotated[dict[str, MaterialSection], says("Own materials by name.")] = {}  # noqa: RUF012 msgspec copies it
+    terrain: Annotated[TerrainSection | None, says("The floor.")] = None
+    objects: Annotated[tuple[ObjectSection, ...], says("What stands and moves.")] = ()
+    targets: Annotated[tuple[TargetSection, ...], says("Points that echo.")] = ()
+    emitters: Annotated[tuple[EmitterSection, ...], says("Other sonars.")] = ()
+    clouds: Annotated[tuple[CloudSection, ...], says("Bubbles and sediment.")] = ()
+    sonar: Annotated[SonarSection, says("The sonar.")] = SonarSection()
+    mounting: Annotated[MountingSection, says("How it sits on the vehicle.")] = MountingSection()
+    vehicle: Annotated[VehicleSection, says("What carries it.")] = VehicleSection()

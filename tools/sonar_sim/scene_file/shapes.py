@@ -1,0 +1,164 @@
+"""Shapes of a scene's file as triangles, each in its object's frame."""
+
+import math
+from collections.abc import Callable
+from typing import cast
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from sonar_sim.errors import SceneError
+from sonar_sim.scene_file import shape_schema
+
+Floats = NDArray[np.float64]
+HeightOf = Callable[[Floats, Floats], Floats]
+"""Height of the floor, z up, at x and y."""
+HULL_STATIONS, HULL_LINES = 64, 24
+
+
+def triangles_of(shape: shape_schema.BuiltShape, floor_m: HeightOf | None) -> trimesh.Trimesh:
+    """Build a shape that needs no file.
+
+    Args:
+        shape: what the file says.
+        floor_m: for pipes that follow the floor.
+
+    Raises:
+        SceneError: the shape cannot be.
+    """
+    match shape:
+        case shape_schema.Box():
+            mesh = _solid(trimesh.creation.box(extents=shape.size_m))
+        case shape_schema.Cylinder():
+            mesh = _cylinder(shape)
+        case shape_schema.Sphere():
+            mesh = _sphere(shape)
+        case shape_schema.Capsule():
+            mesh = _capsule(shape)
+        case shape_schema.Pipe():
+            mesh = _pipe(shape, floor_m)
+        case shape_schema.Sheet():
+            mesh = _rectangle(shape)
+        case shape_schema.Disc():
+            mesh = _turned(((0.0, 0.0), (shape.radius_m, 0.0)), shape.facets)
+        case shape_schema.Hull():
+            mesh = _hull(shape)
+    return mesh
+
+
+def sheet(points_m: Floats) -> trimesh.Trimesh:
+    """Triangles between the points of a grid, (M, N, 3); those without an area are left out."""
+    m, n = points_m.shape[:2]
+    index = np.arange(m * n).reshape(m, n)
+    a, b = index[:-1, :-1].ravel(), index[1:, :-1].ravel()
+    c, d = index[1:, 1:].ravel(), index[:-1, 1:].ravel()
+    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    mesh = trimesh.Trimesh(points_m.reshape(-1, 3), faces, process=False)
+    mesh.update_faces(mesh.nondegenerate_faces(height=1e-9))
+    return mesh
+
+
+def _rectangle(shape: shape_schema.Sheet) -> trimesh.Trimesh:
+    half = np.array(shape.size_m) / 2.0
+    corners = np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]]) * half
+    return sheet(np.pad(corners, ((0, 0), (0, 1))).reshape(2, 2, 3))
+
+
+def _turned(profile: tuple[tuple[float, float], ...], facets: int) -> trimesh.Trimesh:
+    """Turn a profile of (radius, z) about the z axis; seam and poles are closed."""
+    angle = np.linspace(0.0, 2.0 * math.pi, facets, endpoint=False)
+    angle = np.append(angle, 0.0)  # the seam's points are the first ones, to the bit
+    radius, z = np.array(profile).T
+    x, y = radius[:, None] * np.cos(angle), radius[:, None] * np.sin(angle)
+    mesh = sheet(np.stack([x, y, np.broadcast_to(z[:, None], x.shape)], axis=-1))
+    mesh.merge_vertices()
+    return mesh
+
+
+def _cylinder(shape: shape_schema.Cylinder) -> trimesh.Trimesh:
+    top_m = shape.radius_m if shape.top_radius_m is None else shape.top_radius_m
+    half_m = shape.height_m / 2.0
+    side = ((shape.radius_m, -half_m), (top_m, half_m))
+    if shape.open:
+        return _turned(side, shape.facets)
+    return _turned(((0.0, -half_m), *side, (0.0, half_m)), shape.facets)
+
+
+def _sphere(shape: shape_schema.Sphere) -> trimesh.Trimesh:
+    radii = np.broadcast_to(np.asarray(shape.radius_m, dtype=np.float64), 3)
+    if not np.all((radii > 0.0) & (radii <= 1e4)):  # noqa: PLR2004 the message says it
+        raise SceneError(f"radius_m {radii.tolist()} is not 0 to 10000 m")
+    mesh = _solid(trimesh.creation.icosphere(subdivisions=shape.subdivisions, radius=1.0))
+    mesh.vertices *= radii
+    return mesh
+
+
+def _capsule(shape: shape_schema.Capsule) -> trimesh.Trimesh:
+    start, end = np.array(shape.start_m), np.array(shape.end_m)
+    length_m = float(np.linalg.norm(end - start))
+    if length_m == 0.0:
+        raise SceneError("a capsule's ends are the same point")
+    arcs = np.linspace(0.0, math.pi / 2.0, max(3, shape.facets // 4))
+    foot = [(shape.radius_m * math.sin(a), -shape.radius_m * math.cos(a)) for a in arcs]
+    head = [(radius, length_m - z) for radius, z in reversed(foot)]
+    mesh = _turned((*foot, *head), shape.facets)
+    turn = trimesh.geometry.align_vectors([0, 0, 1], end - start)  # type: ignore[no-untyped-call]
+    transform = np.asarray(turn)
+    transform[:3, 3] = start
+    mesh.apply_transform(transform)
+    return mesh
+
+
+def _pipe(shape: shape_schema.Pipe, floor_m: HeightOf | None) -> trimesh.Trimesh:
+    """Rings about the axis, carried along it without twist."""
+    axis = np.array(shape.points_m, dtype=np.float64)
+    if len(axis) < 2:  # noqa: PLR2004 a line has two ends
+        raise SceneError("a pipe needs at least two points")
+    if shape.follow_floor:
+        if floor_m is None:
+            raise SceneError("a pipe can only follow a terrain")
+        axis[:, 2] += floor_m(axis[:, 0], axis[:, 1])
+    if np.any(np.linalg.norm(np.diff(axis, axis=0), axis=1) == 0.0):
+        raise SceneError("a pipe passes the same point twice in a row")
+    tangent = np.gradient(axis, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    side = np.cross(tangent[0], [0.0, 0.0, 1.0])
+    if np.linalg.norm(side) < 1e-6:  # noqa: PLR2004 an upright pipe
+        side = np.array([1.0, 0.0, 0.0])
+    angle = np.append(np.linspace(0.0, 2.0 * math.pi, shape.facets, endpoint=False), 0.0)
+    rings = []
+    for point, along in zip(axis, tangent, strict=True):
+        side = side - along * (side @ along)
+        side /= np.linalg.norm(side)
+        up = np.cross(side, along)
+        rings.append(
+            point + shape.radius_m * (np.outer(np.cos(angle), side) + np.outer(np.sin(angle), up))
+        )
+    ends = [np.broadcast_to(axis[k], (len(angle), 3)) for k in (0, -1)]
+    mesh = sheet(np.stack([ends[0], *rings, ends[1]]))
+    mesh.merge_vertices()
+    return mesh
+
+
+def _hull(shape: shape_schema.Hull) -> trimesh.Trimesh:
+    """Y = ± B/2 (1 - (2x/L)²)(1 - (z/T)²) below the water line, upright above (Wigley 1934)."""
+    x = np.linspace(-shape.length_m / 2.0, shape.length_m / 2.0, HULL_STATIONS)
+    z = np.linspace(-shape.draught_m, 0.0, HULL_LINES)
+    if shape.freeboard_m > 0.0:
+        z = np.append(z, shape.freeboard_m)
+    gx, gz = np.meshgrid(x, z, indexing="ij")
+    below = np.minimum(gz / shape.draught_m, 0.0)
+    half_m = shape.beam_m / 2.0 * (1.0 - (2.0 * gx / shape.length_m) ** 2) * (1.0 - below**2)
+    port = np.stack([gx, half_m, gz], axis=-1)
+    starboard = port * (1.0, -1.0, 1.0)
+    sides = [starboard[:, ::-1], port[:, 1:]]  # over the keel from deck to deck
+    if shape.freeboard_m > 0.0:
+        sides.append(starboard[:, -1:])  # and back over the deck
+    mesh = sheet(np.concatenate(sides, axis=1))
+    mesh.merge_vertices()
+    return mesh
+
+
+def _solid(made: object) -> trimesh.Trimesh:
+    return cast("trimesh.Trimesh", made)
