@@ -1,0 +1,97 @@
+"""The plan: rules first, then what the user wants."""
+
+import pytest
+from sonar_sim.effects.plan import EffectPlan, EffectWarning, Wish
+from sonar_sim.effects.registry import EFFECTS
+from sonar_sim.errors import EffectError
+from sonar_sim.physics import Physics
+from sonar_sim.scene import Scene
+from sonar_sim.simulator import Simulator
+from sonar_sim.tolerance import Tolerance
+
+from tests.sonar_sim.effects.views import LOUD, floor, pose, view_of
+
+NAMES = """
+spreading absorption sound_speed refraction turbidity bubbles azimuth_pattern side_lobes
+vertical_pattern bearing_table range_spread shadows lambert specular speckle volume
+surface_reverberation bottom_reverberation multipath motion doppler noise crosstalk
+interference tvg gain saturation gamma quantisation
+"""
+
+
+def plan(choice: str | dict[str, bool]) -> EffectPlan:
+    return EffectPlan.make(view_of(floor()), Wish.read(choice), Tolerance())
+
+
+def test_every_effect_of_the_catalogue_has_its_module() -> None:
+    assert set(EFFECTS) == set(NAMES.split())
+    for name, effect in EFFECTS.items():
+        assert effect.name == name
+        assert effect.formula
+        assert effect.source
+        assert effect.rule
+        assert effect.needs
+
+
+def test_all_and_none_are_what_they_say() -> None:
+    assert set(plan("all").names) == set(EFFECTS)
+    assert plan("none").names == ()
+
+
+def test_a_list_computes_just_what_it_names() -> None:
+    assert plan("tvg,spreading").names == ("spreading", "tvg")
+
+
+def test_a_sign_overrules_the_rule() -> None:
+    auto = plan("auto")
+    assert "noise" in auto.names
+    assert "doppler" not in auto.names
+    changed = plan("auto,-noise,+doppler")
+    assert set(changed.names) == (set(auto.names) - {"noise"}) | {"doppler"}
+    assert plan({"noise": False, "doppler": True}).names == changed.names
+
+
+def test_an_unknown_effect_is_named() -> None:
+    with pytest.raises(EffectError, match="no effect 'nois'"):
+        Wish.read("auto,-nois")
+    with pytest.raises(EffectError, match="no effect 'echo'"):
+        Wish.read({"echo": True})
+
+
+def test_a_missed_effect_is_warned_of_once() -> None:
+    simulator = Simulator(Scene((floor(),)), LOUD, effects="auto,-absorption")
+    with pytest.warns(EffectWarning, match=r"absorption is switched off, but 2 alpha R"):
+        simulator.ping(pose())
+    simulator.ping(pose())  # warnings are errors here
+
+
+def test_nothing_configured_is_the_default_physics() -> None:
+    view = view_of(floor())
+    bare = plan("none").physics(view)
+    assert bare.silent == {"floor"}
+    bare.silent = frozenset()
+    default = Physics()
+    assert all(getattr(bare, n) == getattr(default, n) for n in Physics.__slots__)
+
+
+def test_each_effect_changes_the_settings() -> None:
+    view = view_of(floor())
+    idle = {
+        "sound_speed",
+        "refraction",
+        "turbidity",
+        "bubbles",
+        "interference",
+        "multipath",
+        "surface_reverberation",
+    }  # this scene has nothing for them
+    for name in set(EFFECTS) - idle:
+        bare, one = (plan(choice).physics(view) for choice in ("none", name))
+        assert any(getattr(bare, n) != getattr(one, n) for n in Physics.__slots__), name
+
+
+def test_a_tolerance_that_decides_nothing_is_refused() -> None:
+    with pytest.raises(ValueError, match="above zero"):
+        Tolerance(level_db=0.0)
+    with pytest.raises(ValueError, match="share"):
+        Tolerance(share=1.0)

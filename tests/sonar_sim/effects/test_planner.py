@@ -1,0 +1,92 @@
+"""Pings decided as one: which, and that no ping's decision depends on the others."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sonar_sim.effects.look import Look
+from sonar_sim.effects.plan import Wish
+from sonar_sim.effects.planner import Planned, Planner
+from sonar_sim.poses import Pose, rotation_of
+from sonar_sim.scene import Emitter, Scene
+from sonar_sim.tolerance import Tolerance
+
+from tests.sonar_sim.effects.views import LOUD, SONAR, floor, motion, wall
+
+
+def planner(*surfaces: object, scene: Scene | None = None) -> Planner:
+    shown = scene or Scene(tuple(surfaces))  # type: ignore[arg-type]
+    return Planner(Look(shown, LOUD), Wish.read("auto"), Tolerance())
+
+
+def at(x_m: float = 0.0, yaw_deg: float = 0.0, pitch_deg: float = 0.0) -> Pose:
+    turn = rotation_of(0.0, np.radians(pitch_deg), np.radians(yaw_deg))
+    return Pose(np.array([x_m, 0.0, -3.0]), turn)
+
+
+def told(planned: Planned) -> list[tuple[str, bool, float]]:
+    return [(d.effect.name, d.on, d.verdict.predicted_db) for d in planned.plan.decisions]
+
+
+def test_pings_close_to_one_another_are_decided_as_one() -> None:
+    asked = planner(floor())
+    first = asked.at(at())
+    assert asked.at(at(0.05, 0.3)).view is first.view
+    assert asked.at(at(2.0)).view is not first.view
+    assert asked.at(at(0.0, 30.0)).view is not first.view
+    assert asked.at(at(), motion=motion(1.0)).view is not first.view
+
+
+def test_a_decision_does_not_depend_on_the_pings_before() -> None:
+    asked = planner(floor(), wall(6.0))
+    for x_m in (0.0, 0.2, 0.4):
+        asked.at(at(x_m))
+    later, alone = asked.at(at(0.21)), planner(floor(), wall(6.0)).at(at(0.21))
+    assert told(later) == told(alone)
+    assert later.physics.attenuation_db_per_m == alone.physics.attenuation_db_per_m
+
+
+def test_a_fan_that_looks_down_and_turns_is_rounded_no_farther() -> None:
+    asked = planner(floor())
+    for yaw_deg in (0.0, 77.0, 179.0):
+        pose = at(0.0, yaw_deg, 89.0)
+        back = asked.at(pose).view.map_T_sonar.rotation.T @ pose.rotation
+        assert np.degrees(np.arccos((np.trace(back) - 1.0) / 2.0)) < 1.0
+
+
+def test_settings_are_each_pings_own() -> None:
+    asked = planner(floor())
+    asked.at(at()).physics.quantised = False
+    assert asked.at(at()).physics.quantised
+
+
+def test_nothing_is_decided_from_behind_a_wall() -> None:
+    # 10 m of range make cells of 0.16 m: the middle of this one lies 5 cm on, behind the wall.
+    near = at(0.42)
+    asked = planner(floor(), wall(0.45))
+    assert asked.at(near).view.map_T_sonar is near
+    assert planner(floor(), wall(1.5)).at(near).view.map_T_sonar is not near
+
+
+def test_each_ping_hears_other_sonars_at_its_own_time() -> None:
+    emitter = Emitter(
+        name="other",
+        position_m=(5.0, 0.0, -3.0),
+        frequency_hz=SONAR.frequency_hz,
+        bandwidth_hz=2e4,
+        source_level_db=200.0,
+        period_s=1.0,
+        pulse_s=1e-3,
+        offset_s=0.0,
+    )
+    asked = planner(scene=Scene((floor(),), emitters=(emitter,)))
+    sent, silent = asked.at(at(), time_s=0.0), asked.at(at(), time_s=0.3)
+    assert len(sent.physics.arrivals) == 1
+    assert silent.physics.arrivals == ()
+    assert replace(sent.physics, arrivals=()).noise_level_db == silent.physics.noise_level_db
+
+
+@pytest.mark.parametrize(("choice", "on"), [("all", True), ("none", False)])
+def test_the_wish_is_obeyed(choice: str, *, on: bool) -> None:
+    asked = Planner(Look(Scene((floor(),)), LOUD), Wish.read(choice), Tolerance())
+    assert {d.on for d in asked.at(at()).plan.decisions} == {on}

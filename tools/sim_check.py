@@ -1,0 +1,81 @@
+"""Check the simulator's rules on every shipped scene, and write what came out into the manual.
+
+Each scene's ping is simulated with what the rules chose, with all effects, and without each of the
+chosen ones; `sonar_sim.rule_check` tells what must hold. Some minutes.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+from sonar_sim.effects.registry import EFFECTS
+from sonar_sim.effects.table import effects_markdown
+from sonar_sim.rule_check import Change, RuleCheck, RuleChecker
+from sonar_sim.scene_file import load_scenario, scene_names
+from sonar_sim.tolerance import Tolerance
+from tqdm import tqdm
+
+MANUAL = Path(__file__).resolve().parents[1] / "docs" / "simulator.md"
+
+
+def main() -> int:
+    """Check; 1 if a rule is wrong."""
+    parser = argparse.ArgumentParser(description="check the rules of the simulator's effects")
+    parser.add_argument("scenes", nargs="*", default=scene_names())
+    parser.add_argument("--at", type=float, nargs="*", default=[0.5], help="parts of each path")
+    parser.add_argument("--write", action="store_true", help="into docs/simulator.md")
+    arguments = parser.parse_args()
+    checks = {}
+    stops = [(name, part) for name in arguments.scenes for part in arguments.at]
+    for name, part in tqdm(stops, unit="ping", disable=None):
+        scenario = load_scenario(name)
+        check = RuleChecker(scenario).check(part * scenario.trajectory.duration_s)
+        checks[f"{name} at {part:.0%}"] = check
+        for fault in check.faults:
+            print(f"{name} at {part:.0%}: {fault}")
+    text = figures(checks)
+    print(text)
+    if arguments.write:
+        manual = replaced(MANUAL.read_text(encoding="utf-8"), "effects", effects_markdown())
+        MANUAL.write_text(replaced(manual, "check", text), encoding="utf-8")
+    return 1 if any(check.faults for check in checks.values()) else 0
+
+
+def figures(checks: dict[str, RuleCheck]) -> str:
+    """A row a ping: what `auto` leaves out of `all`, and the effect that matters least."""
+    lines = [
+        "| ping | effects on | left out: dB, cells, texture | the least of those on, without it |",
+        "|---|---|---|---|",
+    ]
+    for name, check in checks.items():
+        least = min(check.without, key=lambda n: _weight(check.without[n], check.tolerance))
+        lines.append(
+            f"| {name} | {len(check.without)} of {len(EFFECTS)} | {_told(check.left_out)} "
+            f"| `{least}`: {_told(check.without[least])} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _told(change: Change) -> str:
+    return f"{change.level_db:.2f}, {change.cells:.2f}, {change.texture:.3f}"
+
+
+def _weight(change: Change, tolerance: Tolerance) -> float:
+    """The largest of a change's three over its tolerance."""
+    return max(
+        change.level_db / tolerance.level_db,
+        change.cells / tolerance.cells,
+        change.texture / tolerance.texture,
+    )
+
+
+def replaced(text: str, name: str, body: str) -> str:
+    """The text with what stands between two of its comments changed."""
+    begin, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
+    before, _, rest = text.partition(begin)
+    _, _, after = rest.partition(end)
+    return f"{before}{begin}\n{body}\n{end}{after}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

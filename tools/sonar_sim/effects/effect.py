@@ -1,0 +1,83 @@
+"""What every effect is: a formula with its source, a rule, and the settings it fills in."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+from sonar_sim.effects.view import View
+from sonar_sim.physics import Physics
+from sonar_sim.tolerance import Tolerance
+
+
+class Cost(Enum):
+    """What an effect's work grows with."""
+
+    FREE = "free"
+    ROW = "a table over the rows"
+    CELL = "every cell"
+    SCATTERER = "every scatterer"
+    RAY = "every ray"
+    CAST = "one more cast of the rays"
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A number that an effect takes.
+
+    Attributes:
+        name: where the number is given, such as `water.temperature_c`.
+        unit: of the number; "1" for a ratio.
+        meaning: in a few words.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What a rule says of one ping.
+
+    Attributes:
+        on: whether the ping calls for the effect.
+        reason: the numbers that decided.
+        predicted_db: how much the picture would change without the effect. For an effect that
+            displaces the picture, what the displacement does to its speckle.
+    """
+
+    on: bool
+    reason: str
+    predicted_db: float
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """One physical effect.
+
+    Attributes:
+        name: as in `--effects`.
+        does: to the picture, in a sentence.
+        needs: from scene, water, sonar or motion.
+        formula: in the units of `parameters`.
+        source: of the formula.
+        rule: when it is computed.
+        cost: what its work grows with.
+        parameters: numbers it takes.
+        decide: the rule, as a function of what is known before the ping is computed.
+        configure: fills in the effect's own fields of the settings.
+        anywhere: whether a change of any single pixel calls for it: the effect costs next to
+            nothing, and what it changes may be small but all that there is to see.
+    """
+
+    name: str
+    does: str
+    needs: str
+    formula: str
+    source: str
+    rule: str
+    cost: Cost
+    parameters: tuple[Parameter, ...]
+    decide: Callable[[View, Tolerance], Verdict]
+    configure: Callable[[Physics, View], None]
+    anywhere: bool = False

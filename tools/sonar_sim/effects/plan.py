@@ -1,0 +1,138 @@
+"""The plan of a ping: which effects are computed, and why."""
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from sonar_sim.effects.effect import Effect, Verdict
+from sonar_sim.effects.registry import EFFECTS
+from sonar_sim.effects.view import View
+from sonar_sim.errors import EffectError
+from sonar_sim.physics import Physics
+from sonar_sim.tolerance import Tolerance
+
+AUTO, ALL = "auto", "all"
+HIDING = "shadows"
+"""The one effect that saves work where it is computed."""
+
+Choice = str | Mapping[str, bool]
+"""See `Wish`."""
+
+
+class EffectWarning(UserWarning):
+    """An effect that the scene calls for is switched off."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """Which effects a user wants.
+
+    Attributes:
+        ground: "auto" asks the rules, "all" computes everything, "none" nothing.
+        forced: effects that are on or off whatever the ground says.
+    """
+
+    ground: str
+    forced: Mapping[str, bool]
+
+    @classmethod
+    def read(cls, choice: Choice) -> "Wish":
+        """Read a choice.
+
+        Args:
+            choice: "auto", "all" or "none", or names of the effects to compute, with commas
+                between them; after a ground, `+name` and `-name` switch one on or off
+                ("auto,-noise"). A mapping of names to on or off stands on "auto".
+
+        Raises:
+            EffectError: an effect has an unknown name.
+        """
+        if not isinstance(choice, str):
+            return cls(AUTO, {_known(name): bool(on) for name, on in choice.items()})
+        words = [word.strip() for word in choice.split(",") if word.strip()]
+        ground, forced = "none", {}
+        for place, word in enumerate(words):
+            if place == 0 and word in (AUTO, ALL, "none"):
+                ground = word
+            else:
+                forced[_known(word.lstrip("+-"))] = not word.startswith("-")
+        return cls(ground, forced)
+
+    def on(self, name: str, verdict: Verdict) -> bool:
+        """Whether an effect of which the rule says this is computed."""
+        ground = verdict.on if self.ground == AUTO else self.ground == ALL
+        return self.forced.get(name, ground)
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What becomes of one effect.
+
+    Attributes:
+        effect: which.
+        verdict: of its rule.
+        on: whether it is computed, whatever the rule says.
+    """
+
+    effect: Effect
+    verdict: Verdict
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
+class EffectPlan:
+    """Decisions on all effects of one ping.
+
+    Attributes:
+        decisions: in the order of `EFFECTS`.
+        auto: whether the rules' word is law, so that what they leave out may be had either way.
+    """
+
+    decisions: tuple[Decision, ...]
+    auto: bool = False
+
+    @classmethod
+    def make(cls, view: View, wish: Wish, tolerance: Tolerance) -> "EffectPlan":
+        """Ask every rule, then obey the wish."""
+        decisions = []
+        for effect in EFFECTS.values():
+            verdict = effect.decide(view, tolerance)
+            decisions.append(Decision(effect, verdict, wish.on(effect.name, verdict)))
+        return cls(tuple(decisions), wish.ground == AUTO)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the effects that are computed."""
+        return tuple(d.effect.name for d in self.decisions if d.on)
+
+    @property
+    def missed(self) -> tuple[Decision, ...]:
+        """Effects that the ping calls for and that are switched off."""
+        return tuple(d for d in self.decisions if d.verdict.on and not d.on)
+
+    def warn(self, known: set[str]) -> None:
+        """Warn of each missed effect that is not yet known to be, and enter it there."""
+        for decision in self.missed:
+            if decision.effect.name not in known:
+                known.add(decision.effect.name)
+                message = f"{decision.effect.name} is switched off, but {decision.verdict.reason}"
+                warnings.warn(message, EffectWarning, stacklevel=3)
+
+    def physics(self, view: View) -> Physics:
+        """Fill in the settings of the effects that are on."""
+        physics = Physics(silent=view.bottoms)
+        for decision in self.decisions:
+            if decision.on:
+                decision.effect.configure(physics, view)
+            elif self.auto and decision.effect.name == HIDING and not decision.verdict.on:
+                # What lies behind does not show, and not to look for it is cheaper.
+                physics.shadows = True
+        return physics
+
+
+def _known(name: str) -> str:
+    if name not in EFFECTS:
+        raise EffectError(
+            f"no effect {name!r}; there are {', '.join(EFFECTS)}, and auto, all, none"
+        )
+    return name

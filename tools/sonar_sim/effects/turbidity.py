@@ -1,0 +1,46 @@
+"""Turbidity: suspended sediment takes sound away by friction and scattering."""
+
+from sonar_sim.effects.clouds import clouds_of
+from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
+from sonar_sim.effects.verdicts import by_level
+from sonar_sim.effects.view import View
+from sonar_sim.physics import Physics
+from sonar_sim.scene import Sediment
+from sonar_sim.tolerance import Tolerance
+
+
+def decide(view: View, tolerance: Tolerance) -> Verdict:
+    """On if what sediment takes or sends back shows."""
+    alpha = view.sediment_db_per_m
+    if alpha == 0.0 and not view.clouds_of(Sediment):
+        return Verdict(on=False, reason="the water is clear", predicted_db=0.0)
+    clear = view.without_clouds(Sediment)
+    back = 10.0 ** (0.2 * alpha * view.grid.range_m)[:, None]
+    picture = (clear - view.noise_power) * back + view.noise_power
+    two_way_db = 2.0 * alpha * view.sonar.range_m
+    reason = f"2 alpha R of sediment everywhere {two_way_db:.2f} dB at {view.sonar.range_m:.0f} m"
+    return by_level(view.change_db(picture, tolerance), tolerance, reason)
+
+
+def configure(physics: Physics, view: View) -> None:
+    """Add the sediment's share to the attenuation, and the clouds."""
+    physics.attenuation_db_per_m += view.sediment_db_per_m
+    physics.clouds = (*physics.clouds, *clouds_of(view, Sediment))
+
+
+EFFECT = Effect(
+    name="turbidity",
+    does="dims what lies behind muddy water",
+    needs="concentration and size of the grains",
+    formula="phi (k⁴ a³ / 6 + k (sigma - 1)² s / (s² + (sigma + tau)²)) / 2 nepers a metre",
+    source="Urick 1948",
+    rule="the picture in clear water differs by more than the tolerance",
+    cost=Cost.ROW,
+    parameters=(
+        Parameter("water.sediment_kg_per_m3", "kg/m³", "concentration everywhere"),
+        Parameter("water.sediment_radius_m", "m", "radius of the grains"),
+        Parameter("cloud.matter", "kg/m³, m", "sediment in a box"),
+    ),
+    decide=decide,
+    configure=configure,
+)

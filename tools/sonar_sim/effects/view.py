@@ -1,0 +1,271 @@
+"""What the rules know before a ping is computed: settings, poses, and a coarse cast with levels."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonar_sim.effects.coarse import MOST_ROWS, CoarseGrid, Gains, change_db, equivalent_beams
+from sonar_sim.effects.echoes import COLUMNS, ELEVATIONS, TOP, Echoes
+from sonar_sim.effects.matter import Matter, cloud_matter, path_in_box_m, sediment_strength
+from sonar_sim.effects.planes import Plane
+from sonar_sim.engine import SonarMotion
+from sonar_sim.meshes import Meshes
+from sonar_sim.pattern import vertical_two_way_power
+from sonar_sim.poses import Pose
+from sonar_sim.receiver import FULL_SCALE_DB, GAIN_DB_PER_PERCENT, noise_level_db
+from sonar_sim.scene import Bubbles, CloudSpec, Scene, Sediment
+from sonar_sim.sediment import sediment_db_per_m
+from sonar_sim.sonar import SonarSettings
+from sonar_sim.tolerance import Tolerance
+
+LEAST_RANGE_M = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class CloudInSight:
+    """A cloud and what it does at the sonar's frequency."""
+
+    spec: CloudSpec
+    matter: Matter
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One ping before it is computed. Its levels contain every effect of level.
+
+    Attributes:
+        scene, sonar: as the simulator's.
+        map_T_sonar: at the transmission.
+        motion: while the sonar listens.
+        time_s, ping_id: of the ping.
+        meshes: the scene, ready to be cast.
+        planes: that could mirror.
+        bottoms: names of the surfaces that are the floor.
+        echoes: what the coarse rays met, points included.
+        hidden: what lies behind the first hits.
+        most_rows: of the coarse picture.
+    """
+
+    scene: Scene
+    sonar: SonarSettings
+    map_T_sonar: Pose  # noqa: N815 frames in the name
+    motion: SonarMotion | None
+    time_s: float
+    ping_id: int
+    meshes: Meshes
+    planes: tuple[Plane, ...]
+    bottoms: frozenset[str]
+    echoes: Echoes
+    hidden: Echoes
+    most_rows: int = MOST_ROWS
+
+    @cached_property
+    def grid(self) -> CoarseGrid:
+        """The coarse picture's rows and columns."""
+        return CoarseGrid(self.sonar, self.most_rows)
+
+    @property
+    def speed_mps(self) -> float:
+        """True speed of sound."""
+        return self.scene.water.speed_of_sound_mps
+
+    @cached_property
+    def water_db_per_m(self) -> float:
+        """One-way absorption of the water itself."""
+        return self.scene.water.absorption_db_per_m(self.sonar.frequency_hz)
+
+    @cached_property
+    def sediment_db_per_m(self) -> float:
+        """One-way attenuation by what is suspended everywhere."""
+        water = self.scene.water
+        if water.sediment_kg_per_m3 <= 0.0:
+            return 0.0
+        return sediment_db_per_m(
+            self.sonar.frequency_hz,
+            water.sediment_kg_per_m3,
+            water.sediment_radius_m,
+            self.speed_mps,
+        )
+
+    @cached_property
+    def far_m(self) -> float:
+        """Farthest echo, 0 without one."""
+        return float(self.echoes.range_m.max(initial=0.0))
+
+    @cached_property
+    def source_power(self) -> float:
+        """Of the transmission, at 1 m."""
+        return float(10.0 ** (self.sonar.source_level_db / 10.0))
+
+    @cached_property
+    def pattern(self) -> NDArray[np.float64]:
+        """Two-way vertical pattern of each echo, (N,)."""
+        return vertical_two_way_power(self.echoes.up, self.sonar.vertical_width_rad)
+
+    @cached_property
+    def unscattered(self) -> NDArray[np.float64]:
+        """Received power of each echo over its cross section, (N,)."""
+        return self.travelled(self.echoes) * self.pattern
+
+    def travelled(self, echoes: Echoes) -> NDArray[np.float64]:
+        """Source, spreading, absorption, sediment and clouds, (N,)."""
+        range_m = np.maximum(echoes.range_m, LEAST_RANGE_M)
+        loss_db = 2.0 * (self.water_db_per_m + self.sediment_db_per_m) * range_m
+        loss_db += self.two_way_cloud_db(self.clouds, echoes)
+        power: NDArray[np.float64] = self.source_power * 10.0 ** (-loss_db / 10.0) / range_m**4
+        return power
+
+    @cached_property
+    def clouds(self) -> tuple[CloudInSight, ...]:
+        """The scene's clouds and what they do at this frequency."""
+        return tuple(
+            CloudInSight(spec, cloud_matter(spec, self.sonar, self.speed_mps))
+            for spec in self.scene.clouds
+        )
+
+    def two_way_cloud_db(
+        self, clouds: tuple[CloudInSight, ...], echoes: Echoes
+    ) -> NDArray[np.float64]:
+        """What clouds take on the way to each echo and back, (N,)."""
+        loss_db = np.zeros(len(echoes.range_m))
+        for cloud in clouds:
+            low_m, high_m = np.array(cloud.spec.low_m), np.array(cloud.spec.high_m)
+            path_m = path_in_box_m(self.map_T_sonar.position_m, echoes.point_m, low_m, high_m)
+            loss_db += 2.0 * cloud.matter.db_per_m * path_m
+        return loss_db
+
+    def clouds_of(self, kind: type[Bubbles] | type[Sediment]) -> tuple[CloudInSight, ...]:
+        """The clouds of one kind."""
+        return tuple(cloud for cloud in self.clouds if isinstance(cloud.spec.matter, kind))
+
+    def without_clouds(self, kind: type[Bubbles] | type[Sediment]) -> NDArray[np.float64]:
+        """Expected power of a pixel if the clouds of one kind were not, (rows, COLUMNS)."""
+        gone = self.clouds_of(kind)
+        power = self.echo_power * 10.0 ** (self.two_way_cloud_db(gone, self.echoes) / 10.0)
+        clear = self.picture - self.echo_picture - self.picture_of_clouds(gone)
+        picture: NDArray[np.float64] = np.maximum(clear, 0.0) + self.grid.picture(
+            self.echoes, power
+        )
+        return picture
+
+    @cached_property
+    def echo_power(self) -> NDArray[np.float64]:
+        """Received power of each echo, (N,)."""
+        return self.echoes.section_m2 * self.unscattered
+
+    @cached_property
+    def echo_picture(self) -> NDArray[np.float64]:
+        """Expected power of a pixel by surfaces and points, (rows, COLUMNS)."""
+        return self.grid.picture(self.echoes, self.echo_power)
+
+    @cached_property
+    def noise_power(self) -> float:
+        """Of a pixel."""
+        return float(10.0 ** (noise_level_db(self.sonar, self.scene.water) / 10.0))
+
+    @cached_property
+    def listened_sr(self) -> float:
+        """Solid angle that a beam hears, two-way vertical pattern and azimuth beam together."""
+        w = np.linspace(-1.0, 1.0, 401)
+        up = float(np.trapezoid(vertical_two_way_power(w, self.sonar.vertical_width_rad), w))
+        return up * equivalent_beams(self.sonar) * self.sonar.sine_pitch
+
+    @cached_property
+    def open_water(self) -> NDArray[np.float64]:
+        """Power that scatterers of 0 dB re 1/m in all the water would send, (rows, 1)."""
+        range_m = np.maximum(self.grid.range_m, LEAST_RANGE_M)
+        loss_db = 2.0 * (self.water_db_per_m + self.sediment_db_per_m) * range_m
+        cell_m3 = self.listened_sr * range_m**2 * self.sonar.range_resolution_m
+        power = self.source_power * cell_m3 * 10.0 ** (-loss_db / 10.0) / range_m**4
+        column: NDArray[np.float64] = power[:, None]
+        return column
+
+    @cached_property
+    def volume_strength(self) -> float:
+        """Back scattering of a cubic metre of the open water, sediment included, 1/m."""
+        water = self.scene.water
+        grains = sediment_strength(
+            self.sonar.frequency_hz,
+            water.sediment_kg_per_m3,
+            water.sediment_radius_m,
+            self.speed_mps,
+        )
+        return float(10.0 ** (water.volume_strength_db / 10.0) + grains)
+
+    @cached_property
+    def volume_picture(self) -> NDArray[np.float64]:
+        """Expected power of a pixel by the water's own scatterers, (rows, COLUMNS)."""
+        power = self.volume_strength * self.open_water * np.ones(COLUMNS)
+        picture: NDArray[np.float64] = power
+        return picture
+
+    @cached_property
+    def unblocked(self) -> NDArray[np.float64]:
+        """Share of a cell's water that no surface hides, (rows, COLUMNS): by its echoes' rays."""
+        cells = self.grid.rows * COLUMNS
+        row = np.clip(
+            (self.echoes.range_m / self.grid.row_m).astype(np.int64), 0, self.grid.rows - 1
+        )
+        place = row * COLUMNS + self.echoes.column
+        lost = np.bincount(place, self.pattern, cells).reshape(self.grid.rows, COLUMNS)
+        w = ((np.arange(ELEVATIONS, dtype=np.float64) + 0.5) / ELEVATIONS * 2.0 - 1.0) * TOP
+        whole = float(vertical_two_way_power(w, self.sonar.vertical_width_rad).sum())
+        left: NDArray[np.float64] = np.clip(1.0 - np.cumsum(lost, axis=0) / whole, 0.0, 1.0)
+        return left
+
+    def picture_of_clouds(self, clouds: tuple[CloudInSight, ...]) -> NDArray[np.float64]:
+        """Expected power of a pixel by bubbles and sediment in clouds, (rows, COLUMNS)."""
+        picture = np.zeros((self.grid.rows, COLUMNS))
+        for cloud in clouds:
+            inside = np.all(
+                (self.water_points_m >= cloud.spec.low_m)
+                & (self.water_points_m <= cloud.spec.high_m),
+                axis=2,
+            )
+            picture += inside * self.open_water * cloud.matter.strength * self.unblocked
+        return picture
+
+    @cached_property
+    def water_points_m(self) -> NDArray[np.float64]:
+        """Middle of each coarse cell on the fan's plane, map frame, (rows, COLUMNS, 3)."""
+        sine = self.grid.sine
+        ahead = np.stack([np.sqrt(1.0 - sine**2), -sine, np.zeros(COLUMNS)], axis=1)
+        turned = ahead @ self.map_T_sonar.rotation.T
+        points: NDArray[np.float64] = self.grid.range_m[:, None, None] * turned
+        return points + self.map_T_sonar.position_m
+
+    @cached_property
+    def picture(self) -> NDArray[np.float64]:
+        """Expected power of a pixel, all told, (rows, COLUMNS)."""
+        told: NDArray[np.float64] = (
+            self.echo_picture
+            + self.volume_picture
+            + self.picture_of_clouds(self.clouds)
+            + self.noise_power
+        )
+        return told
+
+    @cached_property
+    def gains(self) -> Gains:
+        """The receiver's gains; its time-varied gain knows the water's absorption."""
+        range_m = self.grid.range_m
+        varied_db = self.sonar.tvg_spreading_log * np.log10(range_m)
+        varied_db += 2.0 * self.water_db_per_m * range_m
+        operator_db = GAIN_DB_PER_PERCENT * self.sonar.gain_percent
+        return Gains(varied_db, operator_db, FULL_SCALE_DB)
+
+    @cached_property
+    def amplitude(self) -> NDArray[np.float64]:
+        """Of full scale, (rows, COLUMNS)."""
+        return self.gains.amplitude(self.picture)
+
+    def change_db(self, power: NDArray[np.float64], tolerance: Tolerance) -> float:
+        """How much the coarse picture differs from one of these powers, (rows, COLUMNS)."""
+        return change_db(self.amplitude, self.gains.amplitude(power), self.sonar, tolerance)
+
+    def change_of_echoes_db(self, power: NDArray[np.float64], tolerance: Tolerance) -> float:
+        """The same where only the echoes' powers (N,) differ."""
+        other = self.picture - self.echo_picture + self.grid.picture(self.echoes, power)
+        return self.change_db(np.maximum(other, 0.0), tolerance)
