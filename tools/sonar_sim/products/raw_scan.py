@@ -1,0 +1,28 @@
+"""The ping in plan view, without grid or colours: the raw scan."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oculus_driver.picture import fan_of, laid_out
+from sonar_sim.sonar import SonarSettings
+
+
+def raw_scan(
+    level: NDArray[np.float32], sonar: SonarSettings, rows: int = 400
+) -> NDArray[np.float32]:
+    """Lay a ping into a plan view, forward up, starboard right.
+
+    Args:
+        level: (rows, beams), of full scale.
+        sonar: settings.
+        rows: height of the plan view; the range fills it.
+
+    Returns:
+        float32 (rows, columns); 0 outside the fan.
+    """
+    sines = (np.arange(sonar.beams) - (sonar.beams - 1) / 2.0) * sonar.sine_pitch
+    columns = 2 * int(np.ceil(rows * np.sin(sonar.half_aperture_rad))) + 2
+    fan = fan_of(np.arcsin(sines), sonar.range_m, (columns, rows), (0, 0, 0, 0))
+    scan = laid_out(level.astype(np.float32), fan)
+    scan[fan.outside] = 0.0
+    return scan
