@@ -1,0 +1,1 @@
+"""The simulator as a device: what it makes of fire messages, without sockets."""

@@ -1,0 +1,131 @@
+"""A scenario on the network: the sonar and the vehicle's odometry, on one clock."""
+
+import asyncio
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Self
+
+from oculus_driver.errors import OculusError
+from oculus_driver.play import told_address
+from oculus_driver.played.faults import Faults
+from oculus_driver.played.obedient import Identity
+from oculus_driver.serve import ServedSonar
+from sonar_sim.device.route import Ends, Route
+from sonar_sim.device.simulated import SimulatedDevice
+from sonar_sim.effects.plan import AUTO, Wish
+from sonar_sim.errors import SonarSimError
+from sonar_sim.navigation.sending import OdometrySender, Output
+from sonar_sim.scenario import Scenario
+
+
+@dataclass(frozen=True, slots=True)
+class ServeSettings:
+    """How a scenario is served.
+
+    Attributes:
+        host, port: where the sonar listens; port 0 is any free one.
+        status_to: where its statuses go.
+        device_id: serial number.
+        standby: be silent until a client asks for pings.
+        ends: what comes after the trajectory, see `sonar_sim.device.route.Route`.
+        faults: how the sonar misbehaves.
+        outputs: where the odometry goes.
+        seed: of all random numbers.
+        effects: as for `sonar_sim.Simulator`.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 0
+    status_to: Sequence[tuple[str, int]] = ()
+    device_id: int = 750
+    standby: bool = False
+    ends: Ends = "back"
+    faults: Faults = field(default_factory=Faults)
+    outputs: list[Output] = field(default_factory=list)
+    seed: int = 0
+    effects: str = AUTO
+
+
+class ServedScenario:
+    """A scenario in real time, for the time of an `async with` block.
+
+    Raises:
+        SonarSimError, OculusError: a link cannot be opened; raised on entering.
+        EffectError: no such effect; raised at once.
+
+    Attributes:
+        sonar: the sonar, with its counters; its `finished` is set at the end of the route.
+        route: of the vehicle.
+        outputs: of the odometry.
+    """
+
+    def __init__(self, scenario: Scenario, settings: ServeSettings | None = None) -> None:
+        settings = settings or ServeSettings()
+        Wish.read(settings.effects)  # a name that is wrong is told now, not at the first ping
+        self.route = Route(scenario.trajectory, settings.ends)
+        self.outputs = settings.outputs
+        self._unix_offset_ns = time.time_ns() - time.monotonic_ns()
+        self._began_ns = time.monotonic_ns()
+        device = SimulatedDevice(
+            scenario,
+            self.route,
+            self.route_s,
+            Identity(settings.device_id, address=told_address(settings.host)),
+            standby=settings.standby,
+            seed=settings.seed,
+            effects=settings.effects,
+            deaf_to_version=settings.faults.deaf_to_version,
+        )
+        self.sonar = ServedSonar(
+            device,
+            host=settings.host,
+            port=settings.port,
+            speed=None,
+            status_to=settings.status_to,
+            faults=settings.faults,
+        )
+        self._sender = OdometrySender(
+            scenario, self.route, settings.outputs, self.unix_ns, settings.seed
+        )
+        self._sending: asyncio.Task[None] | None = None
+
+    def route_s(self) -> float:
+        """Time on the route."""
+        return (time.monotonic_ns() - self._began_ns) / 1e9
+
+    def unix_ns(self, route_s: float) -> int:
+        """Unix time of a time on the route."""
+        return self._began_ns + self._unix_offset_ns + round(route_s * 1e9)
+
+    async def __aenter__(self) -> Self:
+        try:
+            await self._sender.open()
+            await self.sonar.__aenter__()
+        except (SonarSimError, OculusError):
+            await self._sender.close()
+            raise
+        self._began_ns = time.monotonic_ns()
+        self._sending = asyncio.create_task(self._sender.run(self.route_s))
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._sending is not None:
+            self._sending.cancel()
+            with suppress(asyncio.CancelledError):
+                await self._sending
+        await self._sender.close()
+        await self.sonar.__aexit__(kind, error, trace)
+
+    async def run(self) -> None:
+        """Wait for the end of the route."""
+        if self._sending is not None:
+            await self._sending
+        await asyncio.sleep(self.route.duration_s - self.route_s())

@@ -1,0 +1,49 @@
+"""The formats by name; each makes of a fix what one vehicle would send."""
+
+from typing import Protocol
+
+from sonar_sim.errors import SonarSimError
+from sonar_sim.navigation.fix import Fix
+from sonar_sim.navigation.native import Native
+from sonar_sim.navigation.nmea import Nmea
+from sonar_sim.navigation.water_linked import WaterLinkedJson, WaterLinkedSerial
+
+__all__ = ["FORMATS", "Format", "format_named"]
+
+
+class Format(Protocol):
+    """One way to say it."""
+
+    def encode(self, fix: Fix) -> list[bytes]:
+        """Return what is sent of a fix: datagrams, lines or sentences; perhaps none."""
+
+
+FORMATS = (
+    "native",
+    "mavlink-odometry",
+    "mavlink-ardusub",
+    "waterlinked",
+    "waterlinked-serial",
+    "nmea",
+)
+
+
+def format_named(name: str) -> Format:
+    """A format with its own counters.
+
+    Raises:
+        SonarSimError: there is no such format.
+    """
+    if name in ("mavlink-odometry", "mavlink-ardusub"):
+        from sonar_sim.navigation import mavlink  # noqa: PLC0415 takes half a second to import
+
+        return mavlink.Px4() if name == "mavlink-odometry" else mavlink.ArduSub()
+    if name == "native":
+        return Native()
+    if name == "nmea":
+        return Nmea()
+    if name == "waterlinked":
+        return WaterLinkedJson()
+    if name == "waterlinked-serial":
+        return WaterLinkedSerial()
+    raise SonarSimError(f"odometry: no format {name!r}; there are {', '.join(FORMATS)}")
