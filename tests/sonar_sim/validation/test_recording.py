@@ -1,0 +1,66 @@
+"""The simulated sonar is like the recorded one: M1200d, 2.1 MHz, three pings from one pose."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sonar_sim.validation.alike import Alike, compare
+from sonar_sim.validation.recording import (
+    Recorded,
+    band_centres_m,
+    noise_level_db,
+    noisy_bands,
+    read_recording,
+    simulate_alike,
+    usual_floor_db,
+)
+
+NUMBERS = 21
+
+
+@pytest.fixture(scope="module")
+def recorded(shared_data: Path) -> Recorded:
+    return read_recording(shared_data / "oculus" / "three_pings_8bit.raw")
+
+
+@pytest.fixture(scope="module")
+def numbers(recorded: Recorded) -> tuple[Alike, ...]:
+    return compare(recorded, simulate_alike(recorded))
+
+
+def test_header_gives_the_sonar(recorded: Recorded) -> None:
+    sonar = recorded.sonar
+    assert recorded.pixels.shape == (3, sonar.rows, sonar.beams) == (3, 703, 256)
+    assert sonar.range_resolution_m == pytest.approx(2.842e-3, abs=1e-6)
+    assert (sonar.gamma_byte, sonar.gain_percent) == (127, 50.0)
+
+
+def test_every_number_of_the_simulation_is_near_the_recordings(numbers: tuple[Alike, ...]) -> None:
+    assert len(numbers) == NUMBERS
+    assert [number for number in numbers if not number.holds] == []
+
+
+def test_both_are_near_the_reference(numbers: tuple[Alike, ...]) -> None:
+    for number in numbers:
+        if number.reference is not None:
+            # The reference says about 30 dB, echoes under the noise not allowed for.
+            most = 4.0 if number.what.endswith("dB") else number.tolerance
+            assert abs(number.real - number.reference) <= most, number
+            assert abs(number.simulated - number.reference) <= most, number
+
+
+def test_floor_follows_the_usual_law_of_the_varied_gain(recorded: Recorded) -> None:
+    noisy = noisy_bands(recorded.sonar)
+    assert noisy.sum() >= 12
+    level_db = noise_level_db(recorded.pixels, recorded.sonar.gamma_byte)
+    off = (level_db - usual_floor_db(recorded))[noisy]
+    assert np.abs(off).max() < 5.0
+    assert band_centres_m(recorded.sonar)[noisy].min() < 0.3
+
+
+def test_simulation_is_the_same_each_time_and_another_with_another_seed(
+    recorded: Recorded,
+) -> None:
+    once, again, other = (simulate_alike(recorded, 1, seed) for seed in (0, 0, 1))
+    assert np.array_equal(once, again)
+    assert not np.array_equal(once, other)

@@ -1,0 +1,140 @@
+"""V6: beams are as wide, and hear aside as little, as they are told to."""
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonar_sim.beams import beam_former
+from sonar_sim.pattern import azimuth_amplitude, main_lobe_end
+from sonar_sim.physics import Physics
+from sonar_sim.sonar import SonarSettings
+from sonar_sim.validation.case import CaseResult, Check
+from sonar_sim.validation.homogeneous import Homogeneous
+from sonar_sim.validation.statistics import correlation
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SETUPS = (
+    ("M1200d 2.1 MHz 256", 0.4, 256, 30.0, 0.646),
+    ("M750d LF 512", 1.0, 512, 65.0, 0.944),
+    ("M750d LF 256", 1.0, 256, 65.0, 0.795),
+    ("M750d HF 512", 0.6, 512, 35.0, 0.938),
+    ("M750d HF 256", 0.6, 256, 35.0, 0.774),
+)
+"""Name, beam width deg, beams, half aperture deg, correlation of power at lag 1 in mid-fan."""
+MARGIN = 12
+FINE = SonarSettings(half_aperture_rad=math.radians(7.0))
+"""So narrow a fan that 37 beams sample one beam's width."""
+
+
+def v06_beam_pattern() -> CaseResult:
+    """One target through the beam former, and speckle through neighbouring beams."""
+    checks = (*_unshaded(), *_scanned(), *_steered(), *(_neighbours(*s) for s in SETUPS))
+    return CaseResult("V6 beam pattern", "line array theory; a Gaussian beam", checks, _draw)
+
+
+def _seen(sonar: SonarSettings, side_lobe_db: float, column: int) -> NDArray[np.float64]:
+    """Amplitude in every beam of a target of amplitude 1 at a beam's own bearing."""
+    physics = Physics(
+        beam_width_rad=sonar.beam_width_rad, side_lobe_db=side_lobe_db, sine_bearings=True
+    )
+    field = np.zeros((1, sonar.beams + 2 * MARGIN), dtype=np.complex64)
+    field[0, MARGIN + column] = 1.0
+    amplitude: NDArray[np.float64] = np.abs(
+        beam_former(sonar, physics, MARGIN).form(field)[0]
+    ).astype(np.float64)
+    return amplitude
+
+
+def _crossing(x: NDArray[np.floating], falling: NDArray[np.floating], level: float) -> float:
+    """Where a sampled function first falls below a level, between samples."""
+    i = int(np.argmax(falling < level))
+    part = (falling[i - 1] - level) / (falling[i - 1] - falling[i])
+    return float(x[i - 1] + part * (x[i] - x[i - 1]))
+
+
+def _unshaded() -> tuple[Check, ...]:
+    """Widths and lobes of a line without shading, in lambda / L."""
+    wavelength_over_length = math.sin(FINE.beam_width_rad / 2.0) / 0.44295
+    middle = FINE.beams // 2
+    seen = _seen(FINE, 13.26, middle)[middle:]
+    x = np.arange(len(seen)) * FINE.sine_pitch / wavelength_over_length
+    null = int(np.argmax(np.diff(seen) > 0.0))
+    lobe = null + int(np.argmax(seen[null : 2 * null]))
+    return (
+        Check("half-power half-width, lambda/L", 0.44295, _crossing(x, seen, 0.5**0.5), 0.002),
+        Check("two-way half width, lambda/L", 0.31892, _crossing(x, seen**2, 0.5**0.5), 0.002),
+        Check("first null, lambda/L", 1.0, float(x[null]), 0.03),
+        Check("first side lobe, dB", -13.261, 20.0 * math.log10(seen[lobe]), 0.02),
+        Check("side lobe two way, dB", -26.523, 40.0 * math.log10(seen[lobe]), 0.04),
+        Check("where it is, lambda/L", 1.4303, float(x[lobe]), 0.03),
+    )
+
+
+def _scanned() -> tuple[Check, ...]:
+    """Worst deviation from the design's pattern down to -30 dB, over the fan and finely."""
+    checks = []
+    for name, sonar in (("fan of 130 deg", SonarSettings()), ("fine scan", FINE)):
+        column = 200
+        seen = _seen(sonar, sonar.side_lobe_db, column)
+        offsets = (np.arange(sonar.beams, dtype=np.float64) - column) * sonar.sine_pitch
+        designed = np.abs(azimuth_amplitude(sonar.beam_width_rad, sonar.side_lobe_db)(offsets))
+        loud = designed > 10.0 ** (-30.0 / 20.0)
+        worst = np.abs(20.0 * np.log10(seen[loud] / designed[loud])).max()
+        checks.append(Check(f"{name}: deviation to -30 dB, dB", 0.0, float(worst), 0.1))
+    middle = FINE.beams // 2
+    seen = _seen(FINE, 30.0, middle)[middle:]
+    end = math.ceil(main_lobe_end(FINE.beam_width_rad, 30.0) / FINE.sine_pitch)
+    highest_db = 20.0 * math.log10(seen[end:].max())
+    checks.append(Check("shaded for 30 dB: highest side lobe, dB", -30.0, highest_db, 0.1))
+    return tuple(checks)
+
+
+def _steered() -> tuple[Check, ...]:
+    """Full width on the axis and at 60 degrees, deg; it doubles."""
+    sonar = dataclasses.replace(SonarSettings(), beams=4096)
+    sines = (np.arange(sonar.beams) - (sonar.beams - 1) / 2.0) * sonar.sine_pitch
+    checks = []
+    for steer_deg, expected in ((0.0, 1.0), (60.0, 2.0)):
+        column = int(np.argmin(np.abs(sines - math.sin(math.radians(steer_deg)))))
+        seen = _seen(sonar, 30.0, column)
+        right = _crossing(sines[column:], seen[column:], 0.5**0.5)
+        left = _crossing(sines[column::-1], seen[column::-1], 0.5**0.5)
+        width_deg = math.degrees(math.asin(right) - math.asin(left))
+        checks.append(
+            Check(f"width at {steer_deg:g} deg, deg", expected, width_deg, 0.01 * expected)
+        )
+    return tuple(checks)
+
+
+def _neighbours(name: str, width_deg: float, beams: int, half_deg: float, expected: float) -> Check:
+    """Correlation of power between neighbouring Gaussian beams of speckle."""
+    sonar = dataclasses.replace(
+        SonarSettings(),
+        beam_width_rad=math.radians(width_deg),
+        beams=beams,
+        half_aperture_rad=math.radians(half_deg),
+        side_lobe_db=math.inf,
+    )
+    power = np.square(np.abs(Homogeneous(sonar, 102400 // beams).beams()).astype(np.float64))
+    return Check(
+        f"{name}: neighbours' power", expected, correlation(power[:, 1:], power[:, :-1]), 0.015
+    )
+
+
+def _draw(axes: "Axes") -> None:
+    middle = FINE.beams // 2
+    bearing_deg = np.degrees(np.arcsin((np.arange(FINE.beams) - middle) * FINE.sine_pitch))
+    for side_lobe_db, label in ((13.26, "unshaded"), (30.0, "shaded for 30 dB")):
+        seen = _seen(FINE, side_lobe_db, middle)
+        level_db = 20.0 * np.log10(np.maximum(seen, 1e-4))
+        axes.plot(bearing_deg, level_db, lw=1.0, label=label)
+    axes.axhline(-13.26, color="0.7", lw=0.6)
+    axes.set_ylim(-60.0, 2.0)
+    axes.set_xlabel("bearing, deg")
+    axes.set_ylabel("beam, dB")
+    axes.legend(fontsize=6)

@@ -1,0 +1,79 @@
+"""V16: a sonar that moves while it listens."""
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sonar_sim.engine import Engine, SonarMotion
+from sonar_sim.scene import Scene
+from sonar_sim.sonar import SonarSettings
+from sonar_sim.validation.case import CaseResult, Check
+from sonar_sim.validation.simple import DULL, MEAN, pose_at, rectangle, target
+from sonar_sim.water import Water
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+RANGE_M = 40.0
+WATER = Water(profile=((0.0, 1500.0),))
+PHYSICS = dataclasses.replace(MEAN, pose_blocks=64, speckle=True)
+CLOSING = SonarMotion(np.array([1.0, 0.0, 0.0]), np.zeros(3))
+TURNING = SonarMotion(np.zeros(3), np.array([0.0, 0.0, math.radians(10.0)]))
+STILL = SonarMotion(np.zeros(3), np.zeros(3))
+FINE = SonarSettings(
+    beams=256, half_aperture_rad=math.radians(5.0), demanded_range_m=44.0, forced_rows=44000
+)
+
+
+def v16_motion() -> CaseResult:
+    """Apparent range and bearing of what is 40 m away, targets and surfaces alike."""
+    checks = (
+        Check("closing 1 m/s, target, mm", -26.7, _shift_mm(_target()), 1.0),
+        Check("closing 1 m/s, plate, mm", -26.7, _shift_mm(_plate()), 1.5),
+        Check("turning 10°/s, bearing, deg", 0.53, _turn_deg(), 0.04),
+    )
+    return CaseResult("V16 motion", "v R / c; 2 omega R / c", checks, _draw)
+
+
+def _target() -> Scene:
+    return Scene(targets=(target((RANGE_M, 0.0, 0.0)),), water=WATER)
+
+
+def _plate() -> Scene:
+    plate = rectangle((RANGE_M, 0.0, 0.0), (0.0, 0.6, 0.0), (0.0, 0.0, 0.6), DULL)
+    return Scene((plate,), water=WATER)
+
+
+def _shift_mm(scene: Scene) -> float:
+    engine = Engine(scene, FINE)
+    rows = []
+    for motion in (CLOSING, STILL):
+        amplitude = engine.ping(pose_at((0, 0, 0)), PHYSICS, motion=motion).amplitude
+        rows.append(float(np.flatnonzero(amplitude.max(axis=1) > 0.0)[0]))
+    return (rows[0] - rows[1]) * FINE.range_resolution_m * 1e3
+
+
+def _turn_deg() -> float:
+    """A turn to port moves what is ahead to starboard: positive bearings."""
+    engine = Engine(_target(), FINE)
+    amplitude = engine.ping(pose_at((0, 0, 0)), PHYSICS, motion=TURNING).amplitude
+    beam = int(amplitude.max(axis=0).argmax())
+    return math.degrees(math.asin((beam - (FINE.beams - 1) / 2.0) * FINE.sine_pitch))
+
+
+def _draw(axes: "Axes") -> None:
+    speeds = np.linspace(-2.0, 2.0, 9)
+    engine = Engine(_target(), FINE)
+    found = []
+    for speed in speeds:
+        motion = SonarMotion(np.array([speed, 0.0, 0.0]), np.zeros(3))
+        amplitude = engine.ping(pose_at((0, 0, 0)), PHYSICS, motion=motion).amplitude
+        row = float(np.flatnonzero(amplitude.max(axis=1) > 0.0)[0])
+        found.append((row * FINE.range_resolution_m - RANGE_M) * 1e3)
+    axes.plot(speeds, -speeds * RANGE_M / 1500.0 * 1e3, lw=0.8, label="v R / c")
+    axes.plot(speeds, found, "o", ms=3, label="simulated")
+    axes.set_xlabel("closing speed, m/s")
+    axes.set_ylabel("shift at 40 m, mm")
+    axes.legend(fontsize=6)
