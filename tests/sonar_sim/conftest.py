@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from sonar_sim.material import MATERIALS
 from sonar_sim.poses import Pose
-from sonar_sim.scene import Material, Scene, Surface
+from sonar_sim.scene import Scene, Surface
 
 Plate = Callable[..., Scene]
 
@@ -34,7 +34,7 @@ def plate() -> Plate:
             for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:])
         )
         faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
-        return Scene((Surface("plate", points, faces.astype(np.int64), Material.SAND),))
+        return Scene((Surface("plate", points, faces.astype(np.int64), MATERIALS["sand"]),))
 
     return build
 
@@ -43,8 +43,3 @@ def plate() -> Plate:
 def level_pose() -> Pose:
     """At the origin, looking along +x."""
     return Pose(np.zeros(3), np.eye(3))
-
-
-@pytest.fixture
-def decibel() -> Callable[[float | NDArray[np.float64]], float]:
-    return lambda power: float(10.0 * np.log10(power))

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from sonar_sim import (
     CaptureSettings,
+    Scenario,
     SonarSettings,
-    Survey,
     Trajectory,
     Waypoint,
-    harbour,
+    load_scenario,
     write_capture,
 )
 from sonar_sim.capture import EPOCH_NS, POWER_UP_S
@@ -24,12 +24,13 @@ from oculus_driver.stream import StreamParser
 
 SONAR = SonarSettings(demanded_range_m=5.0, beams=256)
 PATH = Trajectory([Waypoint(-1.0, -3.0, -2.6, 90.0), Waypoint(-1.0, -2.0, -2.6, 100.0)])
+SCENARIO = Scenario("a leg", load_scenario("harbour").scene, SONAR, PATH)
 SETTINGS = CaptureSettings(seed=11, processes=1)
 
 
 def capture(folder: Path, settings: CaptureSettings) -> Path:
     path = folder / f"{settings.seed}-{settings.processes}.bin"
-    seen = write_capture(path, Survey(harbour(), SONAR, PATH), settings)
+    seen = write_capture(path, SCENARIO, settings)
     assert len(seen.points_m) > 1000
     return path
 

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 from sonar_sim.poses import Mounting, quaternion_of, rotation_of
-from sonar_sim.survey import harbour_survey
+from sonar_sim.scene_file import load_scenario
 from sonar_sim.trajectory import Motion, Trajectory, Waypoint
 
 CALM = Motion(speed_mps=0.5, sway_deg=0.0, heave_m=0.0)
@@ -25,7 +25,7 @@ def test_turn_on_the_spot_has_its_rate() -> None:
 
 
 def test_velocities_are_the_derivatives_of_the_pose() -> None:
-    path = harbour_survey()
+    path = load_scenario("harbour").trajectory
     step_s = 1e-3
     for time_s in np.linspace(1.0, path.duration_s - 1.0, 25):
         before, after = path.pose(time_s - step_s), path.pose(time_s + step_s)
@@ -35,7 +35,7 @@ def test_velocities_are_the_derivatives_of_the_pose() -> None:
 
 
 def test_motion_is_gentle_enough_for_one_pose_a_ping() -> None:
-    path = harbour_survey()
+    path = load_scenario("harbour").trajectory
     times_s = np.linspace(0.0, path.duration_s, 500)
     speed = max(float(np.linalg.norm(path.velocity_mps(t))) for t in times_s)
     rate = max(float(np.linalg.norm(path.turn_rates_rps(t))) for t in times_s)

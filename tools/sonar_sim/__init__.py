@@ -4,32 +4,67 @@ Frames: map x east, y north, z up; base x forward, y port, z up; sonar x along t
 y to port, z up. Bearings are positive to starboard.
 """
 
-from sonar_sim.capture import CaptureSettings, Survey, write_capture
-from sonar_sim.harbour import harbour
+from sonar_sim.capture import CaptureSettings, write_capture
+from sonar_sim.effects.plan import EffectPlan, EffectWarning
+from sonar_sim.engine import SonarMotion
+from sonar_sim.material import MATERIALS, Material
+from sonar_sim.motions import Drift, ObjectMotion, Tour
 from sonar_sim.poses import Mounting, Pose
-from sonar_sim.scene import Material, Scene, Surface
-from sonar_sim.simulator import SimulatedPing, Simulator
-from sonar_sim.sonar import SonarSettings
-from sonar_sim.survey import harbour_survey
+from sonar_sim.scenario import Scenario
+from sonar_sim.scene import (
+    Bubbles,
+    CloudSpec,
+    Emitter,
+    PointTarget,
+    Scene,
+    Sea,
+    Sediment,
+    Surface,
+)
+from sonar_sim.scene_file import load_scenario, scene_names
+from sonar_sim.simulator import Ping, Simulator, simulate
+from sonar_sim.sonar import SonarSettings, sonar_preset
+from sonar_sim.tolerance import Tolerance
 from sonar_sim.trajectory import Motion, Trajectory, Waypoint
+from sonar_sim.vehicle import Odometry, OdometryErrors, OdometrySample, Vehicle
 from sonar_sim.water import Water
 
 __all__ = [
+    "MATERIALS",
+    "Bubbles",
     "CaptureSettings",
+    "CloudSpec",
+    "Drift",
+    "EffectPlan",
+    "EffectWarning",
+    "Emitter",
     "Material",
     "Motion",
     "Mounting",
+    "ObjectMotion",
+    "Odometry",
+    "OdometryErrors",
+    "OdometrySample",
+    "Ping",
+    "PointTarget",
     "Pose",
+    "Scenario",
     "Scene",
-    "SimulatedPing",
+    "Sea",
+    "Sediment",
     "Simulator",
+    "SonarMotion",
     "SonarSettings",
     "Surface",
-    "Survey",
+    "Tolerance",
+    "Tour",
     "Trajectory",
+    "Vehicle",
     "Water",
     "Waypoint",
-    "harbour",
-    "harbour_survey",
+    "load_scenario",
+    "scene_names",
+    "simulate",
+    "sonar_preset",
     "write_capture",
 ]

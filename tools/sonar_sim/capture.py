@@ -5,30 +5,31 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oculus_driver.recording import OCULUS, ODOMETRY_NATIVE, RecordingWriter
-from sonar_sim.odometry import OdometryNoise, odometry_record
-from sonar_sim.pool import SimulatorRecipe, simulate_pings
-from sonar_sim.poses import Mounting
-from sonar_sim.scene import Scene
+from sonar_sim.odometry import odometry_record
+from sonar_sim.pool import Shot, SimulatorRecipe, simulate_pings
+from sonar_sim.scenario import Scenario
 from sonar_sim.seen import SeenSurface
-from sonar_sim.sonar import SonarSettings
-from sonar_sim.trajectory import Trajectory
-from sonar_sim.water import Water
+from sonar_sim.sonar_motion import sonar_motion, sonar_pose
+from sonar_sim.vehicle import Odometry, in_order_of_arrival
 from sonar_sim.wire import Network, compass_heading_deg, delivered, ping_message
 
 EPOCH_NS = 1_767_225_600_000_000_000
 """2026-01-01T00:00:00Z: captures start at a fixed time, so that equal seeds give equal files."""
 POWER_UP_S = 100.0
 """The sonar has been on for so long when the path begins."""
-NETWORK_STREAM, ODOMETRY_STREAM = 2, 3
-"""Keep these random numbers apart from the simulator's own."""
+NETWORK_STREAM = 2
+"""Keeps these random numbers apart from the simulator's own."""
 
 Progress = Callable[[int, int], None]
 """Called with the pings done and the pings in all."""
 Arrival = tuple[float, str, bytes]
+Samples = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.uint32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,43 +38,27 @@ class CaptureSettings:
 
     Attributes:
         seed: of all random numbers.
-        ping_rate_hz, odometry_rate_hz: of the two links.
         lead_s: odometry before the first ping and after the last.
-        odometry_latency_s: from validity to arrival.
         processes: that simulate; changes nothing in the file.
     """
 
     seed: int = 7
-    ping_rate_hz: float = 5.0
-    odometry_rate_hz: float = 25.0
     lead_s: float = 0.5
-    odometry_latency_s: float = 0.002
     processes: int = os.cpu_count() or 1
-    mounting: Mounting = field(default_factory=Mounting)
-    odometry_noise: OdometryNoise = field(default_factory=OdometryNoise)
     network: Network = field(default_factory=Network)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Survey:
-    """What is simulated: a sonar on a vehicle that drives through a scene."""
-
-    scene: Scene
-    sonar: SonarSettings
-    trajectory: Trajectory
-    water: Water = field(default_factory=Water)
-
-
-def ping_times_s(trajectory: Trajectory, settings: CaptureSettings) -> list[float]:
+def ping_times_s(scenario: Scenario, settings: CaptureSettings) -> list[float]:
     """When the sonar transmits, in seconds on the path."""
-    span_s = trajectory.duration_s - 2.0 * settings.lead_s
-    pings = int(span_s * settings.ping_rate_hz) + 1
-    return [settings.lead_s + k / settings.ping_rate_hz for k in range(pings)]
+    span_s = scenario.trajectory.duration_s - 2.0 * settings.lead_s
+    rate_hz = scenario.true_ping_rate_hz
+    pings = int(max(span_s, 0.0) * rate_hz) + 1
+    return [settings.lead_s + k / rate_hz for k in range(pings)]
 
 
 def write_capture(
     path: Path,
-    survey: Survey,
+    scenario: Scenario,
     settings: CaptureSettings | None = None,
     progress: Progress | None = None,
 ) -> SeenSurface:
@@ -81,8 +66,8 @@ def write_capture(
 
     Args:
         path: the recording; links `sonar` (the TCP stream) and `odometry` (native records).
-        survey: what to simulate.
-        settings: rates, seed and network.
+        scenario: what to simulate.
+        settings: seed and network.
         progress: is told after each ping.
 
     Returns:
@@ -90,8 +75,8 @@ def write_capture(
     """
     settings = settings or CaptureSettings()
     seen = SeenSurface()
-    pings = _sonar_link(survey, settings, seen, progress)
-    odometry = _odometry_link(survey.trajectory, settings)
+    pings = _sonar_link(scenario, settings, seen, progress)
+    odometry = _odometry_link(scenario, settings)
     with RecordingWriter(path, overwrite=True) as recording:
         links = {
             "sonar": recording.add_link("sonar", OCULUS),
@@ -103,24 +88,23 @@ def write_capture(
 
 
 def _sonar_link(
-    survey: Survey, settings: CaptureSettings, seen: SeenSurface, progress: Progress | None
+    scenario: Scenario, settings: CaptureSettings, seen: SeenSurface, progress: Progress | None
 ) -> Iterator[Arrival]:
     """The sonar's TCP stream, read by read."""
-    sonar, water = survey.sonar, survey.water
-    times_s = ping_times_s(survey.trajectory, settings)
-    bases = [survey.trajectory.pose(time_s) for time_s in times_s]
-    poses = [base @ settings.mounting.pose for base in bases]
+    sonar, water = scenario.sonar, scenario.scene.water
+    times_s = ping_times_s(scenario, settings)
+    shots = [Shot(sonar_pose(scenario, t), t, sonar_motion(scenario, t)) for t in times_s]
     generator = _generator(settings.seed, NETWORK_STREAM)
-    listening_s = 2.0 * sonar.range_m / water.speed_of_sound_mps
-    recipe = SimulatorRecipe(survey.scene, sonar, water, settings.seed)
-    pings = simulate_pings(recipe, poses, settings.processes)
-    for ping_id, (time_s, base, ping) in enumerate(zip(times_s, bases, pings, strict=True)):
+    listening_s = 2.0 * sonar.range_m / (sonar.told_speed_mps or water.speed_of_sound_mps)
+    recipe = SimulatorRecipe(scenario.scene, sonar, settings.seed)
+    pings = simulate_pings(recipe, shots, settings.processes)
+    for ping_id, (time_s, ping) in enumerate(zip(times_s, pings, strict=True)):
         seen.add(ping.seen_m)
         message = ping_message(
-            ping.image,
+            cast("Samples", ping.image),  # no effect is switched off, quantisation neither
             ping_id=ping_id,
             start_time_s=POWER_UP_S + time_s,
-            heading_deg=compass_heading_deg(base.rotation),
+            heading_deg=compass_heading_deg(scenario.trajectory.pose(time_s).rotation),
             sonar=sonar,
             water=water,
         )
@@ -131,16 +115,11 @@ def _sonar_link(
             progress(ping_id + 1, len(times_s))
 
 
-def _odometry_link(trajectory: Trajectory, settings: CaptureSettings) -> Iterator[Arrival]:
+def _odometry_link(scenario: Scenario, settings: CaptureSettings) -> Iterator[Arrival]:
     """Native records, one a datagram."""
-    generator = _generator(settings.seed, ODOMETRY_STREAM)
-    records = int(trajectory.duration_s * settings.odometry_rate_hz) + 1
-    for k in range(records):
-        time_s = k / settings.odometry_rate_hz
-        record = odometry_record(
-            trajectory, time_s, _unix_ns(time_s), settings.odometry_noise, generator
-        )
-        yield time_s + settings.odometry_latency_s, "odometry", record
+    odometry = Odometry(scenario.trajectory, scenario.vehicle, settings.seed)
+    for sample in in_order_of_arrival(odometry.samples()):
+        yield sample.arrival_s, "odometry", odometry_record(sample, _unix_ns(sample.time_s))
 
 
 def _generator(seed: int, stream: int) -> np.random.Generator:

@@ -5,13 +5,28 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
+from sonar_sim.engine import SonarMotion
 from sonar_sim.poses import Pose
 from sonar_sim.scene import Scene
-from sonar_sim.simulator import SimulatedPing, Simulator
+from sonar_sim.simulator import Ping, Simulator
 from sonar_sim.sonar import SonarSettings
-from sonar_sim.water import Water
 
 PINGS_A_TASK = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """When and from where a ping is sent.
+
+    Attributes:
+        map_T_sonar: pose of the sonar at the transmission.
+        time_s: of the transmission.
+        motion: of the sonar while it listens; None stands still.
+    """
+
+    map_T_sonar: Pose  # noqa: N815 frames are named
+    time_s: float = 0.0
+    motion: SonarMotion | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,12 +35,11 @@ class SimulatorRecipe:
 
     scene: Scene
     sonar: SonarSettings
-    water: Water
     seed: int
 
-    def build(self) -> Simulator:
+    def build(self, threads: int) -> Simulator:
         """Make the simulator."""
-        return Simulator(self.scene, self.sonar, self.water, self.seed)
+        return Simulator(self.scene, self.sonar, self.seed, threads=threads)
 
 
 _worker: list[Simulator] = []
@@ -33,32 +47,32 @@ _worker: list[Simulator] = []
 
 
 def simulate_pings(
-    recipe: SimulatorRecipe, poses: Iterable[Pose], processes: int
-) -> Iterator[SimulatedPing]:
-    """Simulate one ping a pose, numbered from 0.
+    recipe: SimulatorRecipe, shots: Iterable[Shot], processes: int
+) -> Iterator[Ping]:
+    """Simulate one ping a shot, numbered from 0.
 
-    A ping depends on seed, pose and number alone, so the number of processes changes nothing.
+    A ping depends on seed, shot and number alone, so the number of processes changes nothing.
 
     Args:
         recipe: how to make the simulator.
-        poses: of the sonar in the map.
-        processes: 1 works in this process.
+        shots: when and from where.
+        processes: 1 works in this process, with two threads; of more each has one thread.
     """
     if processes == 1:
-        simulator = recipe.build()
-        for ping_id, pose in enumerate(poses):
-            yield simulator.ping(pose, ping_id)
+        simulator = recipe.build(threads=2)
+        for ping_id, shot in enumerate(shots):
+            yield simulator.ping(shot.map_T_sonar, ping_id, shot.time_s, shot.motion)
         return
     # Forking would copy the threads' locks of whatever runs here; spawning does not.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, context, _start, (recipe,)) as pool:
-        yield from pool.map(_work, enumerate(poses), chunksize=PINGS_A_TASK)
+        yield from pool.map(_work, enumerate(shots), chunksize=PINGS_A_TASK)
 
 
 def _start(recipe: SimulatorRecipe) -> None:
-    _worker.append(recipe.build())
+    _worker.append(recipe.build(threads=1))
 
 
-def _work(job: tuple[int, Pose]) -> SimulatedPing:
-    ping_id, pose = job
-    return _worker[0].ping(pose, ping_id)
+def _work(job: tuple[int, Shot]) -> Ping:
+    ping_id, shot = job
+    return _worker[0].ping(shot.map_T_sonar, ping_id, shot.time_s, shot.motion)

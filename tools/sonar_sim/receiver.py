@@ -1,8 +1,10 @@
-"""The receiver: noise, time-varied gain, operator's gain, gamma and the 8-bit quantiser."""
+"""The receiver: noise, time-varied gain, operator's gain, gamma and the quantiser."""
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sonar_sim import _core
+from sonar_sim.physics import Physics
 from sonar_sim.sonar import SonarSettings
 from sonar_sim.water import Water, thermal_noise_db
 
@@ -38,3 +40,54 @@ def pixels(amplitude: NDArray[np.float32], gamma_byte: int = 255) -> NDArray[np.
         clipped = clipped ** (gamma_byte / 255.0)
     quantised: NDArray[np.uint8] = np.rint(255.0 * clipped).astype(np.uint8)
     return quantised
+
+
+def row_gain(
+    sonar: SonarSettings, physics: Physics, absorption_db_per_m: float
+) -> NDArray[np.float32]:
+    """Amplitude of full scale per unit of amplitude received, (rows,).
+
+    Args:
+        sonar: its time-varied gain's law and the operator's gain.
+        physics: which of the two are there; without them full scale is as at 0 dB.
+        absorption_db_per_m: that the time-varied gain makes up for, one way.
+    """
+    range_m = sonar.row_centres_m
+    total_db = np.full(sonar.rows, -FULL_SCALE_DB)
+    if physics.tvg:
+        total_db += sonar.tvg_spreading_log * np.log10(range_m)
+        total_db += 2.0 * absorption_db_per_m * range_m
+    if physics.gain:
+        total_db += GAIN_DB_PER_PERCENT * sonar.gain_percent
+    gain: NDArray[np.float32] = (10.0 ** (total_db / 20.0)).astype(np.float32)
+    return gain
+
+
+def amplitude(
+    beams: NDArray[np.complex64] | NDArray[np.float32],
+    gain: NDArray[np.float32],
+    threads: int = 2,
+) -> NDArray[np.float32]:
+    """Amplitude after gains, 1 at full scale, (rows, beams); the root of what is a mean power."""
+    return _core.amplitudes(beams, gain, threads)
+
+
+def quantise(
+    shown: NDArray[np.float32],
+    physics: Physics,
+    gamma_byte: int = 255,
+    bits: int = 8,
+    threads: int = 2,
+) -> NDArray[np.float32] | NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.uint32]:
+    """The pixel law: full scale times amplitude^(gamma / 255), rounded.
+
+    Args:
+        shown: amplitudes, any shape, 1 at full scale.
+        physics: whether amplitudes are clipped, gamma is obeyed, and pixels are integers.
+        gamma_byte: 0 and 255 mean linear.
+        bits: of a pixel, 8, 16 or 32.
+        threads: that share the work.
+    """
+    gamma = gamma_byte / 255.0 if physics.gamma and gamma_byte != 0 else 1.0
+    whole = bits if physics.quantised else 0
+    return _core.pixels(shown, gamma, whole, physics.saturation, threads)

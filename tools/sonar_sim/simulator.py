@@ -1,77 +1,138 @@
-"""One ping, from a pose to the sonar's 8-bit image."""
+"""A sonar in a scene that computes only the effects a ping calls for."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.casting import Caster, Hits, fan_of
-from sonar_sim.echo import echo_power
+from sonar_sim.effects.look import Look
+from sonar_sim.effects.plan import AUTO, Choice, Wish
+from sonar_sim.effects.planner import Planned, Planner
+from sonar_sim.engine import Engine, Image, SonarMotion
 from sonar_sim.poses import Pose
-from sonar_sim.receiver import FULL_SCALE_DB, gain_db, noise_level_db, pixels
 from sonar_sim.scene import Scene
 from sonar_sim.sonar import SonarSettings
-from sonar_sim.speckle import beam_former, complex_gaussian, pose_generator, scattered_field
-from sonar_sim.water import Water
-
-NOISE_STREAM = 1
-"""Keeps the receiver's noise apart from every other use of the seed."""
+from sonar_sim.tolerance import Tolerance
+from sonar_sim.truth import Truth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SimulatedPing:
+class Ping:
     """What one ping gives.
 
     Attributes:
-        image: (rows, beams), row 0 nearest, column 0 the most negative bearing.
+        image: (rows, beams), row 0 nearest, column 0 the most negative bearing; unsigned integers
+            of the sonar's width, or float32 parts of full scale without quantisation.
+        amplitude: float32 parts of full scale after the gains, before clipping, gamma and
+            rounding, (rows, beams).
         seen_m: points of the surfaces in the sonar's sight, map frame, (N, 3).
+        effects: names of what was computed.
+        truth: what rays and pixels show, if it was asked for.
     """
 
-    image: NDArray[np.uint8]
+    image: Image
+    amplitude: NDArray[np.float32]
     seen_m: NDArray[np.float64]
+    effects: tuple[str, ...]
+    truth: Truth | None
 
 
 class Simulator:
-    """A sonar in a scene. Equal seed, pose and ping number give equal bytes."""
+    """A sonar in a scene. Equal seed, pose, number and time give equal bytes.
+
+    Args:
+        scene: what is there.
+        sonar: what looks.
+        seed: of speckle and noise.
+        effects: "auto" lets each ping's own rules decide; see `sonar_sim.effects.plan.Wish.read`.
+        tolerance: by which they decide.
+        threads: at most; the bytes do not depend on it.
+
+    Raises:
+        EffectError: `effects` names one that does not exist.
+    """
 
     def __init__(
-        self, scene: Scene, sonar: SonarSettings, water: Water | None = None, seed: int = 0
+        self,
+        scene: Scene,
+        sonar: SonarSettings,
+        seed: int = 0,
+        *,
+        effects: Choice = AUTO,
+        tolerance: Tolerance | None = None,
+        threads: int = 2,
     ) -> None:
+        self.scene = scene
         self.sonar = sonar
-        self.water = water or Water()
-        self._seed = seed
-        self._caster = Caster(scene)
-        self._fan = fan_of(sonar)
-        self._form_beams = beam_former(sonar)
-        self._absorption = self.water.absorption_db_per_m(sonar.frequency_hz)
-        self._noise_db = noise_level_db(sonar, self.water)
-        full_scale_db = FULL_SCALE_DB - gain_db(sonar, self._absorption)
-        self._gain = (10.0 ** (-full_scale_db / 20.0)).astype(np.float32)[:, None]
+        self.tolerance = tolerance or Tolerance()
+        self._engine = Engine(scene, sonar, seed, threads)
+        look = Look(scene, sonar, self._engine.meshes)
+        self._planner = Planner(look, Wish.read(effects), self.tolerance)
+        self._warned: set[str] = set()
 
-    def ping(self, map_T_sonar: Pose, ping_id: int) -> SimulatedPing:  # noqa: N803
-        """Simulate one ping from a pose; the sonar is taken to stand still while it listens."""
-        hits = self._caster.cast(self._fan, map_T_sonar, self.sonar.range_m)
-        power = echo_power(hits, self._fan, self.sonar, self._absorption)
-        field = scattered_field(power, pose_generator(self._seed, map_T_sonar))
-        field *= np.float32(10.0 ** (self.sonar.source_level_db / 20.0))
-        received = self._form_beams(field) + self._noise(ping_id)
-        image = pixels(np.abs(received) * self._gain, self.sonar.gamma_byte)
-        return SimulatedPing(image, self._seen(hits, map_T_sonar))
+    def plan(
+        self,
+        map_T_sonar: Pose,  # noqa: N803
+        ping_id: int = 0,
+        time_s: float = 0.0,
+        motion: SonarMotion | None = None,
+    ) -> Planned:
+        """Decide for one ping; pings nearly alike in pose and time are decided as one."""
+        return self._planner.at(map_T_sonar, ping_id, time_s, motion)
 
-    def _noise(self, ping_id: int) -> NDArray[np.complex64]:
-        words = np.random.SeedSequence([self._seed, NOISE_STREAM, ping_id])
-        generator = np.random.Generator(np.random.PCG64(words))
-        unit = complex_gaussian(generator, self.sonar.rows * self.sonar.beams)
-        return unit.reshape(self.sonar.rows, self.sonar.beams) * np.float32(
-            10.0 ** (self._noise_db / 20.0)
-        )
+    def ping(
+        self,
+        map_T_sonar: Pose,  # noqa: N803
+        ping_id: int = 0,
+        time_s: float = 0.0,
+        motion: SonarMotion | None = None,
+        *,
+        truth: bool = False,
+    ) -> Ping:
+        """Simulate one ping.
 
-    def _seen(self, hits: Hits, map_T_sonar: Pose) -> NDArray[np.float64]:  # noqa: N803
-        """First hits inside the -3 dB aperture, whether or not their echo can be heard."""
-        direction = self._fan.directions[hits.ray]
-        inside = (np.abs(direction[:, 1]) <= np.sin(self.sonar.half_aperture_rad)) & (
-            np.abs(direction[:, 2]) <= np.sin(self.sonar.vertical_width_rad / 2.0)
-        )
-        local = direction[inside] * hits.range_m[inside, None]
-        seen: NDArray[np.float64] = local @ map_T_sonar.rotation.T + map_T_sonar.position_m
-        return seen
+        Args:
+            map_T_sonar: the sonar's pose at the transmission.
+            ping_id: names the noise.
+            time_s: of the transmission; moving objects and other sonars go by it.
+            motion: of the sonar while it listens; None stands still.
+            truth: whether to work out what rays and pixels show.
+
+        Warns:
+            EffectWarning: the ping calls for an effect that is switched off; once an effect.
+        """
+        planned = self.plan(map_T_sonar, ping_id, time_s, motion)
+        planned.plan.warn(self._warned)
+        made = self._engine.ping(map_T_sonar, planned.physics, ping_id, time_s, motion, truth=truth)
+        return Ping(made.image, made.amplitude, made.seen_m, planned.plan.names, made.truth)
+
+
+def simulate(
+    scene: Scene,
+    pose: Pose,
+    sonar: SonarSettings | None = None,
+    effects: Choice = AUTO,
+    seed: int = 0,
+    *,
+    motion: SonarMotion | None = None,
+    time_s: float = 0.0,
+    tolerance: Tolerance | None = None,
+    truth: bool = False,
+) -> Ping:
+    """Simulate a single ping; a `Simulator` makes many of one scene faster.
+
+    Args:
+        scene: what is there.
+        pose: of the sonar in the map, x along its centre beam, y to port, z up.
+        sonar: settings; None is an M750d in its low band at 10 m.
+        effects: as for `Simulator`.
+        seed: of speckle and noise.
+        motion: of the sonar while it listens.
+        time_s: of the transmission.
+        tolerance: by which the rules decide.
+        truth: whether to work out what rays and pixels show.
+    """
+    simulator = Simulator(
+        scene, sonar or SonarSettings(), seed, effects=effects, tolerance=tolerance
+    )
+    return simulator.ping(pose, 0, time_s, motion, truth=truth)

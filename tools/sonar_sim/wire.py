@@ -11,7 +11,6 @@ from oculus_driver.encode import bearing_table_cdeg, encode_ping
 from sonar_sim.sonar import SonarSettings
 from sonar_sim.water import Water
 
-LOW_FREQUENCY_MODE = 1
 SOURCE_ID = 750
 
 
@@ -35,7 +34,7 @@ class Network:
 
 
 def ping_message(
-    image: NDArray[np.uint8],
+    image: NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.uint32],
     *,
     ping_id: int,
     start_time_s: float,
@@ -56,11 +55,11 @@ def ping_message(
     message: bytes = encode_ping(
         version=2,
         ping_id=ping_id,
-        mode=LOW_FREQUENCY_MODE,
+        mode=sonar.mode,
         frequency_hz=sonar.frequency_hz,
         range_m=sonar.demanded_range_m,
         gain_percent=sonar.gain_percent,
-        speed_of_sound_mps=water.speed_of_sound_mps,
+        speed_of_sound_mps=sonar.told_speed_mps or water.speed_of_sound_mps,
         salinity_ppt=water.salinity_ppt,
         start_time=start_time_s,
         range_resolution_m=sonar.range_resolution_m,

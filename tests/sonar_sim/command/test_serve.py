@@ -1,0 +1,124 @@
+"""`sonar-sim serve` and `sonar-sim capture`, as a person runs them."""
+
+import asyncio
+import signal
+import socket
+import sys
+from pathlib import Path
+
+import pytest
+from sonar_sim.command import main
+
+from mapperd.odometry.native import decode_native
+from mapperd.odometry.records import Odometry
+from oculus_driver import Ping, decode_ping
+from oculus_driver.chunk_messages import messages_of
+from oculus_driver.recording import ODOMETRY_NATIVE, open_recording
+from tests.oculus_driver.play_client import FIRE, Client
+
+SCENE = """
+terrain:
+  relief: {kind: flat, depth_m: 4.0}
+  x_m: [-6, 6]
+  y_m: [-6, 6]
+  cell_m: 1.0
+  material: sand
+sonar: {model: M1200d, mode: 1, range_m: 3, ping_rate_hz: 10, beams: 256}
+trajectory:
+  waypoints:
+    - {position_m: [0, 0, -1.5], yaw_deg: 0}
+    - {position_m: [1, 0, -1.5], yaw_deg: 0}
+"""
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "small.yaml"
+    path.write_text(SCENE, encoding="utf-8")
+    return path
+
+
+def free_ports() -> tuple[int, int]:
+    with socket.socket() as tcp, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        tcp.bind(("127.0.0.1", 0))
+        udp.bind(("127.0.0.1", 0))
+        return tcp.getsockname()[1], udp.getsockname()[1]
+
+
+async def served(scene: Path, *words: str) -> asyncio.subprocess.Process:
+    command = "import sys; from sonar_sim.command import main; sys.exit(main())"
+    return await asyncio.create_subprocess_exec(
+        sys.executable, "-c", command, "serve", str(scene), *words, stdout=asyncio.subprocess.PIPE
+    )
+
+
+def test_serve_says_where_it_is_and_stops_when_told(scene: Path) -> None:
+    async def work() -> None:
+        port, status_port = free_ports()
+        words = ["--port", str(port), "--status-port", str(status_port), "--standby"]
+        words += ["--status-to", "127.0.0.1", "--odometry", "native@udp:127.0.0.1:9"]
+        process = await served(scene, *words, "--model", "M3000d")
+        assert process.stdout is not None
+        line = (await process.stdout.readline()).decode()
+        assert line == f"an M3000d in small at 127.0.0.1:{port}\n"
+        async with await Client.of_address("127.0.0.1", port) as client:
+            client.writer.write(FIRE)
+            (message,) = [m for m in await client.messages(2) if m.message_id == 0x23][:1]
+            ping = decode_ping(message)
+            assert isinstance(ping, Ping)
+            assert ping.part_number == 2203
+        process.send_signal(signal.SIGTERM)
+        rest, _ = await process.communicate()
+        assert process.returncode == 0
+        assert "served: pings" in rest.decode()
+        assert "native@udp:127.0.0.1:9" in rest.decode()
+
+    async def limited() -> None:
+        async with asyncio.timeout(60.0):
+            await work()
+
+    asyncio.run(limited())
+
+
+def test_serve_ends_with_the_time(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    port, status_port = free_ports()
+    words = ["--port", str(port), "--status-port", str(status_port), "--duration", "0.3"]
+    assert main(["serve", str(scene), *words]) == 0
+    assert "statuses 1" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["--odometry", "native"], "no link"),
+        (["--odometry", "x@pty"], "no format"),
+        (["--effects", "magic"], "magic"),
+    ],
+)
+def test_what_cannot_be_served_is_one_line(
+    scene: Path, words: list[str], reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["serve", str(scene), "--port", "0", *words]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert reason in said
+
+
+def test_capture_writes_what_mapperd_reads(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "capture.bin"
+    words = ["capture", str(scene), "--out", str(path), "--processes", "1"]
+    assert main(words) == 0
+    assert "times as fast" in capsys.readouterr().out
+    with open_recording(path) as recording:
+        pings = [decode_ping(m) for m in messages_of(recording) if m.message_id == 0x23]
+        assert len(pings) > 5
+        assert all(isinstance(ping, Ping) for ping in pings)
+    with open_recording(path) as recording:
+        records = [c.data for c in recording if c.encoding == ODOMETRY_NATIVE]
+        assert len(records) > 20
+        assert all(isinstance(decode_native(record), Odometry) for record in records)
+    first = path.read_bytes()
+    assert main(words) == 0
+    assert path.read_bytes() == first

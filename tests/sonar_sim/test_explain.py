@@ -1,0 +1,38 @@
+"""`sonar-sim explain`, and the manual's table of effects."""
+
+import json
+from pathlib import Path
+
+import pytest
+from sonar_sim.command import main
+from sonar_sim.effects.registry import EFFECTS
+from sonar_sim.effects.table import effects_markdown
+
+MANUAL = Path(__file__).resolve().parents[2] / "docs" / "simulator.md"
+
+
+def test_explain_tells_every_effect(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explain", "flat_floor", "--json", "--repeats", "1", "--time", "5"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["effect"] for row in rows] == list(EFFECTS)
+    assert {tuple(row) for row in rows} == {("effect", "on", "reason", "predicted_db", "cost_ms")}
+    on = {row["effect"]: row["on"] for row in rows}
+    assert on["bottom_reverberation"]
+    assert not on["multipath"]
+
+
+def test_explain_warns_of_what_is_switched_off(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["explain", "flat_floor", "--effects", "auto,-noise", "--repeats", "1"]
+    assert main(arguments) == 0
+    said = capsys.readouterr()
+    assert "noise is switched off, but" in said.err
+    assert "noise                  off" in said.out
+
+
+def test_explain_refuses_unknown_names(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["explain", "flat_floor", "--effects", "auto,-nois"]) == 2
+    assert "no effect 'nois'" in capsys.readouterr().err
+
+
+def test_the_manual_has_the_modules_table() -> None:
+    assert effects_markdown() in MANUAL.read_text(encoding="utf-8")

@@ -1,0 +1,31 @@
+"""The rules against the engine; `make sim-check` does this on every scene in full."""
+
+from dataclasses import replace
+
+import pytest
+from sonar_sim.rule_check import Change, RuleChecker
+from sonar_sim.scene_file import load_scenario
+from sonar_sim.tolerance import Tolerance
+
+
+@pytest.mark.parametrize("name", ["flat_floor", "pipeline"])
+def test_what_is_left_out_does_not_show_and_what_is_computed_does(name: str) -> None:
+    scenario = load_scenario(name)
+    small = replace(scenario.sonar, beams=192, beam_width_rad=0.03, forced_rows=200)
+    checker = RuleChecker(replace(scenario, sonar=small))
+    check = checker.check(0.5 * scenario.trajectory.duration_s)
+    assert check.faults == ()
+    assert len(check.without) > 8
+
+
+@pytest.mark.parametrize(
+    ("change", "within"),
+    [
+        (Change(0.5, 0.5, 0.05), True),
+        (Change(0.6, 0.0, 0.0), False),
+        (Change(0.0, 0.6, 0.0), False),
+        (Change(0.0, 0.0, 0.06), False),
+    ],
+)
+def test_any_of_the_three_can_exceed(change: Change, *, within: bool) -> None:
+    assert change.within(Tolerance()) is within

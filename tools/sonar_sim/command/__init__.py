@@ -1,0 +1,63 @@
+"""The command `sonar-sim`: one file for each of its subcommands."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+from oculus_driver.errors import OculusError
+from sonar_sim.command import capture, explain, render, scene_list, serve, validate
+from sonar_sim.command.exit import FAULT, INTERRUPTED, USAGE
+from sonar_sim.errors import SonarSimError
+
+__all__ = ["main"]
+
+SUBCOMMANDS = (scene_list, explain, render, capture, serve, validate)
+
+EPILOG = """\
+exit codes: 0 done; 1 it failed, as told; 2 the command or the scene cannot be as given;
+130 interrupted"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with code 2."""
+        self.exit(USAGE, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; every failure that input can cause is one line and an exit code."""
+    arguments = _parser().parse_args(argv)
+    try:
+        return int(arguments.run(arguments))
+    except SonarSimError as error:
+        return _failure(error, USAGE)
+    except (OculusError, OSError) as error:
+        return _failure(error, FAULT)
+    except KeyboardInterrupt:
+        return INTERRUPTED
+
+
+def _failure(error: Exception, code: int) -> int:
+    sys.stderr.write(f"sonar-sim: {error}\n")
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="sonar-sim",
+        description="An Oculus sonar in a scene of your own: pictures, recordings, a live device.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    for module in SUBCOMMANDS:
+        command = commands.add_parser(
+            module.NAME, help=module.HELP, description=module.HELP, allow_abbrev=False
+        )
+        command.set_defaults(run=module.run)
+        module.add_arguments(command)
+    return parser

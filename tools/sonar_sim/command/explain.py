@@ -1,0 +1,96 @@
+"""`sonar-sim explain SCENE`: which effects a ping calls for, why, and what each costs."""
+
+import argparse
+import json
+import sys
+
+from sonar_sim.command.exit import OK
+from sonar_sim.command.values import count, positive, time_on
+from sonar_sim.effects.cost import measured_costs_ms
+from sonar_sim.effects.look import Look
+from sonar_sim.effects.plan import Decision, EffectPlan, Wish
+from sonar_sim.engine import Engine
+from sonar_sim.scene_file import load_scenario
+from sonar_sim.sonar_motion import sonar_motion, sonar_pose
+from sonar_sim.tolerance import Tolerance
+
+NAME = "explain"
+HELP = "tell which effects a scene calls for, why, and what they cost"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    default = Tolerance()
+    parser.add_argument("scene", metavar="SCENE", help="a shipped scene's name or a YAML file")
+    parser.add_argument(
+        "--effects",
+        default="auto",
+        help="auto, all, none or names with commas; then +name and -name (default: auto)",
+    )
+    parser.add_argument(
+        "--time", type=float, default=None, help="of the trajectory, s (default: its middle)"
+    )
+    parser.add_argument(
+        "--tolerance-db",
+        type=positive,
+        default=default.level_db,
+        help="of level (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--tolerance-cells",
+        type=positive,
+        default=default.cells,
+        help="of displacement (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--repeats",
+        type=count,
+        default=3,
+        help="pings to time each cost with (default: %(default)s)",
+    )
+    parser.add_argument("--json", action="store_true", help="print a list of objects instead")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print the table; warnings of missed effects go to the standard error."""
+    scenario = load_scenario(arguments.scene)
+    tolerance = Tolerance(arguments.tolerance_db, arguments.tolerance_cells)
+    path = scenario.trajectory
+    time_s = path.duration_s / 2.0 if arguments.time is None else time_on(path, arguments.time)
+    wish = Wish.read(arguments.effects)
+    engine = Engine(scenario.scene, scenario.sonar)
+    look = Look(scenario.scene, scenario.sonar, engine.meshes)
+    motion = sonar_motion(scenario, time_s)
+    view = look.at(sonar_pose(scenario, time_s), 0, time_s, motion)
+    plan = EffectPlan.make(view, wish, tolerance)
+    costs_ms = measured_costs_ms(engine, plan, view, arguments.repeats)
+    _print(plan, costs_ms, as_json=arguments.json)
+    for decision in plan.missed:
+        reason = decision.verdict.reason
+        sys.stderr.write(f"sonar-sim: {decision.effect.name} is switched off, but {reason}\n")
+    return OK
+
+
+def _print(plan: EffectPlan, costs_ms: dict[str, float], *, as_json: bool) -> None:
+    if as_json:
+        rows = [_record(d, costs_ms[d.effect.name]) for d in plan.decisions]
+        print(json.dumps(rows, indent=2, ensure_ascii=False))
+        return
+    print(f"{'effect':<22} {'':<3} {'predicted':>9} {'cost':>9}  why")
+    for decision in plan.decisions:
+        verdict = decision.verdict
+        print(
+            f"{decision.effect.name:<22} {'on' if decision.on else 'off':<3} "
+            f"{verdict.predicted_db:>6.2f} dB {costs_ms[decision.effect.name]:>6.1f} ms  "
+            f"{verdict.reason}"
+        )
+
+
+def _record(decision: Decision, cost_ms: float) -> dict[str, object]:
+    return {
+        "effect": decision.effect.name,
+        "on": decision.on,
+        "reason": decision.verdict.reason,
+        "predicted_db": round(decision.verdict.predicted_db, 3),
+        "cost_ms": round(cost_ms, 3),
+    }

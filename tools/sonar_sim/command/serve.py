@@ -1,0 +1,149 @@
+"""`sonar-sim serve`: a scene's sonar and its vehicle's odometry on the network, in real time."""
+
+import argparse
+import sys
+from dataclasses import replace
+from typing import Any
+
+from oculus_driver.command.until_stopped import run_until_stopped
+from oculus_driver.command.values import address, count, port, positive, share
+from oculus_driver.models import model_of
+from oculus_driver.played.broadcast import broadcast_of
+from oculus_driver.played.faults import SHARES, Faults
+from oculus_driver.wire import STATUS_PORT, TCP_PORT
+from sonar_sim.command.exit import OK
+from sonar_sim.command.values import seed
+from sonar_sim.device.demands import part_number_of
+from sonar_sim.device.route import ENDS
+from sonar_sim.device.serving import ServedScenario, ServeSettings
+from sonar_sim.effects.plan import AUTO
+from sonar_sim.navigation.formats import FORMATS
+from sonar_sim.navigation.sending import output_named
+from sonar_sim.scenario import Scenario
+from sonar_sim.scene_file import load_scenario
+from sonar_sim.sonar import sonar_preset
+
+NAME = "serve"
+HELP = "serve a scene as an Oculus sonar on the network, with its vehicle's odometry"
+
+_FAULT_HELP = {
+    "cut": "pings that end in the middle, with the connection",
+    "flip": "pings with one to eight flipped bits",
+    "stall": "pings before which nothing comes for a while",
+    "lose": "pings that are never sent",
+    "garbage": "pings with noise in front",
+    "restart": "pings before which the sonar restarts",
+    "restart_ids": "pings before which ids and device time begin anew",
+    "reorder_statuses": "statuses sent after the next one",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what may be said."""
+    add = parser.add_argument
+    add("scene", metavar="SCENE", help="name of a shipped scene, or a YAML file")
+    add("--model", choices=("M370s", "M750d", "M1200d", "M3000d"), help="instead of the scene's")
+    add("--listen", metavar="ADDRESS", type=address, default="127.0.0.1")
+    add("--port", type=port, default=TCP_PORT, help="TCP port (default: %(default)s)")
+    add("--status-to", metavar="ADDRESS", type=address, help="instead of a broadcast")
+    add("--status-port", type=port, default=STATUS_PORT, help="UDP port (default: %(default)s)")
+    add("--serial", metavar="ID", type=count, default=ServeSettings().device_id)
+    add("--standby", action="store_true", help="be silent until a client asks for pings")
+    add("--ends", choices=ENDS, default="back", help="after the path (default: %(default)s)")
+    add("--duration", metavar="S", type=positive, help="stop after S seconds")
+    add("--seed", type=seed, default=0, help="of all random numbers")
+    add("--effects", default=AUTO, help='auto, all, or a list, such as "auto,-noise"')
+    add(
+        "--odometry",
+        metavar="FORMAT@LINK",
+        action="append",
+        default=[],
+        help=f"may be repeated; formats: {', '.join(FORMATS)}; links: udp:HOST:PORT, "
+        "tcp:HOST:PORT, serial:PATH, pty",
+    )
+    faults = parser.add_argument_group("misbehaviour; SHARE is 0 to 1 of all pings")
+    for name in SHARES:
+        option = "--" + name.replace("_", "-")
+        faults.add_argument(
+            option, metavar="SHARE", type=share, default=0.0, help=_FAULT_HELP[name]
+        )
+    faults.add_argument("--stall-s", metavar="S", type=positive, default=2.0)
+    faults.add_argument("--refuse-second", action="store_true", help="close a second client")
+    faults.add_argument(
+        "--silent-after", metavar="S", type=positive, help="needs a fire message this often"
+    )
+    faults.add_argument("--deaf-to-version", type=int, choices=(1, 2), help="of fire messages")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Serve until somebody stops it, or the path ends."""
+    scenario = with_model(load_scenario(arguments.scene), arguments.model)
+    run_until_stopped(_serve(scenario, arguments), arguments.duration)
+    return OK
+
+
+def with_model(scenario: Scenario, model: str | None) -> Scenario:
+    """The scenario with another sonar in its mode 1, at most at the scenario's range."""
+    if model is None or model == scenario.sonar.model:
+        return scenario
+    preset = sonar_preset(model)
+    range_m = min(scenario.sonar.demanded_range_m, preset.most_range_m)
+    return replace(scenario, sonar=replace(preset, demanded_range_m=range_m))
+
+
+async def _serve(scenario: Scenario, said: argparse.Namespace) -> None:
+    target = said.status_to or broadcast_of(said.listen)
+    settings = ServeSettings(
+        host=said.listen,
+        port=said.port,
+        status_to=[(target, said.status_port)],
+        device_id=said.serial,
+        standby=said.standby,
+        ends=said.ends,
+        faults=_faults(said),
+        outputs=[output_named(text) for text in said.odometry],
+        seed=said.seed,
+        effects=said.effects,
+    )
+    served = ServedScenario(scenario, settings)
+    try:
+        async with served:
+            sonar = served.sonar
+            name = model_of(part_number_of(scenario.sonar.model)).name
+            _say(f"an {name} in {scenario.name} at {sonar.host}:{sonar.port}")
+            _say(f"statuses to {target}:{said.status_port}")
+            for output in served.outputs:
+                _say(f"odometry {output.name} at {output.link.name}")
+            await served.run()
+    finally:
+        _say(f"served: {_counted(served)}")
+
+
+def _counted(served: ServedScenario) -> str:
+    device, counters = served.sonar.device, served.sonar.counters
+    counts: dict[str, Any] = {
+        "pings": counters.pings,
+        "damaged": counters.pings_damaged,
+        "late": device.late,
+        "fire messages": device.fires,
+        "clients": counters.clients,
+        "statuses": counters.statuses,
+    }
+    counts |= {output.name: output.sent for output in served.outputs}
+    return ", ".join(f"{name} {value}" for name, value in counts.items() if value) or "nothing"
+
+
+def _faults(said: argparse.Namespace) -> Faults:
+    return Faults(
+        **{name: getattr(said, name) for name in SHARES},
+        stall_s=said.stall_s,
+        refuse_second=said.refuse_second,
+        silent_after_s=said.silent_after,
+        deaf_to_version=said.deaf_to_version,
+        number=said.seed,
+    )
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()

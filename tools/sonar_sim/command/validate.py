@@ -1,0 +1,51 @@
+"""`sonar-sim validate`: the simulator against theory and measurement."""
+
+import argparse
+from pathlib import Path
+
+from tqdm import tqdm
+
+from sonar_sim.command.exit import FAULT, OK
+from sonar_sim.command.values import names
+from sonar_sim.errors import SonarSimError
+from sonar_sim.validation.case import CaseResult
+from sonar_sim.validation.cases import CASES
+from sonar_sim.validation.page import draw_page
+
+NAME = "validate"
+HELP = "work out the validation cases, draw them, and fail if one does not hold"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what may be said."""
+    add = parser.add_argument
+    add("--out", metavar="DIR", type=Path, required=True, help="for the page and the table")
+    add("--only", metavar="V2,V18", type=names, default=(), help="these cases alone")
+    add("--verbose", action="store_true", help="every number, not only those that fail")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Tell case by case what was expected and what came; 1 if anything is off."""
+    unknown = [name for name in arguments.only if name not in CASES]
+    if unknown:
+        raise SonarSimError(f"no case is called {unknown[0]}; there are {', '.join(CASES)}")
+    chosen = arguments.only or tuple(CASES)
+    results = [CASES[name]() for name in tqdm(chosen, unit="case", disable=None)]
+    for result in results:
+        print("\n".join(_said(result, verbose=arguments.verbose)))
+    page = arguments.out / "simulator-validation.png"
+    draw_page(page, results)
+    failed = sum(not check.holds for result in results for check in result.checks)
+    print(f"{len(results)} cases, {failed} numbers off; drawn: {page}")
+    return FAULT if failed else OK
+
+
+def _said(result: CaseResult, *, verbose: bool) -> list[str]:
+    held = sum(check.holds for check in result.checks)
+    lines = [f"{result.name}: {held} of {len(result.checks)} hold ({result.source})"]
+    return lines + [
+        f"  {'ok ' if check.holds else 'OFF'} {check.what}: {check.got:.6g},"
+        f" expected {check.expected:.6g} ± {check.tolerance:.2g}"
+        for check in result.checks
+        if verbose or not check.holds
+    ]

@@ -1,0 +1,327 @@
+"""One ping of a scene, with exactly the effects that a `Physics` calls for."""
+
+import time
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonar_sim import _core
+from sonar_sim.beams import BeamFormer, beam_former
+from sonar_sim.bent import bent_ways
+from sonar_sim.between import column_taps
+from sonar_sim.cells import (
+    add_arrival,
+    add_crosstalk,
+    add_random,
+    noise_rms,
+    stream_key,
+    volume_rms,
+)
+from sonar_sim.clouds import cloud_power
+from sonar_sim.fan import ELEVATIONS, MARGIN_BEAMS, fan_of
+from sonar_sim.legs import SonarMotion
+from sonar_sim.meshes import Meshes
+from sonar_sim.paths import Situation, direct_ways, heard_faces, mirror_ways
+from sonar_sim.pattern import vertical_two_way_power
+from sonar_sim.physics import Physics
+from sonar_sim.poses import Pose
+from sonar_sim.receiver import amplitude as received
+from sonar_sim.receiver import quantise, row_gain
+from sonar_sim.scene import Scene
+from sonar_sim.sonar import SonarSettings
+from sonar_sim.targets import add_targets
+from sonar_sim.tracing import Trace, trace
+from sonar_sim.truth import Truth, seen_points, truth_of
+
+__all__ = ["Engine", "EnginePing", "SonarMotion"]
+
+Image = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.uint32] | NDArray[np.float32]
+Cells = NDArray[np.complex64] | NDArray[np.float32]
+
+NODES_PER_BEAM = 8.0
+"""Scatterers in a row of a beam's -3 dB width, about: the coefficient of variation of an even floor
+is then within 0.005 of Rayleigh's."""
+REACH = 1.3
+"""Rays go on so many times the last row's range: a patch met beyond it may begin before it."""
+VERTICAL_STEPS = 2048
+
+
+@dataclass(frozen=True, eq=False)
+class EnginePing:
+    """What one ping gives.
+
+    Attributes:
+        image: (rows, beams), row 0 nearest, column 0 the most negative bearing; unsigned integers
+            of the sonar's width, or float32 parts of full scale where `Physics.quantised` is off.
+        amplitude: (rows, beams), parts of full scale after the gains, before clipping and gamma.
+            With speckle off, the root of the mean power.
+        truth: what each ray and each pixel shows, if it was asked for.
+        stage_ms: wall time of each stage.
+        rays: where the rays went.
+        map_T_sonar, sonar: of the ping.
+    """
+
+    image: Image
+    amplitude: NDArray[np.float32]
+    truth: Truth | None
+    stage_ms: dict[str, float]
+    rays: Trace
+    map_T_sonar: Pose  # noqa: N815 frames of a transform
+    sonar: SonarSettings
+
+    @cached_property
+    def seen_m(self) -> NDArray[np.float64]:
+        """What the sonar had in sight, map frame, (N, 3); see `sonar_sim.seen`."""
+        return seen_points(self.rays, self.sonar)
+
+
+class Engine:
+    """A sonar in a scene. Equal seed, pose, physics, number and time give equal bytes.
+
+    Args:
+        scene: what can echo.
+        sonar: settings.
+        seed: of the surfaces' speckle and the receiver's noise.
+        threads: at most; the bytes do not depend on it.
+        nodes_per_beam: scatterers in a row of a beam's -3 dB width, about.
+        elevations: rays of a column.
+
+    Raises:
+        SceneError: a surface has a vertex that is not finite.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        sonar: SonarSettings,
+        seed: int = 0,
+        threads: int = 2,
+        *,
+        nodes_per_beam: float = NODES_PER_BEAM,
+        elevations: int = ELEVATIONS,
+    ) -> None:
+        self.scene = scene
+        self.sonar = sonar
+        self._seed = seed
+        self._threads = threads
+        self._nodes_per_cell = nodes_per_beam / max(sonar.beam_width_rad / sonar.sine_pitch, 1.0)
+        # The sonar reckons with the water's absorption, whatever is computed of it.
+        self._told_db_per_m = scene.water.absorption_db_per_m(sonar.frequency_hz)
+        self._meshes = Meshes(scene)
+        self._fan = fan_of(sonar, elevations)
+        self._volume: (
+            tuple[tuple[object, ...], tuple[NDArray[np.float32], NDArray[np.float32]]] | None
+        ) = None
+        self._former: tuple[tuple[object, ...], BeamFormer] | None = None
+
+    @property
+    def meshes(self) -> Meshes:
+        """The scene's triangles, ready to be met by rays."""
+        return self._meshes
+
+    def ping(
+        self,
+        map_T_sonar: Pose,  # noqa: N803
+        physics: Physics,
+        ping_id: int = 0,
+        time_s: float = 0.0,
+        motion: SonarMotion | None = None,
+        *,
+        truth: bool = False,
+    ) -> EnginePing:
+        """Simulate one ping.
+
+        Args:
+            map_T_sonar: the sonar's pose at the transmission.
+            physics: what to compute.
+            ping_id: names the noise; equal numbers give equal noise.
+            time_s: of the transmission; moving objects stand where they are then.
+            motion: of the sonar while it listens, used where `physics.pose_blocks` > 1.
+            truth: whether to work out the truth of rays and pixels.
+        """
+        clock = _Clock()
+        here = self._situation(map_T_sonar, physics, time_s, motion)
+        rays, ways = self._ways(here)
+        clock.lap("casting")
+        cells = self._surfaces(here, ways)
+        clock.lap("scattering")
+        former = self._beam_former(physics)
+        self._fill(cells, here, rays, former, ping_id)
+        clock.lap("cells")
+        beams: Cells = former.form(cells, self._threads)  # type: ignore[type-var, assignment]
+        if physics.crosstalk_db is not None:
+            add_crosstalk(beams, physics.crosstalk_db, stream_key(self._seed, "crosstalk"))
+        clock.lap("beams")
+        gain = row_gain(self.sonar, physics, self._told_db_per_m)
+        amplitude = received(beams, gain, self._threads)
+        image = quantise(amplitude, physics, self.sonar.gamma_byte, self.sonar.bits, self._threads)
+        clock.lap("receiver")
+        wavelength_m = self.scene.water.speed_of_sound_mps / self.sonar.frequency_hz
+        shown = truth_of(rays, self._meshes, self.sonar, here, wavelength_m) if truth else None
+        return EnginePing(image, amplitude, shown, clock.laps_ms, rays, map_T_sonar, self.sonar)
+
+    def _situation(
+        self, pose: Pose, physics: Physics, time_s: float, motion: SonarMotion | None
+    ) -> Situation:
+        range_m = self.sonar.range_m / physics.range_scale
+        names = tuple(surface.name for surface in self.scene.surfaces)
+        return Situation(
+            meshes=self._meshes,
+            physics=physics,
+            pose=pose,
+            motion=motion,
+            time_s=time_s,
+            listening_s=2.0 * range_m / self.scene.water.speed_of_sound_mps,
+            range_m=range_m,
+            heard=heard_faces(self._meshes, names, physics),
+            threads=self._threads,
+        )
+
+    def _ways(self, here: Situation) -> tuple[Trace, list[_core.Rays]]:
+        """Where the rays go, and the ways of the sound from there."""
+        physics, reach_m = here.physics, REACH * here.range_m
+        if physics.layers is not None:
+            speed = self.scene.water.speed_of_sound_mps
+            rays, ways = bent_ways(here, physics.layers, self._fan, reach_m, speed)
+        else:
+            rays = trace(
+                self._meshes,
+                self._fan,
+                here.pose,
+                here.time_s,
+                reach_m,
+                shadows=physics.shadows,
+                threads=self._threads,
+            )
+            ways = direct_ways(here, rays)
+        for mirror in physics.mirrors:
+            ways += mirror_ways(here, rays, mirror)
+        return rays, ways
+
+    def _surfaces(self, here: Situation, ways: list[_core.Rays]) -> Cells:
+        """What surfaces and targets send back, by all ways, (rows, columns)."""
+        physics = here.physics
+        shape = (self.sonar.rows, self._fan.columns)
+        taps = column_taps(self.sonar, physics)
+        setting = self._setting(physics, taps)
+        faces = self._meshes.faces
+        cells: Cells
+        if physics.speckle:
+            cells = field = np.zeros(shape, dtype=np.complex64)
+            for way in ways:
+                _core.scatter_field(field, faces, way, setting, self._threads)
+        else:
+            cells = power = np.zeros(shape, dtype=np.float32)
+            for way in ways:
+                _core.scatter_power(power, faces, way, setting, self._threads)
+        turns = self.sonar.frequency_hz / self.scene.water.speed_of_sound_mps
+        loss = self._loss(physics)
+        add_targets(
+            cells, self.scene.targets, here, self.sonar, loss=loss, taps=taps, turns_per_m=turns
+        )
+        if not physics.speckle:
+            # The weights between columns have small negative lobes.
+            np.clip(cells, 0.0, None, out=cells)
+        return cells
+
+    def _setting(self, physics: Physics, taps: NDArray[np.float32]) -> _core.Setting:
+        return _core.Setting(
+            loss=self._loss(physics),
+            vertical=_vertical(physics),
+            taps=taps,
+            columns=self._fan.columns,
+            row_m=self.sonar.range_resolution_m,
+            first_sine=self._fan.first_sine,
+            sine_pitch=self._fan.sine_pitch,
+            range_scale=physics.range_scale,
+            lambert=physics.lambert,
+            specular=physics.specular,
+            spreading=physics.spreading,
+            turns_per_m=self.sonar.frequency_hz / self.scene.water.speed_of_sound_mps,
+            nodes_per_cell=self._nodes_per_cell,
+            key=stream_key(self._seed, "surfaces"),
+        )
+
+    def _loss(self, physics: Physics) -> NDArray[np.float32]:
+        """Pressure that the way to each row and back leaves, source included, (rows,)."""
+        range_m = self.sonar.row_centres_m / physics.range_scale
+        level_db = self.sonar.source_level_db - 2.0 * physics.attenuation_db_per_m * range_m
+        loss: NDArray[np.float32] = (10.0 ** (level_db / 20.0)).astype(np.float32)
+        return loss
+
+    def _fill(
+        self, cells: Cells, here: Situation, rays: Trace, former: BeamFormer, ping_id: int
+    ) -> None:
+        """Add what is no surface: water, clouds, noise, other sonars."""
+        physics, seed = here.physics, self._seed
+        if physics.volume_strength_db is not None:
+            row_rms, column_rms = self._volume_rms(physics)
+            # Plankton drifts on between two pings.
+            add_random(
+                cells, row_rms, column_rms, stream_key(seed, "volume", ping_id), self._threads
+            )
+        if physics.clouds:
+            power = cloud_power(physics, self.sonar, rays, self._loss(physics))
+            if np.iscomplexobj(cells):
+                key = stream_key(seed, "clouds", ping_id)
+                _core.add_gaussian_power(cells, power, key, self._threads)  # type: ignore[arg-type]
+            else:
+                cells += power
+        if physics.noise_level_db is not None:
+            row_rms = noise_rms(self.sonar, physics, former.noise_gain)
+            level = np.ones(self._fan.columns, dtype=np.float32)
+            add_random(cells, row_rms, level, stream_key(seed, "noise", ping_id), self._threads)
+        for number, arrival in enumerate(physics.arrivals):
+            key = stream_key(seed, "arrival", ping_id, number)
+            speed = self.scene.water.speed_of_sound_mps
+            add_arrival(cells, arrival, self.sonar, speed, key)
+
+    def _volume_rms(self, physics: Physics) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The last one, while the settings that shape it stay."""
+        shape = (
+            physics.volume_strength_db,
+            physics.attenuation_db_per_m,
+            physics.spreading,
+            physics.vertical_width_rad,
+        )
+        if self._volume is None or self._volume[0] != shape:
+            self._volume = (shape, volume_rms(self.sonar, physics, self._fan.columns))
+        return self._volume[1]
+
+    def _beam_former(self, physics: Physics) -> BeamFormer:
+        """The last one, while the settings that shape it stay."""
+        shape = (
+            physics.beam_width_rad,
+            physics.side_lobe_db,
+            physics.range_spread,
+            physics.sine_bearings,
+        )
+        if self._former is None or self._former[0] != shape:
+            self._former = (shape, beam_former(self.sonar, physics, MARGIN_BEAMS))
+        return self._former[1]
+
+
+@dataclass(slots=True)
+class _Clock:
+    """Wall time of a ping's stages."""
+
+    laps_ms: dict[str, float] = field(default_factory=dict)
+    _last_s: float = field(default_factory=time.perf_counter)
+
+    def lap(self, name: str) -> None:
+        now = time.perf_counter()
+        self.laps_ms[name] = 1e3 * (now - self._last_s)
+        self._last_s = now
+
+
+def _vertical(physics: Physics) -> NDArray[np.float32]:
+    """One-way pressure of the vertical pattern over the sine of elevation from 0 to 1."""
+    if physics.vertical_width_rad is None:
+        return np.ones(2, dtype=np.float32)
+    up = np.linspace(0.0, 1.0, VERTICAL_STEPS)
+    pressure: NDArray[np.float32] = (
+        vertical_two_way_power(up, physics.vertical_width_rad) ** 0.25
+    ).astype(np.float32)
+    return pressure

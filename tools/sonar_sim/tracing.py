@@ -1,0 +1,166 @@
+"""Where a ping's rays go: what each direction meets, with the edges of things traced finer."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonar_sim.fan import Fan, finer
+from sonar_sim.meshes import NOTHING, Meshes, Met
+from sonar_sim.poses import Pose
+from sonar_sim.product import product
+
+BENT = 0.15
+"""Neighbours met one surface if neither leaves the other's plane by more than this slope."""
+LEAST_STEP_M = 0.02
+TURNED = 0.995
+"""Neighbours on a round surface stand for each other up to this cosine between their normals: a
+mirror's glint on it is found by its normals."""
+FINER_SHARE = 16
+"""At most one in so many pairs of neighbours is traced finer: those farthest apart in range."""
+BEHIND = 3
+"""Surfaces seen behind the first where nothing casts a shadow."""
+PAST_M = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """Rays from one pose.
+
+    Attributes:
+        fan: of the rays, finer ones among them, column after column.
+        direction: in the map frame, (N, 3).
+        origin_m: map frame, (3,).
+        met: what each met first; further entries lie behind where shadows are off.
+    """
+
+    fan: Fan
+    direction: NDArray[np.float32]
+    origin_m: NDArray[np.float64]
+    met: tuple[Met, ...]
+
+
+def trace(
+    meshes: Meshes,
+    fan: Fan,
+    map_T_sonar: Pose,  # noqa: N803
+    time_s: float,
+    reach_m: float,
+    *,
+    shadows: bool = True,
+    threads: int = 2,
+) -> Trace:
+    """Cast a fan from a pose.
+
+    Args:
+        meshes: what can be met.
+        fan: of rays, in the sonar's frame.
+        map_T_sonar: the sonar.
+        time_s: at which moving objects are met.
+        reach_m: what lies farther is not met.
+        shadows: whether only the first thing on a ray is met.
+        threads: that share the rays.
+    """
+    origin = map_T_sonar.position_m
+    turn = map_T_sonar.rotation.T.astype(np.float32)
+    direction = product(fan.directions, turn)
+    met = meshes.cast(origin, direction, time_s, reach_m, threads)
+    edges = _edges(meshes, fan, direction, met)
+    if len(edges):
+        more = finer(fan, edges)
+        more_direction = product(more.directions, turn)
+        more_met = meshes.cast(origin, more_direction, time_s, reach_m, threads)
+        fan, direction, met = _joined(
+            fan, edges, direction, met, more=more, more_direction=more_direction, more_met=more_met
+        )
+    layers = [met]
+    if not shadows:
+        layers += _behind(
+            meshes, origin, direction, met, time_s=time_s, reach_m=reach_m, threads=threads
+        )
+    return Trace(fan, direction, origin, tuple(layers))
+
+
+def _edges(meshes: Meshes, fan: Fan, direction: NDArray[np.float32], met: Met) -> NDArray[np.int64]:
+    """Rays whose upper neighbour in the column met something else."""
+    if len(direction) == 0:
+        return np.empty(0, dtype=np.int64)
+    hit = met.face >= 0
+    both = hit[1:] & hit[:-1]
+    point = direction * np.where(hit, met.range_m, np.float32(0.0))[:, None]
+    step = np.diff(point, axis=0)
+    normal = meshes.normals[met.face]
+    allowed = BENT * np.sqrt(np.einsum("ij,ij->i", step, step)) + np.float32(LEAST_STEP_M)
+    off = np.abs(np.einsum("ij,ij->i", normal[:-1], step)) > allowed
+    off |= np.abs(np.einsum("ij,ij->i", normal[1:], step)) > allowed
+    turned = np.einsum("ij,ij->i", normal[:-1], normal[1:]) < TURNED
+    off |= turned & (meshes.smooth[met.face[1:]] >= 0)
+    # Normals of moving objects are in their own frames: their rays are compared by owner alone.
+    off &= met.group[1:] == 0
+    changes = np.where(both, off | (met.group[1:] != met.group[:-1]), hit[1:] != hit[:-1])
+    edges = np.flatnonzero(changes & (fan.column[1:] == fan.column[:-1]))
+    most = len(direction) // FINER_SHARE
+    if len(edges) > most:
+        reach = np.where(hit, met.range_m, np.float32(1e6))
+        jump = np.abs(reach[edges + 1] - reach[edges])
+        edges = np.sort(edges[np.argsort(-jump, kind="stable")[:most]])
+    return edges
+
+
+def _joined(
+    fan: Fan,
+    edges: NDArray[np.int64],
+    direction: NDArray[np.float32],
+    met: Met,
+    *,
+    more: Fan,
+    more_direction: NDArray[np.float32],
+    more_met: Met,
+) -> tuple[Fan, NDArray[np.float32], Met]:
+    """Both fans in one; the coarse cells give way to the finer ones."""
+    cell = fan.cell.copy()
+    cell[edges, 3] = fan.directions[edges, 2]
+    cell[edges + 1, 2] = fan.directions[edges + 1, 2]
+    column = np.concatenate([fan.column, more.column])
+    place = (
+        4.0 * column.astype(np.float32) + np.concatenate([fan.directions, more.directions])[:, 2]
+    )
+    order = np.argsort(place, kind="stable")
+    joined = Fan(
+        np.concatenate([fan.directions, more.directions])[order],
+        np.concatenate([cell, more.cell])[order],
+        column[order],
+        fan.columns,
+        fan.sine_pitch,
+    )
+    both = Met(
+        np.concatenate([met.range_m, more_met.range_m])[order],
+        np.concatenate([met.face, more_met.face])[order],
+        np.concatenate([met.group, more_met.group])[order],
+    )
+    return joined, np.concatenate([direction, more_direction])[order], both
+
+
+def _behind(
+    meshes: Meshes,
+    origin_m: NDArray[np.float64],
+    direction: NDArray[np.float32],
+    first: Met,
+    *,
+    time_s: float,
+    reach_m: float,
+    threads: int,
+) -> list[Met]:
+    """What the rays meet behind what they met."""
+    layers: list[Met] = []
+    past = np.where(first.face >= 0, first.range_m + np.float32(PAST_M), np.float32(0.0))
+    open_way = first.face >= 0
+    for _ in range(BEHIND):
+        start = origin_m + direction.astype(np.float64) * past[:, None]
+        met = meshes.cast(start, direction, time_s, reach_m, threads)
+        range_m = (met.range_m + past).astype(np.float32)
+        face = np.where(open_way & (range_m < reach_m), met.face, NOTHING).astype(np.int32)
+        layers.append(Met(range_m, face, met.group))
+        open_way = face >= 0
+        past = np.where(open_way, range_m + np.float32(PAST_M), past).astype(np.float32)
+    return layers
