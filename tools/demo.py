@@ -13,12 +13,12 @@ from pathlib import Path
 
 from map_truth import MapAccuracy, measure, write_json
 from ply_points import read_voxels
-from sonar_sim import CaptureSettings, SonarSettings, Survey, harbour, harbour_survey, write_capture
+from sonar_sim import CaptureSettings, load_scenario, write_capture
 from true_surface import TrueSurface, read_triangles
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIG = ROOT / "config" / "demo.yaml"
-RANGE_M = 5.76
+SCENE = "harbour"
 PICTURED_PING = 62
 """On the first leg, abreast of a pile, with the quay to port and the wreck to starboard."""
 MOST_MEDIAN_M = 0.1
@@ -46,19 +46,18 @@ def main(argv: Sequence[str] | None = None) -> int:
 def record(out: Path, settings: CaptureSettings) -> None:
     """Simulate the survey into capture.bin, and leave the truth beside it."""
     began_s = time.perf_counter()
-    scene = harbour()
-    scene.save(out / "scene.ply")
-    sonar = SonarSettings(demanded_range_m=RANGE_M)
+    scenario = load_scenario(SCENE)
     capture = out / "capture.bin"
-    seen = write_capture(capture, Survey(scene, sonar, harbour_survey()), settings, _progress)
+    seen = write_capture(capture, scenario, settings, _progress)
+    scenario.scene.save(out / "scene.ply", seen.points_m)
     seen.save(out / "seen.npz")
     size_mb = capture.stat().st_size / 1e6
     print(f"{capture}: {size_mb:.0f} MB, simulated in {time.perf_counter() - began_s:.0f} s")
 
 
-def replay(out: Path) -> int:
-    """Map the capture with mapperd itself; returns its exit code."""
-    files = {"--replay": out / "capture.bin", "--config": CONFIG, "--out": out}
+def replay(out: Path, config: Path = CONFIG) -> int:
+    """Map the folder's capture with mapperd itself; returns its exit code."""
+    files = {"--replay": out / "capture.bin", "--config": config, "--out": out}
     words = [str(word) for option in files.items() for word in option]
     command = [sys.executable, "-m", "mapperd", *words]
     return subprocess.run(command, check=False).returncode  # noqa: S603 our own program

@@ -45,7 +45,7 @@ def draw_demo(
     left, middle, right = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.0))
     left.imshow(_perspective(scene_m, scene_m.mean(axis=1)[:, 2]))
     left.set_title("the scene", color=INK)
-    _draw_fan(middle, ping)
+    draw_fan(middle, ping)
     boxes = cubes(voxels.centres_m, voxels.edge_m)
     right.imshow(_perspective(boxes, np.repeat(voxels.centres_m[:, 2], 12)))
     right.set_title(f"the map, voxels of {voxels.edge_m:g} m", color=INK)
@@ -83,7 +83,7 @@ def _perspective(
     return render(triangles_m, colours, CAMERA, WATER)
 
 
-def _draw_fan(axes: Axes, ping: Ping) -> None:
+def draw_fan(axes: Axes, ping: Ping) -> None:
     """The ping as a fan that opens downwards, as this sonar looks; port is on the left."""
     edge_rad = float(ping.bearings_rad[-1])
     reach_m = ping.max_range_m

@@ -76,9 +76,18 @@ def compare(
     Raises:
         ValueError: the map or the seen surface is empty, so there is nothing to measure.
     """
+    return accuracy_of(centres_m, voxel_m, surface.distance_m(centres_m), seen_m)
+
+
+def accuracy_of(
+    centres_m: NDArray[np.float64],
+    voxel_m: float,
+    distance_m: NDArray[np.float64],
+    seen_m: NDArray[np.float64],
+) -> MapAccuracy:
+    """As `compare`, from the distances (N,) of the centres to the truth."""
     if len(centres_m) == 0 or len(seen_m) == 0:
         raise ValueError(f"{len(centres_m)} occupied voxels and {len(seen_m)} seen points")
-    distance_m = surface.distance_m(centres_m)
     gap_m, _ = cKDTree(centres_m).query(seen_m, workers=-1)
     return MapAccuracy(
         voxel_m=voxel_m,

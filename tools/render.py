@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 LIGHT = np.array([-0.45, -0.6, 0.66])
 AMBIENT = 0.5
-FOG_M = 40.0
-"""Distance at which the water has swallowed 63 % of a surface's colour."""
+FOG = 2.0
+"""Where the water has swallowed 63 % of a surface's colour: times the eye's distance to what it
+looks at."""
 SHADOW_LIFT_M = 0.02
 
 
@@ -74,7 +75,8 @@ def render(
     _, blocker = _cast(scene, points, np.broadcast_to(LIGHT, points.shape))
     lit = np.clip(normal @ LIGHT, 0.0, None) * (blocker < 0)
     shaded = colours[face[hit]] * (AMBIENT + (1.0 - AMBIENT) * lit)[:, None]
-    clear = np.exp(-np.square(distance[hit] / FOG_M))[:, None]
+    fog_m = FOG * float(np.linalg.norm(np.subtract(camera.target_m, camera.eye_m)))
+    clear = np.exp(-np.square(distance[hit] / fog_m))[:, None]
     picture = np.broadcast_to(np.asarray(water), rays.shape).copy()
     picture[hit] = shaded * clear + np.asarray(water) * (1.0 - clear)
     del mesh  # Embree reads it until here

@@ -1,5 +1,6 @@
 """Exact distance of points to a triangle mesh."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,16 @@ class TrueSurface:
     """A mesh cut into small triangles, which a tree of their middles finds.
 
     A triangle nearer than a known upper bound has its middle within that bound plus the largest
-    triangle's reach: so the search is exact, whatever the shape.
+    triangle's reach: so the search is exact, whatever the shape. Far from the surface that takes
+    many triangles a point; there the triangle of the nearest middle may stand for all.
+
+    Args:
+        triangles_m: (F, 3, 3).
+        exact_within_m: farther off, distances may be too large by a small triangle's reach, 7 cm.
     """
 
-    def __init__(self, triangles_m: NDArray[np.float64]) -> None:
+    def __init__(self, triangles_m: NDArray[np.float64], exact_within_m: float = math.inf) -> None:
+        self._exact_within_m = exact_within_m
         faces = np.arange(3 * len(triangles_m)).reshape(-1, 3)
         vertices, small = trimesh.remesh.subdivide_to_size(  # type: ignore[no-untyped-call]
             triangles_m.reshape(-1, 3), faces, LARGEST_EDGE_M
@@ -40,6 +47,16 @@ class TrueSurface:
     def _distance_m(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
         _, nearest = self._tree.query(points_m)
         bound = _to_triangles(points_m, self.triangles_m[nearest])
+        close = bound <= self._exact_within_m
+        bound[close] = self._smallest(points_m[close], bound[close])
+        return bound
+
+    def _smallest(
+        self, points_m: NDArray[np.float64], bound: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Exact distance of points whose distance is at most `bound`."""
+        if len(points_m) == 0:
+            return bound
         near = self._tree.query_ball_point(points_m, bound + self._reach_m)
         counts = np.array([len(found) for found in near])
         triangles = self.triangles_m[np.concatenate([np.asarray(f, dtype=int) for f in near])]

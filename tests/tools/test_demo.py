@@ -2,10 +2,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from demo import LEAST_COVERAGE, MOST_MEDIAN_M, report
+from demo import LEAST_COVERAGE, MOST_MEDIAN_M, SCENE, report
 from map_truth import MapAccuracy
 from render import Camera, cubes, render
-from sonar_sim import CaptureSettings, harbour_survey
+from sonar_sim import CaptureSettings, load_scenario
 from sonar_sim.capture import ping_times_s
 
 GOOD = MapAccuracy(
@@ -32,7 +32,7 @@ def test_demo_succeeds_at_the_promised_figures_and_fails_beyond_either(
 
 
 def test_survey_has_pings_enough() -> None:
-    assert len(ping_times_s(harbour_survey(), CaptureSettings())) >= 300
+    assert len(ping_times_s(load_scenario(SCENE), CaptureSettings())) >= 300
 
 
 def test_cube_is_drawn_where_it_stands_and_nowhere_else() -> None:

@@ -9,8 +9,8 @@ import bench_scene
 import bench_seabed
 import numpy as np
 from bench_pings import Pings
-from sonar_sim import Pose, Scene, SonarSettings, Water
-from sonar_sim.pool import SimulatorRecipe, simulate_pings
+from sonar_sim import Pose, Scene, SonarSettings
+from sonar_sim.pool import Shot, SimulatorRecipe, simulate_pings
 
 from oculus_driver.encode import bearing_table_cdeg
 
@@ -63,8 +63,10 @@ def simulate(setting: Setting, pings: int, seed: int) -> Pings:
     """Simulate pings along the look's path."""
     sonar, look = setting.sonar, LOOKS[setting.look]
     poses = look.poses(setting.range_m, pings)
-    recipe = SimulatorRecipe(look.scene(), sonar, Water(), seed)
-    images = np.stack([ping.image for ping in simulate_pings(recipe, poses, processes=1)])
+    recipe = SimulatorRecipe(look.scene(), sonar, seed)
+    shots = [Shot(pose) for pose in poses]
+    made = simulate_pings(recipe, shots, processes=1)
+    images = np.stack([ping.image for ping in made]).astype(np.uint8)
     map_T_sonar = np.tile(np.eye(4), (pings, 1, 1))  # noqa: N806 frames are named
     map_T_sonar[:, :3, :3] = [pose.rotation for pose in poses]
     map_T_sonar[:, :3, 3] = [pose.position_m for pose in poses]
@@ -75,7 +77,7 @@ def simulate(setting: Setting, pings: int, seed: int) -> Pings:
 def cached(folder: Path, setting: Setting, pings: int, seed: int) -> Path:
     """File of the simulated pings, made anew only if what makes them has changed."""
     scenes = [BENCH / f"bench_{part}.py" for part in ("scene", "seabed", "shapes")]
-    sources = [*sorted((BENCH.parent / "sonar_sim").glob("*.py")), *scenes, Path(__file__)]
+    sources = [*sorted((BENCH.parent / "sonar_sim").rglob("*.py")), *scenes, Path(__file__)]
     stamp = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:8]
     file = folder / f"pings-{setting.look}-{setting.range_m:g}m-{pings}-{seed}-{stamp}.npz"
     if not file.exists():

@@ -8,9 +8,8 @@ on the floor.
 import math
 
 import numpy as np
-from bench_shapes import box, floor, pile, surface
-from sonar_sim import Material, Motion, Mounting, Pose, Scene, Trajectory, Waypoint
-from sonar_sim.harbour import floor_height_m
+from bench_shapes import box, floor, floor_height_m, pile, surface
+from sonar_sim import MATERIALS, Motion, Mounting, Pose, Scene, Trajectory, Waypoint
 
 FLOOR_X_M = (-30.0, 28.0)
 FLOOR_Y_M = (-28.0, 30.0)
@@ -37,20 +36,22 @@ CAISSONS_M = (
 def basin() -> Scene:
     """Build the scene; the same every time."""
     piles = [
-        surface(f"pile {i}", pile((x, y, -4.0), PILE_RADIUS_M, 8.0), Material.OVERGROWN_CONCRETE)
+        surface(
+            f"pile {i}", pile((x, y, -4.0), PILE_RADIUS_M, 8.0), MATERIALS["overgrown_concrete"]
+        )
         for i, (x, y) in enumerate(PILES_XY_M, start=1)
     ]
     caissons = [
-        surface(f"caisson {i}", box(centre_m, edges_m), Material.OVERGROWN_CONCRETE)
+        surface(f"caisson {i}", box(centre_m, edges_m), MATERIALS["overgrown_concrete"])
         for i, (centre_m, edges_m) in enumerate(CAISSONS_M, start=1)
     ]
     east = box((QUAY_X_M + 0.5, 0.0, -4.0), (1.0, 60.0, 8.0))
     north = box((0.0, QUAY_Y_M + 0.5, -4.0), (60.0, 1.0, 8.0))
     return Scene(
         (
-            surface("floor", floor(FLOOR_X_M, FLOOR_Y_M, floor_height_m), Material.SAND),
-            surface("east quay", east, Material.SHEET_PILING),
-            surface("north quay", north, Material.SHEET_PILING),
+            surface("floor", floor(FLOOR_X_M, FLOOR_Y_M, floor_height_m), MATERIALS["sand"]),
+            surface("east quay", east, MATERIALS["sheet_piling"]),
+            surface("north quay", north, MATERIALS["sheet_piling"]),
             *piles,
             *caissons,
         )

@@ -5,9 +5,17 @@ sides is in reach of the long one alone.
 """
 
 import numpy as np
-from bench_shapes import Floats, ball, box, floor, pile, surface
-from sonar_sim import Material, Motion, Mounting, Pose, Scene, Trajectory, Waypoint
-from sonar_sim.harbour import MEAN_DEPTH_M, floor_height_m
+from bench_shapes import (
+    MEAN_DEPTH_M,
+    Floats,
+    ball,
+    box,
+    floor,
+    floor_height_m,
+    pile,
+    surface,
+)
+from sonar_sim import MATERIALS, Motion, Mounting, Pose, Scene, Trajectory, Waypoint
 
 DEPTH_M = 24.0
 ALTITUDE_BY_RANGE = 0.6
@@ -34,9 +42,9 @@ def seabed() -> Scene:
     objects = [*pillars, *balls, box(*CAISSON_M)]
     return Scene(
         (
-            surface("floor", floor(FLOOR_X_M, FLOOR_Y_M, height_m), Material.SAND),
+            surface("floor", floor(FLOOR_X_M, FLOOR_Y_M, height_m), MATERIALS["sand"]),
             *(
-                surface(f"object {i}", mesh, Material.OVERGROWN_CONCRETE)
+                surface(f"object {i}", mesh, MATERIALS["overgrown_concrete"])
                 for i, mesh in enumerate(objects, start=1)
             ),
         )

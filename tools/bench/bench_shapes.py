@@ -9,10 +9,21 @@ from numpy.typing import NDArray
 from sonar_sim import Material, Surface
 
 FLOOR_CELL_M = 0.25
+MEAN_DEPTH_M = 6.5
 
 Floats = NDArray[np.float64]
 Span = tuple[float, float]
 Point = tuple[float, float, float]
+
+
+def floor_height_m(x_m: Floats, y_m: Floats) -> Floats:
+    """Height of the floor: long, low swells of sand."""
+    swell: Floats = (
+        0.10 * np.sin(0.6 * x_m + 0.3) * np.cos(0.45 * y_m)
+        + 0.05 * np.sin(1.2 * y_m + 0.7 * x_m)
+        - MEAN_DEPTH_M
+    )
+    return swell
 
 
 def surface(name: str, mesh: trimesh.Trimesh, material: Material) -> Surface:

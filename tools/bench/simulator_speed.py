@@ -1,0 +1,182 @@
+"""How fast the simulator makes pings of the shipped harbour, with all that `auto` calls for.
+
+Each worker is a process and makes one ping at a time. Pings follow one another at the asked rate,
+in stretches of the scenario's trajectory. `--write` puts the tables into
+docs/performance.md.
+"""
+
+import argparse
+import os
+import statistics
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from simulator_tables import tables
+from sonar_sim import Simulator, load_scenario
+from sonar_sim.effects.cost import measured_costs_ms
+from sonar_sim.engine import Engine
+from sonar_sim.scenario import Scenario
+from sonar_sim.sonar_motion import sonar_motion, sonar_pose
+
+if TYPE_CHECKING:
+    from multiprocessing.queues import Queue
+    from multiprocessing.synchronize import Barrier
+
+SCENE = "harbour"
+SIZES = ((256, 500, 40.0), (512, 1000, 20.0))
+"""Beams, rows, and the pings a second that are asked for."""
+STRETCHES = 4
+"""Parts of the trajectory that are pinged at the asked rate: their pings follow one another."""
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "performance.md"
+BEGIN = "<!-- simulator: written by tools/bench/simulator_speed.py, do not edit -->"
+END = "<!-- end of simulator -->"
+
+
+@dataclass(frozen=True, slots=True)
+class Speed:
+    """One size of picture.
+
+    Attributes:
+        beams, rows: of the picture.
+        wished_hz: asked for.
+        rate_hz: pings a second of all workers together, by the clock on the wall.
+        cpu_ms: of all workers for a ping.
+        stage_ms: medians of one worker alone; what decides among them.
+        cost_ms: what each effect adds to a ping, or would add.
+        effects: in how many of the pings each was on.
+        pings: that were made.
+    """
+
+    beams: int
+    rows: int
+    wished_hz: float
+    rate_hz: float
+    cpu_ms: float
+    stage_ms: dict[str, float]
+    cost_ms: dict[str, float]
+    effects: "Counter[str]"
+    pings: int
+
+
+def measure(scenario: Scenario, wished_hz: float, pings: int, workers: int) -> Speed:
+    """Measure the scenario's sonar."""
+    times_s = _times_s(scenario.trajectory.duration_s, wished_hz, pings)
+    size = scenario.sonar.beams, scenario.sonar.rows
+    context = get_context("spawn")
+    ready = context.Barrier(workers + 1)
+    results: Queue[tuple[Counter[str], float]] = context.Queue()
+    processes = [
+        context.Process(target=_work, args=(size, times_s, (k, workers), ready, results))
+        for k in range(workers)
+    ]
+    for process in processes:
+        process.start()
+    ready.wait()
+    start_s = time.perf_counter()
+    shares = [results.get() for _ in processes]
+    wall_s = time.perf_counter() - start_s
+    for process in processes:
+        process.join()
+    used = sum((share[0] for share in shares), Counter())
+    simulator = Simulator(scenario.scene, scenario.sonar, threads=1)
+    return Speed(
+        *size,
+        wished_hz,
+        pings / wall_s,
+        1e3 * sum(share[1] for share in shares) / pings,
+        _stages(scenario, simulator, times_s),
+        _costs(scenario, simulator, times_s[pings // 2]),
+        used,
+        pings,
+    )
+
+
+def _work(
+    size: tuple[int, int],
+    times_s: Sequence[float],
+    share: tuple[int, int],
+    ready: "Barrier",
+    results: "Queue[tuple[Counter[str], float]]",
+) -> None:
+    """In a process of its own: make every so manieth ping; tells effects and CPU time."""
+    scenario = _scenario(*size)
+    simulator = Simulator(scenario.scene, scenario.sonar, threads=1)
+    used: Counter[str] = Counter()
+
+    def ping(number: int) -> tuple[str, ...]:
+        t = times_s[number]
+        pose, motion = sonar_pose(scenario, t), sonar_motion(scenario, t)
+        return simulator.ping(pose, number, t, motion).effects
+
+    ping(0)  # the first one warms up
+    ready.wait()
+    start_s = time.process_time()
+    for number in range(share[0], len(times_s), share[1]):
+        used.update(ping(number))
+    results.put((used, time.process_time() - start_s))
+
+
+def _scenario(beams: int, rows: int) -> Scenario:
+    """The shipped scenario with a picture of another size."""
+    scenario = load_scenario(SCENE)
+    return replace(scenario, sonar=replace(scenario.sonar, beams=beams, forced_rows=rows))
+
+
+def _times_s(duration_s: float, rate_hz: float, pings: int) -> list[float]:
+    """When a sonar of that rate pings, in stretches from all over the trajectory."""
+    each = -(-pings // STRETCHES)
+    span_s = each / rate_hz
+    starts_s = [(duration_s - span_s) * k / max(STRETCHES - 1, 1) for k in range(STRETCHES)]
+    return [start_s + n / rate_hz for start_s in starts_s for n in range(each)][:pings]
+
+
+def _stages(scenario: Scenario, simulator: Simulator, times_s: Sequence[float]) -> dict[str, float]:
+    """Medians over the pings, on one thread."""
+    engine = Engine(scenario.scene, scenario.sonar, threads=1)
+    laps: dict[str, list[float]] = {}
+    for number, t in enumerate(times_s):
+        pose, motion = sonar_pose(scenario, t), sonar_motion(scenario, t)
+        start_s = time.perf_counter()
+        physics = simulator.plan(pose, number, t, motion).physics
+        laps.setdefault("deciding", []).append(1e3 * (time.perf_counter() - start_s))
+        for name, ms in engine.ping(pose, physics, number, t, motion).stage_ms.items():
+            laps.setdefault(name, []).append(ms)
+    return {name: statistics.median(ms) for name, ms in laps.items()}
+
+
+def _costs(scenario: Scenario, simulator: Simulator, time_s: float) -> dict[str, float]:
+    pose, motion = sonar_pose(scenario, time_s), sonar_motion(scenario, time_s)
+    planned = simulator.plan(pose, 0, time_s, motion)
+    engine = Engine(scenario.scene, scenario.sonar, threads=1)
+    return measured_costs_ms(engine, planned.plan, planned.view, 5)
+
+
+def main() -> None:
+    """Measure both sizes."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--pings", type=int, default=100)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--write", action="store_true", help="into docs/performance.md")
+    said = parser.parse_args()
+    scenario = load_scenario(SCENE)
+    load = os.getloadavg()[0]
+    speeds = []
+    for beams, rows, wished_hz in SIZES:
+        speeds.append(measure(_scenario(beams, rows), wished_hz, said.pings, said.workers))
+    triangles = sum(len(surface.faces) for surface in scenario.scene.surfaces)
+    text = tables(speeds, triangles=triangles, workers=said.workers, load=load)
+    print(text)
+    if said.write:
+        page = PAGE.read_text(encoding="utf-8")
+        before, _, rest = page.partition(BEGIN)
+        after = rest.partition(END)[2] or "\n"
+        PAGE.write_text(f"{before}{BEGIN}\n\n{text}\n{END}{after}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
