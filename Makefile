@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt' -o -name 'CMakePresets.json')
 
-.PHONY: demo test bench soak fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
+.PHONY: demo test bench sim-bench sim-check soak fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
 
 demo: $(STAMP)
 	$(BIN)/python tools/demo.py --out out/demo
@@ -18,6 +18,15 @@ test: check cpp-test cpp-test-asan cpp-test-tsan demo python-test
 # Compares the integrators with OctoMap and OpenVDB; writes docs/performance.md. Some minutes.
 bench: $(STAMP)
 	$(BIN)/python tools/bench/rivals.py
+
+# Times the simulator's pings in the harbour; writes docs/performance.md. A minute or two.
+sim-bench: $(STAMP)
+	$(BIN)/python tools/bench/simulator_speed.py --write
+
+# Compares what the simulator's rules leave out and compute with everything, on all its scenes;
+# writes the figures into docs/simulator.md. Some minutes.
+sim-check: $(STAMP)
+	$(BIN)/python tools/sim_check.py --write
 
 # A night at sea: 200 000 pings through cuts, stalls, flipped bits and restarts. Some minutes.
 soak: $(STAMP)
