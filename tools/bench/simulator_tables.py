@@ -24,7 +24,8 @@ def tables(speeds: Sequence["Speed"], *, triangles: int, workers: int, load: flo
     """All tables as Markdown."""
     head = (
         f"`make sim-bench`: the shipped harbour, {triangles:,} triangles, {speeds[0].pings} pings "
-        f"along its trajectory, everything that `auto` calls for, deciding and ray casting "
+        "in four stretches of its trajectory, each at the asked rate, everything that `auto` "
+        "calls for, deciding and ray casting "
         f"included; {workers} processes of one thread. Load of the machine before: {load:.1f}."
     )
     return "\n\n".join([head, _rates(speeds), _stages(speeds), _costs(speeds), _published()])
