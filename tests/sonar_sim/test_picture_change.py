@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sonar_sim.picture_change import level_change_db, quantiser_change_db
+from sonar_sim.picture_change import expected_clipped, level_change_db, quantiser_change_db
 from sonar_sim.sonar import SonarSettings
 from sonar_sim.texture import displacement_cells, grain_of, texture_change
 
@@ -128,3 +128,12 @@ def test_a_third_of_a_block_tells_where_it_went() -> None:
     first = grain_of(picture, expected, SONAR)
     second = grain_of(np.roll(picture, 2, axis=1), expected, SONAR)
     assert displacement_cells(first, second) == pytest.approx(2.0, abs=0.2)
+
+
+def test_speckle_that_is_clipped_is_expected_lower_before_its_mean_is() -> None:
+    random = np.random.default_rng(3)
+    for rms in (0.3, 0.8, 1.0, 2.0):
+        speckle = rms * np.sqrt(random.exponential(size=400_000))
+        kept = np.minimum(speckle, 1.0).mean() / speckle.mean()
+        got = float(expected_clipped(np.array([rms]))[0])
+        assert got == pytest.approx(rms * kept, rel=5e-3)

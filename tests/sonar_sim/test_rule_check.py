@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import pytest
 from sonar_sim.rule_check import Change, RuleChecker
-from sonar_sim.scene_file import load_scenario
+from sonar_sim.scene_file import load_scenario, scene_names
 from sonar_sim.tolerance import Tolerance
 
 
-@pytest.mark.parametrize("name", ["flat_floor", "pipeline"])
+@pytest.mark.parametrize("name", scene_names())
 def test_what_is_left_out_does_not_show_and_what_is_computed_does(name: str) -> None:
     scenario = load_scenario(name)
-    small = replace(scenario.sonar, beams=192, beam_width_rad=0.03, forced_rows=200)
+    small = replace(scenario.sonar, beams=96, beam_width_rad=0.03, forced_rows=200)
     checker = RuleChecker(replace(scenario, sonar=small))
     check = checker.check(0.5 * scenario.trajectory.duration_s)
     assert check.faults == ()

@@ -4,10 +4,12 @@ Rows are ranges, nearest first. A field is complex64, a power float32. How many 
 changes a byte of what comes out. Arrays of wrong shape raise ValueError.
 """
 
-from typing import Literal, overload
+from typing import Literal, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
+
+_Any = TypeVar("_Any", bound=np.generic)
 
 def complex_gaussian(key: int, count: int) -> NDArray[np.complex64]:
     """Circular complex Gaussian numbers of mean power 1, (count,), of a 64-bit key's stream."""
@@ -180,7 +182,7 @@ class Rays:
         """Keep the arrays.
 
         Args:
-            face: that was met, (H,).
+            face: that was met, (H,); negative where nothing sends back sound.
             seen: leg that looked, (H,).
             transmit: leg from which the sound came, (H,).
             receive: leg that hears it, (H,).
@@ -230,6 +232,64 @@ class Setting:
             nodes_per_cell: scatterers in a row's and column's cell, about.
             key: 64 bits that choose the scatterers.
         """
+
+def edges(
+    direction: NDArray[np.float32],
+    range_m: NDArray[np.float32],
+    face: NDArray[np.int32],
+    group: NDArray[np.int32],
+    column: NDArray[np.int32],
+    normals: NDArray[np.float32],
+    smooth: NDArray[np.int32],
+    bent: float,
+    least_step_m: float,
+    turned: float,
+) -> NDArray[np.int64]:
+    """Rays whose upper neighbour in the column met something else, in order.
+
+    Args:
+        direction: map frame, column after column from below upwards, (N, 3).
+        range_m: at which each ray met something, (N,).
+        face: that was met, negative where nothing, (N,).
+        group: whose frame the face is given in; by faces only those of group 0 are compared, (N,).
+        column: of the fan, (N,).
+        normals: of the faces, (F, 3).
+        smooth: of the faces, not negative where round, (F,).
+        bent: slope by which one neighbour may leave the other's plane.
+        least_step_m: by which it may in any case.
+        turned: least cosine between the normals on a round surface.
+    """
+
+def spans(
+    range_m: NDArray[np.float32],
+    face: NDArray[np.int32],
+    column: NDArray[np.int32],
+    up: NDArray[np.float32],
+    surface: NDArray[np.int32],
+    size_m: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """Ranges between which each hit's plane is followed, (N, 2).
+
+    They are those at which neighbours in the column and beside it met the same surface, widened by
+    the face's size.
+
+    Args:
+        range_m: at which each ray met something, column after column from below upwards, (N,).
+        face: that was met, negative where nothing, (N,).
+        column: of the fan, (N,).
+        up: sine of elevation, (N,).
+        surface: of each face, (F,).
+        size_m: longest edge of each face, (F,).
+    """
+
+def inserted(rows: NDArray[_Any], after: NDArray[np.int64], more: NDArray[_Any]) -> NDArray[_Any]:
+    """Rows with others between them: as many after each place, (N + M, ...).
+
+    Args:
+        rows: (N, ...), C-contiguous.
+        after: rows behind which others come, in order, (P,), at least one.
+        more: (M, ...), as many for each of them.
+    """
 
 def scatter_field(
     field: NDArray[np.complex64], faces: FaceTable, rays: Rays, setting: Setting, threads: int

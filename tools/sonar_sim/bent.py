@@ -6,18 +6,22 @@ leaves in the direction in which it left.
 """
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim import _core
-from sonar_sim.fan import Fan
+from sonar_sim.clouds import cloud_gain
+from sonar_sim.fan import Fan, finer
 from sonar_sim.legs import LEG
 from sonar_sim.meshes import NOTHING, Met
 from sonar_sim.paths import Situation
 from sonar_sim.physics import Layers
 from sonar_sim.spans import spans
-from sonar_sim.tracing import BEHIND, Trace
+from sonar_sim.tracing import BEHIND, Trace, edges_of, joined_fan
+
+Number = TypeVar("Number", np.float32, np.float64, np.int32)
 
 SEGMENTS = 16
 """Straight pieces of a bent ray."""
@@ -39,6 +43,23 @@ def bent_ways(
     Returns:
         The rays, with ranges by time along the directions in which they left; and the ways.
     """
+    start, found = _followed(here, layers, fan, reach_m, speed_mps)
+    edges = edges_of(here.meshes, fan, start.astype(np.float32), found[0].met)
+    if len(edges):
+        more = finer(fan, edges)
+        fan = joined_fan(fan, edges, more)
+        more_start, more_found = _followed(here, layers, more, reach_m, speed_mps)
+        start = _core.inserted(start, edges, more_start)
+        found = [a.with_more(edges, b) for a, b in zip(found, more_found, strict=True)]
+    mets = tuple(layer.met for layer in found)
+    trace = Trace(fan, start.astype(np.float32), here.pose.position_m, mets)
+    return trace, [_ways(here, fan, start, layer) for layer in found]
+
+
+def _followed(
+    here: Situation, layers: Layers, fan: Fan, reach_m: float, speed_mps: float
+) -> tuple[NDArray[np.float64], list["_Found"]]:
+    """Directions in which rays leave, map frame, (N, 3), and what they meet, first and behind."""
     start = fan.directions.astype(np.float64) @ here.pose.rotation.T
     point = np.broadcast_to(here.pose.position_m, start.shape).copy()
     direction, step_m = start.copy(), reach_m / SEGMENTS
@@ -60,9 +81,7 @@ def bent_ways(
             new = np.setdiff1d(new, rays, assume_unique=True)
         point += step_m * direction
         passed_m += step_m * speed_mps / speed
-    mets = tuple(layer.met for layer in found)
-    trace = Trace(fan, start.astype(np.float32), here.pose.position_m, mets)
-    return trace, [_ways(here, fan, start, layer) for layer in found]
+    return start, found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,6 +101,20 @@ class _Found:
         group = np.zeros(count, dtype=np.int32)
         return cls(np.full(count, np.inf), face, group, start.copy(), np.zeros_like(start))
 
+    def with_more(self, after: NDArray[np.int64], more: "_Found") -> "_Found":
+        """With others between them, as many after each place."""
+
+        def both(own: NDArray[Number], others: NDArray[Number]) -> NDArray[Number]:
+            return _core.inserted(np.ascontiguousarray(own), after, np.ascontiguousarray(others))
+
+        return _Found(
+            both(self.range_m, more.range_m),
+            both(self.face, more.face),
+            both(self.group, more.group),
+            both(self.arrival, more.arrival),
+            both(self.place_m, more.place_m),
+        )
+
     @property
     def met(self) -> Met:
         return Met(self.range_m.astype(np.float32), self.face, self.group)
@@ -98,6 +131,13 @@ def _ways(here: Situation, fan: Fan, start: NDArray[np.float64], found: _Found) 
         place_m=found.place_m[hit],
         range_m=found.range_m[hit],
     )
+    gain = np.ones(len(hit), dtype=np.float32)
+    if here.physics.clouds:
+        # Clouds are not so large that the arc leaves its chord within one.
+        origin_m, place_m = here.pose.position_m, found.place_m[hit]
+        chord_m = np.linalg.norm(place_m - origin_m, axis=1)
+        way = ((place_m - origin_m) / np.maximum(chord_m, 1e-9)[:, None]).astype(np.float32)
+        gain = cloud_gain(here.physics.clouds, origin_m, way, chord_m)
     own = np.arange(len(hit), dtype=np.int32)
     return _core.Rays(
         face=found.face[hit],
@@ -106,7 +146,7 @@ def _ways(here: Situation, fan: Fan, start: NDArray[np.float64], found: _Found) 
         receive=own,
         cell=fan.cell[hit],
         span_m=spans(here.meshes, fan, found.met)[hit],
-        gain=np.ones(len(hit), dtype=np.float32),
+        gain=gain,
         legs=legs,
     )
 

@@ -20,6 +20,9 @@ CENTRE_SINE = 0.3
 """Half of a column would reach so high if all its rays were as close as on the fan's plane."""
 MARGIN_BEAMS = 12
 """Columns traced beyond each outermost beam: their main lobes reach out there."""
+STRIPS = 4
+INSIDE = 1e-5
+"""A cell whose part of directions is narrower than this is left out."""
 FINER = 8
 """Rays cast between two neighbours that met different things."""
 
@@ -50,9 +53,28 @@ class Fan:
     @property
     def solid_angle_sr(self) -> NDArray[np.float64]:
         """Of each ray's cell, (N,)."""
-        s_from, s_to, w_from, w_to = self.cell.T.astype(np.float64)
-        angle: NDArray[np.float64] = (s_to - s_from) * (w_to - w_from) / self.directions[:, 0]
-        return angle
+        return solid_angle_sr(*self.cell.T.astype(np.float64))
+
+
+def solid_angle_sr(
+    s_from: NDArray[np.float64],
+    s_to: NDArray[np.float64],
+    w_from: NDArray[np.float64],
+    w_to: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Solid angle of cells, that part of them where s² + w² < 1, (N,).
+
+    ds dw / x integrates to an arc sine over s, which stays right where x becomes 0; over w it is
+    taken at the middles of `STRIPS`.
+    """
+    angle = np.zeros(np.shape(s_from))
+    for part in (np.arange(STRIPS) + 0.5) / STRIPS:
+        w = w_from + part * (w_to - w_from)
+        most = np.sqrt(np.maximum(1.0 - w**2, 1e-12))
+        sweep = np.arcsin(np.clip(s_to / most, -1.0, 1.0))
+        angle += sweep - np.arcsin(np.clip(s_from / most, -1.0, 1.0))
+    whole: NDArray[np.float64] = angle * (w_to - w_from) / STRIPS
+    return whole
 
 
 def fan_of(sonar: SonarSettings, elevations: int = ELEVATIONS) -> Fan:
@@ -63,11 +85,17 @@ def fan_of(sonar: SonarSettings, elevations: int = ELEVATIONS) -> Fan:
     edges = _up_sines(elevations)
     w, w_half = (edges[1:] + edges[:-1]) / 2.0, np.diff(edges) / 2.0
     ss, ww = (grid.ravel() for grid in np.meshgrid(s, w, indexing="ij"))
-    # Cones near the array's axis hold no direction at high elevation.
-    real = 1.0 - ss**2 - ww**2 > np.square(sonar.sine_pitch)
+    # Cones near the array's axis hold no direction at high elevation: the last cells of a row are
+    # cut, and looked into where they hold some.
+    half = sonar.sine_pitch / 2.0
     halves = np.tile(w_half, columns)
+    lowest = np.maximum(np.abs(ww) - halves, 0.0)
+    real = np.abs(ss) - half < np.sqrt(1.0 - lowest**2) - INSIDE
+    ss, ww, halves = ss[real], ww[real], halves[real]
+    most = np.sqrt(1.0 - ww**2)
+    middle = (np.clip(ss - half, -most, most) + np.clip(ss + half, -most, most)) / 2.0
     return Fan(
-        *_rays(ss[real], ww[real], sonar.sine_pitch / 2.0, halves[real]),
+        *_rays(middle, ww, (ss - half, ss + half), halves),
         np.repeat(column, elevations)[real],
         columns,
         sonar.sine_pitch,
@@ -93,15 +121,21 @@ def finer(fan: Fan, below: NDArray[np.int64]) -> Fan:
     step = (fan.directions[below + 1, 2] - start[:, 2]) / FINER
     ww = (start[:, 2, None] + (np.arange(FINER) + 0.5) * step[:, None]).ravel()
     ss = np.repeat(-start[:, 1], FINER)
-    directions, cell = _rays(ss, ww, fan.sine_pitch / 2.0, np.repeat(step / 2.0, FINER))
+    edges = np.repeat(fan.cell[below, :2].astype(np.float64), FINER, axis=0)
+    directions, cell = _rays(ss, ww, (edges[:, 0], edges[:, 1]), np.repeat(step / 2.0, FINER))
     return Fan(directions, cell, np.repeat(fan.column[below], FINER), fan.columns, fan.sine_pitch)
 
 
 def _rays(
-    s: NDArray[np.float64], w: NDArray[np.float64], half_s: float, half_w: NDArray[np.float64]
+    s: NDArray[np.float64],
+    w: NDArray[np.float64],
+    edges: tuple[NDArray[np.float64], NDArray[np.float64]],
+    half_w: NDArray[np.float64],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Directions and cells of rays at given sines."""
-    ahead = np.sqrt(np.maximum(1.0 - s**2 - w**2, 1e-9))
+    """Directions and cells of rays at given sines, the cells between edges in s."""
+    most = np.sqrt(1.0 - w**2) * (1.0 - INSIDE)
+    s = np.clip(s, -most, most)
+    ahead = np.sqrt(1.0 - s**2 - w**2)
     directions = np.stack([ahead, -s, w], axis=1).astype(np.float32)
-    cell = np.stack([s - half_s, s + half_s, w - half_w, w + half_w], axis=1)
+    cell = np.stack([*edges, w - half_w, w + half_w], axis=1)
     return directions, cell.astype(np.float32)

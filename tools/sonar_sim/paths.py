@@ -10,7 +10,7 @@ from sonar_sim import _core
 from sonar_sim.bounce import OFF_M, TOUCH_M, bounces
 from sonar_sim.clouds import cloud_gain
 from sonar_sim.legs import LEG, SonarMotion, leg_in
-from sonar_sim.meshes import SEA, Meshes, Met
+from sonar_sim.meshes import NOTHING, Meshes, Met
 from sonar_sim.physics import Mirror, Physics
 from sonar_sim.poses import Pose
 from sonar_sim.product import along, product
@@ -53,7 +53,7 @@ def heard_faces(meshes: Meshes, names: tuple[str, ...], physics: Physics) -> NDA
     """Faces that send something back: not the silent surfaces', and the sea's if it scatters."""
     surfaces = [name not in physics.silent for name in names]
     by_surface = np.array([*surfaces, physics.sea_surface])
-    return by_surface[np.where(meshes.surface == SEA, len(surfaces), meshes.surface)]
+    return by_surface[meshes.material]
 
 
 def direct_ways(here: Situation, trace: Trace) -> list[_core.Rays]:
@@ -61,20 +61,21 @@ def direct_ways(here: Situation, trace: Trace) -> list[_core.Rays]:
     legs = _LegTable(here)
     ways = []
     for met in trace.met:
-        hit = np.flatnonzero((met.face >= 0) & here.heard[met.face])
-        group = met.group[hit]
-        gain = np.ones(len(hit), dtype=np.float32)
+        echoes = (met.face >= 0) & here.heard[met.face]
+        gain = np.ones(len(met.face), dtype=np.float32)
         if here.physics.clouds:
+            hit = np.flatnonzero(echoes)
             path = met.range_m[hit].astype(np.float64)
-            gain = cloud_gain(here.physics.clouds, trace.origin_m, trace.direction[hit], path)
+            direction = trace.direction[hit]
+            gain[hit] = cloud_gain(here.physics.clouds, trace.origin_m, direction, path)
         ways.append(
             _core.Rays(
-                face=met.face[hit],
-                seen=group,
-                transmit=group,
-                receive=legs.receive(group, met.range_m[hit]),
-                cell=trace.fan.cell[hit],
-                span_m=spans(here.meshes, trace.fan, met)[hit],
+                face=np.where(echoes, met.face, np.int32(NOTHING)),
+                seen=met.group,
+                transmit=met.group,
+                receive=legs.receive(met.group, met.range_m),
+                cell=trace.fan.cell,
+                span_m=spans(here.meshes, trace.fan, met),
                 gain=gain,
                 legs=legs.rows,
             )
@@ -111,7 +112,9 @@ class _LegTable:
         """Leg by which an echo from a range comes back."""
         if self._blocks == 1:
             return group
-        block = np.clip((range_m / self._block_m).astype(np.int32), 0, self._blocks - 1)
+        # In float until it fits: the range to nothing is infinite.
+        last = np.float32(self._blocks - 1)
+        block = np.minimum(range_m / np.float32(self._block_m), last).astype(np.int32)
         legs: NDArray[np.int32] = ((block + 1) * self._groups + group).astype(np.int32)
         return legs
 

@@ -14,6 +14,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import erf
 
 from sonar_sim.sonar import SonarSettings
 
@@ -117,6 +118,17 @@ def _but_one(picture: NDArray[np.float32], axis: int, *, last: bool) -> NDArray[
     """All rows or columns but the last or the first: a view."""
     part = slice(None, -1) if last else slice(1, None)
     return picture[part] if axis == 0 else picture[:, part]
+
+
+def expected_clipped(amplitude: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Expected amplitude of speckle that is clipped at full scale; unclipped it is as given.
+
+    Peaks are cut before their mean is. Of a Rayleigh law of mean square m²,
+    E min(a, 1) = sqrt(pi) / 2 m erf(1 / m).
+    """
+    m = np.maximum(np.asarray(amplitude, dtype=np.float32), np.float32(1e-6))
+    expected: NDArray[np.float32] = (m * erf(np.float32(1.0) / m)).astype(np.float32)
+    return expected
 
 
 def quantiser_change_db(

@@ -2,11 +2,13 @@
 
 What the rules leave out must not show: the picture must stay within the tolerance of the one with
 all effects. What they compute must be worth it: without any one of them it must not. Level is
-compared between expected pictures, grain and displacement between speckled ones of the same seed.
+compared between expected pictures, grain and displacement between speckled ones of the same seeds:
+of several, since a picture may hold too few blocks of speckle to tell a displacement from chance.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +18,20 @@ from sonar_sim.effects.plan import EffectPlan, Wish
 from sonar_sim.effects.planner import Planner
 from sonar_sim.effects.registry import EFFECTS
 from sonar_sim.effects.view import View
-from sonar_sim.engine import Engine, SonarMotion
+from sonar_sim.engine import Engine
 from sonar_sim.physics import Physics
-from sonar_sim.picture_change import gamma_of, level_change_db, quantiser_change_db
-from sonar_sim.poses import Pose
+from sonar_sim.picture_change import (
+    expected_clipped,
+    gamma_of,
+    level_change_db,
+    quantiser_change_db,
+)
 from sonar_sim.scenario import Scenario
 from sonar_sim.sonar_motion import sonar_motion, sonar_pose
-from sonar_sim.texture import Grain, displacement_cells, grain_of, texture_change
+from sonar_sim.texture import Grain, displacement_cells, grain_of, texture_change, together
 from sonar_sim.tolerance import Tolerance
+
+SEEDS = (0, 1, 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +58,8 @@ class RuleCheck:
     Attributes:
         plan: what the rules chose.
         left_out: from what they chose to everything.
-        without: from everything to what they chose without one effect, for each that is on.
+        without: from what they chose to the same without one effect, for each that is on; where
+            the level tells enough, cells and texture are not looked at and stay 0.
         tolerance: by which they decided.
     """
 
@@ -67,84 +76,105 @@ class RuleCheck:
         return (*wrong, *idle)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Pictures:
     """One ping both ways.
 
     Attributes:
         expected: amplitude of full scale without speckle, (rows, beams).
-        grain: of the speckled picture of surfaces, without noise.
+        look_closer: makes the grain.
     """
 
     expected: NDArray[np.float32]
-    grain: Grain
+    look_closer: Callable[[], Grain]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Shot:
-    """A ping of the trajectory.
-
-    Attributes:
-        view: by which it was decided.
-        map_T_sonar, time_s, motion: of the ping itself.
-    """
-
-    view: View
-    map_T_sonar: Pose  # noqa: N815 frames in the name
-    time_s: float
-    motion: SonarMotion
+    @cached_property
+    def grain(self) -> Grain:
+        """Of the speckled pictures of surfaces, without noise."""
+        return self.look_closer()
 
 
 class RuleChecker:
-    """Checks the rules on a scenario's pings."""
+    """Checks the rules on a scenario's pings.
 
-    def __init__(self, scenario: Scenario, tolerance: Tolerance | None = None) -> None:
+    Args:
+        scenario: whose scene and sonar.
+        tolerance: by which the rules decide, and which must be kept.
+        seeds: of the speckled pictures.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        tolerance: Tolerance | None = None,
+        seeds: Sequence[int] = SEEDS,
+    ) -> None:
         self._scenario = scenario
         self._tolerance = tolerance or Tolerance()
-        self._engine = Engine(scenario.scene, scenario.sonar)
-        look = Look(scenario.scene, scenario.sonar, self._engine.meshes)
+        self._engines = [Engine(scenario.scene, scenario.sonar, seed) for seed in seeds]
+        look = Look(scenario.scene, scenario.sonar, self._engines[0].meshes)
         self._planner = Planner(look, Wish.read("auto"), self._tolerance)
 
     def check(self, time_s: float) -> RuleCheck:
         """Check them at a time of the trajectory."""
         pose, motion = sonar_pose(self._scenario, time_s), sonar_motion(self._scenario, time_s)
         planned = self._planner.at(pose, 0, time_s, motion)
-        plan, shot = planned.plan, Shot(planned.view, pose, time_s, motion)
-        chosen = self._pictures("auto", shot)
-        everything = self._pictures("all", shot)
+        plan, view = planned.plan, planned.view
+        chosen = self._pictures(planned.physics, view)
+        all_on = EffectPlan.make(view, Wish.read("all"), self._tolerance)
+        everything = self._pictures(all_on.physics(view), view)
         left_out = self._change(chosen, everything, self._tolerance.share)
-        without = {name: self._change_without(name, chosen, shot) for name in plan.names}
+        without = {name: self._change_without(name, chosen, plan, view) for name in plan.names}
         return RuleCheck(plan, left_out, without, self._tolerance)
 
-    def _change_without(self, name: str, everything: Pictures, shot: Shot) -> Change:
+    def _change_without(
+        self, name: str, everything: Pictures, plan: EffectPlan, view: View
+    ) -> Change:
         if name == "quantisation":
             shown = np.minimum(everything.expected, 1.0)
             change_db = quantiser_change_db(shown, self._scenario.sonar, self._tolerance.share)
             return Change(change_db, 0.0, 0.0)
         share = 0.0 if EFFECTS[name].anywhere else self._tolerance.share
-        return self._change(everything, self._pictures(f"auto,-{name}", shot), share)
+        other = self._pictures(plan.switched_off(name).physics(view), view)
+        level_db = self._level_db(everything, other, share)
+        if level_db > self._tolerance.level_db:
+            # That is enough: grain takes four more pictures.
+            return Change(level_db, 0.0, 0.0)
+        return self._change(everything, other, share)
 
     def _change(self, first: Pictures, second: Pictures, share: float) -> Change:
-        sonar, cells = self._scenario.sonar, self._tolerance.cells
         return Change(
-            level_change_db(first.expected, second.expected, sonar, share, (cells, cells)),
+            self._level_db(first, second, share),
             displacement_cells(first.grain, second.grain),
             texture_change(first.grain, second.grain),
         )
 
-    def _pictures(self, choice: str, shot: Shot) -> Pictures:
-        plan = EffectPlan.make(shot.view, Wish.read(choice), self._tolerance)
-        physics = plan.physics(shot.view)
-        physics.quantised = False
-        expected = self._shown(replace(physics, speckle=False), shot)
+    def _level_db(self, first: Pictures, second: Pictures, share: float) -> float:
+        cells = self._tolerance.cells
+        sonar = self._scenario.sonar
+        return level_change_db(first.expected, second.expected, sonar, share, (cells, cells))
+
+    def _pictures(self, physics: Physics, view: View) -> Pictures:
+        physics = replace(physics, quantised=False)
+        expected = self._shown(replace(physics, speckle=False, saturation=False), view)
+        if physics.saturation:
+            expected = expected_clipped(expected)
+        return Pictures(expected, lambda: self._grain(physics, view))
+
+    def _grain(self, physics: Physics, view: View) -> Grain:
         # Noise does not move with the surfaces.
         still = replace(physics, noise_level_db=None, volume_strength_db=None)
-        surfaces = self._shown(replace(still, speckle=False), shot)
-        grain = grain_of(self._shown(still, shot), surfaces, self._scenario.sonar)
-        return Pictures(expected, grain)
+        surfaces = self._shown(replace(still, speckle=False), view)
+        sonar, engines = self._scenario.sonar, self._engines
+        grains = [grain_of(self._shown(still, view, engine), surfaces, sonar) for engine in engines]
+        return together(grains)
 
-    def _shown(self, physics: Physics, shot: Shot) -> NDArray[np.float32]:
+    def _shown(
+        self, physics: Physics, view: View, engine: Engine | None = None
+    ) -> NDArray[np.float32]:
         """Amplitude of full scale as one reads it who knows the sonar's gamma."""
-        made = self._engine.ping(shot.map_T_sonar, physics, 0, shot.time_s, shot.motion)
+        made = (engine or self._engines[0]).ping(
+            view.own_pose, physics, 0, view.own_time_s, view.motion
+        )
         shown: NDArray[np.float32] = np.asarray(made.image, dtype=np.float32)
         return shown ** np.float32(1.0 / gamma_of(self._scenario.sonar))

@@ -1,5 +1,6 @@
 """What speckle tells of a picture: how it is grained, and where its parts have gone."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,6 +68,16 @@ def grain_of(
     relative = np.ones(expected.shape, dtype=np.float32)
     relative[looked_at] = speckled[looked_at] / expected[looked_at]
     return Grain(relative, looked_at)
+
+
+def together(grains: Sequence[Grain]) -> Grain:
+    """Pictures of the same surfaces by several seeds as one, below one another."""
+    # No block, and no pair of neighbours, is of two pictures.
+    fill = ((0, BLOCK - len(grains[0].relative) % BLOCK), (0, 0))
+    return Grain(
+        np.concatenate([np.pad(g.relative, fill, constant_values=1.0) for g in grains]),
+        np.concatenate([np.pad(g.looked_at, fill) for g in grains]),
+    )
 
 
 def texture_change(first: Grain, second: Grain) -> float:

@@ -14,12 +14,15 @@ class Tolerance:
             that cost next to nothing are granted none.
         texture: difference of the speckle's coefficient of variation, or of its correlation
             between neighbouring rows or beams.
+        brighter_db: by how much the rules take a ping to be brighter than their coarse picture of
+            it, to see how sure they are.
     """
 
     level_db: float = 0.5
     cells: float = 0.5
     share: float = 0.001
     texture: float = 0.05
+    brighter_db: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what decides nothing."""

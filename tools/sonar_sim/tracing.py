@@ -1,14 +1,18 @@
 """Where a ping's rays go: what each direction meets, with the edges of things traced finer."""
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sonar_sim import _core
 from sonar_sim.fan import Fan, finer
 from sonar_sim.meshes import NOTHING, Meshes, Met
 from sonar_sim.poses import Pose
 from sonar_sim.product import product
+
+Number = TypeVar("Number", np.float32, np.int32)
 
 BENT = 0.15
 """Neighbours met one surface if neither leaves the other's plane by more than this slope."""
@@ -65,7 +69,7 @@ def trace(
     turn = map_T_sonar.rotation.T.astype(np.float32)
     direction = product(fan.directions, turn)
     met = meshes.cast(origin, direction, time_s, reach_m, threads)
-    edges = _edges(meshes, fan, direction, met)
+    edges = edges_of(meshes, fan, direction, met)
     if len(edges):
         more = finer(fan, edges)
         more_direction = product(more.directions, turn)
@@ -81,27 +85,25 @@ def trace(
     return Trace(fan, direction, origin, tuple(layers))
 
 
-def _edges(meshes: Meshes, fan: Fan, direction: NDArray[np.float32], met: Met) -> NDArray[np.int64]:
+def edges_of(
+    meshes: Meshes, fan: Fan, direction: NDArray[np.float32], met: Met
+) -> NDArray[np.int64]:
     """Rays whose upper neighbour in the column met something else."""
-    if len(direction) == 0:
-        return np.empty(0, dtype=np.int64)
-    hit = met.face >= 0
-    both = hit[1:] & hit[:-1]
-    point = direction * np.where(hit, met.range_m, np.float32(0.0))[:, None]
-    step = np.diff(point, axis=0)
-    normal = meshes.normals[met.face]
-    allowed = BENT * np.sqrt(np.einsum("ij,ij->i", step, step)) + np.float32(LEAST_STEP_M)
-    off = np.abs(np.einsum("ij,ij->i", normal[:-1], step)) > allowed
-    off |= np.abs(np.einsum("ij,ij->i", normal[1:], step)) > allowed
-    turned = np.einsum("ij,ij->i", normal[:-1], normal[1:]) < TURNED
-    off |= turned & (meshes.smooth[met.face[1:]] >= 0)
-    # Normals of moving objects are in their own frames: their rays are compared by owner alone.
-    off &= met.group[1:] == 0
-    changes = np.where(both, off | (met.group[1:] != met.group[:-1]), hit[1:] != hit[:-1])
-    edges = np.flatnonzero(changes & (fan.column[1:] == fan.column[:-1]))
+    edges = _core.edges(
+        direction,
+        met.range_m,
+        met.face,
+        met.group,
+        fan.column,
+        meshes.normals,
+        meshes.smooth,
+        bent=BENT,
+        least_step_m=LEAST_STEP_M,
+        turned=TURNED,
+    )
     most = len(direction) // FINER_SHARE
     if len(edges) > most:
-        reach = np.where(hit, met.range_m, np.float32(1e6))
+        reach = np.where(met.face >= 0, met.range_m, np.float32(1e6))
         jump = np.abs(reach[edges + 1] - reach[edges])
         edges = np.sort(edges[np.argsort(-jump, kind="stable")[:most]])
     return edges
@@ -117,28 +119,31 @@ def _joined(
     more_direction: NDArray[np.float32],
     more_met: Met,
 ) -> tuple[Fan, NDArray[np.float32], Met]:
+    """Both fans and what they met in one."""
+
+    def both(coarse: NDArray[Number], fine: NDArray[Number]) -> NDArray[Number]:
+        return _core.inserted(coarse, edges, fine)
+
+    all_met = Met(
+        both(met.range_m, more_met.range_m),
+        both(met.face, more_met.face),
+        both(met.group, more_met.group),
+    )
+    return joined_fan(fan, edges, more), both(direction, more_direction), all_met
+
+
+def joined_fan(fan: Fan, edges: NDArray[np.int64], more: Fan) -> Fan:
     """Both fans in one; the coarse cells give way to the finer ones."""
     cell = fan.cell.copy()
     cell[edges, 3] = fan.directions[edges, 2]
     cell[edges + 1, 2] = fan.directions[edges + 1, 2]
-    column = np.concatenate([fan.column, more.column])
-    place = (
-        4.0 * column.astype(np.float32) + np.concatenate([fan.directions, more.directions])[:, 2]
-    )
-    order = np.argsort(place, kind="stable")
-    joined = Fan(
-        np.concatenate([fan.directions, more.directions])[order],
-        np.concatenate([cell, more.cell])[order],
-        column[order],
+    return Fan(
+        _core.inserted(fan.directions, edges, more.directions),
+        _core.inserted(cell, edges, more.cell),
+        _core.inserted(fan.column, edges, more.column),
         fan.columns,
         fan.sine_pitch,
     )
-    both = Met(
-        np.concatenate([met.range_m, more_met.range_m])[order],
-        np.concatenate([met.face, more_met.face])[order],
-        np.concatenate([met.group, more_met.group])[order],
-    )
-    return joined, np.concatenate([direction, more_direction])[order], both
 
 
 def _behind(

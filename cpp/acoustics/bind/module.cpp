@@ -3,9 +3,11 @@
 
 #include "receiving.hpp"
 #include "scatter.hpp"
+#include "tracing.hpp"
 
 PYBIND11_MODULE(_core, module) {
   module.doc() = "The C++ kernels of the sonar simulator.";
   bind_receiving(module);
   bind_scatter(module);
+  bind_tracing(module);
 }

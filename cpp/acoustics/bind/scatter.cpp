@@ -91,7 +91,7 @@ void check(const FaceTable& faces, const Rays& rays) {
   const auto legs = static_cast<std::int32_t>(rays.legs.shape(0));
   const auto all = static_cast<std::int32_t>(faces.planes.shape(0));
   for (py::ssize_t i = 0; i < count; ++i) {
-    require(rays.face.data()[i] >= 0 && rays.face.data()[i] < all, "face out of the table");
+    require(rays.face.data()[i] < all, "face out of the table");
     require(rays.seen.data()[i] >= 0 && rays.seen.data()[i] < legs &&
                 rays.transmit.data()[i] >= 0 && rays.transmit.data()[i] < legs &&
                 rays.receive.data()[i] >= 0 && rays.receive.data()[i] < legs,

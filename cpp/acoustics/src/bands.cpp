@@ -24,6 +24,9 @@ double sine_of(const Leg& leg, const Vector& point_m) {
 
 void widen(const Echoes& echoes, std::size_t hit, double& low, double& high) {
   const Hits& hits = echoes.hits;
+  if (hits.face[hit] < 0) {
+    return;
+  }
   if (hits.seen[hit] == hits.receive[hit]) {
     low = std::min<double>(low, hits.cell[4 * hit]);
     high = std::max<double>(high, hits.cell[4 * hit + 1]);
@@ -31,7 +34,8 @@ void widen(const Echoes& echoes, std::size_t hit, double& low, double& high) {
   }
   Footprint patch;
   if (footprint_of(echoes, hit, patch)) {
-    for (const Vector& corner : patch.corner_m) {
+    for (std::size_t k = 0; k < 4; ++k) {
+      const Vector corner{patch.corner_m[0][k], patch.corner_m[1][k], patch.corner_m[2][k]};
       const double s = sine_of(hits.legs[hits.receive[hit]], corner);
       low = std::min(low, s);
       high = std::max(high, s);

@@ -1,5 +1,6 @@
 #include "acoustics/deposit.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 
@@ -35,13 +36,16 @@ ACOUSTICS_INLINE float minus_log(float x) {
 }
 
 // Circular complex Gaussian numbers of the given rms, turned by a phase.
-ACOUSTICS_VECTORISED void drawn(const float* rms, const float* phase, const float* level,
+ACOUSTICS_VECTORISED void drawn(const float* rms, const float* phase, const std::uint32_t* bits,
                                 std::size_t count, float* __restrict real,
                                 float* __restrict imaginary) {
   for (std::size_t i = 0; i < count; ++i) {
-    const float pressure = rms[i] * std::sqrt(minus_log(level[i]));
+    const auto low = static_cast<std::int32_t>(bits[i] & 0xFFFFU);
+    const auto high = static_cast<std::int32_t>(bits[i] >> 16);
+    const float level = (static_cast<float>(high) + 0.5F) * 0x1p-16F;
+    const float pressure = rms[i] * std::sqrt(minus_log(level));
     // Fold the angle: cosine and sine are sines of at most a quarter turn.
-    const float turns = phase[i];
+    const float turns = phase[i] + static_cast<float>(low) * 0x1p-16F;
     const float angle = turns - static_cast<float>(static_cast<std::int32_t>(turns + 0.5F));
     const float half = std::fabs(angle);
     const float upper = 0.25F - std::fabs(half - 0.25F);
@@ -50,41 +54,77 @@ ACOUSTICS_VECTORISED void drawn(const float* rms, const float* phase, const floa
   }
 }
 
-template <std::size_t kTaps>
-inline void spread(std::complex<float>* cell, const float* taps, float real, float imaginary) {
-  float out[2 * kTaps];
-  std::memcpy(out, cell, sizeof out);
-  for (std::size_t k = 0; k < kTaps; ++k) {
-    out[2 * k] += taps[k] * real;
-    out[2 * k + 1] += taps[k] * imaginary;
+struct Frame {
+  std::int32_t rows, first_column, columns, taps, fractions;
+};
+
+// Where echoes begin in the field; what lies outside goes silently to its first cell.
+ACOUSTICS_VECTORISED void aimed(const Scatterers& nodes, const Frame& frame,
+                                std::int32_t* __restrict cell, std::int32_t* __restrict fraction,
+                                float* __restrict pressure) {
+  const std::int32_t before = frame.taps / 2 - 1 + frame.first_column;
+  const std::int32_t last = frame.columns - frame.taps;
+  const auto fractions = static_cast<float>(frame.fractions);
+  const std::int32_t most = frame.fractions - 1;
+  for (std::size_t i = 0; i < nodes.count; ++i) {
+    const float at = nodes.column[i];
+    const auto towards_zero = static_cast<std::int32_t>(at);
+    const std::int32_t whole =
+        towards_zero - static_cast<std::int32_t>(static_cast<float>(towards_zero) > at);
+    const auto part = static_cast<std::int32_t>((at - static_cast<float>(whole)) * fractions);
+    const std::int32_t column = whole - before;
+    const std::int32_t row = nodes.row[i];
+    const bool inside = (row >= 0) & (row < frame.rows) & (column >= 0) & (column <= last);
+    cell[i] = inside ? row * frame.columns + column : 0;
+    fraction[i] = part < most ? part : most;
+    pressure[i] = inside ? nodes.pressure[i] : 0.0F;
   }
-  std::memcpy(static_cast<void*>(cell), out, sizeof out);
+}
+
+// Two complex numbers, as one value to the compiler.
+using Pair = float __attribute__((vector_size(4 * sizeof(float))));
+
+inline void add_pair(std::complex<float>* cell, const float* taps, const Pair& number) {
+  Pair sum, part;
+  std::memcpy(&sum, cell, sizeof sum);
+  std::memcpy(&part, taps, sizeof part);
+  sum += part * number;
+  std::memcpy(static_cast<void*>(cell), &sum, sizeof sum);
 }
 
 }  // namespace
 
-Deposit::Deposit(const Hearing& response, std::complex<float>* field, std::ptrdiff_t columns)
-    : field_(field), columns_(columns), table_(response.taps), tap_count_(response.tap_count) {}
-
-void Deposit::draw() {
-  drawn(pressure_.data(), turns_.data(), level_.data(), count_, real_.data(), imaginary_.data());
+Deposit::Deposit(const Hearing& response, std::ptrdiff_t rows, std::ptrdiff_t first_column,
+                 std::ptrdiff_t columns, std::complex<float>* field)
+    : response_(response),
+      rows_(static_cast<std::int32_t>(rows)),
+      first_column_(static_cast<std::int32_t>(first_column)),
+      columns_(static_cast<std::int32_t>(columns)),
+      field_(field) {
+  taps_.reserve(2 * response.fractions * response.tap_count);
+  for (std::size_t k = 0; k < response.fractions * response.tap_count; ++k) {
+    taps_.insert(taps_.end(), 2, response.taps[k]);
+  }
 }
 
-void Deposit::flush() {
-  draw();
-  if (tap_count_ == 6) {
-    for (std::size_t i = 0; i < count_; ++i) {
-      spread<6>(field_ + cell_[i], table_ + taps_[i], real_[i], imaginary_[i]);
-    }
-  } else {
-    for (std::size_t i = 0; i < count_; ++i) {
-      for (std::size_t k = 0; k < tap_count_; ++k) {
-        field_[cell_[i] + static_cast<std::ptrdiff_t>(k)] +=
-            table_[taps_[i] + k] * std::complex<float>(real_[i], imaginary_[i]);
-      }
+void Deposit::add(const Scatterers& nodes) {
+  const Frame frame{rows_, first_column_, columns_, static_cast<std::int32_t>(response_.tap_count),
+                    static_cast<std::int32_t>(response_.fractions)};
+  aimed(nodes, frame, cell_.data(), fraction_.data(), pressure_.data());
+  drawn(pressure_.data(), nodes.turns, nodes.bits, nodes.count, real_.data(), imaginary_.data());
+  spread(nodes.count);
+}
+
+void Deposit::spread(std::size_t count) {
+  const std::size_t taps = response_.tap_count;
+  for (std::size_t i = 0; i < count; ++i) {
+    std::complex<float>* cell = field_ + cell_[i];
+    const float* weights = taps_.data() + 2 * taps * static_cast<std::size_t>(fraction_[i]);
+    const Pair number{real_[i], imaginary_[i], real_[i], imaginary_[i]};
+    for (std::size_t k = 0; k < taps; k += 2) {
+      add_pair(cell + k, weights + 2 * k, number);
     }
   }
-  count_ = 0;
 }
 
 }  // namespace acoustics

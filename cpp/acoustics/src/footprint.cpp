@@ -9,33 +9,41 @@ namespace acoustics {
 namespace {
 
 constexpr double kPi = 3.14159265358979323846;
-constexpr double kFaintest = 25.0;  // a lobe weaker by exp of this is none
 
-ACOUSTICS_VECTORISED void times_diffuse(float mu, bool lambert, const float* transmit,
-                                        const float* receive, std::size_t count, float* section) {
-  for (std::size_t i = 0; i < count; ++i) {
-    section[i] *= lambert ? mu * transmit[i] * receive[i] : mu;
+// Where the cell's four edges meet the plane, and how far that is; `sign` is the side that it
+// shows.
+ACOUSTICS_VECTORISED void follow(const Leg& leg, const float* cell, double sign, Footprint& patch,
+                                 std::array<double, 4>& range_m) {
+  const double s[4] = {cell[0], cell[1], cell[1], cell[0]};
+  const double w[4] = {cell[2], cell[2], cell[3], cell[3]};
+  const auto& m = leg.rotation;
+  const auto& o = leg.origin_m;
+  const double n0 = sign * patch.normal[0], n1 = sign * patch.normal[1];
+  const double n2 = sign * patch.normal[2];
+  const double height_m = std::fabs(patch.height_m);
+  const double least_facing = patch.least_facing;
+  const double least_m = patch.least_m, most_m = patch.most_m;
+  double range[4], x[4], y[4], z[4];
+  for (std::size_t k = 0; k < 4; ++k) {
+    // Where the fan of directions ends, cells end with it.
+    const double most_s = std::sqrt(1.0 - w[k] * w[k]);
+    const double below_s = s[k] < most_s ? s[k] : most_s;
+    const double real_s = below_s > -most_s ? below_s : -most_s;
+    const double square = 1.0 - real_s * real_s - w[k] * w[k];
+    const double ahead = std::sqrt(square > 0.0 ? square : 0.0);
+    x[k] = m[0] * ahead - m[1] * real_s + m[2] * w[k];
+    y[k] = m[3] * ahead - m[4] * real_s + m[5] * w[k];
+    z[k] = m[6] * ahead - m[7] * real_s + m[8] * w[k];
+    const double facing = n0 * x[k] + n1 * y[k] + n2 * z[k];
+    const double reach_m = height_m / (facing > least_facing ? facing : least_facing);
+    const double beyond_m = reach_m > least_m ? reach_m : least_m;
+    range[k] = beyond_m < most_m ? beyond_m : most_m;
   }
-}
-
-struct Lobe {
-  float height, steepness, smoothness;
-};
-
-ACOUSTICS_VECTORISED void times_both(float mu, bool lambert, const Lobe& lobe,
-                                     const float* transmit, const float* receive, const float* half,
-                                     std::size_t count, float* section) {
-  constexpr float kPerOctave = 1.44269504F;
-  const float height = lobe.height;
-  const float steepness = lobe.steepness;
-  const float smoothness = lobe.smoothness;
-  for (std::size_t i = 0; i < count; ++i) {
-    const float square = half[i] * half[i];
-    const float cos2 = square < 1.0F ? (square > 1e-6F ? square : 1e-6F) : 1.0F;
-    const float fall = smoothness * cos2 + steepness * (1.0F / cos2 - 1.0F);
-    const float flash = height * fast_exp2(-kPerOctave * fall) / (cos2 * cos2);
-    const float diffuse = lambert ? mu * transmit[i] * receive[i] : mu;
-    section[i] *= diffuse + (fall < static_cast<float>(kFaintest) ? flash : 0.0F);
+  for (std::size_t k = 0; k < 4; ++k) {
+    range_m[k] = range[k];
+    patch.corner_m[0][k] = o[0] + range[k] * x[k];
+    patch.corner_m[1][k] = o[1] + range[k] * y[k];
+    patch.corner_m[2][k] = o[2] + range[k] * z[k];
   }
 }
 
@@ -50,30 +58,21 @@ bool footprint_of(const Echoes& echoes, std::size_t hit, Footprint& patch) {
   patch.height_m = plane[3] - dot(patch.normal, leg.origin_m);
   patch.transmit_height_m = plane[3] - dot(patch.normal, hits.legs[hits.transmit[hit]].origin_m);
   patch.receive_height_m = plane[3] - dot(patch.normal, hits.legs[hits.receive[hit]].origin_m);
-  const double s[2] = {cell[0], cell[1]};
-  const double w[2] = {cell[2], cell[3]};
-  const double facing = dot(patch.normal, direction(leg, 0.5 * (s[0] + s[1]), 0.5 * (w[0] + w[1])));
+  const double middle_w = 0.5 * (static_cast<double>(cell[2]) + cell[3]);
+  const Reals reals = reals_of(cell[0], cell[1], middle_w);
+  const Vector middle = direction(leg, 0.5 * (reals.from_s + reals.to_s), middle_w);
+  const double facing = dot(patch.normal, middle);
   if (!(facing * patch.height_m > 0.0) || !(patch.height_m * patch.transmit_height_m > 0.0) ||
       !(patch.height_m * patch.receive_height_m > 0.0)) {
     return false;
   }
   patch.least_facing = std::fabs(facing) / kFarthest;
-  const double sign = facing > 0.0 ? 1.0 : -1.0;
   patch.least_m = hits.span_m[2 * hit];
   patch.most_m = hits.span_m[2 * hit + 1];
-  patch.near_m = HUGE_VAL;
-  patch.far_m = 0.0;
-  for (std::size_t k = 0; k < 4; ++k) {
-    const Vector d = direction(leg, s[k == 1 || k == 2], w[k >= 2]);
-    const double along = std::max(sign * dot(patch.normal, d), patch.least_facing);
-    const double range_m =
-        std::clamp(std::fabs(patch.height_m) / along, patch.least_m, patch.most_m);
-    for (std::size_t axis = 0; axis < 3; ++axis) {
-      patch.corner_m[k][axis] = leg.origin_m[axis] + range_m * d[axis];
-    }
-    patch.near_m = std::min(patch.near_m, range_m);
-    patch.far_m = std::max(patch.far_m, range_m);
-  }
+  std::array<double, 4> range_m;
+  follow(leg, cell, facing > 0.0 ? 1.0 : -1.0, patch, range_m);
+  patch.near_m = std::min({range_m[0], range_m[1], range_m[2], range_m[3]});
+  patch.far_m = std::max({range_m[0], range_m[1], range_m[2], range_m[3]});
   return true;
 }
 
@@ -94,18 +93,6 @@ double Strength::lobe(double half) const {
   const double cos2 = std::min(half * half, 1.0);
   const double fall = smoothness_ * cos2 + steepness_ * (1.0 / std::max(cos2, 1e-6) - 1.0);
   return fall < kFaintest ? lobe_ * std::exp(-fall) / (cos2 * cos2) : 0.0;
-}
-
-void Strength::times(const float* transmit, const float* receive, const float* half,
-                     std::size_t count, float* section) const {
-  const auto mu = static_cast<float>(mu_);
-  if (lobe_ <= 0.0) {
-    times_diffuse(mu, lambert_, transmit, receive, count, section);
-    return;
-  }
-  const Lobe lobe{static_cast<float>(lobe_), static_cast<float>(steepness_),
-                  static_cast<float>(smoothness_)};
-  times_both(mu, lambert_, lobe, transmit, receive, half, count, section);
 }
 
 double turn_per_m(const double* bent) {

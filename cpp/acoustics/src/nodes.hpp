@@ -1,4 +1,4 @@
-// The scatterers of one patch side by side, so that the compiler can vectorise what happens to
+// The scatterers of many patches side by side, so that the compiler can vectorise what happens to
 // them.
 #pragma once
 
@@ -11,7 +11,24 @@
 
 namespace acoustics {
 
-constexpr std::size_t kNodes = 256;
+// Nodes worked on at once, and how many a vector loop may write beyond them.
+constexpr std::size_t kNodes = 512;
+constexpr std::size_t kLanes = 8;
+
+// What nodes that are worked on together share.
+struct Company {
+  const Leg* transmit;
+  const Leg* receive;
+  bool round;  // the surface
+  bool lobe;   // some of it is a mirror
+
+  [[nodiscard]] bool same_leg() const { return transmit == receive; }
+};
+
+inline bool operator==(const Company& a, const Company& b) {
+  return a.transmit == b.transmit && a.receive == b.receive && a.round == b.round &&
+         a.lobe == b.lobe;
+}
 
 // What the nodes of a patch share.
 struct PatchLaws {
@@ -19,49 +36,86 @@ struct PatchLaws {
   Vector normal;
   double offset;  // of the plane n.p
   Lattice lattice;
-  const double* bent;  // of a round surface, or null
-  const Leg* transmit;
-  const Leg* receive;
+  double first_i, first_j;                     // from which its nodes are counted
+  const double* bent;                          // of a round surface, or null
   double transmit_height_m, receive_height_m;  // of the plane over the legs' origins
   float gain;                                  // of pressure, the node's area included
+  Strength strength;
 };
 
-// Places within the lattice and random bits, one after another.
+// One number of each node.
+template <typename Number>
+using Each = Number[kNodes + kLanes];
+
+// The nodes of some patches.
 struct Nodes {
   std::size_t count = 0;
-  double u[kNodes], v[kNodes];  // in steps, jitter included
-  std::uint32_t bits[kNodes];   // for level and angle
-  double point_m[3][kNodes];
+  Each<std::int32_t> i, j;   // in their lattice, from the patch's first
+  Each<std::uint32_t> bits;  // random, for level and angle
+  Each<double> point_m[3];
+  Each<double> normal[3];   // of the plane; of a round surface, and then of any length
+  Each<float> height_m[2];  // of the plane over the transmitter and the receiver
+  Each<float> gain;
+  Each<float> mu, lobe_height, steepness, smoothness;
 };
+
+// Four sides of a patch, in steps of its lattice; scanned by lines of nodes.
+struct Outline {
+  double along[4], across[4];  // corners
+  double lean[4];              // of the sides that begin there: along over across
+  double first_along, first_across;
+  std::size_t lines;
+  bool turned;  // lines run along j
+};
+
+Outline outline_of(const Corners& corner_m, const Axes& axes, const Lattice& lattice);
+
+// Lines worked on at once.
+constexpr std::size_t kLines = 64;
+
+// Nodes on some lines of an outline, counted from its first ones: from `first` on, `count` of them.
+// Patches that share an edge share no node.
+struct Lines {
+  std::size_t size;
+  std::int32_t first[kLines], count[kLines];
+};
+
+void scan(const Outline& outline, std::size_t from, Lines& lines);
+
+// Works out what belongs to a patch for its nodes, those from `first` on.
+void place(const PatchLaws& patch, const Company& company, std::size_t first, Nodes& nodes);
 
 // The nodes as a leg has them.
 struct Sights {
-  double range_m[kNodes];
-  double way[3][kNodes];  // unit vectors in the object's frame
-  float s[kNodes], w[kNodes];
+  Each<double> range_m;
+  Each<double> way[3];  // unit vectors in the object's frame
+  Each<float> s, w;
 };
 
 // Where and how loudly the nodes are heard.
 struct HeardNodes {
-  float pressure[kNodes];
-  float turns[kNodes];  // of phase, within one
-  std::int32_t row[kNodes];
-  float column[kNodes];  // from the grid's first
+  Each<float> pressure;
+  Each<float> turns;  // of phase, within one
+  Each<std::int32_t> row;
+  Each<float> column;  // from the grid's first
 };
 
-// Works nodes out, `count` of them.
+// Works nodes out.
 class NodeWorks {
  public:
   explicit NodeWorks(const Echoes& echoes) : e_(echoes) {}
-  const HeardNodes& heard(const PatchLaws& patch, const Strength& strength, Nodes& nodes);
+  const HeardNodes& heard(const Company& company, const Nodes& nodes);
 
  private:
+  void strengths(const Company& company, const Nodes& nodes, const Sights& back);
+
   const Echoes& e_;
   Sights out_, back_;
   HeardNodes heard_;
-  float cosine_[3][kNodes];  // to the transmitter, to the receiver, half-way
-  float section_[kNodes];
-  float there_[kNodes], here_[kNodes];  // the vertical pattern
+  Each<float> cosine_[3];  // to the transmitter, to the receiver, half-way
+  Each<float> area_;       // that is seen, over the plane's
+  Each<float> section_;
+  Each<float> there_, here_;  // the vertical pattern
 };
 
 }  // namespace acoustics

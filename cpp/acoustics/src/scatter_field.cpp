@@ -1,3 +1,4 @@
+#include <cstring>
 #include <memory>
 #include <vector>
 
@@ -12,17 +13,23 @@ namespace acoustics {
 
 namespace {
 
-constexpr double kPi = 3.14159265358979323846;
+constexpr std::size_t kAhead = 8;   // hits
 constexpr double kRowsApart = 0.5;  // rows between nodes along the range, at most
+
+// Indices of some nodes in a row, as one value to the compiler.
+using Indices = std::int32_t __attribute__((vector_size(kLanes * sizeof(std::int32_t))));
+constexpr Indices kEach = {0, 1, 2, 3, 4, 5, 6, 7};
 
 // The scatterers of one hit after another, into a band's part of the field.
 class Speckler {
  public:
   Speckler(const Echoes& echoes, const Band& band, std::complex<float>* field)
-      : e_(echoes), band_(band), deposit_(echoes.response, field, band.columns), works_(echoes) {}
+      : e_(echoes),
+        deposit_(echoes.response, echoes.grid.rows, band.column, band.columns, field),
+        works_(echoes) {}
 
   void add(std::size_t hit) {
-    if (!footprint_of(e_, hit, footprint_)) {
+    if (e_.hits.face[hit] < 0 || !footprint_of(e_, hit, footprint_)) {
       return;
     }
     const double row_m = e_.grid.row_m / e_.grid.range_scale;
@@ -40,24 +47,23 @@ class Speckler {
         std::max((footprint_.far_m - footprint_.near_m) / row_m, 1.0) * std::max(wide, 1.0);
     const Lattice lattice = lattice_at(hit, axes, shadow / (e_.laws.nodes_per_cell * cells), row_m);
     begin(hit, axes, lattice);
-    scan_nodes(footprint_.corner_m, axes, lattice,
-               [&](double i, double j) { node(node_key(lattice.key, i, j), i, j); });
-    work();
+    fill();
+    placed();
   }
 
-  void finish() { deposit_.flush(); }
+  void finish() { work(); }
 
  private:
   // Closer along the range than across: a row is much thinner than a beam is wide, and what a cell
   // hears is the more even the more of its nodes stand in line.
   Lattice lattice_at(std::size_t hit, const Axes& axes, double node_m2, double row_m) const {
-    const std::array<Vector, 4>& corner = footprint_.corner_m;
+    const Corners& corner = footprint_.corner_m;
     const Vector& origin = e_.hits.legs[e_.hits.seen[hit]].origin_m;
     const Vector& n = footprint_.normal;
     Vector d;
     for (std::size_t axis = 0; axis < 3; ++axis) {
-      d[axis] = 0.25 * (corner[0][axis] + corner[1][axis] + corner[2][axis] + corner[3][axis]) -
-                origin[axis];
+      const std::array<double, 4>& at = corner[axis];
+      d[axis] = 0.25 * (at[0] + at[1] + at[2] + at[3]) - origin[axis];
     }
     // How range grows over the lattice's plane.
     const double range_m = std::sqrt(std::max(dot(d, d), 1e-12));
@@ -66,9 +72,8 @@ class Speckler {
     const double along_m =
         std::min(std::sqrt(node_m2), kRowsApart * row_m / std::max(std::sqrt(u * u + v * v), 1e-9));
     const int along = level_of(along_m);
-    const int turn = static_cast<int>(std::lround(std::atan2(v, u) * kTurns / kPi)) & (kTurns - 1);
     return lattice_of(e_.laws.key, e_.faces.objects[e_.hits.face[hit]],
-                      {axes, along, level_of(node_m2 / step_of(along)), turn});
+                      {axes, along, level_of(node_m2 / step_of(along)), turn_of(u, v)});
   }
 
   void begin(std::size_t hit, const Axes& axes, const Lattice& lattice) {
@@ -76,12 +81,17 @@ class Speckler {
     const int face = hits.face[hit];
     const std::int32_t smooth = e_.faces.smooth[face];
     const double* bent = smooth < 0 ? nullptr : e_.faces.bent + 12 * smooth;
-    const double turn = bent != nullptr ? turn_per_m(bent) : 0.0;
+    const double turn = e_.laws.specular && bent != nullptr ? turn_per_m(bent) : 0.0;
     const double step_m = std::max(lattice.along_m, lattice.across_m);
-    strength_ = Strength(e_.laws, e_.faces.table[e_.faces.materials[face]],
-                         step_m * (turn + 1.0 / std::max(footprint_.near_m, 1e-3)));
+    const Strength strength(e_.laws, e_.faces.table[e_.faces.materials[face]],
+                            step_m * (turn + 1.0 / std::max(footprint_.near_m, 1e-3)));
     const Leg& transmit = hits.legs[hits.transmit[hit]];
     const Leg& receive = hits.legs[hits.receive[hit]];
+    const Company company{&transmit, &receive, bent != nullptr, strength.has_lobe()};
+    if (!(company == company_)) {
+      work();
+      company_ = company;
+    }
     const double area_m2 =
         lattice.along_m * lattice.across_m / std::fabs(footprint_.normal[axes.c]);
     const double gain = hits.gain[hit] * transmit.gain * receive.gain * std::sqrt(area_m2);
@@ -89,56 +99,94 @@ class Speckler {
               footprint_.normal,
               e_.faces.planes[4 * face + 3],
               lattice,
+              0.0,
+              0.0,
               bent,
-              &transmit,
-              &receive,
               std::fabs(footprint_.transmit_height_m),
               std::fabs(footprint_.receive_height_m),
-              static_cast<float>(gain)};
+              static_cast<float>(gain),
+              strength};
   }
 
-  void node(std::uint64_t key, double i, double j) {
-    constexpr double kUnit = 0x1p-16;
-    const std::size_t at = nodes_.count++;
-    nodes_.u[at] = i + static_cast<double>(key & 0xFFFFU) * kUnit;
-    nodes_.v[at] = j + static_cast<double>(key >> 16 & 0xFFFFU) * kUnit;
-    nodes_.bits[at] = static_cast<std::uint32_t>(key >> 32);
-    if (nodes_.count == kNodes) {
-      work();
+  // Takes the patch's nodes.
+  void fill() {
+    const Outline outline = outline_of(footprint_.corner_m, patch_.axes, patch_.lattice);
+    patch_.first_i = outline.turned ? outline.first_across : outline.first_along;
+    patch_.first_j = outline.turned ? outline.first_along : outline.first_across;
+    std::int32_t* along = outline.turned ? nodes_.j : nodes_.i;
+    std::int32_t* across = outline.turned ? nodes_.i : nodes_.j;
+    for (std::size_t from = 0; from < outline.lines; from += kLines) {
+      scan(outline, from, lines_);
+      for (std::size_t line = 0; line < lines_.size; ++line) {
+        take(lines_.first[line], lines_.count[line], static_cast<std::int32_t>(from + line), along,
+             across);
+      }
+    }
+  }
+
+  void take(std::int32_t first, std::int32_t count, std::int32_t line, std::int32_t* along,
+            std::int32_t* across) {
+    while (count > 0) {
+      const auto some = std::min(count, static_cast<std::int32_t>(kNodes - nodes_.count));
+      // Whole vectors: what is written too much is overwritten or not read.
+      for (std::int32_t k = 0; k < some; k += static_cast<std::int32_t>(kLanes)) {
+        const std::size_t at = nodes_.count + static_cast<std::size_t>(k);
+        const Indices indices = kEach + (first + k);
+        const Indices lines = Indices{} + line;
+        std::memcpy(along + at, &indices, sizeof indices);
+        std::memcpy(across + at, &lines, sizeof lines);
+      }
+      nodes_.count += static_cast<std::size_t>(some);
+      first += some;
+      count -= some;
+      if (nodes_.count == kNodes) {
+        placed();
+        work();
+      }
+    }
+  }
+
+  // Done with what belongs to the patch, for its nodes so far.
+  void placed() {
+    if (placed_ < nodes_.count) {
+      place(patch_, company_, placed_, nodes_);
+      placed_ = nodes_.count;
     }
   }
 
   void work() {
-    if (nodes_.count == 0) {
-      return;
-    }
-    const HeardNodes& heard = works_.heard(patch_, strength_, nodes_);
-    for (std::size_t i = 0; i < nodes_.count; ++i) {
-      deposit(heard, i);
+    if (nodes_.count > 0) {
+      const HeardNodes& heard = works_.heard(company_, nodes_);
+      deposit_.add(
+          {nodes_.count, heard.pressure, heard.turns, nodes_.bits, heard.row, heard.column});
     }
     nodes_.count = 0;
-  }
-
-  void deposit(const HeardNodes& heard, std::size_t i) {
-    const Spread at = spread_at(e_.response, heard.column[i]);
-    const std::ptrdiff_t column = at.column - band_.column;
-    const auto taps = static_cast<std::ptrdiff_t>(e_.response.tap_count);
-    const std::ptrdiff_t row = heard.row[i];
-    if (row < 0 || row >= e_.grid.rows || column < 0 || column + taps > band_.columns) {
-      return;
-    }
-    deposit_.add(heard.pressure[i], heard.turns[i], nodes_.bits[i], row, column, at.fraction);
+    placed_ = 0;
   }
 
   const Echoes& e_;
-  const Band& band_;
   Deposit deposit_;
   NodeWorks works_;
   Footprint footprint_{};
-  Strength strength_{Laws{}, Material{}, 0.0};
-  PatchLaws patch_{};
+  PatchLaws patch_{{}, {}, 0.0, {}, 0.0, 0.0, nullptr, 0.0, 0.0, 0.0F, {Laws{}, Material{}, 0.0}};
+  Company company_{};  // of the nodes
   Nodes nodes_{};
+  Lines lines_{};
+  std::size_t placed_ = 0;
 };
+
+// Hits lie anywhere in the table of faces: asks for a face's entry before it is needed.
+void fetch(const Echoes& echoes, std::size_t hit) {
+#if defined(__GNUC__)
+  const std::int32_t face = std::max(echoes.hits.face[hit], 0);
+  __builtin_prefetch(echoes.faces.planes + 4 * face);
+  const std::int32_t smooth = echoes.faces.smooth[face];
+  if (smooth >= 0) {
+    __builtin_prefetch(echoes.faces.bent + 12 * smooth);
+    __builtin_prefetch(echoes.faces.bent + 12 * smooth + 8);
+  }
+#endif
+}
 
 using Part = std::unique_ptr<std::complex<float>[]>;
 
@@ -157,10 +205,14 @@ void scatter_field(const Echoes& echoes, std::complex<float>* field, int threads
   std::vector<Part> parts(bands.size());
   share(bands.size(), threads, [&](std::size_t i) {
     const Band& band = bands[i];
+    if (band.columns < static_cast<std::ptrdiff_t>(echoes.response.tap_count)) {
+      return;
+    }
     parts[i] = std::make_unique<std::complex<float>[]>(static_cast<std::size_t>(echoes.grid.rows) *
                                                        static_cast<std::size_t>(band.columns));
     const auto speckler = std::make_unique<Speckler>(echoes, band, parts[i].get());
     for (std::size_t hit = band.first; hit < band.last; ++hit) {
+      fetch(echoes, std::min(hit + kAhead, band.last - 1));
       speckler->add(hit);
     }
     speckler->finish();
@@ -168,6 +220,9 @@ void scatter_field(const Echoes& echoes, std::complex<float>* field, int threads
   share(static_cast<std::size_t>(echoes.grid.rows), threads, [&](std::size_t row) {
     const auto at = static_cast<std::ptrdiff_t>(row);
     for (std::size_t i = 0; i < bands.size(); ++i) {
+      if (parts[i] == nullptr) {
+        continue;
+      }
       add_part(bands[i], parts[i].get(), at, field + at * echoes.grid.columns);
     }
   });

@@ -13,6 +13,9 @@ namespace {
 
 constexpr double kMostPieces = 512.0;
 constexpr double kRowsPerPiece = 1.0;
+constexpr double kLeastAhead = 1e-6;
+// Widths in s that are less than this part of x² are angles of width / x, to 0.03 %.
+constexpr double kEven = 0.05;
 
 // Mean powers of one hit after another, into a band's part of the picture.
 class Averager {
@@ -22,7 +25,7 @@ class Averager {
 
   // Cuts a hit's cell into pieces so small that each lies within about one row.
   void add(std::size_t hit) {
-    if (!footprint_of(e_, hit, patch_)) {
+    if (e_.hits.face[hit] < 0 || !footprint_of(e_, hit, patch_)) {
       return;
     }
     begin(hit);
@@ -82,7 +85,32 @@ class Averager {
             reach_m * std::fabs(normal_[2] - normal_[0] * w / x) * w_width};
   }
 
-  void piece(double s, double w, double s_width, double w_width) {
+  struct Bearing {
+    double s, ahead;   // of the piece's middle
+    double angle_rad;  // that its width in s is about the axis of w
+  };
+
+  // A width ds is ds / x of an angle, which grows beyond all bounds where the directions end.
+  static Bearing bearing_of(double s, double w, double s_width) {
+    const double square = 1.0 - s * s - w * w;
+    if (s_width < kEven * square) {
+      const double ahead = std::sqrt(square);
+      return {s, ahead, s_width / ahead};
+    }
+    const Reals reals = reals_of(s - 0.5 * s_width, s + 0.5 * s_width, w);
+    const double from_rad = std::asin(reals.from_s / reals.most_s);
+    const double to_rad = std::asin(reals.to_s / reals.most_s);
+    const double middle_rad = 0.5 * (from_rad + to_rad);
+    return {reals.most_s * std::sin(middle_rad),
+            std::fmax(reals.most_s * std::cos(middle_rad), kLeastAhead), to_rad - from_rad};
+  }
+
+  void piece(double middle_s, double w, double s_width, double w_width) {
+    const Bearing bearing = bearing_of(middle_s, w, s_width);
+    if (!(bearing.angle_rad > 0.0)) {
+      return;
+    }
+    const double s = bearing.s;
     const Vector d = direction(*seen_, s, w);
     const double facing = dot(patch_.normal, d);
     if (facing * patch_.height_m <= 0.0 || std::fabs(facing) < patch_.least_facing) {
@@ -93,15 +121,14 @@ class Averager {
     for (std::size_t axis = 0; axis < 3; ++axis) {
       point_m[axis] = seen_->origin_m[axis] + range_m * d[axis];
     }
-    const double x = std::sqrt(std::max(1.0 - s * s - w * w, 1e-6));
     const Vector normal = bent_ != nullptr ? bent_normal(bent_, point_m) : patch_.normal;
     const double cosine =
         std::max(std::fabs(dot(normal, d)), bent_ != nullptr ? kLeastCosine : 0.0);
-    const double area_m2 = range_m * range_m * s_width * w_width / (x * cosine);
+    const double area_m2 = range_m * range_m * bearing.angle_rad * w_width / cosine;
     const Sight seen{range_m, s, w, d};
     const Sight out = transmit_ == seen_ ? seen : sight_of(*transmit_, point_m);
     const Sight back = receive_ == seen_ ? seen : sight_of(*receive_, point_m);
-    const Extent extent = extent_of(s, w, s_width, w_width);
+    const Extent extent = extent_of(s, w, bearing.angle_rad * bearing.ahead, w_width);
     heard(out, back, area_m2 * cross_section(out, back, normal),
           std::min(extent.across_m + extent.along_m, patch_.far_m - patch_.near_m));
   }

@@ -45,7 +45,7 @@ def test_the_live_map_is_the_scene(floor_scenario: MakeScenario) -> None:
             sonar_map = SonarMap(config_from_text(config_text(served.sonar.port, port)))
             poses = OdometryPoses(sonar_map.config)
             live = Live(sonar_map, poses)
-            counters = live.stepping.counters
+            counters = live.counters
 
             async def seen_enough() -> None:
                 async with asyncio.timeout(60.0):  # long on a busy computer
@@ -55,7 +55,8 @@ def test_the_live_map_is_the_scene(floor_scenario: MakeScenario) -> None:
             await live.run(seen_enough())
             assert counters.pings_total == counters.pings_mapped + counters.pings_dropped.total()
             assert poses.odometry.accepted >= 0.9 * poses.odometry.received > 100
-            assert live.sonar_clock.placed["device"] > live.sonar_clock.placed["arrival"]
+            placed = live.mapping.facts.clocks["placed"]
+            assert placed["device"] > placed["arrival"]
             return sonar_map
 
     occupied = asyncio.run(work()).voxels("occupied").centres_m

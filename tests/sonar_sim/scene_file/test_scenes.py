@@ -64,3 +64,12 @@ def test_tank_has_the_rods_and_the_plate_of_the_published_comparison() -> None:
 
 def _turn_rate_dps(path: Trajectory, time_s: float) -> float:
     return float(np.degrees(np.linalg.norm(path.turn_rates_rps(float(time_s)))))
+
+
+def test_no_scene_depends_on_numbers_drawn_afresh(monkeypatch: pytest.MonkeyPatch) -> None:
+    def drawn(*_: object) -> None:
+        raise AssertionError("a random number that no seed gives")
+
+    # Of this scene's floor some points see an edge of the pipe.
+    monkeypatch.setattr("trimesh.util.random_generator", drawn)
+    assert load_scenario("pipeline").scene.surfaces

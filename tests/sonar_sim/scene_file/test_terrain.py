@@ -36,6 +36,13 @@ def test_waves_are_no_shorter_than_asked_for() -> None:
     assert spectrum[per_m > 0.3].max() < 1e-2 * spectrum[1:].max()
 
 
+@pytest.mark.parametrize("shortest_m", [1e-300, 5e-324, 0.0048])
+def test_waves_of_no_length_are_refused(shortest_m: float) -> None:
+    with pytest.raises(SceneError, match=r"shortest_m is .* must be at least 0\.00488281 m"):
+        rugged(1, longest_m=20.0, shortest_m=shortest_m)
+    assert np.isfinite(rugged(1, longest_m=20.0, shortest_m=0.005)).all()
+
+
 def test_slope_and_ripples_come_on_top() -> None:
     ripples = schema.Ripples(height_m=0.1, length_m=2.0, direction_deg=90.0)
     relief = schema.Procedural(depth_m=10.0, relief_m=0.0, slope=(0.1, 0.0), ripples=ripples)

@@ -9,6 +9,7 @@ from sonar_sim.command.values import count, positive, time_on
 from sonar_sim.effects.cost import measured_costs_ms
 from sonar_sim.effects.look import Look
 from sonar_sim.effects.plan import Decision, EffectPlan, Wish
+from sonar_sim.effects.planner import Planner
 from sonar_sim.engine import Engine
 from sonar_sim.scene_file import load_scenario
 from sonar_sim.sonar_motion import sonar_motion, sonar_pose
@@ -60,10 +61,11 @@ def run(arguments: argparse.Namespace) -> int:
     wish = Wish.read(arguments.effects)
     engine = Engine(scenario.scene, scenario.sonar)
     look = Look(scenario.scene, scenario.sonar, engine.meshes)
-    motion = sonar_motion(scenario, time_s)
-    view = look.at(sonar_pose(scenario, time_s), 0, time_s, motion)
-    plan = EffectPlan.make(view, wish, tolerance)
-    costs_ms = measured_costs_ms(engine, plan, view, arguments.repeats)
+    pose, motion = sonar_pose(scenario, time_s), sonar_motion(scenario, time_s)
+    # The simulator's own way, so that both say the same.
+    planned = Planner(look, wish, tolerance).at(pose, 0, time_s, motion)
+    plan = planned.plan
+    costs_ms = measured_costs_ms(engine, plan, planned.view, arguments.repeats)
     _print(plan, costs_ms, as_json=arguments.json)
     for decision in plan.missed:
         reason = decision.verdict.reason

@@ -147,7 +147,9 @@ class Procedural(Section, frozen=True, tag="procedural", tag_field="kind"):
     depth_m: Annotated[float, says("Of its mean below the surface.", "m", gt=0, le=10000)]
     relief_m: Annotated[float, says("Standard deviation of its height.", "m", ge=0, le=1000)]
     longest_m: Annotated[float, says("Of the waves.", "m", gt=0, le=10000)] = 20.0
-    shortest_m: Annotated[float, says("Of the waves.", "m", gt=0, le=10000)] = 1.0
+    shortest_m: Annotated[
+        float, says("Of the waves; at least a 4096th of the longest.", "m", gt=0, le=10000)
+    ] = 1.0
     hurst: Annotated[
         float, says("Heights go as length to this power: 1 smooth, 0 rugged.", "", ge=0, le=2)
     ] = 1.0

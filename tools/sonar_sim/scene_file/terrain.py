@@ -17,6 +17,8 @@ from sonar_sim.scene_file.shapes import sheet
 Floats = NDArray[np.float64]
 HeightOf = Callable[[Floats, Floats], Floats]
 OCTAVE_WAVES = 12
+MOST_OCTAVES = 12
+"""Between the longest and the shortest waves: each costs as many sines of all points again."""
 MOST_CELLS = 20_000_000
 
 
@@ -66,6 +68,12 @@ def _waves(relief: schema.Procedural) -> HeightOf:
     """
     if relief.shortest_m > relief.longest_m:
         raise SceneError("the shortest waves are longer than the longest")
+    least_m = relief.longest_m / 2.0**MOST_OCTAVES
+    if relief.shortest_m < least_m:
+        raise SceneError(
+            f"shortest_m is {relief.shortest_m:g} m; with longest_m of {relief.longest_m:g} m it "
+            f"must be at least {least_m:g} m"
+        )
     octaves = math.log2(relief.longest_m / relief.shortest_m)
     count = OCTAVE_WAVES * (math.floor(octaves) + 1)
     generator = np.random.Generator(np.random.PCG64(relief.seed))

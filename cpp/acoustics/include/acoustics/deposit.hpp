@@ -1,50 +1,47 @@
-// Scatterers on their way into the field, a batch at a time so that the compiler can vectorise.
+// Scatterers on their way into the field, many at a time so that the compiler can vectorise.
 #pragma once
 
 #include <array>
 #include <complex>
 #include <cstddef>
 #include <cstdint>
+#include <vector>
 
 #include "acoustics/scatter.hpp"
 
 namespace acoustics {
 
-constexpr std::size_t kBatch = 1024;
+constexpr std::size_t kBatch = 512;
+
+// Scatterers, side by side.
+struct Scatterers {
+  std::size_t count;          // at most kBatch
+  const float* pressure;      // rms
+  const float* turns;         // of phase
+  const std::uint32_t* bits;  // random, 16 each for level and angle
+  const std::int32_t* row;
+  const float* column;  // of the grid
+};
 
 class Deposit {
  public:
-  // Writes into a field of `columns` a row.
-  Deposit(const Hearing& response, std::complex<float>* field, std::ptrdiff_t columns);
+  // Writes into a field of the grid's rows and of `columns` from `first_column` on: at least as
+  // many as an echo spreads over.
+  Deposit(const Hearing& response, std::ptrdiff_t rows, std::ptrdiff_t first_column,
+          std::ptrdiff_t columns, std::complex<float>* field);
 
-  // One scatterer of rms pressure, its phase in turns, and 16 bits each of level and angle; its
-  // echo spreads over tap_count columns from `column`.
-  void add(float pressure, float turns, std::uint32_t bits, std::ptrdiff_t row,
-           std::ptrdiff_t column, std::size_t fraction) {
-    const std::size_t i = count_++;
-    pressure_[i] = pressure;
-    turns_[i] = turns + static_cast<float>(bits & 0xFFFFU) * 0x1p-16F;
-    level_[i] = (static_cast<float>(bits >> 16) + 0.5F) * 0x1p-16F;
-    cell_[i] = row * columns_ + column;
-    taps_[i] = fraction * tap_count_;
-    if (count_ == kBatch) {
-      flush();
-    }
-  }
-
-  void flush();
+  // Adds their echoes; those that do not lie within the field are left out.
+  void add(const Scatterers& nodes);
 
  private:
-  void draw();
+  void spread(std::size_t count);
 
-  std::size_t count_ = 0;
+  const Hearing& response_;
+  std::int32_t rows_, first_column_, columns_;
   std::complex<float>* field_;
-  std::ptrdiff_t columns_;
-  const float* table_;
-  std::size_t tap_count_;
-  std::array<float, kBatch> pressure_{}, turns_{}, level_{}, real_{}, imaginary_{};
-  std::array<std::ptrdiff_t, kBatch> cell_{};
-  std::array<std::size_t, kBatch> taps_{};
+  std::vector<float> taps_;  // each twice, for the real and the imaginary part
+  std::array<float, kBatch> pressure_{}, real_{}, imaginary_{};
+  std::array<std::int32_t, kBatch> cell_{}, fraction_{};
 };
 
 }  // namespace acoustics

@@ -23,15 +23,28 @@ inline Vector direction(const Leg& leg, double s, double w) {
           m[6] * x - m[7] * s + m[8] * w};
 }
 
+// The part of a cell's width in s that belongs to directions: s² + w² is no more than 1.
+struct Reals {
+  double most_s, from_s, to_s;
+};
+
+inline Reals reals_of(double from_s, double to_s, double w) {
+  const double most = std::sqrt(std::fmax(1.0 - w * w, 1e-12));
+  return {most, std::fmin(std::fmax(from_s, -most), most), std::fmin(std::fmax(to_s, -most), most)};
+}
+
+// Four points, axis by axis.
+using Corners = std::array<std::array<double, 4>, 3>;
+
 struct Footprint {
   Vector normal;
-  double height_m;                 // of the plane over the seeing origin, along the normal
-  double transmit_height_m;        // over the transmitting one
-  double receive_height_m;         // over the receiving one
-  double least_facing;             // smallest |n.d| that still counts as this patch
-  std::array<Vector, 4> corner_m;  // object's frame, around the patch
-  double least_m, most_m;          // ranges between which the plane is followed
-  double near_m, far_m;            // ranges of the corners from the seeing origin
+  double height_m;           // of the plane over the seeing origin, along the normal
+  double transmit_height_m;  // over the transmitting one
+  double receive_height_m;   // over the receiving one
+  double least_facing;       // smallest |n.d| that still counts as this patch
+  Corners corner_m;          // object's frame, around the patch
+  double least_m, most_m;    // ranges between which the plane is followed
+  double near_m, far_m;      // ranges of the corners from the seeing origin
 };
 
 // A grazing plane is followed out to this many times the range at which it was met.
@@ -42,6 +55,9 @@ constexpr double kLeastCosine = 0.05;
 
 // False where there is none: the plane is seen from behind by one of the legs, or not at all.
 bool footprint_of(const Echoes& echoes, std::size_t hit, Footprint& patch);
+
+// A lobe weaker by exp of this is none.
+constexpr double kFaintest = 25.0;
 
 // Back scattering cross-section of a unit of area.
 class Strength {
@@ -56,9 +72,11 @@ class Strength {
     return lobe_ > 0.0 ? diffuse + lobe(half) : diffuse;
   }
 
-  // Multiplies `section` by it, for many at once.
-  void times(const float* transmit, const float* receive, const float* half, std::size_t count,
-             float* section) const;
+  // Its numbers, for those who work out many at once.
+  [[nodiscard]] float mu() const { return static_cast<float>(mu_); }
+  [[nodiscard]] float lobe_height() const { return static_cast<float>(lobe_); }
+  [[nodiscard]] float steepness() const { return static_cast<float>(steepness_); }
+  [[nodiscard]] float smoothness() const { return static_cast<float>(smoothness_); }
 
  private:
   [[nodiscard]] double lobe(double half) const;

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 
 #include "acoustics/footprint.hpp"
 #include "acoustics/random.hpp"
@@ -28,18 +29,34 @@ inline Axes axes_of(const Vector& normal) {
 }
 
 // Steps of the lattice are powers of 2^(1/4) m, so that near and far pings share their scatterers.
+// Of a step, which is at least 1e-5 m and at most 1e3 m, floor(4 log2 step_m).
 inline int level_of(double step_m) {
-  return static_cast<int>(std::floor(4.0 * std::log2(std::clamp(step_m, 1e-5, 1e3))));
+  constexpr double kQuarters[3] = {1.1892071150027210, 1.4142135623730951, 1.6817928305074290};
+  const double step = std::clamp(step_m, 1e-5, 1e3);
+  std::uint64_t bits = 0;
+  std::memcpy(&bits, &step, sizeof bits);
+  const int exponent = static_cast<int>(bits >> 52) - 1023;
+  bits = (bits & 0xFFFFFFFFFFFFFULL) | 0x3FF0000000000000ULL;
+  double mantissa = 0.0;
+  std::memcpy(&mantissa, &bits, sizeof mantissa);
+  return 4 * exponent + static_cast<int>(mantissa >= kQuarters[0]) +
+         static_cast<int>(mantissa >= kQuarters[1]) + static_cast<int>(mantissa >= kQuarters[2]);
 }
 
-inline double step_of(int level) { return std::exp2(0.25 * level); }
+inline double step_of(int level) {
+  constexpr double kPart[4] = {1.0, 1.1892071150027210, 1.4142135623730951, 1.6817928305074290};
+  const std::uint64_t bits = static_cast<std::uint64_t>((level >> 2) + 1023) << 52;
+  double power = 0.0;
+  std::memcpy(&power, &bits, sizeof power);
+  return power * kPart[level & 3];
+}
 
 // Area of a patch's shadow on its lattice's plane.
-inline double shadow_m2(const std::array<Vector, 4>& corner, const Axes& axes) {
-  const double u1 = corner[2][axes.u] - corner[0][axes.u];
-  const double v1 = corner[2][axes.v] - corner[0][axes.v];
-  const double u2 = corner[3][axes.u] - corner[1][axes.u];
-  const double v2 = corner[3][axes.v] - corner[1][axes.v];
+inline double shadow_m2(const Corners& corner, const Axes& axes) {
+  const double u1 = corner[axes.u][2] - corner[axes.u][0];
+  const double v1 = corner[axes.v][2] - corner[axes.v][0];
+  const double u2 = corner[axes.u][3] - corner[axes.u][1];
+  const double v2 = corner[axes.v][3] - corner[axes.v][1];
   return 0.5 * std::fabs(u1 * v2 - v1 * u2);
 }
 
@@ -51,48 +68,6 @@ struct Lattice {
   double i0, j0;
 };
 
-// Calls visit(i, j) for each node of a lattice inside a convex quadrangle; patches that share an
-// edge share no node.
-template <typename Visit>
-void scan_nodes(const std::array<Vector, 4>& corner, const Axes& axes, const Lattice& lattice,
-                Visit&& visit) {
-  const double along_u = lattice.cosine / lattice.along_m;
-  const double along_v = lattice.sine / lattice.along_m;
-  const double across_u = -lattice.sine / lattice.across_m;
-  const double across_v = lattice.cosine / lattice.across_m;
-  double u[4];
-  double v[4];
-  for (std::size_t k = 0; k < 4; ++k) {
-    const double at_u = corner[k][axes.u];
-    const double at_v = corner[k][axes.v];
-    u[k] = at_u * along_u + at_v * along_v - lattice.i0;
-    v[k] = at_u * across_u + at_v * across_v - lattice.j0;
-  }
-  // Long rows are quicker than many.
-  const double wide = *std::max_element(u, u + 4) - *std::min_element(u, u + 4);
-  const double high = *std::max_element(v, v + 4) - *std::min_element(v, v + 4);
-  const bool turned = high > wide;
-  const double* along = turned ? v : u;
-  const double* across = turned ? u : v;
-  const double top = std::ceil(*std::max_element(across, across + 4));
-  for (double row = std::ceil(*std::min_element(across, across + 4)); row < top; row += 1.0) {
-    double from = HUGE_VAL;
-    double to = -HUGE_VAL;
-    for (std::size_t k = 0; k < 4; ++k) {
-      const std::size_t n = (k + 1) % 4;
-      if ((across[k] <= row) != (across[n] <= row)) {
-        const double crossing =
-            along[k] + (row - across[k]) * (along[n] - along[k]) / (across[n] - across[k]);
-        from = std::min(from, crossing);
-        to = std::max(to, crossing);
-      }
-    }
-    for (double at = std::ceil(from); at < to; at += 1.0) {
-      turned ? visit(row, at) : visit(at, row);
-    }
-  }
-}
-
 // Which lattice a patch has. Turns go in eighths of a half turn: long before a sonar has gone so
 // far around a patch its speckle is another one anyway.
 struct LatticeName {
@@ -103,6 +78,27 @@ struct LatticeName {
 
 constexpr int kTurns = 8;
 
+// Cosines and sines of the turns.
+constexpr double kCosine[kTurns] = {
+    1.0, 0.92387953251128674,  0.70710678118654752,  0.38268343236508977,
+    0.0, -0.38268343236508977, -0.70710678118654752, -0.92387953251128674};
+constexpr double kSine[kTurns] = {
+    0.0, 0.38268343236508977, 0.70710678118654752, 0.92387953251128674,
+    1.0, 0.92387953251128674, 0.70710678118654752, 0.38268343236508977};
+
+// The turn nearest to a direction and its opposite.
+inline int turn_of(double u, double v) {
+  constexpr double kTangent[4] = {0.19891236737965800, 0.66817863791929891, 1.4966057626654890,
+                                  5.0273394921258481};  // of 1, 3, 5 and 7 halves of a turn
+  const double across = std::fabs(v);
+  const double along = std::fabs(u);
+  int turn = 0;
+  for (const double tangent : kTangent) {
+    turn += static_cast<int>(across > tangent * along);
+  }
+  return (u < 0.0) != (v < 0.0) ? (kTurns - turn) & (kTurns - 1) : turn;
+}
+
 // Its origin is random: a scene's symmetry must not decide how many nodes a patch has.
 inline Lattice lattice_of(std::uint64_t key, std::uint32_t object, const LatticeName& name) {
   const auto word = [](int value) {
@@ -112,20 +108,33 @@ inline Lattice lattice_of(std::uint64_t key, std::uint32_t object, const Lattice
                               word(name.turn) << 2 | name.axes.c;
   const std::uint64_t own = joined(joined(key, object), names);
   const std::uint64_t origin = mix(own);
-  const double angle = 3.14159265358979323846 / kTurns * name.turn;
   return {own,
           step_of(name.along_level),
           step_of(name.across_level),
-          std::cos(angle),
-          std::sin(angle),
+          kCosine[name.turn],
+          kSine[name.turn],
           static_cast<double>(origin & 0xFFFFU) * 0x1p-16,
           static_cast<double>(origin >> 16 & 0xFFFFU) * 0x1p-16};
 }
 
-inline std::uint64_t node_key(std::uint64_t lattice, double i, double j) {
-  const auto column = static_cast<std::uint64_t>(static_cast<std::int64_t>(i));
-  const auto row = static_cast<std::uint64_t>(static_cast<std::int64_t>(j));
-  return mix(lattice + column * 0xD1B54A32D192ED03ULL + row * 0x8CB92BA72F3D8DD7ULL);
+// Random bits of a lattice's node (i, j): the first for its place, the second for its echo.
+struct NodeBits {
+  std::uint32_t place, echo;
+};
+
+// All bits of a number stirred (Wellons 2018, "Prospecting for hash functions", lowbias32).
+ACOUSTICS_INLINE std::uint32_t stirred(std::uint32_t number) {
+  number = (number ^ (number >> 16)) * 0x7FEB352DU;
+  number = (number ^ (number >> 15)) * 0x846CA68BU;
+  return number ^ (number >> 16);
+}
+
+// `low` and `high` are the halves of the lattice's key. Nodes of equal bits lie tens of thousands
+// of steps apart.
+ACOUSTICS_INLINE NodeBits node_bits(std::uint32_t low, std::uint32_t high, std::uint32_t i,
+                                    std::uint32_t j) {
+  const std::uint32_t place = stirred(low + i * 0xD192ED03U + j * 0x2F3D8DD7U);
+  return {place, stirred(place ^ high)};
 }
 
 }  // namespace acoustics

@@ -38,7 +38,7 @@ struct Faces {
 // What the rays met. Each owns the cell of directions around it, as the leg that saw it has them.
 struct Hits {
   std::size_t count;
-  const std::int32_t* face;
+  const std::int32_t* face;      // negative: nothing that echoes
   const std::int32_t* seen;      // leg that looked
   const std::int32_t* transmit;  // leg
   const std::int32_t* receive;   // leg
