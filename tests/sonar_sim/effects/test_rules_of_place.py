@@ -29,17 +29,17 @@ def test_a_wrong_speed_of_sound_shifts_rows(off_mps: float, *, on: bool) -> None
     assert found.on is on
 
 
-def test_motion_is_called_for_above_the_references_rates() -> None:
-    # 10 m, 16 mm rows: v R / c over half a row is 1.2 m/s. omega 2 R / c over half a degree
-    # is 37.5 degrees a second.
+def test_motion_is_called_for_above_half_a_row_or_beam() -> None:
+    # 10 m, 16 mm rows: v R / c over half a row is 1.2 m/s. omega 2 R / c over half of the beams'
+    # distance ahead, 0.2 degrees, is 7.5 degrees a second.
     def on(forward_mps: float, turn_dps: float) -> bool:
         view = view_of(wall(9.99), at=pose(0.0), moving=motion(forward_mps, turn_dps))
         return verdict("motion", view).on
 
     assert not on(1.0, 0.0)
     assert on(1.4, 0.0)
-    assert not on(0.0, 25.0)
-    assert on(0.0, 45.0)
+    assert not on(0.0, 6.0)
+    assert on(0.0, 9.0)
     assert not verdict("motion", view_of(floor())).on
 
 

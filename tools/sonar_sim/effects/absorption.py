@@ -14,7 +14,7 @@ def decide(view: View, tolerance: Tolerance) -> Verdict:
     picture = (view.picture - view.noise_power) * back + view.noise_power
     two_way_db = 2.0 * alpha * view.sonar.range_m
     reason = f"2 alpha R = {two_way_db:.1f} dB at {view.sonar.range_m:.0f} m"
-    return by_level(view.change_db(picture, tolerance), tolerance, reason)
+    return by_level(view.change_in_place_db(picture, tolerance), tolerance, reason)
 
 
 def configure(physics: Physics, view: View) -> None:

@@ -1,5 +1,7 @@
 """Bubbles: plumes and wakes that hide what is behind and shine themselves."""
 
+from dataclasses import replace
+
 from sonar_sim.effects.clouds import clouds_of
 from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
 from sonar_sim.effects.verdicts import by_level
@@ -16,7 +18,9 @@ def decide(view: View, tolerance: Tolerance) -> Verdict:
         return Verdict(on=False, reason="the scene declares no bubbles", predicted_db=0.0)
     deepest_db = float(view.two_way_cloud_db(clouds, view.echoes).max(initial=0.0))
     reason = f"clouds take up to {deepest_db:.1f} dB of what is behind"
-    return by_level(view.change_db(view.without_clouds(Bubbles), tolerance), tolerance, reason)
+    # A plume fills few pixels and is faint, but it is what one looks for.
+    anywhere = replace(tolerance, share=0.0)
+    return by_level(view.change_db(view.without_clouds(Bubbles), anywhere), tolerance, reason)
 
 
 def configure(physics: Physics, view: View) -> None:
@@ -30,7 +34,7 @@ EFFECT = Effect(
     needs="declared clouds",
     formula="4.34 n 2 pi a² dB/m; back scattering n a² / 4",
     source="geometric optics above the resonance 3.26 / a Hz (Minnaert)",
-    rule="the picture without the clouds differs by more than the tolerance",
+    rule="any pixel without the clouds differs by more than the tolerance",
     cost=Cost.RAY,
     parameters=(
         Parameter("cloud.low_m", "m", "corner of the box, and high_m the other"),
@@ -39,4 +43,5 @@ EFFECT = Effect(
     ),
     decide=decide,
     configure=configure,
+    anywhere=True,
 )

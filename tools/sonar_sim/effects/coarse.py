@@ -60,7 +60,8 @@ class CoarseGrid:
     def picture(self, echoes: Echoes, power: NDArray[np.float64]) -> NDArray[np.float64]:
         """Expected power of a pixel in each coarse cell, side lobes included, (rows, COLUMNS)."""
         main = self.main_lobes(echoes, power)
-        picture: NDArray[np.float64] = main + product(main, side_lobe_matrix(self.sonar))
+        leaked = product(main.astype(np.float32), side_lobe_matrix(self.sonar))
+        picture: NDArray[np.float64] = main + leaked
         return picture
 
     def main_lobes(self, echoes: Echoes, power: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -109,15 +110,23 @@ def change_db(
     after: NDArray[np.float64],
     sonar: SonarSettings,
     tolerance: Tolerance,
+    *,
+    displaced: bool = True,
 ) -> float:
     """How much two coarse pictures of amplitude differ; clipped as the receiver would.
 
-    What a displacement by the tolerated part of the sonar's own cells explains does not count.
+    What a displacement by the tolerated part of the sonar's own cells explains does not count,
+    unless `displaced` is off.
     """
     rows, columns = before.shape
     cells = tolerance.cells * rows / sonar.rows, tolerance.cells * columns / sonar.beams
+    brighter = 10.0 ** (tolerance.brighter_db / 20.0)
     return level_change_db(
-        np.minimum(before, 1.0), np.minimum(after, 1.0), sonar, tolerance.share, cells
+        np.minimum(before, 1.0) * brighter,
+        np.minimum(after, 1.0) * brighter,
+        sonar,
+        tolerance.share,
+        cells if displaced else (0.0, 0.0),
     )
 
 
@@ -128,7 +137,7 @@ def equivalent_beams(sonar: SonarSettings) -> float:
 
 
 @lru_cache(maxsize=32)
-def side_lobe_matrix(sonar: SonarSettings) -> NDArray[np.float64]:
+def side_lobe_matrix(sonar: SonarSettings) -> NDArray[np.float32]:
     """Power that a column of the coarse picture leaks into the others, (COLUMNS, COLUMNS).
 
     The picture's powers include the main lobe's equivalent width: divided out here.
@@ -140,7 +149,8 @@ def side_lobe_matrix(sonar: SonarSettings) -> NDArray[np.float64]:
     squared[np.abs(sine) < main_lobe_end(sonar.beam_width_rad, sonar.side_lobe_db)] = 0.0
     leak = squared.mean(axis=1) * sonar.beams / COLUMNS / equivalent_beams(sonar)
     index = np.arange(COLUMNS)
-    matrix: NDArray[np.float64] = leak[index[:, None] - index + COLUMNS - 1]
+    # Sums of powers lose nothing in single precision.
+    matrix: NDArray[np.float32] = leak[index[:, None] - index + COLUMNS - 1].astype(np.float32)
     matrix.setflags(write=False)
     return matrix
 

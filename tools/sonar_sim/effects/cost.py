@@ -39,5 +39,5 @@ def _toggled(plan: EffectPlan, toggled: Decision) -> EffectPlan:
 
 def _ping_ms(engine: Engine, physics: Physics, view: View) -> float:
     start = time.process_time()
-    engine.ping(view.map_T_sonar, physics, view.ping_id, view.time_s, view.motion)
+    engine.ping(view.own_pose, physics, view.ping_id, view.own_time_s, view.motion)
     return (time.process_time() - start) * 1e3

@@ -1,7 +1,7 @@
 """Doppler: a shifted chirp looks like one that comes from another range."""
 
 from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
-from sonar_sim.effects.listening import fastest_mps
+from sonar_sim.effects.listening import speed_mps
 from sonar_sim.effects.movers import doppler_shift_s, move_verdict
 from sonar_sim.effects.view import View
 from sonar_sim.physics import Physics
@@ -11,7 +11,7 @@ from sonar_sim.tolerance import Tolerance
 def decide(view: View, tolerance: Tolerance) -> Verdict:
     """On if the chirp's coupling shifts echoes by more than the tolerated part of a row."""
     chirp_ms = view.sonar.pulse_s * 1e3
-    reason = f"{fastest_mps(view):.2f} m/s with a chirp of {chirp_ms:.1f} ms"
+    reason = f"{speed_mps(view):.2f} m/s with a chirp of {chirp_ms:.1f} ms"
     return move_verdict("doppler", view, tolerance, reason)
 
 

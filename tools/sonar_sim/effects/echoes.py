@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.effects.rays import SEA, Met
+from sonar_sim.fan import solid_angle_sr
 from sonar_sim.lobe import lobe_strength
 from sonar_sim.poses import Pose
 from sonar_sim.scene import Scene
@@ -16,6 +17,8 @@ COLUMNS = 96
 ELEVATIONS = 64
 TOP = math.sin(math.radians(40.0))
 """Sine of the highest elevation: out to the vertical pattern's second lobe."""
+LEAST_AHEAD = 1e-3
+"""Sine of the angle to the plane across the sonar below which a ray tells nothing."""
 GRAZING = 1e-3
 """Cosine of incidence below which a patch has no size worth naming."""
 
@@ -28,6 +31,7 @@ class Fan:
         directions: unit vectors, sonar frame, (N, 3).
         column: of the coarse picture, (N,).
         sine_step, up_step: edges of a ray's cell in s and w.
+        solid_angle_sr: of each ray's cell, (N,).
         left_sine: where the first column begins.
     """
 
@@ -36,9 +40,10 @@ class Fan:
     sine_step: float
     up_step: float
     left_sine: float
+    solid_angle_sr: NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Echoes:
     """Patches of surface, one a ray that met something in range, and points.
 
@@ -87,10 +92,15 @@ def coarse_fan(sonar: SonarSettings) -> Fan:
     w = (np.arange(ELEVATIONS) + 0.5) * up_step - TOP
     ss, ww = np.meshgrid(s, w, indexing="ij")
     column = np.broadcast_to(np.arange(COLUMNS)[:, None], ss.shape)
-    ahead = 1.0 - ss**2 - ww**2
-    real = ahead > sine_step**2
-    directions = np.stack([np.sqrt(ahead[real]), -ss[real], ww[real]], axis=1)
-    return Fan(directions, column[real], sine_step, up_step, -edge)
+    half_s, half_w = sine_step / 2.0, up_step / 2.0
+    solid_angle = solid_angle_sr(ss - half_s, ss + half_s, ww - half_w, ww + half_w)
+    # The last cells of a row hold directions only in part, and are looked into there.
+    most = np.sqrt(1.0 - ww**2)
+    middle = (np.clip(ss - half_s, -most, most) + np.clip(ss + half_s, -most, most)) / 2.0
+    ahead = np.sqrt(np.maximum(1.0 - middle**2 - ww**2, 0.0))
+    real = (solid_angle > 0.0) & (ahead > LEAST_AHEAD)
+    directions = np.stack([ahead[real], -middle[real], ww[real]], axis=1)
+    return Fan(directions, column[real], sine_step, up_step, -edge, solid_angle[real])
 
 
 def echoes_of(
@@ -106,8 +116,9 @@ def echoes_of(
     local = normal @ map_T_sonar.rotation
     cos_incidence = np.abs(np.sum(local * direction, axis=1))
     facing = np.maximum(cos_incidence, GRAZING)
-    area_m2 = np.square(range_m) * fan.sine_step * fan.up_step / (direction[:, 0] * facing)
-    turn = met.turn[near] * (np.square(range_m * fan.up_step / math.sqrt(12.0))[:, None] ** [1, 2])
+    area_m2 = np.square(range_m) * fan.solid_angle_sr[near] / facing
+    patch_m2 = np.square(range_m * fan.up_step) / 12.0
+    turn = met.turn[near] * patch_m2[:, None] ** [1, 2, 1]
     surface = met.surface[near]
     mu, lobe = _scattering(
         scene, sonar, fan, surface=surface, cos_incidence=cos_incidence, turn=turn
@@ -138,7 +149,8 @@ def _scattering(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lambert's coefficient, and the mirror lobe's scattering per unit area, of each patch.
 
-    `turn` holds the variances of the normal within a patch by its curvature: sum and product.
+    `turn` holds the variances of the normal within a patch by its curvature: their sum, their
+    product, and what the ray's part in the tangent plane has of them (see `Met`).
     """
     wave_number = 2.0 * math.pi * sonar.frequency_hz / scene.water.speed_of_sound_mps
     materials = [s.material for s in scene.surfaces]
@@ -152,13 +164,17 @@ def _scattering(
     # A patch is as bright as its brightest part: the lobe may be narrower than a coarse cell.
     reach = max(fan.sine_step, fan.up_step) / 2.0
     incidence = np.maximum(np.arccos(np.clip(cos_incidence, 0.0, 1.0)) - reach, 0.0)
-    # A round patch holds normals of many slopes: as many, on average, as one that is so rough.
+    # A round patch holds normals of many slopes, a tube's along one direction only: slopes of
+    # covariance S = own 1 + turn, and the lobe is that of the slope which mirrors the ray back,
+    # (tan i)² over its variance.
     own = np.square(slope_rad)
     both = np.square(own) + own * turn[:, 0] + turn[:, 1]
-    lobe = lobe_strength(
-        np.cos(incidence), reflection, roughness_m, np.sqrt(own + turn[:, 0]), wave_number
-    )
-    lobe *= (own + turn[:, 0]) / np.sqrt(both)
+    cos2 = np.maximum(np.square(cos_incidence), GRAZING)
+    sin2 = np.maximum(1.0 - cos2, GRAZING**2)
+    # g S^-1 g = ((own + trace) g² - g turn g) / det S for a direction g of the tangent plane.
+    variance = both / np.maximum(own + turn[:, 0] - turn[:, 2] / sin2, 1e-12)
+    lobe = lobe_strength(np.cos(incidence), reflection, roughness_m, np.sqrt(variance), wave_number)
+    lobe *= variance / np.sqrt(both)
     return mu, np.where(reflection != 0.0, lobe, 0.0)
 
 

@@ -23,22 +23,22 @@ def _arrivals_of(emitter: Emitter, view: View) -> list[Arrival]:
     band_hz = (emitter.bandwidth_hz + view.sonar.bandwidth_hz(view.speed_mps)) / 2.0
     if abs(emitter.frequency_hz - view.sonar.frequency_hz) > band_hz:
         return []
-    away_m = np.asarray(emitter.position_m, dtype=np.float64) - view.map_T_sonar.position_m
+    away_m = np.asarray(emitter.position_m, dtype=np.float64) - view.own_pose.position_m
     range_m = max(float(np.linalg.norm(away_m)), 1.0)
-    x, y, z = (away_m @ view.map_T_sonar.rotation) / range_m
+    x, y, z = (away_m @ view.own_pose.rotation) / range_m
     if x <= 0.0:
         return []
     one_way = math.sqrt(float(vertical_two_way_power(np.array(z), view.sonar.vertical_width_rad)))
     loss_db = 20.0 * math.log10(range_m) + (view.water_db_per_m + view.sediment_db_per_m) * range_m
     level_db = emitter.source_level_db - loss_db + 10.0 * math.log10(max(one_way, 1e-12))
     # The first transmission of the emitter that is still heard at or after ours.
-    since_s = view.time_s - range_m / view.speed_mps - emitter.offset_s - emitter.pulse_s
+    since_s = view.own_time_s - range_m / view.speed_mps - emitter.offset_s - emitter.pulse_s
     number = max(math.ceil(since_s / emitter.period_s), 0)
     heard: list[Arrival] = []
     end_s = 2.0 * view.sonar.range_m / view.speed_mps
     while True:
         sent_s = emitter.offset_s + number * emitter.period_s
-        time_s = sent_s + range_m / view.speed_mps - view.time_s
+        time_s = sent_s + range_m / view.speed_mps - view.own_time_s
         if time_s > end_s:
             return heard
         heard.append(Arrival(time_s, emitter.pulse_s, -float(y), level_db))

@@ -1,6 +1,6 @@
 """Looking before the ping: the coarse cast that the rules see."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ from sonar_sim.sonar import SonarSettings
 
 LEVEL = 0.7
 """A floor's mean |vertical part of the normal|, at least."""
+BEHIND = 3
+"""Every so manieth ray goes on behind what it met: what lies there is wide, or hardly hidden."""
 FOOT_M = 0.5
 """How far above the scene's lowest point a floor's lowest point may lie."""
 
@@ -70,13 +72,24 @@ class Look:
         time_s: float = 0.0,
         motion: SonarMotion | None = None,
     ) -> View:
-        """Cast the coarse rays, and once more from behind what they met."""
+        """Cast the coarse rays; once more from behind what they met if that is asked for."""
         turned = product(self._fan.directions, map_T_sonar.rotation.T)
         origin_m = map_T_sonar.position_m
         met = cast(self._meshes, origin_m, turned, time_s, self._sonar.range_m)
         echoes = echoes_of(self._scene, self._sonar, self._fan, map_T_sonar, met)
-        behind = self._behind(origin_m, turned, time_s, met.range_m)
-        hidden = echoes_of(self._scene, self._sonar, self._fan, map_T_sonar, behind)
+
+        def hidden() -> Echoes:
+            some = slice(None, None, BEHIND)
+            behind = self._behind(origin_m, turned[some], time_s, met.range_m[some])
+            fan = replace(
+                self._fan,
+                directions=self._fan.directions[some],
+                column=self._fan.column[some],
+                up_step=BEHIND * self._fan.up_step,
+                solid_angle_sr=BEHIND * self._fan.solid_angle_sr[some],
+            )
+            return echoes_of(self._scene, self._sonar, fan, map_T_sonar, behind)
+
         points = self._points(map_T_sonar, time_s)
         return View(
             scene=self._scene,
@@ -88,8 +101,10 @@ class Look:
             meshes=self._meshes,
             planes=self._planes,
             bottoms=self._bottoms,
+            fan=self._fan,
+            end_m=met.range_m,
             echoes=_joined(echoes, points),
-            hidden=hidden,
+            look_behind=hidden,
         )
 
     def _behind(
@@ -103,7 +118,7 @@ class Look:
             np.full(len(range_m), np.inf),
             np.zeros((len(range_m), 3)),
             np.full(len(range_m), NOTHING, dtype=np.int64),
-            np.zeros((len(range_m), 2)),
+            np.zeros((len(range_m), 3)),
         )
         hit = np.flatnonzero(range_m < self._sonar.range_m)
         if len(hit) == 0:

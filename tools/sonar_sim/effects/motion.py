@@ -3,7 +3,7 @@
 import math
 
 from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
-from sonar_sim.effects.listening import fastest_mps, turn_rps
+from sonar_sim.effects.listening import speed_mps, turn_rps
 from sonar_sim.effects.movers import move_verdict, moved_cells
 from sonar_sim.effects.view import View
 from sonar_sim.physics import Physics
@@ -16,7 +16,7 @@ BLOCK_CELLS = 0.25
 
 def decide(view: View, tolerance: Tolerance) -> Verdict:
     """On if range shifts or the picture turns by more than the tolerated part of a cell."""
-    speed, turn = fastest_mps(view), math.degrees(turn_rps(view))
+    speed, turn = speed_mps(view), math.degrees(turn_rps(view))
     reason = f"{speed:.2f} m/s, {turn:.1f}°/s, echoes to {view.far_m:.0f} m"
     return move_verdict("motion", view, tolerance, reason)
 

@@ -4,49 +4,59 @@ Displacements add up, so what is left out is judged by its sum: the farthest mov
 first, until the rest together stay within the tolerance.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.effects.bending import bending
-from sonar_sim.effects.echoes import COLUMNS
 from sonar_sim.effects.effect import Verdict
-from sonar_sim.effects.listening import closing_mps, turn_rps
+from sonar_sim.effects.parts import parts_of
 from sonar_sim.effects.verdicts import displaced_db
 from sonar_sim.effects.view import View
-from sonar_sim.picture_change import full_scale, gamma_of
 from sonar_sim.sonar import SonarSettings
-from sonar_sim.texture import FARTHEST, LEAST_STEPS
+from sonar_sim.texture import FARTHEST
 from sonar_sim.tolerance import Tolerance
+
+MOVERS = ("sound_speed", "motion", "doppler", "refraction")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Move:
-    """Displacement of each echo, (N,) each: towards farther rows, and across beams, unsigned."""
+    """Displacement of the picture's parts, (P,) each: to farther rows, and to starboard beams."""
 
     rows: NDArray[np.float64]
     beams: NDArray[np.float64]
 
-    def __add__(self, other: "Move") -> "Move":
-        """Both together."""
-        return Move(self.rows + other.rows, self.beams + other.beams)
+    @property
+    def cells(self) -> float:
+        """How far all but a few of the parts move, by rows or by beams."""
+        return max(_farthest(self.rows), _farthest(self.beams))
 
 
 def moves(view: View) -> dict[str, Move]:
-    """What each mover does to each echo."""
-    sonar, range_m = view.sonar, view.echoes.range_m
-    row_m, none = sonar.range_resolution_m, np.zeros(len(range_m))
-    closing = closing_mps(view)
-    turned_rad = turn_rps(view) * 2.0 * range_m / view.speed_mps
+    """What each mover does to each part of the picture.
+
+    Sound that comes back from range R after 2 R / c meets a sonar that has come v R / c nearer, on
+    the way there and back together, and has turned by omega 2 R / c.
+    """
+    sonar, speed_mps, parts = view.sonar, view.speed_mps, parts_of(view)
+    row_m, none = sonar.range_resolution_m, np.zeros(len(parts.range_m))
+    velocity_mps, turn_rps = np.zeros(3), np.zeros(3)
+    if view.motion is not None:
+        velocity_mps = view.map_T_sonar.rotation.T @ np.asarray(view.motion.linear_mps)
+        turn_rps = np.asarray(view.motion.angular_rps)
+    closing_mps = parts.away @ velocity_mps - parts.leaving_mps
+    closing_m2ps = parts.away_m @ velocity_mps - parts.leaving_m2ps
+    sines = parts.turned_m @ turn_rps + parts.passed @ velocity_mps - parts.passing_mps
     return {
-        "sound_speed": Move(range_m * (range_scale(view) - 1.0) / row_m, none),
+        "sound_speed": Move(parts.range_m * (range_scale(view) - 1.0) / row_m, none),
         "motion": Move(
-            -closing * range_m / view.speed_mps / row_m, turned_rad / sonar.beam_width_rad
+            -closing_m2ps / speed_mps / row_m, 2.0 / speed_mps * sines / sonar.sine_pitch
         ),
-        "doppler": Move(closing * doppler_shift_s(sonar, view.speed_mps) / row_m, none),
-        "refraction": Move(range_m * (bending(view).stretch - 1.0) / row_m, none),
+        "doppler": Move(closing_mps * doppler_shift_s(sonar, speed_mps) / row_m, none),
+        "refraction": Move(parts.stretched_m / row_m, none),
     }
 
 
@@ -66,10 +76,12 @@ class Movers:
     """What moves one ping's picture.
 
     Attributes:
+        moves: of each mover.
         cells: how far each mover takes all but a few of the picture's parts.
         left_out: movers whose displacements together stay within the tolerance, at `cells`.
     """
 
+    moves: dict[str, Move]
     cells: dict[str, float]
     left_out: dict[float, frozenset[str]]
 
@@ -87,7 +99,7 @@ def move_verdict(name: str, view: View, tolerance: Tolerance, reason: str) -> Ve
     movers = _movers(view)
     left = movers.left_out.get(tolerance.cells)
     if left is None:
-        left = movers.left_out[tolerance.cells] = _left_out(view, movers, tolerance.cells)
+        left = movers.left_out[tolerance.cells] = _left_out(movers, tolerance.cells)
     cells = movers.cells[name]
     return Verdict(name not in left, f"{reason}: {cells:.2g} cells", displaced_db(cells))
 
@@ -95,70 +107,26 @@ def move_verdict(name: str, view: View, tolerance: Tolerance, reason: str) -> Ve
 def _movers(view: View) -> Movers:
     known = _KNOWN.get(view)
     if known is None:
-        parts = _Parts.of(view)
-        known = Movers({n: parts.moved_cells(move) for n, move in moves(view).items()}, {})
+        found = moves(view)
+        known = Movers(found, {name: move.cells for name, move in found.items()}, {})
         _KNOWN[view] = known
     return known
 
 
-def _left_out(view: View, movers: Movers, cells: float) -> frozenset[str]:
+def _left_out(movers: Movers, cells: float) -> frozenset[str]:
     """Drop the farthest mover until the rest together stay within the tolerance."""
     left = sorted(movers.cells, key=lambda mover: (movers.cells[mover], mover))
     if sum(movers.cells.values()) <= cells:
         return frozenset(left)
-    found, parts = moves(view), _Parts.of(view)
-    while left and parts.moved_cells(_sum([found[mover] for mover in left])) > cells:
+    while left and _sum(movers.moves[mover] for mover in left).cells > cells:
         left.pop()
     return frozenset(left)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Parts:
-    """Parts of the picture that can be seen to move: coarse cells bright enough.
-
-    Echoes that share one move as one, by the mean of their powers: what lies above and below can
-    move to and fro.
-
-    Attributes:
-        place: coarse cell of each echo, (N,).
-        power: of each echo, (N,).
-        total: of each coarse cell, (cells,).
-        seen: which coarse cells are bright enough, (cells,).
-    """
-
-    place: NDArray[np.int64]
-    power: NDArray[np.float64]
-    total: NDArray[np.float64]
-    seen: NDArray[np.bool_]
-
-    @classmethod
-    def of(cls, view: View) -> "_Parts":
-        grid, echoes = view.grid, view.echoes
-        row = np.clip((echoes.range_m / grid.row_m).astype(np.int64), 0, grid.rows - 1)
-        place = row * COLUMNS + echoes.column
-        power = np.maximum(view.echo_power, 1e-30)
-        total = np.bincount(place, power, grid.rows * COLUMNS).astype(np.float64)
-        least = (LEAST_STEPS / full_scale(view.sonar)) ** (1.0 / gamma_of(view.sonar))
-        seen: NDArray[np.bool_] = (total > 0.0) & (
-            view.gains.amplitude(view.echo_picture).ravel() > least
-        )
-        return cls(place.astype(np.int64), power, total, seen)
-
-    def moved_cells(self, move: Move) -> float:
-        """How far all but a few of the parts move, by rows or by beams."""
-        if not self.seen.any():
-            return 0.0
-        return max(self._moved(part) for part in (move.rows, move.beams))
-
-    def _moved(self, cells: NDArray[np.float64]) -> float:
-        if not cells.any():
-            return 0.0
-        mean = np.bincount(self.place, self.power * cells, len(self.total))[self.seen]
-        return float(np.quantile(np.abs(mean / self.total[self.seen]), FARTHEST))
+def _sum(parts: Iterable[Move]) -> Move:
+    rows, beams = zip(*((move.rows, move.beams) for move in parts), strict=True)
+    return Move(np.sum(rows, axis=0), np.sum(beams, axis=0))
 
 
-def _sum(parts: list[Move]) -> Move:
-    total = parts[0]
-    for part in parts[1:]:
-        total = total + part
-    return total
+def _farthest(cells: NDArray[np.float64]) -> float:
+    return float(np.quantile(np.abs(cells), FARTHEST)) if cells.any() else 0.0

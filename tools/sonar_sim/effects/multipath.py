@@ -1,13 +1,18 @@
 """Multipath: a calm surface or a smooth wall throws echoes on, and ghosts appear behind."""
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 
+from sonar_sim.effects.echoes import Echoes
 from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
 from sonar_sim.effects.ghosts import Ghosts, ghosts_of
 from sonar_sim.effects.verdicts import by_level
 from sonar_sim.effects.view import View
 from sonar_sim.physics import Physics
 from sonar_sim.tolerance import Tolerance
+
+_KNOWN: WeakKeyDictionary[Echoes, list[Ghosts]] = WeakKeyDictionary()
 
 
 def decide(view: View, tolerance: Tolerance) -> Verdict:
@@ -22,8 +27,11 @@ def decide(view: View, tolerance: Tolerance) -> Verdict:
 
 
 def _ghosts(view: View) -> list[Ghosts]:
-    found = (ghosts_of(view, plane) for plane in view.planes)
-    return [ghosts for ghosts in found if ghosts is not None]
+    known = _KNOWN.get(view.echoes)
+    if known is None:
+        found = (ghosts_of(view, plane) for plane in view.planes)
+        known = _KNOWN[view.echoes] = [ghosts for ghosts in found if ghosts is not None]
+    return known
 
 
 def configure(physics: Physics, view: View) -> None:

@@ -1,8 +1,8 @@
 """The plan of a ping: which effects are computed, and why."""
 
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 
 from sonar_sim.effects.effect import Effect, Verdict
 from sonar_sim.effects.registry import EFFECTS
@@ -92,13 +92,36 @@ class EffectPlan:
     auto: bool = False
 
     @classmethod
-    def make(cls, view: View, wish: Wish, tolerance: Tolerance) -> "EffectPlan":
-        """Ask every rule, then obey the wish."""
+    def make(
+        cls,
+        view: View,
+        wish: Wish,
+        tolerance: Tolerance,
+        names: Collection[str] = frozenset(EFFECTS),
+    ) -> "EffectPlan":
+        """Ask the rules of all effects or of some, then obey the wish."""
         decisions = []
         for effect in EFFECTS.values():
-            verdict = effect.decide(view, tolerance)
-            decisions.append(Decision(effect, verdict, wish.on(effect.name, verdict)))
+            if effect.name in names:
+                verdict = effect.decide(view, tolerance)
+                decisions.append(Decision(effect, verdict, wish.on(effect.name, verdict)))
         return cls(tuple(decisions), wish.ground == AUTO)
+
+    def without(self, names: Collection[str]) -> "EffectPlan":
+        """The decisions on other effects."""
+        kept = tuple(d for d in self.decisions if d.effect.name not in names)
+        return EffectPlan(kept, self.auto)
+
+    def switched_off(self, name: str) -> "EffectPlan":
+        """The same decisions with one effect off."""
+        off = (replace(d, on=False) if d.effect.name == name else d for d in self.decisions)
+        return EffectPlan(tuple(off), self.auto)
+
+    def with_more(self, other: "EffectPlan") -> "EffectPlan":
+        """The decisions of two plans on different effects."""
+        places = {name: place for place, name in enumerate(EFFECTS)}
+        both = (*self.decisions, *other.decisions)
+        return EffectPlan(tuple(sorted(both, key=lambda d: places[d.effect.name])), self.auto)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -121,13 +144,17 @@ class EffectPlan:
     def physics(self, view: View) -> Physics:
         """Fill in the settings of the effects that are on."""
         physics = Physics(silent=view.bottoms)
+        self.configure(physics, view)
+        return physics
+
+    def configure(self, physics: Physics, view: View) -> None:
+        """Fill them into given settings."""
         for decision in self.decisions:
             if decision.on:
                 decision.effect.configure(physics, view)
             elif self.auto and decision.effect.name == HIDING and not decision.verdict.on:
                 # What lies behind does not show, and not to look for it is cheaper.
                 physics.shadows = True
-        return physics
 
 
 def _known(name: str) -> str:

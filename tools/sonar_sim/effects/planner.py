@@ -1,9 +1,11 @@
-"""Deciding for pings in a row: what lies near one another in pose and time is decided as one.
+"""Deciding for pings in a row: what lies near one another in pose and time is looked at as one.
 
 Looking and asking all rules costs more than a ping can spare, and their answers hardly change from
-one ping to the next. So poses, times and velocities are rounded before they are looked from, and
-what came out is kept for the next ping of the same cell. A decision thus depends on the ping alone,
-never on which pings went before: that would make the bytes depend on who computes which ping.
+one ping to the next. So poses and times are rounded before they are looked from, and what came out
+is kept for the next ping of the same cell. Where a rule is in doubt about a cell, each of its pings
+looks from its own pose. What motion displaces and what other sonars send is
+asked of every ping, by its own motion and time. A decision thus depends on the ping alone, never on
+which pings went before: that would make the bytes depend on who computes which ping.
 """
 
 import math
@@ -15,28 +17,35 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sonar_sim.effects.doubt import judged
 from sonar_sim.effects.look import Look
-from sonar_sim.effects.movers import doppler_shift_s
-from sonar_sim.effects.plan import Decision, EffectPlan, Wish
+from sonar_sim.effects.movers import MOVERS
+from sonar_sim.effects.plan import EffectPlan, Wish
 from sonar_sim.effects.registry import EFFECTS
-from sonar_sim.effects.view import View
+from sonar_sim.effects.view import OwnPing, View
 from sonar_sim.engine import SonarMotion
 from sonar_sim.physics import Physics
 from sonar_sim.poses import Pose
 from sonar_sim.tolerance import Tolerance
 
-CELLS_IN_RANGE = 64
-"""Cells of position in the sonar's range."""
-ANGLE_RAD = math.radians(1.0)
+CELLS_IN_RANGE = (16, 48)
+"""Cells of position in the sonar's range; the finer ones where the larger one's middle lies behind
+a wall."""
+ANGLE_RAD = math.radians(6.0)
 """Steps of the rotation vector, which has no direction in which it turns about wildly."""
 TIME_S = 0.5
 """How long moving objects are taken to stand."""
-MOVED_CELLS = 0.2
-"""Steps of velocity and turn rate, by how far they move an echo at full range."""
 KEPT = 8
 """Views at a time; each holds a few MB."""
-OWN_TIME = "interference"
-"""The effect that each ping decides anew: when another sonar is heard."""
+OWN = frozenset({*MOVERS, "interference"})
+"""Effects that each ping decides anew: by its motion, and when another sonar is heard."""
+CLOUDY = frozenset({"bubbles", "turbidity"})
+"""Effects that each ping looks for itself where a cloud is in range: a plume at the edge of the
+vertical pattern comes and goes by fewer degrees than a cell has."""
+SHARED = frozenset(EFFECTS) - OWN
+CAREFUL_DB = 0.5
+"""How much brighter than its own coarse picture a ping is taken to be: what is left out without
+need shows more than what is computed without need."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,13 +65,42 @@ class Planned:
 
 @dataclass(frozen=True, slots=True)
 class _Cell:
-    """Rounded pose, time and motion: what pings decided as one have in common."""
+    """Rounded pose and time: what pings looked at as one have in common."""
 
     position: tuple[int, ...]
+    step_m: float
     turned: tuple[int, ...]
     time: int
-    velocity: tuple[int, ...] | None
-    turn: tuple[int, ...] | None
+
+    @property
+    def middle_m(self) -> NDArray[np.float64]:
+        """Map frame, (3,)."""
+        return np.array(self.position) * self.step_m
+
+    @property
+    def pose(self) -> Pose:
+        """From which all its pings are looked from."""
+        turned = Rotation.from_rotvec(np.array(self.turned) * ANGLE_RAD)
+        return Pose(self.middle_m, turned.as_matrix())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shared:
+    """What a cell's pings have in common.
+
+    Attributes:
+        plan: of what the rules are sure of.
+        doubtful: what each ping looks closer at.
+        physics: the settings of the plan.
+        view: from the cell's middle.
+        closer: view from the ping itself, if there is one already.
+    """
+
+    plan: EffectPlan
+    doubtful: frozenset[str]
+    physics: Physics
+    view: View
+    closer: View | None
 
 
 class Planner:
@@ -78,10 +116,9 @@ class Planner:
         self._look = look
         self._wish = wish
         self._tolerance = tolerance
-        self._step_m = look.sonar.range_m / CELLS_IN_RANGE
-        self._step_mps, self._step_rps = _steps_of_motion(look)
-        self._known: OrderedDict[_Cell, Planned] = OrderedDict()
+        self._known: OrderedDict[_Cell, _Shared] = OrderedDict()
         self._lock = Lock()
+        self._cloudy = CLOUDY if look.scene.clouds else frozenset()
 
     def at(
         self,
@@ -91,69 +128,68 @@ class Planner:
         motion: SonarMotion | None = None,
     ) -> Planned:
         """Decide for one ping."""
-        cell = self._cell(map_T_sonar, time_s, motion)
+        ping = OwnPing(map_T_sonar, ping_id, time_s, motion)
+        cell = self._near(map_T_sonar, time_s)
+        if cell is not None:
+            return self._own(self._of(cell), ping)
+        view = self._look.at(map_T_sonar, ping_id, time_s)
+        return self._own(self._judged(view, view), ping)
+
+    def _near(self, map_T_sonar: Pose, time_s: float) -> _Cell | None:  # noqa: N803
+        """The ping's cell, unless its middle is behind a wall."""
+        for parts in CELLS_IN_RANGE:
+            cell = self._cell(map_T_sonar, time_s, self._look.sonar.range_m / parts)
+            if self._look.clear(map_T_sonar.position_m, cell.middle_m, time_s):
+                return cell
+        return None
+
+    def _of(self, cell: _Cell) -> _Shared:
         with self._lock:
-            known = self._known.get(cell)
-        if known is None:
-            known = self._decided(cell)
+            shared = self._known.get(cell)
+        if shared is None:
+            shared = self._judged(self._look.at(cell.pose, 0, cell.time * TIME_S))
             with self._lock:
-                self._known[cell] = known
+                self._known[cell] = shared
                 while len(self._known) > KEPT:
                     self._known.popitem(last=False)
-        middle = known.view.map_T_sonar.position_m
-        if not self._look.clear(map_T_sonar.position_m, middle, time_s):
-            # The cell's middle lies behind a wall.
-            return self._planned(self._look.at(map_T_sonar, ping_id, time_s, motion))
-        if not self._look.scene.emitters:
-            return replace(known, physics=replace(known.physics))
-        own = replace(known.view, map_T_sonar=map_T_sonar, ping_id=ping_id, time_s=time_s)
-        return self._with_own_time(known, own)
+        return shared
 
-    def _decided(self, cell: _Cell) -> Planned:
-        motion = None
-        turned = Rotation.from_rotvec(np.array(cell.turned) * ANGLE_RAD)
-        pose = Pose(np.array(cell.position) * self._step_m, turned.as_matrix())
-        if cell.velocity is not None and cell.turn is not None:
-            velocity_mps = np.array(cell.velocity) * self._step_mps
-            motion = SonarMotion(pose.rotation @ velocity_mps, np.array(cell.turn) * self._step_rps)
-        return self._planned(self._look.at(pose, 0, cell.time * TIME_S, motion))
+    def _judged(self, view: View, closer: View | None = None) -> _Shared:
+        """What does not depend on motion."""
+        found = judged(view, self._wish, self._tolerance, SHARED - self._cloudy)
+        sure = found.plan.without(found.doubtful)
+        return _Shared(sure, found.doubtful, sure.physics(view), view, closer)
 
-    def _planned(self, view: View) -> Planned:
-        plan = EffectPlan.make(view, self._wish, self._tolerance)
-        return Planned(plan, plan.physics(view), view)
+    def _own(self, shared: _Shared, ping: OwnPing) -> Planned:
+        """With what each ping decides anew."""
+        view = shared.view.of_ping(ping)
+        own = EffectPlan.make(view, self._wish, self._tolerance, OWN)
+        physics = replace(shared.physics)
+        own.configure(physics, view)
+        closer = shared.doubtful | self._cloudy
+        if closer:
+            near = view
+            if shared.doubtful or self._clouds_near(ping.map_T_sonar):
+                near = shared.closer or self._look.at(ping.map_T_sonar, 0, ping.time_s)
+            careful = replace(self._tolerance, brighter_db=CAREFUL_DB)
+            more = EffectPlan.make(near, self._wish, careful, closer)
+            more.configure(physics, near)
+            own = own.with_more(more)
+        return Planned(shared.plan.with_more(own), physics, view)
 
-    def _with_own_time(self, known: Planned, own: View) -> Planned:
-        """The same but for what other sonars send just now."""
-        effect = EFFECTS[OWN_TIME]
-        verdict = effect.decide(own, self._tolerance)
-        decision = Decision(effect, verdict, self._wish.on(effect.name, verdict))
-        decisions = (decision if d.effect is effect else d for d in known.plan.decisions)
-        physics = replace(known.physics, arrivals=())
-        if decision.on:
-            effect.configure(physics, own)
-        return Planned(replace(known.plan, decisions=tuple(decisions)), physics, own)
+    def _clouds_near(self, map_T_sonar: Pose) -> bool:  # noqa: N803
+        position_m, reach_m = map_T_sonar.position_m, self._look.sonar.range_m
+        clouds = self._look.scene.clouds
+        nearest = (np.clip(position_m, cloud.low_m, cloud.high_m) for cloud in clouds)
+        return any(np.linalg.norm(point_m - position_m) < reach_m for point_m in nearest)
 
-    def _cell(self, pose: Pose, time_s: float, motion: SonarMotion | None) -> _Cell:
-        velocity = turn = None
-        if motion is not None:
-            velocity = _rounded(pose.rotation.T @ motion.linear_mps, self._step_mps)
-            turn = _rounded(motion.angular_rps, self._step_rps)
+    def _cell(self, pose: Pose, time_s: float, step_m: float) -> _Cell:
         return _Cell(
-            position=_rounded(pose.position_m, self._step_m),
+            position=_rounded(pose.position_m, step_m),
+            step_m=step_m,
             turned=_rounded(Rotation.from_matrix(pose.rotation).as_rotvec(), ANGLE_RAD),
             time=round(time_s / TIME_S) if self._look.changes else 0,
-            velocity=velocity,
-            turn=turn,
         )
-
-
-def _steps_of_motion(look: Look) -> tuple[float, float]:
-    """Steps of velocity and turn rate that move no echo by more than `MOVED_CELLS`."""
-    sonar, speed_mps = look.sonar, look.scene.water.speed_of_sound_mps
-    shift_s = max(sonar.range_m / speed_mps, doppler_shift_s(sonar, speed_mps))
-    turned_s = 2.0 * sonar.range_m / speed_mps
-    step_mps = MOVED_CELLS * sonar.range_resolution_m / shift_s
-    return step_mps, MOVED_CELLS * sonar.beam_width_rad / turned_s
 
 
 def _rounded(values: NDArray[np.float64], step: float) -> tuple[int, ...]:

@@ -9,12 +9,16 @@ from sonar_sim.effects.bending import bending
 from sonar_sim.effects.echoes import GRAZING
 from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
 from sonar_sim.effects.movers import move_verdict
-from sonar_sim.effects.verdicts import by_level
+from sonar_sim.effects.verdicts import by_level, displaced_db
 from sonar_sim.effects.view import View
+from sonar_sim.fan import CENTRE_SINE, ELEVATIONS
 from sonar_sim.pattern import vertical_two_way_power
 from sonar_sim.physics import Layers, Physics
 from sonar_sim.tolerance import Tolerance
 
+RAY_RAD = 2.0 * CENTRE_SINE / ELEVATIONS
+"""Between rays of a column, on the fan's plane: what is as narrow is hit or passed by, and a flash
+comes or goes, if paths turn by as much."""
 MOST_TURN = 0.3
 """rad; a steeper bend is beyond the rule's small angles, and called for anyway."""
 
@@ -33,6 +37,9 @@ def decide(view: View, tolerance: Tolerance) -> Verdict:
     )
     if largest > MOST_TURN:
         return Verdict(on=True, reason=reason, predicted_db=40.0)
+    passed_by = largest / RAY_RAD
+    if passed_by > tolerance.cells:
+        return Verdict(on=True, reason=reason, predicted_db=displaced_db(passed_by))
     level = by_level(
         view.change_of_echoes_db(_bent_power(view, turn), tolerance), tolerance, reason
     )
@@ -75,7 +82,7 @@ EFFECT = Effect(
     needs="a profile of sound speed",
     formula="curvature g cos(elevation) / c, half of it at each end; range by mean c0 / c",
     source="Snell's law in a constant gradient",
-    rule="turned paths change levels, or the mean speed along them ranges, by more than tolerated",
+    rule="paths turn by the tolerated part of the rays' distance, or levels or ranges change more",
     cost=Cost.RAY,
     parameters=(Parameter("water.profile", "m, m/s", "speed of sound over depth"),),
     decide=decide,

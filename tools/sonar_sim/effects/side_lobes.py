@@ -15,9 +15,11 @@ def decide(view: View, tolerance: Tolerance) -> Verdict:
     An arc is as thin as its echo is short, and thinner ones are brighter: rows are those of the
     sonar.
     """
-    fine = replace(view, most_rows=view.sonar.rows)
+    fine = view.fine
     main = fine.grid.main_lobes(fine.echoes, fine.echo_power)
-    predicted_db = fine.change_db(fine.picture - fine.echo_picture + main, tolerance)
+    # A single arc is an artefact to be seen, however few its pixels.
+    anywhere = replace(tolerance, share=0.0)
+    predicted_db = fine.change_db(fine.picture - fine.echo_picture + main, anywhere)
     reason = f"lobes {view.sonar.side_lobe_db:.0f} dB down of each row's echoes over its background"
     return by_level(predicted_db, tolerance, reason)
 
@@ -33,9 +35,10 @@ EFFECT = Effect(
     needs="side lobe level, contrast within rows",
     formula="the azimuth pattern beyond its main lobe: a sinc of the side lobes' level",
     source="line array shaded by a Gaussian on a pedestal",
-    rule="the arcs of a coarse picture change it by more than the tolerance",
+    rule="the arcs change any pixel by more than the tolerance",
     cost=Cost.CELL,
     parameters=(Parameter("sonar.side_lobe_db", "dB", "under the main lobe, positive"),),
     decide=decide,
     configure=configure,
+    anywhere=True,
 )

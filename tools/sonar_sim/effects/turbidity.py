@@ -1,5 +1,7 @@
 """Turbidity: suspended sediment takes sound away by friction and scattering."""
 
+from dataclasses import replace
+
 from sonar_sim.effects.clouds import clouds_of
 from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
 from sonar_sim.effects.verdicts import by_level
@@ -19,7 +21,9 @@ def decide(view: View, tolerance: Tolerance) -> Verdict:
     picture = (clear - view.noise_power) * back + view.noise_power
     two_way_db = 2.0 * alpha * view.sonar.range_m
     reason = f"2 alpha R of sediment everywhere {two_way_db:.2f} dB at {view.sonar.range_m:.0f} m"
-    return by_level(view.change_db(picture, tolerance), tolerance, reason)
+    # A cloud may fill few pixels; and what grains take costs next to nothing.
+    anywhere = replace(tolerance, share=0.0)
+    return by_level(view.change_db(picture, anywhere), tolerance, reason)
 
 
 def configure(physics: Physics, view: View) -> None:
@@ -34,7 +38,7 @@ EFFECT = Effect(
     needs="concentration and size of the grains",
     formula="phi (k⁴ a³ / 6 + k (sigma - 1)² s / (s² + (sigma + tau)²)) / 2 nepers a metre",
     source="Urick 1948",
-    rule="the picture in clear water differs by more than the tolerance",
+    rule="any pixel in clear water differs by more than the tolerance",
     cost=Cost.ROW,
     parameters=(
         Parameter("water.sediment_kg_per_m3", "kg/m³", "concentration everywhere"),
@@ -43,4 +47,5 @@ EFFECT = Effect(
     ),
     decide=decide,
     configure=configure,
+    anywhere=True,
 )

@@ -1,18 +1,23 @@
 """What the rules know before a ping is computed: settings, poses, and a coarse cast with levels."""
 
-from dataclasses import dataclass
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.effects.coarse import MOST_ROWS, CoarseGrid, Gains, change_db, equivalent_beams
-from sonar_sim.effects.echoes import COLUMNS, ELEVATIONS, TOP, Echoes
+from sonar_sim.effects.echoes import COLUMNS, Echoes, Fan
 from sonar_sim.effects.matter import Matter, cloud_matter, path_in_box_m, sediment_strength
 from sonar_sim.effects.planes import Plane
+from sonar_sim.effects.plumes import filled_by
 from sonar_sim.engine import SonarMotion
 from sonar_sim.meshes import Meshes
 from sonar_sim.pattern import vertical_two_way_power
+from sonar_sim.physics import Cloud
 from sonar_sim.poses import Pose
 from sonar_sim.receiver import FULL_SCALE_DB, GAIN_DB_PER_PERCENT, noise_level_db
 from sonar_sim.scene import Bubbles, CloudSpec, Scene, Sediment
@@ -21,6 +26,8 @@ from sonar_sim.sonar import SonarSettings
 from sonar_sim.tolerance import Tolerance
 
 LEAST_RANGE_M = 0.05
+FINE_ROWS = 512
+"""Most rows of the fine picture."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +36,26 @@ class CloudInSight:
 
     spec: CloudSpec
     matter: Matter
+
+    @property
+    def box(self) -> Cloud:
+        """As the engine takes it."""
+        return Cloud(
+            np.array(self.spec.low_m, dtype=np.float64),
+            np.array(self.spec.high_m, dtype=np.float64),
+            self.matter.db_per_m,
+            10.0 * math.log10(max(self.matter.strength, 1e-30)),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OwnPing:
+    """What a ping has of its own when several are decided by one look."""
+
+    map_T_sonar: Pose  # noqa: N815 frames in the name
+    ping_id: int
+    time_s: float
+    motion: SonarMotion | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +70,12 @@ class View:
         meshes: the scene, ready to be cast.
         planes: that could mirror.
         bottoms: names of the surfaces that are the floor.
-        echoes: what the coarse rays met, points included.
-        hidden: what lies behind the first hits.
+        fan: the coarse rays.
+        end_m: where each met something, infinite for nothing, (N,).
+        echoes: what they met in range, points included.
+        look_behind: casts once more, from behind the first hits.
         most_rows: of the coarse picture.
+        ping: if it was looked from near the ping's own pose and time; None: from there.
     """
 
     scene: Scene
@@ -57,9 +87,38 @@ class View:
     meshes: Meshes
     planes: tuple[Plane, ...]
     bottoms: frozenset[str]
+    fan: Fan
+    end_m: NDArray[np.float64]
     echoes: Echoes
-    hidden: Echoes
+    look_behind: Callable[[], Echoes]
     most_rows: int = MOST_ROWS
+    ping: "OwnPing | None" = None
+
+    def of_ping(self, ping: "OwnPing") -> "View":
+        """The same, for a ping of its own motion; what is already worked out is kept."""
+        own = copy.copy(self)
+        vars(own).update(ping=ping, motion=ping.motion, ping_id=ping.ping_id)
+        return own
+
+    @property
+    def own_pose(self) -> Pose:
+        """Of the ping itself."""
+        return self.map_T_sonar if self.ping is None else self.ping.map_T_sonar
+
+    @property
+    def own_time_s(self) -> float:
+        """Of the ping itself."""
+        return self.time_s if self.ping is None else self.ping.time_s
+
+    @cached_property
+    def hidden(self) -> Echoes:
+        """What lies behind the first hits."""
+        return self.look_behind()
+
+    @cached_property
+    def fine(self) -> "View":
+        """The same with a coarse picture of the sonar's own rows, or the most that are worth it."""
+        return replace(self, most_rows=FINE_ROWS)
 
     @cached_property
     def grid(self) -> CoarseGrid:
@@ -201,40 +260,13 @@ class View:
         picture: NDArray[np.float64] = power
         return picture
 
-    @cached_property
-    def unblocked(self) -> NDArray[np.float64]:
-        """Share of a cell's water that no surface hides, (rows, COLUMNS): by its echoes' rays."""
-        cells = self.grid.rows * COLUMNS
-        row = np.clip(
-            (self.echoes.range_m / self.grid.row_m).astype(np.int64), 0, self.grid.rows - 1
-        )
-        place = row * COLUMNS + self.echoes.column
-        lost = np.bincount(place, self.pattern, cells).reshape(self.grid.rows, COLUMNS)
-        w = ((np.arange(ELEVATIONS, dtype=np.float64) + 0.5) / ELEVATIONS * 2.0 - 1.0) * TOP
-        whole = float(vertical_two_way_power(w, self.sonar.vertical_width_rad).sum())
-        left: NDArray[np.float64] = np.clip(1.0 - np.cumsum(lost, axis=0) / whole, 0.0, 1.0)
-        return left
-
     def picture_of_clouds(self, clouds: tuple[CloudInSight, ...]) -> NDArray[np.float64]:
         """Expected power of a pixel by bubbles and sediment in clouds, (rows, COLUMNS)."""
         picture = np.zeros((self.grid.rows, COLUMNS))
         for cloud in clouds:
-            inside = np.all(
-                (self.water_points_m >= cloud.spec.low_m)
-                & (self.water_points_m <= cloud.spec.high_m),
-                axis=2,
-            )
-            picture += inside * self.open_water * cloud.matter.strength * self.unblocked
+            filled = filled_by(cloud.box, self.grid, self.fan, self.map_T_sonar, self.end_m)
+            picture += self.open_water * cloud.matter.strength * filled
         return picture
-
-    @cached_property
-    def water_points_m(self) -> NDArray[np.float64]:
-        """Middle of each coarse cell on the fan's plane, map frame, (rows, COLUMNS, 3)."""
-        sine = self.grid.sine
-        ahead = np.stack([np.sqrt(1.0 - sine**2), -sine, np.zeros(COLUMNS)], axis=1)
-        turned = ahead @ self.map_T_sonar.rotation.T
-        points: NDArray[np.float64] = self.grid.range_m[:, None, None] * turned
-        return points + self.map_T_sonar.position_m
 
     @cached_property
     def picture(self) -> NDArray[np.float64]:
@@ -264,6 +296,14 @@ class View:
     def change_db(self, power: NDArray[np.float64], tolerance: Tolerance) -> float:
         """How much the coarse picture differs from one of these powers, (rows, COLUMNS)."""
         return change_db(self.amplitude, self.gains.amplitude(power), self.sonar, tolerance)
+
+    def change_in_place_db(self, power: NDArray[np.float64], tolerance: Tolerance) -> float:
+        """The same for what changes whole rows smoothly: no displacement explains it.
+
+        One might seem to, as neighbouring coarse cells differ by the luck of their few rays.
+        """
+        other = self.gains.amplitude(power)
+        return change_db(self.amplitude, other, self.sonar, tolerance, displaced=False)
 
     def change_of_echoes_db(self, power: NDArray[np.float64], tolerance: Tolerance) -> float:
         """The same where only the echoes' powers (N,) differ."""
