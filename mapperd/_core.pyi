@@ -1,6 +1,7 @@
 """The C++ map core. Arrays are C-contiguous; every call over a millisecond releases the GIL."""
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,11 @@ LOG_ODDS_UNIT: float
 
 MAP_FILE_MAGIC: bytes
 """How the bytes of `VoxelMap.encode_map` begin."""
+
+BRICK_VOXELS: int
+"""Voxels along one edge of a brick, the unit of `VoxelMap.bricks_since`."""
+
+Key: TypeAlias = tuple[int, int, int]
 
 class IwloParams:
     """The IWLO rule's constants (`iwlo.*`, `adaptive.*`, `filtering.*`).
@@ -104,6 +110,13 @@ class VoxelMap:
     def block_count(self) -> int: ...
     @property
     def memory_bytes(self) -> int: ...
+    def set_intensity_threshold(self, intensity: float) -> None:
+        """Set what counts as a return from now on; the voxels stay as they are.
+
+        Raises:
+            ValueError: not finite.
+        """
+
     def integrate_projective(
         self,
         intensity: NDArray[np.float32],
@@ -361,5 +374,43 @@ class VoxelMap:
 
     def with_rule(self, iwlo: IwloParams) -> VoxelMap:
         """A copy under another rule: log-odds inside its clamps, counts up to its settled one."""
+
+    @property
+    def is_in_tiles(self) -> bool:
+        """Whether `cut_into_tiles` was called: not all of the map need be here."""
+
+    def cut_into_tiles(self, tile_bricks: int, fetch: Callable[[list[Key]], None]) -> None:
+        """From now on hold only tiles, cubes of bricks, that somebody put here.
+
+        Args:
+            tile_bricks: along an edge.
+            fetch: is told the tiles that a ping is about to change, in ascending order, and
+                returns when they are here; what it raises refuses the ping, which leaves the map
+                as it was. No lock of the map is held meanwhile.
+
+        What is not here reads as unknown. Raises RuntimeError for a map that has content.
+        """
+
+    def bricks_since(self, revision: int) -> tuple[int, list[tuple[Key, int, bytes]]]:
+        """Bricks that changed after a revision, all of one state of the map.
+
+        Returns:
+            the map's revision; (key, revision, bytes) a brick. A brick's key is its first voxel's
+            index divided by `BRICK_VOXELS`.
+        """
+
+    def put_bricks(self, bricks: list[tuple[Key, bytes]], tiles: list[Key] = ...) -> None:
+        """Replace the content of bricks, and count tiles as being here.
+
+        Raises:
+            ValueError: bytes that are no brick of such a map; the map is as before.
+            RuntimeError: a brick in a tile that is not here; the map is as before.
+        """
+
+    def drop_tiles(self, tiles: list[Key]) -> None:
+        """Forget tiles, whatever they hold."""
+
+    def raise_revision(self, least: int) -> None:
+        """Make the map's revision at least this."""
 
     def clear(self) -> None: ...

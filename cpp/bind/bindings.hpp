@@ -10,6 +10,7 @@ namespace py = pybind11;
 void bind_iwlo(py::module_& module);
 void bind_map(py::module_& module);
 void bind_map_file(py::module_& module);       // after bind_map
+void bind_bricks(py::module_& module);         // after bind_map
 void bind_octomap(py::module_& module);        // after bind_map
 void bind_queries(py::module_& module);        // after bind_map
 void bind_point_updates(py::module_& module);  // after bind_map

@@ -1,6 +1,7 @@
 // The map and its integrators.
 #include <pybind11/pybind11.h>
 
+#include <cstdint>
 #include <limits>
 #include <string>
 #include <vector>
@@ -143,6 +144,13 @@ MapSize size_without_gil(const VoxelMap& map) {
   return size_of(map);
 }
 
+// Asked with every ping: the size is counted voxel by voxel, this is not.
+std::uint64_t revision_without_gil(const VoxelMap& map) {
+  const py::gil_scoped_release release;
+  const ReadLock lock(map);
+  return map.revision();
+}
+
 }  // namespace
 
 void bind_map(py::module_& module) {
@@ -159,8 +167,7 @@ void bind_map(py::module_& module) {
   py::class_<VoxelMap>(module, "VoxelMap")
       .def(py::init<double, const IwloParams&>(), "resolution_m"_a, "iwlo"_a)
       .def_property_readonly("resolution_m", &VoxelMap::resolution_m)
-      .def_property_readonly("revision",
-                             [](const VoxelMap& map) { return size_without_gil(map).revision; })
+      .def_property_readonly("revision", &revision_without_gil)
       .def_property_readonly("block_count",
                              [](const VoxelMap& map) { return size_without_gil(map).blocks; })
       .def_property_readonly("memory_bytes",
@@ -178,6 +185,8 @@ void bind_map(py::module_& module) {
       .def("visit_blocks", &visit_blocks, "visit"_a, "at_once"_a)
       .def("class_counts", &class_counts, "occupied_log_odds"_a, "free_log_odds"_a)
       .def("query", &query, "points_m"_a)
+      .def("set_intensity_threshold", &set_intensity_threshold, "intensity"_a,
+           py::call_guard<py::gil_scoped_release>())
       .def("clear", static_cast<void (*)(VoxelMap&)>(&clear),
            py::call_guard<py::gil_scoped_release>());
 }

@@ -11,6 +11,7 @@ PYBIND11_MODULE(_core, module) {
   mapperd::bind::bind_iwlo(module);
   mapperd::bind::bind_map(module);
   mapperd::bind::bind_map_file(module);
+  mapperd::bind::bind_bricks(module);
   mapperd::bind::bind_octomap(module);
   mapperd::bind::bind_queries(module);
   mapperd::bind::bind_point_updates(module);

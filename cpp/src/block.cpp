@@ -105,6 +105,19 @@ Voxel Block::voxel(const IwloRule& rule, int offset) const {
   return voxel;
 }
 
+void Block::copy_voxels(const IwloRule& rule, DenseVoxels& out) const {
+  if (dense_ == nullptr) {
+    out.units.fill(uniform_.units);
+    out.count.fill(uniform_.count);
+    return;
+  }
+  out = *dense_;
+  if (pending_ == 0) return;
+  for (std::size_t i = 0; i < kBlockVoxels; ++i) {
+    rule.add_unscaled_free(out.units[i], out.count[i], pending_);
+  }
+}
+
 std::size_t Block::voxel_bytes() const {
   return dense_ == nullptr ? 0 : allocated_bytes(sizeof(DenseVoxels));
 }

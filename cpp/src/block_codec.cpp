@@ -11,27 +11,40 @@ enum class Form : std::uint8_t { alike = 1, one_by_one = 2 };
 
 constexpr std::size_t kMaskBytes = kBlockVoxels / 8;
 
-using Voxels = std::array<Voxel, kBlockVoxels>;
-
 void encode_alike(const Voxel& voxel, std::string& out) {
   put(out, static_cast<std::uint8_t>(Form::alike));
   put(out, voxel.units);
   put(out, voxel.count);
 }
 
-void encode_one_by_one(const Voxels& voxels, std::string& out) {
+// Appends the known ones of some numbers; written straight on where all are known.
+template <typename T>
+void encode_known(const std::array<T, kBlockVoxels>& numbers, const DenseVoxels& voxels,
+                  std::size_t known, std::string& out) {
+  const std::size_t begin = out.size();
+  out.resize(begin + known * sizeof(T));
+  char* at = &out[begin];
+  for (std::size_t i = 0; i < numbers.size(); ++i) {
+    if (known != kBlockVoxels && voxels.count[i] == 0) continue;
+    write_number(at, numbers[i]);
+    at += sizeof(T);
+  }
+}
+
+void encode_one_by_one(const DenseVoxels& voxels, std::string& out) {
   put(out, static_cast<std::uint8_t>(Form::one_by_one));
-  const std::size_t mask = out.size();
-  out.append(kMaskBytes, '\0');
-  for (std::size_t i = 0; i < voxels.size(); ++i) {
-    if (voxels[i].count == 0) continue;
-    char& byte = out[mask + i / 8];
-    byte = static_cast<char>(static_cast<unsigned char>(byte) | 1U << i % 8);
-    put(out, voxels[i].units);
+  std::size_t known = 0;
+  for (std::size_t i = 0; i < kBlockVoxels; i += 8) {
+    unsigned byte = 0;
+    for (unsigned bit = 0; bit < 8; ++bit) {
+      const unsigned is_known = voxels.count[i + bit] != 0 ? 1U : 0U;
+      byte |= is_known << bit;
+      known += is_known;
+    }
+    put(out, static_cast<std::uint8_t>(byte));
   }
-  for (const Voxel& voxel : voxels) {
-    if (voxel.count != 0) put(out, voxel.count);
-  }
+  encode_known(voxels.units, voxels, known, out);
+  encode_known(voxels.count, voxels, known, out);
 }
 
 std::int32_t checked_units(const ByteReader& bytes, const IwloRule& rule, std::int32_t units) {
@@ -50,20 +63,18 @@ Voxel decode_alike(ByteReader& bytes, const IwloRule& rule) {
   return {units, checked_count(bytes, rule, bytes.get<std::uint16_t>())};
 }
 
-void decode_one_by_one(ByteReader& bytes, const IwloRule& rule, Voxels& voxels) {
+void decode_one_by_one(ByteReader& bytes, const IwloRule& rule, DenseVoxels& voxels) {
   const std::string_view mask = bytes.take(kMaskBytes);
-  const auto is_known = [mask](std::size_t i) {
-    return (static_cast<unsigned char>(mask[i / 8]) >> i % 8 & 1U) != 0;
-  };
   bool any = false;
-  for (std::size_t i = 0; i < voxels.size(); ++i) {
-    if (!is_known(i)) continue;
-    voxels[i].units = checked_units(bytes, rule, bytes.get<std::int32_t>());
-    any = true;
+  for (std::size_t i = 0; i < kBlockVoxels; ++i) {
+    const bool known = (static_cast<unsigned char>(mask[i / 8]) >> i % 8 & 1U) != 0;
+    voxels.units[i] = known ? checked_units(bytes, rule, bytes.get<std::int32_t>()) : 0;
+    voxels.count[i] = known ? 1 : 0;
+    any = any || known;
   }
   if (!any) bytes.refuse("a block without observed voxels");
-  for (std::size_t i = 0; i < voxels.size(); ++i) {
-    if (is_known(i)) voxels[i].count = checked_count(bytes, rule, bytes.get<std::uint16_t>());
+  for (std::uint16_t& count : voxels.count) {
+    if (count != 0) count = checked_count(bytes, rule, bytes.get<std::uint16_t>());
   }
 }
 
@@ -71,13 +82,14 @@ void decode_one_by_one(ByteReader& bytes, const IwloRule& rule, Voxels& voxels) 
 
 void encode_block(const Block& block, const IwloRule& rule, std::string& out) {
   if (!block.is_dense()) return encode_alike(block.voxel(rule, 0), out);
-  Voxels voxels;
-  for (std::size_t i = 0; i < voxels.size(); ++i)
-    voxels[i] = block.voxel(rule, static_cast<int>(i));
-  const bool alike = std::all_of(voxels.begin(), voxels.end(), [&](const Voxel& voxel) {
-    return voxel.units == voxels[0].units && voxel.count == voxels[0].count;
-  });
-  if (alike) return encode_alike(voxels[0], out);
+  DenseVoxels voxels;
+  block.copy_voxels(rule, voxels);
+  const auto differs = [](const auto& numbers) {
+    return std::any_of(numbers.begin(), numbers.end(), [&](auto n) { return n != numbers[0]; });
+  };
+  if (!differs(voxels.units) && !differs(voxels.count)) {
+    return encode_alike({voxels.units[0], voxels.count[0]}, out);
+  }
   encode_one_by_one(voxels, out);
 }
 
@@ -86,13 +98,9 @@ void decode_block(ByteReader& bytes, const IwloRule& rule, Block& block) {
     case Form::alike:
       return block.fill(decode_alike(bytes, rule));
     case Form::one_by_one: {
-      Voxels voxels{};
+      DenseVoxels voxels;
       decode_one_by_one(bytes, rule, voxels);
-      DenseVoxels& dense = block.open(rule);
-      for (std::size_t i = 0; i < voxels.size(); ++i) {
-        dense.units[i] = voxels[i].units;
-        dense.count[i] = voxels[i].count;
-      }
+      block.open(rule) = voxels;
       return block.close(rule);
     }
   }

@@ -97,6 +97,11 @@ IwloRule::FreeSteps IwloRule::free_steps(std::uint32_t times) const {
   return steps;
 }
 
+void IwloRule::set_intensity_threshold(double intensity) {
+  require(std::isfinite(intensity), "intensity_threshold must be finite");
+  params_.intensity_threshold = intensity;
+}
+
 std::size_t IwloRule::memory_bytes() const {
   return allocated_by(alpha_) + allocated_by(free_steps_sum_) + allocated_by(one_free_step_.down) +
          allocated_by(one_free_step_.count);

@@ -27,6 +27,7 @@ class PingUpdate {
   PingStats run() {
     find_blocks();
     look();
+    fetch();
     apply();
     return stats_;
   }
@@ -66,6 +67,17 @@ class PingUpdate {
                  [&](std::size_t i) { looker.look(crossed_[i], evidence_[i]); });
   }
 
+  // What is to be changed comes into memory before anything is: the ping counts wholly or not.
+  void fetch() const {
+    if (!map_.residency().is_partial()) return;
+    std::vector<BlockKey> blocks;
+    for (const BlockKey& at : free_) blocks.push_back(absolute(at));
+    for (const BlockEvidence& evidence : evidence_) {
+      if (!evidence.empty()) blocks.push_back(absolute(evidence.key));
+    }
+    map_.residency().fetch(blocks);
+  }
+
   // Blocks are made at their first evidence, looking at nothing creates nothing; then each is
   // changed by one thread.
   void apply() {
@@ -88,10 +100,12 @@ class PingUpdate {
     stats_.blocks_created = map_.block_count() - before;
   }
 
-  Block& block_at(const BlockKey& at) {
+  BlockKey absolute(const BlockKey& at) const {
     const BlockKey& origin = start_.block;
-    return map_.get_or_create({origin.x + at.x, origin.y + at.y, origin.z + at.z});
+    return {origin.x + at.x, origin.y + at.y, origin.z + at.z};
   }
+
+  Block& block_at(const BlockKey& at) { return map_.get_or_create(absolute(at)); }
 
   // False when nothing changed: all that the ping says was settled before.
   bool change(Block& block, const BlockEvidence& evidence) const {

@@ -8,6 +8,8 @@
 #include <unordered_set>
 #include <vector>
 
+#include "mapperd/block_writer.hpp"
+
 namespace mapperd {
 namespace {
 
@@ -62,6 +64,7 @@ class RaySampler {
       sample_free(j, hit);
       sample_returns(j, hit);
     }
+    fetch();
     return update_map();
   }
 
@@ -150,6 +153,13 @@ class RaySampler {
     }
   }
 
+  void fetch() const {
+    if (!map_.residency().is_partial()) return;
+    std::vector<BlockKey> blocks;
+    for (const Sample& sample : samples_) blocks.push_back(block_holding(sample.voxel));
+    map_.residency().fetch(blocks);
+  }
+
   PingStats update_map() {
     PingStats stats;
     const WriteLock lock(map_);
@@ -158,9 +168,8 @@ class RaySampler {
     const std::uint64_t revision = map_.next_revision();
     for (const Sample& sample : samples_) {
       const VoxelIndex& v = sample.voxel;
-      const auto block = [](std::int64_t i) { return static_cast<std::int32_t>(i >> kBlockShift); };
       const auto local = [](std::int64_t i) { return static_cast<int>(i & (kBlockEdge - 1)); };
-      Block& at = map_.get_or_create({block(v.x), block(v.y), block(v.z)});
+      Block& at = map_.get_or_create(block_holding(v));
       DenseVoxels& voxels = at.open(map_.rule());
       opened.insert(&at);
       const auto i = static_cast<std::size_t>(voxel_offset(local(v.x), local(v.y), local(v.z)));

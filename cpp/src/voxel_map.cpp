@@ -55,7 +55,8 @@ VoxelMap::VoxelMap(double resolution_m, const IwloParams& iwlo)
 }
 
 std::size_t VoxelMap::memory_bytes() const {
-  return sizeof(VoxelMap) + rule_.memory_bytes() + allocated_by(slots_) + blocks_.memory_bytes();
+  return sizeof(VoxelMap) + rule_.memory_bytes() + allocated_by(slots_) + blocks_.memory_bytes() +
+         residency_.memory_bytes();
 }
 
 std::size_t VoxelMap::known_count() const {
@@ -73,19 +74,38 @@ std::size_t VoxelMap::slot_of(const BlockKey& key) const {
   return slot;
 }
 
-void VoxelMap::grow() {
-  std::vector<std::uint32_t> wider(2 * slots_.size(), kEmpty);
-  slots_.swap(wider);
+void VoxelMap::index_blocks(std::size_t slots) {
+  std::vector<std::uint32_t> indexed(slots, kEmpty);
+  slots_.swap(indexed);
   for (std::size_t i = 0; i < blocks_.size(); ++i) {
     slots_[slot_of(blocks_[i].key)] = static_cast<std::uint32_t>(i);
   }
+}
+
+void VoxelMap::check_whole() const {
+  if (residency_.is_partial()) throw std::logic_error("the map is in tiles: ask its store");
+}
+
+void VoxelMap::cut_into_tiles(Residency residency) {
+  check_whole();
+  if (blocks_.size() != 0) throw std::logic_error("a map with content cannot be cut into tiles");
+  residency_ = std::move(residency);
+}
+
+void VoxelMap::drop_tiles(const std::vector<BlockKey>& tiles) {
+  for (const BlockKey& tile : tiles) residency_.remove(tile);
+  blocks_.keep_if([this](const Block& block) { return residency_.holds(block.key); });
+  std::size_t slots = kFirstSlots;
+  while (slots < 2 * blocks_.size()) slots *= 2;
+  index_blocks(slots);
 }
 
 Block& VoxelMap::get_or_create(const BlockKey& key) {
   if (!in_reach(key)) throw std::out_of_range("the block lies beyond the map's reach");
   const std::size_t slot = slot_of(key);
   if (slots_[slot] != kEmpty) return blocks_[slots_[slot]];
-  if (2 * (blocks_.size() + 1) > slots_.size()) grow();
+  if (!residency_.holds(key)) throw std::logic_error("a block in a tile that is not in memory");
+  if (2 * (blocks_.size() + 1) > slots_.size()) index_blocks(2 * slots_.size());
   // Memory may run out up to here, and the map is as before.
   Block& block = blocks_.add(key);
   slots_[slot_of(key)] = static_cast<std::uint32_t>(blocks_.size() - 1);
@@ -180,6 +200,7 @@ std::vector<const Block*> VoxelMap::sorted_blocks() const {
 }
 
 void VoxelMap::clear() {
+  check_whole();
   std::vector<std::uint32_t> empty(kFirstSlots, kEmpty);
   blocks_ = BlockStore();
   slots_.swap(empty);
@@ -187,6 +208,7 @@ void VoxelMap::clear() {
 }
 
 void VoxelMap::take_blocks(VoxelMap& other) {
+  check_whole();
   std::swap(blocks_, other.blocks_);
   slots_.swap(other.slots_);
   ++revision_;
@@ -196,6 +218,11 @@ void VoxelMap::take_blocks(VoxelMap& other) {
 void clear(VoxelMap& map) {
   const WriteLock lock(map);
   map.clear();
+}
+
+void set_intensity_threshold(VoxelMap& map, double intensity) {
+  const WriteLock lock(map);
+  map.set_intensity_threshold(intensity);
 }
 
 }  // namespace mapperd

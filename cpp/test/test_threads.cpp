@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "check.hpp"
+#include "mapperd/brick.hpp"
 #include "mapperd/distance_field.hpp"
 #include "mapperd/map_file.hpp"
 #include "mapperd/merge.hpp"
@@ -216,6 +217,30 @@ TEST_CASE("maps merged into each other at once, and in a ring, do not wait for e
     CHECK(states_at(*map, kTwinPoints)[0].log_odds == 10.0F);
     CHECK(twins_agree(*map));
   }
+}
+
+TEST_CASE("tiles come and go whole under everybody's eyes") {
+  VoxelMap map(kResolution, {});
+  map.cut_into_tiles({mapperd::kBrickEdge, [](const std::vector<mapperd::BlockKey>&) {}});
+  const std::vector<mapperd::BlockKey> tiles{{4, 0, 0}, {-5, 0, 0}};  // with one twin each
+  put_bricks(map, {}, tiles);
+  set_log_odds(map, kTwinPoints, std::vector<double>(2, 2.0).data());
+  const mapperd::ChangedBricks kept = bricks_since(map, 0);
+  CHECK(kept.bricks.size() == 2);
+  const auto all_or_none = [&map] {
+    const std::size_t known = size_of(map).known_voxels;
+    return known == 0 || known == 2;
+  };
+  run(map, 300,
+      [&](int i) {
+        if (i % 2 == 0) return drop_tiles(map, tiles);
+        std::vector<mapperd::BrickView> bricks;
+        for (const mapperd::Brick& brick : kept.bricks) bricks.push_back({brick.key, brick.bytes});
+        put_bricks(map, bricks, tiles);
+      },
+      {all_or_none, [&map] { return twins_agree(map); },
+       [&map] { return bricks_since(map, 0).bricks.size() % 2 == 0; }});
+  CHECK(size_of(map).known_voxels == 2);
 }
 
 }  // namespace

@@ -1,4 +1,5 @@
 #include <array>
+#include <cmath>
 #include <limits>
 #include <map>
 #include <stdexcept>
@@ -79,6 +80,32 @@ TEST_CASE("a resolution that is no length is refused") {
   CHECK_THROWS(VoxelMap(-0.1, {}), std::invalid_argument);
   CHECK_THROWS(VoxelMap(std::numeric_limits<double>::quiet_NaN(), {}), std::invalid_argument);
   CHECK_THROWS(VoxelMap(std::numeric_limits<double>::infinity(), {}), std::invalid_argument);
+}
+
+TEST_CASE("another threshold changes later pings as if the map had always had it") {
+  scenes::Ping ping = scenes::empty_ping(30, 8, 1.0, 6.0);
+  for (std::size_t j = 0; j < 8; ++j) ping.intensity[15 * 8 + j] = 50.0F;
+  mapperd::FanSettings settings;
+  settings.vertical_aperture_rad = 1.2;
+  const mapperd::Transform here;
+  mapperd::IwloParams above, below;
+  above.intensity_threshold = 60;
+  below.intensity_threshold = 40;
+  VoxelMap changed(0.2, above), always(0.2, below);
+  CHECK(integrate_projective(changed, ping.image(), here, settings).occupied == 0);
+  mapperd::clear(changed);
+  mapperd::set_intensity_threshold(changed, 40);
+  CHECK(integrate_projective(changed, ping.image(), here, settings).occupied > 0);
+  integrate_projective(always, ping.image(), here, settings);
+  CHECK(changed.known_count() == always.known_count());
+  bool equal = true;
+  always.for_each_known([&](const mapperd::VoxelIndex& voxel, const mapperd::VoxelState& state) {
+    const mapperd::VoxelState other = changed.at(voxel);
+    equal = equal && other.log_odds == state.log_odds && other.count == state.count;
+  });
+  CHECK(equal);
+  CHECK_THROWS(mapperd::set_intensity_threshold(changed, std::nan("")), std::invalid_argument);
+  CHECK(changed.rule().params().intensity_threshold == 40);
 }
 
 }  // namespace

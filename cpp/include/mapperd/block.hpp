@@ -83,6 +83,7 @@ class Block {
   void fill(const Voxel& voxel);
 
   Voxel voxel(const IwloRule& rule, int offset) const;
+  void copy_voxels(const IwloRule& rule, DenseVoxels& out) const;  // all of them
   int known_count() const;  // voxels that were ever observed; of a block that is not open
   bool is_dense() const { return dense_ != nullptr; }
   std::size_t voxel_bytes() const;  // allocated for voxels, beside the block itself

@@ -1,4 +1,4 @@
-// The blocks of a map, in the order of their making.
+// The blocks of a map, in no order that means anything.
 #pragma once
 
 #include <cstddef>
@@ -27,6 +27,19 @@ class BlockStore {
     Block& block = chunks_.back().emplace_back(key);
     ++size_;
     return block;
+  }
+
+  // Gives back what the others took; the references to blocks end here.
+  template <typename Keep>  // bool(const Block&)
+  void keep_if(const Keep& keep) {
+    BlockStore kept;
+    for (std::vector<Block>& chunk : chunks_) {
+      for (Block& block : chunk) {
+        if (keep(block)) kept.add(block.key) = std::move(block);
+      }
+      std::vector<Block>().swap(chunk);
+    }
+    *this = std::move(kept);
   }
 
   // Of the blocks and what they hold.

@@ -11,12 +11,28 @@
 
 namespace mapperd {
 
+// To and from bytes that are known to be there: compilers make one move of each loop.
+template <typename T>
+void write_number(char* at, T value) {
+  static_assert(std::is_integral_v<T>);
+  const auto bits = static_cast<std::make_unsigned_t<T>>(value);
+  for (unsigned i = 0; i < sizeof(T); ++i) at[i] = static_cast<char>(bits >> (8 * i) & 0xFFU);
+}
+
+template <typename T>
+T read_number(const char* at) {
+  static_assert(std::is_integral_v<T>);
+  std::uint64_t bits = 0;
+  for (unsigned i = 0; i < sizeof(T); ++i) {
+    bits |= std::uint64_t{static_cast<unsigned char>(at[i])} << (8 * i);
+  }
+  return static_cast<T>(static_cast<std::make_unsigned_t<T>>(bits));
+}
+
 template <typename T>
 void put(std::string& out, T value) {
-  static_assert(std::is_integral_v<T>);
-  const auto bits = static_cast<std::uint64_t>(static_cast<std::make_unsigned_t<T>>(value));
-  for (unsigned i = 0; i < sizeof(T); ++i)
-    out.push_back(static_cast<char>(bits >> (8 * i) & 0xFFU));
+  out.resize(out.size() + sizeof(T));
+  write_number(&out[out.size() - sizeof(T)], value);
 }
 
 inline void put(std::string& out, double value) {
@@ -41,13 +57,7 @@ class ByteReader {
 
   template <typename T>
   T get() {
-    static_assert(std::is_integral_v<T>);
-    const std::string_view taken = take(sizeof(T));
-    std::uint64_t bits = 0;
-    for (unsigned i = 0; i < sizeof(T); ++i) {
-      bits |= std::uint64_t{static_cast<unsigned char>(taken[i])} << (8 * i);
-    }
-    return static_cast<T>(static_cast<std::make_unsigned_t<T>>(bits));
+    return read_number<T>(take(sizeof(T)).data());
   }
 
   double get_double() {

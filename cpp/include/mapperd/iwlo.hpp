@@ -48,6 +48,10 @@ class IwloRule {
 
   const IwloParams& params() const { return params_; }
 
+  // The one constant that may change: no table depends on it, and no voxel remembers it.
+  // Throws std::invalid_argument if it is not finite.
+  void set_intensity_threshold(double intensity);
+
   // Observations after which alpha no longer changes: counts stop there without loss.
   std::uint16_t settled_count() const { return static_cast<std::uint16_t>(alpha_.size() - 1); }
 

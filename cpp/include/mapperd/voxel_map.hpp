@@ -1,6 +1,7 @@
 // The map: a hash of blocks of voxels, each with log-odds and an observation count.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstddef>
 #include <cstdint>
@@ -12,6 +13,7 @@
 #include "mapperd/block_store.hpp"
 #include "mapperd/iwlo.hpp"
 #include "mapperd/map_mutex.hpp"
+#include "mapperd/residency.hpp"
 #include "mapperd/vec.hpp"
 
 namespace mapperd {
@@ -39,7 +41,8 @@ struct VoxelState {
 // queries, snapshots, files) each take the one that they need, once, and see or make one whole
 // state of the map; who calls the members of a map that other threads know holds a ReadLock or a
 // WriteLock (below), and calls none of those functions under it. The resolution and the rule never
-// change and need no lock; nor does what they alone decide (index_of, centre_of).
+// change, but for the rule's intensity threshold, and need no lock; nor does what they alone decide
+// (index_of, centre_of).
 class VoxelMap {
  public:
   // Throws std::invalid_argument for a resolution that is not finite and positive, or bad rules.
@@ -47,6 +50,7 @@ class VoxelMap {
 
   double resolution_m() const { return resolution_m_; }
   const IwloRule& rule() const { return rule_; }
+  void set_intensity_threshold(double intensity) { rule_.set_intensity_threshold(intensity); }
 
   std::size_t block_count() const { return blocks_.size(); }
   std::size_t memory_bytes() const;  // all that is allocated, within 5 % of what malloc says
@@ -56,7 +60,20 @@ class VoxelMap {
   std::uint64_t revision() const { return revision_; }
   std::uint64_t next_revision() { return ++revision_; }
 
-  // Throws std::out_of_range when the key lies beyond +-kMaxBlock.
+  // Makes it at least this; a map that goes on where another ended.
+  void raise_revision(std::uint64_t least) { revision_ = std::max(revision_, least); }
+
+  // From now on blocks can be made only in tiles that are resident, and none is yet. Who writes to
+  // the map turns to residency().fetch() first: the integrators do, everybody else is refused
+  // where a tile is missing. What is not resident reads as unknown.
+  // Throws std::logic_error for a map that has content or is cut already.
+  void cut_into_tiles(Residency residency);
+  Residency& residency() { return residency_; }
+  const Residency& residency() const { return residency_; }
+  void drop_tiles(const std::vector<BlockKey>& tiles);
+
+  // Throws std::out_of_range when the key lies beyond +-kMaxBlock, and std::logic_error when its
+  // tile is not resident.
   Block& get_or_create(const BlockKey& key);
   const Block* find(const BlockKey& key) const;
 
@@ -87,6 +104,11 @@ class VoxelMap {
     }
   }
 
+  template <typename Visit>  // void(const Block&), in no particular order
+  void for_each_block(const Visit& visit) const {
+    for (std::size_t i = 0; i < blocks_.size(); ++i) visit(blocks_[i]);
+  }
+
   // Blocks ordered by key: the map's canonical order.
   std::vector<const Block*> sorted_blocks() const;
 
@@ -95,6 +117,7 @@ class VoxelMap {
     return {static_cast<float>(log_odds_of(voxel.units)), voxel.count};
   }
 
+  // This and the next throw std::logic_error for a map in tiles: it is not all here.
   void clear();
 
   // Exchanges the content with that of a map of the same resolution, clamps and settled count,
@@ -108,12 +131,14 @@ class VoxelMap {
 
   Voxel voxel_of(const VoxelState& state) const;
   std::size_t slot_of(const BlockKey& key) const;
-  void grow();
+  void index_blocks(std::size_t slots);
+  void check_whole() const;
 
   mutable MapMutex mutex_;
   double resolution_m_;
   IwloRule rule_;
   std::uint64_t revision_ = 0;
+  Residency residency_;
   BlockStore blocks_;
   std::vector<std::uint32_t> slots_;  // open addressing, a power of two, at most half full
 };
@@ -138,5 +163,9 @@ class [[nodiscard]] WriteLock {
 
 // Forgets all voxels.
 void clear(VoxelMap& map);
+
+// What counts as a return from now on; the voxels stay as they are.
+// Throws std::invalid_argument if it is not finite.
+void set_intensity_threshold(VoxelMap& map, double intensity);
 
 }  // namespace mapperd
