@@ -1,0 +1,51 @@
+"""What a stored map is: the settings that its voxels came about by.
+
+None of them may change while the program runs, so that all voxels of a file follow one rule.
+"""
+
+import json
+import sqlite3
+from pathlib import Path
+
+import msgspec
+
+from mapperd.config import Config
+from mapperd.errors import StoreError
+
+__all__ = ["check_kind", "kind_of", "write_kind"]
+
+SECTIONS = ("iwlo", "adaptive")
+
+
+def kind_of(config: Config) -> dict[str, str]:
+    """Settings by their full names, as JSON."""
+    facts = {"octree.voxel_resolution": json.dumps(config.octree.voxel_resolution)}
+    for section in SECTIONS:
+        for name, value in msgspec.to_builtins(getattr(config, section)).items():
+            facts[f"{section}.{name}"] = json.dumps(value)
+    return facts
+
+
+def write_kind(connection: sqlite3.Connection, config: Config) -> None:
+    """Say in a new file what its map is."""
+    connection.executemany("INSERT INTO fact VALUES (?, ?)", kind_of(config).items())
+
+
+def check_kind(connection: sqlite3.Connection, path: Path, config: Config) -> None:
+    """Refuse settings that are not those of the file; such that it does not know are new.
+
+    Raises:
+        StoreError: with all that differ.
+    """
+    ours = kind_of(config)
+    differ = [
+        f"{name} is {value} in it, {ours.get(name, 'unknown')} in the settings"
+        for name, value in connection.execute("SELECT name, value FROM fact ORDER BY name")
+        if ours.get(name) != value
+    ]
+    if differ:
+        raise StoreError(
+            f"{path}: holds a map of other settings: {'; '.join(differ)}. Set them back, or give "
+            "another outofcore.map_path",
+            "other_parameters",
+        )

@@ -1,0 +1,108 @@
+"""Look into the map's file while another process writes to it, without ever changing it."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import zstandard
+
+from mapperd.mapping import SonarMap
+from mapperd.store.bricks import COLUMNS, DamagedBrickError, Key, rows_of, unpack
+from mapperd.store.database import open_reader, reading, translated
+from mapperd.store.kind import check_kind
+from mapperd.store.schema import check_version
+
+__all__ = ["Loaded", "StoreReader"]
+
+AT_ONCE = 64
+"""Bricks decoded before they are put into the map: they may be 1.5 MB each."""
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded:
+    """One saved state of a map.
+
+    Attributes:
+        revision: of it, to ask for what comes later.
+        position: in the input, up to which it is complete.
+        bricks: how many were read.
+        lost: bricks that it does not hold because their rows are damaged, now or before.
+    """
+
+    revision: int
+    position: bytes
+    bricks: int
+    lost: frozenset[Key]
+
+
+class StoreReader:
+    """The file of a map, opened to be read, `with`.
+
+    Args:
+        path: of the file.
+
+    Raises:
+        StoreError: it cannot be read, or is none of this version.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._unpacker = zstandard.ZstdDecompressor()
+        with ExitStack() as opening:
+            self._connection = open_reader(path)
+            opening.callback(self._connection.close)
+            with translated(path):
+                check_version(self._connection, path)
+            self._open = opening.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._open.close()
+
+    def load(self, sonar_map: SonarMap, since: int = 0) -> Loaded:
+        """Bring a map that is in memory as a whole up to the last saved state.
+
+        Args:
+            sonar_map: of the same settings; bricks that changed are replaced in it.
+            since: the `revision` of what it holds already; 0 is nothing.
+
+        Raises:
+            StoreError: the file cannot be read, or is of other settings.
+        """
+        bricks = 0
+        with translated(self.path), reading(self._connection):
+            check_kind(self._connection, self.path, sonar_map.config)
+            progress = self._connection.execute("SELECT revision, position FROM progress")
+            revision, position = progress.fetchone() or (0, b"")
+            lost = set(self._connection.execute("SELECT x, y, z FROM quarantine WHERE NOT rebuilt"))
+            for batch in self._batches(since, lost):
+                sonar_map.core.put_bricks(batch)
+                bricks += len(batch)
+        return Loaded(revision, position, bricks, frozenset(lost))
+
+    def _batches(self, since: int, lost: set[Key]) -> Iterator[list[tuple[Key, bytes]]]:
+        found = self._connection.execute(
+            # All, if all are wanted: even those whose revision is damaged.
+            f"SELECT {COLUMNS} FROM brick WHERE revision > ? OR NOT ?",  # noqa: S608 our own text
+            (since, since),
+        )
+        batch = []
+        for row in rows_of(found):
+            try:
+                batch.append((row.key, unpack(self._unpacker, row)))
+            except DamagedBrickError:
+                lost.add(row.key)
+            if len(batch) == AT_ONCE:
+                yield batch
+                batch = []
+        yield batch

@@ -1,0 +1,327 @@
+"""A map of which some tiles are in memory and the rest, and a copy of all, in one file.
+
+A tile leaves memory only when the file holds it as it is. Whenever something is saved, all that
+changed is, together with the place in the input up to which the map is complete: at every moment
+the file holds the whole map as it was between two pings, and says between which.
+"""
+
+import sqlite3
+import threading
+import weakref
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from mapperd import _core
+from mapperd.errors import MapError, StoreError
+from mapperd.mapping import SonarMap
+from mapperd.store.bricks import Key
+from mapperd.store.database import open_reader, open_writer, transaction, translated
+from mapperd.store.kind import check_kind, write_kind
+from mapperd.store.loading import Loader
+from mapperd.store.lock import only_writer
+from mapperd.store.saving import Position, Saver, Snapshot
+from mapperd.store.schema import migrate
+from mapperd.store.tiles import ResidentTiles
+
+__all__ = ["StoreCounters", "TileStore", "tile_bricks"]
+
+OVERDRAFT = 4
+"""While nothing can be saved, changed tiles stay in memory: up to so many times the cache."""
+
+
+@dataclass(slots=True)
+class StoreCounters:
+    """What happened since the file was opened."""
+
+    tiles_loaded: int = 0
+    tiles_dropped: int = 0
+    saves: int = 0
+    saves_failed: int = 0
+    bricks_damaged: int = 0
+
+
+def tile_bricks(tile_size_m: float, resolution_m: float) -> int:
+    """Bricks along a tile's edge: as near to the size asked for as whole bricks are, at least 1."""
+    return max(1, round(tile_size_m / (_core.BRICK_VOXELS * resolution_m)))
+
+
+class TileStore:
+    """The file of one map, `with`; leaving it in good order saves.
+
+    One thread, that of the pings, calls everything but `write` and `status`.
+
+    Args:
+        path: of the file; made if it is not there.
+        sonar_map: empty; from now on it holds some of the tiles only.
+        tile_size_m: edge of a tile, rounded to whole bricks.
+        cache_tiles: so many tiles in memory, or as many as one ping needs.
+
+    Raises:
+        StoreError: the file cannot be used, or is of other settings.
+
+    Attributes:
+        position: up to which the map was complete when the file was saved; empty in a new file.
+        counters: what happened.
+        trouble: why nothing can be saved at the moment; None when all is well.
+    """
+
+    def __init__(
+        self, path: Path, sonar_map: SonarMap, *, tile_size_m: float, cache_tiles: int
+    ) -> None:
+        if cache_tiles < 1:
+            raise ValueError("cache_tiles must be 1 or more")
+        self.path = path
+        self.counters = StoreCounters()
+        self.trouble: str | None = None
+        self._core = sonar_map.core
+        edge = tile_bricks(tile_size_m, sonar_map.resolution_m)
+        self._limit = cache_tiles
+        self._tiles = ResidentTiles(cache_tiles)
+        self._damaged: dict[Key, str] = {}
+        self._writing = threading.Lock()
+        self._numbers = self._written = 0
+        self._open = ExitStack()
+        with ExitStack() as opening:
+            opening.enter_context(only_writer(path))
+            writer = open_writer(path)
+            opening.callback(writer.close)
+            with translated(path):
+                migrate(writer, path)
+                self._saved_revision, self.position, self._lost = self._begin(writer, sonar_map)
+            reader = open_reader(path)
+            opening.callback(reader.close)
+            self._loader = Loader(reader, path, edge)
+            self._saver = Saver(writer)
+            self._core.raise_revision(self._saved_revision)
+            self._core.cut_into_tiles(edge, _weakly(self._fetch))
+            self._noted: tuple[int, Position] = (self._core.revision, self.position)
+            self._open = opening.pop_all()
+
+    def _begin(
+        self, writer: sqlite3.Connection, sonar_map: SonarMap
+    ) -> tuple[int, bytes, set[Key]]:
+        found = writer.execute("SELECT revision, position FROM progress").fetchone()
+        if found is None:
+            with transaction(writer):
+                write_kind(writer, sonar_map.config)
+                writer.execute("INSERT INTO progress VALUES (1, 0, x'')")
+            return 0, b"", set()
+        check_kind(writer, self.path, sonar_map.config)
+        lost = set(writer.execute("SELECT x, y, z FROM quarantine WHERE NOT rebuilt"))
+        return int(found[0]), bytes(found[1]), lost
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Save, unless something went wrong: then the last save stands."""
+        try:
+            if kind is None:
+                self.save()
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """Let go of the file, as it was saved last."""
+        self._open.close()
+
+    @property
+    def bytes_written(self) -> int:
+        """Of bricks, since the file was opened."""
+        return self._saver.bytes_written
+
+    @property
+    def lost(self) -> frozenset[Key]:
+        """Bricks that were found damaged and are not rebuilt: what they held is not in the map."""
+        return frozenset(self._lost)
+
+    def advance(self, position: Position) -> None:
+        """Say, after each ping, up to where in the input the map is complete now.
+
+        Args:
+            position: or what makes it when it is about to be written, in the thread that writes.
+                That may raise a `StoreError`: then nothing is written.
+        """
+        self._noted = (self._core.revision, position)
+
+    def take(self) -> Snapshot:
+        """What is not in the file yet, to be written by `write`.
+
+        Raises:
+            StoreError: the map was changed since `advance` (`out_of_step`).
+        """
+        noted_revision, position = self._noted
+        revision, bricks = self._core.bricks_since(self._saved_revision)
+        if revision != noted_revision:
+            raise StoreError(f"{self.path}: nobody said up to where the map is", "out_of_step")
+        self._numbers += 1
+        return Snapshot(self._numbers, revision, position, bricks, dict(self._damaged))
+
+    def write(self, snapshot: Snapshot) -> None:
+        """Put a snapshot into the file; any thread. An older one than is there is left out.
+
+        Raises:
+            StoreError: it cannot be; the file is as before, and the map is still in memory.
+        """
+        with self._writing:
+            if snapshot.number <= self._written:
+                return
+            try:
+                with translated(self.path):
+                    self._saver.write(_sealed(snapshot))
+            except StoreError as error:
+                self.counters.saves_failed += 1
+                self.trouble = str(error)
+                raise
+            self._written = snapshot.number
+            self._saved_revision = snapshot.revision
+            for key in snapshot.damaged:
+                self._damaged.pop(key, None)
+            self._lost.difference_update(snapshot.rebuilt)
+            self.counters.saves += 1
+            self.trouble = None
+
+    def save(self) -> None:
+        """Put all that changed into the file.
+
+        Raises:
+            StoreError: it cannot be; the file is as before, and the map is still in memory.
+        """
+        self.write(self.take())
+
+    def check(self) -> frozenset[Key]:
+        """Read the whole file for damage, which is noticed otherwise when a tile is needed.
+
+        Nothing may be in memory yet: that would be whole, whatever became of its row.
+
+        Returns:
+            all that is lost.
+
+        Raises:
+            StoreError: its structure is damaged.
+        """
+        self._check_unused()
+        self._note_damage(self._loader.damage())
+        return self.lost
+
+    def reset(self) -> None:
+        """Empty the map and its file; the place in the input stays.
+
+        Raises:
+            StoreError: the file cannot be written; nothing is changed.
+        """
+        revision, position = self._core.revision + 1, _made(self._noted[1])
+        with self._writing, translated(self.path):
+            self._saver.forget(revision, position)
+            self._numbers += 1
+            self._written, self._saved_revision = self._numbers, revision
+        self._forget(self._tiles.all())
+        self._core.raise_revision(revision)
+        self._noted = (revision, position)
+        self._damaged.clear()
+        self._lost.clear()
+
+    def restore(self, bricks: Iterable[tuple[Key, bytes]], *, whole: bool) -> None:
+        """Put what lost bricks should hold into the file; nothing may be in memory yet.
+
+        Args:
+            bricks: those of `lost` that hold anything.
+            whole: that is all there ever was, up to `position`; else they stay on record as lost.
+
+        Raises:
+            StoreError: it cannot be; nothing is changed.
+        """
+        self._check_unused()
+        self._core.raise_revision(self._core.revision + 1)
+        revision = self._core.revision
+        self._noted = (revision, self._noted[1])
+        self._numbers += 1
+        rows = [(key, revision, brick) for key, brick in bricks]
+        rebuilt = tuple(sorted(self._lost)) if whole else ()
+        self.write(Snapshot(self._numbers, revision, self._noted[1], rows, {}, rebuilt))
+
+    def status(self) -> dict[str, object]:
+        """For a person: what it does and what was lost."""
+        return {
+            "state": "saving" if self.trouble is None else "stuck",
+            "reason": self.trouble,
+            "tiles": len(self._tiles),
+            "tiles_loaded": self.counters.tiles_loaded,
+            "tiles_dropped": self.counters.tiles_dropped,
+            "saves": self.counters.saves,
+            "saves_failed": self.counters.saves_failed,
+            "bytes_written": self._saver.bytes_written,
+            "bricks_lost": len(self._lost),
+        }
+
+    def _check_unused(self) -> None:
+        if len(self._tiles):
+            raise ValueError("tiles are in memory already")
+
+    def _fetch(self, tiles: list[Key]) -> None:
+        missing = self._tiles.missing(tiles)
+        if missing:
+            self._make_room(len(missing), frozenset(tiles))
+            damaged = self._loader.load(self._core, missing)
+            self.counters.tiles_loaded += len(missing)
+            self._note_damage(damaged)
+        self._tiles.use(tiles, self._core.revision)
+
+    def _make_room(self, coming: int, needed: frozenset[Key]) -> None:
+        surplus = self._tiles.surplus(coming, needed)
+        if self._tiles.changed_since(self._saved_revision, surplus):
+            self._try_to_save()
+        unsaved = self._tiles.changed_since(self._saved_revision, surplus)
+        self._forget([tile for tile in surplus if tile not in unsaved])
+        if unsaved and len(self._tiles) + coming > OVERDRAFT * self._limit + len(needed):
+            raise MapError(f"nothing can be saved: {self.trouble}", "store_stuck")
+
+    def _try_to_save(self) -> None:
+        try:
+            self.save()
+        except StoreError as error:
+            if error.reason == "out_of_step":
+                raise
+
+    def _forget(self, tiles: list[Key]) -> None:
+        self._core.drop_tiles(tiles)
+        self._tiles.drop(tiles)
+        self.counters.tiles_dropped += len(tiles)
+
+    def _note_damage(self, damaged: dict[Key, str]) -> None:
+        if not damaged:
+            return
+        self._damaged |= damaged
+        self._lost |= damaged.keys()
+        self.counters.bricks_damaged += len(damaged)
+        self._try_to_save()
+
+
+def _made(position: Position) -> bytes:
+    return position() if callable(position) else position
+
+
+def _sealed(snapshot: Snapshot) -> Snapshot:
+    return replace(snapshot, position=_made(snapshot.position))
+
+
+def _weakly(fetch: Callable[[list[Key]], None]) -> Callable[[list[Key]], None]:
+    """The core keeps what it calls alive; a store that ended is not to be kept."""
+    method = weakref.WeakMethod(fetch)
+
+    def ask(tiles: list[Key]) -> None:
+        target = method()
+        if target is None:
+            raise StoreError("the map's file is closed", "closed")
+        target(tiles)
+
+    return ask
