@@ -26,17 +26,21 @@ class Arguments:
     """What was asked.
 
     Attributes:
-        replay: the recording; None maps live.
-        config: the settings file, None for the defaults.
+        replay: the recordings, in order, or folders of them; none maps live.
+        as_recorded: map them as they were mapped, with all that was decided then.
+        config: the settings file on top of the machine's and the user's, None for those alone.
         out: folder of the results.
+        store: file that the recording's map is kept in, to go on there; None keeps it in memory.
         pose: of the base in the map for every ping, None to take it from the odometry.
         integrator: instead of the one in the settings.
         start_s, duration_s: the part of the recording to map.
     """
 
-    replay: Path | None
+    replay: tuple[Path, ...]
+    as_recorded: bool
     config: Path | None
     out: Path
+    store: Path | None
     pose: Pose | None
     integrator: str | None
     start_s: float
@@ -59,17 +63,32 @@ def parse_arguments(argv: Sequence[str]) -> Arguments:
     """
     parser = _parser()
     said = parser.parse_args(_with_joined_pose(argv))
-    if said.replay is None and said.start:
+    if not said.replay and said.start:
         parser.error("--start is of a recording: it needs --replay")
+    if said.store is not None and (not said.replay or said.start or said.duration):
+        parser.error("--store is of whole recordings: it needs --replay, without a part of it")
+    if said.as_recorded and (problem := _contradiction(said)) is not None:
+        parser.error(problem)
     return Arguments(
-        replay=said.replay,
+        replay=tuple(said.replay),
+        as_recorded=said.as_recorded,
         config=said.config,
-        out=said.out or Path("mapperd-live" if said.replay is None else "mapperd-replay"),
+        out=said.out or Path("mapperd-replay" if said.replay else "mapperd-live"),
+        store=said.store,
         pose=said.pose,
         integrator=said.integrator,
         start_s=said.start,
         duration_s=said.duration,
     )
+
+
+def _contradiction(said: argparse.Namespace) -> str | None:
+    """What cannot be said beside --as-recorded, which takes all from the recording."""
+    if not said.replay:
+        return "--as-recorded is of recordings: it needs --replay"
+    others = ("config", "store", "pose", "integrator", "start", "duration")
+    found = [f"--{name}" for name in others if getattr(said, name)]
+    return f"--as-recorded leaves no room for {', '.join(found)}" if found else None
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -81,14 +100,37 @@ def _parser() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     add = parser.add_argument
-    add("--replay", metavar="FILE", type=Path, help="a recording; without it, live")
-    add("--config", metavar="YAML", type=Path, help="settings; without it the defaults hold")
+    add(
+        "--replay",
+        metavar="FILE",
+        type=Path,
+        nargs="+",
+        default=[],
+        help="recordings in order, or folders of them; without it, live",
+    )
+    add(
+        "--as-recorded",
+        action="store_true",
+        help="map them as they were mapped live: settings, drops, resets and all that was decided",
+    )
+    add(
+        "--config",
+        metavar="YAML",
+        type=Path,
+        help="settings, above all other files (docs/configuration.md)",
+    )
     add(
         "--out",
         metavar="DIR",
         type=Path,
         help="folder for map.bt, map.ply, map.png and summary.json (default: mapperd-replay, or "
         "mapperd-live)",
+    )
+    add(
+        "--store",
+        metavar="MAP",
+        type=Path,
+        help="keep the recording's map in this file, and go on where it was interrupted",
     )
     add(
         "--pose",

@@ -10,30 +10,50 @@ from typing import Annotated, Literal
 
 from msgspec import Struct
 
+from mapperd.config_export import Export
+from mapperd.config_filters import Crosstalk, RobotDetection, TerrainDetection
 from mapperd.config_odometry import OdometryFusion, SlamQuality, TimeSync, WorldInit
+from mapperd.config_outofcore import OutOfCore
+from mapperd.config_published import Frames, Topics, Visualization
+from mapperd.config_service import Behind, Control, Mqtt, Service
 from mapperd.setting import rule
 
 __all__ = [
     "Adaptive",
+    "Behind",
     "Config",
+    "Control",
+    "Crosstalk",
     "Device",
+    "Export",
     "Filtering",
+    "Frames",
     "Iwlo",
     "Mapping",
     "Mounting",
+    "Mqtt",
     "Octree",
     "OdometryFusion",
     "Orientation",
+    "OutOfCore",
     "Position",
     "Processing",
     "Recording",
+    "RobotDetection",
+    "Service",
     "SlamQuality",
     "Sonar",
+    "TerrainDetection",
     "TimeSync",
+    "Topics",
+    "Visualization",
     "WorldInit",
 ]
 
 MAX_COUNT = 65535  # observations that a voxel can count
+
+MIN_TILE_VOXELS = 8
+"""Edge of a block, which no tile divides."""
 
 
 IPV4 = r"((25[0-5]|2[0-4]\d|1?\d?\d)\.){3}(25[0-5]|2[0-4]\d|1?\d?\d)"
@@ -106,6 +126,16 @@ class Octree(Struct, frozen=True, forbid_unknown_fields=True):
         float,
         rule("Voxel edge; smaller shows more, costs memory and time.", "m", ge=0.001, le=100),
     ] = 0.05
+    dynamic_expansion: Annotated[
+        bool, rule("The map grows where the sonar looks; it always does.", live=True)
+    ] = True
+    use_cpp_backend: Annotated[bool, rule("The core is in C++; there is no other.")] = True
+
+    def __post_init__(self) -> None:
+        """Refuse what the published names could say and nothing here does."""
+        for name in ("dynamic_expansion", "use_cpp_backend"):
+            if not getattr(self, name):
+                raise ValueError(f"{name} false is not there; allowed: true")
 
 
 class Mapping(Struct, frozen=True, forbid_unknown_fields=True):
@@ -179,10 +209,12 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True):
 class Iwlo(Struct, frozen=True, forbid_unknown_fields=True):
     """The intensity-weighted log-odds rule."""
 
-    L_occ: Annotated[float, rule("Step of an occupied observation.", ge=0, le=127)] = 3.5
-    L_free: Annotated[float, rule("Step of a free observation.", ge=-127, le=0)] = -3.0
-    L_min: Annotated[float, rule("Floor of the log-odds.", ge=-127, lt=0)] = -10.0
-    L_max: Annotated[float, rule("Ceiling of the log-odds.", gt=0, le=127)] = 10.0
+    L_occ: Annotated[float, rule("Step of an occupied observation.", "log-odds", ge=0, le=127)] = (
+        3.5
+    )
+    L_free: Annotated[float, rule("Step of a free observation.", "log-odds", ge=-127, le=0)] = -3.0
+    L_min: Annotated[float, rule("Floor of the log-odds.", "log-odds", ge=-127, lt=0)] = -10.0
+    L_max: Annotated[float, rule("Ceiling of the log-odds.", "log-odds", gt=0, le=127)] = 10.0
     sharpness: Annotated[
         float, rule("Slope from intensity to weight; higher is more yes-or-no.", ge=0, le=1000)
     ] = 3.0
@@ -292,9 +324,16 @@ class Device(Struct, frozen=True, forbid_unknown_fields=True):
 class Recording(Struct, frozen=True, forbid_unknown_fields=True):
     """Everything that comes in while mapping live, on disk as it came."""
 
+    enabled: Annotated[
+        bool, rule("Record; without it, a kill costs what is not in the map's file.")
+    ] = True
     folder: Annotated[
         str,
-        rule("For the recordings; without one nothing is recorded.", "a path or nothing"),
+        rule(
+            "For the recordings; without one systemd's for logs, or `recordings` in the state "
+            "folder.",
+            "a path or nothing",
+        ),
     ] = ""
     max_file: Annotated[
         int, rule("Of one file, then the next begins.", "MiB", ge=1, le=1 << 20)
@@ -302,7 +341,7 @@ class Recording(Struct, frozen=True, forbid_unknown_fields=True):
     budget: Annotated[
         int,
         rule("Of all files together, the oldest go; 0 has no limit.", "MiB", ge=0, le=1 << 30),
-    ] = 0
+    ] = 32768
     free_floor: Annotated[int, rule("What stays free on the disk.", "MiB", ge=0, le=1 << 30)] = 1024
 
 
@@ -321,5 +360,38 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     slam_quality: SlamQuality = SlamQuality()
     odometry: OdometryFusion = OdometryFusion()
     world_init: WorldInit = WorldInit()
+    crosstalk: Crosstalk = Crosstalk()
+    terrain_detection: TerrainDetection = TerrainDetection()
+    robot_detection: RobotDetection = RobotDetection()
+    outofcore: OutOfCore = OutOfCore()
     device: Device = Device()
     recording: Recording = Recording()
+    service: Service = Service()
+    behind: Behind = Behind()
+    control: Control = Control()
+    mqtt: Mqtt = Mqtt()
+    export: Export = Export()
+    frames: Frames = Frames()
+    visualization: Visualization = Visualization()
+    topics: Topics = Topics()
+
+    def __post_init__(self) -> None:
+        """Check what no single section can."""
+        robots, terrain = self.robot_detection, self.terrain_detection
+        if robots.enabled and robots.min_threshold < terrain.max_threshold:
+            raise ValueError(
+                f"robot_detection.min_threshold {robots.min_threshold:g} is below "
+                f"terrain_detection.max_threshold {terrain.max_threshold:g}; allowed: at least that"
+            )
+        if robots.enabled and robots.keep_out and self.mapping.carve_no_return:
+            raise ValueError(
+                "robot_detection.keep_out with mapping.carve_no_return frees the shadows of "
+                "robots; allowed: one of them"
+            )
+        least_m = MIN_TILE_VOXELS * self.octree.voxel_resolution
+        if self.outofcore.use and self.outofcore.tile_size < least_m:
+            raise ValueError(
+                f"outofcore.tile_size {self.outofcore.tile_size:g} is less than "
+                f"{MIN_TILE_VOXELS} voxels of {self.octree.voxel_resolution:g} m; "
+                "allowed: at least that"
+            )

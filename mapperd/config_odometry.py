@@ -227,7 +227,7 @@ class OdometryFusion(Struct, frozen=True, forbid_unknown_fields=True):
     origin: Annotated[
         GeoOrigin | None,
         Meta(
-            description="Where geographic positions have their zero; none is the first fix.",
+            description="Where geographic positions have their zero; none is the map's first fix.",
             extra={"unit": "", "dynamic": False},
         ),
     ] = None

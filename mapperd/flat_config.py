@@ -13,9 +13,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from mapperd.config import Adaptive, Config, Filtering, Iwlo, Octree, Sonar
+from mapperd.config import Adaptive, Config, Crosstalk, Filtering, Iwlo, Octree, Sonar
 from mapperd.config import Mapping as MappingSection
-from mapperd.config_file import rule_text
+from mapperd.config_parameters import rule_text
 from mapperd.errors import ConfigError
 
 __all__ = ["config_from_flat"]
@@ -27,10 +27,16 @@ _SECTIONS: dict[str, type[msgspec.Struct]] = {
     "mapping": MappingSection,
     "iwlo": Iwlo,
     "adaptive": Adaptive,
+    "crosstalk": Crosstalk,
 }
 
+_OWN_KEYS = {("crosstalk", "enabled"): "crosstalk_enabled"} | {
+    ("adaptive", field): f"adaptive_{field}" for field in Adaptive.__struct_fields__
+}
+"""Keys that are not the field's name."""
+
 _PLACES = {
-    (f"adaptive_{field}" if section == "adaptive" else field): (section, field)
+    _OWN_KEYS.get((section, field), field): (section, field)
     for section, kind in _SECTIONS.items()
     for field in kind.__struct_fields__
 }
@@ -42,13 +48,8 @@ _VECTORS = {
 """Metres, and degrees."""
 
 _ONLY = {
-    "use_cpp_backend": (True, "there is no other"),
-    "dynamic_expansion": (True, "the map always grows where the sonar looks"),
     "frame_skip": (1, "leave out calls instead"),
     "use_outofcore": (False, "maps on disk are not there yet"),
-    "crosstalk_enabled": (False, "the crosstalk filter is not there yet"),
-    "morpho_enabled": (False, "the crosstalk filter is not there yet"),
-    "azimuth_enabled": (False, "the crosstalk filter is not there yet"),
 }
 """The one value that says what happens anyway, and why there is no other."""
 
@@ -56,11 +57,6 @@ _RESTING = {
     "outofcore_map_path": "use_outofcore",
     "outofcore_tile_size": "use_outofcore",
     "outofcore_cache_size": "use_outofcore",
-    "morpho_enabled": "crosstalk_enabled",
-    "morpho_kernel_size": "crosstalk_enabled",
-    "morpho_kernel_shape": "crosstalk_enabled",
-    "azimuth_enabled": "crosstalk_enabled",
-    "azimuth_threshold": "crosstalk_enabled",
 }
 """Details of a function, taken where the same dictionary says that the function is off."""
 

@@ -4,8 +4,10 @@ from typing import Any, get_args, get_type_hints
 import msgspec
 import pytest
 
-from mapperd.config import Adaptive, Config, Iwlo, Mapping
-from mapperd.config_file import load_config, rule_text
+from mapperd.config import Adaptive, Config, Iwlo, Mapping, Orientation
+from mapperd.config_file import load_config
+from mapperd.config_layers import load_files
+from mapperd.config_parameters import rule_text
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -35,6 +37,22 @@ SEED_DEFAULTS = {
     "adaptive.threshold": 0.5,
     "adaptive.max_ratio": 0.3,
     "processing.frame_skip": 1,
+    "octree.dynamic_expansion": True,
+    "octree.use_cpp_backend": True,
+    "outofcore.use": False,
+    "outofcore.tile_size": 10.0,
+    "outofcore.cache_size": 16,
+    "crosstalk.enabled": False,
+    "crosstalk.morpho_enabled": True,
+    "crosstalk.morpho_kernel_size": 5,
+    "crosstalk.morpho_kernel_shape": "rect",
+    "crosstalk.azimuth_enabled": True,
+    "crosstalk.azimuth_threshold": 0.5,
+    "terrain_detection.min_threshold": 80.0,
+    "terrain_detection.max_threshold": 180.0,
+    "robot_detection.enabled": False,
+    "robot_detection.min_threshold": 180.0,
+    "robot_detection.topic": "/sonar_robot_detections",
     "time_sync.max_stamp_diff_sec": 0.1,
 }
 
@@ -81,6 +99,33 @@ def test_every_default_keeps_its_own_rule(path: str) -> None:
     assert msgspec.convert(plain, Config) == Config(), path
 
 
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        ({"octree": {"use_cpp_backend": False}}, "use_cpp_backend false is not there"),
+        ({"octree": {"dynamic_expansion": False}}, "dynamic_expansion false is not there"),
+        ({"terrain_detection": {"min_threshold": 180}}, "min_threshold 180 is not below"),
+        ({"robot_detection": {"enabled": True, "min_threshold": 179}}, "min_threshold 179 is"),
+        (
+            {"robot_detection": {"enabled": True, "keep_out": True}}
+            | {"mapping": {"carve_no_return": True}},
+            "shadows of robots",
+        ),
+        ({"outofcore": {"use": True, "tile_size": 0.39}}, "less than 8 voxels"),
+        ({"crosstalk": {"morpho_kernel_size": 1}}, ">= 2"),
+        ({"robot_detection": {"topic": "a b"}}, "regex"),
+    ],
+)
+def test_filters_and_store_refuse_what_cannot_be(section: Any, words: str) -> None:
+    with pytest.raises(msgspec.ValidationError, match=words):
+        msgspec.convert(section, Config)
+
+
+def test_what_is_off_needs_no_sense() -> None:
+    assert msgspec.convert({"robot_detection": {"min_threshold": 10}}, Config)
+    assert msgspec.convert({"outofcore": {"tile_size": 0.1}}, Config)
+
+
 def test_config_cannot_be_changed() -> None:
     with pytest.raises(AttributeError):
         Config().octree.voxel_resolution = 1.0  # type: ignore[misc]
@@ -121,3 +166,25 @@ def test_short_sample_names_what_most_users_need() -> None:
     text = (ROOT / "config" / "mapperd.yaml").read_text(encoding="utf-8")
     for name in ("position", "orientation", "voxel_resolution", "intensity_threshold"):
         assert name in text
+
+
+@pytest.mark.parametrize("tilt", [30, 60, 90])
+def test_preset_of_a_tilt_looks_that_way(tilt: int) -> None:
+    config = load_config(ROOT / "config" / f"tilt_{tilt}.yaml")
+    assert config.mounting.orientation == Orientation(pitch=tilt)
+    assert config.iwlo == Iwlo()
+
+
+def test_robots_can_be_told_at_every_tilt() -> None:
+    robots = ROOT / "config" / "robot_detection.yaml"
+    for tilt in (30, 60, 90):
+        config = load_files([ROOT / "config" / f"tilt_{tilt}.yaml", robots]).config
+        assert config.robot_detection.keep_out
+        assert config.mounting.orientation.pitch == tilt
+        assert config.filtering.intensity_threshold < config.terrain_detection.min_threshold
+
+
+def test_owners_of_the_bluerov2_are_its_sources() -> None:
+    odometry = load_config(ROOT / "config" / "bluerov2.yaml").odometry
+    names = {source.name for source in odometry.sources}
+    assert {odometry.owners.attitude, odometry.owners.depth, odometry.owners.velocity} == names

@@ -1,0 +1,14 @@
+"""Write what is generated from the settings' types: docs/configuration.md, config/schema.json."""
+
+import json
+from pathlib import Path
+
+from mapperd.config_page import configuration_page
+from mapperd.config_schema import json_schema
+
+ROOT = Path(__file__).resolve().parents[1]
+
+if __name__ == "__main__":
+    (ROOT / "docs" / "configuration.md").write_text(configuration_page(), encoding="utf-8")
+    schema = json.dumps(json_schema(), indent=2) + "\n"
+    (ROOT / "config" / "schema.json").write_text(schema, encoding="utf-8")
