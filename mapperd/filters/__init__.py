@@ -1,0 +1,1 @@
+"""Filters on a ping's image."""
