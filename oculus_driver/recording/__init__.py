@@ -12,7 +12,7 @@ from oculus_driver.recording.formats import (
     VIEWPOINT_LOG,
 )
 from oculus_driver.recording.info import PingInfo, RecordingInfo, describe
-from oculus_driver.recording.logger import LogCounters, SonarLog
+from oculus_driver.recording.logger import LogCounters, LogPlace, SonarLog
 from oculus_driver.recording.recording import Recording, open_recording
 from oculus_driver.recording.retention import LogPolicy
 from oculus_driver.recording.writer import RecordingWriter
@@ -32,6 +32,7 @@ __all__ = [
     "Chunk",
     "Conversion",
     "LogCounters",
+    "LogPlace",
     "LogPolicy",
     "PingInfo",
     "Recording",

@@ -11,10 +11,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
 
-    from oculus_driver.recording.logger import SonarLog
+    from oculus_driver.recording.logger import LogPlace, SonarLog
 
 MAX_WAITING_BYTES: Final = 64 << 20
 _TICK_S: Final = 1.0
+_RETRY_S: Final = 0.2
 _LEAST_SIZE: Final = 256
 """What an entry counts at least: its own memory."""
 
@@ -24,13 +25,29 @@ class _Entry(NamedTuple):
     arrival_ns: int
     gap_before: bool
     link: str | None  # None is the sonar's stream
+    number: int = 0
+
+
+class _Run(NamedTuple):
+    """Pieces that follow each other in one file, one message each."""
+
+    first: int
+    last: int
+    place: LogPlace  # behind the last
+
+
+_MOST_RUNS: Final = 1000
+"""Whose places are remembered: a run ends with a file, with a loss, and where a piece is cut."""
 
 
 class BackgroundLog:
     """Hands bytes to a `SonarLog` in a thread of its own. Leaving the block writes what waits.
 
     Where the disk is slower than the sonar for long, the newest bytes are dropped and counted,
-    and the log notes the gap.
+    and the log notes the gap. A log that holds (see `SonarLog`) may be stuck for as long as its
+    disk is full: what comes meanwhile waits too, within the same bound.
+
+    Every piece that is offered has a number, from 1, and a place in the files once it is written.
 
     Args:
         log: is used by the thread alone until the block is left, then closed.
@@ -39,6 +56,9 @@ class BackgroundLog:
 
     Attributes:
         bytes_dropped: because too many waited.
+        offered: pieces so far: the number of the newest.
+        written: number of the last piece that is with the operating system; those before it are
+            too, or dropped.
     """
 
     def __init__(
@@ -49,13 +69,16 @@ class BackgroundLog:
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self.bytes_dropped = 0
+        self.offered = 0
+        self.written = 0
+        self._runs: deque[_Run] = deque(maxlen=_MOST_RUNS)
         self._log = log
         self._limit = max_waiting_bytes
         self._clock = clock
         self._changed = Condition()
         self._entries: deque[_Entry] = deque()
         self._waiting = 0
-        self._gap = False
+        self._gaps: set[str | None] = set()  # links of which the last piece was dropped
         self._closing = False
         self._error: BaseException | None = None
         self._thread = Thread(target=self._run, name="sonar log", daemon=True)
@@ -74,7 +97,7 @@ class BackgroundLog:
 
         with self._changed:
             self._closing = True
-            self._changed.notify()
+            self._changed.notify_all()
         await asyncio.to_thread(self._thread.join)
         if self._error is not None:
             raise self._error
@@ -98,10 +121,7 @@ class BackgroundLog:
             arrival_ns: when they came.
             gap_before: bytes before these were lost, or this is a new connection.
         """
-        gap = gap_before or self._gap
-        taken = self._offer(_Entry(bytes(data), arrival_ns, gap, None))
-        self._gap = not taken
-        return taken
+        return self._offer(_Entry(bytes(data), arrival_ns, gap_before, None))
 
     def write_status(self, datagram: bytes, arrival_ns: int) -> bool:
         """Take a status datagram at once; False if there is no room for it."""
@@ -113,21 +133,47 @@ class BackgroundLog:
         """Take bytes of a link beside the sonar at once; False if there is no room for them."""
         return self._offer(_Entry(data, arrival_ns, gap_before, link))
 
+    def place_of(self, number: int) -> LogPlace | None:
+        """Where the files go on behind a piece; None while it is not written, or long after.
+
+        Of a piece that was dropped: behind the one before it.
+        """
+        with self._changed:
+            if number > self.written:
+                return None
+            for first, last, place in reversed(self._runs):
+                if first <= number:
+                    behind = max(0, last - number)
+                    return place._replace(messages=place.messages - behind)
+        return None
+
+    def wait_for(self, number: int, timeout_s: float) -> bool:
+        """Wait until a piece is written; False if it takes longer. Not in the event loop."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self.written >= number, timeout_s)
+
     def _offer(self, entry: _Entry) -> bool:
         size = max(len(entry.data), _LEAST_SIZE)
         with self._changed:
+            self.offered += 1
+            gap = entry.gap_before or entry.link in self._gaps
+            entry = entry._replace(number=self.offered, gap_before=gap)
             if self._waiting + size > self._limit or self._error is not None:
                 self.bytes_dropped += len(entry.data)
+                self._gaps.add(entry.link)
                 return False
+            self._gaps.discard(entry.link)
             self._entries.append(entry)
             self._waiting += size
-            self._changed.notify()
+            self._changed.notify_all()
         return True
 
     def _run(self) -> None:
         try:
             while (entry := self._next()) is not None:
                 self._record(entry)
+                self._hold_on()
+                self._note(entry.number)
             self._log.close()
         except BaseException as error:  # noqa: BLE001 - raised where the block is left
             self._error = error
@@ -153,3 +199,28 @@ class BackgroundLog:
             self._log.write_other(
                 entry.link, entry.data, entry.arrival_ns, gap_before=entry.gap_before
             )
+
+    def _hold_on(self) -> None:
+        """Wait until the log has what it holds on the disk, or the block was left."""
+        while self._log.holding and not self._log.retry(self._clock()):
+            with self._changed:
+                if self._closing:
+                    self._log.give_up()
+                else:
+                    self._changed.wait_for(lambda: self._closing, _RETRY_S)
+
+    def _note(self, number: int) -> None:
+        """Remember where a piece is."""
+        place = self._log.place
+        with self._changed:
+            last = self._runs[-1] if self._runs else None
+            if (
+                last is not None
+                and number == last.last + 1
+                and place == last.place._replace(messages=last.place.messages + 1)
+            ):
+                self._runs[-1] = last._replace(last=number, place=place)
+            else:
+                self._runs.append(_Run(number, number, place))
+            self.written = number
+            self._changed.notify_all()

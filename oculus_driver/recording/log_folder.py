@@ -55,6 +55,11 @@ class LogFolder:
             raise RecordingError(f"{path}: no folder for a log: {reason}") from error
         self._number = max((file.number for file in self.closed), default=0)
 
+    @property
+    def number(self) -> int:
+        """Of the newest file; 0 before the first."""
+        return self._number
+
     def next_path(self, unix_ns: int) -> Path:
         """Return the path of a new file that begins at this time."""
         self._number += 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, Self
+from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
 from oculus_driver.errors import RecordingError
 from oculus_driver.recording.chunk import OCULUS, OCULUS_STATUS
@@ -57,6 +57,25 @@ class LogCounters:
     syncs: int = 0
 
 
+class LogPlace(NamedTuple):
+    """How far a log has come.
+
+    Attributes:
+        file: number of the newest file; 0 before the first.
+        messages: in that file.
+    """
+
+    file: int
+    messages: int
+
+
+class _Piece(NamedTuple):
+    link: str
+    data: bytes
+    arrival_ns: int
+    gap_before: bool
+
+
 class SonarLog:
     """A row of MCAP files with one sonar's bytes as they came. Blocking, not thread-safe.
 
@@ -73,6 +92,8 @@ class SonarLog:
         metadata: free words that go into each file.
         others: name to encoding of links that are recorded beside the sonar, such as odometry.
         free_bytes: tells what is free on the folder's disk.
+        hold: a piece that the disk does not take now is not dropped: it stays, `holding` says so,
+            and nothing else may be written until `retry` has brought it to the disk.
 
     Raises:
         RecordingError: the folder cannot be made or read.
@@ -88,6 +109,7 @@ class SonarLog:
         metadata: Mapping[str, str] | None = None,
         others: Mapping[str, str] | None = None,
         free_bytes: Callable[[Path], int] = free_bytes_of,
+        hold: bool = False,
     ) -> None:
         self.policy = policy or LogPolicy()
         self.counters = LogCounters()
@@ -102,12 +124,15 @@ class SonarLog:
         self._free_checked_ns = 0
         self._parser = StreamParser()
         self._writer: RecordingWriter | None = None
+        self._messages = 0
         self._began_ns = 0
         self._synced_ns = 0
         self._retry_at_ns: int | None = None
         self._paused_for = ""
         self._torn = False  # a part of the message under way was dropped
         self._gap = False  # and so bytes are missing before the next ones
+        self._hold = hold
+        self._held: _Piece | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -126,6 +151,16 @@ class SonarLog:
         if self._retry_at_ns is not None:
             return "paused"
         return "waiting" if self._writer is None else "logging"
+
+    @property
+    def place(self) -> LogPlace:
+        """Up to where all that was written lies with the operating system."""
+        return LogPlace(self._folder.number, self._messages)
+
+    @property
+    def holding(self) -> bool:
+        """Whether a piece waits for the disk to take it."""
+        return self._held is not None
 
     @property
     def path(self) -> Path | None:
@@ -152,6 +187,9 @@ class SonarLog:
         if full is None or not whole:
             return self._put(_SONAR, data, arrival_ns, gap_before=gap_before)
         done = self._put(_SONAR, data[:whole], arrival_ns, gap_before=gap_before)
+        if self._held is not None:
+            self._held = self._held._replace(data=data)
+            return False
         self._finish(full)
         return self._put(_SONAR, data[whole:], arrival_ns) and done
 
@@ -165,6 +203,21 @@ class SonarLog:
         """Record bytes of another link, named in `others`; True if they are recorded."""
         return self._put(link, data, arrival_ns, gap_before=gap_before)
 
+    def retry(self, now_ns: int) -> bool:
+        """Try again to write what is held; True if nothing is held any more."""
+        held, self._held = self._held, None
+        if held is None:
+            return True
+        return self._put(
+            held.link, held.data, held.arrival_ns, gap_before=held.gap_before, now_ns=now_ns
+        )
+
+    def give_up(self) -> None:
+        """Drop what is held, and count it."""
+        held, self._held = self._held, None
+        if held is not None:
+            self._refuse(held.link, self._paused_for, len(held.data))
+
     def tick(self, now_ns: int) -> None:
         """Do what time asks for while nothing comes: close an old file, bring data to the disk."""
         full = self._full(now_ns)
@@ -174,6 +227,7 @@ class SonarLog:
 
     def close(self) -> None:
         """Close the file being written. Safe to call again; writing opens another one."""
+        self.give_up()
         self._finish(None)
 
     def _begin(self, messages: list[Message], size: int) -> int:
@@ -190,28 +244,54 @@ class SonarLog:
             return None
         return self.policy.full(self._writer.size_bytes, now_ns - self._began_ns)
 
-    def _put(self, link: str, data: bytes, arrival_ns: int, *, gap_before: bool = False) -> bool:
+    def _put(
+        self,
+        link: str,
+        data: bytes,
+        arrival_ns: int,
+        *,
+        gap_before: bool = False,
+        now_ns: int | None = None,
+    ) -> bool:
         if not data:
             return True
-        if self._retry_at_ns is not None and arrival_ns < self._retry_at_ns:
-            return self._refuse(link, self._paused_for, len(data))
+        now_ns = arrival_ns if now_ns is None else now_ns
+        piece = _Piece(link, data, arrival_ns, gap_before)
+        if self._retry_at_ns is not None and now_ns < self._retry_at_ns:
+            return self._not_now(piece, self._paused_for)
         try:
-            shortage = self._room(len(data), arrival_ns)
+            shortage = self._room(len(data), now_ns)
             if shortage is not None:
-                self._pause(shortage, shortage, arrival_ns)
-                return self._refuse(link, shortage, len(data))
-            writer = self._writer or self._open(arrival_ns)
-            gap = gap_before or (link == _SONAR and self._gap)
-            writer.write(self._numbers[link], data, arrival_ns, gap_before=gap)
-            self._sync(arrival_ns)
+                self._pause(shortage, shortage, now_ns)
+                return self._not_now(piece, shortage)
+            self._write(piece, now_ns)
         except (RecordingError, OSError) as error:
-            self._finish("failure")
-            self._pause("disk", str(error), arrival_ns)
-            return self._refuse(link, "disk", len(data))
+            self._fail(error, now_ns)
+            return self._not_now(piece, "disk")
         self._retry_at_ns, self.reason = None, None
         self._gap = self._gap and link != _SONAR
         self.counters.bytes_written += len(data)
+        try:
+            self._sync(now_ns)
+        except OSError as error:  # the data are written all the same
+            self._fail(error, now_ns)
         return True
+
+    def _write(self, piece: _Piece, now_ns: int) -> None:
+        writer = self._writer or self._open(now_ns)
+        gap = piece.gap_before or (piece.link == _SONAR and self._gap)
+        writer.write(self._numbers[piece.link], piece.data, piece.arrival_ns, gap_before=gap)
+        self._messages = writer.messages
+
+    def _fail(self, error: Exception, now_ns: int) -> None:
+        self._finish("failure")
+        self._pause("disk", str(error), now_ns)
+
+    def _not_now(self, piece: _Piece, reason: str) -> bool:
+        if not self._hold:
+            return self._refuse(piece.link, reason, len(piece.data))
+        self._held = piece
+        return False
 
     def _pause(self, kind: str, reason: str, now_ns: int) -> None:
         self._paused_for = kind
@@ -261,6 +341,7 @@ class SonarLog:
             path, monotonic_to_unix_ns=self._offset_ns, metadata=self._metadata
         )
         self._writer = writer
+        self._messages = 0
         self._began_ns = self._synced_ns = now_ns
         self.counters.files_opened += 1
         self._numbers = {

@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 import zlib
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self
@@ -83,14 +84,20 @@ class RecordingWriter:
         self._chunk: _OpenChunk | None = None
         self._chunk_indexes = bytearray()
         self._chunks = 0
-        self._append(mcap.MAGIC + mcap.header(LIBRARY))
         facts = {
             "format_version": str(FORMAT_VERSION),
             "monotonic_to_unix_ns": str(monotonic_to_unix_ns),
         }
         note = mcap.metadata(METADATA_NAME, dict(metadata or {}) | facts)
-        self._metadata_index = mcap.metadata_index(self._position, len(note), METADATA_NAME)
-        self._append(note)
+        try:
+            self._append(mcap.MAGIC + mcap.header(LIBRARY))
+            self._metadata_index = mcap.metadata_index(self._position, len(note), METADATA_NAME)
+            self._append(note)
+        except BaseException:  # no room even for this: nobody is to take it for a recording
+            with suppress(OSError):
+                os.close(self._file)
+            self.path.unlink(missing_ok=True)
+            raise
 
     def __enter__(self) -> Self:
         return self

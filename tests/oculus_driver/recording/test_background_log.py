@@ -100,3 +100,109 @@ def test_what_goes_wrong_in_the_thread_is_raised_when_the_block_is_left(
 
     with pytest.raises(ValueError, match="bad log"):
         asyncio.run(run())
+
+
+FLOOR = LogPolicy(free_floor_bytes=10 << 20, sync_interval_ns=None, retry_ns=0)
+
+
+class FullDisk:
+    """A disk that is full until somebody makes room."""
+
+    def __init__(self) -> None:
+        self.free = 0
+
+    def __call__(self, _: Path) -> int:
+        return self.free
+
+
+def holding(folder: Path, disk: FullDisk) -> SonarLog:
+    return SonarLog(folder, FLOOR, others={"vehicle": "native"}, free_bytes=disk, hold=True)
+
+
+def test_what_comes_while_the_disk_is_full_is_written_when_there_is_room(
+    tmp_path: Path, make_ping: MakePing
+) -> None:
+    disk = FullDisk()
+
+    async def run() -> None:
+        log = holding(tmp_path, disk)
+        async with BackgroundLog(log) as background:
+            for index in range(50):
+                assert background.write(make_ping(ping_id=index), index)
+                assert background.write_other("vehicle", b"x", index)
+            assert not background.wait_for(1, 0.05)
+            assert log.state == "paused"
+            assert background.place_of(1) is None
+            disk.free = 1 << 30
+            assert await asyncio.to_thread(background.wait_for, 100, 30)
+            assert background.place_of(60) == (1, 60)
+        assert log.counters.bytes_dropped == background.bytes_dropped == 0
+
+    asyncio.run(run())
+    info = described(tmp_path)
+    assert [ping.id for ping in info.ping_list] == list(range(50))
+    assert info.damage is None
+
+
+def test_what_cannot_be_held_any_more_is_counted_and_leaves_a_gap(
+    tmp_path: Path, make_ping: MakePing
+) -> None:
+    disk = FullDisk()
+    size = len(make_ping())
+
+    async def run() -> None:
+        async with BackgroundLog(holding(tmp_path, disk), max_waiting_bytes=5 * size) as log:
+            taken = [log.write(make_ping(ping_id=index), index) for index in range(20)]
+            assert log.bytes_dropped == size * taken.count(False) > 0
+            disk.free = 1 << 30
+            assert await asyncio.to_thread(log.wait_for, taken.index(False), 30)
+            assert log.write(make_ping(ping_id=20), 20)
+
+    asyncio.run(run())
+    (path,) = tmp_path.iterdir()
+    with open_recording(path) as recording:
+        assert [chunk.gap_before for chunk in recording][-1]
+
+
+def test_a_disk_that_stays_full_does_not_hold_up_the_end(
+    tmp_path: Path, make_ping: MakePing
+) -> None:
+    log = holding(tmp_path, FullDisk())
+
+    async def run() -> None:
+        async with BackgroundLog(log) as background:
+            for index in range(3):
+                background.write(make_ping(ping_id=index), index)
+
+    asyncio.run(run())
+    assert log.counters.drops["free_space"] == 3
+    assert log.counters.bytes_dropped == 3 * len(make_ping())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_places_tell_where_to_read_on(tmp_path: Path, make_ping: MakePing) -> None:
+    policy = LogPolicy(max_file_bytes=1 << 20, free_floor_bytes=0, sync_interval_ns=None)
+    ping = make_ping()
+    pieces = [ping[k : k + 700] for k in range(0, len(ping), 700)]
+    offered: list[bytes] = []
+
+    async def run() -> list[tuple[int, int]]:
+        async with BackgroundLog(SonarLog(tmp_path, policy)) as log:
+            while len(offered) < 2_500_000 // len(ping) * len(pieces):
+                offered.append(pieces[len(offered) % len(pieces)])
+                log.write(offered[-1], len(offered))
+            assert await asyncio.to_thread(log.wait_for, len(offered), 30)
+            places = [log.place_of(number) for number in range(1, len(offered) + 1)]
+            return [place for place in places if place is not None]
+
+    places = asyncio.run(run())
+    assert len(places) == len(offered)
+    files: list[list[bytes]] = []
+    for path in sorted(tmp_path.iterdir()):
+        with open_recording(path) as recording:
+            files.append([chunk.data for chunk in recording])
+    assert len(files) == 3
+    for number in range(0, len(offered), 97):
+        file, messages = places[number]
+        rest = [*files[file - 1][messages:], *(data for more in files[file:] for data in more)]
+        assert b"".join(rest) == b"".join(offered[number + 1 :])

@@ -164,6 +164,19 @@ def test_a_full_disk_loses_only_what_did_not_fit(
         assert recording.damage is None
 
 
+def test_a_disk_without_any_room_leaves_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(file: int, data: bytes) -> int:  # noqa: ARG001
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", full)
+        with pytest.raises(RecordingError, match="No space left on device"):
+            RecordingWriter(tmp_path / "full")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_empty_recording_is_a_recording(tmp_path: Path) -> None:
     path = tmp_path / "empty"
     with RecordingWriter(path) as writer:
