@@ -1,5 +1,6 @@
 """summary.json: what went in, what became of it, and what came out, in one object."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -8,8 +9,8 @@ from mapperd.config import Config
 from mapperd.counters import ReplayCounters
 from mapperd.mapping import SonarMap
 from mapperd.pairing import FixedPose, OdometryPoses
+from mapperd.recording_files import RecordedSession
 from mapperd.version import version
-from oculus_driver.recording import Recording
 
 __all__ = ["recording_facts", "summary_of"]
 
@@ -72,14 +73,16 @@ def _poses(poses: FixedPose | OdometryPoses) -> dict[str, Any]:
     }
 
 
-def recording_facts(recording: Recording) -> dict[str, Any]:
-    """What there is to say about a recording that was read to the end of the chosen part."""
+def recording_facts(sessions: Sequence[RecordedSession]) -> dict[str, Any]:
+    """What there is to say about recordings that were read to the end of the chosen part."""
     facts = {
-        "format": recording.format,
-        "size_bytes": recording.size_bytes,
-        "bytes_read": recording.bytes_read,
-        "truncated": recording.truncated,
-        "damage": recording.damage,
+        "format": sessions[0].format,
+        "files": sum(len(session.paths) for session in sessions),
+        "sessions": len(sessions),
+        "size_bytes": sum(session.size_bytes for session in sessions),
+        "bytes_read": sum(session.bytes_read for session in sessions),
+        "truncated": any(session.truncated for session in sessions),
+        "damage": next((session.damage for session in sessions if session.damage), None),
     }
     return {"recording": facts}
 

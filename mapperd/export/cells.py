@@ -1,0 +1,183 @@
+"""The map seen from above, a cell for each column of voxels."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd import _core
+from mapperd.errors import ExportError
+from mapperd.mapping import SonarMap, iwlo_params
+from mapperd.probability import log_odds_of
+
+__all__ = [
+    "FREE",
+    "MAX_CELLS",
+    "NO_TOP",
+    "OCCUPIED",
+    "UNKNOWN",
+    "Cells",
+    "Heights",
+    "Window",
+    "known_cells",
+    "top_cells",
+]
+
+MAX_CELLS = 1 << 26
+"""Of a grid: two voxels far apart make a huge one, of nothing."""
+
+BLOCKS_AT_ONCE = 256
+"""Blocks looked at before other threads may."""
+
+UNKNOWN, FREE, OCCUPIED = 0, 1, 2
+
+NO_TOP = np.iinfo(np.int64).min
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Heights:
+    """Which voxels count: those whose centres lie in `min_m <= z <= max_m`."""
+
+    min_m: float = -np.inf
+    max_m: float = np.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Columns of voxels: indices of the first in x and y, and how many."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cells:
+    """One number a column.
+
+    Attributes:
+        values: (height, width); row 0 is the south, column 0 the west.
+        window: which columns.
+    """
+
+    values: NDArray[np.generic]
+    window: Window
+
+
+def window_of(columns: Ints) -> Window:
+    """The smallest window of columns (N, 2), N at least 1.
+
+    Raises:
+        ExportError: it has over `MAX_CELLS`.
+    """
+    low, high = columns.min(axis=0), columns.max(axis=0)
+    width, height = (int(edge) for edge in high - low + 1)
+    if width * height > MAX_CELLS:
+        raise ExportError(
+            f"a grid of {width} x {height} cells is too large; allowed: {MAX_CELLS} together"
+        )
+    return Window(int(low[0]), int(low[1]), width, height)
+
+
+def indices_of(centres_m: NDArray[np.float64], resolution_m: float) -> Ints:
+    """Voxels' whole-number places, from their centres."""
+    return np.rint(centres_m / resolution_m - 0.5).astype(np.int64)
+
+
+class KnownCells:
+    """What is known of each column: OCCUPIED where one of its voxels is, else FREE where one is.
+
+    Args:
+        heights: which voxels count.
+        resolution_m: edge of a voxel.
+        occupied_log_odds: voxels above are occupied.
+        free_log_odds: observed voxels below are free.
+    """
+
+    def __init__(
+        self, heights: Heights, resolution_m: float, occupied_log_odds: float, free_log_odds: float
+    ) -> None:
+        self._heights = heights
+        self._resolution_m = resolution_m
+        # Log-odds are whole units: above a limit is above its floor, below it below its ceiling.
+        self._occupied = math.floor(occupied_log_odds / _core.LOG_ODDS_UNIT)
+        self._free = math.ceil(free_log_odds / _core.LOG_ODDS_UNIT)
+        self._columns: list[Ints] = []
+        self._known: list[NDArray[np.uint8]] = []
+
+    def add(
+        self, keys: NDArray[np.int32], units: NDArray[np.int32], count: NDArray[np.uint16]
+    ) -> None:
+        """Look at blocks, as `VoxelMap.visit_blocks` gives them."""
+        edge = _core.BLOCK_EDGE
+        z_m = (keys[:, 2, None].astype(np.int64) * edge + np.arange(edge) + 0.5) * (
+            self._resolution_m
+        )
+        counts = (z_m >= self._heights.min_m) & (z_m <= self._heights.max_m)
+        shape = (len(keys), edge, edge * edge)
+        seen = (count.reshape(shape) > 0) & counts[:, :, None]
+        units = units.reshape(shape)
+        occupied = np.asarray((seen & (units > self._occupied)).any(axis=1))
+        free = np.asarray((seen & (units < self._free)).any(axis=1))
+        block, column = np.nonzero(occupied | free)
+        y, x = np.divmod(column, edge)
+        self._columns.append(keys[block, :2].astype(np.int64) * edge + np.stack((x, y), axis=1))
+        self._known.append(np.where(occupied[block, column], OCCUPIED, FREE).astype(np.uint8))
+
+    def cells(self) -> Cells | None:
+        """The grid of all blocks that were added; None where nothing is known.
+
+        Raises:
+            ExportError: it is too large.
+        """
+        columns = np.concatenate([np.empty((0, 2), dtype=np.int64), *self._columns])
+        if not len(columns):
+            return None
+        window = window_of(columns)
+        grid = np.full((window.height, window.width), UNKNOWN, dtype=np.uint8)
+        place = columns[:, 1] - window.y, columns[:, 0] - window.x
+        np.maximum.at(grid, place, np.concatenate(self._known))  # blocks lie over each other
+        return Cells(grid, window)
+
+
+def known_cells(sonar_map: SonarMap, heights: Heights) -> Cells | None:
+    """What is known of each column, by the thresholds of the map's settings; None if nothing is.
+
+    Pings wait only while the map is copied.
+
+    Raises:
+        ExportError: the grid is too large.
+    """
+    mapping = sonar_map.config.mapping
+    known = KnownCells(
+        heights,
+        sonar_map.resolution_m,
+        log_odds_of(mapping.occupied_threshold, "occupied_threshold"),
+        log_odds_of(mapping.free_threshold, "free_threshold"),
+    )
+    copy = sonar_map.core.with_rule(iwlo_params(sonar_map.config))
+    copy.visit_blocks(known.add, BLOCKS_AT_ONCE)
+    return known.cells()
+
+
+def top_cells(sonar_map: SonarMap, heights: Heights) -> Cells | None:
+    """Index in z of the highest occupied voxel of each column that counts, int64, or `NO_TOP`.
+
+    Raises:
+        ExportError: the grid is too large.
+    """
+    centres_m = sonar_map.voxels("occupied").centres_m
+    z_m = centres_m[:, 2]
+    places = indices_of(
+        centres_m[(z_m >= heights.min_m) & (z_m <= heights.max_m)], sonar_map.resolution_m
+    )
+    if not len(places):
+        return None
+    window = window_of(places[:, :2])
+    grid = np.full((window.height, window.width), NO_TOP, dtype=np.int64)
+    np.maximum.at(grid, (places[:, 1] - window.y, places[:, 0] - window.x), places[:, 2])
+    return Cells(grid, window)
