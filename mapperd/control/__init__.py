@@ -1,0 +1,1 @@
+"""The daemon's sockets for those who steer it: docs/control.md."""

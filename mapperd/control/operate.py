@@ -1,0 +1,82 @@
+"""What each request makes the daemon do."""
+
+import asyncio
+from typing import Any
+
+from mapperd.config_facts import chosen, facts_of
+from mapperd.config_parameters import value_of
+from mapperd.config_store import ConfigStore, Refused
+from mapperd.control.messages import (
+    Ask,
+    Fault,
+    Get,
+    Params,
+    Reload,
+    Reset,
+    Save,
+    Set,
+    Snapshot,
+    Status,
+)
+from mapperd.operations import OperationError, Operations
+
+__all__ = ["operate"]
+
+
+async def operate(ask: Ask, operations: Operations, origin: str) -> dict[str, Any] | Fault:
+    """Do what is asked; hello and events are the client's own business.
+
+    Args:
+        ask: the request.
+        operations: the daemon.
+        origin: who asks.
+    """
+    try:
+        match ask:
+            case Params() | Get() | Set():
+                return await _with_settings(ask, operations.settings, origin)
+            case Status():
+                return operations.status()
+            case _:
+                return await _done(ask, operations, origin)
+    except OperationError as error:
+        return Fault(error.reason, str(error))
+
+
+async def _done(ask: Ask, operations: Operations, origin: str) -> dict[str, Any] | Fault:
+    match ask:
+        case Save(name=name):
+            return await operations.save(name, origin)
+        case Reset():
+            return await operations.reset(origin)
+        case Reload():
+            return await operations.reload(origin)
+        case Snapshot():
+            return await operations.snapshot(origin)
+        case _:
+            return Fault("bad_request", "hello is said once, at the beginning")
+
+
+async def _with_settings(
+    ask: Params | Get | Set, settings: ConfigStore, origin: str
+) -> dict[str, Any] | Fault:
+    if isinstance(ask, Set):
+        return await _set(settings, ask.changes, origin)
+    for name in ask.names:
+        if not chosen([name]):
+            return Fault("unknown_setting", f"{name[:100]!a}: there is no such setting")
+    if isinstance(ask, Params):
+        return facts_of(settings.current, settings.origin_of, ask.names)
+    config = settings.current
+    return {parameter.name: value_of(config, parameter.name) for parameter in chosen(ask.names)}
+
+
+async def _set(
+    settings: ConfigStore, changes: dict[str, Any], origin: str
+) -> dict[str, Any] | Fault:
+    """In a thread: whoever follows the settings may have to wait for the end of a ping."""
+    result = await asyncio.to_thread(settings.apply, changes, origin)
+    if isinstance(result, Refused):
+        said = "; ".join(f"{name}: {reason}" for name, reason in result.reasons.items())
+        return Fault("refused", said, {"reasons": dict(result.reasons)})
+    return {"changed": {change.name: [change.before, change.after] for change in result.changes}}

@@ -1,0 +1,116 @@
+"""`mapperctl`: looks at a mapper and steers it."""
+
+import argparse
+import json
+import os
+import ssl
+import stat
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from mapperd.config import Config
+from mapperd.config_facts import facts_of
+from mapperd.config_layers import Layered, load_settings
+from mapperd.control.doors import address_of
+from mapperd.control.place import socket_places
+from mapperd.control.token import read_token
+from mapperd.ctl.arguments import parser
+from mapperd.ctl.connection import Target
+from mapperd.ctl.errors import CtlError, Exit
+from mapperd.ctl.params import params_lines
+from mapperd.ctl.remote import run
+from mapperd.errors import ConfigError
+
+__all__ = ["main"]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; what is wrong is one line and an exit code."""
+    said = parser().parse_args(argv)
+    try:
+        for line in _lines(said):
+            print(line, flush=True)  # noqa: T201 a command speaks
+    except CtlError as error:
+        return _fail(error, error.code)
+    except ConfigError as error:
+        return _fail(error, Exit.BAD_CONFIG)
+    except BrokenPipeError:  # `mapperctl params | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except KeyboardInterrupt:
+        endless = said.command == "status" or getattr(said, "follow", False)
+        return Exit.OK if endless else Exit.INTERRUPTED
+    return Exit.OK
+
+
+def _lines(said: argparse.Namespace) -> Iterator[str]:
+    remote = said.command != "params" or said.running or said.socket or said.address
+    if remote:
+        yield from run(said, _target(said))
+        return
+    layered = load_settings(said.config, os.environ)
+    facts = facts_of(layered.config, layered.origin_of, said.names)
+    if said.json:
+        yield json.dumps(facts, indent=2)
+    else:
+        yield from params_lines(facts, origin=said.origin)
+
+
+def _target(said: argparse.Namespace) -> Target:
+    """Where the daemon is: as said, else as the settings say, else where daemons usually are."""
+    if said.address and said.socket:
+        raise CtlError("--socket or --address, not both", Exit.USAGE)
+    if said.socket:
+        return Target(said.socket)
+    config = _settings(said).config
+    if said.address:
+        return _over_tcp(said, config)
+    places = socket_places(config, os.environ)
+    for path in places:
+        if _is_socket(path):
+            return Target(path)
+    looked = ", ".join(map(str, places))
+    raise CtlError(f"no daemon is running: no socket at {looked}", Exit.UNAVAILABLE)
+
+
+def _settings(said: argparse.Namespace) -> Layered:
+    """Those of the files, where they can be read: who looks may be somebody else."""
+    try:
+        return load_settings(said.config, os.environ)
+    except ConfigError:
+        if said.config:
+            raise
+        return Layered(Config())
+
+
+def _over_tcp(said: argparse.Namespace, config: Config) -> Target:
+    try:
+        host, port = address_of(said.address)
+        path = said.token_file or (
+            Path(config.control.token_file) if config.control.token_file else None
+        )
+        token = b"" if path is None else read_token(path)
+    except ConfigError as error:
+        raise CtlError(str(error), Exit.USAGE) from error
+    return Target(None, str(host), port, token, _tls(said.tls_ca))
+
+
+def _tls(authorities: Path | None) -> ssl.SSLContext | None:
+    if authorities is None:
+        return None
+    try:
+        return ssl.create_default_context(cafile=str(authorities))
+    except OSError as error:
+        raise CtlError(f"{authorities}: no certificates: {error}", Exit.USAGE) from error
+
+
+def _is_socket(path: Path) -> bool:
+    try:
+        return stat.S_ISSOCK(path.stat().st_mode)
+    except OSError:
+        return False
+
+
+def _fail(error: Exception, code: Exit) -> Exit:
+    print(f"mapperctl: {error}", file=sys.stderr)  # noqa: T201
+    return code

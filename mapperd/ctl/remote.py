@@ -1,0 +1,165 @@
+"""The commands that ask a running daemon."""
+
+import argparse
+import json
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from mapperd.ctl.connection import Connection, Target
+from mapperd.ctl.errors import CtlError, Exit, plain
+from mapperd.ctl.params import params_lines
+from mapperd.ctl.status_view import event_line, status_lines
+
+__all__ = ["run"]
+
+PATIENCE_S = 30.0
+PATIENCE_WITH_DISKS_S = 900.0
+HOME_AND_CLEAR = "\x1b[H\x1b[J"
+
+Lines = Iterator[str]
+
+
+def run(said: argparse.Namespace, target: Target) -> Lines:
+    """Do a command; yields what there is to print, as it comes.
+
+    Raises:
+        CtlError: it is not done.
+    """
+    if said.command == "status" and not said.once and (said.json or sys.stdout.isatty()):
+        yield from _watch(said, target)
+        return
+    slow = said.command in ("save", "reset", "snapshot", "reload")
+    if said.command == "reset" and not said.yes:
+        _ask_first(target)
+    with Connection(target, PATIENCE_WITH_DISKS_S if slow else PATIENCE_S) as daemon:
+        if said.command == "events":
+            yield from _events(said, daemon)
+            return
+        result = daemon.ask(said.command, **_arguments(said))
+        yield from [json.dumps(result)] if said.json else _PEOPLE[said.command](said, result)
+
+
+def _arguments(said: argparse.Namespace) -> dict[str, Any]:
+    if said.command in ("params", "get"):
+        return {"names": said.names}
+    if said.command == "set":
+        return {"changes": dict(said.changes)}
+    return {"name": said.name} if said.command == "save" else {}
+
+
+def _status(_: argparse.Namespace, result: dict[str, Any]) -> Lines:
+    yield from status_lines(result, None)
+
+
+def _params(said: argparse.Namespace, result: dict[str, Any]) -> Lines:
+    yield from params_lines(result, origin=said.origin)
+
+
+def _get(_: argparse.Namespace, result: dict[str, Any]) -> Lines:
+    for name, value in result.items():
+        yield f"{name} = {json.dumps(value)}"
+
+
+def _changed(_: argparse.Namespace, result: dict[str, Any]) -> Lines:
+    for name, (before, after) in result["changed"].items():
+        yield f"{name}: {json.dumps(before)} is now {json.dumps(after)}"
+    if not result["changed"]:
+        yield "nothing changed"
+
+
+def _saved(_: argparse.Namespace, result: dict[str, Any]) -> Lines:
+    yield plain(f"{result.get('path')}: {result.get('bytes')} bytes")
+
+
+def _reset(_: argparse.Namespace, __: dict[str, Any]) -> Lines:
+    yield "the map is empty"
+
+
+def _reloaded(_: argparse.Namespace, result: dict[str, Any]) -> Lines:
+    for name, value in result.get("changed", {}).items():
+        yield plain(f"{name} is now {json.dumps(value)}")
+    for name in result.get("waiting", ()):
+        yield plain(f"{name}: waits for a restart")
+    refused = [f"{name}: {why}" for name, why in result.get("refused", {}).items()]
+    if refused:
+        raise CtlError(f"settings stay as they are: {'; '.join(refused)}", Exit.REFUSED)
+    if not result.get("changed") and not result.get("waiting"):
+        yield "nothing is new"
+
+
+def _snapshot(_: argparse.Namespace, result: dict[str, Any]) -> Lines:
+    yield plain(f"{result.get('bytes')} bytes in {result.get('seconds', 0.0):.2f} s")
+
+
+_PEOPLE: Mapping[str, Callable[[argparse.Namespace, dict[str, Any]], Lines]] = MappingProxyType(
+    {
+        "status": _status,
+        "params": _params,
+        "get": _get,
+        "set": _changed,
+        "save": _saved,
+        "reset": _reset,
+        "reload": _reloaded,
+        "snapshot": _snapshot,
+    }
+)
+
+
+def _events(said: argparse.Namespace, daemon: Connection) -> Lines:
+    for told in daemon.follow(said.since) if said.follow else _kept(said.since, daemon):
+        if told["missed"]:
+            yield (
+                json.dumps({"missed": told["missed"]})
+                if said.json
+                else f"({told['missed']} events are not kept any more)"
+            )
+        for event in told["events"]:
+            clock = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(event["t_s"]))
+            yield json.dumps(event) if said.json else event_line(event, clock)
+
+
+def _kept(since: int, daemon: Connection) -> Iterator[dict[str, Any]]:
+    more = True
+    while more:
+        told = daemon.ask("events", since=since)
+        yield told
+        more = told["more"]
+        since = told["events"][-1]["number"] if told["events"] else since
+
+
+def _watch(said: argparse.Namespace, target: Target) -> Lines:
+    """Look again and again; a daemon that is restarted is found again."""
+    before: dict[str, Any] | None = None
+    while True:
+        try:
+            with Connection(target, PATIENCE_S) as daemon:
+                while True:
+                    status = daemon.ask("status")
+                    yield json.dumps(status) if said.json else _screen(status, before)
+                    before = status
+                    time.sleep(said.every)
+        except CtlError as error:
+            if said.json or before is None or error.code != Exit.UNAVAILABLE:
+                raise
+            yield f"{HOME_AND_CLEAR}{error}; looking for it"
+        time.sleep(said.every)
+
+
+def _screen(status: dict[str, Any], before: dict[str, Any] | None) -> str:
+    columns, rows = shutil.get_terminal_size()
+    lines = [line[:columns] for line in status_lines(status, before)]
+    return HOME_AND_CLEAR + "\n".join(lines[: max(1, rows - 1)])
+
+
+def _ask_first(target: Target) -> None:
+    if not sys.stdin.isatty():
+        raise CtlError("reset empties the map: say --yes", Exit.USAGE)
+    sys.stderr.write(f"Empty the map of {target}? [y/N] ")
+    sys.stderr.flush()
+    if os.read(sys.stdin.fileno(), 100).strip().lower() not in (b"y", b"yes"):
+        raise CtlError("not done", Exit.REFUSED)

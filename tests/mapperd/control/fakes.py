@@ -1,0 +1,198 @@
+"""A daemon that only says what it was asked, and a client that knows nothing of ours."""
+
+import asyncio
+import hashlib
+import hmac
+import json
+import socket
+import ssl
+from collections import Counter
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+from mapperd.config import Config
+from mapperd.config_layers import Layered
+from mapperd.config_store import ConfigStore
+from mapperd.control.doors import Door, open_tcp_door, open_unix_door
+from mapperd.control.limits import Limits
+from mapperd.control.server import ControlServer
+from mapperd.events import EventLog
+from mapperd.operations import OperationError
+
+TOKEN = b"correct-horse-battery-staple"
+
+
+class FakeDaemon:
+    """Obeys `mapperd.operations.Operations`; `fault` is raised by whatever is asked next."""
+
+    def __init__(self, config: Config | None = None) -> None:
+        self.settings = ConfigStore(Layered(config or Config()))
+        self.settings.follow(["filtering"], lambda _: None)
+        self.events = EventLog(lambda: 1_700_000_000_000_000_000)
+        self.done: list[tuple[str, ...]] = []
+        self.fault: Exception | None = None
+        self.go_on = asyncio.Event()
+        self.go_on.set()
+
+    def status(self) -> dict[str, Any]:
+        self._fail()
+        return {"phase": "mapping", "reason": "", "pings": {"total": 7}, "pose": None}
+
+    async def save(self, name: str, origin: str) -> dict[str, Any]:
+        return await self._do("save", name, origin, result={"path": f"/maps/{name}", "bytes": 9})
+
+    async def reset(self, origin: str) -> dict[str, Any]:
+        return await self._do("reset", origin, result={})
+
+    async def reload(self, origin: str) -> dict[str, Any]:
+        result = {"changed": {"filtering.min_range": [0.5, 1.0]}, "refused": {}, "waiting": []}
+        return await self._do("reload", origin, result=result)
+
+    async def snapshot(self, origin: str) -> dict[str, Any]:
+        return await self._do("snapshot", origin, result={"bytes": 3, "seconds": 0.5})
+
+    async def _do(self, *what: str, result: dict[str, Any]) -> dict[str, Any]:
+        await self.go_on.wait()
+        self._fail()
+        self.done.append(what)
+        return result
+
+    def _fail(self) -> None:
+        fault, self.fault = self.fault, None
+        if fault is not None:
+            raise fault
+
+
+def refusal(reason: str) -> OperationError:
+    return OperationError(f"it cannot be: {reason}", reason)
+
+
+@dataclass
+class Served:
+    """A server with a Unix, a TCP and perhaps a TLS socket."""
+
+    daemon: FakeDaemon
+    server: ControlServer
+    doors: dict[str, Door]
+    trusted: ssl.SSLContext | None = None
+
+    @property
+    def counters(self) -> Counter[str]:
+        return Counter(self.server.status()["counters"])
+
+    async def raw(self, kind: str) -> "Line":
+        """A connection that was not greeted yet."""
+        door = self.doors[kind]
+        at = door.socket.getsockname()
+        if kind == "unix":
+            streams = await asyncio.open_unix_connection(door.name.removeprefix("unix "))
+        elif kind == "tls":
+            streams = await asyncio.open_connection(
+                at[0], at[1], ssl=self.trusted, server_hostname="localhost"
+            )
+        else:
+            streams = await asyncio.open_connection(at[0], at[1])
+        return Line(*streams)
+
+    async def line(self, kind: str = "unix", token: bytes = TOKEN) -> "Line":
+        """A connection that said hello."""
+        line = await self.raw(kind)
+        answer = await line.hello(token)
+        assert answer.get("result") == {"version": 1}, answer
+        return line
+
+
+class Line:
+    """One connection, by json alone."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.reader = reader
+        self.writer = writer
+        self.number = 0
+        self.challenge = ""
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self.writer.transport.abort()
+
+    async def hear(self) -> dict[str, Any]:
+        async with asyncio.timeout(60):
+            line = await self.reader.readline()
+        if not line:
+            raise EOFError
+        heard = json.loads(line)
+        assert isinstance(heard, dict)
+        return heard
+
+    async def say(self, data: bytes) -> None:
+        self.writer.write(data)
+        await self.writer.drain()
+
+    async def ask(self, do: str, **more: Any) -> dict[str, Any]:
+        self.number += 1
+        await self.say(json.dumps({"id": self.number, "do": do} | more).encode() + b"\n")
+        answer = await self.hear()
+        assert answer["id"] == self.number
+        return answer
+
+    async def hello(self, token: bytes = TOKEN, **more: Any) -> dict[str, Any]:
+        greeting = await self.hear()
+        assert greeting["mapperd"] == "control"
+        assert greeting["versions"] == [1]
+        said: dict[str, Any] = {"version": 1}
+        if greeting["challenge"]:
+            text = b"mapperd-control-1 " + greeting["challenge"].encode()
+            said |= {"proof": hmac.new(token, text, hashlib.sha256).hexdigest()}
+        return await self.ask("hello", **(said | more))
+
+    async def is_cut(self) -> bool:
+        """Whether the other side ends it, whatever it says before."""
+        try:
+            async with asyncio.timeout(60):
+                while await self.reader.read(65536):
+                    pass
+        except ConnectionError:
+            pass
+        return True
+
+
+@asynccontextmanager
+async def served(
+    folder: Path,
+    limits: Limits | None = None,
+    kinds: Sequence[str] = ("unix", "tcp"),
+    tls: tuple[ssl.SSLContext, ssl.SSLContext] | None = None,
+) -> AsyncIterator[Served]:
+    daemon = FakeDaemon()
+    doors = {"unix": open_unix_door(folder / "mapperd.sock", 0o660)}
+    if "tcp" in kinds:
+        doors["tcp"] = open_tcp_door("127.0.0.1:0", TOKEN, None)
+    if tls is not None:
+        doors["tls"] = open_tcp_door("127.0.0.1:0", TOKEN, tls[0])
+    server = ControlServer(daemon, list(doors.values()), limits)
+    async with server:
+        yield Served(daemon, server, doors, tls[1] if tls else None)
+
+
+async def until(true: Any) -> None:
+    """Wait until something holds; the suite's timeout ends what never does."""
+    async with asyncio.timeout(60):
+        while not true():  # noqa: ASYNC110 what is waited for has no event
+            await asyncio.sleep(0.005)
+
+
+def descriptors() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+def is_listening(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX) as probe:
+        return probe.connect_ex(str(path)) == 0
