@@ -1,0 +1,127 @@
+"""The connection to the broker, as the settings have it.
+
+aiomqtt belongs to the extra `mqtt`; it is imported only where a broker is named.
+"""
+
+import contextlib
+import importlib.util
+import logging
+import ssl
+from collections.abc import AsyncIterator, Mapping
+from typing import TYPE_CHECKING
+
+from mapperd.config import Config, Mqtt
+from mapperd.credentials import read_secret
+from mapperd.errors import ConfigError
+from mapperd.telemetry.topics import Topics
+
+if TYPE_CHECKING:
+    from aiomqtt import Client
+
+__all__ = ["check_telemetry", "connection"]
+
+CREDENTIAL = "mqtt-password"
+TIMEOUT_S = 10.0
+"""For the broker's answer to anything."""
+
+MOST_INCOMING = 64
+
+TAKEN = frozenset(
+    ("status", "state", "pose", "sonar", "map", "health", "event", "config", "cmd", "tf")
+)
+"""Topics of ours, which robots cannot have."""
+
+
+def check_telemetry(config: Config, environment: Mapping[str, str]) -> None:
+    """Check that telemetry can run, where a broker is named.
+
+    Args:
+        config: the settings.
+        environment: says where systemd has put credentials.
+
+    Raises:
+        ConfigError: aiomqtt is not installed, a file cannot be read, there is a password without a
+            user, or two things have one topic.
+    """
+    settings = config.mqtt
+    if not settings.host:
+        return
+    if importlib.util.find_spec("aiomqtt") is None:
+        raise ConfigError(
+            "mqtt.host: needs aiomqtt, which is not installed; "
+            "allowed: pip install 'mapperd[mqtt]'",
+            "$.mqtt.host",
+        )
+    if _password(settings, environment) is not None and not settings.username:
+        raise ConfigError("mqtt.username: a password needs one", "$.mqtt.username")
+    if settings.tls:
+        _tls(settings)
+    topic = config.robot_detection.topic
+    if topic.lstrip("/").partition("/")[0] in TAKEN:
+        path = "$.robot_detection.topic"
+        raise ConfigError(
+            f"{path}: {topic} is taken; allowed: not {', '.join(sorted(TAKEN))}", path
+        )
+
+
+@contextlib.asynccontextmanager
+async def connection(settings: Mqtt, environment: Mapping[str, str]) -> AsyncIterator["Client"]:
+    """A connection that lets the broker say `offline` where it breaks.
+
+    Args:
+        settings: `check_telemetry` has passed them.
+        environment: says where systemd has put credentials.
+
+    Raises:
+        ConfigError: a file cannot be read any more.
+        MqttError: there is no such broker, or it does not want us.
+    """
+    client, connected = _client(settings, environment), False
+    try:
+        async with client:
+            connected = True
+            yield client
+    finally:
+        if not connected:  # aiomqtt leaves the socket of a broker open that never answers
+            with contextlib.suppress(Exception):
+                await client.__aexit__(None, None, None)
+
+
+def _client(settings: Mqtt, environment: Mapping[str, str]) -> "Client":
+    from aiomqtt import Client, Will  # noqa: PLC0415 an extra
+
+    status = Topics.of(settings).of_name("status")
+    return Client(
+        settings.host,
+        settings.port,
+        identifier=f"{settings.vehicle}-mapper",
+        username=settings.username or None,
+        password=_password(settings, environment),
+        will=Will(status, b"offline", qos=1, retain=True),
+        clean_session=True,
+        keepalive=settings.keepalive,
+        timeout=TIMEOUT_S,
+        max_queued_incoming_messages=MOST_INCOMING,
+        tls_context=_tls(settings) if settings.tls else None,
+        logger=_silent(),
+    )
+
+
+def _password(settings: Mqtt, environment: Mapping[str, str]) -> str | None:
+    return read_secret("mqtt.password_file", settings.password_file, CREDENTIAL, environment)
+
+
+def _tls(settings: Mqtt) -> ssl.SSLContext:
+    try:
+        return ssl.create_default_context(cafile=settings.ca_file or None)
+    except OSError as error:  # ssl.SSLError is one
+        why = f"{settings.ca_file}: {error.strerror or error}"
+        raise ConfigError(f"mqtt.ca_file: {why}", "$.mqtt.ca_file") from error
+
+
+def _silent() -> logging.Logger:
+    """What it would say is said by the link's state."""
+    logger = logging.getLogger("mapperd.telemetry")
+    logger.propagate = False
+    logger.disabled = True
+    return logger

@@ -1,0 +1,191 @@
+"""What is asked through the broker: commands and changes of settings, each with its answer."""
+
+import asyncio
+from collections import Counter, OrderedDict
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from mapperd.config_store import Refused
+from mapperd.errors import MapperdError
+from mapperd.operations import OperationError, Operations
+from mapperd.telemetry.outbox import Kind, Message
+from mapperd.telemetry.reports import encoded
+from mapperd.telemetry.topics import Asked, Topics
+
+__all__ = ["ORIGIN", "Requests"]
+
+ORIGIN = "mqtt"
+
+MOST_WAITING = 16
+MOST_BYTES = 4096
+MOST_ID = 64
+MOST_NUMBER = 2**63
+REMEMBERED = 64
+"""Answers by request id, so that a request that comes twice is done once."""
+
+Id = str | int | None
+Answer = dict[str, Any]
+
+
+class _BadRequestError(Exception):
+    """What was sent is no request."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Request:
+    asked: Asked
+    id: Id
+    said: Any
+
+
+class Requests:
+    """Obeys one request after the other.
+
+    Args:
+        operations: the daemon.
+        topics: where requests come from and answers go to.
+        put: takes the answers.
+
+    Attributes:
+        counts: `done`, `refused`, `repeated`; of those that get no answer `retained` (a broker's
+            memory is no wish, nor is clearing it), `no_request` (nothing we know the name of)
+            and `too_many`.
+    """
+
+    def __init__(
+        self, operations: Operations, topics: Topics, put: Callable[[Message], None]
+    ) -> None:
+        self._operations = operations
+        self._topics = topics
+        self._put = put
+        self._waiting: asyncio.Queue[_Request] = asyncio.Queue(MOST_WAITING)
+        self._answers: OrderedDict[tuple[Asked, Id], bytes] = OrderedDict()
+        self.counts: Counter[str] = Counter()
+
+    def offer(self, topic: str, payload: bytes, *, retained: bool) -> None:
+        """Take a message that came; never waits."""
+        asked = self._topics.asked(topic)
+        if asked is None:
+            self.counts["no_request"] += 1
+        elif retained or not payload:  # nothing is what takes a retained message away
+            self.counts["retained"] += 1
+        elif self._waiting.full():
+            self.counts["too_many"] += 1
+        else:
+            try:
+                request = _request(asked, payload)
+            except _BadRequestError as error:
+                self._answer(asked, None, _refusal("bad_request", str(error)))
+            else:
+                self._waiting.put_nowait(request)
+
+    async def work(self) -> None:
+        """Obey, until cancelled."""
+        while True:
+            request = await self._waiting.get()
+            known = self._answers.get((request.asked, request.id))
+            if known is not None and request.id is not None:
+                self.counts["repeated"] += 1
+                self._publish(request.asked, known)
+                continue
+            self._answer(request.asked, request.id, await self._obeyed(request))
+
+    async def _obeyed(self, request: _Request) -> Answer:
+        try:
+            if request.asked.kind == "config":
+                return await asyncio.to_thread(self._set, request.asked.name, request.said)
+            return {"ok": True, "result": await self._command(request.asked.name, request.said)}
+        except _BadRequestError as error:
+            return _refusal("bad_request", str(error))
+        except OperationError as error:
+            return _refusal(error.reason, str(error))
+        except MapperdError as error:
+            return _refusal("refused", str(error))
+        except Exception as error:  # noqa: BLE001 a fault of ours costs the request, not the daemon
+            return _refusal("internal_error", f"{type(error).__name__}: {error}")
+
+    def _set(self, name: str, value: object) -> Answer:
+        """In a thread: who follows a setting may wait for the end of a ping."""
+        result = self._operations.settings.apply({name: value}, ORIGIN)
+        if isinstance(result, Refused):
+            reasons = "; ".join(f"{where}: {why}" for where, why in result.reasons.items())
+            return _refusal("refused", reasons)
+        return {"ok": True, "value": value}
+
+    def _command(self, name: str, said: Mapping[str, Any]) -> Awaitable[dict[str, Any]]:
+        operations = self._operations
+        if name == "save":
+            return operations.save(_text(said, "name"), ORIGIN)
+        commands = {
+            "reset": operations.reset,
+            "clear": operations.reset,
+            "reload": operations.reload,
+            "snapshot": operations.snapshot,
+        }
+        if name not in commands:
+            known = ", ".join(["save", *commands])
+            raise OperationError(f"there is no such command; there are {known}", "unknown_command")
+        _allow(said)
+        return commands[name](ORIGIN)
+
+    def _answer(self, asked: Asked, request_id: Id, answer: Answer) -> None:
+        self.counts["done" if answer["ok"] else "refused"] += 1
+        payload = encoded({"id": request_id, **answer})
+        if request_id is not None:
+            self._answers[asked, request_id] = payload
+            if len(self._answers) > REMEMBERED:
+                self._answers.popitem(last=False)
+        self._publish(asked, payload)
+
+    def _publish(self, asked: Asked, payload: bytes) -> None:
+        self._put(Message(self._topics.result(asked), payload, Kind.ANSWER, qos=1))
+
+
+def _request(asked: Asked, payload: bytes) -> _Request:
+    """Read a payload: of a command an object with an id, of a setting a value or such an object."""
+    if len(payload) > MOST_BYTES:
+        raise _BadRequestError(f"{len(payload)} bytes; at most {MOST_BYTES}")
+    try:
+        said = msgspec.json.decode(payload)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise _BadRequestError(f"no JSON: {error}") from error
+    if asked.kind == "config":
+        if isinstance(said, dict) and "value" in said:
+            _allow(said, "id", "value")
+            return _Request(asked, _id_of(said), said["value"])
+        return _Request(asked, None, said)
+    if not isinstance(said, dict) or said.get("id") is None:
+        raise _BadRequestError('an object with an "id" of your choice is wanted')
+    request_id = _id_of(said)
+    return _Request(asked, request_id, {key: one for key, one in said.items() if key != "id"})
+
+
+def _id_of(said: Mapping[str, Any]) -> Id:
+    request_id = said.get("id")
+    if isinstance(request_id, bool) or not isinstance(request_id, str | int | None):
+        raise _BadRequestError("id: a text or a whole number is wanted")
+    if isinstance(request_id, int) and abs(request_id) >= MOST_NUMBER:
+        raise _BadRequestError("id: at most 63 bits")
+    if len(str(request_id)) > MOST_ID:
+        raise _BadRequestError(f"id: at most {MOST_ID} characters")
+    return request_id
+
+
+def _text(said: Mapping[str, Any], key: str) -> str:
+    _allow(said, key)
+    if not isinstance(said.get(key), str):
+        raise _BadRequestError(f"{key}: a text is wanted")
+    return str(said[key])
+
+
+def _allow(said: Mapping[str, Any], *keys: str) -> None:
+    for key in said:
+        if key not in keys:
+            raise _BadRequestError(f"{key[:60]}: is not known here")
+
+
+def _refusal(reason: str, text: str) -> Answer:
+    return {"ok": False, "reason": reason, "text": text}

@@ -1,0 +1,113 @@
+"""A daemon that only says what a test wants, and its telemetry."""
+
+import json
+from typing import Any
+
+import pytest
+
+from mapperd.config_file import config_of
+from mapperd.config_layers import Layered
+from mapperd.config_store import ConfigStore
+from mapperd.events import EventLog
+from mapperd.operations import OperationError
+from mapperd.telemetry.outbox import Kind, Message, Outbox
+
+T0_S = 1_700_000_000.0
+ROOT = "mapperd/v1/rov-1/mapper"
+ROBOT = {
+    "t_s": T0_S,
+    "position_m": [1.0, 2.0, -3.0],
+    "range_m": 4.0,
+    "bearing_rad": 0.1,
+    "samples": 9,
+    "peak": 250.0,
+}
+POSE = {
+    "t_s": T0_S,
+    "position_m": [1.0, 2.0, -3.0],
+    "map_q_base_wxyz": [1.0, 0.0, 0.0, 0.0],
+    "position_std_m": [0.1, 0.1, float("nan")],
+    "rotation_std_rad": [0.01, 0.01, 0.01],
+    "segment": 0,
+    "reckoned_s": 0.0,
+}
+
+
+class FakeDaemon:
+    """Operations that remember what they were asked."""
+
+    def __init__(self, settings: dict[str, Any] | None = None) -> None:
+        mqtt = {"host": "127.0.0.1", "vehicle": "rov-1", **(settings or {})}
+        self.settings = ConfigStore(Layered(config_of({"mqtt": mqtt}, "")))
+        self.settings.follow(("filtering", "mounting"), lambda _: None)
+        self.events = EventLog(lambda: round(T0_S * 1e9))
+        self.asked: list[tuple[str, ...]] = []
+        self.pings = 0
+        self.pose: dict[str, Any] | None = None
+        self.robots: list[dict[str, Any]] = []
+        self.phase = "mapping"
+        self.asked_for_status = 0
+
+    def status(self) -> dict[str, Any]:
+        self.asked_for_status += 1
+        return {
+            "phase": self.phase,
+            "reason": "pings and odometry come",
+            "version": "1.2.3",
+            "uptime_s": 7.0,
+            "sonar": {"state": "pinging", "reason": "pings come", "range_m": 10.0},
+            "odometry": {"quantities": {"position": {"owner": "dvl"}}},
+            "pose": self.pose,
+            "pings": {
+                "total": self.pings,
+                "mapped": self.pings,
+                "dropped": {"no_pose": 1},
+                "waiting": 2,
+            },
+            "latency_ms": {"p50": 1.0, "p95": 2.0, "p99": float("nan")},
+            "behind": {"policy": "drop_oldest", "coarse": False, "dropped": 0, "ready": 0},
+            "map": {"memory_bytes": 1000, "revision": 3, "resolution_m": 0.05},
+            "store": {"saved_s": 5.0},
+            "recording": {"bytes": 10},
+            "robots": self.robots,
+            "servers": {},
+        }
+
+    async def save(self, name: str, origin: str) -> dict[str, Any]:
+        self.asked.append(("save", name, origin))
+        if "/" in name:
+            raise OperationError("a name without a folder is wanted", "bad_name")
+        return {"path": f"/state/{name}", "bytes": 5, "seconds": 0.1}
+
+    async def reset(self, origin: str) -> dict[str, Any]:
+        self.asked.append(("reset", origin))
+        return {}
+
+    async def reload(self, origin: str) -> dict[str, Any]:
+        raise RuntimeError(f"a fault, found by {origin}")
+
+    async def snapshot(self, origin: str) -> dict[str, Any]:
+        self.asked.append(("snapshot", origin))
+        return {"bytes": 1, "seconds": 0.1}
+
+
+@pytest.fixture
+def daemon() -> FakeDaemon:
+    return FakeDaemon()
+
+
+def drained(outbox: Outbox) -> dict[str, list[Any]]:
+    """What waits, by topic below the root; taken out. A status payload is no JSON."""
+    found: dict[str, list[Any]] = {}
+    while (message := outbox.take(*Kind)) is not None:
+        found.setdefault(below(message.topic), []).append(json.loads(message.payload))
+    return found
+
+
+def below(topic: str) -> str:
+    assert topic.startswith(f"{ROOT}/"), topic
+    return topic.removeprefix(f"{ROOT}/")
+
+
+def message(kind: Kind, number: int = 0, topic: str = "a") -> Message:
+    return Message(topic, str(number).encode(), kind)
