@@ -1,0 +1,95 @@
+"""Events as lines of a journal: with a priority where journald reads, without repeats."""
+
+import os
+from collections.abc import Callable, Mapping
+from typing import Protocol
+
+from mapperd.events import Event, Severity
+
+__all__ = ["Journal", "goes_to_journal"]
+
+PRIORITIES = {
+    Severity.ERROR: 3,
+    Severity.WARNING: 4,
+    Severity.NOTICE: 5,
+    Severity.INFO: 6,
+    Severity.DEBUG: 7,
+}
+"""Of syslog(3), as sd-daemon(3) writes them before a line."""
+
+REPEAT_S = 10.0
+"""The same code and text is written once in so long."""
+
+MAX_REMEMBERED = 256
+
+
+class Writable(Protocol):
+    """Takes text."""
+
+    def write(self, text: str, /) -> object:
+        """Write it."""
+
+    def flush(self) -> None:
+        """Bring it out."""
+
+
+class Journal:
+    """Writes events as lines; what repeats is counted and said once.
+
+    Args:
+        stream: standard error.
+        priorities: begin each line with `<n>`.
+        clock: seconds, only forward.
+        least: events that are less severe are left out.
+    """
+
+    def __init__(
+        self,
+        stream: Writable,
+        clock: Callable[[], float],
+        *,
+        priorities: bool,
+        least: Severity = Severity.INFO,
+    ) -> None:
+        self._stream = stream
+        self._clock = clock
+        self._priorities = priorities
+        self._least = PRIORITIES[least]
+        self._said: dict[tuple[str, str], tuple[float, int]] = {}
+
+    def write(self, event: Event) -> None:
+        """Write an event, unless the same was written just now."""
+        if PRIORITIES[event.severity] > self._least:
+            return
+        key, now_s = (event.code, event.text), self._clock()
+        said_s, repeats = self._said.get(key, (float("-inf"), 0))
+        if now_s - said_s < REPEAT_S:
+            self._said[key] = (said_s, repeats + 1)
+            return
+        again = f" (and {repeats} times more since)" if repeats else ""
+        self._remember(key, now_s)
+        self._line(event.severity, f"{event.text}{again}")
+
+    def _remember(self, key: tuple[str, str], now_s: float) -> None:
+        self._said.pop(key, None)
+        while len(self._said) >= MAX_REMEMBERED:
+            self._said.pop(next(iter(self._said)))
+        self._said[key] = (now_s, 0)
+
+    def _line(self, severity: Severity, text: str) -> None:
+        mark = f"<{PRIORITIES[severity]}>" if self._priorities else "mapperd: "
+        line = " ".join(text.split("\n"))  # one event is one line, whatever is in it
+        try:
+            self._stream.write(f"{mark}{line}\n")
+            self._stream.flush()
+        except (OSError, ValueError):  # nobody reads any more, which is no reason to end
+            return
+
+
+def goes_to_journal(environ: Mapping[str, str], file_number: int) -> bool:
+    """Whether a stream is the one that journald reads: `JOURNAL_STREAM` says device and inode."""
+    try:
+        facts = os.fstat(file_number)
+    except OSError:
+        return False
+    return environ.get("JOURNAL_STREAM", "") == f"{facts.st_dev}:{facts.st_ino}"
