@@ -1,35 +1,47 @@
 """The command `mapperd`: settings and a recording or a sonar in, a folder of results out."""
 
+import contextlib
 import os
 import sys
-import time
 from collections.abc import Sequence
 from enum import IntEnum
+from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
 import msgspec
-import numpy as np
 
 from mapperd.arguments import Arguments, parse_arguments
 from mapperd.config import Config
-from mapperd.config_file import load_config
+from mapperd.config_layers import Layered, load_settings
+from mapperd.config_store import ConfigStore
 from mapperd.doctor_command import doctor
-from mapperd.errors import ConfigError, ExportError, LiveError, ReplayError
+from mapperd.errors import (
+    CheckpointError,
+    ConfigError,
+    ExportError,
+    LiveError,
+    MapError,
+    MapperdError,
+    ReplayError,
+    StoreError,
+)
 from mapperd.export.atomic import make_folder
 from mapperd.export.folder import write_results
 from mapperd.export.picture import MISSING, can_draw
-from mapperd.export.summary import recording_facts, summary_of
-from mapperd.frames import Pose
-from mapperd.live_command import map_live
-from mapperd.mapping import SonarMap
+from mapperd.filters.stage import check_filters
+from mapperd.live_command import LiveRun, map_live
 from mapperd.pairing import FixedPose, OdometryPoses
-from mapperd.progress import ProgressBar
-from mapperd.replay import Replay, Window, contents, first_range_m
+from mapperd.replay_command import map_recordings, unreadable
+from mapperd.service.journal import goes_to_journal
+from mapperd.service.notify import Notifier
+from mapperd.service.supervised import only_told_to_stop
 from oculus_driver.errors import OculusError, RecordingError, SettingsError
-from oculus_driver.recording import open_recording
 
 __all__ = ["Exit", "main"]
+
+
+STDERR = 2
 
 
 class Exit(IntEnum):
@@ -51,6 +63,8 @@ _EXITS = {
     SettingsError: Exit.BAD_CONFIG,
     RecordingError: Exit.BAD_DATA,
     ExportError: Exit.CANNOT_WRITE,
+    CheckpointError: Exit.BAD_DATA,
+    MapError: Exit.CANNOT_WRITE,
     OculusError: Exit.UNAVAILABLE,
 }
 """The first kind that an error is."""
@@ -64,12 +78,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         return doctor(words[1:])
     arguments = parse_arguments(words)
     try:
-        return (
-            _live(arguments) if arguments.replay is None else _replay(arguments, arguments.replay)
-        )
+        return _replay(arguments) if arguments.replay else _live(arguments)
     except ReplayError as error:
-        return _fail(Exit.USAGE, f"{arguments.replay}: {error}")
-    except (ConfigError, LiveError, ExportError, OculusError) as error:
+        return _fail(Exit.USAGE, f"{_source(arguments)}: {error}")
+    except StoreError as error:
+        settings = error.reason in ("other_parameters", "newer_version", "not_a_store")
+        return _fail(Exit.BAD_CONFIG if settings else Exit.CANNOT_WRITE, error)
+    except (MapperdError, OculusError) as error:
         return _fail(next(code for kind, code in _EXITS.items() if isinstance(error, kind)), error)
     except KeyboardInterrupt:
         return _fail(Exit.INTERRUPTED, f"interrupted; results in {arguments.out} may be missing")
@@ -77,115 +92,69 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _live(arguments: Arguments) -> Exit:
     """Map until told to stop, write."""
-    sonar_map = SonarMap(_config(arguments))
+    store = ConfigStore(_settings(arguments))
     make_folder(arguments.out)
     if not can_draw():
         _say(MISSING)
-    summary = map_live(sonar_map, _poses(arguments, sonar_map), arguments.duration_s, _say)
-    write_results(arguments.out, sonar_map, summary)
+    again = partial(_settings, arguments)
+    notifier = Notifier(os.environ)
+    run = LiveRun(store, partial(_poses, arguments), arguments.duration_s, _say, again, notifier)
+    with contextlib.closing(notifier), only_told_to_stop():
+        sonar_map, summary = map_live(run)
+        with notifier.patience():
+            write_results(arguments.out, sonar_map, summary)
     return _verdict(arguments, summary)
 
 
-def _replay(arguments: Arguments, path: Path) -> Exit:
-    """Check everything that can be checked, map, write."""
-    sonar_map = SonarMap(_config(arguments))
-    if (problem := _unreadable(path)) is not None:
+def _replay(arguments: Arguments) -> Exit:
+    """Check, map, write."""
+    if (problem := unreadable(arguments.replay)) is not None:
         return _fail(Exit.NO_INPUT, problem)
-    _require_data(path, odometry=arguments.pose is None)
-    if arguments.pose is not None:
-        _require_reach(path, arguments.pose, sonar_map)
-    make_folder(arguments.out)
-    if not can_draw():
-        _say(MISSING)
+
+    def ready() -> None:
+        make_folder(arguments.out)
+        if not can_draw():
+            _say(MISSING)
+
+    def settings() -> Config:
+        return _settings(arguments).config
+
     try:
-        summary = _mapped(arguments, path, sonar_map)
+        sonar_map, summary = map_recordings(arguments, settings, ready)
     except KeyboardInterrupt:
         return _fail(Exit.INTERRUPTED, "interrupted; nothing was written")
     write_results(arguments.out, sonar_map, summary)
     return _verdict(arguments, summary)
 
 
-def _config(arguments: Arguments) -> Config:
-    config = Config() if arguments.config is None else load_config(arguments.config)
+def _settings(arguments: Arguments) -> Layered:
+    """Of the files, and on top of them the command line."""
+    given = [] if arguments.config is None else [arguments.config]
+    layered = load_settings(given, os.environ)
+    check_filters(layered.config)
     if arguments.integrator is None:
-        return config
+        return layered
     try:
-        mapping = msgspec.structs.replace(config.mapping, integrator=arguments.integrator)
+        mapping = msgspec.structs.replace(layered.config.mapping, integrator=arguments.integrator)
     except ValueError as error:  # the section's own rules
         raise ConfigError(f"--integrator: {error}", "$.mapping.integrator") from error
-    return msgspec.structs.replace(config, mapping=mapping)
+    config = msgspec.structs.replace(layered.config, mapping=mapping)
+    return Layered(config, {**layered.origins, "mapping.integrator": "--integrator"})
 
 
-def _unreadable(path: Path) -> str | None:
-    """Why a path cannot be a recording at all, before its content is looked at."""
-    try:
-        if path.is_dir():
-            return f"{path}: is a folder, not a recording"
-        if not path.exists():
-            return f"{path}: there is no such file"
-        if not path.is_file():
-            return f"{path}: is not a file"
-    except OSError as error:  # such as a name that is too long
-        return f"{path}: {error.strerror}"
-    return None if os.access(path, os.R_OK) else f"{path}: may not be read"
-
-
-def _require_data(path: Path, *, odometry: bool) -> None:
-    """Refuse early what could only end in a map without a ping."""
-    with open_recording(path) as recording:
-        has_sonar, has_odometry = contents(recording)
-        damage = f" ({recording.damage})" if recording.damage else ""
-        if not has_sonar and not has_odometry:
-            raise RecordingError(f"{path}: nothing can be read from it{damage}")
-        if not has_sonar:
-            raise RecordingError(f"{path}: no sonar data in it{damage}")
-        if odometry and not has_odometry:
-            raise ReplayError(
-                f"no odometry in it{damage}, so nobody knows where the vehicle was; if it stood "
-                "still, say where with --pose x,y,z,roll,pitch,yaw"
-            )
-
-
-def _require_reach(path: Path, pose: Pose, sonar_map: SonarMap) -> None:
-    """Refuse early a pose whose map would not fit into map.bt."""
-    sonar_m = (pose.map_T_base @ sonar_map.base_T_sonar)[:3, 3]
-    with open_recording(path) as recording:
-        range_m = first_range_m(recording)
-    if np.abs(sonar_m).max() + range_m > sonar_map.octomap_reach_m:
-        raise ReplayError(
-            f"--pose and the range of {range_m:g} m leave the reach of map.bt, "
-            f"+-{sonar_map.octomap_reach_m:g} m with voxels of {sonar_map.resolution_m:g} m; "
-            "set a larger octree.voxel_resolution, or move the pose nearer to the origin"
-        )
-
-
-def _poses(arguments: Arguments, sonar_map: SonarMap) -> FixedPose | OdometryPoses:
+def _poses(arguments: Arguments, config: Config) -> FixedPose | OdometryPoses:
     if arguments.pose is not None:
         return FixedPose(arguments.pose)
-    return OdometryPoses(sonar_map.config)
-
-
-def _mapped(arguments: Arguments, path: Path, sonar_map: SonarMap) -> dict[str, Any]:
-    """Run the replay; returns its summary."""
-    poses = _poses(arguments, sonar_map)
-    window = Window(arguments.start_s, arguments.duration_s)
-    replay = Replay(sonar_map, poses, window, time.perf_counter)
-    began_s = time.perf_counter()
-    with open_recording(path) as recording:
-        bar = ProgressBar(sys.stderr, time.perf_counter)
-        for _ in replay.run(recording):
-            bar.show(recording.bytes_read / recording.size_bytes, replay.counters.pings_mapped)
-        bar.close(replay.counters.pings_mapped)
-        wall_s = time.perf_counter() - began_s
-        return summary_of(recording_facts(recording), sonar_map, poses, replay.counters, wall_s)
+    return OdometryPoses(config)
 
 
 def _verdict(arguments: Arguments, summary: dict[str, Any]) -> Exit:
-    """Say how it went; a map without a single ping is a failure."""
+    """Say how it went; a map without a single ping is a failure, unless somebody ended it."""
     dropped = ", ".join(f"{why} {count}" for why, count in summary["pings_dropped"].items())
     damage = summary["recording"]["damage"] if "recording" in summary else None
-    source = arguments.replay or "live"
-    if summary["pings_mapped"] == 0:
+    source = _source(arguments)
+    ended = "live" in summary and summary["live"]["told_to_stop"]
+    if summary["pings_mapped"] == 0 and arguments.store is None and not ended:
         damaged = f" (damaged: {damage})" if damage else ""
         return _fail(Exit.BAD_DATA, f"{source}: {_why_empty(summary, dropped)}{damaged}")
     if damage:
@@ -200,6 +169,11 @@ def _verdict(arguments: Arguments, summary: dict[str, Any]) -> Exit:
     if problem is not None:
         return _fail(Exit.CANNOT_WRITE, f"standard output: cannot be written: {problem}")
     return Exit.OK
+
+
+def _source(arguments: Arguments) -> str:
+    """What the map is of, for messages."""
+    return " ".join(map(str, arguments.replay[:1])) or "live"
 
 
 def _why_empty(summary: dict[str, Any], dropped: str) -> str:
@@ -233,9 +207,15 @@ def _written(stream: TextIO, text: str) -> str | None:
 
 
 def _say(message: object) -> None:
-    _written(sys.stderr, f"mapperd: {message}\n")  # if not, nobody is there to be told
+    _line(6, message)
 
 
 def _fail(code: Exit, message: object) -> Exit:
-    _say(message)
+    _line(3, message)
     return code
+
+
+def _line(priority: int, message: object) -> None:
+    """A line of standard error; where that is the journal, with its priority."""
+    mark = f"<{priority}>" if goes_to_journal(os.environ, STDERR) else "mapperd: "
+    _written(sys.stderr, f"{mark}{message}\n")  # if not, nobody is there to be told

@@ -3,6 +3,7 @@
 import argparse
 import asyncio
 import json
+import os
 import sys
 import time
 from collections import Counter
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from mapperd.config import Config
-from mapperd.config_file import load_config
+from mapperd.config_layers import load_settings
 from mapperd.doctor import LinkEvidence, judge_link
 from mapperd.errors import ConfigError
 from mapperd.links.address import parse_address
@@ -38,7 +39,7 @@ def doctor(argv: Sequence[str]) -> int:
     """Run `mapperd doctor`; exit code 0 where every link is well, 1 where one is not."""
     said = _parser().parse_args(argv)
     try:
-        config = Config() if said.config is None else load_config(said.config)
+        config = load_settings([] if said.config is None else [said.config], os.environ).config
     except ConfigError as error:
         print(f"mapperd: {error}", file=sys.stderr)  # noqa: T201 a command speaks
         return BAD_CONFIG
@@ -65,7 +66,12 @@ def _parser() -> argparse.ArgumentParser:
         "130 interrupted",
     )
     add = parser.add_argument
-    add("--config", metavar="YAML", type=Path, help="settings; without it the defaults hold")
+    add(
+        "--config",
+        metavar="YAML",
+        type=Path,
+        help="settings, above all other files (docs/configuration.md)",
+    )
     add("--seconds", metavar="S", type=_seconds, default=5.0, help="to watch (default: 5)")
     add("--ping", action="store_true", help="ask the sonar for pings: only under water")
     add("--json", action="store_true", help="one object instead of lines")

@@ -5,10 +5,21 @@ MapperdError
  +-- LiveError        a link cannot be opened
  +-- ReplayError      the recording cannot become a map with the options given
  +-- MapError         the map cannot hold or give what was asked
+ +-- StoreError       the map's file cannot be used
+ +-- CheckpointError  a saved state cannot be gone on from
  +-- ExportError      a result cannot be written
 """
 
-__all__ = ["ConfigError", "ExportError", "LiveError", "MapError", "MapperdError", "ReplayError"]
+__all__ = [
+    "CheckpointError",
+    "ConfigError",
+    "ExportError",
+    "LiveError",
+    "MapError",
+    "MapperdError",
+    "ReplayError",
+    "StoreError",
+]
 
 
 class MapperdError(Exception):
@@ -45,6 +56,24 @@ class MapError(MapperdError):
     def __init__(self, message: str, reason: str) -> None:
         super().__init__(message)
         self.reason = reason
+
+
+class StoreError(MapperdError):
+    """The map's file cannot be used; what it holds is as it was at the last save.
+
+    Attributes:
+        reason: short and stable: `other_parameters`, `in_use`, `not_a_store`, `newer_version`,
+            `damaged`, `disk_full`, `read_only`, `cannot_open`, `busy`, `io_error`, `closed`, or
+            `out_of_step`: the map was changed and nobody said up to where.
+    """
+
+    def __init__(self, message: str, reason: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
+class CheckpointError(MapperdError):
+    """A saved state of the estimators cannot be gone on from: damaged, or of another program."""
 
 
 class ExportError(MapperdError):

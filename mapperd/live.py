@@ -1,40 +1,45 @@
 """The live source of the step: a sonar and a vehicle on the network become a map.
 
-A thin shell of asyncio: the driver brings pings, links bring odometry, both are stamped by
-one clock, and what is settled goes through the step in a thread, one ping after the other.
+A thin shell of asyncio that only moves bytes: what the links bring goes, in one order, to the
+recorder and to the mapping thread, which does what a replay of that recording does.
 """
 
 import asyncio
-import contextlib
 import time
 from collections.abc import Awaitable, Callable
 from functools import partial
 from typing import Any
 
+import msgspec
+
+from mapperd.behind import Backlog
+from mapperd.chunk_queue import ChunkQueue
 from mapperd.config import Config, Device
+from mapperd.counters import ReplayCounters
+from mapperd.decisions import LINK, Session, Settings
+from mapperd.engine import Engine
 from mapperd.errors import ConfigError
+from mapperd.events import EventLog, Severity
+from mapperd.facts import facts_reader
+from mapperd.inlet import SONAR, Inlet
+from mapperd.integration import Integration
+from mapperd.keeping import InMemory, Keeping
 from mapperd.links.address import parse_address
 from mapperd.links.link import Link
 from mapperd.links.state import LinkStatus as OdometryStatus
 from mapperd.mapping import SonarMap
-from mapperd.pairing import PoseSource, ping_time_ns
+from mapperd.mapping_thread import MappingThread
+from mapperd.odometry.bridge import encoding_of
+from mapperd.pairing import FixedPose, OdometryPoses
 from mapperd.recorder import Recorder
-from mapperd.reject import Reject
+from mapperd.setting_changes import changes_between
 from mapperd.stepping import Stepping
-from oculus_driver.clock import SonarClock
-from oculus_driver.link_state import LinkStatus
-from oculus_driver.ping import Ping
+from mapperd.version import version
+from oculus_driver.link_state import LinkState, LinkStatus
 from oculus_driver.settings import FireSettings, Mode, PingRate
 from oculus_driver.sonar import OculusSonar
-from oculus_driver.wire import MessageId
 
 __all__ = ["Live", "fire_settings", "host_clock"]
-
-LOOK_S = 0.1
-"""So often pings are looked through that wait for odometry which may never come."""
-
-MOST_WAITING_BYTES = 64 * 1024 * 1024
-"""With so many samples waiting, pings stay in the driver's queue, which drops the oldest."""
 
 
 def host_clock() -> Callable[[], int]:
@@ -62,63 +67,64 @@ def fire_settings(device: Device) -> FireSettings:
 
 
 class Live:
-    """One sonar and one vehicle on their way into one map; runs once.
+    """One session: one sonar and one vehicle on their way into one map; runs once.
 
     Args:
         sonar_map: where the pings go; its settings say where the links are.
-        poses: fixed, or from the vehicle's odometry.
-        on_state: is told what the link to the sonar does.
-        on_link: is told what the links of the odometry do.
+        poses: fixed, or from the vehicle's odometry; fresh.
+        session: id of the session, in its recordings.
+        events: is told what the links do; may be none.
+        keep: of the map; None keeps it in memory.
         clock: nanoseconds, of all arrivals.
 
     Raises:
-        ConfigError: the folder of the recordings cannot be used, or two sources share a link.
+        ConfigError: the folder of the recordings cannot be used, two sources share a link, or a
+            source has the name of another link.
 
     Attributes:
-        stepping: the way of the pings, with its counters.
-        sonar_clock: places pings in time.
+        session: as given.
+        mapping: the thread of the pings, with its facts.
+        counters: of the pings.
         links: of the odometry.
-        recorder: of all that comes in.
+        recorder, inlet, queue: of all that comes in.
+        keep: of the map.
     """
 
     def __init__(
         self,
         sonar_map: SonarMap,
-        poses: PoseSource,
-        on_state: Callable[[LinkStatus], None] | None = None,
-        on_link: Callable[[str, OdometryStatus], None] | None = None,
+        poses: FixedPose | OdometryPoses,
+        *,
+        session: str = "",
+        events: EventLog | None = None,
+        keep: Keeping | None = None,
         clock: Callable[[], int] | None = None,
     ) -> None:
         config = sonar_map.config
-        self.stepping = Stepping(sonar_map, poses, time.perf_counter)
-        self.sonar_clock = SonarClock(latency_ns=round(config.device.latency_sec * 1e9))
+        _require_own_links(config)
+        self.session = session
+        self.keep: Keeping = InMemory(sonar_map) if keep is None else keep
+        self.counters = ReplayCounters()
         self._config = config
         self._poses = poses
+        self._events = events
         self._clock = clock or host_clock()
-        _require_own_links(config)
-        self.links = [
-            Link(
-                source.name,
-                parse_address(source.link),
-                partial(self._take_odometry, source.name),
-                self._clock,
-                on_link,
-            )
-            for source in config.odometry.sources
-        ]
-        self.recorder = Recorder(config)
-        self._on_state = on_state
-        self._news = asyncio.Event()
-        self._room = asyncio.Event()
-        self._stopping = False
+        self._fresh = False
+        self.queue = ChunkQueue()
+        self.recorder = Recorder(config, session, self._clock)
+        encodings = {source.name: encoding_of(source) for source in config.odometry.sources}
+        self.inlet = Inlet(self.recorder, self.queue, encodings, self._clock)
+        self.mapping = self._mapping(sonar_map)
+        self.links = self._odometry_links()
         self._sonar = OculusSonar(
             config.device.address or None,
             fire_settings(config.device),
             serial=config.device.serial or None,
             port=config.device.port,
-            on_bytes=self.recorder.sonar_bytes,
-            on_state=self._tell_state,
+            on_bytes=self._take_sonar,
+            on_state=self._tell_sonar,
             clock=self._clock,
+            max_pings=1,  # the driver looks at pings for its own purposes; we take the bytes
         )
 
     async def run(self, until: Awaitable[Any]) -> None:
@@ -131,78 +137,119 @@ class Live:
             ConfigError: a library that a link needs is not installed.
             OculusError: the sonar cannot be looked for.
         """
+        ended = self._when_mapping_ends()
         end = asyncio.ensure_future(until)
         links = [asyncio.create_task(link.run()) for link in self.links]
-        mapping = asyncio.create_task(self._map_on())
-        try:
-            async with self.recorder, self._sonar:
-                await _first_of(end, self._receive(), asyncio.shield(mapping), *links)
-            async for ping in self._sonar.pings():  # what came while it was made quiet
-                self._offer(ping)
-        finally:
-            for link in links:
-                link.cancel()
-            await asyncio.gather(*links, return_exceptions=True)
-            self._stopping = True
-            self._news.set()
-            await mapping  # never cancelled: a step that has begun in its thread goes on anyway
-        await self._map_settled(None, final=True)
-        self._count()
+        async with self.recorder:
+            mapping = self.mapping
+            stepping = mapping.integration.stepping
+            self.keep.begin(mapping.engine, stepping, self.recorder, self.queue.wake)
+            self.inlet.order(self._beginning())
+            mapping.start()
+            try:
+                async with self._sonar:
+                    await _first_of(end, self._watch(), asyncio.shield(ended), *links)
+            finally:
+                for link in links:
+                    link.cancel()
+                await asyncio.gather(*links, return_exceptions=True)
+                self.queue.close()
+                await ended  # never cancelled: a step that has begun in its thread goes on anyway
+        if self.mapping.failure is not None:
+            raise self.mapping.failure
+
+    def take(self, config: Config) -> None:
+        """Map with other settings from the next bytes on; any thread.
+
+        Args:
+            config: differs from the settings before in those that `Stepping.FOLLOWS` names, and
+                has passed `check_filters`.
+        """
+        values = changes_between(self._config, config)
+        self._config = config
+        if values:
+            self.inlet.order(Settings(values))
+
+    @property
+    def poses(self) -> FixedPose | OdometryPoses:
+        """Where the poses come from."""
+        return self._poses
 
     @property
     def link(self) -> LinkStatus:
         """What the link to the sonar does."""
         return self._sonar.link
 
-    def _tell_state(self, status: LinkStatus) -> None:
-        self.recorder.sonar_link(status)
-        if self._on_state is not None:
-            self._on_state(status)
+    @property
+    def sonar(self) -> OculusSonar:
+        """The sonar."""
+        return self._sonar
 
-    def _take_odometry(self, name: str, data: bytes, arrival_ns: int, *, gap: bool) -> None:
-        self.recorder.link_bytes(name, data, arrival_ns, gap=gap)
-        self._poses.add_odometry(name, data, arrival_ns, gap_before=gap)
-        self._news.set()
+    def _mapping(self, sonar_map: SonarMap) -> MappingThread:
+        engine = Engine(sonar_map.config, self._poses, self.counters, confirm=False, obey=True)
+        stepping = Stepping(sonar_map, time.perf_counter, self.counters)
+        return MappingThread(
+            self.queue,
+            engine,
+            Integration(stepping, self.keep),
+            Backlog(sonar_map.config.behind),
+            remark=self.inlet.remark,
+            clock=self._clock,
+            facts_of=facts_reader(self._poses, self._clock),
+            keep=self.keep,
+        )
 
-    async def _receive(self) -> None:
-        """Let pings wait for their poses, as long as there is room."""
-        async for ping in self._sonar.pings():
-            self._offer(ping)
-            while self._poses.waiting_bytes > MOST_WAITING_BYTES:
-                self._room.clear()
-                await self._room.wait()
+    def _odometry_links(self) -> list[Link]:
+        return [
+            Link(
+                source.name,
+                parse_address(source.link),
+                partial(self.inlet.bytes_came, source.name),
+                self._clock,
+                self._tell_link,
+            )
+            for source in self._config.odometry.sources
+        ]
 
-    def _offer(self, ping: Ping) -> None:
-        """Let a ping wait for the pose of its time, told by the sonar's clock if it has one."""
-        self.stepping.offer(ping, ping_time_ns(ping, self.sonar_clock))
-        self._news.set()
+    def _beginning(self) -> Session:
+        """Everything that a replay needs to map this session as it is mapped."""
+        pose = self._poses.pose if isinstance(self._poses, FixedPose) else None
+        settings = msgspec.to_builtins(self._config)
+        place = None if pose is None else (*pose.position_m.tolist(), *pose.map_q_base.tolist())
+        return Session(self.session, version(), settings, place)
 
-    async def _map_on(self) -> None:
-        while not self._stopping:
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(LOOK_S):
-                    await self._news.wait()
-            self._news.clear()
-            await self._map_settled(self._clock())
+    def _when_mapping_ends(self) -> "asyncio.Future[None]":
+        loop = asyncio.get_running_loop()
+        ended: asyncio.Future[None] = loop.create_future()
 
-    async def _map_settled(self, now_ns: int | None, *, final: bool = False) -> None:
-        for ping, pose in self._poses.settled(now_ns, final=final):
-            # The core works without the interpreter's lock: meanwhile the links are read on.
-            await asyncio.to_thread(self.stepping.step, ping, pose)
-            self._room.set()
+        def tell() -> None:
+            loop.call_soon_threadsafe(ended.set_result, None)
 
-    def _count(self) -> None:
-        """Add what the driver counted; what it had to drop was a ping too."""
-        heard, counters = self._sonar.counters, self.stepping.counters
-        for _ in range(heard.dropped):
-            self.stepping.offer(Reject("too_slow", "pings came faster than they could be mapped"))
-        for _ in range(heard.messages.get(MessageId.PING_RESULT, 0) - heard.pings):
-            self.stepping.offer(Reject("bad_ping", "came twice, or see messages_rejected"))
-        counters.bytes_total = heard.bytes_received
-        counters.bytes_rejected = heard.bytes_rejected
-        counters.resyncs = heard.resyncs
-        counters.messages_rejected.update(heard.rejects)
-        counters.pings_lost = heard.lost_pings
+        self.mapping.on_end = tell
+        return ended
+
+    async def _watch(self) -> None:
+        """Raise what goes wrong with the sonar's link."""
+        async for _ in self._sonar.pings():
+            pass
+
+    def _take_sonar(self, data: bytes, arrival_ns: int) -> None:
+        gap, self._fresh = self._fresh, False
+        self.inlet.bytes_came(SONAR, data, arrival_ns, gap=gap)
+
+    def _tell_sonar(self, status: LinkStatus) -> None:
+        # Bytes of a new connection do not join the old ones.
+        self._fresh = self._fresh or status.state == LinkState.CONNECTING
+        if self._events is not None:
+            text = f"sonar: {status.state}: {status.reason}"
+            facts = {"state": str(status.state), "address": status.address}
+            self._events.add(Severity.NOTICE, "sonar_link", text, **facts)
+
+    def _tell_link(self, name: str, status: OdometryStatus) -> None:
+        if self._events is not None:
+            text = f"{name}: {status.phase}: {status.reason}"
+            facts = {"link": name, "state": str(status.phase)}
+            self._events.add(Severity.NOTICE, "odometry_link", text, **facts)
 
 
 async def _first_of(*works: Awaitable[Any]) -> None:
@@ -220,9 +267,14 @@ async def _first_of(*works: Awaitable[Any]) -> None:
 
 
 def _require_own_links(config: Config) -> None:
-    """Two sources cannot listen at one address."""
+    """Two sources cannot listen at one address, nor have the name of another link."""
     used: dict[str, str] = {}
     for source in config.odometry.sources:
+        if source.name in (SONAR, "status", LINK):
+            raise ConfigError(
+                f"a source cannot have the name {source.name!r}: that is another link's",
+                "$.odometry.sources",
+            )
         other = used.setdefault(source.link, source.name)
         if other != source.name:
             raise ConfigError(

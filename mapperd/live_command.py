@@ -1,127 +1,175 @@
 """`mapperd` without a recording: maps what the network brings until it is told to stop."""
 
 import asyncio
-import signal
+import contextlib
+import os
+import secrets
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from mapperd.config import Config
+from mapperd.config_layers import Layered
+from mapperd.config_store import ConfigStore
+from mapperd.control.setup import control_server
+from mapperd.daemon import Daemon
+from mapperd.events import EventLog
 from mapperd.export.summary import summary_of
-from mapperd.links.link import Link
-from mapperd.links.state import LinkStatus as OdometryStatus
-from mapperd.live import Live
+from mapperd.folders import state_folder
+from mapperd.live import Live, host_clock
 from mapperd.mapping import SonarMap
+from mapperd.opening import OpenMap, open_map
 from mapperd.pairing import FixedPose, OdometryPoses
-from oculus_driver.link_state import LinkStatus
+from mapperd.servers import serving
+from mapperd.service.inherited import inherited_sockets
+from mapperd.service.journal import Journal, goes_to_journal
+from mapperd.service.notify import Notifier, watchdog_s
+from mapperd.service.supervised import supervised
 
-__all__ = ["map_live"]
+__all__ = ["LiveRun", "map_live"]
+
+STDERR = 2
 
 TELL_S = 10.0
 """Between lines that say how it goes."""
 
-STOPS = (signal.SIGINT, signal.SIGTERM)
-
 Say = Callable[[str], None]
 
 
-def map_live(
-    sonar_map: SonarMap,
-    poses: FixedPose | OdometryPoses,
-    duration_s: float | None,
-    say: Say,
-) -> dict[str, Any]:
-    """Map until SIGINT, SIGTERM or the end of the time; returns the summary.
+@dataclass(frozen=True, slots=True)
+class LiveRun:
+    """How a live session is run.
 
-    Args:
-        sonar_map: the map; its settings say where the links are.
-        poses: fixed, or from the vehicle's odometry.
+    Attributes:
+        settings: in force.
+        poses: makes what gives poses: fixed, or from the vehicle's odometry.
         duration_s: seconds to map; None is until somebody stops it.
-        say: is told, in one line each, what the links do and how it goes.
+        say: is told, in one line each, what goes on beside the events.
+        read: the settings' files again; raises `ConfigError`.
+        notifier: of the service manager.
+    """
+
+    settings: ConfigStore
+    poses: Callable[[Config], FixedPose | OdometryPoses]
+    duration_s: float | None
+    say: Say
+    read: Callable[[], Layered]
+    notifier: Notifier
+
+
+def map_live(run: LiveRun) -> tuple[SonarMap, dict[str, Any]]:
+    """Map until SIGINT, SIGTERM or the end of the time; returns the map and the summary.
 
     Raises:
-        LiveError: the odometry's address cannot be listened on.
+        ConfigError: a library that a link needs is not installed, or the settings are wrong.
+        LiveError: the control socket cannot be listened at.
         OculusError: the sonar cannot be looked for, or not be asked for what the settings say.
+        StoreError: the map's file cannot be used.
     """
-    return asyncio.run(_Session(sonar_map, poses, say).run(duration_s))
+    return asyncio.run(_map(run))
 
 
-@dataclass(frozen=True, slots=True)
-class _Session:
-    sonar_map: SonarMap
-    poses: FixedPose | OdometryPoses
-    say: Say
-
-    async def run(self, duration_s: float | None) -> dict[str, Any]:
-        live = Live(self.sonar_map, self.poses, self._tell_state, self._tell_link)
-        began_s = time.perf_counter()
-        telling = asyncio.create_task(self._tell(live))
-        try:
-            await live.run(_told_to_stop(duration_s))
-        finally:
-            telling.cancel()
-        wall_s = time.perf_counter() - began_s
-        source = {"live": _live_facts(live, self.sonar_map)}
-        return summary_of(source, self.sonar_map, self.poses, live.stepping.counters, wall_s)
-
-    def _tell_state(self, status: LinkStatus) -> None:
-        self.say(f"sonar: {status.state}: {status.reason}")
-
-    def _tell_link(self, name: str, status: OdometryStatus) -> None:
-        self.say(f"{name}: {status.phase}: {status.reason}")
-
-    async def _tell(self, live: Live) -> None:
-        """Say every now and then how it goes, and that odometry is missing if it is."""
-        while True:
-            heard = self._records()
-            await asyncio.sleep(TELL_S)
-            counters = live.stepping.counters
-            dropped = counters.pings_dropped.total()
-            self.say(
-                f"{counters.pings_mapped} pings mapped, {dropped} dropped, sonar {live.link.state}"
-            )
-            if self._records() == heard and isinstance(self.poses, OdometryPoses):
-                self.say(f"no odometry for {TELL_S:g} s; see `mapperd doctor`")
-
-    def _records(self) -> int:
-        poses = self.poses
-        return poses.ignored if isinstance(poses, FixedPose) else poses.odometry.received
-
-
-async def _told_to_stop(duration_s: float | None) -> None:
-    """Wait for a signal or the end of the time; a second signal then ends the program."""
-    loop = asyncio.get_running_loop()
-    stopped = asyncio.Event()
-    for number in STOPS:
-        loop.add_signal_handler(number, stopped.set)
+async def _map(run: LiveRun) -> tuple[SonarMap, dict[str, Any]]:
+    clock = host_clock()
+    events = EventLog(clock)
+    to_journal = goes_to_journal(os.environ, STDERR)
+    events.listen(Journal(sys.stderr, time.monotonic, priorities=to_journal).write)
+    session = secrets.token_hex(8)
+    with run.notifier.patience():  # the end of a session that was cut short may be long
+        opened = await asyncio.to_thread(
+            open_map,
+            run.settings.current,
+            session,
+            events,
+            os.environ,
+            lambda: run.settings.current.visualization.tile_save_interval,
+        )
     try:
-        async with asyncio.timeout(duration_s):
-            await stopped.wait()
-    except TimeoutError:
-        pass
+        _keep_origin(run.settings, opened)
+        live = Live(
+            opened.sonar_map,
+            run.poses(run.settings.current),
+            session=session,
+            events=events,
+            keep=opened.keep,
+            clock=clock,
+        )
+        return await _served(run, opened, live, events, clock)
     finally:
-        for number in STOPS:
-            loop.remove_signal_handler(number)
+        opened.close()
 
 
-def _live_facts(live: Live, sonar_map: SonarMap) -> dict[str, Any]:
-    device = sonar_map.config.device
+async def _served(
+    run: LiveRun, opened: OpenMap, live: Live, events: EventLog, clock: Callable[[], int]
+) -> tuple[SonarMap, dict[str, Any]]:
+    """Map, and serve whoever asks meanwhile."""
+    folder = state_folder(run.settings.current, os.environ)
+    daemon = Daemon(
+        run.settings, opened.sonar_map, live, events, read=run.read, folder=folder / "maps"
+    )
+    stop = asyncio.Event()
+    inherited = inherited_sockets(os.environ, os.getpid())
+    async with contextlib.AsyncExitStack() as stack:
+        server = control_server(daemon, os.environ, inherited.pop("control", None))
+        daemon.servers["control"] = server.status
+        await stack.enter_async_context(serving(daemon, folder, os.environ, clock))
+        await stack.enter_async_context(server)
+        feeding = supervised(
+            daemon,
+            daemon.workers,
+            run.notifier,
+            watchdog_s=watchdog_s(os.environ, os.getpid()),
+            stop=stop.set,
+            say=run.say,
+        )
+        await stack.enter_async_context(feeding)
+        telling = asyncio.create_task(_tell(live, run.say))
+        stack.callback(telling.cancel)
+        began_s = time.perf_counter()
+        await daemon.run(_until(stop, run.duration_s))
+        wall_s = time.perf_counter() - began_s
+        source = {"live": _live_facts(daemon, told_to_stop=stop.is_set())}
+        whole = await asyncio.to_thread(opened.keep.whole)
+    return whole, summary_of(source, whole, live.poses, live.counters, wall_s)
+
+
+def _keep_origin(settings: ConfigStore, opened: OpenMap) -> None:
+    """A map that goes on has its zero where its first session had it."""
+    if opened.origin_deg is None or settings.current.odometry.origin is not None:
+        return
+    latitude, longitude = opened.origin_deg
+    value = {"latitude": latitude, "longitude": longitude}
+    opened.sonar_map.reconfigure(settings.settle("odometry.origin", value, "the map's file"))
+
+
+async def _tell(live: Live, say: Say) -> None:
+    """Say every now and then how it goes."""
+    while True:
+        await asyncio.sleep(TELL_S)
+        pings = live.mapping.facts.pings
+        dropped = sum(pings["dropped"].values())
+        say(f"{pings['mapped']} pings mapped, {dropped} dropped, sonar {live.link.state}")
+
+
+async def _until(stop: asyncio.Event, duration_s: float | None) -> None:
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(duration_s):
+            await stop.wait()
+
+
+def _live_facts(daemon: Daemon, *, told_to_stop: bool) -> dict[str, Any]:
+    status, device = daemon.status(), daemon.settings.current.device
+    sonar = status["sonar"]
     return {
-        "sonar": f"{live.link.address or device.address or 'found by status'}:{device.port}",
-        "odometry": {link.name: _link_facts(link) for link in live.links},
-        "recording": live.recorder.status(),
-        "pings_placed_by": dict(sorted(live.sonar_clock.placed.items())),
-        "sonar_restarts": live.sonar_clock.restarts,
-    }
-
-
-def _link_facts(link: Link) -> dict[str, Any]:
-    status = link.status
-    return {
-        "link": str(link.address),
-        "state": str(status.phase),
-        "reason": status.reason,
-        "bytes": status.bytes_received,
-        "opened": status.opened,
-        "losses": status.losses,
+        "session": status["session"],
+        "told_to_stop": told_to_stop,
+        "sonar": f"{sonar['address'] or device.address or 'found by status'}:{device.port}",
+        "odometry": status["odometry"]["connections"],
+        "recording": status["recording"],
+        "pings_placed_by": {how: count for how, count in sonar["placed_by"].items() if count},
+        "sonar_restarts": sonar["restarts"],
+        "latency_ms": status["latency_ms"],
+        "behind": status["behind"],
     }

@@ -67,6 +67,8 @@ class MapCounts:
 class SonarMap:
     """A 3D occupancy map that sonar pings are integrated into.
 
+    Where a `TileStore` keeps it on disk, voxels and counts are those of the tiles in memory.
+
     Args:
         config: the settings; the map keeps them.
 
@@ -77,11 +79,22 @@ class SonarMap:
     def __init__(self, config: Config) -> None:
         self.config = config
         self._map = _core.VoxelMap(config.octree.voxel_resolution, iwlo_params(config))
-        position, angles = config.mounting.position, config.mounting.orientation
-        mounting = pose_from_rpy(
-            (position.x, position.y, position.z), (angles.roll, angles.pitch, angles.yaw)
-        )
-        self._base_T_sonar = mounting.map_T_base
+        self._base_T_sonar = _mounting(config)
+
+    def reconfigure(self, config: Config) -> None:
+        """Take other settings for the pings to come; nobody integrates meanwhile.
+
+        Raises:
+            ConfigError: they are for another map: of another grid or another rule, the intensity
+                threshold aside. The settings are as before.
+        """
+        for section in ("octree", "iwlo", "adaptive"):
+            if getattr(config, section) != getattr(self.config, section):
+                path = f"$.{section}"
+                raise ConfigError(f"{path}: cannot change in a map that is there", path)
+        self._map.set_intensity_threshold(config.filtering.intensity_threshold)
+        self._base_T_sonar = _mounting(config)
+        self.config = config
 
     @property
     def core(self) -> _core.VoxelMap:
@@ -180,7 +193,11 @@ class SonarMap:
         observed voxel in order of its key: key as int32, log-odds in units of 2**-24 as int32,
         counts as uint16, all little endian; unobserved voxels are zeros. Nobody writes to the map
         meanwhile.
+
+        Raises:
+            MapError: the map is in tiles (`in_tiles`), as are the files below.
         """
+        self._check_whole()
         digest = hashlib.sha256(b"mapperd map\0")
         digest.update(struct.pack("<Id", HASH_VERSION, self.resolution_m))
 
@@ -203,6 +220,7 @@ class SonarMap:
         Raises:
             ExportError: the file cannot be written.
         """
+        self._check_whole()
         save_map(self._map, Path(path))
 
     def load(self, path: str | PathLike[str]) -> None:
@@ -212,6 +230,7 @@ class SonarMap:
             MapError: the file cannot be read, is damaged, or was saved with another resolution,
                 other clamps or another learning rate. The map is as before.
         """
+        self._check_whole()
         load_map(self._map, Path(path))
 
     def octomap_bt(self) -> bytes:
@@ -220,6 +239,7 @@ class SonarMap:
         Raises:
             MapError: a voxel lies farther than `octomap_reach_m` from the origin.
         """
+        self._check_whole()
         try:
             return self._map.octomap_bt(self._occupied_log_odds, self._free_log_odds)
         except (ValueError, IndexError, OverflowError) as error:
@@ -231,6 +251,7 @@ class SonarMap:
         Raises:
             MapError: a voxel lies outside OctoMap's reach of 32768 voxels from the origin.
         """
+        self._check_whole()
         try:
             return self._map.octomap_ot()
         except IndexError as error:
@@ -247,6 +268,7 @@ class SonarMap:
             MapError: not a whole tree of this map's resolution, or one too large; the text says
                 what and at which byte. The map is as before.
         """
+        self._check_whole()
         try:
             self._map.load_octomap(data)
         except ValueError as error:
@@ -259,6 +281,11 @@ class SonarMap:
     @property
     def _free_log_odds(self) -> float:
         return _log_odds(self.config.mapping.free_threshold)
+
+    def _check_whole(self) -> None:
+        """Refuse to take a part for the whole; `mapperd.store.reader` has the whole."""
+        if self._map.is_in_tiles:
+            raise MapError("the map is in tiles: read it from its file", "in_tiles")
 
     def _check_size(self, echo: Echo) -> None:
         """Refuse what would exhaust the machine: a range that no sonar has, or tiny voxels."""
@@ -310,6 +337,14 @@ def iwlo_params(config: Config) -> _core.IwloParams:
         )
     except ValueError as error:
         raise ConfigError(f"$.iwlo: {error}", "$.iwlo") from error
+
+
+def _mounting(config: Config) -> Floats:
+    position, angles = config.mounting.position, config.mounting.orientation
+    mounting = pose_from_rpy(
+        (position.x, position.y, position.z), (angles.roll, angles.pitch, angles.yaw)
+    )
+    return mounting.map_T_base
 
 
 def _log_odds(probability: float) -> float:

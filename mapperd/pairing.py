@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from mapperd.config import Config
+from mapperd.config import Config, TimeSync
 from mapperd.frames import Pose
 from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.fusion import FusedPose
@@ -14,7 +14,18 @@ from mapperd.reject import Reject
 from oculus_driver.clock import SonarClock
 from oculus_driver.ping import Ping
 
-__all__ = ["FixedPose", "OdometryPoses", "PoseSource", "ping_time_ns"]
+__all__ = ["ODOMETRY_FOLLOWS", "FixedPose", "OdometryPoses", "PoseSource", "ping_time_ns"]
+
+ODOMETRY_FOLLOWS = (
+    "time_sync",
+    "slam_quality",
+    "odometry.limits",
+    "odometry.dead_reckoning",
+    "odometry.at_jump",
+    "odometry.position_std",
+    "odometry.attitude_std",
+)
+"""Settings that `PoseSource.take` follows."""
 
 MAX_WAITING_BYTES = 128 * 1024 * 1024
 """Images that may wait; beyond, the oldest ping is settled with what is known."""
@@ -26,6 +37,17 @@ class PoseSource(Protocol):
     @property
     def waiting_bytes(self) -> int:
         """Samples of the pings that wait."""
+
+    @property
+    def origin_deg(self) -> tuple[float, float] | None:
+        """Latitude and longitude of the map's zero; None where nobody said a place on Earth."""
+
+    def take(self, config: Config) -> None:
+        """Judge by other settings from now on, pings that wait included.
+
+        Args:
+            config: differs from the one in force in settings that `ODOMETRY_FOLLOWS` names.
+        """
 
     def add_ping(self, ping: Ping, t_ns: int | None = None) -> None:
         """Take a ping that wants a pose.
@@ -61,10 +83,12 @@ class FixedPose:
     """Every ping has the same pose; odometry is only counted.
 
     Attributes:
+        pose: of every ping.
         ignored: pieces of odometry that came all the same.
     """
 
     def __init__(self, pose: Pose) -> None:
+        self.pose = pose
         self._pose = FusedPose(pose, None, None, np.zeros((6, 6)), 0, 0.0)
         self._pings: deque[Ping] = deque()
         self.ignored = 0
@@ -73,6 +97,14 @@ class FixedPose:
     def waiting_bytes(self) -> int:
         """Samples of the pings that wait."""
         return sum(ping.image.nbytes for ping in self._pings)
+
+    @property
+    def origin_deg(self) -> tuple[float, float] | None:
+        """There is none."""
+        return None
+
+    def take(self, config: Config) -> None:
+        """Nothing that may change concerns a fixed pose."""
 
     def add_ping(self, ping: Ping, t_ns: int | None = None) -> None:  # noqa: ARG002 it stands still
         """Take a ping that wants a pose."""
@@ -113,9 +145,7 @@ class OdometryPoses:
 
     def __init__(self, config: Config) -> None:
         self.odometry = OdometryBridge(config)
-        settings = config.time_sync
-        # A record may be one gap away and late; after that it will not come.
-        self._patience_ns = round((settings.max_gap_sec + settings.max_odom_age_sec) * 1e9)
+        self._patience_ns = _patience_ns(config.time_sync)
         self._pings: deque[tuple[Ping, int | None]] = deque()
         self._waiting_bytes = 0
 
@@ -123,6 +153,16 @@ class OdometryPoses:
     def waiting_bytes(self) -> int:
         """Samples of the pings that wait."""
         return self._waiting_bytes
+
+    @property
+    def origin_deg(self) -> tuple[float, float] | None:
+        """Latitude and longitude of the map's zero; None before the first place on Earth."""
+        return self.odometry.fusion.origin_deg
+
+    def take(self, config: Config) -> None:
+        """Judge by other settings from now on, pings that wait included."""
+        self._patience_ns = _patience_ns(config.time_sync)
+        self.odometry.fusion.reconfigure(config.odometry, config.time_sync, config.slam_quality)
 
     def add_ping(self, ping: Ping, t_ns: int | None = None) -> None:
         """Take a ping that wants a pose."""
@@ -162,6 +202,11 @@ class OdometryPoses:
         if t_ns is None:
             return Reject("no_arrival_time", "the recording does not say when the ping came")
         return self.odometry.fusion.at(t_ns)
+
+
+def _patience_ns(settings: TimeSync) -> int:
+    """A record may be one gap away and late; after that it will not come."""
+    return round((settings.max_gap_sec + settings.max_odom_age_sec) * 1e9)
 
 
 def ping_time_ns(ping: Ping, clock: SonarClock | None = None) -> int | None:

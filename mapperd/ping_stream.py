@@ -1,6 +1,5 @@
 """From the sonar bytes of a recording to pings."""
 
-from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
@@ -63,14 +62,15 @@ class PingStream:
             yield from self._arrivals(link, parser.finish())
 
     def count(self, counters: ReplayCounters) -> None:
-        """Write what the parsers and the ping numbers say."""
-        parsed = [parser.counters for parser in self._parsers.values()]
-        counters.bytes_total = sum(each.bytes_total for each in parsed)
-        counters.bytes_rejected = sum(each.bytes_rejected for each in parsed)
-        counters.resyncs = sum(each.resyncs for each in parsed)
-        counters.messages_rejected = sum((each.rejects for each in parsed), Counter())
-        counters.messages_doubtful = sum((each.warnings for each in parsed), Counter())
-        counters.pings_lost = self._sequence.lost_pings - self._not_lost
+        """Add what the parsers and the ping numbers say."""
+        for parser in self._parsers.values():
+            parsed = parser.counters
+            counters.bytes_total += parsed.bytes_total
+            counters.bytes_rejected += parsed.bytes_rejected
+            counters.resyncs += parsed.resyncs
+            counters.messages_rejected.update(parsed.rejects)
+            counters.messages_doubtful.update(parsed.warnings)
+        counters.pings_lost += self._sequence.lost_pings - self._not_lost
 
     def _arrivals(self, link: str, messages: Iterable[Message]) -> Iterator[Arrival]:
         for message in messages:

@@ -1,14 +1,20 @@
 """Everything that comes in goes to disk as it came, before it is understood."""
 
+import os
+import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
 from mapperd.config import Config
+from mapperd.decisions import DECISIONS, LINK, SESSION
 from mapperd.errors import ConfigError
+from mapperd.folders import recordings_folder
 from mapperd.odometry.bridge import encoding_of
+from mapperd.position import Place
+from mapperd.service.watchdog import Worker
 from oculus_driver.errors import RecordingError
-from oculus_driver.link_state import LinkState, LinkStatus
-from oculus_driver.recording import BackgroundLog, LogPolicy, SonarLog
+from oculus_driver.recording import OCULUS, BackgroundLog, Chunk, LogPolicy, SonarLog
 
 __all__ = ["Recorder"]
 
@@ -16,20 +22,23 @@ MIB = 1 << 20
 
 
 class Recorder:
-    """Records all links, `async with`; without a folder it does nothing.
+    """Records all links, `async with`, unless the settings say not to.
 
     Args:
         config: `recording` and the sources of the odometry. Arrivals are Unix nanoseconds.
+        session: id that each file holds.
+        clock: of the arrivals, nanoseconds.
 
     Raises:
         ConfigError: the folder cannot be made, or the limits contradict each other.
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(
+        self, config: Config, session: str, clock: Callable[[], int] = time.time_ns
+    ) -> None:
         self._log: BackgroundLog | None = None
-        self._fresh = False
         settings = config.recording
-        if not settings.folder:
+        if not settings.enabled:
             return
         try:
             policy = LogPolicy(
@@ -38,10 +47,17 @@ class Recorder:
                 free_floor_bytes=settings.free_floor * MIB,
             )
             sources = {source.name: encoding_of(source) for source in config.odometry.sources}
-            self._files = SonarLog(settings.folder, policy, prefix="dive", others=sources)
+            self._files = SonarLog(
+                recordings_folder(config, os.environ),
+                policy,
+                prefix="dive",
+                metadata={SESSION: session},
+                others={LINK: DECISIONS, **sources},
+                hold=True,
+            )
         except RecordingError as error:
             raise ConfigError(f"recording: {error}", "$.recording") from error
-        self._log = BackgroundLog(self._files)
+        self._log = BackgroundLog(self._files, clock=clock)
 
     async def __aenter__(self) -> Self:
         """Begin to record."""
@@ -59,20 +75,48 @@ class Recorder:
         if self._log is not None:
             await self._log.__aexit__(kind, error, trace)
 
-    def sonar_bytes(self, data: bytes, arrival_ns: int) -> None:
-        """Record bytes of the sonar."""
-        if self._log is not None:
-            self._log.write(data, arrival_ns, gap_before=self._fresh)
-            self._fresh = False
+    @property
+    def newest(self) -> int:
+        """Number of the newest piece; 0 before the first, or where nothing is recorded."""
+        return 0 if self._log is None else self._log.offered
 
-    def sonar_link(self, status: LinkStatus) -> None:
-        """Bytes of a new connection do not join the old ones."""
-        self._fresh = self._fresh or status.state == LinkState.CONNECTING
+    def place_of(self, number: int) -> Place | None:
+        """Where the recording goes on behind a piece; None while that is not written."""
+        if self._log is None or number == 0:
+            return Place()
+        place = self._log.place_of(number)
+        return None if place is None else Place(place.file, place.messages)
 
-    def link_bytes(self, name: str, data: bytes, arrival_ns: int, *, gap: bool) -> None:
-        """Record bytes of a source of odometry."""
-        if self._log is not None:
-            self._log.write_other(name, data, arrival_ns, gap_before=gap)
+    def wait_for(self, number: int, timeout_s: float) -> bool:
+        """Wait until the operating system has a piece; False if that takes longer."""
+        return self._log is None or self._log.wait_for(number, timeout_s)
+
+    def record(self, chunk: Chunk, *, gap: bool) -> int:
+        """Record a chunk at once, without waiting for the disk; not two threads at a time.
+
+        Returns:
+            its number.
+
+        Args:
+            chunk: of the sonar, a source of odometry, or a decision.
+            gap: bytes of its link are missing before it.
+        """
+        if self._log is None or chunk.arrival_ns is None:
+            return 0
+        if chunk.encoding == OCULUS:
+            self._log.write(chunk.data, chunk.arrival_ns, gap_before=gap)
+        else:
+            self._log.write_other(chunk.link, chunk.data, chunk.arrival_ns, gap_before=gap)
+        return self._log.offered
+
+    def worker(self) -> Worker:
+        """For a watchdog: who waits for a disk with room is not stuck."""
+        if self._log is None:
+            return Worker("recording", 0, 0)
+        counters = self._files.counters
+        held = self._files.reason or "paused" if self._files.state == "paused" else ""
+        done = counters.bytes_written + counters.bytes_dropped + counters.syncs
+        return Worker("recording", self._log.waiting_bytes, done, held)
 
     def status(self) -> dict[str, object] | None:
         """For a person: what it does and what was lost; None where nothing is recorded."""
@@ -82,8 +126,10 @@ class Recorder:
         return {
             "state": self._files.state,
             "reason": self._files.reason,
+            "bytes_waiting": self._log.waiting_bytes,
             "bytes_written": counters.bytes_written,
             "bytes_dropped": counters.bytes_dropped + self._log.bytes_dropped,
             "drops": dict(counters.drops),
             "files": counters.files_opened,
+            "files_deleted": counters.files_deleted,
         }

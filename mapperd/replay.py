@@ -6,20 +6,23 @@ not is counted with a reason.
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain, islice
 from statistics import median_low
 
 from mapperd.counters import ReplayCounters
+from mapperd.decisions import Remarks, without_skipped
+from mapperd.engine import Engine, Work
 from mapperd.errors import ReplayError
+from mapperd.integration import Integration
+from mapperd.keeping import InMemory
 from mapperd.mapping import SonarMap
 from mapperd.odometry.bridge import ENCODING_PREFIX
-from mapperd.pairing import PoseSource, ping_time_ns
-from mapperd.ping_stream import Arrival, PingStream
-from mapperd.reject import Reject
+from mapperd.pairing import PoseSource
+from mapperd.ping_stream import PingStream
 from mapperd.stepping import Stepping
-from oculus_driver.clock import SonarClock
 from oculus_driver.ping import Ping
-from oculus_driver.recording import OCULUS, Chunk, Recording
+from oculus_driver.recording import OCULUS, Chunk
 
 __all__ = ["Replay", "Window", "contents", "first_range_m"]
 
@@ -48,7 +51,7 @@ class Window:
     start_s: float = 0.0
     duration_s: float | None = None
 
-    def limits_ns(self, recording: Recording) -> tuple[int | None, int | None]:
+    def limits_ns(self, recording: Iterable[Chunk]) -> tuple[int | None, int | None]:
         """First nanosecond and the one after the last; (None, None) for the whole recording.
 
         Raises:
@@ -67,13 +70,17 @@ class Window:
 
 
 class Replay:
-    """One recording on its way into one map.
+    """One session of recordings on its way into one map.
 
     Args:
         sonar_map: where the pings go.
         poses: fixed, or from the recording's odometry.
         window: which part of the recording.
         clock: seconds, to time the steps with.
+        confirm: the recording does not say where bytes are missing, so that each ping is held
+            back until what follows confirms it.
+        remarks: to map a session of the daemon as it was mapped, with all that was decided.
+        counters: to go on with.
     """
 
     def __init__(
@@ -82,20 +89,26 @@ class Replay:
         poses: PoseSource,
         window: Window,
         clock: Callable[[], float],
+        *,
+        confirm: bool = True,
+        remarks: Remarks | None = None,
+        counters: ReplayCounters | None = None,
     ) -> None:
-        self._map = sonar_map
+        self._config = sonar_map.config
         self._poses = poses
         self._window = window
-        self._stepping = Stepping(sonar_map, poses, clock)
-        self._stream = PingStream(confirm=True)
-        self._clocks: dict[int, SonarClock] = {}
+        self._confirm = confirm
+        self._as_recorded = remarks is not None
+        self._integration = Integration(
+            Stepping(sonar_map, clock, counters), InMemory(sonar_map), remarks
+        )
 
     @property
     def counters(self) -> ReplayCounters:
         """What happened."""
-        return self._stepping.counters
+        return self._integration.stepping.counters
 
-    def run(self, recording: Recording) -> Iterator[None]:
+    def run(self, recording: Iterable[Chunk]) -> Iterator[None]:
         """Map the recording; yields after every chunk, so that the caller can show progress.
 
         Raises:
@@ -103,63 +116,37 @@ class Replay:
             RecordingError: the recording cannot be read on.
         """
         start_ns, end_ns = self._window.limits_ns(recording)
+        engine = self._engine(start_ns, end_ns)
         late = 0
-        for chunk in recording:
+        for chunk in without_skipped(recording) if self._as_recorded else recording:
             late = late + 1 if self._is_late(chunk, end_ns) else 0
             if late > MAX_LATE_CHUNKS:
                 break
-            if not late or chunk.encoding == OCULUS:  # a late piece may belong to a ping in time
-                self._take(chunk, start_ns, end_ns)
-            self._map_settled(None if late else chunk.arrival_ns)
+            self._do(engine.feed(chunk, late=late > 0))
             yield
-        else:  # read to its end, so what is pending will not be completed
-            self._offer(self._stream.finish(), start_ns, end_ns)
-        self._map_settled(None, final=True)
-        self._stream.count(self.counters)
+        self._do(engine.end(cut=late > MAX_LATE_CHUNKS))
+
+    def _engine(self, start_ns: int | None, end_ns: int | None) -> Engine:
+        return Engine(
+            self._config,
+            self._poses,
+            self.counters,
+            confirm=self._confirm,
+            obey=self._as_recorded,
+            within=partial(_within, start_ns=start_ns, end_ns=end_ns),
+        )
 
     def _is_late(self, chunk: Chunk, end_ns: int | None) -> bool:
         """Whether a chunk came so long after the end that its odometry encloses no ping."""
         if end_ns is None or chunk.arrival_ns is None:
             return False
-        settings = self._map.config.time_sync
+        settings = self._config.time_sync
         grace_ns = round((settings.max_gap_sec + settings.max_odom_age_sec) * 1e9)
         return chunk.arrival_ns >= end_ns + grace_ns
 
-    def _take(self, chunk: Chunk, start_ns: int | None, end_ns: int | None) -> None:
-        if chunk.encoding.startswith(ENCODING_PREFIX):
-            self._poses.add_odometry(
-                chunk.link,
-                chunk.data,
-                chunk.arrival_ns,
-                encoding=chunk.encoding,
-                gap_before=chunk.gap_before,
-            )
-        elif chunk.encoding == OCULUS:
-            arrivals = self._stream.feed(
-                chunk.link, chunk.data, chunk.arrival_ns, gap_before=chunk.gap_before
-            )
-            self._offer(arrivals, start_ns, end_ns)
-
-    def _offer(self, arrivals: Iterable[Arrival], start_ns: int | None, end_ns: int | None) -> None:
-        """Let the pings of the window wait for their poses."""
-        for arrival in arrivals:
-            if not _within(arrival.t_ns, start_ns, end_ns):
-                self.counters.pings_outside += 1
-            else:
-                self._stepping.offer(arrival.ping, self._time_ns(arrival.ping))
-
-    def _time_ns(self, ping: Ping | Reject) -> int | None:
-        """By the sonar's own clock, as in live mapping."""
-        if isinstance(ping, Reject):
-            return None
-        if ping.source_id not in self._clocks:
-            latency_ns = round(self._map.config.device.latency_sec * 1e9)
-            self._clocks[ping.source_id] = SonarClock(latency_ns=latency_ns)
-        return ping_time_ns(ping, self._clocks[ping.source_id])
-
-    def _map_settled(self, now_ns: int | None, *, final: bool = False) -> None:
-        for ping, pose in self._poses.settled(now_ns, final=final):
-            self._stepping.step(ping, pose)
+    def _do(self, work: Iterable[Work]) -> None:
+        for each in work:
+            self._integration.do(each)
 
 
 def _within(t_ns: int | None, start_ns: int | None, end_ns: int | None) -> bool:
@@ -168,7 +155,7 @@ def _within(t_ns: int | None, start_ns: int | None, end_ns: int | None) -> bool:
     return t_ns is not None and t_ns >= start_ns and (end_ns is None or t_ns < end_ns)
 
 
-def contents(recording: Recording) -> tuple[bool, bool]:
+def contents(recording: Iterable[Chunk]) -> tuple[bool, bool]:
     """Whether a recording holds sonar data, and odometry; reads until it has found both."""
     sonar = odometry = False
     for chunk in recording:
@@ -179,12 +166,12 @@ def contents(recording: Recording) -> tuple[bool, bool]:
     return sonar, odometry
 
 
-def first_range_m(recording: Recording) -> float:
+def first_range_m(recording: Iterable[Chunk]) -> float:
     """How far the sonar looks: the shortest range of the first pings; 0 without a ping."""
     return min((ping.max_range_m for ping in islice(_pings(recording), FIRST_PINGS)), default=0.0)
 
 
-def _pings(recording: Recording) -> Iterator[Ping]:
+def _pings(recording: Iterable[Chunk]) -> Iterator[Ping]:
     stream = PingStream(confirm=True)
     chunks = (chunk for chunk in recording if chunk.encoding == OCULUS)
     arrivals = chain.from_iterable(
@@ -196,7 +183,7 @@ def _pings(recording: Recording) -> Iterator[Ping]:
             yield arrival.ping
 
 
-def _first_sonar_ns(recording: Recording) -> int | None:
+def _first_sonar_ns(recording: Iterable[Chunk]) -> int | None:
     """Earliest of the sonar's first stamps that is not astray; None where it has none."""
     sonar = (chunk.arrival_ns for chunk in recording if chunk.encoding == OCULUS)
     stamps = list(islice((stamp for stamp in sonar if stamp is not None), FIRST_CHUNKS))

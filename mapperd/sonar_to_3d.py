@@ -18,6 +18,7 @@ from mapperd.config import Config
 from mapperd.errors import MapError
 from mapperd.export.atomic import atomic_file
 from mapperd.export.ply import write_ply
+from mapperd.filters.stage import check_filters, filter_echo
 from mapperd.flat_config import config_from_flat
 from mapperd.map_queries import MapQueries
 from mapperd.mapping import SonarMap
@@ -71,7 +72,8 @@ class SonarTo3DMapper:
         clock: seconds, for the processing times.
 
     Raises:
-        ConfigError: an unknown key or a value that is not allowed.
+        ConfigError: an unknown key, a value that is not allowed, or a filter that is on without
+            its library.
     """
 
     def __init__(
@@ -81,6 +83,7 @@ class SonarTo3DMapper:
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._config = config_from_flat(config or {})
+        check_filters(self._config)
         self._clock = clock
         self.reset_map()
 
@@ -120,6 +123,7 @@ class SonarTo3DMapper:
         start = self._clock()
         self._frames += 1
         echo = echo_of_image(polar_image, max_range, bearings, self._config.sonar)
+        echo, _ = filter_echo(echo, self._config)
         map_T_base = robot_pose(robot_position, robot_orientation)  # noqa: N806 frames are named
         changed = self._map.integrate(echo, map_T_base @ self._map.base_T_sonar)
         self._processed += 1

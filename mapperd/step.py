@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 from mapperd.echo import echo_of
 from mapperd.errors import MapError
+from mapperd.filters.robot import Point, Robot
+from mapperd.filters.stage import filter_echo
 from mapperd.frames import Pose
 from mapperd.mapping import SonarMap
 from mapperd.motion import BaseMotion
@@ -23,11 +25,13 @@ class Mapped:
         ping_id: the sonar's number of it.
         voxels_occupied: voxels that it gave occupied evidence.
         voxels_free: voxels that it gave free evidence.
+        robots: other robots that it saw, and where in the map.
     """
 
     ping_id: int
     voxels_occupied: int
     voxels_free: int
+    robots: tuple[tuple[Robot, Point], ...] = ()
 
 
 def process_ping(
@@ -43,6 +47,7 @@ def process_ping(
     """
     try:
         echo = echo_of(ping, sonar_map.config.sonar)
+        echo, robots = filter_echo(echo, sonar_map.config)
         map_T_sonar = pose.map_T_base @ sonar_map.base_T_sonar  # noqa: N806 frames are named
         sound_mps = ping.credible_speed_of_sound_mps
         middle_s = ping.max_range_m / 2 / sound_mps
@@ -50,4 +55,5 @@ def process_ping(
         changed = sonar_map.integrate(echo, map_T_sonar, motion)
     except MapError as error:
         return Reject(error.reason, str(error))
-    return Mapped(ping.ping_id, changed.occupied, changed.free)
+    seen = tuple((robot, robot.position_m(map_T_sonar)) for robot in robots)
+    return Mapped(ping.ping_id, changed.occupied, changed.free, seen)

@@ -2,11 +2,16 @@
 
 from collections.abc import Callable
 
+import msgspec
+
+from mapperd.config import Config
 from mapperd.counters import ReplayCounters
+from mapperd.filters.sightings import Sighting, Sightings
+from mapperd.filters.stage import check_filters
 from mapperd.mapping import SonarMap
 from mapperd.motion import BaseMotion
 from mapperd.odometry.fusion import FusedPose
-from mapperd.pairing import PoseSource
+from mapperd.pairing import ODOMETRY_FOLLOWS
 from mapperd.reject import Reject
 from mapperd.step import Mapped, process_ping
 from oculus_driver.ping import Ping
@@ -15,52 +20,90 @@ __all__ = ["Stepping"]
 
 
 class Stepping:
-    """Lets every Nth ping wait for its pose, and puts pings with a pose through the step.
+    """Puts pings with a pose through the step.
 
     Args:
         sonar_map: where the pings go.
-        poses: where they wait.
         clock: seconds, to time the steps with.
+        counters: to go on with; new ones where there are none.
+
+    Raises:
+        ConfigError: a filter that is on cannot run.
 
     Attributes:
         counters: what happened.
+        sightings: robots that were seen lately.
+        error_bound: holds instead of `mapping.error_bound` from the next ping on; None is the
+            setting's own.
     """
 
-    def __init__(self, sonar_map: SonarMap, poses: PoseSource, clock: Callable[[], float]) -> None:
-        self.counters = ReplayCounters()
-        self._map = sonar_map
-        self._poses = poses
-        self._clock = clock
-        self._frame_skip = sonar_map.config.processing.frame_skip
-        self._offered = 0
+    FOLLOWS = (
+        "filtering",
+        "mounting.orientation",
+        "octree",
+        "mapping",
+        "processing",
+        "crosstalk",
+        "terrain_detection",
+        "robot_detection",
+        *ODOMETRY_FOLLOWS,
+    )
+    """Settings that the way of a ping follows: through `take`, and through its `PoseSource`."""
 
-    def offer(self, ping: Ping | Reject, t_ns: int | None = None) -> None:
-        """Count what came and let it wait for its pose.
+    def __init__(
+        self,
+        sonar_map: SonarMap,
+        clock: Callable[[], float],
+        counters: ReplayCounters | None = None,
+    ) -> None:
+        self.counters = counters or ReplayCounters()
+        self.error_bound: float | None = None
+        self._map = sonar_map
+        self._clock = clock
+        check_filters(sonar_map.config)
+        self.sightings = Sightings()
+        self._next = sonar_map.config
+        self._in_force: tuple[Config, float | None] = (self._next, None)
+
+    def take(self, config: Config) -> None:
+        """Step with other settings from the next ping on.
 
         Args:
-            ping: or why there is none.
-            t_ns: as `PoseSource.add_ping` takes it.
+            config: differs from the one in force in settings that `FOLLOWS` names, and has passed
+                `check_filters`.
         """
-        self.counters.pings_total += 1
-        if isinstance(ping, Reject):
-            self.counters.drop(ping.reason, ping.detail)
-            return
-        self._offered += 1
-        if (self._offered - 1) % self._frame_skip:
-            self.counters.drop("frame_skip", f"every {self._frame_skip}th ping is mapped")
-        else:
-            self._poses.add_ping(ping, t_ns)
+        self._next = config
 
-    def step(self, ping: Ping, pose: FusedPose | Reject) -> None:
-        """Map a ping that is settled."""
+    def step(self, ping: Ping, pose: FusedPose | Reject) -> Mapped | Reject:
+        """Map a ping that is settled; returns what became of it."""
         if isinstance(pose, Reject):
             self.counters.drop(pose.reason, pose.detail)
-            return
+            return pose
+        self._reconfigure()
         began_s = self._clock()
         moving = BaseMotion(pose.velocity_mps, pose.rate_radps)
         result = process_ping(ping, pose.pose, self._map, moving)
-        self.counters.step_s.append(self._clock() - began_s)
+        self.counters.took(self._clock() - began_s)
         if isinstance(result, Mapped):
             self.counters.pings_mapped += 1
+            self._remember(ping.arrival_ns, result)
         else:
             self.counters.drop(result.reason, result.detail)
+        return result
+
+    def _reconfigure(self) -> None:
+        config, bound = self._next, self.error_bound
+        if config is self._in_force[0] and bound == self._in_force[1]:
+            return
+        wanted = config, bound
+        if bound is not None:
+            mapping = msgspec.structs.replace(config.mapping, error_bound=bound)
+            config = msgspec.structs.replace(config, mapping=mapping)
+        self._map.reconfigure(config)
+        self._in_force = wanted
+
+    def _remember(self, arrival_ns: int | None, mapped: Mapped) -> None:
+        if arrival_ns is not None:
+            self.sightings.add(
+                Sighting(arrival_ns, place_m, robot) for robot, place_m in mapped.robots
+            )

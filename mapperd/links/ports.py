@@ -55,15 +55,17 @@ class _Datagrams(asyncio.DatagramProtocol):
 async def _listen_udp(address: LinkAddress, on_open: OnOpen, on_bytes: OnBytes) -> NoReturn:
     loop = asyncio.get_running_loop()
     lost: asyncio.Future[None] = loop.create_future()
-    transport, _ = await loop.create_datagram_endpoint(
-        lambda: _Datagrams(on_bytes, lost), local_addr=(address.host, address.port)
-    )
+    transport: asyncio.DatagramTransport | None = None
     try:
+        transport, _ = await loop.create_datagram_endpoint(
+            lambda: _Datagrams(on_bytes, lost), local_addr=(address.host, address.port)
+        )
         on_open()
         await lost
     finally:
-        transport.close()
-        lost.cancel()
+        lost.cancel()  # also where it was cancelled while it was being opened
+        if transport is not None:
+            transport.close()
     raise ConnectionAbortedError("the port was closed")
 
 

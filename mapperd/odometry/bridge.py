@@ -1,7 +1,7 @@
 """The bridge: bytes of the vehicle's links become records, records become poses."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from mapperd.config import Config
@@ -40,6 +40,7 @@ class OdometryBridge:
     def __init__(self, config: Config) -> None:
         self._sources = {source.name: source for source in config.odometry.sources}
         self._decoders: dict[str, Decoder] = {}
+        self._encodings: dict[str, str | None] = {}
         self._unreadable: Counter[str] = Counter()
         self.accepted = 0
         self.fusion = Fusion(
@@ -75,6 +76,7 @@ class OdometryBridge:
                 self._unreadable[link] += 1
                 return
             decoder = self._decoders[link] = found
+            self._encodings[link] = encoding
         if gap_before:
             decoder.restart()
         for record in self._decoded(decoder, data, arrival_ns):
@@ -82,6 +84,17 @@ class OdometryBridge:
                 self.fusion.take(link, record, arrival_ns) is None
             ):
                 self.accepted += 1
+
+    def prepare(self, encodings: Mapping[str, str | None]) -> None:
+        """Make the decoders of links, as their first bytes would.
+
+        Args:
+            encodings: link to encoding, as `feed` was given them.
+        """
+        for link, encoding in encodings.items():
+            decoder = self._decoder(link, encoding)
+            if decoder is not None:
+                self._decoders[link] = decoder
 
     @staticmethod
     def _decoded(

@@ -11,10 +11,13 @@ class ConfidenceGate:
 
     Args:
         settings: threshold, times, and what a missing confidence means.
+
+    Attributes:
+        settings: may be set anew.
     """
 
     def __init__(self, settings: SlamQuality) -> None:
-        self._settings = settings
+        self.settings = settings
         self._first_ns: int | None = None
         self._last: tuple[int, float] | None = None
         self.unchecked = 0
@@ -34,7 +37,7 @@ class ConfidenceGate:
 
     def check(self, t_ns: int) -> Reject | None:
         """Why a ping of that moment may not be mapped; None where it may."""
-        settings = self._settings
+        settings = self.settings
         if self._last is None:
             grace_ns = round(settings.grace_period_sec * 1e9)
             if self._first_ns is None or t_ns - self._first_ns <= grace_ns:
@@ -50,7 +53,7 @@ class ConfidenceGate:
         return None
 
     def _missing(self, why: str) -> Reject | None:
-        if self._settings.fail_mode == "closed":
+        if self.settings.fail_mode == "closed":
             return Reject("no_confidence", f"{why}, and slam_quality.fail_mode is closed")
         self.unchecked += 1
         return None

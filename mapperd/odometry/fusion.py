@@ -108,6 +108,25 @@ class Fusion:
         self.received: Counter[str] = Counter()
         self.rejects: dict[str, Counter[str]] = {}
 
+    def reconfigure(
+        self, settings: OdometryFusion, time_sync: TimeSync, quality: SlamQuality
+    ) -> None:
+        """Judge records and moments to come by other settings.
+
+        Args:
+            settings: as before but for what may change while running; whoever owns a quantity
+                keeps it.
+            time_sync: how far records are believed around a moment.
+            quality: the confidence gate.
+        """
+        self._settings = settings
+        self._reach = Reach.of(time_sync)
+        self._max_age_ns = round(time_sync.max_odom_age_sec * 1e9)
+        for clock in self._clocks.values():
+            clock.max_age_ns = self._max_age_ns
+        self._gate.settings = quality
+        self._in.reconfigure(settings, self._reach.max_gap_ns)
+
     def take(self, source: str, odometry: Odometry, arrival_ns: int | None) -> Reject | None:
         """Take a record; None when anything of it was used, else why not (and it is counted).
 
@@ -121,6 +140,11 @@ class Fusion:
         if reject is not None:
             self.rejects.setdefault(source, Counter())[reject.reason] += 1
         return reject
+
+    @property
+    def origin_deg(self) -> tuple[float, float] | None:
+        """Latitude and longitude of the map's zero; None before the first place on Earth."""
+        return self._in.origin_deg
 
     def ready(self, t_ns: int) -> bool:
         """Whether no later record can make the pose at a moment better."""

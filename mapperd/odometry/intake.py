@@ -54,6 +54,12 @@ class Intake:
         self.velocity: Track[Floats] = Track(owners.velocity)
         self.reckoning = DeadReckoning(max_gap_ns, settings.dead_reckoning.noise)
 
+    def reconfigure(self, settings: OdometryFusion, max_gap_ns: int) -> None:
+        """Take other limits, noise, and another meaning of a jump; owners and origin stay."""
+        self._settings = settings
+        self.reckoning.max_gap_ns = max_gap_ns
+        self.reckoning.noise = settings.dead_reckoning.noise
+
     def take(self, who: Owner, odometry: Odometry, t_ns: int) -> Reject | None:
         """Let the record's quantities in; None when any was used, else why none was."""
         if (mixed := self._mixed(who, odometry)) is not None:
@@ -244,6 +250,13 @@ class Intake:
         return Reject("too_fast", f"{speed:.1f} m/s; at most {limit:g}") if speed > limit else None
 
     # Conversions that need what is known already.
+
+    @property
+    def origin_deg(self) -> tuple[float, float] | None:
+        """Latitude and longitude of the map's zero; None before the first place on Earth."""
+        if self._origin is None:
+            return None
+        return math.degrees(self._origin.latitude_rad), math.degrees(self._origin.longitude_rad)
 
     def _source_position(self, odometry: Odometry) -> Floats:
         """A position that is said; the owner's first place on Earth is the map's origin."""

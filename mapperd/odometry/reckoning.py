@@ -38,11 +38,15 @@ class DeadReckoning:
     Args:
         max_gap_ns: velocities further apart than this do not tell the way between.
         noise: growth of the standard deviation, m per square root of a second.
+
+    Attributes:
+        max_gap_ns, noise: may be set anew.
+        ways: what was summed up.
     """
 
     def __init__(self, max_gap_ns: int, noise: float) -> None:
         self.max_gap_ns = max_gap_ns
-        self._noise = noise
+        self.noise = noise
         self._waiting: deque[tuple[int, Floats | None, bool, float | None]] = deque()
         self._segment = 0
         self.ways: Series[Way] = Series()
@@ -110,7 +114,7 @@ class DeadReckoning:
         else:
             return None
         gone = way.way_m + 0.5 * seconds * (way.velocity_mps + velocity)
-        variance = way.variance_m2 + seconds * self._noise**2
+        variance = way.variance_m2 + seconds * self.noise**2
         return Sample(t_ns, Way(gone, velocity, variance), before.segment)
 
     def _sum_up(self, t_ns: int, velocity_mps: Floats, noise: float | None) -> None:
@@ -126,5 +130,5 @@ class DeadReckoning:
         seconds = (t_ns - last.t_ns) / 1e9
         way = last.value.way_m + 0.5 * seconds * (last.value.velocity_mps + velocity_mps)
         # A velocity's error lasts for about a second: its variance grows with the time.
-        growth = seconds * (self._noise if noise is None else noise) ** 2
+        growth = seconds * (self.noise if noise is None else noise) ** 2
         self.ways.add(t_ns, Way(way, velocity_mps, last.value.variance_m2 + growth), self._segment)

@@ -28,10 +28,13 @@ class OdometryClock:
     Args:
         max_age_ns: stamps further than this from their arrival are refused.
         latency_ns: least delay of the link, which no fit can see; it is taken off.
+
+    Attributes:
+        max_age_ns: may be set anew.
     """
 
     def __init__(self, max_age_ns: int, latency_ns: int = 0) -> None:
-        self._max_age_ns = max_age_ns
+        self.max_age_ns = max_age_ns
         self._latency_ns = latency_ns
         self._fit = LowerEnvelope()
         self._off = 0  # records in a row
@@ -57,7 +60,7 @@ class OdometryClock:
             stamp: int | None = odometry.stamp_ns
         else:
             stamp = self._carried_over(odometry, arrival_ns)
-        off = stamp is None or abs(stamp - arrival_ns) > self._max_age_ns
+        off = stamp is None or abs(stamp - arrival_ns) > self.max_age_ns
         ahead = stamp is not None and stamp - arrival_ns > AHEAD_NS
         self._off = self._off + 1 if off or ahead else 0
         if (

@@ -58,6 +58,14 @@ def make_odometry(**changes: Any) -> bytes:
     return encode_native(NativeRecord(**(fields | changes)))
 
 
+@pytest.fixture(autouse=True)
+def own_folders(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A daemon under test keeps nothing in the user's folders, and shares no socket."""
+    folder = tmp_path_factory.mktemp("own")
+    for name in ("STATE_DIRECTORY", "LOGS_DIRECTORY", "RUNTIME_DIRECTORY"):
+        monkeypatch.setenv(name, str(folder))
+
+
 @pytest.fixture(scope="session")
 def ping_bytes() -> PingBytes:
     return make_ping

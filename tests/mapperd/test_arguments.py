@@ -8,7 +8,7 @@ from mapperd.frames import pose_from_rpy
 
 def test_only_the_recording_is_needed() -> None:
     said = parse_arguments(["--replay", "a.bin"])
-    assert said.replay == Path("a.bin")
+    assert said.replay == (Path("a.bin"),)
     assert said.out == Path("mapperd-replay")
     assert (said.config, said.pose, said.integrator, said.duration_s) == (None,) * 4
     assert said.start_s == 0
@@ -16,7 +16,7 @@ def test_only_the_recording_is_needed() -> None:
 
 def test_without_a_recording_it_is_live() -> None:
     said = parse_arguments(["--duration", "5"])
-    assert (said.replay, said.duration_s) == (None, 5)
+    assert (said.replay, said.duration_s) == ((), 5)
     assert said.out == Path("mapperd-live")
 
 
@@ -50,7 +50,7 @@ def test_pose_may_begin_with_a_minus(words: list[str]) -> None:
         ["--duration", "inf"],
         ["--integrator", "magic"],
         ["--nonsense"],
-        ["stray"],
+        ["--out", "x", "stray"],
     ],
 )
 def test_bad_word_is_one_line_and_exit_2(
@@ -69,3 +69,34 @@ def test_help_names_the_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
         parse_arguments(["--help"])
     assert caught.value.code == 0
     assert "exit codes" in capsys.readouterr().out
+
+
+def test_several_recordings_are_replayed_in_their_order() -> None:
+    said = parse_arguments(["--replay", "b", "a", "--as-recorded", "--out", "x"])
+    assert said.replay == (Path("b"), Path("a"))
+    assert said.as_recorded
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        ["--config", "a.yaml"],
+        ["--pose", "0,0,0,0,0,0"],
+        ["--integrator", "rays"],
+        ["--start", "1"],
+        ["--duration", "1"],
+    ],
+    ids=str,
+)
+def test_what_was_recorded_leaves_nothing_to_choose(
+    more: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        parse_arguments(["--replay", "a", "--as-recorded", *more])
+    assert f"--as-recorded leaves no room for {more[0]} " in capsys.readouterr().err
+
+
+def test_as_recorded_needs_recordings(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        parse_arguments(["--as-recorded"])
+    assert "needs --replay" in capsys.readouterr().err

@@ -261,3 +261,18 @@ class TestRealCapture:
         assert "--pose" in said
         assert said.count("\n") == 1
         assert not (tmp_path / "out").exists()
+
+
+def test_the_journal_knows_an_error_from_a_remark(tmp_path: Path) -> None:
+    config = tmp_path / "bad.yaml"
+    config.write_text("nope: 1", encoding="utf-8")
+    said = tmp_path / "journal"
+    with said.open("wb") as stream:
+        facts = os.fstat(stream.fileno())
+        code = subprocess.call(  # noqa: S603
+            [sys.executable, "-m", "mapperd", "--config", str(config), "--out", str(tmp_path)],
+            env=os.environ | {"JOURNAL_STREAM": f"{facts.st_dev}:{facts.st_ino}"},
+            stderr=stream,
+        )
+    assert code == Exit.BAD_CONFIG
+    assert said.read_text(encoding="utf-8").startswith(f"<3>{config}: $.nope: ")

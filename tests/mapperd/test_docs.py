@@ -11,9 +11,9 @@ from mapperd.export.summary import recording_facts, summary_of
 from mapperd.frames import pose_from_rpy
 from mapperd.mapping import SonarMap
 from mapperd.pairing import FixedPose
+from mapperd.recording_files import RecordedSession
 from mapperd.replay import Replay, Window
 from oculus_driver.ping import Ping
-from oculus_driver.recording import open_recording
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "replay.md").read_text(encoding="utf-8")
 
@@ -32,9 +32,9 @@ def test_every_key_of_the_summary_is_explained(
     (tmp_path / "raw").write_bytes(ping_bytes(1))
     sonar_map, poses = SonarMap(Config()), FixedPose(pose_from_rpy((0, 0, 0), (0, 0, 0)))
     replay = Replay(sonar_map, poses, Window(), lambda: 0.0)
-    with open_recording(tmp_path / "raw") as recording:
-        list(replay.run(recording))
-        summary = summary_of(recording_facts(recording), sonar_map, poses, replay.counters, 0.0)
+    session = RecordedSession([tmp_path / "raw"], None)
+    list(replay.run(session))
+    summary = summary_of(recording_facts([session]), sonar_map, poses, replay.counters, 0.0)
     for key in summary:
         assert f"`{key}`" in PAGE
 

@@ -104,15 +104,14 @@ def test_low_max_ratio_takes_the_min_ratio_along() -> None:
         ({"sonar_position": [0, 0, 1e9]}, "sonar_position: position.z: .*<= 100"),
         ({"sonar_orientation": "down"}, "sonar_orientation: three finite numbers"),
         ({"use_outofcore": True}, "use_outofcore: only False is allowed: .*not there yet"),
-        ({"crosstalk_enabled": True}, "crosstalk_enabled: only False"),
-        ({"crosstalk_enabled": 0.0}, "crosstalk_enabled: only False"),
-        ({"use_cpp_backend": False}, "use_cpp_backend: only True"),
-        ({"dynamic_expansion": False}, "dynamic_expansion: only True"),
+        ({"crosstalk_enabled": 0.0}, "crosstalk_enabled: .*true or false"),
+        ({"morpho_kernel_size": 1}, "morpho_kernel_size: .*>= 2"),
+        ({"morpho_kernel_shape": "star"}, "morpho_kernel_shape: .*rect or ellipse or cross"),
+        ({"use_cpp_backend": False}, "use_cpp_backend false is not there"),
+        ({"dynamic_expansion": False}, "dynamic_expansion false is not there"),
         ({"frame_skip": 5}, "frame_skip: only 1"),
         ({"outofcore_cache_size": 16}, "outofcore_cache_size: .*set use_outofcore to False"),
         ({"outofcore_cache_size": 16, "use_outofcore": True}, "use_outofcore"),
-        ({"morpho_enabled": True}, "morpho_enabled: only False"),
-        ({"morpho_kernel_size": 5}, "morpho_kernel_size: .*crosstalk"),
     ],
 )
 def test_wrong_keys_and_values_are_named(flat: dict[str, Any], message: str) -> None:
@@ -122,4 +121,11 @@ def test_wrong_keys_and_values_are_named(flat: dict[str, Any], message: str) -> 
 
 
 def test_what_is_off_may_be_said() -> None:
-    assert config_from_flat({"morpho_enabled": False, "frame_skip": np.int32(1)}) == Config()
+    assert config_from_flat({"use_outofcore": False, "frame_skip": np.int32(1)}) == Config()
+
+
+def test_crosstalk_has_its_keys() -> None:
+    flat = {"crosstalk_enabled": True, "morpho_kernel_size": 7, "azimuth_threshold": 0.6}
+    crosstalk = config_from_flat(flat).crosstalk
+    assert crosstalk.enabled
+    assert (crosstalk.morpho_kernel_size, crosstalk.azimuth_threshold) == (7, 0.6)

@@ -13,7 +13,9 @@ import pytest
 from mapperd.cli import Exit, main
 from mapperd.config import Config
 from mapperd.config_file import config_from_text
+from mapperd.decisions import DECISIONS
 from mapperd.errors import ConfigError
+from mapperd.events import EventLog
 from mapperd.frames import pose_from_rpy
 from mapperd.live import Live, fire_settings, host_clock
 from mapperd.mapping import SonarMap
@@ -63,7 +65,7 @@ async def send_odometry(port: int, make: Callable[..., bytes], **changes: Any) -
 
 
 async def mapped(live: Live, pings: int) -> None:
-    while live.stepping.counters.pings_mapped < pings:  # noqa: ASYNC110 counters tell nobody
+    while live.counters.pings_mapped < pings:  # noqa: ASYNC110 counters tell nobody
         await asyncio.sleep(0.01)
 
 
@@ -80,12 +82,13 @@ def test_pings_meet_the_poses_of_their_time(
             vehicle = asyncio.create_task(send_odometry(port, odometry_bytes))
             await live.run(mapped(live, 10))
             vehicle.cancel()
-            counters = live.stepping.counters
+            await asyncio.gather(vehicle, return_exceptions=True)
+            counters = live.counters
             dropped = counters.pings_dropped.total()
             assert counters.pings_total == counters.pings_mapped + dropped
             assert counters.pings_mapped >= 10
             assert poses.odometry.accepted == poses.odometry.received > 10
-            assert live.sonar_clock.placed["device"] > 0
+            assert live.mapping.facts.clocks["placed"]["device"] > 0
             occupied_x = sonar_map.voxels("occupied").centres_m[:, 0]
             assert 3.0 < np.max(occupied_x) < 4.5  # the wall 3 m ahead went along
             demand = sonar.device.demand
@@ -95,31 +98,13 @@ def test_pings_meet_the_poses_of_their_time(
     run(work())
 
 
-def test_a_ping_that_comes_late_is_of_the_time_when_it_was(ping: Callable[..., Ping]) -> None:
-    sonar_map = SonarMap(config_from_text("device: {address: 127.0.0.1, latency_sec: 0.005}"))
-    times_ns: list[int | None] = []
-
-    class Poses(FixedPose):
-        def add_ping(self, ping: Ping, t_ns: int | None = None) -> None:
-            times_ns.append(t_ns)
-            super().add_ping(ping)
-
-    live = Live(sonar_map, Poses(pose_at_origin()))
-    late_ns = {40: 200_000_000}
-    for k in range(1, 41):
-        live._offer(ping(k, 10**18 + 100_000_000 * k + late_ns.get(k, 0)))
-    # 5 m at 1500 m/s: the image's middle is met 1/4 of the way of the last echo.
-    expected_ns = 10**18 + 4_000_000_000 - 5_000_000 - 0.75 * 2 * 5.0 / 1500.0 * 1e9
-    assert times_ns[-1] == pytest.approx(expected_ns, abs=1e6)
-
-
 def test_a_ping_without_odometry_is_dropped_with_its_reason(ping_bytes: PingBytes) -> None:
     async def work() -> None:
         async with PlayedSonar([ping_bytes(1)], standby=True, loops=None, speed=None) as sonar:
             sonar_map = SonarMap(config_of(sonar, free_port()))
             live = Live(sonar_map, OdometryPoses(sonar_map.config))
             await live.run(asyncio.sleep(0.3))
-            counters = live.stepping.counters
+            counters = live.counters
             assert counters.pings_mapped == 0
             assert counters.pings_dropped["no_odometry"] > 0
             assert counters.pings_total == counters.pings_dropped.total()
@@ -127,35 +112,17 @@ def test_a_ping_without_odometry_is_dropped_with_its_reason(ping_bytes: PingByte
     run(work())
 
 
-def test_pings_that_are_too_many_are_counted_not_kept(
-    ping_bytes: PingBytes, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async def work() -> None:
-        monkeypatch.setattr("mapperd.live.MOST_WAITING_BYTES", 5 * 50 * 65)
-        pings = [ping_bytes(k) for k in range(1, 3)]
-        async with PlayedSonar(pings, standby=True, loops=None, speed=None) as sonar:
-            sonar_map = SonarMap(config_of(sonar, free_port(), "time_sync: {max_gap_sec: 60}"))
-            poses = OdometryPoses(sonar_map.config)
-            live = Live(sonar_map, poses)
-            await live.run(asyncio.sleep(0.4))
-            counters = live.stepping.counters
-            assert counters.pings_dropped["too_slow"] > 0
-            assert counters.pings_total == counters.pings_dropped.total() > 64
-
-    run(work())
-
-
 def test_a_port_that_is_taken_is_told_and_tried_again(ping_bytes: PingBytes) -> None:
     async def work() -> None:
         port = free_port()
-        told: list[tuple[str, str, str]] = []
+        events = EventLog(host_clock())
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
             taken.bind(("127.0.0.1", port))
             async with PlayedSonar([ping_bytes(1)]) as sonar:
                 live = Live(
                     SonarMap(config_of(sonar, port)),
                     FixedPose(pose_at_origin()),
-                    on_link=lambda name, status: told.append((name, status.phase, status.reason)),
+                    events=events,
                 )
 
                 async def freed() -> None:
@@ -166,14 +133,11 @@ def test_a_port_that_is_taken_is_told_and_tried_again(ping_bytes: PingBytes) -> 
                         await asyncio.sleep(0.01)
 
                 await live.run(freed())
-        assert [(name, phase) for name, phase, _ in told] == [
-            ("odometry", "opening"),
-            ("odometry", "backing off"),
-            ("odometry", "opening"),
-            ("odometry", "waiting"),
-            ("odometry", "closed"),
-        ]
-        assert "in use" in told[1][2]
+        told = [one for one in events.since(0)[0] if one.code == "odometry_link"]
+        phases = ["opening", "backing off", "opening", "waiting", "closed"]
+        assert [one.facts["state"] for one in told] == phases
+        assert {one.facts["link"] for one in told} == {"odometry"}
+        assert "in use" in told[1].text
 
     run(work())
 
@@ -188,7 +152,7 @@ def test_what_goes_wrong_in_the_step_ends_the_run(
             def fails(ping: Ping, pose: object) -> None:
                 raise RuntimeError(f"{ping.ping_id} {pose}")
 
-            monkeypatch.setattr(live.stepping, "step", fails)
+            monkeypatch.setattr(live.mapping.integration.stepping, "step", fails)
             with pytest.raises(RuntimeError, match="1 "):
                 await live.run(asyncio.sleep(60))
 
@@ -226,7 +190,7 @@ def test_the_command_writes_the_same_folder(
 
     # No main thread, no signal handlers: the time limit ends it.
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mapperd.live_command.STOPS", ())
+        patch.setattr("asyncio.unix_events._UnixSelectorEventLoop.add_signal_handler", lambda *_: 0)
         assert asyncio.run(work()) == Exit.OK
     summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
     assert summary["pings_mapped"] > 3
@@ -277,13 +241,14 @@ def test_what_comes_in_is_recorded_and_can_be_replayed(
     (path,) = tmp_path.iterdir()
     with open_recording(path) as recording:
         chunks = list(recording)
-    assert {chunk.encoding for chunk in chunks} == {"oculus", "odometry-native"}
+    assert {chunk.encoding for chunk in chunks} == {"oculus", "odometry-native", DECISIONS}
     again = SonarMap(recorded[0].config)
-    replay = Replay(again, OdometryPoses(again.config), Window(), lambda: 0.0)
+    replay = Replay(again, OdometryPoses(again.config), Window(), lambda: 0.0, confirm=False)
     with open_recording(path) as recording:
         for _ in replay.run(recording):
             pass
     assert replay.counters.pings_mapped >= 10
+    assert again.sha256() == recorded[0].sha256()
 
 
 def test_two_sources_cannot_share_a_link() -> None:

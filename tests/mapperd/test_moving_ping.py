@@ -68,8 +68,8 @@ def mapped(ping: MakePing, record: OdometryBytes, config: Config) -> tuple[Sonar
     one = ping(1, arrival_ns, **far)
     sonar_map = SonarMap(config)
     poses = OdometryPoses(config)
-    stepping = Stepping(sonar_map, poses, lambda: 0.0)
-    stepping.offer(one)
+    stepping = Stepping(sonar_map, lambda: 0.0)
+    poses.add_ping(one)
     for k in range(21):
         pose = base_at(T0 + 50 * k * MS)
         data = record(p=tuple(pose.position_m.tolist()), q=tuple(pose.map_q_base.tolist()))

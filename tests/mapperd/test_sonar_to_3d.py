@@ -223,3 +223,20 @@ def test_maps_are_saved_in_every_form(tmp_path: Path) -> None:
         mapper.save_merged_octree(tmp_path / "map.ot2")
     with pytest.raises(ExportError):
         mapper.save_map(tmp_path / "nowhere" / "map.bt")
+
+
+def test_stripes_are_taken_out_on_request() -> None:
+    image = np.zeros((50, 65), dtype=np.uint8)
+    image[40:47, :20] = 120
+    striped = image.copy()
+    striped[30:32] = 200
+    clean, filtered = mapped_image(image, {}), mapped_image(striped, {"crosstalk_enabled": True})
+    assert len(clean) == len(filtered) > 0
+    assert (clean == filtered).all()
+    assert len(mapped_image(striped, {})) > len(clean)
+
+
+def mapped_image(image: np.ndarray, config: dict[str, Any]) -> np.ndarray:
+    mapper = SonarTo3DMapper(COARSE | config)
+    mapper.process_sonar_image(image, *HOME, max_range=5.0)
+    return np.asarray(mapper.get_point_cloud()["points"])

@@ -1,0 +1,180 @@
+"""What a daemon decided that the bytes do not determine, recorded beside them.
+
+They are one more link of a recording, one msgpack map in each chunk. *Orders* stand in the stream
+where they take effect: from the next bytes on. *Remarks* come later than the bytes that they are
+about and name the ping: the first of a session is number 0, and every ping message counts.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+from msgspec import Struct
+
+from oculus_driver.recording import Chunk
+
+__all__ = [
+    "DECISIONS",
+    "LINK",
+    "SESSION",
+    "Decision",
+    "Drop",
+    "ErrorBound",
+    "Gap",
+    "Remarks",
+    "Reset",
+    "ResetFailed",
+    "Session",
+    "Settings",
+    "Skip",
+    "chunk_of",
+    "decision_of",
+    "is_remark",
+    "remarks_in",
+    "without_skipped",
+]
+
+LINK = "mapperd"
+SESSION = "session"
+"""Key of the session's id in the metadata of its recordings."""
+
+DECISIONS = "mapperd-decisions"
+"""Encoding of the link."""
+
+
+class Session(Struct, frozen=True, tag_field="kind", tag="session"):
+    """A run of the daemon begins here.
+
+    Attributes:
+        id: of the run.
+        version: of the program.
+        settings: all of them, as plain values.
+        pose: x, y, z in metres and w, x, y, z of a vehicle that stands still; None is odometry.
+    """
+
+    id: str
+    version: str
+    settings: dict[str, Any]
+    pose: tuple[float, float, float, float, float, float, float] | None = None
+
+
+class Settings(Struct, frozen=True, tag_field="kind", tag="settings"):
+    """Settings that hold from here on, by name, and who asked."""
+
+    values: dict[str, Any]
+    origin: str = ""
+
+
+class Reset(Struct, frozen=True, tag_field="kind", tag="reset"):
+    """The map was emptied: pings that are settled by bytes before this are not in it.
+
+    Attributes:
+        number: of this reset in its session.
+        origin: who asked.
+    """
+
+    number: int
+    origin: str = ""
+
+
+class ResetFailed(Struct, frozen=True, tag_field="kind", tag="reset_failed"):
+    """A reset could not be carried out: the map is as it was."""
+
+    number: int
+
+
+class Gap(Struct, frozen=True, tag_field="kind", tag="gap"):
+    """Bytes are missing before the next ones of a link; also where those begin a new file."""
+
+    link: str
+
+
+class Skip(Struct, frozen=True, tag_field="kind", tag="skip"):
+    """The next bytes of a link were recorded but not mapped: there was no room for them."""
+
+    link: str
+    bytes: int
+
+
+class Drop(Struct, frozen=True, tag_field="kind", tag="drop"):
+    """A ping was not mapped, as it had waited for too long."""
+
+    ping: int
+
+
+class ErrorBound(Struct, frozen=True, tag_field="kind", tag="error_bound"):
+    """From a ping on, `mapping.error_bound` was other than the settings say; None ends that."""
+
+    ping: int
+    value: float | None
+
+
+Decision = Session | Settings | Reset | ResetFailed | Gap | Skip | Drop | ErrorBound
+
+_DECODER: msgspec.msgpack.Decoder[Decision] = msgspec.msgpack.Decoder(Decision)
+
+
+def chunk_of(decision: Decision, t_ns: int) -> Chunk:
+    """A decision as it is recorded."""
+    return Chunk(LINK, DECISIONS, t_ns, msgspec.msgpack.encode(decision))
+
+
+def decision_of(chunk: Chunk) -> Decision | None:
+    """The decision in a chunk; None where there is none, or one of a later version."""
+    if chunk.encoding != DECISIONS:
+        return None
+    try:
+        return _DECODER.decode(chunk.data)
+    except msgspec.DecodeError:
+        return None
+
+
+def is_remark(decision: Decision | None) -> bool:
+    """Whether it is about what came before it, so that its place in the stream says nothing."""
+    return isinstance(decision, Drop | ErrorBound | ResetFailed)
+
+
+@dataclass(frozen=True, slots=True)
+class Remarks:
+    """All remarks of one session.
+
+    Attributes:
+        drops: numbers of the pings that were dropped.
+        bounds: (number of the first ping, error bound or None), in order.
+        failed: numbers of the resets that could not be carried out.
+    """
+
+    drops: frozenset[int] = frozenset()
+    bounds: tuple[tuple[int, float | None], ...] = ()
+    failed: frozenset[int] = frozenset()
+
+
+def remarks_in(chunks: Iterable[Chunk]) -> Remarks:
+    """Collect the remarks of a session; reads it to its end."""
+    drops: set[int] = set()
+    bounds: list[tuple[int, float | None]] = []
+    failed: set[int] = set()
+    for chunk in chunks:
+        match decision_of(chunk):
+            case Drop(ping):
+                drops.add(ping)
+            case ErrorBound(ping, value):
+                bounds.append((ping, value))
+            case ResetFailed(number):
+                failed.add(number)
+    return Remarks(frozenset(drops), tuple(bounds), frozenset(failed))
+
+
+def without_skipped(chunks: Iterable[Chunk]) -> Iterator[Chunk]:
+    """Leave out the bytes that a `Skip` before them names."""
+    skips: dict[str, int] = {}
+    for chunk in chunks:
+        decision = decision_of(chunk)
+        if isinstance(decision, Skip):
+            skips[decision.link] = skips.get(decision.link, 0) + decision.bytes
+        left = skips.get(chunk.link, 0)
+        if left and decision is None:
+            skips[chunk.link] = left - len(chunk.data)  # the log may cut pieces, never join them
+        else:
+            yield chunk

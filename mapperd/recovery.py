@@ -1,0 +1,348 @@
+"""After a kill: what the recordings have and the map's file has not is mapped.
+
+And what the file has lost comes back from the recordings of all its sessions.
+"""
+
+import time
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mapperd.checkpoint.reading import overlay
+from mapperd.config import Config
+from mapperd.config_file import config_of
+from mapperd.counters import ReplayCounters
+from mapperd.decisions import SESSION, Remarks, remarks_in, without_skipped
+from mapperd.engine import Engine, NewSettings, Work
+from mapperd.errors import CheckpointError, ConfigError
+from mapperd.frames import Pose
+from mapperd.integration import Integration
+from mapperd.keeping import InMemory
+from mapperd.mapping import SonarMap
+from mapperd.odometry.bridge import OdometryBridge
+from mapperd.pairing import FixedPose, OdometryPoses
+from mapperd.position import Place, Position
+from mapperd.recording_files import RecordedSession, files_in
+from mapperd.recording_tail import Tail, files_of
+from mapperd.stepping import Stepping
+from mapperd.store.kind import kind_of
+from mapperd.store.tile_store import TileStore
+from mapperd.stored import Stored
+from oculus_driver.errors import RecordingError
+from oculus_driver.recording import open_recording
+
+__all__ = [
+    "Going",
+    "Recovered",
+    "go_on",
+    "go_on_from_nothing",
+    "headless_in",
+    "map_sessions_again",
+    "recover",
+    "restored",
+    "sessions_for",
+]
+
+NOWHERE = Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+
+
+@dataclass(frozen=True, slots=True)
+class Recovered:
+    """What became of a session that was cut short.
+
+    Attributes:
+        session: its id.
+        pings: that were mapped now.
+        seconds: that it took.
+        problem: why the rest of it is not in the map; None when it is.
+    """
+
+    session: str
+    pings: int
+    seconds: float
+    problem: str | None = None
+
+
+def restored(position: Position, counters: ReplayCounters) -> Engine:
+    """The estimators as they were at a position's checkpoint.
+
+    Raises:
+        CheckpointError: they cannot be had.
+    """
+    try:
+        config = config_of(position.config or {}, "the checkpoint")
+    except ConfigError as error:
+        raise CheckpointError(str(error)) from error
+    poses = FixedPose(NOWHERE) if position.fixed else OdometryPoses(config)
+    engine = Engine(config, poses, counters, confirm=False, obey=True)
+    overlay(position.checkpoint, engine, prepare={OdometryBridge: _prepare})
+    return engine
+
+
+def _prepare(bridge: OdometryBridge, saved: dict[str, Any]) -> None:
+    bridge.prepare(saved["_encodings"])
+
+
+def recover(
+    store: TileStore, sonar_map: SonarMap, position: Position, folder: Path
+) -> Recovered | None:
+    """Map the rest of the session that made the map last; its settings are then in force.
+
+    Args:
+        store: just opened.
+        sonar_map: its map.
+        position: of the store.
+        folder: of the recordings.
+
+    Returns:
+        None where nothing was missing.
+
+    Raises:
+        StoreError: the file cannot be written.
+        MapError: nothing can be saved, and so nothing more be mapped.
+    """
+    if position.whole:
+        return None
+    began_s = time.monotonic()
+    files = files_of(folder, position.session)
+    counters = ReplayCounters()
+    try:
+        engine = restored(position, counters)
+        sonar_map.reconfigure(engine.config)
+    except (CheckpointError, ConfigError) as error:
+        return Recovered(position.session, 0, 0.0, str(error))
+    if not any(number >= position.place.file for number in files):
+        problem = f"its recordings are not in {folder}"
+        return Recovered(position.session, 0, 0.0, problem)
+    cut = Going(store, sonar_map, position.session, position)
+    remarks = remarks_in(Tail(files, position.place))
+    for _ in go_on(cut, engine, Tail(files, position.place), remarks):
+        pass
+    return Recovered(position.session, counters.pings_mapped, time.monotonic() - began_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Going:
+    """A session on its way into a map's file.
+
+    Attributes:
+        store: the file, open.
+        sonar_map: its map.
+        session: id.
+        position: of the file, in this session; None where it begins.
+        before: ids of the sessions that are in the map.
+        interval_s: between saves.
+    """
+
+    store: TileStore
+    sonar_map: SonarMap
+    session: str
+    position: Position | None = None
+    before: tuple[str, ...] = ()
+    interval_s: float = 5.0
+
+    @property
+    def done(self) -> int:
+        """Pieces of work since the checkpoint that are in the map."""
+        return 0 if self.position is None else self.position.done
+
+    def keeping(self) -> Stored:
+        """What keeps the map of the session."""
+        before = self.before if self.position is None else self.position.sessions
+        return Stored(
+            self.store,
+            self.sonar_map,
+            self.session,
+            before,
+            interval_s=lambda: self.interval_s,
+            resumed=self.position,
+        )
+
+
+def go_on(
+    going: Going, engine: Engine, tail: Tail, remarks: Remarks | None = None
+) -> Generator[None, None, None]:
+    """Map what is left of a session, to its end; yields after every chunk.
+
+    Args:
+        going: the session.
+        engine: as it was at the place where the tail begins.
+        tail: what is left.
+        remarks: of the session, where it was mapped before.
+
+    Raises:
+        StoreError: the file cannot be written.
+        MapError: nothing can be saved, and so nothing more be mapped.
+    """
+    stepping = Stepping(going.sonar_map, time.perf_counter, engine.counters)
+    stepping.error_bound = None if going.position is None else going.position.error_bound
+    keep = going.keeping()
+    integration = Integration(stepping, keep, remarks)
+    keep.begin(engine, stepping, tail, lambda: None)
+    keep.skip(going.done)
+    left = going.done
+    try:
+        for works in _works(engine, tail):
+            for work in works:
+                if left:
+                    left -= 1
+                    _pass(work, stepping)
+                else:
+                    integration.do(work)
+            if not left:
+                keep.between(tail.number, 0)
+            yield
+        keep.end()
+    finally:
+        keep.stop()
+
+
+def _works(engine: Engine, tail: Tail) -> Iterator[list[Work]]:
+    for chunk in without_skipped(tail):
+        yield engine.feed(chunk)
+    yield engine.end()
+
+
+def _pass(work: Work, stepping: Stepping) -> None:
+    """Let work go that is in the map."""
+    if isinstance(work, NewSettings):
+        stepping.take(work.config)
+
+
+def sessions_for(config: Config, folder: Path) -> tuple[str, ...]:
+    """Ids of the recorded sessions that were mapped into the settings' file, in order.
+
+    Args:
+        config: for the file, and what its voxels come about by.
+        folder: of the recordings.
+    """
+    return tuple(
+        recorded.session
+        for recorded in _sessions_in(folder)
+        if recorded.session is not None and _is_for(recorded, config)
+    )
+
+
+def headless_in(folder: Path) -> int:
+    """Recorded sessions whose first file is gone: nobody knows how, and where, they were mapped."""
+    return sum(
+        any(True for _ in recorded) and recorded.beginning() is None
+        for recorded in _sessions_in(folder)
+    )
+
+
+def _sessions_in(folder: Path) -> list[RecordedSession]:
+    """Recorded sessions; files that are none are left out."""
+    by_session: dict[str, list[Path]] = {}
+    for path in files_in([folder]) if folder.is_dir() else []:
+        try:
+            with open_recording(path) as recording:
+                session = recording.metadata.get(SESSION)
+        except RecordingError:
+            continue
+        if session is not None:
+            by_session.setdefault(session, []).append(path)
+    return [RecordedSession(paths, session) for session, paths in by_session.items()]
+
+
+def _is_for(recorded: RecordedSession, config: Config) -> bool:
+    beginning = recorded.beginning()
+    if beginning is None:
+        return False
+    try:
+        theirs = config_of(beginning.settings, "the recording")
+    except ConfigError:
+        return False
+    return (
+        theirs.outofcore.use
+        and theirs.outofcore.map_path == config.outofcore.map_path
+        and kind_of(theirs) == kind_of(config)
+    )
+
+
+def go_on_from_nothing(
+    store: TileStore, sonar_map: SonarMap, sessions: tuple[str, ...], folder: Path
+) -> int:
+    """Map whole recorded sessions into an empty file, as they were mapped; returns the pings.
+
+    Raises:
+        StoreError: the file cannot be written.
+        MapError: nothing can be saved, and so nothing more be mapped.
+    """
+    pings = 0
+    for place, session in enumerate(sessions):
+        recorded = RecordedSession(list(files_of(folder, session).values()), session)
+        beginning = recorded.beginning()
+        if beginning is None:
+            continue
+        config = config_of(beginning.settings, "the recording")
+        sonar_map.reconfigure(config)
+        pose = beginning.pose
+        poses = OdometryPoses(config) if pose is None else FixedPose(_pose(pose))
+        engine = Engine(config, poses, ReplayCounters(), confirm=False, obey=True)
+        going = Going(store, sonar_map, session, None, sessions[:place])
+        files = files_of(folder, session)
+        remarks = remarks_in(Tail(files, Place()))
+        for _ in go_on(going, engine, Tail(files, Place()), remarks):
+            pass
+        pings += engine.counters.pings_mapped
+    return pings
+
+
+def map_sessions_again(sonar_map: SonarMap, sessions: tuple[str, ...], folder: Path) -> bool:
+    """Map whole sessions as they were mapped; False if anything of them is missing.
+
+    Args:
+        sonar_map: the map, whose settings are kept.
+        sessions: their ids.
+        folder: of the recordings.
+    """
+    complete = True
+    own = sonar_map.config
+    for session in sessions:
+        files = files_of(folder, session)
+        complete &= bool(files) and list(files) == list(range(min(files), max(files) + 1))
+        complete = _map_again(sonar_map, list(files.values()), session) and complete
+    sonar_map.reconfigure(own)
+    return complete
+
+
+def _map_again(sonar_map: SonarMap, paths: list[Path], session: str) -> bool:
+    if not paths:
+        return False
+    recorded = RecordedSession(paths, session)
+    beginning = recorded.beginning()
+    if beginning is None:
+        return next(iter(recorded), None) is None  # killed before the first piece
+    try:
+        config = config_of(beginning.settings, "the recording")
+        sonar_map.reconfigure(config)
+    except ConfigError:
+        return False
+    poses = OdometryPoses(config) if beginning.pose is None else FixedPose(_pose(beginning.pose))
+    _replay(sonar_map, config, poses, recorded, remarks_in(recorded))
+    return recorded.damage is None or recorded.truncated
+
+
+def _replay(
+    sonar_map: SonarMap,
+    config: Config,
+    poses: FixedPose | OdometryPoses,
+    recorded: RecordedSession,
+    remarks: Remarks,
+) -> None:
+    engine = Engine(config, poses, ReplayCounters(), confirm=False, obey=True)
+    stepping = Stepping(sonar_map, time.perf_counter, engine.counters)
+    integration = Integration(stepping, InMemory(sonar_map), remarks)
+    for chunk in without_skipped(recorded):
+        for work in engine.feed(chunk):
+            integration.do(work)
+    for work in engine.end():
+        integration.do(work)
+
+
+def _pose(numbers: tuple[float, ...]) -> Pose:
+    return Pose(np.array(numbers[:3]), np.array(numbers[3:]))

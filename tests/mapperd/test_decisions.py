@@ -1,0 +1,88 @@
+from pathlib import Path
+from typing import get_args
+
+import msgspec
+import pytest
+
+from mapperd.decisions import (
+    DECISIONS,
+    Decision,
+    Drop,
+    ErrorBound,
+    Gap,
+    Remarks,
+    Reset,
+    ResetFailed,
+    Session,
+    Settings,
+    Skip,
+    chunk_of,
+    decision_of,
+    is_remark,
+    remarks_in,
+    without_skipped,
+)
+from oculus_driver.recording import OCULUS, Chunk
+
+ALL: list[Decision] = [
+    Session("a", "1.0", {"octree": {"voxel_resolution": 0.1}}, (0.1, 0, 0, 1, 0, 0, 0)),
+    Session("a", "1.0", {}),
+    Settings({"filtering.min_range": 0.1, "odometry.sources": []}, "SIGHUP"),
+    Reset(1, "mapperctl"),
+    ResetFailed(1),
+    Gap("sonar"),
+    Skip("sonar", 5),
+    Drop(7),
+    ErrorBound(8, 0.1),
+    ErrorBound(9, None),
+]
+
+
+def bytes_of(data: bytes, link: str = "sonar") -> Chunk:
+    return Chunk(link, OCULUS, 0, data)
+
+
+@pytest.mark.parametrize("decision", ALL, ids=str)
+def test_decision_comes_back_as_it_was(decision: Decision) -> None:
+    chunk = chunk_of(decision, 5)
+    assert decision_of(chunk) == decision
+    assert isinstance(msgspec.msgpack.decode(chunk.data), dict)
+
+
+@pytest.mark.parametrize("data", [b"", b"\xc1", b"\x80", msgspec.msgpack.encode({"kind": "new"})])
+def test_what_cannot_be_understood_is_no_decision(data: bytes) -> None:
+    assert decision_of(Chunk("mapperd", DECISIONS, 0, data)) is None
+
+
+def test_other_links_hold_no_decisions() -> None:
+    data = chunk_of(Drop(1), 0).data
+    assert decision_of(bytes_of(data)) is None
+
+
+def test_remarks_are_collected() -> None:
+    chunks = [chunk_of(decision, 0) for decision in [*ALL, Drop(3)]]
+    found = remarks_in([*chunks, bytes_of(b"x")])
+    assert found == Remarks(frozenset({3, 7}), ((8, 0.1), (9, None)), frozenset({1}))
+    assert [is_remark(one) for one in ALL].count(True) == 4
+
+
+def test_skipped_bytes_are_left_out_however_they_were_cut() -> None:
+    chunks = [
+        bytes_of(b"ab"),
+        chunk_of(Skip("sonar", 4), 0),
+        bytes_of(b"cd"),
+        bytes_of(b"other", "vehicle"),
+        chunk_of(Skip("sonar", 1), 0),
+        bytes_of(b"ef"),
+        bytes_of(b"g"),
+        bytes_of(b"h"),
+    ]
+    left = [chunk.data for chunk in without_skipped(chunks) if chunk.encoding == OCULUS]
+    assert left == [b"ab", b"other", b"h"]
+
+
+def test_every_kind_is_explained() -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "recordings.md").read_text("utf-8")
+    for kind in get_args(Decision):
+        assert f"| `{kind.__struct_config__.tag}` |" in page
+        assert {kind} <= {type(one) for one in ALL}
