@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt' -o -name 'CMakePresets.json')
 
-.PHONY: demo test bench sim-bench sim-check soak fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
+.PHONY: demo test bench sim-bench sim-check soak store-soak crash-soak chaos fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
 
 demo: $(STAMP)
 	$(BIN)/python tools/demo.py --out out/demo
@@ -31,6 +31,21 @@ sim-check: $(STAMP)
 # A night at sea: 200 000 pings through cuts, stalls, flipped bits and restarts. Some minutes.
 soak: $(STAMP)
 	NIGHT_LOOPS=400 $(BIN)/python -X dev -m pytest -o timeout=1800 tests/oculus_driver/test_night_at_sea.py
+
+# The map's file: 500 deaths at any instant, and half a million pings through a tiny cache. Hours.
+chaos: $(STAMP) out/chaos/tank.mcap
+	PYTHONPATH=tools $(BIN)/python -m chaos.run out/chaos/tank.mcap
+
+out/chaos/tank.mcap: | $(STAMP)
+	mkdir -p out/chaos
+	$(BIN)/sonar-sim capture tank --out $@
+
+store-soak: $(STAMP)
+	STORE_KILLS=500 STORE_PINGS=500000 $(BIN)/python -m pytest -s -o timeout=0 tests/mapperd/store/test_kill.py tests/mapperd/store/test_soak.py
+
+# The daemon: 500 deaths at any instant, live and replayed, and half a million pings. Hours.
+crash-soak: $(STAMP)
+	CRASH_KILLS=500 SOAK_PINGS=500000 $(BIN)/python -m pytest -s -o timeout=0 tests/mapperd/crash
 
 # Ten minutes of the coverage-guided fuzzer on the driver's parser; the corpus grows and is kept.
 fuzz: $(STAMP)

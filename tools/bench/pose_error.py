@@ -41,7 +41,7 @@ def pings_of(dive: Dive, data: bytes, arrival_ns: int) -> Ping:
 def by_truth(dive: Dive, config: Config) -> SonarMap:
     """Perfect poses and motion."""
     sonar_map = SonarMap(config)
-    stepping = Stepping(sonar_map, OdometryPoses(config), lambda: 0.0)
+    stepping = Stepping(sonar_map, lambda: 0.0)
     for i, sent_s in enumerate(dive.sent_s.tolist()):
         middle_s = sent_s + dive.range_m / 2 / SOUND_MPS
         pose = FusedPose(
@@ -64,14 +64,14 @@ def by_odometry(dive: Dive, config: Config, *, stamped: bool = True) -> SonarMap
     """
     sonar_map = SonarMap(config)
     poses = OdometryPoses(config)
-    stepping = Stepping(sonar_map, poses, lambda: 0.0)
+    stepping = Stepping(sonar_map, lambda: 0.0)
     clock = SonarClock()
     for arrival_ns, what in dive.arrivals(stamped=stamped):
         if isinstance(what, bytes):
             poses.add_odometry("odometry", what, arrival_ns)
         else:
             ping = pings_of(dive, dive.ping(what), arrival_ns)
-            stepping.offer(ping, ping_time_ns(ping, clock))
+            poses.add_ping(ping, ping_time_ns(ping, clock))
         for ping, pose in poses.settled(arrival_ns):
             stepping.step(ping, pose)
     for ping, pose in poses.settled(None, final=True):
