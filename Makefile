@@ -32,7 +32,7 @@ sim-check: $(STAMP)
 soak: $(STAMP)
 	NIGHT_LOOPS=400 $(BIN)/python -X dev -m pytest -o timeout=1800 tests/oculus_driver/test_night_at_sea.py
 
-# The map's file: 500 deaths at any instant, and half a million pings through a tiny cache. Hours.
+# A daemon for ten minutes among a sonar, odometry, broker, clock and disk that fail at random.
 chaos: $(STAMP) out/chaos/tank.mcap
 	PYTHONPATH=tools $(BIN)/python -m chaos.run out/chaos/tank.mcap
 
@@ -40,6 +40,7 @@ out/chaos/tank.mcap: | $(STAMP)
 	mkdir -p out/chaos
 	$(BIN)/sonar-sim capture tank --out $@
 
+# The map's file: 500 deaths at any instant, and half a million pings through a tiny cache. Hours.
 store-soak: $(STAMP)
 	STORE_KILLS=500 STORE_PINGS=500000 $(BIN)/python -m pytest -s -o timeout=0 tests/mapperd/store/test_kill.py tests/mapperd/store/test_soak.py
 

@@ -11,7 +11,7 @@ from mapperd.config_parameters import rule_text
 
 ROOT = Path(__file__).resolve().parents[2]
 
-SEED_DEFAULTS = {
+PUBLISHED_DEFAULTS = {
     "sonar.horizontal_fov": 130.0,
     "sonar.vertical_aperture": 20.0,
     "filtering.min_range": 0.5,
@@ -75,8 +75,8 @@ def value_at(config: Config, path: str) -> Any:
     return value
 
 
-@pytest.mark.parametrize(("path", "default"), SEED_DEFAULTS.items())
-def test_defaults_are_the_seed_documents(path: str, default: Any) -> None:
+@pytest.mark.parametrize(("path", "default"), PUBLISHED_DEFAULTS.items())
+def test_defaults_are_the_published_ones(path: str, default: Any) -> None:
     assert value_at(Config(), path) == default
 
 

@@ -45,7 +45,7 @@ SEED: dict[str, Any] = {
 }
 
 
-def test_the_seed_documents_defaults_are_ours() -> None:
+def test_the_published_defaults_are_ours() -> None:
     assert config_from_flat(SEED) == config_from_flat({}) == Config()
 
 

@@ -40,7 +40,7 @@ def test_new_map_is_empty() -> None:
     assert empty.octomap_bt().startswith(b"# Octomap")
 
 
-def test_mounting_is_the_seed_documents() -> None:
+def test_mounting_is_the_published_one() -> None:
     base_T_sonar = SonarMap(Config()).base_T_sonar  # noqa: N806
     b, v = math.radians(30), math.radians(10)
     assert base_T_sonar @ [5 * math.cos(b), -5 * math.sin(b), 0, 1] == pytest.approx(

@@ -21,7 +21,7 @@ def probability(mapper: OctreeMapper, point: tuple[float, float, float]) -> floa
     return float(voxels[distance.argmin(), 3])
 
 
-def test_names_and_defaults_are_the_seed_documents() -> None:
+def test_names_and_defaults_are_the_published_ones() -> None:
     defaults = {
         name: parameter.default
         for name, parameter in inspect.signature(OctreeMapper).parameters.items()

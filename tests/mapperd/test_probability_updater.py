@@ -202,7 +202,7 @@ def test_bad_keys_are_refused(key: Any) -> None:
         ProbabilityUpdater().get_observation_count(key)
 
 
-def test_the_rest_of_the_seed_documents_names() -> None:
+def test_the_rest_of_the_published_names() -> None:
     updater = ProbabilityUpdater(0.1)
     updater.batch_update_iwlo([[0, 0, 0], [1, 1, 1]], [100, 0], [True, False])
     updater.set_incremental_sync(False)

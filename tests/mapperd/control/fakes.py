@@ -7,7 +7,7 @@ import json
 import socket
 import ssl
 from collections import Counter
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -196,3 +196,43 @@ def descriptors() -> int:
 def is_listening(path: Path) -> bool:
     with socket.socket(socket.AF_UNIX) as probe:
         return probe.connect_ex(str(path)) == 0
+
+
+FREE = Limits(asks_per_s=1e6, asks_at_once=10**6, connects_per_s=1e6, connects_at_once=10**6)
+
+MALFORMED = [
+    b"\n",
+    b"\0\0\0\0\n",
+    b"\xff\xfe\n",
+    b"GET / HTTP/1.1\r\n",
+    b"[]\n",
+    b"null\n",
+    b"7\n",
+    b'"status"\n',
+    b'{"id": 1}\n',
+    b'{"do": "status"}\n',
+    b'{"id": -1, "do": "status"}\n',
+    b'{"id": 1e400, "do": "status"}\n',
+    b'{"id": 9007199254740993, "do": "status"}\n',
+    b'{"id": 1, "do": "status", "do2": 1}\n',
+    b'{"id": 1, "do": "destroy"}\n',
+    b'{"id": 1, "do": ["status"]}\n',
+    b'{"id": 1, "do": "save"}\n',
+    b'{"id": 1, "do": "save", "name": 7}\n',
+    b'{"id": 1, "do": "set", "changes": {}}\n',
+    b'{"id": 1, "do": "set", "changes": [["a", 1]]}\n',
+    b'{"id": 1, "do": "get", "names": []}\n',
+    b'{"id": 1, "do": "events", "since": "0"}\n',
+    b'{"id": 1, "do": "status"\n',
+    b"[" * 60000 + b"\n",
+    b'{"id": 1, "do": "set", "changes": {"a": ' + b"[" * 60000 + b"\n",
+]
+
+
+def go(work: Callable[[Served], Awaitable[None]], folder: Path, **more: Any) -> None:
+    async def run() -> None:
+        async with served(folder, **more) as one:
+            await work(one)
+        assert asyncio.all_tasks() == {asyncio.current_task()}
+
+    asyncio.run(run())

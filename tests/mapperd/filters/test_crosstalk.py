@@ -1,4 +1,4 @@
-"""Stripes go; floors seen flat, thin echoes and everything simulated stay (W-46)."""
+"""Stripes go; floors seen flat, thin echoes and everything simulated stay."""
 
 from collections.abc import Callable
 from typing import Literal

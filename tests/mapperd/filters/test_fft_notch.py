@@ -44,7 +44,7 @@ def test_tiny_images_stay() -> None:
 
 
 def test_stripe_is_weakened_and_so_is_a_floor_seen_flat() -> None:
-    """Its known limit (W-46), which is why it is off by default."""
+    """Its known limit, which is why it is off by default: echoes along the stripes go too."""
     bearings = fan(130)
     floor = flat_floor(bearings, 300)
     out = notched(striped(floor, 420, 3, 160), Crosstalk())
