@@ -1,0 +1,46 @@
+// Ranges that the map lets one expect, with sub-cell accuracy.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "localization/field_weight.hpp"
+#include "localization/grid.hpp"
+
+namespace mapperd::localization {
+
+// Rays of a block; places in cells of the padded map, directions of length 1.
+struct RayBlock {
+  double u[kBlock];
+  double v[kBlock];
+  double along_u[kBlock];
+  double along_v[kBlock];
+};
+
+inline constexpr double kNoExpectation = -1.0;
+
+// Each ray marches through the map: in open water by the distance to the nearest obstacle, which no
+// obstacle can be nearer than, and near obstacles from cell to cell. It ends where it enters an
+// occupied cell, exactly, at most 1e-7 cells late for each step.
+class RangeMap {
+ public:
+  // Throws std::invalid_argument for a map without cells.
+  RangeMap(const OccupancyGrid& grid, bool unknown_blocks, int threads);
+
+  const GridFrame& frame() const { return frame_; }
+
+  // Ranges of a block in cells, `most` where nothing is hit until then, kNoExpectation where the
+  // ray begins outside the map or leaves it before.
+  void cast(const RayBlock& rays, double most, double* out) const;
+
+  // Of one ray in the map frame, in metres; with `max_range_m` and kNoExpectation as above.
+  double cast(const Pose2& ray, double max_range_m) const;
+
+  std::size_t memory_bytes() const { return steps_.size() * sizeof(float); }
+
+ private:
+  GridFrame frame_;
+  std::vector<float> steps_;  // cells to go without harm; below 0: occupied, outside
+};
+
+}  // namespace mapperd::localization

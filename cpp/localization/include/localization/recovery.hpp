@@ -1,0 +1,25 @@
+// Augmented recovery: random particles where scans fit worse than they used to.
+#pragma once
+
+namespace mapperd::localization {
+
+// Two exponential averages of the scans' fit, each begun with the first value.
+class Recovery {
+ public:
+  // Gains in 0 ... 1, slow at most fast; both 0: never any random particle.
+  // Throws std::invalid_argument.
+  Recovery(double alpha_slow, double alpha_fast);
+
+  void add(double fit);
+  // Share of particles to draw at random: 1 - fast / slow, within 0 ... 1.
+  double injected_share() const;
+  void reset() { begun_ = false; }
+
+ private:
+  double alpha_slow_, alpha_fast_;
+  double slow_ = 0.0;
+  double fast_ = 0.0;
+  bool begun_ = false;
+};
+
+}  // namespace mapperd::localization

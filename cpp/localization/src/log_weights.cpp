@@ -1,0 +1,69 @@
+#include "localization/log_weights.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "localization/elementary.hpp"
+
+namespace mapperd::localization {
+namespace {
+
+constexpr double kNever = -std::numeric_limits<double>::infinity();
+
+LOCALIZATION_VECTORISED void exponentials(const double* powers, std::size_t count, double largest,
+                                          double* out) {
+  for (std::size_t i = 0; i < count; ++i) {
+    const double power = powers[i] - largest;
+    out[i] = power > -700.0 ? exp_of(power) : 0.0;
+  }
+}
+
+// Of a fixed order.
+double sum_of(const std::vector<double>& values) {
+  double sum = 0.0;
+  for (const double value : values) sum += value;
+  return sum;
+}
+
+}  // namespace
+
+Reweighted reweight(std::vector<double>& log_weight, const std::vector<double>& log_likelihood) {
+  Reweighted done;
+  std::vector<double> updated(log_weight.size());
+  double largest = kNever;
+  for (std::size_t i = 0; i < updated.size(); ++i) {
+    const double told = log_likelihood[i];
+    if (std::isnan(told) || told == -kNever) ++done.not_a_number;
+    const bool counts = std::isfinite(told);
+    updated[i] = counts ? log_weight[i] + told : kNever;
+    if (std::isnan(updated[i])) updated[i] = kNever;
+    largest = std::max(largest, updated[i]);
+  }
+  if (!std::isfinite(largest)) return done;
+  std::vector<double> relative(updated.size());
+  exponentials(updated.data(), updated.size(), largest, relative.data());
+  done.informative = true;
+  done.log_evidence = largest + std::log(sum_of(relative));
+  for (double& value : updated) value -= done.log_evidence;
+  log_weight.swap(updated);
+  return done;
+}
+
+std::vector<double> linear_weights(const std::vector<double>& log_weight) {
+  std::vector<double> weight(log_weight.size());
+  exponentials(log_weight.data(), log_weight.size(), 0.0, weight.data());
+  return weight;
+}
+
+double effective_size(const std::vector<double>& weight) {
+  double sum = 0.0;
+  double squares = 0.0;
+  for (const double w : weight) {
+    sum += w;
+    squares += w * w;
+  }
+  return squares > 0.0 ? sum * sum / squares : 0.0;
+}
+
+}  // namespace mapperd::localization

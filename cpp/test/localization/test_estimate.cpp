@@ -1,0 +1,82 @@
+// Estimates against the formulas, far from the origin and in degenerate clouds.
+#include <cmath>
+
+#include "check.hpp"
+#include "scenes.hpp"
+
+namespace {
+
+using namespace scenes;
+
+double smallest_pivot(const Matrix3& c) {
+  const double first = c[0][0];
+  const double second = c[1][1] - c[0][1] * c[0][1] / first;
+  const double l = c[1][2] - c[0][1] * c[0][2] / first;
+  return std::min({first, second, c[2][2] - c[0][2] * c[0][2] / first - l * l / second});
+}
+
+TEST_CASE("a cloud's moments are found again, also at 1e7 m from the origin") {
+  const Matrix3 truth{{{0.5, 0.1, 0.02}, {0.1, 0.3, -0.01}, {0.02, -0.01, 0.01}}};
+  for (const double far : {0.0, 1e7}) {
+    Particles particles;
+    particles.resize(100000);
+    draw_about({far, -far, kPi - 0.01}, square_root_of(truth), {4, 4}, particles);
+    const Estimate e = estimate_of(particles, std::vector<double>(100000, 1e-5));
+    CHECK_NEAR(e.mean.x, far, 0.01);
+    CHECK_NEAR(wrapped(e.mean.yaw - (kPi - 0.01)), 0.0, 0.002);
+    for (std::size_t i = 0; i < 3; ++i) {
+      for (std::size_t j = 0; j < 3; ++j) CHECK_NEAR(e.covariance[i][j], truth[i][j], 0.01);
+    }
+    CHECK_NEAR(e.covariance[0][2], 0.02, 0.001);
+  }
+}
+
+TEST_CASE("the matrix is one of covariance even where place and heading go together") {
+  for (const double width : {0.1, 1.0, 2.0, 3.0}) {
+    Particles particles;
+    particles.resize(51);
+    for (std::size_t i = 0; i < 51; ++i) {
+      const double t = width * (static_cast<double>(i) / 25.0 - 1.0);
+      particles.set(i, {t, 0.1 * t * t, t});
+    }
+    const Estimate e = estimate_of(particles, std::vector<double>(51, 1.0 / 51.0));
+    CHECK(smallest_pivot(e.covariance) > -1e-12);
+    CHECK(e.covariance[0][2] > 0.0);
+  }
+}
+
+TEST_CASE("one particle, all weight on one, equal ones and opposite headings") {
+  Particles two;
+  two.resize(2);
+  two.set(0, {1, 2, 0.5});
+  two.set(1, {5, 5, 0.5 + kPi});
+  const Estimate one = estimate_of(two, {1.0, 0.0});
+  CHECK(!one.spread_known && one.covariance[0][0] == kLeastVariance);
+  CHECK(one.covariance[2][2] == kLeastVariance);
+  const Estimate opposite = estimate_of(two, {0.5, 0.5});
+  CHECK(!opposite.heading_known && opposite.mean.yaw == 0.0);
+  CHECK(std::isinf(opposite.covariance[2][2]) && opposite.covariance[0][2] == 0.0);
+  two.set(1, {1, 2, 0.5});
+  const Estimate equal = estimate_of(two, {0.5, 0.5});
+  CHECK(equal.spread_known && equal.covariance[1][1] == kLeastVariance);
+  CHECK(estimate_of({}, {}).particles == 0);
+}
+
+TEST_CASE("square roots: correlated, of lower rank, nothing; and what is refused") {
+  for (const Matrix3& c :
+       {Matrix3{{{0.5, 0.1, 0.02}, {0.1, 0.3, -0.01}, {0.02, -0.01, 0.01}}},
+        Matrix3{{{1, 1, 1}, {1, 1, 1}, {1, 1, 1}}}, Matrix3{}, diagonal(1.0, -1e-12, 0.0)}) {
+    const Matrix3 r = square_root_of(c);
+    for (std::size_t i = 0; i < 3; ++i) {
+      for (std::size_t j = 0; j < 3; ++j) {
+        CHECK_NEAR(r[i][0] * r[j][0] + r[i][1] * r[j][1] + r[i][2] * r[j][2], c[i][j], 1e-9);
+      }
+    }
+  }
+  CHECK_THROWS(square_root_of(diagonal(1.0, -1e-6, 0.0)), std::invalid_argument);
+  CHECK_THROWS(square_root_of(diagonal(-1.0, -1.0, -1.0)), std::invalid_argument);
+  CHECK_THROWS(square_root_of(diagonal(std::nan(""), 1.0, 1.0)), std::invalid_argument);
+  CHECK_THROWS(square_root_of({{{1, 0.1, 0}, {0, 1, 0}, {0, 0, 1}}}), std::invalid_argument);
+}
+
+}  // namespace
