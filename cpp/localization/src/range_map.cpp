@@ -12,7 +12,7 @@ namespace {
 
 constexpr float kBlocked = -1.0F;
 constexpr float kOutside = -2.0F;
-constexpr double kOver = 1e-7;  // cells beyond an edge, to be in the next cell
+constexpr double kAhead = 1e-9;  // cells; who is that near to an edge ahead counts as beyond it
 
 // Two points in cells whose centres are d apart are at least d - sqrt(2) apart.
 float step_of(std::int32_t squared) {
@@ -22,10 +22,12 @@ float step_of(std::int32_t squared) {
 
 double not_zero(double along) {
   if (std::abs(along) > 1e-12) return along;
-  return along < 0.0 ? -1e-12 : 1e-12;
+  return along > 0.0 ? 1e-12 : -1e-12;
 }
 
 struct March {
+  double ahead_u[kBlock];
+  double ahead_v[kBlock];
   double inverse_u[kBlock];
   double inverse_v[kBlock];
   double gone[kBlock];
@@ -45,8 +47,8 @@ LOCALIZATION_VECTORISED bool step_on(const RayBlock& rays, const Steps& steps, M
   double went_on = 0.0;
   for (std::size_t i = 0; i < kBlock; ++i) {
     const double gone = march.gone[i];
-    double u = rays.u[i] + gone * rays.along_u[i];
-    double v = rays.v[i] + gone * rays.along_v[i];
+    double u = rays.u[i] + gone * rays.along_u[i] + march.ahead_u[i];
+    double v = rays.v[i] + gone * rays.along_v[i] + march.ahead_v[i];
     u = u > 0.0 ? u : 0.0;
     v = v > 0.0 ? v : 0.0;
     u = u < s.last_u ? u : s.last_u;
@@ -61,7 +63,6 @@ LOCALIZATION_VECTORISED bool step_on(const RayBlock& rays, const Steps& steps, M
     const double leave = leave_u < leave_v ? leave_u : leave_v;
     const double clear = gone + safe;
     double next = leave > clear ? leave : clear;
-    next = (next > gone ? next : gone) + kOver;
     next = next < s.most ? next : s.most;
     next = safe >= 0.0 ? next : gone;
     march.found[i] = safe;
@@ -99,6 +100,8 @@ void RangeMap::cast(const RayBlock& rays, double most, double* out) const {
   for (std::size_t i = 0; i < kBlock; ++i) {
     march.inverse_u[i] = 1.0 / not_zero(rays.along_u[i]);
     march.inverse_v[i] = 1.0 / not_zero(rays.along_v[i]);
+    march.ahead_u[i] = rays.along_u[i] > 0.0 ? kAhead : -kAhead;
+    march.ahead_v[i] = rays.along_v[i] > 0.0 ? kAhead : -kAhead;
     march.gone[i] = 0.0;
   }
   const Steps steps{steps_.data(), static_cast<std::int32_t>(frame_.columns + 2),

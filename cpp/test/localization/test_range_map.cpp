@@ -29,7 +29,7 @@ double nearest_entry(const OccupancyGrid& grid, double u, double v, double yaw) 
   return best;
 }
 
-TEST_CASE("a ray ends where it enters the first occupied cell, to a micrometre") {
+TEST_CASE("a ray ends where it enters the first occupied cell, to a nanometre") {
   for (const double share : {0.002, 0.02, 0.2}) {
     const OccupancyGrid grid = scattered(60, 80, 17, share);
     const RangeMap map(grid, false, 1);
@@ -47,7 +47,7 @@ TEST_CASE("a ray ends where it enters the first occupied cell, to a micrometre")
       const double expected = entered <= most ? 0.5 * entered
                               : leaves        ? kNoExpectation
                                               : 0.5 * most;
-      CHECK_NEAR(found, expected, 5e-6);
+      CHECK_NEAR(found, expected, 2e-9);
     }
   }
 }
@@ -61,12 +61,23 @@ TEST_CASE("rays along the axes, from within a wall, from outside, in a map witho
   grid.cells[10 * 30 + 20] = kOccupied;
   grid.cells[4] = kUnknown;
   const RangeMap map(grid, false, 1);
-  CHECK_NEAR(map.cast({2.25, 5.25, 0.0}, 30.0), 7.75, 1e-6);
+  CHECK_NEAR(map.cast({2.25, 5.25, 0.0}, 30.0), 7.75, 1e-9);
   CHECK_NEAR(map.cast({14.0, 5.25, kPi}, 30.0), 3.5, 1e-6);
   CHECK_NEAR(map.cast({10.25, 1.0, 0.5 * kPi}, 30.0), 4.0, 1e-6);
   CHECK(map.cast({10.2, 5.2, 1.0}, 30.0) == 0.0);
   CHECK(map.cast({0.25, 0.25, 0.0}, 30.0) == kNoExpectation);
   CHECK_NEAR(RangeMap(grid, true, 1).cast({0.25, 0.25, 0.0}, 30.0), 1.75, 1e-6);
+}
+
+TEST_CASE("rays that run along the cells' edges, all but exactly, end as well") {
+  OccupancyGrid grid = open_water(40, 40, 1.0);
+  for (std::size_t k = 0; k < 40; ++k) grid.cells[k * 40 + 39] = grid.cells[k * 40] = kOccupied;
+  const RangeMap map(grid, false, 1);
+  for (int k = -40; k <= 40; ++k) {
+    const double yaw = k * 1e-17 * std::pow(10.0, std::abs(k) % 12);
+    CHECK_NEAR(map.cast({20.0, 10.0, yaw}, 100.0), 19.0, 1e-6);
+    CHECK_NEAR(map.cast({20.0, 10.0, wrapped(kPi + yaw)}, 100.0), 19.0, 1e-6);
+  }
 }
 
 TEST_CASE("the vector loop's densities are the formula's") {
@@ -102,8 +113,8 @@ TEST_CASE("the vector loop's densities are the formula's") {
       sum += density * density * density;
       logs += std::log(density);
     }
-    CHECK_NEAR(cubes[i], std::log(sum), 1e-4);
-    CHECK_NEAR(products[i], 0.5 * logs, 1e-3);
+    CHECK_NEAR(cubes[i], std::log(sum), 1e-8);
+    CHECK_NEAR(products[i], 0.5 * logs, 1e-6);
   }
 }
 

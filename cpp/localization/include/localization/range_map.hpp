@@ -21,7 +21,7 @@ inline constexpr double kNoExpectation = -1.0;
 
 // Each ray marches through the map: in open water by the distance to the nearest obstacle, which no
 // obstacle can be nearer than, and near obstacles from cell to cell. It ends where it enters an
-// occupied cell, exactly, at most 1e-7 cells late for each step.
+// occupied cell, to 1e-9 cells.
 class RangeMap {
  public:
   // Throws std::invalid_argument for a map without cells.
