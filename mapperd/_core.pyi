@@ -414,3 +414,400 @@ class VoxelMap:
         """Make the map's revision at least this."""
 
     def clear(self) -> None: ...
+
+class MclGrid:
+    """A flat occupancy grid.
+
+    Args:
+        occupancy: (rows, columns) int8: 0 free, 100 occupied, anything else unknown.
+        resolution_m: edge of a cell.
+        origin: (3,) pose of the outer corner of cell (0, 0) in the map frame: m, m, rad.
+
+    Raises:
+        ValueError: no cells, more than 32000 along a side, or not finite.
+    """
+
+    def __init__(
+        self, occupancy: NDArray[np.int8], resolution_m: float, origin: NDArray[np.float64]
+    ) -> None: ...
+
+class MclFreeSpace:
+    """The free cells of a grid, to start from anywhere and to draw random particles from.
+
+    Raises:
+        ValueError: no cell is free.
+    """
+
+    def __init__(self, grid: MclGrid) -> None: ...
+    def __len__(self) -> int: ...
+
+class MclHitModel:
+    """p(d) of the distance to the nearest obstacle.
+
+    z_hit / (sigma_hit sqrt(2 pi)) exp(-d^2 / (2 sigma_hit^2)) + z_rand / max_range, a density in
+    1/m; d counts up to max_distance_m.
+
+    Raises:
+        ValueError: out of range, or nothing is left of p.
+    """
+
+    def __init__(
+        self,
+        *,
+        z_hit: float,
+        z_rand: float,
+        sigma_hit_m: float,
+        max_range_m: float,
+        max_distance_m: float,
+    ) -> None: ...
+    def density(self, distance_m: float) -> float: ...
+
+class MclBeamModel:
+    """The mixture of hits, short, random and largest readings about an expected range.
+
+    Raises:
+        ValueError: out of range, or all weights 0.
+    """
+
+    def __init__(
+        self,
+        *,
+        z_hit: float,
+        z_short: float,
+        z_max: float,
+        z_rand: float,
+        sigma_hit_m: float,
+        lambda_short_per_m: float,
+        max_range_m: float,
+    ) -> None: ...
+    def density(
+        self, range_m: NDArray[np.float64] | float, expected_m: NDArray[np.float64] | float
+    ) -> NDArray[np.float64]:
+        """P of each reading, in 1/m."""
+
+class MclField:
+    """Likelihoods of the places of the map, in one layer or, of a 3D map, in many."""
+
+    @staticmethod
+    def of_grid(
+        grid: MclGrid,
+        model: MclHitModel,
+        only_boundaries: bool = False,  # noqa: FBT001, FBT002 as the core has it
+        unknown: str = "as_free",
+        threads: int = 1,
+    ) -> MclField:
+        """By the exact distance transform.
+
+        Args:
+            grid: the map.
+            model: p of the distance.
+            only_boundaries: only occupied cells with a free one at a side are obstacles.
+            unknown: `as_free`, `background` (p at max_distance_m) or `uniform` (1 / max_range).
+            threads: change no value.
+        """
+
+    @staticmethod
+    def of_values(
+        values: NDArray[np.float32],
+        resolution_m: float,
+        origin: NDArray[np.float64],
+        outside: float,
+    ) -> MclField:
+        """Of (rows, columns) values as they are; `outside` is that of all places off the map."""
+
+    @staticmethod
+    def of_distances(
+        distances_m: NDArray[np.float32],
+        first_centre_m: NDArray[np.float64],
+        resolution_m: float,
+        model: MclHitModel,
+    ) -> MclField:
+        """Of what `VoxelMap.distance_field` gives: (x, y, z) distances and the first centre."""
+
+    def values(self, layer: int = 0) -> NDArray[np.float32]:
+        """(rows, columns)."""
+
+    @property
+    def layers(self) -> int: ...
+    @property
+    def background(self) -> float:
+        """P where nothing is known: off the map, and far from all obstacles."""
+
+    @property
+    def memory_bytes(self) -> int: ...
+
+class MclRangeMap:
+    """Ranges to expect, exact to 1e-9 cells."""
+
+    def __init__(
+        self,
+        grid: MclGrid,
+        unknown_blocks: bool = False,  # noqa: FBT001, FBT002 as the core has it
+        threads: int = 1,
+    ) -> None: ...
+    def cast(self, rays: NDArray[np.float64], max_range_m: float) -> NDArray[np.float64]:
+        """Range of each of (N, 3) poses along its heading.
+
+        max_range_m where nothing is hit, -1 where the ray leaves the map before or begins off it.
+        """
+
+class MclEndpoints:
+    """Ends of beams in the levelled base frame.
+
+    Args:
+        points_m: (beams, elevations, 2), or 3 with the height in the map frame. Of the elevations
+            the likeliest counts.
+        quality: (beams,) 0 ... 1; p becomes quality p + (1 - quality) background.
+
+    Raises:
+        ValueError: shapes do not fit, or not finite.
+    """
+
+    def __init__(self, points_m: NDArray[np.float64], quality: NDArray[np.float64]) -> None: ...
+    def __len__(self) -> int: ...
+
+class MclBeams:
+    """Beams as the sensor has them.
+
+    Args:
+        bearing_rad: (beams,) in the base frame, counter-clockwise.
+        range_m: (beams,) from the sensor; the model's max_range_m and more: nothing came back.
+        quality: (beams,) as of `MclEndpoints`.
+        sensor_x_m: of the sensor in the base frame.
+        sensor_y_m: as well.
+    """
+
+    def __init__(
+        self,
+        *,
+        bearing_rad: NDArray[np.float64],
+        range_m: NDArray[np.float64],
+        quality: NDArray[np.float64],
+        sensor_x_m: float = 0.0,
+        sensor_y_m: float = 0.0,
+    ) -> None: ...
+    def __len__(self) -> int: ...
+
+class MclRule:
+    """How the filter resamples and recovers.
+
+    Args:
+        min_particles: 1 or more.
+        max_particles: at every start, and at most.
+        kld_error: above 0, up to 1.
+        kld_quantile: the standard normal quantile itself, 0 ... 40.
+        bucket_x_m: edges of the KLD rule's buckets, at least 0.001.
+        bucket_y_m: as well.
+        bucket_yaw_rad: as well.
+        resampling: `low_variance` or `multinomial`.
+        alpha_slow: gains of the recovery's averages, 0 <= slow <= fast <= 1; both 0: no recovery.
+        alpha_fast: as well.
+        resample_interval: in updates.
+        selective: only below an effective size of half the particles.
+        max_step_m: longer steps of odometry are refused.
+
+    Raises:
+        ValueError: out of range.
+    """
+
+    def __init__(
+        self,
+        *,
+        min_particles: int,
+        max_particles: int,
+        kld_error: float,
+        kld_quantile: float,
+        bucket_x_m: float,
+        bucket_y_m: float,
+        bucket_yaw_rad: float,
+        resampling: str = "low_variance",
+        alpha_slow: float = 0.0,
+        alpha_fast: float = 0.0,
+        resample_interval: int = 1,
+        selective: bool = False,
+        max_step_m: float = 1e6,
+    ) -> None: ...
+
+class MclEstimate:
+    """Where the particles are."""
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """(3,): m, m, rad."""
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """(3, 3), with cross terms; the heading's variance is infinite where headings cancel."""
+
+    @property
+    def mass(self) -> float:
+        """Weight of the particles counted."""
+
+    @property
+    def particles(self) -> int: ...
+    @property
+    def heading_known(self) -> bool:
+        """False where headings cancel out."""
+
+    @property
+    def spread_known(self) -> bool:
+        """False where one particle carries all weight; variances are then the floor, 1e-12."""
+
+class MclWeighed:
+    """What a scan did to the weights."""
+
+    @property
+    def informative(self) -> bool:
+        """False: an empty scan, or no particle explains it; weights stay."""
+
+    @property
+    def log_evidence(self) -> float:
+        """Ln of the mean likelihood, weighted."""
+
+    @property
+    def fit(self) -> float:
+        """Mean likelihood of one beam, whatever the number of particles and beams."""
+
+    @property
+    def injected_share(self) -> float:
+        """Of the next resampling, 0 ... 1."""
+
+class MclRecovery:
+    """Two averages of the fit; where the fast one falls below the slow one, particles are drawn."""
+
+    def __init__(self, alpha_slow: float, alpha_fast: float) -> None: ...
+    def add(self, fit: float) -> None: ...
+    def reset(self) -> None: ...
+    @property
+    def injected_share(self) -> float: ...
+
+class MclFilter:
+    """The particle filter: (x, y, yaw) in the map frame. Not to be used from two threads at once.
+
+    Args:
+        rule: how it resamples.
+        seed: of all draws; one seed is one run, whatever the number of threads.
+        threads: that share the work.
+    """
+
+    def __init__(self, rule: MclRule, seed: int, threads: int = 1) -> None: ...
+    def set_rule(self, rule: MclRule) -> None:
+        """Keeps the particles; their number changes at the next resampling."""
+
+    def set_threads(self, threads: int) -> None: ...
+    def start_about(self, mean: NDArray[np.float64], covariance: NDArray[np.float64]) -> None:
+        """Draw all particles about a pose (3,) with covariance (3, 3).
+
+        Raises:
+            ValueError: not finite, not symmetric, not positive semi-definite; nothing is changed.
+        """
+
+    def start_anywhere(self, free: MclFreeSpace) -> None: ...
+    def start_with(
+        self, poses: NDArray[np.float64], weights: NDArray[np.float64] | None = None
+    ) -> None:
+        """Take (N, 3) poses, with weights of any sum.
+
+        Raises:
+            ValueError: not finite, or no weight.
+        """
+
+    def predict(
+        self,
+        before: NDArray[np.float64],
+        now: NDArray[np.float64],
+        model: str,
+        alphas: NDArray[np.float64],
+        floor_xy_m: float = 0.0,
+        floor_yaw_rad: float = 0.0,
+    ) -> bool:
+        """Move the particles by the step between two odometry poses (3,).
+
+        Args:
+            before: at the last update.
+            now: at this one.
+            model: `differential_drive`, `omnidirectional_drive` or `stationary`.
+            alphas: (5,) variances of noise by motion squared.
+            floor_xy_m: sigma of noise that comes with time, of this step.
+            floor_yaw_rad: as well.
+
+        Returns:
+            False where the step is refused (not finite, too long): nothing moved, keep `before`.
+        """
+
+    def weigh_field(
+        self,
+        field: MclField,
+        ends: MclEndpoints,
+        aggregation: str = "cube_sum",
+        kappa: float = 1.0,
+    ) -> MclWeighed:
+        """`cube_sum`: 1 + sum p^3; `product`: exp(kappa sum ln p), 0 < kappa <= 1."""
+
+    def weigh_beams(
+        self,
+        map: MclRangeMap,  # noqa: A002 what it is
+        beams: MclBeams,
+        model: MclBeamModel,
+        aggregation: str = "cube_sum",
+        kappa: float = 1.0,
+    ) -> MclWeighed:
+        """`cube_sum`: sum p^3; `product`: exp(kappa sum ln p), 0 < kappa <= 1."""
+
+    def weigh(
+        self,
+        log_likelihood: NDArray[np.float64],
+        beams: int,
+        kind: str = "product",
+        kappa: float = 1.0,
+    ) -> MclWeighed:
+        """Log-likelihoods (N,) from elsewhere; NaN and +infinity count as likelihood 0.
+
+        `kind` says what `fit` is: `cube_sum_from_one`, `cube_sum` or `product`.
+        """
+
+    def resample_if_due(self, free: MclFreeSpace | None = None) -> bool:
+        """Resample when interval and effective size say so; random particles come from `free`."""
+
+    def resample(self, free: MclFreeSpace | None = None) -> None: ...
+    def effective_size(self) -> float: ...
+    def estimate(self) -> MclEstimate:
+        """Of all particles."""
+
+    def modes(
+        self, bucket_xy_m: float = 0.2, bucket_yaw_rad: float = 0.524
+    ) -> tuple[MclEstimate, NDArray[np.float64], NDArray[np.int64]]:
+        """The heaviest cluster's estimate, all clusters' masses, falling, and each label."""
+
+    def __len__(self) -> int: ...
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """(N, 3), a copy."""
+
+    @property
+    def weights(self) -> NDArray[np.float64]:
+        """(N,), of sum 1."""
+
+    @property
+    def log_weights(self) -> NDArray[np.float64]: ...
+    @property
+    def counts(self) -> dict[str, int]:
+        """What was done, refused and worked around."""
+
+def mcl_estimate(poses: NDArray[np.float64], weights: NDArray[np.float64]) -> MclEstimate:
+    """Of (N, 3) poses with weights of any sum."""
+
+def mcl_square_root(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """S with S S^T = covariance (3, 3).
+
+    Raises:
+        ValueError: not finite, asymmetric beyond 1e-9, an eigenvalue below -1e-9 of the largest.
+    """
+
+def mcl_squared_distances(
+    marked: NDArray[np.bool_], limit: int, threads: int = 1
+) -> NDArray[np.int32]:
+    """Squared distance in cells to the nearest marked one; 2**31 - 1 beyond `limit` cells."""
+
+def mcl_kld_size(buckets: int, error: float, quantile: float) -> int:
+    """Particles wanted for so many buckets; the largest 64-bit number for up to two."""

@@ -129,6 +129,8 @@ ORDER = (
     "export.atomic",
     "map_file",
     "mapping",
+    "localization.filter",
+    "localization.gates",
     "probability",
     "point_arrays",
     "memory_stats",

@@ -1,0 +1,1 @@
+"""Localization: a particle filter finds the vehicle on a known map."""
