@@ -60,77 +60,104 @@ LOCALIZATION_VECTORISED void mix(const Reading& reading, const double* expected,
 }
 
 LOCALIZATION_VECTORISED void aim(const BlockPoses& poses, double cosine, double sine,
-                                 RayBlock& rays) {
+                                 double* along_u, double* along_v) {
   for (std::size_t i = 0; i < kBlock; ++i) {
-    rays.along_u[i] = poses.cosine[i] * cosine - poses.sine[i] * sine;
-    rays.along_v[i] = poses.sine[i] * cosine + poses.cosine[i] * sine;
+    along_u[i] = poses.cosine[i] * cosine - poses.sine[i] * sine;
+    along_v[i] = poses.sine[i] * cosine + poses.cosine[i] * sine;
   }
 }
 
-// The densities of one block, beam by beam.
+constexpr std::size_t kTogether = kRays / kBlock;  // beams cast at once
+
+// The densities of one block, some beams at once.
 class BeamBlock {
  public:
   BeamBlock(const RangeMap& map, const Beams& beams, const BeamModel& model)
       : map_(map),
         beams_(beams),
         model_(model),
-        most_(model.max_range_m / map.frame().resolution_m) {
-    at_limit_ = hit_norm(model, model.max_range_m);
-  }
+        most_(model.max_range_m / map.frame().resolution_m),
+        at_limit_(hit_norm(model, model.max_range_m)) {}
 
   void place(const BlockPoses& poses) {
     poses_ = &poses;
     const double x = beams_.sensor_x_m / map_.frame().resolution_m;
     const double y = beams_.sensor_y_m / map_.frame().resolution_m;
-    for (std::size_t i = 0; i < kBlock; ++i) {
-      rays_.u[i] = poses.u[i] + (poses.cosine[i] * x - poses.sine[i] * y);
-      rays_.v[i] = poses.v[i] + (poses.sine[i] * x + poses.cosine[i] * y);
+    for (std::size_t k = 0; k < kRays; ++k) {
+      const std::size_t i = k % kBlock;
+      rays_.u[k] = poses.u[i] + (poses.cosine[i] * x - poses.sine[i] * y);
+      rays_.v[k] = poses.v[i] + (poses.sine[i] * x + poses.cosine[i] * y);
     }
   }
 
-  void densities(std::size_t beam, double* p) {
-    double expected[kBlock];
-    double norms[kBlock];
-    aim(*poses_, std::cos(beams_.bearing_rad[beam]), std::sin(beams_.bearing_rad[beam]), rays_);
-    map_.cast(rays_, most_, expected);
-    const double tail = kTails * model_.sigma_hit_m;
-    for (std::size_t i = 0; i < kBlock; ++i) {
-      const bool far = expected[i] >= most_;
-      expected[i] = far ? model_.max_range_m : expected[i] * map_.frame().resolution_m;
-      const bool whole = expected[i] > tail && expected[i] < model_.max_range_m - tail;
-      norms[i] = far || expected[i] < 0.0 ? at_limit_ : whole ? 1.0 : hit_norm(model_, expected[i]);
+  // Of beams first ... first + count - 1, at most kTogether: one row of kBlock each.
+  void densities(std::size_t first, std::size_t count, double (*p)[kBlock]) {
+    for (std::size_t k = 0; k < count; ++k) {
+      const double bearing = beams_.bearing_rad[first + k];
+      aim(*poses_, std::cos(bearing), std::sin(bearing), rays_.along_u + k * kBlock,
+          rays_.along_v + k * kBlock);
     }
-    mix(reading_of(model_, beams_.range_m[beam], beams_.quality[beam]), expected, norms, p);
+    rays_.count = count * kBlock;
+    map_.cast(rays_, most_, expected_);
+    for (std::size_t k = 0; k < count; ++k) {
+      double* expected = expected_ + k * kBlock;
+      scale(expected);
+      const Reading reading =
+          reading_of(model_, beams_.range_m[first + k], beams_.quality[first + k]);
+      mix(reading, expected, norms_, p[k]);
+    }
   }
 
  private:
+  // From cells to metres, with the norms of the hits' Gaussian.
+  void scale(double* expected) {
+    const double tail = kTails * model_.sigma_hit_m;
+    for (std::size_t i = 0; i < kBlock; ++i) {
+      const bool far = expected[i] >= most_;
+      const double metres = expected[i] * map_.frame().resolution_m;
+      expected[i] = far ? model_.max_range_m : metres;
+      const bool whole = metres > tail && metres < model_.max_range_m - tail;
+      norms_[i] = far || metres < 0.0 ? at_limit_ : whole ? 1.0 : hit_norm(model_, metres);
+    }
+  }
+
   const RangeMap& map_;
   const Beams& beams_;
   const BeamModel& model_;
   const double most_;
+  const double at_limit_;
   const BlockPoses* poses_ = nullptr;
-  RayBlock rays_{};
-  double at_limit_;
+  Rays rays_;
+  double expected_[kRays];
+  double norms_[kBlock];
 };
 
 void cube_sums(BeamBlock& block, std::size_t beams, double* out) {
   double sum[kBlock] = {};
-  double p[kBlock];
-  for (std::size_t beam = 0; beam < beams; ++beam) {
-    block.densities(beam, p);
-    for (std::size_t i = 0; i < kBlock; ++i) sum[i] += p[i] * p[i] * p[i];
+  double p[kTogether][kBlock];
+  for (std::size_t first = 0; first < beams; first += kTogether) {
+    const std::size_t count = std::min(kTogether, beams - first);
+    block.densities(first, count, p);
+    for (std::size_t k = 0; k < count; ++k) {
+      for (std::size_t i = 0; i < kBlock; ++i) sum[i] += p[k][i] * p[k][i] * p[k][i];
+    }
   }
   for (std::size_t i = 0; i < kBlock; ++i) out[i] = std::log(sum[i]);
 }
 
+static_assert(kTogether <= kFactors, "products are split once for the beams of one cast");
+
 void products(BeamBlock& block, std::size_t beams, double floor, double kappa, double* out) {
   Products product;
   product.start();
-  double p[kBlock];
-  for (std::size_t beam = 0; beam < beams; ++beam) {
-    block.densities(beam, p);
-    for (std::size_t i = 0; i < kBlock; ++i) product.mantissa[i] *= std::max(p[i], floor);
-    if ((beam + 1) % kFactors == 0) product.split_off();
+  double p[kTogether][kBlock];
+  for (std::size_t first = 0; first < beams; first += kTogether) {
+    const std::size_t count = std::min(kTogether, beams - first);
+    block.densities(first, count, p);
+    for (std::size_t k = 0; k < count; ++k) {
+      for (std::size_t i = 0; i < kBlock; ++i) product.mantissa[i] *= std::max(p[k][i], floor);
+    }
+    product.split_off();
   }
   product.logs(kappa, out);
 }

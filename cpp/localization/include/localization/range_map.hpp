@@ -9,12 +9,15 @@
 
 namespace mapperd::localization {
 
-// Rays of a block; places in cells of the padded map, directions of length 1.
-struct RayBlock {
-  double u[kBlock];
-  double v[kBlock];
-  double along_u[kBlock];
-  double along_v[kBlock];
+inline constexpr std::size_t kRays = 8 * kBlock;  // cast at once
+
+// Rays from places in cells of the padded map, in directions of length 1.
+struct Rays {
+  std::size_t count = 0;
+  double u[kRays];
+  double v[kRays];
+  double along_u[kRays];
+  double along_v[kRays];
 };
 
 inline constexpr double kNoExpectation = -1.0;
@@ -29,9 +32,9 @@ class RangeMap {
 
   const GridFrame& frame() const { return frame_; }
 
-  // Ranges of a block in cells, `most` where nothing is hit until then, kNoExpectation where the
+  // Ranges in cells, `most` where nothing is hit until then, kNoExpectation where the
   // ray begins outside the map or leaves it before.
-  void cast(const RayBlock& rays, double most, double* out) const;
+  void cast(const Rays& rays, double most, double* out) const;
 
   // Of one ray in the map frame, in metres; with `max_range_m` and kNoExpectation as above.
   double cast(const Pose2& ray, double max_range_m) const;
