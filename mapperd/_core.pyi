@@ -492,7 +492,7 @@ class MclField:
     def of_grid(
         grid: MclGrid,
         model: MclHitModel,
-        only_boundaries: bool = False,  # noqa: FBT001, FBT002 as the core has it
+        only_boundaries: bool = False,
         unknown: str = "as_free",
         threads: int = 1,
     ) -> MclField:
@@ -542,7 +542,7 @@ class MclRangeMap:
     def __init__(
         self,
         grid: MclGrid,
-        unknown_blocks: bool = False,  # noqa: FBT001, FBT002 as the core has it
+        unknown_blocks: bool = False,
         threads: int = 1,
     ) -> None: ...
     def cast(self, rays: NDArray[np.float64], max_range_m: float) -> NDArray[np.float64]:

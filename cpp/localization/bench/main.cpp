@@ -3,9 +3,11 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <cstdlib>
 #include <ctime>
 #include <functional>
 #include <string>
+#include <utility>
 
 #include "localization/elementary.hpp"
 #include "localization/gaussian.hpp"
@@ -42,6 +44,23 @@ OccupancyGrid harbour() {
     box(grid, -30.0 + 2.5 * k, -25.0, -29.6 + 2.5 * k, -24.6);
     box(grid, -35.0 + 7.3 * (k % 9), -45.0 + 8.7 * (k % 7), -34.5 + 7.3 * (k % 9),
         -44.6 + 8.7 * (k % 7));
+  }
+  return grid;
+}
+
+// The last kSide * kSide bytes of a file, as a .npy file of int8 has its cells.
+OccupancyGrid read_map(const char* path) {
+  OccupancyGrid grid{{kSide, kSide, kResolution_m, {-50.0, -50.0, 0.0}},
+                     std::vector<std::int8_t>(kSide * kSide)};
+  std::FILE* file = std::fopen(path, "rb");
+  const bool sought =
+      file != nullptr && std::fseek(file, -static_cast<long>(kSide * kSide), SEEK_END) == 0;
+  const bool read =
+      sought && std::fread(grid.cells.data(), 1, kSide * kSide, file) == kSide * kSide;
+  if (file != nullptr) std::fclose(file);
+  if (!read) {
+    std::fprintf(stderr, "cannot read %s\n", path);
+    std::exit(1);
   }
   return grid;
 }
@@ -96,7 +115,7 @@ void time_all(const std::string& what, std::size_t particles, int repetitions,
 }
 
 struct Bench {
-  OccupancyGrid grid = harbour();
+  OccupancyGrid grid;
   RangeMap ranges{grid, false, 1};
   HitModel hits{0.5, 0.5, 0.2, kMaxRange_m, 2.0};
   LikelihoodField field{grid, hits, {}, 1};
@@ -107,7 +126,7 @@ struct Bench {
   MotionDraws draws = motion_draws(MotionModel::kDifferential, {0, 0, 0}, {0.28, 0.1, 0.12},
                                    {0.2, 0.2, 0.2, 0.2, 0.2});
 
-  Bench() {
+  explicit Bench(OccupancyGrid map) : grid(std::move(map)) {
     mixture.max_range_m = kMaxRange_m;
     for (std::size_t j = 0; j < ends.beams(); ++j) {
       beams.bearing_rad.push_back(std::atan2(ends.y_m[j], ends.x_m[j]));
@@ -205,7 +224,7 @@ struct Bench {
 
 int main(int argc, char** argv) {
   const int share = argc > 1 ? std::max(1, std::atoi(argv[1])) : 1;
-  const Bench bench;
+  const Bench bench(argc > 2 ? read_map(argv[2]) : harbour());
   bench.building(std::max(3, 20 / share));
   for (const std::size_t count : {500U, 2000U, 10000U, 100000U}) {
     const int repetitions = static_cast<int>(std::max<std::size_t>(5, 400000 / count)) / share + 3;

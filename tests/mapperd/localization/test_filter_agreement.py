@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -19,6 +19,9 @@ from mapperd.localization.filter import (
 )
 from mapperd.localization.gates import evenly_spaced
 from tests.mapperd.localization.filter_cases import Floats, filter_at, log_likelihoods
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 Bundle = Mapping[str, NDArray[np.float64]]
 CLOUDS = (500, 2000)

@@ -71,7 +71,12 @@ FIELD_A = LikelihoodField.of_grid(A, HIT)
         (c(-5, -5, 0), pose(-5, -5, 0), [(9.5, 9.5)], 2.068577608),
         (c(0, 0, QUARTER), pose(0, 0, QUARTER), [(9.5, 9.5)], 2.068577608),
         (c(5, -5, QUARTER), pose(5, -5, QUARTER), [(9.5, 9.5)], 2.068577608),
-        (LikelihoodField.of_grid(one_obstacle(4, 4, 0.5), HIT), pose(0, 0, 0), [(1, 1)], 1.000015625),
+        (
+            LikelihoodField.of_grid(one_obstacle(4, 4, 0.5), HIT),
+            pose(0, 0, 0),
+            [(1, 1)],
+            1.000015625,
+        ),
     ],
     ids=["L1", "L3", "L5", "L7", "L9", "L11", "L13"],
 )

@@ -1,0 +1,163 @@
+"""Hard cases of the particle filter: maps, and particles where no map is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mapperd.localization.filter import (
+    BeamModel,
+    Beams,
+    Endpoints,
+    FreeSpace,
+    HitModel,
+    LikelihoodField,
+    ParticleFilter,
+    RangeMap,
+)
+from tests.mapperd.localization.filter_cases import (
+    HIT,
+    beam_likelihood,
+    endpoints,
+    field_likelihood,
+    grid,
+    pose,
+    rule,
+)
+
+BEAM = BeamModel(
+    z_hit=0.5,
+    z_short=0.05,
+    z_max=0.05,
+    z_rand=0.5,
+    sigma_hit_m=0.2,
+    lambda_short_per_m=0.1,
+    max_range_m=20.0,
+)
+AHEAD = Beams(bearing_rad=np.zeros(1), range_m=np.array([3.0]), quality=np.ones(1))
+
+
+def test_map_without_free_cells() -> None:
+    """Drawing until a free cell comes never ends; the last of none lies before the list."""
+    for value in (100, -1, 50):
+        full = grid(np.full((5, 5), value, np.int8), 0.5)
+        with pytest.raises(ValueError, match="no free cell"):
+            FreeSpace(full)
+    particles = ParticleFilter(rule(), 1)
+    particles.start_about(pose(0, 0, 0), np.eye(3))
+    before = particles.poses
+    with pytest.raises(ValueError, match="no free cell"):
+        particles.start_anywhere(FreeSpace(full))
+    assert (particles.poses == before).all()
+
+
+def test_map_without_obstacles() -> None:
+    """Nothing to spread from: each cell is far from everything, not upon an obstacle."""
+    field = LikelihoodField.of_grid(grid(np.zeros((5, 5), np.int8), 0.5), HIT)
+    assert field.values() == pytest.approx(HIT.density(2.0))
+    ranges = RangeMap(grid(np.zeros((100, 100), np.int8), 0.5))
+    assert ranges.cast(np.array([[25.0, 25.0, 0.3]]), 20.0) == pytest.approx(20.0)
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (0, 5), (5, 0)])
+def test_map_without_cells(shape: tuple[int, int]) -> None:
+    """The column of a cell is its index modulo a width of 0."""
+    with pytest.raises(ValueError, match="cells"):
+        grid(np.zeros(shape, np.int8), 0.5)
+
+
+@pytest.mark.parametrize("resolution_m", [0.0, -1.0, np.nan, np.inf])
+def test_map_of_no_resolution(resolution_m: float) -> None:
+    """Places divided by it are no numbers."""
+    with pytest.raises(ValueError, match="resolution"):
+        grid(np.zeros((5, 5), np.int8), resolution_m)
+
+
+def test_particle_off_the_map() -> None:
+    """Off the map the reference gives 1 / r_max, more than in mapped water: leaving is rewarded."""
+    water = grid(np.zeros((50, 50), np.int8), 0.5)
+    field = LikelihoodField.of_grid(water, HIT)
+    inside = field_likelihood(field, pose(12, 12, 0), endpoints((1, 0)))
+    outside = field_likelihood(field, pose(-500, 12, 0), endpoints((1, 0)))
+    assert outside == pytest.approx(inside, rel=1e-12)
+    ranges = RangeMap(water)
+    nothing = beam_likelihood(ranges, pose(-500, 12, 0), AHEAD, BEAM)
+    assert nothing == pytest.approx(BEAM_BACKGROUND**3, rel=1e-12)
+    assert nothing <= beam_likelihood(ranges, pose(2, 12, 0), AHEAD, BEAM)
+
+
+BEAM_BACKGROUND = 0.5 / 20.0
+
+
+def test_particle_within_an_obstacle() -> None:
+    """The expected range is 0: half the Gaussian is cut off, and the short term has no room."""
+    wall = grid(np.full((50, 50), 100, np.int8), 0.5)
+    likelihood = beam_likelihood(RangeMap(wall), pose(12, 12, 0), AHEAD, BEAM)
+    assert likelihood == pytest.approx(BEAM_BACKGROUND**3, rel=1e-6)
+
+
+def test_particle_in_unknown_space() -> None:
+    """Where unknown cells block, every ray is 0 long and all particles are alike."""
+    occupancy = np.full((50, 50), -1, np.int8)
+    occupancy[:, 40] = 100
+    ray = np.array([[12.0, 12.0, 0.0]])
+    assert RangeMap(grid(occupancy, 0.5)).cast(ray, 20.0) == pytest.approx(8.0)
+    assert RangeMap(grid(occupancy, 0.5), unknown_blocks=True).cast(ray, 20.0) == pytest.approx(0)
+
+
+def test_coordinates_far_from_the_origin() -> None:
+    """A map at UTM coordinates: single precision would lose decimetres."""
+    occupancy = np.zeros((50, 50), np.int8)
+    occupancy[:, 40] = 100
+    far = grid(occupancy, 0.1, (6.5e6, -7.0e6, 0.0))
+    ray = np.array([[6.5e6 + 1.0, -7.0e6 + 2.5, 0.0]])
+    assert RangeMap(far).cast(ray, 4.9) == pytest.approx(3.0, abs=1e-6)
+    field = LikelihoodField.of_grid(far, HIT)
+    seen = field_likelihood(field, ray[0], endpoints((3.05, 0.0)))
+    assert seen == pytest.approx(1 + HIT.density(0) ** 3, rel=1e-6)
+
+
+@pytest.mark.parametrize("place", [1e18, -1e300])
+def test_huge_coordinates(place: float) -> None:
+    """Their cells' numbers fit no integer."""
+    particles = ParticleFilter(rule(50, 300), 1)
+    particles.start_about(pose(place, place, 0), np.eye(3))
+    field = LikelihoodField.of_grid(grid(np.zeros((5, 5), np.int8), 0.5), HIT)
+    particles.weigh_field(field, endpoints((1, 1), (2, 2)), "product")
+    particles.weigh_beams(RangeMap(grid(np.zeros((5, 5), np.int8), 0.5)), AHEAD, BEAM)
+    particles.resample()
+    particles.modes()
+    assert np.isfinite(particles.weights).all()
+    assert np.isfinite(particles.estimate().mean).all()
+
+
+def test_grazing_rays() -> None:
+    """Along a wall's face, rays must neither end early nor slip through it."""
+    occupancy = np.zeros((100, 400), np.int8)
+    occupancy[50] = 100
+    ranges = RangeMap(grid(occupancy, 0.1))
+    for angle in (1e-9, 1e-6, 1e-3, 0.1):
+        ray = np.array([[1.0, 4.9, angle]])
+        exact = 0.1 / np.sin(angle)
+        assert ranges.cast(ray, 35.0)[0] == pytest.approx(min(35.0, exact), abs=1e-4)
+
+
+def test_rays_between_diagonal_cells() -> None:
+    """A standard line of cells slips between two that touch at a corner."""
+    occupancy = np.eye(40, dtype=np.int8)[::-1].copy() * 100
+    ranges = RangeMap(grid(occupancy, 0.5))
+    rays = np.array([[2.0, 2.0, yaw] for yaw in np.linspace(0.4, 1.1, 301)])
+    found = ranges.cast(rays, 30.0)
+    assert ((found > 0) & (found < 20)).all()
+
+
+def test_layers_of_a_field_and_ends_above_and_below() -> None:
+    """Ends of beams above the top layer or below the lowest read no memory beyond the field."""
+    distances = np.zeros((4, 4, 4), np.float32)
+    distances[0, 0, 0] = np.nan
+    model = HitModel(z_hit=0.5, z_rand=0.5, sigma_hit_m=0.2, max_range_m=20, max_distance_m=2)
+    field = LikelihoodField.of_distances(distances, np.array([0.5, 0.5, 0.5]), 1.0, model)
+    for z in (-1e300, -0.01, 4.01, 1e300):
+        ends = Endpoints(np.array([[[1.0, 1.0, z]]]), np.ones(1))
+        got = field_likelihood(field, pose(1, 1, 0), ends, "product")
+        assert got == pytest.approx(field.background, rel=1e-9)

@@ -1,0 +1,116 @@
+"""Hard cases of the particle filter: when random particles come, and when they must not."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from mapperd.localization.filter import (
+    Endpoints,
+    FreeSpace,
+    HitModel,
+    LikelihoodField,
+    ParticleFilter,
+)
+from tests.mapperd.localization.filter_cases import HIT, grid, pose, rule
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+OCCUPANCY = np.zeros((50, 50), np.int8)
+OCCUPANCY[:, 40] = 100
+WATER = grid(OCCUPANCY, 0.5)
+FIELD = LikelihoodField.of_grid(WATER, HIT)
+FREE = FreeSpace(WATER)
+
+
+def recovering(count: int, *, fewest: int | None = None) -> ParticleFilter:
+    made = ParticleFilter(rule(fewest or count, count, alpha_slow=0.001, alpha_fast=0.1), 5)
+    made.start_about(pose(12.0, 12.0, 0.0), np.diag([0.04, 0.04, 0.001]))
+    return made
+
+
+def scan(range_m: float, beams: int = 30) -> Endpoints:
+    y = np.linspace(-3, 3, beams)
+    return Endpoints(
+        np.stack([np.full(beams, range_m), y], axis=1)[:, None, :].copy(), np.ones(beams)
+    )
+
+
+@pytest.mark.parametrize("aggregation", ["cube_sum", "product"])
+@pytest.mark.parametrize("count", [100, 3000])
+def test_recovery_with_a_constant_number_of_particles(aggregation: str, count: int) -> None:
+    """After normalisation the mean weight is 1 / N: with N constant recovery is never heard."""
+    particles = recovering(count)
+    for _ in range(5):
+        particles.weigh_field(FIELD, scan(8.1), aggregation)
+        particles.resample_if_due(FREE)
+    assert particles.counts["injected_particles"] == 0
+    for _ in range(3):
+        particles.weigh_field(FIELD, scan(3.0), aggregation)
+        particles.resample_if_due(FREE)
+    assert particles.counts["injected_particles"] > 0
+
+
+@pytest.mark.parametrize("aggregation", ["cube_sum", "product"])
+def test_good_fit_triggers_no_recovery_though_numbers_change(aggregation: str) -> None:
+    """With 1 / N for a mean weight, a cloud that grows from 500 to 2000 looked lost."""
+    particles = recovering(500)
+    for count in (500, 2000, 4000, 300):
+        particles.set_rule(rule(count, count, alpha_slow=0.001, alpha_fast=0.1))
+        particles.weigh_field(FIELD, scan(8.1), aggregation)
+        particles.resample_if_due(FREE)
+    assert particles.counts["injected_particles"] < 10
+
+
+@pytest.mark.parametrize("aggregation", ["cube_sum", "product"])
+def test_fit_is_that_of_one_beam(aggregation: str) -> None:
+    """A scan with twice the beams must not look like a better or a worse one."""
+    fits = []
+    for beams in (30, 60, 240):
+        particles = ParticleFilter(rule(1, 1), 5)
+        particles.start_about(pose(12.0, 12.0, 0.0), np.zeros((3, 3)))
+        fits.append(particles.weigh_field(FIELD, scan(8.1, beams), aggregation).fit)
+    assert fits == pytest.approx([fits[0]] * 3, rel=1e-6)
+
+
+def test_no_recovery_without_free_water() -> None:
+    """Random particles come from the map's free cells, or not at all."""
+    particles = recovering(500)
+    for range_m in (8.1, 8.1, 3.0, 3.0):
+        particles.weigh_field(FIELD, scan(range_m))
+        particles.resample_if_due(None)
+    assert particles.counts["injected_particles"] == 0
+    assert np.isfinite(particles.poses).all()
+
+
+def seen_from(hits: NDArray[np.float64], at: NDArray[np.float64]) -> Endpoints:
+    """Every third obstacle, as a sonar without shadows sees it."""
+    cosine, sine = np.cos(at[2]), np.sin(at[2])
+    turn = np.array([[cosine, -sine], [sine, cosine]])
+    ends = ((hits - at[:2]) @ turn)[::3]
+    return Endpoints(np.ascontiguousarray(ends[:, None, :]), np.ones(len(ends)))
+
+
+def test_kidnapped_vehicle_is_found_again() -> None:
+    """All particles are at the wrong place: only random ones can be at the right one."""
+    occupancy = np.zeros((40, 40), np.int8)
+    occupancy[:, 36] = occupancy[4, 2:12] = occupancy[20:24, 8:12] = occupancy[33, 20:34] = 100
+    water = grid(occupancy, 0.5)
+    model = HitModel(z_hit=0.9, z_rand=0.1, sigma_hit_m=0.5, max_range_m=20, max_distance_m=5)
+    field = LikelihoodField.of_grid(water, model)
+    hits = np.argwhere(occupancy == 100)[:, ::-1] * 0.5 + 0.25
+    home, truth = pose(5.0, 5.0, -2.0), pose(12.0, 10.0, 0.6)
+    particles = ParticleFilter(rule(4000, 4000, alpha_slow=0.001, alpha_fast=0.9), 11)
+    particles.start_about(home, np.diag([0.1, 0.1, 0.01]))
+    free = FreeSpace(water)
+    for k in range(60):
+        particles.predict(home, home, "stationary", np.zeros(5))
+        seen = seen_from(hits, home if k < 5 else truth)
+        particles.weigh_field(field, seen, "product", 0.3)
+        particles.resample_if_due(free)
+    best, masses, _ = particles.modes(0.5, 0.35)
+    assert best.mean == pytest.approx(truth, abs=0.2)
+    assert masses[0] > 0.5
