@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt' -o -name 'CMakePresets.json')
 
-.PHONY: demo test bench sim-bench sim-check soak store-soak crash-soak chaos fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
+.PHONY: demo test bench sim-bench sim-check localization-bench localization-soak soak store-soak crash-soak chaos fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
 
 demo: $(STAMP)
 	$(BIN)/python tools/demo.py --out out/demo
@@ -27,6 +27,14 @@ sim-bench: $(STAMP)
 # writes the figures into docs/simulator.md. Some minutes.
 sim-check: $(STAMP)
 	$(BIN)/python tools/sim_check.py --write
+
+# Times the particle filter beside the reference's plain loops. A minute.
+localization-bench: $(STAMP)
+	$(BIN)/python tools/bench/localization.py
+
+# Ten million updates of the particle filter. A minute or two.
+localization-soak: $(STAMP)
+	MAPPERD_LONG_UPDATES=10000000 scripts/cpp-test release
 
 # A night at sea: 200 000 pings through cuts, stalls, flipped bits and restarts. Some minutes.
 soak: $(STAMP)

@@ -101,7 +101,7 @@ def test_kidnapped_vehicle_is_found_again() -> None:
     water = grid(occupancy, 0.5)
     model = HitModel(z_hit=0.9, z_rand=0.1, sigma_hit_m=0.5, max_range_m=20, max_distance_m=5)
     field = LikelihoodField.of_grid(water, model)
-    hits = np.argwhere(occupancy == 100)[:, ::-1] * 0.5 + 0.25
+    hits = np.argwhere(occupancy == 100)[:, ::-1].astype(np.float64) * 0.5 + 0.25
     home, truth = pose(5.0, 5.0, -2.0), pose(12.0, 10.0, 0.6)
     particles = ParticleFilter(rule(4000, 4000, alpha_slow=0.001, alpha_fast=0.9), 11)
     particles.start_about(home, np.diag([0.1, 0.1, 0.01]))

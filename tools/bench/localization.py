@@ -21,6 +21,7 @@ from bench_host import say
 CPP = Path(__file__).resolve().parents[2] / "cpp"
 BEAMS = 60
 PLAIN = "plain"
+ABSENT = "–"  # noqa: RUF001 a dash
 
 
 class Lap(msgspec.Struct, frozen=True):
@@ -60,14 +61,14 @@ def table(laps: list[Lap]) -> str:
     """A Markdown table, with the ratio to the plain loop of the same work and run."""
     plain = {(lap.what, lap.particles): lap for lap in laps if lap.who == PLAIN}
     lines = [
-        "| work | particles | who | best, µs | median, µs | ns a particle and beam | plain / this |",
+        "| work | particles | who | best, µs | median, µs | ns each beam | plain / this |",
         "|---|---|---|---|---|---|---|",
     ]
     for lap in laps:
         beside = plain.get((lap.what, lap.particles))
-        ratio = f"{beside.best_us / lap.best_us:.1f}" if beside else "–"
-        each = f"{lap.per_beam_ns:.2f}" if lap.particles else "–"
-        count = str(lap.particles) if lap.particles else "–"
+        ratio = f"{beside.best_us / lap.best_us:.1f}" if beside else ABSENT
+        each = f"{lap.per_beam_ns:.2f}" if lap.particles else ABSENT
+        count = str(lap.particles) if lap.particles else ABSENT
         lines.append(
             f"| {lap.what} | {count} | {lap.who} | {lap.best_us:.0f} | {lap.median_us:.0f} "
             f"| {each} | {ratio} |"
