@@ -12,14 +12,17 @@ from msgspec import Struct
 
 from mapperd.config_export import Export
 from mapperd.config_filters import Crosstalk, RobotDetection, TerrainDetection
+from mapperd.config_localization import Amcl
 from mapperd.config_odometry import OdometryFusion, SlamQuality, TimeSync, WorldInit
 from mapperd.config_outofcore import OutOfCore
 from mapperd.config_published import Frames, Topics, Visualization
+from mapperd.config_scan import Localization, ScanExtraction
 from mapperd.config_service import Behind, Control, Mqtt, Service
 from mapperd.setting import rule
 
 __all__ = [
     "Adaptive",
+    "Amcl",
     "Behind",
     "Config",
     "Control",
@@ -29,6 +32,7 @@ __all__ = [
     "Filtering",
     "Frames",
     "Iwlo",
+    "Localization",
     "Mapping",
     "Mounting",
     "Mqtt",
@@ -40,6 +44,7 @@ __all__ = [
     "Processing",
     "Recording",
     "RobotDetection",
+    "ScanExtraction",
     "Service",
     "SlamQuality",
     "Sonar",
@@ -364,6 +369,8 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     terrain_detection: TerrainDetection = TerrainDetection()
     robot_detection: RobotDetection = RobotDetection()
     outofcore: OutOfCore = OutOfCore()
+    localization: Localization = Localization()
+    amcl: Amcl = Amcl()
     device: Device = Device()
     recording: Recording = Recording()
     service: Service = Service()

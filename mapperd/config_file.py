@@ -10,6 +10,7 @@ import msgspec
 import yaml
 
 from mapperd.config import Config
+from mapperd.config_aliases import tree_renamed
 from mapperd.config_parameters import hint_at, rule_text, section_of
 from mapperd.errors import ConfigError
 from mapperd.yaml_strict import YamlProblem, parse_yaml
@@ -103,6 +104,10 @@ def _tree_of(text: str, name: str) -> dict[str, Any]:
     for section in Config.__struct_fields__:
         if section in tree and tree[section] is None:
             tree[section] = {}
+    try:
+        tree = tree_renamed(tree)
+    except ConfigError as error:
+        raise ConfigError(f"{name}: {error}", error.path) from error
     _check_section(tree, Config, "$", name)
     return tree
 

@@ -5,6 +5,8 @@ from itertools import groupby
 
 import msgspec
 
+from mapperd.config_aliases import ALIASES, VALUE_ALIASES
+from mapperd.config_localization import CORRECTED
 from mapperd.config_parameters import Parameter, hint_at, inner_parameters, parameters
 
 __all__ = ["configuration_page"]
@@ -57,6 +59,24 @@ another way since; settings that need a restart are named and left.
 
 """
 
+AMCL = """\
+## Localization under the names of the published AMCL node
+
+All 58 parameters of the node are in `amcl`, with their defaults but for these, which its document
+has wrong. `pf_z` keeps its 0.99, which looks like a probability and is a quantile.
+
+| setting | published | here | what is wrong |
+|---|---|---|---|
+"""
+
+ALSO = """
+Other releases of the node and Nav2 have other names for some settings. Files and changes may say
+them; a setting that is said under two names is an error.
+
+| name elsewhere | setting |
+|---|---|
+"""
+
 TAIL = """\
 All parameters of the published mapper are here under their names and with their defaults, except
 `outofcore.map_path`, whose default named a folder of its developers.
@@ -67,7 +87,21 @@ def configuration_page() -> str:
     """The page as it should be in docs/."""
     sections = groupby(parameters().values(), lambda one: one.name.partition(".")[0])
     body = "".join("\n".join(_section(name, list(found))) + "\n\n" for name, found in sections)
-    return HEAD + body + TAIL
+    return HEAD + body + _amcl() + TAIL
+
+
+def _amcl() -> str:
+    corrected = "".join(
+        f"| `amcl.{name}` | {was} | {_default(parameters()[f'amcl.{name}'])} | {why} |\n"
+        for name, (was, why) in CORRECTED.items()
+    )
+    names = "".join(f"| `{other}` | `{name}` |\n" for other, name in ALIASES.items())
+    values = "".join(
+        f"| `{name}: {other}` | `{name}: {value}` |\n"
+        for name, known in VALUE_ALIASES.items()
+        for other, value in known.items()
+    )
+    return AMCL + corrected + ALSO + names + values + "\n"
 
 
 def _section(name: str, found: list[Parameter]) -> Iterator[str]:

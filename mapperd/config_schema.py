@@ -5,6 +5,7 @@ from typing import Any
 import msgspec
 
 from mapperd.config import Config
+from mapperd.config_aliases import ALIASES, VALUE_ALIASES
 from mapperd.config_parameters import inner_parameters, parameters, section_of
 
 __all__ = ["json_schema"]
@@ -26,7 +27,31 @@ def json_schema() -> dict[str, Any]:
                 node = schema["$defs"][section.__name__]
                 field = inner.name.rpartition(".")[2]
                 node["properties"][field] |= _marks(unit=inner.unit, dynamic=inner.dynamic)
+    _add_other_names(schema["$defs"]["Amcl"]["properties"])
     return schema
+
+
+def _add_other_names(fields: dict[str, Any]) -> None:
+    """Let files through that say settings or values of `amcl` under their other names."""
+    inner: dict[str, Any] = {}
+    for other, name in ALIASES.items():
+        known = {k: v for k, v in fields[_last(name)].items() if k != "default"}
+        if name in VALUE_ALIASES:
+            known |= {"enum": [*known["enum"], *VALUE_ALIASES[name]]}
+        place = inner if ".initial_pose." in other else fields
+        place[_last(other)] = known | {"deprecated": True}
+    for name, values in VALUE_ALIASES.items():
+        fields[_last(name)] |= {"enum": [*fields[_last(name)]["enum"], *values]}
+    fields["initial_pose"] = {
+        "type": "object",
+        "properties": inner,
+        "additionalProperties": False,
+        "deprecated": True,
+    }
+
+
+def _last(name: str) -> str:
+    return name.rpartition(".")[2]
 
 
 def _mark(schema: dict[str, Any], name: str, *, unit: str, dynamic: bool) -> None:

@@ -11,9 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from mapperd.config import Config
+from mapperd.config_aliases import change_renamed
 from mapperd.config_file import check_value
 from mapperd.config_layers import DEFAULT, Layered
 from mapperd.config_parameters import parameters, value_of
+from mapperd.config_restore import restored_changes
 from mapperd.errors import ConfigError
 from mapperd.setting_changes import with_values
 
@@ -89,7 +91,7 @@ class ConfigStore:
     """
 
     def __init__(self, layered: Layered) -> None:
-        self._current = layered.config
+        self._current = self._start = layered.config
         self._origins = dict(layered.origins)
         self._followers: list[_Follower] = []
         self._lock = threading.Lock()
@@ -141,9 +143,14 @@ class ConfigStore:
         """Change settings, all or none.
 
         Args:
-            changes: plain values by name, `filtering.intensity_threshold`.
+            changes: plain values by name, `filtering.intensity_threshold`; other names that a
+                setting has are as good.
             origin: who asks.
         """
+        try:
+            changes = restored_changes(change_renamed(changes), self._start.amcl)
+        except ConfigError as error:
+            return Refused(origin, {_bare(error.path): _what(error)})
         with self._lock:
             reasons = self._objections(changes)
             if reasons:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from mapperd.config import Config
 from mapperd.config_layers import DEFAULT, Layered, load_files
 from mapperd.config_parameters import parameters, value_of
+from mapperd.config_restore import RESTORE
 from mapperd.config_store import Applied, Change, ConfigStore, Refused
 from mapperd.errors import ConfigError
 
@@ -193,7 +194,9 @@ def test_any_values_are_applied_or_refused_with_reasons(changes: dict[str, objec
         assert result.reasons
         assert store.current is before
     else:
-        assert all(value_of(store.current, name) == value for name, value in changes.items())
+        asked = {name: value for name, value in changes.items() if name != RESTORE}
+        assert all(value_of(store.current, name) == value for name, value in asked.items())
+        assert value_of(store.current, RESTORE) is False
     assert msgspec.convert(msgspec.to_builtins(store.current), Config) == store.current
 
 

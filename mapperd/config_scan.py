@@ -1,0 +1,155 @@
+"""Settings of the way from a ping to a scan, and of localization beyond the published names."""
+
+from typing import Annotated, Literal
+
+from msgspec import Struct
+
+from mapperd.setting import rule
+
+__all__ = ["Localization", "ScanExtraction"]
+
+
+class ScanExtraction(Struct, frozen=True, forbid_unknown_fields=True):
+    """From a ping to one range a beam: the first surface."""
+
+    equalise: Annotated[
+        bool, rule("Take noise that varies over range and over beams off first.", live=True)
+    ] = True
+    guard: Annotated[
+        float,
+        rule(
+            "Around a sample, left out of its background: a pulse's length.",
+            "m",
+            live=True,
+            ge=0,
+            le=10,
+        ),
+    ] = 0.05
+    window: Annotated[
+        float,
+        rule("Before and behind a sample: its background.", "m", live=True, gt=0, le=100),
+    ] = 0.5
+    threshold: Annotated[
+        float,
+        rule("A return stands this far above its background.", "dB", live=True, ge=0, le=100),
+    ] = 10.0
+    min_intensity: Annotated[
+        float,
+        rule("And is at least this bright, as displayed.", "0-255", live=True, ge=0, le=255),
+    ] = 20.0
+    min_run: Annotated[
+        int, rule("Samples in a row that make a return.", "samples", live=True, ge=1, le=100)
+    ] = 3
+    place: Annotated[
+        Literal["leading_edge", "peak"],
+        rule("Where on a return its range is: at half its height, or its top.", live=True),
+    ] = "leading_edge"
+    side_lobe_ratio: Annotated[
+        float,
+        rule(
+            "What lies at the range of an echo that is this much stronger is its side lobe.",
+            "dB",
+            live=True,
+            gt=0,
+            le=100,
+        ),
+    ] = 20.0
+    burst_share: Annotated[
+        float,
+        rule(
+            "A ping where more beams than this changed by more than the vehicle moves is no scan.",
+            "0-1",
+            live=True,
+            gt=0,
+            le=1,
+        ),
+    ] = 0.3
+    floor_gate: Annotated[
+        Literal["weigh", "drop", "off"],
+        rule(
+            "Returns from where floor or surface may be, where height or depth is known: weigh "
+            "less, drop, or take as any other.",
+            live=True,
+        ),
+    ] = "weigh"
+    floor_quality: Annotated[float, rule("Factor of their quality.", live=True, ge=0, le=1)] = 0.3
+
+
+class Localization(Struct, frozen=True, forbid_unknown_fields=True):
+    """Where the vehicle is on a known map; `amcl` says how its filter works."""
+
+    mode: Annotated[
+        Literal["off", "track", "global"],
+        rule("Off; follow a pose that is roughly known; or find it anywhere on the map."),
+    ] = "off"
+    map_path: Annotated[
+        str,
+        rule(
+            "The known map: a grid's .yaml, a .map, or a map's file on disk.",
+            "a path or nothing",
+        ),
+    ] = ""
+    pose_path: Annotated[
+        str,
+        rule("Of the saved pose; without one it lies in the state directory.", "a path or nothing"),
+    ] = ""
+    geometry: Annotated[
+        Literal["2d", "3d"],
+        rule(
+            "Compare scans with a slice of the map, or with all of it under the ping's full "
+            "geometry."
+        ),
+    ] = "3d"
+    elevations: Annotated[
+        int,
+        rule(
+            "Of 3d: elevations within the aperture that a return may come from, the best counts.",
+            live=True,
+            ge=1,
+            le=32,
+        ),
+    ] = 5
+    correct_mapping: Annotated[bool, rule("Pings are mapped at the corrected pose.", live=True)] = (
+        False
+    )
+    random_seed: Annotated[
+        int, rule("Of all random numbers: equal input, equal run.", ge=0, le=2**63 - 1)
+    ] = 0
+    tempering: Annotated[
+        float,
+        rule(
+            "Exponent of likelihood_field_prob's product: beams that overlap are not as many "
+            "votes; 0.1 to 0.3 for a sonar, 1 is as published.",
+            live=True,
+            gt=0,
+            le=1,
+        ),
+    ] = 1.0
+    boundaries_only: Annotated[
+        bool,
+        rule("Only cells beside free ones count as obstacles, thick walls have no inside."),
+    ] = False
+    update_max_interval: Annotated[
+        float,
+        rule(
+            "An update is due after this long in any case; 0 never.", "s", live=True, ge=0, le=3600
+        ),
+    ] = 0.0
+    sigma_floor_xy: Annotated[
+        float,
+        rule("Drift at rest, in a current.", "m/sqrt(s)", live=True, ge=0, le=100),
+    ] = 0.0
+    sigma_floor_yaw: Annotated[
+        float, rule("Drift of the heading at rest.", "rad/sqrt(s)", live=True, ge=0, le=10)
+    ] = 0.0
+    max_step: Annotated[
+        float,
+        rule(
+            "An odometry's step beyond this between scans is a fault, not a motion.",
+            "m",
+            live=True,
+            gt=0,
+            le=1e4,
+        ),
+    ] = 10.0
+    scan: ScanExtraction = ScanExtraction()
