@@ -32,14 +32,24 @@ class ScanExtraction(Struct, frozen=True, forbid_unknown_fields=True):
     threshold: Annotated[
         float,
         rule("A return stands this far above its background.", "dB", live=True, ge=0, le=100),
-    ] = 10.0
+    ] = 12.0
     min_intensity: Annotated[
         float,
         rule("And is at least this bright, as displayed.", "0-255", live=True, ge=0, le=255),
-    ] = 20.0
+    ] = 12.0
     min_run: Annotated[
         int, rule("Samples in a row that make a return.", "samples", live=True, ge=1, le=100)
     ] = 3
+    beam_width: Annotated[
+        float,
+        rule(
+            "Of the sonar, -3 dB: over it an echo's top is searched behind its beginning.",
+            "deg",
+            live=True,
+            gt=0,
+            le=30,
+        ),
+    ] = 1.0
     place: Annotated[
         Literal["leading_edge", "peak"],
         rule("Where on a return its range is: at half its height, or its top.", live=True),

@@ -1,1 +1,1 @@
-"""Localization: a particle filter finds the vehicle on a known map."""
+"""Where the vehicle is on a map that is known: scans, maps, and what becomes of an estimate."""
