@@ -15,21 +15,27 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from sonar_sim import Pose, Scenario, Simulator, load_scenario
+from scan_picture import draw_scan, write_picture
+from sonar_sim import Ping, Pose, Scenario, Simulator, SonarSettings, load_scenario
 from sonar_sim.poses import quaternion_of, rotation_of
 from sonar_sim.truth import Truth
 
 from mapperd.config import Config
 from mapperd.echo import Echo
 from mapperd.localization.extraction import Surroundings, scan_of
+from mapperd.localization.floor_gate import floor_gate_m
 from mapperd.localization.levelling import level_T_base
 from mapperd.localization.scan import Scan
 from mapperd.polar_image import echo_of_image
+from mapperd.reject import Reject
 
 Floats = NDArray[np.float64]
 
 STEPS = 16
 """Directions within a beam's width to either side, of which each has its first surface."""
+
+PICTURES = 3
+"""Of each place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,9 +96,7 @@ def look(place: Place, pings: int, seed: int = 1, config: Config | None = None) 
         angles = (*random.uniform(-3.0, 3.0, 2), random.uniform(0.0, 360.0))
         pose = Pose(position, rotation_of(*np.radians(angles)))
         ping = simulator.ping(pose, k, truth=True)
-        assert ping.truth is not None
-        image = np.asarray(ping.image, dtype=np.uint8)
-        found.append(_look(place, scenario, pose, image, ping.truth, config or Config()))
+        found.append(_look(place, scenario.sonar, pose, ping, config or Config()))
     return found
 
 
@@ -119,17 +123,9 @@ def first_surfaces_m(truth: Truth, bearing_rad: Floats, beam_width_rad: float) -
     return first.reshape(len(bearing_rad), STEPS)
 
 
-def _look(
-    place: Place,
-    scenario: Scenario,
-    pose: Pose,
-    image: NDArray[np.uint8],
-    truth: Truth,
-    config: Config,
-) -> Look:
-    sonar = scenario.sonar
+def _look(place: Place, sonar: SonarSettings, pose: Pose, ping: Ping, config: Config) -> Look:
     sines = np.linspace(-1.0, 1.0, sonar.beams) * math.sin(sonar.half_aperture_rad)
-    echo = echo_of_image(image, sonar.range_m, np.arcsin(sines), config.sonar)
+    echo = echo_of_image(ping.image, sonar.range_m, np.arcsin(sines), config.sonar)
     around = Surroundings(
         0,
         level_T_base(quaternion_of(pose.rotation)),
@@ -140,32 +136,30 @@ def _look(
     began_s = time.process_time()
     scan = scan_of(echo, around, config)
     cpu_s = time.process_time() - began_s
-    assert isinstance(scan, Scan)
-    inside = np.abs(truth.ray_elevation_rad) <= sonar.vertical_width_rad / 2
-    kept = dataclasses.replace(
-        truth,
-        ray_direction=truth.ray_direction[inside],
-        ray_range_m=truth.ray_range_m[inside],
+    if ping.truth is None or isinstance(scan, Reject):
+        raise RuntimeError("a single ping with its truth gives a scan")
+    surfaces = first_surfaces_m(
+        _within(ping.truth, sonar.vertical_width_rad / 2),
+        echo.bearings_rad,
+        math.radians(place.beam_width_deg),
     )
-    surfaces = first_surfaces_m(kept, echo.bearings_rad, math.radians(place.beam_width_deg))
     off = np.abs(surfaces[scan.beam] - scan.range_m[:, None]).min(axis=1)
-    gate = _gate_m(echo.bearings_rad, around, sonar.vertical_width_rad)
-    nearest = surfaces.min(axis=1)
-    seen = int((nearest < np.minimum(gate, echo.max_range_m)).sum())
-    sure = scan.range_m < gate[scan.beam]
-    return Look(echo, scan, off <= echo.range_resolution_m, sure, seen, cpu_s)
-
-
-def _gate_m(bearing_rad: Floats, around: Surroundings, aperture_rad: float) -> Floats:
-    from mapperd.localization.floor_gate import floor_gate_m
-
-    return floor_gate_m(
-        bearing_rad,
+    gate = floor_gate_m(
+        echo.bearings_rad,
         around.level_T_sonar,
-        aperture_rad,
+        sonar.vertical_width_rad,
         height_m=around.height_m,
         depth_m=around.depth_m,
     )
+    ahead = surfaces[:, STEPS // 2] < np.minimum(gate, echo.max_range_m)
+    true = off <= echo.range_resolution_m
+    return Look(echo, scan, true, scan.range_m < gate[scan.beam], int(ahead.sum()), cpu_s)
+
+
+def _within(truth: Truth, half_aperture_rad: float) -> Truth:
+    inside = np.abs(truth.ray_elevation_rad) <= half_aperture_rad
+    direction, range_m = truth.ray_direction[inside], truth.ray_range_m[inside]
+    return dataclasses.replace(truth, ray_direction=direction, ray_range_m=range_m)
 
 
 def _scenario(place: Place) -> Scenario:
@@ -196,6 +190,9 @@ def main() -> None:
     for place in PLACES:
         looks = look(place, asked.pings)
         print(report(place, looks))
+        for k, one in enumerate(looks[:PICTURES] if asked.out else []):
+            picture = draw_scan(one.echo, one.scan, one.true)
+            write_picture(asked.out / f"scan-{place.scene}-{k}.png", picture)
 
 
 if __name__ == "__main__":
