@@ -68,6 +68,11 @@ class MapQueries:
         if free_threshold > occupied_threshold:
             raise ValueError("free_threshold must be at most occupied_threshold")
 
+    @property
+    def resolution_m(self) -> float:
+        """Edge of a voxel."""
+        return self._core.resolution_m
+
     def classify(self, points: ArrayLike) -> NDArray[np.int8]:
         """OCCUPIED, FREE or UNKNOWN at points; beyond the map's reach all is unknown.
 

@@ -1,0 +1,65 @@
+"""A planar pose that is not sure: a mean and a covariance."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["PlanarGaussian", "wrapped"]
+
+Floats = NDArray[np.float64]
+
+ASYMMETRY = 1e-9
+NEGATIVE_EIGENVALUE = 1e-9
+"""Rounding, of the largest entry or eigenvalue: below it a covariance is mended, above refused."""
+
+
+def wrapped(angle_rad: float) -> float:
+    """The same angle in -pi to pi."""
+    return math.remainder(angle_rad, math.tau)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlanarGaussian:
+    """The vehicle's place and heading on a map.
+
+    Attributes:
+        x_m, y_m, yaw_rad: mean, map frame; the heading in -pi to pi.
+        covariance: (3, 3) float64, read-only, of (x, y, yaw): symmetric, positive semi-definite.
+            Asymmetry and negative eigenvalues that are rounding are mended.
+
+    Raises:
+        ValueError: not finite, or no covariance.
+    """
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    covariance: Floats
+
+    def __post_init__(self) -> None:
+        """Check, mend and own the numbers."""
+        mean = (float(self.x_m), float(self.y_m), float(self.yaw_rad))
+        if not all(map(math.isfinite, mean)):
+            raise ValueError("a pose is finite")
+        for name, value in zip(("x_m", "y_m", "yaw_rad"), mean, strict=True):
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "yaw_rad", wrapped(mean[2]))
+        object.__setattr__(self, "covariance", _mended(np.array(self.covariance, np.float64)))
+
+
+def _mended(covariance: Floats) -> Floats:
+    if covariance.shape != (3, 3) or not np.isfinite(covariance).all():
+        raise ValueError("a covariance has 3 x 3 finite numbers")
+    largest = float(np.abs(covariance).max())
+    if np.abs(covariance - covariance.T).max() > ASYMMETRY * largest:
+        raise ValueError("the covariance is not symmetric")
+    mended = (covariance + covariance.T) / 2
+    eigenvalues, vectors = np.linalg.eigh(mended)
+    if eigenvalues[0] < -NEGATIVE_EIGENVALUE * max(float(eigenvalues[-1]), 0.0):
+        raise ValueError("the covariance is not positive semi-definite")
+    if eigenvalues[0] < 0:
+        mended = (vectors * np.maximum(eigenvalues, 0.0)) @ vectors.T
+    mended.setflags(write=False)
+    return mended
