@@ -15,7 +15,6 @@ from mapperd.localization.estimate import PlanarGaussian
 
 __all__ = ["SavePace", "load_pose", "save_pose"]
 
-VERSION = 1
 MAX_FILE_BYTES = 4096
 
 Row = tuple[float, float, float]
@@ -26,7 +25,7 @@ class _Saved(Struct, frozen=True, forbid_unknown_fields=True):
     saved_unix_ns: int
     mean: Row
     covariance: tuple[Row, Row, Row]
-    version: Literal[1] = VERSION
+    version: Literal[1] = 1
 
 
 @dataclass(frozen=True, slots=True)

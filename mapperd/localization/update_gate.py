@@ -38,8 +38,8 @@ class UpdateDecision:
     """What becomes of a scan.
 
     Attributes:
-        reason: `first`, `motion`, `time` or `forced`; `still` for no update; `bad_odometry` and
-            `odometry_jump` for a step that is no motion.
+        reason: `first`, `motion`, `time`, `forced` or `odometry_jumped`, which counts no motion;
+            without an update `still`, `bad_odometry` or `odometry_jump`.
         before: where the motion of the update begins: the odometry at the last one.
     """
 
@@ -61,12 +61,14 @@ class UpdateGate:
         updated: odometry of the last update; None after a new start.
         updated_ns: its time.
         forced: the next scan leads to an update.
+        suspect: odometry that stepped too far the last time.
     """
 
     triggered: PlanarPose | None = None
     updated: PlanarPose | None = None
     updated_ns: int | None = None
     forced: bool = False
+    suspect: PlanarPose | None = None
 
     def force(self) -> "UpdateGate":
         """Have the next scan lead to an update."""
@@ -92,8 +94,8 @@ class UpdateGate:
             stamp_ns: that time.
             amcl: `update_min_d`, `update_min_a`.
             max_interval_s: an update is due after so long in any case; 0 is never.
-            max_step_m: odometry that steps farther since the last update is at fault; motion then
-                goes on from where it is now.
+            max_step_m: odometry that steps farther from the last update is at fault. The reference
+                is held; if odometry goes on from there it has jumped, and is the reference anew.
 
         Returns:
             The gate after it, and the decision.
@@ -101,12 +103,13 @@ class UpdateGate:
         if not odom.is_finite:
             return self, UpdateDecision("bad_odometry")
         if self.updated is not None and odom.step_m(self.updated) > max_step_m:
-            held = replace(self, triggered=odom, updated=odom, forced=True)
-            return held, UpdateDecision("odometry_jump")
+            if self.suspect is None or odom.step_m(self.suspect) > max_step_m:
+                return replace(self, suspect=odom), UpdateDecision("odometry_jump")
+            return UpdateGate(odom, odom, stamp_ns), UpdateDecision("odometry_jumped", odom)
         fired = self._trigger(odom, amcl)
         reason = fired or self._other_reason(stamp_ns, max_interval_s)
         if reason is None:
-            return self, UpdateDecision("still")
+            return replace(self, suspect=None), UpdateDecision("still")
         reference = odom if fired else self.triggered
         return UpdateGate(reference, odom, stamp_ns), UpdateDecision(reason, self.updated or odom)
 

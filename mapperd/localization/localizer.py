@@ -1,0 +1,139 @@
+"""Localization: maps, poses, requests and scans on their way to the filter."""
+
+from collections import Counter
+from dataclasses import dataclass, replace
+
+from mapperd.config import Config
+from mapperd.frames import Pose
+from mapperd.localization.estimate import PlanarGaussian
+from mapperd.localization.grid_map import GridMap
+from mapperd.localization.levelling import yaw_of
+from mapperd.localization.lifecycle import Lifecycle, Start
+from mapperd.localization.particle_filter import ParticleFilter
+from mapperd.localization.pose import MapFromOdom, map_from_odom
+from mapperd.localization.scan import Scan, decimated
+from mapperd.localization.update_gate import PlanarPose, UpdateGate
+from mapperd.reject import Reject
+
+__all__ = ["Localized", "Localizer"]
+
+
+@dataclass(frozen=True, slots=True)
+class Localized:
+    """What became of a scan.
+
+    Attributes:
+        reason: as `UpdateDecision.reason`, or `no_filter`.
+        estimate: the filter's, if it took the scan.
+        transform: to be published; None before a pose is given or asked for, and from a new start
+            to the next update.
+    """
+
+    reason: str
+    estimate: PlanarGaussian | None = None
+    transform: MapFromOdom | None = None
+
+
+class Localizer:
+    """Asks the rules, and has the filter do what they say. One thread at a time.
+
+    Args:
+        particles: the filter.
+        config: the settings.
+        saved: the estimate of before a restart.
+
+    Attributes:
+        life: the rules' state.
+        counts: of scans by `Localized.reason`, and of refusals by theirs.
+    """
+
+    def __init__(
+        self, particles: ParticleFilter, config: Config, saved: PlanarGaussian | None = None
+    ) -> None:
+        self.life = Lifecycle(config.localization.mode, last=saved)
+        self.counts: Counter[str] = Counter()
+        self._filter = particles
+        self._config = config
+        self._gate = UpdateGate()
+        self._transform: MapFromOdom | None = None
+
+    def reconfigure(self, config: Config) -> None:
+        """Take other settings from the next event on; the particles stay."""
+        self._config = config
+
+    def take_map(self, grid: GridMap) -> Reject | None:
+        """As `Lifecycle.take_map`; returns why not."""
+        return self._begin(self.life.take_map(grid, self._config.amcl))
+
+    def take_pose(self, pose: PlanarGaussian, frame: str) -> Reject | None:
+        """As `Lifecycle.take_pose`; returns why not."""
+        return self._begin(self.life.take_pose(pose, frame, self._config.amcl))
+
+    def localize_globally(self) -> Reject | None:
+        """As `Lifecycle.localize_globally`; returns why not."""
+        return self._begin(self.life.localize_globally())
+
+    def set_map(self, grid: GridMap, pose: PlanarGaussian, frame: str) -> Reject | None:
+        """As `Lifecycle.set_map`; returns why not."""
+        return self._begin(self.life.set_map(grid, pose, frame, self._config.amcl))
+
+    def request_nomotion_update(self) -> Reject | None:
+        """Have the next scan lead to an update; returns why not."""
+        refused = self.life.check_nomotion_update()
+        if refused is None:
+            self._gate = self._gate.force()
+        return refused
+
+    def take_scan(self, scan: Scan, odom: Pose) -> Localized:
+        """Update by a scan, if one is due.
+
+        Args:
+            scan: any, also one without returns.
+            odom: the base in the odometry's frame at the scan's time.
+        """
+        if not self.life.running:
+            return self._counted(Localized("no_filter"))
+        amcl, ours = self._config.amcl, self._config.localization
+        now = PlanarPose(
+            float(odom.position_m[0]), float(odom.position_m[1]), yaw_of(odom.map_q_base)
+        )
+        self._gate, decision = self._gate.decide(
+            now,
+            scan.stamp_ns,
+            amcl,
+            max_interval_s=ours.update_max_interval,
+            max_step_m=ours.max_step,
+        )
+        estimate = None
+        if decision.before is not None:
+            estimate = self._filter.update(decision.before, now, decimated(scan, amcl.max_beams))
+            self.life = self.life.estimated(estimate)
+            self._transform = map_from_odom(estimate, odom, scan.stamp_ns, amcl.transform_tolerance)
+        return self._counted(Localized(decision.reason, estimate, self._published(scan.stamp_ns)))
+
+    def _published(self, stamp_ns: int) -> MapFromOdom | None:
+        """The last transform, stamped ahead of this scan."""
+        amcl = self._config.amcl
+        if self._transform is None or not (self.life.publishing and amcl.tf_broadcast):
+            return None
+        ahead_ns = round(amcl.transform_tolerance * 1e9)
+        return replace(self._transform, stamp_ns=stamp_ns + ahead_ns)
+
+    def _begin(self, asked: tuple[Lifecycle, Start] | Reject) -> Reject | None:
+        if isinstance(asked, Reject):
+            self.counts[asked.reason] += 1
+            return asked
+        self.life, start = asked
+        if start.new_map and self.life.map is not None:
+            self._filter.take_map(self.life.map)
+        if start.at is not None:
+            self._filter.start_at(start.at)
+        elif start.anywhere:
+            self._filter.start_anywhere()
+        if start.is_start:
+            self._gate, self._transform = self._gate.restarted(), None
+        return None
+
+    def _counted(self, localized: Localized) -> Localized:
+        self.counts[localized.reason] += 1
+        return localized
