@@ -123,13 +123,14 @@ class Localizer:
         if isinstance(asked, Reject):
             self.counts[asked.reason] += 1
             return asked
-        self.life, start = asked
-        if start.new_map and self.life.map is not None:
-            self._filter.take_map(self.life.map)
+        life, start = asked
+        if start.new_map and life.map is not None:
+            self._filter.take_map(life.map)
         if start.at is not None:
             self._filter.start_at(start.at)
         elif start.anywhere:
             self._filter.start_anywhere()
+        self.life = life
         if start.is_start:
             self._gate, self._transform = self._gate.restarted(), None
         return None
