@@ -1,14 +1,16 @@
 """Scans of simulated pings lie on the true first surfaces."""
 
 from types import SimpleNamespace
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import pytest
 import scan_truth
 from scan_picture import draw_scan
 from scan_truth import PLACES, Look, look
-from sonar_sim.truth import Truth
+
+if TYPE_CHECKING:
+    from sonar_sim.truth import Truth
 
 PINGS = 6
 

@@ -1,3 +1,4 @@
+import contextlib
 from pathlib import Path
 from typing import Any, get_args
 
@@ -120,10 +121,9 @@ def test_comments_and_other_scales_are_images() -> None:
 
 @given(st.binary(max_size=60))
 def test_any_bytes_are_an_image_or_refused(data: bytes) -> None:
-    try:
-        pgm_pixels(b"P5" + data, "x")
-    except MapError as error:
-        assert error.reason == "bad_map_file"
+    with contextlib.suppress(MapError):
+        pixels = pgm_pixels(b"P5" + data, "x")
+        assert pixels.ndim == 2
 
 
 def random_cells(values: list[int]) -> NDArray[np.int8]:

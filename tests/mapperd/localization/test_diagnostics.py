@@ -1,0 +1,45 @@
+import numpy as np
+import pytest
+
+from mapperd.config import Amcl
+from mapperd.localization.diagnostics import Deviation, diagnose, weight_warning
+from mapperd.localization.estimate import PlanarGaussian
+
+
+def estimate(*variances: float) -> PlanarGaussian:
+    return PlanarGaussian(0, 0, 0, np.diag(variances))
+
+
+def test_before_the_first_estimate_all_is_well() -> None:
+    assert diagnose(None, Amcl()).level == "OK"
+
+
+def test_levels_are_strict() -> None:
+    amcl = Amcl(std_warn_level_x=0.5, std_warn_level_y=0.5, std_warn_level_yaw=0.5)
+    assert diagnose(estimate(0.25, 0.25, 0.25), amcl).level == "OK"
+    assert diagnose(estimate(0.25, 0.25, 0.2501), amcl).level == "WARN"
+
+
+@pytest.mark.parametrize("which", range(3))
+def test_any_of_the_three_warns_and_is_named(which: int) -> None:
+    variances = [0.01] * 3
+    variances[which] = 0.09
+    told = diagnose(estimate(*variances), Amcl())
+    name = ("std_x", "std_y", "std_yaw")[which]
+    assert told.level == "WARN"
+    assert told.text == f"{name} 0.3 above 0.2"
+    assert [one.value for one in told.deviations] == pytest.approx(np.sqrt(variances))
+
+
+def test_no_number_is_too_large() -> None:
+    assert Deviation("std_yaw", np.nan, 0.2).is_too_large
+    assert Deviation("std_yaw", np.inf, 0.2).is_too_large
+
+
+def test_weights_that_do_not_sum_to_1_are_told_for_the_model_in_use() -> None:
+    assert weight_warning(Amcl()) is None
+    assert weight_warning(Amcl(laser_model_type="beam")) == (
+        "amcl: laser_z_hit + laser_z_rand + laser_z_max + laser_z_short is 1.1, not 1"
+    )
+    assert weight_warning(Amcl(laser_model_type="beam", laser_z_hit=0.4)) is None
+    assert "is 0.9, not 1" in str(weight_warning(Amcl(laser_z_hit=0.4)))
