@@ -10,8 +10,10 @@ from mapperd.localization.depth_slice import beam_band_m, depth_slice
 from mapperd.map_queries import MapQueries
 from mapperd.mapping import SonarMap
 
+Point = tuple[float, float, float]
 
-def queries(occupied: list[tuple[float, ...]], free: list[tuple[float, ...]]) -> MapQueries:
+
+def queries(occupied: list[Point], free: list[Point]) -> MapQueries:
     core = SonarMap(Config()).core
     core.set_log_odds(np.array(occupied).reshape(-1, 3), np.full(len(occupied), 3.0))
     core.set_log_odds(np.array(free).reshape(-1, 3), np.full(len(free), -3.0))

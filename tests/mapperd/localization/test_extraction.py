@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from mapperd.config import Config
 from mapperd.config_file import config_from_text
@@ -94,7 +95,7 @@ def test_equal_pings_give_equal_scans(make_echo: Any) -> None:
 
 def test_real_pings_of_a_still_sonar_give_nearly_one_scan(shared_data: Path) -> None:
     data = (shared_data / "oculus" / "three_pings_8bit.raw").read_bytes()
-    ranges = []
+    ranges: list[NDArray[np.float64]] = []
     watch = BurstWatch(1.0, math.radians(30))
     for message in StreamParser().feed(data, arrival_ns=0):
         ping = decode_ping(message)

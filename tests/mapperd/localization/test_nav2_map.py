@@ -35,7 +35,8 @@ def written(
 
 def cells(folder: Path, text: str) -> list[list[int]]:
     """Of the far row first, as the image has them."""
-    return read_nav2_map(written(folder, text)).occupancy[::-1].astype(int).tolist()
+    rows: list[list[int]] = read_nav2_map(written(folder, text)).occupancy[::-1].tolist()
+    return rows
 
 
 def test_trinary_is_the_default_and_row_0_is_the_far_end_of_y(tmp_path: Path) -> None:
