@@ -34,6 +34,9 @@ Floats = NDArray[np.float64]
 STEPS = 16
 """Directions within a beam's width to either side, of which each has its first surface."""
 
+BESIDE, STEEP = 3.0, 1.8
+"""Main lobes are heard so far: in beam widths, and in apertures, where two ways lose 20 dB."""
+
 PICTURES = 3
 """Of each place."""
 
@@ -65,6 +68,8 @@ class Look:
         echo: the image.
         scan: what is taken out.
         true: (N,) bool, returns that lie on a first surface.
+        beside: (N,) bool, others that lie on one within `BESIDE` beam widths.
+        steep: (N,) bool, others that lie on one above or below the aperture, within `STEEP` of it.
         sure: (N,) bool, returns from nearer than floor and surface.
         seen: beams that look at a first surface before floor and surface.
         cpu_s: that the scan took.
@@ -73,6 +78,8 @@ class Look:
     echo: Echo
     scan: Scan
     true: NDArray[np.bool_]
+    beside: NDArray[np.bool_]
+    steep: NDArray[np.bool_]
     sure: NDArray[np.bool_]
     seen: int
     cpu_s: float
@@ -138,12 +145,16 @@ def _look(place: Place, sonar: SonarSettings, pose: Pose, ping: Ping, config: Co
     cpu_s = time.process_time() - began_s
     if ping.truth is None or isinstance(scan, Reject):
         raise RuntimeError("a single ping with its truth gives a scan")
-    surfaces = first_surfaces_m(
-        _within(ping.truth, sonar.vertical_width_rad / 2),
-        echo.bearings_rad,
-        math.radians(place.beam_width_deg),
+    half_rad, width_rad = sonar.vertical_width_rad / 2, math.radians(place.beam_width_deg)
+    looks = ((half_rad, width_rad), (half_rad, BESIDE * width_rad), (STEEP * half_rad, width_rad))
+    surfaces, *others = (
+        first_surfaces_m(_within(ping.truth, half), echo.bearings_rad, width)
+        for half, width in looks
     )
-    off = np.abs(surfaces[scan.beam] - scan.range_m[:, None]).min(axis=1)
+    true, beside, steep = (
+        np.abs(found[scan.beam] - scan.range_m[:, None]).min(axis=1) <= echo.range_resolution_m
+        for found in (surfaces, *others)
+    )
     gate = floor_gate_m(
         echo.bearings_rad,
         around.level_T_sonar,
@@ -152,8 +163,9 @@ def _look(place: Place, sonar: SonarSettings, pose: Pose, ping: Ping, config: Co
         depth_m=around.depth_m,
     )
     ahead = surfaces[:, STEPS // 2] < np.minimum(gate, echo.max_range_m)
-    true = off <= echo.range_resolution_m
-    return Look(echo, scan, true, scan.range_m < gate[scan.beam], int(ahead.sum()), cpu_s)
+    sure, beside = scan.range_m < gate[scan.beam], beside & ~true
+    steep = steep & ~true & ~beside
+    return Look(echo, scan, true, beside, steep, sure, int(ahead.sum()), cpu_s)
 
 
 def _within(truth: Truth, half_aperture_rad: float) -> Truth:
@@ -170,14 +182,17 @@ def _scenario(place: Place) -> Scenario:
 
 def report(place: Place, looks: list[Look]) -> str:
     """One line of figures."""
-    true = np.concatenate([one.true for one in looks])
-    sure = np.concatenate([one.sure for one in looks])
+    true, beside, steep, sure = (
+        np.concatenate([getattr(one, name) for one in looks])
+        for name in ("true", "beside", "steep", "sure")
+    )
     seen = sum(one.seen for one in looks)
     cpu_ms = 1e3 * float(np.median([one.cpu_s for one in looks]))
     return (
         f"{place.scene}: {len(looks)} pings, {len(true)} returns, {true.mean():.1%} true; nearer "
-        f"than floor and surface {sure.sum()} returns, {true[sure].mean():.1%} true, of {seen} "
-        f"beams that look at something there; {cpu_ms:.1f} ms a ping"
+        f"than floor and surface {sure.sum()} returns, {true[sure].mean():.1%} true, "
+        f"{beside[sure].mean():.1%} beside, {steep[sure].mean():.1%} above or below, where {seen} "
+        f"beams look at something; {cpu_ms:.1f} ms a ping"
     )
 
 

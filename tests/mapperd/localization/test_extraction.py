@@ -1,10 +1,9 @@
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from mapperd.config import Config
 from mapperd.config_file import config_from_text
@@ -15,6 +14,9 @@ from mapperd.localization.extraction import Surroundings, scan_of
 from mapperd.localization.scan import Scan
 from mapperd.reject import Reject
 from oculus_driver import Ping, StreamParser, decode_ping
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 WALL = (6.01, 120, 0, 127)
 
