@@ -94,6 +94,17 @@ def test_a_slowly_rising_haze_is_no_surface(make_echo: Any) -> None:
     assert np.isfinite(found(Echo(image, echo.bearings_rad, ROW_M)).range_m).mean() < 0.05
 
 
+def test_a_haze_in_few_beams_is_no_surface_and_a_surface_in_it_is(make_echo: Any) -> None:
+    echo = make_echo(noise=2.0)
+    image = echo.intensity.copy()
+    image[:, :20] *= np.linspace(1, 12, 500)[:, None]
+    hazy = Echo(np.clip(image, 0, 255), echo.bearings_rad, ROW_M)
+    assert np.isfinite(found(hazy).range_m).sum() <= 3
+    image[400:404, :20] += 240
+    wall = Echo(np.clip(image, 0, 255), echo.bearings_rad, ROW_M)
+    assert np.nanmedian(found(wall).range_m[:20]) == pytest.approx(8.01, abs=ROW_M)
+
+
 @pytest.mark.parametrize("level", [0.0, 255.0])
 def test_empty_and_full_images_have_no_returns(make_echo: Any, level: float) -> None:
     echo = make_echo()
