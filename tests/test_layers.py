@@ -144,7 +144,6 @@ ORDER = (
     "map_file",
     "mapping",
     "localization.filter",
-    "localization.gates",
     "probability",
     "point_arrays",
     "memory_stats",

@@ -17,7 +17,6 @@ from mapperd.localization.filter import (
     HitModel,
     LikelihoodField,
 )
-from mapperd.localization.gates import evenly_spaced
 from tests.mapperd.localization.filter_cases import Floats, filter_at, log_likelihoods
 
 if TYPE_CHECKING:
@@ -162,14 +161,6 @@ def test_kld_counts(bundle: Bundle) -> None:
     for error, quantile, buckets, count in bundle["kld"]:
         size = _core.mcl_kld_size(int(buckets), error, quantile)
         assert min(size, AT_LIMIT) == count
-
-
-def test_decimation(bundle: Bundle) -> None:
-    tables = [name for name in bundle if name.startswith("take_evenly_")]
-    assert tables
-    for name in tables:
-        count, wanted = map(int, name.split("_")[2:])
-        assert evenly_spaced(count, wanted).tolist() == bundle[name].tolist()
 
 
 def test_field_is_the_recorded_one_where_that_is_exact(
