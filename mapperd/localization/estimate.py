@@ -6,13 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["PlanarGaussian", "wrapped"]
+__all__ = ["Belief", "PlanarGaussian", "wrapped"]
 
 Floats = NDArray[np.float64]
 
 ASYMMETRY = 1e-9
 NEGATIVE_EIGENVALUE = 1e-9
 """Rounding, of the largest entry or eigenvalue: below it a covariance is mended, above refused."""
+
+ELSEWHERE_M = 1.0
+AMBIGUOUS_SHARE = 0.1
+"""Particles of one mode are cut into clusters, so that their number alone says little; a tenth of
+the weight a metre off says that there is another mode."""
 
 
 def wrapped(angle_rad: float) -> float:
@@ -47,6 +52,31 @@ class PlanarGaussian:
             object.__setattr__(self, name, value)
         object.__setattr__(self, "yaw_rad", wrapped(mean[2]))
         object.__setattr__(self, "covariance", _mended(np.array(self.covariance, np.float64)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Belief:
+    """Where the particles say that the vehicle is.
+
+    Attributes:
+        best: of the heaviest cluster of at least two particles; of all where there is none.
+        overall: of all particles. A mean between two modes is where nobody is: see `elsewhere`.
+        masses: (clusters,) weight of each cluster, falling; their sum is 1.
+        elsewhere: weight of the particles that the best cluster does not explain: farther from its
+            mean than `ELSEWHERE_M` and than three of its standard deviations.
+        effective_size: how many equal particles would tell as much.
+    """
+
+    best: PlanarGaussian
+    overall: PlanarGaussian
+    masses: Floats
+    elsewhere: float
+    effective_size: float
+
+    @property
+    def ambiguous(self) -> bool:
+        """The vehicle may as well be somewhere else."""
+        return self.elsewhere > AMBIGUOUS_SHARE
 
 
 def _mended(covariance: Floats) -> Floats:

@@ -1,9 +1,8 @@
-"""The particle filter's public face: the core's parts under plain names, and what it believes."""
+"""The particle filter's public face: the core's parts under plain names, and its belief."""
 
-from dataclasses import dataclass
+import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mapperd._core import MclBeamModel as BeamModel
 from mapperd._core import MclBeams as Beams
@@ -17,11 +16,11 @@ from mapperd._core import MclHitModel as HitModel
 from mapperd._core import MclRangeMap as RangeMap
 from mapperd._core import MclRule as FilterRule
 from mapperd._core import MclWeighed as Weighed
+from mapperd.localization.estimate import ELSEWHERE_M, Belief, PlanarGaussian
 
 __all__ = [
     "BeamModel",
     "Beams",
-    "Belief",
     "Endpoints",
     "Estimate",
     "FilterRule",
@@ -36,31 +35,29 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Belief:
-    """Where the filter says the vehicle is.
-
-    Attributes:
-        best: of the heaviest cluster of at least two particles; of all where there is none.
-        overall: of all particles. A mean between two modes is where nobody is: see `masses`.
-        masses: (clusters,) weight of each cluster, falling; their sum is 1.
-        effective_size: how many equal particles would tell as much.
-    """
-
-    best: Estimate
-    overall: Estimate
-    masses: NDArray[np.float64]
-    effective_size: float
-
-    @property
-    def clusters(self) -> int:
-        """How many clusters there are, single particles among them."""
-        return len(self.masses)
-
-
 def belief(
     particles: ParticleFilter, *, bucket_xy_m: float = 0.2, bucket_yaw_rad: float = 0.524
 ) -> Belief:
     """What the particles say together; the buckets are those that clusters are made of."""
-    best, masses, _ = particles.modes(bucket_xy_m, bucket_yaw_rad)
-    return Belief(best, particles.estimate(), masses, particles.effective_size())
+    found, masses, _ = particles.modes(bucket_xy_m, bucket_yaw_rad)
+    best = _gaussian(found)
+    offset = particles.poses[:, :2] - (best.x_m, best.y_m)
+    sigma_m = math.sqrt(max(float(np.linalg.eigvalsh(best.covariance[:2, :2])[-1]), 0.0))
+    off = np.hypot(offset[:, 0], offset[:, 1]) > max(ELSEWHERE_M, 3.0 * sigma_m)
+    return Belief(
+        best,
+        _gaussian(particles.estimate()),
+        masses,
+        float(particles.weights[off].sum()),
+        particles.effective_size(),
+    )
+
+
+def _gaussian(estimate: Estimate) -> PlanarGaussian:
+    """Headings that cancel have no variance that a number holds: then any heading will do."""
+    covariance = estimate.covariance
+    if not np.isfinite(covariance).all():
+        covariance[2, :] = covariance[:, 2] = 0.0
+    covariance[2, 2] = min(covariance[2, 2] if estimate.heading_known else np.inf, math.pi**2)
+    x_m, y_m, yaw_rad = estimate.mean
+    return PlanarGaussian(x_m, y_m, yaw_rad, covariance)

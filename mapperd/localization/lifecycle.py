@@ -23,7 +23,7 @@ import numpy as np
 
 from mapperd.config import Amcl
 from mapperd.localization.estimate import PlanarGaussian
-from mapperd.localization.grid_map import GridMap
+from mapperd.localization.volume_map import LocalizationMap
 from mapperd.reject import Reject
 
 __all__ = ["Lifecycle", "Start", "parameter_pose"]
@@ -65,7 +65,7 @@ class Lifecycle:
     """
 
     mode: Mode = "track"
-    map: GridMap | None = None
+    map: LocalizationMap | None = None
     running: bool = False
     publishing: bool = False
     waiting: PlanarGaussian | None = None
@@ -80,7 +80,7 @@ class Lifecycle:
             return "waiting for a map"
         return "localizing" if self.running else "waiting for a pose"
 
-    def take_map(self, new: GridMap, amcl: Amcl) -> "tuple[Lifecycle, Start] | Reject":
+    def take_map(self, new: LocalizationMap, amcl: Amcl) -> "tuple[Lifecycle, Start] | Reject":
         """A map has come."""
         if amcl.first_map_only and self.running:
             return Reject("first_map_only", "a map is in use and amcl.first_map_only holds it")
@@ -116,7 +116,7 @@ class Lifecycle:
         return self._anywhere(self.map, new_map=False, publishing=True)
 
     def set_map(
-        self, new: GridMap, pose: PlanarGaussian, frame: str, amcl: Amcl
+        self, new: LocalizationMap, pose: PlanarGaussian, frame: str, amcl: Amcl
     ) -> "tuple[Lifecycle, Start] | Reject":
         """Map and pose in one: both or neither. Needs a filter that runs."""
         if not self.running:
@@ -141,17 +141,17 @@ class Lifecycle:
         return parameter_pose(amcl) if amcl.set_initial_pose else None
 
     def _at(
-        self, pose: PlanarGaussian, grid: GridMap, *, new_map: bool
+        self, pose: PlanarGaussian, known: LocalizationMap, *, new_map: bool
     ) -> "tuple[Lifecycle, Start]":
-        started = Lifecycle(self.mode, grid, running=True, publishing=True, last=pose)
+        started = Lifecycle(self.mode, known, running=True, publishing=True, last=pose)
         return started, Start(new_map=new_map, at=pose)
 
     def _anywhere(
-        self, grid: GridMap, *, new_map: bool, publishing: bool
+        self, known: LocalizationMap, *, new_map: bool, publishing: bool
     ) -> "tuple[Lifecycle, Start] | Reject":
-        if not grid.has_free_cells:
+        if not known.has_free_cells:
             return Reject("no_free_cells", "the map has no free cell that a vehicle can be in")
-        started = Lifecycle(self.mode, grid, running=True, publishing=publishing)
+        started = Lifecycle(self.mode, known, running=True, publishing=publishing)
         return started, Start(new_map=new_map, anywhere=True)
 
 

@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 
 from mapperd.config import Config
 from mapperd.frames import Pose
-from mapperd.localization.estimate import PlanarGaussian
-from mapperd.localization.grid_map import GridMap
+from mapperd.localization.estimate import Belief, PlanarGaussian
 from mapperd.localization.levelling import yaw_of
 from mapperd.localization.lifecycle import Lifecycle, Start
-from mapperd.localization.particle_filter import ParticleFilter
 from mapperd.localization.pose import MapFromOdom, map_from_odom
+from mapperd.localization.pose_filter import PoseFilter
 from mapperd.localization.scan import Scan, decimated
 from mapperd.localization.update_gate import PlanarPose, UpdateGate
+from mapperd.localization.volume_map import LocalizationMap
 from mapperd.reject import Reject
 
 __all__ = ["Localized", "Localizer"]
@@ -24,14 +24,19 @@ class Localized:
 
     Attributes:
         reason: as `UpdateDecision.reason`, or `no_filter`.
-        estimate: the filter's, if it took the scan.
+        belief: the filter's, if it took the scan.
         transform: to be published; None before a pose is given or asked for, and from a new start
             to the next update.
     """
 
     reason: str
-    estimate: PlanarGaussian | None = None
+    belief: Belief | None = None
     transform: MapFromOdom | None = None
+
+    @property
+    def estimate(self) -> PlanarGaussian | None:
+        """The best mode of the belief."""
+        return None if self.belief is None else self.belief.best
 
 
 class Localizer:
@@ -48,7 +53,7 @@ class Localizer:
     """
 
     def __init__(
-        self, particles: ParticleFilter, config: Config, saved: PlanarGaussian | None = None
+        self, particles: PoseFilter, config: Config, saved: PlanarGaussian | None = None
     ) -> None:
         self.life = Lifecycle(config.localization.mode, last=saved)
         self.counts: Counter[str] = Counter()
@@ -58,12 +63,17 @@ class Localizer:
         self._transform: MapFromOdom | None = None
 
     def reconfigure(self, config: Config) -> None:
-        """Take other settings from the next event on; the particles stay."""
+        """Take other settings from the next event on; the particles stay.
+
+        Raises:
+            ValueError: the filter refuses them; the settings are as before.
+        """
+        self._filter.reconfigure(config)
         self._config = config
 
-    def take_map(self, grid: GridMap) -> Reject | None:
+    def take_map(self, known: LocalizationMap) -> Reject | None:
         """As `Lifecycle.take_map`; returns why not."""
-        return self._begin(self.life.take_map(grid, self._config.amcl))
+        return self._begin(self.life.take_map(known, self._config.amcl))
 
     def take_pose(self, pose: PlanarGaussian, frame: str) -> Reject | None:
         """As `Lifecycle.take_pose`; returns why not."""
@@ -73,9 +83,9 @@ class Localizer:
         """As `Lifecycle.localize_globally`; returns why not."""
         return self._begin(self.life.localize_globally())
 
-    def set_map(self, grid: GridMap, pose: PlanarGaussian, frame: str) -> Reject | None:
+    def set_map(self, known: LocalizationMap, pose: PlanarGaussian, frame: str) -> Reject | None:
         """As `Lifecycle.set_map`; returns why not."""
-        return self._begin(self.life.set_map(grid, pose, frame, self._config.amcl))
+        return self._begin(self.life.set_map(known, pose, frame, self._config.amcl))
 
     def request_nomotion_update(self) -> Reject | None:
         """Have the next scan lead to an update; returns why not."""
@@ -104,12 +114,18 @@ class Localizer:
             max_interval_s=ours.update_max_interval,
             max_step_m=ours.max_step,
         )
-        estimate = None
+        belief = None
         if decision.before is not None:
-            estimate = self._filter.update(decision.before, now, decimated(scan, amcl.max_beams))
-            self.life = self.life.estimated(estimate)
-            self._transform = map_from_odom(estimate, odom, scan.stamp_ns, amcl.transform_tolerance)
-        return self._counted(Localized(decision.reason, estimate, self._published(scan.stamp_ns)))
+            belief = self._updated(decision.before, now, scan, odom)
+        return self._counted(Localized(decision.reason, belief, self._published(scan.stamp_ns)))
+
+    def _updated(self, before: PlanarPose, now: PlanarPose, scan: Scan, odom: Pose) -> Belief:
+        amcl = self._config.amcl
+        height_m = float(odom.position_m[2])
+        belief = self._filter.update(before, now, decimated(scan, amcl.max_beams), height_m)
+        self.life = self.life.estimated(belief.best)
+        self._transform = map_from_odom(belief.best, odom, scan.stamp_ns, amcl.transform_tolerance)
+        return belief
 
     def _published(self, stamp_ns: int) -> MapFromOdom | None:
         """The last transform, stamped ahead of this scan."""

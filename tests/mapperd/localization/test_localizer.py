@@ -7,13 +7,15 @@ import pytest
 from mapperd.config import Amcl, Config
 from mapperd.config_file import config_from_text
 from mapperd.frames import Pose, pose_from_rpy
-from mapperd.localization.estimate import PlanarGaussian
+from mapperd.localization.estimate import Belief, PlanarGaussian
 from mapperd.localization.grid_map import GridMap
 from mapperd.localization.localizer import Localizer
 from mapperd.localization.scan import Scan
 from mapperd.localization.update_gate import PlanarPose
+from mapperd.localization.volume_map import LocalizationMap
 
 GRID = GridMap(np.zeros((3, 3), dtype=np.int8), 1.0)
+HEIGHT_M = -4.0
 TRACK = config_from_text("localization: {mode: track}")
 
 
@@ -25,8 +27,12 @@ class Particles:
         self.beams = 0
         self.x_m = 0.0
 
-    def take_map(self, grid: GridMap) -> None:
-        self.asked.append(f"map {len(grid.occupancy)}")
+    def reconfigure(self, config: Config) -> None:
+        self.asked.append(f"settings {config.amcl.max_beams}")
+
+    def take_map(self, known: LocalizationMap) -> None:
+        assert isinstance(known, GridMap)
+        self.asked.append(f"map {len(known.occupancy)}")
 
     def start_at(self, pose: PlanarGaussian) -> None:
         self.asked.append("at")
@@ -35,11 +41,15 @@ class Particles:
     def start_anywhere(self) -> None:
         self.asked.append("anywhere")
 
-    def update(self, before: PlanarPose, now: PlanarPose, scan: Scan) -> PlanarGaussian:
+    def update(
+        self, before: PlanarPose, now: PlanarPose, scan: Scan, base_height_m: float
+    ) -> Belief:
+        assert base_height_m == HEIGHT_M
         self.asked.append("update")
         self.beams = len(scan)
         self.x_m += now.x_m - before.x_m
-        return pose(self.x_m)
+        there = pose(self.x_m)
+        return Belief(there, there, np.ones(1), 0.0, 1.0)
 
 
 def pose(x: float) -> PlanarGaussian:
@@ -47,7 +57,7 @@ def pose(x: float) -> PlanarGaussian:
 
 
 def odom(x: float) -> Pose:
-    return pose_from_rpy((x, 0, -4), (0, 0, 0))
+    return pose_from_rpy((x, 0, HEIGHT_M), (0, 0, 0))
 
 
 def scan(k: int, beams: int = 100) -> Scan:
@@ -167,6 +177,7 @@ def test_settings_hold_from_the_next_scan_on() -> None:
     localizer.reconfigure(changed)
     found = localizer.take_scan(scan(3), odom(0))
     assert particles.beams == 7
+    assert "settings 7" in particles.asked
     assert found.transform is not None
     assert found.transform.stamp_ns == 3 * 10**9
 

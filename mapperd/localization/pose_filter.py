@@ -1,19 +1,23 @@
-"""What localization needs of a particle filter; the one that does it is in the core."""
+"""What localization needs of a filter."""
 
 from typing import Protocol
 
-from mapperd.localization.estimate import PlanarGaussian
-from mapperd.localization.grid_map import GridMap
+from mapperd.config import Config
+from mapperd.localization.estimate import Belief, PlanarGaussian
 from mapperd.localization.scan import Scan
 from mapperd.localization.update_gate import PlanarPose
+from mapperd.localization.volume_map import LocalizationMap
 
-__all__ = ["ParticleFilter"]
+__all__ = ["PoseFilter"]
 
 
-class ParticleFilter(Protocol):
+class PoseFilter(Protocol):
     """Particles on a map."""
 
-    def take_map(self, grid: GridMap) -> None:
+    def reconfigure(self, config: Config) -> None:
+        """Take other settings; the particles are as they were."""
+
+    def take_map(self, known: LocalizationMap) -> None:
         """Use another map from now on; the particles are as they were."""
 
     def start_at(self, pose: PlanarGaussian) -> None:
@@ -22,14 +26,17 @@ class ParticleFilter(Protocol):
     def start_anywhere(self) -> None:
         """Draw all particles anew on the map's free cells."""
 
-    def update(self, before: PlanarPose, now: PlanarPose, scan: Scan) -> PlanarGaussian:
+    def update(
+        self, before: PlanarPose, now: PlanarPose, scan: Scan, base_height_m: float
+    ) -> Belief:
         """Move, weigh and, if it is due, resample the particles.
 
         Args:
             before: odometry at the last update.
             now: odometry at the scan.
             scan: what to weigh by; an empty one moves the particles only.
+            base_height_m: of the base in the map, from the depth.
 
         Returns:
-            The estimate.
+            Where the vehicle is.
         """

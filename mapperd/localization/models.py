@@ -1,0 +1,73 @@
+"""The settings of localization as the core's filter takes them."""
+
+import numpy as np
+
+from mapperd.config import Amcl, Config
+from mapperd.localization.filter import (
+    BeamModel,
+    FilterRule,
+    Grid,
+    HitModel,
+    LikelihoodField,
+)
+from mapperd.localization.grid_map import GridMap
+from mapperd.localization.volume_map import LocalizationMap, VolumeMap
+
+__all__ = ["beam_model", "core_grid", "field_of", "filter_rule", "hit_model"]
+
+
+def filter_rule(amcl: Amcl) -> FilterRule:
+    """How the filter resamples and recovers."""
+    return FilterRule(
+        min_particles=amcl.min_particles,
+        max_particles=amcl.max_particles,
+        kld_error=amcl.pf_err,
+        kld_quantile=amcl.pf_z,
+        bucket_x_m=amcl.spatial_resolution_x,
+        bucket_y_m=amcl.spatial_resolution_y,
+        bucket_yaw_rad=amcl.spatial_resolution_theta,
+        alpha_slow=amcl.recovery_alpha_slow,
+        alpha_fast=amcl.recovery_alpha_fast,
+        resample_interval=amcl.resample_interval,
+        selective=amcl.selective_resampling,
+    )
+
+
+def hit_model(amcl: Amcl) -> HitModel:
+    """How likely a return is at a distance from the nearest surface."""
+    return HitModel(
+        z_hit=amcl.laser_z_hit,
+        z_rand=amcl.laser_z_rand,
+        sigma_hit_m=amcl.laser_sigma_hit,
+        max_range_m=amcl.laser_max_range,
+        max_distance_m=amcl.laser_likelihood_max_dist,
+    )
+
+
+def beam_model(amcl: Amcl) -> BeamModel:
+    """How likely a range is where another is expected."""
+    return BeamModel(
+        z_hit=amcl.laser_z_hit,
+        z_short=amcl.laser_z_short,
+        z_max=amcl.laser_z_max,
+        z_rand=amcl.laser_z_rand,
+        sigma_hit_m=amcl.laser_sigma_hit,
+        lambda_short_per_m=amcl.laser_lambda_short,
+        max_range_m=amcl.laser_max_range,
+    )
+
+
+def core_grid(grid: GridMap) -> Grid:
+    """The planar map for the core."""
+    origin = np.array([grid.origin_x_m, grid.origin_y_m, grid.origin_yaw_rad])
+    return Grid(grid.occupancy, grid.resolution_m, origin)
+
+
+def field_of(known: LocalizationMap, config: Config) -> LikelihoodField:
+    """Likelihoods of all places of a map, in as many layers as it has."""
+    model = hit_model(config.amcl)
+    if isinstance(known, VolumeMap):
+        distances = (known.distances_m, known.first_centre_m, known.resolution_m)
+        return LikelihoodField.of_distances(*distances, model)
+    boundaries = config.localization.boundaries_only
+    return LikelihoodField.of_grid(core_grid(known), model, boundaries)
