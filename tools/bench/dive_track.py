@@ -1,0 +1,105 @@
+"""A dive's true path, and what its odometry makes of it."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from dive_world import Place
+from numpy.typing import NDArray
+from sonar_sim.trajectory import Motion, Trajectory, Waypoint
+
+__all__ = ["Drift", "Track", "drifted", "track_of"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """How odometry errs.
+
+    Attributes:
+        scale: of the way, on top.
+        yaw_rad_per_s: of the heading.
+        current_mps: carries the vehicle, and odometry does not know of it.
+        current_turn_s: in which it goes once around the compass.
+    """
+
+    scale: float = 0.02
+    yaw_rad_per_s: float = math.radians(1.0) / 60.0
+    current_mps: float = 0.05
+    current_turn_s: float = 600.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """The base at the times of the pings.
+
+    Attributes:
+        time_s: (N,).
+        place: (N, 6) x, y, z in metres, roll, pitch, yaw in radians, map frame.
+    """
+
+    time_s: Floats
+    place: Floats
+
+    @property
+    def way_m(self) -> Floats:
+        """(N,) driven so far."""
+        steps = np.hypot(*np.diff(self.place[:, :2], axis=0).T)
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def track_of(place: Place, duration_s: float, interval_s: float, seed: int) -> Track:
+    """Random legs through the place's box, the bow ahead."""
+    random = np.random.default_rng((seed, 1))
+    low, high = np.array(place.low_m, float), np.array(place.high_m, float)
+    here = random.uniform(low, high)
+    yaw_deg = random.uniform(-180.0, 180.0)
+    points = [Waypoint(*here, place.z_m, yaw_deg)]
+    passed_s, rate_dps = 0.0, 15.0
+    while passed_s < duration_s:
+        there = random.uniform(low, high)
+        leg = there - here
+        if np.hypot(*leg) < 0.2 * np.hypot(*(high - low)):
+            continue
+        turn = math.degrees(math.atan2(leg[1], leg[0])) - yaw_deg
+        turn = math.remainder(turn, 360.0)
+        yaw_deg += turn
+        points += [
+            Waypoint(*here, place.z_m, yaw_deg),
+            Waypoint(*there, place.z_m, yaw_deg),
+        ]
+        passed_s += abs(turn) / rate_dps + float(np.hypot(*leg)) / place.speed_mps
+        here = there
+    motion = Motion(place.speed_mps, rate_dps, heave_m=0.02)
+    path = Trajectory(points, motion)
+    time_s = np.arange(0.0, min(duration_s, path.duration_s), interval_s)
+    poses = [path.pose(float(t)) for t in time_s]
+    rows = [[*p.position_m, *_angles(p.rotation)] for p in poses]
+    return Track(time_s, np.array(rows))
+
+
+def drifted(track: Track, drift: Drift, seed: int) -> Floats:
+    """(N, 3) x, y, yaw that odometry says, from an origin of its own."""
+    random = np.random.default_rng((seed, 2))
+    sign = random.choice([-1.0, 1.0], 2)
+    true, time_s = track.place, track.time_s
+    passed_s = np.diff(time_s, prepend=time_s[0])
+    toward = 2 * math.pi * (time_s / drift.current_turn_s + random.uniform())
+    current = drift.current_mps * np.stack([np.cos(toward), np.sin(toward)], axis=1)
+    steps = np.diff(true[:, :2], axis=0, prepend=true[:1, :2]) - current * passed_s[:, None]
+    steps *= 1.0 + sign[0] * drift.scale
+    # Steps turn with the heading's error at their time.
+    wrong = sign[1] * drift.yaw_rad_per_s * time_s + random.uniform(-math.pi, math.pi)
+    c, s = np.cos(wrong), np.sin(wrong)
+    turned = np.stack([c * steps[:, 0] - s * steps[:, 1], s * steps[:, 0] + c * steps[:, 1]], axis=1)
+    return np.column_stack([np.cumsum(turned, axis=0), true[:, 5] + wrong])
+
+
+def _angles(rotation: Floats) -> tuple[float, float, float]:
+    """Roll, pitch and yaw of Rz(yaw) Ry(pitch) Rx(roll)."""
+    return (
+        math.atan2(rotation[2, 1], rotation[2, 2]),
+        -math.asin(float(np.clip(rotation[2, 0], -1.0, 1.0))),
+        math.atan2(rotation[1, 0], rotation[0, 0]),
+    )

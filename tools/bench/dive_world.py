@@ -1,0 +1,169 @@
+"""Where simulated dives are localized: a scene, the box that is driven in, and its known map."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+from sonar_sim import Scenario, load_scenario
+from sonar_sim.meshes import Meshes
+
+from mapperd.config import Config, Octree
+from mapperd.localization.volume_map import VolumeMap, volume_map
+from mapperd.map_queries import MapQueries
+from mapperd.mapping import SonarMap
+
+__all__ = ["WORLDS", "Place", "World"]
+
+Floats = NDArray[np.float64]
+SURE = 3.0
+"""Log-odds of the map's voxels."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """How a scene is driven through.
+
+    Attributes:
+        scene: its name.
+        low_m, high_m: (x, y) corners of where the vehicle drives.
+        z_m: at which height.
+        range_m: of the sonar.
+        speed_mps: of the vehicle.
+        map_low_m, map_high_m: corners of the map.
+        floor_m: height of the floor, where it is level.
+        beam_width_deg: of the sonar, -3 dB.
+        voxel_m: of the map.
+        step_m: of way between updates.
+        water_radius_m, water_north_m: where its water ends.
+        right_m: an estimate nearer than this to the truth has the right mode.
+    """
+
+    scene: str
+    low_m: tuple[float, float]
+    high_m: tuple[float, float]
+    z_m: float
+    range_m: float
+    speed_mps: float
+    map_low_m: tuple[float, float, float]
+    map_high_m: tuple[float, float, float]
+    floor_m: float
+    beam_width_deg: float = 1.0
+    voxel_m: float = 0.1
+    step_m: float = 0.15
+    water_radius_m: float = math.inf
+    water_north_m: float = math.inf
+    right_m: float = 1.0
+
+
+HARBOUR = Place(
+    "harbour", (-20, -10), (20, 1.5), -3.2, 20.0, 0.5, (-27, -30, -8), (27, 5.5, 0.3), -6.5, water_north_m=4.0
+)
+PILES = Place(
+    "pile_field", (-10, -1.8), (10, 1.8), -4.4, 20.0, 0.5, (-14, -9, -8), (14, 9, 0.5), -6.5
+)
+TANK = Place(
+    "tank",
+    (-0.9, -0.9),
+    (0.9, 0.4),
+    -1.2,
+    4.0,
+    0.1,
+    (-3.2, -3.2, -2.6),
+    (3.2, 3.2, 0.2),
+    -2.4,
+    0.6,
+    0.05,
+    0.03,
+    3.0,
+    right_m=0.3,
+)
+WORLDS = {place.scene: place for place in (HARBOUR, PILES, TANK)}
+
+
+class World:
+    """A place, with what its rays meet and the map that is known of it.
+
+    Args:
+        place: which.
+    """
+
+    def __init__(self, place: Place) -> None:
+        scenario = load_scenario(place.scene)
+        sonar = dataclasses.replace(scenario.sonar, demanded_range_m=place.range_m)
+        self.place = place
+        self.scenario: Scenario = dataclasses.replace(scenario, sonar=sonar)
+        self.meshes = Meshes(scenario.scene)
+
+    @cached_property
+    def true_map(self) -> SonarMap:
+        """The scene's surfaces in voxels, and free water where the vehicle drives.
+
+        It has been in a file, as a known map has.
+        """
+        settings = Config(octree=Octree(voxel_resolution=self.place.voxel_m))
+        made, read = SonarMap(settings), SonarMap(settings)
+        water = self._water_m()
+        made.core.set_log_odds(water, np.full(len(water), -SURE))
+        surface = self._surface_m()
+        made.core.set_log_odds(surface, np.full(len(surface), SURE))
+        with TemporaryDirectory() as folder:
+            made.save(Path(folder) / "known.map")
+            read.load(Path(folder) / "known.map")
+        return read
+
+    def known(self, max_distance_m: float) -> VolumeMap:
+        """The map to be localized on; a vehicle can be wherever there is water at its height."""
+        place, half_m = self.place, self.place.voxel_m / 2
+        mapping = self.true_map.config.mapping
+        queries = MapQueries(
+            self.true_map.core,
+            occupied_threshold=mapping.occupied_threshold,
+            free_threshold=mapping.free_threshold,
+        )
+        low, high = np.array(place.map_low_m, float), np.array(place.map_high_m, float)
+        band_m = (self._layer_m - half_m, self._layer_m + half_m)
+        return volume_map(queries, low, high, band_m, max_distance_m)
+
+    def _surface_m(self) -> Floats:
+        """A point in each voxel that a surface crosses, and a little more."""
+        points = _points_on(self.scenario.scene.triangles_m, 0.7 * self.place.voxel_m)
+        low, high = self.place.map_low_m, self.place.map_high_m
+        inside = np.all((points >= low) & (points <= high), axis=1)
+        cells = np.unique(np.floor(points[inside] / self.place.voxel_m), axis=0)
+        return np.asarray((cells + 0.5) * self.place.voxel_m)
+
+    def _water_m(self) -> Floats:
+        edge_m, place = self.place.voxel_m, self.place
+        x, y = (
+            np.arange(place.map_low_m[k] + edge_m / 2, place.map_high_m[k], edge_m)
+            for k in range(2)
+        )
+        x, y = (part.ravel() for part in np.meshgrid(x, y))
+        inside = (np.hypot(x, y) < place.water_radius_m) & (y < place.water_north_m)
+        x, y = x[inside], y[inside]
+        return np.stack([x, y, np.full(len(x), self._layer_m)], axis=1)
+
+    @property
+    def _layer_m(self) -> float:
+        """Middle of the voxels that the vehicle drives through."""
+        return (math.floor(self.place.z_m / self.place.voxel_m) + 0.5) * self.place.voxel_m
+
+
+def _points_on(triangles_m: Floats, step_m: float) -> Floats:
+    """(N, 3) points on triangles (F, 3, 3), not farther apart than a step along their edges."""
+    a, b, c = (triangles_m[:, k] for k in range(3))
+    longest = np.max([np.linalg.norm(b - a, axis=1), np.linalg.norm(c - b, axis=1), np.linalg.norm(a - c, axis=1)], axis=0)
+    steps = np.maximum(np.ceil(longest / step_m).astype(int), 1)
+    parts = [np.empty((0, 3))]
+    for count in np.unique(steps):
+        u, v = np.meshgrid(np.arange(count + 1), np.arange(count + 1))
+        inside = u + v <= count
+        share = np.stack([u[inside], v[inside]], axis=1) / count
+        share = np.column_stack([1.0 - share.sum(axis=1), share])
+        parts.append((share @ triangles_m[steps == count]).reshape(-1, 3))
+    return np.concatenate(parts)
