@@ -130,7 +130,7 @@ def dive(
         keep_particles_s: times after which the next moment has its particles.
     """
     track = _track(world.place, what)
-    odometry = drifted(track, what.drift, what.seed)
+    odometry = drifted(track, world.place, what.drift, what.seed)
     reckoned_m = _reckoned_m(track, odometry)
     random = np.random.default_rng((what.seed, 3))
     particles = MapFilter(config)

@@ -22,16 +22,19 @@ __all__ = ["Shares", "cast_scan"]
 
 Floats = NDArray[np.float64]
 
-BEAMS = 86
-"""Every sixth of 512."""
+BEAMS = 171
+"""Every third of 512: as many returns as a scan is decimated to."""
 
-NEAR_OFFSETS = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
-BESIDE_OFFSETS = np.array([-3.0, -2.0, 2.0, 3.0])
+NEAR_OFFSETS = np.array([-0.5, -0.25, 0.0, 0.25, 0.5])
+BESIDE_OFFSETS = np.array([-2.0, -1.0, 1.0, 2.0])
 """In beam widths from the beam's middle."""
 
 ELEVATIONS = 13
 STEEP = 1.8
 """Rays in the aperture, and in apertures how far above and below something is still heard."""
+
+SOFT_REACH = 0.15
+"""Floor and sea are heard from where they come into the aperture up to so much farther."""
 
 QUALITY, QUALITY_SIGMA, FLOOR_QUALITY = 0.70, 0.05, 0.3
 
@@ -49,16 +52,16 @@ class Shares:
     """
 
     heard: float = 0.78
-    heard_floor: float = 0.12
-    beside: float = 0.083
-    steep: float = 0.068
-    elsewhere: float = 0.076
+    heard_floor: float = 0.05
+    beside: float = 0.10
+    steep: float = 0.03
+    elsewhere: float = 0.01
 
 
 SHARES = {
     "harbour": Shares(),
     "pile_field": Shares(),
-    "tank": Shares(1.0, 1.0, 0.033, 0.002, 0.111),
+    "tank": Shares(1.0, 1.0, 0.03, 0.0, 0.01),
 }
 
 
@@ -75,7 +78,7 @@ def cast_scan(world: World, place: Floats, stamp_ns: int, random: np.random.Gene
     bearing = np.arcsin(np.linspace(-1, 1, BEAMS) * math.sin(sonar.half_aperture_rad))
     map_R_sonar = rotation_of(*place[3:])  # noqa: N806 frames are named
     row_m = sonar.range_m / sonar.rows
-    near, beside, steep = _surfaces(world, place[:3], map_R_sonar, bearing)
+    near, beside, steep, soft = _surfaces(world, place[:3], map_R_sonar, bearing)
     level = np.eye(4)
     level[:3, :3] = rotation_of(place[3], place[4], 0.0)
     gate = floor_gate_m(
@@ -85,7 +88,7 @@ def cast_scan(world: World, place: Floats, stamp_ns: int, random: np.random.Gene
         height_m=place[2] - where.floor_m,
         depth_m=-place[2],
     )
-    ahead = near.min(axis=1) < np.minimum(gate, sonar.range_m)
+    ahead = np.isfinite(near[:, len(NEAR_OFFSETS) // 2])
     columns = np.arange(BEAMS)
     range_m = near[columns, random.integers(near.shape[1], size=BEAMS)]
     kind = random.uniform(size=BEAMS)
@@ -95,6 +98,8 @@ def cast_scan(world: World, place: Floats, stamp_ns: int, random: np.random.Gene
     range_m = np.where((kind >= limits[0]) & (kind < limits[1]), steep, range_m)
     anywhere = random.uniform(0.5, sonar.range_m, BEAMS)
     range_m = np.where((kind >= limits[1]) & (kind < limits[2]), anywhere, range_m)
+    reach = random.uniform(0.0, SOFT_REACH, BEAMS)
+    range_m = np.where(ahead, range_m, soft * (1.0 + reach))
     range_m = range_m + random.uniform(-row_m, row_m, BEAMS)
     heard = random.uniform(size=BEAMS) < np.where(ahead, shares.heard, shares.heard_floor)
     heard &= (range_m > 0.5) & (range_m < sonar.range_m)
@@ -116,8 +121,12 @@ def cast_scan(world: World, place: Floats, stamp_ns: int, random: np.random.Gene
 
 def _surfaces(
     world: World, origin_m: Floats, map_R_sonar: Floats, bearing: Floats  # noqa: N803
-) -> tuple[Floats, Floats, Floats]:
-    """First ranges within the beam (B, 5), beside it (B, 4), and above and below it (B,)."""
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """First ranges within the beam (B, 5), beside it (B, 4), and above and below it (B,).
+
+    Of things, that is: floor and sea, at grazing incidence, are faint before them. Their own first
+    ranges in the beam are the last (B,). Infinite is none.
+    """
     sonar = world.scenario.sonar
     width_rad = math.radians(world.place.beam_width_deg)
     half = sonar.vertical_width_rad / 2
@@ -129,9 +138,13 @@ def _surfaces(
     directions = np.stack(parts, axis=1)
     rays = (directions.reshape(-1, 3) @ map_R_sonar.T).astype(np.float32)
     met = world.meshes.cast(origin_m, rays, 0.0, float(sonar.range_m), threads=1)
-    ranges = np.where(met.face < 0, np.inf, met.range_m).reshape(directions.shape[:3])
-    first = ranges.min(axis=2).astype(np.float64)
-    return first[:, : len(NEAR_OFFSETS)], first[:, len(NEAR_OFFSETS) : -1], first[:, -1]
+    ranges = np.where(met.face < 0, np.inf, met.range_m).astype(np.float64)
+    is_soft = np.isin(world.meshes.surface[met.face], world.soft)
+    shape = directions.shape[:3]
+    first = np.where(is_soft, np.inf, ranges).reshape(shape).min(axis=2)
+    soft = np.where(is_soft, ranges, np.inf).reshape(shape).min(axis=2)
+    count = len(NEAR_OFFSETS)
+    return first[:, :count], first[:, count:-1], first[:, -1], soft[:, count // 2]
 
 
 def _cones(bearing: Floats, elevation: Floats) -> Floats:

@@ -20,14 +20,18 @@ class Drift:
     Attributes:
         scale: of the way, on top.
         yaw_rad_per_s: of the heading.
-        current_mps: carries the vehicle, and odometry does not know of it.
-        current_turn_s: in which it goes once around the compass.
+        through_water: it reckons through the water, and does not know of the current; else over
+            ground, as a Doppler log does.
     """
 
     scale: float = 0.02
     yaw_rad_per_s: float = math.radians(1.0) / 60.0
-    current_mps: float = 0.05
-    current_turn_s: float = 600.0
+    through_water: bool = False
+
+
+CURRENT_MPS, CURRENT_TURN_S = 0.05, 600.0
+"""Of the water, and in which time it goes once around the compass. Vehicles crab in it: bow and way
+differ by up to 6 degrees."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +54,7 @@ class Track:
 
 
 def track_of(place: Place, duration_s: float, interval_s: float, seed: int) -> Track:
-    """Random legs through the place's box, the bow ahead."""
+    """Random legs through the place's box, the bow as far off the way as the current asks for."""
     random = np.random.default_rng((seed, 1))
     low, high = np.array(place.low_m, float), np.array(place.high_m, float)
     here = random.uniform(low, high)
@@ -62,7 +66,8 @@ def track_of(place: Place, duration_s: float, interval_s: float, seed: int) -> T
         leg = there - here
         if np.hypot(*leg) < 0.2 * np.hypot(*(high - low)):
             continue
-        turn = math.degrees(math.atan2(leg[1], leg[0])) - yaw_deg
+        through = leg / np.hypot(*leg) * place.speed_mps - _current_mps(passed_s, place)
+        turn = math.degrees(math.atan2(through[1], through[0])) - yaw_deg
         turn = math.remainder(turn, 360.0)
         yaw_deg += turn
         points += [
@@ -79,21 +84,28 @@ def track_of(place: Place, duration_s: float, interval_s: float, seed: int) -> T
     return Track(time_s, np.array(rows))
 
 
-def drifted(track: Track, drift: Drift, seed: int) -> Floats:
+def drifted(track: Track, place: Place, drift: Drift, seed: int) -> Floats:
     """(N, 3) x, y, yaw that odometry says, from an origin of its own."""
     random = np.random.default_rng((seed, 2))
     sign = random.choice([-1.0, 1.0], 2)
     true, time_s = track.place, track.time_s
     passed_s = np.diff(time_s, prepend=time_s[0])
-    toward = 2 * math.pi * (time_s / drift.current_turn_s + random.uniform())
-    current = drift.current_mps * np.stack([np.cos(toward), np.sin(toward)], axis=1)
-    steps = np.diff(true[:, :2], axis=0, prepend=true[:1, :2]) - current * passed_s[:, None]
+    steps = np.diff(true[:, :2], axis=0, prepend=true[:1, :2])
+    if drift.through_water:
+        steps -= _current_mps(time_s, place) * passed_s[:, None]
     steps *= 1.0 + sign[0] * drift.scale
     # Steps turn with the heading's error at their time.
     wrong = sign[1] * drift.yaw_rad_per_s * time_s + random.uniform(-math.pi, math.pi)
     c, s = np.cos(wrong), np.sin(wrong)
     turned = np.stack([c * steps[:, 0] - s * steps[:, 1], s * steps[:, 0] + c * steps[:, 1]], axis=1)
     return np.column_stack([np.cumsum(turned, axis=0), true[:, 5] + wrong])
+
+
+def _current_mps(time_s: float | Floats, place: Place) -> Floats:
+    """(2,) or (N, 2), map frame; as much slower as the vehicle is."""
+    toward = 2 * math.pi * np.asarray(time_s) / CURRENT_TURN_S
+    size = CURRENT_MPS * place.speed_mps / 0.5
+    return size * np.stack([np.cos(toward), np.sin(toward)], axis=-1)
 
 
 def _angles(rotation: Floats) -> tuple[float, float, float]:

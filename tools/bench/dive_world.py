@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 from sonar_sim import Scenario, load_scenario
-from sonar_sim.meshes import Meshes
+from sonar_sim.meshes import SEA, Meshes
 
 from mapperd.config import Config, Octree
 from mapperd.localization.volume_map import VolumeMap, volume_map
@@ -98,6 +98,8 @@ class World:
         self.place = place
         self.scenario: Scenario = dataclasses.replace(scenario, sonar=sonar)
         self.meshes = Meshes(scenario.scene)
+        names = [surface.name for surface in scenario.scene.surfaces]
+        self.soft = [SEA, *(k for k, name in enumerate(names) if name == "floor")]
 
     @cached_property
     def true_map(self) -> SonarMap:
