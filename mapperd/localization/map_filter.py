@@ -103,7 +103,7 @@ class MapFilter:
             _array(before),
             _array(now),
             amcl.robot_model_type,
-            np.array(alphas),
+            np.array(alphas, dtype=np.float64),
             ours.sigma_floor_xy * math.sqrt(passed_s),
             ours.sigma_floor_yaw * math.sqrt(passed_s),
         )
@@ -154,4 +154,4 @@ def _threads(config: Config) -> int:
 
 
 def _array(pose: PlanarPose) -> Floats:
-    return np.array([pose.x_m, pose.y_m, pose.yaw_rad])
+    return np.array([pose.x_m, pose.y_m, pose.yaw_rad], dtype=np.float64)

@@ -1,10 +1,8 @@
 """Dives localized: following a known start, finding oneself, and being carried off."""
 
-
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-
+from dataclasses import dataclass, field
 
 import numpy as np
 from dive_scans import cast_scan
@@ -77,11 +75,11 @@ class Dive:
     duration_s: float = 1800.0
     seed: int = 1
     carried_off_s: float | None = None
-    drift: Drift = Drift()
+    drift: Drift = field(default_factory=Drift)
     interval_s: float = 0.4
 
 
-def settings(place: Place, seed: int) -> Config:
+def settings(place: Place, seed: int, *, recovery: bool = False) -> Config:
     """A sonar's; docs/localization.md says why."""
     amcl = Amcl(
         robot_model_type="omnidirectional_drive",
@@ -98,8 +96,8 @@ def settings(place: Place, seed: int) -> Config:
         laser_sigma_hit=2 * place.voxel_m,
         laser_likelihood_max_dist=20 * place.voxel_m,
         max_particles=PARTICLES,
-        recovery_alpha_slow=0.001,
-        recovery_alpha_fast=0.02,
+        recovery_alpha_slow=0.001 if recovery else 0.0,
+        recovery_alpha_fast=0.02 if recovery else 0.0,
         min_particles=500,
         pf_z=2.326,
         update_min_d=place.step_m,
@@ -122,6 +120,7 @@ def dive(
     known: VolumeMap,
     what: Dive,
     config: Config,
+    *,
     scans: ScanMaker | None = None,
     keep_particles_s: tuple[float, ...] = (),
 ) -> Iterator[Moment]:
@@ -193,5 +192,3 @@ def _reckoned_m(track: Track, odometry: Floats) -> Floats:
     moved = (odometry[:, :2] - odometry[0, :2]) @ np.array([[c, s], [-s, c]])
     error: Floats = np.hypot(*(moved + track.place[0, :2] - track.place[:, :2]).T)
     return error
-
-

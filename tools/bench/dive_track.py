@@ -97,7 +97,9 @@ def drifted(track: Track, place: Place, drift: Drift, seed: int) -> Floats:
     # Steps turn with the heading's error at their time.
     wrong = sign[1] * drift.yaw_rad_per_s * time_s + random.uniform(-math.pi, math.pi)
     c, s = np.cos(wrong), np.sin(wrong)
-    turned = np.stack([c * steps[:, 0] - s * steps[:, 1], s * steps[:, 0] + c * steps[:, 1]], axis=1)
+    turned = np.stack(
+        [c * steps[:, 0] - s * steps[:, 1], s * steps[:, 0] + c * steps[:, 1]], axis=1
+    )
     return np.column_stack([np.cumsum(turned, axis=0), true[:, 5] + wrong])
 
 

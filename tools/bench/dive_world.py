@@ -61,7 +61,16 @@ class Place:
 
 
 HARBOUR = Place(
-    "harbour", (-20, -10), (20, 1.5), -3.2, 20.0, 0.5, (-27, -30, -8), (27, 5.5, 0.3), -6.5, water_north_m=4.0
+    "harbour",
+    (-20, -10),
+    (20, 1.5),
+    -3.2,
+    20.0,
+    0.5,
+    (-27, -30, -8),
+    (27, 5.5, 0.3),
+    -6.5,
+    water_north_m=4.0,
 )
 PILES = Place(
     "pile_field", (-10, -1.8), (10, 1.8), -4.4, 20.0, 0.5, (-14, -9, -8), (14, 9, 0.5), -6.5
@@ -159,7 +168,14 @@ class World:
 def _points_on(triangles_m: Floats, step_m: float) -> Floats:
     """(N, 3) points on triangles (F, 3, 3), not farther apart than a step along their edges."""
     a, b, c = (triangles_m[:, k] for k in range(3))
-    longest = np.max([np.linalg.norm(b - a, axis=1), np.linalg.norm(c - b, axis=1), np.linalg.norm(a - c, axis=1)], axis=0)
+    longest = np.max(
+        [
+            np.linalg.norm(b - a, axis=1),
+            np.linalg.norm(c - b, axis=1),
+            np.linalg.norm(a - c, axis=1),
+        ],
+        axis=0,
+    )
     steps = np.maximum(np.ceil(longest / step_m).astype(int), 1)
     parts = [np.empty((0, 3))]
     for count in np.unique(steps):

@@ -4,7 +4,7 @@
 
 Odometry errs by 2 % of the way and turns by a degree a minute; a current of 0.05 m/s turns the bow
 off the way. The map is the scene's true surface in voxels, from a map file; scans are cast in the
-scene with the errors that scans of simulated pings have, or taken out of simulated pings (`--pings`).
+scene with the errors that scans of simulated pings have, or with `--pings` taken out of such pings.
 """
 
 import argparse
@@ -73,15 +73,22 @@ def follow(
     instants = tuple(duration_s * k / INSTANTS for k in range(INSTANTS))
     scans = ping_scans(world, config, seed) if pings else None
     what = Dive(duration_s=duration_s, seed=seed)
-    moments = list(dive(world, known, what, config, scans, instants))
+    moments = list(dive(world, known, what, config, scans=scans, keep_particles_s=instants))
     errors = np.array([m.error_m for m in moments])
     turns = np.degrees([m.turn_error_rad for m in moments])
     median, p95, most = np.quantile(errors, (0.5, 0.95, 1.0))
     last = moments[-1]
-    figures = (median, p95, most, np.median(turns), last.reckoned_m)
-    rounded = [round(float(figure), 3) for figure in figures]
-    cpu_s = round(time.process_time() - began_s, 1)
-    row = Followed(world.place.scene, minutes, round(last.way_m, 1), *rounded, cpu_s)
+    row = Followed(
+        world.place.scene,
+        minutes,
+        round(last.way_m, 1),
+        median_m=round(float(median), 3),
+        p95_m=round(float(p95), 3),
+        most_m=round(float(most), 3),
+        median_deg=round(float(np.median(turns)), 3),
+        reckoned_m=round(last.reckoned_m, 3),
+        cpu_s=round(time.process_time() - began_s, 1),
+    )
     return row, moments
 
 
@@ -91,7 +98,7 @@ def find(world: World, known: VolumeMap, seed: int, *, carried_off: bool = False
     longest_s = 4.0 * WITHIN_M / (2.0 * world.place.speed_mps) + (off_s or 0.0)
     start = "known" if carried_off else "anywhere"
     what = Dive(start, longest_s, seed, off_s)
-    moments = dive(world, known, what, settings(world.place, seed))
+    moments = dive(world, known, what, settings(world.place, seed, recovery=carried_off))
     return judged(moments, world.place.right_m, off_s or 0.0)
 
 

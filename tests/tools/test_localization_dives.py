@@ -1,0 +1,60 @@
+"""Dives: odometry that drifts as it says, and when the right mode counts as found."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from dive_runs import Moment
+from dive_track import Drift, drifted, track_of
+from dive_world import WORLDS
+from localization_dives import WITHIN_M, judged
+
+from mapperd.localization.estimate import Belief, PlanarGaussian
+
+HARBOUR = WORLDS["harbour"]
+
+
+def test_odometry_is_off_by_its_share_of_the_way_and_turns() -> None:
+    track = track_of(HARBOUR, 120.0, 0.4, seed=3)
+    said = drifted(track, HARBOUR, Drift(), seed=3)
+    steps = np.hypot(*np.diff(said[:, :2], axis=0).T)
+    true = np.hypot(*np.diff(track.place[:, :2], axis=0).T)
+    ratio = steps.sum() / true.sum()
+    assert abs(ratio - 1.0) == pytest.approx(0.02, abs=1e-6)
+    turned = np.unwrap(said[:, 2] - track.place[:, 5])
+    minutes = (track.time_s[-1] - track.time_s[0]) / 60.0
+    assert abs(turned[-1] - turned[0]) == pytest.approx(math.radians(minutes), rel=1e-6)
+
+
+def test_water_that_nobody_sees_carries_odometry_off() -> None:
+    track = track_of(HARBOUR, 60.0, 0.4, seed=3)
+    blind = drifted(track, HARBOUR, Drift(0.0, 0.0, through_water=True), seed=3)
+    seen = drifted(track, HARBOUR, Drift(0.0, 0.0), seed=3)
+    off_m = float(np.hypot(*(blind[-1] - seen[-1])[:2]))
+    assert off_m == pytest.approx(0.05 * 60, rel=0.05)
+
+
+def moment(way_m: float, error_m: float, elsewhere: float = 0.0, turn_rad: float = 0.0) -> Moment:
+    there = PlanarGaussian(error_m, 0, turn_rad, np.eye(3))
+    belief = Belief(there, there, np.ones(1), elsewhere, 1.0)
+    return Moment(2 * way_m, way_m, np.zeros(3), belief, 0.0)
+
+
+def test_right_mode_is_found_when_it_lasts_and_is_sure() -> None:
+    ways = np.arange(0.0, 200.0, 5.0)
+    found = judged((moment(w, 9.0 if w < 40 else 0.1) for w in ways), 1.0)
+    assert (found.after_m, found.wrong, found.wrong_and_sure) == (40.0, 8, 8)
+    unsure = judged((moment(w, 9.0 if w < 40 else 0.1, elsewhere=0.5) for w in ways), 1.0)
+    assert (unsure.after_m, unsure.wrong_and_sure) == (None, 0)
+    turned = judged((moment(w, 0.1, turn_rad=math.pi) for w in ways), 1.0)
+    assert turned.after_m is None
+    late = judged((moment(w, 9.0 if w < WITHIN_M + 10 else 0.1) for w in ways), 1.0)
+    assert late.after_m is None
+
+
+def test_being_carried_off_counts_from_then() -> None:
+    ways = np.arange(0.0, 200.0, 5.0)
+    found = judged((moment(w, 0.1 if w < 50 or w >= 100 else 9.0) for w in ways), 1.0, 100.0)
+    assert found.after_m == 50.0
