@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from dive_runs import Moment
-from dive_track import Drift, drifted, track_of
+from dive_track import Drift, Track, drifted, track_of
 from dive_world import WORLDS
 from localization_dives import WITHIN_M, judged
 
@@ -34,6 +34,20 @@ def test_water_that_nobody_sees_carries_odometry_off() -> None:
     seen = drifted(track, HARBOUR, Drift(0.0, 0.0), seed=3)
     off_m = float(np.hypot(*(blind[-1] - seen[-1])[:2]))
     assert off_m == pytest.approx(0.05 * 60, rel=0.05)
+
+
+def test_odometry_does_not_notice_being_carried_off() -> None:
+    track = track_of(HARBOUR, 60.0, 0.4, seed=3)
+    place = track.place.copy()
+    place[75:, :2] += (8.0, -3.0)
+    place[75:, 5] += 1.0
+    said = drifted(Track(track.time_s, place, 75), HARBOUR, Drift(0.0, 0.0), seed=3)
+    assert said[75, :2] == pytest.approx(said[74, :2])
+    assert said[75, 2] == pytest.approx(said[74, 2])
+    assert np.hypot(*np.diff(said[:, :2], axis=0).T).max() < 0.25
+    toward = np.arctan2(*np.diff(said[100:, :2], axis=0).T[::-1]) - said[100:-1, 2]
+    true = np.arctan2(*np.diff(place[100:, :2], axis=0).T[::-1]) - place[100:-1, 5]
+    assert np.cos(toward - true).min() > 0.999
 
 
 def moment(way_m: float, error_m: float, elsewhere: float = 0.0, turn_rad: float = 0.0) -> Moment:

@@ -176,7 +176,7 @@ def _track(place: Place, what: Dive) -> Track:
     after = first.time_s >= what.carried_off_s
     rows = min(len(first.place), len(other.place))
     places = np.where(after[:rows, None], other.place[:rows], first.place[:rows])
-    return Track(first.time_s[:rows], places)
+    return Track(first.time_s[:rows], places, int(np.argmax(after)))
 
 
 def _near(place: Floats, random: np.random.Generator) -> PlanarGaussian:

@@ -41,10 +41,12 @@ class Track:
     Attributes:
         time_s: (N,).
         place: (N, 6) x, y, z in metres, roll, pitch, yaw in radians, map frame.
+        carried_at: row that the vehicle was put to without driving there; None is none.
     """
 
     time_s: Floats
     place: Floats
+    carried_at: int | None = None
 
     @property
     def way_m(self) -> Floats:
@@ -94,13 +96,19 @@ def drifted(track: Track, place: Place, drift: Drift, seed: int) -> Floats:
     if drift.through_water:
         steps -= _current_mps(time_s, place) * passed_s[:, None]
     steps *= 1.0 + sign[0] * drift.scale
+    heading = true[:, 5].copy()
+    if track.carried_at is not None:
+        k = track.carried_at
+        steps[k] = 0.0
+        heading[k:] += heading[k - 1] - heading[k]
     # Steps turn with the heading's error at their time.
     wrong = sign[1] * drift.yaw_rad_per_s * time_s + random.uniform(-math.pi, math.pi)
-    c, s = np.cos(wrong), np.sin(wrong)
+    turn = heading - true[:, 5] + wrong
+    c, s = np.cos(turn), np.sin(turn)
     turned = np.stack(
         [c * steps[:, 0] - s * steps[:, 1], s * steps[:, 0] + c * steps[:, 1]], axis=1
     )
-    return np.column_stack([np.cumsum(turned, axis=0), true[:, 5] + wrong])
+    return np.column_stack([np.cumsum(turned, axis=0), heading + wrong])
 
 
 def _current_mps(time_s: float | Floats, place: Place) -> Floats:
