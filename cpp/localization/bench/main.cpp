@@ -230,7 +230,7 @@ int main(int argc, char** argv) {
     const int repetitions = static_cast<int>(std::max<std::size_t>(5, 400000 / count)) / share + 3;
     bench.weighting(count, repetitions);
     bench.step(count, repetitions);
-    if (count <= 10000) bench.beam_weighting(count, std::max(3, repetitions / 20));
+    bench.beam_weighting(count, std::max(3, repetitions / 20));
   }
   return 0;
 }

@@ -1,40 +1,55 @@
 #include "localization/range_map.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <stdexcept>
 
 #include "localization/block_poses.hpp"
-#include "localization/distance_transform.hpp"
+#include "mapperd/parallel.hpp"
 
 namespace mapperd::localization {
 namespace {
 
-constexpr float kBlocked = -1.0F;
-constexpr float kOutside = -2.0F;
 constexpr double kAhead = 1e-9;  // cells; who is that near to an edge ahead counts as beyond it
 
-// Two cells lie as far apart as a cell's centre and the nearest of the other and its neighbours.
-float step_of(std::int32_t squared) {
-  return squared == kBeyond ? 1e6F : std::sqrt(static_cast<float>(squared)) * (1.0F - 1e-6F);
+// What one octant of a cell says, in a byte.
+constexpr std::uint8_t kBlocked = 0;
+constexpr std::uint8_t kOnlyHere = 1;  // free; k + 1: and so is the wedge of k columns
+constexpr std::uint8_t kMost = 254;
+constexpr std::uint8_t kOutside = 255;
+
+constexpr std::size_t kOctants = 8;
+
+// Directions that lie within 45 degrees: where a ray in them goes, a cell on.
+struct Octant {
+  bool back_u, back_v, steep;
+};
+
+Octant octant(std::size_t index) {
+  return {(index & 1U) != 0, (index & 2U) != 0, (index & 4U) != 0};
 }
 
-// Marks the eight neighbours of marked cells too.
-std::vector<std::uint8_t> grown(const std::vector<std::uint8_t>& marked, const GridFrame& frame) {
-  std::vector<std::uint8_t> out(marked.size(), 0);
-  for (std::size_t i = 0; i < marked.size(); ++i) {
-    if (marked[i] == 0) continue;
-    const std::size_t row = i / frame.columns;
-    const std::size_t column = i % frame.columns;
-    const std::size_t last_row = std::min(row + 2, frame.rows);
-    const std::size_t last_column = std::min(column + 2, frame.columns);
-    for (std::size_t r = row - (row > 0 ? 1 : 0); r < last_row; ++r) {
-      for (std::size_t c = column - (column > 0 ? 1 : 0); c < last_column; ++c) {
-        out[r * frame.columns + c] = 1;
-      }
+// Of a padded grid, whose border is kOutside and whose blocked cells are kBlocked: how far a ray
+// that goes this way from anywhere in a cell stays clear. Each column (row, where it is steep) on,
+// it is in the same row or the next; so a wedge is free where its first cells are and both wedges
+// of the next column.
+void fill_wedges(const Octant& way, std::size_t rows, std::size_t columns, std::uint8_t* plane) {
+  const auto stride = static_cast<std::ptrdiff_t>(columns + 2);
+  const std::ptrdiff_t right = way.back_u ? -1 : 1;
+  const std::ptrdiff_t up = way.back_v ? -stride : stride;
+  const std::ptrdiff_t on = way.steep ? up : right;
+  const std::ptrdiff_t aside = way.steep ? right : up;
+  for (std::size_t k = 0; k < rows; ++k) {
+    const std::size_t row = way.back_v ? k + 1 : rows - k;
+    std::uint8_t* cell = plane + row * (columns + 2) + (way.back_u ? 1 : columns);
+    for (std::size_t i = 0; i < columns; ++i, cell -= right) {
+      const std::uint8_t next = std::max(std::min(cell[on], cell[on + aside]), kOnlyHere);
+      const std::uint8_t wedge = std::min<std::uint8_t>(next, kMost - 1) + 1;
+      const std::uint8_t clear = cell[aside] == kBlocked ? kOnlyHere : wedge;
+      *cell = *cell == kBlocked ? kBlocked : clear;
     }
   }
-  return out;
 }
 
 double not_zero(double along) {
@@ -54,17 +69,20 @@ struct March {
   double inverse_u[kRays];
   double inverse_v[kRays];
   double gone[kRays];
-  double found[kRays];  // what the map says there
-  double moved[kRays];  // 1: went on in the last step
+  std::uint64_t shift[kRays];  // to the byte of the ray's octant
+  double found[kRays];         // what the map says there
+  double moved[kRays];         // 1: went on in the last step
   std::size_t place[kRays];
 };
 
 struct Steps {
-  const float* cells;
+  const std::uint64_t* cells;
   std::int32_t stride;
   double last_u, last_v;
   double most;
 };
+
+constexpr std::uint64_t kWhole = 0x4330000000000000ULL;  // a double whose lowest bits count ones
 
 // One step of all rays; how many went on.
 LOCALIZATION_VECTORISED double step_on(const Steps& steps, March& march) {
@@ -82,18 +100,22 @@ LOCALIZATION_VECTORISED double step_on(const Steps& steps, March& march) {
     v = v < s.last_v ? v : s.last_v;
     const auto column = static_cast<std::int32_t>(u);
     const auto row = static_cast<std::int32_t>(v);
-    const double safe = static_cast<double>(s.cells[row * s.stride + column]);
+    const std::uint64_t here = s.cells[row * s.stride + column] >> march.shift[i];
+    const double found = double_of((here & 255U) | kWhole) - double_of(kWhole);
     const double edge_u = static_cast<double>(column) + (along_u > 0.0 ? 1.0 : 0.0);
     const double edge_v = static_cast<double>(row) + (along_v > 0.0 ? 1.0 : 0.0);
     const double leave_u = (edge_u - march.u[i]) * march.inverse_u[i];
     const double leave_v = (edge_v - march.v[i]) * march.inverse_v[i];
     const double leave = leave_u < leave_v ? leave_u : leave_v;
-    const double clear = gone + safe;
-    double next = leave > clear ? leave : clear;
+    const double a_column = std::abs(march.inverse_u[i]);
+    const double a_row = std::abs(march.inverse_v[i]);
+    const double wedge =
+        a_column <= a_row ? leave_u + (found - 2.0) * a_column : leave_v + (found - 2.0) * a_row;
+    double next = leave > wedge ? leave : wedge;
     next = next < s.most ? next : s.most;
-    next = safe >= 0.0 ? next : gone;
+    next = found > kBlocked && found < kOutside ? next : gone;
     const double moved = next > gone ? 1.0 : 0.0;
-    march.found[i] = safe;
+    march.found[i] = found;
     march.moved[i] = moved;
     march.gone[i] = moved > 0.0 ? next : gone;
   }
@@ -112,6 +134,9 @@ void start(const Rays& rays, March& march) {
     march.along_v[i] = rays.along_v[from];
     march.inverse_u[i] = 1.0 / not_zero(rays.along_u[from]);
     march.inverse_v[i] = 1.0 / not_zero(rays.along_v[from]);
+    const bool steep = std::abs(march.inverse_u[i]) > std::abs(march.inverse_v[i]);
+    march.shift[i] = (march.inverse_u[i] < 0.0 ? 8U : 0U) + (march.inverse_v[i] < 0.0 ? 16U : 0U) +
+                     (steep ? 32U : 0U);
     march.gone[i] = 0.0;
   }
 }
@@ -124,6 +149,7 @@ void copy(March& march, std::size_t from, std::size_t to) {
   march.along_v[to] = march.along_v[from];
   march.inverse_u[to] = march.inverse_u[from];
   march.inverse_v[to] = march.inverse_v[from];
+  march.shift[to] = march.shift[from];
   march.gone[to] = march.gone[from];
 }
 
@@ -131,7 +157,7 @@ void copy(March& march, std::size_t from, std::size_t to) {
 void keep_moving(March& march, double* out) {
   std::size_t kept = 0;
   for (std::size_t i = 0; i < march.count; ++i) {
-    const bool outside = march.found[i] == static_cast<double>(kOutside);
+    const bool outside = march.found[i] == kOutside;
     out[march.place[i]] = outside ? kNoExpectation : march.gone[i];
     copy(march, i, kept);
     kept += march.moved[i] > 0.0 ? 1 : 0;
@@ -147,20 +173,24 @@ RangeMap::RangeMap(const OccupancyGrid& grid, bool unknown_blocks, int threads)
     : frame_(grid.frame) {
   check_frame(frame_);
   if (grid.cells.size() != frame_.cells()) throw std::invalid_argument("cells are missing");
-  std::vector<std::uint8_t> blocks(grid.cells.size());
-  std::transform(grid.cells.begin(), grid.cells.end(), blocks.begin(), [&](std::int8_t cell) {
-    return cell == kOccupied || (unknown_blocks && cell != kFree) ? std::uint8_t{1}
-                                                                  : std::uint8_t{0};
+  const std::size_t stride = frame_.columns + 2;
+  std::vector<std::uint8_t> bounded((frame_.rows + 2) * stride, kOutside);
+  for (std::size_t i = 0; i < grid.cells.size(); ++i) {
+    const std::int8_t cell = grid.cells[i];
+    const bool blocks = cell == kOccupied || (unknown_blocks && cell != kFree);
+    const std::size_t row = i / frame_.columns + 1;
+    bounded[row * stride + i % frame_.columns + 1] = blocks ? kBlocked : kOnlyHere;
+  }
+  std::array<std::vector<std::uint8_t>, kOctants> planes;
+  run_parallel(kOctants, threads, [&](std::size_t task) {
+    planes[task] = bounded;
+    fill_wedges(octant(task), frame_.rows, frame_.columns, planes[task].data());
   });
-  const std::vector<std::int32_t> squared =
-      squared_distances(grown(blocks, frame_), frame_.rows, frame_.columns, 1 << 19, threads);
-  steps_.assign((frame_.rows + 2) * (frame_.columns + 2), kOutside);
-  for (std::size_t r = 0; r < frame_.rows; ++r) {
-    const std::size_t from = r * frame_.columns;
-    float* to = &steps_[(r + 1) * (frame_.columns + 2) + 1];
-    for (std::size_t c = 0; c < frame_.columns; ++c) {
-      to[c] = blocks[from + c] != 0 ? kBlocked : step_of(squared[from + c]);
-    }
+  clear_.resize(bounded.size());
+  for (std::size_t i = 0; i < clear_.size(); ++i) {
+    std::uint64_t word = 0;
+    for (std::size_t k = kOctants; k-- > 0;) word = word << 8U | planes[k][i];
+    clear_[i] = word;
   }
 }
 
@@ -168,7 +198,7 @@ void RangeMap::cast(const Rays& rays, double most, double* out) const {
   if (rays.count == 0) return;
   March march;
   start(rays, march);
-  const Steps steps{steps_.data(), static_cast<std::int32_t>(frame_.columns + 2),
+  const Steps steps{clear_.data(), static_cast<std::int32_t>(frame_.columns + 2),
                     static_cast<double>(frame_.columns) + 1.0,
                     static_cast<double>(frame_.rows) + 1.0, most};
   while (march.count > 0) {

@@ -69,6 +69,25 @@ TEST_CASE("rays along the axes, from within a wall, from outside, in a map witho
   CHECK_NEAR(RangeMap(grid, true, 1).cast({0.25, 0.25, 0.0}, 30.0), 1.75, 1e-6);
 }
 
+// A wedge counts at most 253 columns: the way is longer, to either side and along diagonals.
+TEST_CASE("rays cross water wider than a cell can count, and meet the one cell at its end") {
+  OccupancyGrid grid = open_water(700, 700, 1.0);
+  grid.cells[350 * 700 + 690] = grid.cells[350 * 700 + 5] = kOccupied;
+  grid.cells[690 * 700 + 350] = grid.cells[5 * 700 + 350] = kOccupied;
+  grid.cells[680 * 700 + 680] = kOccupied;
+  const RangeMap map(grid, false, 2);
+  for (std::uint32_t i = 0; i < 400; ++i) {
+    const Words w = philox({{i, 5, 5, 5}}, 3);
+    const double u = 300.0 + 60.0 * uniform_of(w.word[0]);
+    const double v = 300.0 + 60.0 * uniform_of(w.word[1]);
+    const double yaw = i % 2 == 0 ? std::atan2(350.0 + uniform_of(w.word[2]) - v, 690.0 - u)
+                                  : std::atan2(680.0 - v, 680.0 + uniform_of(w.word[2]) - u);
+    const double entered = nearest_entry(grid, u, v, yaw);
+    const double found = map.cast({u, v, yaw}, 900.0);
+    CHECK_NEAR(found, entered < 900.0 ? entered : kNoExpectation, 2e-8);
+  }
+}
+
 TEST_CASE("rays that run along the cells' edges, all but exactly, end as well") {
   OccupancyGrid grid = open_water(40, 40, 1.0);
   for (std::size_t k = 0; k < 40; ++k) grid.cells[k * 40 + 39] = grid.cells[k * 40] = kOccupied;
