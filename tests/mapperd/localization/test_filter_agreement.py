@@ -133,6 +133,16 @@ def line_cells(first: NDArray[np.int_], last: NDArray[np.int_]) -> NDArray[np.in
     return cells
 
 
+def test_cells_of_a_line() -> None:
+    """The walk above is the reference's: its published lines."""
+    for first, last, cells in [
+        ((0, 0), (1, 1), [(0, 0), (1, 1)]),
+        ((0, 0), (2, 1), [(0, 0), (1, 0), (2, 1)]),
+        ((0, 2), (0, 0), [(0, 2), (0, 1), (0, 0)]),
+    ]:
+        assert line_cells(np.array(first), np.array(last)).tolist() == [list(c) for c in cells]
+
+
 @pytest.mark.parametrize("case", range(4))
 def test_motion_without_noise(bundle: Bundle, case: int) -> None:
     before, now = bundle["zero_noise_odom"][case]

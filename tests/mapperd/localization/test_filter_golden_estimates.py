@@ -34,10 +34,32 @@ def test_kld_sizes() -> None:
     assert _core.mcl_kld_size(2, 0.01, 3.0) > 10**18
 
 
+def test_number_of_particles_by_their_buckets() -> None:  # K13, K15
+    """K13 has 1200 of one bucket, however sure the cloud is; ours has them while it is not."""
+    rule = _core.MclRule(
+        min_particles=200,
+        max_particles=1200,
+        kld_error=0.05,
+        kld_quantile=3,
+        bucket_x_m=0.5,
+        bucket_y_m=0.5,
+        bucket_yaw_rad=0.17,
+    )
+    for poses, count in [([(0, 0, 0)], 200), ([(0, 0, 0), (8, 0, 0), (16, 0, 0)], 200)]:
+        some = _core.MclFilter(rule, 1)
+        some.start_with(np.array(poses, float))
+        some.resample()
+        assert len(some.poses) == count
+    spread = _core.MclFilter(rule, 1)
+    spread.start_with(np.array([(0, 0, 0), (8, 0, 0)], float))
+    spread.resample()
+    assert len(spread.poses) == 1200
+
+
 @pytest.mark.parametrize(
     ("weights", "size"), [([1] * 5, 5), ([100] * 5, 5), ([1, 0, 0], 1), ([1, 0.5, 0], 1.8)]
 )
-def test_effective_size(weights: list[float], size: float) -> None:  # E3 ... E9
+def test_effective_size(weights: list[float], size: float) -> None:  # E3, E5, E7, E9
     some = filter_at(np.zeros((len(weights), 3)), np.array(weights, np.float64))
     assert some.effective_size() == pytest.approx(size, abs=1e-12)
 
@@ -46,8 +68,21 @@ def test_effective_size_of_nothing() -> None:  # E1
     assert filter_at(np.zeros((0, 3))).effective_size() == 0
 
 
-def test_recovery_probability() -> None:  # R3, R5, R7
+def test_running_average() -> None:  # X1, X3: of 4 less the inputs, beside one that stands still
+    average = _core.MclRecovery(0.0, 0.1)
+    for value, mean in [(1, 1), (2, 1.1), (3, 1.29), (0, 1.161)]:
+        average.add(4.0 - value)
+        assert 4.0 - 3.0 * (1.0 - average.injected_share) == pytest.approx(mean, abs=1e-12)
+    average.reset()
+    average.add(1.0)
+    assert average.injected_share == 0
+    average.add(0.9)
+    assert average.injected_share == pytest.approx(0.01, abs=1e-12)
+
+
+def test_recovery_probability() -> None:  # R1, R3, R5, R7
     recovery = _core.MclRecovery(0.5, 1.0)
+    assert recovery.injected_share == 0
     shares = []
     for fit in (2.0, 1.0, 1.0):
         recovery.add(fit)
@@ -170,6 +205,7 @@ def test_rays(ray: tuple[float, float, float], most: float, expected: float) -> 
 def test_distance_map(marked: list[int], limit: int, squared: list[int]) -> None:
     found = _core.mcl_squared_distances(np.array([marked], bool), limit)
     assert np.minimum(found[0], 9**9).tolist() == squared
+    assert _core.mcl_squared_distances(np.zeros((1, 0), bool), limit).size == 0  # M1 itself
 
 
 def test_centre_of_a_cell_of_a_turned_grid() -> None:

@@ -27,6 +27,7 @@ def scan_of(count: int) -> Scan:
         (10, 6, [1, 3, 5, 7, 9, 10]),
         (0, 3, []),
     ],
+    ids=["T1", "one", "T3", "T5", "T7", "T9", "none"],
 )
 def test_evenly_spaced_as_published(count: int, most: int, values: list[int]) -> None:
     assert (decimation(count, most) + 1).tolist() == values
