@@ -1,4 +1,5 @@
 // Motion models against their formulas: moments of many particles.
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -68,6 +69,48 @@ TEST_CASE("driving backwards is as noisy as driving ahead") {
   for (std::size_t k = 0; k < 3; ++k) CHECK_NEAR(ahead.sigma[k], back.sigma[k], 1e-7);
 }
 
+TEST_CASE("a step of a centimetre has no direction, a longer one has") {
+  const Alphas none{};
+  for (const double step : {0.0, 0.005, 0.01}) {
+    CHECK(motion_draws(MotionModel::kDifferential, {}, {0, step, 0}, none).mean[0] == 0.0);
+    CHECK(motion_draws(MotionModel::kOmnidirectional, {}, {0, step, 0}, none).bearing_rad == 0.0);
+  }
+  const Pose2 longer{0, 0.010001, 0};
+  CHECK_NEAR(motion_draws(MotionModel::kDifferential, {}, longer, none).mean[0], 0.5 * kPi, 1e-12);
+  CHECK_NEAR(motion_draws(MotionModel::kOmnidirectional, {}, longer, none).bearing_rad, 0.5 * kPi,
+             1e-12);
+}
+
+TEST_CASE("an omnidirectional turn of 170 degrees has the noise of one of 10") {
+  const Alphas alphas{0.1, 0.2, 0.3, 0.4, 0.5};
+  const double ten = kPi / 18.0;
+  const auto wide = motion_draws(MotionModel::kOmnidirectional, {0, 0, 2},
+                                 {1, 0, wrapped(2 + kPi - ten)}, alphas);
+  const auto narrow =
+      motion_draws(MotionModel::kOmnidirectional, {0, 0, 2}, {1, 0, 2 + ten}, alphas);
+  for (std::size_t k = 0; k < 3; ++k) CHECK_NEAR(wide.sigma[k], narrow.sigma[k], 1e-12);
+  CHECK_NEAR(narrow.sigma[1], std::sqrt(0.1 * ten * ten + 0.2), 1e-12);
+}
+
+TEST_CASE("headings stay within (-pi, pi], by every model and by the floor") {
+  const Alphas alphas{0.5, 0.5, 0.5, 0.5, 0.5};
+  const Pose2 turned{0.3, 0.1, 3.0};
+  for (const MotionModel model :
+       {MotionModel::kDifferential, MotionModel::kOmnidirectional, MotionModel::kStationary}) {
+    Particles particles;
+    particles.resize(4000);
+    for (std::size_t i = 0; i < 4000; ++i) particles.set(i, {0, 0, i % 2 == 0 ? 3.14 : -3.14});
+    const MotionDraws draws = motion_draws(model, {}, turned, alphas);
+    const MotionFloor floor{0.0, model == MotionModel::kStationary ? 0.5 : 0.0};
+    for (std::uint64_t step = 0; step < 5; ++step) {
+      move(particles, 0, 4000, draws, floor, {3, step});
+      const bool within = std::all_of(particles.yaw.begin(), particles.yaw.end(),
+                                      [](double yaw) { return yaw > -kPi && yaw <= kPi; });
+      CHECK(within);
+    }
+  }
+}
+
 TEST_CASE("omnidirectional: moments along, across and of the turn") {
   const Alphas alphas{0.02, 0.01, 0.03, 0.04, 0.05};
   const auto d = motion_draws(MotionModel::kOmnidirectional, {1, 2, 0.5},
@@ -98,6 +141,12 @@ TEST_CASE("floors add noise at rest, in the map's axes") {
   CHECK_NEAR(shaken.sigma[0], 0.05, 0.0005);
   CHECK_NEAR(shaken.sigma[1], 0.05, 0.0005);
   CHECK_NEAR(shaken.sigma[2], 0.01, 0.0001);
+}
+
+TEST_CASE("the floor's noise is not the motion's") {
+  const auto d = motion_draws(MotionModel::kStationary, {}, {}, {});
+  const Moments m = moments_of(d, {}, {0.03, 0.03});
+  for (int k = 0; k < 3; ++k) CHECK_NEAR(m.sigma[k], std::hypot(0.02, 0.03), 0.0003);
 }
 
 TEST_CASE("odometry that is no number is refused") {

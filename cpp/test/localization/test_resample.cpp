@@ -1,4 +1,5 @@
 // Resampling: how often each particle comes, how many there are, and recovery.
+#include <algorithm>
 #include <cmath>
 #include <map>
 
@@ -93,6 +94,22 @@ TEST_CASE("a weight of 1 among zeros is every particle's parent, in first and la
             5);
     }
   }
+}
+
+TEST_CASE("a bucket's place is its own: beyond all, beside pi, turned once more") {
+  const auto bucket = [](double x, double y, double yaw) {
+    return bucket_of({x, y, yaw}, 0.5, 0.5, 0.17);
+  };
+  CHECK(bucket(1e12, 0, 0) == bucket(1e11, 0, 0));
+  std::vector<std::uint64_t> all;
+  for (const double x : {-1e12, -0.1, 0.1, 1e12}) {
+    for (const double y : {-1e12, -0.1, 0.1, 1e12}) {
+      for (const double yaw : {-3.1, 0.0, 3.1}) all.push_back(bucket(x, y, yaw));
+    }
+  }
+  std::sort(all.begin(), all.end());
+  CHECK(std::adjacent_find(all.begin(), all.end()) == all.end());
+  CHECK(bucket(1, 2, 3.0 + 4.0 * kPi) == bucket(1, 2, 3.0));
 }
 
 TEST_CASE("the number follows the buckets seen") {
