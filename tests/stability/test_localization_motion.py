@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from mapperd.localization.filter import FreeSpace, ParticleFilter
+from mapperd.localization.filter import FreeSpace, ParticleFilter, belief
 from tests.mapperd.localization.filter_cases import filter_at, grid, pose, rule
 
 if TYPE_CHECKING:
@@ -99,6 +99,16 @@ def test_opposite_headings() -> None:
     assert estimate.mean[2] == 0
     assert estimate.covariance[2, 2] == np.inf
     assert not np.isnan(estimate.covariance).any()
+
+
+def test_opposite_headings_in_a_message() -> None:
+    """Infinity is no JSON number, and no matrix with it has eigenvalues."""
+    two = filter_at(np.array([(0, 0, 0.4), (0.05, 0, 0.4 - PI)]))
+    overall = belief(two).overall
+    assert overall.covariance[2, 2] == pytest.approx(PI**2)
+    assert np.isfinite(overall.covariance).all()
+    nearly = filter_at(np.array([(0, 0, 0.4), (0.05, 0, 0.4 - PI + 1e-6)]))
+    assert belief(nearly).overall.covariance[2, 2] == pytest.approx(PI**2)
 
 
 def test_mean_vector_rounded_above_one() -> None:

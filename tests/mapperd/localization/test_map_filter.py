@@ -1,6 +1,7 @@
 """The policy's filter on the core's: maps, settings, models, and what it believes."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -117,6 +118,26 @@ def test_vehicle_is_found_near_its_start(model: str, known: GridMap | VolumeMap)
     best = follow(particles, PATH).best
     assert math.hypot(best.x_m - PATH[-1][0], best.y_m - PATH[-1][1]) < 0.15
     assert abs(best.yaw_rad - PATH[-1][2]) < 0.05
+
+
+@pytest.mark.parametrize("ahead_m", [0.0, 1.5])
+def test_beams_are_cast_from_the_sonar(ahead_m: float) -> None:
+    """A sonar ahead of the base: the base stands so far behind where the rays begin."""
+    particles = MapFilter(config("laser_model_type: beam, laser_sigma_hit: 0.05"))
+    particles.take_map(room())
+    mounted = np.eye(4)
+    mounted[0, 3] = ahead_m
+    seen = scan_from((4.0, 3.0, 0.3))
+    scan = replace(seen, points_m=seen.points_m + mounted[:3, 3], level_T_sonar=mounted)
+    x = 4.0 - ahead_m * math.cos(0.3)
+    y = 3.0 - ahead_m * math.sin(0.3)
+    fits = []
+    for off_m in (0.0, 0.3, -0.3):
+        particles.start_at(PlanarGaussian(x + off_m, y, 0.3, np.zeros((3, 3))))
+        particles.update(AT_REST, AT_REST, scan, -2.0)
+        assert particles.weighed is not None
+        fits.append(particles.weighed.log_evidence)
+    assert fits[0] > max(fits[1:]) + 0.5
 
 
 def test_slice_is_free_where_the_vehicle_is_and_distances_are_truncated() -> None:
