@@ -70,4 +70,14 @@ TEST_CASE("ten million reweightings leave weights of sum 1") {
   CHECK_NEAR(weight[0], weight[1], 1e-9);
 }
 
+TEST_CASE("a weight that became no number is none, and the others sum to 1") {
+  std::vector<double> log_weight{std::log(0.5), std::nan(""), std::log(0.25)};
+  const Reweighted done = reweight(log_weight, {-1.0, -1.0, -1.0});
+  CHECK(done.informative && done.not_a_number == 0);
+  const auto weight = linear_weights(log_weight);
+  CHECK(weight[1] == 0.0);
+  CHECK_NEAR(weight[0], 2.0 / 3.0, 1e-12);
+  CHECK_NEAR(done.log_evidence, std::log(0.75) - 1.0, 1e-12);
+}
+
 }  // namespace

@@ -180,6 +180,22 @@ def test_noise_floors_grow_with_the_root_of_time() -> None:
     found = particles.update(AT_REST, AT_REST, silent(4 * 10**9), 0.0)
     assert math.sqrt(found.overall.covariance[0, 0]) == pytest.approx(0.2, rel=0.05)
     assert math.sqrt(found.overall.covariance[2, 2]) == pytest.approx(0.02, rel=0.05)
+    found = particles.update(AT_REST, AT_REST, silent(5 * 10**9), 0.0)
+    assert math.sqrt(found.overall.covariance[0, 0]) == pytest.approx(0.1 * 5**0.5, rel=0.05)
+
+
+def test_log_product_is_tempered() -> None:
+    told = []
+    for tempering in (1.0, 0.2):
+        model = "amcl: {laser_model_type: likelihood_field_prob}"
+        text = f"{{{model}, localization: {{tempering: {tempering}}}}}"
+        particles = MapFilter(config_from_text(text))
+        particles.take_map(room())
+        particles.start_at(PlanarGaussian(4, 3, 0.3, np.zeros((3, 3))))
+        particles.update(AT_REST, AT_REST, scan_from((4.0, 3.0, 0.3)), -2.0)
+        assert particles.weighed is not None
+        told.append(particles.weighed.log_evidence)
+    assert told[1] == pytest.approx(0.2 * told[0], rel=1e-9)
 
 
 def test_settings_are_taken_whole_and_keep_the_particles() -> None:

@@ -71,6 +71,8 @@ def test_odometry_that_is_none_leaves_the_gate(bad: float) -> None:
 def test_single_step_too_far_is_passed_over() -> None:
     found = reasons((0, 0, 0), (100, 0, 0), (0.2, 0, 0), (100, 0, 0), (0.2, 0, 0))
     assert found == ["first", "odometry_jump", "motion", "odometry_jump", "still"]
+    found = reasons((0, 0, 0), (100, 0, 0), (0, 0, 0), (100, 0, 0), (0, 0, 0))
+    assert found == ["first", "odometry_jump", "still", "odometry_jump", "still"]
 
 
 def test_odometry_that_goes_on_elsewhere_has_jumped_and_moves_nothing() -> None:
