@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from mapperd import _core
 from mapperd.localization.filter import (
     Endpoints,
     FreeSpace,
@@ -114,3 +115,12 @@ def test_kidnapped_vehicle_is_found_again() -> None:
     best, masses, _ = particles.modes(0.5, 0.35)
     assert best.mean == pytest.approx(truth, abs=0.2)
     assert masses[0] > 0.5
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_fit_that_is_no_number(wrong: float) -> None:
+    """Averages never forget a NaN or an infinity: recovery would be off, or on, for ever."""
+    recovery = _core.MclRecovery(0.1, 0.5)
+    for fit in (1.0, wrong, 0.5):
+        recovery.add(fit)
+    assert recovery.injected_share == pytest.approx(1 - 0.75 / 0.95)

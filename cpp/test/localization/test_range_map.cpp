@@ -153,4 +153,15 @@ TEST_CASE("the mixture's parts sum to 1 over all readings") {
   }
 }
 
+TEST_CASE("a reading at the largest range, and beyond it, is z_max") {
+  BeamModel model;
+  model.max_range_m = 20.0;
+  model.z_max = 0.07;
+  CHECK_NEAR(model.density(20.0, 5.0), 0.07, 1e-12);
+  CHECK_NEAR(model.density(99.0, 5.0), 0.07, 1e-12);
+  const double hit = 2.0 * 0.5 / (0.2 * std::sqrt(2.0 * kPi));  // half of the Gaussian is cut off
+  CHECK_NEAR(model.density(20.0, 20.0), hit + 0.07, 1e-9);
+  CHECK(model.density(99.0, 20.0) == model.density(20.0, 20.0));
+}
+
 }  // namespace

@@ -182,6 +182,8 @@ def test_noise_floors_grow_with_the_root_of_time() -> None:
     assert math.sqrt(found.overall.covariance[2, 2]) == pytest.approx(0.02, rel=0.05)
     found = particles.update(AT_REST, AT_REST, silent(5 * 10**9), 0.0)
     assert math.sqrt(found.overall.covariance[0, 0]) == pytest.approx(0.1 * 5**0.5, rel=0.05)
+    back = particles.update(AT_REST, AT_REST, silent(10**9), 0.0)  # a clock that was set
+    assert back.overall.covariance[0, 0] == pytest.approx(found.overall.covariance[0, 0], rel=0.1)
 
 
 def test_log_product_is_tempered() -> None:
