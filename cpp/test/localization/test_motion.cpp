@@ -101,8 +101,8 @@ TEST_CASE("headings stay within (-pi, pi], by every model and by the floor") {
     particles.resize(4000);
     for (std::size_t i = 0; i < 4000; ++i) particles.set(i, {0, 0, i % 2 == 0 ? 3.14 : -3.14});
     const MotionDraws draws = motion_draws(model, {}, turned, alphas);
-    const MotionFloor floor{0.0, model == MotionModel::kStationary ? 0.5 : 0.0};
-    for (std::uint64_t step = 0; step < 5; ++step) {
+    for (std::uint64_t step = 0; step < 10; ++step) {
+      const MotionFloor floor{0.0, step < 5 ? 0.0 : 0.5};
       move(particles, 0, 4000, draws, floor, {3, step});
       const bool within = std::all_of(particles.yaw.begin(), particles.yaw.end(),
                                       [](double yaw) { return yaw > -kPi && yaw <= kPi; });

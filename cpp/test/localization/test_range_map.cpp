@@ -162,6 +162,7 @@ TEST_CASE("a reading at the largest range, and beyond it, is z_max") {
   const double hit = 2.0 * 0.5 / (0.2 * std::sqrt(2.0 * kPi));  // half of the Gaussian is cut off
   CHECK_NEAR(model.density(20.0, 20.0), hit + 0.07, 1e-9);
   CHECK(model.density(99.0, 20.0) == model.density(20.0, 20.0));
+  CHECK_NEAR(model.density(5.0, 5.0 + 1e-8), model.density(5.0, 5.0), 1e-9);  // not a short one
 }
 
 }  // namespace
