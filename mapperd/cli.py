@@ -154,7 +154,11 @@ def _verdict(arguments: Arguments, summary: dict[str, Any]) -> Exit:
     damage = summary["recording"]["damage"] if "recording" in summary else None
     source = _source(arguments)
     ended = "live" in summary and summary["live"]["told_to_stop"]
-    if summary["pings_mapped"] == 0 and arguments.store is None and not ended:
+    nothing_asked = summary["config"]["localization"]["mapping"] == "off" and (
+        "localization" in summary
+    )
+    missed = summary["pings_mapped"] == 0 and arguments.store is None
+    if missed and not (ended or nothing_asked):
         damaged = f" (damaged: {damage})" if damage else ""
         return _fail(Exit.BAD_DATA, f"{source}: {_why_empty(summary, dropped)}{damaged}")
     if damage:

@@ -119,9 +119,34 @@ class Localization(Struct, frozen=True, forbid_unknown_fields=True):
             le=32,
         ),
     ] = 5
-    correct_mapping: Annotated[bool, rule("Pings are mapped at the corrected pose.", live=True)] = (
-        False
-    )
+    mapping: Annotated[
+        Literal["odometry", "corrected", "off"],
+        rule(
+            "Where pings are mapped: where the odometry says; where localization says, and only "
+            "while it is sure; or not at all."
+        ),
+    ] = "odometry"
+    mapping_max_std: Annotated[
+        float,
+        rule(
+            "Of corrected: the estimate is sure up to this standard deviation of the place.",
+            "m",
+            live=True,
+            gt=0,
+            le=1000,
+        ),
+    ] = 0.5
+    band_low: Annotated[
+        float,
+        rule(
+            "The vehicle drives from this height of a map with heights on, map frame; equal to "
+            "band_high: where the map has most free space.",
+            "m",
+            ge=-12000,
+            le=12000,
+        ),
+    ] = 0.0
+    band_high: Annotated[float, rule("And up to this height.", "m", ge=-12000, le=12000)] = 0.0
     random_seed: Annotated[
         int, rule("Of all random numbers: equal input, equal run.", ge=0, le=2**63 - 1)
     ] = 0

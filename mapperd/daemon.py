@@ -19,6 +19,7 @@ from mapperd.events import EventLog, Severity
 from mapperd.export.map_folder import MapFolder
 from mapperd.filters.stage import check_filters
 from mapperd.live import Live
+from mapperd.localization.checking import check_localization
 from mapperd.mapping import SonarMap
 from mapperd.operations import OperationError
 from mapperd.service.watchdog import Worker
@@ -70,7 +71,7 @@ class Daemon:
         self._began_s = time.monotonic()
         self._numbers = count(1)
         self._resets: dict[int, asyncio.Future[StoreError | None]] = {}
-        settings.follow(Stepping.FOLLOWS, self._take, check_filters)
+        settings.follow(Stepping.FOLLOWS, self._take, _check)
 
     @property
     def settings(self) -> ConfigStore:
@@ -211,6 +212,12 @@ class Daemon:
         for done in self._resets.values():
             if not done.done():
                 done.set_result(StoreError("mapping has ended", "closed"))
+
+
+def _check(config: Config) -> None:
+    """Whether the way of a ping can follow; raises `ConfigError`."""
+    check_filters(config)
+    check_localization(config)
 
 
 def _in_loop(loop: asyncio.AbstractEventLoop, what: Callable[[], None]) -> None:

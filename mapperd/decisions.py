@@ -18,14 +18,22 @@ __all__ = [
     "DECISIONS",
     "LINK",
     "SESSION",
+    "Covariance9",
     "Decision",
     "Drop",
     "ErrorBound",
     "Gap",
+    "GlobalLocalization",
+    "InitialPose",
+    "NewMap",
+    "NoMotionUpdate",
+    "Numbers12",
     "Remarks",
+    "Request",
     "Reset",
     "ResetFailed",
     "Session",
+    "SetMap",
     "Settings",
     "Skip",
     "chunk_of",
@@ -42,6 +50,14 @@ SESSION = "session"
 DECISIONS = "mapperd-decisions"
 """Encoding of the link."""
 
+Covariance9 = tuple[float, float, float, float, float, float, float, float, float]
+"""Of x, y and yaw, row by row."""
+
+Numbers12 = tuple[
+    float, float, float, float, float, float, float, float, float, float, float, float
+]
+"""x, y, yaw, and their covariance."""
+
 
 class Session(Struct, frozen=True, tag_field="kind", tag="session"):
     """A run of the daemon begins here.
@@ -51,12 +67,16 @@ class Session(Struct, frozen=True, tag_field="kind", tag="session"):
         version: of the program.
         settings: all of them, as plain values.
         pose: x, y, z in metres and w, x, y, z of a vehicle that stands still; None is odometry.
+        saved_pose: the estimate that localization began with; None where there was none.
+        map_sha256: of the map that localization began with; empty where there was none.
     """
 
     id: str
     version: str
     settings: dict[str, Any]
     pose: tuple[float, float, float, float, float, float, float] | None = None
+    saved_pose: Numbers12 | None = None
+    map_sha256: str = ""
 
 
 class Settings(Struct, frozen=True, tag_field="kind", tag="settings"):
@@ -82,6 +102,70 @@ class ResetFailed(Struct, frozen=True, tag_field="kind", tag="reset_failed"):
     """A reset could not be carried out: the map is as it was."""
 
     number: int
+
+
+class InitialPose(Struct, frozen=True, tag_field="kind", tag="initial_pose"):
+    """Localization begins anew around a pose.
+
+    Attributes:
+        number: of this request in its session.
+        x_m, y_m, yaw_rad: mean.
+        covariance: symmetric, positive semi-definite; m2, m rad, rad2.
+        frame: that the pose is in.
+        origin: who asked.
+    """
+
+    number: int
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    covariance: Covariance9
+    frame: str
+    origin: str = ""
+
+
+class GlobalLocalization(Struct, frozen=True, tag_field="kind", tag="global_localization"):
+    """Localization begins anew anywhere on the map."""
+
+    number: int
+    origin: str = ""
+
+
+class NoMotionUpdate(Struct, frozen=True, tag_field="kind", tag="nomotion_update"):
+    """The next scan is an update."""
+
+    number: int
+    origin: str = ""
+
+
+class NewMap(Struct, frozen=True, tag_field="kind", tag="new_map"):
+    """Another map to be localized on, without a pose.
+
+    Attributes:
+        number: of this request in its session.
+        path: of the map.
+        sha256: of what it held then.
+        origin: who asked.
+    """
+
+    number: int
+    path: str
+    sha256: str
+    origin: str = ""
+
+
+class SetMap(Struct, frozen=True, tag_field="kind", tag="set_map"):
+    """Another map to be localized on, and a pose: both or neither. Attributes as of the parts."""
+
+    number: int
+    path: str
+    sha256: str
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    covariance: Covariance9
+    frame: str
+    origin: str = ""
 
 
 class Gap(Struct, frozen=True, tag_field="kind", tag="gap"):
@@ -110,7 +194,10 @@ class ErrorBound(Struct, frozen=True, tag_field="kind", tag="error_bound"):
     value: float | None
 
 
-Decision = Session | Settings | Reset | ResetFailed | Gap | Skip | Drop | ErrorBound
+Request = InitialPose | GlobalLocalization | NoMotionUpdate | NewMap | SetMap
+"""What localization is asked for."""
+
+Decision = Session | Settings | Reset | ResetFailed | Gap | Skip | Drop | ErrorBound | Request
 
 _DECODER: msgspec.msgpack.Decoder[Decision] = msgspec.msgpack.Decoder(Decision)
 

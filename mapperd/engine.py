@@ -10,7 +10,16 @@ from dataclasses import dataclass
 
 from mapperd.config import Config
 from mapperd.counters import ReplayCounters
-from mapperd.decisions import DECISIONS, Gap, Reset, Settings, Skip, decision_of, is_remark
+from mapperd.decisions import (
+    DECISIONS,
+    Gap,
+    Request,
+    Reset,
+    Settings,
+    Skip,
+    decision_of,
+    is_remark,
+)
 from mapperd.odometry.bridge import ENCODING_PREFIX
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pairing import PoseSource, ping_time_ns
@@ -33,12 +42,14 @@ class Settled:
         ping: what the sonar heard.
         pose: at its time, or why there is none.
         complete_ns: when its last byte had come, on the clock of the arrivals; None if unknown.
+        t_ns: when the sound met the middle of the image, on that clock; None if unknown.
     """
 
     number: int
     ping: Ping
     pose: FusedPose | Reject
     complete_ns: int | None
+    t_ns: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,13 +59,14 @@ class NewSettings:
     config: Config
 
 
-Work = Settled | NewSettings | Reset
+Work = Settled | NewSettings | Reset | Request
 
 
 @dataclass(frozen=True, slots=True)
 class _Ticket:
     number: int
     complete_ns: int | None
+    t_ns: int | None
 
 
 class Engine:
@@ -155,8 +167,9 @@ class Engine:
         if turn:
             self.counters.drop("frame_skip", f"every {skip}th ping is mapped")
             return
-        self._tickets.append(_Ticket(number, complete_ns))
-        self.poses.add_ping(ping, t_ns)
+        placed_ns = ping_time_ns(ping) if t_ns is None else t_ns
+        self._tickets.append(_Ticket(number, complete_ns, placed_ns))
+        self.poses.add_ping(ping, placed_ns)
 
     def take(self, config: Config) -> None:
         """Take chunks with other settings from the next one on."""
@@ -176,6 +189,8 @@ class Engine:
                 self.take(with_values(self.config, values))
                 yield NewSettings(self.config)
             case Reset() if self._obey:
+                yield decision
+            case _ if self._obey and isinstance(decision, Request):
                 yield decision
 
     def _gap_before(self, chunk: Chunk) -> bool:
@@ -217,5 +232,6 @@ class Engine:
         work: list[Work] = []
         for ping, pose in self.poses.settled(now_ns, final=final):
             ticket = self._tickets.popleft()  # pings come out in the order in which they went in
-            work.append(Settled(ticket.number, ping, pose, ticket.complete_ns))
+            settled = Settled(ticket.number, ping, pose, ticket.complete_ns, ticket.t_ns)
+            work.append(settled)
         return work

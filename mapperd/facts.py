@@ -22,7 +22,7 @@ def facts_reader(
     """
 
     def read(thread: MappingThread) -> Facts:
-        newest = thread.newest
+        newest, onboard = thread.newest, thread.integration.onboard
         pose = None if newest is None else newest.pose
         return Facts(
             pings=_pings(thread),
@@ -35,6 +35,7 @@ def facts_reader(
             sonar=_sonar(thread),
             clocks=_clocks(thread),
             progress=thread.progress,
+            localization=None if onboard is None else onboard.facts(),
         )
 
     return read

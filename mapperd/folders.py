@@ -5,7 +5,7 @@ from pathlib import Path
 
 from mapperd.config import Config
 
-__all__ = ["map_path", "recordings_folder", "state_folder"]
+__all__ = ["map_path", "pose_path", "recordings_folder", "state_folder"]
 
 
 def state_folder(config: Config, environ: Mapping[str, str]) -> Path:
@@ -30,6 +30,13 @@ def recordings_folder(config: Config, environ: Mapping[str, str]) -> Path:
     if environ.get("LOGS_DIRECTORY"):
         return Path(environ["LOGS_DIRECTORY"].split(":")[0])
     return state_folder(config, environ) / "recordings"
+
+
+def pose_path(config: Config, environ: Mapping[str, str]) -> Path:
+    """Of the estimate that localization goes on from after a restart."""
+    if config.localization.pose_path:
+        return Path(config.localization.pose_path)
+    return state_folder(config, environ) / "localization-pose.json"
 
 
 def map_path(config: Config, environ: Mapping[str, str]) -> Path:

@@ -1,12 +1,19 @@
 """Carries out, in order, what the engine gives: the pings' way into the map."""
 
-from mapperd.decisions import Remarks, Reset
+from mapperd.config import Config
+from mapperd.decisions import Remarks, Request, Reset
 from mapperd.engine import NewSettings, Settled, Work
 from mapperd.errors import StoreError
 from mapperd.keeping import Keeping
+from mapperd.localization.onboard import Onboard
+from mapperd.odometry.fusion import FusedPose
+from mapperd.reject import Reject
+from mapperd.step import Mapped
 from mapperd.stepping import Stepping
 
 __all__ = ["Integration"]
+
+LOCALIZATION_OFF = Reject("localization_off", "localization.mode is off")
 
 TOO_SLOW = ("too_slow", "pings came faster than they could be mapped")
 
@@ -18,13 +25,23 @@ class Integration:
         stepping: the pings' way.
         keep: of the map.
         remarks: of a session that is mapped again.
+        onboard: localizes; None where that is off.
 
     Attributes:
-        stepping: as given.
+        stepping, onboard: as given.
+        newest: pose that the newest ping with one was mapped at, or localized where none is.
     """
 
-    def __init__(self, stepping: Stepping, keep: Keeping, remarks: Remarks | None = None) -> None:
+    def __init__(
+        self,
+        stepping: Stepping,
+        keep: Keeping,
+        remarks: Remarks | None = None,
+        onboard: Onboard | None = None,
+    ) -> None:
         self.stepping = stepping
+        self.onboard = onboard
+        self.newest: FusedPose | None = None
         self._keep = keep
         remarks = remarks or Remarks()
         self._drops = remarks.drops
@@ -32,19 +49,51 @@ class Integration:
         self._bounds = list(reversed(remarks.bounds))
 
     def do(self, work: Work) -> None:
-        """Map a ping or count why not, change the settings, or empty the map.
+        """Map a ping or count why not, change the settings, empty the map, or localize anew.
 
         Raises:
             StoreError: the map cannot be emptied.
+            MapError: the known map that a recorded request names is not there any more.
         """
         match work:
-            case Settled(number):
-                self._ping(number, work)
+            case Settled():
+                self._ping(work)
             case NewSettings(config):
-                self.stepping.take(config)
+                self._take(config)
             case Reset(number):
                 self._reset(number)
+            case _:
+                self.ask(work)
+                return
         self._keep.done(work)
+
+    def ask(self, request: Request) -> Reject | None:
+        """Do what localization is asked for; returns why not. Raises as `do`."""
+        refused = LOCALIZATION_OFF if self.onboard is None else self.onboard.ask(request)
+        self._keep.done(request)
+        return refused
+
+    def pass_by(self, work: Work) -> None:
+        """Let work go that is in the map already; localization is not in it, and does it again."""
+        match work:
+            case Settled(number) if number not in self._drops:
+                self._place(work)
+            case NewSettings(config):
+                self._take(config)
+            case Settled() | Reset():
+                pass
+            case _ if self.onboard is not None:
+                self.onboard.ask(work)
+
+    def _take(self, config: Config) -> None:
+        self.stepping.take(config)
+        if self.onboard is not None:
+            self.onboard.take(config)
+
+    def _place(self, settled: Settled) -> FusedPose | Reject:
+        if self.onboard is None:
+            return settled.pose
+        return self.onboard.place(settled.ping, settled.pose, settled.t_ns)
 
     def _reset(self, number: int) -> None:
         if number in self._failed:
@@ -60,10 +109,13 @@ class Integration:
         self.stepping.counters.drop(*TOO_SLOW)
         self._keep.done(work)
 
-    def _ping(self, number: int, settled: Settled) -> None:
+    def _ping(self, settled: Settled) -> None:
+        number = settled.number
         while self._bounds and self._bounds[-1][0] <= number:
             self.stepping.error_bound = self._bounds.pop()[1]
         if number in self._drops:
             self.stepping.counters.drop(*TOO_SLOW)
         else:
-            self.stepping.step(settled.ping, settled.pose)
+            pose = self._place(settled)
+            if isinstance(self.stepping.step(settled.ping, pose), Mapped):
+                self.newest = pose if isinstance(pose, FusedPose) else None

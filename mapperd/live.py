@@ -16,7 +16,7 @@ from mapperd.behind import Backlog
 from mapperd.chunk_queue import ChunkQueue
 from mapperd.config import Config, Device
 from mapperd.counters import ReplayCounters
-from mapperd.decisions import LINK, Session, Settings
+from mapperd.decisions import LINK, Request, Session, Settings
 from mapperd.engine import Engine
 from mapperd.errors import ConfigError
 from mapperd.events import EventLog, Severity
@@ -27,11 +27,14 @@ from mapperd.keeping import InMemory, Keeping
 from mapperd.links.address import parse_address
 from mapperd.links.link import Link
 from mapperd.links.state import LinkStatus as OdometryStatus
+from mapperd.localizing import Localizing, numbers_of
 from mapperd.mapping import SonarMap
 from mapperd.mapping_thread import MappingThread
 from mapperd.odometry.bridge import encoding_of
 from mapperd.pairing import FixedPose, OdometryPoses
 from mapperd.recorder import Recorder
+from mapperd.reject import Reject
+from mapperd.requests import Requests
 from mapperd.setting_changes import changes_between
 from mapperd.stepping import Stepping
 from mapperd.version import version
@@ -76,6 +79,7 @@ class Live:
         events: is told what the links do; may be none.
         keep: of the map; None keeps it in memory.
         clock: nanoseconds, of all arrivals.
+        localizing: begun; None is off.
 
     Raises:
         ConfigError: the folder of the recordings cannot be used, two sources share a link, or a
@@ -88,6 +92,7 @@ class Live:
         links: of the odometry.
         recorder, inlet, queue: of all that comes in.
         keep: of the map.
+        localizing: as given.
     """
 
     def __init__(
@@ -99,12 +104,14 @@ class Live:
         events: EventLog | None = None,
         keep: Keeping | None = None,
         clock: Callable[[], int] | None = None,
+        localizing: Localizing | None = None,
     ) -> None:
         config = sonar_map.config
         _require_own_links(config)
         self.session = session
         self.keep: Keeping = InMemory(sonar_map) if keep is None else keep
         self.counters = ReplayCounters()
+        self.localizing = localizing
         self._config = config
         self._poses = poses
         self._events = events
@@ -115,6 +122,7 @@ class Live:
         encodings = {source.name: encoding_of(source) for source in config.odometry.sources}
         self.inlet = Inlet(self.recorder, self.queue, encodings, self._clock)
         self.mapping = self._mapping(sonar_map)
+        self._requests = Requests(self.inlet, None if localizing is None else localizing.maps)
         self.links = self._odometry_links()
         self._sonar = OculusSonar(
             config.device.address or None,
@@ -145,6 +153,8 @@ class Live:
             stepping = mapping.integration.stepping
             self.keep.begin(mapping.engine, stepping, self.recorder, self.queue.wake)
             self.inlet.order(self._beginning())
+            self._requests.open()
+            mapping.on_request = self._requests.done
             mapping.start()
             try:
                 async with self._sonar:
@@ -154,6 +164,7 @@ class Live:
                     link.cancel()
                 await asyncio.gather(*links, return_exceptions=True)
                 self.queue.close()
+                self._requests.close()
                 await ended  # never cancelled: a step that has begun in its thread goes on anyway
         if self.mapping.failure is not None:
             raise self.mapping.failure
@@ -169,6 +180,19 @@ class Live:
         self._config = config
         if values:
             self.inlet.order(Settings(values))
+
+    async def ask(self, request: Request) -> Reject | None:
+        """Ask localization for something, as an order that is recorded; returns why not.
+
+        The event loop's alone. It is done between two pings, so that it may take a while.
+
+        Args:
+            request: its number, and a map's fingerprint, are put in here.
+
+        Raises:
+            MapError: the map cannot be loaded; nothing was ordered.
+        """
+        return await self._requests.ask(request)
 
     @property
     def poses(self) -> FixedPose | OdometryPoses:
@@ -188,10 +212,11 @@ class Live:
     def _mapping(self, sonar_map: SonarMap) -> MappingThread:
         engine = Engine(sonar_map.config, self._poses, self.counters, confirm=False, obey=True)
         stepping = Stepping(sonar_map, time.perf_counter, self.counters)
+        onboard = None if self.localizing is None else self.localizing.onboard
         return MappingThread(
             self.queue,
             engine,
-            Integration(stepping, self.keep),
+            Integration(stepping, self.keep, onboard=onboard),
             Backlog(sonar_map.config.behind),
             remark=self.inlet.remark,
             clock=self._clock,
@@ -216,7 +241,10 @@ class Live:
         pose = self._poses.pose if isinstance(self._poses, FixedPose) else None
         settings = msgspec.to_builtins(self._config)
         place = None if pose is None else (*pose.position_m.tolist(), *pose.map_q_base.tolist())
-        return Session(self.session, version(), settings, place)
+        begun = self.localizing
+        saved = None if begun is None else numbers_of(begun.saved)
+        sha256 = "" if begun is None else begun.map_sha256
+        return Session(self.session, version(), settings, place, saved, sha256)
 
     def _when_mapping_ends(self) -> "asyncio.Future[None]":
         loop = asyncio.get_running_loop()

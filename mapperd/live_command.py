@@ -6,8 +6,9 @@ import os
 import secrets
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from mapperd.config import Config
@@ -15,13 +16,16 @@ from mapperd.config_layers import Layered
 from mapperd.config_store import ConfigStore
 from mapperd.control.setup import control_server
 from mapperd.daemon import Daemon
+from mapperd.errors import ConfigError
 from mapperd.events import EventLog
-from mapperd.export.summary import summary_of
-from mapperd.folders import state_folder
+from mapperd.export.summary import localization_summary, summary_of
+from mapperd.folders import map_path, pose_path, state_folder
 from mapperd.live import Live, host_clock
+from mapperd.localizing import Localizing, begun
 from mapperd.mapping import SonarMap
 from mapperd.opening import OpenMap, open_map
 from mapperd.pairing import FixedPose, OdometryPoses
+from mapperd.pose_keeper import PoseKeeper
 from mapperd.servers import serving
 from mapperd.service.inherited import inherited_sockets
 from mapperd.service.journal import Journal, goes_to_journal
@@ -88,6 +92,7 @@ async def _map(run: LiveRun) -> tuple[SonarMap, dict[str, Any]]:
         )
     try:
         _keep_origin(run.settings, opened)
+        localizing = await asyncio.to_thread(_localizing, run.settings.current)
         live = Live(
             opened.sonar_map,
             run.poses(run.settings.current),
@@ -95,6 +100,7 @@ async def _map(run: LiveRun) -> tuple[SonarMap, dict[str, Any]]:
             events=events,
             keep=opened.keep,
             clock=clock,
+            localizing=localizing,
         )
         return await _served(run, opened, live, events, clock)
     finally:
@@ -127,12 +133,39 @@ async def _served(
         await stack.enter_async_context(feeding)
         telling = asyncio.create_task(_tell(live, run.say))
         stack.callback(telling.cancel)
+        await stack.enter_async_context(_poses_kept(run.settings, live, events, clock))
         began_s = time.perf_counter()
         await daemon.run(_until(stop, run.duration_s))
         wall_s = time.perf_counter() - began_s
         source = {"live": _live_facts(daemon, told_to_stop=stop.is_set())}
+        if (facts := live.mapping.facts.localization) is not None:
+            source |= localization_summary(facts)
         whole = await asyncio.to_thread(opened.keep.whole)
     return whole, summary_of(source, whole, live.poses, live.counters, wall_s)
+
+
+@contextlib.asynccontextmanager
+async def _poses_kept(
+    settings: ConfigStore, live: Live, events: EventLog, clock: Callable[[], int]
+) -> AsyncIterator[None]:
+    """Save the estimated pose meanwhile, and at the end."""
+    if live.localizing is None:
+        yield
+        return
+    keeper = PoseKeeper(
+        pose_path(settings.current, os.environ),
+        lambda: live.mapping.facts.localization,
+        lambda: settings.current.amcl,
+        clock,
+        events,
+    )
+    saving = asyncio.create_task(keeper.run())
+    try:
+        yield
+    finally:
+        saving.cancel()
+        await asyncio.gather(saving, return_exceptions=True)
+        await asyncio.to_thread(keeper.save)
 
 
 def _keep_origin(settings: ConfigStore, opened: OpenMap) -> None:
@@ -142,6 +175,30 @@ def _keep_origin(settings: ConfigStore, opened: OpenMap) -> None:
     latitude, longitude = opened.origin_deg
     value = {"latitude": latitude, "longitude": longitude}
     opened.sonar_map.reconfigure(settings.settle("odometry.origin", value, "the map's file"))
+
+
+def _localizing(config: Config) -> Localizing | None:
+    """Begin localization by the settings.
+
+    Raises:
+        ConfigError: its map cannot be used, or is the one that is being made.
+    """
+    ours = config.localization
+    grows = config.outofcore.use and ours.mapping != "off"
+    if grows and ours.map_path and _same(Path(ours.map_path), map_path(config, os.environ)):
+        place = "$.localization.map_path"
+        raise ConfigError(
+            f"{place}: is the map that pings are mapped into, which would then change below the "
+            "vehicle's feet; allowed: a copy of it, or localization.mapping off",
+            place,
+        )
+    return begun(config, pose_path(config, os.environ))
+
+
+def _same(one: Path, other: Path) -> bool:
+    return one.absolute() == other.absolute() or (
+        one.exists() and other.exists() and one.samefile(other)
+    )
 
 
 async def _tell(live: Live, say: Say) -> None:

@@ -19,7 +19,7 @@ from mapperd.frames import pose_from_rpy
 from mapperd.map_file import load_map, save_map
 from mapperd.motion import PingMotion
 
-__all__ = ["MapCounts", "SonarMap", "Voxels", "iwlo_params"]
+__all__ = ["MapCounts", "SonarMap", "Voxels", "iwlo_params", "mounting"]
 
 HASH_VERSION = 2
 """Part of the fingerprint: another layout of its input is another version."""
@@ -79,7 +79,7 @@ class SonarMap:
     def __init__(self, config: Config) -> None:
         self.config = config
         self._map = _core.VoxelMap(config.octree.voxel_resolution, iwlo_params(config))
-        self._base_T_sonar = _mounting(config)
+        self._base_T_sonar = mounting(config)
 
     def reconfigure(self, config: Config) -> None:
         """Take other settings for the pings to come; nobody integrates meanwhile.
@@ -93,7 +93,7 @@ class SonarMap:
                 path = f"$.{section}"
                 raise ConfigError(f"{path}: cannot change in a map that is there", path)
         self._map.set_intensity_threshold(config.filtering.intensity_threshold)
-        self._base_T_sonar = _mounting(config)
+        self._base_T_sonar = mounting(config)
         self.config = config
 
     @property
@@ -339,12 +339,13 @@ def iwlo_params(config: Config) -> _core.IwloParams:
         raise ConfigError(f"$.iwlo: {error}", "$.iwlo") from error
 
 
-def _mounting(config: Config) -> Floats:
+def mounting(config: Config) -> Floats:
+    """`base_T_sonar` of the settings, (4, 4) rigid transform."""
     position, angles = config.mounting.position, config.mounting.orientation
-    mounting = pose_from_rpy(
+    pose = pose_from_rpy(
         (position.x, position.y, position.z), (angles.roll, angles.pitch, angles.yaw)
     )
-    return mounting.map_T_base
+    return pose.map_T_base
 
 
 def _log_odds(probability: float) -> float:

@@ -2,18 +2,22 @@
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 from mapperd.behind import Backlog
 from mapperd.chunk_queue import ChunkQueue
-from mapperd.decisions import Decision, Drop, ErrorBound, Reset, ResetFailed
-from mapperd.engine import Engine, Settled, Work
+from mapperd.decisions import Decision, Drop, ErrorBound, Request, Reset, ResetFailed
+from mapperd.engine import Engine, NewSettings, Settled, Work
 from mapperd.errors import StoreError
 from mapperd.integration import Integration
 from mapperd.keeping import Keeping
 from mapperd.latency import Latency
+from mapperd.localization.facts import LocalizationFacts
 from mapperd.odometry.fusion import FusedPose
+
+if TYPE_CHECKING:
+    from mapperd.reject import Reject
 
 __all__ = ["Facts", "MappingThread"]
 
@@ -34,6 +38,7 @@ class Facts:
         sonar: what the newest of those pings was like.
         clocks: how pings were placed in time.
         progress: pieces of work that were done.
+        localization: how that stands; None where it is off.
     """
 
     pings: dict[str, Any]
@@ -46,6 +51,7 @@ class Facts:
     sonar: dict[str, Any]
     clocks: dict[str, Any]
     progress: int
+    localization: LocalizationFacts | None = None
 
 
 class MappingThread:
@@ -68,6 +74,8 @@ class MappingThread:
         failure: what ended it before its time.
         on_end: called in the thread at its end.
         on_reset: called in the thread with each reset and why it failed, if it did.
+        on_request: called in the thread with what localization was asked for, and why it was
+            refused, if it was.
         on_told: called in the thread with new facts.
     """
 
@@ -92,6 +100,7 @@ class MappingThread:
         self.failure: BaseException | None = None
         self.on_end: Callable[[], None] = lambda: None
         self.on_reset: Callable[[Reset, StoreError | None], None] = lambda *_: None
+        self.on_request: Callable[[Request, Reject | None], None] = lambda *_: None
         self.on_told: Callable[[Facts], None] = lambda _: None
         self._queue = queue
         self._remark = remark
@@ -169,8 +178,10 @@ class MappingThread:
                 self._ping(settled)
             case Reset() as reset:
                 self._reset(reset)
-            case other:
-                self.integration.do(other)
+            case NewSettings() as settings:
+                self.integration.do(settings)
+            case request:
+                self.on_request(request, self.integration.ask(request))
         self.progress += 1
         return isinstance(turn.remark, Drop)
 
@@ -179,8 +190,8 @@ class MappingThread:
         self.integration.do(settled)
         if self.integration.stepping.counters.pings_mapped == mapped:
             return
-        if isinstance(settled.pose, FusedPose):
-            self.newest = settled
+        if self.integration.newest is not None:
+            self.newest = replace(settled, pose=self.integration.newest)
         if settled.complete_ns is not None:
             self.latency.add(settled.complete_ns, self._clock())
 

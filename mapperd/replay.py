@@ -16,6 +16,7 @@ from mapperd.engine import Engine, Work
 from mapperd.errors import ReplayError
 from mapperd.integration import Integration
 from mapperd.keeping import InMemory
+from mapperd.localization.onboard import Onboard
 from mapperd.mapping import SonarMap
 from mapperd.odometry.bridge import ENCODING_PREFIX
 from mapperd.pairing import PoseSource
@@ -81,6 +82,7 @@ class Replay:
             back until what follows confirms it.
         remarks: to map a session of the daemon as it was mapped, with all that was decided.
         counters: to go on with.
+        onboard: localizes; None where that is off.
     """
 
     def __init__(
@@ -93,6 +95,7 @@ class Replay:
         confirm: bool = True,
         remarks: Remarks | None = None,
         counters: ReplayCounters | None = None,
+        onboard: Onboard | None = None,
     ) -> None:
         self._config = sonar_map.config
         self._poses = poses
@@ -100,7 +103,7 @@ class Replay:
         self._confirm = confirm
         self._as_recorded = remarks is not None
         self._integration = Integration(
-            Stepping(sonar_map, clock, counters), InMemory(sonar_map), remarks
+            Stepping(sonar_map, clock, counters), InMemory(sonar_map), remarks, onboard
         )
 
     @property

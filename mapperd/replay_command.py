@@ -15,8 +15,9 @@ from mapperd.config_file import config_of
 from mapperd.counters import ReplayCounters
 from mapperd.decisions import Remarks, Session, remarks_in
 from mapperd.errors import ReplayError
-from mapperd.export.summary import recording_facts, summary_of
+from mapperd.export.summary import localization_summary, recording_facts, summary_of
 from mapperd.frames import Pose
+from mapperd.localizing import Localizing, begun, begun_again
 from mapperd.mapping import SonarMap
 from mapperd.pairing import FixedPose, OdometryPoses
 from mapperd.progress import ProgressBar
@@ -87,16 +88,22 @@ class _Run:
     """A session that is to be mapped: what with, and what was decided in it."""
 
     def __init__(
-        self, session: RecordedSession, config: Config, pose: Pose | None, remarks: Remarks | None
+        self,
+        session: RecordedSession,
+        config: Config,
+        pose: Pose | None,
+        remarks: Remarks | None,
+        localizing: Localizing | None,
     ) -> None:
         self.session = session
         self.config = config
         self.poses = OdometryPoses(config) if pose is None else FixedPose(pose)
         self.remarks = remarks
+        self.onboard = None if localizing is None else localizing.onboard
 
 
 def _as_asked(session: RecordedSession, arguments: Arguments, config: Config) -> _Run:
-    return _Run(session, config, arguments.pose, None)
+    return _Run(session, config, arguments.pose, None, begun(config))
 
 
 def _as_recorded(session: RecordedSession) -> _Run:
@@ -107,7 +114,8 @@ def _as_recorded(session: RecordedSession) -> _Run:
             "it was mapped; begin with the session's first file, or leave out --as-recorded"
         )
     config = config_of(beginning.settings, f"settings in {session.paths[0].name}")
-    return _Run(session, config, _pose_of(beginning), remarks_in(session))
+    localizing = begun_again(config, beginning)
+    return _Run(session, config, _pose_of(beginning), remarks_in(session), localizing)
 
 
 def _pose_of(beginning: Session) -> Pose | None:
@@ -133,6 +141,7 @@ def _mapped(runs: Sequence[_Run], sonar_map: SonarMap, window: Window) -> dict[s
             confirm=run.session.session is None,
             remarks=run.remarks,
             counters=counters,
+            onboard=run.onboard,
         )
         for _ in replay.run(run.session):
             bar.show((done_bytes + run.session.bytes_read) / size_bytes, counters.pings_mapped)
@@ -140,6 +149,8 @@ def _mapped(runs: Sequence[_Run], sonar_map: SonarMap, window: Window) -> dict[s
     bar.close(counters.pings_mapped)
     wall_s = time.perf_counter() - began_s
     facts = recording_facts([run.session for run in runs])
+    if runs[-1].onboard is not None:
+        facts |= localization_summary(runs[-1].onboard.facts())
     return summary_of(facts, sonar_map, runs[-1].poses, counters, wall_s)
 
 

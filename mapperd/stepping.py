@@ -46,9 +46,11 @@ class Stepping:
         "crosstalk",
         "terrain_detection",
         "robot_detection",
+        "amcl",
+        "localization",
         *ODOMETRY_FOLLOWS,
     )
-    """Settings that the way of a ping follows: through `take`, and through its `PoseSource`."""
+    """Settings that the way of a ping follows: through `take`, its `PoseSource`, and `Onboard`."""
 
     def __init__(
         self,

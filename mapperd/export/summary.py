@@ -7,12 +7,14 @@ import msgspec
 
 from mapperd.config import Config
 from mapperd.counters import ReplayCounters
+from mapperd.localization.estimate import PlanarGaussian
+from mapperd.localization.facts import LocalizationFacts
 from mapperd.mapping import SonarMap
 from mapperd.pairing import FixedPose, OdometryPoses
 from mapperd.recording_files import RecordedSession
 from mapperd.version import version
 
-__all__ = ["recording_facts", "summary_of"]
+__all__ = ["localization_summary", "recording_facts", "summary_of"]
 
 
 def summary_of(
@@ -85,6 +87,32 @@ def recording_facts(sessions: Sequence[RecordedSession]) -> dict[str, Any]:
         "damage": next((session.damage for session in sessions if session.damage), None),
     }
     return {"recording": facts}
+
+
+def localization_summary(facts: LocalizationFacts) -> dict[str, Any]:
+    """How localization stood at the end."""
+    belief = facts.belief
+    told = {
+        "state": facts.state,
+        "map": None if facts.known is None else facts.known.path,
+        "map_sha256": None if facts.known is None else facts.known.sha256,
+        "updates": facts.updates,
+        "scans": dict(sorted(facts.counts.items())),
+        "particles": facts.particle_count,
+        "sure": facts.sure,
+        "ambiguous": None if belief is None else belief.ambiguous,
+        "pose": None if belief is None else _gaussian(belief.best),
+    }
+    return {"localization": told}
+
+
+def _gaussian(pose: PlanarGaussian) -> dict[str, Any]:
+    return {
+        "x_m": pose.x_m,
+        "y_m": pose.y_m,
+        "yaw_rad": pose.yaw_rad,
+        "covariance": pose.covariance.tolist(),
+    }
 
 
 def _plain(config: Config) -> dict[str, Any]:

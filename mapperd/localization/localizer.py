@@ -62,6 +62,15 @@ class Localizer:
         self._gate = UpdateGate()
         self._transform: MapFromOdom | None = None
 
+    @property
+    def correction(self) -> MapFromOdom | None:
+        """The transform of the last update, if it may be used, published or not."""
+        return self._transform if self.life.publishing else None
+
+    def passed(self, reason: str) -> Localized:
+        """Count a ping that gave no scan."""
+        return self._counted(Localized(reason, transform=None))
+
     def reconfigure(self, config: Config) -> None:
         """Take other settings from the next event on; the particles stay.
 

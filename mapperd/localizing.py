@@ -1,0 +1,150 @@
+"""How a session's localization begins: its map is loaded, its saved pose is read.
+
+A session that is mapped again begins with what its recording says, not with what lies on the disk
+now: the saved pose stands in the recording, and of the map its fingerprint.
+"""
+
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mapperd.config import Config
+from mapperd.decisions import Numbers12, Session
+from mapperd.errors import ConfigError, MapError
+from mapperd.localization.estimate import PlanarGaussian
+from mapperd.localization.known_map import KnownMap
+from mapperd.localization.map_loading import load_known_map
+from mapperd.localization.onboard import Onboard
+from mapperd.localization.saved_pose import load_pose
+
+__all__ = ["KnownMaps", "Localizing", "begun", "begun_again", "numbers_of"]
+
+PLACE = "$.localization.map_path"
+
+
+class KnownMaps:
+    """Maps on their way to localization: loaded in one thread, taken in another.
+
+    Args:
+        config: what maps are loaded by.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._ready: dict[tuple[str, str], KnownMap] = {}
+        self._lock = threading.Lock()
+
+    def load(self, path: str) -> KnownMap:
+        """Load a map and have it ready for `take`; not in an event loop.
+
+        Raises:
+            MapError: as `load_known_map`.
+        """
+        known = load_known_map(Path(path), self._config)
+        with self._lock:
+            self._ready[known.path, known.sha256] = known
+        return known
+
+    def take(self, path: str, sha256: str) -> KnownMap:
+        """Give a map away, loaded now where it is not ready, as when a session is mapped again.
+
+        Raises:
+            MapError: it cannot be loaded, or is another one by now (`other_map`).
+        """
+        with self._lock:
+            known = self._ready.pop((path, sha256), None)
+        known = known or load_known_map(Path(path), self._config)
+        if known.sha256 != sha256:
+            raise MapError(
+                f"{path}: another map than the one that the session was localized on", "other_map"
+            )
+        return known
+
+
+@dataclass(frozen=True, slots=True)
+class Localizing:
+    """A session's localization as it begins.
+
+    Attributes:
+        onboard: for the thread that maps.
+        maps: through which it gets other maps.
+        saved: estimate that it goes on from.
+        map_sha256: of the map that it begins with; empty without one.
+    """
+
+    onboard: Onboard
+    maps: KnownMaps
+    saved: PlanarGaussian | None = None
+    map_sha256: str = ""
+
+
+def begun(config: Config, pose_path: Path | None = None) -> Localizing | None:
+    """Begin by the settings; None where localization is off. Not in an event loop.
+
+    Args:
+        config: the settings.
+        pose_path: of the saved pose; None begins without one.
+
+    Raises:
+        ConfigError: the map cannot be used, or the saved pose is none.
+    """
+    ours = config.localization
+    if ours.mode == "off":
+        return None
+    maps = KnownMaps(config)
+    try:
+        known = load_known_map(Path(ours.map_path), config) if ours.map_path else None
+    except MapError as error:
+        raise ConfigError(f"{PLACE}: {error}", PLACE) from error
+    saved = None
+    if pose_path is not None:
+        try:
+            saved = load_pose(pose_path, config.amcl.global_frame_id)
+        except MapError as error:
+            raise ConfigError(f"$.localization.pose_path: {error}", "$.localization") from error
+    return _localizing(config, maps, known, saved)
+
+
+def begun_again(config: Config, session: Session) -> Localizing | None:
+    """Begin as a recorded session began; None where localization was off.
+
+    Raises:
+        ConfigError: the map cannot be used, or is another one by now.
+    """
+    ours = config.localization
+    if ours.mode == "off":
+        return None
+    maps = KnownMaps(config)
+    try:
+        known = maps.take(ours.map_path, session.map_sha256) if session.map_sha256 else None
+    except MapError as error:
+        raise ConfigError(f"{PLACE}: {error}", PLACE) from error
+    return _localizing(config, maps, known, _gaussian(session.saved_pose))
+
+
+def numbers_of(pose: PlanarGaussian | None) -> Numbers12 | None:
+    """A pose as a recording has it."""
+    if pose is None:
+        return None
+    (a, b, c), (d, e, f), (g, h, i) = pose.covariance.tolist()
+    return pose.x_m, pose.y_m, pose.yaw_rad, a, b, c, d, e, f, g, h, i
+
+
+def _gaussian(numbers: Numbers12 | None) -> PlanarGaussian | None:
+    if numbers is None:
+        return None
+    return PlanarGaussian(*numbers[:3], np.array(numbers[3:]).reshape(3, 3))
+
+
+def _localizing(
+    config: Config, maps: KnownMaps, known: KnownMap | None, saved: PlanarGaussian | None
+) -> Localizing:
+    try:
+        onboard = Onboard(config, known, saved, maps.take)
+    except MapError as error:
+        raise ConfigError(f"{PLACE}: {error}", PLACE) from error
+    except ValueError as error:
+        raise ConfigError(f"$.amcl: {error}", "$.amcl") from error
+    return Localizing(onboard, maps, saved, "" if known is None else known.sha256)
