@@ -681,6 +681,10 @@ class MclRecovery:
     @property
     def injected_share(self) -> float: ...
 
+MclState: TypeAlias = tuple[
+    NDArray[np.float64], NDArray[np.float64], tuple[int, ...], tuple[float, float, bool]
+]
+
 class MclFilter:
     """The particle filter: (x, y, yaw) in the map frame. Not to be used from two threads at once.
 
@@ -710,6 +714,25 @@ class MclFilter:
 
         Raises:
             ValueError: not finite, or no weight.
+        """
+
+    def state(self) -> MclState:
+        """All that a filter of the same rule and seed needs to go on as this one would.
+
+        (N, 3) poses, (N,) logarithms of the weights, whole numbers, averages.
+        """
+
+    def restore(
+        self,
+        poses: NDArray[np.float64],
+        log_weights: NDArray[np.float64],
+        numbers: tuple[int, ...],
+        averages: tuple[float, float, bool],
+    ) -> None:
+        """Take what `state` gave.
+
+        Raises:
+            ValueError: it is no filter's; nothing is changed.
         """
 
     def predict(

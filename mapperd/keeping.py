@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from mapperd.engine import Engine, Work
+from mapperd.localizing import Localizing
 from mapperd.mapping import SonarMap
 from mapperd.position import Places
 from mapperd.service.watchdog import Worker
@@ -16,7 +17,12 @@ class Keeping(Protocol):
     """Keeps the map; all but `save`, `whole` and `status` is called in the mapping thread."""
 
     def begin(
-        self, engine: Engine, stepping: Stepping, places: Places, wake: Callable[[], None]
+        self,
+        engine: Engine,
+        stepping: Stepping,
+        places: Places,
+        wake: Callable[[], None],
+        localizing: Localizing | None = None,
     ) -> None:
         """Before the first chunk.
 
@@ -25,6 +31,7 @@ class Keeping(Protocol):
             stepping: which the work goes through.
             places: of the recording.
             wake: lets the thread come to `between` soon; any thread.
+            localizing: what the poses depend on; None where they do not.
         """
 
     def between(self, number: int, waiting: int) -> None:
@@ -82,7 +89,12 @@ class InMemory:
         self._map = sonar_map
 
     def begin(
-        self, engine: Engine, stepping: Stepping, places: Places, wake: Callable[[], None]
+        self,
+        engine: Engine,
+        stepping: Stepping,
+        places: Places,
+        wake: Callable[[], None],
+        localizing: Localizing | None = None,
     ) -> None:
         """Nothing to be done."""
 

@@ -27,7 +27,7 @@ from mapperd.keeping import InMemory, Keeping
 from mapperd.links.address import parse_address
 from mapperd.links.link import Link
 from mapperd.links.state import LinkStatus as OdometryStatus
-from mapperd.localizing import Localizing, numbers_of
+from mapperd.localizing import Localizing, numbers_of, poses_depend_on
 from mapperd.mapping import SonarMap
 from mapperd.mapping_thread import MappingThread
 from mapperd.odometry.bridge import encoding_of
@@ -151,7 +151,13 @@ class Live:
         async with self.recorder:
             mapping = self.mapping
             stepping = mapping.integration.stepping
-            self.keep.begin(mapping.engine, stepping, self.recorder, self.queue.wake)
+            self.keep.begin(
+                mapping.engine,
+                stepping,
+                self.recorder,
+                self.queue.wake,
+                poses_depend_on(self.localizing),
+            )
             self.inlet.order(self._beginning())
             self._requests.open()
             mapping.on_request = self._requests.done

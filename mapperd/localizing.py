@@ -10,16 +10,27 @@ from pathlib import Path
 
 import numpy as np
 
+from mapperd.checkpoint.reading import overlay
+from mapperd.checkpoint.writing import written
 from mapperd.config import Config
 from mapperd.decisions import Numbers12, Session
-from mapperd.errors import ConfigError, MapError
+from mapperd.errors import CheckpointError, ConfigError, MapError
 from mapperd.localization.estimate import PlanarGaussian
 from mapperd.localization.known_map import KnownMap
 from mapperd.localization.map_loading import load_known_map
-from mapperd.localization.onboard import Onboard
+from mapperd.localization.onboard import Onboard, OnboardState
 from mapperd.localization.saved_pose import load_pose
 
-__all__ = ["KnownMaps", "Localizing", "begun", "begun_again", "numbers_of"]
+__all__ = [
+    "KnownMaps",
+    "Localizing",
+    "begun",
+    "begun_again",
+    "numbers_of",
+    "poses_depend_on",
+    "restored_localizing",
+    "saved_state",
+]
 
 PLACE = "$.localization.map_path"
 
@@ -35,6 +46,11 @@ class KnownMaps:
         self._config = config
         self._ready: dict[tuple[str, str], KnownMap] = {}
         self._lock = threading.Lock()
+
+    @property
+    def config(self) -> Config:
+        """What maps are loaded by."""
+        return self._config
 
     def load(self, path: str) -> KnownMap:
         """Load a map and have it ready for `take`; not in an event loop.
@@ -122,6 +138,41 @@ def begun_again(config: Config, session: Session) -> Localizing | None:
     except MapError as error:
         raise ConfigError(f"{PLACE}: {error}", PLACE) from error
     return _localizing(config, maps, known, _gaussian(session.saved_pose))
+
+
+def poses_depend_on(localizing: Localizing | None) -> Localizing | None:
+    """It, if pings are mapped where it says; None where the map is the same without it."""
+    if localizing is None or localizing.maps.config.localization.mapping != "corrected":
+        return None
+    return localizing
+
+
+def saved_state(localizing: Localizing) -> bytes:
+    """All that `restored_localizing` needs; in the thread that maps."""
+    return written(localizing.onboard.state(), localizing.maps.config)
+
+
+def restored_localizing(config: Config, data: bytes) -> Localizing:
+    """Localization as it was when `saved_state` was called.
+
+    Args:
+        config: the settings in force then.
+        data: of `saved_state`.
+
+    Raises:
+        CheckpointError: the bytes are damaged or of another program, or the map is not there.
+    """
+    state, loaded_by = overlay(data, None, None)
+    if not (isinstance(state, OnboardState) and isinstance(loaded_by, Config)):
+        raise CheckpointError("is of other objects")
+    maps = KnownMaps(loaded_by)
+    try:
+        known = maps.take(state.path, state.sha256) if state.sha256 else None
+        onboard = Onboard(config, load=maps.take)
+        onboard.restore(state, known)
+    except (MapError, ValueError, TypeError, AttributeError) as error:
+        raise CheckpointError(f"localization cannot go on: {error}") from error
+    return Localizing(onboard, maps)
 
 
 def numbers_of(pose: PlanarGaussian | None) -> Numbers12 | None:

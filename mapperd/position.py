@@ -47,6 +47,8 @@ class Position(Struct, frozen=True):
         fixed: the vehicle stood still.
         error_bound: that held at the checkpoint instead of the setting's; None is the setting's.
         checkpoint: the estimators.
+        localization: its state when the work before the checkpoint was done; empty where the map
+            does not depend on it.
         origin_deg: latitude and longitude of the map's zero; None where nobody said a place on
             Earth.
     """
@@ -61,6 +63,7 @@ class Position(Struct, frozen=True):
     error_bound: float | None = None
     checkpoint: bytes = b""
     origin_deg: tuple[float, float] | None = None
+    localization: bytes = b""
 
     def encoded(self) -> bytes:
         """As the map's file holds it."""

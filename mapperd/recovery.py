@@ -16,11 +16,18 @@ from mapperd.config import Config
 from mapperd.config_file import config_of
 from mapperd.counters import ReplayCounters
 from mapperd.decisions import SESSION, Remarks, remarks_in, without_skipped
-from mapperd.engine import Engine, NewSettings, Work
+from mapperd.engine import Engine, Work
 from mapperd.errors import CheckpointError, ConfigError
 from mapperd.frames import Pose
 from mapperd.integration import Integration
 from mapperd.keeping import InMemory
+from mapperd.localization.onboard import Onboard
+from mapperd.localizing import (
+    Localizing,
+    begun_again,
+    poses_depend_on,
+    restored_localizing,
+)
 from mapperd.mapping import SonarMap
 from mapperd.odometry.bridge import OdometryBridge
 from mapperd.pairing import FixedPose, OdometryPoses
@@ -82,6 +89,10 @@ def restored(position: Position, counters: ReplayCounters) -> Engine:
     return engine
 
 
+def _restored_localizing(position: Position, config: Config) -> Localizing | None:
+    return restored_localizing(config, position.localization) if position.localization else None
+
+
 def _prepare(bridge: OdometryBridge, saved: dict[str, Any]) -> None:
     bridge.prepare(saved["_encodings"])
 
@@ -112,12 +123,13 @@ def recover(
     try:
         engine = restored(position, counters)
         sonar_map.reconfigure(engine.config)
+        localizing = _restored_localizing(position, engine.config)
     except (CheckpointError, ConfigError) as error:
         return Recovered(position.session, 0, 0.0, str(error))
     if not any(number >= position.place.file for number in files):
         problem = f"its recordings are not in {folder}"
         return Recovered(position.session, 0, 0.0, problem)
-    cut = Going(store, sonar_map, position.session, position)
+    cut = Going(store, sonar_map, position.session, position, localizing=localizing)
     remarks = remarks_in(Tail(files, position.place))
     for _ in go_on(cut, engine, Tail(files, position.place), remarks):
         pass
@@ -135,6 +147,7 @@ class Going:
         position: of the file, in this session; None where it begins.
         before: ids of the sessions that are in the map.
         interval_s: between saves.
+        localizing: as it was at the position; None where the map does not depend on it.
     """
 
     store: TileStore
@@ -143,6 +156,7 @@ class Going:
     position: Position | None = None
     before: tuple[str, ...] = ()
     interval_s: float = 5.0
+    localizing: Localizing | None = None
 
     @property
     def done(self) -> int:
@@ -180,8 +194,9 @@ def go_on(
     stepping = Stepping(going.sonar_map, time.perf_counter, engine.counters)
     stepping.error_bound = None if going.position is None else going.position.error_bound
     keep = going.keeping()
-    integration = Integration(stepping, keep, remarks)
-    keep.begin(engine, stepping, tail, lambda: None)
+    onboard = None if going.localizing is None else going.localizing.onboard
+    integration = Integration(stepping, keep, remarks, onboard)
+    keep.begin(engine, stepping, tail, lambda: None, going.localizing)
     keep.skip(going.done)
     left = going.done
     try:
@@ -189,7 +204,7 @@ def go_on(
             for work in works:
                 if left:
                     left -= 1
-                    _pass(work, stepping)
+                    integration.pass_by(work)
                 else:
                     integration.do(work)
             if not left:
@@ -204,12 +219,6 @@ def _works(engine: Engine, tail: Tail) -> Iterator[list[Work]]:
     for chunk in without_skipped(tail):
         yield engine.feed(chunk)
     yield engine.end()
-
-
-def _pass(work: Work, stepping: Stepping) -> None:
-    """Let work go that is in the map."""
-    if isinstance(work, NewSettings):
-        stepping.take(work.config)
 
 
 def sessions_for(config: Config, folder: Path) -> tuple[str, ...]:
@@ -283,7 +292,8 @@ def go_on_from_nothing(
         pose = beginning.pose
         poses = OdometryPoses(config) if pose is None else FixedPose(_pose(pose))
         engine = Engine(config, poses, ReplayCounters(), confirm=False, obey=True)
-        going = Going(store, sonar_map, session, None, sessions[:place])
+        localizing = poses_depend_on(begun_again(config, beginning))
+        going = Going(store, sonar_map, session, None, sessions[:place], localizing=localizing)
         files = files_of(folder, session)
         remarks = remarks_in(Tail(files, Place()))
         for _ in go_on(going, engine, Tail(files, Place()), remarks):
@@ -320,23 +330,22 @@ def _map_again(sonar_map: SonarMap, paths: list[Path], session: str) -> bool:
     try:
         config = config_of(beginning.settings, "the recording")
         sonar_map.reconfigure(config)
+        localizing = poses_depend_on(begun_again(config, beginning))
     except ConfigError:
         return False
     poses = OdometryPoses(config) if beginning.pose is None else FixedPose(_pose(beginning.pose))
-    _replay(sonar_map, config, poses, recorded, remarks_in(recorded))
+    onboard = None if localizing is None else localizing.onboard
+    engine = Engine(config, poses, ReplayCounters(), confirm=False, obey=True)
+    _replay(sonar_map, engine, recorded, onboard)
     return recorded.damage is None or recorded.truncated
 
 
 def _replay(
-    sonar_map: SonarMap,
-    config: Config,
-    poses: FixedPose | OdometryPoses,
-    recorded: RecordedSession,
-    remarks: Remarks,
+    sonar_map: SonarMap, engine: Engine, recorded: RecordedSession, onboard: Onboard | None
 ) -> None:
-    engine = Engine(config, poses, ReplayCounters(), confirm=False, obey=True)
+    remarks = remarks_in(recorded)
     stepping = Stepping(sonar_map, time.perf_counter, engine.counters)
-    integration = Integration(stepping, InMemory(sonar_map), remarks)
+    integration = Integration(stepping, InMemory(sonar_map), remarks, onboard)
     for chunk in without_skipped(recorded):
         for work in engine.feed(chunk):
             integration.do(work)

@@ -10,6 +10,7 @@ from mapperd.decisions import SESSION
 from mapperd.engine import Engine
 from mapperd.errors import ReplayError
 from mapperd.frames import Pose
+from mapperd.localizing import Localizing, begun, poses_depend_on, restored_localizing
 from mapperd.mapping import SonarMap
 from mapperd.pairing import FixedPose, OdometryPoses
 from mapperd.position import Place, Position, position_in
@@ -64,7 +65,8 @@ def map_into_store(
             tail = Tail(dict(enumerate(paths, 1)), Place() if cut is None else cut.place)
             before = () if position is None else position.sessions
             interval_s = config.visualization.tile_save_interval
-            going = Going(store, sonar_map, session, cut, before, interval_s)
+            localizing = _localizing(config, cut)
+            going = Going(store, sonar_map, session, cut, before, interval_s, localizing)
             for _ in go_on(going, engine, tail):
                 on_chunk(counters)
     whole = SonarMap(config)
@@ -72,6 +74,13 @@ def map_into_store(
         reader.load(whole)
     assert isinstance(engine.poses, FixedPose | OdometryPoses)  # noqa: S101 as it was made
     return whole, engine.poses, counters
+
+
+def _localizing(config: Config, cut: Position | None) -> Localizing | None:
+    """What the map depends on, from where it was interrupted."""
+    if cut is not None and cut.localization:
+        return restored_localizing(config, cut.localization)
+    return poses_depend_on(begun(config))
 
 
 def _engine(

@@ -18,6 +18,7 @@ import msgspec
 from mapperd.checkpoint.writing import written
 from mapperd.engine import Engine, Work
 from mapperd.errors import StoreError
+from mapperd.localizing import Localizing, saved_state
 from mapperd.mapping import SonarMap
 from mapperd.pairing import FixedPose
 from mapperd.position import Place, Places, Position
@@ -48,6 +49,7 @@ class _Point:
     fixed: bool
     checkpoint: bytes
     error_bound: float | None = None
+    localization: bytes = b""
     place: Place | None = None
 
 
@@ -93,7 +95,12 @@ class Stored:
         self._wake: Callable[[], None] = lambda: None
 
     def begin(
-        self, engine: Engine, stepping: Stepping, places: Places, wake: Callable[[], None]
+        self,
+        engine: Engine,
+        stepping: Stepping,
+        places: Places,
+        wake: Callable[[], None],
+        localizing: Localizing | None = None,
     ) -> None:
         """Begin the session: nothing is in the map of it, but what `resumed` says.
 
@@ -102,14 +109,17 @@ class Stored:
             stepping: which the work goes through.
             places: of the recording.
             wake: lets the thread of the pings come to `between` soon.
+            localizing: what the poses depend on; None where they do not.
         """
+        self._localizing = localizing
         self._engine, self._stepping, self._places, self._wake = engine, stepping, places, wake
         self._point = self._point_at(0, 0)
-        self._point.error_bound = stepping.error_bound
+        self._complete(self._point)
         self._began = True
         if self._resumed is not None:
             self._point.place = self._resumed.place
             self._point.checkpoint = self._resumed.checkpoint
+            self._point.localization = self._resumed.localization
         self._checked_s = time.monotonic()
         self._advance()
         if self._resumed is None:
@@ -262,8 +272,16 @@ class Stored:
         if self._next is not None and self._done >= self._next.works:
             if self._done == self._next.works:
                 self._point = self._next
-                self._point.error_bound = self._stepping.error_bound
+                self._complete(self._point)
             self._next = None
+
+    def _complete(self, point: _Point) -> None:
+        """Add what only the work before the checkpoint brings about."""
+        point.error_bound = self._stepping.error_bound
+        if self._localizing is not None:
+            began_s = time.monotonic()
+            point.localization = saved_state(self._localizing)
+            self._pause_s += COST * (time.monotonic() - began_s)
 
     def _advance(self) -> None:
         point, done = self._point, self._done - self._point.works
@@ -286,6 +304,7 @@ class Stored:
             error_bound=point.error_bound,
             checkpoint=point.checkpoint,
             origin_deg=self._origin_deg(),
+            localization=point.localization,
         ).encoded()
 
     def _origin_deg(self) -> tuple[float, float] | None:

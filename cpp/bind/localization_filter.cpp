@@ -2,7 +2,10 @@
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
+#include <array>
+#include <cstdint>
 #include <memory>
+#include <tuple>
 #include <utility>
 
 #include "bindings.hpp"
@@ -96,6 +99,37 @@ py::dict counts_of(const loc::ParticleFilter& filter) {
                   "not_a_number"_a = c.not_a_number);
 }
 
+// Poses, logarithms of the weights, whole numbers, averages.
+py::tuple state_of(const loc::ParticleFilter& filter) {
+  const loc::FilterState state = filter.state();
+  const loc::FilterCounts& c = state.counts;
+  const auto numbers = py::make_tuple(state.step, state.updates_since_start, c.updates,
+                                      c.resamplings, c.injected_particles, c.refused_steps,
+                                      c.empty_scans, c.uninformative_scans, c.not_a_number);
+  const auto averages =
+      py::make_tuple(state.averages.slow, state.averages.fast, state.averages.begun);
+  return py::make_tuple(poses_of(state.particles), array_of(state.particles.log_weight), numbers,
+                        averages);
+}
+
+void restore(loc::ParticleFilter& filter, const py::object& poses, const py::object& log_weights,
+             const std::array<std::uint64_t, 9>& numbers,
+             const std::tuple<double, double, bool>& averages) {
+  loc::FilterState state;
+  state.particles = particles_of(poses, "poses");
+  const auto logs = vector_of<double>(log_weights, "log_weights");
+  if (logs.size() != state.particles.size()) {
+    throw std::invalid_argument("each particle needs a weight");
+  }
+  state.particles.log_weight = logs;
+  state.step = numbers[0];
+  state.updates_since_start = numbers[1];
+  state.counts = {numbers[2], numbers[3], numbers[4], numbers[5],
+                  numbers[6], numbers[7], numbers[8]};
+  state.averages = {std::get<0>(averages), std::get<1>(averages), std::get<2>(averages)};
+  filter.restore(std::move(state));
+}
+
 py::tuple modes_of(const loc::ParticleFilter& filter, double bucket_xy_m, double bucket_yaw_rad) {
   const loc::ClusterRule rule{bucket_xy_m, bucket_yaw_rad, loc::ClusterRule{}.cap_percentile};
   loc::Clusters clusters;
@@ -165,6 +199,8 @@ void bind_localization_filter(py::module_& module) {
           "mean"_a, "covariance"_a)
       .def("start_anywhere", &Filter::start_anywhere, "free"_a, unlocked)
       .def("start_with", &start_with, "poses"_a, "weights"_a = py::none())
+      .def("state", &state_of)
+      .def("restore", &restore, "poses"_a, "log_weights"_a, "numbers"_a, "averages"_a)
       .def("predict", &predict, "before"_a, "now"_a, "model"_a, "alphas"_a, "floor_xy_m"_a = 0.0,
            "floor_yaw_rad"_a = 0.0)
       .def(

@@ -15,7 +15,7 @@ from mapperd.localization.update_gate import PlanarPose, UpdateGate
 from mapperd.localization.volume_map import LocalizationMap
 from mapperd.reject import Reject
 
-__all__ = ["Localized", "Localizer"]
+__all__ = ["Localized", "Localizer", "LocalizerState"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +37,23 @@ class Localized:
     def estimate(self) -> PlanarGaussian | None:
         """The best mode of the belief."""
         return None if self.belief is None else self.belief.best
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalizerState:
+    """What a localizer knows.
+
+    Attributes:
+        life: the rules' state, without its map.
+        gate: of the updates.
+        transform: of the last update.
+        counts: of scans and refusals.
+    """
+
+    life: Lifecycle
+    gate: UpdateGate
+    transform: MapFromOdom | None
+    counts: dict[str, int]
 
 
 class Localizer:
@@ -79,6 +96,24 @@ class Localizer:
         """
         self._filter.reconfigure(config)
         self._config = config
+
+    def state(self) -> LocalizerState:
+        """All that changes, but for filter, map and settings."""
+        life = replace(self.life, map=None)
+        return LocalizerState(life, self._gate, self._transform, dict(self.counts))
+
+    def restore(self, state: LocalizerState, known: LocalizationMap | None) -> None:
+        """Go on as the localizer that `state` was called of; the filter takes the map.
+
+        Args:
+            state: of it.
+            known: the map that it had.
+        """
+        if known is not None:
+            self._filter.take_map(known)
+        self.life = replace(state.life, map=known)
+        self._gate, self._transform = state.gate, state.transform
+        self.counts = Counter(state.counts)
 
     def take_map(self, known: LocalizationMap) -> Reject | None:
         """As `Lifecycle.take_map`; returns why not."""

@@ -2,6 +2,7 @@
 
 import math
 import os
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +26,27 @@ from mapperd.localization.scan import Scan
 from mapperd.localization.update_gate import PlanarPose
 from mapperd.localization.volume_map import LocalizationMap, VolumeMap
 
-__all__ = ["MapFilter"]
+__all__ = ["FilterState", "MapFilter"]
 
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FilterState:
+    """As the core's filter gives it, and the stamp of its last scan.
+
+    Attributes:
+        poses: (N, 3), of the particles.
+        log_weights: (N,).
+        numbers, averages: of the core's filter.
+        stamp_ns: of the last scan; None before the first.
+    """
+
+    poses: Floats
+    log_weights: Floats
+    numbers: tuple[int, ...]
+    averages: tuple[float, float, bool]
+    stamp_ns: int | None
 
 
 class MapFilter:
@@ -58,7 +77,9 @@ class MapFilter:
     def reconfigure(self, config: Config) -> None:
         """As `PoseFilter.reconfigure`; on any error all is as before."""
         rule = filter_rule(config.amcl)
-        against = self._against if self._known is None else _against(self._known, config)
+        against = self._against
+        if self._known is not None and _models(config) != _models(self._config):
+            against = _against(self._known, config)
         self._particles.set_rule(rule)
         self._particles.set_threads(_threads(config))
         self._config, self._against = config, against
@@ -84,6 +105,19 @@ class MapFilter:
             raise ValueError("there is no free cell to start from")
         self._particles.start_anywhere(self._free)
         self._stamp_ns = None
+
+    def state(self) -> FilterState:
+        """All that changes, but for the map and the settings."""
+        return FilterState(*self._particles.state(), self._stamp_ns)
+
+    def restore(self, state: FilterState) -> None:
+        """Go on as the filter that `state` was called of, on the same map and settings.
+
+        Raises:
+            ValueError: it is no filter's state; nothing is changed.
+        """
+        self._particles.restore(state.poses, state.log_weights, state.numbers, state.averages)
+        self._stamp_ns = state.stamp_ns
 
     def update(
         self, before: PlanarPose, now: PlanarPose, scan: Scan, base_height_m: float
@@ -124,6 +158,13 @@ class MapFilter:
         else:
             ends = Endpoints(scan.points_m[:, None, :2].copy(), scan.quality)
         return self._particles.weigh_field(self._against, ends, *how)
+
+
+def _models(config: Config) -> tuple[object, ...]:
+    """The settings that fields and ranges are made by."""
+    amcl = config.amcl
+    named = (getattr(amcl, name) for name in amcl.__struct_fields__ if name.startswith("laser_"))
+    return (*named, config.localization.boundaries_only)
 
 
 def _grid(known: LocalizationMap) -> GridMap:

@@ -32,8 +32,8 @@ from mapperd.localization.extraction import Surroundings, scan_of
 from mapperd.localization.facts import LocalizationFacts, sample_of
 from mapperd.localization.known_map import KnownMap
 from mapperd.localization.levelling import level_T_base
-from mapperd.localization.localizer import Localized, Localizer
-from mapperd.localization.map_filter import MapFilter
+from mapperd.localization.localizer import Localized, Localizer, LocalizerState
+from mapperd.localization.map_filter import FilterState, MapFilter
 from mapperd.localization.placing import placed
 from mapperd.localization.scan import Scan
 from mapperd.mapping import mounting
@@ -41,7 +41,7 @@ from mapperd.odometry.fusion import FusedPose
 from mapperd.reject import Reject
 from oculus_driver.ping import Ping
 
-__all__ = ["Onboard", "gaussian_of"]
+__all__ = ["Onboard", "OnboardState", "gaussian_of"]
 
 Floats = NDArray[np.float64]
 
@@ -59,6 +59,26 @@ class _Updated:
     belief: Belief
     scan: Scan
     base_height_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OnboardState:
+    """What localization knows.
+
+    Attributes:
+        filter, localizer, watch: of the parts.
+        updates: so far.
+        updated: the last of them.
+        path, sha256: of the map in use; empty without one.
+    """
+
+    filter: FilterState
+    localizer: LocalizerState
+    watch: BurstWatch
+    updates: int
+    updated: _Updated | None
+    path: str
+    sha256: str
 
 
 class Onboard:
@@ -162,6 +182,35 @@ class Onboard:
                 )
             case _:
                 assert_never(request)
+
+    def state(self) -> OnboardState:
+        """All that a map at corrected poses depends on, but for the settings in force."""
+        known = self._known
+        return OnboardState(
+            self._filter.state(),
+            self._localizer.state(),
+            self._watch,
+            self._updates,
+            self._updated,
+            "" if known is None else known.path,
+            "" if known is None else known.sha256,
+        )
+
+    def restore(self, state: OnboardState, known: KnownMap | None) -> None:
+        """Go on as the one that `state` was called of, with the same settings.
+
+        Args:
+            state: of it.
+            known: the map that it had.
+
+        Raises:
+            ValueError: it is no such state; this one is then of no use.
+        """
+        self._localizer.restore(state.localizer, None if known is None else known.map)
+        self._filter.restore(state.filter)
+        self._watch, self._known = state.watch, known
+        self._updates, self._updated = state.updates, state.updated
+        self._changes += 1
 
     def facts(self) -> LocalizationFacts:
         """How it stands now."""

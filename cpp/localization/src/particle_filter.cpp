@@ -109,6 +109,29 @@ void ParticleFilter::start_with(Particles particles) {
   begin();
 }
 
+FilterState ParticleFilter::state() const {
+  return {particles_, step_, updates_since_start_, recovery_.averages(), counts_};
+}
+
+void ParticleFilter::restore(FilterState state) {
+  const Particles& cloud = state.particles;
+  if (cloud.size() > kMostParticles) throw std::invalid_argument("too many particles");
+  for (std::size_t i = 0; i < cloud.size(); ++i) {
+    // A weight may be 0, its logarithm then is none that is finite.
+    if (!is_finite(cloud.pose(i)) || !(cloud.log_weight[i] <= 1e-6)) {
+      throw std::invalid_argument("particles must be finite, and weights at most 1");
+    }
+  }
+  if (!std::isfinite(state.averages.slow) || !std::isfinite(state.averages.fast)) {
+    throw std::invalid_argument("averages must be finite");
+  }
+  particles_ = std::move(state.particles);
+  step_ = state.step;
+  updates_since_start_ = state.updates_since_start;
+  recovery_.set_averages(state.averages);
+  counts_ = state.counts;
+}
+
 bool ParticleFilter::predict(const Pose2& before, const Pose2& now, MotionModel model,
                              const Alphas& alphas, const MotionFloor& floor) {
   for (const double alpha : alphas) {

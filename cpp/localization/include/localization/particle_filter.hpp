@@ -46,6 +46,15 @@ struct Weighed {
   double injected_share = 0.0;  // of the next resampling
 };
 
+// All that a filter of the same rule and seed needs to go on as another one would have.
+struct FilterState {
+  Particles particles;
+  std::uint64_t step = 0;
+  std::size_t updates_since_start = 0;
+  Recovery::Averages averages;
+  FilterCounts counts;
+};
+
 // How a scan's likelihood was made, to tell the fit of one beam from it.
 enum class FitKind { kCubeSumFromOne, kCubeSum, kProduct };
 
@@ -68,6 +77,10 @@ class ParticleFilter {
   void start_about(const Pose2& mean, const Matrix3& covariance);
   void start_anywhere(const FreeSpace& free);
   void start_with(Particles particles);
+
+  FilterState state() const;
+  // Throws std::invalid_argument where it is no filter's; then nothing is changed.
+  void restore(FilterState state);
 
   // Moves the cloud; false where the step is refused: keep `before` then.
   bool predict(const Pose2& before, const Pose2& now, MotionModel model, const Alphas& alphas,

@@ -15,6 +15,18 @@ class Recovery {
   double injected_share() const;
   void reset() { begun_ = false; }
 
+  struct Averages {
+    double slow = 0.0;
+    double fast = 0.0;
+    bool begun = false;
+  };
+  Averages averages() const { return {slow_, fast_, begun_}; }
+  void set_averages(const Averages& averages) {
+    slow_ = averages.slow;
+    fast_ = averages.fast;
+    begun_ = averages.begun;
+  }
+
  private:
   double alpha_slow_, alpha_fast_;
   double slow_ = 0.0;
