@@ -93,7 +93,7 @@ class _Run:
         config: Config,
         pose: Pose | None,
         remarks: Remarks | None,
-        localizing: Localizing | None,
+        localizing: Localizing | None = None,
     ) -> None:
         self.session = session
         self.config = config

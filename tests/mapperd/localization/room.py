@@ -4,6 +4,7 @@ The room is a grid, 12 m x 9 m; beams are cast in it, each a bright wall at its 
 an ellipse driven once round and a part again; the odometry is 5 % too long and turns away.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -50,7 +51,7 @@ def dive(steps: int = 120) -> Dive:
     yaw = np.unwrap(np.arctan2(2.7 * np.cos(phase), -4.0 * np.sin(phase)))
     truth = np.column_stack([x, y, yaw])
     odometry = [truth[0]]
-    for before, now in zip(truth[:-1], truth[1:], strict=True):
+    for before, now in itertools.pairwise(truth):
         turn = odometry[-1][2] - before[2]
         c, s = math.cos(turn), math.sin(turn)
         dx, dy = 1.05 * (now - before)[:2]
