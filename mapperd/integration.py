@@ -53,7 +53,7 @@ class Integration:
 
         Raises:
             StoreError: the map cannot be emptied.
-            MapError: the known map that a recorded request names is not there any more.
+            CheckpointError: the known map that a recorded request names is not there any more.
         """
         match work:
             case Settled():

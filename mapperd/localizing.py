@@ -67,14 +67,17 @@ class KnownMaps:
         """Give a map away, loaded now where it is not ready, as when a session is mapped again.
 
         Raises:
-            MapError: it cannot be loaded, or is another one by now (`other_map`).
+            CheckpointError: it cannot be loaded, or is another one by now.
         """
         with self._lock:
             known = self._ready.pop((path, sha256), None)
-        known = known or load_known_map(Path(path), self._config)
+        try:
+            known = known or load_known_map(Path(path), self._config)
+        except MapError as error:
+            raise CheckpointError(str(error)) from error
         if known.sha256 != sha256:
-            raise MapError(
-                f"{path}: another map than the one that the session was localized on", "other_map"
+            raise CheckpointError(
+                f"{path}: another map than the one that the session was localized on"
             )
         return known
 
@@ -135,7 +138,7 @@ def begun_again(config: Config, session: Session) -> Localizing | None:
     maps = KnownMaps(config)
     try:
         known = maps.take(ours.map_path, session.map_sha256) if session.map_sha256 else None
-    except MapError as error:
+    except CheckpointError as error:
         raise ConfigError(f"{PLACE}: {error}", PLACE) from error
     return _localizing(config, maps, known, _gaussian(session.saved_pose))
 

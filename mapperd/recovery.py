@@ -3,6 +3,7 @@
 And what the file has lost comes back from the recordings of all its sessions.
 """
 
+import contextlib
 import time
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
@@ -127,13 +128,17 @@ def recover(
     except (CheckpointError, ConfigError) as error:
         return Recovered(position.session, 0, 0.0, str(error))
     if not any(number >= position.place.file for number in files):
-        problem = f"its recordings are not in {folder}"
-        return Recovered(position.session, 0, 0.0, problem)
+        return Recovered(position.session, 0, 0.0, f"its recordings are not in {folder}")
     cut = Going(store, sonar_map, position.session, position, localizing=localizing)
     remarks = remarks_in(Tail(files, position.place))
-    for _ in go_on(cut, engine, Tail(files, position.place), remarks):
-        pass
-    return Recovered(position.session, counters.pings_mapped, time.monotonic() - began_s)
+    problem = None
+    try:
+        for _ in go_on(cut, engine, Tail(files, position.place), remarks):
+            pass
+    except CheckpointError as error:  # the vehicle was then localized on a map that is gone
+        problem = str(error)
+    seconds = time.monotonic() - began_s
+    return Recovered(position.session, counters.pings_mapped, seconds, problem)
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,6 +195,7 @@ def go_on(
     Raises:
         StoreError: the file cannot be written.
         MapError: nothing can be saved, and so nothing more be mapped.
+        CheckpointError: a known map that somebody chose in it is not there any more.
     """
     stepping = Stepping(going.sonar_map, time.perf_counter, engine.counters)
     stepping.error_bound = None if going.position is None else going.position.error_bound
@@ -292,12 +298,13 @@ def go_on_from_nothing(
         pose = beginning.pose
         poses = OdometryPoses(config) if pose is None else FixedPose(_pose(pose))
         engine = Engine(config, poses, ReplayCounters(), confirm=False, obey=True)
-        localizing = poses_depend_on(begun_again(config, beginning))
-        going = Going(store, sonar_map, session, None, sessions[:place], localizing=localizing)
         files = files_of(folder, session)
         remarks = remarks_in(Tail(files, Place()))
-        for _ in go_on(going, engine, Tail(files, Place()), remarks):
-            pass
+        with contextlib.suppress(CheckpointError, ConfigError):  # a known map that is gone
+            localizing = poses_depend_on(begun_again(config, beginning))
+            going = Going(store, sonar_map, session, None, sessions[:place], localizing=localizing)
+            for _ in go_on(going, engine, Tail(files, Place()), remarks):
+                pass
         pings += engine.counters.pings_mapped
     return pings
 
@@ -336,7 +343,10 @@ def _map_again(sonar_map: SonarMap, paths: list[Path], session: str) -> bool:
     poses = OdometryPoses(config) if beginning.pose is None else FixedPose(_pose(beginning.pose))
     onboard = None if localizing is None else localizing.onboard
     engine = Engine(config, poses, ReplayCounters(), confirm=False, obey=True)
-    _replay(sonar_map, engine, recorded, onboard)
+    try:
+        _replay(sonar_map, engine, recorded, onboard)
+    except CheckpointError:
+        return False
     return recorded.damage is None or recorded.truncated
 
 

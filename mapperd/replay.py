@@ -117,6 +117,7 @@ class Replay:
         Raises:
             ReplayError: a part is asked of a recording without time stamps.
             RecordingError: the recording cannot be read on.
+            CheckpointError: a known map that it names is not there any more.
         """
         start_ns, end_ns = self._window.limits_ns(recording)
         engine = self._engine(start_ns, end_ns)

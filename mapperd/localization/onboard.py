@@ -160,7 +160,7 @@ class Onboard:
         """Do what somebody asks for; returns why not.
 
         Raises:
-            MapError: the map that a recorded request names is not there any more.
+            CheckpointError: the map that a recorded request names is not there any more.
         """
         match request:
             case InitialPose():

@@ -1,0 +1,226 @@
+"""What localization is asked for while it runs: answered, recorded, and done again by a replay."""
+
+import asyncio
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mapperd.cli import Exit, main
+from mapperd.config import Config
+from mapperd.config_file import config_from_text
+from mapperd.decisions import (
+    DECISIONS,
+    GlobalLocalization,
+    InitialPose,
+    NewMap,
+    NoMotionUpdate,
+    Request,
+    SetMap,
+    decision_of,
+)
+from mapperd.errors import MapError
+from mapperd.inlet import SONAR
+from mapperd.live import Live
+from mapperd.localization.estimate import PlanarGaussian
+from mapperd.localization.grid_map import GridMap
+from mapperd.localization.nav2_map import write_nav2_map
+from mapperd.localization.saved_pose import save_pose
+from mapperd.localizing import Localizing, begun
+from mapperd.mapping import SonarMap
+from mapperd.pairing import OdometryPoses
+from mapperd.recording_files import files_in, sessions_of
+from mapperd.reject import Reject
+from tests.mapperd.localization.room import dive, events, room, settings, write_room
+
+START_NS = 1_700_000_000_000_000_000
+COVARIANCE = (0.02, 0.0, 0.0, 0.0, 0.02, 0.0, 0.0, 0.0, 0.003)
+SHIFT_M = 2.0
+
+pytestmark = pytest.mark.usefixtures("no_picture")
+
+
+class Session:
+    """A session of the daemon, its links left out."""
+
+    def __init__(self, config: Config, localizing: Localizing | None) -> None:
+        self.sonar_map = SonarMap(config)
+        self.live = Live(
+            self.sonar_map,
+            OdometryPoses(config),
+            session="abc",
+            clock=lambda: START_NS,
+            localizing=localizing,
+        )
+        self.answers: list[str] = []
+
+    def run(self, track: list[tuple[str, bytes, float]], requests: dict[int, Request]) -> None:
+        """Let things come in; before so many of them have, something is asked for."""
+
+        async def work() -> None:
+            live = self.live
+            async with live.recorder:
+                live.inlet.order(live._beginning())
+                live._requests.open()
+                live.mapping.on_request = live._requests.done
+                live.mapping.start()
+                for k, (kind, data, seconds) in enumerate(track):
+                    if k in requests:
+                        self.answers.append(await self.asked(requests[k]))
+                    link = SONAR if kind == "ping" else "vehicle"
+                    live.inlet.bytes_came(link, data, START_NS + round(seconds * 1e9), gap=False)
+                    while live.queue.waiting_bytes or len(live.mapping.backlog):  # noqa: ASYNC110
+                        await asyncio.sleep(0.001)  # none is too slow
+                live.queue.close()
+                await asyncio.to_thread(live.mapping.join)
+            assert live.mapping.failure is None
+
+        asyncio.run(work())
+
+    async def asked(self, request: Request) -> str:
+        refused = await asyncio.wait_for(self.live.ask(request), 10)
+        return refused.reason if isinstance(refused, Reject) else "done"
+
+
+def text_of(folder: Path, **ours: object) -> str:
+    text = settings(write_room(folder), **ours).replace(
+        "set_initial_pose: true", "set_initial_pose: false"
+    )
+    return text + (
+        "device: {address: 127.0.0.1}\nbehind: {max_wait: 60}\n"
+        "odometry: {sources: [{name: vehicle, link: 'udp://127.0.0.1:52200'}]}\n"
+        f"recording: {{folder: '{folder}/recordings', free_floor: 0}}\n"
+    )
+
+
+def shifted_room(folder: Path) -> Path:
+    """The same room in a map whose x is larger."""
+    grid = room()
+    path = folder / "shifted.yaml"
+    cells = np.array(grid.occupancy)
+    write_nav2_map(
+        GridMap(cells, grid.resolution_m, grid.origin_x_m + SHIFT_M, grid.origin_y_m), path
+    )
+    return path
+
+
+def pose_at(ping: int, shift_m: float = 0.0, frame: str = "map") -> dict[str, Any]:
+    x, y, yaw = dive().truth[ping].tolist()
+    return {
+        "number": 0,
+        "x_m": x + shift_m,
+        "y_m": y,
+        "yaw_rad": yaw,
+        "covariance": COVARIANCE,
+        "frame": frame,
+        "origin": "test",
+    }
+
+
+def asked_for(folder: Path) -> dict[int, Request]:
+    """Three events a ping."""
+    shifted = str(shifted_room(folder))
+    return {
+        10: NoMotionUpdate(0),
+        11: GlobalLocalization(0),
+        20: InitialPose(**pose_at(6, frame="odom")),
+        30: InitialPose(**pose_at(10)),
+        150: NoMotionUpdate(0),
+        180: SetMap(**pose_at(60, SHIFT_M), path=shifted, sha256=""),
+        300: NewMap(0, str(folder / "room.yaml"), ""),
+        303: InitialPose(**pose_at(101)),
+    }
+
+
+def replayed(folder: Path, out: Path) -> tuple[int, dict[str, Any]]:
+    code = main(["--replay", str(folder), "--as-recorded", "--out", str(out)])
+    if code != Exit.OK:
+        return code, {}
+    return code, json.loads((out / "summary.json").read_text(encoding="utf-8"))
+
+
+def test_requests_are_recorded_and_done_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = config_from_text(text_of(tmp_path, mapping="corrected"))
+    session = Session(config, begun(config))
+    session.run(events(room(), dive()), asked_for(tmp_path))
+    assert session.answers == [
+        "no_filter", "done", "wrong_frame", "done", "done", "done", "done", "done"
+    ]  # fmt: skip
+    facts = session.live.mapping.facts.localization
+    assert facts is not None
+    assert facts.belief is not None
+    assert abs(facts.belief.best.x_m - dive().truth[-1][0]) < 0.4
+    assert facts.known is not None
+    assert facts.known.path.endswith("room.yaml")
+    assert 1 < facts.particles.shape[0] <= 500
+    assert facts.particles[:, 3].sum() == pytest.approx(1)
+
+    (recorded,) = sessions_of(files_in([tmp_path / "recordings"]))
+    kinds = [type(decision_of(chunk)) for chunk in recorded if chunk.encoding == DECISIONS]
+    assert kinds[1:] == [type(one) for one in asked_for(tmp_path).values()]
+
+    _, summary = replayed(tmp_path / "recordings", tmp_path / "out")
+    assert summary["map_sha256"] == session.sonar_map.sha256()
+    assert summary["pings_mapped"] == session.live.counters.pings_mapped > 80
+    assert summary["localization"]["updates"] == facts.updates
+    assert summary["localization"]["pose"]["x_m"] == facts.belief.best.x_m
+
+    write_nav2_map(GridMap(np.array(room().occupancy), 0.2), tmp_path / "shifted.yaml")
+    code, _ = replayed(tmp_path / "recordings", tmp_path / "out")
+    assert code == Exit.BAD_DATA
+    assert "shifted.yaml: another map" in capsys.readouterr().err
+
+
+def test_saved_pose_of_a_session_is_in_its_recording(tmp_path: Path) -> None:
+    config = config_from_text(text_of(tmp_path, mapping="corrected"))
+    saved = PlanarGaussian(*dive().truth[0], np.diag([0.02, 0.02, 0.003]))
+    path = tmp_path / "pose.json"
+    save_pose(path, saved, "map", 0)
+    session = Session(config, begun(config, path))
+    session.run(events(room(), dive(40)), {})
+    assert session.live.counters.pings_mapped > 35
+    path.unlink()
+    _, summary = replayed(tmp_path / "recordings", tmp_path / "out")
+    assert summary["map_sha256"] == session.sonar_map.sha256()
+    assert summary["pings_mapped"] == session.live.counters.pings_mapped
+
+
+def test_map_that_cannot_be_loaded_is_never_ordered(tmp_path: Path) -> None:
+    config = config_from_text(text_of(tmp_path))
+    session = Session(config, begun(config))
+
+    async def work() -> None:
+        session.live._requests.open()
+        with pytest.raises(MapError, match=r"none\.yaml"):
+            await session.live.ask(NewMap(0, str(tmp_path / "none.yaml"), ""))
+
+    asyncio.run(work())
+    assert session.live.mapping.engine.orders_taken == 0
+    assert not session.live.queue.waiting_bytes
+
+
+def test_nothing_can_be_asked_where_localization_is_off(tmp_path: Path) -> None:
+    config = config_from_text(text_of(tmp_path).replace("mode: track", "mode: 'off'"))
+    assert begun(config) is None
+    session = Session(config, None)
+    session.run(events(room(), dive(5)), {3: GlobalLocalization(0)})
+    assert session.answers == ["localization_off"]
+    assert session.live.mapping.facts.localization is None
+
+
+def test_session_that_has_ended_answers(tmp_path: Path) -> None:
+    config = config_from_text(text_of(tmp_path))
+    session = Session(config, begun(config))
+
+    async def work() -> str:
+        session.live._requests.open()
+        asking = asyncio.create_task(session.asked(GlobalLocalization(0)))
+        await asyncio.sleep(0)
+        session.live._requests.close()
+        return await asking
+
+    assert asyncio.run(work()) == "closed"
