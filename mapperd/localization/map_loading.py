@@ -66,15 +66,14 @@ def _voxels_in(path: Path, config: Config) -> SonarMap:
     try:
         if not path.is_file():  # a pipe would keep us waiting
             raise MapError(f"{path}: there is no such file", "bad_map_file")
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise MapError(f"{path}: larger than {MAX_FILE_BYTES} bytes", "bad_map_file")
         with path.open("rb") as file:
             begin = file.read(len(SQLITE))
         if begin == SQLITE:
             with StoreReader(path) as reader:
                 reader.load(sonar_map)
-            return sonar_map
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise MapError(f"{path}: larger than {MAX_FILE_BYTES} bytes", "bad_map_file")
-        if path.suffix.lower() in (".bt", ".ot"):
+        elif path.suffix.lower() in (".bt", ".ot"):
             _load_octomap(sonar_map, path)
         else:
             sonar_map.load(path)

@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 from oculus_driver import PlayedSonar
@@ -14,11 +15,27 @@ from tests.mapperd.conftest import make_odometry, make_ping
 ROOT = Path(__file__).resolve().parents[3]
 
 
-class World:
-    """A sonar that pings as fast as anybody reads, and a vehicle that drives, until closed."""
+def to_and_fro(k: int) -> tuple[float, float]:
+    """Lanes of 8 m."""
+    return abs(k % 800 - 400) * 0.02, 0.3 * (k // 800)
 
-    def __init__(self) -> None:
+
+class World:
+    """A sonar that pings as fast as anybody reads, and a vehicle that drives, until closed.
+
+    Args:
+        pings: that are played again and again.
+        place: x and y of the vehicle's k-th record.
+    """
+
+    def __init__(
+        self,
+        pings: list[bytes] | None = None,
+        place: Callable[[int], tuple[float, float]] = to_and_fro,
+    ) -> None:
         self.sonar_port = 0
+        self._pings = pings or [make_ping(k, start_time=100 + 0.02 * k) for k in range(1, 200)]
+        self._place = place
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind(("127.0.0.1", 0))
             self.odometry_port = int(probe.getsockname()[1])
@@ -35,8 +52,7 @@ class World:
         self._loop.close()
 
     async def _go(self) -> None:
-        pings = [make_ping(k, start_time=100 + 0.02 * k) for k in range(1, 200)]
-        async with PlayedSonar(pings, standby=True, loops=None, speed=3.0) as sonar:
+        async with PlayedSonar(self._pings, standby=True, loops=None, speed=3.0) as sonar:
             self.sonar_port = sonar.port
             self._ready.set()
             driving = asyncio.create_task(self._drive())
@@ -49,8 +65,7 @@ class World:
             k = 0
             while True:
                 k += 1
-                x = abs(k % 800 - 400) * 0.02
-                record = make_odometry(p=(x, 0.3 * (k // 800), 0.0), r=(0.0, 0.0, 0.05))
+                record = make_odometry(p=(*self._place(k), 0.0), r=(0.0, 0.0, 0.05))
                 link.sendto(record, ("127.0.0.1", self.odometry_port))
                 await asyncio.sleep(0.01)
 

@@ -16,6 +16,7 @@ from mapperd.replay_store import map_into_store
 from mapperd.store.reader import StoreReader
 from tests.mapperd.conftest import Ran
 from tests.mapperd.localization.room import (
+    Dive,
     Floats,
     Recorder,
     dive,
@@ -104,6 +105,23 @@ def test_missing_map_is_one_clear_message(tmp_path: Path, recording: Path, run: 
     (line,) = ran.said.strip().splitlines()
     assert "$.localization.map_path" in line
     assert "room.yaml" in line
+
+
+def test_vehicle_is_followed_on_the_3d_map_of_an_earlier_dive(
+    tmp_path: Path, recording: Path, run: Runs, write_recording: Recorder
+) -> None:
+    """The earlier dive knew where it was; its map lies in a file on disk."""
+    true = dive()
+    write_recording(tmp_path / "true.mcap", events(room(), Dive(true.truth, true.truth)))
+    path = written(tmp_path, mapping="odometry")
+    text = path.read_text("utf-8").replace("mode: track", "mode: 'off'")
+    map_into_store([tmp_path / "true.mcap"], config_from_text(text), None, tmp_path / "earlier.map")
+    path.write_text(settings(tmp_path / "earlier.map", mapping="corrected"), encoding="utf-8")
+    ran = run(recording, config=path)
+    assert ran.code == 0, ran.said
+    assert ran.summary["pings_mapped"] > 110
+    pose = ran.summary["localization"]["pose"]
+    assert math.dist((pose["x_m"], pose["y_m"]), true.truth[-1][:2]) < 0.3
 
 
 class Interrupted(Exception):  # noqa: N818 no error of ours
