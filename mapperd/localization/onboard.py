@@ -171,6 +171,8 @@ class Onboard:
                 return self._begun(self._localizer.localize_globally)
             case NoMotionUpdate():
                 return self._localizer.request_nomotion_update()
+            case NewMap() if not self._config.amcl.use_map_topic and self._known is not None:
+                return Reject("map_topic_off", "amcl.use_map_topic is off: the map is map_path's")
             case NewMap():
                 return self._with_map(request, lambda known: self._localizer.take_map(known.map))
             case SetMap():
@@ -280,7 +282,7 @@ class Onboard:
     def _begun(self, begin: Callable[[], Reject | None]) -> Reject | None:
         refused = begin()
         if refused is None:
-            self._updated = None
+            self._updated, self._localized = None, Localized("no_filter")
             self._changes += 1
         return refused
 
