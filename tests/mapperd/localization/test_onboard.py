@@ -17,6 +17,7 @@ from mapperd.frames import pose_from_rpy
 from mapperd.localization.checking import check_localization
 from mapperd.localization.estimate import PlanarGaussian
 from mapperd.localization.facts import sample_of
+from mapperd.localization.map_filter import MapFilter
 from mapperd.localization.onboard import Onboard
 from mapperd.localization.placing import placed
 from mapperd.localization.pose import MapFromOdom
@@ -196,6 +197,13 @@ def test_restored_one_goes_on_to_the_bit(config: Config, heard: list[Ping]) -> N
         assert np.array_equal(here.pose.position_m, there.pose.position_m)
         assert np.array_equal(here.covariance, there.covariance)
     assert dict(localizing.onboard.facts().counts) == dict(again.onboard.facts().counts)
+
+
+def test_all_that_a_filter_knows_is_in_its_state(config: Config) -> None:
+    """Whoever adds to the filter adds to its state, or says here why a restart need not know it."""
+    given = {"_config", "_known", "_against", "_free"}
+    to_look_at = {"weighed"}
+    assert set(vars(MapFilter(config))) - given - to_look_at == {"_particles", "_stamp_ns"}
 
 
 def test_pose_and_all_that_belongs_to_it_turn() -> None:
