@@ -196,6 +196,7 @@ ORDER = (
     "ping_stream",
     "localization.map_loading",
     "localization.placing",
+    "localization.ping_scan",
     "localization.onboard",
     "localizing",
     "engine",

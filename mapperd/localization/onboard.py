@@ -22,21 +22,17 @@ from mapperd.decisions import (
     Request,
     SetMap,
 )
-from mapperd.echo import echo_of
 from mapperd.errors import MapError
-from mapperd.filters.stage import filter_echo
 from mapperd.localization.burst import BurstWatch
 from mapperd.localization.diagnostics import diagnose, weight_warning
 from mapperd.localization.estimate import Belief, PlanarGaussian
-from mapperd.localization.extraction import Surroundings, scan_of
 from mapperd.localization.facts import LocalizationFacts, sample_of
 from mapperd.localization.known_map import KnownMap
-from mapperd.localization.levelling import level_T_base
 from mapperd.localization.localizer import Localized, Localizer, LocalizerState
 from mapperd.localization.map_filter import FilterState, MapFilter
+from mapperd.localization.ping_scan import burst_watch, scan_of_ping
 from mapperd.localization.placing import placed
 from mapperd.localization.scan import Scan
-from mapperd.mapping import mounting
 from mapperd.odometry.fusion import FusedPose
 from mapperd.reject import Reject
 from oculus_driver.ping import Ping
@@ -44,9 +40,6 @@ from oculus_driver.ping import Ping
 __all__ = ["Onboard", "OnboardState", "gaussian_of"]
 
 Floats = NDArray[np.float64]
-
-UNNAMED = ("", "none")
-"""Owners of the depth that are no source."""
 
 NO_ODOMETRY = ("bad_odometry", "odometry_jump")
 """What a scan is passed over for says that its pose is none to map at."""
@@ -107,7 +100,7 @@ class Onboard:
         self._localizer = Localizer(self._filter, config, saved)
         self._load = load
         self._known: KnownMap | None = None
-        self._watch = _watch(config)
+        self._watch = burst_watch(config)
         self._updates = 0
         self._updated: _Updated | None = None
         self._odom: FusedPose | None = None
@@ -241,12 +234,7 @@ class Onboard:
     def _look(self, ping: Ping, pose: FusedPose, t_ns: int) -> Localized:
         if not self._localizer.life.running:
             return self._localizer.passed("no_filter")
-        config = self._config
-        try:
-            echo, _ = filter_echo(echo_of(ping, config.sonar), config)
-        except MapError as error:
-            return self._localizer.passed(error.reason)
-        scan = scan_of(echo, _around(ping, pose, t_ns, config), config, self._watch)
+        scan = scan_of_ping(ping, pose, t_ns, self._config, self._watch)
         if isinstance(scan, Reject):
             return self._localizer.passed(scan.reason)
         localized = self._localizer.take_scan(scan, pose.pose)
@@ -311,20 +299,6 @@ def gaussian_of(request: InitialPose | SetMap) -> PlanarGaussian:
     """
     covariance = np.array(request.covariance, dtype=np.float64).reshape(3, 3)
     return PlanarGaussian(request.x_m, request.y_m, request.yaw_rad, covariance)
-
-
-def _watch(config: Config) -> BurstWatch:
-    limits = config.odometry.limits
-    return BurstWatch(limits.max_speed, math.radians(limits.max_turn_rate))
-
-
-def _around(ping: Ping, pose: FusedPose, t_ns: int, config: Config) -> Surroundings:
-    """The surface is at height 0 where a source of depth has been named; the floor is unknown."""
-    level_T_sonar = level_T_base(pose.pose.map_q_base) @ mounting(config)  # noqa: N806 frames
-    depth_m = None
-    if config.odometry.owners.depth not in UNNAMED:
-        depth_m = -float(pose.pose.position_m[2]) - float(level_T_sonar[2, 3])
-    return Surroundings(t_ns, level_T_sonar, depth_m=depth_m, gamma_byte=ping.gamma)
 
 
 def _in_map(last: _Updated) -> Floats:

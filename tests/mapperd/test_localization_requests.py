@@ -11,6 +11,8 @@ import pytest
 from mapperd.cli import Exit, main
 from mapperd.config import Config
 from mapperd.config_file import config_from_text
+from mapperd.config_layers import Layered
+from mapperd.config_store import Applied, ConfigStore
 from mapperd.decisions import (
     DECISIONS,
     GlobalLocalization,
@@ -19,11 +21,13 @@ from mapperd.decisions import (
     NoMotionUpdate,
     Request,
     SetMap,
+    Settings,
     decision_of,
 )
 from mapperd.errors import MapError
 from mapperd.inlet import SONAR
 from mapperd.live import Live
+from mapperd.localization.checking import check_localization
 from mapperd.localization.estimate import PlanarGaussian
 from mapperd.localization.grid_map import GridMap
 from mapperd.localization.nav2_map import write_nav2_map
@@ -33,7 +37,12 @@ from mapperd.mapping import SonarMap
 from mapperd.pairing import OdometryPoses
 from mapperd.recording_files import files_in, sessions_of
 from mapperd.reject import Reject
+from mapperd.stepping import Stepping
 from tests.mapperd.localization.room import dive, events, room, settings, write_room
+
+Asked = Request | dict[str, Any]
+
+REFUSED = "{'amcl': 'z_hit and z_rand must not both be 0'}"
 
 START_NS = 1_700_000_000_000_000_000
 COVARIANCE = (0.02, 0.0, 0.0, 0.0, 0.02, 0.0, 0.0, 0.0, 0.003)
@@ -47,6 +56,7 @@ class Session:
 
     def __init__(self, config: Config, localizing: Localizing | None) -> None:
         self.sonar_map = SonarMap(config)
+        self.store = ConfigStore(Layered(config))
         self.live = Live(
             self.sonar_map,
             OdometryPoses(config),
@@ -54,10 +64,11 @@ class Session:
             clock=lambda: START_NS,
             localizing=localizing,
         )
+        self.store.follow(Stepping.FOLLOWS, self.live.take, check_localization)
         self.answers: list[str] = []
 
-    def run(self, track: list[tuple[str, bytes, float]], requests: dict[int, Request]) -> None:
-        """Let things come in; before so many of them have, something is asked for."""
+    def run(self, track: list[tuple[str, bytes, float]], requests: dict[int, Asked]) -> None:
+        """Let things come in; before so many of them have, something is asked for or set."""
 
         async def work() -> None:
             live = self.live
@@ -79,7 +90,10 @@ class Session:
 
         asyncio.run(work())
 
-    async def asked(self, request: Request) -> str:
+    async def asked(self, request: Asked) -> str:
+        if isinstance(request, dict):
+            applied = self.store.apply(request, "test")
+            return "set" if isinstance(applied, Applied) else str(applied.reasons)
         refused = await asyncio.wait_for(self.live.ask(request), 10)
         return refused.reason if isinstance(refused, Reject) else "done"
 
@@ -119,7 +133,7 @@ def pose_at(ping: int, shift_m: float = 0.0, frame: str = "map") -> dict[str, An
     }
 
 
-def asked_for(folder: Path) -> dict[int, Request]:
+def asked_for(folder: Path) -> dict[int, Asked]:
     """Three events a ping."""
     shifted = str(shifted_room(folder))
     return {
@@ -129,6 +143,8 @@ def asked_for(folder: Path) -> dict[int, Request]:
         30: InitialPose(**pose_at(10)),
         150: NoMotionUpdate(0),
         180: SetMap(**pose_at(60, SHIFT_M), path=shifted, sha256=""),
+        240: {"amcl.max_particles": 500, "amcl.laser_sigma_hit": 0.15},
+        241: {"amcl.laser_z_hit": 1e-300, "amcl.laser_z_rand": 0.0},
         300: NewMap(0, str(folder / "room.yaml"), ""),
         303: InitialPose(**pose_at(101)),
     }
@@ -148,7 +164,7 @@ def test_requests_are_recorded_and_done_again(
     session = Session(config, begun(config))
     session.run(events(room(), dive()), asked_for(tmp_path))
     assert session.answers == [
-        "no_filter", "done", "wrong_frame", "done", "done", "done", "done", "done"
+        "no_filter", "done", "wrong_frame", "done", "done", "done", "set", REFUSED, "done", "done"
     ]  # fmt: skip
     facts = session.live.mapping.facts.localization
     assert facts is not None
@@ -161,7 +177,8 @@ def test_requests_are_recorded_and_done_again(
 
     (recorded,) = sessions_of(files_in([tmp_path / "recordings"]))
     kinds = [type(decision_of(chunk)) for chunk in recorded if chunk.encoding == DECISIONS]
-    assert kinds[1:] == [type(one) for one in asked_for(tmp_path).values()]
+    asked = [one for k, one in asked_for(tmp_path).items() if k != 241]
+    assert kinds[1:] == [Settings if isinstance(one, dict) else type(one) for one in asked]
 
     _, summary = replayed(tmp_path / "recordings", tmp_path / "out")
     assert summary["map_sha256"] == session.sonar_map.sha256()
@@ -177,7 +194,8 @@ def test_requests_are_recorded_and_done_again(
 
 def test_saved_pose_of_a_session_is_in_its_recording(tmp_path: Path) -> None:
     config = config_from_text(text_of(tmp_path, mapping="corrected"))
-    saved = PlanarGaussian(*dive().truth[0], np.diag([0.02, 0.02, 0.003]))
+    x, y, yaw = dive().truth[0].tolist()
+    saved = PlanarGaussian(x, y, yaw, np.diag([0.02, 0.02, 0.003]))
     path = tmp_path / "pose.json"
     save_pose(path, saved, "map", 0)
     session = Session(config, begun(config, path))
