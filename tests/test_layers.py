@@ -152,6 +152,7 @@ ORDER = (
     "localization.volume_map",
     "localization.estimate",
     "localization.filter",
+    "localization.cloud_state",
     "localization.models",
     "localization.beam_ends",
     "localization.pose",

@@ -103,7 +103,7 @@ py::dict counts_of(const loc::ParticleFilter& filter) {
 py::tuple state_of(const loc::ParticleFilter& filter) {
   const loc::FilterState state = filter.state();
   const loc::FilterCounts& c = state.counts;
-  const auto numbers = py::make_tuple(state.step, state.updates_since_start, c.updates,
+  const auto numbers = py::make_tuple(state.seed, state.step, state.updates_since_start, c.updates,
                                       c.resamplings, c.injected_particles, c.refused_steps,
                                       c.empty_scans, c.uninformative_scans, c.not_a_number);
   const auto averages =
@@ -113,7 +113,7 @@ py::tuple state_of(const loc::ParticleFilter& filter) {
 }
 
 void restore(loc::ParticleFilter& filter, const py::object& poses, const py::object& log_weights,
-             const std::array<std::uint64_t, 9>& numbers,
+             const std::array<std::uint64_t, 10>& numbers,
              const std::tuple<double, double, bool>& averages) {
   loc::FilterState state;
   state.particles = particles_of(poses, "poses");
@@ -122,10 +122,11 @@ void restore(loc::ParticleFilter& filter, const py::object& poses, const py::obj
     throw std::invalid_argument("each particle needs a weight");
   }
   state.particles.log_weight = logs;
-  state.step = numbers[0];
-  state.updates_since_start = numbers[1];
-  state.counts = {numbers[2], numbers[3], numbers[4], numbers[5],
-                  numbers[6], numbers[7], numbers[8]};
+  state.seed = numbers[0];
+  state.step = numbers[1];
+  state.updates_since_start = numbers[2];
+  state.counts = {numbers[3], numbers[4], numbers[5], numbers[6],
+                  numbers[7], numbers[8], numbers[9]};
   state.averages = {std::get<0>(averages), std::get<1>(averages), std::get<2>(averages)};
   filter.restore(std::move(state));
 }

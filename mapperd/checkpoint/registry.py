@@ -29,6 +29,7 @@ MODULES = (
     "mapperd.frames",
     "mapperd.geodesy",
     "mapperd.localization.burst",
+    "mapperd.localization.cloud_state",
     "mapperd.localization.estimate",
     "mapperd.localization.lifecycle",
     "mapperd.localization.localizer",

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mapperd.config import Config
 from mapperd.localization.beam_ends import elevation_fan_rad, ends_on_cones
+from mapperd.localization.cloud_state import CloudState, cloud_state, restore_cloud
 from mapperd.localization.estimate import Belief, PlanarGaussian
 from mapperd.localization.filter import (
     Beams,
@@ -33,19 +34,14 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilterState:
-    """As the core's filter gives it, and the stamp of its last scan.
+    """All that changes in a filter, but for the map and the settings.
 
     Attributes:
-        poses: (N, 3), of the particles.
-        log_weights: (N,).
-        numbers, averages: of the core's filter.
+        cloud: the particles.
         stamp_ns: of the last scan; None before the first.
     """
 
-    poses: Floats
-    log_weights: Floats
-    numbers: tuple[int, ...]
-    averages: tuple[float, float, bool]
+    cloud: CloudState
     stamp_ns: int | None
 
 
@@ -108,7 +104,7 @@ class MapFilter:
 
     def state(self) -> FilterState:
         """All that changes, but for the map and the settings."""
-        return FilterState(*self._particles.state(), self._stamp_ns)
+        return FilterState(cloud_state(self._particles), self._stamp_ns)
 
     def restore(self, state: FilterState) -> None:
         """Go on as the filter that `state` was called of, on the same map and settings.
@@ -116,7 +112,7 @@ class MapFilter:
         Raises:
             ValueError: it is no filter's state; nothing is changed.
         """
-        self._particles.restore(state.poses, state.log_weights, state.numbers, state.averages)
+        restore_cloud(self._particles, state.cloud)
         self._stamp_ns = state.stamp_ns
 
     def update(

@@ -110,7 +110,7 @@ void ParticleFilter::start_with(Particles particles) {
 }
 
 FilterState ParticleFilter::state() const {
-  return {particles_, step_, updates_since_start_, recovery_.averages(), counts_};
+  return {particles_, seed_, step_, updates_since_start_, recovery_.averages(), counts_};
 }
 
 void ParticleFilter::restore(FilterState state) {
@@ -126,6 +126,7 @@ void ParticleFilter::restore(FilterState state) {
     throw std::invalid_argument("averages must be finite");
   }
   particles_ = std::move(state.particles);
+  seed_ = state.seed;
   step_ = state.step;
   updates_since_start_ = state.updates_since_start;
   recovery_.set_averages(state.averages);

@@ -46,9 +46,10 @@ struct Weighed {
   double injected_share = 0.0;  // of the next resampling
 };
 
-// All that a filter of the same rule and seed needs to go on as another one would have.
+// All that a filter of the same rule needs to go on as another one would have.
 struct FilterState {
   Particles particles;
+  std::uint64_t seed = 0;
   std::uint64_t step = 0;
   std::size_t updates_since_start = 0;
   Recovery::Averages averages;
