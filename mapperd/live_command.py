@@ -16,11 +16,13 @@ from mapperd.config_layers import Layered
 from mapperd.config_store import ConfigStore
 from mapperd.control.setup import control_server
 from mapperd.daemon import Daemon
-from mapperd.errors import ConfigError
-from mapperd.events import EventLog
+from mapperd.errors import ConfigError, MapError
+from mapperd.events import EventLog, Severity
 from mapperd.export.summary import localization_summary, summary_of
 from mapperd.folders import map_path, pose_path, state_folder
 from mapperd.live import Live, host_clock
+from mapperd.localization.estimate import PlanarGaussian
+from mapperd.localization.saved_pose import load_pose
 from mapperd.localizing import Localizing, begun
 from mapperd.mapping import SonarMap
 from mapperd.opening import OpenMap, open_map
@@ -92,7 +94,7 @@ async def _map(run: LiveRun) -> tuple[SonarMap, dict[str, Any]]:
         )
     try:
         _keep_origin(run.settings, opened)
-        localizing = await asyncio.to_thread(_localizing, run.settings.current)
+        localizing = await asyncio.to_thread(_localizing, run.settings.current, events)
         live = Live(
             opened.sonar_map,
             run.poses(run.settings.current),
@@ -177,8 +179,8 @@ def _keep_origin(settings: ConfigStore, opened: OpenMap) -> None:
     opened.sonar_map.reconfigure(settings.settle("odometry.origin", value, "the map's file"))
 
 
-def _localizing(config: Config) -> Localizing | None:
-    """Begin localization by the settings.
+def _localizing(config: Config, events: EventLog) -> Localizing | None:
+    """Begin localization by the settings, at the saved pose where there is one.
 
     Raises:
         ConfigError: its map cannot be used, or is the one that is being made.
@@ -192,7 +194,19 @@ def _localizing(config: Config) -> Localizing | None:
             "vehicle's feet; allowed: a copy of it, or localization.mapping off",
             place,
         )
-    return begun(config, pose_path(config, os.environ))
+    return begun(config, _saved_pose(config, events))
+
+
+def _saved_pose(config: Config, events: EventLog) -> PlanarGaussian | None:
+    """The pose of before a restart; a file that is none keeps nobody from beginning."""
+    if config.localization.mode == "off":
+        return None
+    try:
+        return load_pose(pose_path(config, os.environ), config.amcl.global_frame_id)
+    except MapError as error:
+        text = f"begins without its saved pose: {error}"
+        events.add(Severity.WARNING, "saved_pose_ignored", text)
+        return None
 
 
 def _same(one: Path, other: Path) -> bool:

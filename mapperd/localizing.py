@@ -19,7 +19,6 @@ from mapperd.localization.estimate import PlanarGaussian
 from mapperd.localization.known_map import KnownMap
 from mapperd.localization.map_loading import load_known_map
 from mapperd.localization.onboard import Onboard, OnboardState
-from mapperd.localization.saved_pose import load_pose
 
 __all__ = [
     "KnownMaps",
@@ -99,15 +98,15 @@ class Localizing:
     map_sha256: str = ""
 
 
-def begun(config: Config, pose_path: Path | None = None) -> Localizing | None:
+def begun(config: Config, saved: PlanarGaussian | None = None) -> Localizing | None:
     """Begin by the settings; None where localization is off. Not in an event loop.
 
     Args:
         config: the settings.
-        pose_path: of the saved pose; None begins without one.
+        saved: estimate of before a restart; None where there is none.
 
     Raises:
-        ConfigError: the map cannot be used, or the saved pose is none.
+        ConfigError: the map cannot be used.
     """
     ours = config.localization
     if ours.mode == "off":
@@ -117,12 +116,6 @@ def begun(config: Config, pose_path: Path | None = None) -> Localizing | None:
         known = load_known_map(Path(ours.map_path), config) if ours.map_path else None
     except MapError as error:
         raise ConfigError(f"{PLACE}: {error}", PLACE) from error
-    saved = None
-    if pose_path is not None:
-        try:
-            saved = load_pose(pose_path, config.amcl.global_frame_id)
-        except MapError as error:
-            raise ConfigError(f"$.localization.pose_path: {error}", "$.localization") from error
     return _localizing(config, maps, known, saved)
 
 
@@ -144,8 +137,8 @@ def begun_again(config: Config, session: Session) -> Localizing | None:
 
 
 def poses_depend_on(localizing: Localizing | None) -> Localizing | None:
-    """It, if pings are mapped where it says; None where the map is the same without it."""
-    if localizing is None or localizing.maps.config.localization.mapping != "corrected":
+    """It, if it says where pings are mapped; None where the map is the same without it."""
+    if localizing is None or localizing.maps.config.localization.mapping == "odometry":
         return None
     return localizing
 

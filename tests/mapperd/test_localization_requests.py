@@ -31,7 +31,6 @@ from mapperd.localization.checking import check_localization
 from mapperd.localization.estimate import PlanarGaussian
 from mapperd.localization.grid_map import GridMap
 from mapperd.localization.nav2_map import write_nav2_map
-from mapperd.localization.saved_pose import save_pose
 from mapperd.localizing import Localizing, begun
 from mapperd.mapping import SonarMap
 from mapperd.pairing import OdometryPoses
@@ -196,12 +195,9 @@ def test_saved_pose_of_a_session_is_in_its_recording(tmp_path: Path) -> None:
     config = config_from_text(text_of(tmp_path, mapping="corrected"))
     x, y, yaw = dive().truth[0].tolist()
     saved = PlanarGaussian(x, y, yaw, np.diag([0.02, 0.02, 0.003]))
-    path = tmp_path / "pose.json"
-    save_pose(path, saved, "map", 0)
-    session = Session(config, begun(config, path))
+    session = Session(config, begun(config, saved))
     session.run(events(room(), dive(40)), {})
     assert session.live.counters.pings_mapped > 35
-    path.unlink()
     _, summary = replayed(tmp_path / "recordings", tmp_path / "out")
     assert summary["map_sha256"] == session.sonar_map.sha256()
     assert summary["pings_mapped"] == session.live.counters.pings_mapped

@@ -16,6 +16,7 @@ import pytest
 from mapperd.config_file import config_from_text
 from mapperd.folders import pose_path
 from mapperd.localization.saved_pose import load_pose
+from mapperd.recording_files import files_in, sessions_of
 from tests.mapperd.crash.client import Daemons, World
 from tests.mapperd.crash.test_crash import (
     as_recorded,
@@ -59,7 +60,7 @@ def test_map_at_corrected_poses_after_a_kill_is_that_of_the_recordings(
     tmp_path: Path, world: World, daemons: Daemons
 ) -> None:
     chance = random.Random(5)  # noqa: S311 for the instants
-    kills = mid = mapped = saved = folders = 0
+    kills = mid = mapped = saved = folders = gone_on = 0
     while kills < KILLS:
         folder = tmp_path / str(kills)
         folder.mkdir()
@@ -81,6 +82,10 @@ def test_map_at_corrected_poses_after_a_kill_is_that_of_the_recordings(
         assert content(folder / "dive.map", config) == reference, f"{folder} {count} pings"
         mapped += count
         saved += load_pose(pose_path(config, {}), "map") is not None
+        sessions = sessions_of(files_in([folder / "recordings"]))
+        begun = [one for one in (session.beginning() for session in sessions) if one is not None]
+        gone_on += any(one.saved_pose is not None for one in begun)
     assert mid >= folders / 2
     assert saved >= folders / 2
+    assert gone_on >= folders / 2
     assert mapped > 5 * KILLS

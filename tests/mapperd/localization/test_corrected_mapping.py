@@ -157,6 +157,13 @@ def test_map_after_interruptions_is_that_of_the_whole(tmp_path: Path, recording:
     assert mid > 2
 
 
+def test_file_stays_empty_where_nothing_is_to_be_mapped(tmp_path: Path, recording: Path) -> None:
+    config = config_from_text(written(tmp_path, mapping="off").read_text("utf-8"))
+    mapped, _, counters = map_into_store([recording], config, None, tmp_path / "cut.map")
+    assert counters.pings_dropped == {"mapping_off": 120}
+    assert mapped.counts().occupied == 0
+
+
 def passed_over(store: Path) -> int:
     """Pieces of work that are in the file since its checkpoint."""
     with StoreReader(store) as reader:
