@@ -13,15 +13,19 @@ from mapperd.config_layers import Layered
 from mapperd.config_store import Applied, ConfigStore, Refused
 from mapperd.daemon_events import Watch
 from mapperd.daemon_status import status_of
-from mapperd.decisions import Reset
+from mapperd.decisions import Request, Reset
 from mapperd.errors import ConfigError, MapError, StoreError
 from mapperd.events import EventLog, Severity
 from mapperd.export.map_folder import MapFolder
 from mapperd.filters.stage import check_filters
 from mapperd.live import Live
 from mapperd.localization.checking import check_localization
+from mapperd.localization_report import localization_report
+from mapperd.localization_requests import LocalizationRequests
 from mapperd.mapping import SonarMap
 from mapperd.operations import OperationError
+from mapperd.pose_request import PoseRequest
+from mapperd.reject import Reject
 from mapperd.service.watchdog import Worker
 from mapperd.setting_changes import changes_between
 from mapperd.stepping import Stepping
@@ -70,6 +74,7 @@ class Daemon:
         self._config = settings.current
         self._began_s = time.monotonic()
         self._numbers = count(1)
+        self._localization = LocalizationRequests(settings, events, folder, self._ask)
         self._resets: dict[int, asyncio.Future[StoreError | None]] = {}
         settings.follow(Stepping.FOLLOWS, self._take, _check)
 
@@ -118,7 +123,9 @@ class Daemon:
         """As `Operations.status`."""
         uptime_s = time.monotonic() - self._began_s
         servers = {name: status() for name, status in self.servers.items()}
-        return {"phase": self.phase} | status_of(self._live, self._map, uptime_s, servers)
+        return {"phase": self.phase} | status_of(
+            self._live, self._map, self._settings.current, uptime_s, servers
+        )
 
     def workers(self) -> list[Worker]:
         """What each thread has to do and has done, for a watchdog; any thread."""
@@ -185,6 +192,32 @@ class Daemon:
             raise OperationError("the map is in memory alone: outofcore.use is off", "no_store")
         self._events.add(Severity.INFO, "snapshot", f"snapshot for {origin}", bytes=size)
         return {"bytes": size, "seconds": time.monotonic() - began_s}
+
+    def localization(self, particles: int = 0) -> dict[str, Any]:
+        """As `Operations.localization`."""
+        facts = self._live.mapping.facts.localization
+        return localization_report(facts, self._settings.current, particles)
+
+    async def initial_pose(self, asked: PoseRequest, origin: str) -> dict[str, Any]:
+        """As `Operations.initial_pose`."""
+        return await self._localization.initial_pose(asked, origin)
+
+    async def global_localization(self, origin: str) -> dict[str, Any]:
+        """As `Operations.global_localization`."""
+        return await self._localization.global_localization(origin)
+
+    async def request_nomotion_update(self, origin: str) -> dict[str, Any]:
+        """As `Operations.request_nomotion_update`."""
+        return await self._localization.request_nomotion_update(origin)
+
+    async def set_map(self, name: str, asked: PoseRequest | None, origin: str) -> dict[str, Any]:
+        """As `Operations.set_map`."""
+        return await self._localization.set_map(name, asked, origin)
+
+    async def _ask(self, request: Request) -> Reject | None:
+        if self.phase != "mapping":
+            return Reject("busy", f"the daemon is {self.phase}")
+        return await self._live.ask(request)
 
     def _whole(self) -> SonarMap:
         """The map as it is now, to be written as a file; a file with holes would show water."""

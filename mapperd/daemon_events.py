@@ -5,6 +5,7 @@ from typing import NoReturn
 
 from mapperd.events import EventLog, Severity
 from mapperd.live import Live
+from mapperd.localization_events import LocalizationWatch
 from mapperd.mapping_thread import Facts
 
 __all__ = ["Watch"]
@@ -28,9 +29,12 @@ class Watch:
         self._late = self._coarse = False
         self._dropped = 0
         self._recording: object = None
+        self._localization = LocalizationWatch(events)
 
     def told(self, facts: Facts) -> None:
         """Look at new facts; in the mapping thread."""
+        if facts.localization is not None:
+            self._localization.told(facts.localization)
         behind = facts.behind
         if behind["coarse"] != self._coarse:
             self._coarse = behind["coarse"]

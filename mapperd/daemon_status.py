@@ -4,8 +4,10 @@ from typing import Any
 
 import numpy as np
 
+from mapperd.config import Config
 from mapperd.links.link import Link
 from mapperd.live import Live
+from mapperd.localization_report import localization_summary
 from mapperd.mapping import SonarMap
 from mapperd.mapping_thread import Facts
 from mapperd.version import version
@@ -14,7 +16,7 @@ __all__ = ["status_of"]
 
 
 def status_of(
-    live: Live, sonar_map: SonarMap, uptime_s: float, servers: dict[str, Any]
+    live: Live, sonar_map: SonarMap, config: Config, uptime_s: float, servers: dict[str, Any]
 ) -> dict[str, Any]:
     """All keys of `Operations.status` but `phase`."""
     facts = live.mapping.facts
@@ -27,6 +29,7 @@ def status_of(
         "sonar": _sonar(live, facts),
         "odometry": {**facts.odometry, "connections": {ln.name: _link(ln) for ln in live.links}},
         "pose": _pose(facts),
+        "localization": localization_summary(facts.localization, config),
         "pings": facts.pings,
         "latency_ms": facts.latency_ms,
         "behind": {**facts.behind, **_queue(live)},

@@ -1,6 +1,7 @@
 """What the filters make of a ping, as pictures: for whoever sets their thresholds.
 
-Rows are ranges, the nearest at the bottom; columns are beams, port on the left.
+Rows are ranges, the nearest at the bottom; columns are beams, port on the left. And where
+localization believes that the vehicle is.
 """
 
 import asyncio
@@ -18,9 +19,16 @@ from mapperd.events import EventLog, Severity
 from mapperd.export.atomic import atomic_file, make_folder
 from mapperd.export.png import png_bytes
 from mapperd.filters.stage import filter_echo
+from mapperd.localization.facts import LocalizationFacts
+from mapperd.localization_picture import Trail, localization_picture
 from oculus_driver.ping import Ping
 
-__all__ = ["debug_pictures", "draw_pictures", "write_debug_pictures"]
+__all__ = [
+    "debug_pictures",
+    "draw_pictures",
+    "write_debug_pictures",
+    "write_localization_picture",
+]
 
 DRAW_S = 1.0
 """Between pictures, while `visualization.show_opencv_visualization` is on."""
@@ -74,41 +82,85 @@ def write_debug_pictures(ping: Ping, config: Config, folder: Path) -> list[Path]
     """
     pictures = debug_pictures(ping, config)
     make_folder(folder)
-    paths = []
-    for name, picture in pictures.items():
-        path = folder / f"{name}.png"
-        with atomic_file(path) as file:
-            file.write(png_bytes(picture))
-        paths.append(path)
-    return paths
+    return [_write(folder / f"{name}.png", picture) for name, picture in pictures.items()]
 
 
 async def draw_pictures(
-    newest: Callable[[], Ping | None], settings: ConfigStore, events: EventLog, folder: Path
+    newest: Callable[[], Ping | None],
+    settings: ConfigStore,
+    events: EventLog,
+    folder: Path,
+    localized: Callable[[], LocalizationFacts | None] = lambda: None,
 ) -> None:
-    """Draw the newest ping every second while the settings want it; until cancelled.
+    """Draw the newest ping and localization every second while the settings want it, for ever.
 
     Args:
         newest: the ping that was mapped last.
         settings: in force.
         events: is told once of what stands in the way.
         folder: for the pictures.
+        localized: how localization goes; None where it is off.
     """
     settings.follow(("visualization",), lambda _: None)  # read anew every second
-    drawn: Ping | None = None
+    artist = _Artist(folder)
     told = ""
     while True:
-        ping, config = newest(), settings.current
-        if config.visualization.show_opencv_visualization and ping is not None:
+        config, facts = settings.current, localized()
+        if config.visualization.show_opencv_visualization:
             try:
-                if ping is not drawn:
-                    await asyncio.to_thread(write_debug_pictures, ping, config, folder)
-                drawn, told = ping, ""
+                await asyncio.to_thread(artist.draw, newest(), facts, config)
+                told = ""
             except (ExportError, MapError) as error:
                 if str(error) != told:
                     events.add(Severity.WARNING, "debug_pictures", f"not drawn: {error}")
                 told = str(error)
         await asyncio.sleep(DRAW_S)
+
+
+class _Artist:
+    """Draws what is new; one thread at a time."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._ping: Ping | None = None
+        self._facts: LocalizationFacts | None = None
+        self._trail = Trail()
+
+    def draw(self, ping: Ping | None, facts: LocalizationFacts | None, config: Config) -> None:
+        if facts is not None and facts is not self._facts:
+            if facts.belief is not None:
+                self._trail.add(facts.belief.best)
+            write_localization_picture(facts, self._trail.points_m(), self._folder)
+            self._facts = facts
+        if ping is not None and ping is not self._ping:
+            write_debug_pictures(ping, config, self._folder)
+            self._ping = ping
+
+
+def write_localization_picture(
+    facts: LocalizationFacts, trail_m: NDArray[np.float64], folder: Path
+) -> Path | None:
+    """Write `localization.png`, whole or not at all; nothing without a map.
+
+    Args:
+        facts: how localization goes.
+        trail_m: (N, 2) places before.
+        folder: is made where it is not there.
+
+    Raises:
+        ExportError: nothing can be written there.
+    """
+    picture = localization_picture(facts, trail_m)
+    if picture is None:
+        return None
+    make_folder(folder)
+    return _write(folder / "localization.png", picture)
+
+
+def _write(path: Path, picture: Picture) -> Path:
+    with atomic_file(path) as file:
+        file.write(png_bytes(picture))
+    return path
 
 
 def _upright(image: NDArray[np.floating]) -> Picture:

@@ -22,7 +22,9 @@ from mapperd.export.summary import localization_summary, summary_of
 from mapperd.folders import map_path, pose_path, state_folder
 from mapperd.live import Live, host_clock
 from mapperd.localization.estimate import PlanarGaussian
+from mapperd.localization.facts import LocalizationFacts
 from mapperd.localization.saved_pose import load_pose
+from mapperd.localization_report import state_of
 from mapperd.localizing import Localizing, begun
 from mapperd.mapping import SonarMap
 from mapperd.opening import OpenMap, open_map
@@ -221,7 +223,19 @@ async def _tell(live: Live, say: Say) -> None:
         await asyncio.sleep(TELL_S)
         pings = live.mapping.facts.pings
         dropped = sum(pings["dropped"].values())
-        say(f"{pings['mapped']} pings mapped, {dropped} dropped, sonar {live.link.state}")
+        sonar = f"{pings['mapped']} pings mapped, {dropped} dropped, sonar {live.link.state}"
+        say(sonar + _where(live.mapping.facts.localization))
+
+
+def _where(facts: LocalizationFacts | None) -> str:
+    """Where the vehicle is on the known map, for the line that says how it goes."""
+    if facts is None:
+        return ""
+    state = f", {state_of(facts)}"
+    if facts.belief is None:
+        return state
+    best = facts.belief.best
+    return f"{state} at x {best.x_m:.2f} m, y {best.y_m:.2f} m"
 
 
 async def _until(stop: asyncio.Event, duration_s: float | None) -> None:

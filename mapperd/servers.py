@@ -38,7 +38,13 @@ async def serving(
         telemetry = Telemetry(daemon, (folder,), environment, clock)
         daemon.servers["mqtt"] = telemetry.status
         tasks.append(asyncio.create_task(telemetry.run()))
-    pictures = draw_pictures(newest, daemon.settings, daemon.events, folder / "debug")
+    pictures = draw_pictures(
+        newest,
+        daemon.settings,
+        daemon.events,
+        folder / "debug",
+        lambda: daemon.live.mapping.facts.localization,
+    )
     tasks.append(asyncio.create_task(pictures))
     try:
         yield

@@ -6,6 +6,8 @@ import msgspec
 import numpy as np
 from msgspec import Meta, Struct, field
 
+from mapperd.pose_request import PoseRequest
+
 __all__ = [
     "VERSION",
     "Answer",
@@ -13,13 +15,18 @@ __all__ = [
     "Events",
     "Fault",
     "Get",
+    "GlobalLocalization",
     "Greeting",
     "Hello",
+    "InitialPose",
+    "Localization",
+    "NoMotionUpdate",
     "Params",
     "Reload",
     "Reset",
     "Save",
     "Set",
+    "SetMap",
     "Snapshot",
     "Status",
     "answer_line",
@@ -94,7 +101,50 @@ class Events(_Ask, frozen=True, kw_only=True):
     follow: bool = False
 
 
-Ask = Hello | Status | Params | Get | Set | Save | Reset | Reload | Snapshot | Events
+class Localization(_Ask, frozen=True, kw_only=True):
+    """Where the vehicle is on the known map, and some of the particles."""
+
+    particles: Annotated[int, Meta(ge=0, le=500)] = 0
+
+
+class InitialPose(_Ask, frozen=True, kw_only=True, tag="initial_pose"):
+    """Begin localization at a pose."""
+
+    pose: PoseRequest
+
+
+class GlobalLocalization(_Ask, frozen=True, kw_only=True, tag="global_localization"):
+    """Begin localization anywhere on the map."""
+
+
+class NoMotionUpdate(_Ask, frozen=True, kw_only=True, tag="request_nomotion_update"):
+    """Have the next scan be an update."""
+
+
+class SetMap(_Ask, frozen=True, kw_only=True, tag="set_map"):
+    """Localize on another map; with a pose from there on."""
+
+    name: Annotated[str, Meta(max_length=1000)]
+    pose: PoseRequest | None = None
+
+
+Ask = (
+    Hello
+    | Status
+    | Params
+    | Get
+    | Set
+    | Save
+    | Reset
+    | Reload
+    | Snapshot
+    | Events
+    | Localization
+    | InitialPose
+    | GlobalLocalization
+    | NoMotionUpdate
+    | SetMap
+)
 
 
 class Greeting(Struct, frozen=True):

@@ -8,13 +8,20 @@ from mapperd.config_parameters import value_of
 from mapperd.config_store import ConfigStore, Refused
 from mapperd.control.messages import (
     Ask,
+    Events,
     Fault,
     Get,
+    GlobalLocalization,
+    Hello,
+    InitialPose,
+    Localization,
+    NoMotionUpdate,
     Params,
     Reload,
     Reset,
     Save,
     Set,
+    SetMap,
     Snapshot,
     Status,
 )
@@ -37,8 +44,10 @@ async def operate(ask: Ask, operations: Operations, origin: str) -> dict[str, An
                 return await _with_settings(ask, operations.settings, origin)
             case Status():
                 return operations.status()
-            case _:
+            case Save() | Reset() | Reload() | Snapshot() | Hello() | Events():
                 return await _done(ask, operations, origin)
+            case _:
+                return await _localized(ask, operations, origin)
     except OperationError as error:
         return Fault(error.reason, str(error))
 
@@ -55,6 +64,24 @@ async def _done(ask: Ask, operations: Operations, origin: str) -> dict[str, Any]
             return await operations.snapshot(origin)
         case _:
             return Fault("bad_request", "hello is said once, at the beginning")
+
+
+async def _localized(
+    ask: Localization | InitialPose | GlobalLocalization | NoMotionUpdate | SetMap,
+    operations: Operations,
+    origin: str,
+) -> dict[str, Any]:
+    match ask:
+        case Localization(particles=particles):
+            return operations.localization(particles)
+        case InitialPose(pose=pose):
+            return await operations.initial_pose(pose, origin)
+        case GlobalLocalization():
+            return await operations.global_localization(origin)
+        case NoMotionUpdate():
+            return await operations.request_nomotion_update(origin)
+        case SetMap(name=name, pose=pose):
+            return await operations.set_map(name, pose, origin)
 
 
 async def _with_settings(

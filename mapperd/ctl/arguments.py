@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from mapperd.config_parameters import parameters
+from mapperd.ctl.localization_arguments import add_localization
 from mapperd.errors import ConfigError
 from mapperd.yaml_strict import YamlProblem, parse_yaml
 
@@ -41,6 +42,7 @@ def parser() -> _Parser:
     reset.add_argument("--yes", action="store_true", help="do not ask")
     _command(commands, "reload", "read the settings' files again")
     _command(commands, "snapshot", "bring the map and the recording to the disk now")
+    add_localization(lambda *said: _command(commands, *said))
     events = _command(commands, "events", "what happened")
     events.add_argument("--follow", action="store_true", help="and what happens, until interrupted")
     events.add_argument(

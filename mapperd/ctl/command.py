@@ -38,7 +38,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # `mapperctl params | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
-        endless = said.command == "status" or getattr(said, "follow", False)
+        endless = said.command == "status" or any(
+            getattr(said, name, False) for name in ("follow", "watch")
+        )
         return Exit.OK if endless else Exit.INTERRUPTED
     return Exit.OK
 

@@ -24,6 +24,8 @@ REASONS: Mapping[str, Exit] = MappingProxyType(
     {
         "bad_name": Exit.USAGE,
         "bad_format": Exit.USAGE,
+        "bad_pose": Exit.USAGE,
+        "no_such_map": Exit.USAGE,
         "unknown_setting": Exit.USAGE,
         "cannot_write": Exit.CANNOT_WRITE,
         "busy": Exit.TRY_AGAIN,

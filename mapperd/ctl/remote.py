@@ -12,6 +12,8 @@ from typing import Any
 
 from mapperd.ctl.connection import Connection, Target
 from mapperd.ctl.errors import CtlError, Exit, plain
+from mapperd.ctl.localization_arguments import pose_said
+from mapperd.ctl.localization_view import localization_lines
 from mapperd.ctl.params import params_lines
 from mapperd.ctl.status_view import event_line, status_lines
 
@@ -19,6 +21,7 @@ __all__ = ["run"]
 
 PATIENCE_S = 30.0
 PATIENCE_WITH_DISKS_S = 900.0
+SLOW = ("save", "reset", "snapshot", "reload", "set_map")
 HOME_AND_CLEAR = "\x1b[H\x1b[J"
 
 Lines = Iterator[str]
@@ -33,7 +36,10 @@ def run(said: argparse.Namespace, target: Target) -> Lines:
     if said.command == "status" and not said.once and (said.json or sys.stdout.isatty()):
         yield from _watch(said, target)
         return
-    slow = said.command in ("save", "reset", "snapshot", "reload")
+    if said.command == "localization" and said.watch:
+        yield from _watch(said, target)
+        return
+    slow = said.command in SLOW
     if said.command == "reset" and not said.yes:
         _ask_first(target)
     with Connection(target, PATIENCE_WITH_DISKS_S if slow else PATIENCE_S) as daemon:
@@ -49,6 +55,12 @@ def _arguments(said: argparse.Namespace) -> dict[str, Any]:
         return {"names": said.names}
     if said.command == "set":
         return {"changes": dict(said.changes)}
+    if said.command == "initial_pose":
+        return {"pose": pose_said(said)}
+    if said.command == "set_map":
+        return {"name": said.name, "pose": pose_said(said)}
+    if said.command == "localization":
+        return {"particles": said.particles}
     return {"name": said.name} if said.command == "save" else {}
 
 
@@ -96,6 +108,27 @@ def _snapshot(_: argparse.Namespace, result: dict[str, Any]) -> Lines:
     yield plain(f"{result.get('bytes')} bytes in {result.get('seconds', 0.0):.2f} s")
 
 
+def _localization(_: argparse.Namespace, result: dict[str, Any]) -> Lines:
+    yield from localization_lines(result)
+
+
+def _begun(said: argparse.Namespace, _: dict[str, Any]) -> Lines:
+    yield _BEGUN[said.command]
+
+
+_BEGUN: Mapping[str, str] = MappingProxyType(
+    {
+        "initial_pose": "localization begins at this pose",
+        "global_localization": "localization begins anywhere on the map",
+        "request_nomotion_update": "the next scan is an update",
+    }
+)
+
+
+def _map_set(_: argparse.Namespace, result: dict[str, Any]) -> Lines:
+    yield plain(f"localizing on {result.get('path')}")
+
+
 _PEOPLE: Mapping[str, Callable[[argparse.Namespace, dict[str, Any]], Lines]] = MappingProxyType(
     {
         "status": _status,
@@ -106,6 +139,11 @@ _PEOPLE: Mapping[str, Callable[[argparse.Namespace, dict[str, Any]], Lines]] = M
         "reset": _reset,
         "reload": _reloaded,
         "snapshot": _snapshot,
+        "localization": _localization,
+        "initial_pose": _begun,
+        "global_localization": _begun,
+        "request_nomotion_update": _begun,
+        "set_map": _map_set,
     }
 )
 
@@ -139,8 +177,8 @@ def _watch(said: argparse.Namespace, target: Target) -> Lines:
         try:
             with Connection(target, PATIENCE_S) as daemon:
                 while True:
-                    status = daemon.ask("status")
-                    yield json.dumps(status) if said.json else _screen(status, before)
+                    status = daemon.ask(said.command, **_arguments(said))
+                    yield json.dumps(status) if said.json else _screen(said, status, before)
                     before = status
                     time.sleep(said.every)
         except CtlError as error:
@@ -150,9 +188,11 @@ def _watch(said: argparse.Namespace, target: Target) -> Lines:
         time.sleep(said.every)
 
 
-def _screen(status: dict[str, Any], before: dict[str, Any] | None) -> str:
+def _screen(said: argparse.Namespace, status: dict[str, Any], before: dict[str, Any] | None) -> str:
     columns, rows = shutil.get_terminal_size()
-    lines = [line[:columns] for line in status_lines(status, before)]
+    of_status = said.command == "status"
+    told = status_lines(status, before) if of_status else localization_lines(status)
+    lines = [line[:columns] for line in told]
     return HOME_AND_CLEAR + "\n".join(lines[: max(1, rows - 1)])
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.frames import Pose
+from mapperd.localization.clusters import Cluster
 from mapperd.localization.diagnostics import Diagnosis
 from mapperd.localization.estimate import Belief
 from mapperd.localization.filter import ParticleFilter
@@ -31,6 +32,7 @@ class LocalizationFacts:
         updates: of the filter by scans, in this session.
         stamp_ns: of the scan of the belief; None with it.
         belief: of the last update; None before the first after a new start.
+        clusters: of its particles, the heaviest first.
         transform: the odometry's frame in the map as it is to be published, stamped ahead; None
             while it is not.
         odom: the base in the odometry's frame at the newest scan.
@@ -50,6 +52,7 @@ class LocalizationFacts:
     updates: int
     stamp_ns: int | None
     belief: Belief | None
+    clusters: tuple[Cluster, ...]
     transform: MapFromOdom | None
     odom: Pose | None
     pose: Pose | None

@@ -32,6 +32,7 @@ __all__ = [
     "RangeMap",
     "Weighed",
     "belief",
+    "gaussian_of",
 ]
 
 
@@ -40,21 +41,24 @@ def belief(
 ) -> Belief:
     """What the particles say together; the buckets are those that clusters are made of."""
     found, masses, _ = particles.modes(bucket_xy_m, bucket_yaw_rad)
-    best = _gaussian(found)
+    best = gaussian_of(found)
     offset = particles.poses[:, :2] - (best.x_m, best.y_m)
     sigma_m = math.sqrt(max(float(np.linalg.eigvalsh(best.covariance[:2, :2])[-1]), 0.0))
     off = np.hypot(offset[:, 0], offset[:, 1]) > max(ELSEWHERE_M, 3.0 * sigma_m)
     return Belief(
         best,
-        _gaussian(particles.estimate()),
+        gaussian_of(particles.estimate()),
         masses,
         float(particles.weights[off].sum()),
         particles.effective_size(),
     )
 
 
-def _gaussian(estimate: Estimate) -> PlanarGaussian:
-    """Headings that cancel have no variance that a number holds: then any heading will do."""
+def gaussian_of(estimate: Estimate) -> PlanarGaussian:
+    """An estimate of the core, as a Gaussian.
+
+    Headings that cancel have no variance that a number holds: then any heading will do.
+    """
     covariance = estimate.covariance
     if not np.isfinite(covariance).all():
         covariance[2, :] = covariance[:, 2] = 0.0

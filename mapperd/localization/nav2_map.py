@@ -24,7 +24,7 @@ from mapperd.localization.grid_map import FREE, MAX_CELLS, OCCUPIED, UNKNOWN, Gr
 from mapperd.localization.pgm import pgm_bytes, pgm_pixels
 from mapperd.yaml_strict import YamlProblem, parse_yaml
 
-__all__ = ["read_nav2_map", "write_nav2_map"]
+__all__ = ["image_of", "read_nav2_map", "write_nav2_map"]
 
 Mode = Literal["trinary", "scale", "raw"]
 
@@ -72,6 +72,15 @@ def read_nav2_map(path: Path) -> GridMap:
     image = path.parent / about.image
     pixels = pgm_pixels(_read(image, MAX_CELLS + MAX_HEADER_BYTES), str(image))
     return GridMap(_cells(pixels[::-1], about), about.resolution, *about.origin)
+
+
+def image_of(path: Path) -> str:
+    """What a .yaml says of where its image lies; nothing there is opened.
+
+    Raises:
+        MapError: it cannot be read, or is no such map (`bad_map_file`).
+    """
+    return _described(_read(path, MAX_YAML_BYTES), str(path)).image
 
 
 def write_nav2_map(grid: GridMap, path: Path, mode: Mode = "trinary") -> None:

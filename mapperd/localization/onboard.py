@@ -24,6 +24,7 @@ from mapperd.decisions import (
 )
 from mapperd.errors import MapError
 from mapperd.localization.burst import BurstWatch
+from mapperd.localization.clusters import Cluster, clusters_of
 from mapperd.localization.diagnostics import diagnose, weight_warning
 from mapperd.localization.estimate import Belief, PlanarGaussian
 from mapperd.localization.facts import LocalizationFacts, sample_of
@@ -106,7 +107,7 @@ class Onboard:
         self._odom: FusedPose | None = None
         self._localized = Localized("no_filter")
         self._changes = 0
-        self._sample: tuple[int, Floats] = (-1, np.zeros((0, 4)))
+        self._shown: tuple[int, Floats, tuple[Cluster, ...]] = (-1, np.zeros((0, 4)), ())
         if known is not None:
             refused = self._localizer.take_map(known.map)
             if refused is not None:
@@ -219,6 +220,7 @@ class Onboard:
             updates=self._updates,
             stamp_ns=None if last is None else last.scan.stamp_ns,
             belief=belief,
+            clusters=() if belief is None else self._cloud()[1],
             transform=self._localized.transform,
             odom=odom,
             pose=None if correction is None or odom is None else correction.corrected(odom),
@@ -226,7 +228,7 @@ class Onboard:
             diagnosis=diagnose(None if belief is None else belief.best, amcl),
             warning=weight_warning(amcl),
             particle_count=len(self._filter.particles),
-            particles=self._particles(),
+            particles=self._cloud()[0],
             scan_points_m=None if last is None else _in_map(last),
             known=self._known,
         )
@@ -285,10 +287,12 @@ class Onboard:
             self._known = known
         return refused
 
-    def _particles(self) -> Floats:
-        if self._sample[0] != self._changes:
-            self._sample = (self._changes, sample_of(self._filter.particles))
-        return self._sample[1]
+    def _cloud(self) -> tuple[Floats, tuple[Cluster, ...]]:
+        """A sample of the particles, and their clusters."""
+        if self._shown[0] != self._changes:
+            particles = self._filter.particles
+            self._shown = (self._changes, sample_of(particles), clusters_of(particles))
+        return self._shown[1:]
 
 
 def gaussian_of(request: InitialPose | SetMap) -> PlanarGaussian:

@@ -27,7 +27,10 @@ TIMEOUT_S = 10.0
 MOST_INCOMING = 64
 
 TAKEN = frozenset(
-    ("status", "state", "pose", "sonar", "map", "health", "event", "config", "cmd", "tf")
+    (
+        *("status", "state", "pose", "sonar", "map", "health", "event", "config", "cmd", "tf"),
+        *("amcl_pose", "map_odom", "particle_cloud", "diagnostics"),
+    )
 )
 """Topics of ours, which robots cannot have."""
 

@@ -8,6 +8,7 @@ from mapperd.config_parameters import parameters, value_of
 from mapperd.events import Severity
 from mapperd.operations import Operations
 from mapperd.telemetry import reports
+from mapperd.telemetry.localization import LocalizationReporter
 from mapperd.telemetry.outbox import Kind, Message, Outbox
 from mapperd.telemetry.pace import Pace
 from mapperd.telemetry.topics import Topics
@@ -52,6 +53,7 @@ class Reporter:
         self._outbox = outbox
         self._vitals = vitals
         self._own = own
+        self._localization = LocalizationReporter(operations, topics, outbox)
         self._told_event = 0
         self.events_missed = 0
         self.renew()
@@ -65,6 +67,7 @@ class Reporter:
         self._pose, self._robots = Pace(OFTEN_S), Pace(ROBOTS_S)
         self._again, self._change = Pace(STATE_S), Pace(CHANGE_S)
         self._sonar, self._slow = Pace(SONAR_S), Pace(SLOW_S)
+        self._localization.renew()
 
     @property
     def period_s(self) -> float:
@@ -84,6 +87,8 @@ class Reporter:
         self._say_state(now_s, status)
         self._say_pose(now_s, status, config)
         self._say_robots(now_s, status["robots"] or [], config)
+        if status["localization"] is not None:
+            self._localization.collect(now_s)
         if self._sonar.due(now_s):
             report = reports.sonar_report(status, self._rate_hz(now_s, status["pings"]["total"]))
             self._put_state("sonar", {"t_s": now_s, **report}, qos=0)

@@ -11,6 +11,7 @@ import msgspec
 from mapperd.config_store import Refused
 from mapperd.errors import MapperdError
 from mapperd.operations import OperationError, Operations
+from mapperd.pose_request import PoseRequest
 from mapperd.telemetry.outbox import Kind, Message
 from mapperd.telemetry.reports import encoded
 from mapperd.telemetry.topics import Asked, Topics
@@ -25,6 +26,8 @@ MOST_ID = 64
 MOST_NUMBER = 2**63
 REMEMBERED = 64
 """Answers by request id, so that a request that comes twice is done once."""
+
+WITH_ARGUMENTS = ("save", "initial_pose", "set_map")
 
 Id = str | int | None
 Answer = dict[str, Any]
@@ -117,19 +120,30 @@ class Requests:
 
     def _command(self, name: str, said: Mapping[str, Any]) -> Awaitable[dict[str, Any]]:
         operations = self._operations
-        if name == "save":
-            return operations.save(_text(said, "name"), ORIGIN)
-        commands = {
+        plain = {
             "reset": operations.reset,
             "clear": operations.reset,
             "reload": operations.reload,
             "snapshot": operations.snapshot,
+            "global_localization": operations.global_localization,
+            "request_nomotion_update": operations.request_nomotion_update,
         }
-        if name not in commands:
-            known = ", ".join(["save", *commands])
-            raise OperationError(f"there is no such command; there are {known}", "unknown_command")
-        _allow(said)
-        return commands[name](ORIGIN)
+        if name in plain:
+            _allow(said)
+            return plain[name](ORIGIN)
+        match name if name in WITH_ARGUMENTS else self._topics.also.get(name):
+            case "save":
+                _allow(said, "name")
+                return operations.save(_text(said, "name"), ORIGIN)
+            case "initial_pose":
+                _allow(said, "pose")
+                return operations.initial_pose(_pose(said), ORIGIN)
+            case "set_map":
+                _allow(said, "name", "pose")
+                pose = _pose(said) if "pose" in said else None
+                return operations.set_map(_text(said, "name"), pose, ORIGIN)
+        known = ", ".join([*WITH_ARGUMENTS, *plain])
+        raise OperationError(f"there is no such command; there are {known}", "unknown_command")
 
     def _answer(self, asked: Asked, request_id: Id, answer: Answer) -> None:
         self.counts["done" if answer["ok"] else "refused"] += 1
@@ -174,8 +188,14 @@ def _id_of(said: Mapping[str, Any]) -> Id:
     return request_id
 
 
+def _pose(said: Mapping[str, Any]) -> PoseRequest:
+    try:
+        return msgspec.convert(said.get("pose"), PoseRequest)
+    except msgspec.ValidationError as error:
+        raise _BadRequestError(f"pose: {error}") from error
+
+
 def _text(said: Mapping[str, Any], key: str) -> str:
-    _allow(said, key)
     if not isinstance(said.get(key), str):
         raise _BadRequestError(f"{key}: a text is wanted")
     return str(said[key])

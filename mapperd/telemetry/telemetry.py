@@ -92,7 +92,7 @@ class Telemetry:
         self._settings = config.mqtt
         self._environment = environment
         self._clock = clock
-        self._topics = Topics.of(config.mqtt)
+        self._topics = Topics.of(config.mqtt, config.amcl)
         self._outbox = Outbox(config.mqtt.queue)
         vitals = Vitals(folders)
         self._reporter = Reporter(operations, self._topics, self._outbox, vitals, self.status)

@@ -1,8 +1,9 @@
 """Names of the topics, `<prefix>/<vehicle>/mapper/...`."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
-from mapperd.config import Mqtt
+from mapperd.config import Amcl, Mqtt
 
 __all__ = ["Asked", "Topics"]
 
@@ -29,14 +30,27 @@ class Topics:
 
     Attributes:
         root: what they begin with.
+        also: names below `cmd/` by which settings call a command, and the command.
     """
 
     root: str
+    also: Mapping[str, str] = field(default_factory=dict, hash=False)
 
     @classmethod
-    def of(cls, settings: Mqtt) -> "Topics":
-        """As the settings have it."""
-        return cls(f"{settings.prefix.strip('/')}/{settings.vehicle}/mapper")
+    def of(cls, settings: Mqtt, amcl: Amcl | None = None) -> "Topics":
+        """As the settings have it.
+
+        Args:
+            settings: prefix and vehicle.
+            amcl: the names of its topics; `map_topic` is one only while maps come under it.
+        """
+        also = {}
+        if amcl is not None:
+            if amcl.use_map_topic:
+                also[amcl.map_topic.strip("/")] = "set_map"
+            also[amcl.initial_pose_topic.strip("/")] = "initial_pose"
+        root = f"{settings.prefix.strip('/')}/{settings.vehicle}/mapper"
+        return cls(root, also)
 
     def of_name(self, name: str) -> str:
         """Of one subject: `pose`, `/sonar_robot_detections`."""
@@ -51,9 +65,10 @@ class Topics:
         return f"{self.root}/{asked.kind}/{asked.name}/result"
 
     @property
-    def requests(self) -> tuple[str, str]:
+    def requests(self) -> tuple[str, ...]:
         """Filters of what may be asked; answers do not match them."""
-        return f"{self.root}/cmd/+", f"{self.root}/config/+/set"
+        deep = [f"{self.root}/cmd/{name}" for name in self.also if "/" in name]
+        return f"{self.root}/cmd/+", f"{self.root}/config/+/set", *deep
 
     def asked(self, topic: str) -> Asked | None:
         """What a message on a topic asks for; None where it asks for nothing."""
@@ -64,4 +79,6 @@ class Topics:
                 return Asked("cmd", name)
             case ["config", name, "set"] if 0 < len(name) <= MOST_NAME:
                 return Asked("config", name)
+            case ["cmd", *names] if (name := "/".join(names)) in self.also:
+                return Asked("cmd", name)
         return None

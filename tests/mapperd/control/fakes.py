@@ -21,6 +21,7 @@ from mapperd.control.limits import Limits
 from mapperd.control.server import ControlServer
 from mapperd.events import EventLog
 from mapperd.operations import OperationError
+from mapperd.pose_request import PoseRequest
 
 TOKEN = b"correct-horse-battery-staple"
 
@@ -33,6 +34,7 @@ class FakeDaemon:
         self.settings.follow(["filtering"], lambda _: None)
         self.events = EventLog(lambda: 1_700_000_000_000_000_000)
         self.done: list[tuple[str, ...]] = []
+        self.poses: list[PoseRequest | None] = []
         self.fault: Exception | None = None
         self.go_on = asyncio.Event()
         self.go_on.set()
@@ -53,6 +55,25 @@ class FakeDaemon:
 
     async def snapshot(self, origin: str) -> dict[str, Any]:
         return await self._do("snapshot", origin, result={"bytes": 3, "seconds": 0.5})
+
+    def localization(self, particles: int = 0) -> dict[str, Any]:
+        self._fail()
+        return {"mode": "off", "state": "off"} | ({"particles": particles} if particles else {})
+
+    async def initial_pose(self, asked: PoseRequest, origin: str) -> dict[str, Any]:
+        self.poses.append(asked)
+        return await self._do("initial_pose", origin, result={})
+
+    async def global_localization(self, origin: str) -> dict[str, Any]:
+        return await self._do("global_localization", origin, result={})
+
+    async def request_nomotion_update(self, origin: str) -> dict[str, Any]:
+        return await self._do("request_nomotion_update", origin, result={})
+
+    async def set_map(self, name: str, asked: PoseRequest | None, origin: str) -> dict[str, Any]:
+        self.poses.append(asked)
+        result = {"path": f"/maps/{name}"}
+        return await self._do("set_map", name, origin, result=result)
 
     async def _do(self, *what: str, result: dict[str, Any]) -> dict[str, Any]:
         await self.go_on.wait()
@@ -223,6 +244,11 @@ MALFORMED = [
     b'{"id": 1, "do": "set", "changes": [["a", 1]]}\n',
     b'{"id": 1, "do": "get", "names": []}\n',
     b'{"id": 1, "do": "events", "since": "0"}\n',
+    b'{"id": 1, "do": "initial_pose"}\n',
+    b'{"id": 1, "do": "initial_pose", "pose": {"x_m": NaN, "y_m": 0, "yaw_rad": 0}}\n',
+    b'{"id": 1, "do": "initial_pose", "pose": {"x_m": 1e400, "y_m": 0, "yaw_rad": 0}}\n',
+    b'{"id": 1, "do": "initial_pose", "pose": {"x_m": 1e7, "y_m": 0, "yaw_rad": 0}}\n',
+    b'{"id": 1, "do": "set_map", "pose": {"x_m": 1, "y_m": 0, "yaw_rad": 0}}\n',
     b'{"id": 1, "do": "status"\n',
     b"[" * 60000 + b"\n",
     b'{"id": 1, "do": "set", "changes": {"a": ' + b"[" * 60000 + b"\n",

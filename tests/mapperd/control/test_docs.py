@@ -24,7 +24,7 @@ CODE = "\n".join(path.read_text(encoding="utf-8") for path in SOURCES)
 
 def test_every_request_and_its_fields_are_explained() -> None:
     for kind in Ask.__args__:
-        (row,) = re.findall(rf"^\| `{kind.__name__.lower()}` \|.*$", PAGE, re.MULTILINE)
+        (row,) = re.findall(rf"^\| `{kind.__struct_config__.tag}` \|.*$", PAGE, re.MULTILINE)
         for field in set(kind.__struct_fields__) - {"id"}:
             assert f"`{field}`" in row
     assert Events in Ask.__args__

@@ -1,7 +1,7 @@
 """A daemon that only says what a test wants, and its telemetry."""
 
 import json
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -9,8 +9,13 @@ from mapperd.config_file import config_of
 from mapperd.config_layers import Layered
 from mapperd.config_store import ConfigStore
 from mapperd.events import EventLog
+from mapperd.localization_report import localization_report, localization_summary
 from mapperd.operations import OperationError
+from mapperd.pose_request import PoseRequest
 from mapperd.telemetry.outbox import Kind, Message, Outbox
+
+if TYPE_CHECKING:
+    from mapperd.localization.facts import LocalizationFacts
 
 T0_S = 1_700_000_000.0
 ROOT = "mapperd/v1/rov-1/mapper"
@@ -44,6 +49,7 @@ class FakeDaemon:
         self.asked: list[tuple[str, ...]] = []
         self.pings = 0
         self.pose: dict[str, Any] | None = None
+        self.localized: LocalizationFacts | None = None
         self.robots: list[dict[str, Any]] = []
         self.phase = "mapping"
         self.asked_for_status = 0
@@ -58,6 +64,7 @@ class FakeDaemon:
             "sonar": {"state": "pinging", "reason": "pings come", "range_m": 10.0},
             "odometry": {"quantities": {"position": {"owner": "dvl"}}},
             "pose": self.pose,
+            "localization": localization_summary(self.localized, self.settings.current),
             "pings": {
                 "total": self.pings,
                 "mapped": self.pings,
@@ -85,6 +92,24 @@ class FakeDaemon:
 
     async def reload(self, origin: str) -> dict[str, Any]:
         raise RuntimeError(f"a fault, found by {origin}")
+
+    def localization(self, particles: int = 0) -> dict[str, Any]:
+        return localization_report(self.localized, self.settings.current, particles)
+
+    async def initial_pose(self, asked: PoseRequest, origin: str) -> dict[str, Any]:
+        self.asked.append(("initial_pose", str(asked.x_m), origin))
+        return {}
+
+    async def global_localization(self, origin: str) -> dict[str, Any]:
+        raise OperationError(f"there is no map for {origin} to be found on", "no_map")
+
+    async def request_nomotion_update(self, origin: str) -> dict[str, Any]:
+        self.asked.append(("request_nomotion_update", origin))
+        return {}
+
+    async def set_map(self, name: str, asked: PoseRequest | None, origin: str) -> dict[str, Any]:
+        self.asked.append(("set_map", name, "" if asked is None else str(asked.x_m), origin))
+        return {"path": f"/state/maps/{name}"}
 
     async def snapshot(self, origin: str) -> dict[str, Any]:
         self.asked.append(("snapshot", origin))

@@ -1,0 +1,63 @@
+"""What changes in localization is said once."""
+
+import pytest
+
+from mapperd.events import EventLog
+from mapperd.localization.facts import LocalizationFacts
+from mapperd.localization_events import LocalizationWatch
+from tests.mapperd.localization.believed import facts, known
+
+
+def told(*all_facts: LocalizationFacts) -> list[tuple[str, str]]:
+    events = EventLog(lambda: 0)
+    watch = LocalizationWatch(events)
+    for one in all_facts:
+        watch.told(one)
+    return [(event.code, str(event.severity)) for event in events.since(0)[0]]
+
+
+def test_a_dive_is_told_in_order() -> None:
+    assert told(
+        facts(None, known=None),
+        facts(None),
+        facts(0.6),
+        facts(0.6),
+        facts(0.2),
+        facts(0.0),
+        facts(0.0),
+        facts(None),
+        facts(0.0),
+    ) == [
+        ("map_loaded", "notice"),
+        ("lost", "warning"),
+        ("ambiguous", "warning"),
+        ("localized", "notice"),
+        ("localized", "notice"),  # after a new start
+    ]
+
+
+def test_another_map_and_a_level_are_told() -> None:
+    first, other = known("/maps/a.yaml"), known("/maps/b.yaml")
+    assert told(
+        facts(0.0, known=first),
+        facts(0.0, known=other),
+        facts(0.0, known=other, std=0.5),
+        facts(0.0, known=other, std=0.5),
+        facts(0.0, known=other, std=0.1),
+    ) == [
+        ("map_loaded", "notice"),
+        ("localized", "notice"),
+        ("map_loaded", "notice"),
+        ("localization_std", "warning"),
+        ("localization_std", "notice"),
+    ]
+
+
+def test_text_says_what_and_where() -> None:
+    events = EventLog(lambda: 0)
+    LocalizationWatch(events).told(facts(0.7, std=0.5))
+    texts = [event.text for event in events.since(0)[0]]
+    assert texts[0] == "localizing on tank.yaml"
+    assert texts[1].endswith("x 1.00 m, y 2.00 m, 0.500 rad at best")
+    assert "std_x 0.5 above 0.2" in texts[2]
+    assert events.since(0)[0][1].facts == {"elsewhere": pytest.approx(0.7)}
