@@ -11,13 +11,14 @@ from mapperd.telemetry.pace import BackOff
 from mapperd.telemetry.reporter import Reporter
 from mapperd.telemetry.requests import MOST_BYTES, MOST_ID, MOST_WAITING, REMEMBERED
 from mapperd.telemetry.topics import MOST_NAME, Topics
+from tests.mapperd.localization.believed import facts
 from tests.mapperd.telemetry.conftest import POSE, ROBOT, T0_S, FakeDaemon, below
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "telemetry.md").read_text(encoding="utf-8")
 
 
 def test_table_has_every_topic_with_its_quality_and_whether_it_is_kept(daemon: FakeDaemon) -> None:
-    daemon.pose, daemon.robots = POSE, [ROBOT]
+    daemon.pose, daemon.robots, daemon.localized = POSE, [ROBOT], facts()
     daemon.events.add(Severity.INFO, "code", "text")
     outbox = Outbox(100)
     topics = Topics.of(daemon.settings.current.mqtt)

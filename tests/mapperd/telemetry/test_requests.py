@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mapperd.config import Amcl
 from mapperd.telemetry.outbox import Kind, Outbox
 from mapperd.telemetry.requests import Requests
 from mapperd.telemetry.topics import Topics
@@ -18,9 +19,10 @@ RESULT = "config/filtering.min_range/result"
 class Asker:
     """Sends requests and collects the answers."""
 
-    def __init__(self, daemon: FakeDaemon) -> None:
+    def __init__(self, daemon: FakeDaemon, amcl: Amcl | None = None) -> None:
         self.outbox = Outbox(1000)
-        topics = Topics.of(daemon.settings.current.mqtt)
+        config = daemon.settings.current
+        topics = Topics.of(config.mqtt, amcl or config.amcl)
         self.requests = Requests(daemon, topics, self.outbox.put)
 
     def ask(self, below: str, said: Any, *, retained: bool = False) -> dict[str, list[Any]]:
@@ -106,7 +108,12 @@ def test_a_setting_is_changed_with_and_without_an_id(daemon: FakeDaemon, asker: 
         ("cmd/reset", b'{"id": "' + b"x" * 5000 + b'"}', "bad_request", "at most 4096"),
         ("cmd/reset", b"[" * 4000, "bad_request", "no JSON"),
         ("cmd/reload", {"id": 1}, "internal_error", "RuntimeError: a fault, found by mqtt"),
-        ("cmd/start-log", {"id": 1}, "unknown_command", "there are save, reset, clear"),
+        (
+            "cmd/start-log",
+            {"id": 1},
+            "unknown_command",
+            "there are save, initial_pose, set_map",
+        ),
     ],
 )
 def test_what_cannot_be_done_is_answered_with_a_reason(  # noqa: PLR0917 a table
