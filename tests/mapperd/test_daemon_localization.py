@@ -119,9 +119,6 @@ def test_map_and_pose_are_given_and_it_is_localized(
             said = daemon.localization(20)
             json.dumps(said)
             assert said["map"] == "wall.yaml"
-                "wall.yaml",
-                "map",
-            )
             assert said["pose"]["frame"] == "map"
             assert 0 < len(said["sample"]) <= 20
             assert said["map_odom"]["position_m"][2] == 0.0
