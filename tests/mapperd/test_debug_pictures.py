@@ -1,4 +1,5 @@
 import asyncio
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,13 @@ from mapperd.config_store import Applied, ConfigStore
 from mapperd.debug_pictures import debug_pictures, draw_pictures, write_debug_pictures
 from mapperd.events import EventLog
 from mapperd.export.png import png_bytes
+from mapperd.localization.facts import LocalizationFacts
+from mapperd.localization_picture import PATH, WATER
 from oculus_driver.ping import Ping
+from tests.mapperd.localization.believed import facts
 
 MakePing = Callable[..., Ping]
+SHOWN = {"visualization": {"show_opencv_visualization": True}}
 SETTINGS: dict[str, Any] = {"robot_detection": {"enabled": True, "min_samples": 1}}
 
 
@@ -55,6 +60,53 @@ def test_pictures_are_written_on_request(ping: MakePing, tmp_path: Path) -> None
     assert [path.name for path in paths] == ["ping.png", "filtered.png", "bands.png"]
     assert sorted(folder.iterdir()) == sorted(paths)
     assert all(cv2.imread(str(path)) is not None for path in paths)
+
+
+def test_localization_is_drawn_with_where_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "DRAW_S", 0.0)
+    store, events = ConfigStore(Layered(config_of(SHOWN, ""))), EventLog(lambda: 0)
+    newest, path = [facts(known=None)], tmp_path / "debug" / "localization.png"
+
+    def drawn(colour: tuple[int, int, int]) -> bool:
+        """Whether something of that colour is seen between the two places."""
+        image = cv2.imread(str(path)) if path.exists() else None
+        if image is None:
+            return False
+        between = image[len(image) - 1 - 150, 200, ::-1]  # 50 pixels a metre from -1, -1
+        return tuple(between.tolist()) == colour
+
+    async def until(true: Callable[[], bool]) -> None:
+        async with asyncio.timeout(60):
+            while not true():  # noqa: ASYNC110 nobody tells
+                await asyncio.sleep(0.005)
+
+    async def run() -> None:
+        folder = tmp_path / "debug"
+        task = asyncio.create_task(
+            draw_pictures(lambda: None, store, events, folder, lambda: newest[0])
+        )
+        await asyncio.sleep(0.05)
+        assert not path.exists()  # without a map there is nothing to be drawn
+        newest[0] = at(1.0)
+        await until(lambda: drawn(WATER))
+        newest[0] = at(5.0)
+        await until(lambda: drawn(PATH))
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+    asyncio.run(run())
+    assert events.last == 0
+
+
+def at(x_m: float) -> LocalizationFacts:
+    """Localized at (x, 2), and nothing else to be seen."""
+    belief = facts().belief
+    assert belief is not None
+    best = dataclasses.replace(belief.best, x_m=x_m)
+    belief = dataclasses.replace(belief, best=best)
+    return facts(belief=belief, particles=np.zeros((0, 4)), scan_points_m=None)
 
 
 def test_pictures_are_drawn_while_the_setting_is_on(
