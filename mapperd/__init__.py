@@ -1,20 +1,39 @@
 """Live, trustworthy 3D maps from Oculus multibeam imaging sonars.
 
-`SonarTo3DMapper`, `OctreeMapper` and `ProbabilityUpdater` are imported when first asked for, so
-that importing this package costs nothing.
+Everything of `__all__` is imported when first asked for, so that importing this package costs
+nothing.
 """
 
 import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from mapperd.localization.estimate import PlanarGaussian
+    from mapperd.localization.given_scan import scan_of_ranges
+    from mapperd.localization.grid_map import GridMap
+    from mapperd.localization.localizer import Localizer
+    from mapperd.localization.map_filter import MapFilter
     from mapperd.octree_mapper import OctreeMapper
     from mapperd.probability_updater import ProbabilityUpdater
     from mapperd.sonar_to_3d import SonarTo3DMapper
 
-__all__ = ["OctreeMapper", "ProbabilityUpdater", "SonarTo3DMapper"]
+__all__ = [
+    "GridMap",
+    "Localizer",
+    "MapFilter",
+    "OctreeMapper",
+    "PlanarGaussian",
+    "ProbabilityUpdater",
+    "SonarTo3DMapper",
+    "scan_of_ranges",
+]
 
 _MODULES = {
+    "GridMap": "mapperd.localization.grid_map",
+    "Localizer": "mapperd.localization.localizer",
+    "MapFilter": "mapperd.localization.map_filter",
+    "PlanarGaussian": "mapperd.localization.estimate",
+    "scan_of_ranges": "mapperd.localization.given_scan",
     "OctreeMapper": "mapperd.octree_mapper",
     "ProbabilityUpdater": "mapperd.probability_updater",
     "SonarTo3DMapper": "mapperd.sonar_to_3d",

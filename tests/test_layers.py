@@ -142,6 +142,7 @@ ORDER = (
     "localization.floor_gate",
     "localization.burst",
     "localization.extraction",
+    "localization.given_scan",
     "localization.grid_map",
     "localization.pgm",
     "export.atomic",

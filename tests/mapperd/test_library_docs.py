@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from mapperd import SonarTo3DMapper
+import mapperd
+from mapperd import Localizer, SonarTo3DMapper
 from mapperd.config import Config
 from mapperd.flat_config import config_from_flat
 
@@ -28,11 +29,25 @@ def test_examples_run_and_find_something(
     assert names["field"].values.min() == 0
     assert len(names["walls"]) > 0
     assert names["updater"].get_observation_count((30, 10, 0)) == 1
+    assert names["refused"] is None
+    best = names["localized"].belief.best
+    assert (best.x_m, best.y_m, best.yaw_rad) == pytest.approx((0.75, 0.5, 0.0), abs=0.1)
+    transform = names["localized"].transform
+    assert (transform.x_m, transform.y_m) == pytest.approx((-1.0, 0.5), abs=0.1)
     assert capsys.readouterr().out.count("\n") >= 3
 
 
 def test_every_public_call_of_the_mapper_is_explained() -> None:
     for name in vars(SonarTo3DMapper):
+        if not name.startswith("_"):
+            assert f"`{name}`" in PAGE
+
+
+def test_every_public_name_is_explained() -> None:
+    for name in mapperd.__all__:
+        assert f"`{name}`" in PAGE
+        assert hasattr(mapperd, name)
+    for name in vars(Localizer):
         if not name.startswith("_"):
             assert f"`{name}`" in PAGE
 
