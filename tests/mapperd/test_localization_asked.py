@@ -233,7 +233,8 @@ def test_one_map_is_set_at_a_time(bench: Bench) -> None:
         while not bench.requests.is_changing_map:  # noqa: ASYNC110 what is waited for has no event
             await asyncio.sleep(0.001)
         with pytest.raises(OperationError, match="another map") as caught:
-            await bench.requests.set_map("tank.yaml", POSE, "me")
+            async with asyncio.timeout(10):
+                await bench.requests.set_map("tank.yaml", POSE, "me")
         assert caught.value.reason == "busy"
         bench.go_on.set()
         await first
