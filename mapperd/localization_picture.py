@@ -5,7 +5,6 @@ x to the right, y up. The map is cut to what is known of it, and made coarser un
 
 import math
 from collections import deque
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -27,6 +26,9 @@ MOST_PIXELS: Final = 800
 LEAST_PIXELS: Final = 400
 """Along it, where cells are few: a cell is then several pixels."""
 
+MOST_STEPS: Final = 2 * MOST_PIXELS
+"""Of a line from one point to the next."""
+
 WATER, WALL, NOWHERE = (238, 238, 238), (40, 40, 40), (190, 190, 190)
 PARTICLE, SCAN, PATH, POSE = (60, 110, 220), (30, 150, 60), (230, 150, 20), (210, 30, 30)
 
@@ -42,7 +44,7 @@ class Trail:
         most: places that are kept.
     """
 
-    def __init__(self, most: int = 2000) -> None:
+    def __init__(self, most: int = 1000) -> None:
         self._places: deque[tuple[float, float]] = deque(maxlen=most)
 
     def add(self, pose: PlanarGaussian) -> None:
@@ -105,10 +107,13 @@ class _Canvas:
 
     def line(self, points_m: Floats, colour: Colour) -> None:
         """Draw from point to point, at least two of (N, 2)."""
-        for a, b in pairwise(points_m):
-            count = math.ceil(float(np.hypot(*(b - a))) / self._pixel_m) + 1
-            share = np.linspace(0.0, 1.0, min(count, 4 * MOST_PIXELS))[:, None]
-            self.dots(a + share * (b - a), colour, 2)
+        steps = np.diff(points_m, axis=0)
+        count = np.hypot(steps[:, 0], steps[:, 1]) / self._pixel_m
+        count = np.clip(np.ceil(count), 1, MOST_STEPS).astype(np.int64)
+        piece = np.repeat(np.arange(len(steps)), count)
+        along = np.arange(len(piece)) - (np.cumsum(count) - count)[piece]
+        share = (along / count[piece])[:, None]
+        self.dots(points_m[piece] + share * steps[piece], colour, 2)
 
     def _pixels(self, points_m: Floats) -> Floats:
         """Columns and rows (N, 2)."""

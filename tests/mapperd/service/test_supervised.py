@@ -17,6 +17,7 @@ from mapperd.config_store import ConfigStore
 from mapperd.errors import ConfigError
 from mapperd.events import EventLog
 from mapperd.operations import OperationError
+from mapperd.pose_request import PoseRequest
 from mapperd.service.notify import Notifier
 from mapperd.service.status_line import StatusLine
 from mapperd.service.supervised import only_told_to_stop, supervised
@@ -51,6 +52,21 @@ class Daemon:
         if self.refuses:
             raise ConfigError("settings: unreadable")
         return {}
+
+    def localization(self, particles: int = 0) -> dict[str, Any]:
+        raise NotImplementedError
+
+    async def initial_pose(self, asked: PoseRequest, origin: str) -> dict[str, Any]:
+        raise NotImplementedError
+
+    async def global_localization(self, origin: str) -> dict[str, Any]:
+        raise NotImplementedError
+
+    async def request_nomotion_update(self, origin: str) -> dict[str, Any]:
+        raise NotImplementedError
+
+    async def set_map(self, name: str, asked: PoseRequest | None, origin: str) -> dict[str, Any]:
+        raise NotImplementedError
 
     async def snapshot(self, origin: str) -> dict[str, Any]:
         self.asked.append(f"snapshot by {origin}")

@@ -15,6 +15,7 @@ from tests.mapperd.localization.believed import STAMP_NS, facts
 from tests.mapperd.telemetry.conftest import ROOT, T0_S, FakeDaemon, drained
 from tests.mapperd.telemetry.test_reporter import Teller
 from tests.mapperd.telemetry.test_requests import Asker
+from tests.peers.mosquitto import free_port, mosquitto_path, running_mosquitto
 
 POSE = {"x_m": 1.5, "y_m": -2, "yaw_rad": 0.5}
 OURS = ("amcl_pose", "map_odom", "particle_cloud", "diagnostics")
@@ -153,9 +154,9 @@ def test_mosquitto_carries_it(tmp_path: Path) -> None:
     pytest.importorskip("aiomqtt")
     from tests.mapperd.telemetry import test_mosquitto as broker  # noqa: PLC0415 needs aiomqtt
 
-    if broker.mosquitto_path() is None:
+    if mosquitto_path() is None:
         pytest.skip("Mosquitto is not installed")
-    port = broker.free_port()
+    port = free_port()
     daemon = FakeDaemon({"port": port, "commands": True})
     daemon.localized = facts(0.2)
 
@@ -172,5 +173,5 @@ def test_mosquitto_carries_it(tmp_path: Path) -> None:
             assert refusal["reason"] == "no_map"
         assert daemon.asked == [("initial_pose", "1.5", "mqtt")]
 
-    with broker.running_mosquitto(tmp_path, port):
+    with running_mosquitto(tmp_path, port):
         asyncio.run(run())
