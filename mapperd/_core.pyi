@@ -605,6 +605,9 @@ class MclRule:
         resample_interval: in updates.
         selective: only below an effective size of half the particles.
         max_step_m: longer steps of odometry are refused.
+        least_effective_share: likelihoods are raised to a power below 1 where else less of the
+            effective size was left, 0 ... 1 without 1; 0 never.
+        draw_exponent: draws go by weights to this power, children keep the rest; 1 as published.
 
     Raises:
         ValueError: out of range.
@@ -626,6 +629,8 @@ class MclRule:
         resample_interval: int = 1,
         selective: bool = False,
         max_step_m: float = 1e6,
+        least_effective_share: float = 0.0,
+        draw_exponent: float = 1.0,
     ) -> None: ...
 
 class MclEstimate:
@@ -672,6 +677,10 @@ class MclWeighed:
     def injected_share(self) -> float:
         """Of the next resampling, 0 ... 1."""
 
+    @property
+    def exponent(self) -> float:
+        """That the likelihoods were raised to, 1 where they were taken as they came."""
+
 class MclRecovery:
     """Two averages of the fit; where the fast one falls below the slow one, particles are drawn."""
 
@@ -707,6 +716,27 @@ class MclFilter:
         """
 
     def start_anywhere(self, free: MclFreeSpace) -> None: ...
+    def start_by_scan(
+        self,
+        free: MclFreeSpace,
+        field: MclField,
+        ends: MclEndpoints,
+        poses: int,
+        kappa: float = 1.0,
+    ) -> None:
+        """Draw max_particles by a scan's likelihood, of many poses anywhere.
+
+        Args:
+            free: where a vehicle can be.
+            field: broader than the poses lie apart.
+            ends: the scan.
+            poses: to weigh, as many as max_particles at least.
+            kappa: tempering; less where few poses would carry the weight.
+
+        Raises:
+            ValueError: out of range.
+        """
+
     def start_with(
         self, poses: NDArray[np.float64], weights: NDArray[np.float64] | None = None
     ) -> None:

@@ -35,14 +35,16 @@ loc::FilterRule rule_of(std::size_t min_particles, std::size_t max_particles, do
                         double kld_quantile, double bucket_x_m, double bucket_y_m,
                         double bucket_yaw_rad, const std::string& resampling, double alpha_slow,
                         double alpha_fast, std::size_t resample_interval, bool selective,
-                        double max_step_m) {
+                        double max_step_m, double least_effective_share, double draw_exponent) {
   const loc::KldRule kld{kld_error, kld_quantile, bucket_x_m, bucket_y_m, bucket_yaw_rad};
   const loc::FilterRule rule{{min_particles, max_particles, kld, scheme_of(resampling)},
                              alpha_slow,
                              alpha_fast,
                              resample_interval,
                              selective,
-                             max_step_m};
+                             max_step_m,
+                             least_effective_share,
+                             draw_exponent};
   loc::check_filter_rule(rule);
   return rule;
 }
@@ -168,7 +170,8 @@ void bind_results(py::module_& module) {
       .def_readonly("informative", &loc::Weighed::informative)
       .def_readonly("log_evidence", &loc::Weighed::log_evidence)
       .def_readonly("fit", &loc::Weighed::fit)
-      .def_readonly("injected_share", &loc::Weighed::injected_share);
+      .def_readonly("injected_share", &loc::Weighed::injected_share)
+      .def_readonly("exponent", &loc::Weighed::exponent);
   py::class_<loc::Recovery>(module, "MclRecovery")
       .def(py::init<double, double>(), "alpha_slow"_a, "alpha_fast"_a)
       .def("add", &loc::Recovery::add, "fit"_a)
@@ -178,7 +181,8 @@ void bind_results(py::module_& module) {
       .def(py::init(&rule_of), py::kw_only(), "min_particles"_a, "max_particles"_a, "kld_error"_a,
            "kld_quantile"_a, "bucket_x_m"_a, "bucket_y_m"_a, "bucket_yaw_rad"_a,
            "resampling"_a = "low_variance", "alpha_slow"_a = 0.0, "alpha_fast"_a = 0.0,
-           "resample_interval"_a = 1, "selective"_a = false, "max_step_m"_a = 1e6);
+           "resample_interval"_a = 1, "selective"_a = false, "max_step_m"_a = 1e6,
+           "least_effective_share"_a = 0.0, "draw_exponent"_a = 1.0);
 }
 
 }  // namespace
@@ -199,6 +203,17 @@ void bind_localization_filter(py::module_& module) {
           },
           "mean"_a, "covariance"_a)
       .def("start_anywhere", &Filter::start_anywhere, "free"_a, unlocked)
+      .def(
+          "start_by_scan",
+          [](Filter& filter, const loc::FreeSpace& free, const loc::LikelihoodField& field,
+             const loc::Endpoints& ends, std::size_t poses, double kappa) {
+            loc::Search search;
+            search.poses = poses;
+            search.kappa = kappa;
+            const py::gil_scoped_release release;
+            filter.start_by_scan(free, field, ends, search);
+          },
+          "free"_a, "field"_a, "ends"_a, "poses"_a, "kappa"_a = 1.0)
       .def("start_with", &start_with, "poses"_a, "weights"_a = py::none())
       .def("state", &state_of)
       .def("restore", &restore, "poses"_a, "log_weights"_a, "numbers"_a, "averages"_a)

@@ -50,6 +50,26 @@ Reweighted reweight(std::vector<double>& log_weight, const std::vector<double>& 
   return done;
 }
 
+double bearable_exponent(const std::vector<double>& log_weight,
+                         const std::vector<double>& log_likelihood, double share) {
+  const double wanted = share * effective_size(linear_weights(log_weight));
+  std::vector<double> raised(log_weight.size());
+  const auto bearable = [&](double exponent) {
+    for (std::size_t i = 0; i < raised.size(); ++i) raised[i] = exponent * log_likelihood[i];
+    std::vector<double> weight = log_weight;
+    const Reweighted done = reweight(weight, raised);
+    return !done.informative || effective_size(linear_weights(weight)) >= wanted;
+  };
+  if (bearable(1.0)) return 1.0;
+  int low = 1;
+  int high = 256;
+  while (high - low > 1) {
+    const int middle = (low + high) / 2;
+    (bearable(middle / 256.0) ? low : high) = middle;
+  }
+  return low / 256.0;
+}
+
 std::vector<double> linear_weights(const std::vector<double>& log_weight) {
   std::vector<double> weight(log_weight.size());
   exponentials(log_weight.data(), log_weight.size(), 0.0, weight.data());

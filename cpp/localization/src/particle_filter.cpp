@@ -34,6 +34,11 @@ void check_kappa(double kappa) {
   }
 }
 
+// By a scan that says nothing.
+bool sum_to_one(Particles& particles) {
+  return reweight(particles.log_weight, std::vector<double>(particles.size())).informative;
+}
+
 }  // namespace
 
 void check_filter_rule(const FilterRule& rule) {
@@ -48,6 +53,12 @@ void check_filter_rule(const FilterRule& rule) {
     throw std::invalid_argument("resample_interval must be at least 1");
   }
   if (!(rule.max_step_m > 0.0)) throw std::invalid_argument("max_step_m must be above 0");
+  if (!(rule.least_effective_share >= 0.0 && rule.least_effective_share < 1.0)) {
+    throw std::invalid_argument("the share of the effective size must lie in 0 ... 1, without 1");
+  }
+  if (!(rule.draw_exponent > 0.0 && rule.draw_exponent <= 1.0)) {
+    throw std::invalid_argument("the exponent of draws must lie above 0 and up to 1");
+  }
 }
 
 ParticleFilter::ParticleFilter(const FilterRule& rule, std::uint64_t seed, int threads)
@@ -100,9 +111,7 @@ void ParticleFilter::start_with(Particles particles) {
     if (!is_finite(particles.pose(i))) throw std::invalid_argument("particles must be finite");
     particles.yaw[i] = wrapped(particles.yaw[i]);
   }
-  // Made to sum to 1 by a scan that says nothing.
-  if (particles.size() > 0 &&
-      !reweight(particles.log_weight, std::vector<double>(particles.size())).informative) {
+  if (particles.size() > 0 && !sum_to_one(particles)) {
     throw std::invalid_argument("some particle must have weight");
   }
   particles_ = std::move(particles);
@@ -131,6 +140,15 @@ void ParticleFilter::restore(FilterState state) {
   updates_since_start_ = state.updates_since_start;
   recovery_.set_averages(state.averages);
   counts_ = state.counts;
+}
+
+void ParticleFilter::start_by_scan(const FreeSpace& free, const LikelihoodField& field,
+                                   const Endpoints& ends, const Search& search) {
+  check_endpoints(ends);
+  check_kappa(search.kappa);
+  particles_ = drawn_by_scan(free, field, ends, search, rule_.resample.max_particles, next_stream(),
+                             threads_);
+  begin();
 }
 
 bool ParticleFilter::predict(const Pose2& before, const Pose2& now, MotionModel model,
@@ -191,17 +209,26 @@ Weighed ParticleFilter::weigh(const std::vector<double>& log_likelihood, std::si
   ++updates_since_start_;
   if (beams == 0 || particles_.size() == 0) {
     ++counts_.empty_scans;
-    return {false, 0.0, 0.0, recovery_.injected_share()};
+    return {false, 0.0, 0.0, recovery_.injected_share(), 1.0};
   }
+  const std::vector<double> before = particles_.log_weight;
   const Reweighted done = reweight(particles_.log_weight, log_likelihood);
   counts_.not_a_number += done.not_a_number;
   if (!done.informative) {
     ++counts_.uninformative_scans;
-    return {false, 0.0, 0.0, recovery_.injected_share()};
+    return {false, 0.0, 0.0, recovery_.injected_share(), 1.0};
   }
   const double fit = fit_of(done.log_evidence, beams, kind, kappa);
   recovery_.add(fit);
-  return {true, done.log_evidence, fit, recovery_.injected_share()};
+  const double share = rule_.least_effective_share;
+  const double exponent = share > 0.0 ? bearable_exponent(before, log_likelihood, share) : 1.0;
+  if (exponent < 1.0) {
+    std::vector<double> raised = log_likelihood;
+    for (double& told : raised) told *= exponent;
+    particles_.log_weight = before;
+    reweight(particles_.log_weight, raised);
+  }
+  return {true, done.log_evidence, fit, recovery_.injected_share(), exponent};
 }
 
 bool ParticleFilter::resample_if_due(const FreeSpace* free) {
@@ -215,10 +242,11 @@ bool ParticleFilter::resample_if_due(const FreeSpace* free) {
 
 void ParticleFilter::resample(const FreeSpace* free) {
   if (particles_.size() == 0) return;
-  const std::vector<double> weight = weights();
+  const double kept = 1.0 - rule_.draw_exponent;
+  const std::vector<double> weight = draw_weights();
   const double share = free == nullptr ? 0.0 : recovery_.injected_share();
   const bool adaptive = rule_.resample.min_particles < rule_.resample.max_particles;
-  const bool converged = adaptive && fits_one_bucket(estimate_of(particles_, weight));
+  const bool converged = adaptive && fits_one_bucket(estimate());
   const Stream stream = next_stream();
   const Drawn drawn =
       draw_parents(particles_, weight, rule_.resample, converged, share, free, stream);
@@ -228,14 +256,24 @@ void ParticleFilter::resample(const FreeSpace* free) {
     const std::size_t parent = drawn.parent[i];
     if (parent != kRandom) {
       next.set(i, particles_.pose(parent));
+      next.log_weight[i] += kept * particles_.log_weight[parent];
       continue;
     }
     ++counts_.injected_particles;
     next.set(i, free->draw_pose(stream, Purpose::kInjection, static_cast<std::uint32_t>(i)));
   }
+  if (kept > 0.0) sum_to_one(next);
   particles_ = std::move(next);
   ++counts_.resamplings;
   if (share > 0.0) recovery_.reset();
+}
+
+std::vector<double> ParticleFilter::draw_weights() const {
+  if (rule_.draw_exponent == 1.0) return weights();
+  std::vector<double> powers = particles_.log_weight;
+  const double largest = *std::max_element(powers.begin(), powers.end());
+  for (double& power : powers) power = rule_.draw_exponent * (power - largest);
+  return linear_weights(powers);
 }
 
 bool ParticleFilter::fits_one_bucket(const Estimate& estimate) const {

@@ -16,6 +16,11 @@ struct Reweighted {
 // Multiplies weights of sum 1 by likelihoods and makes the sum 1 again. Sums have one order.
 Reweighted reweight(std::vector<double>& log_weight, const std::vector<double>& log_likelihood);
 
+// The largest exponent in (0, 1], to a 256th, by which likelihoods leave at least `share` of the
+// effective size that the weights have. 1 where nothing finite came.
+double bearable_exponent(const std::vector<double>& log_weight,
+                         const std::vector<double>& log_likelihood, double share);
+
 // Weights of sum 1 as they are, and their squares' sum.
 std::vector<double> linear_weights(const std::vector<double>& log_weight);
 

@@ -13,6 +13,7 @@
 #include "localization/motion.hpp"
 #include "localization/recovery.hpp"
 #include "localization/resample.hpp"
+#include "localization/scan_search.hpp"
 
 namespace mapperd::localization {
 
@@ -23,6 +24,12 @@ struct FilterRule {
   std::size_t resample_interval = 1;  // in updates
   bool selective = false;             // only when the effective size is below half the particles
   double max_step_m = 1e6;            // longer steps of odometry are refused
+  // A scan's likelihoods are raised to a power below 1 where else less than this share of the
+  // effective size was left: 0 never. A scan that a cloud is too sparse for must not choose a mode.
+  double least_effective_share = 0.0;
+  // Draws go by weights to this power, and children keep the rest of the weight: below 1 light
+  // modes keep particles. 1 draws as published.
+  double draw_exponent = 1.0;
 };
 
 // Throws std::invalid_argument.
@@ -41,9 +48,10 @@ struct FilterCounts {
 
 struct Weighed {
   bool informative = false;
-  double log_evidence = 0.0;
+  double log_evidence = 0.0;    // of the likelihoods as they came
   double fit = 0.0;             // mean likelihood of one beam, whatever the number of particles
   double injected_share = 0.0;  // of the next resampling
+  double exponent = 1.0;        // that the likelihoods were raised to
 };
 
 // All that a filter of the same rule needs to go on as another one would have.
@@ -78,6 +86,10 @@ class ParticleFilter {
   void start_about(const Pose2& mean, const Matrix3& covariance);
   void start_anywhere(const FreeSpace& free);
   void start_with(Particles particles);
+  // A new cloud of max_particles where the scan could have been taken: drawn by weight, of `search`
+  // poses anywhere. Throws std::invalid_argument where there are fewer of those than particles.
+  void start_by_scan(const FreeSpace& free, const LikelihoodField& field, const Endpoints& ends,
+                     const Search& search);
 
   FilterState state() const;
   // Throws std::invalid_argument where it is no filter's; then nothing is changed.
@@ -109,6 +121,7 @@ class ParticleFilter {
   void in_blocks(const Task& task) const;
   Stream next_stream() { return {seed_, ++step_}; }
   void begin();
+  std::vector<double> draw_weights() const;
   bool fits_one_bucket(const Estimate& estimate) const;
 
   FilterRule rule_;
