@@ -187,4 +187,83 @@ class Localization(Struct, frozen=True, forbid_unknown_fields=True):
             le=1e4,
         ),
     ] = 10.0
+    search_poses: Annotated[
+        int,
+        rule(
+            "Where nothing is known, the first scan is compared at so many poses anywhere, and "
+            "particles are drawn from those; 0 spreads them blindly, as published.",
+            live=True,
+            ge=0,
+            le=10**7,
+        ),
+    ] = 0
+    search_sigma: Annotated[
+        float,
+        rule(
+            "The hit sigma of that search: poses lie farther apart than the beams are sharp.",
+            "m",
+            gt=0,
+            le=100,
+        ),
+    ] = 0.5
+    tempering_spread: Annotated[
+        float,
+        rule(
+            "Factor of the tempering while particles are spread over half a metre: scans in a row "
+            "err alike, and no mode is to win by that.",
+            live=True,
+            gt=0,
+            le=1,
+        ),
+    ] = 1.0
+    least_effective_share: Annotated[
+        float,
+        rule(
+            "A scan counts less where else less than this share of the effective size was left; "
+            "0 never.",
+            live=True,
+            ge=0,
+            lt=1,
+        ),
+    ] = 0.0
+    draw_exponent: Annotated[
+        float,
+        rule(
+            "Particles are drawn by weights to this power and keep the rest: below 1 light modes "
+            "stay alive; 1 is as published.",
+            live=True,
+            gt=0,
+            le=1,
+        ),
+    ] = 1.0
+    rival_interval: Annotated[
+        float,
+        rule(
+            "Way after which a second cloud, drawn anywhere by the scan, is tried against the "
+            "first; needs search_poses and likelihood_field_prob; 0 never.",
+            "m",
+            live=True,
+            ge=0,
+            le=1e6,
+        ),
+    ] = 0.0
+    rival_tempering: Annotated[
+        float,
+        rule(
+            "Factor of the tempering in that trial.",
+            live=True,
+            gt=0,
+            le=1,
+        ),
+    ] = 0.25
+    min_hit_share: Annotated[
+        float,
+        rule(
+            "Where fewer returns than this share lie on the map for some time the estimate calls "
+            "itself ambiguous, and rivals are tried at once; of likelihood_field_prob.",
+            live=True,
+            ge=0,
+            le=1,
+        ),
+    ] = 0.4
     scan: ScanExtraction = ScanExtraction()

@@ -31,6 +31,7 @@ MODULES = (
     "mapperd.localization.burst",
     "mapperd.localization.cloud_state",
     "mapperd.localization.estimate",
+    "mapperd.localization.fit_watch",
     "mapperd.localization.lifecycle",
     "mapperd.localization.localizer",
     "mapperd.localization.map_filter",

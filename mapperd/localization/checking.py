@@ -16,7 +16,7 @@ def check_localization(config: Config) -> None:
     if config.localization.mode == "off":
         return
     try:
-        filter_rule(config.amcl)
+        filter_rule(config)
         hit_model(config.amcl)
         if config.amcl.laser_model_type == "beam":
             beam_model(config.amcl)

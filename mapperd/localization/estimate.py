@@ -65,6 +65,8 @@ class Belief:
         elsewhere: weight of the particles that the best cluster does not explain: farther from its
             mean than `ELSEWHERE_M` and than three of its standard deviations.
         effective_size: how many equal particles would tell as much.
+        fits: recent scans lie on the map where the particles are. Where they do not, the vehicle
+            is elsewhere, even if no particle is.
     """
 
     best: PlanarGaussian
@@ -72,11 +74,12 @@ class Belief:
     masses: Floats
     elsewhere: float
     effective_size: float
+    fits: bool = True
 
     @property
     def ambiguous(self) -> bool:
         """The vehicle may as well be somewhere else."""
-        return self.elsewhere > AMBIGUOUS_SHARE
+        return self.elsewhere > AMBIGUOUS_SHARE or not self.fits
 
 
 def _mended(covariance: Floats) -> Floats:

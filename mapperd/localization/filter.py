@@ -37,7 +37,11 @@ __all__ = [
 
 
 def belief(
-    particles: ParticleFilter, *, bucket_xy_m: float = 0.2, bucket_yaw_rad: float = 0.524
+    particles: ParticleFilter,
+    *,
+    fits: bool = True,
+    bucket_xy_m: float = 0.2,
+    bucket_yaw_rad: float = 0.524,
 ) -> Belief:
     """What the particles say together; the buckets are those that clusters are made of."""
     found, masses, _ = particles.modes(bucket_xy_m, bucket_yaw_rad)
@@ -51,6 +55,7 @@ def belief(
         masses,
         float(particles.weights[off].sum()),
         particles.effective_size(),
+        fits,
     )
 
 

@@ -1,35 +1,32 @@
 """The core's particle filter on a map, by the settings."""
 
 import math
-import os
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.config import Config
-from mapperd.localization.beam_ends import elevation_fan_rad, ends_on_cones
 from mapperd.localization.cloud_state import CloudState, cloud_state, restore_cloud
 from mapperd.localization.estimate import Belief, PlanarGaussian
-from mapperd.localization.filter import (
-    Beams,
-    Endpoints,
-    FreeSpace,
-    LikelihoodField,
-    ParticleFilter,
-    RangeMap,
-    Weighed,
-    belief,
-)
-from mapperd.localization.grid_map import GridMap
-from mapperd.localization.models import beam_model, core_grid, field_of, filter_rule
+from mapperd.localization.filter import ParticleFilter, Weighed, belief
+from mapperd.localization.fit_watch import FitWatch
+from mapperd.localization.map_weighing import MapWeighing, threads_of
+from mapperd.localization.models import filter_rule
+from mapperd.localization.rival import Rival, same_place, spread_m
 from mapperd.localization.scan import Scan
 from mapperd.localization.update_gate import PlanarPose
-from mapperd.localization.volume_map import LocalizationMap, VolumeMap
+from mapperd.localization.volume_map import LocalizationMap
 
 __all__ = ["FilterState", "MapFilter"]
 
 Floats = NDArray[np.float64]
+
+SPREAD_M = 0.5
+"""Standard deviation of a cloud above which it has not found its place."""
+
+HURRY_M = 1.0
+"""Of way between rivals, where scans do not lie on the map."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,10 +36,20 @@ class FilterState:
     Attributes:
         cloud: the particles.
         stamp_ns: of the last scan; None before the first.
+        watch: how well scans lie on the map.
+        rival: cloud, odds and way of the rival; None where there is none.
+        rivals: how many there have been.
+        blind: particles are anywhere, and no scan was searched by yet.
+        alone_m: way since the last rival.
     """
 
     cloud: CloudState
     stamp_ns: int | None
+    watch: FitWatch
+    rival: tuple[CloudState, float, float] | None
+    rivals: int
+    blind: bool
+    alone_m: float
 
 
 class MapFilter:
@@ -53,43 +60,48 @@ class MapFilter:
 
     Attributes:
         weighed: what the last scan did to the weights; None before one.
+        watch: how well scans lie on the map.
+        rival: the cloud that is tried against `particles`; None most of the time.
+        rivals: how many there have been.
     """
 
     def __init__(self, config: Config) -> None:
         self.weighed: Weighed | None = None
+        self.watch = FitWatch()
+        self.rival: Rival | None = None
+        self.rivals = 0
         self._config = config
-        seed = config.localization.random_seed
-        self._particles = ParticleFilter(filter_rule(config.amcl), seed, _threads(config))
-        self._known: LocalizationMap | None = None
-        self._against: LikelihoodField | RangeMap | None = None
-        self._free: FreeSpace | None = None
+        self._particles = self._cloud()
+        self._map: MapWeighing | None = None
         self._stamp_ns: int | None = None
+        self._blind = False  # particles are anywhere, and no scan was searched by yet
+        self._alone_m = 0.0  # way since the last rival
 
     @property
     def particles(self) -> ParticleFilter:
-        """The core's filter, to look at."""
+        """The core's filter, to look at; a rival that wins takes its place."""
         return self._particles
 
     def reconfigure(self, config: Config) -> None:
         """As `PoseFilter.reconfigure`; on any error all is as before."""
-        rule = filter_rule(config.amcl)
-        against = self._against
-        if self._known is not None and _models(config) != _models(self._config):
-            against = _against(self._known, config)
-        self._particles.set_rule(rule)
-        self._particles.set_threads(_threads(config))
-        self._config, self._against = config, against
+        rule = filter_rule(config)
+        weighing = self._map
+        if weighing is not None and _models(config) != _models(self._config):
+            weighing = weighing.with_settings(config)
+        for particles in self._clouds():
+            particles.set_rule(rule)
+            particles.set_threads(threads_of(config))
+        self._config, self._map = config, weighing
 
     def take_map(self, known: LocalizationMap) -> None:
         """As `PoseFilter.take_map`; on any error all is as before."""
-        against = _against(known, self._config)
-        self._free = FreeSpace(core_grid(_grid(known))) if known.has_free_cells else None
-        self._known, self._against = known, against
+        self._map = MapWeighing(known, self._config)
+        self.rival = None
 
     def start_at(self, pose: PlanarGaussian) -> None:
         """As `PoseFilter.start_at`."""
         self._particles.start_about(np.array([pose.x_m, pose.y_m, pose.yaw_rad]), pose.covariance)
-        self._stamp_ns = None
+        self._begin(blind=False)
 
     def start_anywhere(self) -> None:
         """As `PoseFilter.start_anywhere`.
@@ -97,97 +109,156 @@ class MapFilter:
         Raises:
             ValueError: there is no map, or it has no free cell.
         """
-        if self._free is None:
+        if self._map is None or self._map.free is None:
             raise ValueError("there is no free cell to start from")
-        self._particles.start_anywhere(self._free)
-        self._stamp_ns = None
+        self._particles.start_anywhere(self._map.free)
+        self._begin(blind=True)
 
     def state(self) -> FilterState:
         """All that changes, but for the map and the settings."""
-        return FilterState(cloud_state(self._particles), self._stamp_ns)
+        rival = None
+        if self.rival is not None:
+            tried = self.rival
+            rival = cloud_state(tried.particles), tried.log_odds, tried.way_m
+        return FilterState(
+            cloud_state(self._particles),
+            self._stamp_ns,
+            self.watch,
+            rival,
+            self.rivals,
+            self._blind,
+            self._alone_m,
+        )
 
     def restore(self, state: FilterState) -> None:
         """Go on as the filter that `state` was called of, on the same map and settings.
 
         Raises:
-            ValueError: it is no filter's state; nothing is changed.
+            ValueError: it is no filter's state; this one is then of no use.
         """
         restore_cloud(self._particles, state.cloud)
-        self._stamp_ns = state.stamp_ns
+        self._stamp_ns, self.watch, self.rivals = state.stamp_ns, state.watch, state.rivals
+        self._blind, self._alone_m, self.rival = state.blind, state.alone_m, None
+        if state.rival is not None:
+            cloud, log_odds, way_m = state.rival
+            self.rival = Rival(self._cloud(), log_odds, way_m)
+            restore_cloud(self.rival.particles, cloud)
 
     def update(
         self, before: PlanarPose, now: PlanarPose, scan: Scan, base_height_m: float
     ) -> Belief:
         """As `PoseFilter.update`."""
-        self._move(before, now, scan.stamp_ns)
-        self.weighed = self._weigh(scan, base_height_m)
-        found = belief(self._particles)
-        self._particles.resample_if_due(self._free)
+        if self._map is None:
+            raise ValueError("there is no map to weigh by")
+        way_m = self._move(before, now, scan.stamp_ns)
+        if self._blind and self._map.can_search(scan):
+            if self._is_spread(self._particles):
+                self._map.draw(self._particles, scan, base_height_m)
+            self._blind = False
+        self.weighed = self._weigh(self._map, self._particles, scan, base_height_m)
+        share = self._map.hit_share(self.weighed)
+        self.watch = self.watch if share is None else self.watch.after(share)
+        if self.rival is not None:
+            self._try(self._map, self.rival.driven(way_m), scan, base_height_m)
+        else:
+            self._challenge(self._map, way_m, scan, base_height_m)
+        found = self._belief()
+        for particles in self._clouds():
+            particles.resample_if_due(self._map.free)
+        self._decide()
         return found
 
-    def _move(self, before: PlanarPose, now: PlanarPose, stamp_ns: int) -> None:
+    def _begin(self, *, blind: bool) -> None:
+        self._stamp_ns, self._blind = None, blind
+        self.watch, self.rival, self._alone_m = FitWatch(), None, 0.0
+
+    def _cloud(self) -> ParticleFilter:
+        """A new one; each rival has random numbers of its own."""
+        seed = (self._config.localization.random_seed + self.rivals) % 2**63
+        return ParticleFilter(filter_rule(self._config), seed, threads_of(self._config))
+
+    def _clouds(self) -> list[ParticleFilter]:
+        return [self._particles] + ([] if self.rival is None else [self.rival.particles])
+
+    def _move(self, before: PlanarPose, now: PlanarPose, stamp_ns: int) -> float:
+        """Move all clouds; the way, which a refused step has none of."""
         amcl, ours = self._config.amcl, self._config.localization
         passed_s = 0.0 if self._stamp_ns is None else max(stamp_ns - self._stamp_ns, 0) / 1e9
         alphas = [getattr(amcl, f"odom_alpha{k}") for k in range(1, 6)]
-        self._particles.predict(
-            _array(before),
-            _array(now),
-            amcl.robot_model_type,
-            np.array(alphas, dtype=np.float64),
-            ours.sigma_floor_xy * math.sqrt(passed_s),
-            ours.sigma_floor_yaw * math.sqrt(passed_s),
-        )
+        moved = True
+        for particles in self._clouds():
+            moved &= particles.predict(
+                _array(before),
+                _array(now),
+                amcl.robot_model_type,
+                np.array(alphas, dtype=np.float64),
+                ours.sigma_floor_xy * math.sqrt(passed_s),
+                ours.sigma_floor_yaw * math.sqrt(passed_s),
+            )
         self._stamp_ns = stamp_ns
+        return math.hypot(now.x_m - before.x_m, now.y_m - before.y_m) if moved else 0.0
 
-    def _weigh(self, scan: Scan, base_height_m: float) -> Weighed:
-        amcl, ours = self._config.amcl, self._config.localization
-        product = amcl.laser_model_type == "likelihood_field_prob"
-        how = ("product", ours.tempering) if product else ("cube_sum", 1.0)
-        if isinstance(self._against, RangeMap):
-            return self._particles.weigh_beams(self._against, _beams(scan), beam_model(amcl), *how)
-        if self._against is None:
-            raise ValueError("there is no map to weigh by")
-        if isinstance(self._known, VolumeMap):
-            aperture_rad = math.radians(self._config.sonar.vertical_aperture)
-            fan = elevation_fan_rad(ours.elevations, aperture_rad)
-            ends = Endpoints(ends_on_cones(scan, fan, base_height_m), scan.quality)
-        else:
-            ends = Endpoints(scan.points_m[:, None, :2].copy(), scan.quality)
-        return self._particles.weigh_field(self._against, ends, *how)
+    def _weigh(
+        self, weighing: MapWeighing, particles: ParticleFilter, scan: Scan, height_m: float
+    ) -> Weighed:
+        ours = self._config.localization
+        tempering = ours.tempering
+        if ours.tempering_spread < 1.0 and self._is_spread(particles):
+            tempering *= ours.tempering_spread
+        return weighing.weigh(particles, scan, height_m, tempering)
+
+    @staticmethod
+    def _is_spread(particles: ParticleFilter) -> bool:
+        """It has not found its place."""
+        return spread_m(particles.estimate()) > SPREAD_M
+
+    def _try(self, weighing: MapWeighing, rival: Rival, scan: Scan, height_m: float) -> None:
+        """Weigh the rival, too, and have the scan decide between both."""
+        ours = self._config.localization
+        weighed, first = self._weigh(weighing, rival.particles, scan, height_m), self.weighed
+        votes = ours.tempering * ours.rival_tempering * len(scan)
+        self.rival = rival.weighed(weighed.fit, first.fit if first else 0.0, votes)
+
+    def _challenge(self, weighing: MapWeighing, way_m: float, scan: Scan, height_m: float) -> None:
+        """Begin a rival, where it is time."""
+        ours = self._config.localization
+        self._alone_m += way_m
+        fits = self.watch.fits(ours.min_hit_share)
+        due_m = ours.rival_interval if fits else min(HURRY_M, ours.rival_interval)
+        wanted = ours.rival_interval > 0.0 and weighing.is_product and self._alone_m >= due_m
+        if wanted and not self._blind and weighing.can_search(scan):
+            self.rivals += 1
+            self.rival = Rival(self._cloud())
+            weighing.draw(self.rival.particles, scan, height_m)
+
+    def _belief(self) -> Belief:
+        fits = self.watch.fits(self._config.localization.min_hit_share)
+        if self.rival is None:
+            return belief(self._particles, fits=fits)
+        both = ParticleFilter(filter_rule(self._config), 0)
+        poses = [particles.poses for particles in self._clouds()]
+        shares = (1.0 - self.rival.share, self.rival.share)
+        weights = [s * p.weights for s, p in zip(shares, self._clouds(), strict=True)]
+        both.start_with(np.concatenate(poses), np.concatenate(weights))
+        return belief(both, fits=fits)
+
+    def _decide(self) -> None:
+        """The rival goes, or leads, or stays on trial."""
+        if self.rival is None:
+            return
+        rival = self.rival
+        same = same_place(self._particles.estimate(), rival.particles.estimate())
+        if same or rival.hopeless:
+            self.rival, self._alone_m = None, 0.0
+        elif rival.leads:
+            self.rival = rival.changed(self._particles)
+            self._particles = rival.particles
+            self.watch = FitWatch()
 
 
-def _models(config: Config) -> tuple[object, ...]:
-    """The settings that fields and ranges are made by."""
-    amcl = config.amcl
-    named = (getattr(amcl, name) for name in amcl.__struct_fields__ if name.startswith("laser_"))
-    return (*named, config.localization.boundaries_only)
-
-
-def _grid(known: LocalizationMap) -> GridMap:
-    return known.grid if isinstance(known, VolumeMap) else known
-
-
-def _against(known: LocalizationMap, config: Config) -> LikelihoodField | RangeMap:
-    if config.amcl.laser_model_type == "beam":
-        return RangeMap(core_grid(_grid(known)), threads=_threads(config))
-    return field_of(known, config)
-
-
-def _beams(scan: Scan) -> Beams:
-    """As seen from the sonar, in the plane."""
-    sensor = scan.level_T_sonar[:2, 3]
-    offset = scan.points_m[:, :2] - sensor
-    return Beams(
-        bearing_rad=np.arctan2(offset[:, 1], offset[:, 0]),
-        range_m=np.hypot(offset[:, 0], offset[:, 1]),
-        quality=np.array(scan.quality),
-        sensor_x_m=float(sensor[0]),
-        sensor_y_m=float(sensor[1]),
-    )
-
-
-def _threads(config: Config) -> int:
-    return (os.cpu_count() or 1) if config.amcl.execution_policy == "par" else 1
+def _models(config: Config) -> object:
+    """The settings that maps are prepared by."""
+    return config.amcl, config.localization, config.sonar
 
 
 def _array(pose: PlanarPose) -> Floats:

@@ -16,8 +16,9 @@ from mapperd.localization.volume_map import LocalizationMap, VolumeMap
 __all__ = ["beam_model", "core_grid", "field_of", "filter_rule", "hit_model"]
 
 
-def filter_rule(amcl: Amcl) -> FilterRule:
+def filter_rule(config: Config) -> FilterRule:
     """How the filter resamples and recovers."""
+    amcl, ours = config.amcl, config.localization
     return FilterRule(
         min_particles=amcl.min_particles,
         max_particles=amcl.max_particles,
@@ -30,15 +31,17 @@ def filter_rule(amcl: Amcl) -> FilterRule:
         alpha_fast=amcl.recovery_alpha_fast,
         resample_interval=amcl.resample_interval,
         selective=amcl.selective_resampling,
+        least_effective_share=ours.least_effective_share,
+        draw_exponent=ours.draw_exponent,
     )
 
 
-def hit_model(amcl: Amcl) -> HitModel:
-    """How likely a return is at a distance from the nearest surface."""
+def hit_model(amcl: Amcl, sigma_m: float | None = None) -> HitModel:
+    """How likely a return is at a distance from the nearest surface; None is the settings'."""
     return HitModel(
         z_hit=amcl.laser_z_hit,
         z_rand=amcl.laser_z_rand,
-        sigma_hit_m=amcl.laser_sigma_hit,
+        sigma_hit_m=amcl.laser_sigma_hit if sigma_m is None else sigma_m,
         max_range_m=amcl.laser_max_range,
         max_distance_m=amcl.laser_likelihood_max_dist,
     )
@@ -63,9 +66,11 @@ def core_grid(grid: GridMap) -> Grid:
     return Grid(grid.occupancy, grid.resolution_m, origin)
 
 
-def field_of(known: LocalizationMap, config: Config) -> LikelihoodField:
-    """Likelihoods of all places of a map, in as many layers as it has."""
-    model = hit_model(config.amcl)
+def field_of(
+    known: LocalizationMap, config: Config, sigma_m: float | None = None
+) -> LikelihoodField:
+    """Likelihoods of all places of a map, in as many layers as it has; None is the settings'."""
+    model = hit_model(config.amcl, sigma_m)
     if isinstance(known, VolumeMap):
         distances = (known.distances_m, known.first_centre_m, known.resolution_m)
         return LikelihoodField.of_distances(*distances, model)

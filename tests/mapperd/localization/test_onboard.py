@@ -199,11 +199,36 @@ def test_restored_one_goes_on_to_the_bit(config: Config, heard: list[Ping]) -> N
     assert dict(localizing.onboard.facts().counts) == dict(again.onboard.facts().counts)
 
 
+def test_restored_one_tries_the_same_rival(config: Config, heard: list[Ping]) -> None:
+    ours = msgspec.structs.replace(
+        config.localization, rival_interval=1.0, tempering=0.2, search_poses=20_000
+    )
+    product = with_amcl(config, laser_model_type="likelihood_field_prob")
+    config = msgspec.structs.replace(product, localization=ours)
+    localizing = begun(config)
+    assert localizing is not None
+    first = localizing.onboard
+    begin = 0
+    while first._filter.rival is None:
+        driven(first, heard, begin, begin + 1)
+        begin += 1
+    again = restored_localizing(config, saved_state(localizing)).onboard
+    for k in range(begin, 30):
+        for onboard in (first, again):
+            driven(onboard, heard, k, k + 1)
+        here, there = first._filter.rival, again._filter.rival
+        assert (here is None) == (there is None)
+        if here is not None and there is not None:
+            assert here.log_odds == there.log_odds
+            assert np.array_equal(here.particles.poses, there.particles.poses)
+    assert first._filter.rivals == again._filter.rivals
+
+
 def test_all_that_a_filter_knows_is_in_its_state(config: Config) -> None:
     """Whoever adds to the filter adds to its state, or says here why a restart need not know it."""
-    given = {"_config", "_known", "_against", "_free"}
-    to_look_at = {"weighed"}
-    assert set(vars(MapFilter(config))) - given - to_look_at == {"_particles", "_stamp_ns"}
+    given, to_look_at = {"_config", "_map"}, {"weighed"}
+    held = {"_particles", "_stamp_ns", "watch", "rival", "rivals", "_blind", "_alone_m"}
+    assert set(vars(MapFilter(config))) - given - to_look_at == held
 
 
 def test_pose_and_all_that_belongs_to_it_turn() -> None:

@@ -66,7 +66,7 @@ def test_a_level_that_is_passed_is_said() -> None:
 
 
 def test_clusters_have_their_own_means() -> None:
-    particles = ParticleFilter(filter_rule(CONFIG.amcl), 7, 1)
+    particles = ParticleFilter(filter_rule(CONFIG), 7, 1)
     rng = np.random.default_rng(2)
     at = np.repeat([[0.0, 0.0, 0.3], [9.0, 5.0, -2.0]], (300, 100), axis=0)
     particles.start_with(at + rng.normal(0, 0.02, at.shape), np.full(400, 1 / 400))
