@@ -79,7 +79,7 @@ class Dive:
     interval_s: float = 0.4
 
 
-def settings(place: Place, seed: int, *, recovery: bool = False) -> Config:
+def settings(place: Place, seed: int) -> Config:
     """A sonar's; docs/localization.md says why."""
     amcl = Amcl(
         robot_model_type="omnidirectional_drive",
@@ -96,8 +96,10 @@ def settings(place: Place, seed: int, *, recovery: bool = False) -> Config:
         laser_sigma_hit=2 * place.voxel_m,
         laser_likelihood_max_dist=20 * place.voxel_m,
         max_particles=PARTICLES,
-        recovery_alpha_slow=0.001 if recovery else 0.0,
-        recovery_alpha_fast=0.02 if recovery else 0.0,
+        recovery_alpha_slow=0.0,
+        recovery_alpha_fast=0.0,
+        resample_interval=1,
+        selective_resampling=True,
         min_particles=500,
         pf_z=2.326,
         update_min_d=place.step_m,
@@ -110,6 +112,12 @@ def settings(place: Place, seed: int, *, recovery: bool = False) -> Config:
         update_max_interval=1.0,
         sigma_floor_xy=0.03 * place.speed_mps / 0.5,
         sigma_floor_yaw=0.002,
+        search_poses=300_000,
+        search_sigma=5 * place.voxel_m,
+        tempering_spread=0.2,
+        least_effective_share=0.3,
+        draw_exponent=0.5,
+        rival_interval=66 * place.step_m,
     )
     aperture_deg = 20.0
     return Config(amcl=amcl, localization=ours, sonar=Sonar(vertical_aperture=aperture_deg))
@@ -182,7 +190,7 @@ def _track(place: Place, what: Dive) -> Track:
 def _near(place: Floats, random: np.random.Generator) -> PlanarGaussian:
     sigma = np.array([0.5, 0.5, math.radians(6.0)])
     mean = place[[0, 1, 5]] + sigma * random.normal(size=3)
-    return PlanarGaussian(*mean, np.diag(sigma**2))
+    return PlanarGaussian(float(mean[0]), float(mean[1]), float(mean[2]), np.diag(sigma**2))
 
 
 def _reckoned_m(track: Track, odometry: Floats) -> Floats:

@@ -61,7 +61,7 @@ def track_of(place: Place, duration_s: float, interval_s: float, seed: int) -> T
     low, high = np.array(place.low_m, float), np.array(place.high_m, float)
     here = random.uniform(low, high)
     yaw_deg = random.uniform(-180.0, 180.0)
-    points = [Waypoint(*here, place.z_m, yaw_deg)]
+    points = [_waypoint(here, place, yaw_deg)]
     passed_s, rate_dps = 0.0, 15.0
     while passed_s < duration_s:
         there = random.uniform(low, high)
@@ -73,8 +73,8 @@ def track_of(place: Place, duration_s: float, interval_s: float, seed: int) -> T
         turn = math.remainder(turn, 360.0)
         yaw_deg += turn
         points += [
-            Waypoint(*here, place.z_m, yaw_deg),
-            Waypoint(*there, place.z_m, yaw_deg),
+            _waypoint(here, place, yaw_deg),
+            _waypoint(there, place, yaw_deg),
         ]
         passed_s += abs(turn) / rate_dps + float(np.hypot(*leg)) / place.speed_mps
         here = there
@@ -84,6 +84,10 @@ def track_of(place: Place, duration_s: float, interval_s: float, seed: int) -> T
     poses = [path.pose(float(t)) for t in time_s]
     rows = [[*p.position_m, *_angles(p.rotation)] for p in poses]
     return Track(time_s, np.array(rows))
+
+
+def _waypoint(here: Floats, place: Place, yaw_deg: float) -> Waypoint:
+    return Waypoint(float(here[0]), float(here[1]), place.z_m, yaw_deg)
 
 
 def drifted(track: Track, place: Place, drift: Drift, seed: int) -> Floats:

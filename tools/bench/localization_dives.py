@@ -98,7 +98,7 @@ def find(world: World, known: VolumeMap, seed: int, *, carried_off: bool = False
     longest_s = 4.0 * WITHIN_M / (2.0 * world.place.speed_mps) + (off_s or 0.0)
     start = "known" if carried_off else "anywhere"
     what = Dive(start, longest_s, seed, off_s)
-    moments = dive(world, known, what, settings(world.place, seed, recovery=carried_off))
+    moments = dive(world, known, what, settings(world.place, seed))
     return judged(moments, world.place.right_m, off_s or 0.0)
 
 
