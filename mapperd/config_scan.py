@@ -162,7 +162,10 @@ class Localization(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 1.0
     boundaries_only: Annotated[
         bool,
-        rule("Only cells beside free ones count as obstacles, thick walls have no inside."),
+        rule(
+            "Only cells or voxels beside free ones count as obstacles: thick walls have no inside. "
+            "For maps that a sonar made, whose walls are as deep as echoes are long."
+        ),
     ] = False
     update_max_interval: Annotated[
         float,

@@ -207,6 +207,7 @@ ORDER = (
     "counters",
     "stepping",
     "ping_stream",
+    "localization.boundaries",
     "localization.map_loading",
     "localization.placing",
     "localization.ping_scan",

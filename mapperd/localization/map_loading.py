@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mapperd.config import Config
 from mapperd.errors import MapError, StoreError
+from mapperd.localization.boundaries import keep_boundaries
 from mapperd.localization.depth_slice import depth_slice
 from mapperd.localization.grid_map import GridMap
 from mapperd.localization.known_map import KnownMap
@@ -108,6 +109,8 @@ def _located(sonar_map: SonarMap, path: Path, config: Config) -> LocalizationMap
     if config.localization.geometry == "2d":
         return depth_slice(queries, np.array([*low[:2], bottom]), np.array([*high[:2], top]))
     _check_size(high - low, sonar_map.resolution_m, path)
+    if config.localization.boundaries_only and keep_boundaries(sonar_map) == 0:
+        raise MapError(f"{path}: nothing in it is occupied beside free space", "empty_map")
     try:
         reach_m = config.amcl.laser_likelihood_max_dist
         return volume_map(queries, low, high, (bottom, top), reach_m)
