@@ -2,7 +2,7 @@
 
 import heapq
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
@@ -16,7 +16,7 @@ from sonar_sim.pool import Shot, SimulatorRecipe, simulate_pings
 from sonar_sim.scenario import Scenario
 from sonar_sim.seen import SeenSurface
 from sonar_sim.sonar_motion import sonar_motion, sonar_pose
-from sonar_sim.vehicle import Odometry, in_order_of_arrival
+from sonar_sim.vehicle import Odometry, OdometrySample, in_order_of_arrival
 from sonar_sim.wire import Network, compass_heading_deg, delivered, ping_message
 
 EPOCH_NS = 1_767_225_600_000_000_000
@@ -39,21 +39,24 @@ class CaptureSettings:
     Attributes:
         seed: of all random numbers.
         lead_s: odometry before the first ping and after the last.
+        quiet_s: of the path's beginning, with odometry alone: the sonar is not sounding yet.
         processes: that simulate; changes nothing in the file.
     """
 
     seed: int = 7
     lead_s: float = 0.5
+    quiet_s: float = 0.0
     processes: int = os.cpu_count() or 1
     network: Network = field(default_factory=Network)
 
 
 def ping_times_s(scenario: Scenario, settings: CaptureSettings) -> list[float]:
     """When the sonar transmits, in seconds on the path."""
-    span_s = scenario.trajectory.duration_s - 2.0 * settings.lead_s
+    first_s = settings.quiet_s + settings.lead_s
+    span_s = scenario.trajectory.duration_s - settings.lead_s - first_s
     rate_hz = scenario.true_ping_rate_hz
     pings = int(max(span_s, 0.0) * rate_hz) + 1
-    return [settings.lead_s + k / rate_hz for k in range(pings)]
+    return [first_s + k / rate_hz for k in range(pings)]
 
 
 def write_capture(
@@ -61,6 +64,7 @@ def write_capture(
     scenario: Scenario,
     settings: CaptureSettings | None = None,
     progress: Progress | None = None,
+    navigation: Iterable[OdometrySample] | None = None,
 ) -> SeenSurface:
     """Simulate a survey and record it.
 
@@ -69,6 +73,7 @@ def write_capture(
         scenario: what to simulate.
         settings: seed and network.
         progress: is told after each ping.
+        navigation: what the vehicle says of its way; None is what the scenario's vehicle says.
 
     Returns:
         The surface that the sonar had in sight.
@@ -76,7 +81,9 @@ def write_capture(
     settings = settings or CaptureSettings()
     seen = SeenSurface()
     pings = _sonar_link(scenario, settings, seen, progress)
-    odometry = _odometry_link(scenario, settings)
+    if navigation is None:
+        navigation = Odometry(scenario.trajectory, scenario.vehicle, settings.seed).samples()
+    odometry = _odometry_link(navigation)
     with RecordingWriter(path, overwrite=True) as recording:
         links = {
             "sonar": recording.add_link("sonar", OCULUS),
@@ -115,10 +122,9 @@ def _sonar_link(
             progress(ping_id + 1, len(times_s))
 
 
-def _odometry_link(scenario: Scenario, settings: CaptureSettings) -> Iterator[Arrival]:
+def _odometry_link(samples: Iterable[OdometrySample]) -> Iterator[Arrival]:
     """Native records, one a datagram."""
-    odometry = Odometry(scenario.trajectory, scenario.vehicle, settings.seed)
-    for sample in in_order_of_arrival(odometry.samples()):
+    for sample in in_order_of_arrival(samples):
         yield sample.arrival_s, "odometry", odometry_record(sample, _unix_ns(sample.time_s))
 
 

@@ -1,7 +1,7 @@
 """What the vehicle's navigation makes of its true path: every way in which odometry errs."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -156,7 +156,7 @@ class Odometry:
         return between
 
 
-def in_order_of_arrival(samples: Iterator[OdometrySample]) -> list[OdometrySample]:
+def in_order_of_arrival(samples: Iterable[OdometrySample]) -> list[OdometrySample]:
     """Samples as they reach the host; those that jitter overtook come later."""
     return sorted(samples, key=lambda sample: sample.arrival_s)
 
