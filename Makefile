@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt' -o -name 'CMakePresets.json')
 
-.PHONY: demo test bench sim-bench sim-check localization-bench localization-dives localization-soak soak store-soak crash-soak chaos fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
+.PHONY: demo test bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
 
 demo: $(STAMP)
 	$(BIN)/python tools/demo.py --out out/demo
@@ -37,6 +37,10 @@ localization-dives: $(STAMP)
 	$(BIN)/python tools/bench/localization_dives.py --scenes harbour --runs 100 --carried-off 100
 	$(BIN)/python tools/bench/localization_dives.py --scenes pile_field --runs 100
 	$(BIN)/python tools/bench/localization_dives.py --scenes tank
+
+# Maps a place twice, the second time at poses that localization corrects; with a picture. Minutes.
+second-pass: $(STAMP)
+	$(BIN)/python tools/bench/second_pass.py
 
 # Ten million updates of the particle filter. A minute or two.
 localization-soak: $(STAMP)

@@ -8,7 +8,7 @@ from dive_world import Place
 from numpy.typing import NDArray
 from sonar_sim.trajectory import Motion, Trajectory, Waypoint
 
-__all__ = ["Drift", "Track", "drifted", "track_of"]
+__all__ = ["Drift", "Track", "angles", "drifted", "track_of"]
 
 Floats = NDArray[np.float64]
 
@@ -82,7 +82,7 @@ def track_of(place: Place, duration_s: float, interval_s: float, seed: int) -> T
     path = Trajectory(points, motion)
     time_s = np.arange(0.0, min(duration_s, path.duration_s), interval_s)
     poses = [path.pose(float(t)) for t in time_s]
-    rows = [[*p.position_m, *_angles(p.rotation)] for p in poses]
+    rows = [[*p.position_m, *angles(p.rotation)] for p in poses]
     return Track(time_s, np.array(rows))
 
 
@@ -122,7 +122,7 @@ def _current_mps(time_s: float | Floats, place: Place) -> Floats:
     return size * np.stack([np.cos(toward), np.sin(toward)], axis=-1)
 
 
-def _angles(rotation: Floats) -> tuple[float, float, float]:
+def angles(rotation: Floats) -> tuple[float, float, float]:
     """Roll, pitch and yaw of Rz(yaw) Ry(pitch) Rx(roll)."""
     return (
         math.atan2(rotation[2, 1], rotation[2, 2]),
