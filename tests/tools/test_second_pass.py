@@ -81,7 +81,7 @@ def test_odometry_begins_at_the_truth_and_drifts_while_the_sonar_is_silent() -> 
 
 def test_second_pass_lands_on_the_first(tmp_path: Path) -> None:
     found = run(Study(HARBOUR, FIRST, SECOND, truth_voxels=200), tmp_path)
-    assert found.place_median_m < 0.5 * found.odometry_median_m
+    assert found.place_end_m < 0.5 * found.odometry_end_m  # it begins half a metre off
     assert found.corrected.to_first.median_m <= found.voxel_m
     assert found.corrected.to_first.within_voxel > found.uncorrected.to_first.within_voxel + 0.1
     assert (tmp_path / "second-pass.png").stat().st_size < 400_000

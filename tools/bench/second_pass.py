@@ -60,6 +60,7 @@ class Found(msgspec.Struct, frozen=True):
     first_truth_p95_m: float
     place_median_m: float
     place_p95_m: float
+    place_end_m: float
     heading_median_deg: float
     odometry_median_m: float
     odometry_end_m: float
@@ -110,6 +111,7 @@ def run(study: Study, out: Path) -> Found:
         *_off_truth(surface, first_m, study.truth_voxels),
         place_median_m=round(float(np.median(errors_m)), 3),
         place_p95_m=round(float(np.quantile(errors_m, 0.95)), 3),
+        place_end_m=round(float(errors_m[-1]), 3),
         heading_median_deg=round(float(np.degrees(np.median(way.errors_rad(way.said)))), 2),
         odometry_median_m=round(float(np.median(odometry_m)), 3),
         odometry_end_m=round(float(odometry_m[-1]), 3),
