@@ -11,6 +11,7 @@ from mapperd.localization.volume_map import VolumeMap
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
+MINUTE_S = 60.0
 NEAR_M = 0.5
 """Above and below the vehicle's height: surfaces drawn as the map."""
 
@@ -49,7 +50,10 @@ def draw_clouds(path: Path, known: VolumeMap, moments: list[Moment], title: str)
         if particles is not None:
             panel.scatter(particles[:, 0], particles[:, 1], s=1, color="#d62728", lw=0)
         panel.plot(*moment.true[:2], "x", color="#1f77b4")
-        panel.set_title(f"{title}, {moment.time_s / 60:.1f} min", fontsize=8)
+        panel.set(xlim=extent[:2], ylim=extent[2:])
+        seconds, minutes = moment.time_s, moment.time_s / MINUTE_S
+        at = f"{seconds:.0f} s" if seconds < MINUTE_S else f"{minutes:.0f} min"
+        panel.set_title(f"{title}, {at}, {moment.way_m:.1f} m", fontsize=8)
     picture.tight_layout()
     picture.savefig(path, dpi=90)
     plt.close(picture)

@@ -159,11 +159,11 @@ def dive(
             (*odometry[k, :2], place[2]),
             (math.degrees(place[3]), math.degrees(place[4]), math.degrees(odometry[k, 2])),
         )
-        cloud = particles.particles.poses if waiting and track.time_s[k] >= waiting[0] else None
         found = localizer.take_scan(scan, odom)
         if found.belief is None:
             continue
-        if cloud is not None:
+        cloud = None
+        if waiting and track.time_s[k] >= waiting[0]:
             waiting.pop(0)
             cloud = particles.particles.poses
         yield Moment(

@@ -32,6 +32,8 @@ LASTING_M = 25.0
 TURN_RAD = 0.2
 CARRIED_OFF_S = 60.0
 INSTANTS = 5
+FINDING_S = (0.0, 4.0, 7.0, 10.0, 30.0)
+"""After a start anywhere: when its particles are drawn."""
 
 
 class Followed(msgspec.Struct, frozen=True):
@@ -102,6 +104,14 @@ def find(world: World, known: VolumeMap, seed: int, *, carried_off: bool = False
     return judged(moments, world.place.right_m, off_s or 0.0)
 
 
+def draw_finding(path: Path, world: World, known: VolumeMap, seed: int) -> None:
+    """Particles of a dive that begins anywhere."""
+    what = Dive("anywhere", FINDING_S[-1] + 2.0, seed)
+    config = settings(world.place, seed)
+    moments = list(dive(world, known, what, config, keep_particles_s=FINDING_S))
+    draw_clouds(path, known, moments, world.place.scene)
+
+
 def judged(moments: Iterable[Moment], right_m: float, after_s: float = 0.0) -> Found:
     """When the right mode was found, and what was said before."""
     begin_m, since_m, sure, wrong = None, None, 0, 0
@@ -158,6 +168,7 @@ def main() -> int:
             draw_clouds(said.out / f"{scene}-particles.png", known, moments, scene)
         seeds = range(said.seed, said.seed + said.runs)
         if seeds:
+            draw_finding(said.out / f"{scene}-finding.png", world, known, said.seed)
             print(told(f"{scene}, anywhere", [find(world, known, k) for k in seeds]), flush=True)
         seeds = range(said.seed, said.seed + said.carried_off)
         if seeds:
