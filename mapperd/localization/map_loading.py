@@ -19,12 +19,15 @@ from mapperd.map_queries import MapQueries
 from mapperd.mapping import SonarMap
 from mapperd.store.reader import StoreReader
 
-__all__ = ["MAX_FILE_BYTES", "MAX_VOXELS", "load_known_map"]
+__all__ = ["MAX_FILE_BYTES", "MAX_SIDE", "MAX_VOXELS", "load_known_map"]
 
 Floats = NDArray[np.float64]
 
 MAX_VOXELS = 1 << 26
 """Of the box of a 3D map: 67 million distances and as many likelihoods, 512 MiB."""
+
+MAX_SIDE = 32000
+"""Cells along a side of a planar map, the filter's limit."""
 
 MAX_FILE_BYTES = 1 << 30
 """Of a map in one file."""
@@ -48,9 +51,13 @@ def load_known_map(path: Path, config: Config) -> KnownMap:
     """
     if path.suffix.lower() in (".yaml", ".yml"):
         grid = read_nav2_map(path)
-        return KnownMap(str(path), _fingerprint(grid), grid)
-    voxels = _voxels_in(path, config)
-    return KnownMap(str(path), voxels.sha256(), _located(voxels, path, config))
+        known = KnownMap(str(path), _fingerprint(grid), grid)
+    else:
+        voxels = _voxels_in(path, config)
+        known = KnownMap(str(path), voxels.sha256(), _located(voxels, path, config))
+    if max(known.grid.occupancy.shape) > MAX_SIDE:
+        raise MapError(f"{path}: more than {MAX_SIDE} cells along a side", "too_large")
+    return known
 
 
 def _fingerprint(grid: GridMap) -> str:

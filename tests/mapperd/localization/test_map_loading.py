@@ -10,8 +10,10 @@ from mapperd.config_file import config_from_text
 from mapperd.errors import MapError
 from mapperd.localization import map_loading
 from mapperd.localization.grid_map import FREE, OCCUPIED, GridMap
-from mapperd.localization.map_loading import load_known_map
+from mapperd.localization.map_loading import MAX_SIDE, load_known_map
+from mapperd.localization.nav2_map import write_nav2_map
 from mapperd.localization.volume_map import VolumeMap
+from mapperd.localizing import begun
 from mapperd.mapping import SonarMap
 from tests.mapperd.localization.room import room, write_room
 
@@ -134,3 +136,13 @@ def test_folder_and_large_file_are_not_read(
     monkeypatch.setattr(map_loading, "MAX_FILE_BYTES", 100)
     with pytest.raises(MapError, match="larger than 100 bytes"):
         load_known_map(tmp_path / "basin.map", config_of())
+
+
+def test_grid_of_more_cells_a_side_than_the_filter_takes(tmp_path: Path) -> None:
+    config = config_of()
+    for cells, name in ((MAX_SIDE, "long"), (MAX_SIDE + 1, "longer")):
+        write_nav2_map(GridMap(np.full((cells, 1), FREE, np.int8), 0.1), tmp_path / f"{name}.yaml")
+    begun(config_of(map_path=tmp_path / "long.yaml"))  # the filter takes it
+    with pytest.raises(MapError, match="32000 cells along a side") as caught:
+        load_known_map(tmp_path / "longer.yaml", config)
+    assert caught.value.reason == "too_large"
