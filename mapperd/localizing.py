@@ -43,7 +43,7 @@ class KnownMaps:
 
     def __init__(self, config: Config) -> None:
         self._config = config
-        self._ready: dict[tuple[str, str], KnownMap] = {}
+        self._ready: dict[tuple[str, str], list[KnownMap]] = {}
         self._lock = threading.Lock()
 
     @property
@@ -52,24 +52,25 @@ class KnownMaps:
         return self._config
 
     def load(self, path: str) -> KnownMap:
-        """Load a map and have it ready for `take`; not in an event loop.
+        """Load a map; not in an event loop.
 
         Raises:
             MapError: as `load_known_map`.
         """
-        known = load_known_map(Path(path), self._config)
+        return load_known_map(Path(path), self._config)
+
+    def offer(self, known: KnownMap) -> None:
+        """Have a map ready for one `take`, whatever becomes of its file until then."""
         with self._lock:
-            self._ready[known.path, known.sha256] = known
-        return known
+            self._ready.setdefault((known.path, known.sha256), []).append(known)
 
     def take(self, path: str, sha256: str) -> KnownMap:
-        """Give a map away, loaded now where it is not ready, as when a session is mapped again.
+        """Give a map away, loaded now where none is ready, as when a session is mapped again.
 
         Raises:
             CheckpointError: it cannot be loaded, or is another one by now.
         """
-        with self._lock:
-            known = self._ready.pop((path, sha256), None)
+        known = self._offered(path, sha256)
         try:
             known = known or load_known_map(Path(path), self._config)
         except MapError as error:
@@ -79,6 +80,16 @@ class KnownMaps:
                 f"{path}: another map than the one that the session was localized on"
             )
         return known
+
+    def _offered(self, path: str, sha256: str) -> KnownMap | None:
+        with self._lock:
+            ready = self._ready.get((path, sha256))
+            if not ready:
+                return None
+            known = ready.pop()
+            if not ready:
+                del self._ready[path, sha256]
+            return known
 
 
 @dataclass(frozen=True, slots=True)

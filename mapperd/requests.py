@@ -52,6 +52,7 @@ class Requests:
             request = replace(request, path=known.path, sha256=known.sha256)
             if self._loop is None:  # it has ended meanwhile
                 return CLOSED
+            self._maps.offer(known)
         answer: asyncio.Future[Reject | None] = asyncio.get_running_loop().create_future()
         self._waiting[request.number] = answer
         try:

@@ -156,28 +156,11 @@ class Onboard:
         Raises:
             CheckpointError: the map that a recorded request names is not there any more.
         """
-        match request:
-            case InitialPose():
-                return self._begun(
-                    lambda: self._localizer.take_pose(gaussian_of(request), request.frame)
-                )
-            case GlobalLocalization():
-                return self._begun(self._localizer.localize_globally)
-            case NoMotionUpdate():
-                return self._localizer.request_nomotion_update()
-            case NewMap() if not self._config.amcl.use_map_topic and self._known is not None:
-                return Reject("map_topic_off", "amcl.use_map_topic is off: the map is map_path's")
-            case NewMap():
-                return self._with_map(request, lambda known: self._localizer.take_map(known.map))
-            case SetMap():
-                return self._with_map(
-                    request,
-                    lambda known: self._localizer.set_map(
-                        known.map, gaussian_of(request), request.frame
-                    ),
-                )
-            case _:
-                assert_never(request)
+        try:
+            return self._asked(request)
+        except (MapError, ValueError) as error:  # nobody's request ends the thread that maps
+            self._localizer.counts["bad_request"] += 1
+            return Reject("bad_request", str(error))
 
     def state(self) -> OnboardState:
         """All that a map at corrected poses depends on, but for the settings in force."""
@@ -268,6 +251,30 @@ class Onboard:
         if std_m > self._config.localization.mapping_max_std:
             return Reject("unsure", "the estimate is less sure than localization.mapping_max_std")
         return None
+
+    def _asked(self, request: Request) -> Reject | None:
+        match request:
+            case InitialPose():
+                return self._begun(
+                    lambda: self._localizer.take_pose(gaussian_of(request), request.frame)
+                )
+            case GlobalLocalization():
+                return self._begun(self._localizer.localize_globally)
+            case NoMotionUpdate():
+                return self._localizer.request_nomotion_update()
+            case NewMap() if not self._config.amcl.use_map_topic and self._known is not None:
+                return Reject("map_topic_off", "amcl.use_map_topic is off: the map is map_path's")
+            case NewMap():
+                return self._with_map(request, lambda known: self._localizer.take_map(known.map))
+            case SetMap():
+                return self._with_map(
+                    request,
+                    lambda known: self._localizer.set_map(
+                        known.map, gaussian_of(request), request.frame
+                    ),
+                )
+            case _:
+                assert_never(request)
 
     def _begun(self, begin: Callable[[], Reject | None]) -> Reject | None:
         refused = begin()

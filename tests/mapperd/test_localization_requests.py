@@ -24,7 +24,7 @@ from mapperd.decisions import (
     Settings,
     decision_of,
 )
-from mapperd.errors import MapError
+from mapperd.errors import CheckpointError, MapError
 from mapperd.inlet import SONAR
 from mapperd.live import Live
 from mapperd.localization.checking import check_localization
@@ -215,6 +215,21 @@ def test_map_that_cannot_be_loaded_is_never_ordered(tmp_path: Path) -> None:
     asyncio.run(work())
     assert session.live.mapping.engine.orders_taken == 0
     assert not session.live.queue.waiting_bytes
+
+
+def test_maps_that_were_loaded_are_taken_whatever_becomes_of_their_files(tmp_path: Path) -> None:
+    localizing = begun(config_from_text(text_of(tmp_path)))
+    assert localizing is not None
+    path = shifted_room(tmp_path)
+    maps, onboard = localizing.maps, localizing.onboard
+    known, again = maps.load(str(path)), maps.load(str(path))
+    maps.offer(known)
+    maps.offer(again)  # the same map, asked for twice before it is taken once
+    path.with_suffix(".pgm").unlink()
+    for number in (1, 2):
+        assert onboard.ask(NewMap(number, known.path, known.sha256)) is None
+    with pytest.raises(CheckpointError):  # in a replay the session cannot be as it was
+        onboard.ask(NewMap(3, known.path, known.sha256))
 
 
 def test_nothing_can_be_asked_where_localization_is_off(tmp_path: Path) -> None:

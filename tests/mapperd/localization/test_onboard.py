@@ -12,12 +12,15 @@ import pytest
 from mapperd.config import Config
 from mapperd.config_file import config_from_text
 from mapperd.decisions import InitialPose, NewMap, NoMotionUpdate
-from mapperd.errors import ConfigError
+from mapperd.errors import ConfigError, MapError
 from mapperd.frames import pose_from_rpy
 from mapperd.localization.checking import check_localization
 from mapperd.localization.estimate import PlanarGaussian
 from mapperd.localization.facts import sample_of
+from mapperd.localization.grid_map import GridMap
+from mapperd.localization.known_map import KnownMap
 from mapperd.localization.map_filter import MapFilter
+from mapperd.localization.map_loading import MAX_SIDE
 from mapperd.localization.onboard import Onboard
 from mapperd.localization.placing import placed
 from mapperd.localization.pose import MapFromOdom
@@ -173,6 +176,41 @@ def test_maps_are_refused_where_one_was_asked_for(config: Config, tmp_path: Path
     refused = onboard.ask(NewMap(1, str(tmp_path / "other.yaml"), "0"))
     assert refused is not None
     assert refused.reason == "map_topic_off"
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf])
+def test_request_that_is_no_pose_is_refused_and_changes_nothing(
+    config: Config, heard: list[Ping], number: float
+) -> None:
+    onboard = onboard_of(config)
+    driven(onboard, heard, 0, 10)
+    before = onboard.facts()
+    for pose in ((number, 0.0, (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0)), (0.0, 0.0, (-1.0,) * 9)):
+        refused = onboard.ask(InitialPose(1, pose[0], pose[1], 0.0, pose[2], "map"))
+        assert refused is not None
+        assert refused.reason == "bad_request"
+    after = onboard.facts()
+    assert after.counts["bad_request"] == 2
+    assert after.particles is before.particles
+    assert isinstance(driven(onboard, heard, 10, 12)[-1], FusedPose)
+
+
+def test_map_that_cannot_be_had_or_taken_is_refused(config: Config) -> None:
+    def gone(path: str, _: str) -> KnownMap:
+        raise MapError(f"{path}: gone", "bad_map_file")
+
+    def wide(path: str, sha256: str) -> KnownMap:
+        return KnownMap(path, sha256, GridMap(np.zeros((1, MAX_SIDE + 1), np.int8), 0.1))
+
+    for load in (gone, wide):
+        onboard = Onboard(config, KnownMap("room", "", room()), load=load)
+        refused = onboard.ask(NewMap(1, "other.yaml", "0"))
+        assert refused is not None
+        assert refused.reason == "bad_request"
+        assert onboard.facts().counts == {"bad_request": 1}
+        known = onboard.facts().known
+        assert known is not None
+        assert known.path == "room"
 
 
 def test_new_start_forgets_the_belief(config: Config, heard: list[Ping]) -> None:
