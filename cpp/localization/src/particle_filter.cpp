@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <stdexcept>
 
 #include "localization/elementary.hpp"
@@ -250,6 +251,7 @@ void ParticleFilter::resample(const FreeSpace* free) {
   const Stream stream = next_stream();
   const Drawn drawn =
       draw_parents(particles_, weight, rule_.resample, converged, share, free, stream);
+  const double kept_by_random = log_of_mean_kept(weight);
   Particles next;
   next.resize(drawn.parent.size());
   for (std::size_t i = 0; i < drawn.parent.size(); ++i) {
@@ -260,6 +262,7 @@ void ParticleFilter::resample(const FreeSpace* free) {
       continue;
     }
     ++counts_.injected_particles;
+    next.log_weight[i] += kept_by_random;
     next.set(i, free->draw_pose(stream, Purpose::kInjection, static_cast<std::uint32_t>(i)));
   }
   if (kept > 0.0) sum_to_one(next);
@@ -274,6 +277,16 @@ std::vector<double> ParticleFilter::draw_weights() const {
   const double largest = *std::max_element(powers.begin(), powers.end());
   for (double& power : powers) power = rule_.draw_exponent * (power - largest);
   return linear_weights(powers);
+}
+
+// Children keep w^(1 - a) of parents drawn by w^a: 1 / sum of w^a in the mean. Random particles are
+// to weigh as much as children do, else a few of them outweigh the cloud.
+double ParticleFilter::log_of_mean_kept(const std::vector<double>& draw_weight) const {
+  if (rule_.draw_exponent == 1.0) return 0.0;
+  const std::vector<double>& logs = particles_.log_weight;
+  const double largest = *std::max_element(logs.begin(), logs.end());
+  const double sum = std::accumulate(draw_weight.begin(), draw_weight.end(), 0.0);
+  return -std::log(sum) - rule_.draw_exponent * largest;
 }
 
 bool ParticleFilter::fits_one_bucket(const Estimate& estimate) const {

@@ -26,7 +26,9 @@ TRUTH = (5.5, 3.5, 0.7)
 SETTINGS = config("laser_model_type: likelihood_field_prob, laser_sigma_hit: 0.1")
 
 
-def rule(count: int = 2000, *, share: float = 0.0, exponent: float = 1.0) -> FilterRule:
+def rule(
+    count: int = 2000, *, share: float = 0.0, exponent: float = 1.0, recovery: float = 0.0
+) -> FilterRule:
     return FilterRule(
         min_particles=count,
         max_particles=count,
@@ -37,6 +39,7 @@ def rule(count: int = 2000, *, share: float = 0.0, exponent: float = 1.0) -> Fil
         bucket_yaw_rad=0.17,
         least_effective_share=share,
         draw_exponent=exponent,
+        alpha_fast=recovery,
     )
 
 
@@ -147,3 +150,18 @@ def test_light_mode_keeps_its_weight_and_more_particles(exponent: float) -> None
         assert 50 < light.sum() < 75
         assert mass == pytest.approx(0.001, rel=0.05)
     assert particles.weights.sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 0.5])
+def test_random_particles_weigh_as_much_as_others(exponent: float) -> None:
+    """A sixteenth of the cloud, whatever its others keep of their parents' weight."""
+    particles = ParticleFilter(rule(exponent=exponent, recovery=0.5), 3)
+    poses = np.full((2000, 3), 100.0)
+    particles.start_with(poses, np.random.default_rng(4).exponential(size=2000))
+    particles.weigh(np.full(2000, -60.0), 60)
+    share = particles.weigh(np.full(2000, -60.0 + 60 * np.log(0.875)), 60).injected_share
+    assert share == pytest.approx(1 / 16)
+    particles.resample(FreeSpace(core_grid(room())))
+    random = particles.poses[:, 0] < 90
+    assert random.mean() == pytest.approx(share, abs=0.02)
+    assert particles.weights[random].sum() == pytest.approx(random.mean(), rel=0.02)

@@ -122,6 +122,7 @@ class ParticleFilter {
   Stream next_stream() { return {seed_, ++step_}; }
   void begin();
   std::vector<double> draw_weights() const;
+  double log_of_mean_kept(const std::vector<double>& draw_weight) const;
   bool fits_one_bucket(const Estimate& estimate) const;
 
   FilterRule rule_;
