@@ -92,6 +92,9 @@ class MapFilter:
             particles.set_rule(rule)
             particles.set_threads(threads_of(config))
         self._config, self._map = config, weighing
+        if weighing is not None and not weighing.is_product:
+            # Nothing is told of hits then, for or against: no verdict of before may stay.
+            self.watch, self.rival = FitWatch(), None
 
     def take_map(self, known: LocalizationMap) -> None:
         """As `PoseFilter.take_map`; on any error all is as before."""

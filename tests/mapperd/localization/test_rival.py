@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from mapperd.config import Config
 from mapperd.config_file import config_from_text
@@ -129,6 +130,23 @@ def test_without_rivals_it_stays_lost_and_says_so() -> None:
     assert off_m(found[-1], there[-1]) > 0.5
     assert found[-1].elsewhere < 0.1
     assert found[-1].ambiguous
+
+
+def test_model_that_tells_no_hits_keeps_no_verdict_of_one_that_did() -> None:
+    particles = MapFilter(profile("rival_interval: 1"))
+    particles.take_map(room())
+    there = path(40)
+    particles.start_at(PlanarGaussian(1.0, 5.0, 2.0, SIGMA))
+    tried = 0
+    while particles.rival is None or particles.watch.fits(0.4):
+        drive(particles, there[tried : tried + 2], tried)
+        tried += 1
+    other = profile("rival_interval: 1")
+    cubes = structs.replace(other.amcl, laser_model_type="likelihood_field")
+    particles.reconfigure(structs.replace(other, amcl=cubes))
+    found = drive(particles, there[tried : tried + 2], tried)[-1]
+    assert found.fits
+    assert particles.rival is None
 
 
 def test_vehicle_that_is_followed_is_not_thrown_off() -> None:
