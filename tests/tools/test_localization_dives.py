@@ -3,17 +3,45 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
-from dive_runs import Moment
+import yaml
+from dive_runs import Moment, settings
 from dive_track import Drift, Track, drifted, track_of
 from dive_world import WORLDS
 from localization_dives import WITHIN_M, judged
 
+from mapperd.config import Amcl, Localization
+from mapperd.config_file import config_from_text
 from mapperd.localization.estimate import Belief, PlanarGaussian
 
 HARBOUR = WORLDS["harbour"]
+ROOT = Path(__file__).resolve().parents[2]
+PROFILE = (ROOT / "config" / "localization.yaml").read_text(encoding="utf-8")
+
+
+def test_profile_is_the_one_that_was_measured() -> None:
+    """What it does not name keeps its default, there as in the dives."""
+    dived, offered = settings(HARBOUR, 0), config_from_text(PROFILE)
+    for name in Amcl.__struct_fields__:
+        measured = getattr(dived.amcl, name)
+        if isinstance(measured, float):
+            assert getattr(offered.amcl, name) == pytest.approx(measured, rel=1e-3), name
+        else:
+            assert getattr(offered.amcl, name) == measured, name
+    for name in set(Localization.__struct_fields__) - {"mode", "scan"}:
+        wanted = getattr(dived.localization, name)
+        # So many steps of way are 9.9 m there.
+        about = pytest.approx(wanted, rel=0.02) if name == "rival_interval" else wanted
+        assert getattr(offered.localization, name) == about, name
+
+
+def test_profile_is_the_one_of_the_page() -> None:
+    page = (ROOT / "docs" / "localization.md").read_text(encoding="utf-8")
+    text = page.split("into `/etc/mapperd/conf.d`:")[1].split("```yaml\n")[1].split("```")[0]
+    assert yaml.safe_load(text) == yaml.safe_load(PROFILE)
 
 
 def test_odometry_is_off_by_its_share_of_the_way_and_turns() -> None:
