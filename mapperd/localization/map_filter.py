@@ -85,9 +85,7 @@ class MapFilter:
     def reconfigure(self, config: Config) -> None:
         """As `PoseFilter.reconfigure`; on any error all is as before."""
         rule = filter_rule(config)
-        weighing = self._map
-        if weighing is not None and _models(config) != _models(self._config):
-            weighing = weighing.with_settings(config)
+        weighing = None if self._map is None else self._map.with_settings(config)
         for particles in self._clouds():
             particles.set_rule(rule)
             particles.set_threads(threads_of(config))
@@ -257,11 +255,6 @@ class MapFilter:
             self.rival = rival.changed(self._particles)
             self._particles = rival.particles
             self.watch = FitWatch()
-
-
-def _models(config: Config) -> object:
-    """The settings that maps are prepared by."""
-    return config.amcl, config.localization, config.sonar
 
 
 def _array(pose: PlanarPose) -> Floats:

@@ -2,6 +2,7 @@
 
 import math
 import os
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,30 +32,47 @@ LEAST_BEAMS = 15
 """A scan of fewer is no scan to search by."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fields:
+    """What is made of a map, which takes long.
+
+    Attributes:
+        free: where a vehicle can be; None if nowhere.
+        against: what scans are compared with.
+        broad: what they are searched by; None for no search.
+    """
+
+    free: FreeSpace | None
+    against: LikelihoodField | RangeMap
+    broad: LikelihoodField | None
+
+
 class MapWeighing:
     """A map, prepared to weigh particles on. It changes nothing after it is made.
 
     Args:
         known: the map.
         config: the settings.
+        fields: of the map, where they are made already.
 
     Attributes:
         free: where a vehicle can be; None if nowhere.
+        is_product: the model multiplies over beams.
     """
 
-    def __init__(self, known: LocalizationMap, config: Config) -> None:
-        amcl, ours = config.amcl, config.localization
-        grid = known.grid if isinstance(known, VolumeMap) else known
-        self.free = FreeSpace(core_grid(grid)) if known.has_free_cells else None
+    def __init__(
+        self, known: LocalizationMap, config: Config, fields: "_Fields | None" = None
+    ) -> None:
         self._known, self._config = known, config
-        self._against = _against(known, grid, config)
-        searching = ours.search_poses > 0 and self.free is not None
-        self._broad = field_of(known, config, ours.search_sigma) if searching else None
-        self.is_product = amcl.laser_model_type == "likelihood_field_prob"
+        self._fields = fields or _fields_of(known, config)
+        self._against, self._broad = self._fields.against, self._fields.broad
+        self.free = self._fields.free
+        self.is_product = config.amcl.laser_model_type == "likelihood_field_prob"
 
     def with_settings(self, config: Config) -> "MapWeighing":
-        """The same map by other settings."""
-        return MapWeighing(self._known, config)
+        """The same map by other settings; fields are made anew only where those shape them."""
+        same = _shaping(config) == _shaping(self._config)
+        return MapWeighing(self._known, config, self._fields if same else None)
 
     def can_search(self, scan: Scan) -> bool:
         """Whether a cloud can be drawn from the scan."""
@@ -100,6 +118,22 @@ class MapWeighing:
 def threads_of(config: Config) -> int:
     """As many as the execution policy says."""
     return (os.cpu_count() or 1) if config.amcl.execution_policy == "par" else 1
+
+
+def _shaping(config: Config) -> tuple[object, ...]:
+    """The settings that fields are made by; those of rates and names are not."""
+    amcl, ours = config.amcl, config.localization
+    laser = [getattr(amcl, name) for name in amcl.__struct_fields__ if name.startswith("laser_")]
+    return (*laser, ours.boundaries_only, ours.search_poses > 0, ours.search_sigma)
+
+
+def _fields_of(known: LocalizationMap, config: Config) -> _Fields:
+    grid = known.grid if isinstance(known, VolumeMap) else known
+    ours = config.localization
+    free = FreeSpace(core_grid(grid)) if known.has_free_cells else None
+    searching = ours.search_poses > 0 and free is not None
+    broad = field_of(known, config, ours.search_sigma) if searching else None
+    return _Fields(free, _against(known, grid, config), broad)
 
 
 def _against(known: LocalizationMap, grid: GridMap, config: Config) -> LikelihoodField | RangeMap:

@@ -107,7 +107,8 @@ void ParticleFilter::start_anywhere(const FreeSpace& free) {
 }
 
 void ParticleFilter::start_with(Particles particles) {
-  if (particles.size() > kMostParticles) throw std::invalid_argument("too many particles");
+  // Twice as many: two clouds of the greatest size are judged together.
+  if (particles.size() > 2 * kMostParticles) throw std::invalid_argument("too many particles");
   for (std::size_t i = 0; i < particles.size(); ++i) {
     if (!is_finite(particles.pose(i))) throw std::invalid_argument("particles must be finite");
     particles.yaw[i] = wrapped(particles.yaw[i]);
