@@ -136,6 +136,10 @@ class Localization(Struct, frozen=True, forbid_unknown_fields=True):
             le=1000,
         ),
     ] = 0.5
+    mapping_max_std_yaw: Annotated[
+        float,
+        rule("And of the heading.", "deg", live=True, gt=0, le=360),
+    ] = 5.0
     band_low: Annotated[
         float,
         rule(

@@ -247,9 +247,12 @@ class Onboard:
         belief = self._updated.belief
         if belief.ambiguous:
             return Reject("ambiguous", "the vehicle may as well be somewhere else on the map")
-        std_m = math.sqrt(max(float(np.linalg.eigvalsh(belief.best.covariance[:2, :2])[-1]), 0.0))
-        if std_m > self._config.localization.mapping_max_std:
-            return Reject("unsure", "the estimate is less sure than localization.mapping_max_std")
+        ours, covariance = self._config.localization, belief.best.covariance
+        std_m = math.sqrt(max(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]), 0.0))
+        if std_m > ours.mapping_max_std:
+            return Reject("unsure", "the place is less sure than localization.mapping_max_std")
+        if math.degrees(math.sqrt(covariance[2, 2])) > ours.mapping_max_std_yaw:
+            return Reject("unsure", "the heading is less so than localization.mapping_max_std_yaw")
         return None
 
     def _asked(self, request: Request) -> Reject | None:

@@ -92,8 +92,11 @@ def test_pings_before_the_first_belief_are_held_out(
     assert ran.summary["localization"]["state"] == "waiting for a pose"
 
 
-def test_unsure_estimate_is_none_to_map_by(tmp_path: Path, recording: Path, run: Runs) -> None:
-    ran = run(recording, config=written(tmp_path, mapping="corrected", mapping_max_std=0.001))
+@pytest.mark.parametrize("bound", ["mapping_max_std", "mapping_max_std_yaw"])
+def test_unsure_estimate_is_none_to_map_by(
+    bound: str, tmp_path: Path, recording: Path, run: Runs
+) -> None:
+    ran = run(recording, config=written(tmp_path, mapping="corrected", **{bound: 0.001}))
     assert ran.summary["pings_dropped"] == {"unsure": 120}
 
 
@@ -116,7 +119,8 @@ def test_vehicle_is_followed_on_the_3d_map_of_an_earlier_dive(
     path = written(tmp_path, mapping="odometry")
     text = path.read_text("utf-8").replace("mode: track", "mode: 'off'")
     map_into_store([tmp_path / "true.mcap"], config_from_text(text), None, tmp_path / "earlier.map")
-    path.write_text(settings(tmp_path / "earlier.map", mapping="corrected"), encoding="utf-8")
+    start = {"mapping_max_std_yaw": 15.0}  # its heading is not known better at first
+    path.write_text(settings(tmp_path / "earlier.map", mapping="corrected", **start), "utf-8")
     ran = run(recording, config=path)
     assert ran.code == 0, ran.said
     assert ran.summary["pings_mapped"] > 110
