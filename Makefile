@@ -4,6 +4,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 STAMP := $(VENV)/.installed
 CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt' -o -name 'CMakePresets.json')
 
@@ -68,7 +69,7 @@ crash-soak: $(STAMP)
 
 # Ten minutes of the coverage-guided fuzzer on the driver's parser; the corpus grows and is kept.
 fuzz: $(STAMP)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[fuzz]'
+	$(PIP) --no-build-isolation -e '.[fuzz]'
 	$(BIN)/python tests/fuzz/fuzz_stream.py tests/fuzz/corpus -max_total_time=600 -max_len=8192
 
 install: $(STAMP)
@@ -91,10 +92,13 @@ python-test: $(STAMP)
 prerequisites:
 	@PYTHON="$(PYTHON)" scripts/prerequisites
 
-# Installed anew when the build's inputs change; Python sources are used from the tree.
+# Installed anew when the build's inputs change; Python sources are used from the tree. The build's
+# own tools are installed first and stay: in a new environment for every build, as pip makes them,
+# the compiler would begin anew too, and the C++ tests could not share the tree.
 $(STAMP): pyproject.toml $(CPP_SOURCES) | prerequisites
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,octomap,render,sim,topside]'
+	$(PIP) 'scikit-build-core>=0.10' 'pybind11>=3.0' 'cmake>=3.25' 'ninja>=1.11'
+	$(PIP) --no-build-isolation -e '.[dev,octomap,render,sim,topside]'
 	touch $@
 
 clean:
