@@ -31,7 +31,7 @@ py::bytes ot(const VoxelMap& map) {
 }
 
 // The caller holds a reference to the bytes, which cannot change.
-void load(VoxelMap& map, const py::bytes& data, std::uint64_t max_voxels) {
+void load_bt_or_ot(VoxelMap& map, const py::bytes& data, std::uint64_t max_voxels) {
   const std::string_view file = data;
   const py::gil_scoped_release release;
   load_octomap(file, map, max_voxels);
@@ -43,7 +43,8 @@ void bind_octomap(py::module_& module) {
   auto map = py::class_<VoxelMap>(module.attr("VoxelMap"));
   map.def("octomap_bt", &bt, "occupied_log_odds"_a, "free_log_odds"_a)
       .def("octomap_ot", &ot)
-      .def("load_octomap", &load, "data"_a, py::kw_only(), "max_voxels"_a = kMaxOctomapVoxels);
+      .def("load_octomap", &load_bt_or_ot, "data"_a, py::kw_only(),
+           "max_voxels"_a = kMaxOctomapVoxels);
 }
 
 }  // namespace mapperd::bind

@@ -3,23 +3,14 @@
 #include <pybind11/numpy.h>
 
 #include <complex>
-#include <stdexcept>
 #include <string>
 
 #include "acoustics/scatter.hpp"
+#include "checked_array.hpp"
 
 namespace py = pybind11;
 
 namespace {
-
-template <typename T>
-using Array = py::array_t<T, py::array::c_style>;
-
-void require(bool holds, const std::string& what) {
-  if (!holds) {
-    throw std::invalid_argument(what);
-  }
-}
 
 // Keeps the arrays that its view points into.
 struct FaceTable {

@@ -4,24 +4,15 @@
 
 #include <algorithm>
 #include <cstring>
-#include <stdexcept>
 #include <string>
 #include <vector>
 
 #include "acoustics/neighbours.hpp"
+#include "checked_array.hpp"
 
 namespace py = pybind11;
 
 namespace {
-
-template <typename T>
-using Array = py::array_t<T, py::array::c_style>;
-
-void require(bool holds, const std::string& what) {
-  if (!holds) {
-    throw std::invalid_argument(what);
-  }
-}
 
 void check_faces(const Array<std::int32_t>& face, py::ssize_t all) {
   const std::int32_t* at = face.data();
