@@ -229,11 +229,18 @@ def test_command_that_makes_no_sense_exits_2(
 
 
 class Terminal:
-    """A person at a terminal who runs `mapperctl`."""
+    """A person at a terminal who runs `mapperctl`.
+
+    Whoever runs these tests in a shell's background has them ignore SIGINT, and all they start; a
+    person's terminal does not.
+    """
 
     def __init__(self, *words: str) -> None:
         self.screen, inner = pty.openpty()
-        code = "import sys; from mapperd.ctl.command import main; sys.exit(main(sys.argv[1:]))"
+        code = (
+            "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler);"
+            "from mapperd.ctl.command import main; sys.exit(main(sys.argv[1:]))"
+        )
         self.process = subprocess.Popen(  # noqa: S603 our own words
             [sys.executable, "-c", code, *words],
             stdin=inner, stdout=inner, stderr=inner, start_new_session=True,
