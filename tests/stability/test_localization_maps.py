@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from mapperd.localization.filter import (
-    BeamModel,
     Beams,
     Endpoints,
     FreeSpace,
@@ -16,6 +15,7 @@ from mapperd.localization.filter import (
     RangeMap,
 )
 from tests.mapperd.localization.filter_cases import (
+    BEAM,
     HIT,
     beam_likelihood,
     endpoints,
@@ -25,15 +25,6 @@ from tests.mapperd.localization.filter_cases import (
     rule,
 )
 
-BEAM = BeamModel(
-    z_hit=0.5,
-    z_short=0.05,
-    z_max=0.05,
-    z_rand=0.5,
-    sigma_hit_m=0.2,
-    lambda_short_per_m=0.1,
-    max_range_m=20.0,
-)
 AHEAD = Beams(bearing_rad=np.zeros(1), range_m=np.array([3.0]), quality=np.ones(1))
 
 

@@ -7,7 +7,6 @@ import pytest
 from numpy.typing import NDArray
 
 from mapperd.localization.filter import (
-    BeamModel,
     Beams,
     Endpoints,
     HitModel,
@@ -15,19 +14,10 @@ from mapperd.localization.filter import (
     ParticleFilter,
     RangeMap,
 )
-from tests.mapperd.localization.filter_cases import HIT, filter_at, grid, pose, rule
+from tests.mapperd.localization.filter_cases import BEAM, HIT, filter_at, grid, pose, rule
 
 Floats = NDArray[np.float64]
 FAR = LikelihoodField.of_grid(grid(np.zeros((50, 50), np.int8), 0.5), HIT)
-BEAM = BeamModel(
-    z_hit=0.5,
-    z_short=0.05,
-    z_max=0.05,
-    z_rand=0.5,
-    sigma_hit_m=0.2,
-    lambda_short_per_m=0.1,
-    max_range_m=20.0,
-)
 
 
 def cloud(count: int = 200, seed: int = 3) -> ParticleFilter:

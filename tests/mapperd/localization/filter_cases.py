@@ -19,6 +19,15 @@ from mapperd.localization.filter import (
 
 Floats = NDArray[np.float64]
 HIT = HitModel(z_hit=0.5, z_rand=0.5, sigma_hit_m=0.2, max_range_m=20.0, max_distance_m=2.0)
+BEAM = BeamModel(
+    z_hit=0.5,
+    z_short=0.05,
+    z_max=0.05,
+    z_rand=0.5,
+    sigma_hit_m=0.2,
+    lambda_short_per_m=0.1,
+    max_range_m=20.0,
+)
 
 
 def cells(rows: list[str]) -> NDArray[np.int8]:
