@@ -17,7 +17,7 @@ from mapperd.config_odometry import OdometryFusion, SlamQuality, TimeSync, World
 from mapperd.config_outofcore import OutOfCore
 from mapperd.config_published import Frames, Topics, Visualization
 from mapperd.config_scan import Localization, ScanExtraction
-from mapperd.config_service import Behind, Control, Mqtt, Service
+from mapperd.config_service import Behind, Control, Mqtt, Recording, Service
 from mapperd.setting import rule
 
 __all__ = [
@@ -324,30 +324,6 @@ class Device(Struct, frozen=True, forbid_unknown_fields=True):
             le=1,
         ),
     ] = 0.0
-
-
-class Recording(Struct, frozen=True, forbid_unknown_fields=True):
-    """Everything that comes in while mapping live, on disk as it came."""
-
-    enabled: Annotated[
-        bool, rule("Record; without it, a kill costs what is not in the map's file.")
-    ] = True
-    folder: Annotated[
-        str,
-        rule(
-            "For the recordings; without one systemd's for logs, or `recordings` in the state "
-            "folder.",
-            "a path or nothing",
-        ),
-    ] = ""
-    max_file: Annotated[
-        int, rule("Of one file, then the next begins.", "MiB", ge=1, le=1 << 20)
-    ] = 512
-    budget: Annotated[
-        int,
-        rule("Of all files together, the oldest go; 0 has no limit.", "MiB", ge=0, le=1 << 30),
-    ] = 32768
-    free_floor: Annotated[int, rule("What stays free on the disk.", "MiB", ge=0, le=1 << 30)] = 1024
 
 
 class Config(Struct, frozen=True, forbid_unknown_fields=True):

@@ -6,7 +6,7 @@ from msgspec import Struct
 
 from mapperd.setting import rule
 
-__all__ = ["Behind", "Control", "Mqtt", "Service"]
+__all__ = ["Behind", "Control", "Mqtt", "Recording", "Service"]
 
 NAME_PATTERN = "[A-Za-z0-9][A-Za-z0-9_-]{0,63}"
 
@@ -21,6 +21,30 @@ class Service(Struct, frozen=True, forbid_unknown_fields=True):
             "a path or nothing",
         ),
     ] = ""
+
+
+class Recording(Struct, frozen=True, forbid_unknown_fields=True):
+    """Everything that comes in while mapping live, on disk as it came."""
+
+    enabled: Annotated[
+        bool, rule("Record; without it, a kill costs what is not in the map's file.")
+    ] = True
+    folder: Annotated[
+        str,
+        rule(
+            "For the recordings; without one systemd's for logs, or `recordings` in the state "
+            "folder.",
+            "a path or nothing",
+        ),
+    ] = ""
+    max_file: Annotated[
+        int, rule("Of one file, then the next begins.", "MiB", ge=1, le=1 << 20)
+    ] = 512
+    budget: Annotated[
+        int,
+        rule("Of all files together, the oldest go; 0 has no limit.", "MiB", ge=0, le=1 << 30),
+    ] = 32768
+    free_floor: Annotated[int, rule("What stays free on the disk.", "MiB", ge=0, le=1 << 30)] = 1024
 
 
 class Behind(Struct, frozen=True, forbid_unknown_fields=True):
