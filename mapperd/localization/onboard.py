@@ -251,7 +251,7 @@ class Onboard:
         std_m = math.sqrt(max(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]), 0.0))
         if std_m > ours.mapping_max_std:
             return Reject("unsure", "the place is less sure than localization.mapping_max_std")
-        if math.degrees(math.sqrt(covariance[2, 2])) > ours.mapping_max_std_yaw:
+        if math.degrees(math.sqrt(max(covariance[2, 2], 0.0))) > ours.mapping_max_std_yaw:
             return Reject("unsure", "the heading is less so than localization.mapping_max_std_yaw")
         return None
 

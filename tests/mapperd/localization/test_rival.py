@@ -198,3 +198,10 @@ def test_cloud_that_found_itself_by_few_beams_is_not_drawn_anew() -> None:
         PlanarPose(4, 3, 0), PlanarPose(4, 3, 0), scan_from((2.0, 4.0, 1.0)), 0.0
     )
     assert found.overall.x_m == pytest.approx(4.0)
+
+
+def test_clouds_that_change_places_keep_their_odds() -> None:
+    first, second = ParticleFilter(rule(), 1), ParticleFilter(rule(), 2)
+    changed = Rival(second, 1.25, 7.0).changed(first)
+    assert changed.particles is first
+    assert (changed.log_odds, changed.way_m) == (-1.25, 7.0)

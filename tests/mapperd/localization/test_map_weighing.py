@@ -1,0 +1,56 @@
+"""A prepared map under other settings: what is made anew, and what is not."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from mapperd.localization.filter import ParticleFilter
+from mapperd.localization.map_weighing import MapWeighing
+from mapperd.localization.models import filter_rule
+from tests.mapperd.localization.test_map_filter import room, scan_from
+from tests.mapperd.localization.test_rival import profile
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from mapperd.config import Config
+
+SCAN = scan_from((4.0, 3.0, 0.2))
+
+
+def changed(section: str, **values: float) -> Config:
+    settings = profile()
+    other = structs.replace(getattr(settings, section), **values)
+    return structs.replace(settings, **{section: other})
+
+
+def cloud(weighing: MapWeighing) -> NDArray[np.float64]:
+    """Drawn from a scan and weighed by it."""
+    particles = ParticleFilter(filter_rule(profile()), 5)
+    weighing.draw(particles, SCAN, 0.0)
+    weighing.weigh(particles, SCAN, 0.0, 0.5)
+    return np.column_stack([particles.poses, particles.weights])
+
+
+@pytest.mark.parametrize(
+    "other",
+    [changed("localization", search_sigma=1.0), changed("amcl", laser_sigma_hit=0.4)],
+    ids=["search", "hit"],
+)
+def test_settings_that_shape_fields_make_them_anew(other: Config) -> None:
+    """As if the map had been prepared by them from the beginning."""
+    before = MapWeighing(room(), profile())
+    after = before.with_settings(other)
+    assert np.array_equal(cloud(after), cloud(MapWeighing(room(), other)))
+    assert not np.array_equal(cloud(after), cloud(before))
+
+
+def test_settings_of_rates_leave_the_fields() -> None:
+    """They take up to seconds on large maps, in the thread that maps."""
+    before = MapWeighing(room(), profile())
+    assert before.with_settings(changed("amcl", save_pose_rate=2.0)).free is before.free
+    assert before.with_settings(changed("amcl", laser_z_hit=0.6)).free is not before.free
