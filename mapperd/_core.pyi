@@ -414,6 +414,80 @@ class VoxelMap:
         """Make the map's revision at least this."""
 
     def clear(self) -> None: ...
+    def changed_blocks(
+        self, revision: int, bricks: NDArray[np.int32]
+    ) -> tuple[int, int, NDArray[np.int32], NDArray[np.uint64], NDArray[np.bool_]]:
+        """Blocks in memory that changed after a revision, all of one state of the map.
+
+        Args:
+            revision: of the map.
+            bricks: (M, 3), that are asked about.
+
+        Returns:
+            the map's revision; the one at which all its blocks went or were replaced at once; the
+            blocks' keys (N, 3), in no particular order, and revisions (N,); which of the bricks
+            are in memory (M,).
+        """
+
+    def stream_digests(
+        self, view: StreamView, keys: NDArray[np.int32]
+    ) -> tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.bool_]]:
+        """What a view tells of blocks of the map stream, as one number a block.
+
+        Args:
+            view: how cells are told.
+            keys: (N, 3).
+
+        Returns:
+            digests (N,), 0 where nothing is known; the map's revisions at which a voxel of the
+            blocks changed last (N,); which of the blocks are in memory (N,).
+        """
+
+    def stream_blocks(
+        self, view: StreamView, keys: NDArray[np.int32]
+    ) -> tuple[int, NDArray[np.int8], NDArray[np.uint8], NDArray[np.bool_]]:
+        """Blocks of the map stream (`mapperd.stream.blocks`), all of one state of the map.
+
+        Returns:
+            the map's revision; cells (N, 512) and the bits of their counts (N, 512), x fastest;
+            which of the blocks are in memory (N,): the others read as unknown.
+        """
+
+class StreamView:
+    """How the map stream tells cells.
+
+    Args:
+        level: cells are cubes of 2**level voxels.
+        detail: "classes", "log_odds" or "counts"; with the last, digests are of counts too.
+        log_odds_step: of the quantised log-odds.
+        occupied_log_odds, free_log_odds: of the classes.
+
+    Raises:
+        ValueError: there is no such detail; where it is used, for other bad values.
+    """
+
+    def __init__(
+        self,
+        level: int,
+        detail: str,
+        *,
+        log_odds_step: float,
+        occupied_log_odds: float,
+        free_log_odds: float,
+    ) -> None: ...
+
+class KeyIndex:
+    """Numbers keys in the order in which they come; a number stays with its key."""
+
+    def __init__(self) -> None: ...
+    def __len__(self) -> int: ...
+    @property
+    def memory_bytes(self) -> int: ...
+    def numbers(self, keys: NDArray[np.int32], add: bool) -> NDArray[np.int64]:
+        """The numbers (N,) of keys (N, 3); -1 for unknown ones unless they are to be added."""
+
+    def keys(self, numbers: NDArray[np.int64]) -> NDArray[np.int32]:
+        """The keys (N, 3) of numbers. Raises IndexError for a number that no key has."""
 
 class MclGrid:
     """A flat occupancy grid.

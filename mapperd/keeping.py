@@ -85,6 +85,8 @@ class Keeping(Protocol):
 class InMemory:
     """The map ends with the program."""
 
+    store = None
+
     def __init__(self, sonar_map: SonarMap) -> None:
         self._map = sonar_map
 

@@ -14,6 +14,7 @@ void bind_bricks(py::module_& module);         // after bind_map
 void bind_octomap(py::module_& module);        // after bind_map
 void bind_queries(py::module_& module);        // after bind_map
 void bind_point_updates(py::module_& module);  // after bind_map
+void bind_stream_view(py::module_& module);    // after bind_map
 void bind_localization_maps(py::module_& module);
 void bind_localization_filter(py::module_& module);  // after bind_localization_maps
 

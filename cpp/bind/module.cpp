@@ -15,6 +15,7 @@ PYBIND11_MODULE(_core, module) {
   mapperd::bind::bind_octomap(module);
   mapperd::bind::bind_queries(module);
   mapperd::bind::bind_point_updates(module);
+  mapperd::bind::bind_stream_view(module);
   mapperd::bind::bind_localization_maps(module);
   mapperd::bind::bind_localization_filter(module);
 }

@@ -204,14 +204,14 @@ void VoxelMap::clear() {
   std::vector<std::uint32_t> empty(kFirstSlots, kEmpty);
   blocks_ = BlockStore();
   slots_.swap(empty);
-  ++revision_;
+  replaced_at_ = ++revision_;
 }
 
 void VoxelMap::take_blocks(VoxelMap& other) {
   check_whole();
   std::swap(blocks_, other.blocks_);
   slots_.swap(other.slots_);
-  ++revision_;
+  replaced_at_ = ++revision_;
   for (std::size_t i = 0; i < blocks_.size(); ++i) blocks_[i].revision = revision_;
 }
 

@@ -17,9 +17,9 @@ FIRST_SLOTS = 256
 
 Kind = Literal["occupied", "free", "known"]
 
-_LOCAL = np.stack(
-    np.unravel_index(np.arange(CELLS), (BLOCK_EDGE,) * 3, order="F"), axis=-1
-).astype(np.int64)
+_LOCAL = np.stack(np.unravel_index(np.arange(CELLS), (BLOCK_EDGE,) * 3, order="F"), axis=-1).astype(
+    np.int64
+)
 """(512, 3): where in its block each cell is."""
 
 
@@ -158,9 +158,7 @@ class MapMirror:
         keys = (index >> 3).astype(np.int32)
         local = index & (BLOCK_EDGE - 1)
         offset = local[:, 0] + BLOCK_EDGE * (local[:, 1] + BLOCK_EDGE * local[:, 2])
-        at = np.fromiter(
-            (self._slots.get(name, -1) for name in _names(keys)), np.intp, len(points)
-        )
+        at = np.fromiter((self._slots.get(name, -1) for name in _names(keys)), np.intp, len(points))
         cells = np.full(len(points), UNKNOWN, np.int8)
         cells[at >= 0] = self._cells[at[at >= 0], offset[at >= 0]]
         classes = np.full(len(points), -1, np.int8)

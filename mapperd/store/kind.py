@@ -11,6 +11,7 @@ import msgspec
 
 from mapperd.config import Config
 from mapperd.errors import StoreError
+from mapperd.store.identity import NAME
 
 __all__ = ["check_kind", "kind_of", "write_kind"]
 
@@ -40,7 +41,9 @@ def check_kind(connection: sqlite3.Connection, path: Path, config: Config) -> No
     ours = kind_of(config)
     differ = [
         f"{name} is {value} in it, {ours.get(name, 'unknown')} in the settings"
-        for name, value in connection.execute("SELECT name, value FROM fact ORDER BY name")
+        for name, value in connection.execute(
+            "SELECT name, value FROM fact WHERE name != ? ORDER BY name", (NAME,)
+        )
         if ours.get(name) != value
     ]
     if differ:

@@ -8,6 +8,7 @@ import zstandard
 
 from mapperd.store.bricks import COLUMNS, LEVEL, BrickRow, Key, pack
 from mapperd.store.database import transaction
+from mapperd.store.identity import Identity, renewed
 
 __all__ = ["Position", "Saver", "Snapshot"]
 
@@ -84,8 +85,11 @@ class Saver:
         self.bricks_written += rows
         self.bytes_written += sizes
 
-    def forget(self, revision: int, position: bytes) -> None:
+    def forget(self, revision: int, position: bytes, identity: Identity) -> Identity:
         """Empty the map; nothing is lost any more, for nothing should be there.
+
+        Returns:
+            the identity of the map from now on.
 
         Raises:
             sqlite3.Error: it cannot be; the file is as before.
@@ -94,6 +98,7 @@ class Saver:
             self._connection.execute("DELETE FROM brick")
             self._connection.execute("UPDATE quarantine SET rebuilt = 1, data = NULL")
             self._connection.execute(PROGRESS, (revision, position))
+            return renewed(self._connection, identity)
 
     def _packed(self, snapshot: Snapshot) -> Iterator[BrickRow]:
         for key, revision, brick in snapshot.bricks:

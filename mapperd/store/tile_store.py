@@ -20,6 +20,7 @@ from mapperd.errors import MapError, StoreError
 from mapperd.mapping import SonarMap
 from mapperd.store.bricks import Key
 from mapperd.store.database import open_reader, open_writer, transaction, translated
+from mapperd.store.identity import Identity, begun
 from mapperd.store.kind import check_kind, write_kind
 from mapperd.store.loading import Loader
 from mapperd.store.lock import only_writer
@@ -65,6 +66,7 @@ class TileStore:
 
     Attributes:
         position: up to which the map was complete when the file was saved; empty in a new file.
+        identity: of the map; any thread may read it.
         counters: what happened.
         trouble: why nothing can be saved at the moment; None when all is well.
     """
@@ -92,6 +94,8 @@ class TileStore:
             with translated(path):
                 migrate(writer, path)
                 self._saved_revision, self.position, self._lost = self._begin(writer, sonar_map)
+                with transaction(writer):
+                    self.identity: Identity = begun(writer, self._saved_revision)
             reader = open_reader(path)
             opening.callback(reader.close)
             self._loader = Loader(reader, path, edge)
@@ -221,7 +225,7 @@ class TileStore:
         """
         revision, position = self._core.revision + 1, _made(self._noted[1])
         with self._writing, translated(self.path):
-            self._saver.forget(revision, position)
+            identity = self._saver.forget(revision, position, self.identity)
             self._numbers += 1
             self._written, self._saved_revision = self._numbers, revision
         self._forget(self._tiles.all())
@@ -229,6 +233,7 @@ class TileStore:
         self._noted = (revision, position)
         self._damaged.clear()
         self._lost.clear()
+        self.identity = identity  # last: who knows of the new map finds nothing of the old one
 
     def restore(self, bricks: Iterable[tuple[Key, bytes]], *, whole: bool) -> None:
         """Put what lost bricks should hold into the file; nothing may be in memory yet.

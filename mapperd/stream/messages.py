@@ -120,7 +120,8 @@ class Resume(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True
         map: id of the map that it holds.
         session: of the daemon that said `revision`.
         revision: all of its interest is as it was then, or newer.
-        level, detail: of what it holds.
+        level, detail, radius_m, box: the interest in what it holds.
+        newest: the highest revision of any message about the map that it used; None is unknown.
         path: points of the path that it holds.
     """
 
@@ -129,6 +130,9 @@ class Resume(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True
     revision: Count
     level: int = 0
     detail: str = "log_odds"
+    radius_m: float = 0.0
+    box: Box | None = None
+    newest: Count | None = None
     path: Count = 0
 
 
@@ -259,10 +263,18 @@ class Blocks(_Message, frozen=True, kw_only=True):
 
 
 class Reset(_Message, frozen=True, kw_only=True):
-    """The map is another one, and empty: all blocks are forgotten."""
+    """All blocks are forgotten: the map is another one, or is told in another way from now on.
+
+    Attributes:
+        map: that is told of.
+        revision: of it.
+        interest: that is told. Each change of a client's interest is answered by a reset, or
+            several at once: only this says which one is heeded. None is the newest one.
+    """
 
     map: MapFacts
     revision: Count
+    interest: Interest | None = None
 
 
 class Pose(_Message, frozen=True, kw_only=True):

@@ -60,6 +60,10 @@ class VoxelMap {
   std::uint64_t revision() const { return revision_; }
   std::uint64_t next_revision() { return ++revision_; }
 
+  // The revision at which all blocks went, or others took their place; 0 for a map whose blocks
+  // came one by one.
+  std::uint64_t replaced_at() const { return replaced_at_; }
+
   // Makes it at least this; a map that goes on where another ended.
   void raise_revision(std::uint64_t least) { revision_ = std::max(revision_, least); }
 
@@ -138,6 +142,7 @@ class VoxelMap {
   double resolution_m_;
   IwloRule rule_;
   std::uint64_t revision_ = 0;
+  std::uint64_t replaced_at_ = 0;
   Residency residency_;
   BlockStore blocks_;
   std::vector<std::uint32_t> slots_;  // open addressing, a power of two, at most half full

@@ -1,0 +1,110 @@
+"""Blocks that wait to be told to a client, nearest to the vehicle first."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd.stream.messages import Vector
+from mapperd.stream.region import distances_m
+
+__all__ = ["NearestFirst"]
+
+FRONT = 16384
+"""Blocks that are put in order at a time: all of a large map's are too many for each message."""
+
+WAITING, IN_FRONT = 2, 4
+"""Bits of a block's flags."""
+
+Numbers = NDArray[np.int64]
+KeysOf = Callable[[Numbers], NDArray[np.int32]]
+
+
+class NearestFirst:
+    """A set of numbered blocks; what it needs of memory is a bit a block, and its front.
+
+    Args:
+        keys_of: gives the keys of numbers.
+        block_m: edge of a block.
+
+    Attributes:
+        flags: uint8 a block; bits other than ours are the owner's.
+    """
+
+    def __init__(self, keys_of: KeysOf, block_m: float) -> None:
+        self.flags = np.zeros(0, np.uint8)
+        self._keys_of = keys_of
+        self._block_m = block_m
+        self._waiting = 0
+        self._front = np.zeros(0, np.int64)
+        self._front_keys = np.zeros((0, 3), np.int32)
+        self._reach_m = np.inf
+        self._ordered_at = np.zeros(3)
+
+    def __len__(self) -> int:
+        return self._waiting
+
+    def make_room(self, blocks: int) -> None:
+        """So many blocks have numbers now."""
+        if blocks > len(self.flags):
+            more = np.zeros(max(blocks, len(self.flags) + len(self.flags) // 2), np.uint8)
+            more[: len(self.flags)] = self.flags
+            self.flags = more
+
+    def add(self, numbers: Numbers) -> None:
+        """Blocks that are to be told; such as wait already wait once."""
+        new = numbers[self.flags[numbers] & WAITING == 0]
+        self.flags[new] |= WAITING
+        self._waiting += len(new)
+        if len(self._front) + len(new) <= 2 * FRONT:
+            self._put_in_front(new)
+        else:
+            self._reach_m = -np.inf  # some of these may be nearer than all of the front
+
+    def remove(self, numbers: Numbers) -> None:
+        """Blocks of the front that were told, or are not to be told after all."""
+        self.flags[numbers] &= np.uint8(~(WAITING | IN_FRONT) & 0xFF)
+        self._waiting -= len(numbers)
+        kept = self.flags[self._front] & IN_FRONT != 0
+        self._front, self._front_keys = self._front[kept], self._front_keys[kept]
+
+    def nearest(self, most: int, position_m: Vector | None) -> Numbers:
+        """Up to `most` of the blocks, the nearest first; they stay."""
+        position = np.zeros(3) if position_m is None else np.asarray(position_m, float)
+        order, far_m = self._order(most, position)
+        if len(self._front) < self._waiting:
+            moved_m = float(np.linalg.norm(position - self._ordered_at))
+            if len(order) < most or far_m > self._reach_m - moved_m:
+                self._choose_front(position)
+                order, _ = self._order(most, position)
+        return self._front[order]
+
+    def _order(self, most: int, position: NDArray[np.float64]) -> tuple[NDArray[np.intp], float]:
+        """Of the front: the nearest `most`, and how far away the last of them is."""
+        away_m = distances_m(self._front_keys, self._block_m, tuple(position))
+        if len(away_m) > most:
+            order = np.argpartition(away_m, most)[:most]
+            order = order[np.argsort(away_m[order], kind="stable")]
+        else:
+            order = np.argsort(away_m, kind="stable")
+        return order, float(away_m[order[-1]]) if len(order) else 0.0
+
+    def _choose_front(self, position: NDArray[np.float64]) -> None:
+        """Of all that wait."""
+        self.flags[self._front] &= np.uint8(~IN_FRONT & 0xFF)
+        waiting = np.flatnonzero(self.flags & WAITING).astype(np.int64)
+        away_m = distances_m(self._keys_of(waiting), self._block_m, tuple(position))
+        self._reach_m = np.inf
+        if len(waiting) > FRONT:
+            order = np.argpartition(away_m, FRONT)
+            self._reach_m = float(away_m[order[FRONT]])
+            waiting = waiting[order[:FRONT]]
+        self._front = np.zeros(0, np.int64)
+        self._front_keys = np.zeros((0, 3), np.int32)
+        self._put_in_front(waiting)
+        self._ordered_at = position
+
+    def _put_in_front(self, numbers: Numbers) -> None:
+        self.flags[numbers] |= IN_FRONT
+        self._front = np.concatenate([self._front, numbers])
+        self._front_keys = np.concatenate([self._front_keys, self._keys_of(numbers)])

@@ -1,0 +1,226 @@
+"""What one client lacks of the map."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd.errors import StoreError
+from mapperd.stream.messages import MAX_BLOCKS, Blocks, Interest, MapFacts, Reset, Vector
+from mapperd.stream.nearest import NearestFirst
+from mapperd.stream.region import within
+from mapperd.stream.telling import Teller
+from mapperd.stream.view import View
+
+__all__ = ["Source", "Subscription"]
+
+HELD = 1
+"""Bit of a block's flags: the client may know something of it."""
+
+REFRESH = 0.02
+"""The radius is drawn anew when the vehicle moved by this part of it."""
+
+QUIET_NS = 1_000_000_000
+"""A client that lacks nothing is told so at most this often."""
+
+Numbers = NDArray[np.int64]
+
+
+class Source(Protocol):
+    """Where a subscription has the map from."""
+
+    teller: Teller
+    now_ns: int
+    trouble: str | None
+
+    def view_of(self, interest: Interest) -> View:
+        """The blocks as an interest has them told."""
+
+    def facts(self) -> MapFacts:
+        """About the map."""
+
+
+class Subscription:
+    """One client's interest, and what of it the client was told; of the source's thread.
+
+    Args:
+        source: of the map.
+        interest: of the client.
+        known_up_to: the revision up to which the client holds the interest; None holds nothing.
+        reason: why not.
+        on_close: is called when it ends.
+
+    Attributes:
+        interest: of the client.
+        resumed: what the client holds is good.
+        reason: why it is not; "" where it is, or nothing was said of it.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        interest: Interest,
+        known_up_to: int | None,
+        reason: str,
+        on_close: Callable[["Subscription"], None],
+    ) -> None:
+        self.interest = interest
+        self.resumed = known_up_to is not None
+        self.reason = reason
+        self._source = source
+        self._on_close = on_close
+        self._reset = False
+        self._begin(known_up_to)
+
+    def _begin(self, known_up_to: int | None) -> None:
+        self._known_up_to = known_up_to
+        self._view = self._source.view_of(self.interest)
+        self._view.listeners.append(self)
+        self._queue = NearestFirst(self._view.keys, self._view.block_m)
+        self._complete: int | None = None
+        self._told_ns = 0
+        self._drawn_at: Vector | None = None
+        self._drawn = False
+        if len(self._view):
+            self.changed(np.arange(len(self._view), dtype=np.int64))
+
+    def close(self) -> None:
+        """The client is gone."""
+        self._leave()
+        self._on_close(self)
+
+    def _leave(self) -> None:
+        if self in self._view.listeners:
+            self._view.listeners.remove(self)
+
+    def restart(self) -> None:
+        """The client forgets all, and is told all anew."""
+        self._leave()
+        self._begin(None)
+        self._reset = True
+
+    def change(self, interest: Interest) -> None:
+        """Something else is of interest from now on."""
+        self.interest = interest
+        self.restart()
+
+    @property
+    def left(self) -> int:
+        """Blocks that are still to be sent, as far as is known."""
+        return len(self._queue) + self._view.left
+
+    @property
+    def memory_bytes(self) -> int:
+        """Of what it remembers of blocks."""
+        return int(self._queue.flags.nbytes)
+
+    def changed(self, numbers: Numbers) -> None:
+        """These blocks are told otherwise than before."""
+        self._queue.make_room(len(self._view))
+        flags = self._queue.flags
+        if self._known_up_to is not None:
+            flags[numbers] |= HELD
+            numbers = numbers[self._view.revisions[numbers] > self._known_up_to]
+        held = flags[numbers] & HELD != 0
+        numbers = numbers[held | (self._view.digests[numbers] != 0)]
+        # What lies outside is left to `_draw`, which knows where the vehicle is.
+        self._queue.add(numbers[self._inside(numbers, self._drawn_at)])
+
+    def next(self, position_m: Vector | None, most_bytes: int) -> Blocks | Reset | None:
+        """What is to be sent next.
+
+        Args:
+            position_m: of the vehicle, map frame.
+            most_bytes: about so many, and at least one block.
+
+        Returns:
+            None when there is nothing.
+        """
+        if self._reset:
+            self._reset = False
+            facts = self._source.facts()
+            return Reset(map=facts, revision=self._view.looked, interest=self.interest)
+        self._draw(position_m)
+        try:
+            return self._next(most_bytes)
+        except StoreError as error:
+            self._source.trouble = str(error)
+            return None
+
+    def _next(self, most_bytes: int) -> Blocks | None:
+        teller, detail = self._source.teller, self.interest.detail
+        most = min(teller.blocks_in(most_bytes, self._view.level, detail), MAX_BLOCKS)
+        while True:
+            numbers, wanted = self._chosen(most)
+            if not len(numbers):
+                return self._quiet()
+            revision, body = teller.body(self._view, detail, numbers, wanted)
+            if len(body) <= 2 * most_bytes or len(numbers) == 1:
+                break
+            most = max(min(most, len(numbers)) // 2, 1)
+        self._queue.remove(numbers)
+        self._queue.flags[numbers] &= np.uint8(~HELD & 0xFF)
+        self._queue.flags[numbers[wanted]] |= HELD
+        return self._message(revision, body)
+
+    def _chosen(self, most: int) -> tuple[Numbers, NDArray[np.bool_]]:
+        """The nearest blocks that wait, and which of them are told with what they hold."""
+        while True:
+            numbers = self._queue.nearest(most, self._drawn_at)
+            wanted = self._inside(numbers, self._drawn_at)
+            pointless = ~wanted & (self._queue.flags[numbers] & HELD == 0)
+            if not pointless.any():
+                return numbers, wanted
+            self._queue.remove(numbers[pointless])
+
+    def _quiet(self) -> Blocks | None:
+        """Say now and then that nothing is lacking, although the map changed."""
+        settled, now_ns = self._view.settled, self._source.now_ns
+        if settled is None or settled == self._complete or self._view.left:
+            return None
+        if self._complete is not None and now_ns - self._told_ns < QUIET_NS:
+            return None
+        nothing = np.zeros(0, np.int64)
+        teller = self._source.teller
+        revision, body = teller.body(self._view, self.interest.detail, nothing, nothing != 0)
+        return self._message(revision, body)
+
+    def _message(self, revision: int, body: bytes) -> Blocks:
+        complete = None
+        if not len(self._queue) and not self._view.left and self._is_drawn:
+            complete = self._view.settled
+            self._complete, self._told_ns = complete, self._source.now_ns
+        return self._source.teller.message(revision, body, self.left, complete)
+
+    @property
+    def _is_drawn(self) -> bool:
+        return self.interest.radius_m == 0 or self._drawn_at is not None
+
+    def _draw(self, position_m: Vector | None) -> None:
+        """Find what comes into the interest, and what goes, as the vehicle moves."""
+        if self.interest.radius_m == 0 and self._drawn:
+            self._drawn_at = position_m
+            return
+        if self._drawn and not self._moved(position_m):
+            return
+        self._drawn, self._drawn_at = True, position_m
+        self._queue.make_room(len(self._view))
+        numbers = np.arange(len(self._view), dtype=np.int64)
+        held = self._queue.flags[numbers] & HELD != 0
+        lacking = ~held & (self._view.digests[numbers] != 0)
+        inside = self._inside(numbers, position_m)
+        self._queue.add(numbers[np.where(inside, lacking, held)])
+
+    def _moved(self, position_m: Vector | None) -> bool:
+        if position_m is None or self._drawn_at is None:
+            return position_m is not self._drawn_at
+        moved_m = np.linalg.norm(np.subtract(position_m, self._drawn_at))
+        return bool(moved_m > REFRESH * self.interest.radius_m)
+
+    def _inside(self, numbers: Numbers, position_m: Vector | None) -> NDArray[np.bool_]:
+        if self.interest.radius_m == 0 and self.interest.box is None:
+            return np.ones(len(numbers), bool)
+        held = self._queue.flags[numbers] & HELD != 0
+        keys = self._view.keys(numbers)
+        return within(keys, self._view.block_m, self.interest, position_m, held)
