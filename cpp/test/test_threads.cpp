@@ -1,5 +1,6 @@
 // Readers while somebody writes. ThreadSanitizer watches it (scripts/cpp-test tsan); without it the
 // test still sees that every answer is of one whole state of the map.
+#include <algorithm>
 #include <atomic>
 #include <functional>
 #include <string>
@@ -17,6 +18,7 @@
 #include "mapperd/queries.hpp"
 #include "mapperd/rays.hpp"
 #include "mapperd/snapshot.hpp"
+#include "mapperd/stream_view.hpp"
 #include "scenes.hpp"
 
 namespace {
@@ -90,6 +92,14 @@ std::vector<std::function<bool()>> all_reads(const VoxelMap& map) {
         std::size_t blocks = 0;
         for_dense_blocks(map, 7, [&](const auto& dense) { blocks += dense.keys.size(); });
         return blocks <= 4000;
+      },
+      [&map] {  // the twins, as the map stream tells them
+        const mapperd::StreamView view{1, mapperd::StreamDetail::counts, 0.25, kThresholds};
+        const auto told = stream_blocks(map, view, {{18, 0, 0}, {-19, 0, 0}});
+        const auto first = told.cells.begin(), second = first + mapperd::kStreamCells;
+        const auto digests = stream_digests(map, view, {{18, 0, 0}}).digests;
+        return std::count(first, second, -128) == std::count(second, told.cells.end(), -128) &&
+               digests.size() == 1 && changed_blocks(map, 0, {}).keys.size() <= 4000;
       },
       [&map] { return !octomap_ot(map).empty() && !octomap_bt(map, 0.8, -0.8).empty(); },
       [&map] {

@@ -1,14 +1,22 @@
 """Which blocks of the stream lie in what a client is interested in, and how far away they are."""
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mapperd.stream.messages import Interest, Vector
 
-__all__ = ["LEAVE", "distances_m", "in_box", "within"]
+__all__ = ["LEAVE", "distances_m", "in_box", "vector_of", "within"]
 
 LEAVE = 1.1
 """A block that was told is forgotten beyond so many times the radius: at its edge none flickers."""
+
+
+def vector_of(position_m: ArrayLike | None) -> Vector | None:
+    """A position as plain numbers."""
+    if position_m is None:
+        return None
+    x, y, z = np.asarray(position_m, float).tolist()
+    return x, y, z
 
 
 def distances_m(keys: NDArray[np.int32], block_m: float, position_m: Vector) -> NDArray[np.float64]:

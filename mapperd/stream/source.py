@@ -5,19 +5,21 @@ locks, each for some milliseconds at most.
 """
 
 import math
+import weakref
 import zlib
 from collections.abc import Callable
 from typing import Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mapperd import _core
 from mapperd.errors import StoreError
 from mapperd.mapping import SonarMap
 from mapperd.store.identity import fresh
 from mapperd.store.tile_store import TileStore
-from mapperd.stream.messages import Blocks, Interest, MapFacts, Resume, Vector
+from mapperd.stream.messages import Interest, MapFacts, Resume, Vector
+from mapperd.stream.region import vector_of
 from mapperd.stream.resuming import why_not
 from mapperd.stream.stored_bricks import ChangedRows, StoredBricks
 from mapperd.stream.subscription import Subscription
@@ -86,7 +88,7 @@ class MapSource:
         path = None if self._store is None else self._store.path
         self._files = None if path is None else StoredBricks(path, sonar_map.config)
         self.teller = Teller(self._core, self._files)
-        self._subscriptions: list[Subscription] = []
+        self._subscriptions: weakref.WeakSet[Subscription] = weakref.WeakSet()
         self._views: dict[tuple[int, str], View] = {}
         self._revision, self._replaced_at, *_ = self._core.changed_blocks(1 << 62, NO_BRICKS)
         self._identity = fresh() if self._store is None else self._store.identity
@@ -140,13 +142,9 @@ class MapSource:
         if resume is not None:
             reason = self._why_not(resume, interest)
             known_up_to = resume.revision if not reason else None
-        one = Subscription(self, interest, known_up_to, reason, self._subscriptions.remove)
-        self._subscriptions.append(one)
+        one = Subscription(self, interest, known_up_to, reason)
+        self._subscriptions.add(one)
         return one
-
-    def framed(self, message: Blocks) -> bytes:
-        """A message as it goes over the wire; what several clients are told is made once."""
-        return self.teller.framed(message)
 
     def view_of(self, interest: Interest) -> View:
         """The blocks as an interest has them told."""
@@ -164,18 +162,18 @@ class MapSource:
         view.unused_since_ns = None
         return view
 
-    def look(self, now_ns: int, position_m: Vector | None = None) -> None:
+    def look(self, now_ns: int, position_m: ArrayLike | None = None) -> None:
         """Find what changed since the last look.
 
         Args:
             now_ns: Unix.
-            position_m: of the vehicle: what is nearest to it is found first where there is much.
+            position_m: (3,) of the vehicle: what is nearest is found first where there is much.
         """
         self.now_ns = now_ns
         self.trouble = None
         self.teller.begin(now_ns)
         try:
-            self._look(position_m)
+            self._look(vector_of(position_m))
         except StoreError as error:
             self.trouble = str(error)
             self._file_version = None
@@ -246,7 +244,7 @@ class MapSource:
         self._facts = self._facts_now()
         self._views.clear()
         self._file_version = None
-        for one in self._subscriptions:
+        for one in list(self._subscriptions):
             one.restart()
 
     def _facts_now(self) -> MapFacts:

@@ -1,15 +1,15 @@
 """What one client lacks of the map."""
 
-from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mapperd.errors import StoreError
+from mapperd.stream.framing import framed
 from mapperd.stream.messages import MAX_BLOCKS, Blocks, Interest, MapFacts, Reset, Vector
 from mapperd.stream.nearest import NearestFirst
-from mapperd.stream.region import within
+from mapperd.stream.region import vector_of, within
 from mapperd.stream.telling import Teller
 from mapperd.stream.view import View
 
@@ -49,7 +49,6 @@ class Subscription:
         interest: of the client.
         known_up_to: the revision up to which the client holds the interest; None holds nothing.
         reason: why not.
-        on_close: is called when it ends.
 
     Attributes:
         interest: of the client.
@@ -63,20 +62,18 @@ class Subscription:
         interest: Interest,
         known_up_to: int | None,
         reason: str,
-        on_close: Callable[["Subscription"], None],
     ) -> None:
         self.interest = interest
         self.resumed = known_up_to is not None
         self.reason = reason
         self._source = source
-        self._on_close = on_close
         self._reset = False
         self._begin(known_up_to)
 
     def _begin(self, known_up_to: int | None) -> None:
         self._known_up_to = known_up_to
         self._view = self._source.view_of(self.interest)
-        self._view.listeners.append(self)
+        self._view.listeners.add(self)
         self._queue = NearestFirst(self._view.keys, self._view.block_m)
         self._complete: int | None = None
         self._told_ns = 0
@@ -86,17 +83,12 @@ class Subscription:
             self.changed(np.arange(len(self._view), dtype=np.int64))
 
     def close(self) -> None:
-        """The client is gone."""
-        self._leave()
-        self._on_close(self)
-
-    def _leave(self) -> None:
-        if self in self._view.listeners:
-            self._view.listeners.remove(self)
+        """The client is gone; whoever forgets the subscription says as much."""
+        self._view.listeners.discard(self)
 
     def restart(self) -> None:
         """The client forgets all, and is told all anew."""
-        self._leave()
+        self._view.listeners.discard(self)
         self._begin(None)
         self._reset = True
 
@@ -127,21 +119,28 @@ class Subscription:
         # What lies outside is left to `_draw`, which knows where the vehicle is.
         self._queue.add(numbers[self._inside(numbers, self._drawn_at)])
 
-    def next(self, position_m: Vector | None, most_bytes: int) -> Blocks | Reset | None:
-        """What is to be sent next.
+    def next(self, position_m: ArrayLike | None, most_bytes: int) -> bytes | None:
+        """What is to be sent next, as it goes over the wire.
 
         Args:
-            position_m: of the vehicle, map frame.
+            position_m: (3,) of the vehicle, map frame; None where nobody knows it.
             most_bytes: about so many, and at least one block.
 
         Returns:
-            None when there is nothing.
+            a `Blocks` or a `Reset`; None when there is nothing.
         """
+        message = self.next_message(position_m, most_bytes)
+        if isinstance(message, Blocks):
+            return self._source.teller.framed(message)
+        return None if message is None else framed(message)
+
+    def next_message(self, position_m: ArrayLike | None, most_bytes: int) -> Blocks | Reset | None:
+        """The same as a message."""
         if self._reset:
             self._reset = False
             facts = self._source.facts()
             return Reset(map=facts, revision=self._view.looked, interest=self.interest)
-        self._draw(position_m)
+        self._draw(vector_of(position_m))
         try:
             return self._next(most_bytes)
         except StoreError as error:

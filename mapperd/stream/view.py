@@ -1,5 +1,6 @@
 """The blocks of the map as one level and detail tell them, and when each changed last."""
 
+import weakref
 from collections.abc import Iterator
 from typing import Protocol
 
@@ -62,7 +63,7 @@ class View:
         self.looked = 0
         self.in_file = -1
         self.settled: int | None = None
-        self.listeners: list[Listener] = []
+        self.listeners: weakref.WeakSet[Listener] = weakref.WeakSet()
         self.unused_since_ns: int | None = None
         self._index = _core.KeyIndex()
         self._waiting = np.zeros((0, 3), np.int32)

@@ -1,0 +1,393 @@
+"""Clients of a map in memory end with what it holds."""
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from mapperd.keeping import InMemory
+from mapperd.mapping import SonarMap
+from mapperd.stream.messages import Blocks, Box, Interest
+from mapperd.stream.region import distances_m
+from mapperd.stream.source import MapSource
+from tests.mapperd.store.dive import CONFIG, integrate, mapped
+from tests.mapperd.stream.told import SECOND_NS, Client, expected
+
+DETAILS = ("classes", "log_odds", "counts")
+
+
+def source_of(sonar_map: SonarMap) -> MapSource:
+    return MapSource(sonar_map, InMemory(sonar_map), log_odds_step=0.25)
+
+
+def scatter(sonar_map: SonarMap, seed: int, voxels: int, reach_m: float = 3.0) -> None:
+    random = np.random.default_rng([33, seed])
+    points = random.uniform(-reach_m, reach_m, (voxels, 3))
+    sonar_map.core.set_log_odds(points, random.uniform(-6.0, 6.0, voxels))
+
+
+def assert_same(client: Client, sonar_map: SonarMap) -> None:
+    assert client.holds() == expected(sonar_map.core, client.mirror.facts, client.interest)
+
+
+@pytest.mark.parametrize("level", range(4))
+def test_every_level_and_detail_ends_with_the_map(level: int) -> None:
+    sonar_map = SonarMap(CONFIG)
+    source = source_of(sonar_map)
+    clients = [Client(source, Interest(level=level, detail=detail)) for detail in DETAILS]
+    for ping in range(3):
+        integrate(sonar_map, ping)
+        source.look((ping + 1) * SECOND_NS)
+        for client in clients:
+            client.hear()
+    for client in clients:
+        assert_same(client, sonar_map)
+        assert client.mirror.complete == source.revision == sonar_map.core.revision
+        assert client.view.left == 0
+
+
+def test_who_comes_late_is_told_all_and_then_changes_alone() -> None:
+    sonar_map = mapped(2)
+    source = source_of(sonar_map)
+    source.look(SECOND_NS)
+    client = Client(source)
+    source.look(2 * SECOND_NS)
+    client.hear()
+    assert_same(client, sonar_map)
+    told = client.told_blocks
+    sonar_map.core.set_log_odds(np.array([[0.05, 0.05, 0.05]]), np.array([5.0]))
+    source.look(3 * SECOND_NS)
+    client.hear()
+    assert client.told_blocks == told + 1
+    assert_same(client, sonar_map)
+
+
+def test_what_changes_without_being_told_otherwise_is_not_told_again() -> None:
+    sonar_map = SonarMap(CONFIG)
+    source = source_of(sonar_map)
+    point = np.array([[0.05, 0.05, 0.05]])
+    sonar_map.core.set_log_odds(point, np.array([2.0]))
+    client = Client(source)
+    source.look(SECOND_NS)
+    assert client.hear() == 1
+    sonar_map.core.set_log_odds(point, np.array([2.01]))
+    source.look(SECOND_NS + 1)
+    assert client.hear() == 0
+    source.look(2 * SECOND_NS)
+    assert (client.hear(), client.told_blocks) == (1, 1)  # that it is complete, and no block
+    assert client.mirror.complete == sonar_map.core.revision
+
+
+def test_a_block_that_changes_twice_before_it_is_told_is_told_once() -> None:
+    sonar_map = SonarMap(CONFIG)
+    source = source_of(sonar_map)
+    client = Client(source)
+    for second, value in enumerate((1.0, 2.0, 3.0)):
+        sonar_map.core.set_log_odds(np.array([[0.05, 0.05, 0.05]]), np.array([value]))
+        source.look(second * SECOND_NS)
+    client.hear()
+    assert client.told_blocks == 1
+    assert_same(client, sonar_map)
+
+
+def test_an_empty_map_is_complete_at_once() -> None:
+    source = source_of(SonarMap(CONFIG))
+    client = Client(source)
+    source.look(SECOND_NS)
+    assert client.hear() == 1
+    assert (client.mirror.complete, len(client.mirror)) == (0, 0)
+
+
+def test_the_nearest_is_told_first_within_the_bytes_that_are_given() -> None:
+    sonar_map = SonarMap(CONFIG)
+    scatter(sonar_map, 1, 2000, reach_m=5.0)
+    source = source_of(sonar_map)
+    client = Client(source)
+    source.look(SECOND_NS)
+    position = (5.0, -4.0, 1.0)
+    farthest = 0.0
+    before = np.zeros((0, 3), np.int32)
+    while client.view.left:
+        message = client.view.next_message(position, 2000)
+        assert isinstance(message, Blocks)
+        assert len(message.body) <= 4000
+        assert (message.complete is None) == (message.left > 0)
+        client.take(message)
+        keys = client.mirror.blocks().keys
+        new = keys[~(keys[:, None] == before).all(axis=2).any(axis=1)]
+        away = distances_m(new, 0.8, position)
+        assert away.min() >= farthest - 1e-9
+        farthest, before = away.max(), keys
+    assert client.told_messages > 10
+    assert_same(client, sonar_map)
+
+
+def test_one_block_is_told_however_few_bytes_there_are() -> None:
+    sonar_map = SonarMap(CONFIG)
+    scatter(sonar_map, 1, 300, reach_m=1.0)
+    source = source_of(sonar_map)
+    client = Client(source)
+    source.look(SECOND_NS)
+    client.hear(most_bytes=1)
+    assert client.told_messages == client.told_blocks > 4
+    assert_same(client, sonar_map)
+
+
+def test_clients_that_are_told_the_same_are_told_the_same_object() -> None:
+    sonar_map = mapped(2)
+    source = source_of(sonar_map)
+    first, second = (source.subscribe(Interest()) for _ in range(2))
+    source.look(SECOND_NS)
+    while (one := first.next(None, 5000)) is not None:
+        assert second.next(None, 5000) is one
+
+
+def test_ages_are_those_of_the_last_change() -> None:
+    sonar_map = SonarMap(CONFIG)
+    source = source_of(sonar_map)
+    for second, x in enumerate((0.05, 1.65)):
+        sonar_map.core.set_log_odds(np.array([[x, 0.05, 0.05]]), np.array([3.0]))
+        source.look((second + 1) * SECOND_NS)
+    source.look(10 * SECOND_NS)
+    client = Client(source)
+    source.look(10 * SECOND_NS)
+    client.hear()
+    cells = client.mirror.cells("known")
+    order = np.argsort(cells.centres_m[:, 0])
+    assert cells.changed_ns[order].tolist() == [SECOND_NS, 2 * SECOND_NS]
+
+
+def test_a_box_is_told_and_nothing_else() -> None:
+    sonar_map = SonarMap(CONFIG)
+    scatter(sonar_map, 2, 3000)
+    source = source_of(sonar_map)
+    interest = Interest(box=Box((-1.0, -1.0, -1.0), (0.5, 2.0, 1.0)))
+    client = Client(source, interest)
+    source.look(SECOND_NS)
+    client.hear()
+    whole = expected(sonar_map.core, source.facts(), interest)
+    low, high = np.array(interest.box.low_m), np.array(interest.box.high_m)  # type: ignore[union-attr]
+    inside = {
+        key: told
+        for key, told in whole.items()
+        if ((np.array(key) * 0.8 < high) & (np.array(key) * 0.8 + 0.8 > low)).all()
+    }
+    assert 0 < len(inside) < len(whole)
+    assert client.holds() == inside
+
+
+def test_another_interest_is_told_anew() -> None:
+    sonar_map = mapped(2)
+    source = source_of(sonar_map)
+    client = Client(source)
+    source.look(SECOND_NS)
+    client.hear()
+    client.interest = Interest(level=1, detail="classes")
+    client.view.change(client.interest)
+    source.look(2 * SECOND_NS)
+    client.hear()
+    assert (client.resets, client.mirror.interest) == (1, client.interest)
+    assert_same(client, sonar_map)
+
+
+def test_a_cleared_map_is_another_one() -> None:
+    sonar_map = mapped(2)
+    source = source_of(sonar_map)
+    clients = [Client(source), Client(source, Interest(level=2))]
+    source.look(SECOND_NS)
+    clients[0].hear()
+    before, resume = source.facts().id, clients[0].resume()
+    sonar_map.core.clear()
+    integrate(sonar_map, 40)
+    source.look(2 * SECOND_NS)
+    assert source.facts().id != before
+    for client in clients:
+        client.hear()
+        assert client.resets == 1
+        assert_same(client, sonar_map)
+    assert source.subscribe(Interest(), resume).reason == "another_map"
+
+
+def test_other_thresholds_are_told_anew() -> None:
+    sonar_map = mapped(2)
+    source = source_of(sonar_map)
+    client = Client(source, Interest(detail="classes"))
+    source.look(SECOND_NS)
+    client.hear()
+    mapping = msgspec.structs.replace(CONFIG.mapping, occupied_threshold=0.9)
+    sonar_map.reconfigure(msgspec.structs.replace(CONFIG, mapping=mapping))
+    source.look(2 * SECOND_NS)
+    client.hear()
+    assert client.resets == 1
+    assert_same(client, sonar_map)
+
+
+def test_resuming_tells_what_changed_meanwhile_and_no_more() -> None:
+    sonar_map = SonarMap(CONFIG)
+    scatter(sonar_map, 3, 2000)
+    source = source_of(sonar_map)
+    client = Client(source)
+    source.look(SECOND_NS)
+    client.hear()
+    told = client.told_blocks
+    client.view.close()
+    for minute in (2, 3, 4):  # long enough that nobody remembers what was told
+        source.look(minute * 60 * SECOND_NS)
+    scatter(sonar_map, 4, 3, reach_m=1.0)
+    client.reconnect(source)
+    assert client.view.resumed
+    source.look(300 * SECOND_NS)
+    client.hear()
+    # Those in the same blocks of the map, at most: eight of the stream each.
+    assert client.told_blocks <= told + 3 * 8
+    assert_same(client, sonar_map)
+
+
+LIES = {
+    "another_map": {"map": "x"},
+    "never_told": {"revision": 10**9},
+    "unknown_session": {"session": "x"},
+    "another_interest": {"level": 2},
+}
+
+
+@pytest.mark.parametrize("reason", LIES)
+def test_a_lie_is_told_all(reason: str) -> None:
+    sonar_map = mapped(2)
+    source = source_of(sonar_map)
+    honest = Client(source)
+    source.look(SECOND_NS)
+    honest.hear()
+    resume = honest.resume()
+    assert resume is not None
+    lying = Client(source, resume=msgspec.structs.replace(resume, **LIES[reason]))
+    assert (lying.view.resumed, lying.view.reason) == (False, reason)
+    source.look(2 * SECOND_NS)
+    lying.hear()
+    assert_same(lying, sonar_map)
+    newest = msgspec.structs.replace(resume, newest=10**9)
+    assert source.subscribe(Interest(), newest).reason == "never_told"
+
+
+def test_a_radius_is_not_resumed() -> None:
+    source = source_of(mapped(2))
+    client = Client(source, Interest(radius_m=2.0))
+    source.look(SECOND_NS)
+    client.hear(position_m=(0.0, 0.0, 0.0))
+    client.reconnect(source)
+    assert (client.view.resumed, client.view.reason) == (False, "moving_interest")
+
+
+def test_a_radius_without_a_position_tells_nothing() -> None:
+    sonar_map = mapped(2)
+    source = source_of(sonar_map)
+    client = Client(source, Interest(radius_m=2.0))
+    source.look(SECOND_NS)
+    client.hear()
+    assert (len(client.mirror), client.mirror.complete) == (0, None)
+    client.hear(position_m=(1.0, 0.0, -3.0))
+    assert len(client.mirror) > 0
+    assert client.mirror.complete == source.revision
+
+
+def test_memory_of_an_index_and_of_clients() -> None:
+    sonar_map = mapped(20)
+    source = source_of(sonar_map)
+    clients = [Client(source) for _ in range(10)]
+    source.look(SECOND_NS)
+    blocks = len(clients[0].view._view)
+    assert source.memory_bytes - 10 * clients[0].view.memory_bytes <= 60 * blocks + 40_000
+    assert clients[0].view.memory_bytes <= 2 * blocks
+    assert source.memory_bytes < 0.1 * sonar_map.memory_bytes
+
+
+def test_a_client_that_is_forgotten_costs_nothing() -> None:
+    source = source_of(mapped(1))
+    client = Client(source)
+    source.look(SECOND_NS)
+    with_client = source.memory_bytes
+    del client
+    source.look(2 * SECOND_NS)
+    source.look(90 * SECOND_NS)
+    assert source.memory_bytes == 0 < with_client
+
+
+STEPS = st.lists(
+    st.one_of(
+        st.tuples(st.just("scatter"), st.integers(0, 1000)),
+        st.tuples(st.just("ping"), st.integers(0, 100)),
+        st.tuples(st.just("look"), st.integers(0, 3)),
+        st.tuples(st.just("hear"), st.integers(1, 4000)),
+        st.tuples(st.just("reconnect"), st.integers(0, 1)),
+        st.tuples(st.just("change"), st.integers(0, 11)),
+        st.tuples(st.just("move"), st.integers(0, 5)),
+        st.tuples(st.just("clear"), st.just(0)),
+    ),
+    max_size=25,
+)
+INTERESTS = [
+    Interest(level=level, detail=detail, radius_m=radius_m)  # type: ignore[arg-type]
+    for level, detail in ((0, "log_odds"), (1, "counts"), (2, "classes"), (3, "log_odds"))
+    for radius_m in (0.0, 1.5)
+] + [
+    Interest(level=level, radius_m=radius_m, box=Box((-2.0, -1.0, -4.0), (1.0, 2.0, 0.5)))
+    for level in (0, 1)
+    for radius_m in (0.0, 1.5)
+]
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.integers(0, 11), STEPS)
+def test_whatever_happens_a_client_ends_with_its_part_of_the_map(
+    first: int, steps: list[tuple[str, int]]
+) -> None:
+    sonar_map = SonarMap(CONFIG)
+    source = source_of(sonar_map)
+    client = Client(source, INTERESTS[first])
+    now_ns, position = SECOND_NS, (0.0, 0.0, 0.0)
+    for what, number in steps:
+        if what == "scatter":
+            scatter(sonar_map, number, 40, reach_m=2.5)
+        elif what == "ping":
+            integrate(sonar_map, number)
+        elif what == "look":
+            now_ns += number * 40 * SECOND_NS
+            source.look(now_ns, position)
+        elif what == "hear":
+            client.hear(number, 2, position)
+        elif what == "reconnect":
+            client.reconnect(source)
+        elif what == "change":
+            client.interest = INTERESTS[number]
+            client.view.change(client.interest)
+        elif what == "move":
+            position = (0.7 * number - 2.0, 0.3, -1.0)
+        else:
+            sonar_map.core.clear()
+    source.look(now_ns + 100 * SECOND_NS, position)
+    client.hear(position_m=position)
+    _assert_same_part(client, sonar_map, position)
+    assert client.mirror.complete == sonar_map.core.revision
+
+
+def _assert_same_part(
+    client: Client, sonar_map: SonarMap, position: tuple[float, float, float]
+) -> None:
+    interest, holds = client.interest, client.holds()
+    whole = expected(sonar_map.core, client.mirror.facts, interest)
+    assert all(whole.get(key) == told for key, told in holds.items())
+    keys = np.array(list(whole), np.int32).reshape(-1, 3)
+    edge_m = client.mirror.cell_m * 8
+    wanted = np.ones(len(keys), bool)
+    if interest.box is not None:
+        low = keys * edge_m
+        wanted = ((low < interest.box.high_m) & (low + edge_m > interest.box.low_m)).all(axis=1)
+    allowed = wanted.copy()
+    if interest.radius_m:
+        away = distances_m(keys, edge_m, position)
+        wanted &= away <= interest.radius_m * 0.98
+        allowed &= away <= interest.radius_m * 1.12
+    names = [tuple(key) for key in keys.tolist()]
+    assert {name for name, is_so in zip(names, wanted, strict=True) if is_so} <= holds.keys()
+    assert holds.keys() <= {name for name, is_so in zip(names, allowed, strict=True) if is_so}
