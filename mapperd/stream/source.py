@@ -75,7 +75,7 @@ class MapSource:
         sonar_map: SonarMap,
         keep: Kept,
         *,
-        log_odds_step: float = 0.5,
+        log_odds_step: float = 0.25,
         origin_deg: Callable[[], Origin] = lambda: None,
     ) -> None:
         self.now_ns = 0

@@ -35,9 +35,7 @@ def expected(core: _core.VoxelMap, facts: MapFacts, interest: Interest) -> Told:
     }
 
 
-def _values(
-    log_odds: NDArray[np.float64], facts: MapFacts, interest: Interest
-) -> NDArray[np.int8]:
+def _values(log_odds: NDArray[np.float64], facts: MapFacts, interest: Interest) -> NDArray[np.int8]:
     if interest.detail == "classes":
         occupied = log_odds > facts.occupied_log_odds
         free = log_odds < facts.free_log_odds
