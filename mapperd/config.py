@@ -17,7 +17,7 @@ from mapperd.config_odometry import OdometryFusion, SlamQuality, TimeSync, World
 from mapperd.config_outofcore import OutOfCore
 from mapperd.config_published import Frames, Topics, Visualization
 from mapperd.config_scan import Localization, ScanExtraction
-from mapperd.config_service import Behind, Control, Mqtt, Recording, Service
+from mapperd.config_service import Behind, Control, Mqtt, Recording, Service, Stream
 from mapperd.setting import rule
 
 __all__ = [
@@ -352,6 +352,7 @@ class Config(Struct, frozen=True, forbid_unknown_fields=True):
     service: Service = Service()
     behind: Behind = Behind()
     control: Control = Control()
+    stream: Stream = Stream()
     mqtt: Mqtt = Mqtt()
     export: Export = Export()
     frames: Frames = Frames()

@@ -6,7 +6,7 @@ from msgspec import Struct
 
 from mapperd.setting import rule
 
-__all__ = ["Behind", "Control", "Mqtt", "Recording", "Service"]
+__all__ = ["Behind", "Control", "Mqtt", "Recording", "Service", "Stream"]
 
 NAME_PATTERN = "[A-Za-z0-9][A-Za-z0-9_-]{0,63}"
 
@@ -94,6 +94,60 @@ class Control(Struct, frozen=True, forbid_unknown_fields=True):
     ] = ""
     tls_key: Annotated[str, rule("Its private key in PEM.", "a path or nothing")] = ""
     max_clients: Annotated[int, rule("At once, of all sockets.", "clients", ge=1, le=1000)] = 16
+
+
+class Stream(Struct, frozen=True, forbid_unknown_fields=True):
+    """The live map for those who watch it: docs/map-stream.md."""
+
+    socket: Annotated[
+        str,
+        rule(
+            "Unix socket; without one `mapperd-map.sock` beside the control socket.",
+            "an absolute path or nothing",
+            pattern="^(/[^\\x00]*)?$",
+        ),
+    ] = ""
+    mode: Annotated[
+        str, rule("Permissions of the socket.", "octal digits", pattern="^0?[0-7]{3}$")
+    ] = "660"
+    address: Annotated[
+        str,
+        rule(
+            "TCP address to listen at, `127.0.0.1:7471`; others than the loopback's need a token.",
+            "host:port or nothing",
+        ),
+    ] = ""
+    token_file: Annotated[
+        str,
+        rule(
+            "Holds the token of TCP; without one systemd's credential `stream-token`. Without "
+            "either, clients of TCP may look and change nothing.",
+            "a path or nothing",
+        ),
+    ] = ""
+    tls_certificate: Annotated[
+        str, rule("Chain in PEM; with it TCP is TLS.", "a path or nothing")
+    ] = ""
+    tls_key: Annotated[str, rule("Its private key in PEM.", "a path or nothing")] = ""
+    max_clients: Annotated[int, rule("At once, of all sockets.", "clients", ge=1, le=1000)] = 100
+    rate: Annotated[
+        float, rule("Looks for changes of the map a second.", "Hz", live=True, gt=0, le=20)
+    ] = 5.0
+    log_odds_step: Annotated[
+        float, rule("Log-odds are told in multiples of this.", "log-odds", ge=0.01, le=5)
+    ] = 0.25
+    bytes_per_s: Annotated[
+        int, rule("To one client at most; 0 has no limit.", "bytes/s", ge=0, le=1 << 40)
+    ] = 0
+    path_points: Annotated[
+        int,
+        rule(
+            "Of the vehicle's path; a longer one is told with every second of them.",
+            "points",
+            ge=100,
+            le=1_000_000,
+        ),
+    ] = 20_000
 
 
 class Mqtt(Struct, frozen=True, forbid_unknown_fields=True):

@@ -1,5 +1,8 @@
 """Carries out, in order, what the engine gives: the pings' way into the map."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 from mapperd.config import Config
 from mapperd.decisions import Remarks, Request, Reset
 from mapperd.engine import NewSettings, Settled, Work
@@ -11,11 +14,26 @@ from mapperd.reject import Reject
 from mapperd.step import Mapped
 from mapperd.stepping import Stepping
 
-__all__ = ["Integration"]
+__all__ = ["Integration", "Treated"]
 
 LOCALIZATION_OFF = Reject("localization_off", "localization.mode is off")
 
 TOO_SLOW = ("too_slow", "pings came faster than they could be mapped")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Treated:
+    """A ping, and what became of it.
+
+    Attributes:
+        settled: the ping.
+        pose: that it was mapped at, or why it has none.
+        result: in the map, or why not.
+    """
+
+    settled: Settled
+    pose: FusedPose | Reject
+    result: Mapped | Reject
 
 
 class Integration:
@@ -30,6 +48,7 @@ class Integration:
     Attributes:
         stepping, onboard: as given.
         newest: pose that the newest ping with one was mapped at, or localized where none is.
+        on_ping: called with each ping and what became of it; it neither waits nor raises.
     """
 
     def __init__(
@@ -42,6 +61,7 @@ class Integration:
         self.stepping = stepping
         self.onboard = onboard
         self.newest: FusedPose | None = None
+        self.on_ping: Callable[[Treated], None] = lambda _: None
         self._keep = keep
         remarks = remarks or Remarks()
         self._drops = remarks.drops
@@ -107,6 +127,7 @@ class Integration:
     def drop(self, work: Settled) -> None:
         """Count a ping that had to wait for too long."""
         self.stepping.counters.drop(*TOO_SLOW)
+        self.on_ping(Treated(work, work.pose, Reject(*TOO_SLOW)))
         self._keep.done(work)
 
     def _ping(self, settled: Settled) -> None:
@@ -117,5 +138,7 @@ class Integration:
             self.stepping.counters.drop(*TOO_SLOW)
         else:
             pose = self._place(settled)
-            if isinstance(self.stepping.step(settled.ping, pose), Mapped):
+            result = self.stepping.step(settled.ping, pose)
+            if isinstance(result, Mapped):
                 self.newest = pose if isinstance(pose, FusedPose) else None
+            self.on_ping(Treated(settled, pose, result))

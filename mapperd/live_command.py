@@ -35,6 +35,8 @@ from mapperd.service.inherited import inherited_sockets
 from mapperd.service.journal import Journal, goes_to_journal
 from mapperd.service.notify import Notifier, watchdog_s
 from mapperd.service.supervised import supervised
+from mapperd.stream.setup import stream_server
+from mapperd.stream.source import MapSource
 
 __all__ = ["LiveRun", "map_live"]
 
@@ -124,8 +126,21 @@ async def _served(
     async with contextlib.AsyncExitStack() as stack:
         server = control_server(daemon, os.environ, inherited.pop("control", None))
         daemon.servers["control"] = server.status
+        source = stack.enter_context(
+            MapSource(
+                opened.sonar_map,
+                opened.keep,
+                log_odds_step=run.settings.current.stream.log_odds_step,
+                origin_deg=lambda: live.poses.origin_deg,
+            )
+        )
+        watched = stream_server(
+            daemon, live, source, os.environ, clock, inherited.pop("map", None)
+        )
+        daemon.servers["stream"] = watched.status
         await stack.enter_async_context(serving(daemon, folder, os.environ, clock))
         await stack.enter_async_context(server)
+        await stack.enter_async_context(watched)
         feeding = supervised(
             daemon,
             daemon.workers,

@@ -1,8 +1,8 @@
 """THE STEP: what happens to a ping. Live, replayed and simulated pings all come through here."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from mapperd.echo import echo_of
+from mapperd.echo import Echo, echo_of
 from mapperd.errors import MapError
 from mapperd.filters.robot import Point, Robot
 from mapperd.filters.stage import filter_echo
@@ -26,12 +26,14 @@ class Mapped:
         voxels_occupied: voxels that it gave occupied evidence.
         voxels_free: voxels that it gave free evidence.
         robots: other robots that it saw, and where in the map.
+        echo: what of it was mapped.
     """
 
     ping_id: int
     voxels_occupied: int
     voxels_free: int
     robots: tuple[tuple[Robot, Point], ...] = ()
+    echo: Echo | None = field(default=None, compare=False, repr=False)
 
 
 def process_ping(
@@ -56,4 +58,4 @@ def process_ping(
     except MapError as error:
         return Reject(error.reason, str(error))
     seen = tuple((robot, robot.position_m(map_T_sonar)) for robot in robots)
-    return Mapped(ping.ping_id, changed.occupied, changed.free, seen)
+    return Mapped(ping.ping_id, changed.occupied, changed.free, seen, echo)

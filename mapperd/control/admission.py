@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from mapperd.control.messages import VERSION, Ask, Fault, Hello
 from mapperd.control.token import FailureLimiter, is_proof
 
-__all__ = ["Newcomer", "objection"]
+__all__ = ["Newcomer", "doubt", "objection"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,14 +41,16 @@ def objection(
     if hello.version != VERSION:
         known = {"versions": [VERSION]}
         return Fault("bad_version", f"version {hello.version} is not spoken", known)
-    token = newcomer.token
-    return None if token is None else _doubt(newcomer, hello.proof, token, failures, now_s)
+    return doubt(newcomer, hello.proof, failures, now_s)
 
 
-def _doubt(
-    newcomer: Newcomer, proof: str, token: bytes, failures: FailureLimiter, now_s: float
+def doubt(
+    newcomer: Newcomer, proof: str, failures: FailureLimiter, now_s: float
 ) -> Fault | None:
-    """Whether it does not know the token, or may not try again yet."""
+    """Whether it does not know the token, or may not try again yet; None where it may come in."""
+    token = newcomer.token
+    if token is None:
+        return None
     wait_s = failures.wait_s(newcomer.peer, now_s)
     if wait_s > 0:  # even with the right one: else trying would go on
         said = f"too many wrong tokens; wait {wait_s:.0f} s"

@@ -9,15 +9,28 @@ import re
 import socket
 import ssl
 import stat
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from mapperd.errors import ConfigError, LiveError
 
-__all__ = ["Door", "address_of", "inherited_door", "open_tcp_door", "open_unix_door", "server_tls"]
+__all__ = [
+    "Door",
+    "address_of",
+    "inherited_door",
+    "open_tcp_door",
+    "open_unix_door",
+    "peer_of",
+    "server_tls",
+]
 
 BACKLOG = 64
+
+KEEPALIVE = ((socket.TCP_KEEPIDLE, 30), (socket.TCP_KEEPINTVL, 10), (socket.TCP_KEEPCNT, 3))
+"""Who listens and is gone without a word is noticed after a minute."""
+
 ADDRESS = re.compile(
     r"(?:(?P<v4>localhost|[0-9.]+)|\[(?P<v6>[0-9A-Fa-f:.]+)\]):(?P<port>[0-9]{1,5})"
 )
@@ -30,7 +43,8 @@ class Door:
     Attributes:
         name: for people.
         socket: does not block.
-        token: who comes has to prove that it knows it; None where file permissions decide.
+        token: who comes has to prove that it knows it; None where file permissions decide, or
+            where everybody on this computer may come in.
         tls: encrypts; None does not.
         close: lets go of it.
     """
@@ -80,8 +94,12 @@ def open_unix_door(path: Path, mode: int) -> Door:
     return Door(f"unix {path}", listening, None, None, close)
 
 
-def inherited_door(listening: socket.socket) -> Door:
+def inherited_door(listening: socket.socket, section: str = "control") -> Door:
     """A Unix socket that the service manager opened: its permissions are the manager's.
+
+    Args:
+        listening: the socket.
+        section: of the settings, for messages.
 
     Raises:
         ConfigError: it is no listening Unix socket; anybody could come in by another.
@@ -89,25 +107,29 @@ def inherited_door(listening: socket.socket) -> Door:
     is_unix = listening.family == socket.AF_UNIX and listening.type == socket.SOCK_STREAM
     if not is_unix or not listening.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
         listening.close()
-        raise ConfigError("the inherited control socket is no listening Unix socket", "$.control")
+        said = f"the inherited {section} socket is no listening Unix socket"
+        raise ConfigError(said, f"$.{section}")
     listening.settimeout(0)
     name = f"unix {os.fsdecode(listening.getsockname())}"
     return Door(name, listening, None, None, listening.close)
 
 
-def open_tcp_door(address: str, token: bytes, tls: ssl.SSLContext | None) -> Door:
+def open_tcp_door(
+    address: str, token: bytes | None, tls: ssl.SSLContext | None, section: str = "control"
+) -> Door:
     """Listen at a TCP address.
 
     Args:
         address: `127.0.0.1:7470`, `[::1]:7470`; port 0 takes any.
-        token: has to be known.
+        token: has to be known; None lets everybody in.
         tls: encrypts.
+        section: of the settings, for messages.
 
     Raises:
         ConfigError: it is no address.
         LiveError: it cannot be listened at.
     """
-    host, port = address_of(address)
+    host, port = address_of(address, section)
     is_v6 = isinstance(host, ipaddress.IPv6Address)
     family = socket.AF_INET6 if is_v6 else socket.AF_INET
     listening = socket.socket(family, socket.SOCK_STREAM)
@@ -126,8 +148,14 @@ def open_tcp_door(address: str, token: bytes, tls: ssl.SSLContext | None) -> Doo
     return Door(name, listening, token, tls, listening.close)
 
 
-def address_of(text: str) -> tuple[ipaddress.IPv4Address | ipaddress.IPv6Address, int]:
+def address_of(
+    text: str, section: str = "control"
+) -> tuple[ipaddress.IPv4Address | ipaddress.IPv6Address, int]:
     """IP address and port of a text.
+
+    Args:
+        text: as `open_tcp_door` takes it.
+        section: of the settings, for messages.
 
     Raises:
         ConfigError: it is none.
@@ -137,18 +165,23 @@ def address_of(text: str) -> tuple[ipaddress.IPv4Address | ipaddress.IPv6Address
         if found is None or int(found["port"]) >= 1 << 16:
             raise ConfigError(
                 f"{text[:100]!a}: no address; such as 127.0.0.1:7470 or [::1]:7470",
-                "$.control.address",
+                f"$.{section}.address",
             )
         if found["v6"]:
             return ipaddress.IPv6Address(found["v6"]), int(found["port"])
         v4 = "127.0.0.1" if found["v4"] == "localhost" else found["v4"]
         return ipaddress.IPv4Address(v4), int(found["port"])
     except ValueError as error:
-        raise ConfigError(f"{text[:100]!a}: {error}", "$.control.address") from error
+        raise ConfigError(f"{text[:100]!a}: {error}", f"$.{section}.address") from error
 
 
-def server_tls(certificate: str, key: str) -> ssl.SSLContext:
+def server_tls(certificate: str, key: str, section: str = "control") -> ssl.SSLContext:
     """Encryption with a certificate and its key.
+
+    Args:
+        certificate: chain in PEM.
+        key: its private key; "" is in the same file.
+        section: of the settings, for messages.
 
     Raises:
         ConfigError: they cannot be read, or do not belong together.
@@ -160,9 +193,23 @@ def server_tls(certificate: str, key: str) -> ssl.SSLContext:
     except (OSError, ValueError) as error:  # SSLError is an OSError
         raise ConfigError(
             f"{certificate}, {key or 'no key'}: no certificate with its key: {error}",
-            "$.control.tls_certificate",
+            f"$.{section}.tls_certificate",
         ) from error
     return context
+
+
+def peer_of(connection: socket.socket, address: object) -> tuple[str, str]:
+    """Who connected: its network address, empty for a Unix socket; and what people call it."""
+    if connection.family == socket.AF_UNIX:
+        size = struct.calcsize("3i")
+        said = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
+        _, user, _ = struct.unpack("3i", said)
+        return "", f"user {user}"
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for option, value in KEEPALIVE:
+        connection.setsockopt(socket.IPPROTO_TCP, option, value)
+    peer = str(address[0]) if isinstance(address, tuple) else ""
+    return peer, peer
 
 
 def _lock(path: Path) -> int:

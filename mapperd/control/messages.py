@@ -33,6 +33,7 @@ __all__ = [
     "decode_ask",
     "fault_line",
     "line_of",
+    "plain",
 ]
 
 VERSION = 1
@@ -218,10 +219,10 @@ def fault_line(number: int | None, fault: Fault) -> bytes:
 
 def line_of(value: object) -> bytes:
     """One JSON value and the end of its line; what is not plain is said as text."""
-    return msgspec.json.encode(value, enc_hook=_plain) + b"\n"
+    return msgspec.json.encode(value, enc_hook=plain) + b"\n"
 
 
-def _plain(value: object) -> object:
+def plain(value: object) -> object:
     """Numbers of numpy are numbers; anything else that JSON does not know is its text."""
     return value.item() if isinstance(value, np.generic) else str(value)
 

@@ -6,9 +6,12 @@ from pathlib import Path
 from mapperd.config import Config
 from mapperd.folders import state_folder
 
-__all__ = ["SOCKET", "SYSTEM", "socket_path", "socket_places"]
+__all__ = ["MAP_SOCKET", "SOCKET", "SYSTEM", "map_socket_path", "map_socket_places", "socket_path", "socket_places"]
 
 SOCKET = "mapperd.sock"
+
+MAP_SOCKET = "mapperd-map.sock"
+"""Of the map stream, in the same folder."""
 
 SYSTEM = Path("/run/mapperd")
 """What systemd makes of `RuntimeDirectory=mapperd`."""
@@ -38,3 +41,19 @@ def socket_places(config: Config, environ: Mapping[str, str], system: Path = SYS
     bare = {name: value for name, value in environ.items() if name != "RUNTIME_DIRECTORY"}
     own = socket_path(config, bare)
     return list(dict.fromkeys((own, system / SOCKET, state_folder(config, bare) / SOCKET)))
+
+
+def map_socket_path(config: Config, environ: Mapping[str, str]) -> Path:
+    """Where a daemon serves the map stream: `stream.socket`, else beside the control socket."""
+    if config.stream.socket:
+        return Path(config.stream.socket)
+    return socket_path(config, environ).with_name(MAP_SOCKET)
+
+
+def map_socket_places(
+    config: Config, environ: Mapping[str, str], system: Path = SYSTEM
+) -> list[Path]:
+    """Where to look for a daemon's map stream, in this order."""
+    if config.stream.socket:
+        return [Path(config.stream.socket)]
+    return [path.with_name(MAP_SOCKET) for path in socket_places(config, environ, system)]

@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import socket
-import struct
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -12,7 +11,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from mapperd.control.client import Client, CutError, Surroundings
-from mapperd.control.doors import Door
+from mapperd.control.doors import Door, peer_of
 from mapperd.control.limits import Limits, TokenBucket
 from mapperd.control.token import FailureLimiter
 from mapperd.events import Event, Severity
@@ -22,9 +21,6 @@ __all__ = ["ControlServer"]
 
 BREATH_S = 1.0
 """Between attempts when the system has no more sockets to give."""
-
-KEEPALIVE = ((socket.TCP_KEEPIDLE, 30), (socket.TCP_KEEPINTVL, 10), (socket.TCP_KEEPCNT, 3))
-"""Who follows the events and is gone without a word is noticed after a minute."""
 
 
 class ControlServer:
@@ -100,7 +96,8 @@ class ControlServer:
             await asyncio.sleep(connects.take(self._clock()))
 
     def _take_in(self, door: Door, connection: socket.socket, address: object) -> None:
-        peer, origin = _who(connection, address)
+        peer, who = peer_of(connection, address)
+        origin = f"control, {who}"
         client = Client(door, peer, origin, self._around)
         newcomers = self._newcomers[door]
         while len(newcomers) >= self._limits.newcomers:
@@ -159,17 +156,3 @@ async def _end_tasks(tasks: Sequence["asyncio.Task[None]"]) -> None:
     for task in tasks:
         task.cancel()
     await asyncio.gather(*tasks, return_exceptions=True)
-
-
-def _who(connection: socket.socket, address: object) -> tuple[str, str]:
-    """A client's network address, empty for a Unix socket; and what it is called in events."""
-    if connection.family == socket.AF_UNIX:
-        size = struct.calcsize("3i")
-        said = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
-        _, user, _ = struct.unpack("3i", said)
-        return "", f"control, user {user}"
-    connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    for option, value in KEEPALIVE:
-        connection.setsockopt(socket.IPPROTO_TCP, option, value)
-    peer = str(address[0]) if isinstance(address, tuple) else ""
-    return peer, f"control, {peer}"

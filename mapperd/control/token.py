@@ -21,22 +21,27 @@ IPV6_SITE = 64
 """Bits: who has one address there has all of these."""
 
 
-def token_file(said: str, environ: Mapping[str, str]) -> Path | None:
+def token_file(
+    said: str, environ: Mapping[str, str], credential: str = CREDENTIAL
+) -> Path | None:
     """Where the token is: as the settings say, else among systemd's credentials, else nowhere."""
     if said:
         return Path(said)
     credentials = environ.get("CREDENTIALS_DIRECTORY", "")
-    path = Path(credentials, CREDENTIAL)
+    path = Path(credentials, credential)
     return path if credentials and path.exists() else None
 
 
-def read_token(path: Path) -> bytes:
+def read_token(path: Path, place: str = "$.control.token_file") -> bytes:
     """Read a token: one word of at least 16 printable letters.
+
+    Args:
+        path: of its file.
+        place: in the settings, for messages.
 
     Raises:
         ConfigError: it cannot be read, everybody may read it, or it is no such word.
     """
-    place = "$.control.token_file"
     try:
         with path.open("rb") as file:
             mode = path.stat().st_mode

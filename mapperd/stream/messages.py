@@ -123,6 +123,7 @@ class Resume(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True
         level, detail, radius_m, box: the interest in what it holds.
         newest: the highest revision of any message about the map that it used; None is unknown.
         path: points of the path that it holds.
+        path_version: of them.
     """
 
     map: Name
@@ -134,6 +135,7 @@ class Resume(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True
     box: Box | None = None
     newest: Count | None = None
     path: Count = 0
+    path_version: Count = 0
 
 
 class Hello(_Message, frozen=True, kw_only=True):
@@ -307,10 +309,12 @@ class Path(_Message, frozen=True, kw_only=True):
     Attributes:
         first: number of the first of these points; what the client holds from there on is old.
         points: float32 (N, 3), metres, map frame.
+        version: counts up when a long path is thinned, which numbers its points anew.
     """
 
     first: Count
     points: bytes
+    version: Count = 0
 
 
 class Fan(_Message, frozen=True, kw_only=True):

@@ -1,0 +1,202 @@
+"""One connection of the map stream: moves the bytes that its session makes and understands."""
+
+import asyncio
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mapperd.control.limits import Limits, TokenBucket
+from mapperd.control.messages import Fault
+from mapperd.operations import Operations
+from mapperd.stream.asks import answered
+from mapperd.stream.framing import StreamError
+from mapperd.stream.session import Session
+
+__all__ = ["Around", "Connection", "tune"]
+
+LEAVE_S = 1.0
+"""For the last words to arrive."""
+
+ANSWERS_UNDER_WAY = 256 << 10
+BREATH_S = 0.05
+
+UNSENT_BYTES = 16384
+"""That the kernel takes beyond what is on the wire: more would only become old there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Around:
+    """What all connections have in common.
+
+    Attributes:
+        operations: the daemon.
+        limits: what a client may take.
+        count: one more of something that happened.
+        admit: makes a newcomer a client; raises `StreamError` where there is no room.
+        heard: a client said something.
+        refused: a newcomer was not let in, and why.
+        gone: a connection has ended.
+        clock: seconds, as the event loop's.
+        now_ns: Unix time that is never set back.
+    """
+
+    operations: Operations
+    limits: Limits
+    count: Callable[[str], None]
+    admit: Callable[["Connection"], None]
+    heard: Callable[["Connection"], None]
+    refused: Callable[["Connection", str], None]
+    gone: Callable[["Connection"], None]
+    clock: Callable[[], float]
+    now_ns: Callable[[], int]
+
+
+class Connection(asyncio.Protocol):
+    """From the greeting to the end.
+
+    Args:
+        session: of the client.
+        origin: who it is, as is told in events and settings.
+        around: what it shares with others.
+
+    Attributes:
+        session, origin: as given.
+        is_over: nothing is said any more.
+    """
+
+    def __init__(self, session: Session, origin: str, around: Around) -> None:
+        self.session = session
+        self.origin = origin
+        self.is_over = False
+        self._around = around
+        self._transport: asyncio.Transport | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._answering: asyncio.Task[None] | None = None
+        limits = around.limits
+        self._asks = TokenBucket(limits.asks_per_s, limits.asks_at_once)
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Greet it."""
+        assert isinstance(transport, asyncio.Transport)  # noqa: S101 of a stream
+        self._transport = transport
+        transport.write(self.session.greeting(self._around.clock()))
+        loop = asyncio.get_running_loop()
+        self._timer = loop.call_later(self._around.limits.hello_s, self._look_for_hello)
+
+    def data_received(self, data: bytes) -> None:
+        """Hear what it says."""
+        if self.is_over:
+            return
+        was_new = self.session.state == "greeted"
+        try:
+            self.session.take(data, self._around.clock())
+            if was_new and self.session.state != "greeted":
+                self._around.admit(self)
+        except StreamError as error:
+            self.refuse(error, was_new=was_new)
+            return
+        self._around.heard(self)
+        if self.session.asks and self._answering is None:
+            self._answering = asyncio.get_running_loop().create_task(self._answer())
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """It has left, or was let go."""
+        if exc is not None:
+            self._around.count("connections_lost")
+        self.is_over = True
+        for waiting in (self._timer, self._answering):
+            if waiting is not None:
+                waiting.cancel()
+        self._around.gone(self)
+
+    def turn(self) -> None:
+        """Tell it what is due."""
+        now_s = self._around.clock()
+        try:
+            self.session.look(now_s)
+        except StreamError as error:
+            self.refuse(error, was_new=False)
+            return
+        self.write(self.session.next(now_s, self._around.now_ns()))
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; the pacer has room for them."""
+        if data and not self.is_over and self._transport is not None:
+            self._transport.write(data)
+
+    def refuse(self, error: StreamError, *, was_new: bool) -> None:
+        """Let it go because of what it said, or did not say."""
+        kind = "refused" if was_new else "cut"
+        self._around.count(f"{kind}_{error.reason}")
+        if was_new:
+            self._around.refused(self, error.reason)
+        self.end(error.reason, str(error))
+
+    def end(self, reason: str, message: str) -> None:
+        """Say goodbye and close."""
+        if self.is_over or self._transport is None:
+            self.abort()
+            return
+        self.write(self.session.bye(reason, message))
+        self.is_over = True
+        self._transport.close()
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = asyncio.get_running_loop().call_later(LEAVE_S, self.abort)
+
+    def abort(self) -> None:
+        """Close at once."""
+        self.is_over = True
+        if self._transport is not None:
+            self._transport.abort()
+
+    def _look_for_hello(self) -> None:
+        if self.session.state == "greeted":
+            self.refuse(StreamError("no hello came", "late_hello"), was_new=True)
+
+    async def _answer(self) -> None:
+        """One request after the other; who takes no answers is answered no more."""
+        session, around = self.session, self._around
+        try:
+            while session.asks and not self.is_over:
+                under_way = session.pacer.in_flight
+                wait_s = BREATH_S if under_way > ANSWERS_UNDER_WAY else 0.0
+                if not wait_s:
+                    wait_s = self._asks.take(around.clock())
+                    around.count("requests")
+                    raw = session.asks.popleft()
+                    if wait_s:
+                        around.count("throttled")
+                        await asyncio.sleep(wait_s)
+                    number, result = await answered(
+                        raw, around.operations, self.origin, may_change=session.may_change
+                    )
+                    self._say(number, result)
+                else:
+                    await asyncio.sleep(wait_s)
+        finally:
+            self._answering = None
+
+    def _say(self, number: int | None, result: dict[str, object] | Fault) -> None:
+        if isinstance(result, Fault):
+            self._around.count("asks_refused")
+            self.session.answer(number, None, result)
+        else:
+            self.session.answer(number, result)
+        self.turn()
+
+
+def tune(connection: socket.socket) -> None:
+    """Keep what lies in the kernel short; what the system does not know is left out."""
+    if connection.family == socket.AF_UNIX:
+        return
+    wanted: list[tuple[int, int | bytes]] = [
+        (socket.TCP_NODELAY, 1),
+        (socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES),
+        (socket.TCP_CONGESTION, b"bbr"),
+    ]
+    for option, value in wanted:
+        try:
+            connection.setsockopt(socket.IPPROTO_TCP, option, value)
+        except OSError:
+            continue

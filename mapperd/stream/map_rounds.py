@@ -1,0 +1,212 @@
+"""The map's way to the clients: round by round, in one worker thread."""
+
+import asyncio
+from collections.abc import Awaitable, Callable, Collection
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import NoReturn
+
+from mapperd.events import Severity
+from mapperd.operations import Operations
+from mapperd.stream.connection import Around, Connection
+from mapperd.stream.feed import Feed
+from mapperd.stream.framing import framed
+from mapperd.stream.messages import Reset
+from mapperd.stream.session import Beginning, Wish
+from mapperd.stream.source_protocol import MapView, Source
+
+__all__ = ["MapRounds"]
+
+UNWATCHED_S = 2.0
+"""Between looks at the map while nobody watches it: the ages of its blocks are told by them."""
+
+ROUND_BYTES = 128 << 10
+"""To one client in one round: the others wait for it."""
+
+BREATH_S = 1.0
+"""After a round that failed."""
+
+
+@dataclass(slots=True)
+class _Order:
+    """What one client gets in a round."""
+
+    client: Connection
+    view: MapView | None
+    wish: Wish | None
+    room: int
+    is_new: bool = False
+    frames: list[bytes] = field(default_factory=list)
+
+
+class MapRounds:
+    """Looks at the map, and gives each client what it has room for.
+
+    Args:
+        operations: the daemon.
+        feed: what else is drawn in the worker.
+        source: the map.
+        clients: who is connected, at any time.
+        around: clocks, counters.
+    """
+
+    def __init__(
+        self,
+        operations: Operations,
+        feed: Feed,
+        source: Source,
+        clients: Collection[Connection],
+        around: Around,
+    ) -> None:
+        self._operations = operations
+        self._feed = feed
+        self._source = source
+        self._clients = clients
+        self._around = around
+        self._due = asyncio.Event()
+        self._looked_s: float | None = None
+        self._left: list[MapView] = []
+
+    def wake(self) -> None:
+        """There may be something to do."""
+        self._due.set()
+
+    def forget(self, view: MapView) -> None:
+        """Its client is gone."""
+        self._left.append(view)
+        self.wake()
+
+    async def run(self) -> NoReturn:
+        """Go round whenever there is something to do, until cancelled."""
+        loop = asyncio.get_running_loop()
+        worker = ThreadPoolExecutor(1, "map-stream")
+
+        async def in_worker(work: Callable[[], None]) -> None:
+            await asyncio.shield(loop.run_in_executor(worker, work))
+
+        try:
+            while True:
+                await self._due.wait()
+                self._due.clear()
+                try:
+                    await self._round(in_worker)
+                except Exception as error:  # noqa: BLE001 a fault of ours must not end the stream
+                    self._around.count("failed")
+                    said = f"map stream: {type(error).__name__}: {error}"
+                    self._operations.events.add(Severity.ERROR, "stream_failed", said)
+                    await asyncio.sleep(BREATH_S)
+        finally:
+            worker.shutdown()  # waits for one round, which is short
+
+    async def _round(self, in_worker: "Callable[[Callable[[], None]], Awaitable[None]]") -> None:
+        now_s = self._around.clock()
+        look = self._is_time_to_look(now_s)
+        orders = [
+            order
+            for client in self._clients
+            if (order := self._order(client, now_s, look=look)) is not None
+        ]
+        wanted = frozenset().union(*(client.session.wants for client in self._clients))
+        draw = self._feed.wants_drawing(wanted, now_s)
+        left, self._left = self._left, []
+        if not look and not orders and not draw and not left:
+            return
+        coarse = {c.session.coarseness() for c in self._clients if "image" in c.session.wants}
+
+        beginning: Beginning | None = None
+
+        def work() -> None:
+            nonlocal beginning
+            for view in left:
+                view.close()
+            if look:
+                self._source.look(self._around.now_ns(), self._feed.position_m)
+            if draw:
+                self._feed.draw(wanted, coarse)
+            for order in orders:
+                self._fill(order)
+            source = self._source
+            beginning = Beginning(source.facts(), source.revision, source.session)
+
+        await in_worker(work)
+        assert beginning is not None  # noqa: S101 the work has been done
+        for order in orders:
+            if order.client.is_over:
+                if order.view is not None and order.wish is not None:
+                    self.forget(order.view)
+            elif order.wish is None:
+                self._deliver(order)
+            else:
+                self._begin(order, beginning)
+
+    def _is_time_to_look(self, now_s: float) -> bool:
+        watched = any("map" in client.session.wants for client in self._clients)
+        period_s = 1 / self._operations.settings.current.stream.rate if watched else UNWATCHED_S
+        if self._looked_s is not None and now_s - self._looked_s < period_s:
+            return False
+        self._looked_s = now_s
+        return True
+
+    def _order(self, client: Connection, now_s: float, *, look: bool) -> _Order | None:
+        session = client.session
+        if session.wish is not None:
+            return _Order(client, session.view, session.wish, 0)
+        room = session.map_room(now_s) if look or session.left else 0
+        if room <= 0:
+            return None
+        return _Order(client, session.view, None, min(room, ROUND_BYTES))
+
+    def _fill(self, order: _Order) -> None:
+        """In the worker."""
+        if order.wish is not None:
+            self._meet(order, order.wish)
+            return
+        room, view = order.room, order.view
+        while room > 0 and view is not None:
+            message = view.next(self._feed.position_m, room)
+            if message is None:
+                return
+            frame = (
+                framed(message) if isinstance(message, Reset) else self._source.framed(message)
+            )
+            order.frames.append(frame)
+            room -= len(frame)
+
+    def _meet(self, order: _Order, wish: Wish) -> None:
+        """In the worker: what is of interest now."""
+        view = order.view
+        if wish.interest is None:
+            if view is not None:
+                view.close()
+            order.view = None
+        elif view is None:
+            order.view = self._source.subscribe(wish.interest, wish.resume)
+            order.is_new = True
+        else:
+            view.change(wish.interest)
+
+    def _deliver(self, order: _Order) -> None:
+        client, view, now_s = order.client, order.view, self._around.clock()
+        session = client.session
+        if view is None or session.view is not view:
+            return  # it wanted something else meanwhile
+        for frame in order.frames:
+            client.write(session.mapped(frame, view.left, now_s))
+        session.left = view.left
+        if session.left and session.map_room(now_s):
+            self.wake()
+
+    def _begin(self, order: _Order, beginning: Beginning) -> None:
+        client, wish, now_s = order.client, order.wish, self._around.clock()
+        session = client.session
+        is_first = session.state == "admitted"
+        if session.wish is wish:
+            session.wish = None
+        session.viewed(order.view, beginning, now_s)
+        if wish is not None and wish.interest is not None and order.is_new and not is_first:
+            # What it held when it wanted the map before may be wrong by now.
+            facts, revision = beginning.facts, beginning.revision
+            anew = framed(Reset(map=facts, revision=revision, interest=wish.interest))
+            client.write(session.mapped(anew, session.left, now_s))
+        client.turn()
+        self.wake()

@@ -1,0 +1,59 @@
+"""The map as the server of the stream sees it; all of it is called in one worker thread."""
+
+from typing import Protocol
+
+from mapperd.stream.messages import Blocks, Interest, MapFacts, Reset, Resume, Vector
+
+__all__ = ["MapView", "Source"]
+
+
+class MapView(Protocol):
+    """What one client has been told of the map."""
+
+    resumed: bool
+    """What the client held was right."""
+
+    reason: str
+    """Why not."""
+
+    @property
+    def left(self) -> int:
+        """Blocks that are still to be told."""
+
+    def next(self, position_m: Vector | None, most_bytes: int) -> Blocks | Reset | None:
+        """The next message; None where all is told.
+
+        Args:
+            position_m: of the vehicle, what is nearest to it comes first.
+            most_bytes: about; one block is always told.
+        """
+
+    def change(self, interest: Interest) -> None:
+        """Something else is of interest from now on."""
+
+    def close(self) -> None:
+        """The client is gone."""
+
+
+class Source(Protocol):
+    """The map."""
+
+    @property
+    def session(self) -> str:
+        """Which the revisions are of."""
+
+    @property
+    def revision(self) -> int:
+        """As of the last look."""
+
+    def facts(self) -> MapFacts:
+        """What is the same for all of it."""
+
+    def look(self, now_ns: int, position_m: Vector | None = None) -> None:
+        """Find what changed since the last look, nearest to the vehicle first."""
+
+    def subscribe(self, interest: Interest, resume: Resume | None = None) -> MapView:
+        """Begin to tell a client."""
+
+    def framed(self, message: Blocks) -> bytes:
+        """A message as it goes over the wire; what several clients are told is made once."""
