@@ -1,7 +1,7 @@
 """Carries out, in order, what the engine gives: the pings' way into the map."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from mapperd.config import Config
 from mapperd.decisions import Remarks, Request, Reset
@@ -13,6 +13,9 @@ from mapperd.odometry.fusion import FusedPose
 from mapperd.reject import Reject
 from mapperd.step import Mapped
 from mapperd.stepping import Stepping
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 __all__ = ["Integration", "Treated"]
 

@@ -1,7 +1,7 @@
 """Where the map of a daemon is kept: what the mapping thread tells whoever keeps it."""
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from mapperd.engine import Engine, Work
 from mapperd.localizing import Localizing
@@ -10,11 +10,18 @@ from mapperd.position import Places
 from mapperd.service.watchdog import Worker
 from mapperd.stepping import Stepping
 
+if TYPE_CHECKING:
+    from mapperd.store.tile_store import TileStore
+
 __all__ = ["InMemory", "Keeping"]
 
 
 class Keeping(Protocol):
     """Keeps the map; all but `save`, `whole` and `status` is called in the mapping thread."""
+
+    @property
+    def store(self) -> "TileStore | None":
+        """The map's file; None where there is none."""
 
     def begin(
         self,

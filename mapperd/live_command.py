@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import os
 import secrets
+import socket
 import sys
 import time
 from collections.abc import AsyncIterator, Callable
@@ -35,6 +36,7 @@ from mapperd.service.inherited import inherited_sockets
 from mapperd.service.journal import Journal, goes_to_journal
 from mapperd.service.notify import Notifier, watchdog_s
 from mapperd.service.supervised import supervised
+from mapperd.stream.server import StreamServer
 from mapperd.stream.setup import stream_server
 from mapperd.stream.source import MapSource
 
@@ -126,16 +128,8 @@ async def _served(
     async with contextlib.AsyncExitStack() as stack:
         server = control_server(daemon, os.environ, inherited.pop("control", None))
         daemon.servers["control"] = server.status
-        source = stack.enter_context(
-            MapSource(
-                opened.sonar_map,
-                opened.keep,
-                log_odds_step=run.settings.current.stream.log_odds_step,
-                origin_deg=lambda: live.poses.origin_deg,
-            )
-        )
-        watched = stream_server(
-            daemon, live, source, os.environ, clock, inherited.pop("map", None)
+        watched = _watched(
+            run, opened, daemon, stack, clock=clock, inherited=inherited.pop("map", None)
         )
         daemon.servers["stream"] = watched.status
         await stack.enter_async_context(serving(daemon, folder, os.environ, clock))
@@ -161,6 +155,27 @@ async def _served(
             source |= localization_summary(facts)
         whole = await asyncio.to_thread(opened.keep.whole)
     return whole, summary_of(source, whole, live.poses, live.counters, wall_s)
+
+
+def _watched(
+    run: LiveRun,
+    opened: OpenMap,
+    daemon: Daemon,
+    stack: contextlib.AsyncExitStack,
+    *,
+    clock: Callable[[], int],
+    inherited: socket.socket | None,
+) -> StreamServer:
+    """The map stream, with the map that it serves."""
+    live = daemon.live
+    source = MapSource(
+        opened.sonar_map,
+        opened.keep,
+        log_odds_step=run.settings.current.stream.log_odds_step,
+        origin_deg=lambda: live.poses.origin_deg,
+    )
+    stack.enter_context(source)
+    return stream_server(daemon, live, source, os.environ, now_ns=clock, inherited=inherited)
 
 
 @contextlib.asynccontextmanager

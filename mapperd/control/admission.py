@@ -44,9 +44,7 @@ def objection(
     return doubt(newcomer, hello.proof, failures, now_s)
 
 
-def doubt(
-    newcomer: Newcomer, proof: str, failures: FailureLimiter, now_s: float
-) -> Fault | None:
+def doubt(newcomer: Newcomer, proof: str, failures: FailureLimiter, now_s: float) -> Fault | None:
     """Whether it does not know the token, or may not try again yet; None where it may come in."""
     token = newcomer.token
     if token is None:

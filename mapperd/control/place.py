@@ -6,7 +6,15 @@ from pathlib import Path
 from mapperd.config import Config
 from mapperd.folders import state_folder
 
-__all__ = ["MAP_SOCKET", "SOCKET", "SYSTEM", "map_socket_path", "map_socket_places", "socket_path", "socket_places"]
+__all__ = [
+    "MAP_SOCKET",
+    "SOCKET",
+    "SYSTEM",
+    "map_socket_path",
+    "map_socket_places",
+    "socket_path",
+    "socket_places",
+]
 
 SOCKET = "mapperd.sock"
 

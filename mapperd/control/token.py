@@ -21,9 +21,7 @@ IPV6_SITE = 64
 """Bits: who has one address there has all of these."""
 
 
-def token_file(
-    said: str, environ: Mapping[str, str], credential: str = CREDENTIAL
-) -> Path | None:
+def token_file(said: str, environ: Mapping[str, str], credential: str = CREDENTIAL) -> Path | None:
     """Where the token is: as the settings say, else among systemd's credentials, else nowhere."""
     if said:
         return Path(said)

@@ -191,7 +191,14 @@ class Feed:
         covariance: NDArray[np.float64] | None,
     ) -> None:
         sonar = self._mounting.of_sonar(base)
-        message = pose_message(base, sonar, stamp_ns, source, velocity_mps, covariance)
+        message = pose_message(
+            base,
+            sonar,
+            stamp_ns=stamp_ns,
+            source=source,
+            velocity_mps=velocity_mps,
+            covariance=covariance,
+        )
         self.position_m = message.position_m
         self._make("pose", message)
 

@@ -39,6 +39,27 @@ class _Order:
     frames: list[bytes] = field(default_factory=list)
 
 
+@dataclass(slots=True)
+class _Job:
+    """What is done in a round.
+
+    Attributes:
+        look: at what changed.
+        orders: of the clients.
+        draw: kinds of messages to be drawn; none is nothing.
+        coarseness: of the pictures.
+        left: views of clients that are gone.
+        beginning: of the map, when all is done.
+    """
+
+    look: bool
+    orders: list[_Order]
+    draw: frozenset[str]
+    coarseness: set[int]
+    left: list[MapView]
+    beginning: Beginning | None = None
+
+
 class MapRounds:
     """Looks at the map, and gives each client what it has room for.
 
@@ -98,46 +119,48 @@ class MapRounds:
         finally:
             worker.shutdown()  # waits for one round, which is short
 
-    async def _round(self, in_worker: "Callable[[Callable[[], None]], Awaitable[None]]") -> None:
-        now_s = self._around.clock()
-        look = self._is_time_to_look(now_s)
-        orders = [
-            order
-            for client in self._clients
-            if (order := self._order(client, now_s, look=look)) is not None
-        ]
-        wanted = frozenset().union(*(client.session.wants for client in self._clients))
-        draw = self._feed.wants_drawing(wanted, now_s)
-        left, self._left = self._left, []
-        if not look and not orders and not draw and not left:
+    async def _round(self, in_worker: Callable[[Callable[[], None]], Awaitable[None]]) -> None:
+        job = self._job(self._around.clock())
+        if not (job.look or job.orders or job.draw or job.left):
             return
-        coarse = {c.session.coarseness() for c in self._clients if "image" in c.session.wants}
-
-        beginning: Beginning | None = None
-
-        def work() -> None:
-            nonlocal beginning
-            for view in left:
-                view.close()
-            if look:
-                self._source.look(self._around.now_ns(), self._feed.position_m)
-            if draw:
-                self._feed.draw(wanted, coarse)
-            for order in orders:
-                self._fill(order)
-            source = self._source
-            beginning = Beginning(source.facts(), source.revision, source.session)
-
-        await in_worker(work)
+        await in_worker(lambda: self._work(job))
+        beginning = job.beginning
         assert beginning is not None  # noqa: S101 the work has been done
-        for order in orders:
+        for order in job.orders:
             if order.client.is_over:
-                if order.view is not None and order.wish is not None:
+                if order.is_new and order.view is not None:
                     self.forget(order.view)
             elif order.wish is None:
                 self._deliver(order)
             else:
                 self._begin(order, beginning)
+
+    def _job(self, now_s: float) -> _Job:
+        clients = [*self._clients]
+        look = self._is_time_to_look(now_s)
+        found = (self._order(client, now_s, look=look) for client in clients)
+        wanted = frozenset().union(*(client.session.wants for client in clients))
+        left, self._left = self._left, []
+        return _Job(
+            look,
+            [order for order in found if order is not None],
+            wanted if self._feed.wants_drawing(wanted, now_s) else frozenset(),
+            {c.session.coarseness() for c in clients if "image" in c.session.wants},
+            left,
+        )
+
+    def _work(self, job: _Job) -> None:
+        """In the worker."""
+        for view in job.left:
+            view.close()
+        if job.look:
+            self._source.look(self._around.now_ns(), self._feed.position_m)
+        if job.draw:
+            self._feed.draw(job.draw, job.coarseness)
+        for order in job.orders:
+            self._fill(order)
+        source = self._source
+        job.beginning = Beginning(source.facts(), source.revision, source.session)
 
     def _is_time_to_look(self, now_s: float) -> bool:
         watched = any("map" in client.session.wants for client in self._clients)
@@ -166,9 +189,7 @@ class MapRounds:
             message = view.next(self._feed.position_m, room)
             if message is None:
                 return
-            frame = (
-                framed(message) if isinstance(message, Reset) else self._source.framed(message)
-            )
+            frame = framed(message) if isinstance(message, Reset) else self._source.framed(message)
             order.frames.append(frame)
             room -= len(frame)
 

@@ -49,9 +49,7 @@ def returns_message(treated: Treated, sonar: Place | None, config: Config) -> Re
     )
 
 
-def first_returns(
-    echo: Echo, config: Config
-) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+def first_returns(echo: Echo, config: Config) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """The nearest sample of each beam above `filtering.intensity_threshold`.
 
     Returns:

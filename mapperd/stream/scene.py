@@ -43,6 +43,7 @@ class Mounting:
 def pose_message(
     base: Place,
     sonar: Place,
+    *,
     stamp_ns: int,
     source: str,
     velocity_mps: Floats | None = None,

@@ -167,9 +167,7 @@ class StreamServer:
         challenge = "" if door.token is None else secrets.token_hex(16)
         may_change = door.token is not None or connection.family == socket.AF_UNIX
         newcomer = Newcomer(peer, challenge, door.token)
-        session = Session(
-            self._common, newcomer, may_change=may_change, now_s=self._clock()
-        )
+        session = Session(self._common, newcomer, may_change=may_change, now_s=self._clock())
         client = Connection(session, f"map stream, {who}", self._around)
         newcomers = self._newcomers[door]
         while len(newcomers) >= self._limits.newcomers:
@@ -241,7 +239,7 @@ class StreamServer:
             client.end("closing", "the daemon ends")
         await _end_tasks(tasks)
         until_s = self._clock() + LEAVE_S
-        while self._clients and self._clock() < until_s:
+        while self._clients and self._clock() < until_s:  # noqa: ASYNC110 once, at the end
             await asyncio.sleep(0.01)
         for client in everybody:
             client.abort()

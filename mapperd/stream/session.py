@@ -68,6 +68,9 @@ SHARES = {
 }
 """Of what the link delivers, for each kind at most: the rest is the map's."""
 
+ENDING = frozenset({"fan", "events", "settings", "path", "robots"})
+"""Kinds that have an end: they have no such share while the map lacks nothing."""
+
 FIRST_IMAGES = (60_000, 16_000, 5_000)
 """Bytes that pictures may have, until one has been seen."""
 
@@ -363,7 +366,8 @@ class Session:
                     frame = self._newest(kind, self._common.feed.newest(kind), now_s)
             if not frame:
                 return
-            self._next_s[kind] = now_s + len(frame) / (SHARES[kind] * self._rate())
+            if self.left or kind not in ENDING:
+                self._next_s[kind] = now_s + len(frame) / (SHARES[kind] * self._rate())
             yield frame
 
     def _newest(self, kind: str, newest: Newest, now_s: float) -> bytes:

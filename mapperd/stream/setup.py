@@ -37,6 +37,7 @@ def stream_server(
     live: Live,
     source: Source,
     environ: Mapping[str, str],
+    *,
     now_ns: Callable[[], int],
     inherited: socket.socket | None = None,
 ) -> StreamServer:

@@ -4,6 +4,7 @@ import asyncio
 import random
 import ssl
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -58,7 +59,7 @@ def test_twenty_clients_come_and_go_and_have_the_map(short: Path) -> None:
                 fill(bed, 100, layer)
                 await asyncio.sleep(0.02)
             await asyncio.gather(*watchers)
-            while bed.server.status()["clients"]:
+            while bed.server.status()["clients"]:  # noqa: ASYNC110 it tells nobody
                 await asyncio.sleep(0.01)
             assert bed.counters["accepted"] == 80
             assert bed.counters["failed"] == 0
@@ -75,9 +76,7 @@ def test_a_client_that_never_reads_costs_the_others_nothing(short: Path) -> None
             watcher = await bed.welcomed()
             await watcher.until(lambda: watcher.complete == 2000)
             assert watcher.cells == as_bytes(bed.source)
-            link = next(
-                one for one in bed.server.status()["watching"] if one["left"]
-            )
+            link = next(one for one in bed.server.status()["watching"] if one["left"])
             assert link["in_flight"] < 16_000
             assert link["left"] > 1900
             bed.shift_s = 61.0  # it is let go; who has acknowledged all is not
@@ -98,15 +97,14 @@ def test_a_client_that_never_reads_costs_the_others_nothing(short: Path) -> None
 def test_a_client_that_reads_slowly_is_told_the_newest(short: Path) -> None:
     async def work() -> None:
         async with bed_of(short) as bed:
-            watcher = await bed.welcomed(bytes_per_s=20_000)
-            quick = await bed.welcomed()
-            for round_ in range(40):
+            watcher, quick = await bed.welcomed(), await bed.welcomed()
+            for round_ in range(20):  # so long it reads nothing
                 bed.source.put((0, 0, 0), round_)
                 bed.source.put((round_, 1, 0), 0)
                 await quick.until(lambda: quick.complete == bed.source.written)
             await watcher.until(lambda: watcher.complete == bed.source.written)
             assert watcher.cells == quick.cells == as_bytes(bed.source)
-            assert watcher.inbox.received < quick.inbox.received
+            assert watcher.inbox.received < 0.8 * quick.inbox.received
             for one in (watcher, quick):
                 await one.leave()
 
@@ -142,7 +140,8 @@ def test_another_interest_is_told_anew(short: Path) -> None:
             await watcher.until(lambda: watcher.complete == 30)
             assert watcher.cells == as_bytes(bed.source)
             watcher.say(Change(wants=[]))
-            await watcher.until(lambda: Status in watcher.newest)
+            while bed.source.views:  # noqa: ASYNC110 it tells nobody
+                await asyncio.sleep(0.01)
             fill(bed, 5)
             watcher.newest.clear()
             await watcher.until(lambda: Status in watcher.newest)
@@ -220,16 +219,15 @@ def test_without_a_token_one_may_look_and_change_nothing(short: Path) -> None:
             assert watcher.welcome is not None
             assert not watcher.welcome.may_change
             assert (await watcher.ask(do="status", id=1)).result["phase"] == "mapping"
-            for number, ask in enumerate(
-                (
-                    {"do": "set", "changes": {"filtering.min_range": 2.0}},
-                    {"do": "reset"},
-                    {"do": "save", "name": "a.ply"},
-                    {"do": "reload"},
-                    {"do": "snapshot"},
-                    {"do": "global_localization"},
-                )
-            ):
+            asks: list[dict[str, Any]] = [
+                {"do": "set", "changes": {"filtering.min_range": 2.0}},
+                {"do": "reset"},
+                {"do": "save", "name": "a.ply"},
+                {"do": "reload"},
+                {"do": "snapshot"},
+                {"do": "global_localization"},
+            ]
+            for number, ask in enumerate(asks):
                 answer = await watcher.ask(id=10 + number, **ask)
                 assert answer.error["reason"] == "needs_token"
             assert bed.daemon.done == []
@@ -258,8 +256,7 @@ def test_a_setting_that_one_changes_is_seen_by_another(short: Path) -> None:
             one.heard.clear()
             answer = await two.ask(do="set", id=4, changes={"filtering.min_range": 2.0})
             assert answer.result == {"changed": {"filtering.min_range": [0.5, 2.0]}}
-            await one.until(lambda: Settings in one.newest and any(
-                isinstance(message, Settings) for message in one.heard))
+            await one.until(lambda: any(isinstance(told, Settings) for told in one.heard))
             told = one.newest[Settings]
             assert isinstance(told, Settings)
             assert [*told.facts] == ["filtering.min_range"]
@@ -300,7 +297,7 @@ def test_no_more_clients_than_allowed(short: Path) -> None:
             assert bye is not None
             assert bye.reason == "too_many_clients"
             await first.leave()
-            while bed.server.status()["clients"] == 2:
+            while bed.server.status()["clients"] == 2:  # noqa: ASYNC110 it tells nobody
                 await asyncio.sleep(0.01)
             fourth = await bed.welcomed()
             assert fourth.welcome is not None

@@ -8,11 +8,10 @@ from collections import Counter
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from mapperd.control.doors import Door, open_tcp_door, open_unix_door
 from mapperd.control.limits import Limits
@@ -38,6 +37,9 @@ from mapperd.stream.messages import (
 )
 from mapperd.stream.server import StreamServer
 from tests.mapperd.control.fakes import TOKEN, FakeDaemon
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 LIMIT_S = 60.0
 Key = tuple[int, int, int]
@@ -125,14 +127,14 @@ class PlainSource:
     def framed(self, message: Blocks) -> bytes:
         return framed(message)
 
-    def look(self, now_ns: int, position_m: Vector | None = None) -> None:
+    def look(self, now_ns: int, _: Vector | None = None) -> None:
         assert now_ns > 0
         fault, self.fault = self.fault, None
         if fault is not None:
             raise fault
         self.seen, self.revision = self.cells, self.written
 
-    def subscribe(self, interest: Interest, resume: Resume | None) -> PlainView:
+    def subscribe(self, _: Interest, resume: Resume | None = None) -> PlainView:
         self.views.append(PlainView(self, resume))
         return self.views[-1]
 
@@ -142,6 +144,8 @@ class Bed:
 
     def __init__(self, folder: Path, tls: ssl.SSLContext | None, limits: Limits | None) -> None:
         self.daemon = FakeDaemon()
+        self.daemon.settings.follow(["stream.rate"], lambda _: None)
+        self.daemon.settings.apply({"stream.rate": 20.0}, "test")
         self.source = PlainSource()
         self.feed = Feed(self.daemon, lambda: None, 1000)
         self.doors = {
@@ -195,7 +199,7 @@ def _connected(door: Door, size: int) -> socket.socket:
         plain.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size)
     is_unix = door.name.startswith("unix ")
     plain.connect(door.name.removeprefix("unix ") if is_unix else door.socket.getsockname())
-    plain.setblocking(False)
+    plain.settimeout(0)
     return plain
 
 
