@@ -40,8 +40,13 @@ def _said(prefix: str, part: Mapping[str, Any]) -> Iterator[str]:
         name = f"{prefix} {key}".strip()
         if isinstance(value, Mapping):
             yield from _said(name, value)
-        elif value not in (None, "", []) and value is not False:
+        elif value not in (None, "", []) and value is not False and not _is_table(value):
             yield _with_unit(name, value)
+
+
+def _is_table(value: object) -> bool:
+    """Rows of facts are for programs: they are in `--json`."""
+    return isinstance(value, list) and isinstance(value[0], Mapping)
 
 
 def _with_unit(name: str, value: object) -> str:

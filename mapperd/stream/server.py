@@ -157,7 +157,11 @@ class StreamServer:
                 await asyncio.sleep(BREATH_S)
                 continue
             self._counters["accepted"] += 1
-            self._take_in(door, connection, address)
+            try:
+                self._take_in(door, connection, address)
+            except Exception as error:  # noqa: BLE001 the next one is to be let in
+                connection.close()
+                self._failed(error)
             # At least one turn of the loop: accepting may not have waited for anything.
             await asyncio.sleep(connects.take(self._clock()))
 
@@ -167,7 +171,7 @@ class StreamServer:
         challenge = "" if door.token is None else secrets.token_hex(16)
         may_change = door.token is not None or connection.family == socket.AF_UNIX
         newcomer = Newcomer(peer, challenge, door.token)
-        session = Session(self._common, newcomer, may_change=may_change, now_s=self._clock())
+        session = Session(self._common, newcomer, may_change=may_change)
         client = Connection(session, f"map stream, {who}", self._around)
         newcomers = self._newcomers[door]
         while len(newcomers) >= self._limits.newcomers:

@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 
 from mapperd.control.admission import Newcomer, doubt
+from mapperd.control.limits import TokenBucket
 from mapperd.control.messages import plain
 from mapperd.control.token import FailureLimiter
 from mapperd.events import EventLog
@@ -49,6 +50,7 @@ ASKS = 8
 """That may wait for their answers."""
 
 ANSWERS = 32
+MESSAGES_PER_S, MESSAGES_AT_ONCE = 2000.0, 20_000
 QUIET_S = 60.0
 BEAT_S = 1.0
 FIRST_RATE = 64_000
@@ -137,7 +139,6 @@ class Session:
         common: shared with others.
         newcomer: who it is.
         may_change: it may ask for what changes something.
-        now_s: seconds, monotonic.
 
     Attributes:
         state: as above.
@@ -151,9 +152,7 @@ class Session:
         skipped: messages that were never told, by kind.
     """
 
-    def __init__(
-        self, common: Common, newcomer: Newcomer, *, may_change: bool, now_s: float
-    ) -> None:
+    def __init__(self, common: Common, newcomer: Newcomer, *, may_change: bool) -> None:
         self.state: Literal["greeted", "admitted", "served"] = "greeted"
         self.name = ""
         self.wants: frozenset[str] = frozenset()
@@ -167,7 +166,7 @@ class Session:
         self._common = common
         self._newcomer = newcomer
         self._inbox = server_inbox()
-        self._began_s = now_s
+        self._messages = TokenBucket(MESSAGES_PER_S, MESSAGES_AT_ONCE)
         self._words: deque[bytes] = deque()
         self._told: dict[str, int] = {}
         self._next_s: dict[str, float] = {}
@@ -193,6 +192,8 @@ class Session:
             StreamError: it may not say that; it is to be let go.
         """
         for message in self._inbox.feed(data):
+            if self._messages.take(now_s) > 0:
+                raise StreamError("more messages than anybody needs", "too_many_messages")
             self._heard(message, now_s)
 
     def look(self, now_s: float) -> None:

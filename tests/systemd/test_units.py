@@ -69,7 +69,7 @@ def test_the_daemon_is_supervised_by_what_it_says() -> None:
     assert unit["RestartPreventExitStatus"] == [str(int(Exit.BAD_CONFIG))]
     for name in ("StateDirectory", "LogsDirectory", "RuntimeDirectory", "ConfigurationDirectory"):
         assert unit[name] == ["mapperd"]
-    wanted = {"mqtt-password", "control-token"}
+    wanted = {"mqtt-password", "control-token", "stream-token"}
     assert {value.partition(":")[0] for value in unit["LoadCredential"]} == wanted
 
 

@@ -57,7 +57,7 @@ class Link:
         while self._acks and self._acks[0][0] <= self.now_s:
             assert self.pacer.note_ack(self._acks.popleft()[1], self.now_s)
 
-    def fill(self, until_s: float, piece: int = 1000) -> None:
+    def fill(self, until_s: float, piece: int = 1_000) -> None:
         """Send as much as may be sent."""
         while self.now_s < until_s:
             while self.pacer.fits(piece, self.now_s):

@@ -41,7 +41,7 @@ from tests.mapperd.control.fakes import TOKEN, FakeDaemon
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-LIMIT_S = 60.0
+LIMIT_S = 20.0
 Key = tuple[int, int, int]
 
 
