@@ -186,10 +186,9 @@ class MapRounds:
             return
         room, view = order.room, order.view
         while room > 0 and view is not None:
-            message = view.next(self._feed.position_m, room)
-            if message is None:
+            frame = view.next(self._feed.position_m, room)
+            if frame is None:
                 return
-            frame = framed(message) if isinstance(message, Reset) else self._source.framed(message)
             order.frames.append(frame)
             room -= len(frame)
 

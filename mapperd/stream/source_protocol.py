@@ -2,7 +2,7 @@
 
 from typing import Protocol
 
-from mapperd.stream.messages import Blocks, Interest, MapFacts, Reset, Resume, Vector
+from mapperd.stream.messages import Interest, MapFacts, Resume, Vector
 
 __all__ = ["MapView", "Source"]
 
@@ -20,8 +20,8 @@ class MapView(Protocol):
     def left(self) -> int:
         """Blocks that are still to be told."""
 
-    def next(self, position_m: Vector | None, most_bytes: int) -> Blocks | Reset | None:
-        """The next message; None where all is told.
+    def next(self, position_m: Vector | None, most_bytes: int) -> bytes | None:
+        """The next message as it goes over the wire; None where all is told.
 
         Args:
             position_m: of the vehicle, what is nearest to it comes first.
@@ -54,6 +54,3 @@ class Source(Protocol):
 
     def subscribe(self, interest: Interest, resume: Resume | None = None) -> MapView:
         """Begin to tell a client."""
-
-    def framed(self, message: Blocks) -> bytes:
-        """A message as it goes over the wire; what several clients are told is made once."""

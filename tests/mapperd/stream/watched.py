@@ -80,11 +80,12 @@ class PlainView:
     def close(self) -> None:
         self._source.views.remove(self)
 
-    def next(self, position_m: Vector | None, most_bytes: int) -> Blocks | Reset | None:
+    def next(self, position_m: Vector | None, most_bytes: int) -> bytes | None:
         source = self._source
         if source.map_id != self._map_id or self._anew:
             self._map_id, self._told, self._anew = source.map_id, {}, False
-            return Reset(map=source.facts(), revision=source.revision, interest=self._interest)
+            reset = Reset(map=source.facts(), revision=source.revision, interest=self._interest)
+            return framed(reset)
         due = self._due()
         if not due:
             return None
@@ -97,7 +98,10 @@ class PlainView:
         body = encode_blocks(BlockSet(keys, np.zeros(len(keys), np.uint32), cells))
         left = len(due) - len(taken)
         complete = None if left else source.revision
-        return Blocks(revision=source.revision, stamp_ns=1, left=left, complete=complete, body=body)
+        blocks = Blocks(
+            revision=source.revision, stamp_ns=1, left=left, complete=complete, body=body
+        )
+        return framed(blocks)
 
 
 class PlainSource:
@@ -123,9 +127,6 @@ class PlainSource:
 
     def facts(self) -> MapFacts:
         return MapFacts(self.map_id, 0.1, 0.25, 0.8, 0.0)
-
-    def framed(self, message: Blocks) -> bytes:
-        return framed(message)
 
     def look(self, now_ns: int, _: Vector | None = None) -> None:
         assert now_ns > 0
