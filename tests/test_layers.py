@@ -196,8 +196,22 @@ ORDER = (
     "stream.messages",
     "stream.framing",
     "stream.blocks",
-    "client.changes",
+    "client.errors",
+    "client.block_table",
+    "client.cells",
+    "client.to_map",
     "client.mirror",
+    "client.checks",
+    "client.changes",
+    "client.knowledge",
+    "client.dialogue",
+    "client.known",
+    "client.pending",
+    "client.asking",
+    "client.address",
+    "client.client",
+    "client.follower",
+    "client",
     "stream.region",
     "stream.stored_bricks",
     "stream.view",
@@ -293,7 +307,10 @@ ORDER = (
     "cli",
     "__main__",
 )
-"""Modules of mapperd, lowest first. A new one is given its place here."""
+"""Modules of mapperd, lowest first. A new one is given its place here.
+
+`client` is a package that offers names of its modules.
+"""
 
 
 def room_of(path: Path, root: Path) -> str:
@@ -395,7 +412,7 @@ def test_every_module_of_mapperd_has_its_place() -> None:
         for path in (ROOT / "mapperd").rglob("*.py")
         if path.name != "__init__.py"
     }
-    assert modules == set(ORDER) - {"_core"}
+    assert modules == set(ORDER) - {"_core", "client"}
 
 
 def test_importing_the_package_imports_nothing_else() -> None:

@@ -1,1 +1,59 @@
-"""The live map of a daemon, mirrored: watch it grow, ask it, or steer the daemon."""
+"""The live map of a daemon, mirrored: watch it grow, ask it, or steer the daemon.
+
+docs/map-stream.md has an example, and the protocol.
+"""
+
+from mapperd.client.cells import Cells
+from mapperd.client.changes import ClientChange, LinkChanged, LinkStatus, MapChanged, MapReset
+from mapperd.client.client import MapClient
+from mapperd.client.errors import AskError, EndedError
+from mapperd.client.follower import MapFollower
+from mapperd.client.mirror import MapMirror
+from mapperd.stream.framing import StreamError
+from mapperd.stream.messages import (
+    Box,
+    Event,
+    Fan,
+    Image,
+    Interest,
+    Localization,
+    MapFacts,
+    Path,
+    Pose,
+    Returns,
+    Robots,
+    Settings,
+    Status,
+    Want,
+    Welcome,
+)
+
+__all__ = [
+    "AskError",
+    "Box",
+    "Cells",
+    "ClientChange",
+    "EndedError",
+    "Event",
+    "Fan",
+    "Image",
+    "Interest",
+    "LinkChanged",
+    "LinkStatus",
+    "Localization",
+    "MapChanged",
+    "MapClient",
+    "MapFacts",
+    "MapFollower",
+    "MapMirror",
+    "MapReset",
+    "Path",
+    "Pose",
+    "Returns",
+    "Robots",
+    "Settings",
+    "Status",
+    "StreamError",
+    "Want",
+    "Welcome",
+]

@@ -36,6 +36,7 @@ class LinkStatus:
         since_s: monotonic, when it became so.
         connects: how often it was connected.
         bytes: received since the first connection.
+        faults: connections that ended because the daemon said what it may not.
     """
 
     state: LinkState
@@ -44,6 +45,7 @@ class LinkStatus:
     since_s: float
     connects: int = 0
     bytes: int = 0
+    faults: int = 0
 
 
 @dataclass(frozen=True, slots=True)

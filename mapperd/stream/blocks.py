@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from mapperd.stream.framing import StreamError
 from mapperd.stream.messages import BLOCK_EDGE, MAX_BLOCKS
 
-__all__ = ["CELLS", "UNKNOWN", "BlockSet", "decode_blocks", "encode_blocks"]
+__all__ = ["CELLS", "MAX_KEY", "UNKNOWN", "BlockSet", "decode_blocks", "encode_blocks"]
 
 CELLS = BLOCK_EDGE**3
 UNKNOWN = -128
@@ -40,6 +40,7 @@ ROW_BYTES = 3 * 4 + 4 + 1
 MAX_BODY = 4 + MAX_BLOCKS * (ROW_BYTES + 2 * CELLS)
 
 MAX_KEY = 1 << 30
+"""Keys are nearer to 0 than this along each axis."""
 
 LEVEL = 3
 """Of zstd: on the demo's dive 9 makes it 10 % smaller and takes four times as long."""
@@ -147,6 +148,6 @@ def _unpacked(body: bytes) -> bytes:
         size = zstandard.frame_content_size(body)
         if not 0 <= size <= MAX_BODY:
             raise StreamError(f"blocks of {size} bytes; allowed: {MAX_BODY}", "bad_blocks")
-        return _DECOMPRESSOR.decompress(body, max_output_size=MAX_BODY)
+        return _DECOMPRESSOR.decompress(body, max_output_size=MAX_BODY, allow_extra_data=False)
     except zstandard.ZstdError as error:
         raise StreamError(f"blocks that cannot be unpacked: {error}", "bad_blocks") from error

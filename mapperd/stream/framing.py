@@ -11,6 +11,9 @@ __all__ = ["Inbox", "StreamError", "client_inbox", "framed", "server_inbox"]
 
 HEAD = 4
 
+NO_MESSAGE = (msgspec.MsgspecError, ValueError, TypeError, OverflowError, RecursionError)
+"""Texts that are no UTF-8 are a ValueError, keys of maps that are maps a TypeError."""
+
 Message = TypeVar("Message")
 
 
@@ -52,6 +55,10 @@ class Inbox(Generic[Message]):
         self._limit = limit
         self._held = bytearray()
 
+    def __len__(self) -> int:
+        """Bytes of a message that is not whole yet."""
+        return len(self._held)
+
     def feed(self, data: bytes) -> list[Message]:
         """The messages that are whole with these bytes.
 
@@ -77,7 +84,7 @@ class Inbox(Generic[Message]):
     def _decoded(self, body: bytes) -> Message:
         try:
             return self._decoder.decode(body)
-        except (msgspec.DecodeError, RecursionError) as error:
+        except NO_MESSAGE as error:
             raise StreamError(f"no message of this stream: {error}", "bad_message") from error
 
 

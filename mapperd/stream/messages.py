@@ -15,6 +15,8 @@ __all__ = [
     "MAX_FROM_CLIENT",
     "MAX_FROM_SERVER",
     "MAX_LEVEL",
+    "MAX_PATH",
+    "MAX_SETTINGS",
     "VERSION",
     "WANTS",
     "Ack",
@@ -60,6 +62,11 @@ MAX_FROM_SERVER = 4 << 20
 """Bytes of a message, its length not counted."""
 
 MAX_FROM_CLIENT = 64 << 10
+
+MAX_PATH = 100_000
+"""Points of a path, all pieces together."""
+
+MAX_SETTINGS = 10_000
 
 Want = Literal[
     "map",
@@ -185,8 +192,8 @@ class Ask(_Message, frozen=True, kw_only=True):
 # What the daemon says.
 
 
-class Greeting(_Message, frozen=True, kw_only=True):
-    """The first message of the daemon.
+class Greeting(_Message, frozen=True, kw_only=True, omit_defaults=False):
+    """The first message of the daemon; it says everything, to those who know nothing yet.
 
     Attributes:
         mapperd: what this is.
@@ -254,7 +261,7 @@ class Blocks(_Message, frozen=True, kw_only=True):
         stamp_ns: when they were so.
         left: blocks that are still to be sent.
         complete: with these, all of the interest is as of this revision; None while it is not.
-        body: a zstd frame.
+        body: a zstd frame; b"" is no block.
     """
 
     revision: Count

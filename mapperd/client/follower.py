@@ -1,0 +1,174 @@
+"""The map stream of a daemon for programs that wait: a client in a thread of its own."""
+
+import asyncio
+import ssl
+import threading
+import time
+from collections.abc import Collection, Coroutine, Iterator, Mapping
+from contextlib import ExitStack
+from types import TracebackType
+from typing import Any, Self, TypedDict, TypeVar, Unpack
+
+from mapperd.client.changes import ClientChange, LinkStatus
+from mapperd.client.client import MapClient
+from mapperd.client.errors import AskError
+from mapperd.client.known import Known
+from mapperd.client.pending import Pending
+from mapperd.stream.messages import Interest, Want
+
+__all__ = ["MapFollower"]
+
+Result = TypeVar("Result")
+
+
+class Options(TypedDict, total=False):
+    """Those of `MapClient`."""
+
+    token: bytes | None
+    tls: ssl.SSLContext | None
+    wants: Collection[Want]
+    interest: Interest | None
+    bytes_per_s: int
+    name: str
+    most_blocks: int
+
+
+class MapFollower(Known):
+    """A `MapClient` for programs without asyncio, `with`; once. Any thread may use it.
+
+    Args:
+        address: as of `MapClient`.
+        options: its others.
+
+    Raises:
+        ValueError: as there.
+    """
+
+    def __init__(self, address: str = "", **options: Unpack[Options]) -> None:
+        self._client = MapClient(address, **options)
+        self._knowledge = self._client._knowledge  # noqa: SLF001 one client in two coats
+        self._ends = ExitStack()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._pending: Pending | None = None
+        self._news = threading.Condition()
+        self._noted = 0
+
+    @property
+    def link(self) -> LinkStatus:
+        """How the connection is."""
+        return self._client.link
+
+    def __enter__(self) -> Self:
+        self._loop = asyncio.new_event_loop()
+        thread = threading.Thread(target=self._loop.run_forever, name="map-client", daemon=True)
+        with ExitStack() as ends:
+            ends.callback(self._loop.close)
+            thread.start()
+            ends.callback(thread.join)
+            ends.callback(self._loop.call_soon_threadsafe, self._loop.stop)
+            self._pending = ends.enter_context(self._client.reader(self._note))
+            self._wait_for(self._client.__aenter__())
+            self._ends = ends.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Hang up; who iterates over changes comes to their end."""
+        with self._ends:
+            if self._pending is not None:
+                self._wait_for(self._client.close())
+                self._pending = None
+        self._loop = None
+
+    def changes(self, timeout_s: float | None = None) -> Iterator[ClientChange]:
+        """What happens within some time, or for ever, and what happened since the last call.
+
+        The first call begins with all that is known. What one thread takes, no other is told.
+
+        Raises:
+            StreamError: the daemon will not have us, or what answers is none.
+        """
+        pending = self._pending
+        if pending is None:
+            return
+        end_s = None if timeout_s is None else time.monotonic() + timeout_s
+        while True:
+            change = self._next(pending, end_s)
+            if change is None:
+                return
+            yield change
+
+    def complete(self, timeout_s: float | None = None) -> None:
+        """Wait until all of the interest in the map is here as the daemon has it now.
+
+        Raises:
+            TimeoutError: it is not.
+            StreamError: as `changes`.
+        """
+        self._wait_for(self._client.complete(timeout_s))
+
+    def ask(self, do: str, *, timeout_s: float = 60.0, **fields: Any) -> dict[str, Any]:  # noqa: ANN401 plain values
+        """Make a request of docs/control.md; returns its result.
+
+        Raises:
+            AskError: it was not done.
+        """
+        return self._wait_for(self._client.ask(do, timeout_s=timeout_s, **fields))
+
+    def set(self, changes: Mapping[str, Any]) -> dict[str, Any]:
+        """Change settings of the daemon, all or none; returns name to values before and after.
+
+        Raises:
+            AskError: nothing was changed; `details` has the reasons by name.
+        """
+        return self._wait_for(self._client.set(changes))
+
+    def change(
+        self,
+        *,
+        wants: Collection[Want] | None = None,
+        interest: Interest | None = None,
+        bytes_per_s: int | None = None,
+    ) -> None:
+        """Wish for something else, now and after the next connection; what is None stays.
+
+        Raises:
+            ValueError: there is no such thing to be wanted.
+        """
+        self._wait_for(self._client.change(wants=wants, interest=interest, bytes_per_s=bytes_per_s))
+
+    def _note(self) -> None:
+        with self._news:
+            self._noted += 1
+            self._news.notify_all()
+
+    def _next(self, pending: Pending, end_s: float | None) -> ClientChange | None:
+        """The next change; None at the end of the time, or of the client."""
+        while True:
+            noted = self._noted
+            change = pending.take()
+            if change is not None:
+                return change
+            if self._client.link.state == "closed":
+                self._client.raise_error()
+                return None
+            left_s = None if end_s is None else end_s - time.monotonic()
+            if left_s is not None and left_s <= 0:
+                return None
+            with self._news:
+                if self._noted == noted:
+                    self._news.wait(left_s)
+
+    def _wait_for(self, doing: Coroutine[Any, Any, Result]) -> Result:
+        """Have the client's thread do something."""
+        if self._loop is None:
+            doing.close()
+            raise AskError("not_connected", "this client hung up, or has not begun")
+        return asyncio.run_coroutine_threadsafe(doing, self._loop).result()

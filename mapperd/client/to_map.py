@@ -1,0 +1,50 @@
+"""A mirror as a map that can be saved, exported and asked like the daemon's own."""
+
+import math
+
+import msgspec
+import numpy as np
+
+from mapperd.client.cells import Cells
+from mapperd.config import Config
+from mapperd.mapping import SonarMap
+from mapperd.stream.messages import MapFacts
+
+__all__ = ["map_of"]
+
+
+def map_of(cells: Cells, cell_m: float, facts: MapFacts, config: Config | None = None) -> SonarMap:
+    """Every cell as a voxel with its quantised log-odds, observed once.
+
+    Args:
+        cells: that are known.
+        cell_m: edge of a cell, which may be several voxels of the daemon's.
+        facts: of the daemon's map.
+        config: the daemon's settings, as far as they are known; grid, thresholds and clamps are
+            those of the cells.
+    """
+    config = config or Config()
+    most = float(np.abs(cells.log_odds).max(initial=0.0))
+    replace = msgspec.structs.replace
+    sonar_map = SonarMap(
+        replace(
+            config,
+            octree=replace(config.octree, voxel_resolution=cell_m),
+            mapping=replace(
+                config.mapping,
+                occupied_threshold=_probability(facts.occupied_log_odds),
+                free_threshold=_probability(facts.free_log_odds),
+            ),
+            iwlo=replace(
+                config.iwlo,
+                L_min=min(config.iwlo.L_min, -most),
+                L_max=max(config.iwlo.L_max, most),
+            ),
+        )
+    )
+    sonar_map.core.set_log_odds(cells.centres_m, cells.log_odds.astype(np.float64))
+    return sonar_map
+
+
+def _probability(log_odds: float) -> float:
+    return 1 / (1 + math.exp(-log_odds))
