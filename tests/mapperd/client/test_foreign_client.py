@@ -1,0 +1,140 @@
+"""A client made from docs/map-stream.md alone, with nothing of ours, holds the same map."""
+
+import asyncio
+import hashlib
+import hmac
+import socket
+import struct
+from collections.abc import Iterator
+from typing import Any
+
+import msgpack
+import zstandard
+
+from mapperd.client import MapMirror
+from mapperd.stream.messages import Interest
+from tests.mapperd.client.served import FACTS, TOKEN, Served, Server, a_block
+
+Key = tuple[int, int, int]
+
+
+class Foreign:
+    """From here on there is only the document."""
+
+    def __init__(self, host: str, port: int, token: bytes) -> None:
+        self.cells: dict[Key, bytes] = {}
+        self.held: dict[str, Any] | None = None
+        self._token = token
+        self._address = (host, port)
+
+    def follow_until_complete(self, *, detail: str = "log_odds") -> None:
+        """One connection, until all of the interest is told."""
+        with socket.create_connection(self._address, 5) as self._socket:
+            self._read_bytes = 0
+            for message in self._messages():
+                kind = message["t"]
+                if kind == "greeting":
+                    self._say_hello(message, detail)
+                elif kind == "welcome":
+                    self._welcomed(message)
+                elif kind == "reset":
+                    self.cells.clear()
+                elif kind == "blocks":
+                    self._take(message.get("body", b""), detail)
+                    if message.get("complete") is not None:
+                        assert self.held is not None
+                        self.held["revision"] = message["complete"]
+                        return
+                elif kind == "bye":
+                    raise ConnectionError(message["reason"])
+                if kind not in ("greeting", "welcome"):
+                    self._say({"t": "ack", "bytes": self._read_bytes})
+
+    def _messages(self) -> Iterator[dict[str, Any]]:
+        while True:
+            (size,) = struct.unpack(">I", self._exactly(4))
+            yield msgpack.unpackb(self._exactly(size))
+
+    def _exactly(self, size: int) -> bytes:
+        read = b""
+        while len(read) < size:
+            piece = self._socket.recv(size - len(read))
+            if not piece:
+                raise ConnectionError("hung up")
+            read += piece
+        self._read_bytes += size
+        return read
+
+    def _say(self, message: dict[str, Any]) -> None:
+        body = msgpack.packb(message)
+        self._socket.sendall(struct.pack(">I", len(body)) + body)
+
+    def _say_hello(self, greeting: dict[str, Any], detail: str) -> None:
+        assert greeting["mapperd"] == "map stream"
+        assert 1 in greeting.get("versions", [1])
+        proof = ""
+        if challenge := greeting.get("challenge", ""):
+            said = b"mapperd-control-1 " + challenge.encode()
+            proof = hmac.new(self._token, said, hashlib.sha256).hexdigest()
+        hello = {"t": "hello", "version": 1, "proof": proof, "wants": ["map"]}
+        hello["interest"] = {"detail": detail}
+        self._say(hello | {"resume": self.held})
+
+    def _welcomed(self, welcome: dict[str, Any]) -> None:
+        if not welcome["resumed"]:
+            self.cells.clear()
+        self.held = {"map": welcome["map"]["id"], "session": welcome["session"], "revision": 0}
+
+    def _take(self, body: bytes, detail: str) -> None:
+        if not body:
+            return
+        data = zstandard.ZstdDecompressor().decompress(body, max_output_size=2_131_972)
+        (number,) = struct.unpack_from("<I", data)
+        x, y, z = (struct.unpack_from(f"<{number}i", data, 4 + 4 * number * i) for i in range(3))
+        kinds = data[4 + 16 * number : 4 + 17 * number]
+        at = 4 + 17 * number
+        uniform = iter(data[at : at + kinds.count(1)])
+        at += kinds.count(1)
+        for key, kind in zip(zip(x, y, z, strict=True), kinds, strict=True):
+            if kind == 0:
+                self.cells.pop(key, None)
+            elif kind == 1:
+                self.cells[key] = bytes([next(uniform)]) * 512
+            else:
+                self.cells[key] = data[at : at + 512]
+                at += 512
+        assert at + (512 * sum(kind > 0 for kind in kinds) if detail == "counts" else 0) == len(
+            data
+        )
+
+
+def cells_of(served: Served) -> dict[Key, bytes]:
+    """What the daemon knows, by our own mirror."""
+    mirror = MapMirror(FACTS, Interest())
+    mirror.put(served.since(0), 0)
+    blocks = mirror.blocks()
+    keys = map(tuple, blocks.keys.tolist())
+    return {key: cells.tobytes() for key, cells in zip(keys, blocks.cells, strict=True)}
+
+
+def test_a_client_made_from_the_document_holds_the_same_cells() -> None:
+    async def follow() -> None:
+        served = Served(token=TOKEN)
+        for number in range(20):
+            served.put((number, -number, 7), a_block(number))
+        served.put((1, 2, 3), a_block(0) * 0 - 6)
+        async with Server(served) as server:
+            foreign = Foreign("127.0.0.1", server.port, TOKEN)
+            await asyncio.to_thread(foreign.follow_until_complete)
+            assert foreign.cells == cells_of(served)
+            served.put((3, -3, 7), a_block(99))
+            served.forget((4, -4, 7))
+            sent = served.sent
+            await asyncio.to_thread(foreign.follow_until_complete)
+            assert foreign.cells == cells_of(served)
+            assert served.sent - sent < sent / 5  # and not all of it anew
+            served.begin_anew("map-2")
+            await asyncio.to_thread(foreign.follow_until_complete)
+            assert foreign.cells == cells_of(served)
+
+    asyncio.run(follow())
