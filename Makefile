@@ -67,10 +67,12 @@ store-soak: $(STAMP)
 crash-soak: $(STAMP)
 	CRASH_KILLS=500 SOAK_PINGS=500000 $(BIN)/python -m pytest -s -o timeout=0 tests/mapperd/crash
 
-# Ten minutes of the coverage-guided fuzzer on the driver's parser; the corpus grows and is kept.
+# Ten minutes of the coverage-guided fuzzer on the driver's parser, and ten on both ends of the map
+# stream; their corpora grow and are kept.
 fuzz: $(STAMP)
 	$(PIP) --no-build-isolation -e '.[fuzz]'
 	$(BIN)/python tests/fuzz/fuzz_stream.py tests/fuzz/corpus -max_total_time=600 -max_len=8192
+	$(BIN)/python tests/fuzz/fuzz_map_stream.py tests/fuzz/corpus-map-stream -max_total_time=600 -max_len=4096
 
 install: $(STAMP)
 

@@ -1,0 +1,230 @@
+"""What no daemon would say costs a client its connection, and nothing else."""
+
+import tracemalloc
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+import zstandard
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mapperd.client.dialogue import Dialogue, Wishes
+from mapperd.client.knowledge import Knowledge
+from mapperd.stream.blocks import CELLS, BlockSet, encode_blocks
+from mapperd.stream.framing import StreamError, framed
+from mapperd.stream.messages import (
+    WANTS,
+    Blocks,
+    Box,
+    Fan,
+    Greeting,
+    Image,
+    Interest,
+    Localization,
+    Path,
+    Pose,
+    Reset,
+    Returns,
+    Robots,
+    Settings,
+    Status,
+    Welcome,
+)
+from tests.mapperd.client.served import FACTS, Served, a_block
+
+NAN, INF = float("nan"), float("inf")
+UNIT = (0.0, 0.0, 0.0, 1.0)
+POSE: dict[str, Any] = {
+    "stamp_ns": 1,
+    "position_m": (0.0, 0.0, 0.0),
+    "orientation_xyzw": UNIT,
+    "sonar_position_m": (0.0, 0.0, 0.0),
+    "sonar_orientation_xyzw": UNIT,
+}
+IMAGE: dict[str, Any] = {
+    "stamp_ns": 1,
+    "ping_id": 1,
+    "rows": 2,
+    "beams": 3,
+    "range_resolution_m": 0.1,
+    "bearings_rad": bytes(12),
+    "body": zstandard.compress(bytes(6)),
+}
+WELCOME = Welcome(
+    version=1, server="", vehicle="", session="s", map=FACTS, revision=0, resumed=False
+)
+
+
+def a_dialogue(interest: Interest | None = None, **more: Any) -> Dialogue:
+    """Connected, and welcome."""
+    wishes = Wishes(WANTS, interest or Interest(detail="counts"))
+    knowledge = Knowledge(wishes.interest, lambda _: None, **more)
+    dialogue = Dialogue(wishes, knowledge, None, lambda _: None)
+    dialogue.receive(framed(Greeting()) + framed(WELCOME))
+    dialogue.outgoing()
+    return dialogue
+
+
+def body(cells: int = 5, key: int = 0, counts: int | None = None, times: int = 1) -> bytes:
+    number = (times, CELLS)
+    return encode_blocks(
+        BlockSet(
+            np.full((times, 3), key, np.int32),
+            np.zeros(times, np.uint32),
+            np.full(number, cells, np.int8),
+            None if counts is None else np.full(number, counts, np.uint8),
+        )
+    )
+
+
+def blocks(data: bytes, **more: Any) -> Blocks:
+    return Blocks(revision=1, stamp_ns=1, body=data, **more)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        Greeting(),
+        WELCOME,
+        blocks(body(counts=17)),
+        blocks(body(counts=1, times=2)),
+        blocks(body()),
+        blocks(b"nothing"),
+        blocks(b"", complete=2),
+        Reset(map=msgspec.structs.replace(FACTS, resolution_m=NAN), revision=1),
+        Reset(map=msgspec.structs.replace(FACTS, free_log_odds=9.0), revision=1),
+        Pose(**POSE | {"position_m": (NAN, 0.0, 0.0)}),
+        Pose(**POSE | {"sonar_position_m": (INF, 0.0, 0.0)}),
+        Pose(**POSE | {"orientation_xyzw": (0.0, 0.0, 0.0, 0.0)}),
+        Pose(**POSE | {"orientation_xyzw": (NAN, 0.0, 0.0, 1.0)}),
+        Pose(**POSE, velocity_mps=(NAN, 0.0, 0.0)),
+        Pose(**POSE, covariance=(INF,) * 36),
+        Path(first=1, points=b""),
+        Path(first=0, points=bytes(11)),
+        Path(first=0, points=np.full(3, NAN, "<f4").tobytes()),
+        Path(first=0, points=bytes(12 * 100_001)),
+        Fan(bearings_rad=(1.0, -1.0), vertical_aperture_rad=0.2, min_range_m=0, max_range_m=1),
+        Fan(bearings_rad=(-1.0, 1.0), vertical_aperture_rad=NAN, min_range_m=0, max_range_m=1),
+        Returns(stamp_ns=1, ping_id=1, points=bytes(12), intensities=b""),
+        Image(**IMAGE | {"rows": 3}),
+        Image(**IMAGE | {"body": zstandard.compress(bytes(1 << 24))}),
+        Image(**IMAGE | {"bearings_rad": bytes(8)}),
+        Robots(seen=[(1, NAN, 0.0, 0.0)]),
+        Localization(report={}, particles=bytes(15)),
+        Localization(report={}, scan=np.full(3, INF, "<f4").tobytes()),
+        Settings(facts={str(number): 1 for number in range(10_001)}),
+    ],
+    ids=lambda message: type(message).__name__,
+)
+def test_message_that_cannot_be_ends_the_connection(message: Any) -> None:
+    with pytest.raises(StreamError):
+        a_dialogue().receive(framed(message))
+
+
+@pytest.mark.parametrize(
+    "interest", [Interest(box=Box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))), Interest(detail="classes")]
+)
+def test_blocks_that_nobody_asked_for_end_the_connection(interest: Interest) -> None:
+    inside, outside = blocks(body(1, 1)), blocks(body(9, 50))
+    a_dialogue(interest).receive(framed(inside))
+    with pytest.raises(StreamError):
+        a_dialogue(interest).receive(framed(outside))
+    forgotten = blocks(body(-128, 50))
+    a_dialogue(interest).receive(framed(forgotten))
+
+
+def test_map_that_is_not_wanted_is_refused() -> None:
+    wishes = Wishes(("pose",), Interest())
+    knowledge = Knowledge(wishes.interest, lambda _: None)
+    dialogue = Dialogue(wishes, knowledge, None, lambda _: None)
+    dialogue.receive(framed(Greeting()) + framed(WELCOME))
+    with pytest.raises(StreamError, match="nobody asked"):
+        dialogue.receive(framed(blocks(body())))
+
+
+@pytest.mark.parametrize("resumed", [True, False])
+def test_only_what_was_held_is_gone_on_with(resumed: bool) -> None:  # noqa: FBT001
+    dialogue = a_dialogue()
+    dialogue.receive(framed(blocks(body(counts=1), complete=1)))
+    dialogue.end()
+    dialogue.begin()
+    other = msgspec.structs.replace(
+        WELCOME, resumed=resumed, map=msgspec.structs.replace(FACTS, id="another")
+    )
+    if resumed:
+        with pytest.raises(StreamError, match="not held"):
+            dialogue.receive(framed(Greeting()) + framed(other))
+    else:
+        dialogue.receive(framed(Greeting()) + framed(other))
+        mirror = dialogue._knowledge.mirror
+        assert mirror is not None
+        assert len(mirror) == 0
+        assert mirror.complete is None
+
+
+GOOD = [
+    framed(message)
+    for message in (
+        blocks(body(counts=1), complete=1),
+        blocks(body(-128, counts=0)),
+        Reset(map=FACTS, revision=2),
+        Pose(**POSE),
+        Path(first=0, points=bytes(24)),
+        Image(**IMAGE),
+        Settings(facts={"a.b": {"value": 1}}),
+        Status(stamp_ns=5, link={"left": 3}),
+        Returns(stamp_ns=1, ping_id=1, points=bytes(12), intensities=b"\x05"),
+    )
+]
+
+
+@given(
+    st.lists(st.sampled_from(GOOD), min_size=1, max_size=5),
+    st.lists(st.tuples(st.integers(0), st.integers(0, 255)), max_size=4),
+    st.binary(max_size=40),
+)
+@settings(max_examples=300, deadline=None)
+def test_spoiled_bytes_are_taken_or_refused(
+    said: list[bytes], spoiled: list[tuple[int, int]], more: bytes
+) -> None:
+    dialogue = a_dialogue()
+    stream = bytearray(b"".join(said))
+    for at, value in spoiled:
+        stream[at % len(stream)] = value
+    try:
+        dialogue.receive(bytes(stream))
+        dialogue.receive(more)
+    except StreamError:
+        return
+    assert len(dialogue.outgoing()) < 100
+
+
+def test_memory_does_not_grow_through_thousands_of_rounds() -> None:
+    dialogue = a_dialogue(most_blocks=100)
+    served = Served()
+    served.put((0, 0, 0), a_block(1))
+
+    def rounds(number: int) -> None:
+        for _ in range(number):
+            dialogue.receive(b"".join(GOOD))
+            dialogue.outgoing()
+            try:
+                dialogue.receive(GOOD[0][:-3] + bytes(9))
+            except StreamError:
+                dialogue._knowledge.distrust()
+            dialogue.end()
+            dialogue.begin()
+            dialogue.receive(framed(Greeting()) + framed(WELCOME))
+
+    rounds(20)
+    tracemalloc.start()
+    try:
+        rounds(20)
+        before, _ = tracemalloc.get_traced_memory()
+        rounds(1000)
+        after, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert after - before < 50_000
