@@ -31,7 +31,7 @@ SILENCE_S = 6.0
 """The daemon says something once a second."""
 
 WAIT_S, LONGEST_WAIT_S = 0.2, 5.0
-SOUND_S = 10.0
+SOUND_S = 2.0
 """A connection that lasted as long was a good one: the next attempt comes soon."""
 
 UNSENT_BYTES = 1 << 16

@@ -129,8 +129,10 @@ class Knowledge:
         mirror = self.mirror
         if not welcome.resumed:
             self._begin_map(welcome.map, self.interest)
-        elif resume is None or mirror is None or mirror.facts != welcome.map:
+        elif resume is None or mirror is None or _grid(mirror.facts) != _grid(welcome.map):
             raise StreamError("a map that was not held is gone on with", "bad_resume")
+        else:
+            mirror.facts = welcome.map
         is_other = self.welcome is None or self.welcome.session != welcome.session
         self.welcome = welcome
         if is_other or not welcome.resumed:
@@ -216,6 +218,11 @@ class Knowledge:
             raise StreamError(f"more than {MAX_SETTINGS} settings", "bad_value")
         self.settings = settings
         self._tell(news)
+
+
+def _grid(facts: MapFacts) -> tuple[str, float, float]:
+    """What blocks depend on: thresholds and origin may change meanwhile."""
+    return facts.id, facts.resolution_m, facts.log_odds_step
 
 
 def _frozen(array: NDArray[np.float32]) -> NDArray[np.float32]:
