@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from mapperd.config_parameters import parameters
+from mapperd.ctl.foxglove_arguments import add_foxglove, add_record
 from mapperd.ctl.localization_arguments import add_localization
 from mapperd.errors import ConfigError
 from mapperd.yaml_strict import YamlProblem, parse_yaml
@@ -42,6 +43,11 @@ def parser() -> _Parser:
     reset.add_argument("--yes", action="store_true", help="do not ask")
     _command(commands, "reload", "read the settings' files again")
     _command(commands, "snapshot", "bring the map and the recording to the disk now")
+    stream = "--socket and --address are those of the map stream."
+    about = "serve Foxglove and Lichtblick"
+    add_foxglove(_command(commands, "foxglove", about, f"{about}. {stream}"))
+    about = "record what the map stream says"
+    add_record(_command(commands, "record", about, f"{about.capitalize()}. {stream}"))
     add_localization(lambda *said: _command(commands, *said))
     events = _command(commands, "events", "what happened")
     events.add_argument("--follow", action="store_true", help="and what happens, until interrupted")

@@ -38,7 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # `mapperctl params | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
-        endless = said.command == "status" or any(
+        endless = said.command in ("status", "foxglove") or any(
             getattr(said, name, False) for name in ("follow", "watch")
         )
         return Exit.OK if endless else Exit.INTERRUPTED
@@ -46,6 +46,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _lines(said: argparse.Namespace) -> Iterator[str]:
+    if said.command == "foxglove":
+        from mapperd.topside.foxglove_command import run_foxglove  # noqa: PLC0415 needs numpy
+
+        run_foxglove(said, *_stream(said))
+        return
+    if said.command == "record":
+        from mapperd.topside.record_command import run_record  # noqa: PLC0415 needs numpy
+
+        yield from run_record(said, *_stream(said))
+        return
     remote = said.command != "params" or said.running or said.socket or said.address
     if remote:
         yield from run(said, _target(said))
@@ -56,6 +66,21 @@ def _lines(said: argparse.Namespace) -> Iterator[str]:
         yield json.dumps(facts, indent=2)
     else:
         yield from params_lines(facts, origin=said.origin)
+
+
+def _stream(said: argparse.Namespace) -> tuple[str, bytes | None, ssl.SSLContext | None]:
+    """Where the map stream is, as `mapperd.client` takes it, with its token and TLS."""
+    if said.address and said.socket:
+        raise CtlError("--socket or --address, not both", Exit.USAGE)
+    if said.address:
+        try:
+            token = None if said.token_file is None else read_token(said.token_file)
+        except ConfigError as error:
+            raise CtlError(str(error), Exit.USAGE) from error
+        return said.address, token, _tls(said.tls_ca)
+    if said.socket:
+        return str(said.socket.absolute()), None, None
+    return "", None, None
 
 
 def _target(said: argparse.Namespace) -> Target:
