@@ -51,7 +51,8 @@ def _source(image: Image) -> NDArray[np.intp]:
     """Which of the image's values each pixel shows; the one after the last is outside."""
     rows, beams = image.rows, image.beams
     bearings = np.frombuffer(image.bearings_rad, "<f4").astype(np.float64)
-    widest = min(max(abs(float(bearings[0])), abs(float(bearings[-1]))), math.pi / 2)
+    low, high = _edges(bearings)
+    widest = min(max(abs(low), abs(high)), math.pi / 2)
     half_width = max(math.ceil(rows * math.sin(widest)), 1)
     across = np.arange(-half_width, half_width) + 0.5
     ahead = (np.arange(rows) + 0.5)[::-1, None]
@@ -59,7 +60,6 @@ def _source(image: Image) -> NDArray[np.intp]:
     bearing = np.arctan2(across, ahead)
     between = (bearings[1:] + bearings[:-1]) / 2
     beam = np.searchsorted(between, bearing)
-    low, high = _edges(bearings)
     seen = (row < rows) & (bearing >= low) & (bearing <= high)
     return np.where(seen, row * beams + beam, rows * beams)
 

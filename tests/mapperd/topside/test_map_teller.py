@@ -1,0 +1,85 @@
+"""When the map is told, and how often."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from mapperd.client.changes import MapChanged
+from mapperd.client.mirror import MapMirror
+from mapperd.stream.messages import Interest
+from mapperd.topside.map_teller import LIVE, RECORDING, MapTeller, Pace
+from tests.mapperd.topside.foxglove_fakes import FACTS, T0, block
+
+KEY = (1, -2, 3)
+
+
+class Told:
+    """A map that changes, and who tells of it."""
+
+    def __init__(self, pace: Pace) -> None:
+        self.mirror = MapMirror(FACTS, Interest())
+        self.teller = MapTeller(pace)
+
+    def change(self, cells: dict[int, int], key: tuple[int, int, int] = KEY) -> None:
+        self.mirror.put(block(key, cells), T0)
+        self.teller.note(MapChanged(np.array([key], np.int32), T0, 0))
+
+    def topics(self, now_s: float, **more: Any) -> list[str]:
+        return [said.topic for said in self.teller.due(self.mirror, now_s, 5, **more)]
+
+
+def test_a_viewer_gets_the_whole_map_once_a_second_while_it_changes() -> None:
+    told = Told(LIVE)
+    assert told.topics(0.0) == ["/map"]
+    told.change({0: 8})
+    assert told.topics(0.9) == []
+    assert told.topics(1.0) == ["/map"]
+    assert told.topics(9.0) == []
+
+
+def test_a_large_map_is_told_more_seldom_and_its_changes_meanwhile() -> None:
+    told = Told(Pace(bytes_per_s=24 * 100))
+    for x in range(4):
+        told.change(dict.fromkeys(range(100), 8), (x, 0, 0))
+    assert told.topics(0.0) == ["/map"]
+    told.change({5: 8})
+    assert told.topics(1.0) == ["/map_changes"]
+    assert told.topics(2.0) == []
+    assert told.topics(4.0) == ["/map"]
+
+
+def test_a_recording_gets_changes_until_they_are_as_many_as_the_map() -> None:
+    told = Told(RECORDING)
+    told.change(dict.fromkeys(range(10), 8))
+    assert told.topics(0.0) == ["/map"]
+    said = []
+    for k in range(1, 6):
+        told.change(dict.fromkeys(range(4), 8), (k, 9, 9))
+        said += told.topics(float(k))
+    assert said == ["/map_changes", "/map_changes", "/map_changes", "/map", "/map_changes"]
+    told.change({1: 8})
+    assert told.topics(5.5) == []
+    assert told.topics(64.0) == ["/map"]
+    assert told.topics(200.0, last=True) == []
+    told.change({2: 8})
+    assert told.topics(200.1, last=True) == ["/map"]
+
+
+def test_changes_of_what_is_not_occupied_are_not_told() -> None:
+    told = Told(Pace(share=math.inf))
+    told.topics(0.0)
+    told.change({0: -8})
+    assert told.topics(1.0) == []
+
+
+def test_a_new_map_and_a_new_listener_are_told_all() -> None:
+    told = Told(RECORDING)
+    told.change({0: 8})
+    told.topics(0.0)
+    told.teller.renew()
+    assert told.topics(0.1) == ["/map"]
+    told.mirror.forget()
+    told.teller.reset()
+    (said,) = told.teller.due(told.mirror, 0.2, 77)
+    assert (said.topic, said.stamp_ns) == ("/map", 77)
