@@ -18,12 +18,14 @@ from mapperd.errors import ConfigError, MapError, StoreError
 from mapperd.events import EventLog, Severity
 from mapperd.export.map_folder import MapFolder
 from mapperd.filters.stage import check_filters
+from mapperd.geodesy import Origin
 from mapperd.live import Live
 from mapperd.localization.checking import check_localization
 from mapperd.localization_report import localization_report
 from mapperd.localization_requests import LocalizationRequests
 from mapperd.mapping import SonarMap
 from mapperd.operations import OperationError
+from mapperd.pairing import origin_of
 from mapperd.pose_request import PoseRequest
 from mapperd.reject import Reject
 from mapperd.service.watchdog import Worker
@@ -137,7 +139,13 @@ class Daemon:
 
     async def save(self, name: str, origin: str) -> dict[str, Any]:
         """As `Operations.save`."""
-        done = await asyncio.to_thread(self._maps.save, name, self._whole)
+        origin_deg = origin_of(self._config, self._live.poses)
+        done = await asyncio.to_thread(
+            self._maps.save,
+            name,
+            self._whole,
+            None if origin_deg is None else Origin.of_degrees(*origin_deg),
+        )
         text = f"map written to {done['path']} for {origin}"
         facts = {"path": done["path"], "bytes": done["bytes"]}
         self._events.add(Severity.NOTICE, "map_saved", text, **facts)

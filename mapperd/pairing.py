@@ -14,7 +14,14 @@ from mapperd.reject import Reject
 from oculus_driver.clock import SonarClock
 from oculus_driver.ping import Ping
 
-__all__ = ["ODOMETRY_FOLLOWS", "FixedPose", "OdometryPoses", "PoseSource", "ping_time_ns"]
+__all__ = [
+    "ODOMETRY_FOLLOWS",
+    "FixedPose",
+    "OdometryPoses",
+    "PoseSource",
+    "origin_of",
+    "ping_time_ns",
+]
 
 ODOMETRY_FOLLOWS = (
     "time_sync",
@@ -77,6 +84,12 @@ class PoseSource(Protocol):
             now_ns: the clock of the arrivals: now, or the stamp of a recording's newest chunk.
             final: nothing more will come.
         """
+
+
+def origin_of(config: Config, poses: PoseSource) -> tuple[float, float] | None:
+    """Latitude and longitude of the map's zero: as set, else the first place that was said."""
+    said = config.odometry.origin
+    return poses.origin_deg if said is None else (said.latitude, said.longitude)
 
 
 class FixedPose:

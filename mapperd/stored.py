@@ -20,7 +20,7 @@ from mapperd.engine import Engine, Work
 from mapperd.errors import StoreError
 from mapperd.localizing import Localizing, saved_state
 from mapperd.mapping import SonarMap
-from mapperd.pairing import FixedPose
+from mapperd.pairing import FixedPose, origin_of
 from mapperd.position import Place, Places, Position
 from mapperd.service.watchdog import Worker
 from mapperd.stepping import Stepping
@@ -309,10 +309,7 @@ class Stored:
 
     def _origin_deg(self) -> tuple[float, float] | None:
         """Where the map's zero is, so that the next session has it there too."""
-        said = self._map.config.odometry.origin
-        if said is not None:
-            return said.latitude, said.longitude
-        return self._engine.poses.origin_deg
+        return origin_of(self._map.config, self._engine.poses)
 
     def _sealed_whole(self, position: Position) -> bytes:
         self._await(self._places.newest)

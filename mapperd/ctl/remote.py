@@ -86,6 +86,8 @@ def _changed(_: argparse.Namespace, result: dict[str, Any]) -> Lines:
 
 def _saved(_: argparse.Namespace, result: dict[str, Any]) -> Lines:
     yield plain(f"{result.get('path')}: {result.get('bytes')} bytes")
+    if "crs" in result:
+        yield plain(f"system of coordinates: {result['crs']}")
 
 
 def _reset(_: argparse.Namespace, __: dict[str, Any]) -> Lines:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from mapperd import _core
 from mapperd.errors import ExportError
-from mapperd.mapping import SonarMap, iwlo_params
+from mapperd.mapping import SonarMap, Voxels, iwlo_params
 from mapperd.probability import log_odds_of
 
 __all__ = [
@@ -19,9 +19,11 @@ __all__ = [
     "UNKNOWN",
     "Cells",
     "Heights",
+    "Tops",
     "Window",
     "known_cells",
     "top_cells",
+    "top_voxels",
 ]
 
 MAX_CELLS = 1 << 26
@@ -164,20 +166,49 @@ def known_cells(sonar_map: SonarMap, heights: Heights) -> Cells | None:
     return known.cells()
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Tops:
+    """The highest occupied voxel of each column.
+
+    Attributes:
+        window: which columns.
+        rows: (height, width) into `voxels`, -1 where there is none; row 0 is the south.
+        voxels: that they are of.
+    """
+
+    window: Window
+    rows: Ints
+    voxels: Voxels
+
+
+def top_voxels(sonar_map: SonarMap, heights: Heights) -> Tops | None:
+    """The highest occupied voxel that counts of each column; None where none does.
+
+    Raises:
+        ExportError: the grid is too large.
+    """
+    voxels = sonar_map.voxels("occupied")
+    z_m = voxels.centres_m[:, 2]
+    chosen = np.flatnonzero((z_m >= heights.min_m) & (z_m <= heights.max_m))
+    if not len(chosen):
+        return None
+    chosen = chosen[np.argsort(z_m[chosen], kind="stable")]
+    columns = indices_of(voxels.centres_m[chosen, :2], sonar_map.resolution_m)
+    window = window_of(columns)
+    rows = np.full((window.height, window.width), -1, dtype=np.int64)
+    # Ascending in z: of a column's voxels the highest is put last, which is what is kept.
+    rows[columns[:, 1] - window.y, columns[:, 0] - window.x] = chosen
+    return Tops(window, rows, voxels)
+
+
 def top_cells(sonar_map: SonarMap, heights: Heights) -> Cells | None:
     """Index in z of the highest occupied voxel of each column that counts, int64, or `NO_TOP`.
 
     Raises:
         ExportError: the grid is too large.
     """
-    centres_m = sonar_map.voxels("occupied").centres_m
-    z_m = centres_m[:, 2]
-    places = indices_of(
-        centres_m[(z_m >= heights.min_m) & (z_m <= heights.max_m)], sonar_map.resolution_m
-    )
-    if not len(places):
+    tops = top_voxels(sonar_map, heights)
+    if tops is None:
         return None
-    window = window_of(places[:, :2])
-    grid = np.full((window.height, window.width), NO_TOP, dtype=np.int64)
-    np.maximum.at(grid, (places[:, 1] - window.y, places[:, 0] - window.x), places[:, 2])
-    return Cells(grid, window)
+    indices = indices_of(tops.voxels.centres_m[:, 2], sonar_map.resolution_m)
+    return Cells(np.where(tops.rows >= 0, indices[tops.rows], NO_TOP), tops.window)

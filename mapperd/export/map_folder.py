@@ -10,8 +10,9 @@ from typing import Any
 from mapperd.config_store import ConfigStore
 from mapperd.errors import ExportError, MapError, StoreError
 from mapperd.export.atomic import make_folder
-from mapperd.export.by_suffix import FORMATS, write_map
+from mapperd.export.by_suffix import FORMATS, crs_of, write_map
 from mapperd.export.cells import Heights
+from mapperd.geodesy import Origin
 from mapperd.mapping import SonarMap
 from mapperd.operations import OperationError
 
@@ -63,15 +64,19 @@ class MapFolder:
         self._busy = threading.Lock()
         settings.follow(self.FOLLOWS, lambda _: None)  # they are looked up at every save
 
-    def save(self, name: str, whole_map: Callable[[], SonarMap]) -> dict[str, Any]:
+    def save(
+        self, name: str, whole_map: Callable[[], SonarMap], origin: Origin | None = None
+    ) -> dict[str, Any]:
         """Write the map; takes seconds, in a thread of its own.
 
         Args:
             name: of the file; its suffix says the format.
             whole_map: gives the map when it is needed; may be slow, may raise what a store does.
+            origin: where the map's zero lies on Earth; None where nobody knows.
 
         Returns:
-            `path`, `bytes` of all files, `seconds`.
+            `path`, `bytes` of all files, `seconds`; `crs` of formats that can name a system of
+            coordinates.
 
         Raises:
             OperationError: `bad_name`, `bad_format`, `cannot_write`, or `busy` with another.
@@ -82,7 +87,7 @@ class MapFolder:
         began_s = self._clock()
         try:
             make_folder(self.folder)
-            files = write_map(whole_map(), self.folder / name, self._heights())
+            files = write_map(whole_map(), self.folder / name, self._heights(), origin)
             size = sum(path.stat().st_size for path in files)
         except (ExportError, MapError, StoreError) as error:
             raise OperationError(str(error), "cannot_write") from error
@@ -90,7 +95,9 @@ class MapFolder:
             raise OperationError(f"{self.folder}: {error.strerror}", "cannot_write") from error
         finally:
             self._busy.release()
-        return {"path": str(files[0]), "bytes": size, "seconds": self._clock() - began_s}
+        done = {"path": str(files[0]), "bytes": size, "seconds": self._clock() - began_s}
+        crs = crs_of(files[0], origin)
+        return done if crs is None else done | {"crs": crs}
 
     def _heights(self) -> Heights:
         export = self._settings.current.export
