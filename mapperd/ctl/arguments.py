@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from mapperd.config_parameters import parameters
+from mapperd.ctl.file_arguments import add_convert
 from mapperd.ctl.foxglove_arguments import add_foxglove, add_record
 from mapperd.ctl.localization_arguments import add_localization
 from mapperd.errors import ConfigError
@@ -48,6 +49,7 @@ def parser() -> _Parser:
     add_foxglove(_command(commands, "foxglove", about, f"{about}. {stream}"))
     about = "record what the map stream says"
     add_record(_command(commands, "record", about, f"{about.capitalize()}. {stream}"))
+    add_convert(_offline(commands, "convert", "a map's file to one of another format"))
     add_localization(lambda *said: _command(commands, *said))
     events = _command(commands, "events", "what happened")
     events.add_argument("--follow", action="store_true", help="and what happens, until interrupted")
@@ -77,16 +79,27 @@ def _command(
     about: str,
     more: str | None = None,
 ) -> _Parser:
-    command = commands.add_parser(
-        name, help=about, description=more or f"{about.capitalize()}.", epilog=EPILOG
-    )
+    command = _offline(commands, name, about, more)
     add = command.add_argument
     add("--json", action="store_true", help="for programs: objects, one a line")
     add("--socket", metavar="PATH", type=Path, help="Unix socket of the daemon")
     add("--address", metavar="HOST:PORT", help="its TCP socket instead")
     add("--token-file", metavar="FILE", type=Path, help="token of the TCP socket")
     add("--tls-ca", metavar="PEM", type=Path, help="TLS, by an authority or certificate of these")
-    add(
+    return command
+
+
+def _offline(
+    commands: "argparse._SubParsersAction[_Parser]",
+    name: str,
+    about: str,
+    more: str | None = None,
+) -> _Parser:
+    """A command that needs no daemon."""
+    command = commands.add_parser(
+        name, help=about, description=more or f"{about.capitalize()}.", epilog=EPILOG
+    )
+    command.add_argument(
         "--config",
         metavar="YAML",
         type=Path,

@@ -24,6 +24,9 @@ from mapperd.errors import ConfigError
 
 __all__ = ["main"]
 
+OFFLINE = ("convert",)
+"""Commands that need no daemon."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; what is wrong is one line and an exit code."""
@@ -55,6 +58,11 @@ def _lines(said: argparse.Namespace) -> Iterator[str]:
         from mapperd.topside.record_command import run_record  # noqa: PLC0415 needs numpy
 
         yield from run_record(said, *_stream(said))
+        return
+    if said.command in OFFLINE:
+        from mapperd.topside import commands  # noqa: PLC0415 the core, which others do not need
+
+        yield from commands.run(said, _settings(said).config)
         return
     remote = said.command != "params" or said.running or said.socket or said.address
     if remote:

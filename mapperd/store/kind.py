@@ -6,6 +6,7 @@ None of them may change while the program runs, so that all voxels of a file fol
 import json
 import sqlite3
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -13,7 +14,7 @@ from mapperd.config import Config
 from mapperd.errors import StoreError
 from mapperd.store.identity import NAME
 
-__all__ = ["check_kind", "kind_of", "write_kind"]
+__all__ = ["check_kind", "kind_in", "kind_of", "write_kind"]
 
 SECTIONS = ("iwlo", "adaptive")
 
@@ -30,6 +31,17 @@ def kind_of(config: Config) -> dict[str, str]:
 def write_kind(connection: sqlite3.Connection, config: Config) -> None:
     """Say in a new file what its map is."""
     connection.executemany("INSERT INTO fact VALUES (?, ?)", kind_of(config).items())
+
+
+def kind_in(connection: sqlite3.Connection) -> dict[str, Any]:
+    """What a file's map is: settings by their full names, such as this program knows.
+
+    Raises:
+        ValueError: one of them is not as it was written.
+    """
+    known = kind_of(Config()).keys()
+    told = connection.execute("SELECT name, value FROM fact")
+    return {name: json.loads(value) for name, value in told if name in known}
 
 
 def check_kind(connection: sqlite3.Connection, path: Path, config: Config) -> None:

@@ -5,14 +5,15 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import zstandard
 
+from mapperd.errors import StoreError
 from mapperd.mapping import SonarMap
 from mapperd.store.bricks import COLUMNS, DamagedBrickError, Key, rows_of, unpack
 from mapperd.store.database import open_reader, reading, translated
-from mapperd.store.kind import check_kind
+from mapperd.store.kind import check_kind, kind_in
 from mapperd.store.schema import check_version
 
 __all__ = ["Loaded", "StoreReader"]
@@ -68,6 +69,18 @@ class StoreReader:
         trace: TracebackType | None,
     ) -> None:
         self._open.close()
+
+    def kind(self) -> dict[str, Any]:
+        """Settings, by name, that the file's map came about by: those that `load` insists on.
+
+        Raises:
+            StoreError: the file cannot be read.
+        """
+        try:
+            with translated(self.path), reading(self._connection):
+                return kind_in(self._connection)
+        except ValueError as error:
+            raise StoreError(f"{self.path}: is damaged: {error}", "damaged") from error
 
     def load(self, sonar_map: SonarMap, since: int = 0) -> Loaded:
         """Bring a map that is in memory as a whole up to the last saved state.

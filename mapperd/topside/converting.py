@@ -1,0 +1,42 @@
+"""`mapperctl convert`: a map's file becomes one of another format, without a daemon."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from mapperd.config import Config
+from mapperd.geodesy import Origin
+from mapperd.map_source import map_in
+from mapperd.topside.made import check_suffix, make_files
+
+__all__ = ["convert", "origin_among"]
+
+
+def convert(
+    source: Path, path: Path, config: Config, values: Mapping[str, Any], origin: Origin | None
+) -> Iterator[str]:
+    """Read a map and write it; yields what there is to say.
+
+    Args:
+        source: as `map_in` takes it.
+        path: of the new file; its suffix says the format.
+        config: thresholds and heights.
+        values: settings above these.
+        origin: where the map's zero lies on Earth, whatever the file says.
+
+    Raises:
+        MapperdError: what is wrong with the map, the settings or the new file.
+    """
+    check_suffix(path)
+    found = map_in(source, config, values)
+    counts = found.map.counts()
+    edge_m = found.map.resolution_m
+    yield f"{source}: {counts.occupied} occupied, {counts.free} free voxels of {edge_m:g} m"
+    yield from make_files(found.map, path, origin_among(origin, found.origin, config))
+
+
+def origin_among(asked: Origin | None, said: Origin | None, config: Config) -> Origin | None:
+    """The origin that was asked for, else the map's own, else that of the settings."""
+    geo = config.odometry.origin
+    of_settings = None if geo is None else Origin.of_degrees(geo.latitude, geo.longitude)
+    return asked or said or of_settings
