@@ -17,7 +17,7 @@ from mapperd.position import position_in
 from mapperd.setting_changes import with_values
 from mapperd.store.reader import StoreReader
 
-__all__ = ["SourcedMap", "map_in"]
+__all__ = ["SourcedMap", "holds_map", "map_in"]
 
 SQLITE = b"SQLite format 3\0"
 OCTOMAP = b"# Octomap OcTree"
@@ -75,6 +75,14 @@ def map_in(
         f"{path}: no map: neither a daemon's file, nor a .map, nor a tree of OctoMap",
         "bad_map_file",
     )
+
+
+def holds_map(path: Path) -> bool:
+    """Whether a file begins like a map; what cannot be read does not."""
+    try:
+        return _beginning(path).startswith((SQLITE, _core.MAP_FILE_MAGIC, OCTOMAP))
+    except MapError:
+        return False
 
 
 def _beginning(path: Path) -> bytes:

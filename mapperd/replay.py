@@ -12,7 +12,7 @@ from statistics import median_low
 
 from mapperd.counters import ReplayCounters
 from mapperd.decisions import Remarks, without_skipped
-from mapperd.engine import Engine, Work
+from mapperd.engine import Engine, Settled, Work
 from mapperd.errors import ReplayError
 from mapperd.integration import Integration
 from mapperd.keeping import InMemory
@@ -83,6 +83,9 @@ class Replay:
         remarks: to map a session of the daemon as it was mapped, with all that was decided.
         counters: to go on with.
         onboard: localizes; None where that is off.
+
+    Attributes:
+        on_settled: called with each ping before anything is done with it.
     """
 
     def __init__(
@@ -97,6 +100,7 @@ class Replay:
         counters: ReplayCounters | None = None,
         onboard: Onboard | None = None,
     ) -> None:
+        self.on_settled: Callable[[Settled], None] = lambda _: None
         self._config = sonar_map.config
         self._poses = poses
         self._window = window
@@ -105,6 +109,11 @@ class Replay:
         self._integration = Integration(
             Stepping(sonar_map, clock, counters), InMemory(sonar_map), remarks, onboard
         )
+
+    @property
+    def integration(self) -> Integration:
+        """What carries the work out."""
+        return self._integration
 
     @property
     def counters(self) -> ReplayCounters:
@@ -150,6 +159,8 @@ class Replay:
 
     def _do(self, work: Iterable[Work]) -> None:
         for each in work:
+            if isinstance(each, Settled):
+                self.on_settled(each)
             self._integration.do(each)
 
 

@@ -11,18 +11,15 @@ import numpy as np
 
 from mapperd.arguments import Arguments
 from mapperd.config import Config
-from mapperd.config_file import config_of
 from mapperd.counters import ReplayCounters
-from mapperd.decisions import Remarks, Session, remarks_in
 from mapperd.errors import ReplayError
 from mapperd.export.summary import localization_summary, recording_facts, summary_of
 from mapperd.frames import Pose
-from mapperd.localizing import Localizing, begun, begun_again
 from mapperd.mapping import SonarMap
-from mapperd.pairing import FixedPose, OdometryPoses
 from mapperd.progress import ProgressBar
 from mapperd.recording_files import RecordedSession, files_in, sessions_of
-from mapperd.replay import Replay, Window, contents, first_range_m
+from mapperd.replay import Window, contents, first_range_m
+from mapperd.replay_runs import Run, as_asked, as_recorded, not_empty
 from mapperd.replay_store import map_into_store
 from oculus_driver.errors import RecordingError
 
@@ -66,13 +63,11 @@ def map_recordings(
     if not sessions:
         raise RecordingError(f"{arguments.replay[0]}: no recording with anything in it")
     if arguments.as_recorded:
-        # Who was killed before the first piece leaves a session without any.
-        begun = [session for session in sessions if any(True for _ in session)] or sessions
-        runs = [_as_recorded(session) for session in begun]
+        runs = [as_recorded(session) for session in not_empty(sessions)]
         sonar_map = SonarMap(runs[0].config)
     else:
         sonar_map = SonarMap(settings())
-        runs = [_as_asked(session, arguments, sonar_map.config) for session in sessions]
+        runs = [as_asked(session, arguments.pose, sonar_map.config) for session in sessions]
         if len(runs) > 1 and (arguments.start_s or arguments.duration_s is not None):
             raise ReplayError("--start and --duration choose a part of one session, not of several")
         _require_data(sessions, odometry=arguments.pose is None)
@@ -84,47 +79,7 @@ def map_recordings(
     return sonar_map, _mapped(runs, sonar_map, Window(arguments.start_s, arguments.duration_s))
 
 
-class _Run:
-    """A session that is to be mapped: what with, and what was decided in it."""
-
-    def __init__(
-        self,
-        session: RecordedSession,
-        config: Config,
-        pose: Pose | None,
-        remarks: Remarks | None,
-        localizing: Localizing | None = None,
-    ) -> None:
-        self.session = session
-        self.config = config
-        self.poses = OdometryPoses(config) if pose is None else FixedPose(pose)
-        self.remarks = remarks
-        self.onboard = None if localizing is None else localizing.onboard
-
-
-def _as_asked(session: RecordedSession, arguments: Arguments, config: Config) -> _Run:
-    return _Run(session, config, arguments.pose, None, begun(config))
-
-
-def _as_recorded(session: RecordedSession) -> _Run:
-    beginning = session.beginning()
-    if beginning is None:
-        raise ReplayError(
-            f"{session.paths[0].name} does not begin a session of the daemon, so nobody knows how "
-            "it was mapped; begin with the session's first file, or leave out --as-recorded"
-        )
-    config = config_of(beginning.settings, f"settings in {session.paths[0].name}")
-    localizing = begun_again(config, beginning)
-    return _Run(session, config, _pose_of(beginning), remarks_in(session), localizing)
-
-
-def _pose_of(beginning: Session) -> Pose | None:
-    if beginning.pose is None:
-        return None
-    return Pose(np.array(beginning.pose[:3]), np.array(beginning.pose[3:]))
-
-
-def _mapped(runs: Sequence[_Run], sonar_map: SonarMap, window: Window) -> dict[str, Any]:
+def _mapped(runs: Sequence[Run], sonar_map: SonarMap, window: Window) -> dict[str, Any]:
     """Run the replays, one after the other into one map; returns the summary."""
     counters = ReplayCounters()
     size_bytes = sum(run.session.size_bytes for run in runs)
@@ -132,17 +87,7 @@ def _mapped(runs: Sequence[_Run], sonar_map: SonarMap, window: Window) -> dict[s
     began_s = time.perf_counter()
     done_bytes = 0
     for run in runs:
-        sonar_map.reconfigure(run.config)
-        replay = Replay(
-            sonar_map,
-            run.poses,
-            window,
-            time.perf_counter,
-            confirm=run.session.session is None,
-            remarks=run.remarks,
-            counters=counters,
-            onboard=run.onboard,
-        )
+        replay = run.replay(sonar_map, window, counters)
         for _ in replay.run(run.session):
             bar.show((done_bytes + run.session.bytes_read) / size_bytes, counters.pings_mapped)
         done_bytes += run.session.bytes_read

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from mapperd.config_parameters import parameters
-from mapperd.ctl.file_arguments import add_convert
+from mapperd.ctl.file_arguments import add_bag, add_convert
 from mapperd.ctl.foxglove_arguments import add_foxglove, add_record
 from mapperd.ctl.localization_arguments import add_localization
 from mapperd.errors import ConfigError
@@ -50,6 +50,7 @@ def parser() -> _Parser:
     about = "record what the map stream says"
     add_record(_command(commands, "record", about, f"{about.capitalize()}. {stream}"))
     add_convert(_offline(commands, "convert", "a map's file to one of another format"))
+    add_bag(_offline(commands, "bag", "a recording or a map to a ROS 2 bag, without ROS"))
     add_localization(lambda *said: _command(commands, *said))
     events = _command(commands, "events", "what happened")
     events.add_argument("--follow", action="store_true", help="and what happens, until interrupted")

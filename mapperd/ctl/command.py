@@ -24,7 +24,7 @@ from mapperd.errors import ConfigError
 
 __all__ = ["main"]
 
-OFFLINE = ("convert",)
+OFFLINE = ("bag", "convert")
 """Commands that need no daemon."""
 
 

@@ -4,8 +4,10 @@ import argparse
 import math
 from pathlib import Path
 
-__all__ = ["add_convert", "add_origin"]
+__all__ = ["add_bag", "add_convert"]
 
+POSE_NUMBERS = 6
+MOST = 1e6
 HELP_FORMATS = "the suffix says the format: docs/export.md"
 
 
@@ -15,11 +17,29 @@ def add_convert(command: argparse.ArgumentParser) -> None:
         "source", metavar="SOURCE", type=Path, help="a daemon's map, .map, .bt, .ot"
     )
     command.add_argument("file", metavar="FILE", type=Path, help=HELP_FORMATS)
-    add_origin(command)
+    _add_origin(command)
+    _add_probability(command)
 
 
-def add_origin(command: argparse.ArgumentParser) -> None:
-    """Of all that write maps."""
+def add_bag(command: argparse.ArgumentParser) -> None:
+    """Of `bag`."""
+    add = command.add_argument
+    add("source", metavar="SOURCE", type=Path, help="a recording, a folder of them, or a map")
+    add("bag", metavar="BAG", type=Path, help="folder that is made")
+    add("--storage", choices=("mcap", "sqlite3"), default="mcap", help="default: mcap")
+    add("--as-recorded", action="store_true", help="map recordings as they were mapped live")
+    add("--pose", metavar="X,Y,Z,ROLL,PITCH,YAW", type=_pose, help="of a vehicle that stood still")
+    add(
+        "--every",
+        metavar="S",
+        type=_seconds,
+        default=0.0,
+        help="tell the map's cloud that often; default: at the end alone",
+    )
+    _add_probability(command)
+
+
+def _add_origin(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--origin",
         metavar="LAT,LON",
@@ -27,6 +47,9 @@ def add_origin(command: argparse.ArgumentParser) -> None:
         help="where on Earth the map's zero lies, in degrees; default: what the map says, else "
         "odometry.origin",
     )
+
+
+def _add_probability(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--min-probability",
         metavar="P",
@@ -43,6 +66,27 @@ def _origin(text: str) -> tuple[float, float]:
     if not (abs(latitude) < 90 and abs(longitude) <= 180):  # noqa: PLR2004 degrees
         raise argparse.ArgumentTypeError(f"{text!r}: latitude,longitude in degrees were expected")
     return latitude, longitude
+
+
+def _pose(text: str) -> tuple[float, ...]:
+    """Metres and degrees."""
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != POSE_NUMBERS or not all(abs(value) <= MOST for value in values):
+        raise argparse.ArgumentTypeError(f"{text!r}: x,y,z,roll,pitch,yaw were expected")
+    return values
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value <= MOST:
+        raise argparse.ArgumentTypeError(f"{text!r}: seconds were expected")
+    return value
 
 
 def _probability(text: str) -> float:

@@ -8,7 +8,10 @@ from typing import Any
 from mapperd.config import Config
 from mapperd.ctl.errors import CtlError, Exit, plain
 from mapperd.errors import ConfigError, ExportError, MapperdError
+from mapperd.frames import pose_from_rpy
 from mapperd.geodesy import Origin
+from mapperd.map_source import holds_map
+from mapperd.topside.bagging import bag_of_map, bag_of_recordings
 from mapperd.topside.converting import convert
 from oculus_driver.errors import OculusError
 
@@ -31,7 +34,7 @@ def run(said: argparse.Namespace, config: Config) -> Iterator[str]:
             yield plain(line)
     except ExportError as error:
         raise CtlError(str(error), Exit.CANNOT_WRITE) from error
-    except ConfigError:
+    except (ConfigError, CtlError):
         raise
     except (MapperdError, OculusError) as error:
         raise CtlError(str(error), Exit.USAGE) from error
@@ -39,6 +42,25 @@ def run(said: argparse.Namespace, config: Config) -> Iterator[str]:
 
 def _convert(said: argparse.Namespace, config: Config) -> Iterator[str]:
     return convert(said.source, said.file, config, _values(said, config), _origin(said))
+
+
+def _bag(said: argparse.Namespace, config: Config) -> Iterator[str]:
+    if said.as_recorded and (said.pose or said.config or said.min_probability):
+        raise CtlError(
+            "--as-recorded leaves no room for --config, --pose and --min-probability", Exit.USAGE
+        )
+    values = _values(said, config)
+    if holds_map(said.source):
+        return bag_of_map(said.source, said.bag, config, values, said.storage)
+    return bag_of_recordings(
+        said.source,
+        said.bag,
+        None if said.as_recorded else config,
+        values,
+        pose=None if said.pose is None else pose_from_rpy(said.pose[:3], said.pose[3:]),
+        every_s=said.every,
+        storage=said.storage,
+    )
 
 
 def _values(said: argparse.Namespace, config: Config) -> dict[str, Any]:
@@ -55,5 +77,5 @@ def _origin(said: argparse.Namespace) -> Origin | None:
 
 
 _COMMANDS: Mapping[str, Callable[[argparse.Namespace, Config], Iterator[str]]] = MappingProxyType(
-    {"convert": _convert}
+    {"bag": _bag, "convert": _convert}
 )

@@ -24,7 +24,9 @@ from mapperd.opening import open_map
 from mapperd.position import position_in
 from mapperd.recording_files import files_in, sessions_of
 from mapperd.replay import Window
-from mapperd.replay_command import _as_recorded, _mapped, _Run
+from mapperd.replay_command import _mapped
+from mapperd.replay_runs import Run
+from mapperd.replay_runs import as_recorded as run_as_recorded
 from mapperd.replay_store import map_into_store
 from mapperd.store.reader import StoreReader
 from tests.mapperd.crash.client import ROOT, Daemons, World
@@ -68,7 +70,7 @@ def content(path: Path, config: Config) -> str:
 def as_recorded(folder: Path) -> tuple[str, int]:
     """The map of all recordings in a folder as a whole, and its pings."""
     begun = [session for session in sessions_of(files_in([folder])) if any(True for _ in session)]
-    runs = [_as_recorded(session) for session in begun]
+    runs = [run_as_recorded(session) for session in begun]
     sonar_map = SonarMap(runs[0].config)
     summary = _mapped(runs, sonar_map, Window())
     return sonar_map.sha256(), summary["pings_mapped"]
@@ -205,7 +207,7 @@ def kill_replays(folder: Path, daemons: Daemons, least: int) -> None:
     config = config_from_text((folder / "dive.yaml").read_text(encoding="utf-8"))
     (session,) = sessions_of([dive])
     truth = SonarMap(config)
-    assert _mapped([_Run(session, config, None, None)], truth, Window())["pings_mapped"] > 40
+    assert _mapped([Run(session, config, None, None)], truth, Window())["pings_mapped"] > 40
     words = ("--replay", dive, "--config", folder / "dive.yaml", "--store", store)
     kills = mid = ends = 0
     while kills < least or not ends:

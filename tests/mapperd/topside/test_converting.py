@@ -14,27 +14,9 @@ from mapperd.mapping import SonarMap
 from mapperd.position import Position
 from mapperd.store.tile_store import TileStore
 from tests.mapperd.export.maps import FREE, OCCUPIED, UNSURE, map_of
+from tests.mapperd.topside.conftest import Call
 
 OTHER = Config(octree=Octree(voxel_resolution=0.25), iwlo=Iwlo(L_min=-8.0, L_max=6.5))
-Call = Callable[..., tuple[int, list[str], str]]
-
-
-@pytest.fixture(autouse=True)
-def _no_settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.delenv("MAPPERD_CONFIG", raising=False)
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "xdg"))
-    monkeypatch.setattr("mapperd.config_layers.load_settings.__defaults__", (tmp_path / "etc",))
-
-
-@pytest.fixture
-def call(capsys: pytest.CaptureFixture[str]) -> Call:
-    def run(*words: str | Path) -> tuple[int, list[str], str]:
-        code = main(["convert", *map(str, words)])
-        said = capsys.readouterr()
-        assert said.err.count("\n") == (code != 0)
-        return code, said.out.splitlines(), said.err
-
-    return run
 
 
 def stored(sonar_map: SonarMap, path: Path, origin_deg: tuple[float, float] | None = None) -> Path:
@@ -64,11 +46,11 @@ def files_of(sonar_map: SonarMap, folder: Path) -> dict[str, Path]:
 def test_map_of_any_settings_is_converted(tmp_path: Path, call: Call, kind: str) -> None:
     sonar_map = map_of(OCCUPIED, FREE, UNSURE, config=OTHER)
     source = files_of(sonar_map, tmp_path)[kind]
-    code, lines, _ = call(source, tmp_path / "out.ply")
+    code, lines, _ = call("convert", source, tmp_path / "out.ply")
     assert code == 0
     assert lines[0] == f"{source}: 3 occupied, 3 free voxels of 0.25 m"
     assert lines[1:] == [f"{tmp_path / 'out.ply'}: {(tmp_path / 'out.ply').stat().st_size} bytes"]
-    call(source, tmp_path / "out.xyz")
+    call("convert", source, tmp_path / "out.xyz")
     found = np.loadtxt(tmp_path / "out.xyz")
     assert sorted(map(tuple, found.tolist())) == sorted(OCCUPIED)
 
@@ -76,7 +58,7 @@ def test_map_of_any_settings_is_converted(tmp_path: Path, call: Call, kind: str)
 @pytest.mark.parametrize("kind", [".map", ".db"])
 def test_nothing_is_lost_where_the_file_holds_all(tmp_path: Path, call: Call, kind: str) -> None:
     sonar_map = map_of(OCCUPIED, FREE, UNSURE, config=OTHER)
-    assert call(files_of(sonar_map, tmp_path)[kind], tmp_path / "out.map")[0] == 0
+    assert call("convert", files_of(sonar_map, tmp_path)[kind], tmp_path / "out.map")[0] == 0
     again = SonarMap(OTHER)
     again.load(tmp_path / "out.map")
     assert again.sha256() == sonar_map.sha256()
@@ -85,7 +67,7 @@ def test_nothing_is_lost_where_the_file_holds_all(tmp_path: Path, call: Call, ki
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_every_format_is_written(tmp_path: Path, call: Call, suffix: str) -> None:
     source = files_of(map_of(OCCUPIED, FREE), tmp_path)[".map"]
-    code, lines, _ = call(source, tmp_path / f"out{suffix}")
+    code, lines, _ = call("convert", source, tmp_path / f"out{suffix}")
     assert code == 0
     assert lines[1].startswith(f"{tmp_path / f'out{suffix}'}: ")
 
@@ -93,9 +75,9 @@ def test_every_format_is_written(tmp_path: Path, call: Call, suffix: str) -> Non
 def test_probability_decides_what_is_occupied(tmp_path: Path, call: Call) -> None:
     source = files_of(map_of(OCCUPIED, FREE, UNSURE), tmp_path)[".map"]
     for least, number in (("0.45", 4), ("0.7", 3), ("0.97", 0)):
-        assert call(source, tmp_path / "a.ply", "--min-probability", least)[1][0].startswith(
-            f"{source}: {number} occupied, 3 free"
-        )
+        assert call("convert", source, tmp_path / "a.ply", "--min-probability", least)[1][
+            0
+        ].startswith(f"{source}: {number} occupied, 3 free")
 
 
 def test_place_on_earth_is_the_files_unless_another_is_asked_for(
@@ -103,22 +85,25 @@ def test_place_on_earth_is_the_files_unless_another_is_asked_for(
 ) -> None:
     source = stored(map_of(OCCUPIED), tmp_path / "a.db", (-33.9, 151.2))
     path = tmp_path / "a.laz"
-    assert call(source, path)[1][2] == "system of coordinates: WGS 84 / UTM zone 56S, EPSG:32756"
+    assert (
+        call("convert", source, path)[1][2]
+        == "system of coordinates: WGS 84 / UTM zone 56S, EPSG:32756"
+    )
     assert laspy.read(path).header.parse_crs().to_epsg() == 32756
-    said = call(source, path, "--origin", "54.3,10.1")[1][2]
+    said = call("convert", source, path, "--origin", "54.3,10.1")[1][2]
     assert said == "system of coordinates: WGS 84 / UTM zone 32N, EPSG:32632"
     settings = tmp_path / "a.yaml"
     settings.write_text("odometry: {origin: {latitude: 60.0, longitude: 20.0}}", encoding="utf-8")
     bare = files_of(map_of(OCCUPIED), tmp_path)[".map"]
-    assert "34N" in call(bare, path, "--config", settings)[1][2]
-    assert "nobody said where" in call(bare, path)[1][2]
+    assert "34N" in call("convert", bare, path, "--config", settings)[1][2]
+    assert "nobody said where" in call("convert", bare, path)[1][2]
 
 
 def test_heights_of_the_settings_hold(tmp_path: Path, call: Call) -> None:
     settings = tmp_path / "a.yaml"
     settings.write_text("export: {min_z: -8.0, max_z: -6.5}", encoding="utf-8")
     source = files_of(map_of(OCCUPIED), tmp_path)[".map"]
-    call(source, tmp_path / "a.asc", "--config", settings)
+    call("convert", source, tmp_path / "a.asc", "--config", settings)
     assert b"-7.8750" in (tmp_path / "a.asc").read_bytes()
 
 
@@ -151,7 +136,7 @@ def test_file_that_is_no_map_is_one_line(
 ) -> None:
     source = files_of(map_of(OCCUPIED), tmp_path)[kind]
     harm(source)
-    code, _, said = call(source, tmp_path / "out.ply")
+    code, _, said = call("convert", source, tmp_path / "out.ply")
     assert code == 2
     assert str(source) in said
     assert any(word in said for word in words.split("|"))
@@ -161,7 +146,7 @@ def test_file_that_is_no_map_is_one_line(
 def test_name_without_a_format_is_refused_before_anything_is_read(
     tmp_path: Path, call: Call
 ) -> None:
-    code, lines, said = call(tmp_path / "nowhere.map", tmp_path / "out.obj")
+    code, lines, said = call("convert", tmp_path / "nowhere.map", tmp_path / "out.obj")
     assert (code, lines) == (73, [])
     assert "out.obj: no format has such a name; known: .bt" in said
 
@@ -181,6 +166,6 @@ def test_settings_of_a_map_that_cannot_be_are_told(tmp_path: Path, call: Call) -
     at = data.index(np.float64(0.25).tobytes())
     data[at : at + 8] = np.float64(np.nan).tobytes()
     source.write_bytes(data)
-    code, _, said = call(source, tmp_path / "out.ply")
+    code, _, said = call("convert", source, tmp_path / "out.ply")
     assert code == 2
     assert "settings that cannot be" in said
