@@ -68,8 +68,6 @@ class Messages:
         """nav_msgs/Odometry: the pose in `frame`, the twist in `child`, as REP-103 has it."""
         to_base = quaternion_to_matrix(fused.pose.map_q_base).T
         linear = None if fused.velocity_mps is None else to_base @ fused.velocity_mps
-        known = [linear is not None] * 3 + [fused.rate_radps is not None] * 3
-        unknown = np.where(known, 0.0, NOBODY_KNOWS)
         return self._of(
             "nav_msgs/msg/Odometry",
             header=self._header(stamp_ns, frame),
@@ -88,7 +86,7 @@ class Messages:
                         np.zeros(3) if fused.rate_radps is None else fused.rate_radps
                     ),
                 ),
-                covariance=np.diag(unknown).reshape(-1),
+                covariance=np.diag(np.full(6, NOBODY_KNOWS)).reshape(-1),
             ),
         )
 
