@@ -345,6 +345,7 @@ ORDER = (
     "progress",
     "topside.made",
     "topside.converting",
+    "topside.exporting",
     "topside.ros_messages",
     "topside.bag",
     "topside.bagging",

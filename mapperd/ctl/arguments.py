@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from mapperd.config_parameters import parameters
-from mapperd.ctl.file_arguments import add_bag, add_convert
+from mapperd.ctl.file_arguments import add_bag, add_convert, add_export
 from mapperd.ctl.foxglove_arguments import add_foxglove, add_record
 from mapperd.ctl.localization_arguments import add_localization
 from mapperd.errors import ConfigError
@@ -49,6 +49,8 @@ def parser() -> _Parser:
     add_foxglove(_command(commands, "foxglove", about, f"{about}. {stream}"))
     about = "record what the map stream says"
     add_record(_command(commands, "record", about, f"{about.capitalize()}. {stream}"))
+    about = "the live map as a file here, in any format"
+    add_export(_command(commands, "export", about, f"{about.capitalize()}. {stream}"))
     add_convert(_offline(commands, "convert", "a map's file to one of another format"))
     add_bag(_offline(commands, "bag", "a recording or a map to a ROS 2 bag, without ROS"))
     add_localization(lambda *said: _command(commands, *said))

@@ -64,6 +64,11 @@ def _lines(said: argparse.Namespace) -> Iterator[str]:
 
         yield from commands.run(said, _settings(said).config)
         return
+    if said.command == "export":
+        from mapperd.topside.exporting import run_export  # noqa: PLC0415 needs numpy
+
+        yield from run_export(said, _settings(said).config, *_stream(said))
+        return
     remote = said.command != "params" or said.running or said.socket or said.address
     if remote:
         yield from run(said, _target(said))

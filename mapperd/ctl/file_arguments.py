@@ -4,9 +4,10 @@ import argparse
 import math
 from pathlib import Path
 
-__all__ = ["add_bag", "add_convert"]
+__all__ = ["add_bag", "add_convert", "add_export"]
 
-POSE_NUMBERS = 6
+SIX = 6
+LEVELS = range(4)
 MOST = 1e6
 HELP_FORMATS = "the suffix says the format: docs/export.md"
 
@@ -17,6 +18,41 @@ def add_convert(command: argparse.ArgumentParser) -> None:
         "source", metavar="SOURCE", type=Path, help="a daemon's map, .map, .bt, .ot"
     )
     command.add_argument("file", metavar="FILE", type=Path, help=HELP_FORMATS)
+    _add_origin(command)
+    _add_probability(command)
+
+
+def add_export(command: argparse.ArgumentParser) -> None:
+    """Of `export`."""
+    add = command.add_argument
+    add("file", metavar="FILE", type=Path, help=f"{HELP_FORMATS}; .mcap too")
+    add(
+        "--level",
+        type=int,
+        choices=LEVELS,
+        default=0,
+        help="cells are cubes of 2**level voxels; default: 0",
+    )
+    add(
+        "--box",
+        metavar="X,Y,Z,X,Y,Z",
+        type=_box,
+        help="inside these two corners alone, metres in the map",
+    )
+    add(
+        "--radius",
+        metavar="M",
+        type=_metres,
+        default=0.0,
+        help="around the vehicle alone; default: no limit",
+    )
+    add(
+        "--timeout",
+        metavar="S",
+        type=_seconds,
+        default=0.0,
+        help="give up when the map is not complete by then; default: never",
+    )
     _add_origin(command)
     _add_probability(command)
 
@@ -70,22 +106,42 @@ def _origin(text: str) -> tuple[float, float]:
 
 def _pose(text: str) -> tuple[float, ...]:
     """Metres and degrees."""
+    return _six(text, "x,y,z,roll,pitch,yaw")
+
+
+def _box(text: str) -> tuple[float, ...]:
+    values = _six(text, "x,y,z,x,y,z")
+    low, high = values[:3], values[3:]
+    if not all(a < b for a, b in zip(low, high, strict=True)):
+        raise argparse.ArgumentTypeError(f"{text!r}: the lower corner comes first")
+    return values
+
+
+def _six(text: str, names: str) -> tuple[float, ...]:
     try:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
         values = ()
-    if len(values) != POSE_NUMBERS or not all(abs(value) <= MOST for value in values):
-        raise argparse.ArgumentTypeError(f"{text!r}: x,y,z,roll,pitch,yaw were expected")
+    if len(values) != SIX or not all(abs(value) <= MOST for value in values):
+        raise argparse.ArgumentTypeError(f"{text!r}: {names} were expected")
     return values
 
 
+def _metres(text: str) -> float:
+    return _positive(text, "metres")
+
+
 def _seconds(text: str) -> float:
+    return _positive(text, "seconds")
+
+
+def _positive(text: str, unit: str) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not 0 <= value <= MOST:
-        raise argparse.ArgumentTypeError(f"{text!r}: seconds were expected")
+        raise argparse.ArgumentTypeError(f"{text!r}: {unit} were expected")
     return value
 
 

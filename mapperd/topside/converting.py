@@ -7,9 +7,9 @@ from typing import Any
 from mapperd.config import Config
 from mapperd.geodesy import Origin
 from mapperd.map_source import map_in
-from mapperd.topside.made import check_suffix, make_files
+from mapperd.topside.made import check_suffix, make_files, origin_among
 
-__all__ = ["convert", "origin_among"]
+__all__ = ["convert"]
 
 
 def convert(
@@ -32,11 +32,4 @@ def convert(
     counts = found.map.counts()
     edge_m = found.map.resolution_m
     yield f"{source}: {counts.occupied} occupied, {counts.free} free voxels of {edge_m:g} m"
-    yield from make_files(found.map, path, origin_among(origin, found.origin, config))
-
-
-def origin_among(asked: Origin | None, said: Origin | None, config: Config) -> Origin | None:
-    """The origin that was asked for, else the map's own, else that of the settings."""
-    geo = config.odometry.origin
-    of_settings = None if geo is None else Origin.of_degrees(geo.latitude, geo.longitude)
-    return asked or said or of_settings
+    yield from make_files(found.map, path, origin_among(origin, found.origin, config)).lines()

@@ -1,15 +1,42 @@
-"""What a command says about the files that it has made."""
+"""Files that a command makes of a map, and what it says about them."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from mapperd.config import Config
 from mapperd.errors import ExportError
 from mapperd.export.by_suffix import FORMATS, crs_of, write_map
 from mapperd.export.cells import Heights
 from mapperd.geodesy import Origin
 from mapperd.mapping import SonarMap
 
-__all__ = ["check_suffix", "make_files"]
+__all__ = ["Made", "check_suffix", "make_files", "origin_among"]
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """Files that were written.
+
+    Attributes:
+        files: name to bytes.
+        crs: the system of coordinates that they say they have; None where they cannot say.
+    """
+
+    files: dict[str, int]
+    crs: str | None = None
+
+    def lines(self) -> Iterator[str]:
+        """For a person."""
+        for name, size in self.files.items():
+            yield f"{name}: {size} bytes"
+        if self.crs is not None:
+            yield f"system of coordinates: {self.crs}"
+
+    def plain(self) -> dict[str, Any]:
+        """For a program."""
+        return {"files": self.files} if self.crs is None else {"files": self.files, "crs": self.crs}
 
 
 def check_suffix(path: Path, others: tuple[str, ...] = ()) -> None:
@@ -27,15 +54,19 @@ def check_suffix(path: Path, others: tuple[str, ...] = ()) -> None:
         raise ExportError(f"{path.name}: no format has such a name; known: {' '.join(known)}")
 
 
-def make_files(sonar_map: SonarMap, path: Path, origin: Origin | None) -> Iterator[str]:
-    """Write a map; yields a line for each file, and one for the system of coordinates.
+def make_files(sonar_map: SonarMap, path: Path, origin: Origin | None) -> Made:
+    """Write a map, with the heights of its settings.
 
     Raises:
         ExportError: as `write_map`, and MapError.
     """
     heights = sonar_map.config.export
-    for file in write_map(sonar_map, path, Heights(heights.min_z, heights.max_z), origin):
-        yield f"{file}: {file.stat().st_size} bytes"
-    crs = crs_of(path, origin)
-    if crs is not None:
-        yield f"system of coordinates: {crs}"
+    files = write_map(sonar_map, path, Heights(heights.min_z, heights.max_z), origin)
+    return Made({str(file): file.stat().st_size for file in files}, crs_of(path, origin))
+
+
+def origin_among(asked: Origin | None, said: Origin | None, config: Config) -> Origin | None:
+    """The origin that was asked for, else the map's own, else that of the settings."""
+    geo = config.odometry.origin
+    of_settings = None if geo is None else Origin.of_degrees(geo.latitude, geo.longitude)
+    return asked or said or of_settings

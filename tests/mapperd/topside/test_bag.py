@@ -77,7 +77,8 @@ def read(bag: Path) -> Told:
 
 
 def pings_in(recording: Path) -> list[Ping]:
-    parser, found = StreamParser(), []
+    parser = StreamParser()
+    found: list[Any] = []
     with open_recording(recording) as chunks:
         for chunk in chunks:
             if chunk.encoding == OCULUS:
