@@ -59,15 +59,15 @@ def _lines(said: argparse.Namespace) -> Iterator[str]:
 
         yield from run_record(said, *_stream(said))
         return
-    if said.command in OFFLINE:
-        from mapperd.topside import commands  # noqa: PLC0415 the core, which others do not need
-
-        yield from commands.run(said, _settings(said).config)
-        return
     if said.command == "export":
         from mapperd.topside.exporting import run_export  # noqa: PLC0415 needs numpy
 
         yield from run_export(said, _settings(said).config, *_stream(said))
+        return
+    if said.command in OFFLINE:
+        from mapperd.topside import commands  # noqa: PLC0415 the core, which others do not need
+
+        yield from commands.run(said, _settings(said).config)
         return
     remote = said.command != "params" or said.running or said.socket or said.address
     if remote:

@@ -8,6 +8,7 @@ import ssl
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TextIO
 
 from mapperd.client import (
@@ -26,18 +27,21 @@ from mapperd.geodesy import Origin
 from mapperd.mapping import SonarMap
 from mapperd.setting_changes import with_values
 from mapperd.topside.made import Made, check_suffix, make_files, origin_among
+from mapperd.topside.recording import Recording
+from mapperd.topside.refusals import refused
 
 __all__ = ["run_export"]
 
-WANTS: tuple[Want, ...] = ("map",)
+MCAP = ".mcap"
+
+MAP_ALONE: tuple[Want, ...] = ("map",)
+WITH_VEHICLE: tuple[Want, ...] = ("map", "pose", "path", "fan")
 
 TTY_PERIOD_S = 0.1
 LOG_PERIOD_S = 5.0
 """Where nobody looks on (a file, a pipe), a line every now and then is enough."""
 
 MIB = 1 << 20
-
-NO_PERMISSION = frozenset({"wrong_token", "needs_token", "no_permission", "not_trusted"})
 
 
 def run_export(
@@ -61,25 +65,34 @@ def run_export(
         ConfigError: the settings do not allow it.
     """
     try:
-        check_suffix(said.file)
+        _check(said)
         client = MapClient(
             address,
             token=token,
             tls=tls,
-            wants=WANTS,
+            wants=WITH_VEHICLE if said.file.suffix == MCAP else MAP_ALONE,
             interest=Interest(level=said.level, radius_m=said.radius, box=_box(said.box)),
             name="mapperctl export",
         )
-        asyncio.run(_follow(client, said.timeout or None))
-        made = _made(client, said, config)
+        if said.file.suffix == MCAP:
+            asyncio.run(_recorded(client, said.file, said.timeout or None))
+            made = Made({str(said.file): said.file.stat().st_size})
+        else:
+            asyncio.run(_followed(client, said.timeout or None))
+            made = _made(client, said, config)
     except ExportError as error:
         raise CtlError(str(error), Exit.CANNOT_WRITE) from error
     except StreamError as error:
-        code = Exit.NO_PERMISSION if error.reason in NO_PERMISSION else Exit.PROTOCOL
-        raise CtlError(str(error), code) from error
+        raise refused(error) from error
     except (MapError, ValueError) as error:  # ValueError: no address
         raise CtlError(str(error), Exit.USAGE) from error
     yield from [json.dumps(made.plain())] if said.json else map(plain, made.lines())
+
+
+def _check(said: argparse.Namespace) -> None:
+    check_suffix(said.file, (MCAP,))
+    if said.file.suffix == MCAP and (said.origin or said.min_probability):
+        raise ExportError(f"{MCAP} knows neither --origin nor --min-probability")
 
 
 def _box(corners: tuple[float, ...] | None) -> Box | None:
@@ -112,27 +125,52 @@ def _choose(sonar_map: SonarMap, least: float | None) -> None:
         sonar_map.reconfigure(with_values(sonar_map.config, values))
 
 
-async def _follow(client: MapClient, timeout_s: float | None) -> None:
+async def _followed(client: MapClient, timeout_s: float | None) -> None:
     """Be connected until the map is complete."""
-    progress = _Progress(sys.stderr)
     async with client:
-        parts = [
-            asyncio.create_task(client.complete(timeout_s)),
-            asyncio.create_task(_watch(client, progress)),
-        ]
-        try:
-            done, _ = await asyncio.wait(parts, return_when=asyncio.FIRST_COMPLETED)
-            for part in done:
-                part.result()
-        except TimeoutError:
-            raise CtlError(
-                f"the map is not complete after {timeout_s:g} s: {progress.told()}", Exit.TRY_AGAIN
-            ) from None
-        finally:
-            for part in parts:
-                part.cancel()
-            await asyncio.gather(*parts, return_exceptions=True)
-            progress.end()
+        await _complete(client, timeout_s)
+
+
+async def _recorded(client: MapClient, path: Path, timeout_s: float | None) -> None:
+    """Record what is told until the map is complete; nothing stays of a file that is not whole."""
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        partial.unlink(missing_ok=True)  # of somebody who was killed
+        async with client:
+            recording = Recording(client, partial)
+            recording.start()
+            try:
+                await _complete(client, timeout_s)
+            finally:
+                await recording.stop()
+        partial.replace(path)
+    except OSError as error:
+        raise ExportError(f"{path}: cannot be written: {error.strerror}") from error
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink()
+
+
+async def _complete(client: MapClient, timeout_s: float | None) -> None:
+    """Wait until the map is complete, and show how far it is."""
+    progress = _Progress(sys.stderr)
+    parts = [
+        asyncio.create_task(client.complete(timeout_s)),
+        asyncio.create_task(_watch(client, progress)),
+    ]
+    try:
+        done, _ = await asyncio.wait(parts, return_when=asyncio.FIRST_COMPLETED)
+        for part in done:
+            part.result()
+    except TimeoutError:
+        raise CtlError(
+            f"the map is not complete after {timeout_s:g} s: {progress.told()}", Exit.TRY_AGAIN
+        ) from None
+    finally:
+        for part in parts:
+            part.cancel()
+        await asyncio.gather(*parts, return_exceptions=True)
+        progress.end()
 
 
 async def _watch(client: MapClient, progress: "_Progress") -> None:

@@ -21,6 +21,7 @@ from mapperd.stream.messages import MAX_LEVEL, Blocks, Bye
 from mapperd.topside.exporting import _Progress
 from tests.mapperd.client.conftest import short
 from tests.mapperd.client.served import FACTS, Connection, Served, Server, a_block
+from tests.mapperd.topside.test_recording import read
 
 __all__ = ["short"]
 
@@ -149,8 +150,9 @@ def test_place_on_earth_is_the_maps(tmp_path: Path, export: Call, watched: Watch
     }
 
 
+@pytest.mark.parametrize("suffix", [".ply", ".mcap"])
 def test_map_that_does_not_come_whole_is_no_file(
-    tmp_path: Path, export: Call, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, export: Call, monkeypatch: pytest.MonkeyPatch, suffix: str
 ) -> None:
     def tell(self: Connection) -> None:
         one = BlockSet(
@@ -159,7 +161,7 @@ def test_map_that_does_not_come_whole_is_no_file(
         self.say(Blocks(revision=3, stamp_ns=10**18, left=3, body=encode_blocks(one)))
 
     monkeypatch.setattr(Connection, "tell", tell)
-    code, lines, said = export(tmp_path / "live.ply", "--timeout", "0.3")
+    code, lines, said = export(tmp_path / f"live{suffix}", "--timeout", "0.3")
     assert (code, lines) == (75, [])
     assert "not complete after 0.3 s: 25 %, 3 blocks left, 0.0 MiB" in said
     assert list(tmp_path.iterdir()) == []
@@ -190,6 +192,28 @@ def test_empty_map_is_told(tmp_path: Path, export: Call, watched: Watched) -> No
     assert export(tmp_path / "live.ply")[0] == 0
     code, _, said = export(tmp_path / "live.tif")
     assert (code, "no occupied voxel" in said) == (73, True)
+
+
+def test_recording_holds_the_map_that_was_told(
+    tmp_path: Path, export: Call, watched: Watched
+) -> None:
+    path = tmp_path / "live.mcap"
+    path.write_bytes(b"an older one")
+    code, lines, _ = export(path)
+    assert (code, lines) == (0, [f"{path}: {path.stat().st_size} bytes"])
+    assert list(tmp_path.iterdir()) == [path]
+    assert watched.served.hellos[0].wants == ["map", "pose", "path", "fan"]
+    _, cloud = read(path)["/map"][-1]
+    assert len(cloud.data) // cloud.point_stride == len(watched.mirror().cells())
+
+
+@pytest.mark.parametrize("words", [["--origin", "1,2"], ["--min-probability", "0.6"]])
+def test_recording_is_as_it_was_told(
+    tmp_path: Path, export: Call, watched: Watched, words: list[str]
+) -> None:
+    code, _, said = export(tmp_path / "live.mcap", *words)
+    assert (code, "knows neither" in said) == (73, True)
+    assert watched.served.hellos == []
 
 
 def test_name_without_a_format_is_refused_before_anybody_is_asked(
