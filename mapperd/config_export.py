@@ -10,7 +10,7 @@ __all__ = ["Export"]
 
 
 class Export(Struct, frozen=True, forbid_unknown_fields=True):
-    """Which heights the flat formats look at: `.asc` and `.pgm`."""
+    """Which heights the flat formats look at: `.asc`, `.tif` and `.pgm`."""
 
     min_z: Annotated[
         float, rule("Voxels whose centres lie lower are left out.", "m", live=True, ge=-1e5, le=1e5)

@@ -29,7 +29,7 @@ CLOUD_RATE_HZ = 10.0
 
 
 class Frames(Struct, frozen=True, forbid_unknown_fields=True):
-    """What telemetry calls the frames of reference."""
+    """What telemetry, and bags of ROS 2, call the frames of reference."""
 
     sonar: Annotated[str, rule("Frame of the sonar.", "a name", pattern=f"^{FRAME_PATTERN}$")] = (
         "sonar_link"
@@ -44,7 +44,7 @@ class Frames(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Topics(Struct, frozen=True, forbid_unknown_fields=True):
-    """Topics of ROS: their defaults load, and nothing listens or publishes there."""
+    """Topics of ROS: bags have them; their defaults load, and nothing listens or publishes there."""
 
     sonar: Annotated[
         str, rule("Images of the sonar; instead: `device.address`.", "the default")

@@ -13,7 +13,6 @@ from mapperd.control.messages import Answer, Ask, Events, Greeting
 from mapperd.ctl.arguments import EPILOG, parser
 from mapperd.ctl.connection import REASONS
 from mapperd.ctl.errors import Exit
-from mapperd.export.by_suffix import FORMATS
 from tests.mapperd.control.fakes import Line, served
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -58,9 +57,7 @@ def test_limits_are_those_in_force() -> None:
         assert row in PAGE, row
 
 
-def test_every_format_and_exit_code_is_explained() -> None:
-    for suffix in FORMATS:
-        assert f"| `{suffix}` |" in PAGE
+def test_every_exit_code_is_explained() -> None:
     for code in Exit:
         assert f"| {code:d} |" in PAGE
         assert f"{code:d} " in EPILOG

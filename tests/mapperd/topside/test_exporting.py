@@ -199,6 +199,7 @@ def test_recording_holds_the_map_that_was_told(
 ) -> None:
     path = tmp_path / "live.mcap"
     path.write_bytes(b"an older one")
+    (tmp_path / ".live.mcap.partial").write_bytes(b"of somebody who was killed")
     code, lines, _ = export(path)
     assert (code, lines) == (0, [f"{path}: {path.stat().st_size} bytes"])
     assert list(tmp_path.iterdir()) == [path]
