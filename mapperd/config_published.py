@@ -44,7 +44,7 @@ class Frames(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Topics(Struct, frozen=True, forbid_unknown_fields=True):
-    """Topics of ROS: bags have them; their defaults load, and nothing listens or publishes there."""
+    """Topics of ROS, which bags have: their defaults load, and nothing listens there."""
 
     sonar: Annotated[
         str, rule("Images of the sonar; instead: `device.address`.", "the default")
