@@ -102,7 +102,9 @@ class LiveParameters(ServerListener):
                 {name: _like(self._values[name], value) for name, value in changes.items()}
             )
         except AskError as error:
-            self._warn(f"{_names(changes)}: {error}")
+            text = str(error)
+            named = any(name in text for name in changes)
+            self._warn(text if named else f"{_names(changes)}: {text}")
             return
         self._values = {**self._values, **{name: after for name, (_, after) in changed.items()}}
 

@@ -60,6 +60,7 @@ def run_record(
     except ValueError as error:
         raise CtlError(str(error), Exit.USAGE) from error
     if not client.link.connects:
+        said.file.unlink()
         raise CtlError(f"{client.link.address}: no daemon answered", Exit.UNAVAILABLE)
     passed_s = time.monotonic() - began_s
     done = {"path": str(said.file), "bytes": recording.bytes, "messages": recording.messages}

@@ -112,6 +112,7 @@ def test_what_cannot_be_recorded_is_one_line(
         said = capsys.readouterr().err
         assert why in said
         assert said.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["there.mcap"]
 
 
 def test_a_library_that_is_missing_is_named(
