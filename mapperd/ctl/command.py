@@ -57,7 +57,7 @@ def _lines(said: argparse.Namespace) -> Iterator[str]:
     if said.command == "record":
         from mapperd.topside.record_command import run_record  # noqa: PLC0415 needs numpy
 
-        yield from run_record(said, *_stream(said))
+        yield from run_record(said, _settings(said).config, *_stream(said))
         return
     if said.command == "export":
         from mapperd.topside.exporting import run_export  # noqa: PLC0415 needs numpy

@@ -4,7 +4,7 @@ import numpy as np
 from foxglove.messages import PointCloud
 from numpy.typing import NDArray
 
-from mapperd.client.mirror import Cells
+from mapperd.client.cells import Cells
 from mapperd.stream.messages import Localization, Returns
 from mapperd.topside.geometry import cloud, pose
 

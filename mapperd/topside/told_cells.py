@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.client.block_table import keys_of, names_of
-from mapperd.client.mirror import Cells
+from mapperd.client.cells import Cells
 from mapperd.stream.blocks import CELLS
 from mapperd.stream.messages import BLOCK_EDGE
 

@@ -57,7 +57,8 @@ def _matrix(q: Any) -> np.ndarray[Any, Any]:
     axis = axis / (np.linalg.norm(axis) or 1.0)
     cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
     turn: np.ndarray[Any, Any] = np.eye(3) + math.sin(angle) * cross
-    return turn + (1 - math.cos(angle)) * cross @ cross
+    turn += (1 - math.cos(angle)) * cross @ cross
+    return turn
 
 
 def _vector(v: Any) -> np.ndarray[Any, Any]:

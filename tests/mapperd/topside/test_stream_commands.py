@@ -96,6 +96,20 @@ def test_a_recording_lasts_as_long_as_it_is_told_to(
     assert clouds(path)
 
 
+def test_another_suffix_gets_the_map_of_the_end(
+    short: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = short / "a.xyz"
+
+    async def act(_: Served, server: Server) -> None:
+        given = ["record", str(path), "--duration", "0.4", "--socket", server.address]
+        assert await asyncio.to_thread(main, given) == 0
+
+    beside_a_daemon(short, act)
+    assert len(np.loadtxt(path)) == int((a_block(1).astype(float) * 0.25 > 0.6).sum())
+    assert f"{path}: {path.stat().st_size} bytes" in capsys.readouterr().out
+
+
 def test_what_cannot_be_recorded_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -104,7 +118,8 @@ def test_what_cannot_be_recorded_is_one_line(
     for name, code, why in (
         ("there.mcap", 73, "is there already"),
         ("no/a.mcap", 73, "No such file or directory"),
-        ("a.docx", 2, "recordings are .mcap"),
+        ("a.docx", 73, "no format has such a name"),
+        ("a.ply", 69, "no daemon answered"),
         ("a.mcap", 69, "no daemon answered"),
     ):
         given = ["record", str(tmp_path / name), "--duration", "0.1", *nobody]
