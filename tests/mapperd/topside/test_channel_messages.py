@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 import zstandard
 
+from mapperd.client.cells import Cells
 from mapperd.stream.messages import Image, Robots
+from mapperd.topside.clouds import map_cloud
 from mapperd.topside.poses import Frames, transforms
 from mapperd.topside.scenes import PathDrawing, covariance_scene, fan_scene, robots_scene
 from mapperd.topside.sonar_images import FanShape
@@ -22,6 +24,7 @@ from tests.mapperd.topside.foxglove_fakes import (
     FakeClient,
     S,
     message_class,
+    points_of_cloud,
 )
 
 
@@ -63,6 +66,18 @@ def _matrix(q: Any) -> np.ndarray[Any, Any]:
 
 def _vector(v: Any) -> np.ndarray[Any, Any]:
     return np.array([v.x, v.y, v.z])
+
+
+def test_cells_tell_their_age_and_how_often_they_were_seen() -> None:
+    cells = Cells(
+        np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]),
+        np.zeros(2, np.float32),
+        np.array([0.75, 1.0], np.float32),
+        np.array([0, 4], np.uint16),
+        np.array([T0 - 2 * S, T0 + S]),
+    )
+    rows = points_of_cloud(decoded(map_cloud(cells, "map", T0)))
+    assert rows.tolist() == [(1, 2, 3, 0.75, 2.0, 0), (4, 5, 6, 1.0, 0.0, 4)]
 
 
 def test_the_fan_is_drawn_as_the_sonar_sees() -> None:

@@ -170,6 +170,20 @@ def test_a_late_viewer_sees_the_map_as_the_mirror_has_it() -> None:
     served(told)
 
 
+def test_what_does_not_change_is_told_to_every_new_viewer() -> None:
+    async def told(client: FakeClient, port: int) -> None:
+        client.tell_all()
+        client.occupy((0, 0, 0), {0: 8}, T0 + 9)
+        await until(lambda: not client.untold)
+        topics = ("/map", "/path", "/fan", "/settings")
+        for _ in range(2):
+            async with viewer(port) as eye:
+                await eye.watch(*topics)
+                await eye.hear(lambda eye=eye: all(map(eye.count, topics)))  # type: ignore[misc]
+
+    served(told)
+
+
 def _sorted(rows: Any) -> Any:
     return np.ascontiguousarray(rows[np.lexsort(rows.T)])
 

@@ -15,6 +15,7 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Message, Schema
 from mcap.stream_reader import StreamReader
 
+from mapperd.client.changes import MapReset
 from mapperd.errors import ExportError
 from mapperd.stream.framing import StreamError
 from mapperd.topside import mcap_file, mcap_recorder
@@ -22,6 +23,7 @@ from mapperd.topside.channels import CHANNELS
 from mapperd.topside.map_teller import Pace
 from mapperd.topside.recording import Recording
 from tests.mapperd.topside.foxglove_fakes import (
+    FACTS,
     PIXELS,
     POSE,
     STATUS,
@@ -162,7 +164,7 @@ def test_stamps_are_the_daemons_and_logs_go_forward(tmp_path: Path) -> None:
 def test_changes_after_a_whole_map_give_the_map(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mcap_recorder, "RECORDING", Pace(shortest_s=0.0, share=4.0))
+    monkeypatch.setattr(mcap_recorder, "RECORDING", Pace(shortest_s=0.0, share=math.inf))
     rng = np.random.default_rng(3)
 
     async def told(client: FakeClient, recording: Recording) -> None:
@@ -185,6 +187,7 @@ def test_changes_after_a_whole_map_give_the_map(
             if channel.topic.startswith("/map"):
                 assert schema is not None
                 order.append((channel.topic, decoded(schema, message)))
+    assert order.pop()[0] == "/map"  # of the end
     assert occupied(order) == wanted
     assert [topic for topic, _ in order].count("/map_changes") > 50
     assert len(wanted) > 50
@@ -247,10 +250,17 @@ def test_a_full_disk_is_one_clear_error_and_leaves_whole_chunks(
     good: list[bytes] = []
 
     class Full(mcap_file.ChunkFile):
+        """Of a disk that has room again when it is too late."""
+
         def bring(self) -> None:
-            if good:
-                self._file = _FullFile(self._file)  # type: ignore[assignment]
-            super().bring()
+            file, is_full = self._file, len(good) == 1
+            if is_full:
+                good.append(b"")
+                self._file = _FullFile(file)  # type: ignore[assignment]
+            try:
+                super().bring()
+            finally:
+                self._file = file
 
     async def told(client: FakeClient, recording: Recording) -> None:
         await tell_all(client, recording)
@@ -278,6 +288,20 @@ class _FullFile:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._file, name)
+
+
+def test_another_map_is_told_as_one_that_is_empty(tmp_path: Path) -> None:
+    async def told(client: FakeClient, recording: Recording) -> None:
+        await tell_all(client, recording)
+        assert client.mirror is not None
+        client.mirror.forget()
+        before = recording.messages
+        client.tell(MapReset(FACTS))
+        await until(lambda: recording.messages > before)
+
+    recorded(tmp_path / "a.mcap", told)
+    clouds = [cloud for _, cloud in read(tmp_path / "a.mcap")["/map"]]
+    assert [len(points_of_cloud(cloud)) for cloud in clouds] == [1, 0]
 
 
 def test_a_file_that_is_there_is_left_alone(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from mcap.reader import make_reader
 from websockets.asyncio.client import connect
 
 from mapperd.ctl.command import main
+from mapperd.topside import foxglove_server
 from tests.mapperd.client.conftest import short
 from tests.mapperd.client.served import Served, Server, a_block
 from tests.mapperd.topside.foxglove_fakes import message_class, points_of_cloud, until
@@ -163,6 +164,24 @@ def test_viewers_are_served_until_told_to_stop(short: Path) -> None:
         assert (program.returncode, out, err) == (0, b"", b"")
 
     beside_a_daemon(short, act)
+
+
+@pytest.mark.parametrize(
+    ("host", "is_local"),
+    [("127.0.0.1", True), ("localhost", True), ("::1", True), ("10.0.0.1", False), ("rov", False)],
+)
+def test_settings_are_changed_from_this_computer_alone(
+    host: str, *, is_local: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    allowed: list[bool] = []
+
+    async def serve(*_: object, may_change: bool) -> None:
+        allowed.append(may_change)
+
+    monkeypatch.setattr(foxglove_server, "serve", serve)
+    given = ["foxglove", "--host", host, "--socket", str(tmp_path / "none.sock")]
+    assert main(given) == main([*given, "--allow-changes"]) == 0
+    assert allowed == [is_local, True]
 
 
 def test_wrong_arguments_are_told(capsys: pytest.CaptureFixture[str]) -> None:
