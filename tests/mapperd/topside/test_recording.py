@@ -298,10 +298,12 @@ def test_another_map_is_told_as_one_that_is_empty(tmp_path: Path) -> None:
         before = recording.messages
         client.tell(MapReset(FACTS))
         await until(lambda: recording.messages > before)
+        client.occupy((4, 4, 4), {0: 8, 1: 8}, T0 + 11)
+        await until(lambda: not client.untold)
 
     recorded(tmp_path / "a.mcap", told)
     clouds = [cloud for _, cloud in read(tmp_path / "a.mcap")["/map"]]
-    assert [len(points_of_cloud(cloud)) for cloud in clouds] == [1, 0]
+    assert [len(points_of_cloud(cloud)) for cloud in clouds] == [1, 0, 2]
 
 
 def test_a_file_that_is_there_is_left_alone(tmp_path: Path) -> None:
