@@ -1,9 +1,9 @@
 """What the map stream costs: bytes a changed voxel, and processor time, on a recorded dive.
 
-The recording is mapped as fast as it can be; at each tick of its own clock one client is told
-all that changed. The measure of bytes is what tells the same with x, y, z and a probability as
-four float32 each voxel: every voxel whose value or count is another than at the tick before, and,
-in brackets, those alone whose quantised value is. Prints the tables.
+The recording is mapped as fast as it can be; at each tick of its own clock clients are told all
+that changed; bytes are those of one. The measure of bytes is what tells the same with x, y, z and
+a probability as four float32 each voxel: every voxel whose value or count is another than at the
+tick before, and, in brackets, those alone whose quantised value is. Prints the tables.
 
 Usage: python tools/bench/stream_source.py [RECORDING] [--config FILE]
 """
@@ -43,7 +43,7 @@ class Watched:
     """One client's view of a dive.
 
     Attributes:
-        period_ns: between ticks.
+        others: clients that are told the same.
         told_bytes, messages: that it was sent.
         look_s, tell_s: processor time of the looks, and of making messages.
         most_s: of the longest tick.
@@ -52,14 +52,13 @@ class Watched:
 
     source: MapSource
     client: Subscription
-    period_ns: int
+    others: list[Subscription]
     told_bytes: int = 0
     messages: int = 0
     look_s: float = 0.0
     tell_s: float = 0.0
     most_s: float = 0.0
     ticks: int = 0
-    next_ns: int = 0
 
     def tick(self, now_ns: int) -> None:
         """Find and tell what changed."""
@@ -69,6 +68,9 @@ class Watched:
         while (told := self.client.next(None, MOST_BYTES)) is not None:
             self.told_bytes += len(told)
             self.messages += 1
+        for other in self.others:
+            while other.next(None, MOST_BYTES) is not None:
+                pass
         ended_s = time.process_time()
         self.look_s += looked_s - began_s
         self.tell_s += ended_s - looked_s
@@ -98,14 +100,17 @@ class Changes:
             self._seen[name] = units, counts
 
 
-def dive(recording: Path, config: Config, steps: tuple[float, ...], rate_hz: float) -> None:
-    """Map the dive once, for clients of all steps; prints their rows."""
+def dive(
+    recording: Path, config: Config, steps: tuple[float, ...], rate_hz: float, clients: int = 1
+) -> None:
+    """Map the dive once, for so many clients of each step; prints their rows."""
     sonar_map = SonarMap(config)
     period_ns = round(1e9 / rate_hz)
     watched, changes = [], []
     for step in steps:
         source = MapSource(sonar_map, InMemory(sonar_map), log_odds_step=step)
-        watched.append(Watched(source, source.subscribe(Interest()), period_ns))
+        one, *others = [source.subscribe(Interest()) for _ in range(clients)]
+        watched.append(Watched(source, one, others))
         changes.append(Changes(step))
     clock = _Clock()
     next_ns = 0
@@ -126,7 +131,8 @@ def dive(recording: Path, config: Config, steps: tuple[float, ...], rate_hz: flo
     for step, one, count in zip(steps, watched, changes, strict=True):
         seconds = clock.seconds
         print(
-            f"{rate_hz:4.1f} {step:5.2f} {one.told_bytes:10d} {one.told_bytes / seconds / 1e3:7.1f}"
+            f"{clients:7d} {rate_hz:4.1f} {step:5.2f} {one.told_bytes:10d}"
+            f" {one.told_bytes / seconds / 1e3:7.1f}"
             f" {count.changed:10d} {one.told_bytes / count.changed:6.2f}"
             f" ({one.told_bytes / max(count.told, 1):5.2f})"
             f" {PLAIN_BYTES * count.changed / one.told_bytes:6.1f}"
@@ -184,11 +190,12 @@ def main() -> None:
     arguments = parser.parse_args()
     config = load_config(arguments.config)
     print(
-        "  Hz  step      bytes    kB/s    changed  B/voxel        times smaller  look ms"
+        "clients   Hz  step      bytes    kB/s    changed  B/voxel        times smaller  look ms"
         " tell ms most ms  core % memory %"
     )
     for rate_hz in RATES_HZ:
         dive(arguments.recording, config, STEPS, rate_hz)
+    dive(arguments.recording, config, (0.25,), 5.0, clients=20)
     large_map()
 
 

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from mapperd.keeping import InMemory
 from mapperd.mapping import SonarMap
+from mapperd.stream import source as source_module
 from mapperd.stream.messages import Blocks, Box, Interest
 from mapperd.stream.region import distances_m
 from mapperd.stream.source import MapSource
@@ -289,6 +290,56 @@ def test_a_radius_without_a_position_tells_nothing() -> None:
     client.hear(position_m=(1.0, 0.0, -3.0))
     assert len(client.mirror) > 0
     assert client.mirror.complete == source.revision
+
+
+def test_blocks_are_told_as_the_vehicle_comes_and_forgotten_as_it_goes() -> None:
+    sonar_map = SonarMap(CONFIG)
+    scatter(sonar_map, 5, 3000, reach_m=4.0)
+    source = source_of(sonar_map)
+    client = Client(source, Interest(radius_m=1.5))
+    source.look(SECOND_NS)
+    whole = expected(sonar_map.core, source.facts(), client.interest)
+    keys = np.array(list(whole), np.int32)
+    before = 0
+    for x in np.arange(-4.0, 4.0, 0.1):
+        position = (float(x), 0.3, -0.2)
+        client.hear(position_m=position)
+        away = dict(zip(whole, distances_m(keys, 0.8, position), strict=True))
+        holds = client.holds()
+        assert {key for key, far in away.items() if far <= 1.5 * 0.98} <= holds.keys()
+        assert holds.keys() <= {key for key, far in away.items() if far <= 1.5 * 1.12}
+        assert all(whole[key] == told for key, told in holds.items())
+        before = max(before, len(holds))
+    assert 10 < before < len(whole) / 3
+    assert client.told_blocks < 2.5 * len(whole)  # there and gone, each once
+
+
+def test_much_that_changed_is_found_in_pieces_nearest_first(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sonar_map = mapped(1)
+    source = source_of(sonar_map)
+    client = Client(source)
+    source.look(SECOND_NS)
+    client.hear()
+    settled = client.mirror.complete
+    monkeypatch.setattr(source_module, "BLOCKS_AT_ONCE", 64)
+    scatter(sonar_map, 6, 2000)
+    position = (2.0, 2.0, 2.0)
+    source.look(2 * SECOND_NS, position)
+    assert client.view.left > source.indexing > 0
+    client.hear()
+    assert client.mirror.complete == settled
+    far = [distances_m(np.array([key]), 0.8, position)[0] for key in client.holds()]
+    assert np.median(far) < 3.0
+    looks = 0
+    while source.indexing:
+        source.look(3 * SECOND_NS, position)
+        looks += 1
+    assert looks > 4
+    client.hear()
+    assert client.mirror.complete == sonar_map.core.revision
+    assert_same(client, sonar_map)
 
 
 def test_memory_of_an_index_and_of_clients() -> None:

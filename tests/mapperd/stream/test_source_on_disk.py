@@ -2,7 +2,7 @@
 
 import itertools
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from mapperd import _core
 from mapperd.mapping import SonarMap
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
@@ -86,6 +87,46 @@ def test_tiles_that_come_and_go_between_looks_are_told(tmp_path: Path, every: in
         assert daemon.store.counters.tiles_dropped > 3
         for client in clients:
             told_all(daemon, client)
+
+
+class Interrupted:
+    """A map in which something happens just before it is asked something for the first time."""
+
+    def __init__(self, core: _core.VoxelMap, what: str, happens: Callable[[], None]) -> None:
+        self._core, self._what = core, what
+        self._happens: Callable[[], None] | None = happens
+
+    def __getattr__(self, name: str) -> object:
+        if name == self._what and self._happens is not None:
+            happens, self._happens = self._happens, None
+            happens()
+        return getattr(self._core, name)
+
+
+@pytest.mark.parametrize("saved", [False, True])
+@pytest.mark.parametrize("asked", ["changed_blocks", "stream_digests", "stream_blocks"])
+def test_tiles_that_leave_in_the_middle_are_told(tmp_path: Path, asked: str, saved: bool) -> None:  # noqa: FBT001
+    with daemon_of(tmp_path / "dive.map") as daemon:
+        client, late = Client(daemon.source), Client(daemon.source, LEVELS[2])
+        daemon.dive(0, 9)
+        if saved:
+            daemon.store.save()
+        core = Interrupted(daemon.map.core, asked, lambda: daemon.dive(35, 45))
+        monkey = pytest.MonkeyPatch()
+        monkey.setattr(daemon.source, "_core", core)
+        monkey.setattr(daemon.source.teller, "_core", core)
+        daemon.look()
+        for one in (client, late):
+            one.hear()
+        monkey.undo()
+        assert daemon.store.counters.tiles_dropped > 2
+        for one in (client, late):
+            if one.mirror.complete == daemon.map.core.revision:
+                assert one.holds() == daemon.expected(one)
+            told_all(daemon, one)
+            resumed = Client(daemon.source, one.interest, one.resume())
+            assert resumed.view.resumed
+            assert not resumed.view.left
 
 
 def test_what_left_memory_is_not_forgotten(tmp_path: Path) -> None:

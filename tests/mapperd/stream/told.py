@@ -105,6 +105,7 @@ class Client:
             self.mirror = MapMirror(message.map, message.interest or self.interest)
             self.newest = message.revision
             return
+        assert message.complete is None or message.left == 0
         blocks = decode_blocks(message.body, counts=self.interest.detail == "counts")
         self.told_blocks += len(blocks)
         self.mirror.put(blocks, message.stamp_ns)
