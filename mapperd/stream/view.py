@@ -180,10 +180,9 @@ def _stream_keys(blocks: Keys, level: int) -> Keys:
         keys = (2 * blocks.astype(np.int64)[:, None] + eighths).reshape(-1, 3)
     else:
         keys = blocks.astype(np.int64) >> (level - 1)
-    keys = keys[(np.abs(keys) < FARTHEST).all(axis=1)].astype(np.int32)
+    near: Keys = keys[(np.abs(keys) < FARTHEST).all(axis=1)].astype(np.int32)
     if level <= 1:
-        return keys
-    numbers = _core.KeyIndex()
-    numbers.numbers(keys, add=True)
-    each_once: Keys = numbers.keys(np.arange(len(numbers), dtype=np.int64))
-    return each_once
+        return near
+    each_once = _core.KeyIndex()
+    each_once.numbers(near, add=True)
+    return each_once.keys(np.arange(len(each_once), dtype=np.int64))

@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd import _core
 from mapperd.config import Config
 from mapperd.config_file import load_config
 from mapperd.keeping import InMemory
@@ -34,6 +33,9 @@ RATES_HZ = (5.0, 0.5)
 PLAIN_BYTES = 16
 MOST_BYTES = 1 << 20
 BLOCKS = 100_000
+BLOCK_VOXELS = 16
+LOG_ODDS_UNIT = 2.0**-24
+"""Of the map's own values."""
 
 Blocks = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.uint16]]
 
@@ -94,8 +96,8 @@ class Changes:
             old_units, old_counts = self._seen.get(name, (0 * units, 0 * counts))
             self.changed += int(((units != old_units) | (counts != old_counts)).sum())
             known = (counts > 0) != (old_counts > 0)
-            told = np.rint(units * (_core.LOG_ODDS_UNIT / self.step))
-            before = np.rint(old_units * (_core.LOG_ODDS_UNIT / self.step))
+            told = np.rint(units * (LOG_ODDS_UNIT / self.step))
+            before = np.rint(old_units * (LOG_ODDS_UNIT / self.step))
             self.told += int((known | (told != before)).sum())
             self._seen[name] = units, counts
 
@@ -109,8 +111,8 @@ def dive(
     watched, changes = [], []
     for step in steps:
         source = MapSource(sonar_map, InMemory(sonar_map), log_odds_step=step)
-        one, *others = [source.subscribe(Interest()) for _ in range(clients)]
-        watched.append(Watched(source, one, others))
+        first, *others = [source.subscribe(Interest()) for _ in range(clients)]
+        watched.append(Watched(source, first, others))
         changes.append(Changes(step))
     clock = _Clock()
     next_ns = 0
@@ -168,7 +170,7 @@ def large_map() -> None:
     sonar_map = SonarMap(Config())
     edge = round(BLOCKS ** (1 / 3)) + 1
     grid = np.stack(np.unravel_index(np.arange(BLOCKS), (edge,) * 3), axis=-1) - edge // 2
-    centres = (grid * _core.BLOCK_EDGE + 0.5) * sonar_map.resolution_m
+    centres = (grid * BLOCK_VOXELS + 0.5) * sonar_map.resolution_m
     for part in np.array_split(centres, 100):
         sonar_map.core.set_log_odds(np.ascontiguousarray(part), np.full(len(part), 2.0))
     nothing = np.zeros((0, 3), np.int32)

@@ -5,7 +5,7 @@ import pytest
 
 from mapperd.stream import nearest as nearest_module
 from mapperd.stream.nearest import WAITING, NearestFirst
-from mapperd.stream.region import distances_m
+from mapperd.stream.region import distances_m, vector_of
 
 
 @pytest.mark.parametrize("front", [8, 1 << 14])
@@ -23,12 +23,14 @@ def test_the_nearest_of_all_come_first(front: int, monkeypatch: pytest.MonkeyPat
             queue.add(np.unique(coming))
             waiting |= set(coming.tolist())
         position = position + random.normal(0.0, 0.5, 3)
+        at = vector_of(position)
+        assert at is not None
         most = int(random.integers(1, 7))
-        found = queue.nearest(most, tuple(position))
+        found = queue.nearest(most, at)
         assert len(found) == min(most, len(waiting))
         assert set(found.tolist()) <= waiting
-        away = distances_m(keys[found], 0.8, tuple(position))
-        of_all = np.sort(distances_m(keys[sorted(waiting)], 0.8, tuple(position)))
+        away = distances_m(keys[found], 0.8, at)
+        of_all = np.sort(distances_m(keys[sorted(waiting)], 0.8, at))
         assert away.tolist() == of_all[: len(found)].tolist()
         queue.remove(found)
         waiting -= set(found.tolist())

@@ -1,31 +1,19 @@
 """Clients of a map in memory end with what it holds."""
 
+from typing import Any, Literal
+
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
-from mapperd.keeping import InMemory
 from mapperd.mapping import SonarMap
 from mapperd.stream import source as source_module
 from mapperd.stream.messages import Blocks, Box, Interest
 from mapperd.stream.region import distances_m
-from mapperd.stream.source import MapSource
 from tests.mapperd.store.dive import CONFIG, integrate, mapped
-from tests.mapperd.stream.told import SECOND_NS, Client, expected
+from tests.mapperd.stream.told import SECOND_NS, Client, expected, scatter, source_of
 
-DETAILS = ("classes", "log_odds", "counts")
-
-
-def source_of(sonar_map: SonarMap) -> MapSource:
-    return MapSource(sonar_map, InMemory(sonar_map), log_odds_step=0.25)
-
-
-def scatter(sonar_map: SonarMap, seed: int, voxels: int, reach_m: float = 3.0) -> None:
-    random = np.random.default_rng([33, seed])
-    points = random.uniform(-reach_m, reach_m, (voxels, 3))
-    sonar_map.core.set_log_odds(points, random.uniform(-6.0, 6.0, voxels))
+DETAILS: tuple[Literal["classes", "log_odds", "counts"], ...] = ("classes", "log_odds", "counts")
 
 
 def assert_same(client: Client, sonar_map: SonarMap) -> None:
@@ -245,7 +233,7 @@ def test_resuming_tells_what_changed_meanwhile_and_no_more() -> None:
     assert_same(client, sonar_map)
 
 
-LIES = {
+LIES: dict[str, dict[str, Any]] = {
     "another_map": {"map": "x"},
     "never_told": {"revision": 10**9},
     "unknown_session": {"session": "x"},
@@ -362,83 +350,3 @@ def test_a_client_that_is_forgotten_costs_nothing() -> None:
     source.look(2 * SECOND_NS)
     source.look(90 * SECOND_NS)
     assert source.memory_bytes == 0 < with_client
-
-
-STEPS = st.lists(
-    st.one_of(
-        st.tuples(st.just("scatter"), st.integers(0, 1000)),
-        st.tuples(st.just("ping"), st.integers(0, 100)),
-        st.tuples(st.just("look"), st.integers(0, 3)),
-        st.tuples(st.just("hear"), st.integers(1, 4000)),
-        st.tuples(st.just("reconnect"), st.integers(0, 1)),
-        st.tuples(st.just("change"), st.integers(0, 11)),
-        st.tuples(st.just("move"), st.integers(0, 5)),
-        st.tuples(st.just("clear"), st.just(0)),
-    ),
-    max_size=25,
-)
-INTERESTS = [
-    Interest(level=level, detail=detail, radius_m=radius_m)  # type: ignore[arg-type]
-    for level, detail in ((0, "log_odds"), (1, "counts"), (2, "classes"), (3, "log_odds"))
-    for radius_m in (0.0, 1.5)
-] + [
-    Interest(level=level, radius_m=radius_m, box=Box((-2.0, -1.0, -4.0), (1.0, 2.0, 0.5)))
-    for level in (0, 1)
-    for radius_m in (0.0, 1.5)
-]
-
-
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-@given(st.integers(0, 11), STEPS)
-def test_whatever_happens_a_client_ends_with_its_part_of_the_map(
-    first: int, steps: list[tuple[str, int]]
-) -> None:
-    sonar_map = SonarMap(CONFIG)
-    source = source_of(sonar_map)
-    client = Client(source, INTERESTS[first])
-    now_ns, position = SECOND_NS, (0.0, 0.0, 0.0)
-    for what, number in steps:
-        if what == "scatter":
-            scatter(sonar_map, number, 40, reach_m=2.5)
-        elif what == "ping":
-            integrate(sonar_map, number)
-        elif what == "look":
-            now_ns += number * 40 * SECOND_NS
-            source.look(now_ns, position)
-        elif what == "hear":
-            client.hear(number, 2, position)
-        elif what == "reconnect":
-            client.reconnect(source)
-        elif what == "change":
-            client.interest = INTERESTS[number]
-            client.view.change(client.interest)
-        elif what == "move":
-            position = (0.7 * number - 2.0, 0.3, -1.0)
-        else:
-            sonar_map.core.clear()
-    source.look(now_ns + 100 * SECOND_NS, position)
-    client.hear(position_m=position)
-    _assert_same_part(client, sonar_map, position)
-    assert client.mirror.complete == sonar_map.core.revision
-
-
-def _assert_same_part(
-    client: Client, sonar_map: SonarMap, position: tuple[float, float, float]
-) -> None:
-    interest, holds = client.interest, client.holds()
-    whole = expected(sonar_map.core, client.mirror.facts, interest)
-    assert all(whole.get(key) == told for key, told in holds.items())
-    keys = np.array(list(whole), np.int32).reshape(-1, 3)
-    edge_m = client.mirror.cell_m * 8
-    wanted = np.ones(len(keys), bool)
-    if interest.box is not None:
-        low = keys * edge_m
-        wanted = ((low < interest.box.high_m) & (low + edge_m > interest.box.low_m)).all(axis=1)
-    allowed = wanted.copy()
-    if interest.radius_m:
-        away = distances_m(keys, edge_m, position)
-        wanted &= away <= interest.radius_m * 0.98
-        allowed &= away <= interest.radius_m * 1.12
-    names = [tuple(key) for key in keys.tolist()]
-    assert {name for name, is_so in zip(names, wanted, strict=True) if is_so} <= holds.keys()
-    assert holds.keys() <= {name for name, is_so in zip(names, allowed, strict=True) if is_so}

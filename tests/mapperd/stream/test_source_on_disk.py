@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mapperd import _core
+from mapperd.errors import StoreError
 from mapperd.mapping import SonarMap
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
@@ -331,7 +332,7 @@ def test_a_file_that_cannot_be_read_is_said_and_tried_again(
 
         def broken(self: stored_bricks.StoredBricks, bricks: NDArray[np.int32]) -> object:
             if next(calls) < 3:
-                raise source_module.StoreError("the disk is gone", "io_error")
+                raise StoreError("the disk is gone", "io_error")
             return load(self, bricks)
 
         monkeypatch.setattr(stored_bricks.StoredBricks, "load", broken)

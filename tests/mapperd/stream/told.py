@@ -5,6 +5,8 @@ from numpy.typing import NDArray
 
 from mapperd import _core
 from mapperd.client.mirror import MapMirror
+from mapperd.keeping import InMemory
+from mapperd.mapping import SonarMap
 from mapperd.stream.blocks import CELLS, UNKNOWN, decode_blocks
 from mapperd.stream.messages import BLOCK_EDGE, Blocks, Interest, MapFacts, Reset, Resume
 from mapperd.stream.source import MapSource
@@ -21,7 +23,7 @@ def expected(core: _core.VoxelMap, facts: MapFacts, interest: Interest) -> Told:
     row, voxel = np.nonzero(counts)
     cell = (blocks[row].astype(np.int64) * edge + local[voxel]) >> interest.level
     log_odds = units[row, voxel] * _core.LOG_ODDS_UNIT
-    values = _values(log_odds, facts, interest)
+    values = _values(np.asarray(log_odds, np.float64), facts, interest)
     keys, block_of = np.unique(cell // BLOCK_EDGE, axis=0, return_inverse=True)
     at = block_of.ravel(), (cell % BLOCK_EDGE) @ (1, BLOCK_EDGE, BLOCK_EDGE**2)
     cells = np.full((len(keys), CELLS), UNKNOWN, np.int8)
@@ -45,6 +47,16 @@ def _values(log_odds: NDArray[np.float64], facts: MapFacts, interest: Interest) 
 
 def _counts(bits: NDArray[np.uint8], interest: Interest) -> bytes:
     return bits.tobytes() if interest.detail == "counts" else b""
+
+
+def source_of(sonar_map: SonarMap) -> MapSource:
+    return MapSource(sonar_map, InMemory(sonar_map), log_odds_step=0.25)
+
+
+def scatter(sonar_map: SonarMap, seed: int, voxels: int, reach_m: float = 3.0) -> None:
+    random = np.random.default_rng([33, seed])
+    points = random.uniform(-reach_m, reach_m, (voxels, 3))
+    sonar_map.core.set_log_odds(points, random.uniform(-6.0, 6.0, voxels))
 
 
 class Client:
