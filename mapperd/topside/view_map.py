@@ -1,0 +1,208 @@
+"""The map in the browser: a node of the scene for each chunk that shows something."""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mapperd.client.mirror import MapMirror
+from mapperd.topside.view_chunks import Chunk, Chunks
+from mapperd.topside.view_colours import Mode, Scale, colours_of, shaded, values_of
+from mapperd.topside.view_shapes import cube
+from mapperd.topside.view_voxels import Drawn, Filter, drawn_of
+
+if TYPE_CHECKING:
+    from viser import SceneApi
+
+__all__ = ["Look", "MapView"]
+
+MOST_NODES = 500
+MOST_CUBES = 120_000
+"""Beyond it cells are drawn as points: a browser turns each cube by itself."""
+
+POINT_BYTES, CUBE_BYTES = 9, 31
+"""What the browser is sent for each."""
+
+Shape = Literal["auto", "cubes", "points"]
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """How the map is drawn.
+
+    Attributes:
+        chosen: which cells.
+        scale: their colours.
+        shape: `auto` draws cubes while there are few.
+        shading: points look as if light fell on them.
+    """
+
+    chosen: Filter
+    scale: Scale
+    shape: Shape = "auto"
+    shading: bool = True
+
+
+class MapView:
+    """Draws a mirror's cells; of one thread.
+
+    Args:
+        scene: of the server.
+
+    Attributes:
+        look: how.
+        sent_bytes: all that browsers were told of the map, each.
+    """
+
+    def __init__(self, scene: "SceneApi", look: Look, most_nodes: int = MOST_NODES) -> None:
+        self.look = look
+        self.sent_bytes = 0
+        self._scene = scene
+        self._chunks = Chunks(most_nodes)
+        self._drawn: dict[Chunk, Drawn] = {}
+        self._cubes = True
+
+    @property
+    def stale(self) -> int:
+        """Chunks that wait to be drawn."""
+        return self._chunks.stale
+
+    @property
+    def nodes(self) -> int:
+        """Chunks that the browser has."""
+        return len(self._drawn)
+
+    @property
+    def cells(self) -> int:
+        """Cells that the browser has."""
+        return sum(map(len, self._drawn.values()))
+
+    @property
+    def drawn(self) -> list[Drawn]:
+        """What the browser shows."""
+        return list(self._drawn.values())
+
+    def forget(self) -> None:
+        """There is no map any more."""
+        self._chunks.forget()
+        self._clear()
+
+    def touch(self, keys: ArrayLike) -> None:
+        """Blocks (N, 3) changed."""
+        self._chunks.touch(keys)
+
+    def change(self, look: Look) -> None:
+        """Draw otherwise from now on."""
+        if look != self.look:
+            self.look = look
+            self._chunks.touch_all()
+
+    def grow_older(self) -> None:
+        """Colours that tell ages are wrong by now."""
+        if self.look.scale.mode == "age":
+            self._chunks.touch_some(self._drawn)
+
+    def draw(
+        self, mirror: MapMirror, near_m: ArrayLike, now_ns: int, most_bytes: int, most_chunks: int
+    ) -> int:
+        """Send what changed, nearest first, until so much is sent.
+
+        Args:
+            mirror: of the map.
+            near_m: (3,) where the vehicle is, map frame.
+            now_ns: the map's time: ages are counted from it.
+            most_bytes: after which no more chunks are begun.
+            most_chunks: that are looked at.
+
+        Returns:
+            Bytes that each browser is sent.
+        """
+        sent = 0
+        for chunk in self._chunks.take(near_m, mirror.cell_m, most_chunks):
+            if sent > most_bytes:
+                self._chunks.touch_some([chunk])
+                continue
+            drawn = drawn_of(mirror, self._chunks, chunk, self.look.chosen)
+            sent += self._show(chunk, drawn, now_ns)
+        if self._chunks.crowded:
+            self._chunks.grow()
+            self._clear()
+        self._choose_shape()
+        self.sent_bytes += sent
+        return sent
+
+    def _choose_shape(self) -> None:
+        """Cubes or points; with slack, so that it does not go to and fro."""
+        limit = MOST_CUBES if self._cubes else MOST_CUBES * 3 // 4
+        cubes = self.look.shape == "cubes" or (self.look.shape == "auto" and self.cells <= limit)
+        if cubes != self._cubes:
+            self._cubes = cubes
+            self._chunks.touch_all()
+
+    def _show(self, chunk: Chunk, drawn: Drawn, now_ns: int) -> int:
+        self._chunks.shows(chunk, something=len(drawn) > 0)
+        name = _name(chunk)
+        if len(drawn) == 0:
+            if self._drawn.pop(chunk, None) is not None:
+                self._scene.remove_by_name(name)
+            return 0
+        self._drawn[chunk] = drawn
+        colours = colours_of(values_of(drawn, self.look.scale.mode, now_ns), self.look.scale)
+        half = self._chunks.edge / 2
+        at = drawn.local + np.float32(0.5 - half)
+        middle_m = drawn.origin_m + half * drawn.cell_m
+        if self._cubes:
+            return self._show_cubes(name, at, colours, middle_m, drawn.cell_m)
+        if self.look.shading:
+            colours = shaded(colours, drawn.normals)
+        self._scene.add_point_cloud(
+            name,
+            at,
+            colours,
+            point_size=1.15,
+            point_shading="flat",
+            scale=drawn.cell_m,
+            position=middle_m,
+        )
+        return POINT_BYTES * len(drawn)
+
+    def _show_cubes(
+        self,
+        name: str,
+        at: NDArray[np.float32],
+        colours: NDArray[np.uint8],
+        middle_m: NDArray[np.float64],
+        cell_m: float,
+    ) -> int:
+        vertices, faces = cube()
+        upright = np.zeros((len(at), 4), np.float32)
+        upright[:, 0] = 1
+        self._scene.add_batched_meshes_simple(
+            name,
+            vertices,
+            faces,
+            upright,
+            at,
+            batched_colors=colours,
+            lod="off",
+            cast_shadow=False,
+            receive_shadow=False,
+            scale=cell_m,
+            position=middle_m,
+        )
+        return CUBE_BYTES * len(at)
+
+    def _clear(self) -> None:
+        for chunk in self._drawn:
+            self._scene.remove_by_name(_name(chunk))
+        self._drawn.clear()
+
+
+def with_mode(look: Look, mode: Mode, low: float, high: float) -> Look:
+    """The same look in other colours."""
+    return replace(look, scale=Scale(mode, low, high))
+
+
+def _name(chunk: Chunk) -> str:
+    return "/map/{}_{}_{}".format(*chunk)
