@@ -83,6 +83,18 @@ class MapView:
         """What the browser shows."""
         return list(self._drawn.values())
 
+    @property
+    def bounds_m(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Corners of a box around the middles of all cells, (3,), (3,); None without any."""
+        if not self._drawn:
+            return None
+        ends = [
+            (one.origin_m + end(one.local, axis=0) * one.cell_m for end in (np.min, np.max))
+            for one in self._drawn.values()
+        ]
+        low, high = (np.array(side) for side in zip(*ends, strict=True))
+        return low.min(axis=0), high.max(axis=0)
+
     def forget(self) -> None:
         """There is no map any more."""
         self._chunks.forget()

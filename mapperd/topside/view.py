@@ -1,0 +1,275 @@
+"""`mapperctl view`: the map of a running daemon as a page in the browser."""
+
+import asyncio
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd.client.changes import ClientChange, LinkChanged, MapChanged, MapReset
+from mapperd.stream.messages import Fan, Localization, Path, Pose, Returns, Robots, Settings, Status
+from mapperd.topside.view_actors import Actors
+from mapperd.topside.view_camera import CameraMode, Cameras, whole_view
+from mapperd.topside.view_health import Health
+from mapperd.topside.view_map import MapView
+from mapperd.topside.view_measure import pick
+from mapperd.topside.view_panel import Panel
+from mapperd.topside.view_settings_panel import SettingsPanel
+from mapperd.topside.view_tools import Tools
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from viser import ClientHandle, ViserServer
+
+    from mapperd.client import MapClient
+
+__all__ = ["VIEW_WANTS", "View"]
+
+VIEW_WANTS = (
+    "map",
+    "pose",
+    "path",
+    "fan",
+    "returns",
+    "robots",
+    "localization",
+    "status",
+    "settings",
+)
+
+MAP_S = 0.25
+"""Between updates of the map in browsers."""
+
+MOST_BYTES = 2_000_000
+"""Of one update: a browser beside the daemon takes it within that time."""
+
+AT_ONCE = 4
+"""Chunks between which others have their turn."""
+
+POSE_S = 0.1
+SAID_S = 0.5
+OLDER_S = 10.0
+NOTE_S = 6.0
+
+
+class View:
+    """A page that follows one client; all of it in one event loop.
+
+    Args:
+        server: of the page.
+        client: of the map stream, entered.
+    """
+
+    def __init__(self, server: "ViserServer", client: "MapClient") -> None:
+        self._server = server
+        self._client = client
+        self._loop = asyncio.get_running_loop()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self.health = Health()
+        self._cameras = Cameras()
+        self._actors = Actors(server.scene)
+        self._panel = Panel(server, self._post, self._look_changed, self._show)
+        self.map = MapView(server.scene, self._panel.look)
+        self._tools = Tools(self._panel.view_tab, self._post, self._choose_camera, self._pick)
+        tab = self._panel.tabs.add_tab("Settings")
+        self._settings = SettingsPanel(server, tab, self._apply)
+        self._pose: Pose | None = None
+        self._posed_s = 0.0
+        self._low_m, self._high_m = np.full(3, np.inf), np.full(3, -np.inf)
+        self._placed: set[int] = set()
+        server.on_client_connect(lambda one: self._post(lambda: self._welcome(one)))
+        server.on_client_disconnect(lambda one: self._post(lambda: self._farewell(one.client_id)))
+
+    async def run(self) -> None:
+        """Show what the client is told, until it is closed."""
+        others = [asyncio.create_task(self._draw()), asyncio.create_task(self._say())]
+        try:
+            async for change in self._client.changes():
+                self.take(change)
+        finally:
+            for task in (*others, *self._tasks):
+                task.cancel()
+            await asyncio.gather(*others, *self._tasks, return_exceptions=True)
+
+    def take(self, change: ClientChange) -> None:  # noqa: C901 one line for each kind
+        """Something happened."""
+        match change:
+            case LinkChanged():
+                self._link_changed(change)
+            case MapReset():
+                self._map_reset()
+            case MapChanged():
+                self._map_changed(change)
+            case Pose():
+                self._take_pose(change)
+            case Path():
+                if self._client.path is not None:
+                    self._actors.path(self._client.path)
+            case Fan():
+                self._actors.fan(change)
+            case Returns():
+                self._actors.returns(change)
+            case Robots():
+                self._actors.robots(change)
+            case Localization():
+                self._actors.localization(change, self._vehicle_m[2])
+            case Status():
+                self.health.heartbeat(change.stamp_ns, time.time_ns())
+                self.health.take_status(change.status, change.link, time.monotonic())
+            case Settings():
+                self._settings.take(change.facts)
+            case _:
+                pass
+
+    @property
+    def _vehicle_m(self) -> NDArray[np.float64]:
+        return np.zeros(3) if self._pose is None else np.array(self._pose.position_m)
+
+    @property
+    def _yaw(self) -> float:
+        if self._pose is None:
+            return 0.0
+        x, y, z, w = self._pose.orientation_xyzw
+        return float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+
+    def _link_changed(self, change: LinkChanged) -> None:
+        self.health.link = change.link
+        if change.link.state == "connected":
+            self.health.reconnected()
+            welcome = self._client.welcome
+            self._settings.may_change(welcome is not None and welcome.may_change)
+
+    def _map_reset(self) -> None:
+        self.map.forget()
+        self._low_m, self._high_m = np.full(3, np.inf), np.full(3, -np.inf)
+        mirror = self._client.mirror
+        if mirror is not None:
+            odds = np.exp(mirror.facts.occupied_log_odds)
+            self._panel.new_map(float(odds / (1 + odds)))
+            self.map.change(self._panel.look)
+
+    def _map_changed(self, change: MapChanged) -> None:
+        self.map.touch(change.keys)
+        self.health.map_ns = change.stamp_ns
+        self.health.left = change.left
+        self._blocks = getattr(self, "_blocks", 0) + len(change.keys)
+
+    def _take_pose(self, pose: Pose) -> None:
+        self._pose = pose
+        self.health.pose_ns = pose.stamp_ns
+        now_s = time.monotonic()
+        if now_s - self._posed_s < POSE_S:
+            return
+        self._posed_s = now_s
+        with self._server.atomic():
+            self._actors.pose(pose)
+        self._cameras.follow(list(self._server.get_clients().values()), self._vehicle_m, self._yaw)
+
+    async def _draw(self) -> None:
+        """Send what changed of the map, a few times a second."""
+        older_s = time.monotonic()
+        while True:
+            await asyncio.sleep(MAP_S)
+            mirror = self._client.mirror
+            if mirror is None:
+                continue
+            if time.monotonic() - older_s > OLDER_S:
+                older_s = time.monotonic()
+                self.map.grow_older()
+            now_ns = self.health.map_ns or time.time_ns()
+            sent = 0
+            while self.map.stale and sent < MOST_BYTES:
+                left = MOST_BYTES - sent
+                sent += self.map.draw(mirror, self._vehicle_m, now_ns, left, AT_ONCE)
+                await asyncio.sleep(0)
+            if sent:
+                self._measure_map()
+
+    def _measure_map(self) -> None:
+        bounds = self.map.bounds_m
+        if bounds is None:
+            return
+        self._low_m, self._high_m = bounds
+        self._panel.heights(float(bounds[0][2]), float(bounds[1][2]))
+        for client in self._server.get_clients().values():
+            self._place(client)
+
+    async def _say(self) -> None:
+        """How it goes, twice a second, also without a link."""
+        health = self.health
+        while True:
+            now_s = time.monotonic()
+            health.link = self._client.link
+            health.blocks.add(now_s, getattr(self, "_blocks", 0))
+            health.kilobytes.add(now_s, health.link.bytes / 1e3)
+            health.page_cells, health.page_nodes = self.map.cells, self.map.nodes
+            health.page_bytes, health.page_waiting = self.map.sent_bytes, self.map.stale
+            self._panel.say(health, now_s, time.time_ns())
+            await asyncio.sleep(SAID_S)
+
+    def _welcome(self, client: "ClientHandle") -> None:
+        mode: CameraMode = "free" if self._pose is None else "follow"
+        self._tools.add(client, mode)
+        self._place(client)
+
+    def _place(self, client: "ClientHandle") -> None:
+        """The first look at the map shows all of it."""
+        if client.client_id in self._placed or not np.isfinite(self._low_m).all():
+            return
+        self._placed.add(client.client_id)
+        if self._cameras.mode(client) == "free":
+            at_m, towards_m = whole_view(self._low_m, self._high_m)
+            client.camera.position, client.camera.look_at = at_m, towards_m
+
+    def _farewell(self, client_id: int) -> None:
+        self._tools.forget(client_id)
+        self._cameras.forget(client_id)
+        self._placed.discard(client_id)
+
+    def _choose_camera(self, client: "ClientHandle", mode: CameraMode) -> None:
+        vehicle_m = None if self._pose is None else self._vehicle_m
+        self._cameras.choose(client, mode, vehicle_m, self._yaw)
+
+    def _pick(self, origin_m: Any, towards: Any) -> NDArray[np.float64] | None:  # noqa: ANN401
+        return pick(self.map.drawn, origin_m, towards)
+
+    def _look_changed(self) -> None:
+        self.map.change(self._panel.look)
+
+    def _show(self, name: str, shown: bool) -> None:  # noqa: FBT001 of a checkbox
+        self._actors.show(name, shown=shown)
+
+    def _apply(self, client: "ClientHandle | None", changes: dict[str, Any]) -> None:
+        """Of a thread of viser: have settings changed."""
+
+        def begin() -> None:
+            task = self._loop.create_task(self._set(client, changes))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
+        self._post(begin)
+
+    async def _set(self, client: "ClientHandle | None", changes: dict[str, Any]) -> None:
+        from mapperd.client import AskError  # noqa: PLC0415
+
+        try:
+            result = await self._client.set(changes)
+        except AskError as error:
+            reasons = error.details.get("reasons")
+            text = "\n".join(f"{k}: {v}" for k, v in reasons.items()) if isinstance(reasons, dict) else str(error)
+            self._settings.reset(changes)
+            self._note(client, "Refused", text, "red")
+            return
+        told = result.get("changed", {})
+        text = "\n".join(f"{name}: {was} is now {now}" for name, (was, now) in told.items())
+        self._note(client, "Changed", text or "nothing changed", "green")
+
+    def _note(self, client: "ClientHandle | None", title: str, text: str, colour: Any) -> None:  # noqa: ANN401
+        for one in [client] if client else self._server.get_clients().values():
+            one.add_notification(title, text, auto_close_seconds=NOTE_S, color=colour)
+
+    def _post(self, do: "Callable[[], object]") -> None:
+        """Of any thread: have something done in ours."""
+        self._loop.call_soon_threadsafe(do)

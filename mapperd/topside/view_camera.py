@@ -1,0 +1,94 @@
+"""Where each browser's camera is: behind the vehicle, above it, or where somebody put it."""
+
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from viser import ClientHandle
+
+__all__ = ["VIEWS", "CameraMode", "Cameras", "whole_view"]
+
+CameraMode = Literal["follow", "top", "free"]
+VIEWS: tuple[CameraMode, ...] = ("follow", "top", "free")
+
+BEHIND_M = np.array([-7.0, -4.0, 5.0])
+"""Of a camera that begins to follow, from the vehicle: base frame, turned by its heading."""
+
+ABOVE_M = 25.0
+MOVED_M = 0.005
+
+
+class Cameras:
+    """Moves the cameras of browsers; of one thread."""
+
+    def __init__(self) -> None:
+        self._modes: dict[int, CameraMode] = {}
+        self._at: dict[int, NDArray[np.float64]] = {}
+
+    def mode(self, client: "ClientHandle") -> CameraMode:
+        """Of a browser."""
+        return self._modes.get(client.client_id, "free")
+
+    def choose(
+        self, client: "ClientHandle", mode: CameraMode, vehicle_m: ArrayLike | None, yaw: float
+    ) -> None:
+        """Another camera for one browser.
+
+        Args:
+            client: the browser.
+            mode: of its camera.
+            vehicle_m: (3,) map frame; None while nobody knows.
+            yaw: heading of the vehicle, radians from x counter-clockwise.
+        """
+        self._modes[client.client_id] = mode
+        self._at.pop(client.client_id, None)
+        if mode == "free":
+            client.camera.up_direction = (0.0, 0.0, 1.0)
+        elif vehicle_m is not None:
+            self._begin(client, mode, np.asarray(vehicle_m, np.float64), yaw)
+
+    def follow(self, clients: list["ClientHandle"], vehicle_m: ArrayLike, yaw: float) -> None:
+        """The vehicle moved: cameras that follow it move along and stay turned as they are."""
+        vehicle = np.asarray(vehicle_m, np.float64)
+        for client in clients:
+            mode = self.mode(client)
+            if mode == "free":
+                continue
+            before = self._at.get(client.client_id)
+            if before is None:
+                self._begin(client, mode, vehicle, yaw)
+                continue
+            moved = vehicle - before
+            if float(np.linalg.norm(moved)) > MOVED_M:
+                client.camera.position = client.camera.position + moved
+                self._at[client.client_id] = vehicle
+
+    def forget(self, client_id: int) -> None:
+        """A browser is gone."""
+        self._modes.pop(client_id, None)
+        self._at.pop(client_id, None)
+
+    def _begin(
+        self, client: "ClientHandle", mode: CameraMode, vehicle: NDArray[np.float64], yaw: float
+    ) -> None:
+        self._at[client.client_id] = vehicle
+        if mode == "top":
+            up, offset = (0.0, 1.0, 0.0), np.array([0.0, 0.0, ABOVE_M])
+        else:
+            c, s = np.cos(yaw), np.sin(yaw)
+            up = (0.0, 0.0, 1.0)
+            offset = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ BEHIND_M
+        with client.atomic():
+            client.camera.up_direction = up
+            client.camera.position = vehicle + offset
+            client.camera.look_at = vehicle
+
+
+def whole_view(low_m: ArrayLike, high_m: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A camera's place that has a box (3,), (3,) in sight, and where it looks."""
+    low, high = np.asarray(low_m, np.float64), np.asarray(high_m, np.float64)
+    middle = (low + high) / 2
+    away = max(4.0, float(np.linalg.norm(high - low))) * np.array([-0.42, -0.62, 0.55])
+    return middle + away, middle
