@@ -113,7 +113,7 @@ class Actors:
             "/returns/last",
             points,
             RETURNS,
-            point_size=0.12,
+            point_size=0.09,
             point_shape="circle",
             point_shading="flat",
             precision="float32",

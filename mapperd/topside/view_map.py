@@ -88,12 +88,10 @@ class MapView:
         """Corners of a box around the middles of all cells, (3,), (3,); None without any."""
         if not self._drawn:
             return None
-        ends = [
-            (one.origin_m + end(one.local, axis=0) * one.cell_m for end in (np.min, np.max))
-            for one in self._drawn.values()
-        ]
-        low, high = (np.array(side) for side in zip(*ends, strict=True))
-        return low.min(axis=0), high.max(axis=0)
+        parts = self._drawn.values()
+        low = [one.origin_m + one.local.min(axis=0) * one.cell_m for one in parts]
+        high = [one.origin_m + one.local.max(axis=0) * one.cell_m for one in parts]
+        return np.min(low, axis=0), np.max(high, axis=0)
 
     def forget(self) -> None:
         """There is no map any more."""

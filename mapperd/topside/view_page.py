@@ -6,17 +6,12 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
-import numpy as np
-
 from mapperd.ctl.errors import CtlError, Exit
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
 __all__ = ["open_page", "same_origin"]
-
-BACKGROUND = ((13, 27, 42), (38, 63, 84))
-"""Below and above: water, so that grey and coloured cells stand out."""
 
 
 def open_page(host: str, port: int) -> "ViserServer":
@@ -44,7 +39,6 @@ def open_page(host: str, port: int) -> "ViserServer":
         dark_mode=True, show_logo=False, show_share_button=False, brand_color=(14, 116, 144)
     )
     server.gui.set_panel_label("mapperd")
-    server.scene.set_background_image(_background(), format="png")
     server.scene.configure_default_lights(enabled=False)
     server.scene.add_light_ambient("/light/all", intensity=1.1)
     server.scene.add_light_directional(
@@ -89,9 +83,3 @@ def _only_from_here() -> Iterator[None]:
 def _never_shared(*_: object, **__: object) -> None:
     """Nothing goes to other computers, whoever asks."""
     return
-
-
-def _background() -> np.ndarray[Any, np.dtype[np.uint8]]:
-    below, above = (np.array(one, np.float64) for one in BACKGROUND)
-    part = np.linspace(1, 0, 64)[:, None, None]
-    return np.broadcast_to(below + part * (above - below), (64, 2, 3)).astype(np.uint8)

@@ -91,7 +91,7 @@ class Panel:
             self._handles.banner = server.gui.add_html("")
             self._handles.health = server.gui.add_html("")
             self._handles.legend = server.gui.add_html("")
-        self._status.float(x=15, y=15, width=330)
+        self._status.float(x=15, y=-95, width=330)  # above the axes; notes come on top
         server.gui.main_panel.float(x=-15, y=15, width=330)
         self.tabs: GuiTabGroupHandle = server.gui.add_tab_group()
         self.view_tab: GuiTabHandle = self.tabs.add_tab("View")
