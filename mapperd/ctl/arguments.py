@@ -8,6 +8,7 @@ from mapperd.config_parameters import parameters
 from mapperd.ctl.file_arguments import add_bag, add_convert, add_export
 from mapperd.ctl.foxglove_arguments import add_foxglove, add_record
 from mapperd.ctl.localization_arguments import add_localization
+from mapperd.ctl.view_arguments import add_view
 from mapperd.errors import ConfigError
 from mapperd.yaml_strict import YamlProblem, parse_yaml
 
@@ -45,6 +46,8 @@ def parser() -> _Parser:
     _command(commands, "reload", "read the settings' files again")
     _command(commands, "snapshot", "bring the map and the recording to the disk now")
     stream = "--socket and --address are those of the map stream."
+    about = "the live map as a page in the browser"
+    add_view(_command(commands, "view", about, f"{about.capitalize()}. {stream}"))
     about = "serve Foxglove and Lichtblick"
     add_foxglove(_command(commands, "foxglove", about, f"{about}. {stream}"))
     about = "record what the map stream says"

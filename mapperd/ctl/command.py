@@ -41,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # `mapperctl params | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
-        endless = said.command in ("status", "foxglove") or any(
+        endless = said.command in ("status", "foxglove", "view") or any(
             getattr(said, name, False) for name in ("follow", "watch")
         )
         return Exit.OK if endless else Exit.INTERRUPTED
@@ -49,6 +49,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _lines(said: argparse.Namespace) -> Iterator[str]:
+    if said.command == "view":
+        from mapperd.topside.view_command import run_view  # noqa: PLC0415 only it needs numpy
+
+        yield from run_view(said, *_stream(said))
+        return
     if said.command == "foxglove":
         from mapperd.topside.foxglove_command import run_foxglove  # noqa: PLC0415 needs numpy
 

@@ -4,6 +4,7 @@ import asyncio
 import time
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +20,7 @@ from mapperd.topside.view_settings_panel import SettingsPanel
 from mapperd.topside.view_tools import Tools
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Coroutine
 
     from viser import ClientHandle, ViserServer
 
@@ -60,11 +61,16 @@ class View:
     Args:
         server: of the page.
         client: of the map stream, entered.
+        may_change: browsers may change settings, where the daemon lets us.
     """
 
-    def __init__(self, server: "ViserServer", client: "MapClient") -> None:
+    def __init__(
+        self, server: "ViserServer", client: "MapClient", *, may_change: bool = True
+    ) -> None:
         self._server = server
         self._client = client
+        self._may_change = may_change
+        self._blocks = 0
         self._loop = asyncio.get_running_loop()
         self._tasks: set[asyncio.Task[None]] = set()
         self.health = Health()
@@ -139,7 +145,8 @@ class View:
         if change.link.state == "connected":
             self.health.reconnected()
             welcome = self._client.welcome
-            self._settings.may_change(welcome is not None and welcome.may_change)
+            allowed = welcome is not None and welcome.may_change and self._may_change
+            self._settings.may_change(allowed)
 
     def _map_reset(self) -> None:
         self.map.forget()
@@ -154,7 +161,7 @@ class View:
         self.map.touch(change.keys)
         self.health.map_ns = change.stamp_ns
         self.health.left = change.left
-        self._blocks = getattr(self, "_blocks", 0) + len(change.keys)
+        self._blocks += len(change.keys)
 
     def _take_pose(self, pose: Pose) -> None:
         self._pose = pose
@@ -202,7 +209,7 @@ class View:
         while True:
             now_s = time.monotonic()
             health.link = self._client.link
-            health.blocks.add(now_s, getattr(self, "_blocks", 0))
+            health.blocks.add(now_s, self._blocks)
             health.kilobytes.add(now_s, health.link.bytes / 1e3)
             health.page_cells, health.page_nodes = self.map.cells, self.map.nodes
             health.page_bytes, health.page_waiting = self.map.sent_bytes, self.map.stale
@@ -236,7 +243,17 @@ class View:
         return pick(self.map.drawn, origin_m, towards)
 
     def _look_changed(self) -> None:
-        self.map.change(self._panel.look)
+        look = self._panel.look
+        mirror = self._client.mirror
+        if look.scale.mode == "count" and mirror and mirror.interest.detail != "counts":
+            interest = msgspec.structs.replace(mirror.interest, detail="counts")
+            self._begin(self._client.change(interest=interest))
+        self.map.change(look)
+
+    def _begin(self, work: "Coroutine[Any, Any, None]") -> None:
+        task = self._loop.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
 
     def _show(self, name: str, shown: bool) -> None:  # noqa: FBT001 of a checkbox
         self._actors.show(name, shown=shown)
@@ -245,9 +262,10 @@ class View:
         """Of a thread of viser: have settings changed."""
 
         def begin() -> None:
-            task = self._loop.create_task(self._set(client, changes))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+            if not self._may_change:
+                self._note(client, "Refused", "Other computers may look only.", "red")
+                return
+            self._begin(self._set(client, changes))
 
         self._post(begin)
 

@@ -147,7 +147,7 @@ class Actors:
         particles = np.frombuffer(told.particles, "<f4").reshape(-1, 4)[:MOST_PARTICLES]
         if len(particles):
             flat = np.column_stack([particles[:, :2], np.full(len(particles), z_m)])
-            self._belief.append(self._dots("/localization/particles", flat, PARTICLES, 0.08))
+            self._belief.append(self._dots("/localization/particles", flat, PARTICLES, 0.05))
         scan = np.frombuffer(told.scan, "<f4").reshape(-1, 3)
         if len(scan):
             self._belief.append(self._dots("/localization/scan", scan, SCAN, 0.1))

@@ -144,7 +144,7 @@ def health_html(health: Health, now_s: float, unix_ns: int) -> str:
     waiting = f"drawing, {health.page_waiting} parts to go" if health.page_waiting else ""
     notes = "".join(f'<div style="opacity:.7">{n}</div>' for n in (reason, drops, waiting) if n)
     return (
-        f'<div style="font-size:13px;line-height:1.45">'
+        f'<div style="font-size:13px;line-height:1.45;padding:0 10px">'
         f'<div style="font-weight:700;font-size:16px;color:{colour}">&#9679; {state}</div>'
         f'{notes}<table style="width:100%;border-collapse:collapse;margin-top:4px">{cells}</table>'
         f"</div>"
@@ -170,7 +170,7 @@ def legend_html(legend: Legend) -> str:
     """A colour bar with numbers."""
     ticks = "".join(f"<span>{html.escape(tick)}</span>" for tick in legend.ticks)
     return (
-        f'<div style="font-size:13px"><div style="margin-bottom:3px">{html.escape(legend.title)}'
+        f'<div style="font-size:13px;padding:6px 10px 10px"><div style="margin-bottom:3px">{html.escape(legend.title)}'
         f'</div><div style="height:14px;border-radius:3px;background:linear-gradient(to right,'
         f'{",".join(legend.colours)})"></div><div style="display:flex;justify-content:'
         f'space-between;font-variant-numeric:tabular-nums">{ticks}</div></div>'

@@ -40,9 +40,10 @@ def open_page(host: str, port: int) -> "ViserServer":
     )
     server.gui.set_panel_label("mapperd")
     server.scene.configure_default_lights(enabled=False)
-    server.scene.add_light_ambient("/light/all", intensity=1.1)
+    server.scene.configure_environment_map(None)  # colours are to be those of the legend
+    server.scene.add_light_ambient("/light/all", intensity=1.5)
     server.scene.add_light_directional(
-        "/light/sun", intensity=1.6, position=(6.0, -9.0, 14.0), cast_shadow=False
+        "/light/sun", intensity=2.0, position=(6.0, -9.0, 14.0), cast_shadow=False
     )
     return server
 

@@ -1,0 +1,84 @@
+"""`mapperctl view`: serves the page until it is told to stop."""
+
+import argparse
+import asyncio
+import contextlib
+import ipaddress
+import json
+import signal
+import webbrowser
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from mapperd.client import Interest, MapClient, StreamError
+from mapperd.ctl.errors import CtlError, Exit
+from mapperd.topside.view import VIEW_WANTS, View
+from mapperd.topside.view_page import open_page
+
+if TYPE_CHECKING:
+    import ssl
+
+    from viser import ViserServer
+
+__all__ = ["run_view"]
+
+REFUSED = ("wrong_token", "needs_token", "no_permission", "not_trusted")
+
+
+def run_view(
+    said: argparse.Namespace, address: str, token: bytes | None, tls: "ssl.SSLContext | None"
+) -> Iterator[str]:
+    """Serve the page; yields where it is, and ends with the command.
+
+    Args:
+        said: on the command line.
+        address: of the map stream, as `MapClient` takes it.
+        token: that its TCP socket asks for.
+        tls: encrypts TCP.
+
+    Raises:
+        CtlError: the page cannot be served, or the daemon will not have us.
+    """
+    server = open_page(said.host, said.port)
+    try:
+        url = f"http://{_named(said.host)}:{server.get_port()}"
+        yield json.dumps({"url": url}) if said.json else f"the map is shown at {url}"
+        if said.open:
+            webbrowser.open(url)
+        client = MapClient(
+            address,
+            token=token,
+            tls=tls,
+            wants=VIEW_WANTS,
+            interest=Interest(level=said.level, radius_m=said.radius),
+            name="mapperctl view",
+        )
+        asyncio.run(_follow(server, client, may_change=_is_local(said.host) or said.allow_changes))
+    except StreamError as error:
+        code = Exit.NO_PERMISSION if error.reason in REFUSED else Exit.PROTOCOL
+        raise CtlError(str(error), code) from error
+    finally:
+        server.stop()
+
+
+async def _follow(server: "ViserServer", client: MapClient, *, may_change: bool) -> None:
+    loop = asyncio.get_running_loop()
+    with contextlib.suppress(NotImplementedError, RuntimeError):  # a thread, or no Unix
+        loop.add_signal_handler(signal.SIGTERM, lambda: loop.create_task(client.close()))
+    async with client:
+        await View(server, client, may_change=may_change).run()
+
+
+def _is_local(host: str) -> bool:
+    """Only this computer reaches the page."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _named(host: str) -> str:
+    """As it stands in an address of the web."""
+    if host in ("0.0.0.0", "::"):  # noqa: S104 it is compared, not opened
+        return "localhost"
+    return f"[{host}]" if ":" in host else host
