@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -9,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.client.changes import ClientChange, LinkChanged, MapChanged, MapReset
-from mapperd.stream.messages import Fan, Localization, Path, Pose, Returns, Robots, Settings, Status
+from mapperd.stream.messages import Pose, Settings, Status, Want
 from mapperd.topside.view_actors import Actors
 from mapperd.topside.view_camera import CameraMode, Cameras, whole_view
 from mapperd.topside.view_health import Health
+from mapperd.topside.view_keep import Keep, Recorder
 from mapperd.topside.view_map import MapView
 from mapperd.topside.view_measure import pick
 from mapperd.topside.view_panel import Panel
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["VIEW_WANTS", "View"]
 
-VIEW_WANTS = (
+VIEW_WANTS: tuple[Want, ...] = (
     "map",
     "pose",
     "path",
@@ -62,10 +64,18 @@ class View:
         server: of the page.
         client: of the map stream, entered.
         may_change: browsers may change settings, where the daemon lets us.
+        folder: for what is exported and recorded.
+        recorder: makes recordings; None has none.
     """
 
     def __init__(
-        self, server: "ViserServer", client: "MapClient", *, may_change: bool = True
+        self,
+        server: "ViserServer",
+        client: "MapClient",
+        *,
+        may_change: bool = True,
+        folder: FilePath = FilePath(),
+        recorder: "Callable[[MapClient, FilePath], Recorder] | None" = None,
     ) -> None:
         self._server = server
         self._client = client
@@ -79,6 +89,14 @@ class View:
         self._panel = Panel(server, self._post, self._look_changed, self._show)
         self.map = MapView(server.scene, self._panel.look)
         self._tools = Tools(self._panel.view_tab, self._post, self._choose_camera, self._pick)
+        self._keep = Keep(
+            server,
+            self._panel.view_tab,
+            client,
+            folder=folder,
+            recorder=recorder,
+            begin=lambda work: self._post(lambda: self._begin(work())),
+        )
         tab = self._panel.tabs.add_tab("Settings")
         self._settings = SettingsPanel(server, tab, self._apply)
         self._pose: Pose | None = None
@@ -95,11 +113,12 @@ class View:
             async for change in self._client.changes():
                 self.take(change)
         finally:
+            await self._keep.stop()
             for task in (*others, *self._tasks):
                 task.cancel()
             await asyncio.gather(*others, *self._tasks, return_exceptions=True)
 
-    def take(self, change: ClientChange) -> None:  # noqa: C901 one line for each kind
+    def take(self, change: ClientChange) -> None:
         """Something happened."""
         match change:
             case LinkChanged():
@@ -110,24 +129,13 @@ class View:
                 self._map_changed(change)
             case Pose():
                 self._take_pose(change)
-            case Path():
-                if self._client.path is not None:
-                    self._actors.path(self._client.path)
-            case Fan():
-                self._actors.fan(change)
-            case Returns():
-                self._actors.returns(change)
-            case Robots():
-                self._actors.robots(change)
-            case Localization():
-                self._actors.localization(change, self._vehicle_m[2])
             case Status():
                 self.health.heartbeat(change.stamp_ns, time.time_ns())
                 self.health.take_status(change.status, change.link, time.monotonic())
             case Settings():
                 self._settings.take(change.facts)
             case _:
-                pass
+                self._actors.take(change, self._client.path, float(self._vehicle_m[2]))
 
     @property
     def _vehicle_m(self) -> NDArray[np.float64]:
@@ -214,6 +222,7 @@ class View:
             health.page_cells, health.page_nodes = self.map.cells, self.map.nodes
             health.page_bytes, health.page_waiting = self.map.sent_bytes, self.map.stale
             self._panel.say(health, now_s, time.time_ns())
+            self._keep.say()
             await asyncio.sleep(SAID_S)
 
     def _welcome(self, client: "ClientHandle") -> None:
@@ -276,7 +285,11 @@ class View:
             result = await self._client.set(changes)
         except AskError as error:
             reasons = error.details.get("reasons")
-            text = "\n".join(f"{k}: {v}" for k, v in reasons.items()) if isinstance(reasons, dict) else str(error)
+            text = (
+                "\n".join(f"{k}: {v}" for k, v in reasons.items())
+                if isinstance(reasons, dict)
+                else str(error)
+            )
             self._settings.reset(changes)
             self._note(client, "Refused", text, "red")
             return

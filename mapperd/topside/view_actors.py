@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapperd.stream.messages import Fan, Localization, Pose, Returns, Robots
+from mapperd.stream.messages import Fan, Localization, Path, Pose, Returns, Robots
 from mapperd.topside.view_shapes import ellipse, fan_lines, strip, vehicle_parts
 
 if TYPE_CHECKING:
@@ -78,6 +78,28 @@ class Actors:
             plane = np.array(pose.covariance).reshape(6, 6)[:2, :2]
             self._ellipse("/localization/pose", plane, pose.position_m)
 
+    def take(self, told: object, path: NDArray[np.float32], z_m: float) -> None:
+        """Something was told.
+
+        Args:
+            told: whatever is drawn here; the rest is passed over.
+            path: all of it, (N, 3) metres, map frame.
+            z_m: at which what is flat is drawn.
+        """
+        match told:
+            case Path():
+                self.path(path)
+            case Fan():
+                self.fan(told)
+            case Returns():
+                self.returns(told)
+            case Robots():
+                self.robots(told)
+            case Localization():
+                self.localization(told, z_m)
+            case _:
+                pass
+
     def fan(self, fan: Fan) -> None:
         """The sonar looks at this."""
         self._scene.add_line_segments(
@@ -91,7 +113,9 @@ class Actors:
         if len(points) == self._path_told or len(points) < 2:  # noqa: PLR2004 a line has two ends
             return 0
         sent = 0
-        for piece in range(max(0, self._path_told - 1) // PATH_PIECE, -(-len(points) // PATH_PIECE)):
+        for piece in range(
+            max(0, self._path_told - 1) // PATH_PIECE, -(-len(points) // PATH_PIECE)
+        ):
             part = points[piece * PATH_PIECE : (piece + 1) * PATH_PIECE + 1]
             if len(part) > 1:
                 self._scene.add_line_segments(
@@ -134,8 +158,10 @@ class Actors:
             )
             age_s = (last_ns - stamp_ns) / 1e9
             self._scene.add_label(
-                f"{name}_label", f"robot {age_s:.0f} s before" if age_s else "robot",
-                position=(x, y, z + 0.35), anchor="bottom-center",
+                f"{name}_label",
+                f"robot {age_s:.0f} s before" if age_s else "robot",
+                position=(x, y, z + 0.35),
+                anchor="bottom-center",
             )
         for name in self._robots - shown:
             self._scene.remove_by_name(name)

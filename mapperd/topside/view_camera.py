@@ -86,7 +86,9 @@ class Cameras:
             client.camera.look_at = vehicle
 
 
-def whole_view(low_m: ArrayLike, high_m: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def whole_view(
+    low_m: ArrayLike, high_m: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A camera's place that has a box (3,), (3,) in sight, and where it looks."""
     low, high = np.asarray(low_m, np.float64), np.asarray(high_m, np.float64)
     middle = (low + high) / 2

@@ -115,4 +115,5 @@ class Chunks:
 
 
 def _cube(edge: int) -> NDArray[np.int32]:
-    return np.stack(np.indices((edge,) * 3), axis=-1).reshape(-1, 3).astype(np.int32)
+    sides: NDArray[np.int32] = np.indices((edge,) * 3, np.int32)
+    return np.ascontiguousarray(sides.reshape(3, -1).T)

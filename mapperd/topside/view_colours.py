@@ -1,5 +1,6 @@
 """Colours of cells, and the legend that says what they mean."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -8,7 +9,17 @@ from numpy.typing import NDArray
 
 from mapperd.topside.view_voxels import Drawn, points_m
 
-__all__ = ["MODES", "Legend", "Mode", "Scale", "colours_of", "legend_of", "shaded", "values_of"]
+__all__ = [
+    "MODES",
+    "Legend",
+    "Mode",
+    "Scale",
+    "colours_of",
+    "legend_of",
+    "linear",
+    "shaded",
+    "values_of",
+]
 
 Mode = Literal["height", "probability", "age", "count"]
 MODES: tuple[Mode, ...] = ("height", "probability", "age", "count")
@@ -17,6 +28,15 @@ LIGHT = np.array([0.35, -0.5, 0.79], np.float32)
 """Where the light of shaded points comes from: unit vector, map frame."""
 
 DARKEST = 0.62
+
+LEAST = 1e-3
+"""Of what has a logarithmic scale."""
+
+_PARTS = np.arange(256) / 255
+_TOE = 0.04045
+_LINEAR = (
+    np.where(_PARTS <= _TOE, _PARTS / 12.92, ((_PARTS + 0.055) / 1.055) ** 2.4) * 255 + 0.5
+).astype(np.uint8)
 
 _MAPS = {"height": "turbo", "probability": "viridis", "age": "plasma_r", "count": "cividis"}
 _STEPS = 256
@@ -70,17 +90,23 @@ def values_of(drawn: Drawn, mode: Mode, now_ns: int) -> NDArray[np.float64]:
 
 def colours_of(values: NDArray[np.float64], scale: Scale) -> NDArray[np.uint8]:
     """Colours (N, 3) of values (N,); those beyond the ends have the colours of the ends."""
-    low, high = scale.low, scale.high
+    low, high = _ends(scale)
     if scale.logarithmic:
-        values, low, high = (np.log(np.maximum(one, 1e-3)) for one in (values, low, high))
+        values = np.log(np.maximum(values, LEAST))
     part = (values - low) / max(high - low, 1e-9)
-    return _table(scale.mode)[np.clip(part * (_STEPS - 1) + 0.5, 0, _STEPS - 1).astype(np.intp)]
+    row = np.clip(part * (_STEPS - 1) + 0.5, 0, _STEPS - 1).astype(np.intp)
+    return np.asarray(_table(scale.mode)[row])
 
 
 def shaded(colours: NDArray[np.uint8], normals: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Colours as if light fell on what has these normals, so that points look like surfaces."""
     light = DARKEST + (1 - DARKEST) * np.clip(0.5 + 0.5 * (normals @ LIGHT), 0, 1)
-    return (colours * light[:, None] + 0.5).astype(np.uint8)
+    return np.asarray((colours * light[:, None] + 0.5).astype(np.uint8))
+
+
+def linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Colours as light, which what is lit is to be given (IEC 61966-2-1)."""
+    return np.asarray(_LINEAR[colours])
 
 
 def legend_of(scale: Scale) -> Legend:
@@ -91,17 +117,21 @@ def legend_of(scale: Scale) -> Legend:
         "age": "last change",
         "count": "observations",
     }
-    parts = np.linspace(0, 1, TICKS)
+    values = np.linspace(*_ends(scale), TICKS)
     if scale.logarithmic:
-        low, high = np.log(max(scale.low, 1e-3)), np.log(max(scale.high, 1e-3))
-        values = np.exp(low + parts * (high - low))
-    else:
-        values = scale.low + parts * (scale.high - scale.low)
+        values = np.exp(values)
     texts = tuple(_text(float(value), scale.mode) for value in values)
     table = _table(scale.mode)[np.linspace(0, _STEPS - 1, 16).astype(np.intp)]
     return Legend(
         titles[scale.mode], texts, tuple(f"#{r:02x}{g:02x}{b:02x}" for r, g, b in table.tolist())
     )
+
+
+def _ends(scale: Scale) -> tuple[float, float]:
+    """Of the colours, as they are spread evenly."""
+    if not scale.logarithmic:
+        return scale.low, scale.high
+    return math.log(max(scale.low, LEAST)), math.log(max(scale.high, LEAST))
 
 
 def _text(value: float, mode: Mode) -> str:

@@ -137,7 +137,8 @@ def health_html(health: Health, now_s: float, unix_ns: int) -> str:
         ("cells", f"{health.page_cells:,}", "dropped", f"{sum(health.dropped.values())}"),
     ]
     cells = "".join(
-        f"<tr><td {_LABEL}>{a}</td><td {_VALUE}>{b}</td><td {_LABEL}>{c}</td><td {_VALUE}>{d}</td></tr>"
+        f"<tr><td {_LABEL}>{a}</td><td {_VALUE}>{b}</td>"
+        f"<td {_LABEL}>{c}</td><td {_VALUE}>{d}</td></tr>"
         for a, b, c, d in rows
     )
     drops = ", ".join(f"{html.escape(k)} {v}" for k, v in sorted(health.dropped.items()) if v)
@@ -170,8 +171,9 @@ def legend_html(legend: Legend) -> str:
     """A colour bar with numbers."""
     ticks = "".join(f"<span>{html.escape(tick)}</span>" for tick in legend.ticks)
     return (
-        f'<div style="font-size:13px;padding:6px 10px 10px"><div style="margin-bottom:3px">{html.escape(legend.title)}'
-        f'</div><div style="height:14px;border-radius:3px;background:linear-gradient(to right,'
+        '<div style="font-size:13px;padding:6px 10px 10px"><div style="margin-bottom:3px">'
+        f"{html.escape(legend.title)}</div>"
+        f'<div style="height:14px;border-radius:3px;background:linear-gradient(to right,'
         f'{",".join(legend.colours)})"></div><div style="display:flex;justify-content:'
         f'space-between;font-variant-numeric:tabular-nums">{ticks}</div></div>'
     )
@@ -183,7 +185,10 @@ def text_of(value: float | None, unit: str, digits: int) -> str:
 
 
 _LABEL = 'style="opacity:.65;padding-right:6px;white-space:nowrap"'
-_VALUE = 'style="text-align:right;padding-right:10px;white-space:nowrap;font-variant-numeric:tabular-nums"'
+_VALUE = (
+    'style="text-align:right;padding-right:10px;white-space:nowrap;'
+    'font-variant-numeric:tabular-nums"'
+)
 
 
 def _state(health: Health, now_s: float) -> tuple[str, str, str]:

@@ -1,6 +1,6 @@
 """The map in the browser: a node of the scene for each chunk that shows something."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mapperd.client.mirror import MapMirror
 from mapperd.topside.view_chunks import Chunk, Chunks
-from mapperd.topside.view_colours import Mode, Scale, colours_of, shaded, values_of
+from mapperd.topside.view_colours import Scale, colours_of, linear, shaded, values_of
 from mapperd.topside.view_shapes import cube
 from mapperd.topside.view_voxels import Drawn, Filter, drawn_of
 
@@ -194,7 +194,7 @@ class MapView:
             faces,
             upright,
             at,
-            batched_colors=colours,
+            batched_colors=linear(colours),
             lod="off",
             cast_shadow=False,
             receive_shadow=False,
@@ -207,11 +207,6 @@ class MapView:
         for chunk in self._drawn:
             self._scene.remove_by_name(_name(chunk))
         self._drawn.clear()
-
-
-def with_mode(look: Look, mode: Mode, low: float, high: float) -> Look:
-    """The same look in other colours."""
-    return replace(look, scale=Scale(mode, low, high))
 
 
 def _name(chunk: Chunk) -> str:

@@ -11,7 +11,9 @@ from mapperd.topside.view_voxels import Drawn
 __all__ = ["Measuring", "distance_text", "pick"]
 
 
-def pick(drawn: Iterable[Drawn], origin_m: ArrayLike, towards: ArrayLike) -> NDArray[np.float64] | None:
+def pick(
+    drawn: Iterable[Drawn], origin_m: ArrayLike, towards: ArrayLike
+) -> NDArray[np.float64] | None:
     """The centre of the first cell that a ray meets, (3,) map frame; None where it meets none.
 
     Args:

@@ -47,6 +47,12 @@ class Span:
         self.low_m, self.high_m = new
         return changed
 
+    @property
+    def ends_m(self) -> tuple[float, float]:
+        """Low and high; ten metres of water before there is a map."""
+        low = -10.0 if self.low_m is None else self.low_m
+        return low, 0.0 if self.high_m is None else self.high_m
+
 
 @dataclass(slots=True)
 class _Handles:
@@ -118,7 +124,7 @@ class Panel:
         """The map reaches so far down and up."""
         if not self._span.take(low_m, high_m):
             return
-        low, high = self._span.low_m, self._span.high_m
+        low, high = self._span.ends_m
         clip = self._handles.clip
         was = (clip.min, clip.max)
         chosen = clip.value
@@ -160,7 +166,11 @@ class Panel:
             hint="Cells below it are not drawn; at first the daemon's threshold",
         )
         handles.clip = gui.add_multi_slider(
-            "Height (m)", min=-10.0, max=0.0, step=0.1, initial_value=(-10.0, 0.0),
+            "Height (m)",
+            min=-10.0,
+            max=0.0,
+            step=0.1,
+            initial_value=(-10.0, 0.0),
             hint="Only cells between these heights; depth is negative",
         )
         handles.shading = gui.add_checkbox("Shade points", initial_value=True)
@@ -201,8 +211,7 @@ class Panel:
     def _range(self, mode: Mode) -> tuple[float, float]:
         if mode != "height":
             return RANGES[mode]
-        low = self._span.low_m if self._span.low_m is not None else -10.0
-        return low, self._span.high_m if self._span.high_m is not None else 0.0
+        return self._span.ends_m
 
     def _say_legend(self) -> None:
         mode: Mode = self._handles.colour.value

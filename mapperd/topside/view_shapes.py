@@ -35,7 +35,8 @@ class Part:
 
 def cube() -> tuple[Floats, Faces]:
     """A cube of edge 1 around the origin; each side has vertices of its own, so it is flat."""
-    vertices, faces = [], []
+    vertices: list[Floats] = []
+    faces: list[int] = []
     for axis in range(3):
         for sign in (-1, 1):
             side = np.zeros((4, 3), np.float32)
@@ -53,14 +54,14 @@ def vehicle_parts(length_m: float) -> tuple[Part, ...]:
     """A vehicle that looks where it is going: hull, nose, fin, thrusters; nose along x."""
     half = length_m / 2
     wide, high = 0.36 * length_m, 0.22 * length_m
-    hull = _loft(
-        [(-half, 0.55), (-0.7 * half, 1.0), (0.45 * half, 1.0)], wide, high, tail=True
-    )
+    hull = _loft([(-half, 0.55), (-0.7 * half, 1.0), (0.45 * half, 1.0)], wide, high, tail=True)
     nose = _loft([(0.45 * half, 1.0), (0.75 * half, 0.72), (half, 0.0)], wide, high)
     fin = _box((-0.9 * half, -0.02 * length_m, 0.5 * high), (-0.35 * half, 0.02 * length_m, high))
     sides = [
-        _box((-0.75 * half, sign * wide * 0.62 - 0.05 * length_m, -0.05 * length_m),
-             (-0.15 * half, sign * wide * 0.62 + 0.05 * length_m, 0.05 * length_m))
+        _box(
+            (-0.75 * half, sign * wide * 0.62 - 0.05 * length_m, -0.05 * length_m),
+            (-0.15 * half, sign * wide * 0.62 + 0.05 * length_m, 0.05 * length_m),
+        )
         for sign in (-1, 1)
     ]
     return (
@@ -77,7 +78,7 @@ def fan_lines(fan: Fan) -> Floats:
     low, high = sorted(fan.bearings_rad)
     up = fan.vertical_aperture_rad / 2
     bearings = np.linspace(low, high, ARC_STEPS)
-    lines = []
+    lines: list[NDArray[np.floating]] = []
     for elevation in (-up, up):
         far = _at(fan.max_range_m, bearings, elevation)
         near = _at(fan.min_range_m, bearings, elevation)

@@ -66,15 +66,19 @@ class Tools:
         """A browser came; its camera is this one."""
         gui = client.gui
         with self._tab:
-            chosen = gui.add_button_group("Camera", VIEWS, hint="follow and top move with the vehicle")
+            chosen = gui.add_button_group(
+                "Camera", VIEWS, hint="follow and top move with the vehicle"
+            )
             measure = gui.add_checkbox(
                 "Measure", initial_value=False, hint="Click two points of the map"
             )
             said = gui.add_markdown("", visible=False)
-            picture = gui.add_button("Screenshot", icon="camera", hint="The map as a PNG")
+            picture = gui.add_button("Screenshot", hint="The map as a PNG")
         browser = self._browsers[client.client_id] = _Browser(client, chosen, said)
-        chosen.on_click(lambda event: self._post(lambda: self._camera(client, event.target.value)))
-        measure.on_update(lambda event: self._post(lambda: self._measure(browser, event.target.value)))
+        chosen.on_click(lambda _: self._post(lambda: self._camera(client, chosen.value)))
+        measure.on_update(
+            lambda event: self._post(lambda: self._measure(browser, event.target.value))
+        )
         picture.on_click(lambda _: self._take_picture(client))
         self._camera(client, mode)
 
