@@ -118,9 +118,8 @@ def _loft(
     high: float,
     *,
     tail: bool = False,
-    nose: bool = False,
 ) -> tuple[Floats, Faces]:
-    """A body along x through eight-sided rings (x, size); open at the ends unless closed."""
+    """A body along x through eight-sided rings (x, size), closed at its tail or open."""
     angle = np.arange(8) * np.pi / 4 + np.pi / 8
     ring = np.stack([np.cos(angle) * wide / 2, np.sin(angle) * high / 2], axis=1) / np.cos(
         np.pi / 8
@@ -135,11 +134,7 @@ def _loft(
             faces += [(a, b, b + 8), (a, b + 8, a + 8)]
     if tail:
         faces += [(0, side + 1, side) for side in range(1, 7)]
-    if nose:
-        last = 8 * (len(rings) - 1)
-        faces += [(last, last + side, last + side + 1) for side in range(1, 7)]
-    turned = np.array(faces, np.uint32)[:, ::-1]
-    return vertices, np.ascontiguousarray(turned)
+    return vertices, np.array(faces, np.uint32)
 
 
 def _box(low: tuple[float, float, float], high: tuple[float, float, float]) -> tuple[Floats, Faces]:

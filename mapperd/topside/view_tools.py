@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -75,7 +75,7 @@ class Tools:
             said = gui.add_markdown("", visible=False)
             picture = gui.add_button("Screenshot", hint="The map as a PNG")
         browser = self._browsers[client.client_id] = _Browser(client, chosen, said)
-        chosen.on_click(lambda _: self._post(lambda: self._camera(client, chosen.value)))
+        chosen.on_click(lambda _: self._post(lambda: self._camera(client, cast("CameraMode", chosen.value))))
         measure.on_update(
             lambda event: self._post(lambda: self._measure(browser, event.target.value))
         )

@@ -1,0 +1,183 @@
+"""What browsers are sent of the map: what changed, what can be seen, near things first."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mapperd.stream.blocks import CELLS, UNKNOWN, BlockSet
+from mapperd.topside.view_chunks import Chunks
+from mapperd.topside.view_colours import Scale
+from mapperd.topside.view_map import POINT_BYTES, Look, MapView
+from mapperd.topside.view_voxels import Filter, drawn_of, points_m
+from tests.mapperd.topside.view_fakes import blocks_of, mirror_of
+
+HEIGHTS = Scale("height", -1.0, 1.0)
+POINTS = Look(Filter(), HEIGHTS, "points")
+NOWHERE = (0.0, 0.0, 0.0)
+
+
+class FakeScene:
+    """Nodes of the scene by name, and what was sent."""
+
+    def __init__(self) -> None:
+        self.nodes: dict[str, dict[str, Any]] = {}
+        self.sent: list[str] = []
+
+    def add_point_cloud(self, name: str, points: Any, colors: Any, **more: Any) -> None:
+        self.nodes[name] = {"points": points, "colors": colors, "kind": "points", **more}
+        self.sent.append(name)
+
+    def add_batched_meshes_simple(self, name: str, *_: Any, **more: Any) -> None:
+        self.nodes[name] = {"kind": "cubes", "points": _[3], **more}
+        self.sent.append(name)
+
+    def remove_by_name(self, name: str) -> None:
+        del self.nodes[name]
+
+    def centres(self) -> np.ndarray[Any, Any]:
+        """Of all cells that a browser shows, sorted."""
+        told = [
+            np.asarray(node["points"], np.float16).astype(float) * node["scale"] + node["position"]
+            for node in self.nodes.values()
+        ]
+        return np.unique(np.round(np.concatenate(told), 6), axis=0)
+
+
+def draw_all(view: MapView, mirror: Any) -> None:
+    while view.stale:
+        view.draw(mirror, NOWHERE, 0, 10**9, 1000)
+
+
+def cube_of(low: int, high: int) -> np.ndarray[Any, Any]:
+    return np.indices((high - low,) * 3).reshape(3, -1).T + low
+
+
+def shell_of(low: int, high: int) -> np.ndarray[Any, Any]:
+    cells = cube_of(low, high)
+    return cells[((cells == low) | (cells == high - 1)).any(axis=1)]
+
+
+@pytest.mark.parametrize("most_nodes", [1000, 1], ids=["small chunks", "large chunks"])
+def test_only_the_shell_of_a_solid_is_sent_across_all_borders(most_nodes: int) -> None:
+    scene = FakeScene()
+    mirror = mirror_of(blocks_of(cube_of(-20, 20)))
+    view = MapView(scene, POINTS, most_nodes)  # type: ignore[arg-type]
+    view.touch(mirror.keys())
+    draw_all(view, mirror)
+    expected = np.round((shell_of(-20, 20) + 0.5) * 0.1, 6)
+    np.testing.assert_allclose(scene.centres(), np.unique(expected, axis=0), atol=1e-5)
+    assert view.cells == len(expected)
+    low, high = view.bounds_m or ((), ())
+    np.testing.assert_allclose([*low, *high], [-2.0] * 3 + [1.9] * 3)
+
+
+def test_too_many_nodes_become_larger_ones() -> None:
+    scene = FakeScene()
+    scattered = np.random.default_rng(1).integers(-300, 300, (400, 3))
+    mirror = mirror_of(blocks_of(scattered))
+    view = MapView(scene, POINTS, most_nodes=20)  # type: ignore[arg-type]
+    view.touch(mirror.keys())
+    draw_all(view, mirror)
+    assert 1 < len(scene.nodes) <= 64  # of 256 cells' edge: there are no larger ones
+    expected = np.unique(np.round((scattered + 0.5) * 0.1, 6), axis=0)
+    np.testing.assert_allclose(scene.centres(), expected, atol=1e-5)
+
+
+def test_only_chunks_that_changed_are_sent_again() -> None:
+    scene = FakeScene()
+    mirror = mirror_of(blocks_of([[4, 4, 4], [44, 4, 4], [84, 4, 4]]))
+    view = MapView(scene, POINTS)  # type: ignore[arg-type]
+    view.touch(mirror.keys())
+    draw_all(view, mirror)
+    assert sorted(scene.sent) == ["/map/0_0_0", "/map/1_0_0", "/map/2_0_0"]
+    scene.sent.clear()
+    changed = blocks_of([[44, 4, 4], [45, 4, 4]])
+    mirror.put(changed, 0)
+    view.touch(changed.keys)
+    draw_all(view, mirror)
+    assert scene.sent == ["/map/1_0_0"]
+
+
+def test_a_neighbour_that_is_laid_bare_is_sent_too() -> None:
+    scene = FakeScene()
+    line = [[x, 4, 4] for x in range(24, 40)]
+    mirror = mirror_of(blocks_of(line))
+    view = MapView(scene, POINTS)  # type: ignore[arg-type]
+    view.touch(mirror.keys())
+    draw_all(view, mirror)
+    scene.sent.clear()
+    view.touch([[4, 0, 0]])  # the block of cells 32 to 39, at the border of its chunk
+    draw_all(view, mirror)
+    assert sorted(scene.sent) == ["/map/0_0_0", "/map/1_0_0"]
+
+
+def test_what_is_forgotten_goes_from_the_page() -> None:
+    scene = FakeScene()
+    mirror = mirror_of(blocks_of([[4, 4, 4], [44, 4, 4]]))
+    view = MapView(scene, POINTS)  # type: ignore[arg-type]
+    view.touch(mirror.keys())
+    draw_all(view, mirror)
+    gone = np.full((1, CELLS), UNKNOWN, np.int8)
+    mirror.put(BlockSet(np.array([[5, 0, 0]], np.int32), np.zeros(1, np.uint32), gone), 0)
+    view.touch([[5, 0, 0]])
+    draw_all(view, mirror)
+    assert list(scene.nodes) == ["/map/0_0_0"]
+    view.forget()
+    assert scene.nodes == {}
+    assert view.stale == 0
+
+
+def test_near_chunks_are_sent_first_and_within_the_budget() -> None:
+    scene = FakeScene()
+    mirror = mirror_of(blocks_of([[32 * x + 4, 4, 4] for x in range(10)]))
+    view = MapView(scene, POINTS)  # type: ignore[arg-type]
+    view.touch(mirror.keys())
+    sent = view.draw(mirror, (32.0, 0.4, 0.4), 0, 2 * POINT_BYTES - 1, 1000)
+    assert scene.sent == ["/map/9_0_0", "/map/8_0_0"]
+    assert sent == 2 * POINT_BYTES
+    assert view.stale == 8
+    draw_all(view, mirror)
+    assert len(scene.nodes) == 10
+
+
+def test_threshold_and_heights_choose_cells() -> None:
+    blocks = blocks_of([[0, 0, 0], [0, 0, 2], [0, 0, 4]], log_odds=[1.0, 2.0, 3.0])
+    mirror = mirror_of(blocks)
+    chunks = Chunks(100)
+    chunks.touch(blocks.keys)
+
+    def heights(chosen: Filter) -> list[float]:
+        return sorted(points_m(drawn_of(mirror, chunks, (0, 0, 0), chosen))[:, 2].round(3).tolist())
+
+    assert heights(Filter()) == [0.05, 0.25, 0.45]
+    assert heights(Filter(min_probability=0.85)) == [0.25, 0.45]  # log-odds 1.73
+    assert heights(Filter(low_m=0.2)) == [0.25, 0.45]
+    assert heights(Filter(high_m=0.3)) == [0.05, 0.25]
+
+
+def test_a_clip_opens_the_inside() -> None:
+    mirror = mirror_of(blocks_of(cube_of(0, 8)))
+    chunks = Chunks(100)
+    chunks.touch([[0, 0, 0]])
+    whole = drawn_of(mirror, chunks, (0, 0, 0), Filter())
+    cut = drawn_of(mirror, chunks, (0, 0, 0), Filter(high_m=0.4))
+    assert len(whole) == 8**3 - 6**3
+    assert len(cut) == 8 * 8 * 4 - 6 * 6 * 2  # the cut's face is seen
+
+
+def test_many_cells_are_points_and_few_are_cubes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mapperd.topside.view_map.MOST_CUBES", 100)
+    scene = FakeScene()
+    mirror = mirror_of(blocks_of([[x, 0, 0] for x in range(90)]))
+    view = MapView(scene, Look(Filter(), HEIGHTS))  # type: ignore[arg-type]
+    view.touch(mirror.keys())
+    draw_all(view, mirror)
+    assert {node["kind"] for node in scene.nodes.values()} == {"cubes"}
+    mirror.put(blocks_of([[x, 0, 0] for x in range(90, 120)]), 0)
+    view.touch(mirror.keys())
+    draw_all(view, mirror)
+    assert {node["kind"] for node in scene.nodes.values()} == {"points"}
+    view.change(Look(Filter(high_m=np.inf, low_m=-1.0), HEIGHTS, "cubes"))
+    draw_all(view, mirror)
+    assert {node["kind"] for node in scene.nodes.values()} == {"cubes"}
