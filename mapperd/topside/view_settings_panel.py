@@ -71,7 +71,7 @@ class SettingsPanel:
         with self._tab, gui.add_form(section, expand_by_default=False) as form:
             for control in controls:
                 self._controls[control.name] = (control, self._add(control))
-            button = gui.add_button("Apply", color="cyan")
+            button = gui.add_button(f"Apply {section}", color="cyan")
         self._forms[section] = form
         names = [control.name for control in controls]
         button.on_click(lambda event: self._send(event.client, names))
