@@ -159,7 +159,7 @@ def test_cameras_follow_the_vehicle(serving: Serving, page: "Page") -> None:
 
 def test_two_clicks_measure(serving: Serving, page: "Page") -> None:
     (client,) = serving.server.get_clients().values()
-    page.get_by_label("Measure").first.click(force=True)
+    page.get_by_label("Measure", exact=True).first.click(force=True)
     tools = serving.view._tools._browsers[client.client_id]
     serving.until(lambda: tools.said.visible, page)
     cells = [one for one in serving.view.map.drawn if len(one)]
@@ -171,5 +171,5 @@ def test_two_clicks_measure(serving: Serving, page: "Page") -> None:
     measured = np.subtract(*tools.measuring.points_m)
     assert np.linalg.norm(measured[:2]) == pytest.approx(distance)
     page.get_by_text("dx ").first.wait_for(state="attached")
-    page.get_by_label("Measure").first.click(force=True)
+    page.get_by_label("Measure", exact=True).first.click(force=True)
     serving.until(lambda: not tools.marks, page)
