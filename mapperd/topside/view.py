@@ -1,6 +1,7 @@
 """`mapperctl view`: the map of a running daemon as a page in the browser."""
 
 import asyncio
+import contextlib
 import time
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any
@@ -194,6 +195,7 @@ class View:
                 older_s = time.monotonic()
                 self.map.grow_older()
             now_ns = self.health.map_ns or time.time_ns()
+            self.map.refine(self._vehicle_m, mirror.cell_m)
             sent = 0
             while self.map.stale and sent < MOST_BYTES:
                 left = MOST_BYTES - sent
@@ -302,5 +304,6 @@ class View:
             one.add_notification(title, text, auto_close_seconds=NOTE_S, color=colour)
 
     def _post(self, do: "Callable[[], object]") -> None:
-        """Of any thread: have something done in ours."""
-        self._loop.call_soon_threadsafe(do)
+        """Of any thread: have something done in ours, if it still goes on."""
+        with contextlib.suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(do)

@@ -42,9 +42,9 @@ def run_view(
     server = open_page(said.host, said.port)
     try:
         url = f"http://{_named(said.host)}:{server.get_port()}"
-        yield json.dumps({"url": url}) if said.json else f"the map is shown at {url}"
         if said.open:
             webbrowser.open(url)
+        yield json.dumps({"url": url}) if said.json else f"the map is shown at {url}"
         client = MapClient(
             address,
             token=token,

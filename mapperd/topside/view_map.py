@@ -10,7 +10,7 @@ from mapperd.client.mirror import MapMirror
 from mapperd.topside.view_chunks import Chunk, Chunks
 from mapperd.topside.view_colours import Scale, colours_of, linear, shaded, values_of
 from mapperd.topside.view_shapes import cube
-from mapperd.topside.view_voxels import Drawn, Filter, drawn_of
+from mapperd.topside.view_voxels import Drawn, Filter, coarser, drawn_of
 
 if TYPE_CHECKING:
     from viser import SceneApi
@@ -20,6 +20,15 @@ __all__ = ["Look", "MapView"]
 MOST_NODES = 500
 MOST_CUBES = 120_000
 """Beyond it cells are drawn as points: a browser turns each cube by itself."""
+
+MOST_FINE = 300_000
+"""Beyond it cells far from the vehicle are drawn in larger cubes: browsers stay quick."""
+
+FAR_M = ((20.0, 2), (60.0, 4))
+"""From this distance on, of chunks, so many cells along an edge are one."""
+
+SLACK = 1.15
+"""On the distance, so that nothing goes to and fro."""
 
 POINT_RADIUS = 0.58
 """Of a cell: points a little wider than cells leave no holes. The browser takes it for half of it."""
@@ -64,6 +73,9 @@ class MapView:
         self._scene = scene
         self._chunks = Chunks(most_nodes)
         self._drawn: dict[Chunk, Drawn] = {}
+        self._fine: dict[Chunk, int] = {}
+        self._factor: dict[Chunk, int] = {}
+        self._many = False
         self._cubes = look.shape != "points"
 
     @property
@@ -117,6 +129,20 @@ class MapView:
         if self.look.scale.mode == "age":
             self._chunks.touch_some(self._drawn)
 
+    def refine(self, near_m: ArrayLike, cell_m: float) -> None:
+        """Chunks to which the vehicle came near, or from which it went, are to be drawn again.
+
+        Of a map of many cells, those far from a place (3,) are drawn in larger cubes.
+        """
+        self._many = sum(self._fine.values()) > MOST_FINE
+        if not self._drawn:
+            return
+        chunks = list(self._drawn)
+        away_m = self._away_m(np.array(chunks), near_m, cell_m)
+        now = np.array([self._factor[chunk] for chunk in chunks])
+        least, most = self._factors(away_m / SLACK), self._factors(away_m * SLACK)
+        self._chunks.touch_some(chunks[k] for k in np.flatnonzero((now < least) | (now > most)))
+
     def draw(
         self, mirror: MapMirror, near_m: ArrayLike, now_ns: int, most_bytes: int, most_chunks: int
     ) -> int:
@@ -138,13 +164,31 @@ class MapView:
                 self._chunks.touch_some([chunk])
                 continue
             drawn = drawn_of(mirror, self._chunks, chunk, self.look.chosen)
-            sent += self._show(chunk, drawn, now_ns)
+            self._fine[chunk] = len(drawn)
+            away_m = self._away_m(np.array([chunk]), near_m, drawn.cell_m)
+            factor = self._factor[chunk] = int(self._factors(away_m)[0])
+            sent += self._show(chunk, coarser(drawn, factor), now_ns)
         if self._chunks.crowded:
             self._chunks.grow()
             self._clear()
         self._choose_shape()
         self.sent_bytes += sent
         return sent
+
+    def _away_m(
+        self, chunks: NDArray[np.int64], near_m: ArrayLike, cell_m: float
+    ) -> NDArray[np.float64]:
+        """From a place to the middles of chunks (N, 3)."""
+        middles = (chunks + 0.5) * (self._chunks.edge * cell_m)
+        return np.asarray(np.linalg.norm(middles - np.asarray(near_m), axis=1))
+
+    def _factors(self, away_m: NDArray[np.float64]) -> NDArray[np.int64]:
+        """How many cells along an edge are drawn as one at these distances."""
+        factors = np.ones(len(away_m), np.int64)
+        if self._many:
+            for far_m, factor in FAR_M:
+                factors[away_m > far_m] = factor
+        return factors
 
     def _choose_shape(self) -> None:
         """Cubes or points; with slack, so that it does not go to and fro."""
@@ -158,12 +202,13 @@ class MapView:
         self._chunks.shows(chunk, something=len(drawn) > 0)
         name = _name(chunk)
         if len(drawn) == 0:
+            self._fine.pop(chunk, None)
             if self._drawn.pop(chunk, None) is not None:
                 self._scene.remove_by_name(name)
             return 0
         self._drawn[chunk] = drawn
         colours = colours_of(values_of(drawn, self.look.scale.mode, now_ns), self.look.scale)
-        half = self._chunks.edge / 2
+        half = self._chunks.edge / self._factor[chunk] / 2
         at = drawn.local + np.float32(0.5 - half)
         middle_m = drawn.origin_m + half * drawn.cell_m
         if self._cubes:
@@ -211,6 +256,8 @@ class MapView:
         for chunk in self._drawn:
             self._scene.remove_by_name(_name(chunk))
         self._drawn.clear()
+        self._fine.clear()
+        self._factor.clear()
 
 
 def _name(chunk: Chunk) -> str:

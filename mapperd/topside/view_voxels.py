@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from mapperd.client.mirror import MapMirror
 from mapperd.topside.view_chunks import Chunk, Chunks
 
-__all__ = ["Drawn", "Filter", "drawn_of", "faces_shown", "points_m"]
+__all__ = ["Drawn", "Filter", "coarser", "drawn_of", "faces_shown", "points_m"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +102,22 @@ def faces_shown(
             normals[:, axis] += step * free
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     return shown, normals / np.maximum(length, 1)
+
+
+def coarser(drawn: Drawn, factor: int) -> Drawn:
+    """Cubes of factor**3 cells instead of cells; each has the values of one cell in it."""
+    if factor == 1:
+        return drawn
+    local, first = np.unique(drawn.local // factor, axis=0, return_index=True)
+    return Drawn(
+        drawn.origin_m,
+        drawn.cell_m * factor,
+        local,
+        drawn.normals[first],
+        drawn.probability[first],
+        drawn.count[first],
+        drawn.changed_ns[first],
+    )
 
 
 def points_m(drawn: Drawn) -> NDArray[np.float64]:

@@ -87,8 +87,10 @@ def _show(mirror: MapMirror, view: MapView, occupied: int) -> None:
         slice_s = time.process_time()
         view.draw(mirror, (0.0, 0.0, -5.0), 0, 1 << 40, 4)
         longest = max(longest, time.process_time() - slice_s)
+        if not view.stale:
+            view.refine((0.0, 0.0, -5.0), mirror.cell_m)
     passed_s = time.process_time() - began_s
-    print(f"{occupied:,} occupied cells; {view.cells:,} of them are seen, in {view.nodes} nodes")
+    print(f"{occupied:,} occupied cells; {view.cells:,} are drawn, in {view.nodes} nodes")
     print(f"shown for {view.sent_bytes / 1e6:.1f} MB and {passed_s:.1f} s of one core")
     print(f"longest without a turn for others: {longest * 1e3:.0f} ms")
 
@@ -105,6 +107,7 @@ def _update(mirror: MapMirror, view: MapView, page: "Page | None") -> str:
         blocks = _again(mirror, changed, generator)
         mirror.put(blocks, time.time_ns())
         view.touch(changed)
+        view.refine(vehicle, mirror.cell_m)
         sent = 0
         while view.stale:
             sent += view.draw(mirror, vehicle, 0, 1 << 40, 4)

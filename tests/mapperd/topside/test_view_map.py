@@ -44,9 +44,9 @@ class FakeScene:
         return np.unique(np.round(np.concatenate(told), 6), axis=0)
 
 
-def draw_all(view: MapView, mirror: Any) -> None:
+def draw_all(view: MapView, mirror: Any, near: tuple[float, float, float] = NOWHERE) -> None:
     while view.stale:
-        view.draw(mirror, NOWHERE, 0, 10**9, 1000)
+        view.draw(mirror, near, 0, 10**9, 1000)
 
 
 def cube_of(low: int, high: int) -> np.ndarray[Any, Any]:
@@ -181,3 +181,28 @@ def test_many_cells_are_points_and_few_are_cubes(monkeypatch: pytest.MonkeyPatch
     view.change(Look(Filter(high_m=np.inf, low_m=-1.0), HEIGHTS, "cubes"))
     draw_all(view, mirror)
     assert {node["kind"] for node in scene.nodes.values()} == {"cubes"}
+
+
+def test_of_many_cells_far_ones_are_drawn_in_larger_cubes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("mapperd.topside.view_map.MOST_FINE", 100)
+    scene = FakeScene()
+    plate = np.array([[x, y, 4] for x in range(4) for y in range(4)])
+    mirror = mirror_of(blocks_of(np.concatenate([plate + (320 * k, 0, 0) for k in range(8)])))
+    view = MapView(scene, POINTS)  # type: ignore[arg-type]
+    view.touch(mirror.keys())
+    draw_all(view, mirror)
+    assert {len(node["points"]) for node in scene.nodes.values()} == {16}
+    scene.sent.clear()
+    view.refine(NOWHERE, mirror.cell_m)
+    draw_all(view, mirror)
+    told = {name: len(scene.nodes[name]["points"]) for name in scene.nodes}
+    assert told == {f"/map/{10 * k}_0_0": 16 if k == 0 else 4 if k == 1 else 1 for k in range(8)}
+    far = scene.nodes["/map/70_0_0"]
+    centre = np.asarray(far["points"], float) * far["scale"] + far["position"]
+    np.testing.assert_allclose(centre, [[224.2, 0.2, 0.6]], atol=1e-4)
+    view.refine((224.0, 0.0, 0.0), mirror.cell_m)
+    draw_all(view, mirror, (224.0, 0.0, 0.0))
+    assert len(scene.nodes["/map/70_0_0"]["points"]) == 16
+    assert len(scene.nodes["/map/0_0_0"]["points"]) == 1

@@ -1,6 +1,7 @@
 """The page in a real browser, and the thread that serves it."""
 
 import asyncio
+import contextlib
 import shutil
 import threading
 from collections.abc import Callable, Iterator
@@ -106,6 +107,12 @@ class Serving:
         self.loop.set_exception_handler(lambda _, fault: self.faults.append(fault))
         self._over = asyncio.Event()
         self.client = self._make()
+        async with contextlib.AsyncExitStack() as stack:
+            if hasattr(self.client, "__aenter__"):
+                await stack.enter_async_context(self.client)
+            await self._show()
+
+    async def _show(self) -> None:
         self.view = View(self.server, self.client, **self._more)
         running = asyncio.create_task(self.view.run())
         over = asyncio.create_task(self._over.wait())
