@@ -31,7 +31,7 @@ SLACK = 1.15
 """On the distance, so that nothing goes to and fro."""
 
 POINT_RADIUS = 0.58
-"""Of a cell: points a little wider than cells leave no holes. The browser takes it for half of it."""
+"""Of a cell: points a little wider than cells leave no holes; viser's size is half of that."""
 
 POINT_BYTES, CUBE_BYTES = 9, 31
 """What the browser is sent for each."""

@@ -75,7 +75,9 @@ class Tools:
             said = gui.add_markdown("", visible=False)
             picture = gui.add_button("Screenshot", hint="The map as a PNG")
         browser = self._browsers[client.client_id] = _Browser(client, chosen, said)
-        chosen.on_click(lambda _: self._post(lambda: self._camera(client, cast("CameraMode", chosen.value))))
+        chosen.on_click(
+            lambda _: self._post(lambda: self._camera(client, cast("CameraMode", chosen.value)))
+        )
         measure.on_update(
             lambda event: self._post(lambda: self._measure(browser, event.target.value))
         )

@@ -129,7 +129,7 @@ def test_a_lost_link_is_said_and_found_again(serving: Serving, page: "Page") -> 
     assert isinstance(serving.client.link, LinkStatus)
 
 
-def test_the_map_is_exported_and_kept(serving: Serving, page: "Page", tmp_path: Path) -> None:
+def test_the_map_is_exported_and_kept(page: "Page", tmp_path: Path) -> None:
     path = downloads(page, lambda: press(page, "Export map"), tmp_path)
     assert path.suffix == ".ply"
     cells = len(mirror_of(some_map()).cells("occupied"))
@@ -151,7 +151,7 @@ def test_cameras_follow_the_vehicle(serving: Serving, page: "Page") -> None:
     time.sleep(0.11)  # poses are drawn ten times a second
     serving.do(lambda: serving.client.tell(pose_at(2, 1, -4, 0.5)))
     serving.until(
-        lambda: np.allclose(client.camera.position, behind + (2, 1, 0), atol=0.05), page
+        lambda: np.allclose(client.camera.position, np.add(behind, (2, 1, 0)), atol=0.05), page
     )
     press(page, "free")
     serving.until(lambda: serving.view._cameras.mode(client) == "free", page)
@@ -165,7 +165,7 @@ def test_two_clicks_measure(serving: Serving, page: "Page") -> None:
     cells = [one for one in serving.view.map.drawn if len(one)]
     targets = [one.origin_m + (one.local[0] + 0.5) * one.cell_m for one in (cells[0], cells[-1])]
     for target in targets:
-        origin = target + (0, 0, 30.0)
+        origin = np.add(target, (0, 0, 30.0))
         serving.do(lambda at=origin: serving.view._tools._clicked(tools, at, (0, 0, -1)))
     distance = np.linalg.norm((targets[1] - targets[0])[:2])
     measured = np.subtract(*tools.measuring.points_m)

@@ -56,7 +56,15 @@ def test_rates_drops_and_latencies_are_shown() -> None:
         health.kilobytes.add(float(second), 55.5 * second)
     health.pose_ns = 10 * SECOND
     text = health_html(health, 102.0, 14 * SECOND)
-    for said in ("CONNECTED", "mapping", "12.0 /s", "55.5 kB/s", "310 ms", "no_odometry 3", "4.0 s"):
+    for said in (
+        "CONNECTED",
+        "mapping",
+        "12.0 /s",
+        "55.5 kB/s",
+        "310 ms",
+        "no_odometry 3",
+        "4.0 s",
+    ):
         assert said in text
     assert ">42<" in text
     assert ">9<" in text
@@ -74,7 +82,9 @@ def test_what_the_daemon_says_is_no_html() -> None:
 
 def test_nonsense_in_a_status_is_passed_over() -> None:
     health = linked("connected")
-    health.take_status({"pings": 3, "phase": None}, {"left": "x", "skipped": [], "round_trip_s": None}, 0.0)
+    health.take_status(
+        {"pings": 3, "phase": None}, {"left": "x", "skipped": [], "round_trip_s": None}, 0.0
+    )
     health.take_status({"pings": {"mapped": "many", "dropped": 4}}, {"skipped": {"a": "b"}}, 1.0)
     assert (health.left, health.skipped, health.dropped) == (0, 0, {})
 

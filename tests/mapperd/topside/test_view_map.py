@@ -189,7 +189,9 @@ def test_of_many_cells_far_ones_are_drawn_in_larger_cubes(
     monkeypatch.setattr("mapperd.topside.view_map.MOST_FINE", 100)
     scene = FakeScene()
     plate = np.array([[x, y, 4] for x in range(4) for y in range(4)])
-    mirror = mirror_of(blocks_of(np.concatenate([plate + (320 * k, 0, 0) for k in range(8)])))
+    mirror = mirror_of(
+        blocks_of(np.concatenate([np.add(plate, (320 * k, 0, 0)) for k in range(8)]))
+    )
     view = MapView(scene, POINTS)  # type: ignore[arg-type]
     view.touch(mirror.keys())
     draw_all(view, mirror)

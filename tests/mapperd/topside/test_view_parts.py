@@ -97,9 +97,7 @@ def test_the_nose_is_in_front() -> None:
 
 
 def test_the_fan_lies_between_its_bearings_and_ranges() -> None:
-    fan = Fan(
-        bearings_rad=(-0.2, 1.0), vertical_aperture_rad=0.3, min_range_m=0.5, max_range_m=9.0
-    )
+    fan = Fan(bearings_rad=(-0.2, 1.0), vertical_aperture_rad=0.3, min_range_m=0.5, max_range_m=9.0)
     points = fan_lines(fan).reshape(-1, 3).astype(float)
     ranges = np.linalg.norm(points, axis=1)
     assert ranges.min() == pytest.approx(0.5)

@@ -52,9 +52,9 @@ def some_map() -> BlockSet:
         centres = np.stack([vertex[axis] for axis in "xyz"], axis=1)
         odds = np.log(vertex["probability"] / (1 - vertex["probability"]))
         return blocks_of(np.floor(centres / FACTS.resolution_m), odds, vertex["count"])
-    floor = np.indices((90, 80, 2)).reshape(3, -1).T + (-40, -40, -62)
-    wall = np.indices((90, 2, 30)).reshape(3, -1).T + (-40, 38, -60)
-    piles = [np.indices((4, 4, 20)).reshape(3, -1).T + (x, 5, -60) for x in (-20, 15)]
+    floor = np.add(np.indices((90, 80, 2)).reshape(3, -1).T, (-40, -40, -62))
+    wall = np.add(np.indices((90, 2, 30)).reshape(3, -1).T, (-40, 38, -60))
+    piles = [np.add(np.indices((4, 4, 20)).reshape(3, -1).T, (x, 5, -60)) for x in (-20, 15)]
     return blocks_of(np.concatenate([floor, wall, *piles]))
 
 
