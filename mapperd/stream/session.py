@@ -68,7 +68,7 @@ SHARES = {
     "image": 0.15,
     "status": 0.05,
 }
-"""Of what the link delivers, for each kind at most: the rest is the map's."""
+"""Of what a busy link delivers, for each kind at most: the rest is the map's."""
 
 ENDING = frozenset({"fan", "events", "settings", "path", "robots"})
 """Kinds that have an end: they have no such share while the map lacks nothing."""
@@ -353,7 +353,7 @@ class Session:
 
     def _of(self, kind: str, now_s: float) -> Iterator[bytes]:
         """What is due of a kind and has room."""
-        while now_s >= self._next_s.get(kind, 0.0):
+        while True:
             match kind:
                 case "events":
                     frame = self._event(now_s)
@@ -367,13 +367,24 @@ class Session:
                     frame = self._newest(kind, self._common.feed.newest(kind), now_s)
             if not frame:
                 return
-            if self.left or kind not in ENDING:
-                self._next_s[kind] = now_s + len(frame) / (SHARES[kind] * self._rate())
+            self._took(kind, len(frame), now_s)
             yield frame
+
+    def _may(self, kind: str, size: int, now_s: float) -> bool:
+        """Whether a message has room, and its kind has not had its share of a busy link."""
+        pacer = self.pacer
+        if now_s < self._next_s.get(kind, 0.0):
+            idle = pacer.in_flight <= pacer.window // 2 and size <= pacer.window
+            if self.left or not (idle or kind in ENDING):
+                return False
+        return pacer.fits(size, now_s)
+
+    def _took(self, kind: str, size: int, now_s: float) -> None:
+        self._next_s[kind] = now_s + size / (SHARES[kind] * self._rate())
 
     def _newest(self, kind: str, newest: Newest, now_s: float) -> bytes:
         told = self._told.get(kind, 0)
-        if newest.number == told or not self.pacer.fits(len(newest.frame), now_s):
+        if newest.number == told or not self._may(kind, len(newest.frame), now_s):
             return b""
         if told:
             self.skipped[kind] += max(0, newest.number - told - 1)
@@ -382,7 +393,7 @@ class Session:
 
     def _event(self, now_s: float) -> bytes:
         events = self._common.events
-        if events.last <= self._events_told or not self.pacer.fits(EVENT, now_s):
+        if events.last <= self._events_told or not self._may("events", EVENT, now_s):
             return b""
         found, lost = events.since(self._events_told)
         if not found:
@@ -392,7 +403,7 @@ class Session:
 
     def _setting(self, now_s: float) -> bytes:
         log = self._common.feed.settings
-        if log.last <= self._settings_told or not self.pacer.fits(PIECE, now_s):
+        if log.last <= self._settings_told or not self._may("settings", PIECE, now_s):
             return b""
         self._settings_told, facts = log.since(self._settings_told, PIECE)
         return framed(Settings(facts=facts))
@@ -401,10 +412,9 @@ class Session:
         path, (told_version, told) = self._common.feed.path, self._path
         if told_version == path.version and told >= len(path):
             return b""
-        room = self.pacer.room(now_s)
-        if room < PIECE and self.pacer.in_flight:
+        if not self._may("path", PIECE // 2, now_s):
             return b""
-        most = max(room, PIECE) // 2 // POINT
+        most = max(self.pacer.room(now_s), PIECE) // 2 // POINT
         new_version, first, points = path.since(told_version, told, most)
         self._path = (new_version, first + len(points))
         if not len(points) and not self._path_is_old:
@@ -417,10 +427,10 @@ class Session:
         self._beat_s = now_s
         status = self._common.feed.status if "status" in self.wants else _EMPTY
         size = len(bytes(status))
-        if now_s < self._next_s.get("status", 0.0) or not self.pacer.fits(size, now_s):
+        if status is not _EMPTY and self._may("status", size, now_s):
+            self._took("status", size, now_s)
+        else:
             status = _EMPTY
-        elif status is not _EMPTY:
-            self._next_s["status"] = now_s + size / (SHARES["status"] * self._rate())
         body = _ENCODER.encode(_Beat(now_ns, status, self.link()))
         return len(body).to_bytes(4, "big") + body
 

@@ -14,7 +14,10 @@ STATUS = {
     "map": {"memory_bytes": 1 << 30, "resolution_m": 0.05},
     "behind": {"policy": "drop_oldest", "coarse": True, "late": False},
     "robots": [],
-    "servers": {"control": {"clients": 2, "counters": {"accepted": 7}}},
+    "servers": {
+        "control": {"clients": 2, "counters": {"accepted": 7}},
+        "stream": {"clients": 1, "watching": [{"name": "page", "left": 5}]},
+    },
 }
 
 
@@ -26,7 +29,7 @@ def test_what_there_is_is_said_with_its_units() -> None:
         "latency_ms p50 12.35",
         "map        memory 1024.0 MiB, resolution 0.05 m",
         "behind     policy drop_oldest, coarse",
-        "servers    control clients 2, control counters accepted 7",
+        "servers    control clients 2, control counters accepted 7, stream clients 1",
     ]
 
 

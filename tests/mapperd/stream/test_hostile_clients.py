@@ -9,7 +9,7 @@ import pytest
 
 from mapperd.control.limits import Limits
 from mapperd.stream.framing import framed
-from mapperd.stream.messages import Ack, Ask, Box, Change, Hello, Interest
+from mapperd.stream.messages import Ack, Answer, Ask, Box, Change, Hello, Interest
 from tests.mapperd.stream.watched import as_bytes, bed_of, run
 
 NAN = float("nan")
@@ -98,8 +98,10 @@ def test_a_request_that_is_none_is_answered(short: Path, ask: bytes, reason: str
                 assert bye is not None
                 assert bye.reason == "bad_message"
                 return
-            await watcher.until(lambda: any(hasattr(one, "error") for one in watcher.heard))
-            answer = next(one for one in watcher.heard if hasattr(one, "error"))
+            await watcher.until(lambda: Answer in watcher.newest)
+            answer = watcher.newest[Answer]
+            assert isinstance(answer, Answer)
+            assert answer.error is not None
             assert answer.error["reason"] == reason
             assert (await watcher.ask(do="status", id=9)).result["phase"] == "mapping"
             await watcher.leave()

@@ -1,0 +1,224 @@
+"""What one client is told, and when, in a time of its own."""
+
+from collections import Counter
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from mapperd.control.admission import Newcomer
+from mapperd.control.token import FailureLimiter
+from mapperd.events import EventLog, Severity
+from mapperd.stream.feed import Newest
+from mapperd.stream.framing import client_inbox, framed
+from mapperd.stream.messages import (
+    Ack,
+    Change,
+    Event,
+    FromClient,
+    Hello,
+    MapFacts,
+    Path,
+    Pose,
+    Resume,
+    Robots,
+    Settings,
+    Status,
+    Welcome,
+)
+from mapperd.stream.session import Beginning, Common, Session
+from mapperd.stream.setting_log import SettingLog
+from mapperd.stream.track import Track
+
+FACTS = MapFacts("m1", 0.1, 0.25, 0.8, 0.0)
+TICK_S = 0.05
+
+
+class PlainFeed(SimpleNamespace):
+    """Messages that a test makes: a pose each tick, robots of 3000 bytes."""
+
+    def __init__(self) -> None:
+        super().__init__(made={}, path=Track(1000, 1.0), settings=SettingLog({}), pictures=[0] * 3)
+        self.status = msgspec.Raw(msgspec.msgpack.encode({"phase": "mapping", "long": "x" * 3000}))
+
+    def newest(self, kind: str) -> Newest:
+        return self.made.get(kind, Newest())  # type: ignore[no-any-return]
+
+    def make(self, kind: str, message: Any) -> None:
+        self.made[kind] = Newest(self.newest(kind).number + 1, framed(message))
+
+    def image(self, coarseness: int) -> Newest:
+        return Newest(1, bytes(self.pictures[coarseness]))
+
+    def event(self, happening: Any, lost: int) -> bytes:
+        return framed(Event(event={"number": happening.number}, lost=lost))
+
+
+def pose(n: int) -> Pose:
+    at = (float(n), 0.0, 0.0)
+    turn = (0.0, 0.0, 0.0, 1.0)
+    return Pose(
+        stamp_ns=n,
+        position_m=at,
+        orientation_xyzw=turn,
+        sonar_position_m=at,
+        sonar_orientation_xyzw=turn,
+        covariance=(0.1,) * 36,
+    )
+
+
+class Told:
+    """A session, a link of so many bytes a second, and what came over it."""
+
+    def __init__(self, rate: float, **hello: Any) -> None:
+        self.feed, self.events = PlainFeed(), EventLog(lambda: 1)
+        common = Common(self.feed, self.events, FailureLimiter(), "rov")  # type: ignore[arg-type]
+        self.session = Session(common, Newcomer("", "", None), may_change=True)
+        self.rate, self.now_s, self.free_s = rate, 100.0, 100.0
+        self.inbox = client_inbox()
+        self.heard: list[tuple[float, Any]] = []
+        self.way: list[tuple[float, bytes]] = []
+        self._send(self.session.greeting(self.now_s))
+        self.say(Hello(version=1, **hello))
+        self.session.viewed(None, Beginning(FACTS, 7, "s1"), self.now_s)
+        self.session.wish = None
+
+    def say(self, message: FromClient) -> None:
+        self.session.take(framed(message), self.now_s)
+
+    def _send(self, data: bytes) -> None:
+        if data:
+            self.free_s = max(self.free_s, self.now_s) + len(data) / self.rate
+            self.way.append((self.free_s + 0.1, data))
+
+    def tick(self, number: int = 1, *, poses: bool = False) -> None:
+        for _ in range(number):
+            self.now_s += TICK_S
+            while self.way and self.way[0][0] <= self.now_s:
+                at_s, data = self.way.pop(0)
+                self.heard += [(at_s, one) for one in self.inbox.feed(data)]
+                self.say(Ack(bytes=self.inbox.received))
+            if poses:
+                self.feed.make("pose", pose(round(self.now_s * 1000)))
+            self._send(self.session.next(self.now_s, round(self.now_s * 1e9)))
+
+    def of(self, kind: type) -> list[Any]:
+        return [one for _, one in self.heard if isinstance(one, kind)]
+
+
+def test_the_welcome_comes_first_and_says_what_there_is() -> None:
+    told = Told(1e6, wants=["pose"])
+    told.tick(20, poses=True)
+    kinds = [type(one) for _, one in told.heard]
+    assert kinds[1] is Welcome
+    (welcome,) = told.of(Welcome)
+    assert (welcome.revision, welcome.session, welcome.vehicle) == (7, "s1", "rov")
+    assert welcome.map == FACTS
+    assert len(told.of(Pose)) >= 5
+    assert told.of(Robots) == []
+
+
+def test_a_slow_link_has_fresh_poses_and_skips_the_others() -> None:
+    told = Told(6_000, wants=["pose"])
+    told.tick(1200, poses=True)
+    late_s = [at_s - one.stamp_ns / 1000 for at_s, one in told.heard if isinstance(one, Pose)]
+    assert max(late_s[5:]) < 0.7
+    assert len(late_s) > 60
+    assert told.session.skipped["pose"] + len(told.of(Pose)) > 1150
+
+
+def test_heartbeats_come_each_second_and_the_whole_status_when_there_is_room() -> None:
+    quick, slow = Told(1e6, wants=["status"]), Told(4_000, wants=["status"])
+    silent = Told(1e6)
+    for told in (quick, slow, silent):
+        told.tick(400)
+        beats = [at_s for at_s, one in told.heard if isinstance(one, Status)]
+        assert 18 <= len(beats) <= 20
+        assert np.diff(beats).max() < 2.1
+    whole = [len([one for one in told.of(Status) if one.status]) for told in (quick, slow, silent)]
+    assert whole[0] >= 18
+    assert 1 <= whole[1] <= 5
+    assert whole[2] == 0
+    link = quick.of(Status)[-1].link
+    assert link["bytes"] > 50_000
+    assert {"bytes_per_s", "round_trip_s", "in_flight", "left", "skipped"} <= link.keys()
+
+
+def test_settings_come_in_pieces_and_poses_between_them() -> None:
+    told = Told(20_000, wants=["settings", "pose"])
+    told.feed.settings = SettingLog(
+        {f"a.b{n}": {"value": n, "text": "x" * 300} for n in range(300)}
+    )
+    told.tick(240, poses=True)
+    facts: dict[str, Any] = {}
+    for one in told.of(Settings):
+        facts |= one.facts
+    assert len(facts) == 300
+    at_s = [at_s for at_s, one in told.heard if isinstance(one, Pose)]
+    assert np.diff(at_s).max() < 0.7
+    told.feed.settings.put({"a.b7": {"value": 8}})
+    told.tick(20)
+    assert told.of(Settings)[-1].facts == {"a.b7": {"value": 8}}
+
+
+def test_events_are_told_once_and_those_that_are_forgotten_counted() -> None:
+    told = Told(1e6, wants=["events"], events_since=0)
+    for n in range(1200):
+        told.events.add(Severity.INFO, "n", str(n))
+    told.tick(200)
+    numbers = [one.event["number"] for one in told.of(Event)]
+    assert numbers == [*range(201, 1201)]
+    assert [one.lost for one in told.of(Event)][:2] == [200, 0]
+
+
+def test_a_path_grows_goes_on_and_is_sent_anew_where_it_was_thinned() -> None:
+    told = Told(1e6, wants=["path"])
+    for n in range(500):
+        told.feed.path.add(np.array([2.0 * n, 0, 0]))
+    told.tick(20)
+    assert points_of(told)[:, 0].tolist() == [2.0 * n for n in range(500)]
+    resume = Resume(map="m1", session="s1", revision=1, path=498)
+    again = Told(1e6, wants=["path"], resume=resume)
+    again.feed.path = told.feed.path
+    again.tick(20)
+    assert [one.first for one in again.of(Path)] == [498]
+    other = Told(1e6, wants=["path"], resume=Resume(map="m1", session="s0", revision=1, path=498))
+    other.feed.path = told.feed.path
+    other.tick(20)
+    assert not other.of(Welcome)[0].resumed
+    assert other.of(Path)[0].first == 0
+    for n in range(500, 1001):
+        told.feed.path.add(np.array([2.0 * n, 0, 0]))
+    told.tick(20)
+    assert told.of(Path)[-1].version == 1
+    assert points_of(told)[:, 0].tolist() == [4.0 * n for n in range(501)]
+
+
+def points_of(told: Told) -> Any:
+    points = np.zeros((0, 3))
+    for one in told.of(Path):
+        points = np.vstack([points[: one.first], np.frombuffer(one.points, "<f4").reshape(-1, 3)])
+    return points
+
+
+def test_what_is_not_wanted_any_more_is_not_told() -> None:
+    told = Told(1e6, wants=["pose"])
+    told.tick(10, poses=True)
+    told.say(Change(wants=["robots"]))
+    told.tick(5)
+    told.heard.clear()
+    told.feed.make("robots", Robots(seen=[(1, 2.0, 3.0, 4.0)]))
+    told.tick(10, poses=True)
+    assert not told.of(Pose)
+    assert len(told.of(Robots)) == 1
+
+
+def test_pictures_are_as_fine_as_the_link_has_room_for() -> None:
+    told = Told(1e6, wants=["pose"])
+    told.feed.pictures = [80_000, 20_000, 5_000]
+    found: Counter[int] = Counter()
+    for rate in (5e6, 2e5, 1e4):
+        told.session.pacer.rate = rate
+        found[told.session.coarseness()] += 1
+    assert found == {0: 1, 1: 1, 2: 1}
