@@ -13,6 +13,7 @@ from typing import Any, Self
 from mapperd.client.address import place_of
 from mapperd.client.asking import Asking
 from mapperd.client.changes import ClientChange, LinkChanged, LinkState, LinkStatus
+from mapperd.client.connecting import opened, reason_of
 from mapperd.client.dialogue import Dialogue, Wishes
 from mapperd.client.errors import AskError, EndedError
 from mapperd.client.knowledge import MOST_BLOCKS, Knowledge
@@ -238,17 +239,17 @@ class MapClient(Known):
         """
         try:
             async with asyncio.timeout(CONNECT_S):
-                reader, writer = await self._opened()
+                reader, writer = await opened(self._place, self._tls)
         except TimeoutError:
             return "nobody answers"
         except OSError as error:
-            return _reason_of(error)
+            return reason_of(error)
         self._writer = writer
         self._dialogue.begin()
         try:
             await self._converse(reader)
         except OSError as error:
-            return _reason_of(error)
+            return reason_of(error)
         except StreamError as error:
             if not isinstance(error, EndedError):
                 self._faults += 1
@@ -260,15 +261,6 @@ class MapClient(Known):
             self._asking.lose_all()
             writer.transport.abort()
         return "the daemon hung up"
-
-    async def _opened(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-        place = self._place
-        if place.paths:
-            return await asyncio.open_unix_connection(place.path)
-        name = place.host if self._tls else None
-        return await asyncio.open_connection(
-            place.host, place.port, ssl=self._tls, server_hostname=name
-        )
 
     async def _converse(self, reader: asyncio.StreamReader) -> None:
         while True:
@@ -320,16 +312,3 @@ class MapClient(Known):
             raise self._error
         if self._running is not None and self._running.done() and not self._running.cancelled():
             self._running.result()
-
-
-def _reason_of(error: OSError) -> str:
-    """For a person.
-
-    Raises:
-        EndedError: trying again does not mend it.
-    """
-    if isinstance(error, ssl.SSLCertVerificationError):
-        raise EndedError(f"not trusted: {error.verify_message}", "not_trusted") from error
-    if isinstance(error, PermissionError):
-        raise EndedError(f"you may not: {error.strerror}", "no_permission") from error
-    return str(error.strerror or error) or type(error).__name__

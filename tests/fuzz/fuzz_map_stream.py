@@ -31,12 +31,12 @@ BEGIN = framed(Greeting()) + framed(
     Welcome(version=1, server="", vehicle="", session="", map=FACTS, revision=0, resumed=False)
 )
 MOST_BLOCKS = 4096
-DETAILS = ("classes", "log_odds", "counts")
+INTERESTS = (Interest(detail="classes"), Interest(level=3), Interest(detail="counts"))
 
 
 def _client_survives(data: bytes, choice: int) -> None:
     """Whatever a server says is taken or ends the connection, and the mirror stays bounded."""
-    interest = Interest(level=choice % 4, detail=DETAILS[choice % 3])
+    interest = INTERESTS[choice % 3]
     knowledge = Knowledge(interest, lambda _: None, MOST_BLOCKS)
     dialogue = Dialogue(Wishes(WANTS, interest), knowledge, None, lambda _: None)
     if choice & 1:
