@@ -314,6 +314,7 @@ ORDER = (
     "stream.scene",
     "stream.pictures",
     "stream.feed",
+    "stream.portions",
     "stream.session",
     "stream.asks",
     "stream.connection",

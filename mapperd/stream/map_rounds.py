@@ -145,7 +145,7 @@ class MapRounds:
             look,
             [order for order in found if order is not None],
             wanted if self._feed.wants_drawing(wanted, now_s) else frozenset(),
-            {c.session.coarseness() for c in clients if "image" in c.session.wants},
+            {c.session.portions.coarseness() for c in clients if "image" in c.session.wants},
             left,
         )
 
@@ -222,7 +222,7 @@ class MapRounds:
         is_first = session.state == "admitted"
         if session.wish is wish:
             session.wish = None
-        session.viewed(order.view, beginning, now_s)
+        session.viewed(order.view, beginning)
         if wish is not None and wish.interest is not None and order.is_new and not is_first:
             # What it held when it wanted the map before may be wrong by now.
             facts, revision = beginning.facts, beginning.revision

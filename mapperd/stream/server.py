@@ -125,7 +125,7 @@ class StreamServer:
             "blocks_left": max((one.session.left for one in clients), default=0),
             "counters": dict(sorted(self._counters.items())),
             "watching": [
-                {"name": one.session.name, "from": one.origin, **one.session.link()}
+                {"name": one.session.name, "from": one.origin, **one.session.portions.link()}
                 for one in clients[:TOLD]
             ],
         }

@@ -97,11 +97,14 @@ def test_a_client_that_never_reads_costs_the_others_nothing(short: Path) -> None
 def test_a_client_that_reads_slowly_is_told_the_newest(short: Path) -> None:
     async def work() -> None:
         async with bed_of(short) as bed:
-            watcher, quick = await bed.welcomed(), await bed.welcomed()
+            watcher, quick = await bed.watcher(), await bed.welcomed()
+            watcher.acks = False  # of a link that is not known little is under way
+            await watcher.hello()
             for round_ in range(20):  # so long it reads nothing
                 bed.source.put((0, 0, 0), round_)
                 bed.source.put((round_, 1, 0), 0)
                 await quick.until(lambda: quick.complete == bed.source.written)
+            watcher.acks = True
             await watcher.until(lambda: watcher.complete == bed.source.written)
             assert watcher.cells == quick.cells == as_bytes(bed.source)
             assert watcher.inbox.received < 0.8 * quick.inbox.received

@@ -81,7 +81,7 @@ class Told:
         self.way: list[tuple[float, bytes]] = []
         self._send(self.session.greeting(self.now_s))
         self.say(Hello(version=1, **hello))
-        self.session.viewed(None, Beginning(FACTS, 7, "s1"), self.now_s)
+        self.session.viewed(None, Beginning(FACTS, 7, "s1"))
         self.session.wish = None
 
     def say(self, message: FromClient) -> None:
@@ -125,7 +125,7 @@ def test_a_slow_link_has_fresh_poses_and_skips_the_others() -> None:
     late_s = [at_s - one.stamp_ns / 1000 for at_s, one in told.heard if isinstance(one, Pose)]
     assert max(late_s[5:]) < 0.7
     assert len(late_s) > 60
-    assert told.session.skipped["pose"] + len(told.of(Pose)) > 1150
+    assert told.session.portions.skipped["pose"] + len(told.of(Pose)) > 1150
 
 
 def test_heartbeats_come_each_second_and_the_whole_status_when_there_is_room() -> None:
@@ -220,5 +220,5 @@ def test_pictures_are_as_fine_as_the_link_has_room_for() -> None:
     found: Counter[int] = Counter()
     for rate in (5e6, 2e5, 1e4):
         told.session.pacer.rate = rate
-        found[told.session.coarseness()] += 1
+        found[told.session.portions.coarseness()] += 1
     assert found == {0: 1, 1: 1, 2: 1}
