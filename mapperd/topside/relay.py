@@ -6,7 +6,13 @@ from typing import Any
 
 from foxglove.messages import Log, LogLevel
 
-from mapperd.client.changes import ClientChange, LinkChanged, MapChanged, MapReset
+from mapperd.client.changes import (
+    ClientChange,
+    LinkChanged,
+    LinkStatus,
+    MapChanged,
+    MapReset,
+)
 from mapperd.stream.messages import (
     Event,
     Fan,
@@ -83,6 +89,7 @@ class Relay:
         self._map = MapTeller(pace)
         self._path = PathDrawing()
         self._path_s = -math.inf
+        self._link_text = ""
         self._state = StateMessages(client)
         self._waiting: set[str] = set()
         """Topics of state that came before the first stamp."""
@@ -104,8 +111,7 @@ class Relay:
             case Settings():
                 self._values(change.facts)
             case LinkChanged(link):
-                level = LogLevel.Info if link.state == "connected" else LogLevel.Warning
-                self.log(level, "connection", f"{link.state}: {link.address} {link.reason}".strip())
+                self._link(link)
             case _:
                 pass
 
@@ -173,6 +179,14 @@ class Relay:
             self._channels.say(Said("/settings", values_of(facts), self.stamp_ns))
         else:
             self._waiting.add("/settings")
+
+    def _link(self, link: LinkStatus) -> None:
+        """Each attempt to connect is no news, nor that it failed as the one before."""
+        text = f"{link.state}: {link.address} {link.reason}".strip()
+        if link.state != "connecting" and text != self._link_text:
+            self._link_text = text
+            level = LogLevel.Info if link.state == "connected" else LogLevel.Warning
+            self.log(level, "connection", text)
 
     def _event(self, told: Event) -> None:
         event = told.event

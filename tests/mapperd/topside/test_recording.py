@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Message, Schema
 from mcap.stream_reader import StreamReader
 
-from mapperd.client.changes import MapReset
+from mapperd.client.changes import LinkChanged, LinkStatus, MapReset
 from mapperd.errors import ExportError
 from mapperd.stream.framing import StreamError
 from mapperd.topside import mcap_file, mcap_recorder
@@ -288,6 +288,28 @@ class _FullFile:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._file, name)
+
+
+def test_attempts_to_connect_are_logged_once(tmp_path: Path) -> None:
+    async def told(client: FakeClient, recording: Recording) -> None:
+        await tell_all(client, recording)
+        for state, reason in (
+            ("waiting", "nobody answers"),
+            ("connecting", ""),
+            ("waiting", "nobody answers"),
+            ("waiting", "no route"),
+            ("connected", ""),
+        ):
+            client.tell(LinkChanged(LinkStatus(state, "sub:1", reason, 0.0)))  # type: ignore[arg-type]
+        await until(lambda: not client.untold)
+
+    recorded(tmp_path / "a.mcap", told)
+    texts = [log.message for _, log in read(tmp_path / "a.mcap")["/log"]]
+    assert texts[-3:] == [
+        "waiting: sub:1 nobody answers",
+        "waiting: sub:1 no route",
+        "connected: sub:1",
+    ]
 
 
 def test_another_map_is_told_as_one_that_is_empty(tmp_path: Path) -> None:
