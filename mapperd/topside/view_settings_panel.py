@@ -35,6 +35,7 @@ class SettingsPanel:
         self._server = server
         self._tab = tab
         self._apply = apply
+        self._allowed = True
         self._facts: dict[str, Any] = {}
         self._controls: dict[str, tuple[Control, Any]] = {}
         self._forms: dict[str, Any] = {}
@@ -52,19 +53,25 @@ class SettingsPanel:
         for name in facts:
             if name in self._controls:
                 self._refresh(name)
-        count = len(self._controls)
-        self._note.content = f"{count} settings that may change now. Enter, then **Apply**."
+        self._say()
 
     def may_change(self, allowed: bool) -> None:  # noqa: FBT001 as the daemon says it
-        """Whether the daemon would do it."""
-        if not allowed:
-            self._note.content = "This link may look and change nothing: it has no token."
+        """Whether a change would be heeded at all."""
+        self._allowed = allowed
+        self._say()
 
     def reset(self, names: Mapping[str, Any]) -> None:
         """These were not changed: their controls show what is in force."""
         for name in names:
             if name in self._controls:
                 self._refresh(name)
+
+    def _say(self) -> None:
+        count = len(self._controls)
+        if not self._allowed:
+            self._note.content = f"{count} settings; this page may look and change nothing."
+        elif count:
+            self._note.content = f"{count} settings that may change now. Enter, then **Apply**."
 
     def _add_form(self, section: str, controls: list[Control]) -> None:
         gui = self._server.gui

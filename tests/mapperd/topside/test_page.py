@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -166,7 +167,7 @@ def test_two_clicks_measure(serving: Serving, page: "Page") -> None:
     targets = [one.origin_m + (one.local[0] + 0.5) * one.cell_m for one in (cells[0], cells[-1])]
     for target in targets:
         origin = np.add(target, (0, 0, 30.0))
-        serving.do(lambda at=origin: serving.view._tools._clicked(tools, at, (0, 0, -1)))
+        serving.do(partial(serving.view._tools._clicked, tools, origin, (0, 0, -1)))
     distance = np.linalg.norm((targets[1] - targets[0])[:2])
     measured = np.subtract(*tools.measuring.points_m)
     assert np.linalg.norm(measured[:2]) == pytest.approx(distance)

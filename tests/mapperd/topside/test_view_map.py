@@ -41,7 +41,7 @@ class FakeScene:
             np.asarray(node["points"], np.float16).astype(float) * node["scale"] + node["position"]
             for node in self.nodes.values()
         ]
-        return np.unique(np.round(np.concatenate(told), 6), axis=0)
+        return np.asarray(np.unique(np.round(np.concatenate(told), 6), axis=0))
 
 
 def draw_all(view: MapView, mirror: Any, near: tuple[float, float, float] = NOWHERE) -> None:
@@ -50,12 +50,12 @@ def draw_all(view: MapView, mirror: Any, near: tuple[float, float, float] = NOWH
 
 
 def cube_of(low: int, high: int) -> np.ndarray[Any, Any]:
-    return np.indices((high - low,) * 3).reshape(3, -1).T + low
+    return np.asarray(np.indices((high - low,) * 3).reshape(3, -1).T + low)
 
 
 def shell_of(low: int, high: int) -> np.ndarray[Any, Any]:
     cells = cube_of(low, high)
-    return cells[((cells == low) | (cells == high - 1)).any(axis=1)]
+    return np.asarray(cells[((cells == low) | (cells == high - 1)).any(axis=1)])
 
 
 @pytest.mark.parametrize("most_nodes", [1000, 1], ids=["small chunks", "large chunks"])

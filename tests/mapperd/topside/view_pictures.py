@@ -46,13 +46,13 @@ def picture_of(
     """
     rows, columns = size
     focal = rows / 2 / np.tan(fov / 2)
-    x, y, z = ((centres - at) @ rotation).T
+    x, y, z = ((centres - np.asarray(at, float)) @ rotation).T
     seen = z > 0.1
     image = np.zeros((rows, columns, 3), np.uint8)
     covered = np.zeros((rows, columns), np.bool_)
     order = np.flatnonzero(seen)[np.argsort(-z[seen])]  # far ones first
     for k in order:
-        u, v, half = columns / 2 + focal * x[k] / z[k], rows / 2 + focal * y[k] / z[k], 0.0
+        u, v = columns / 2 + focal * x[k] / z[k], rows / 2 + focal * y[k] / z[k]
         half = focal * edge_m / z[k] / 2
         left, right = int(np.ceil(u - half - 0.5)), int(np.ceil(u + half - 0.5))
         top, bottom = int(np.ceil(v - half - 0.5)), int(np.ceil(v + half - 0.5))
