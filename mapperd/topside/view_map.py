@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Look", "MapView"]
 
-MOST_NODES = 500
+MOST_NODES = 1500
 MOST_CUBES = 120_000
 """Beyond it cells are drawn as points: a browser turns each cube by itself."""
 
