@@ -2,6 +2,7 @@
 
 import math
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 
@@ -42,6 +43,18 @@ def test_legend_and_colours_agree_at_every_tick() -> None:
     assert legend_of(Scale("height", -7, -3)).ticks == ("-7.0", "-6.0", "-5.0", "-4.0", "-3.0")
     assert legend_of(Scale("count", 1, 16)).ticks == ("1", "2", "4", "8", "16")
     assert legend_of(Scale("age", 1, 10_000)).ticks == ("1 s", "10 s", "2 min", "17 min", "167 min")
+
+
+@pytest.mark.parametrize(
+    ("scale", "name"), [(Scale("height", -7, -3), "turbo"), (Scale("age", 1, 100), "plasma_r")]
+)
+def test_colours_are_those_of_the_published_maps_of_colours(scale: Scale, name: str) -> None:
+    parts = np.linspace(0, 1, 50)
+    values = 100**parts if scale.mode == "age" else -7 + 4 * parts
+    published = mpl.colormaps[name]
+    one_entry = np.abs(np.diff(published(np.arange(256)), axis=0)).max() * 255
+    apart = np.abs(colours_of(values, scale) - published(parts)[:, :3] * 255)
+    assert apart.max() < one_entry + 1
 
 
 def test_shading_darkens_what_looks_away_from_the_light() -> None:
