@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import ipaddress
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
@@ -55,7 +56,17 @@ def same_origin(origin: str | None, host: str | None) -> bool:
         origin: header of the request; None where it comes from no browser.
         host: header of the request.
     """
-    return origin is None or (host is not None and urlsplit(origin).netloc == host)
+    if origin is None:
+        return True
+    return host is not None and urlsplit(origin).netloc == host and _is_near(host)
+
+
+def _is_near(host: str) -> bool:
+    """An address, or a name that nobody on the Internet owns, and so cannot point at us."""
+    name = urlsplit(f"//{host}").hostname or ""
+    with contextlib.suppress(ValueError):
+        return bool(ipaddress.ip_address(name))
+    return "." not in name or name.endswith(".local")
 
 
 @contextlib.contextmanager

@@ -20,6 +20,10 @@ def test_only_pages_of_our_own_may_connect() -> None:
     assert not same_origin("https://elsewhere.example", "127.0.0.1:8080")
     assert not same_origin("http://127.0.0.1:9999", "127.0.0.1:8080")
     assert not same_origin("null", "127.0.0.1:8080")
+    for name in ("[::1]:8080", "localhost:8080", "rov.local", "topside:8080", "192.168.2.1"):
+        assert same_origin(f"http://{name}", name)
+    rebound = "elsewhere.example:8080"  # a name of theirs that points at us
+    assert not same_origin(f"http://{rebound}", rebound)
 
 
 def test_a_connection_that_another_page_makes_is_refused() -> None:
