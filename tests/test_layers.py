@@ -308,6 +308,7 @@ ORDER = (
     "localization_requests",
     "live",
     "stream.source_protocol",
+    "stream.tcp",
     "stream.pacer",
     "stream.track",
     "stream.setting_log",

@@ -105,6 +105,15 @@ class MapMirror:
             digest.update(blocks.counts.tobytes())
         return digest.hexdigest()
 
+    def cells_of(self, keys: ArrayLike) -> NDArray[np.int8]:
+        """The cells (N, 512) of blocks (N, 3), x fastest; -128 is unknown."""
+        names = names_of(np.asarray(keys, np.int32).reshape(-1, 3))
+        with self.lock:
+            at = self._table.row_of_each(names)
+            cells = np.full((len(names), CELLS), UNKNOWN, np.int8)
+            cells[at >= 0] = self._table.cells[at[at >= 0]]
+        return cells
+
     def cells(
         self,
         kind: Kind = "occupied",

@@ -42,8 +42,9 @@ MAX_BODY = 4 + MAX_BLOCKS * (ROW_BYTES + 2 * CELLS)
 MAX_KEY = 1 << 30
 """Keys are nearer to 0 than this along each axis."""
 
-LEVEL = 3
-"""Of zstd: on the demo's dive 9 makes it 10 % smaller and takes four times as long."""
+LEVEL = 9
+"""Of zstd: against 3, messages of the demo's dive are 13 % smaller, and take five times as long to
+make: half a millisecond a hundred blocks, once for all who keep up."""
 
 _COMPRESSOR = zstandard.ZstdCompressor(level=LEVEL)
 _DECOMPRESSOR = zstandard.ZstdDecompressor()

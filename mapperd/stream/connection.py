@@ -1,7 +1,6 @@
 """One connection of the map stream: moves the bytes that its session makes and understands."""
 
 import asyncio
-import socket
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -11,17 +10,15 @@ from mapperd.operations import Operations
 from mapperd.stream.asks import answered
 from mapperd.stream.framing import StreamError
 from mapperd.stream.session import Session
+from mapperd.stream.tcp import fills_buffers, tcp_state
 
-__all__ = ["Around", "Connection", "tune"]
+__all__ = ["Around", "Connection"]
 
 LEAVE_S = 1.0
 """For the last words to arrive."""
 
 ANSWERS_UNDER_WAY = 256 << 10
 BREATH_S = 0.05
-
-UNSENT_BYTES = 16384
-"""That the kernel takes beyond what is on the wire: more would only become old there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +67,7 @@ class Connection(asyncio.Protocol):
         self.is_over = False
         self._around = around
         self._transport: asyncio.Transport | None = None
+        self._fills = False
         self._timer: asyncio.TimerHandle | None = None
         self._answering: asyncio.Task[None] | None = None
         limits = around.limits
@@ -79,6 +77,7 @@ class Connection(asyncio.Protocol):
         """Greet it."""
         assert isinstance(transport, asyncio.Transport)  # noqa: S101 of a stream
         self._transport = transport
+        self._fills = fills_buffers(transport.get_extra_info("socket"))
         transport.write(self.session.greeting(self._around.clock()))
         loop = asyncio.get_running_loop()
         self._timer = loop.call_later(self._around.limits.hello_s, self._look_for_hello)
@@ -88,6 +87,7 @@ class Connection(asyncio.Protocol):
         if self.is_over:
             return
         was_new = self.session.state == "greeted"
+        self.measure()
         try:
             self.session.take(data, self._around.clock())
             if was_new and self.session.state != "greeted":
@@ -111,6 +111,7 @@ class Connection(asyncio.Protocol):
 
     def turn(self) -> None:
         """Tell it what is due."""
+        self.measure()
         now_s = self._around.clock()
         try:
             self.session.look(now_s)
@@ -118,6 +119,18 @@ class Connection(asyncio.Protocol):
             self.refuse(error, was_new=False)
             return
         self.write(self.session.next(now_s, self._around.now_ns()))
+
+    def measure(self) -> None:
+        """Have the pacer know how the connection stands."""
+        if self.is_over or self._transport is None:
+            return
+        state = tcp_state(self._transport.get_extra_info("socket"))
+        self.session.pacer.note_link(
+            self._transport.get_write_buffer_size() + state.unsent,
+            state.round_trip_s,
+            self._around.clock(),
+            fills=self._fills,
+        )
 
     def write(self, data: bytes) -> None:
         """Send bytes; the pacer has room for them."""
@@ -184,19 +197,3 @@ class Connection(asyncio.Protocol):
         else:
             self.session.answer(number, result)
         self.turn()
-
-
-def tune(connection: socket.socket) -> None:
-    """Keep what lies in the kernel short; what the system does not know is left out."""
-    if connection.family == socket.AF_UNIX:
-        return
-    wanted: list[tuple[int, int | bytes]] = [
-        (socket.TCP_NODELAY, 1),
-        (socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES),
-        (socket.TCP_CONGESTION, b"bbr"),
-    ]
-    for option, value in wanted:
-        try:
-            connection.setsockopt(socket.IPPROTO_TCP, option, value)
-        except OSError:
-            continue

@@ -1,4 +1,8 @@
-"""Blocks that wait to be told to a client, nearest to the vehicle first."""
+"""Blocks that wait to be told to a client: what is near the vehicle first, then by distance.
+
+Near the vehicle whatever has waited longest comes first: the blocks right before the sonar change
+all the time, and those around them would never have their turn.
+"""
 
 from collections.abc import Callable
 
@@ -12,6 +16,15 @@ __all__ = ["NearestFirst"]
 
 FRONT = 16384
 """Blocks that are put in order at a time: all of a large map's are too many for each message."""
+
+NEAR_M = 10.0
+"""What lies within is what a pilot steers by."""
+
+FAR = 1e9
+"""Beyond the turn of every near block."""
+
+FAR_SHARE = 8
+"""One of so many blocks is a far one, however much is to be told of what is near."""
 
 WAITING, IN_FRONT = 2, 4
 """Bits of a block's flags."""
@@ -38,6 +51,8 @@ class NearestFirst:
         self._waiting = 0
         self._front = np.zeros(0, np.int64)
         self._front_keys = np.zeros((0, 3), np.int32)
+        self._front_turns = np.zeros(0, np.float64)
+        self._turn = 0.0
         self._reach_m = np.inf
         self._ordered_at = np.zeros(3)
 
@@ -56,6 +71,7 @@ class NearestFirst:
         new = numbers[self.flags[numbers] & WAITING == 0]
         self.flags[new] |= WAITING
         self._waiting += len(new)
+        self._turn += 1
         if len(self._front) + len(new) <= 2 * FRONT:
             self._put_in_front(new)
         else:
@@ -67,9 +83,10 @@ class NearestFirst:
         self._waiting -= len(numbers)
         kept = self.flags[self._front] & IN_FRONT != 0
         self._front, self._front_keys = self._front[kept], self._front_keys[kept]
+        self._front_turns = self._front_turns[kept]
 
     def nearest(self, most: int, position_m: Vector | None) -> Numbers:
-        """Up to `most` of the blocks, the nearest first; they stay."""
+        """Up to `most` of the blocks, the most urgent first; they stay."""
         position = np.zeros(3) if position_m is None else np.asarray(position_m, float)
         order, far_m = self._order(most, position)
         if len(self._front) < self._waiting:
@@ -80,14 +97,19 @@ class NearestFirst:
         return self._front[order]
 
     def _order(self, most: int, position: NDArray[np.float64]) -> tuple[NDArray[np.intp], float]:
-        """Of the front: the nearest `most`, and how far away the last of them is."""
+        """Of the front: the most urgent `most`, and how far away the furthest of them is."""
         away_m = distances_m(self._front_keys, self._block_m, tuple(position))
-        if len(away_m) > most:
-            order = np.argpartition(away_m, most)[:most]
-            order = order[np.argsort(away_m[order], kind="stable")]
-        else:
-            order = np.argsort(away_m, kind="stable")
-        return order, float(away_m[order[-1]]) if len(order) else 0.0
+        near = away_m <= NEAR_M
+        rank = np.where(near, self._front_turns + away_m / FAR, FAR + away_m)
+        near_count = int(np.count_nonzero(near))
+        far_count = min(len(near) - near_count, max(most - near_count, most // FAR_SHARE))
+        order = np.concatenate(
+            [
+                _least(rank, np.flatnonzero(near), most - far_count),
+                _least(rank, np.flatnonzero(~near), far_count),
+            ]
+        )
+        return order, float(away_m[order].max(initial=0.0))
 
     def _choose_front(self, position: NDArray[np.float64]) -> None:
         """Of all that wait."""
@@ -101,6 +123,7 @@ class NearestFirst:
             waiting = waiting[order[:FRONT]]
         self._front = np.zeros(0, np.int64)
         self._front_keys = np.zeros((0, 3), np.int32)
+        self._front_turns = np.zeros(0, np.float64)
         self._put_in_front(waiting)
         self._ordered_at = position
 
@@ -108,3 +131,13 @@ class NearestFirst:
         self.flags[numbers] |= IN_FRONT
         self._front = np.concatenate([self._front, numbers])
         self._front_keys = np.concatenate([self._front_keys, self._keys_of(numbers)])
+        turns = np.full(len(numbers), self._turn)
+        self._front_turns = np.concatenate([self._front_turns, turns])
+
+
+def _least(rank: NDArray[np.float64], of: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    """Of some, the `most` with the lowest ranks, in their order."""
+    if len(of) > most > 0:
+        of = of[np.argpartition(rank[of], most - 1)[:most]]
+    chosen: NDArray[np.intp] = of[np.argsort(rank[of], kind="stable")][:most]
+    return chosen

@@ -21,7 +21,7 @@ FIRST_RATE = 64_000
 """Bytes a second, until more is known."""
 
 SHARES = {
-    "pose": 0.2,
+    "pose": 0.08,
     "fan": 0.05,
     "events": 0.1,
     "settings": 0.1,

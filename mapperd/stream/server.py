@@ -21,12 +21,13 @@ from mapperd.control.limits import Limits, TokenBucket
 from mapperd.control.token import FailureLimiter
 from mapperd.events import Severity
 from mapperd.operations import Operations
-from mapperd.stream.connection import Around, Connection, tune
+from mapperd.stream.connection import Around, Connection
 from mapperd.stream.feed import Feed
 from mapperd.stream.framing import StreamError
 from mapperd.stream.map_rounds import MapRounds
 from mapperd.stream.session import Common, Session
 from mapperd.stream.source_protocol import Source
+from mapperd.stream.tcp import tune
 
 __all__ = ["StreamServer"]
 

@@ -52,6 +52,7 @@ MAP_SHARE = 0.9
 """Of the window: a pose never waits for the map to be acknowledged."""
 
 LEAST_MAP = 600
+"""Bytes of a message about the map: blocks take less room the more of them are in one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +202,7 @@ class Session:
         pacer = self.pacer
         free = int(pacer.window * MAP_SHARE) - pacer.in_flight
         room = min(free, int(pacer.room(now_s) * MAP_SHARE))
-        return room if room >= LEAST_MAP else 0
+        return room if room >= max(LEAST_MAP, MAP_SHARE * pacer.least()) else 0
 
     def mapped(self, frame: bytes, left: int, now_s: float) -> bytes:
         """Of the map, as it is to be sent; and blocks that are left."""

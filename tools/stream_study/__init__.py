@@ -1,0 +1,1 @@
+"""How the map stream does on bad links and with many clients: `make stream-study`."""

@@ -1,0 +1,115 @@
+"""A capture as a dive that happens now: a sonar on TCP, and its vehicle's odometry on UDP.
+
+Both links of the capture are played side by side in the recorded time, the odometry's stamps moved
+to now. When the sonar begins the recording again, so does the odometry, with a new reset counter.
+"""
+
+import argparse
+import asyncio
+import socket
+import time
+from pathlib import Path
+
+import msgpack
+
+from oculus_driver.play import PlayedSonar
+from oculus_driver.recording import OCULUS, ODOMETRY_NATIVE, open_recording
+
+__all__ = ["DivePlayer", "Record", "read_odometry"]
+
+Record = tuple[int, dict[str, object]]
+
+
+def read_odometry(capture: Path) -> tuple[int, list[Record]]:
+    """The sonar's first stamp, and the odometry's records with theirs, all in nanoseconds."""
+    first_ns: int | None = None
+    records: list[Record] = []
+    for chunk in open_recording(capture):
+        if chunk.arrival_ns is None:
+            continue
+        if chunk.encoding == OCULUS and first_ns is None:
+            first_ns = chunk.arrival_ns
+        elif chunk.encoding == ODOMETRY_NATIVE:
+            records.append((chunk.arrival_ns, msgpack.unpackb(chunk.data)))
+    if first_ns is None or not records:
+        raise SystemExit(f"{capture}: holds no sonar data, or no odometry")
+    return first_ns, records
+
+
+class DivePlayer:
+    """Plays one capture, again and again.
+
+    Args:
+        capture: a recording of a sonar and of native odometry records.
+        host, port: where the sonar listens.
+        odometry: where records are sent.
+        loops: how often; None for ever.
+    """
+
+    def __init__(
+        self,
+        capture: Path,
+        host: str,
+        port: int,
+        odometry: tuple[str, int],
+        loops: int | None = None,
+    ) -> None:
+        self._first_ns, self._records = read_odometry(capture)
+        self._to = odometry
+        self._begun = asyncio.Event()
+        self._began_ns = 0
+        self._first_ping: int | None = None
+        self._round = 0
+        self._sonar = PlayedSonar(
+            str(capture), host=host, port=port, loops=loops, on_ping=self._note
+        )
+
+    async def run(self) -> None:
+        """Play until cancelled."""
+        async with self._sonar:
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+                while True:
+                    await self._begun.wait()
+                    self._begun.clear()
+                    await self._send(out)
+
+    def _note(self, ping_id: int, _: bool) -> None:  # noqa: FBT001 the driver's own signature
+        """A ping is sent; the first one of a round sets the time."""
+        if self._first_ping is None:
+            self._first_ping = ping_id
+        if ping_id == self._first_ping:
+            self._began_ns = time.time_ns()
+            self._round += 1
+            self._begun.set()
+
+    async def _send(self, out: socket.socket) -> None:
+        """One round of the odometry; ends early where the sonar begins another."""
+        moved_ns = self._began_ns - self._first_ns
+        for arrival_ns, record in self._records:
+            late_s = (arrival_ns + moved_ns - time.time_ns()) / 1e9
+            if late_s > 0:
+                await asyncio.sleep(late_s)
+            if self._begun.is_set():
+                return
+            stamp = record["t"]
+            assert isinstance(stamp, int)  # noqa: S101 the simulator's own record
+            moved = {**record, "t": stamp + moved_ns, "rst": self._round}
+            out.sendto(msgpack.packb(moved), self._to)
+
+
+def main() -> None:
+    """Play until killed."""
+    parser = argparse.ArgumentParser(prog="dive-player", description=__doc__.partition("\n")[0])
+    parser.add_argument("capture", type=Path)
+    parser.add_argument("--sonar", default="127.0.0.1:52100", help="where the sonar listens")
+    parser.add_argument("--odometry", default="127.0.0.1:52200", help="where records are sent")
+    parser.add_argument("--loops", type=int, default=0, help="0 plays for ever")
+    said = parser.parse_args()
+    host, _, port = said.sonar.rpartition(":")
+    to_host, _, to_port = said.odometry.rpartition(":")
+    player = DivePlayer(said.capture, host, int(port), (to_host, int(to_port)), said.loops or None)
+    asyncio.run(player.run())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,75 @@
+"""The figures of the study, in the stream's document."""
+
+import platform
+from pathlib import Path
+from typing import Any
+
+__all__ = ["write_report"]
+
+BEGIN, END = "<!-- measured: make stream-study -->\n", "<!-- end of measured -->\n"
+
+
+def write_report(document: Path, results: dict[str, Any]) -> None:
+    """Put the tables between the marks.
+
+    Raises:
+        SystemExit: the marks are not there.
+    """
+    text = document.read_text()
+    if BEGIN not in text or END not in text:
+        raise SystemExit(f"{document}: has no marks for the figures")
+    before, _, rest = text.partition(BEGIN)
+    after = rest.partition(END)[2]
+    document.write_text(before + BEGIN + _tables(results) + END + after)
+
+
+def _tables(results: dict[str, Any]) -> str:
+    rows = [
+        "",
+        (
+            f"Measured by `make stream-study` on {platform.machine()}, Python "
+            f"{platform.python_version()}: the demo's dive, live."
+        ),
+        "",
+        "| what | measured |",
+        "|---|---|",
+    ]
+    if "tether" in results:
+        rows += _tether(results["tether"])
+    if "fleet" in results:
+        one = results["fleet"]
+        what = (
+            f"{one['clients']} clients for {one['seconds']:.0f} s, {one['connects']} connections, "
+            f"{one['restarts']} restarts of the daemon: maps equal in the end"
+        )
+        rows.append(f"| {what} | {one['equal']} of {one['clients']} |")
+    if "watchers" in results:
+        rows += _watchers(results["watchers"])
+    return "\n".join([*rows, "", ""])
+
+
+def _tether(one: dict[str, Any]) -> list[str]:
+    far = one["far_caught_up_s"]
+    link = "256 kbit/s, 300 ms each way, 5 % loss"
+    measured = {
+        f"{link}: the map equals the daemon's in the end": "yes" if one["equal"] else "NO",
+        "the same: age of what is within 10 m, worst and 95 %": (
+            f"{one['near_worst_s']:.1f} s, {one['near_p95_s']:.1f} s"
+        ),
+        "the same: joined in the middle of the dive, near there after": (
+            f"{one['near_first_s']:.1f} s"
+        ),
+        "the same: far caught up after": "never" if far is None else f"{far:.0f} s",
+        "the same: received": f"{one['bytes'] / 1e3:.0f} kB",
+    }
+    return [f"| {what} | {value} |" for what, value in measured.items()]
+
+
+def _watchers(costs: dict[str, Any]) -> list[str]:
+    none = costs["0"]["cores"]
+    return [
+        f"| {number} clients that want all but images, {one['pings_per_s']:.1f} pings/s: CPU of "
+        f"the daemon, and of that for the clients | {one['cores']:.1%}, "
+        f"{one['cores'] - none:.1%} of a core |"
+        for number, one in costs.items()
+    ]

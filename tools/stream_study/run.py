@@ -1,0 +1,100 @@
+"""`make stream-study`: what the map stream does on a bad link and with many clients.
+
+Plays the demo's dive, live, into a daemon; writes out/stream/stream.json and the pictures, and with
+`--write` the figures of docs/map-stream.md. Some minutes; wants out/demo/capture.bin (`make demo`).
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from stream_study.pictures import draw_ages
+from stream_study.report import write_report
+from stream_study.scenes import fleet, tether, watchers
+from stream_study.shaped_link import LinkShape
+
+ROOT = Path(__file__).resolve().parents[2]
+WATCHED_S = 35.0
+MOST_AGE_S = 3.0
+MOST_CORES = 0.15
+CLIENTS = (0, 1, 20)
+
+
+def main() -> int:
+    """Run what is asked for; 0 if the stream keeps its promises."""
+    parser = argparse.ArgumentParser(prog="stream-study", description=__doc__.partition("\n")[0])
+    parser.add_argument("--capture", type=Path, default=ROOT / "out/demo/capture.bin")
+    parser.add_argument("--out", type=Path, default=ROOT / "out/stream")
+    parser.add_argument("--only", choices=["tether", "fleet", "watchers"], action="append")
+    parser.add_argument("--clients", type=int, default=100, help="of the fleet")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of the fleet")
+    parser.add_argument("--write", action="store_true", help="into docs/map-stream.md")
+    said = parser.parse_args()
+    said.out.mkdir(parents=True, exist_ok=True)
+    file = said.out / "stream.json"
+    results: dict[str, Any] = json.loads(file.read_text()) if file.exists() else {}
+    for name in said.only or ["tether", "fleet", "watchers"]:
+        with tempfile.TemporaryDirectory(prefix="stream-study-") as folder:
+            results[name] = SCENES[name](Path(folder), said)
+        file.write_text(json.dumps(results, indent=1))
+        print(f"\r{name}: {json.dumps(results[name])}")
+    if said.write:
+        write_report(ROOT / "docs/map-stream.md", results)
+    return 0 if _kept(results) else 1
+
+
+def _tether(folder: Path, said: argparse.Namespace) -> dict[str, Any]:
+    outcome = tether(folder, said.capture, LinkShape(), _say)
+    draw_ages(said.out / "ages.png", outcome)
+    worst_s, most_s = outcome.near_s()
+    return {
+        "equal": outcome.equal,
+        "near_worst_s": worst_s,
+        "near_p95_s": most_s,
+        "near_first_s": outcome.first_near_s(),
+        "far_caught_up_s": outcome.caught_up_s,
+        "bytes": outcome.bytes,
+        "lost_packets": outcome.lost_packets,
+    }
+
+
+def _fleet(folder: Path, said: argparse.Namespace) -> dict[str, Any]:
+    outcome = fleet(folder, said.capture, said.clients, said.seconds, _say)
+    return {name: getattr(outcome, name) for name in outcome.__slots__}
+
+
+def _watchers(_: Path, said: argparse.Namespace) -> dict[str, Any]:
+    costs = {}
+    for clients in CLIENTS:
+        with tempfile.TemporaryDirectory(prefix="stream-study-") as folder:
+            outcome = watchers(Path(folder), said.capture, clients, WATCHED_S, _say)
+        costs[str(clients)] = outcome.plain()
+    return costs
+
+
+SCENES = {"tether": _tether, "fleet": _fleet, "watchers": _watchers}
+
+
+def _kept(results: dict[str, Any]) -> bool:
+    """Whether the promises hold, of what was run."""
+    kept = []
+    if "tether" in results:
+        kept += [results["tether"]["equal"], results["tether"]["near_worst_s"] <= MOST_AGE_S]
+    if "fleet" in results:
+        kept += [results["fleet"]["equal"] == results["fleet"]["clients"]]
+    if "watchers" in results:
+        cores = {number: cost["cores"] for number, cost in results["watchers"].items()}
+        kept += [cores["20"] - cores["0"] < MOST_CORES]
+    return all(kept)
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"\r\x1b[K{text}")
+    sys.stderr.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
