@@ -12,8 +12,10 @@ from mapperd.stream.connection import Around, Connection
 from mapperd.stream.feed import Feed
 from mapperd.stream.framing import framed
 from mapperd.stream.messages import Reset
+from mapperd.stream.nearest import Part
 from mapperd.stream.session import Beginning, Wish
 from mapperd.stream.source_protocol import MapView, Source
+from mapperd.stream.turns import Rooms
 
 __all__ = ["MapRounds"]
 
@@ -34,9 +36,9 @@ class _Order:
     client: Connection
     view: MapView | None
     wish: Wish | None
-    room: int
+    rooms: Rooms
     is_new: bool = False
-    frames: list[bytes] = field(default_factory=list)
+    frames: list[tuple[bytes, int | None]] = field(default_factory=list)
 
 
 @dataclass(slots=True)
@@ -173,24 +175,27 @@ class MapRounds:
     def _order(self, client: Connection, now_s: float, *, look: bool) -> _Order | None:
         session = client.session
         if session.wish is not None:
-            return _Order(client, session.view, session.wish, 0)
-        room = session.map_room(now_s) if look or session.left else 0
-        if room <= 0:
-            return None
-        return _Order(client, session.view, None, min(room, ROUND_BYTES))
+            return _Order(client, session.view, session.wish, Rooms())
+        rooms = session.map_rooms(now_s) if look or session.left else Rooms()
+        return _Order(client, session.view, None, rooms) if rooms else None
 
     def _fill(self, order: _Order) -> None:
         """In the worker."""
         if order.wish is not None:
             self._meet(order, order.wish)
             return
-        room, view = order.room, order.view
+        self._take(order, "near", order.rooms.near)
+        if not order.frames:
+            self._take(order, "far", order.rooms.far)
+
+    def _take(self, order: _Order, part: Part, most: int) -> None:
+        view, room = order.view, min(most, ROUND_BYTES)
         # The last half of the room may stay empty: small messages are dear.
-        while room > order.room // 2 and view is not None:
-            frame = view.next(self._feed.position_m, room)
+        while room > min(most, ROUND_BYTES) // 2 and view is not None:
+            frame = view.next(self._feed.position_m, room, part)
             if frame is None:
                 return
-            order.frames.append(frame)
+            order.frames.append((frame, view.near_left if part == "near" else None))
             room -= len(frame)
 
     def _meet(self, order: _Order, wish: Wish) -> None:
@@ -211,10 +216,10 @@ class MapRounds:
         session = client.session
         if view is None or session.view is not view:
             return  # it wanted something else meanwhile
-        for frame in order.frames:
-            client.write(session.mapped(frame, view.left, now_s))
+        for frame, near_left in order.frames:
+            client.write(session.mapped(frame, view.left, now_s, near_left))
         session.left = view.left
-        if session.left and session.map_room(now_s):
+        if session.left and order.frames and session.map_rooms(now_s):
             self.wake()
 
     def _begin(self, order: _Order, beginning: Beginning) -> None:

@@ -5,6 +5,7 @@ all the time, and those around them would never have their turn.
 """
 
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from mapperd.stream.messages import Vector
 from mapperd.stream.region import distances_m
 
-__all__ = ["NearestFirst"]
+__all__ = ["NearestFirst", "Part"]
 
 FRONT = 16384
 """Blocks that are put in order at a time: all of a large map's are too many for each message."""
@@ -23,13 +24,11 @@ NEAR_M = 10.0
 FAR = 1e9
 """Beyond the turn of every near block."""
 
-FAR_SHARE = 8
-"""One of so many blocks is a far one, however much is to be told of what is near."""
-
 WAITING, IN_FRONT = 2, 4
 """Bits of a block's flags."""
 
 Numbers = NDArray[np.int64]
+Part = Literal["near", "far", "any"]
 KeysOf = Callable[[Numbers], NDArray[np.int32]]
 
 
@@ -42,10 +41,12 @@ class NearestFirst:
 
     Attributes:
         flags: uint8 a block; bits other than ours are the owner's.
+        near_left: blocks that wait near the vehicle, but for those that were given last.
     """
 
     def __init__(self, keys_of: KeysOf, block_m: float) -> None:
         self.flags = np.zeros(0, np.uint8)
+        self.near_left = 0
         self._keys_of = keys_of
         self._block_m = block_m
         self._waiting = 0
@@ -85,27 +86,34 @@ class NearestFirst:
         self._front, self._front_keys = self._front[kept], self._front_keys[kept]
         self._front_turns = self._front_turns[kept]
 
-    def nearest(self, most: int, position_m: Vector | None) -> Numbers:
+    def nearest(self, most: int, position_m: Vector | None, part: Part = "any") -> Numbers:
         """Up to `most` of the blocks, the most urgent first; they stay."""
         position = np.zeros(3) if position_m is None else np.asarray(position_m, float)
-        order, far_m = self._order(most, position)
+        order, far_m = self._order(most, position, part)
         if len(self._front) < self._waiting:
             moved_m = float(np.linalg.norm(position - self._ordered_at))
-            if len(order) < most or far_m > self._reach_m - moved_m:
+            # Of what is near less may be wanted than there is: then all of it is in front already.
+            short = len(order) < most and (part != "near" or self._reach_m - moved_m < NEAR_M)
+            if short or far_m > self._reach_m - moved_m:
                 self._choose_front(position)
-                order, _ = self._order(most, position)
+                order, _ = self._order(most, position, part)
         return self._front[order]
 
-    def _order(self, most: int, position: NDArray[np.float64]) -> tuple[NDArray[np.intp], float]:
+    def _order(
+        self, most: int, position: NDArray[np.float64], part: Part
+    ) -> tuple[NDArray[np.intp], float]:
         """Of the front: the most urgent `most`, and how far away the furthest of them is."""
         away_m = distances_m(self._front_keys, self._block_m, tuple(position))
         near = away_m <= NEAR_M
         rank = np.where(near, self._front_turns + away_m / FAR, FAR + away_m)
         near_count = int(np.count_nonzero(near))
-        far_count = min(len(near) - near_count, max(most - near_count, most // FAR_SHARE))
+        room = {"near": 0, "far": most, "any": max(most - near_count, 0)}[part]
+        far_count = min(len(near) - near_count, room)
+        near_most = 0 if part == "far" else min(most - far_count, near_count)
+        self.near_left = near_count - near_most
         order = np.concatenate(
             [
-                _least(rank, np.flatnonzero(near), most - far_count),
+                _least(rank, np.flatnonzero(near), near_most),
                 _least(rank, np.flatnonzero(~near), far_count),
             ]
         )

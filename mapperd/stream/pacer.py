@@ -15,7 +15,7 @@ it no more than it sends within moments. Two rules do that:
 
 from collections import deque
 
-__all__ = ["FIRST_WINDOW", "LEAST_WINDOW", "MOST_WINDOW", "Pacer"]
+__all__ = ["FIRST_RATE", "FIRST_WINDOW", "LEAST_WINDOW", "MOST_WINDOW", "Pacer"]
 
 UNSENT_S, LEAST_UNSENT = 0.3, 2048
 """Not sent yet at most, of what the link delivers; more than the time between two rounds."""

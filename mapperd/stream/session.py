@@ -38,6 +38,7 @@ from mapperd.stream.messages import (
 from mapperd.stream.pacer import Pacer
 from mapperd.stream.portions import Portions
 from mapperd.stream.source_protocol import MapView
+from mapperd.stream.turns import Rooms, Turns
 from mapperd.version import version
 
 __all__ = ["Beginning", "Common", "Session", "Wish"]
@@ -48,11 +49,6 @@ ASKS = 8
 ANSWERS = 32
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 2000.0, 20_000
 QUIET_S = 60.0
-MAP_SHARE = 0.9
-"""Of the window: a pose never waits for the map to be acknowledged."""
-
-LEAST_MAP = 600
-"""Bytes of a message about the map: blocks take less room the more of them are in one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +112,7 @@ class Session:
         self.view: MapView | None = None
         self.asks: deque[msgspec.Raw] = deque()
         self.pacer = Pacer(common.bytes_per_s)
+        self._turns = Turns(self.pacer)
         self.portions = Portions(common.feed, common.events, self.pacer)
         self.may_change = may_change
         self._common = common
@@ -195,18 +192,26 @@ class Session:
         pieces = self.portions.pieces(now_s, now_ns)
         return said + b"".join(self._sent(piece, now_s) for piece in pieces)
 
-    def map_room(self, now_s: float) -> int:
-        """Bytes of the map that may be sent now; 0 is none."""
+    def map_rooms(self, now_s: float) -> Rooms:
+        """Bytes of the map that may be sent now."""
         if self.state != "served" or self.view is None:
-            return 0
-        pacer = self.pacer
-        free = int(pacer.window * MAP_SHARE) - pacer.in_flight
-        room = min(free, int(pacer.room(now_s) * MAP_SHARE))
-        return room if room >= max(LEAST_MAP, MAP_SHARE * pacer.least()) else 0
+            return Rooms()
+        return self._turns.rooms(now_s)
 
-    def mapped(self, frame: bytes, left: int, now_s: float) -> bytes:
-        """Of the map, as it is to be sent; and blocks that are left."""
+    def mapped(self, frame: bytes, left: int, now_s: float, near_left: int | None = None) -> bytes:
+        """Of the map, as it is to be sent; and how many blocks are left.
+
+        Args:
+            frame: a message.
+            left: blocks.
+            now_s: now.
+            near_left: near the vehicle, where the message is about such.
+        """
         self.left = left
+        if near_left is None:
+            self._turns.told_far()
+        else:
+            self._turns.told_near(len(frame), near_left, now_s)
         return self._sent(frame, now_s)
 
     def _heard(self, message: FromClient, now_s: float) -> None:

@@ -3,6 +3,7 @@
 from typing import Protocol
 
 from mapperd.stream.messages import Interest, MapFacts, Resume, Vector
+from mapperd.stream.nearest import Part
 
 __all__ = ["MapView", "Source"]
 
@@ -20,12 +21,17 @@ class MapView(Protocol):
     def left(self) -> int:
         """Blocks that are still to be told."""
 
-    def next(self, position_m: Vector | None, most_bytes: int) -> bytes | None:
+    @property
+    def near_left(self) -> int:
+        """Of those the ones near the vehicle, as of the last message."""
+
+    def next(self, position_m: Vector | None, most_bytes: int, part: Part = "any") -> bytes | None:
         """The next message as it goes over the wire; None where all is told.
 
         Args:
             position_m: of the vehicle, what is nearest to it comes first.
             most_bytes: about; one block is always told.
+            part: of the map, that it may be about.
         """
 
     def change(self, interest: Interest) -> None:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from mapperd.errors import StoreError
 from mapperd.stream.framing import framed
 from mapperd.stream.messages import MAX_BLOCKS, Blocks, Interest, MapFacts, Reset, Vector
-from mapperd.stream.nearest import NearestFirst
+from mapperd.stream.nearest import NearestFirst, Part
 from mapperd.stream.region import vector_of, within
 from mapperd.stream.telling import Teller
 from mapperd.stream.view import View
@@ -119,22 +119,32 @@ class Subscription:
         # What lies outside is left to `_draw`, which knows where the vehicle is.
         self._queue.add(numbers[self._inside(numbers, self._drawn_at)])
 
-    def next(self, position_m: ArrayLike | None, most_bytes: int) -> bytes | None:
+    @property
+    def near_left(self) -> int:
+        """Of those the ones near the vehicle, as of the last message."""
+        return self._queue.near_left
+
+    def next(
+        self, position_m: ArrayLike | None, most_bytes: int, part: Part = "any"
+    ) -> bytes | None:
         """What is to be sent next, as it goes over the wire.
 
         Args:
             position_m: (3,) of the vehicle, map frame; None where nobody knows it.
             most_bytes: about so many, and at least one block.
+            part: of the map, that it may be about.
 
         Returns:
             a `Blocks` or a `Reset`; None when there is nothing.
         """
-        message = self.next_message(position_m, most_bytes)
+        message = self.next_message(position_m, most_bytes, part)
         if isinstance(message, Blocks):
             return self._source.teller.framed(message)
         return None if message is None else framed(message)
 
-    def next_message(self, position_m: ArrayLike | None, most_bytes: int) -> Blocks | Reset | None:
+    def next_message(
+        self, position_m: ArrayLike | None, most_bytes: int, part: Part = "any"
+    ) -> Blocks | Reset | None:
         """The same as a message."""
         if self._reset:
             self._reset = False
@@ -142,18 +152,18 @@ class Subscription:
             return Reset(map=facts, revision=self._view.looked, interest=self.interest)
         self._draw(vector_of(position_m))
         try:
-            return self._next(most_bytes)
+            return self._next(most_bytes, part)
         except StoreError as error:
             self._source.trouble = str(error)
             return None
 
-    def _next(self, most_bytes: int) -> Blocks | None:
+    def _next(self, most_bytes: int, part: Part) -> Blocks | None:
         teller, detail = self._source.teller, self.interest.detail
         most = min(teller.blocks_in(most_bytes, self._view.level, detail), MAX_BLOCKS)
         while True:
-            numbers, wanted = self._chosen(most)
+            numbers, wanted = self._chosen(most, part)
             if not len(numbers):
-                return self._quiet()
+                return None if len(self._queue) else self._quiet()
             revision, body = teller.body(self._view, detail, numbers, wanted)
             if len(body) <= 2 * most_bytes or len(numbers) == 1:
                 break
@@ -163,10 +173,10 @@ class Subscription:
         self._queue.flags[numbers[wanted]] |= HELD
         return self._message(revision, body)
 
-    def _chosen(self, most: int) -> tuple[Numbers, NDArray[np.bool_]]:
+    def _chosen(self, most: int, part: Part) -> tuple[Numbers, NDArray[np.bool_]]:
         """The nearest blocks that wait, and which of them are told with what they hold."""
         while True:
-            numbers = self._queue.nearest(most, self._drawn_at)
+            numbers = self._queue.nearest(most, self._drawn_at, part)
             wanted = self._inside(numbers, self._drawn_at)
             pointless = ~wanted & (self._queue.flags[numbers] & HELD == 0)
             if not pointless.any():

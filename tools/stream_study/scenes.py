@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.stream.messages import BLOCK_EDGE, MapFacts
+from stream_study.far_map import write_far_map
 from stream_study.hosts import SERVER, NotPermittedError, joined_hosts
 from stream_study.shaped_link import LinkShape
 from stream_study.staleness import Knowledge, Staleness, staleness
@@ -112,7 +113,7 @@ class WatcherOutcome:
 
 
 def tether(folder: Path, capture: Path, shape: LinkShape, say: Say) -> TetherOutcome:
-    """One client behind a bad link joins in the middle of the dive."""
+    """One client behind a bad link joins in the middle of a dive, where a large map is already."""
     with ExitStack() as stack:
         try:
             server, client, link = stack.enter_context(joined_hosts(shape))
@@ -120,8 +121,15 @@ def tether(folder: Path, capture: Path, shape: LinkShape, say: Say) -> TetherOut
             say(f"no hosts ({error}): the link is a relay in a process")
             server, client, link = "", "", None
         world = stack.enter_context(
-            World(folder, capture, host=SERVER if server else "127.0.0.1", namespace=server)
+            World(
+                folder,
+                capture,
+                host=SERVER if server else "127.0.0.1",
+                namespace=server,
+                use_store=True,
+            )
         )
+        write_far_map(folder / "state" / "mapperd.map", world.config())
         world.start_daemon()
         reference = _watch(world, "reference", server)
         dive = world.start_dive(loops=1)

@@ -17,6 +17,7 @@ import numpy as np
 
 from mapperd.client.mirror import MapMirror
 from mapperd.config import Config, Octree
+from mapperd.config_file import load_config
 from mapperd.mapping import SonarMap
 from mapperd.stream.blocks import CELLS, UNKNOWN, BlockSet
 from mapperd.stream.messages import BLOCK_EDGE, Interest, MapFacts
@@ -100,6 +101,10 @@ class World:
             if process.poll() is None:
                 process.kill()
             process.wait()
+
+    def config(self) -> Config:
+        """That the daemon is given."""
+        return load_config(self._settings)
 
     def start_daemon(self) -> None:
         """Map from now on; returns when the daemon answers."""

@@ -35,6 +35,7 @@ from mapperd.stream.messages import (
     Vector,
     Welcome,
 )
+from mapperd.stream.nearest import Part
 from mapperd.stream.server import StreamServer
 from tests.mapperd.control.fakes import TOKEN, FakeDaemon
 
@@ -80,7 +81,13 @@ class PlainView:
     def close(self) -> None:
         self._source.views.remove(self)
 
-    def next(self, position_m: Vector | None, most_bytes: int) -> bytes | None:
+    @property
+    def near_left(self) -> int:
+        return self.left
+
+    def next(self, position_m: Vector | None, most_bytes: int, part: Part = "any") -> bytes | None:
+        if part == "far":
+            return None  # all of it is near
         source = self._source
         if source.map_id != self._map_id or self._anew:
             self._map_id, self._told, self._anew = source.map_id, {}, False

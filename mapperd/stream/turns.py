@@ -1,0 +1,92 @@
+"""When a client is told of what is near the vehicle, and when of the rest of the map.
+
+A link that is always full is a slow one: each packet waits behind others, and the same blocks are
+told again and again as they change. So what is near is told in passes, each block once, with a rest
+between two of them; what is far goes in the rests, and only as much as delays no pass.
+"""
+
+from dataclasses import dataclass
+
+from mapperd.stream.pacer import FIRST_RATE, Pacer
+
+__all__ = ["Rooms", "Turns"]
+
+DUTY, LONGEST_REST_S = 0.6, 1.0
+"""A pass and the rest after it take so long that the link was busy for this part of the time with
+what is near; and no longer than that."""
+
+ASIDE_S, IDLE_S = 0.15, 0.1
+"""Of what the link delivers: in a message about what is far, and under way at most before it."""
+
+QUIET_S = 2.0
+"""So long after the last pass the link is for what is far alone."""
+
+EACH = 8
+"""After so many messages about what is near a far one may follow, however much is left."""
+
+SHARE = 0.9
+"""Of the window: a pose never waits for the map to be acknowledged."""
+
+LEAST = 600
+"""Bytes of a message: blocks take less room the more of them are in one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rooms:
+    """Bytes that may be told of the map now; 0 is nothing."""
+
+    near: int = 0
+    far: int = 0
+
+    def __bool__(self) -> bool:
+        return bool(self.near or self.far)
+
+
+class Turns:
+    """Of one client; whoever calls says what time it is.
+
+    Args:
+        pacer: of its connection.
+    """
+
+    def __init__(self, pacer: Pacer) -> None:
+        self._pacer = pacer
+        self._began_s: float | None = None
+        self._bytes = self._messages = 0
+        self._rests_until_s = 0.0
+        self._near_s: float | None = None
+
+    def rooms(self, now_s: float) -> Rooms:
+        """What may be told now."""
+        pacer = self._pacer
+        free = int(pacer.window * SHARE) - pacer.in_flight
+        room = min(free, int(pacer.room(now_s) * SHARE))
+        if room < max(LEAST, SHARE * pacer.least()):
+            return Rooms()
+        near = room if now_s >= self._rests_until_s else 0
+        if self._near_s is None or now_s - self._near_s > QUIET_S:
+            return Rooms(near, room)
+        rate = self._rate()
+        is_idle = pacer.in_flight <= IDLE_S * rate or self._messages >= EACH
+        return Rooms(near, min(room, max(LEAST, int(ASIDE_S * rate))) if is_idle else 0)
+
+    def told_near(self, size: int, left: int, now_s: float) -> None:
+        """A message of so many bytes about what is near; so many near blocks are left."""
+        self._near_s = now_s
+        if self._began_s is None:
+            self._began_s = now_s
+        self._bytes += size
+        self._messages += 1
+        if not left:
+            rest_s = min(self._bytes / (DUTY * self._rate()), LONGEST_REST_S)
+            self._rests_until_s = self._began_s + rest_s
+            self._began_s, self._bytes, self._messages = None, 0, 0
+
+    def told_far(self) -> None:
+        """A message about what is far."""
+        self._messages = 0
+
+    def _rate(self) -> float:
+        rate = self._pacer.rate or FIRST_RATE
+        limit = self._pacer.bytes_per_s
+        return min(rate, limit) if limit else rate
