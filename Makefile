@@ -8,7 +8,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 STAMP := $(VENV)/.installed
 CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt' -o -name 'CMakePresets.json')
 
-.PHONY: demo test bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
+.PHONY: demo test bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
 
 demo: $(STAMP)
 	$(BIN)/python tools/demo.py --out out/demo
@@ -59,6 +59,14 @@ out/chaos/tank.mcap: | $(STAMP)
 	mkdir -p out/chaos
 	$(BIN)/sonar-sim capture tank --out $@
 
+# The map stream on a bad link, with a hundred clients, and what twenty cost; writes the figures into
+# docs/map-stream.md. Ten minutes; wants the right to make network namespaces for a real bad link.
+stream-study: $(STAMP) out/demo/capture.bin
+	PYTHONPATH=tools $(BIN)/python -m stream_study.run --write
+
+out/demo/capture.bin: | $(STAMP)
+	$(BIN)/python tools/demo.py --out out/demo
+
 # The map's file: 500 deaths at any instant, and half a million pings through a tiny cache. Hours.
 store-soak: $(STAMP)
 	STORE_KILLS=500 STORE_PINGS=500000 $(BIN)/python -m pytest -s -o timeout=0 tests/mapperd/store/test_kill.py tests/mapperd/store/test_soak.py
@@ -89,7 +97,7 @@ cpp-test-tsan: $(STAMP)
 	scripts/cpp-test tsan
 
 python-test: $(STAMP)
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 prerequisites:
 	@PYTHON="$(PYTHON)" scripts/prerequisites

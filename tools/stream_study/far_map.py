@@ -10,7 +10,7 @@ from mapperd.store.tile_store import TileStore
 
 __all__ = ["write_far_map"]
 
-NEAREST_M, FURTHEST_M = 30.0, 55.0
+NEAREST_M, FURTHEST_M = 30.0, 42.0
 DEPTH_M, HEIGHT_M, WAVE_M = -8.0, 1.5, 7.0
 WATER_M = 1.2
 OCCUPIED, FREE = 3.0, -4.0
@@ -35,7 +35,7 @@ def write_far_map(path: Path, config: Config) -> None:
     for above_m in np.arange(0, WATER_M, step_m):
         points = np.stack([x, y, z + above_m], axis=1)
         middle = FREE if above_m > step_m else OCCUPIED
-        sonar_map.core.set_log_odds(points, middle + dice.normal(0, 0.7, len(points)))
+        sonar_map.core.set_log_odds(points, middle + dice.normal(0, 0.3, len(points)))
     _, bricks = sonar_map.core.bricks_since(0)
     outofcore = config.outofcore
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,11 +1,13 @@
 """`make stream-study`: what the map stream does on a bad link and with many clients.
 
 Plays the demo's dive, live, into a daemon; writes out/stream/stream.json and the pictures, and with
-`--write` the figures of docs/map-stream.md. Some minutes; wants out/demo/capture.bin (`make demo`).
+`--write` the figures and the picture of docs/map-stream.md. Ten minutes; wants out/demo/capture.bin
+(`make demo`).
 """
 
 import argparse
 import json
+import shutil
 import sys
 import tempfile
 from pathlib import Path
@@ -43,6 +45,8 @@ def main() -> int:
         print(f"\r{name}: {json.dumps(results[name])}")
     if said.write:
         write_report(ROOT / "docs/map-stream.md", results)
+        if (said.out / "ages.png").exists():
+            shutil.copy(said.out / "ages.png", ROOT / "docs/images/stream-age.png")
     return 0 if _kept(results) else 1
 
 
