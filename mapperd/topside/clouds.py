@@ -8,7 +8,7 @@ from mapperd.client.cells import Cells
 from mapperd.stream.messages import Localization, Returns
 from mapperd.topside.geometry import cloud, pose
 
-__all__ = ["changes_cloud", "map_cloud", "returns_cloud", "scan_cloud"]
+__all__ = ["changes_cloud", "map_cloud", "map_rows", "returns_cloud", "scan_cloud"]
 
 NS = 1e9
 
@@ -25,9 +25,14 @@ _RETURN = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "u1")]
 _POINT = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
 
 
-def map_cloud(cells: Cells, frame: str, stamp_ns: int) -> PointCloud:
-    """Occupied cells; `age_s` since their block changed last, `count` 0 where nobody tells it."""
-    return cloud(_rows(cells, _CELL, stamp_ns), frame, stamp_ns)
+def map_rows(cells: Cells, stamp_ns: int) -> NDArray[np.void]:
+    """Points of cells; `age_s` since their block changed last, `count` 0 where nobody tells it."""
+    return _rows(cells, _CELL, stamp_ns)
+
+
+def map_cloud(rows: NDArray[np.void], frame: str, stamp_ns: int) -> PointCloud:
+    """All of `map_rows` as of one moment."""
+    return cloud(rows, frame, stamp_ns)
 
 
 def changes_cloud(

@@ -56,10 +56,6 @@ class ToldCells:
         index = keys_of(gone_from)[row].astype(np.int64) * BLOCK_EDGE + local
         return np.asarray((index + 0.5) * cell_m, np.float64)
 
-    def restart(self, cells: Cells, cell_m: float) -> None:
-        """Forget what was told, and tell these."""
-        self._bits = _bits_by_block(cells, cell_m)
-
 
 def _bits_by_block(cells: Cells, cell_m: float) -> dict[bytes, bytes]:
     if not len(cells):

@@ -10,7 +10,7 @@ import zstandard
 
 from mapperd.client.cells import Cells
 from mapperd.stream.messages import Image, Robots
-from mapperd.topside.clouds import map_cloud
+from mapperd.topside.clouds import map_cloud, map_rows
 from mapperd.topside.poses import Frames, transforms
 from mapperd.topside.scenes import PathDrawing, covariance_scene, fan_scene, robots_scene
 from mapperd.topside.sonar_images import FanShape
@@ -76,7 +76,7 @@ def test_cells_tell_their_age_and_how_often_they_were_seen() -> None:
         np.array([0, 4], np.uint16),
         np.array([T0 - 2 * S, T0 + S]),
     )
-    rows = points_of_cloud(decoded(map_cloud(cells, "map", T0)))
+    rows = points_of_cloud(decoded(map_cloud(map_rows(cells, T0), "map", T0)))
     assert rows.tolist() == [(1, 2, 3, 0.75, 2.0, 0), (4, 5, 6, 1.0, 0.0, 4)]
 
 

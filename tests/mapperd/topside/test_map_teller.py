@@ -4,12 +4,16 @@ import math
 from typing import Any
 
 import numpy as np
+import pytest
 
 from mapperd.client.changes import MapChanged
 from mapperd.client.mirror import MapMirror
 from mapperd.stream.messages import Interest
+from mapperd.topside import map_teller
+from mapperd.topside.channels import Said
 from mapperd.topside.map_teller import LIVE, RECORDING, MapTeller, Pace
-from tests.mapperd.topside.foxglove_fakes import FACTS, T0, block
+from tests.mapperd.topside.foxglove_fakes import FACTS, T0, block, points_of_cloud
+from tests.mapperd.topside.test_channel_messages import decoded
 
 KEY = (1, -2, 3)
 
@@ -83,3 +87,56 @@ def test_a_new_map_and_a_new_listener_are_told_all() -> None:
     told.teller.reset()
     (said,) = told.teller.due(told.mirror, 0.2, 77)
     assert (said.topic, said.stamp_ns) == ("/map", 77)
+
+
+def test_a_large_map_is_read_in_slices_and_what_changes_meanwhile_is_told_after(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(map_teller, "SLICE", 2)
+    told = Told(Pace(bytes_per_s=24 * 2))
+    for x in range(5):
+        told.change({0: 8, 1: 8}, (x, 0, 0))
+    assert told.topics(0.0) == []
+    told.change({1: 8}, (0, 0, 0))
+    told.change({0: 8}, (9, 0, 0))
+    told.change({}, (4, 0, 0))
+    assert told.topics(0.1) == []
+    told.teller.renew()
+    (whole,) = told.teller.due(told.mirror, 0.2, 5)
+    assert whole.topic == "/map"
+    seen = _centres(whole)
+    assert len(seen) == 8
+    (changes,) = told.teller.due(told.mirror, 1.3, 5)
+    assert changes.topic == "/map_changes"
+    for *place, occupied in _centres(changes, "occupied"):
+        seen = seen | {tuple(place)} if occupied else seen - {tuple(place)}
+    centres = told.mirror.cells().centres_m.astype(np.float32)
+    assert seen == {tuple(row) for row in centres.tolist()}
+    assert [told.topics(4.3 + k / 10) for k in range(4)] == [[], [], ["/map"], []]
+    assert told.topics(99.0) == []
+
+
+def test_a_map_that_is_half_read_is_left_for_another_and_ended_at_the_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(map_teller, "SLICE", 1)
+    told = Told(LIVE)
+    for x in range(3):
+        told.change({0: 8}, (x, 0, 0))
+    assert told.topics(0.0) == []
+    told.mirror.forget()
+    told.teller.reset()
+    told.change({7: 8}, (8, 8, 8))
+    (said,) = told.teller.due(told.mirror, 0.1, 5)
+    assert len(_centres(said)) == 1
+    for x in range(3):
+        told.change({0: 8}, (x, 0, 0))
+    assert told.topics(2.0) == []
+    told.change({1: 8})
+    (said,) = told.teller.due(told.mirror, 2.1, 5, last=True)
+    assert len(_centres(said)) == 5
+
+
+def _centres(said: Said, *more: str) -> set[tuple[Any, ...]]:
+    rows = points_of_cloud(decoded(said.message))
+    return {tuple(row[name].item() for name in ("x", "y", "z", *more)) for row in rows}
