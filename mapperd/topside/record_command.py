@@ -75,10 +75,14 @@ def _all(said: argparse.Namespace, _: Config, client: MapClient) -> Iterator[str
     """All that happens."""
     began_s = time.monotonic()
     recording = Recording(client, said.file)
-    asyncio.run(_record(said, client, recording))
-    if not client.link.connects:
-        said.file.unlink()
-        raise _nobody(client)
+    try:
+        asyncio.run(_record(said, client, recording))
+        if not client.link.connects:
+            raise _nobody(client)
+    except (CtlError, StreamError):
+        if not client.link.connects:  # nothing is in it
+            said.file.unlink()
+        raise
     passed_s = time.monotonic() - began_s
     done = {"path": str(said.file), "bytes": recording.bytes, "messages": recording.messages}
     text = f"{said.file}: {_time(passed_s)}  {_how_much(recording)}"

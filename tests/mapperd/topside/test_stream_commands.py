@@ -15,6 +15,7 @@ from mcap.reader import make_reader
 from websockets.asyncio.client import connect
 
 from mapperd.ctl.command import main
+from mapperd.stream.messages import Bye
 from mapperd.topside import foxglove_server
 from tests.mapperd.client.conftest import short
 from tests.mapperd.client.served import Served, Server, a_block
@@ -129,6 +130,20 @@ def test_what_cannot_be_recorded_is_one_line(
         assert why in said
         assert said.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["there.mcap"]
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.xyz"])
+def test_a_recording_that_is_refused_leaves_no_file(
+    name: str, short: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async def act(served: Served, server: Server) -> None:
+        served.refusal = Bye(reason="no_permission", message="you may not")
+        given = ["record", str(short / name), "--socket", server.address]
+        assert await asyncio.to_thread(main, given) == 77
+
+    beside_a_daemon(short, act)
+    assert "you may not" in capsys.readouterr().err
+    assert not (short / name).exists()
 
 
 def test_a_library_that_is_missing_is_named(
