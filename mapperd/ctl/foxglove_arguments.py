@@ -25,7 +25,7 @@ def add_foxglove(command: argparse.ArgumentParser) -> None:
     add(
         "--allow-changes",
         action="store_true",
-        help="viewers on other computers may change settings too",
+        help="viewers may change settings; so may any page in a browser that reaches the port",
     )
     _add_interest(command)
 

@@ -10,7 +10,6 @@ from mapperd.ctl.errors import CtlError, Exit
 from mapperd.errors import LiveError
 from mapperd.stream.framing import StreamError
 from mapperd.topside.extras import foxglove_missing
-from mapperd.topside.hosts import is_local
 from mapperd.topside.refusals import refused
 from mapperd.topside.stopping import told_to_stop
 
@@ -62,10 +61,9 @@ async def _serve(
         interest=Interest(level=said.level, radius_m=said.radius),
         name="mapperctl foxglove",
     )
-    may_change = is_local(said.host) or said.allow_changes
     async with client:
         serving = asyncio.create_task(
-            serve(client, said.host, said.port, ready, may_change=may_change)
+            serve(client, said.host, said.port, ready, may_change=said.allow_changes)
         )
         stopping = asyncio.create_task(told_to_stop())
         await asyncio.wait((serving, stopping), return_when=asyncio.FIRST_COMPLETED)

@@ -3,7 +3,6 @@
 import argparse
 import asyncio
 import contextlib
-import ipaddress
 import json
 import signal
 import webbrowser
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from mapperd.client import Interest, MapClient, StreamError
 from mapperd.ctl.errors import CtlError, Exit
+from mapperd.topside.hosts import is_local
 from mapperd.topside.view import VIEW_WANTS, View
 from mapperd.topside.view_page import open_page
 
@@ -53,7 +53,7 @@ def run_view(
             interest=Interest(level=said.level, radius_m=said.radius),
             name="mapperctl view",
         )
-        asyncio.run(_follow(server, client, may_change=_is_local(said.host) or said.allow_changes))
+        asyncio.run(_follow(server, client, may_change=is_local(said.host) or said.allow_changes))
     except StreamError as error:
         code = Exit.NO_PERMISSION if error.reason in REFUSED else Exit.PROTOCOL
         raise CtlError(str(error), code) from error
@@ -67,14 +67,6 @@ async def _follow(server: "ViserServer", client: MapClient, *, may_change: bool)
         loop.add_signal_handler(signal.SIGTERM, lambda: loop.create_task(client.close()))
     async with client:
         await View(server, client, may_change=may_change).run()
-
-
-def _is_local(host: str) -> bool:
-    """Only this computer reaches the page."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def _named(host: str) -> str:

@@ -16,6 +16,6 @@ def test_every_channel_is_in_the_table() -> None:
 
 def test_commands_of_the_page_are_understood() -> None:
     commands = re.findall(r"^mapperctl (.*?)(?:#.*)?$", PAGE, re.MULTILINE)
-    assert len(commands) == 5
+    assert len(commands) == 6
     for command in commands:
         parser().parse_args(command.split())

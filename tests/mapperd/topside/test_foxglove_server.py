@@ -278,7 +278,7 @@ def test_a_refused_parameter_goes_back_with_a_warning() -> None:
     served(told)
 
 
-def test_viewers_from_elsewhere_may_look_and_change_nothing() -> None:
+def test_viewers_may_look_and_change_nothing_where_it_is_not_allowed() -> None:
     async def told(client: FakeClient, port: int) -> None:
         client.tell_all()
         await until(lambda: not client.untold)

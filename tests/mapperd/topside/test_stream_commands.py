@@ -181,13 +181,11 @@ def test_viewers_are_served_until_told_to_stop(short: Path) -> None:
     beside_a_daemon(short, act)
 
 
-@pytest.mark.parametrize(
-    ("host", "is_local"),
-    [("127.0.0.1", True), ("localhost", True), ("::1", True), ("10.0.0.1", False), ("rov", False)],
-)
-def test_settings_are_changed_from_this_computer_alone(
-    host: str, *, is_local: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "::1", "10.0.0.1"])
+def test_settings_are_changed_only_where_that_is_allowed(
+    host: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The server does not say which page a viewer is: on this computer it may be any."""
     allowed: list[bool] = []
 
     async def serve(*_: object, may_change: bool) -> None:
@@ -196,7 +194,7 @@ def test_settings_are_changed_from_this_computer_alone(
     monkeypatch.setattr(foxglove_server, "serve", serve)
     given = ["foxglove", "--host", host, "--socket", str(tmp_path / "none.sock")]
     assert main(given) == main([*given, "--allow-changes"]) == 0
-    assert allowed == [is_local, True]
+    assert allowed == [False, True]
 
 
 def test_wrong_arguments_are_told(capsys: pytest.CaptureFixture[str]) -> None:
