@@ -2,6 +2,7 @@
 
 import contextlib
 import shutil
+import sqlite3
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, Literal
@@ -121,7 +122,7 @@ def open_bag(path: Path, config: Config, storage: Storage) -> Iterator[Bag]:
         with Writer(inner, version=VERSION, storage_plugin=StoragePlugin[storage.upper()]) as bag:
             yield Bag(bag, config)
         inner.rename(path)
-    except (OSError, WriterError) as error:
+    except (OSError, sqlite3.Error, WriterError) as error:
         reason = getattr(error, "strerror", None) or error
         raise ExportError(f"{path}: cannot be written: {reason}") from error
     finally:

@@ -1,6 +1,7 @@
 """`mapperctl bag`: recordings as ROS 2 bags, read back by rosbags' own reader."""
 
 import math
+import sqlite3
 import sys
 from collections import defaultdict
 from collections.abc import Callable
@@ -306,16 +307,24 @@ def test_bag_that_is_there_is_left_alone(tmp_path: Path, call: Call, recording: 
     assert "is there already" in said
 
 
+@pytest.mark.parametrize(
+    "error",
+    [OSError(28, "No space left on device"), sqlite3.OperationalError("database or disk is full")],
+)
 def test_bag_of_what_fails_is_not_there(
-    tmp_path: Path, call: Call, recording: Path, monkeypatch: pytest.MonkeyPatch
+    error: Exception,
+    tmp_path: Path,
+    call: Call,
+    recording: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def full(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
+        raise error
 
     monkeypatch.setattr("rosbags.rosbag2.Writer.write", full)
     code, _, said = call("bag", recording, tmp_path / "bag")
     assert code == 73
-    assert "No space left" in said
+    assert said.rstrip().endswith(str(error.args[-1]))
     assert [path.name for path in tmp_path.iterdir()] == ["dive.mcap"]
 
 
