@@ -18,8 +18,8 @@ __all__ = ["NearestFirst", "Part"]
 FRONT = 16384
 """Blocks that are put in order at a time: all of a large map's are too many for each message."""
 
-NEAR_M = 10.0
-"""What lies within is what a pilot steers by."""
+NEAR_M = 13.0
+"""What lies within is what a pilot steers by: 10 m, and what a vehicle comes to within seconds."""
 
 FAR = 1e9
 """Beyond the turn of every near block."""

@@ -15,8 +15,11 @@ DUTY, LONGEST_REST_S = 0.6, 1.0
 """A pass and the rest after it take so long that the link was busy for this part of the time with
 what is near; and no longer than that."""
 
-ASIDE_S, IDLE_S = 0.15, 0.1
-"""Of what the link delivers: in a message about what is far, and under way at most before it."""
+ASIDE_S = 0.15
+"""Of what the link delivers, in a message about what is far."""
+
+IDLE = 0.6
+"""Of what the wire holds: no more is under way when such a message is sent."""
 
 QUIET_S = 2.0
 """So long after the last pass the link is for what is far alone."""
@@ -67,7 +70,8 @@ class Turns:
         if self._near_s is None or now_s - self._near_s > QUIET_S:
             return Rooms(near, room)
         rate = self._rate()
-        is_idle = pacer.in_flight <= IDLE_S * rate or self._messages >= EACH
+        wire = rate * (ASIDE_S + (pacer.round_trip_s or 0.0))
+        is_idle = pacer.in_flight <= IDLE * wire or self._messages >= EACH
         return Rooms(near, min(room, max(LEAST, int(ASIDE_S * rate))) if is_idle else 0)
 
     def told_near(self, size: int, left: int, now_s: float) -> None:
