@@ -145,7 +145,7 @@ class Stream(Struct, frozen=True, forbid_unknown_fields=True):
             "Of the vehicle's path; a longer one is told with every second of them.",
             "points",
             ge=100,
-            le=1_000_000,
+            le=100_000,
         ),
     ] = 20_000
 

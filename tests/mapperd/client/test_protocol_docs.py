@@ -3,9 +3,12 @@
 import re
 import typing
 
+import pytest
 import zstandard
 
+from mapperd.config_file import config_from_text
 from mapperd.control.token import proof_of
+from mapperd.errors import ConfigError
 from mapperd.stream import messages
 from mapperd.stream.blocks import MAX_BODY, MAX_KEY, decode_blocks, encode_blocks
 from mapperd.stream.framing import framed
@@ -37,6 +40,9 @@ def test_limits_are_those_of_the_code() -> None:
     for number in (messages.MAX_FROM_SERVER, messages.MAX_FROM_CLIENT, MAX_BODY, messages.MAX_PATH):
         assert f"{number:,}".replace(",", " ") in PAGE
     assert MAX_KEY == 1 << 30
+    config_from_text(f"stream: {{path_points: {messages.MAX_PATH}}}")  # and no longer one:
+    with pytest.raises(ConfigError):
+        config_from_text(f"stream: {{path_points: {messages.MAX_PATH + 1}}}")
     assert f"at most {messages.MAX_BLOCKS}" in PAGE
     assert all(f"`{want}`" in PAGE for want in messages.WANTS)
 
