@@ -39,6 +39,7 @@ class _Order:
     rooms: Rooms
     is_new: bool = False
     frames: list[tuple[bytes, int | None]] = field(default_factory=list)
+    fault: Exception | None = None
 
 
 @dataclass(slots=True)
@@ -114,9 +115,7 @@ class MapRounds:
                 try:
                     await self._round(in_worker)
                 except Exception as error:  # noqa: BLE001 a fault of ours must not end the stream
-                    self._around.count("failed")
-                    said = f"map stream: {type(error).__name__}: {error}"
-                    self._operations.events.add(Severity.ERROR, "stream_failed", said)
+                    self._failed(error)
                     await asyncio.sleep(BREATH_S)
         finally:
             worker.shutdown()  # waits for one round, which is short
@@ -129,6 +128,10 @@ class MapRounds:
         beginning = job.beginning
         assert beginning is not None  # noqa: S101 the work has been done
         for order in job.orders:
+            if order.fault is not None:
+                # Its view takes for told what never was: only another connection mends that.
+                self._failed(order.fault)
+                order.client.abort()
             if order.client.is_over:
                 if order.is_new and order.view is not None:
                     self.forget(order.view)
@@ -160,9 +163,17 @@ class MapRounds:
         if job.draw:
             self._feed.draw(job.draw, job.coarseness)
         for order in job.orders:
-            self._fill(order)
+            try:
+                self._fill(order)
+            except Exception as error:  # noqa: BLE001 the others are to be told what they were given
+                order.fault = error
         source = self._source
         job.beginning = Beginning(source.facts(), source.revision, source.session)
+
+    def _failed(self, error: Exception) -> None:
+        self._around.count("failed")
+        said = f"map stream: {type(error).__name__}: {error}"
+        self._operations.events.add(Severity.ERROR, "stream_failed", said)
 
     def _is_time_to_look(self, now_s: float) -> bool:
         watched = any("map" in client.session.wants for client in self._clients)

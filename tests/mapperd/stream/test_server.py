@@ -342,3 +342,27 @@ def test_a_fault_of_the_map_is_told_and_passes(short: Path) -> None:
             await watcher.leave()
 
     run(work())
+
+
+def test_a_fault_of_one_clients_map_ends_its_connection_and_no_other(short: Path) -> None:
+    async def work() -> None:
+        async with bed_of(short) as bed:
+            fill(bed, 10)
+            watchers = [await bed.welcomed() for _ in range(3)]
+            for watcher in watchers:
+                await watcher.until(lambda watcher=watcher: watcher.complete == 10)  # type: ignore[misc]
+            bed.source.telling_fault = MemoryError("no room for blocks")
+            fill(bed, 11)
+            first, *others = watchers
+            assert await first.over() is None
+            assert first.complete == 10  # of what it was not told, nothing counts as told
+            for watcher in others:
+                await watcher.until(lambda watcher=watcher: watcher.complete == 21)  # type: ignore[misc]
+                assert watcher.cells == as_bytes(bed.source)
+                await watcher.leave()
+            assert bed.counters["failed"] == 1
+            again = await bed.welcomed()
+            await again.until(lambda: again.cells == as_bytes(bed.source))
+            await again.leave()
+
+    run(work())

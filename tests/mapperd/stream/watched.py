@@ -100,6 +100,9 @@ class PlainView:
         due.sort(key=lambda key: float(np.linalg.norm(np.array(key) - near)))
         taken = due[: max(1, most_bytes // 600)]
         self._told |= {key: source.seen[key][0] for key in taken}
+        fault, source.telling_fault = source.telling_fault, None
+        if fault is not None:
+            raise fault
         keys = np.array(taken, np.int32)
         cells = np.stack([source.seen[key][1] for key in taken])
         body = encode_blocks(BlockSet(keys, np.zeros(len(keys), np.uint32), cells))
@@ -121,6 +124,7 @@ class PlainSource:
         self.views: list[PlainView] = []
         self.revision = self.written = 0
         self.fault: Exception | None = None
+        self.telling_fault: Exception | None = None
 
     def put(self, key: Key, value: int) -> None:
         noise = np.random.default_rng(abs(hash(key)) + value)
