@@ -124,7 +124,10 @@ class Connection(asyncio.Protocol):
         """Have the pacer know how the connection stands."""
         if self.is_over or self._transport is None:
             return
-        state = tcp_state(self._transport.get_extra_info("socket"))
+        connection = self._transport.get_extra_info("socket")
+        if connection is None:
+            return  # TLS that is over already, which we hear of in the loop's next turn
+        state = tcp_state(connection)
         self.session.pacer.note_link(
             self._transport.get_write_buffer_size() + state.unsent,
             state.round_trip_s,

@@ -145,7 +145,11 @@ class StreamServer:
             except Exception as error:  # noqa: BLE001 a fault of ours must not end the stream
                 self._failed(error)
             for client in [*self._clients]:
-                client.turn()
+                try:
+                    client.turn()
+                except Exception as error:  # noqa: BLE001 nor what goes wrong with one client
+                    self._failed(error)
+                    client.abort()
             self._rounds.wake()
 
     async def _accept(self, door: Door) -> None:
