@@ -41,6 +41,7 @@ VIEW_WANTS: tuple[Want, ...] = (
     "localization",
     "status",
     "settings",
+    "events",  # for recordings
 )
 
 MAP_S = 0.25
@@ -224,7 +225,7 @@ class View:
             health.page_cells, health.page_nodes = self.map.cells, self.map.nodes
             health.page_bytes, health.page_waiting = self.map.sent_bytes, self.map.stale
             self._panel.say(health, now_s, time.time_ns())
-            self._keep.say()
+            await self._keep.say()
             await asyncio.sleep(SAID_S)
 
     def _welcome(self, client: "ClientHandle") -> None:

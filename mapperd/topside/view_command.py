@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from mapperd.client import Interest, MapClient, StreamError
 from mapperd.ctl.errors import CtlError, Exit
 from mapperd.topside.hosts import is_local
+from mapperd.topside.recording import Recording
 from mapperd.topside.view import VIEW_WANTS, View
 from mapperd.topside.view_page import open_page
 
@@ -66,7 +67,7 @@ async def _follow(server: "ViserServer", client: MapClient, *, may_change: bool)
     with contextlib.suppress(NotImplementedError, RuntimeError):  # a thread, or no Unix
         loop.add_signal_handler(signal.SIGTERM, lambda: loop.create_task(client.close()))
     async with client:
-        await View(server, client, may_change=may_change).run()
+        await View(server, client, may_change=may_change, recorder=Recording).run()
 
 
 def _named(host: str) -> str:

@@ -31,6 +31,9 @@ class Recorder(Protocol):
     @property
     def bytes(self) -> int: ...  # noqa: D102
 
+    @property
+    def ended(self) -> bool: ...  # noqa: D102
+
     def start(self) -> None: ...  # noqa: D102
 
     async def stop(self) -> None: ...  # noqa: D102
@@ -71,36 +74,41 @@ class Keep:
             export = server.gui.add_button("Export map")
             export.on_click(lambda event: begin(lambda: self._export(event.client)))
 
-    def say(self) -> None:
-        """How a recording goes."""
-        if self._running is not None:
+    async def say(self) -> None:
+        """How a recording goes; one that ended by itself is said to everybody."""
+        if self._running is None:
+            return
+        if self._running.ended:
+            await self.stop()
+        else:
             self._button.label = f"Stop recording ({self._running.bytes / 1e6:.1f} MB)"
 
-    async def stop(self) -> None:
-        """End a recording that goes on."""
+    async def stop(self, who: "ClientHandle | None" = None) -> None:
+        """End a recording that goes on, and say what became of it."""
         running, self._running = self._running, None
-        if running is not None:
+        if running is None:
+            return
+        self._button.label = RECORD
+        try:
             await running.stop()
+        except MapperdError as error:
+            self._note(who, "Recording ended", f"{running.path}: {error}", "red")
+        else:
+            self._note(who, "Recorded", f"{running.path}: {running.bytes / 1e6:.1f} MB", "green")
 
     async def _record(self, who: "ClientHandle | None") -> None:
-        running = self._running
+        if self._running is not None:
+            await self.stop(who)
+            return
+        assert self._make is not None  # noqa: S101 there is no button without it
+        begun = self._make(self._client, self._folder / _named("dive", ".mcap"))
         try:
-            if running is None:
-                assert self._make is not None  # noqa: S101 there is no button without it
-                begun = self._make(self._client, self._folder / _named("dive", ".mcap"))
-                begun.start()
-                self._running = begun
-                self._note(who, "Recording", f"into {begun.path}", "red")
-            else:
-                await self.stop()
-                self._note(
-                    who, "Recorded", f"{running.path}: {running.bytes / 1e6:.1f} MB", "green"
-                )
+            begun.start()
         except MapperdError as error:
-            self._running = None
             self._note(who, "Not recorded", str(error), "red")
-        if self._running is None:
-            self._button.label = RECORD
+            return
+        self._running = begun
+        self._note(who, "Recording", f"into {begun.path}", "red")
 
     async def _export(self, who: "ClientHandle | None") -> None:
         mirror = self._client.mirror
