@@ -105,6 +105,7 @@ class View:
         self._posed_s = 0.0
         self._low_m, self._high_m = np.full(3, np.inf), np.full(3, -np.inf)
         self._placed: set[int] = set()
+        self._session = ""
         server.on_client_connect(lambda one: self._post(lambda: self._welcome(one)))
         server.on_client_disconnect(lambda one: self._post(lambda: self._farewell(one.client_id)))
 
@@ -155,6 +156,9 @@ class View:
         if change.link.state == "connected":
             self.health.reconnected()
             welcome = self._client.welcome
+            if welcome is not None and welcome.session != self._session:
+                self._actors.forget()  # of a daemon that is no more
+                self._session = welcome.session
             allowed = welcome is not None and welcome.may_change and self._may_change
             self._settings.may_change(allowed)
 

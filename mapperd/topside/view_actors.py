@@ -88,7 +88,7 @@ class Actors:
         """
         match told:
             case Path():
-                self.path(path)
+                self.path(path, told.first)
             case Fan():
                 self.fan(told)
             case Returns():
@@ -106,9 +106,12 @@ class Actors:
             "/sonar/fan", fan_lines(fan), FAN, thickness=1.5, thickness_units="screen"
         )
 
-    def path(self, points: NDArray[np.float32]) -> int:
-        """The vehicle came this way, (N, 3) metres; returns the bytes that were sent."""
-        if len(points) < self._path_told:
+    def path(self, points: NDArray[np.float32], first: int) -> int:
+        """The vehicle came this way, (N, 3) metres; returns the bytes that were sent.
+
+        Those from `first` on are new: another way, perhaps longer than what was told before.
+        """
+        if min(first, len(points)) < self._path_told:
             self._forget_path()
         if len(points) == self._path_told or len(points) < 2:  # noqa: PLR2004 a line has two ends
             return 0
@@ -184,7 +187,7 @@ class Actors:
             self._belief.append(self._ellipse("/localization/best", plane, at))
 
     def forget(self) -> None:
-        """Everything is another map's."""
+        """Nothing of it is so any more."""
         self._vehicle.visible = self._sonar.visible = False
         self._forget_path()
         self._forget_belief()

@@ -1,0 +1,67 @@
+"""The vehicle and its way on the page, as they change and as they end."""
+
+import asyncio
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, cast
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from mapperd.client import LinkChanged, MapClient
+from mapperd.stream.messages import Path, Robots
+from mapperd.topside.view import View
+from mapperd.topside.view_actors import PATH_PIECE, Actors
+from mapperd.topside.view_page import open_page
+from mapperd.topside.view_shapes import strip
+from tests.mapperd.topside.view_fakes import FakeClient, pose_at, some_map
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+
+@pytest.fixture
+def server() -> Iterator["ViserServer"]:
+    pytest.importorskip("viser", reason="the extra `topside` is not installed")
+    one = open_page("127.0.0.1", 0)
+    try:
+        yield one
+    finally:
+        one.stop()
+
+
+def way(length: int, x: float) -> NDArray[np.float32]:
+    return np.column_stack([np.full(length, x), np.arange(length), np.zeros(length)]).astype("f4")
+
+
+def test_a_path_that_begins_anew_leaves_nothing_of_the_one_before(server: "ViserServer") -> None:
+    actors = Actors(server.scene)
+    actors.take(Path(first=0, points=b""), way(3 * PATH_PIECE, 1.0), 0.0)
+    longer = way(4 * PATH_PIECE, 2.0)
+    actors.take(Path(first=0, points=b""), longer, 0.0)
+    drawn = [server.scene.get_handle_by_name(f"/path/{number}") for number in range(4)]
+    told = np.concatenate([cast("Any", one).points for one in drawn])
+    np.testing.assert_array_equal(told, strip(longer))
+
+
+def test_what_a_daemon_told_goes_with_it(server: "ViserServer") -> None:
+    async def run() -> None:
+        client = FakeClient(some_map())
+        view = View(server, cast("MapClient", client))
+
+        def shown() -> bool:
+            return server.scene.get_handle_by_name("/robots/0") is not None
+
+        client.connect()
+        view.take(LinkChanged(client.link))
+        view.take(pose_at(0, 0, -4, 0.0))
+        view.take(Robots(seen=[(1, 0.0, 0.0, -4.0)]))
+        view.take(LinkChanged(client.link))
+        assert shown(), "the link broke, the daemon went on"
+        assert client.welcome is not None
+        client.welcome = msgspec.structs.replace(client.welcome, session="another")
+        view.take(LinkChanged(client.link))
+        assert not shown()
+
+    asyncio.run(run())
