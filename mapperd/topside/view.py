@@ -233,16 +233,15 @@ class View:
             await asyncio.sleep(SAID_S)
 
     def _welcome(self, client: "ClientHandle") -> None:
-        mode: CameraMode = "free" if self._pose is None else "follow"
-        self._tools.add(client, mode)
+        self._tools.add(client, "follow")
         self._place(client)
 
     def _place(self, client: "ClientHandle") -> None:
-        """The first look at the map shows all of it."""
+        """Until there is a vehicle to follow, the first look at the map shows all of it."""
         if client.client_id in self._placed or not np.isfinite(self._low_m).all():
             return
         self._placed.add(client.client_id)
-        if self._cameras.mode(client) == "free":
+        if self._pose is None or self._cameras.mode(client) == "free":
             at_m, towards_m = whole_view(self._low_m, self._high_m)
             client.camera.position, client.camera.look_at = at_m, towards_m
 
