@@ -157,13 +157,15 @@ def banner_html(health: Health, now_s: float) -> str:
     if health.connected:
         return ""
     state, _, reason = _state(health, now_s)
+    was = "the map is as it was; connecting again by itself"
+    rest = was if health.link is not None and health.link.connects else "connecting by itself"
     return (
         '<div data-banner style="position:fixed;top:34%;left:0;right:0;text-align:center;'
         'pointer-events:none;z-index:100"><span style="display:inline-block;'
         "background:rgba(127,29,29,.92);color:#fff;padding:18px 36px;border-radius:10px;"
         'box-shadow:0 6px 30px rgba(0,0,0,.5)"><span style="font-size:40px;font-weight:800;'
         f'letter-spacing:1px">{state}</span><br><span style="font-size:16px">{reason}<br>'
-        "the map is as it was; connecting again by itself</span></span></div>"
+        f"{rest}</span></span></div>"
     )
 
 

@@ -94,3 +94,10 @@ def test_the_legend_has_numbers_and_the_unit() -> None:
     assert "height z (m)" in text
     for tick in ("-7.0", "-5.0", "-3.0"):
         assert f">{tick}<" in text
+
+
+def test_only_a_map_that_was_there_is_as_it_was() -> None:
+    assert "the map is as it was" in banner_html(linked("waiting"), 105.0)
+    never = banner_html(linked("waiting", connects=0), 105.0)
+    assert "as it was" not in never
+    assert "connecting by itself" in never
