@@ -152,7 +152,7 @@ class View:
         return float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
 
     def _link_changed(self, change: LinkChanged) -> None:
-        self.health.link = change.link
+        self.health.take_link(change.link)
         if change.link.state == "connected":
             self.health.reconnected()
             welcome = self._client.welcome
@@ -223,7 +223,7 @@ class View:
         health = self.health
         while True:
             now_s = time.monotonic()
-            health.link = self._client.link
+            health.take_link(self._client.link)
             health.blocks.add(now_s, self._blocks)
             health.kilobytes.add(now_s, health.link.bytes / 1e3)
             health.page_cells, health.page_nodes = self.map.cells, self.map.nodes

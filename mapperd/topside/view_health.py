@@ -52,6 +52,7 @@ class Health:
 
     Attributes:
         link: to the daemon; None before there is one.
+        lost_s: since when there is none, over all attempts at one; None while there is one.
         pings, blocks, kilobytes: rates.
         left: blocks that are still to come.
         dropped: that the daemon counts: reasons and numbers.
@@ -63,6 +64,7 @@ class Health:
     """
 
     link: LinkStatus | None = None
+    lost_s: float | None = None
     pings: Rate = field(default_factory=Rate)
     blocks: Rate = field(default_factory=Rate)
     kilobytes: Rate = field(default_factory=Rate)
@@ -83,6 +85,15 @@ class Health:
     def connected(self) -> bool:
         """The daemon talks to us."""
         return self.link is not None and self.link.state == "connected"
+
+    def take_link(self, link: LinkStatus) -> None:
+        """How the link is now; each attempt at one begins a state of its own."""
+        again = self.link is not None and link.connects != self.link.connects
+        if link.state == "connected":
+            self.lost_s = None
+        elif self.lost_s is None or again:
+            self.lost_s = link.since_s
+        self.link = link
 
     def heartbeat(self, stamp_ns: int, unix_ns: int) -> None:
         """A message of the daemon of a moment came now, by our clock."""
@@ -201,7 +212,8 @@ def _state(health: Health, now_s: float) -> tuple[str, str, str]:
     if link.state == "connected":
         phase = f" &middot; {html.escape(health.phase)}" if health.phase else ""
         return "CONNECTED", GREEN, f"{address}{phase}"
-    since = _duration(max(0.0, now_s - link.since_s))
+    lost_s = link.since_s if health.lost_s is None else health.lost_s
+    since = _duration(max(0.0, now_s - lost_s))
     reason = f"{address}: {html.escape(link.reason)}" if link.reason else address
     first = "NO LINK" if link.connects == 0 else "LINK LOST"
     return f"{first} {since}", RED, reason

@@ -101,3 +101,21 @@ def test_only_a_map_that_was_there_is_as_it_was() -> None:
     never = banner_html(linked("waiting", connects=0), 105.0)
     assert "as it was" not in never
     assert "connecting by itself" in never
+
+
+def test_a_lost_link_is_lost_since_the_first_failure_not_the_last() -> None:
+    health = Health()
+
+    def take(state: str, since_s: float, connects: int = 1) -> None:
+        health.take_link(LinkStatus(state, "10.0.0.2:52300", "", since_s, connects))  # type: ignore[arg-type]
+
+    take("connected", 90.0)
+    for since_s in (100.0, 103.0, 108.0):
+        take("waiting", since_s)
+        take("connecting", since_s + 1)
+    assert "LINK LOST 15 s" in banner_html(health, 115.0)
+    take("waiting", 113.0, connects=2)  # it was there between two looks
+    assert "LINK LOST 2 s" in banner_html(health, 115.0)
+    take("connected", 120.0, connects=3)
+    take("waiting", 130.0, connects=3)
+    assert "LINK LOST 5 s" in banner_html(health, 135.0)
