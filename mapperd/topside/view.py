@@ -288,7 +288,7 @@ class View:
         from mapperd.client import AskError  # noqa: PLC0415
 
         try:
-            result = await self._client.set(changes)
+            told = await self._client.set(changes)
         except AskError as error:
             reasons = error.details.get("reasons")
             text = (
@@ -299,7 +299,6 @@ class View:
             self._settings.reset(changes)
             self._note(client, "Refused", text, "red")
             return
-        told = result.get("changed", {})
         text = "\n".join(f"{name}: {was} is now {now}" for name, (was, now) in told.items())
         self._note(client, "Changed", text or "nothing changed", "green")
 

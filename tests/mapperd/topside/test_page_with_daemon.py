@@ -110,6 +110,7 @@ def test_the_page_follows_a_daemon_through_a_restart(
         box.fill("5")
         page.get_by_role("button", name="Apply processing").first.dispatch_event("click")
         serving.until(lambda: daemon.settings.current.processing.frame_skip == 5, page)
+        page.get_by_text("processing.frame_skip: 1 is now 5").wait_for(state="attached")
 
         wait(daemon.end())
         banner.wait_for(state="attached")

@@ -109,7 +109,7 @@ class FakeClient:
             raise AskError("refused", "nothing was changed", {"reasons": self.refuses})
         before = {name: self.values.get(name) for name in changes}
         self.values.update(changes)
-        return {"changed": {name: [before[name], value] for name, value in changes.items()}}
+        return {name: [before[name], value] for name, value in changes.items()}
 
 
 def pose_at(x: float, y: float, z: float, yaw: float, stamp_ns: int | None = None) -> Pose:
