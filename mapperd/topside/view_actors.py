@@ -74,7 +74,9 @@ class Actors:
         x, y, z, w = pose.sonar_orientation_xyzw
         self._sonar.wxyz, self._sonar.position = (w, x, y, z), pose.sonar_position_m
         self._vehicle.visible = self._sonar.visible = True
-        if pose.covariance is not None:
+        if pose.covariance is None:
+            self._scene.remove_by_name("/localization/pose")
+        else:
             plane = np.array(pose.covariance).reshape(6, 6)[:2, :2]
             self._ellipse("/localization/pose", plane, pose.position_m)
 
@@ -191,6 +193,7 @@ class Actors:
         self._vehicle.visible = self._sonar.visible = False
         self._forget_path()
         self._forget_belief()
+        self._scene.remove_by_name("/localization/pose")
         self.robots(Robots(seen=[]))
         self._scene.remove_by_name("/returns/last")
 

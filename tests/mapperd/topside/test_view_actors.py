@@ -45,6 +45,16 @@ def test_a_path_that_begins_anew_leaves_nothing_of_the_one_before(server: "Viser
     np.testing.assert_array_equal(told, strip(longer))
 
 
+def test_an_ellipse_goes_with_the_covariance(server: "ViserServer") -> None:
+    actors = Actors(server.scene)
+    sure = pose_at(1, 2, -4, 0.0)
+    actors.pose(msgspec.structs.replace(sure, covariance=tuple(np.eye(6).ravel().tolist())))
+    assert server.scene.get_handle_by_name("/localization/pose") is not None
+    actors.pose(sure)
+    assert server.scene.get_handle_by_name("/localization/pose") is None
+    actors.pose(sure)
+
+
 def test_what_a_daemon_told_goes_with_it(server: "ViserServer") -> None:
     async def run() -> None:
         client = FakeClient(some_map())
