@@ -223,9 +223,10 @@ class View:
         health = self.health
         while True:
             now_s = time.monotonic()
-            health.take_link(self._client.link)
+            link = self._client.link
+            health.take_link(link)
             health.blocks.add(now_s, self._blocks)
-            health.kilobytes.add(now_s, health.link.bytes / 1e3)
+            health.kilobytes.add(now_s, link.bytes / 1e3)
             health.page_cells, health.page_nodes = self.map.cells, self.map.nodes
             health.page_bytes, health.page_waiting = self.map.sent_bytes, self.map.stale
             self._panel.say(health, now_s, time.time_ns())
