@@ -49,6 +49,13 @@ class Extractor {
     for (std::size_t i = 0; i < bits_of_.size(); ++i) {
       bits_of_[i] = bit_length(static_cast<std::uint16_t>(i));
     }
+    for (int steps = -127; steps <= 127; ++steps) {
+      const double log_odds = steps * view.log_odds_step;
+      if (log_odds < view.thresholds.free_log_odds) highest_free_ = steps;
+      if (log_odds > view.thresholds.occupied_log_odds && lowest_occupied_ > steps) {
+        lowest_occupied_ = steps;
+      }
+    }
   }
 
   const Cells& cells() const { return cells_; }
@@ -184,9 +191,28 @@ class Extractor {
     if (view_.detail == StreamDetail::classes) return tell_classes();
     for (std::size_t i = 0; i < kStreamCells; ++i) {
       const double steps = rounded(log_odds_of(highest_[i]) / view_.log_odds_step);
-      const double within = std::min(std::max(steps, -127.0), 127.0);
-      cells_[i] = counts_[i] != 0 ? static_cast<std::int8_t>(within) : kStreamUnknown;
+      const int within = static_cast<int>(std::min(std::max(steps, -127.0), 127.0));
+      cells_[i] = counts_[i] != 0 ? on_its_side(i, within) : kStreamUnknown;
     }
+  }
+
+  // Where no step is on its side, the nearest one stays.
+  std::int8_t on_its_side(std::size_t cell, int steps) const {
+    int least = -127, most = 127;
+    switch (view_.thresholds.of(VoxelMap::state_of({highest_[cell], counts_[cell]}))) {
+      case Occupancy::occupied:
+        least = lowest_occupied_;
+        break;
+      case Occupancy::free:
+        most = highest_free_;
+        break;
+      case Occupancy::unknown:
+        least = highest_free_ + 1;
+        most = lowest_occupied_ - 1;
+        break;
+    }
+    if (least <= most) steps = std::min(std::max(steps, least), most);
+    return static_cast<std::int8_t>(steps);
   }
 
   void tell_classes() {
@@ -213,6 +239,8 @@ class Extractor {
 
   const VoxelMap& map_;
   const StreamView& view_;
+  int lowest_occupied_ = 128;
+  int highest_free_ = -128;
   std::array<std::uint8_t, 256> bits_of_{};
   DenseVoxels voxels_;
   BlockKey held_key_;

@@ -44,8 +44,22 @@ std::int8_t told_of(const VoxelState& state, const StreamView& view) {
     if (occupancy == mapperd::Occupancy::occupied) return 1;
     return occupancy == mapperd::Occupancy::free ? -1 : 0;
   }
-  const double steps = std::nearbyint(static_cast<double>(state.log_odds) / view.log_odds_step);
-  return static_cast<std::int8_t>(std::clamp(steps, -127.0, 127.0));
+  // The nearest step of those that the thresholds sort as they do the log-odds.
+  const double exact = static_cast<double>(state.log_odds) / view.log_odds_step;
+  const auto same = [&](int steps) {
+    const double log_odds = steps * view.log_odds_step;
+    const auto occupancy = kThresholds.of(state);
+    return (log_odds > kThresholds.occupied_log_odds) ==
+               (occupancy == mapperd::Occupancy::occupied) &&
+           (log_odds < kThresholds.free_log_odds) == (occupancy == mapperd::Occupancy::free);
+  };
+  const int nearest = static_cast<int>(std::clamp(std::nearbyint(exact), -127.0, 127.0));
+  for (int away = 0; away < 255; ++away) {
+    for (const int steps : {nearest - away, nearest + away}) {
+      if (std::abs(steps) <= 127 && same(steps)) return static_cast<std::int8_t>(steps);
+    }
+  }
+  return static_cast<std::int8_t>(nearest);
 }
 
 // Voxel by voxel: every value grows with the log-odds, so that the highest is that of the highest.

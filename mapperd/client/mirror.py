@@ -194,7 +194,8 @@ class MapMirror:
             return known
         if self.interest.detail == "classes":
             return np.asarray(cells == (1 if kind == "occupied" else -1))
-        log_odds = self._log_odds(cells)
+        # In double precision, as the daemon's own steps are chosen.
+        log_odds = cells * np.float64(self.facts.log_odds_step)
         if kind == "free":
             return np.asarray(known & (log_odds < self.facts.free_log_odds))
         if min_probability is None:

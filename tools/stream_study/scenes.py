@@ -1,6 +1,7 @@
 """What is done to the stream, and what came of it."""
 
 import json
+import math
 import signal
 import subprocess
 import sys
@@ -261,8 +262,15 @@ def _fleet(world: World, dice: int, clients: int, seconds: float) -> subprocess.
 
 def _facts(world: World) -> MapFacts:
     """Of the map as the stream tells them; what a digest depends on."""
-    step = json.loads(world.ask("get", "stream.log_odds_step", "--json").stdout)
-    return MapFacts("", RESOLUTION_M, float(step["stream.log_odds_step"]), 0.0, 0.0)
+    config = world.config()
+    occupied, free = config.mapping.occupied_threshold, config.mapping.free_threshold
+    return MapFacts(
+        "",
+        RESOLUTION_M,
+        config.stream.log_odds_step,
+        math.log(occupied / (1 - occupied)),
+        math.log(free / (1 - free)),
+    )
 
 
 def _ages(reference: dict[str, Any], judged: dict[str, Any], joined_ns: int) -> Staleness:

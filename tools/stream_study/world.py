@@ -21,6 +21,7 @@ from mapperd.config_file import load_config
 from mapperd.mapping import SonarMap
 from mapperd.stream.blocks import CELLS, UNKNOWN, BlockSet
 from mapperd.stream.messages import BLOCK_EDGE, Interest, MapFacts
+from stream_study.told_steps import told_steps
 
 __all__ = ["RESOLUTION_M", "World", "mirror_of"]
 
@@ -202,8 +203,7 @@ def mirror_of(path: Path, facts: MapFacts) -> MapMirror:
         return mirror
     edge = round(units.shape[1] ** (1 / 3))
     parts = edge // BLOCK_EDGE
-    quantised = np.clip(np.rint(units * 2.0**-24 / facts.log_odds_step), -127, 127)
-    cells = np.where(counts > 0, quantised, UNKNOWN).astype(np.int8)
+    cells = np.where(counts > 0, told_steps(units * 2.0**-24, facts), np.int8(UNKNOWN))
     # Blocks of the core are z, y, x; each axis is cut into parts of a block of the stream.
     cut = cells.reshape(-1, parts, BLOCK_EDGE, parts, BLOCK_EDGE, parts, BLOCK_EDGE)
     cut = cut.transpose(0, 1, 3, 5, 2, 4, 6).reshape(-1, CELLS)

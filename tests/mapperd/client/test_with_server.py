@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from stream_study.told_steps import told_steps
 
 from mapperd import _core
 from mapperd.client import Interest, MapClient
@@ -20,6 +21,7 @@ from mapperd.control.doors import open_unix_door
 from mapperd.mapping import SonarMap
 from mapperd.stream.blocks import UNKNOWN
 from mapperd.stream.feed import Feed
+from mapperd.stream.messages import MapFacts
 from mapperd.stream.server import StreamServer
 from mapperd.stream.source import MapSource
 from tests.mapperd.control.fakes import FakeDaemon
@@ -58,14 +60,14 @@ async def served(sonar_map: SonarMap, path: Path) -> AsyncIterator[StreamServer]
             yield server
 
 
-def told_digest(sonar_map: SonarMap, level: int) -> str:
+def told_digest(sonar_map: SonarMap, facts: MapFacts, level: int) -> str:
     """Of what a mirror ought to hold: rounded, then the highest of each cube, from all voxels."""
     keys, units, counts = sonar_map.core.blocks()
     edge = _core.BLOCK_EDGE
     at = np.stack(np.unravel_index(np.arange(edge**3), (edge,) * 3, order="F"), axis=-1)
     voxels = (keys[:, None, :].astype(np.int64) * edge + at).reshape(-1, 3)
     known = counts.reshape(-1) > 0
-    told = np.clip(np.rint(units.reshape(-1) * _core.LOG_ODDS_UNIT / STEP), -127, 127)
+    told = told_steps(units.reshape(-1) * _core.LOG_ODDS_UNIT, facts)
     blocks: dict[tuple[int, ...], NDArray[np.int8]] = {}
     for cell, value in zip(voxels[known] >> level, told[known], strict=True):
         block = blocks.setdefault(tuple(cell >> 3), np.full(512, UNKNOWN, np.int8))
@@ -85,7 +87,7 @@ def digest_of(client: MapClient) -> str:
 async def until_equal(clients: list[MapClient], sonar_map: SonarMap) -> None:
     for client in clients:
         assert client.mirror is not None
-        right = told_digest(sonar_map, client.mirror.interest.level)
+        right = told_digest(sonar_map, client.mirror.facts, client.mirror.interest.level)
         while digest_of(client) != right:  # noqa: ASYNC110 of another task
             await asyncio.sleep(0.02)
 

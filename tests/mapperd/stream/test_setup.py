@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from stream_study.told_steps import told_steps
 
 from mapperd.config_file import config_from_text
 from mapperd.control.place import map_socket_places
@@ -16,7 +17,7 @@ from mapperd.events import EventLog
 from mapperd.live import host_clock
 from mapperd.mapping import SonarMap
 from mapperd.stream.blocks import UNKNOWN
-from mapperd.stream.messages import Fan, Image, Pose, Returns
+from mapperd.stream.messages import Fan, Image, MapFacts, Pose, Returns
 from mapperd.stream.messages import Path as Trace
 from mapperd.stream.setup import map_doors, stream_server
 from mapperd.stream.source import MapSource
@@ -116,18 +117,18 @@ def test_a_daemon_shows_its_map_its_pose_and_what_the_sonar_sees(
                 await watcher.until(lambda: watcher.resets > 0)
             end = bench.map.core.revision  # nothing is mapped any more
             await watcher.until(lambda: (watcher.complete or 0) >= end)
-            assert watcher.cells == cells_of(bench.map)
+            assert watcher.cells == cells_of(bench.map, source.facts())
             check_scene(watcher)
             assert server.status()["clients"] == 1
 
     run(work())
 
 
-def cells_of(sonar_map: SonarMap) -> dict[Key, bytes]:
+def cells_of(sonar_map: SonarMap, facts: MapFacts) -> dict[Key, bytes]:
     """Blocks of the stream as the map's own blocks have them."""
     found = {}
     for key, odds, counts in zip(*sonar_map.core.blocks(), strict=True):
-        cells = np.clip(np.rint(odds * 2.0**-24 / 0.25), -127, 127).astype(np.int8)
+        cells = told_steps(odds * 2.0**-24, facts)
         cells = np.where(counts > 0, cells, np.int8(UNKNOWN)).reshape(2, 8, 2, 8, 2, 8)
         for z, y, x in np.ndindex(2, 2, 2):
             part = cells[z, :, y, :, x, :]

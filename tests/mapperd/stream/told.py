@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from stream_study.told_steps import told_steps
 
 from mapperd import _core
 from mapperd.client.mirror import MapMirror
@@ -42,7 +43,7 @@ def _values(log_odds: NDArray[np.float64], facts: MapFacts, interest: Interest) 
         occupied = log_odds > facts.occupied_log_odds
         free = log_odds < facts.free_log_odds
         return occupied.astype(np.int8) - free.astype(np.int8)
-    return np.clip(np.rint(log_odds / facts.log_odds_step), -127, 127).astype(np.int8)
+    return told_steps(log_odds, facts)
 
 
 def _counts(bits: NDArray[np.uint8], interest: Interest) -> bytes:
