@@ -21,9 +21,6 @@ FRONT = 16384
 NEAR_M = 13.0
 """What lies within is what a pilot steers by: 10 m, and what a vehicle comes to within seconds."""
 
-FAR = 1e9
-"""Beyond the turn of every near block."""
-
 WAITING, IN_FRONT = 2, 4
 """Bits of a block's flags."""
 
@@ -54,6 +51,7 @@ class NearestFirst:
         self._front_keys = np.zeros((0, 3), np.int32)
         self._front_turns = np.zeros(0, np.float64)
         self._turn = 0.0
+        self._added_at: int | None = None
         self._reach_m = np.inf
         self._ordered_at = np.zeros(3)
 
@@ -67,12 +65,19 @@ class NearestFirst:
             more[: len(self.flags)] = self.flags
             self.flags = more
 
-    def add(self, numbers: Numbers) -> None:
-        """Blocks that are to be told; such as wait already wait once."""
+    def add(self, numbers: Numbers, at: int) -> None:
+        """Blocks that are to be told; such as wait already wait once.
+
+        Args:
+            numbers: of the blocks.
+            at: the same for all that were found together, which wait equally long.
+        """
+        if at != self._added_at:
+            self._added_at = at
+            self._turn += 1
         new = numbers[self.flags[numbers] & WAITING == 0]
         self.flags[new] |= WAITING
         self._waiting += len(new)
-        self._turn += 1
         if len(self._front) + len(new) <= 2 * FRONT:
             self._put_in_front(new)
         else:
@@ -105,7 +110,7 @@ class NearestFirst:
         """Of the front: the most urgent `most`, and how far away the furthest of them is."""
         away_m = distances_m(self._front_keys, self._block_m, tuple(position))
         near = away_m <= NEAR_M
-        rank = np.where(near, self._front_turns + away_m / FAR, FAR + away_m)
+        rank = np.where(near, self._front_turns + away_m / (2 * NEAR_M), away_m)
         near_count = int(np.count_nonzero(near))
         room = {"near": 0, "far": most, "any": max(most - near_count, 0)}[part]
         far_count = min(len(near) - near_count, room)
@@ -129,11 +134,20 @@ class NearestFirst:
             order = np.argpartition(away_m, FRONT)
             self._reach_m = float(away_m[order[FRONT]])
             waiting = waiting[order[:FRONT]]
-        self._front = np.zeros(0, np.int64)
-        self._front_keys = np.zeros((0, 3), np.int32)
-        self._front_turns = np.zeros(0, np.float64)
-        self._put_in_front(waiting)
+        turns = self._turns_of(waiting)
+        self._front, self._front_turns = waiting, turns
+        self._front_keys = self._keys_of(waiting)
+        self.flags[waiting] |= IN_FRONT
         self._ordered_at = position
+
+    def _turns_of(self, numbers: Numbers) -> NDArray[np.float64]:
+        """Since when they wait; of those that were not in the front, from now on."""
+        turns = np.full(len(numbers), self._turn)
+        _, here, before = np.intersect1d(
+            numbers, self._front, assume_unique=True, return_indices=True
+        )
+        turns[here] = self._front_turns[before]
+        return turns
 
     def _put_in_front(self, numbers: Numbers) -> None:
         self.flags[numbers] |= IN_FRONT

@@ -14,6 +14,7 @@ it no more than it sends within moments. Two rules do that:
 """
 
 from collections import deque
+from math import inf
 
 __all__ = ["FIRST_RATE", "FIRST_WINDOW", "LEAST_WINDOW", "MOST_WINDOW", "Pacer"]
 
@@ -22,11 +23,15 @@ UNSENT_S, LEAST_UNSENT = 0.3, 2048
 
 LEAST_WINDOW, FIRST_WINDOW, MOST_WINDOW = 4096, 1 << 16, 1 << 20
 
+FIRST_OF_FILLING = 8192
+"""The first window of a TCP that fills buffers: all of it is in them at once."""
+
 QUEUE_S = 0.4
 """That packets may wait in the network."""
 
 TURN_S = 0.2
-"""The window is judged once a round trip, and no more often than this."""
+"""The window is judged once a round trip, and no more often than this; and it grows only when all
+that was sent before it grew last has arrived: until then nobody knows what became of that."""
 
 FORGET_S = 30.0
 """So long a round trip may be that of an empty link."""
@@ -36,6 +41,9 @@ GROWTH, DRAINED = 1.25, 0.8
 
 FULL = 0.7
 """With less than this part of the window under way, it is not the window that holds anything."""
+
+NEARLY_ALL = 0.75
+"""Of all the room that there could be: what is too large for that is sent now, or never."""
 
 SPAN_S, RATE_S = 1.5, 6.0
 """The rate is the highest over such a span, of those of so long."""
@@ -72,7 +80,9 @@ class Pacer:
         self.round_trip_s: float | None = None
         self.window = FIRST_WINDOW
         self._unsent = 0
-        self._turned_s = 0.0
+        self._turned_s = -inf
+        self._grown_at = 0
+        self._was_full = False
         self._round_trips: deque[tuple[float, float]] = deque()
         self._pieces: deque[tuple[int, float]] = deque()
         self._rates: deque[tuple[float, float]] = deque()
@@ -86,24 +96,46 @@ class Pacer:
         """Bytes that were sent and are not acknowledged."""
         return self.sent - self.acked
 
+    @property
+    def _allowed_rate(self) -> float:
+        rate = self.rate or FIRST_RATE
+        return min(rate, self.bytes_per_s) if self.bytes_per_s else rate
+
+    @property
+    def _most_unsent(self) -> float:
+        return max(UNSENT_S * (self.rate or FIRST_RATE), LEAST_UNSENT)
+
+    @property
+    def _burst(self) -> float:
+        return max(BURST_S * self.bytes_per_s, LEAST_BURST)
+
+    @property
+    def _fills_window(self) -> bool:
+        return self.in_flight >= FULL * self.window
+
     def room(self, now_s: float) -> int:
         """Bytes that may be sent now; 0 or less is none."""
         self._refill(now_s)
-        most_unsent = max(UNSENT_S * (self.rate or FIRST_RATE), LEAST_UNSENT)
-        room = min(self.window - self.in_flight, most_unsent - self._unsent)
+        room = min(self.window - self.in_flight, self._most_unsent - self._unsent)
         return int(min(room, self._tokens) if self.bytes_per_s else room)
 
     def fits(self, size: int, now_s: float) -> bool:
-        """Whether so much may be sent now: half of it has room, or it would never have more."""
+        """Whether so much may be sent now: half of it has room, or it would hardly have more."""
         room = self.room(now_s)
-        return room > 0 and (size // 2 <= room or not self.in_flight)
+        most = min(self.window, self._most_unsent)
+        if self.bytes_per_s:
+            most = min(most, self._burst)
+        return room > 0 and (size // 2 <= room or room >= NEARLY_ALL * most)
 
     def least(self) -> int:
         """Bytes that are worth a message where more are to come: a while of what the link takes."""
-        rate = self.rate or FIRST_RATE
-        if self.bytes_per_s:
-            rate = min(rate, self.bytes_per_s)
-        return int(min(LEAST_S * rate, MOST_LEAST))
+        return int(min(LEAST_S * self._allowed_rate, MOST_LEAST, self.window / 2))
+
+    def is_idle_for(self, size: int) -> bool:
+        """Whether so much is no more than the link takes in moments, and little is under way."""
+        moments_s = (self.round_trip_s or 0.0) + UNSENT_S
+        most = min(max(moments_s * self._allowed_rate, LEAST_UNSENT), self.window)
+        return self.in_flight <= most / 2 and size <= most
 
     def note_sent(self, size: int, now_s: float) -> None:
         """So much was sent."""
@@ -128,16 +160,20 @@ class Pacer:
             fills: it sends as fast as buffers take it.
         """
         self._unsent = unsent
+        self._was_full |= unsent > 0 or self._fills_window
         if round_trip_s is None or now_s - self._turned_s < max(round_trip_s, TURN_S):
             return
+        if fills and self.round_trip_s is None:
+            self.window = FIRST_OF_FILLING
         self._turned_s = now_s
         self._learn_round_trip(round_trip_s, now_s)
         assert self.round_trip_s is not None  # noqa: S101 it was just learnt
         if fills and round_trip_s - self.round_trip_s > QUEUE_S:
             wire = (self.rate or FIRST_RATE) * self.round_trip_s
             self.window = min(max(int(wire * DRAINED), LEAST_WINDOW), self.window)
-        elif self.in_flight >= FULL * self.window:
+        elif self._fills_window and self.acked >= self._grown_at:
             self.window = min(int(self.window * GROWTH), MOST_WINDOW)
+            self._grown_at = self.sent
 
     def note_ack(self, acked: int, now_s: float) -> bool:
         """So many bytes have arrived since the beginning; returns whether that can be."""
@@ -148,8 +184,10 @@ class Pacer:
         self.acked = acked
         self._unsent = min(self._unsent, self.in_flight)
         self._quiet_since_s = now_s
+        late_s = 2 * (self.round_trip_s or 0.0) + TURN_S
         while self._pieces and self._pieces[0][0] <= acked:
-            self._pieces.popleft()
+            _, sent_s = self._pieces.popleft()
+            self._was_full |= now_s - sent_s > late_s
         self._learn_rate(now_s)
         return True
 
@@ -171,8 +209,9 @@ class Pacer:
         if now_s - began_s < SPAN_S and self.in_flight:
             return
         rate = (self.acked - acked) / max(now_s - began_s, SHORTEST_S)
+        was_full, self._was_full = self._was_full, False
         self._span = (now_s, self.acked)
-        if not self.in_flight and rate < (self.rate or 0.0):
+        if not was_full and rate < (self.rate or FIRST_RATE):
             return  # there was no more to send: that says nothing against the link
         while self._rates and self._rates[0][0] < now_s - RATE_S:
             self._rates.popleft()
@@ -184,5 +223,4 @@ class Pacer:
     def _refill(self, now_s: float) -> None:
         passed_s = 0.0 if self._filled_s is None else max(0.0, now_s - self._filled_s)
         self._filled_s = now_s
-        limit = self.bytes_per_s
-        self._tokens = min(max(limit * BURST_S, LEAST_BURST), self._tokens + passed_s * limit)
+        self._tokens = min(self._burst, self._tokens + passed_s * self.bytes_per_s)

@@ -34,6 +34,9 @@ SHARES = {
 }
 """Of what a busy link delivers, for each kind at most: the rest is the map's."""
 
+LATE_S = 0.1
+"""A kind whose turn came between two rounds loses nothing of its share."""
+
 ENDING = frozenset({"fan", "events", "settings", "path", "robots"})
 """Kinds that have an end: they have no such share while the map lacks nothing."""
 
@@ -68,18 +71,21 @@ class Portions:
         wants: kinds of messages.
         left: blocks of the map that the client still lacks.
         skipped: messages that were never told, by kind.
+        waits: something is due and lacks room, which the map is not to take.
     """
 
     def __init__(self, feed: Feed, events: EventLog, pacer: Pacer) -> None:
         self.wants: frozenset[str] = frozenset()
         self.left = 0
         self.skipped: Counter[str] = Counter()
+        self.waits = False
         self._feed = feed
         self._events = events
         self._pacer = pacer
         self._told: dict[str, int] = {}
         self._next_s: dict[str, float] = {}
         self._beat_s = 0.0
+        self._owes_status = False
         self._settings_told = self._events_told = 0
         self._path: tuple[int, int] = (-1, 0)
         self._path_is_old = False
@@ -125,7 +131,8 @@ class Portions:
 
     def pieces(self, now_s: float, now_ns: int) -> Iterator[bytes]:
         """What is due and has room, most urgent first; each is sent before the next is taken."""
-        if now_s - self._beat_s >= BEAT_S:
+        self.waits = False
+        if now_s - self._beat_s >= BEAT_S or self._status_fits(now_s):
             yield self._beat(now_s, now_ns)
         for kind in WANTS_IN_ORDER:
             if kind in self.wants:
@@ -153,14 +160,16 @@ class Portions:
     def _may(self, kind: str, size: int, now_s: float) -> bool:
         """Whether a message has room, and its kind has not had its share of a busy link."""
         pacer = self._pacer
-        if now_s < self._next_s.get(kind, 0.0):
-            idle = pacer.in_flight <= pacer.window // 2 and size <= pacer.window
-            if self.left or not (idle or kind in ENDING):
-                return False
-        return pacer.fits(size, now_s)
+        has_room = not self.left and (kind in ENDING or pacer.is_idle_for(size))
+        if now_s < self._next_s.get(kind, 0.0) and not has_room:
+            return False
+        fits = pacer.fits(size, now_s)
+        self.waits |= not fits
+        return fits
 
     def _took(self, kind: str, size: int, now_s: float) -> None:
-        self._next_s[kind] = now_s + size / (SHARES[kind] * self._rate())
+        due_s = max(self._next_s.get(kind, 0.0), now_s - LATE_S)
+        self._next_s[kind] = min(due_s, now_s) + size / (SHARES[kind] * self._rate())
 
     def _newest(self, kind: str, newest: Newest, now_s: float) -> bytes:
         told = self._told.get(kind, 0)
@@ -205,14 +214,17 @@ class Portions:
 
     def _beat(self, now_s: float, now_ns: int) -> bytes:
         self._beat_s = now_s
-        status = self._feed.status if "status" in self.wants else _EMPTY
-        size = len(bytes(status))
-        if status is not _EMPTY and self._may("status", size, now_s):
-            self._took("status", size, now_s)
-        else:
-            status = _EMPTY
+        status: msgspec.Raw = _EMPTY
+        self._owes_status = "status" in self.wants
+        if self._status_fits(now_s):
+            status, self._owes_status = self._feed.status, False
+            self._took("status", len(bytes(status)), now_s)
         body = _ENCODER.encode(_Beat(now_ns, status, self.link()))
         return len(body).to_bytes(4, "big") + body
+
+    def _status_fits(self, now_s: float) -> bool:
+        """Whether a beat had no room for it, and there is some now."""
+        return self._owes_status and self._may("status", len(bytes(self._feed.status)), now_s)
 
     def _rate(self) -> float:
         rate = max(self._pacer.rate or FIRST_RATE, 1.0)

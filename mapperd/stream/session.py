@@ -194,7 +194,7 @@ class Session:
 
     def map_rooms(self, now_s: float) -> Rooms:
         """Bytes of the map that may be sent now."""
-        if self.state != "served" or self.view is None:
+        if self.state != "served" or self.view is None or self.portions.waits:
             return Rooms()
         return self._turns.rooms(now_s)
 

@@ -117,7 +117,8 @@ class Subscription:
         held = flags[numbers] & HELD != 0
         numbers = numbers[held | (self._view.digests[numbers] != 0)]
         # What lies outside is left to `_draw`, which knows where the vehicle is.
-        self._queue.add(numbers[self._inside(numbers, self._drawn_at)])
+        inside = self._inside(numbers, self._drawn_at)
+        self._queue.add(numbers[inside], self._source.now_ns)
 
     @property
     def near_left(self) -> int:
@@ -219,7 +220,7 @@ class Subscription:
         held = self._queue.flags[numbers] & HELD != 0
         lacking = ~held & (self._view.digests[numbers] != 0)
         inside = self._inside(numbers, position_m)
-        self._queue.add(numbers[np.where(inside, lacking, held)])
+        self._queue.add(numbers[np.where(inside, lacking, held)], self._source.now_ns)
 
     def _moved(self, position_m: Vector | None) -> bool:
         if position_m is None or self._drawn_at is None:

@@ -8,6 +8,9 @@ from mapperd.stream.pacer import Pacer
 
 STEP_S = 0.005
 
+LEAST_ON_ITS_WAY = 3_000
+"""Of a calm TCP."""
+
 
 @dataclass
 class Link:
@@ -35,7 +38,7 @@ class Link:
     def __post_init__(self) -> None:
         self._unsent: deque[tuple[int, float]] = deque()
         self._queue: deque[list[float]] = deque()
-        self._round_trip_s: float | None = None
+        self._round_trip_s = self.there_s + self.back_s  # of the handshake
         self._wire: deque[tuple[float, float, float]] = deque()
         self._acks: deque[tuple[float, int]] = deque()
 
@@ -45,6 +48,10 @@ class Link:
 
     def send(self, size: int) -> None:
         self.pacer.note_sent(size, self.now_s)
+        self.carry(size)
+
+    def carry(self, size: int) -> None:
+        """What the pacer was told of already."""
         self._unsent.append((size, self.now_s))
 
     def step(self) -> None:
@@ -74,14 +81,13 @@ class Link:
         wire = self.rate(self.now_s) * (self.there_s + self.back_s)
         while self._unsent:
             on_its_way = sum(head[0] for head in self._queue) + wire * bool(self._queue)
-            if self.calm and on_its_way > 2 * max(wire, self.rate(self.now_s) * STEP_S, 1_500):
+            if self.calm and on_its_way > max(2 * wire, LEAST_ON_ITS_WAY):
                 return
             size, given_s = self._unsent.popleft()
             self._queue.append([float(size), float(size), given_s, self.now_s])
 
     def _measure(self, round_trip_s: float) -> None:
-        smooth_s = round_trip_s if self._round_trip_s is None else self._round_trip_s
-        self._round_trip_s = smooth_s + (round_trip_s - smooth_s) / 8
+        self._round_trip_s += (round_trip_s - self._round_trip_s) / 8
 
     def fill(self, until_s: float, piece: int = 1_000) -> None:
         """Send as much as may be sent."""

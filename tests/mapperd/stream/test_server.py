@@ -11,6 +11,7 @@ import pytest
 from mapperd.control.limits import Limits
 from mapperd.events import Severity
 from mapperd.stream.messages import Change, Event, Hello, Interest, Resume, Settings, Status
+from mapperd.stream.pacer import FIRST_WINDOW
 from tests.mapperd.control.fakes import TOKEN
 from tests.mapperd.stream.watched import Watcher, as_bytes, bed_of, run
 
@@ -79,8 +80,8 @@ def test_a_client_that_never_reads_costs_the_others_nothing(short: Path) -> None
             await watcher.until(lambda: watcher.complete == 2000)
             assert watcher.cells == as_bytes(bed.source)
             link = next(one for one in bed.server.status()["watching"] if one["left"])
-            assert link["in_flight"] < 16_000
-            assert link["left"] > 1900
+            assert link["in_flight"] <= FIRST_WINDOW
+            assert link["left"] > 1800
             bed.shift_s = 61.0  # it is let go; who has acknowledged all is not
             await asyncio.sleep(0.2)
             assert bed.counters["cut_no_acks"] == 1
@@ -100,16 +101,18 @@ def test_a_client_that_reads_slowly_is_told_the_newest(short: Path) -> None:
     async def work() -> None:
         async with bed_of(short) as bed:
             watcher, quick = await bed.watcher(), await bed.welcomed()
-            watcher.acks = False  # of a link that is not known little is under way
+            watcher.acks = False  # no more than a window is under way
             await watcher.hello()
             for round_ in range(20):  # so long it reads nothing
-                bed.source.put((0, 0, 0), round_)
+                for n in range(12):
+                    bed.source.put((n, 0, 0), round_)
                 bed.source.put((round_, 1, 0), 0)
                 await quick.until(lambda: quick.complete == bed.source.written)
             watcher.acks = True
             await watcher.until(lambda: watcher.complete == bed.source.written)
             assert watcher.cells == quick.cells == as_bytes(bed.source)
-            assert watcher.inbox.received < 0.8 * quick.inbox.received
+            assert quick.inbox.received > 2 * FIRST_WINDOW
+            assert watcher.inbox.received < FIRST_WINDOW + 40_000
             for one in (watcher, quick):
                 await one.leave()
 

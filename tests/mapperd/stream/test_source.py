@@ -9,6 +9,7 @@ import pytest
 from mapperd.mapping import SonarMap
 from mapperd.stream import source as source_module
 from mapperd.stream.messages import Blocks, Box, Interest
+from mapperd.stream.nearest import NEAR_M
 from mapperd.stream.region import distances_m
 from tests.mapperd.store.dive import CONFIG, integrate, mapped
 from tests.mapperd.stream.told import SECOND_NS, Client, expected, scatter, source_of
@@ -89,13 +90,17 @@ def test_an_empty_map_is_complete_at_once() -> None:
 
 
 def test_the_nearest_is_told_first_within_the_bytes_that_are_given() -> None:
+    """Near the vehicle all of the same age; and few of those that are far away before."""
     sonar_map = SonarMap(CONFIG)
     scatter(sonar_map, 1, 2000, reach_m=5.0)
     source = source_of(sonar_map)
     client = Client(source)
     source.look(SECOND_NS)
     position = (5.0, -4.0, 1.0)
-    farthest = 0.0
+    every = np.array([*expected(sonar_map.core, source.facts(), client.interest)], np.int32)
+    nearby = (distances_m(every, 0.8, position) <= NEAR_M).sum()
+    assert 0 < nearby < len(every)
+    farthest = {True: 0.0, False: 0.0}
     before = np.zeros((0, 3), np.int32)
     while client.view.left:
         message = client.view.next_message(position, 2000)
@@ -106,8 +111,14 @@ def test_the_nearest_is_told_first_within_the_bytes_that_are_given() -> None:
         keys = client.mirror.blocks().keys
         new = keys[~(keys[:, None] == before).all(axis=2).any(axis=1)]
         away = distances_m(new, 0.8, position)
-        assert away.min() >= farthest - 1e-9
-        farthest, before = away.max(), keys
+        for near in (True, False):
+            these = away[(away <= NEAR_M) == near]
+            assert these.min(initial=np.inf) >= farthest[near] - 1e-9
+            farthest[near] = max(farthest[near], these.max(initial=0.0))
+        if nearby > (away <= NEAR_M).sum():
+            assert (away > NEAR_M).sum() == 0
+        nearby -= (away <= NEAR_M).sum()
+        before = keys
     assert client.told_messages > 10
     assert_same(client, sonar_map)
 
