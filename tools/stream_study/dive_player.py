@@ -19,21 +19,26 @@ __all__ = ["DivePlayer", "Record", "read_odometry"]
 
 Record = tuple[int, dict[str, object]]
 
+BETWEEN_NS = 100_000_000
+"""A ping later than this after the last one of a round is the first of another."""
 
-def read_odometry(capture: Path) -> tuple[int, list[Record]]:
-    """The sonar's first stamp, and the odometry's records with theirs, all in nanoseconds."""
+
+def read_odometry(capture: Path) -> tuple[int, int, list[Record]]:
+    """The sonar's first and last stamps, and the odometry's records with theirs, in nanoseconds."""
     first_ns: int | None = None
+    last_ns = 0
     records: list[Record] = []
     for chunk in open_recording(capture):
         if chunk.arrival_ns is None:
             continue
-        if chunk.encoding == OCULUS and first_ns is None:
-            first_ns = chunk.arrival_ns
+        if chunk.encoding == OCULUS:
+            first_ns = chunk.arrival_ns if first_ns is None else first_ns
+            last_ns = chunk.arrival_ns
         elif chunk.encoding == ODOMETRY_NATIVE:
             records.append((chunk.arrival_ns, msgpack.unpackb(chunk.data)))
     if first_ns is None or not records:
         raise SystemExit(f"{capture}: holds no sonar data, or no odometry")
-    return first_ns, records
+    return first_ns, last_ns, records
 
 
 class DivePlayer:
@@ -54,11 +59,10 @@ class DivePlayer:
         odometry: tuple[str, int],
         loops: int | None = None,
     ) -> None:
-        self._first_ns, self._records = read_odometry(capture)
+        self._first_ns, self._last_ns, self._records = read_odometry(capture)
         self._to = odometry
         self._begun = asyncio.Event()
-        self._began_ns = 0
-        self._first_ping: int | None = None
+        self._began_ns: int | None = None
         self._round = 0
         self._sonar = PlayedSonar(
             str(capture), host=host, port=port, loops=loops, on_ping=self._note
@@ -73,17 +77,18 @@ class DivePlayer:
                     self._begun.clear()
                     await self._send(out)
 
-    def _note(self, ping_id: int, _: bool) -> None:  # noqa: FBT001 the driver's own signature
+    def _note(self, _ping_id: int, _: bool) -> None:  # noqa: FBT001 the driver's own signature
         """A ping is sent; the first one of a round sets the time."""
-        if self._first_ping is None:
-            self._first_ping = ping_id
-        if ping_id == self._first_ping:
-            self._began_ns = time.time_ns()
+        now_ns = time.time_ns()
+        round_ns = self._last_ns - self._first_ns
+        if self._began_ns is None or now_ns - self._began_ns > round_ns + BETWEEN_NS:
+            self._began_ns = now_ns
             self._round += 1
             self._begun.set()
 
     async def _send(self, out: socket.socket) -> None:
         """One round of the odometry; ends early where the sonar begins another."""
+        assert self._began_ns is not None  # noqa: S101 a round has begun
         moved_ns = self._began_ns - self._first_ns
         for arrival_ns, record in self._records:
             late_s = (arrival_ns + moved_ns - time.time_ns()) / 1e9
