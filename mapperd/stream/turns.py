@@ -18,7 +18,7 @@ what is near; and no longer than that."""
 ASIDE_S = 0.15
 """Of what the link delivers, in a message about what is far."""
 
-IDLE = 0.6
+IDLE = 0.4
 """Of what the wire holds: no more is under way when such a message is sent."""
 
 QUIET_S = 2.0
