@@ -48,6 +48,9 @@ ASKS = 8
 
 ANSWERS = 32
 MESSAGES_PER_S, MESSAGES_AT_ONCE = 2000.0, 20_000
+CHANGES_PER_S, CHANGES_AT_ONCE = 4.0, 8
+"""Of what is told of the map; of more, the newest is heeded when its time has come."""
+
 QUIET_S = 60.0
 
 
@@ -119,6 +122,8 @@ class Session:
         self._newcomer = newcomer
         self._inbox = server_inbox()
         self._messages = TokenBucket(MESSAGES_PER_S, MESSAGES_AT_ONCE)
+        self._changes = TokenBucket(CHANGES_PER_S, CHANGES_AT_ONCE)
+        self._wishes_anew = False
         self._words: deque[bytes] = deque()
         self._resume: Resume | None = None
         self._interest = Interest()
@@ -157,11 +162,12 @@ class Session:
             self._heard(message, now_s)
 
     def look(self, now_s: float) -> None:
-        """Whether it still listens.
+        """Whether it still listens; and heed what it wished for too soon.
 
         Raises:
             StreamError: it does not.
         """
+        self._heed(now_s)
         if self.pacer.quiet_s(now_s) > QUIET_S:
             raise StreamError(f"nothing was acknowledged for {QUIET_S:g} s", "no_acks")
 
@@ -226,6 +232,7 @@ class Session:
                     raise StreamError("an acknowledgement of what was not sent", "bad_ack")
             case Change():
                 self._change(message)
+                self._heed(now_s)
             case Ask(ask=ask):
                 self.asks.append(msgspec.Raw(bytes(ask)))
                 if len(self.asks) > ASKS or len(self._words) > ANSWERS:
@@ -278,7 +285,14 @@ class Session:
             self.portions.want(change.wants)
         wants = "map" in self.wants
         if wants != had or (wants and change.interest is not None):
-            self.wish = Wish(self._interest if wants else None)
+            self._wishes_anew = True
+
+    def _heed(self, now_s: float) -> None:
+        """A part of the map costs some work to begin with."""
+        if self._wishes_anew and not self._changes.wait_s(now_s):
+            self._changes.take(now_s)
+            self._wishes_anew = False
+            self.wish = Wish(self._interest if "map" in self.wants else None)
 
     def _limit(self, bytes_per_s: int) -> None:
         limits = [limit for limit in (bytes_per_s, self._common.bytes_per_s) if limit]
