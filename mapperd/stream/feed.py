@@ -79,6 +79,7 @@ class Feed:
         self.settings = SettingLog(self._facts_of([]))
         self._newest: dict[str, Newest] = {}
         self._images = [NOTHING] * len(IMAGE_SIZES)
+        self._drawings = 0
         self._last: dict[str, object] = {}
         self._made_s: dict[str, float] = {}
         self._put: Treated | None = None
@@ -98,7 +99,7 @@ class Feed:
         return self._newest.get(kind, NOTHING)
 
     def image(self, coarseness: int) -> Newest:
-        """The newest picture; 0 is the finest."""
+        """The newest picture, 0 is the finest; its number is 0 where a newer one is drawn otherwise."""
         return self._images[coarseness]
 
     def refresh(self, wanted: Collection[str], now_s: float) -> None:
@@ -153,10 +154,12 @@ class Feed:
                 sonar = self._mounting.of_sonar(treated.pose.pose)
             self._make("returns", returns_message(treated, sonar, config))
         ping, stamp_ns = treated.settled.ping, treated.settled.complete_ns or 0
+        self._drawings += 1
+        images = [Newest(0, image.frame) for image in self._images]  # how long they are stays known
         for coarse in coarseness:
-            number = self._images[coarse].number + 1
             message = image_message(ping, stamp_ns, IMAGE_SIZES[coarse])
-            self._images[coarse] = Newest(number, framed(message))
+            images[coarse] = Newest(self._drawings, framed(message))
+        self._images = images
 
     def event(self, happening: Happening, lost: int) -> bytes:
         """One event, and how many before it are not told."""

@@ -173,7 +173,8 @@ class Portions:
 
     def _newest(self, kind: str, newest: Newest, now_s: float) -> bytes:
         told = self._told.get(kind, 0)
-        if newest.number == told or not self._may(kind, len(newest.frame), now_s):
+        is_old = newest.number <= told if kind == "image" else newest.number == told
+        if is_old or not self._may(kind, len(newest.frame), now_s):
             return b""
         if told:
             self.skipped[kind] += max(0, newest.number - told - 1)
