@@ -1,5 +1,6 @@
 """What the daemon knows, made into messages once for all clients; of each kind the newest alone."""
 
+from collections import Counter
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -64,6 +65,7 @@ class Feed:
         path: the vehicle's.
         settings: their facts.
         position_m: of the vehicle, map frame; None before it is known.
+        left_out: what was not told since it was no number, by kind.
     """
 
     def __init__(
@@ -72,6 +74,7 @@ class Feed:
         config = operations.settings.current
         self.path = Track(path_points, SPACING_M)
         self.position_m: Vector | None = None
+        self.left_out: Counter[str] = Counter()
         self._operations = operations
         self._facts = facts
         self._config = config
@@ -99,7 +102,7 @@ class Feed:
         return self._newest.get(kind, NOTHING)
 
     def image(self, coarseness: int) -> Newest:
-        """The newest picture, 0 is the finest; its number is 0 where a newer one is drawn otherwise."""
+        """The newest picture; 0 is the finest. Its number is 0 where only others are as new."""
         return self._images[coarseness]
 
     def refresh(self, wanted: Collection[str], now_s: float) -> None:
@@ -193,6 +196,9 @@ class Feed:
         velocity_mps: NDArray[np.float64] | None,
         covariance: NDArray[np.float64] | None,
     ) -> None:
+        if velocity_mps is not None and not np.isfinite(velocity_mps).all():
+            self.left_out["not_finite_velocity"] += 1
+            velocity_mps = None
         sonar = self._mounting.of_sonar(base)
         message = pose_message(
             base,

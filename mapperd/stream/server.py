@@ -124,7 +124,7 @@ class StreamServer:
             "clients": len(clients),
             "newcomers": sum(map(len, self._newcomers.values())),
             "blocks_left": max((one.session.left for one in clients), default=0),
-            "counters": dict(sorted(self._counters.items())),
+            "counters": dict(sorted((self._counters + self._feed.left_out).items())),
             "watching": [
                 {"name": one.session.name, "from": one.origin, **one.session.portions.link()}
                 for one in clients[:TOLD]

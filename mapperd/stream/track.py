@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 __all__ = ["Track"]
 
+MOST_M = 1e30
+"""That float32 holds with room."""
+
 
 class Track:
     """Points of a path; one thread adds, any reads.
@@ -36,6 +39,8 @@ class Track:
     def add(self, position_m: NDArray[np.float64]) -> None:
         """The vehicle is here now."""
         x, y, z = position_m.tolist()  # Python's floats: numpy's take several times as long
+        if abs(x) + abs(y) + abs(z) > MOST_M:
+            return
         last = self._last
         if last is not None:
             dx, dy, dz = x - last[0], y - last[1], z - last[2]

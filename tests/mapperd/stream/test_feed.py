@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import zstandard
 
+from mapperd.client.checks import check_message
 from mapperd.config import Config
 from mapperd.config_file import config_from_text
 from mapperd.echo import Echo
@@ -237,3 +238,17 @@ def test_the_sonar_sits_where_the_settings_say(ping: Ping) -> None:
     x, y, z, w = said.orientation_xyzw
     again = Place(np.array(said.position_m), np.array([w, x, y, z]))
     np.testing.assert_allclose(again.map_T_base, base.map_T_base, atol=1e-12)
+
+
+def test_what_is_no_number_is_counted_and_never_told(ping: Ping) -> None:
+    feed, _, _ = feed_of()
+    for x, speed in ((1.0, math.nan), (2.0, math.inf), (1e300, 0.5)):
+        pose = FusedPose(fused(x).pose, np.array([0, speed, 0]), None, np.eye(6), 0, 0.0)
+        feed.put(treated(ping, pose, Mapped(1, 2, 3)))
+        feed.refresh({"pose"}, x)
+        said = message(feed.newest("pose").frame)
+        check_message(said)  # a client takes it
+        assert said.velocity_mps == (None if x < 3 else (0.0, 0.5, 0.0))
+    assert feed.left_out == {"not_finite_velocity": 2}
+    _, _, points = feed.path.since(0, 0, 100)
+    assert points[:, 0].tolist() == [1.0, 2.0]
