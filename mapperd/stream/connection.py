@@ -9,6 +9,7 @@ from mapperd.control.messages import Fault
 from mapperd.operations import Operations
 from mapperd.stream.asks import answered
 from mapperd.stream.framing import StreamError
+from mapperd.stream.messages import MAX_FROM_SERVER
 from mapperd.stream.session import Session
 from mapperd.stream.tcp import fills_buffers, tcp_state
 
@@ -19,6 +20,9 @@ LEAVE_S = 1.0
 
 ANSWERS_UNDER_WAY = 256 << 10
 BREATH_S = 0.05
+
+MOST_UNSENT = 2 * MAX_FROM_SERVER
+"""Who reads has never so much before it: one answer, and what the pacer gives."""
 
 MOST_HEARD = 8192
 """Bytes that are heard in one turn of the event loop: some hundred of the shortest messages."""
@@ -125,6 +129,9 @@ class Connection(asyncio.BufferedProtocol):
             self.session.look(now_s)
         except StreamError as error:
             self.refuse(error, was_new=False)
+            return
+        if self._transport and self._transport.get_write_buffer_size() > MOST_UNSENT:
+            self.refuse(StreamError("it does not read what it is told", "unread"), was_new=False)
             return
         self.write(self.session.next(now_s, self._around.now_ns()))
 

@@ -3,10 +3,13 @@
 import asyncio
 from pathlib import Path
 
+import msgspec
 import pytest
 
+from mapperd.control.limits import Limits
+from mapperd.stream import connection
 from mapperd.stream.framing import framed
-from mapperd.stream.messages import Change, Interest
+from mapperd.stream.messages import Ack, Ask, Change, Interest
 from mapperd.stream.session import CHANGES_AT_ONCE, CHANGES_PER_S, Session
 from tests.mapperd.stream.test_session import Told
 from tests.mapperd.stream.watched import bed_of, run
@@ -64,3 +67,28 @@ def test_of_many_changes_the_newest_is_heeded_in_its_time() -> None:
         session.look(told.now_s)
         look()
     assert 4 * CHANGES_PER_S - 1 <= len(heeded) - CHANGES_AT_ONCE - 1 <= 4 * CHANGES_PER_S + 2
+
+
+def test_who_acknowledges_and_asks_but_never_reads_is_cut(
+    short: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    most = 300_000
+    monkeypatch.setattr(connection, "MOST_UNSENT", most)
+
+    async def work() -> None:
+        async with bed_of(short, limits=Limits(asks_per_s=1e6, asks_at_once=10**6)) as bed:
+            monkeypatch.setattr(bed.daemon, "status", lambda: {"phase": "x" * 20_000})
+            watcher = await bed.welcomed(wants=[])
+            (client,) = bed.server._clients
+            longest = 0
+            while not client.is_over:
+                if not client.session.asks:
+                    ask = msgspec.msgpack.encode({"do": "status", "id": 1})
+                    watcher.say(Ask(ask=msgspec.Raw(ask)), Ack(bytes=client.session.pacer.sent))
+                await asyncio.sleep(0.001)
+                assert client._transport is not None
+                longest = max(longest, client._transport.get_write_buffer_size())
+            assert most < longest < most + 100_000
+            assert bed.counters["cut_unread"] == 1
+
+    run(work())
