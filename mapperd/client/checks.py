@@ -2,7 +2,9 @@
 
 import math
 from collections.abc import Iterable
+from typing import Any
 
+import msgspec
 import numpy as np
 import zstandard
 from numpy.typing import NDArray
@@ -12,6 +14,7 @@ from mapperd.stream.blocks import UNKNOWN, BlockSet
 from mapperd.stream.framing import StreamError
 from mapperd.stream.messages import (
     BLOCK_EDGE,
+    MAX_FROM_SERVER,
     Box,
     Fan,
     FromServer,
@@ -24,7 +27,7 @@ from mapperd.stream.messages import (
     Robots,
 )
 
-__all__ = ["check_blocks", "check_facts", "check_message", "floats_of", "image_of"]
+__all__ = ["check_blocks", "check_facts", "check_message", "floats_of", "image_of", "size_of"]
 
 UNIT_LOW, UNIT_HIGH = 0.9, 1.1
 """Of the length of a quaternion."""
@@ -116,6 +119,14 @@ def image_of(message: Image) -> NDArray[np.uint8]:
     except zstandard.ZstdError as error:
         raise StreamError(f"an image that cannot be unpacked: {error}", "bad_value") from error
     return np.frombuffer(samples, np.uint8).reshape(message.rows, message.beams)
+
+
+def size_of(told: Any) -> int:  # noqa: ANN401 plain values
+    """Bytes of what was told, about as many as it came in."""
+    try:
+        return len(msgspec.msgpack.encode(told))
+    except RecursionError:  # so deep that it could just be read
+        return MAX_FROM_SERVER
 
 
 def _check_pose(position_m: Iterable[float], orientation_xyzw: tuple[float, ...]) -> None:

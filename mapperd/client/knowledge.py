@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.client.changes import ClientChange, MapChanged, MapReset
-from mapperd.client.checks import check_blocks, check_facts, check_message, floats_of
+from mapperd.client.checks import check_blocks, check_facts, check_message, floats_of, size_of
 from mapperd.client.errors import EndedError
 from mapperd.client.mirror import MapMirror
 from mapperd.stream.blocks import decode_blocks
@@ -38,6 +38,9 @@ __all__ = ["MOST_BLOCKS", "Knowledge"]
 
 MOST_BLOCKS = 1 << 20
 """That a mirror holds: half a GiB, with counts a whole one."""
+
+MOST_SETTINGS_BYTES = 1 << 20
+"""Of all their facts; a daemon has 50 000."""
 
 NEWEST = (Pose, Fan, Returns, Image, Robots, Localization, Status)
 """Of these only the newest counts."""
@@ -80,6 +83,7 @@ class Knowledge:
         self.newest: dict[type, ClientChange] = {}
         self.settings: dict[str, Any] = {}
         self.last_event: int | None = None
+        self._setting_bytes: dict[str, int] = {}
         self._path_version = 0
         self._newest = 0
         self._tell = tell
@@ -216,7 +220,11 @@ class Knowledge:
         settings = {**self.settings, **news.facts}
         if len(settings) > MAX_SETTINGS:
             raise StreamError(f"more than {MAX_SETTINGS} settings", "bad_value")
-        self.settings = settings
+        sizes = {name: size_of((name, fact)) for name, fact in news.facts.items()}
+        sizes = {**self._setting_bytes, **sizes}
+        if sum(sizes.values()) > MOST_SETTINGS_BYTES:
+            raise StreamError(f"settings of more than {MOST_SETTINGS_BYTES} bytes", "bad_value")
+        self.settings, self._setting_bytes = settings, sizes
         self._tell(news)
 
 

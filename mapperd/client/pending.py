@@ -9,13 +9,14 @@ import numpy as np
 
 from mapperd.client.block_table import keys_of, names_of
 from mapperd.client.changes import ClientChange, LinkChanged, MapChanged, MapReset
+from mapperd.client.checks import size_of
 from mapperd.client.knowledge import Knowledge
 from mapperd.stream.messages import Event, Path, Settings
 
 __all__ = ["Pending"]
 
 MOST_KEYS = 1 << 17
-MOST_EVENTS = 1000
+MOST_EVENTS, MOST_EVENT_BYTES = 1000, 1 << 20
 NO_KEYS = np.zeros((0, 3), np.int32)
 
 
@@ -37,8 +38,8 @@ class Pending:
         self._news = news
         self._lock = threading.Lock()
         self._waiting: OrderedDict[type, ClientChange] = OrderedDict()
-        self._events: deque[Event] = deque()
-        self._events_lost = 0
+        self._events: deque[tuple[Event, int]] = deque()
+        self._events_lost = self._event_bytes = 0
         self._keys: dict[bytes, None] = {}
         self._is_all = False
         self._add_all(link)
@@ -112,15 +113,24 @@ class Pending:
             self._is_all = True
 
     def _add_event(self, event: Event) -> None:
-        self._events.append(event)
-        if len(self._events) > MOST_EVENTS:
-            self._events_lost += 1 + self._events.popleft().lost
+        events, size = self._events, size_of(event)
+        events.append((event, size))
+        self._event_bytes += size
+        while len(events) > MOST_EVENTS or (
+            len(events) > 1 and self._event_bytes > MOST_EVENT_BYTES
+        ):
+            self._events_lost += 1 + self._first_event().lost
+
+    def _first_event(self) -> Event:
+        event, size = self._events.popleft()
+        self._event_bytes -= size
+        return event
 
     def _taken_event(self) -> Event:
-        event = self._events.popleft()
+        event = self._first_event()
         if self._events_lost:
             event = msgspec.structs.replace(event, lost=event.lost + self._events_lost)
             self._events_lost = 0
         if self._events:
-            self._waiting[Event] = self._events[0]
+            self._waiting[Event] = self._events[0][0]
         return event

@@ -9,6 +9,7 @@ from mapperd.client import pending as module
 from mapperd.client.changes import ClientChange
 from mapperd.client.knowledge import Knowledge
 from mapperd.client.pending import Pending
+from mapperd.stream.framing import StreamError
 from mapperd.stream.messages import (
     WANTS,
     Event,
@@ -114,6 +115,46 @@ def test_events_that_were_too_many_are_counted(monkeypatch: pytest.MonkeyPatch) 
     taken = [one for one in reader.take_all() if isinstance(one, Event)]
     assert [(one.event["number"], one.lost) for one in taken] == [(8, 8), (9, 0), (10, 0)]
     assert reader.knowledge.last_event == 10
+
+
+def test_waiting_events_are_bounded_by_their_bytes() -> None:
+    reader = Reader()
+    for number in range(1, 41):
+        event = {"number": number, "facts": "x" * 100_000}
+        reader.knowledge.take(Event(event=event))
+        waiting = [(size, event) for event, size in reader.pending._events]
+        assert sum(size for size, _ in waiting) <= module.MOST_EVENT_BYTES
+        assert len(waiting) == min(number, 10)
+    taken = [one for one in reader.take_all() if isinstance(one, Event)]
+    assert [one.event["number"] for one in taken] == [*range(31, 41)]
+    assert [one.lost for one in taken] == [30] + 9 * [0]
+    for number in (41, 42):
+        reader.knowledge.take(Event(event={"number": number, "facts": "x" * 3_000_000}))
+    (newest,) = reader.take_all()
+    assert isinstance(newest, Event)
+    assert (newest.event["number"], newest.lost) == (42, 1)
+    assert reader.pending._event_bytes == 0
+
+
+def test_events_that_are_nested_as_deeply_as_can_be_are_taken() -> None:
+    deep: list[object] = []
+    for _ in range(100_000):
+        deep = [deep]
+    reader = Reader()
+    reader.knowledge.take(Event(event={"number": 1, "facts": deep}))
+    assert len(reader.take_all()) == 1
+
+
+def test_settings_are_bounded_by_their_bytes() -> None:
+    reader = Reader()
+    for _ in range(3):  # the same again is no more
+        reader.knowledge.take(Settings(facts={"a": "x" * 500_000}))
+    reader.knowledge.take(Settings(facts={"b": "x" * 500_000}))
+    with pytest.raises(StreamError, match="bytes"):
+        reader.knowledge.take(Settings(facts={"c": "x" * 500_000}))
+    assert [*reader.knowledge.settings] == ["a", "b"]
+    reader.knowledge.take(Settings(facts={"a": 1}))
+    reader.knowledge.take(Settings(facts={"c": "x" * 500_000}))
 
 
 def test_settings_are_joined() -> None:
