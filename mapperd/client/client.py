@@ -13,7 +13,7 @@ from typing import Any, Self
 from mapperd.client.address import place_of
 from mapperd.client.asking import Asking
 from mapperd.client.changes import ClientChange, LinkChanged, LinkState, LinkStatus
-from mapperd.client.connecting import opened, reason_of
+from mapperd.client.connecting import opened, reason_of, with_hint
 from mapperd.client.dialogue import Dialogue, Wishes
 from mapperd.client.errors import AskError, EndedError
 from mapperd.client.knowledge import MOST_BLOCKS, Knowledge
@@ -246,10 +246,11 @@ class MapClient(Known):
             return reason_of(error)
         self._writer = writer
         self._dialogue.begin()
+        reason = "the daemon hung up"
         try:
             await self._converse(reader)
         except OSError as error:
-            return reason_of(error)
+            reason = reason_of(error)
         except StreamError as error:
             if not isinstance(error, EndedError):
                 self._faults += 1
@@ -260,7 +261,7 @@ class MapClient(Known):
             self._dialogue.end()
             self._asking.lose_all()
             writer.transport.abort()
-        return "the daemon hung up"
+        return with_hint(reason, self._place, self._tls, is_greeted=self._dialogue.is_greeted)
 
     async def _converse(self, reader: asyncio.StreamReader) -> None:
         while True:

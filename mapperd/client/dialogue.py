@@ -86,6 +86,7 @@ class Dialogue:
 
     Attributes:
         wishes: of now.
+        is_greeted: the daemon has said something on this connection, or on the one that ended.
         is_welcome: the connection has come about.
     """
 
@@ -107,7 +108,7 @@ class Dialogue:
         self._inbox = client_inbox()
         self._acknowledged = 0
         self._outgoing = bytearray()
-        self._is_greeted = False
+        self.is_greeted = False
         self._resume: Resume | None = None
         self._knowledge.wants_map = "map" in self.wishes.wants
         self.end()
@@ -187,9 +188,9 @@ class Dialogue:
             self._knowledge.take(message)
 
     def _take_greeting(self, greeting: Greeting) -> None:
-        if self._is_greeted:
+        if self.is_greeted:
             raise StreamError("a second greeting", "bad_order")
-        self._is_greeted = True
+        self.is_greeted = True
         if greeting.mapperd != STREAM:
             raise EndedError(f"this is no {STREAM} but a {greeting.mapperd!r:.50}", "bad_version")
         if VERSION not in greeting.versions:
@@ -205,7 +206,7 @@ class Dialogue:
         self._say(self.wishes.hello(proof, self._resume, self._knowledge.last_event))
 
     def _take_welcome(self, welcome: Welcome) -> None:
-        if not self._is_greeted or self.is_welcome:
+        if not self.is_greeted or self.is_welcome:
             raise StreamError("a welcome out of turn", "bad_order")
         if welcome.version != VERSION:
             raise StreamError(f"a welcome to version {welcome.version}", "bad_version")

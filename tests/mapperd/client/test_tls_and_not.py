@@ -1,0 +1,58 @@
+"""Who speaks TLS where there is none, or none where there is, is told so."""
+
+import asyncio
+import ssl
+from pathlib import Path
+
+import pytest
+
+from mapperd.client import LinkChanged, MapClient
+from mapperd.control.limits import Limits
+from tests.mapperd.stream.watched import bed_of, run
+
+
+@pytest.mark.parametrize(
+    ("door", "speaks_tls", "hint"),
+    [
+        ("open", True, "what answers there speaks no TLS"),
+        ("tls", False, "without a greeting: its socket may want TLS"),
+    ],
+)
+def test_the_wrong_door_is_said(
+    short: Path,
+    tls: tuple[ssl.SSLContext, ssl.SSLContext],
+    door: str,
+    speaks_tls: bool,  # noqa: FBT001 of a parameter set
+    hint: str,
+) -> None:
+    async def work() -> None:
+        async with bed_of(short, tls[0], Limits(hello_s=0.2)) as bed:
+            host, port = bed.doors[door].socket.getsockname()
+            trusted = tls[1] if speaks_tls else None
+            async with MapClient(f"{host}:{port}", tls=trusted) as client:
+                async for change in client.changes():
+                    if isinstance(change, LinkChanged) and change.link.state == "waiting":
+                        assert hint in change.link.reason
+                        break
+            await asyncio.sleep(0)
+
+    run(work())
+
+
+def test_no_hint_where_the_daemon_said_something(short: Path) -> None:
+    async def work() -> None:
+        async with bed_of(short) as bed:
+            host, port = bed.doors["open"].socket.getsockname()
+            async with MapClient(f"{host}:{port}") as client:
+                await until(client, "connected")
+                (connection,) = bed.server._clients
+                connection.abort()
+                await until(client, "waiting")
+                assert "TLS" not in client.link.reason
+
+    run(work())
+
+
+async def until(client: MapClient, state: str) -> None:
+    while client.link.state != state:  # noqa: ASYNC110 of another task
+        await asyncio.sleep(0)
