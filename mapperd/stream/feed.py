@@ -275,6 +275,13 @@ def _localization(facts: LocalizationFacts, config: Config) -> Localization:
     points = facts.scan_points_m
     return Localization(
         report=report,
-        particles=np.asarray(facts.particles, "<f4").tobytes(),
-        scan=b"" if points is None else np.asarray(points, "<f4").tobytes(),
+        particles=_rows(facts.particles),
+        scan=b"" if points is None else _rows(points),
     )
+
+
+def _rows(points: NDArray[np.float64]) -> bytes:
+    """Those of which all is finite: no client takes others."""
+    rows = points.astype("<f4")
+    told: bytes = rows[np.isfinite(rows).all(axis=1)].tobytes()
+    return told

@@ -1,0 +1,120 @@
+"""Robots, localization, and events come over a real server as the daemon knows them."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mapperd.client import MapClient
+from mapperd.client.changes import ClientChange
+from mapperd.client.checks import floats_of
+from mapperd.control.doors import open_unix_door
+from mapperd.events import Severity
+from mapperd.localization.facts import LocalizationFacts
+from mapperd.stream.feed import Feed
+from mapperd.stream.messages import Event, Localization, Robots, Want
+from mapperd.stream.server import StreamServer
+from tests.mapperd.control.fakes import FakeDaemon
+from tests.mapperd.localization.believed import facts as believed
+from tests.mapperd.stream.watched import PlainSource, run
+
+
+@dataclass
+class Known:
+    """As the mapping thread's facts, as far as the feed reads them."""
+
+    odometry: dict[str, Any] = field(default_factory=lambda: {"source": "odometry"})
+    robots: list[dict[str, Any]] = field(default_factory=list)
+    localization: LocalizationFacts | None = None
+
+
+@dataclass
+class Told:
+    """A daemon, a client of it, and the changes that it was told of the kinds it waits for."""
+
+    daemon: FakeDaemon
+    known: Known
+    client: MapClient
+    changes: AsyncIterator[ClientChange]
+
+    async def next(self, is_it: Callable[[Any], bool]) -> Any:
+        async for change in self.changes:
+            if is_it(change):
+                return change
+        raise AssertionError("the changes came to their end")
+
+
+@contextlib.asynccontextmanager
+async def telling(folder: Path, *wants: Want) -> AsyncIterator[Told]:
+    daemon, known = FakeDaemon(), Known()
+    feed = Feed(daemon, lambda: known, 100)  # type: ignore[arg-type,return-value]
+    path = folder / "map.sock"
+    async with (
+        StreamServer(daemon, [open_unix_door(path, 0o600)], feed, PlainSource()),
+        MapClient(str(path), wants=wants) as client,
+    ):
+        while client.link.state != "connected":  # noqa: ASYNC110 of another task
+            await asyncio.sleep(0)
+        yield Told(daemon, known, client, client.changes())
+        assert client.link.faults == 0
+
+
+def test_robots_come_and_go(short: Path) -> None:
+    async def work() -> None:
+        async with telling(short, "robots") as told:
+            told.known.robots = [{"t_s": 2.5, "position_m": [1.0, 2.0, 3.0]}]
+            first = await told.next(lambda one: isinstance(one, Robots))
+            assert first.seen == [(2_500_000_000, 1.0, 2.0, 3.0)]
+            assert told.client.robots == first
+            told.known.robots = []
+            await told.next(lambda one: isinstance(one, Robots) and not one.seen)
+            assert told.client.robots == Robots(seen=[])
+
+    run(work())
+
+
+def test_localization_is_told_with_its_cloud_and_its_scan(short: Path) -> None:
+    async def work() -> None:
+        async with telling(short, "localization") as told:
+            told.known.localization = facts = believed(0.2)
+            first = await told.next(lambda one: isinstance(one, Localization))
+            assert first.report["map"] == "tank.yaml"
+            assert (first.report["state"], first.report["elsewhere"]) == ("ambiguous", 0.2)
+            assert first.report["x_m"] == 1.0
+            np.testing.assert_array_equal(
+                floats_of(first.particles, 4), facts.particles.astype(np.float32)
+            )
+            assert floats_of(first.scan, 3).tolist() == [[5.0, 2.0, 0.0]]  # the other is no place
+            told.known.localization = believed(None, state="waiting for a pose", scan_points_m=None)
+            second = await told.next(lambda one: isinstance(one, Localization))
+            assert (second.report["state"], second.scan) == ("waiting for a pose", b"")
+
+    run(work())
+
+
+def test_events_are_told_once_each_and_again_after_a_break(short: Path) -> None:
+    async def work() -> None:
+        async with telling(short, "events") as told:
+            events = told.daemon.events
+
+            async def heard(number: int) -> list[tuple[int, str, int]]:
+                found = [await told.next(lambda one: isinstance(one, Event)) for _ in range(number)]
+                return [(one.event["number"], one.event["code"], one.lost) for one in found]
+
+            last = events.last
+            for n in range(3):
+                events.add(Severity.WARNING, f"code_{n}", "text", range_m=0.5)
+            assert await heard(3) == [(last + n + 1, f"code_{n}", 0) for n in range(3)]
+            assert told.client.link.connects == 1
+            assert told.client._writer is not None
+            told.client._writer.transport.abort()
+            for n in range(2):
+                events.add(Severity.ERROR, f"away_{n}", "text")
+            assert await heard(2) == [(last + n + 4, f"away_{n}", 0) for n in range(2)]
+            assert told.client.link.connects == 2
+
+    run(work())
