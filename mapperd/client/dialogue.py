@@ -126,6 +126,8 @@ class Dialogue:
         """
         for message in self._inbox.feed(data):
             self._take(message)
+        if self.is_welcome:
+            self._knowledge.used = self._inbox.received
 
     def outgoing(self, *, acknowledge: bool = True) -> bytes:
         """What is to be sent now, once."""
@@ -175,6 +177,8 @@ class Dialogue:
 
     def _take(self, message: FromServer) -> None:
         if isinstance(message, Bye):
+            if message.reason == "bad_message":
+                self._knowledge.forget_ticket()  # a daemon of before knows none
             raise EndedError(message.message or message.reason, message.reason)
         if isinstance(message, Greeting):
             self._take_greeting(message)

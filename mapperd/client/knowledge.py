@@ -66,6 +66,7 @@ class Knowledge:
         newest: messages by type, of which only the newest counts.
         settings: name to facts.
         last_event: its number.
+        used: bytes of the last connection with a welcome that are in here.
     """
 
     def __init__(
@@ -84,6 +85,8 @@ class Knowledge:
         self.settings: dict[str, Any] = {}
         self.last_event: int | None = None
         self._setting_bytes: dict[str, int] = {}
+        self.used = 0
+        self._ticket = ""
         self._path_version = 0
         self._newest = 0
         self._tell = tell
@@ -97,7 +100,9 @@ class Knowledge:
     def resume(self) -> Resume | None:
         """What another connection may go on from."""
         mirror = self.mirror
-        if mirror is None or self.welcome is None or mirror.complete is None:
+        if mirror is None or self.welcome is None:
+            return None
+        if mirror.complete is None and not self._ticket:
             return None
         if mirror.interest != self.interest:
             return None
@@ -112,10 +117,17 @@ class Knowledge:
             newest=self._newest,
             path=len(self.path),
             path_version=self._path_version,
+            ticket=self._ticket,
+            bytes=self.used if self._ticket else 0,
         )
+
+    def forget_ticket(self) -> None:
+        """The next connection does not go on where the last one was."""
+        self._ticket = ""
 
     def distrust(self) -> None:
         """Something that was told is wrong: the next connection begins with nothing."""
+        self.forget_ticket()
         if self.mirror is not None:
             self.mirror.complete = None
 
@@ -139,6 +151,7 @@ class Knowledge:
             mirror.facts = welcome.map
         is_other = self.welcome is None or self.welcome.session != welcome.session
         self.welcome = welcome
+        self._ticket, self.used = welcome.ticket, 0
         if is_other or not welcome.resumed:
             self._take_path(Path(first=0, points=b""))
 

@@ -10,6 +10,7 @@ from mapperd.operations import Operations
 from mapperd.stream.asks import answered
 from mapperd.stream.framing import StreamError
 from mapperd.stream.messages import MAX_FROM_SERVER
+from mapperd.stream.parking import Parting
 from mapperd.stream.session import Session
 from mapperd.stream.tcp import fills_buffers, tcp_state
 
@@ -66,12 +67,13 @@ class Connection(asyncio.BufferedProtocol):
     Attributes:
         session, origin: as given.
         is_over: nothing is said any more.
+        is_for_good: and that is no fault of the link.
     """
 
     def __init__(self, session: Session, origin: str, around: Around) -> None:
         self.session = session
         self.origin = origin
-        self.is_over = False
+        self.is_over = self.is_for_good = False
         self._around = around
         self._transport: asyncio.Transport | None = None
         self._fills = False
@@ -157,6 +159,7 @@ class Connection(asyncio.BufferedProtocol):
 
     def refuse(self, error: StreamError, *, was_new: bool) -> None:
         """Let it go because of what it said, or did not say."""
+        self.is_for_good |= error.reason != "no_acks"
         kind = "refused" if was_new else "cut"
         self._around.count(f"{kind}_{error.reason}")
         if was_new:
@@ -173,10 +176,19 @@ class Connection(asyncio.BufferedProtocol):
         self._transport.close()
         if self._timer is not None:
             self._timer.cancel()
-        self._timer = asyncio.get_running_loop().call_later(LEAVE_S, self.abort)
+        self._timer = asyncio.get_running_loop().call_later(LEAVE_S, self._transport.abort)
 
     def abort(self) -> None:
-        """Close at once."""
+        """Close at once: what it was told is not to be relied upon."""
+        self.is_for_good = True
+        self.drop()
+
+    def parting(self) -> Parting | None:
+        """With what it may come back; None where it may not."""
+        return None if self.is_for_good else self.session.parting()
+
+    def drop(self) -> None:
+        """Close at once: its link is dead."""
         self.is_over = True
         if self._transport is not None:
             self._transport.abort()

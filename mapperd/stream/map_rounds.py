@@ -11,8 +11,9 @@ from mapperd.operations import Operations
 from mapperd.stream.connection import Around, Connection
 from mapperd.stream.feed import Feed
 from mapperd.stream.framing import framed
-from mapperd.stream.messages import Reset
+from mapperd.stream.messages import Interest, Reset, Resume
 from mapperd.stream.nearest import Part
+from mapperd.stream.parking import Parking, Parting
 from mapperd.stream.session import Beginning, Wish
 from mapperd.stream.source_protocol import MapView, Source
 from mapperd.stream.turns import Rooms
@@ -37,8 +38,10 @@ class _Order:
     view: MapView | None
     wish: Wish | None
     rooms: Rooms
+    settled: int = 0
     is_new: bool = False
-    frames: list[tuple[bytes, int | None]] = field(default_factory=list)
+    went_on: bool = False
+    frames: list[tuple[bytes, int, int | None]] = field(default_factory=list)
     fault: Exception | None = None
 
 
@@ -51,7 +54,8 @@ class _Job:
         orders: of the clients.
         draw: kinds of messages to be drawn; none is nothing.
         coarseness: of the pictures.
-        left: views of clients that are gone.
+        left: views of clients that are gone, and with what these may come back.
+        now_s: when it began.
         beginning: of the map, when all is done.
     """
 
@@ -59,7 +63,8 @@ class _Job:
     orders: list[_Order]
     draw: frozenset[str]
     coarseness: set[int]
-    left: list[MapView]
+    left: list[tuple[MapView, Parting | None]]
+    now_s: float
     beginning: Beginning | None = None
 
 
@@ -71,7 +76,10 @@ class MapRounds:
         feed: what else is drawn in the worker.
         source: the map.
         clients: who is connected, at any time.
-        around: clocks, counters.
+        around: clocks, counters, limits.
+
+    Attributes:
+        parking: of clients that were lost; of the worker.
     """
 
     def __init__(
@@ -89,15 +97,16 @@ class MapRounds:
         self._around = around
         self._due = asyncio.Event()
         self._looked_s: float | None = None
-        self._left: list[MapView] = []
+        self._left: list[tuple[MapView, Parting | None]] = []
+        self.parking = Parking(around.limits.clients)
 
     def wake(self) -> None:
         """There may be something to do."""
         self._due.set()
 
-    def forget(self, view: MapView) -> None:
-        """Its client is gone."""
-        self._left.append(view)
+    def leave(self, view: MapView, parting: Parting | None) -> None:
+        """Its client is gone; for good where there is no parting."""
+        self._left.append((view, parting))
         self.wake()
 
     async def run(self) -> NoReturn:
@@ -132,9 +141,12 @@ class MapRounds:
                 # Its view takes for told what never was: only another connection mends that.
                 self._failed(order.fault)
                 order.client.abort()
+                self._left = [(v, None if v is order.view else p) for v, p in self._left]
+            if order.is_new and order.view is not None:
+                order.client.session.took(order.view, went_on=order.went_on)
             if order.client.is_over:
                 if order.is_new and order.view is not None:
-                    self.forget(order.view)
+                    self.leave(order.view, order.client.parting())
             elif order.wish is None:
                 self._deliver(order)
             else:
@@ -152,12 +164,17 @@ class MapRounds:
             wanted if self._feed.wants_drawing(wanted, now_s) else frozenset(),
             {c.session.portions.coarseness() for c in clients if "image" in c.session.wants},
             left,
+            now_s,
         )
 
     def _work(self, job: _Job) -> None:
         """In the worker."""
-        for view in job.left:
-            view.close()
+        for view, parting in job.left:
+            if parting is None:
+                view.close()
+            else:
+                self.parking.park(view, parting, job.now_s)
+        self.parking.expire(job.now_s)
         if job.look:
             self._source.look(self._around.now_ns(), self._feed.position_m)
         if job.draw:
@@ -188,13 +205,15 @@ class MapRounds:
         if session.wish is not None:
             return _Order(client, session.view, session.wish, Rooms())
         rooms = session.map_rooms(now_s) if look or session.left else Rooms()
-        return _Order(client, session.view, None, rooms) if rooms else None
+        return _Order(client, session.view, None, rooms, session.settled) if rooms else None
 
     def _fill(self, order: _Order) -> None:
         """In the worker."""
         if order.wish is not None:
             self._meet(order, order.wish)
             return
+        if order.view is not None:
+            order.view.settle(order.settled)
         self._take(order, "near", order.rooms.near)
         if not order.frames:
             self._take(order, "far", order.rooms.far)
@@ -206,7 +225,8 @@ class MapRounds:
             frame = view.next(self._feed.position_m, room, part)
             if frame is None:
                 return
-            order.frames.append((frame, view.near_left if part == "near" else None))
+            near_left = view.near_left if part == "near" else None
+            order.frames.append((frame, view.number, near_left))
             room -= len(frame)
 
     def _meet(self, order: _Order, wish: Wish) -> None:
@@ -217,18 +237,26 @@ class MapRounds:
                 view.close()
             order.view = None
         elif view is None:
-            order.view = self._source.subscribe(wish.interest, wish.resume)
+            order.view = self._parked(wish.interest, wish.resume)
+            order.went_on = order.view is not None
+            if order.view is None:
+                order.view = self._source.subscribe(wish.interest, wish.resume)
             order.is_new = True
         else:
             view.change(wish.interest)
+
+    def _parked(self, interest: Interest, resume: Resume | None) -> MapView | None:
+        if resume is None or not resume.ticket:
+            return None
+        return self.parking.take(resume, interest, self._source)
 
     def _deliver(self, order: _Order) -> None:
         client, view, now_s = order.client, order.view, self._around.clock()
         session = client.session
         if view is None or session.view is not view:
             return  # it wanted something else meanwhile
-        for frame, near_left in order.frames:
-            client.write(session.mapped(frame, view.left, now_s, near_left))
+        for frame, number, near_left in order.frames:
+            client.write(session.mapped(frame, number, view.left, now_s, near_left))
         session.left = view.left
         if session.left and order.frames and session.map_rooms(now_s):
             self.wake()
@@ -240,10 +268,11 @@ class MapRounds:
         if session.wish is wish:
             session.wish = None
         session.viewed(order.view, beginning)
-        if wish is not None and wish.interest is not None and order.is_new and not is_first:
+        view = order.view if order.is_new and not is_first else None
+        if wish is not None and wish.interest is not None and view is not None:
             # What it held when it wanted the map before may be wrong by now.
             facts, revision = beginning.facts, beginning.revision
             anew = framed(Reset(map=facts, revision=revision, interest=wish.interest))
-            client.write(session.mapped(anew, session.left, now_s))
+            client.write(session.mapped_anew(anew, view, now_s))
         client.turn()
         self.wake()

@@ -126,16 +126,18 @@ class Resume(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True
     Attributes:
         map: id of the map that it holds.
         session: of the daemon that said `revision`.
-        revision: all of its interest is as it was then, or newer.
+        revision: all of its interest is as it was then, or newer; None before that was ever so.
         level, detail, radius_m, box: the interest in what it holds.
         newest: the highest revision of any message about the map that it used; None is unknown.
         path: points of the path that it holds.
         path_version: of them.
+        ticket: of the welcome of the connection before this one; "" where it had none.
+        bytes: of that connection that were read and used, as `Ack` counts them.
     """
 
     map: Name
     session: Name
-    revision: Count
+    revision: Count | None = None
     level: int = 0
     detail: str = "log_odds"
     radius_m: float = 0.0
@@ -143,6 +145,8 @@ class Resume(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True
     newest: Count | None = None
     path: Count = 0
     path_version: Count = 0
+    ticket: Annotated[str, Meta(max_length=64)] = ""
+    bytes: Count = 0
 
 
 class Hello(_Message, frozen=True, kw_only=True):
@@ -240,6 +244,7 @@ class Welcome(_Message, frozen=True, kw_only=True):
         resumed: what the client holds is good; otherwise it forgets all blocks and the path.
         reason: why not.
         may_change: requests that change something are obeyed.
+        ticket: a secret of this connection; whoever shows it goes on where this one broke.
     """
 
     version: int
@@ -251,6 +256,7 @@ class Welcome(_Message, frozen=True, kw_only=True):
     resumed: bool
     reason: str = ""
     may_change: bool = False
+    ticket: Annotated[str, Meta(max_length=64)] = ""
 
 
 class Blocks(_Message, frozen=True, kw_only=True):

@@ -34,6 +34,8 @@ def why_not(  # noqa: PLR0911 one reason each
         return "another_interest"
     if interest.radius_m > 0:
         return "moving_interest"  # where the vehicle was then is forgotten
+    if resume.revision is None:
+        return "never_complete"
     said = max(resume.revision, resume.newest or 0)
     if resume.session == identity.session:
         return "" if resume.revision <= looked and said <= newest else "never_told"

@@ -124,7 +124,7 @@ class StreamServer:
             "clients": len(clients),
             "newcomers": sum(map(len, self._newcomers.values())),
             "blocks_left": max((one.session.left for one in clients), default=0),
-            "counters": dict(sorted((self._counters + self._feed.left_out).items())),
+            "counters": dict(sorted(self._all_counters().items())),
             "watching": [
                 {"name": one.session.name, "from": one.origin, **one.session.portions.link()}
                 for one in clients[:TOLD]
@@ -151,6 +151,10 @@ class StreamServer:
                     self._failed(error)
                     client.abort()
             self._rounds.wake()
+
+    def _all_counters(self) -> dict[str, int]:
+        """Of what happened here, in the feed and with clients that left."""
+        return {**self._counters, **self._feed.left_out, **self._rounds.parking.counters}
 
     async def _accept(self, door: Door) -> None:
         connects = TokenBucket(self._limits.connects_per_s, self._limits.connects_at_once)
@@ -208,11 +212,21 @@ class StreamServer:
         self._counters[what] += 1
 
     def _admit(self, client: Connection) -> None:
+        wish = client.session.wish
+        if wish is not None and wish.resume is not None:
+            self._take_over(wish.resume.ticket, client)
         if len(self._clients) >= self._limits.clients:
             said = f"{len(self._clients)} clients are connected; allowed: that many"
             raise StreamError(said, "too_many_clients")
         self._drop_newcomer(client)
         self._clients[client] = None
+
+    def _take_over(self, ticket: str, newcomer: Connection) -> None:
+        """Who comes back may know of the break before we do."""
+        for client in [*self._clients]:
+            if client is not newcomer and client.session.is_known_by(ticket):
+                self._gone(client)
+                client.drop()
 
     def _heard(self, client: Connection) -> None:
         session = client.session
@@ -229,7 +243,7 @@ class StreamServer:
         self._drop_newcomer(client)
         view, client.session.view = client.session.view, None
         if view is not None:
-            self._rounds.forget(view)
+            self._rounds.leave(view, client.parting())
 
     def _drop_newcomer(self, client: Connection) -> None:
         for newcomers in self._newcomers.values():

@@ -6,6 +6,7 @@ Nothing is queued for a client: of each kind it is told the newest when there is
 that is slow skips what nobody needs any more, and costs no more than one that is not.
 """
 
+import secrets
 from collections import deque
 from dataclasses import dataclass
 from typing import Literal
@@ -36,6 +37,7 @@ from mapperd.stream.messages import (
     Welcome,
 )
 from mapperd.stream.pacer import Pacer
+from mapperd.stream.parking import Ends, Parting, is_ticket
 from mapperd.stream.portions import Portions
 from mapperd.stream.source_protocol import MapView
 from mapperd.stream.turns import Rooms, Turns
@@ -106,6 +108,7 @@ class Session:
         asks: requests that wait.
         pacer: of what is under way.
         portions: of what it is told.
+        ticket: with which the client goes on after a break.
     """
 
     def __init__(self, common: Common, newcomer: Newcomer, *, may_change: bool) -> None:
@@ -118,6 +121,9 @@ class Session:
         self._turns = Turns(self.pacer)
         self.portions = Portions(common.feed, common.events, self.pacer)
         self.may_change = may_change
+        self.ticket = secrets.token_hex(16)
+        self._ends = Ends()
+        self._went_on = False
         self._common = common
         self._newcomer = newcomer
         self._inbox = server_inbox()
@@ -178,6 +184,26 @@ class Session:
         if self.state == "admitted":
             self._welcome(beginning)
 
+    def took(self, view: MapView, *, went_on: bool) -> None:
+        """This view is its own from now on; perhaps it was of the connection before."""
+        self._ends.begin(view.number, 0)
+        self._went_on = went_on
+
+    def parting(self) -> Parting:
+        """With what it may come back."""
+        before = self._resume if self._went_on else None
+        return Parting(self.ticket, self.pacer.acked, self.pacer.sent, self._ends, before)
+
+    def is_known_by(self, ticket: str) -> bool:
+        """Whether whoever shows this ticket is the same client, which does not miss this one."""
+        came_with = "" if self._resume is None or self.pacer.acked else self._resume.ticket
+        return is_ticket(ticket, self.ticket) or is_ticket(ticket, came_with)
+
+    @property
+    def settled(self) -> int:
+        """The last message about the map that it acknowledged."""
+        return self._ends.settled(self.pacer.acked)
+
     def answer(self, number: int | None, result: object, error: object = None) -> None:
         """What became of a request."""
         said = msgspec.to_builtins(result, enc_hook=plain)
@@ -204,11 +230,14 @@ class Session:
             return Rooms()
         return self._turns.rooms(now_s)
 
-    def mapped(self, frame: bytes, left: int, now_s: float, near_left: int | None = None) -> bytes:
+    def mapped(
+        self, frame: bytes, number: int, left: int, now_s: float, near_left: int | None = None
+    ) -> bytes:
         """Of the map, as it is to be sent; and how many blocks are left.
 
         Args:
             frame: a message.
+            number: of it.
             left: blocks.
             now_s: now.
             near_left: near the vehicle, where the message is about such.
@@ -218,7 +247,15 @@ class Session:
             self._turns.told_far()
         else:
             self._turns.told_near(len(frame), near_left, now_s)
-        return self._sent(frame, now_s)
+        said = self._sent(frame, now_s)
+        self._ends.note(number, self.pacer.sent)
+        return said
+
+    def mapped_anew(self, frame: bytes, view: MapView, now_s: float) -> bytes:
+        """A reset, as it is to be sent: a view is told from there on, and nothing before counts."""
+        said = self._sent(frame, now_s)
+        self._ends.begin(view.number, self.pacer.sent)
+        return said
 
     def _heard(self, message: FromClient, now_s: float) -> None:
         if isinstance(message, Hello):
@@ -271,6 +308,7 @@ class Session:
             resumed=resumed,
             reason="" if view is None else view.reason,
             may_change=self.may_change,
+            ticket=self.ticket,
         )
         self._words.appendleft(framed(welcome))
         self.state = "served"

@@ -18,6 +18,10 @@ class MapView(Protocol):
     """Why not."""
 
     @property
+    def number(self) -> int:
+        """Of the last message."""
+
+    @property
     def left(self) -> int:
         """Blocks that are still to be told."""
 
@@ -36,6 +40,16 @@ class MapView(Protocol):
 
     def change(self, interest: Interest) -> None:
         """Something else is of interest from now on."""
+
+    def settle(self, number: int) -> None:
+        """The client has used messages up to this one."""
+
+    def go_on(self, interest: Interest, number: int) -> bool:
+        """The client is back, and has messages up to this one; later ones are told again.
+
+        Returns:
+            whether it may keep what it holds.
+        """
 
     def close(self) -> None:
         """The client is gone."""

@@ -9,6 +9,7 @@ from mapperd.errors import StoreError
 from mapperd.stream.framing import framed
 from mapperd.stream.messages import MAX_BLOCKS, Blocks, Interest, MapFacts, Reset, Vector
 from mapperd.stream.nearest import NearestFirst, Part
+from mapperd.stream.on_its_way import OnItsWay
 from mapperd.stream.region import vector_of, within
 from mapperd.stream.telling import Teller
 from mapperd.stream.view import View
@@ -67,7 +68,8 @@ class Subscription:
         self.resumed = known_up_to is not None
         self.reason = reason
         self._source = source
-        self._reset = False
+        self._reset = self._closed = False
+        self._on_its_way = OnItsWay()
         self._begin(known_up_to)
 
     def _begin(self, known_up_to: int | None) -> None:
@@ -85,6 +87,7 @@ class Subscription:
     def close(self) -> None:
         """The client is gone; whoever forgets the subscription says as much."""
         self._view.listeners.discard(self)
+        self._closed = True
 
     def restart(self) -> None:
         """The client forgets all, and is told all anew."""
@@ -98,6 +101,32 @@ class Subscription:
         self.restart()
 
     @property
+    def number(self) -> int:
+        """Of the last message."""
+        return self._on_its_way.number
+
+    def settle(self, number: int) -> None:
+        """The client has used messages up to this one."""
+        self._on_its_way.settle(number)
+
+    def go_on(self, interest: Interest, number: int) -> bool:
+        """The client is back, and has messages up to this one; later ones are told again.
+
+        Returns:
+            whether it may keep what it holds.
+        """
+        numbers = self._on_its_way.beyond(number)
+        if numbers is None or self._reset or self._closed or interest != self.interest:
+            return False
+        # It may still hold what they were before: that they are empty now is told again as well.
+        self._queue.flags[numbers] |= HELD
+        self._queue.add(numbers, self._source.now_ns)
+        self._on_its_way.settle(self.number)
+        self._complete = None
+        self.resumed, self.reason = True, ""
+        return True
+
+    @property
     def left(self) -> int:
         """Blocks that are still to be sent, as far as is known."""
         return len(self._queue) + self._view.left
@@ -105,7 +134,7 @@ class Subscription:
     @property
     def memory_bytes(self) -> int:
         """Of what it remembers of blocks."""
-        return int(self._queue.flags.nbytes)
+        return int(self._queue.flags.nbytes) + self._on_its_way.memory_bytes
 
     def changed(self, numbers: Numbers) -> None:
         """These blocks are told otherwise than before."""
@@ -149,6 +178,7 @@ class Subscription:
         """The same as a message."""
         if self._reset:
             self._reset = False
+            self._on_its_way.note_reset()
             facts = self._source.facts()
             return Reset(map=facts, revision=self._view.looked, interest=self.interest)
         self._draw(vector_of(position_m))
@@ -166,13 +196,13 @@ class Subscription:
             if not len(numbers):
                 return None if len(self._queue) else self._quiet()
             revision, body = teller.body(self._view, detail, numbers, wanted)
-            if len(body) <= 2 * most_bytes or len(numbers) == 1:
+            if 2 * len(body) <= 3 * most_bytes or len(numbers) == 1:
                 break
             most = max(min(most, len(numbers)) // 2, 1)
         self._queue.remove(numbers)
         self._queue.flags[numbers] &= np.uint8(~HELD & 0xFF)
         self._queue.flags[numbers[wanted]] |= HELD
-        return self._message(revision, body)
+        return self._message(revision, body, numbers)
 
     def _chosen(self, most: int, part: Part) -> tuple[Numbers, NDArray[np.bool_]]:
         """The nearest blocks that wait, and which of them are told with what they hold."""
@@ -194,9 +224,10 @@ class Subscription:
         nothing = np.zeros(0, np.int64)
         teller = self._source.teller
         revision, body = teller.body(self._view, self.interest.detail, nothing, nothing != 0)
-        return self._message(revision, body)
+        return self._message(revision, body, nothing)
 
-    def _message(self, revision: int, body: bytes) -> Blocks:
+    def _message(self, revision: int, body: bytes, numbers: Numbers) -> Blocks:
+        self._on_its_way.note(numbers)
         complete = None
         if not len(self._queue) and not self._view.left and self._is_drawn:
             complete = self._view.settled

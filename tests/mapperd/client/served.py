@@ -88,7 +88,9 @@ class Served:
     def can_resume(self, hello: Hello) -> bool:
         """Whether what a client says that it holds is right."""
         held = hello.resume
-        return held is not None and held.map == self.facts.id and held.revision <= self.revision
+        if held is None or held.revision is None:
+            return False
+        return held.map == self.facts.id and held.revision <= self.revision
 
 
 class Connection:
@@ -137,7 +139,8 @@ class Connection:
             self.say(served.refusal)
             return False
         is_resumed = served.can_resume(hello)
-        self.told = hello.resume.revision if hello.resume and is_resumed else 0
+        held = hello.resume.revision if hello.resume and is_resumed else 0
+        self.told = held or 0
         self.interest = hello.interest
         self.say(
             Welcome(

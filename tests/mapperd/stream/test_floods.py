@@ -57,12 +57,12 @@ def test_of_many_changes_the_newest_is_heeded_in_its_time() -> None:
         look()
     assert heeded == [float(n + 1) for n in range(CHANGES_AT_ONCE)]
     for _ in range(8):
-        told.now_s += 0.05
+        told.link.now_s += 0.05
         session.look(told.now_s)
         look()
     assert heeded[CHANGES_AT_ONCE:] == [100.0]
     for n in range(400):
-        told.now_s += 0.01
+        told.link.now_s += 0.01
         told.say(Change(interest=Interest(radius_m=1000.0 + n)))
         session.look(told.now_s)
         look()

@@ -22,7 +22,10 @@ class Sizes:
         self.sizes = [*sizes]
         self.asked: list[int] = []
 
-    near_left = 0
+    near_left = number = 0
+
+    def settle(self, number: int) -> None:
+        assert number == 0
 
     def next(self, _: object, most_bytes: int, part: str) -> bytes | None:
         assert part == "near"
@@ -34,8 +37,9 @@ def filled(view: Any, room: int = ROOM) -> list[int]:
     feed: Any = SimpleNamespace(position_m=(0.0, 0.0, 0.0))
     nobody: Any = None
     order = _Order(nobody, view, None, Rooms(near=room))
-    MapRounds(nobody, feed, nobody, [], nobody)._fill(order)
-    return [len(frame) for frame, _ in order.frames]
+    around: Any = SimpleNamespace(limits=SimpleNamespace(clients=1))
+    MapRounds(nobody, feed, nobody, [], around)._fill(order)
+    return [len(frame) for frame, *_ in order.frames]
 
 
 @pytest.mark.parametrize(

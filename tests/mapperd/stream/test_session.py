@@ -75,10 +75,14 @@ def pose(n: int) -> Pose:
 class LargeMap:
     """Of which there is always more; messages are as large as there is room, about."""
 
-    left, resumed, reason = 1000, False, ""
+    left, resumed, reason, number = 1000, False, "", 0
+
+    def settle(self, number: int) -> None:
+        assert number <= self.number
 
     def next(self, room: int) -> bytes:
-        sizes = (0.7, 1.3, 1.9)
+        self.number += 1
+        sizes = (0.7, 1.1, 1.45)
         size = int(room * sizes[room % len(sizes)])
         return framed(Blocks(revision=1, stamp_ns=1, left=1, complete=None, body=bytes(size)))
 
@@ -129,7 +133,8 @@ class Told:
             self._send(self.session.next(self.now_s, round(self.now_s * 1e9)))
             room = self.session.map_rooms(self.now_s).far
             if room:
-                self._send(self.session.mapped(self.map.next(room), 1000, self.now_s))
+                frame = self.map.next(room)
+                self._send(self.session.mapped(frame, self.map.number, 1000, self.now_s))
 
     def of(self, kind: type) -> list[Any]:
         return [one for _, one in self.heard if isinstance(one, kind)]

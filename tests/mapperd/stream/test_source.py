@@ -105,7 +105,7 @@ def test_the_nearest_is_told_first_within_the_bytes_that_are_given() -> None:
     while client.view.left:
         message = client.view.next_message(position, 2000)
         assert isinstance(message, Blocks)
-        assert len(message.body) <= 4000
+        assert len(message.body) <= 3000
         assert (message.complete is None) == (message.left > 0)
         client.take(message)
         keys = client.mirror.blocks().keys

@@ -64,7 +64,7 @@ class PlainView:
         self.reason = "" if self.resumed else "fresh"
         if resume is not None and self.resumed:
             seen = source.seen.items()
-            self._told = {key: one[0] for key, one in seen if one[0] <= resume.revision}
+            self._told = {key: one[0] for key, one in seen if one[0] <= (resume.revision or 0)}
         self._map_id = source.map_id
         self._interest, self._anew = Interest(), False
 
@@ -80,6 +80,14 @@ class PlainView:
 
     def close(self) -> None:
         self._source.views.remove(self)
+
+    number = 0
+
+    def settle(self, _: int) -> None:
+        pass
+
+    def go_on(self, _: Interest, __: int) -> bool:
+        return False
 
     @property
     def near_left(self) -> int:
