@@ -97,7 +97,7 @@ cpp-test-tsan: $(STAMP)
 	scripts/cpp-test tsan
 
 python-test: $(STAMP)
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(BIN)/python -m pytest -n 2
 
 prerequisites:
 	@PYTHON="$(PYTHON)" scripts/prerequisites

@@ -96,7 +96,9 @@ def test_the_picture_is_that_of_the_map(serving: Serving, page: "Page") -> None:
     assert (apart <= SAME_COLOUR).mean() > 0.9
 
 
-def test_a_setting_arrives_at_the_daemon(serving: Serving, page: "Page") -> None:
+def test_a_setting_arrives_at_the_daemon_and_a_refusal_is_shown(
+    serving: Serving, page: "Page"
+) -> None:
     press(page, "Settings", "tab")
     page.get_by_text("processing", exact=True).first.click(force=True)
     box = page.get_by_label("frame_skip (pings)")
@@ -105,11 +107,7 @@ def test_a_setting_arrives_at_the_daemon(serving: Serving, page: "Page") -> None
     press(page, "Apply processing")
     serving.until(lambda: serving.client.values == {"processing.frame_skip": 5}, page)
     page.get_by_text("is now 5").wait_for(state="attached")
-
-
-def test_a_refusal_is_shown(serving: Serving, page: "Page") -> None:
     serving.client.refuses = {"processing.frame_skip": "not while the moon is full"}
-    box = page.get_by_label("frame_skip (pings)")
     box.fill("7")
     press(page, "Apply processing")
     page.get_by_text("not while the moon is full").wait_for(state="attached")
@@ -143,7 +141,7 @@ def test_a_screenshot_is_a_png(page: "Page", tmp_path: Path) -> None:
     assert path.read_bytes().startswith(b"\x89PNG")
 
 
-def test_cameras_follow_the_vehicle(serving: Serving, page: "Page") -> None:
+def test_cameras_follow_the_vehicle_and_two_clicks_measure(serving: Serving, page: "Page") -> None:
     (client,) = serving.server.get_clients().values()
     serving.do(lambda: serving.client.tell(pose_at(0, 0, -4, 0.0)))
     serving.until(lambda: serving.view._pose is not None, page)
@@ -157,10 +155,10 @@ def test_cameras_follow_the_vehicle(serving: Serving, page: "Page") -> None:
     )
     press(page, "free")
     serving.until(lambda: serving.view._cameras.mode(client) == "free", page)
+    measure(serving, page, client)
 
 
-def test_two_clicks_measure(serving: Serving, page: "Page") -> None:
-    (client,) = serving.server.get_clients().values()
+def measure(serving: Serving, page: "Page", client: Any) -> None:
     page.get_by_label("Measure", exact=True).first.click(force=True)
     tools = serving.view._tools._browsers[client.client_id]
     serving.until(lambda: tools.said.visible, page)
