@@ -59,7 +59,9 @@ def _tether(one: dict[str, Any]) -> list[str]:
         "the same: joined in the middle of the dive, near there after": (
             f"{one['near_first_s']:.1f} s"
         ),
-        "the same: far caught up after": "never" if far is None else f"{far:.0f} s",
+        "the same: far caught up after": "not before the dive ended"
+        if far is None
+        else f"{far:.0f} s",
         "the same: received": f"{one['bytes'] / 1e3:.0f} kB",
     }
     return [f"| {what} | {value} |" for what, value in measured.items()]
