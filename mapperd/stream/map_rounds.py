@@ -82,6 +82,9 @@ class MapRounds:
         parking: of clients that were lost; of the worker.
     """
 
+    FOLLOWS = ("stream.rate",)
+    """Settings that are read anew each time."""
+
     def __init__(
         self,
         operations: Operations,

@@ -13,6 +13,7 @@ from mapperd.export.map_folder import MapFolder
 from mapperd.filters.stage import check_filters
 from mapperd.mapping import SonarMap
 from mapperd.stepping import Stepping
+from mapperd.stream.map_rounds import MapRounds
 from mapperd.telemetry.telemetry import Telemetry
 
 ANY = (None, None)
@@ -141,6 +142,7 @@ def test_published_defaults_load() -> None:
 
 
 def test_every_live_setting_has_a_follower() -> None:
-    followed = (*Stepping.FOLLOWS, *Telemetry.FOLLOWS, *MapFolder.FOLLOWS, "visualization")
+    followed = (*Stepping.FOLLOWS, *Telemetry.FOLLOWS, *MapFolder.FOLLOWS, *MapRounds.FOLLOWS)
+    followed += ("visualization",)
     live = [name for name, one in parameters().items() if one.dynamic]
     assert [name for name in live if not name.startswith(followed)] == []
