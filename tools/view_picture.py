@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parent.parent
 WIDTH, HEIGHT = 1280, 800
-MAPPED = 330
-"""Pings until the picture is taken: the vehicle is on its way back along the wall."""
+MAPPED = 200
+"""Pings until the picture is taken: the vehicle has turned, and most of the map is there."""
 
 CAMERA_M = (-7.6, -11.0, 2.5)
 TOWARDS_M = (0.9, -2.2, -5.6)

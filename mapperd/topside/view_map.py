@@ -1,7 +1,7 @@
 """The map in the browser: a node of the scene for each chunk that shows something."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -237,6 +237,12 @@ class MapView:
         vertices, faces = cube()
         upright = np.zeros((len(at), 4), np.float32)
         upright[:, 0] = 1
+        drawn: Any = self._scene.get_handle_by_name(name)
+        if hasattr(drawn, "batched_positions"):  # one made anew is not seen for a while
+            drawn.batched_positions, drawn.batched_wxyzs = at, upright
+            drawn.batched_colors = linear(colours)
+            drawn.scale, drawn.position = cell_m, middle_m
+            return CUBE_BYTES * len(at)
         self._scene.add_batched_meshes_simple(
             name,
             vertices,
