@@ -322,6 +322,7 @@ ORDER = (
     "topside.view_voxels",
     "topside.view_colours",
     "topside.view_shapes",
+    "topside.view_nodes",
     "topside.view_measure",
     "topside.view_settings",
     "topside.view_health",

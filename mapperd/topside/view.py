@@ -204,8 +204,10 @@ class View:
             sent = 0
             while self.map.stale and sent < MOST_BYTES:
                 left = MOST_BYTES - sent
-                sent += self.map.draw(mirror, self._vehicle_m, now_ns, left, AT_ONCE)
+                with self._server.atomic():  # a chunk's places and colours arrive together
+                    sent += self.map.draw(mirror, self._vehicle_m, now_ns, left, AT_ONCE)
                 await asyncio.sleep(0)
+            self.map.tidy()
             if sent:
                 self._measure_map()
 

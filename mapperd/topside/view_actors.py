@@ -1,15 +1,19 @@
 """What moves on the map: the vehicle, its path and fan, returns, robots, localization."""
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapperd.stream.messages import Fan, Localization, Path, Pose, Returns, Robots
+from mapperd.topside.view_nodes import Nodes
 from mapperd.topside.view_shapes import ellipse, fan_lines, strip, vehicle_parts
 
 if TYPE_CHECKING:
-    from viser import SceneApi, SceneNodeHandle
+    from collections.abc import Callable
+
+    from viser import SceneApi
 
 __all__ = ["Actors"]
 
@@ -65,7 +69,7 @@ class Actors:
         self._path_told = 0
         self._pieces = 0
         self._robots: set[str] = set()
-        self._belief: list[SceneNodeHandle] = []
+        self._nodes = Nodes()
 
     def pose(self, pose: Pose) -> None:
         """The vehicle is there now."""
@@ -75,7 +79,7 @@ class Actors:
         self._sonar.wxyz, self._sonar.position = (w, x, y, z), pose.sonar_position_m
         self._vehicle.visible = self._sonar.visible = True
         if pose.covariance is None:
-            self._scene.remove_by_name("/localization/pose")
+            self._nodes.remove("/localization/pose")
         else:
             plane = np.array(pose.covariance).reshape(6, 6)[:2, :2]
             self._ellipse("/localization/pose", plane, pose.position_m)
@@ -104,9 +108,7 @@ class Actors:
 
     def fan(self, fan: Fan) -> None:
         """The sonar looks at this."""
-        self._scene.add_line_segments(
-            "/sonar/fan", fan_lines(fan), FAN, thickness=1.5, thickness_units="screen"
-        )
+        self._nodes.put("/sonar/fan", self._lines(FAN, 1.5), points=fan_lines(fan))
 
     def path(self, points: NDArray[np.float32], first: int) -> int:
         """The vehicle came this way, (N, 3) metres; returns the bytes that were sent.
@@ -123,9 +125,7 @@ class Actors:
         ):
             part = points[piece * PATH_PIECE : (piece + 1) * PATH_PIECE + 1]
             if len(part) > 1:
-                self._scene.add_line_segments(
-                    f"/path/{piece}", strip(part), PATH, thickness=2.5, thickness_units="screen"
-                )
+                self._nodes.put(f"/path/{piece}", self._lines(PATH, 2.5), points=strip(part))
                 sent += 24 * (len(part) - 1)
                 self._pieces = max(self._pieces, piece + 1)
         self._path_told = len(points)
@@ -135,17 +135,13 @@ class Actors:
         """What the last ping met."""
         points = np.frombuffer(returns.points, "<f4").reshape(-1, 3)
         if len(points) == 0 or returns.sonar_position_m is None:
-            self._scene.remove_by_name("/returns/last")
+            self._nodes.remove("/returns/last")
             return
         x, y, z, w = returns.sonar_orientation_xyzw or (0.0, 0.0, 0.0, 1.0)
-        self._scene.add_point_cloud(
+        self._nodes.put(
             "/returns/last",
-            points,
-            RETURNS,
-            point_size=0.09,
-            point_shape="circle",
-            point_shading="flat",
-            precision="float32",
+            self._dots(RETURNS, 0.09),
+            points=points,
             wxyz=(w, x, y, z),
             position=returns.sonar_position_m,
         )
@@ -158,44 +154,42 @@ class Actors:
         for number, (stamp_ns, x, y, z) in enumerate(newest):
             name = f"/robots/{number}"
             shown |= {name, f"{name}_label"}
-            self._scene.add_icosphere(
-                name, radius=0.2, color=ROBOT, position=(x, y, z), cast_shadow=False
+            self._nodes.put(
+                name,
+                partial(self._scene.add_icosphere, radius=0.2, color=ROBOT, cast_shadow=False),
+                position=(x, y, z),
             )
             age_s = (last_ns - stamp_ns) / 1e9
-            self._scene.add_label(
+            self._nodes.put(
                 f"{name}_label",
-                f"robot {age_s:.0f} s before" if age_s else "robot",
+                partial(self._scene.add_label, anchor="bottom-center"),
+                text=f"robot {age_s:.0f} s before" if age_s else "robot",
                 position=(x, y, z + 0.35),
-                anchor="bottom-center",
             )
         for name in self._robots - shown:
-            self._scene.remove_by_name(name)
+            self._nodes.remove(name)
         self._robots = shown
 
     def localization(self, told: Localization, z_m: float) -> None:
         """Particles, the last scan, and the ellipse of two standard deviations, at a height."""
-        self._forget_belief()
         particles = np.frombuffer(told.particles, "<f4").reshape(-1, 4)[:MOST_PARTICLES]
-        if len(particles):
-            flat = np.column_stack([particles[:, :2], np.full(len(particles), z_m)])
-            self._belief.append(self._dots("/localization/particles", flat, PARTICLES, 0.05))
+        flat = np.column_stack([particles[:, :2], np.full(len(particles), z_m, np.float32)])
+        self._cloud("/localization/particles", flat, self._dots(PARTICLES, 0.05))
         scan = np.frombuffer(told.scan, "<f4").reshape(-1, 3)
-        if len(scan):
-            self._belief.append(self._dots("/localization/scan", scan, SCAN, 0.1))
+        self._cloud("/localization/scan", scan, self._dots(SCAN, 0.1))
         pose: Any = told.report.get("pose")
         if isinstance(pose, dict) and pose.get("covariance"):
             at = (float(pose["x_m"]), float(pose["y_m"]), z_m)
-            plane = np.array(pose["covariance"])[:2, :2]
-            self._belief.append(self._ellipse("/localization/best", plane, at))
+            self._ellipse("/localization/best", np.array(pose["covariance"])[:2, :2], at)
+        else:
+            self._nodes.remove("/localization/best")
 
     def forget(self) -> None:
         """Nothing of it is so any more."""
         self._vehicle.visible = self._sonar.visible = False
-        self._forget_path()
-        self._forget_belief()
-        self._scene.remove_by_name("/localization/pose")
-        self.robots(Robots(seen=[]))
-        self._scene.remove_by_name("/returns/last")
+        self._nodes.clear()
+        self._robots = set()
+        self._path_told = self._pieces = 0
 
     def show(self, name: str, *, shown: bool) -> None:
         """Show or hide one kind: one of `LAYERS`, or `sonar/fan`."""
@@ -203,37 +197,35 @@ class Actors:
         if node is not None:
             node.visible = shown
 
-    def _dots(
-        self, name: str, points: ArrayLike, colour: tuple[int, int, int], size_m: float
-    ) -> "SceneNodeHandle":
-        return self._scene.add_point_cloud(
-            name,
-            np.asarray(points, np.float32),
-            colour,
+    def _lines(self, colour: tuple[int, int, int], thickness: float) -> "Callable[..., object]":
+        return partial(
+            self._scene.add_line_segments,
+            colors=colour,
+            thickness=thickness,
+            thickness_units="screen",
+        )
+
+    def _dots(self, colour: tuple[int, int, int], size_m: float) -> "Callable[..., object]":
+        return partial(
+            self._scene.add_point_cloud,
+            colors=colour,
             point_size=size_m,
             point_shape="circle",
             point_shading="flat",
             precision="float32",
         )
 
-    def _ellipse(
-        self, name: str, plane: ArrayLike, position: tuple[float, float, float]
-    ) -> "SceneNodeHandle":
-        return self._scene.add_line_segments(
-            name,
-            ellipse(plane, SIGMAS),
-            ELLIPSE,
-            thickness=3.0,
-            thickness_units="screen",
-            position=position,
-        )
+    def _cloud(self, name: str, points: NDArray[np.float32], make: "Callable[..., object]") -> None:
+        if len(points):
+            self._nodes.put(name, make, points=points)
+        else:
+            self._nodes.remove(name)
+
+    def _ellipse(self, name: str, plane: ArrayLike, at_m: tuple[float, float, float]) -> None:
+        lines = ellipse(plane, SIGMAS)
+        self._nodes.put(name, self._lines(ELLIPSE, 3.0), points=lines, position=at_m)
 
     def _forget_path(self) -> None:
         for piece in range(self._pieces):
-            self._scene.remove_by_name(f"/path/{piece}")
+            self._nodes.remove(f"/path/{piece}")
         self._path_told = self._pieces = 0
-
-    def _forget_belief(self) -> None:
-        for node in self._belief:
-            node.remove()
-        self._belief.clear()

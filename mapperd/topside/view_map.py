@@ -1,7 +1,8 @@
 """The map in the browser: a node of the scene for each chunk that shows something."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from functools import partial
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from mapperd.client.mirror import MapMirror
 from mapperd.topside.view_chunks import Chunk, Chunks
 from mapperd.topside.view_colours import Scale, colours_of, linear, shaded, values_of
+from mapperd.topside.view_nodes import Nodes
 from mapperd.topside.view_shapes import cube
 from mapperd.topside.view_voxels import Drawn, Filter, coarser, drawn_of
 
@@ -70,13 +72,25 @@ class MapView:
     def __init__(self, scene: "SceneApi", look: Look, most_nodes: int = MOST_NODES) -> None:
         self.look = look
         self.sent_bytes = 0
-        self._scene = scene
+        self._nodes = Nodes()
         self._chunks = Chunks(most_nodes)
         self._drawn: dict[Chunk, Drawn] = {}
         self._fine: dict[Chunk, int] = {}
         self._factor: dict[Chunk, int] = {}
         self._many = False
         self._cubes = look.shape != "points"
+        self._points_of = partial(
+            scene.add_point_cloud, point_size=POINT_RADIUS, point_shading="flat"
+        )
+        vertices, faces = cube()
+        self._cubes_of = partial(
+            scene.add_batched_meshes_simple,
+            vertices=vertices,
+            faces=faces,
+            lod="off",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
 
     @property
     def stale(self) -> int:
@@ -111,6 +125,7 @@ class MapView:
     def forget(self) -> None:
         """There is no map any more."""
         self._chunks.forget()
+        self._nodes.clear()
         self._clear()
 
     def touch(self, keys: ArrayLike) -> None:
@@ -170,10 +185,15 @@ class MapView:
             sent += self._show(chunk, coarser(drawn, factor), now_ns)
         if self._chunks.crowded:
             self._chunks.grow()
+            self._nodes.replace_all()
             self._clear()
         self._choose_shape()
         self.sent_bytes += sent
         return sent
+
+    def tidy(self) -> None:
+        """Remove what browsers no longer need; after each round of `draw`."""
+        self._nodes.look(complete=self.stale == 0)
 
     def _away_m(
         self, chunks: NDArray[np.int64], near_m: ArrayLike, cell_m: float
@@ -200,71 +220,64 @@ class MapView:
 
     def _show(self, chunk: Chunk, drawn: Drawn, now_ns: int) -> int:
         self._chunks.shows(chunk, something=len(drawn) > 0)
-        name = _name(chunk)
         if len(drawn) == 0:
             self._fine.pop(chunk, None)
-            if self._drawn.pop(chunk, None) is not None:
-                self._scene.remove_by_name(name)
+            self._drawn.pop(chunk, None)
+            self._nodes.remove(self._name(chunk, cubes=True))
+            self._nodes.remove(self._name(chunk, cubes=False))
             return 0
         self._drawn[chunk] = drawn
         colours = colours_of(values_of(drawn, self.look.scale.mode, now_ns), self.look.scale)
         half = self._chunks.edge / self._factor[chunk] / 2
         at = drawn.local + np.float32(0.5 - half)
         middle_m = drawn.origin_m + half * drawn.cell_m
+        name = self._name(chunk, cubes=self._cubes)
         if self._cubes:
-            return self._show_cubes(name, at, colours, middle_m, drawn.cell_m)
-        if self.look.shading:
-            colours = shaded(colours, drawn.normals)
-        self._scene.add_point_cloud(
-            name,
-            at,
-            colours,
-            point_size=POINT_RADIUS,
-            point_shading="flat",
-            scale=drawn.cell_m,
-            position=middle_m,
-        )
-        return POINT_BYTES * len(drawn)
+            self._put_cubes(name, at, colours, middle_m, drawn.cell_m)
+        else:
+            if self.look.shading:
+                colours = shaded(colours, drawn.normals)
+            self._nodes.put(
+                name,
+                self._points_of,
+                points=at,
+                colors=colours,
+                scale=drawn.cell_m,
+                position=middle_m,
+            )
+        self._nodes.replace(self._name(chunk, cubes=not self._cubes))
+        return (CUBE_BYTES if self._cubes else POINT_BYTES) * len(drawn)
 
-    def _show_cubes(
+    def _put_cubes(
         self,
         name: str,
         at: NDArray[np.float32],
         colours: NDArray[np.uint8],
         middle_m: NDArray[np.float64],
         cell_m: float,
-    ) -> int:
-        vertices, faces = cube()
+    ) -> None:
         upright = np.zeros((len(at), 4), np.float32)
         upright[:, 0] = 1
-        drawn: Any = self._scene.get_handle_by_name(name)
-        if hasattr(drawn, "batched_positions"):  # one made anew is not seen for a while
-            drawn.batched_positions, drawn.batched_wxyzs = at, upright
-            drawn.batched_colors = linear(colours)
-            drawn.scale, drawn.position = cell_m, middle_m
-            return CUBE_BYTES * len(at)
-        self._scene.add_batched_meshes_simple(
+        mixed = linear(colours)
+        if name in self._nodes:  # else viser keeps back colours that are the same as before, and
+            # a browser that comes late is told them before the places, of which it needs as many
+            self._nodes.put(name, self._cubes_of, batched_colors=mixed[0])
+        self._nodes.put(
             name,
-            vertices,
-            faces,
-            upright,
-            at,
-            batched_colors=linear(colours),
-            lod="off",
-            cast_shadow=False,
-            receive_shadow=False,
+            self._cubes_of,
+            batched_positions=at,
+            batched_wxyzs=upright,
+            batched_colors=mixed,
             scale=cell_m,
             position=middle_m,
         )
-        return CUBE_BYTES * len(at)
 
     def _clear(self) -> None:
-        for chunk in self._drawn:
-            self._scene.remove_by_name(_name(chunk))
         self._drawn.clear()
         self._fine.clear()
         self._factor.clear()
 
-
-def _name(chunk: Chunk) -> str:
-    return "/map/{}_{}_{}".format(*chunk)
+    def _name(self, chunk: Chunk, *, cubes: bool) -> str:
+        """Of one kind and size: they are in sight together while one replaces the other."""
+        kind = "cubes" if cubes else "points"
+        return "/map/{}_{}/{}_{}_{}".format(kind, self._chunks.edge, *chunk)

@@ -76,17 +76,21 @@ class Tools:
             picture = gui.add_button("Screenshot", hint="The map as a PNG")
         browser = self._browsers[client.client_id] = _Browser(client, chosen, said)
         chosen.on_click(
-            lambda _: self._post(lambda: self._camera(client, cast("CameraMode", chosen.value)))
+            lambda _: self._post(lambda: self._choose(browser, cast("CameraMode", chosen.value)))
         )
         measure.on_update(
             lambda event: self._post(lambda: self._measure(browser, event.target.value))
         )
         picture.on_click(lambda _: self._take_picture(client))
-        self._camera(client, mode)
+        self._choose(browser, mode)
 
     def forget(self, client_id: int) -> None:
         """A browser went."""
         self._browsers.pop(client_id, None)
+
+    def _choose(self, browser: _Browser, mode: CameraMode) -> None:
+        browser.mode.label = f"Camera: {mode}"  # its buttons all look the same
+        self._camera(browser.client, mode)
 
     def _measure(self, browser: _Browser, on: bool) -> None:  # noqa: FBT001 of a checkbox
         scene = browser.client.scene

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mapperd.client import LinkChanged, MapClient
-from mapperd.stream.messages import Path, Robots
+from mapperd.stream.messages import Fan, Localization, Path, Returns, Robots
 from mapperd.topside.view import View
 from mapperd.topside.view_actors import PATH_PIECE, Actors
 from mapperd.topside.view_page import open_page
@@ -53,6 +53,50 @@ def test_an_ellipse_goes_with_the_covariance(server: "ViserServer") -> None:
     actors.pose(sure)
     assert server.scene.get_handle_by_name("/localization/pose") is None
     actors.pose(sure)
+
+
+def test_what_moves_is_moved_and_not_made_anew(server: "ViserServer") -> None:
+    actors = Actors(server.scene)
+    names = ["localization/pose", "localization/particles", "localization/scan", "sonar/fan"]
+    names += ["returns/last", "robots/0", "robots/0_label", "path/0"]
+
+    def tell(step: int) -> dict[str, Any]:
+        pose = pose_at(step, 2, -4, 0.0)
+        plane = tuple((np.eye(6) * (1 + step)).ravel().tolist())
+        actors.pose(msgspec.structs.replace(pose, covariance=plane))
+        points = np.full((3 + step, 4), step, "<f4")
+        flat = np.ascontiguousarray(points[:, :3]).tobytes()
+        told = Localization(report={}, particles=points.tobytes(), scan=flat)
+        actors.localization(told, -4.0)
+        reach_m = 5.0 + step
+        fan = Fan(
+            bearings_rad=(-1.0, 1.0),
+            vertical_aperture_rad=0.2,
+            min_range_m=0.1,
+            max_range_m=reach_m,
+        )
+        actors.fan(fan)
+        at, turn = pose.sonar_position_m, pose.sonar_orientation_xyzw
+        met = Returns(
+            stamp_ns=1, ping_id=1, sonar_position_m=at, sonar_orientation_xyzw=turn, points=flat
+        )
+        actors.returns(met)
+        actors.robots(Robots(seen=[(1, float(step), 0.0, -4.0)]))
+        actors.path(way(5 + step, 1.0), 5)
+        return {name: server.scene.get_handle_by_name(f"/{name}") for name in names}
+
+    first, second = tell(0), tell(1)
+    for name in names:
+        assert first[name] is second[name], name
+    np.testing.assert_array_equal(second["localization/pose"].position, (1, 2, -4))
+    assert np.abs(second["localization/pose"].points).max() == pytest.approx(2 * 2**0.5)
+    assert [len(second[name].points) for name in names[1:3]] == [4, 4]
+    assert np.abs(second["sonar/fan"].points).max() == pytest.approx(6.0, rel=0.01)
+    np.testing.assert_array_equal(second["returns/last"].position, (1, 2, -4))
+    np.testing.assert_array_equal(second["robots/0"].position, (1, 0, -4))
+    np.testing.assert_array_equal(second["path/0"].points, strip(way(6, 1.0)))
+    actors.localization(Localization(report={}, particles=b"", scan=b""), -4.0)
+    assert server.scene.get_handle_by_name("/localization/particles") is None
 
 
 def test_what_a_daemon_told_goes_with_it(server: "ViserServer") -> None:

@@ -9,6 +9,7 @@ from mapperd.stream.blocks import CELLS, UNKNOWN, BlockSet
 from mapperd.topside.view_chunks import Chunks
 from mapperd.topside.view_colours import Scale
 from mapperd.topside.view_map import POINT_BYTES, Look, MapView
+from mapperd.topside.view_nodes import STAY
 from mapperd.topside.view_voxels import Filter, drawn_of, points_m
 from tests.mapperd.topside.view_fakes import blocks_of, mirror_of
 
@@ -18,35 +19,81 @@ NOWHERE = (0.0, 0.0, 0.0)
 
 
 class FakeScene:
-    """Nodes of the scene by name, and what was sent."""
+    """Nodes of the scene by name, and what was sent.
+
+    Attributes:
+        nodes: properties.
+        sent: names of chunks that were told, in order.
+        removed: nodes, in order.
+        made: nodes, in order.
+    """
 
     def __init__(self) -> None:
         self.nodes: dict[str, dict[str, Any]] = {}
         self.sent: list[str] = []
+        self.removed: list[str] = []
+        self.made: list[str] = []
 
-    def add_point_cloud(self, name: str, points: Any, colors: Any, **more: Any) -> None:
-        self.nodes[name] = {"points": points, "colors": colors, "kind": "points", **more}
-        self.sent.append(name)
+    def add_point_cloud(self, name: str, **properties: Any) -> "FakeNode":
+        return self._add(name, {"kind": "points", **properties})
 
-    def add_batched_meshes_simple(self, name: str, *_: Any, **more: Any) -> None:
-        self.nodes[name] = {"kind": "cubes", "points": _[3], **more}
-        self.sent.append(name)
+    def add_batched_meshes_simple(self, name: str, **properties: Any) -> "FakeNode":
+        return self._add(name, {"kind": "cubes", **properties})
 
-    def remove_by_name(self, name: str) -> None:
-        del self.nodes[name]
+    def _add(self, name: str, properties: dict[str, Any]) -> "FakeNode":
+        assert name not in self.nodes, "it would not be seen until it is drawn"
+        self.nodes[name] = properties
+        self.sent.append(chunk_of(name))
+        self.made.append(name)
+        return FakeNode(self, name)
+
+    def kinds(self) -> set[str]:
+        return {node["kind"] for node in self.nodes.values()}
+
+    def points(self, chunk: str) -> np.ndarray[Any, Any]:
+        (node,) = (node for name, node in self.nodes.items() if chunk_of(name) == chunk)
+        return np.asarray(node.get("points", node.get("batched_positions")), float)
 
     def centres(self) -> np.ndarray[Any, Any]:
         """Of all cells that a browser shows, sorted."""
         told = [
-            np.asarray(node["points"], np.float16).astype(float) * node["scale"] + node["position"]
+            np.asarray(node[key], np.float16).astype(float) * node["scale"] + node["position"]
             for node in self.nodes.values()
+            for key in ("points", "batched_positions")
+            if key in node
         ]
         return np.asarray(np.unique(np.round(np.concatenate(told), 6), axis=0))
+
+
+class FakeNode:
+    """One of them, as viser gives it."""
+
+    def __init__(self, scene: FakeScene, name: str) -> None:
+        object.__setattr__(self, "_scene", scene)
+        object.__setattr__(self, "_name", name)
+
+    def __setattr__(self, key: str, value: Any) -> None:
+        scene: FakeScene = self._scene
+        node = scene.nodes[self._name]  # of one that is removed viser refuses it
+        assert key in node, "nobody would draw it"
+        node[key] = value
+        if not scene.sent or scene.sent[-1] != chunk_of(self._name):
+            scene.sent.append(chunk_of(self._name))
+
+    def remove(self) -> None:
+        del self._scene.nodes[self._name]
+        self._scene.removed.append(self._name)
+
+
+def chunk_of(name: str) -> str:
+    return name.rsplit("/", 1)[1]
 
 
 def draw_all(view: MapView, mirror: Any, near: tuple[float, float, float] = NOWHERE) -> None:
     while view.stale:
         view.draw(mirror, near, 0, 10**9, 1000)
+    for _ in range(STAY + 1):
+        view.tidy()
 
 
 def cube_of(low: int, high: int) -> np.ndarray[Any, Any]:
@@ -90,13 +137,13 @@ def test_only_chunks_that_changed_are_sent_again() -> None:
     view = MapView(scene, POINTS)  # type: ignore[arg-type]
     view.touch(mirror.keys())
     draw_all(view, mirror)
-    assert sorted(scene.sent) == ["/map/0_0_0", "/map/1_0_0", "/map/2_0_0"]
+    assert sorted(scene.sent) == ["0_0_0", "1_0_0", "2_0_0"]
     scene.sent.clear()
     changed = blocks_of([[44, 4, 4], [45, 4, 4]])
     mirror.put(changed, 0)
     view.touch(changed.keys)
     draw_all(view, mirror)
-    assert scene.sent == ["/map/1_0_0"]
+    assert scene.sent == ["1_0_0"]
 
 
 def test_a_neighbour_that_is_laid_bare_is_sent_too() -> None:
@@ -109,7 +156,7 @@ def test_a_neighbour_that_is_laid_bare_is_sent_too() -> None:
     scene.sent.clear()
     view.touch([[4, 0, 0]])  # the block of cells 32 to 39, at the border of its chunk
     draw_all(view, mirror)
-    assert sorted(scene.sent) == ["/map/0_0_0", "/map/1_0_0"]
+    assert sorted(scene.sent) == ["0_0_0", "1_0_0"]
 
 
 def test_what_is_forgotten_goes_from_the_page() -> None:
@@ -122,7 +169,7 @@ def test_what_is_forgotten_goes_from_the_page() -> None:
     mirror.put(BlockSet(np.array([[5, 0, 0]], np.int32), np.zeros(1, np.uint32), gone), 0)
     view.touch([[5, 0, 0]])
     draw_all(view, mirror)
-    assert list(scene.nodes) == ["/map/0_0_0"]
+    assert [chunk_of(name) for name in scene.nodes] == ["0_0_0"]
     view.forget()
     assert scene.nodes == {}
     assert view.stale == 0
@@ -134,7 +181,7 @@ def test_near_chunks_are_sent_first_and_within_the_budget() -> None:
     view = MapView(scene, POINTS)  # type: ignore[arg-type]
     view.touch(mirror.keys())
     sent = view.draw(mirror, (32.0, 0.4, 0.4), 0, 2 * POINT_BYTES - 1, 1000)
-    assert scene.sent == ["/map/9_0_0", "/map/8_0_0"]
+    assert scene.sent == ["9_0_0", "8_0_0"]
     assert sent == 2 * POINT_BYTES
     assert view.stale == 8
     draw_all(view, mirror)
@@ -173,14 +220,14 @@ def test_many_cells_are_points_and_few_are_cubes(monkeypatch: pytest.MonkeyPatch
     view = MapView(scene, Look(Filter(), HEIGHTS))  # type: ignore[arg-type]
     view.touch(mirror.keys())
     draw_all(view, mirror)
-    assert {node["kind"] for node in scene.nodes.values()} == {"cubes"}
+    assert scene.kinds() == {"cubes"}
     mirror.put(blocks_of([[x, 0, 0] for x in range(90, 120)]), 0)
     view.touch(mirror.keys())
     draw_all(view, mirror)
-    assert {node["kind"] for node in scene.nodes.values()} == {"points"}
+    assert scene.kinds() == {"points"}
     view.change(Look(Filter(high_m=np.inf, low_m=-1.0), HEIGHTS, "cubes"))
     draw_all(view, mirror)
-    assert {node["kind"] for node in scene.nodes.values()} == {"cubes"}
+    assert scene.kinds() == {"cubes"}
 
 
 def test_of_many_cells_far_ones_are_drawn_in_larger_cubes(
@@ -199,12 +246,71 @@ def test_of_many_cells_far_ones_are_drawn_in_larger_cubes(
     scene.sent.clear()
     view.refine(NOWHERE, mirror.cell_m)
     draw_all(view, mirror)
-    told = {name: len(scene.nodes[name]["points"]) for name in scene.nodes}
-    assert told == {f"/map/{10 * k}_0_0": 16 if k == 0 else 4 if k == 1 else 1 for k in range(8)}
-    far = scene.nodes["/map/70_0_0"]
+    told = {chunk_of(name): len(node["points"]) for name, node in scene.nodes.items()}
+    assert told == {f"{10 * k}_0_0": 16 if k == 0 else 4 if k == 1 else 1 for k in range(8)}
+    (far,) = (node for name, node in scene.nodes.items() if chunk_of(name) == "70_0_0")
     centre = np.asarray(far["points"], float) * far["scale"] + far["position"]
     np.testing.assert_allclose(centre, [[224.2, 0.2, 0.6]], atol=1e-4)
     view.refine((224.0, 0.0, 0.0), mirror.cell_m)
     draw_all(view, mirror, (224.0, 0.0, 0.0))
-    assert len(scene.nodes["/map/70_0_0"]["points"]) == 16
-    assert len(scene.nodes["/map/0_0_0"]["points"]) == 1
+    assert len(scene.points("70_0_0")) == 16
+    assert len(scene.points("0_0_0")) == 1
+
+
+@pytest.mark.parametrize("shape", ["points", "cubes"])
+def test_a_map_that_grows_changes_its_nodes_in_place(shape: Any) -> None:
+    scene = FakeScene()
+    mirror = mirror_of(blocks_of([[x, 4, 4] for x in range(10)]))
+    view = MapView(scene, Look(Filter(), HEIGHTS, shape))  # type: ignore[arg-type]
+    for length in (10, 12, 11, 30):
+        mirror.put(blocks_of([[x, 4, 4] for x in range(length)]), 0)
+        view.touch(mirror.keys())
+        draw_all(view, mirror)
+        assert len(scene.centres()) == length
+        (node,) = scene.nodes.values()
+        assert len(node["colors" if shape == "points" else "batched_colors"]) == length
+    assert (len(scene.made), scene.removed) == (1, [])
+
+
+def test_cubes_stay_until_the_points_in_their_place_are_drawn() -> None:
+    scene = FakeScene()
+    mirror = mirror_of(blocks_of([[4, 4, 4], [44, 4, 4]]))
+    view = MapView(scene, Look(Filter(), HEIGHTS, "cubes"))  # type: ignore[arg-type]
+    view.touch(mirror.keys())
+    draw_all(view, mirror)
+    view.change(POINTS)
+    view.draw(mirror, NOWHERE, 0, 10**9, 1000)
+    for _ in range(STAY - 1):
+        view.tidy()
+        assert (scene.kinds(), len(scene.nodes)) == ({"cubes", "points"}, 4)
+    view.change(Look(Filter(), HEIGHTS, "cubes"))  # and back: those that are to go are there yet
+    made = len(scene.made)
+    draw_all(view, mirror)
+    assert (scene.kinds(), len(scene.made)) == ({"cubes"}, made)
+    view.change(POINTS)
+    view.draw(mirror, NOWHERE, 0, 10**9, 1000)
+    view.forget()
+    assert scene.nodes == {}
+
+
+def test_small_chunks_stay_until_all_large_ones_are_drawn() -> None:
+    scene = FakeScene()
+    scattered = np.random.default_rng(1).integers(-300, 300, (100, 3))
+    mirror = mirror_of(blocks_of(scattered))
+    expected = np.unique(np.round((scattered + 0.5) * 0.1, 6), axis=0)
+    view = MapView(scene, POINTS, most_nodes=90)  # type: ignore[arg-type]
+    view.touch(mirror.keys())
+    while len({name.split("/")[2] for name in scene.nodes}) < 2:
+        view.draw(mirror, NOWHERE, 0, 10**9, 8)
+        view.tidy()
+    for _ in range(STAY + 1):
+        view.tidy()
+    seen = len(scene.centres())
+    assert view.stale > 0
+    assert scene.removed == []
+    while view.stale:
+        view.draw(mirror, NOWHERE, 0, 10**9, 8)
+        assert len(scene.centres()) >= seen
+    draw_all(view, mirror)
+    np.testing.assert_allclose(scene.centres(), expected, atol=1e-5)
+    assert len({name.split("/")[2] for name in scene.nodes}) == 1
