@@ -22,6 +22,11 @@ class Nodes:
         """Whether there is one that is not replaced."""
         return name in self._nodes
 
+    @property
+    def leaving(self) -> int:
+        """Nodes that are replaced and are to go."""
+        return len(self._replaced) + len(self._leaving)
+
     def put(self, name: str, make: Callable[..., Any], **properties: object) -> None:
         """Show a node with these properties.
 

@@ -19,12 +19,14 @@ from tests.mapperd.topside.view_pictures import camera_towards, picture_of, quat
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-SIZE = (200, 280)
-FOV = 0.9
 WIDTH, HEIGHT = 1000, 620
 FRAMES = """async () => {
     for (let n = 0; n < 5; n++) await new Promise(done => requestAnimationFrame(done));
 }"""
+
+SIZE = (200, 320)
+FROM = np.array([-0.32, -0.5, 0.35])
+"""A camera's way from the middle of the map, by the map's size."""
 
 SAME_COLOUR = 24
 """Of 255: at edges the browser mixes neighbours."""
@@ -64,22 +66,29 @@ def press(page: "Page", name: str, role: Any = "button") -> None:
     page.get_by_role(role, name=name, exact=True).first.click(force=True)
 
 
-def test_the_picture_is_that_of_the_map(serving: Serving, page: "Page") -> None:
+def draw_points(serving: Serving, page: "Page") -> None:
+    """Without shading; cubes take a computer without a graphics card seconds."""
     panel, view = serving.view._panel, serving.view
     serving.do(lambda: setattr(panel._handles.shape, "value", "points"))
     serving.do(lambda: setattr(panel._handles.shading, "value", False))
     serving.do(view._look_changed)
-    serving.until(lambda: not view.map.stale, page)
+    serving.until(lambda: not view.map.stale and not view.map._nodes.leaving, page)
+
+
+def test_the_picture_is_that_of_the_map(serving: Serving, page: "Page") -> None:
+    draw_points(serving, page)
+    panel = serving.view._panel
     cells = mirror_of(some_map()).cells("occupied")
     low, high = cells.centres_m.min(axis=0), cells.centres_m.max(axis=0)
-    at = (low + high) / 2 + np.array([-0.45, -0.7, 0.5]) * np.linalg.norm(high - low)
+    at = (low + high) / 2 + FROM * np.linalg.norm(high - low)
     rotation = camera_towards(at, (low + high) / 2)
     (client,) = serving.server.get_clients().values()
-    theirs = client.get_render(
-        *SIZE,
+    size, fov = (client.camera.image_height, client.camera.image_width), client.camera.fov
+    theirs = client.get_render(  # as large as the window: of that viser sizes points
+        *size,
         wxyz=quaternion_of(rotation),
         position=tuple(at),
-        fov=FOV,
+        fov=fov,
         transport_format="png",
         timeout=60.0,
     )
@@ -89,8 +98,8 @@ def test_the_picture_is_that_of_the_map(serving: Serving, page: "Page") -> None:
         colours_of(cells.centres_m[:, 2], scale),
         at=at,
         rotation=rotation,
-        fov=FOV,
-        size=SIZE,
+        fov=fov,
+        size=size,
         edge_m=2 * POINT_RADIUS * 0.1,
     )
     told = theirs[..., 3] > 127
@@ -98,6 +107,38 @@ def test_the_picture_is_that_of_the_map(serving: Serving, page: "Page") -> None:
     assert (covered & told).sum() / (covered | told).sum() > 0.97
     apart = np.abs(theirs[..., :3].astype(int) - ours)[covered & told].max(axis=1)
     assert (apart <= SAME_COLOUR).mean() > 0.9
+
+
+def seen(serving: Serving, client: Any) -> Any:
+    """What a browser shows of the whole map, (rows, columns, 4)."""
+    low, high = serving.view.map.bounds_m or ((), ())
+    middle = np.add(low, high) / 2
+    at = middle + FROM * np.linalg.norm(np.subtract(high, low))
+    turn = quaternion_of(camera_towards(at, middle))
+    return client.get_render(
+        *SIZE, wxyz=turn, position=tuple(at), transport_format="png", timeout=60.0
+    )
+
+
+def test_a_browser_that_comes_late_sees_what_the_others_see(
+    serving: Serving, page: "Page", browser: "Browser"
+) -> None:
+    draw_points(serving, page)
+    (first,) = serving.server.get_clients().values()
+    late = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
+    late.goto(serving.url)
+    serving.until(lambda: len(serving.server.get_clients()) == 2, late)
+    second = serving.server.get_clients()[max(serving.server.get_clients())]
+    theirs = seen(serving, first)
+    assert (theirs[..., 3] > 127).mean() > 0.1
+    for _ in range(50):
+        ours = seen(serving, second)
+        if (ours == theirs).all():
+            break
+        late.wait_for_timeout(100)
+    np.testing.assert_array_equal(ours, theirs)
+    late.close()
+    serving.until(lambda: len(serving.server.get_clients()) == 1, page)
 
 
 def test_a_setting_arrives_at_the_daemon_and_a_refusal_is_shown(

@@ -23,9 +23,10 @@ class FakeScene:
 
     Attributes:
         nodes: properties.
-        sent: names of chunks that were told, in order.
+        sent: names of chunks that were drawn, in order.
         removed: nodes, in order.
         made: nodes, in order.
+        told: properties that were changed, in order.
     """
 
     def __init__(self) -> None:
@@ -33,6 +34,7 @@ class FakeScene:
         self.sent: list[str] = []
         self.removed: list[str] = []
         self.made: list[str] = []
+        self.told: list[str] = []
 
     def add_point_cloud(self, name: str, **properties: Any) -> "FakeNode":
         return self._add(name, {"kind": "points", **properties})
@@ -68,17 +70,22 @@ class FakeScene:
 class FakeNode:
     """One of them, as viser gives it."""
 
+    _scene: FakeScene
+    _name: str
+
     def __init__(self, scene: FakeScene, name: str) -> None:
         object.__setattr__(self, "_scene", scene)
         object.__setattr__(self, "_name", name)
 
     def __setattr__(self, key: str, value: Any) -> None:
-        scene: FakeScene = self._scene
+        scene = self._scene
         node = scene.nodes[self._name]  # of one that is removed viser refuses it
         assert key in node, "nobody would draw it"
-        node[key] = value
         if not scene.sent or scene.sent[-1] != chunk_of(self._name):
             scene.sent.append(chunk_of(self._name))
+        if not np.array_equal(node[key], value):  # browsers are not told what is as it was
+            node[key] = value
+            scene.told.append(key)
 
     def remove(self) -> None:
         del self._scene.nodes[self._name]
@@ -270,6 +277,18 @@ def test_a_map_that_grows_changes_its_nodes_in_place(shape: Any) -> None:
         (node,) = scene.nodes.values()
         assert len(node["colors" if shape == "points" else "batched_colors"]) == length
     assert (len(scene.made), scene.removed) == (1, [])
+
+
+def test_colours_are_told_after_the_places_even_if_they_are_the_same() -> None:
+    """Browsers colour cubes when they are told colours, and need as many places then."""
+    scene = FakeScene()
+    view = MapView(scene, Look(Filter(), HEIGHTS, "cubes"))  # type: ignore[arg-type]
+    for x in (1, 2):
+        mirror = mirror_of(blocks_of([[0, 4, 4], [x, 4, 4]]))
+        view.touch(mirror.keys())
+        draw_all(view, mirror)
+    assert "batched_positions" in scene.told
+    assert scene.told[-1] == "batched_colors"
 
 
 def test_cubes_stay_until_the_points_in_their_place_are_drawn() -> None:
