@@ -1,0 +1,1 @@
+"""What accuracy costs in time: each knob turned on fixed dives whose truth is known."""

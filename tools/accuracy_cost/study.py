@@ -1,0 +1,115 @@
+"""What a study is: knobs, the settings they are turned to, and what is measured at each."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+__all__ = ["Column", "Dive", "Knob", "Setting", "Study", "Task", "Value"]
+
+Value = bool | int | float | str
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One position of a knob, or a whole configuration.
+
+    Attributes:
+        label: in plots and tables.
+        overrides: what differs from the defaults, by dotted name; empty is the defaults. Equal
+            overrides are measured once, whatever knob asks for them.
+    """
+
+    label: str
+    overrides: Mapping[str, Value]
+
+    @property
+    def key(self) -> str:
+        """The overrides as one text, in the order of their names."""
+        return " ".join(f"{name}={value}" for name, value in sorted(self.overrides.items()))
+
+
+@dataclass(frozen=True, slots=True)
+class Knob:
+    """What is turned, everything else at its default.
+
+    Attributes:
+        name: of the plot's file, such as `voxel-size`.
+        title: heading of the plot.
+        settings: in order; one of them has no overrides and is the default.
+        published: label of the setting that the published system has, if any.
+        margin: how far, as a share of the error, the default may lie behind the front.
+        advice: a sentence for docs/accuracy-cost.md: what turning it buys and costs.
+    """
+
+    name: str
+    title: str
+    settings: Sequence[Setting]
+    published: str | None
+    margin: float
+    advice: str
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A measured figure.
+
+    Attributes:
+        name: in the results' file, with its unit: `surface_p95_m`.
+        title: of its axis, with its unit.
+        better: "less" or "more".
+        repeatable: the same in every run of the same commit; times are not.
+    """
+
+    name: str
+    title: str
+    better: str = "less"
+    repeatable: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Dive:
+    """A dive (or scene, or link) that settings are measured on.
+
+    Attributes:
+        name: in the results' file.
+        seed: of everything random in it.
+        quick: whether the subset of `accuracy-cost check` measures it.
+    """
+
+    name: str
+    seed: int
+    quick: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One measurement: a study's setting on a dive. Picklable; runs in a process of its own."""
+
+    study: str
+    setting: Setting
+    dive: Dive
+
+
+class Study(Protocol):
+    """One of mapping, localization, simulation, stream."""
+
+    name: str
+    knobs: Sequence[Knob]
+    dives: Sequence[Dive]
+    wholes: Sequence[Setting]
+    """Whole configurations, marked in all plots: the published system's, the profiles."""
+    columns: Sequence[Column]
+    error: str
+    """Column on the error axis."""
+    cost: str
+    """Column on the time axis."""
+
+    def prepare(self, dive: Dive, folder: Path) -> None:
+        """Make a dive's files in a folder, once; what is there and whole is kept."""
+
+    def measure(self, setting: Setting, dive: Dive, folder: Path) -> dict[str, float]:
+        """Measure a setting on a prepared dive; returns a figure for each column.
+
+        A figure that does not exist for a setting is NaN (an oracle's error, nothing mapped).
+        """
