@@ -1,0 +1,171 @@
+"""Hard cases of a ping's way into the map: its geometry."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.stability.pings import Look, at, cells, empty, fan, same, wall
+
+QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""A turn by 90 degrees about z, without a rounding."""
+
+
+@pytest.mark.parametrize("kind", [{}, {"error_bound": 0.1}, {"aggregation": "mean"}])
+def test_a_tank_and_an_ocean_of_one_shape_give_the_same_bits(kind: dict[str, object]) -> None:
+    """Voxels of 0.4 mm in a tank and of 100 m at sea are one scene, if all lengths go with them.
+
+    Naively a small number of metres is added somewhere to be safe, and is a fourth of a voxel in
+    the tank, or lost at sea.
+    """
+    usual = Look(**kind)  # type: ignore[arg-type]
+    expected = usual.into(empty(0.1))
+    assert expected.known_count() > 1000
+    for scale in (2.0**-8, 2.0**10):
+        scaled = usual.but(row_m=0.05 * scale, min_range_m=0.3 * scale, pose=usual.pose.copy())
+        scaled.pose[:3, 3] *= scale
+        assert same(scaled.into(empty(0.1 * scale)), expected)
+
+
+def test_a_quarter_turn_of_the_sonar_turns_the_map() -> None:
+    """What a ping says of a voxel does not depend on the way the sonar looks.
+
+    Naively a bearing is taken as atan(y / x), which divides by 0 abeam and knows no astern.
+    """
+    look = Look(pose=at(0.05, 0.05, 0.05))
+    before = cells(look.into(empty()))
+    turned, pose = before, look.pose
+    for _ in range(4):
+        pose = at(0.05, 0.05, 0.05, QUARTER @ pose[:3, :3])
+        turned = {(-y, x, z): value for (x, y, z), value in turned.items()}
+        got = cells(look.but(pose=pose).into(empty()))
+        assert got.keys() == turned.keys()
+        assert max(abs(got[key] - turned[key]) for key in got) < 1e-5
+
+
+def test_a_mirrored_image_gives_a_mirrored_map() -> None:
+    """Port and starboard are alike: a mirrored image makes a mirrored map.
+
+    Naively a beam has the voxels from its bearing to the next one's, and the whole map is half a
+    beam off to one side.
+    """
+    look = Look(pose=at(0.05, 0.05, 0.05))
+    flipped = look.but(image=np.ascontiguousarray(look.image[:, ::-1]))
+    before, after = cells(look.into(empty())), cells(flipped.into(empty()))
+    assert {(x, -y, z) for x, y, z in after} == set(before)
+    assert max(abs(after[x, -y, z] - before[x, y, z]) for x, y, z in before) < 1e-5
+
+
+def test_a_sonar_that_looks_astern_has_no_seam_at_180_degrees() -> None:
+    """A sonar that looks along -x has half of its beams on each side of heading ±180°.
+
+    Naively bearings in the map's frame are compared without a wrap: the beams of one side are a
+    whole turn off, and the map has a gap along -x.
+    """
+    astern = np.diag([-1.0, -1.0, 1.0])
+    ahead = cells(Look(pose=at(0.05, 0.05, 0.05)).into(empty()))
+    behind = cells(Look(pose=at(0.05, 0.05, 0.05, astern)).into(empty()))
+    assert {(-x, -y, z) for x, y, z in ahead} == set(behind)
+    assert max(abs(behind[-x, -y, z] - ahead[x, y, z]) for x, y, z in ahead) < 1e-5
+
+
+def test_a_fan_of_half_a_turn_sees_what_is_abeam() -> None:
+    """Bearings of ±90° are allowed, and their beams look straight to port and starboard.
+
+    Naively a beam's direction is its tangent, which is 1.6e16 at 90° and of the other sign a last
+    bit beyond.
+    """
+    look = Look(image=wall(beams=65), bearings_rad=fan(65, math.pi / 2), pose=at(0.05, 0.05, 0.05))
+    found = cells(look.into(empty()))
+    assert {key for key in found if key[1] == 15 and key[0] in (0, 1)}
+    assert {key for key in found if key[1] == -15 and key[0] in (0, 1)}
+    assert not [key for key in found if key[0] < -2]
+
+
+@pytest.mark.parametrize(("rows", "beams"), [(1, 1), (1, 2), (1, 33), (60, 1), (60, 2)])
+def test_an_image_of_one_row_or_one_beam_is_mapped_or_refused(rows: int, beams: int) -> None:
+    """A beam alone has no neighbour that says how wide it is, a row alone none before it.
+
+    Naively the width is half the distance to the next beam, read from beyond the table's end.
+    """
+    image = np.full((rows, beams), 200, np.float32)
+    bearings = fan(beams) if beams > 1 else np.zeros(1)
+    look = Look(image=image, bearings_rad=bearings, row_m=1.5 if rows == 1 else 0.05)
+    if beams == 1:
+        with pytest.raises(ValueError, match="two beams"):
+            look.into(empty())
+        return
+    log_odds = look.into(empty()).voxels()[1]
+    assert len(log_odds) > 0
+    assert np.isfinite(log_odds).all()
+
+
+def test_beams_that_all_but_coincide_leave_no_hole() -> None:
+    """A table of bearings may hold two beams that differ by the last bit alone.
+
+    Naively the beam between is of width 0, and what is divided by that is infinite.
+    """
+    bearings = fan()
+    bearings[17] = math.nextafter(bearings[16], 1.0)
+    bearings[18] = math.nextafter(bearings[17], 1.0)
+    look = Look(image=np.where(wall() > 0, np.float32(200), np.float32(0)), bearings_rad=bearings)
+    found, usual = cells(look.into(empty())), cells(look.but(bearings_rad=fan()).into(empty()))
+    assert np.isfinite(list(found.values())).all()
+    # Who fills the space does not matter where all beams see the same.
+    assert found.keys() == usual.keys()
+    assert max(abs(found[key] - usual[key]) for key in found) < 1e-3
+
+
+def test_a_range_of_less_than_a_voxel_marks_no_more_than_it_fills() -> None:
+    """A coarse map for a survey, and a sonar held before a wall: the whole fan is in a few voxels.
+
+    Naively each sample marks the voxel it falls into, and 2000 of them make it sure.
+    """
+    look = Look(image=np.full((60, 33), 200, np.float32), row_m=0.01, min_range_m=0.0)
+    voxels = look.into(empty(10.0))
+    assert voxels.known_count() == 0
+    near = look.but(row_m=0.2, aperture_rad=1.0).into(empty(4.0))
+    assert near.voxels()[2].max() == 1
+    assert near.voxels()[1].max() < 3.5
+
+
+@pytest.mark.parametrize("turned_by", [1e-9, 3e-7])
+def test_a_pose_that_drifted_off_its_rotation_maps_as_the_rotation(turned_by: float) -> None:
+    """A rotation that was multiplied a million times is none any more, by some 1e-10 to 1e-7.
+
+    Naively it is refused as none, or its stretch is taken for lengths and the voxels at the end of
+    the range are others.
+    """
+    drifted = np.eye(3) * (1 + turned_by)
+    look = Look(pose=at(0.013, 0.021, -0.034))
+    exact = cells(look.into(empty()))
+    got = cells(look.but(pose=at(0.013, 0.021, -0.034, drifted)).into(empty()))
+    common = exact.keys() & got.keys()
+    assert len(common) > 0.999 * len(exact.keys() | got.keys())
+    assert np.median([abs(got[key] - exact[key]) for key in common]) < 1e-5
+
+
+def test_free_water_does_not_depend_on_the_order_of_pings() -> None:
+    """Recordings of two sonars may be merged in either order, and free water be the same.
+
+    Naively each step is rounded as a float when it is added, and sums of floats depend on their
+    order.
+    """
+    looks = [
+        Look(
+            image=np.zeros((60, 33), np.float32),
+            pose=at(0.1 * k, -0.07 * k, 0.03 * k),
+            carve_no_return=True,
+        )
+        for k in range(6)
+    ]
+    forwards, backwards = empty(), empty()
+    for look in looks:
+        look.into(forwards)
+    for look in reversed(looks):
+        look.into(backwards)
+    assert forwards.known_count() > 1000
+    assert same(forwards, backwards)
+    assert forwards.encode_map() == backwards.encode_map()
