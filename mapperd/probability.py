@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 __all__ = ["log_odds_of", "probabilities_of"]
 
+LARGEST_EXPONENT = 700.0
+"""Beyond it exp overflows a double; a probability of so many log-odds is 1e-304."""
+
 
 def log_odds_of(probability: float, name: str) -> float:
     """Natural log-odds of a probability.
@@ -25,4 +28,5 @@ def log_odds_of(probability: float, name: str) -> float:
 
 def probabilities_of(log_odds: NDArray[np.floating]) -> NDArray[np.float64]:
     """Probabilities, float64, of log-odds of any shape."""
-    return 1 / (1 + np.exp(-log_odds.astype(np.float64)))
+    exponent = np.minimum(-log_odds.astype(np.float64), LARGEST_EXPONENT)
+    return np.asarray(1 / (1 + np.exp(exponent)), dtype=np.float64)

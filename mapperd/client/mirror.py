@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from mapperd.client.block_table import BlockTable, names_of
 from mapperd.client.cells import Cells
 from mapperd.point_arrays import points_of
+from mapperd.probability import probabilities_of
 from mapperd.stream.blocks import CELLS, MAX_KEY, UNKNOWN, BlockSet
 from mapperd.stream.messages import BLOCK_EDGE, Interest, MapFacts
 
@@ -181,7 +182,7 @@ class MapMirror:
         return Cells(
             ((first + _LOCAL[cell]).astype(np.float64) + 0.5) * self.cell_m,
             log_odds,
-            (1 / (1 + np.exp(-log_odds))).astype(np.float32),
+            probabilities_of(log_odds).astype(np.float32),
             np.where(bits > 0, 1 << np.maximum(bits, 1) - 1, 0).astype(np.uint16),
             table.changed_ns[at],
         )

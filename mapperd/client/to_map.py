@@ -12,6 +12,9 @@ from mapperd.stream.messages import MapFacts
 
 __all__ = ["map_of"]
 
+MOST_LOG_ODDS = 127.0
+"""Of any map."""
+
 
 def map_of(cells: Cells, cell_m: float, facts: MapFacts, config: Config | None = None) -> SonarMap:
     """Every cell as a voxel with its quantised log-odds, observed once.
@@ -24,7 +27,8 @@ def map_of(cells: Cells, cell_m: float, facts: MapFacts, config: Config | None =
             those of the cells.
     """
     config = config or Config()
-    most = float(np.abs(cells.log_odds).max(initial=0.0))
+    # A whole number of steps may lie beyond what the map that was rounded to them can hold.
+    most = min(float(np.abs(cells.log_odds).max(initial=0.0)), MOST_LOG_ODDS)
     replace = msgspec.structs.replace
     sonar_map = SonarMap(
         replace(
@@ -47,4 +51,7 @@ def map_of(cells: Cells, cell_m: float, facts: MapFacts, config: Config | None =
 
 
 def _probability(log_odds: float) -> float:
-    return 1 / (1 + math.exp(-log_odds))
+    """Strictly between 0 and 1, as a threshold must be."""
+    odds = math.exp(-abs(log_odds))
+    p = odds / (1 + odds) if log_odds < 0 else 1 / (1 + odds)
+    return min(max(p, math.ulp(0.0)), math.nextafter(1.0, 0.0))
