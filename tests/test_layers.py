@@ -221,6 +221,7 @@ ORDER = (
     "store.schema",
     "store.identity",
     "store.kind",
+    "store.progress",
     "store.lock",
     "store.aside",
     "store.bricks",

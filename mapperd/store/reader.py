@@ -14,6 +14,7 @@ from mapperd.mapping import SonarMap
 from mapperd.store.bricks import COLUMNS, DamagedBrickError, Key, rows_of, unpack
 from mapperd.store.database import open_reader, reading, translated
 from mapperd.store.kind import check_kind, kind_in
+from mapperd.store.progress import progress_in
 from mapperd.store.schema import check_version
 
 __all__ = ["Loaded", "StoreReader"]
@@ -95,8 +96,7 @@ class StoreReader:
         bricks = 0
         with translated(self.path), reading(self._connection):
             check_kind(self._connection, self.path, sonar_map.config)
-            progress = self._connection.execute("SELECT revision, position FROM progress")
-            revision, position = progress.fetchone() or (0, b"")
+            revision, position = progress_in(self._connection, self.path) or (0, b"")
             lost = set(self._connection.execute("SELECT x, y, z FROM quarantine WHERE NOT rebuilt"))
             for batch in self._batches(since, lost):
                 sonar_map.core.put_bricks(batch)

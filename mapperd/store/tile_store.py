@@ -24,6 +24,7 @@ from mapperd.store.identity import Identity, begun
 from mapperd.store.kind import check_kind, write_kind
 from mapperd.store.loading import Loader
 from mapperd.store.lock import only_writer
+from mapperd.store.progress import progress_in
 from mapperd.store.saving import Position, Saver, Snapshot
 from mapperd.store.schema import migrate
 from mapperd.store.tiles import ResidentTiles
@@ -108,7 +109,7 @@ class TileStore:
     def _begin(
         self, writer: sqlite3.Connection, sonar_map: SonarMap
     ) -> tuple[int, bytes, set[Key]]:
-        found = writer.execute("SELECT revision, position FROM progress").fetchone()
+        found = progress_in(writer, self.path)
         if found is None:
             with transaction(writer):
                 write_kind(writer, sonar_map.config)
@@ -116,7 +117,7 @@ class TileStore:
             return 0, b"", set()
         check_kind(writer, self.path, sonar_map.config)
         lost = set(writer.execute("SELECT x, y, z FROM quarantine WHERE NOT rebuilt"))
-        return int(found[0]), bytes(found[1]), lost
+        return *found, lost
 
     def __enter__(self) -> Self:
         return self

@@ -1,0 +1,185 @@
+"""Hard cases of the map stream: how much is sent, by a clock and counters that may be odd."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import numpy as np
+import pytest
+
+from mapperd.stream.framing import StreamError, server_inbox
+from mapperd.stream.messages import MAX_FROM_CLIENT
+from mapperd.stream.on_its_way import OnItsWay
+from mapperd.stream.pacer import LEAST_BURST, LEAST_WINDOW, MOST_WINDOW, Pacer
+
+
+def sound(pacer: Pacer, now_s: float) -> None:
+    assert isinstance(pacer.room(now_s), int)
+    assert LEAST_WINDOW <= pacer.window <= MOST_WINDOW
+    assert pacer.rate is None or math.isfinite(pacer.rate)
+    assert 0 <= pacer.least() <= MOST_WINDOW
+    assert pacer.quiet_s(now_s) >= 0
+
+
+def test_acknowledgements_at_the_very_moment_of_sending_give_a_finite_rate() -> None:
+    """On one machine bytes are sent and used within one tick of the clock.
+
+    Naively the rate is bytes over no time at all: infinite, or a division by zero.
+    """
+    pacer = Pacer()
+    for _ in range(50):
+        pacer.note_sent(8000, 5.0)
+        assert pacer.note_ack(pacer.sent, 5.0)
+        pacer.note_link(0, 0.0, 5.0, fills=True)
+        sound(pacer, 5.0)
+    assert pacer.rate is not None
+    assert pacer.rate > 0
+    assert pacer.room(5.0) > 0
+
+
+def test_a_week_of_silence_is_no_credit_of_a_week() -> None:
+    """A limit in bytes a second holds when a client that slept wakes up.
+
+    Naively the time that has passed is multiplied by the limit: six gigabytes at once.
+    """
+    pacer = Pacer(bytes_per_s=10_000)
+    for now_s in (0.0, 604_800.0, 1e12):
+        room = pacer.room(now_s)
+        assert room <= LEAST_BURST
+        pacer.note_sent(room, now_s)
+        pacer.note_ack(pacer.sent, now_s)
+        sound(pacer, now_s)
+
+
+def told(start_s: float) -> list[tuple[int, int, float]]:
+    """A conversation of a minute that begins at a time, in ticks that doubles hold exactly."""
+    pacer, wire, history = Pacer(), random.Random(5), []  # noqa: S311 the same in each run
+    for tick in range(600):
+        now_s = start_s + tick / 8
+        room = pacer.room(now_s)
+        if room > 0:
+            pacer.note_sent(min(room, 4096), now_s)
+        arrived = min(pacer.sent, pacer.acked + wire.randrange(3000))
+        assert pacer.note_ack(arrived, now_s)
+        waits = 0.125 + (0.5 if tick % 100 > 80 else 0.0)
+        pacer.note_link(pacer.in_flight // 2, waits, now_s, fills=tick % 3 == 0)
+        history.append((room, pacer.window, pacer.rate or 0.0))
+    return history
+
+
+def test_a_host_that_is_up_for_years_paces_as_one_just_started() -> None:
+    """Times are seconds since the machine started, or since 1970, and only differences count.
+
+    Naively a time of 0 means "never", or the difference of large times loses the milliseconds.
+    """
+    assert told(2.0**30) == told(0.0) == told(2.0**20)
+
+
+def test_a_wire_of_a_byte_a_second_still_takes_messages() -> None:
+    """An acoustic modem at its worst delivers less than a message a minute.
+
+    Naively what may be sent is the rate times a moment, rounded down to nothing for good.
+    """
+    pacer = Pacer()
+    now_s = 0.0
+    for _ in range(60):
+        now_s += 60.0
+        pacer.note_ack(min(pacer.sent, pacer.acked + 60), now_s)
+        pacer.note_link(0, 30.0, now_s, fills=True)
+        if pacer.fits(500, now_s):
+            pacer.note_sent(500, now_s)
+        sound(pacer, now_s)
+    assert pacer.sent > 60 * 60
+    assert pacer.rate is not None
+    assert pacer.rate < 20
+
+
+def test_bytes_beyond_2_to_the_53_are_counted_one_by_one() -> None:
+    """Counters of bytes go on for the life of a connection, and the client is held to them.
+
+    Naively they pass through a double: an acknowledgement of one byte too many equals the truth.
+    """
+    pacer = Pacer()
+    pacer.sent = pacer.acked = 2**60
+    pacer.note_sent(1001, 1.0)
+    assert pacer.in_flight == 1001
+    assert not pacer.note_ack(2**60 + 1002, 1.1)
+    assert pacer.note_ack(2**60 + 1, 1.1)
+    assert pacer.in_flight == 1000
+    assert not pacer.note_ack(2**60, 1.2)
+
+
+def test_round_trips_from_nothing_to_an_hour_leave_a_window() -> None:
+    """Round trips come from the system, which says 0 for a local one and hours after a sleep.
+
+    Naively the window is the rate times the round trip: nothing, for ever; or all memory.
+    """
+    for round_trip_s in (0.0, 1e-9, 1e-3, 1.0, 60.0, 3600.0):
+        pacer, now_s = Pacer(), 0.0
+        for _ in range(30):
+            now_s += max(0.3, round_trip_s)
+            pacer.note_link(0, round_trip_s, now_s, fills=True)
+            pacer.note_link(0, 3 * round_trip_s + 1.0, now_s + 0.25, fills=True)
+            size = max(pacer.room(now_s), 0)
+            pacer.note_sent(size, now_s)
+            pacer.note_ack(pacer.sent, now_s + 0.1)
+            sound(pacer, now_s + 0.3)
+        assert pacer.room(now_s + 1.0) > 0
+
+
+def test_a_shortest_round_trip_of_long_ago_is_forgotten() -> None:
+    """The way becomes longer when a vehicle dives away, and that is not a queue.
+
+    Naively the smallest round trip of all times stays: all that is later is taken for waiting, and
+    the window for good the least.
+    """
+    pacer, now_s = Pacer(), 0.0
+    pacer.note_link(0, 0.001, now_s, fills=True)
+    for _ in range(400):
+        now_s += 0.25
+        pacer.note_sent(max(min(pacer.room(now_s), 20_000), 0), now_s)
+        pacer.note_ack(pacer.sent, now_s)
+        pacer.note_link(0, 1.5, now_s, fills=True)
+    assert pacer.round_trip_s == 1.5
+    assert pacer.window > LEAST_WINDOW
+
+
+@pytest.mark.parametrize("length", [MAX_FROM_CLIENT + 1, 2**31 - 1, 2**31, 2**32 - 1])
+def test_a_length_of_all_bits_is_refused_before_it_is_waited_for(length: int) -> None:
+    """Four bytes before each message say how long it is, and anybody may send them.
+
+    Naively a length of 2**31 is a negative number, which is below every limit; or room for four
+    gigabytes is made at once.
+    """
+    inbox = server_inbox()
+    with pytest.raises(StreamError, match="allowed"):
+        inbox.feed(length.to_bytes(4, "big"))
+    assert len(inbox) <= 4
+
+
+def test_messages_on_their_way_are_known_by_number_after_many_millions() -> None:
+    """A client that comes back says which message it used last, of as many as there were.
+
+    Naively numbers begin anew at 2**32, or all of them are remembered: who comes back after a night
+    is told the wrong blocks, or the daemon is out of memory.
+    """
+    way = OnItsWay()
+    way.number = 2**32 - 3
+    way.settle(way.number)
+    for block in range(6):
+        way.note(_numbers(block))
+    assert way.number == 2**32 + 3
+    assert way.beyond(2**32) is not None
+    assert _listed(way.beyond(2**32)) == [3, 4, 5]
+    assert _listed(way.beyond(2**32 + 3)) == []
+    assert way.beyond(2**32 + 4) is None
+    assert way.beyond(2**32 - 4) is None
+
+
+def _numbers(block: int) -> np.ndarray:
+    return np.array([block], np.int64)
+
+
+def _listed(numbers: np.ndarray | None) -> list[int]:
+    return [] if numbers is None else numbers.tolist()
