@@ -18,6 +18,9 @@ from scipy.special import erf
 
 from sonar_sim.sonar import SonarSettings
 
+LOUDEST = 1e18
+"""Of full scale: louder is not told apart, and pixels of 32 bits stay within single precision."""
+
 
 def level_change_db(
     first: NDArray[np.floating],
@@ -38,7 +41,7 @@ def level_change_db(
     Returns:
         dB, at least 0.
     """
-    a, b = np.asarray(first, dtype=np.float32), np.asarray(second, dtype=np.float32)
+    a, b = (np.minimum(picture, LOUDEST).astype(np.float32) for picture in (first, second))
     exceeding = int(share * a.size)
     _, changes = _beyond(a, b, sonar, (0.0, 0.0))
     if any(cells) and len(changes) > exceeding:

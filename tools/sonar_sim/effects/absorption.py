@@ -1,5 +1,6 @@
 """Absorption: sea water turns sound into heat."""
 
+from sonar_sim.effects.coarse import left_by
 from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
 from sonar_sim.effects.verdicts import by_level
 from sonar_sim.effects.view import View
@@ -10,8 +11,8 @@ from sonar_sim.tolerance import Tolerance
 def decide(view: View, tolerance: Tolerance) -> Verdict:
     """On if what is heard above the noise would be louder by more than the tolerance."""
     alpha = view.water_db_per_m
-    back = 10.0 ** (0.2 * alpha * view.grid.range_m)[:, None]
-    picture = (view.picture - view.noise_power) * back + view.noise_power
+    left = left_by(2.0 * alpha * view.grid.range_m)[:, None]
+    picture = view.heard / left + view.noise_power
     two_way_db = 2.0 * alpha * view.sonar.range_m
     reason = f"2 alpha R = {two_way_db:.1f} dB at {view.sonar.range_m:.0f} m"
     return by_level(view.change_in_place_db(picture, tolerance), tolerance, reason)

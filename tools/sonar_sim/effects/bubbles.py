@@ -20,7 +20,8 @@ def decide(view: View, tolerance: Tolerance) -> Verdict:
     reason = f"clouds take up to {deepest_db:.1f} dB of what is behind"
     # A plume fills few pixels and is faint, but it is what one looks for.
     anywhere = replace(tolerance, share=0.0)
-    return by_level(view.change_db(view.without_clouds(Bubbles), anywhere), tolerance, reason)
+    picture = view.heard_without(Bubbles) + view.noise_power
+    return by_level(view.change_db(picture, anywhere), tolerance, reason)
 
 
 def configure(physics: Physics, view: View) -> None:

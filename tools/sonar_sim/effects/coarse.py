@@ -11,10 +11,13 @@ from sonar_sim.effects.echoes import COLUMNS, Echoes
 from sonar_sim.pattern import azimuth_amplitude, main_lobe_end
 from sonar_sim.picture_change import level_change_db
 from sonar_sim.product import product
+from sonar_sim.receiver import MOST_DB
 from sonar_sim.sonar import SonarSettings
 from sonar_sim.tolerance import Tolerance
 
 MOST_ROWS = 128
+MOST_LOSS_DB = 2000.0
+"""Beyond it all is silent, but not so that nobody could tell what was there without the loss."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,9 +103,15 @@ class Gains:
 
     def amplitude(self, power: NDArray[np.float64]) -> NDArray[np.float64]:
         """Amplitude of full scale, not clipped, (rows, COLUMNS)."""
-        gain_db = self.varied_db + self.operator_db - self.full_scale_db
+        gain_db = np.minimum(self.varied_db + self.operator_db - self.full_scale_db, MOST_DB)
         shown: NDArray[np.float64] = np.sqrt(power) * (10.0 ** (gain_db / 20.0))[:, None]
         return shown
+
+
+def left_by(loss_db: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What a loss leaves of a power, any shape."""
+    ratio: NDArray[np.float64] = 10.0 ** (-np.minimum(loss_db, MOST_LOSS_DB) / 10.0)
+    return ratio
 
 
 def change_db(

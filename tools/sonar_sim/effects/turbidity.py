@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from sonar_sim.effects.clouds import clouds_of
+from sonar_sim.effects.coarse import left_by
 from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
 from sonar_sim.effects.verdicts import by_level
 from sonar_sim.effects.view import View
@@ -16,9 +17,8 @@ def decide(view: View, tolerance: Tolerance) -> Verdict:
     alpha = view.sediment_db_per_m
     if alpha == 0.0 and not view.clouds_of(Sediment):
         return Verdict(on=False, reason="the water is clear", predicted_db=0.0)
-    clear = view.without_clouds(Sediment)
-    back = 10.0 ** (0.2 * alpha * view.grid.range_m)[:, None]
-    picture = (clear - view.noise_power) * back + view.noise_power
+    left = left_by(2.0 * alpha * view.grid.range_m)[:, None]
+    picture = view.heard_without(Sediment) / left + view.noise_power
     two_way_db = 2.0 * alpha * view.sonar.range_m
     reason = f"2 alpha R of sediment everywhere {two_way_db:.2f} dB at {view.sonar.range_m:.0f} m"
     # A cloud may fill few pixels; and what grains take costs next to nothing.

@@ -9,7 +9,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.effects.coarse import MOST_ROWS, CoarseGrid, Gains, change_db, equivalent_beams
+from sonar_sim.effects.coarse import (
+    MOST_ROWS,
+    CoarseGrid,
+    Gains,
+    change_db,
+    equivalent_beams,
+    left_by,
+)
 from sonar_sim.effects.echoes import COLUMNS, Echoes, Fan
 from sonar_sim.effects.matter import Matter, cloud_matter, path_in_box_m, sediment_strength
 from sonar_sim.effects.planes import Plane
@@ -173,7 +180,7 @@ class View:
         range_m = np.maximum(echoes.range_m, LEAST_RANGE_M)
         loss_db = 2.0 * (self.water_db_per_m + self.sediment_db_per_m) * range_m
         loss_db += self.two_way_cloud_db(self.clouds, echoes)
-        power: NDArray[np.float64] = self.source_power * 10.0 ** (-loss_db / 10.0) / range_m**4
+        power: NDArray[np.float64] = self.source_power * left_by(loss_db) / range_m**4
         return power
 
     @cached_property
@@ -199,15 +206,15 @@ class View:
         """The clouds of one kind."""
         return tuple(cloud for cloud in self.clouds if isinstance(cloud.spec.matter, kind))
 
-    def without_clouds(self, kind: type[Bubbles] | type[Sediment]) -> NDArray[np.float64]:
-        """Expected power of a pixel if the clouds of one kind were not, (rows, COLUMNS)."""
+    def heard_without(self, kind: type[Bubbles] | type[Sediment]) -> NDArray[np.float64]:
+        """What would be heard of a pixel if the clouds of one kind were not, (rows, COLUMNS)."""
         gone = self.clouds_of(kind)
-        power = self.echo_power * 10.0 ** (self.two_way_cloud_db(gone, self.echoes) / 10.0)
-        clear = self.picture - self.echo_picture - self.picture_of_clouds(gone)
-        picture: NDArray[np.float64] = np.maximum(clear, 0.0) + self.grid.picture(
-            self.echoes, power
-        )
-        return picture
+        left = tuple(cloud for cloud in self.clouds if cloud not in gone)
+        power = self.echo_power / left_by(self.two_way_cloud_db(gone, self.echoes))
+        return self.grid.picture(self.echoes, power) + self._of_the_water(left)
+
+    def _of_the_water(self, clouds: tuple[CloudInSight, ...]) -> NDArray[np.float64]:
+        return self.volume_picture + self.picture_of_clouds(clouds)
 
     @cached_property
     def echo_power(self) -> NDArray[np.float64]:
@@ -237,7 +244,7 @@ class View:
         range_m = np.maximum(self.grid.range_m, LEAST_RANGE_M)
         loss_db = 2.0 * (self.water_db_per_m + self.sediment_db_per_m) * range_m
         cell_m3 = self.listened_sr * range_m**2 * self.sonar.range_resolution_m
-        power = self.source_power * cell_m3 * 10.0 ** (-loss_db / 10.0) / range_m**4
+        power = self.source_power * cell_m3 * left_by(loss_db) / range_m**4
         column: NDArray[np.float64] = power[:, None]
         return column
 
@@ -269,15 +276,14 @@ class View:
         return picture
 
     @cached_property
+    def heard(self) -> NDArray[np.float64]:
+        """Expected power of a pixel before the noise, beside which the faint is lost."""
+        return self.echo_picture + self._of_the_water(self.clouds)
+
+    @cached_property
     def picture(self) -> NDArray[np.float64]:
         """Expected power of a pixel, all told, (rows, COLUMNS)."""
-        told: NDArray[np.float64] = (
-            self.echo_picture
-            + self.volume_picture
-            + self.picture_of_clouds(self.clouds)
-            + self.noise_power
-        )
-        return told
+        return self.heard + self.noise_power
 
     @cached_property
     def gains(self) -> Gains:
