@@ -72,7 +72,7 @@ def _groups(
 
     Label 0 is none: the group is too small. Sizes are by label, the largest first.
     """
-    bright = image >= settings.min_threshold
+    bright = (image >= settings.min_threshold) & (image > 0)  # silence weighs nothing
     count, labels, stats, _ = cv2.connectedComponentsWithStats(
         bright.view(np.uint8), connectivity=8
     )
