@@ -13,6 +13,8 @@ from sonar_sim.scene import PointTarget
 from sonar_sim.sonar import SonarSettings
 
 HIDDEN_M = 0.01
+LEAST_SPREAD_M = 0.01
+"""Right before the transducer nothing spreads as from a point, and no echo is infinite."""
 """A surface hides a target that lies farther than this behind it."""
 
 
@@ -71,7 +73,7 @@ class _Way:
             two_way = vertical_two_way_power(up, physics.vertical_width_rad)
             self.factor = float(np.prod(two_way)) ** 0.25
         if physics.spreading:
-            self.factor /= out_m * heard_m
+            self.factor /= max(out_m, LEAST_SPREAD_M) * max(heard_m, LEAST_SPREAD_M)
 
 
 def _ways(here: Situation, position_m: NDArray[np.float64]) -> list[tuple[Pose, Pose, float]]:
