@@ -15,8 +15,8 @@ from tests.stability.pings import Look, at, cells, empty, fan, same, wall
 def test_full_scale_of_any_width_is_255(kind: type[np.unsignedinteger]) -> None:
     """Samples of 8, 16 and 32 bits mean the same, and full scale is what the sigmoid ends at.
 
-    Naively a sample of 32 bits is held in single precision before it is divided: the last 128
-    of them are all beyond full scale, and 35 of 255 is on either side of the threshold.
+    Naively a sample of 32 bits is held in single precision before it is divided: its last eight
+    bits are gone, and 35 of 255 is on either side of the threshold.
     """
     full = int(np.iinfo(kind).max)
     samples = np.array([[0, full // 255, 35 * (full // 255), full - 1, full]], kind)
@@ -27,6 +27,8 @@ def test_full_scale_of_any_width_is_255(kind: type[np.unsignedinteger]) -> None:
     assert got[0, 2] == 35.0
     assert got.astype(np.float64) == pytest.approx(exact, rel=2**-24)
     assert (np.diff(got[0]) >= 0).all()
+    whole = (np.arange(256, dtype=np.uint64) * (full // 255)).astype(kind)
+    assert (display_units(whole[None], full) == np.arange(256)).all()
 
 
 def test_an_image_of_16_bits_maps_as_its_8_bits_do() -> None:

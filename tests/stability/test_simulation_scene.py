@@ -232,8 +232,9 @@ def test_quaternions_of_half_turns_are_unit_and_right() -> None:
 
     Naively the quaternion is the matrix's differences over four times the real part: 0 / 0.
     """
-    for roll, pitch, yaw in [(math.pi, 0, 0), (0, math.pi, 0), (0, 0, math.pi), (1e-9, math.pi, 0)]:
-        rotation = rotation_of(roll, pitch, yaw)
+    turns = [np.diag(axis) for axis in ((1.0, -1, -1), (-1.0, 1, -1), (-1.0, -1, 1))]
+    turns += [rotation_of(math.pi, 1e-9, 0), rotation_of(1e-9, math.pi, 0), np.eye(3)]
+    for rotation in turns:
         w, x, y, z = quaternion_of(rotation)
         assert w >= 0
         back = np.array(

@@ -120,7 +120,8 @@ def test_round_trips_from_nothing_to_an_hour_leave_a_window() -> None:
         for _ in range(30):
             now_s += max(0.3, round_trip_s)
             pacer.note_link(0, round_trip_s, now_s, fills=True)
-            pacer.note_link(0, 3 * round_trip_s + 1.0, now_s + 0.25, fills=True)
+            now_s += 3 * round_trip_s + 1.0
+            pacer.note_link(0, 3 * round_trip_s + 1.0, now_s, fills=True)
             size = max(pacer.room(now_s), 0)
             pacer.note_sent(size, now_s)
             pacer.note_ack(pacer.sent, now_s + 0.1)
