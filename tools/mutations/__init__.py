@@ -1,0 +1,1 @@
+"""Mutation check: each guarded formula is broken once, and a test must notice."""

@@ -1,0 +1,111 @@
+"""A copy of the repository's last commit, built, in which files are broken."""
+
+import os
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from mutations.catalogue import REPOSITORY, Mutation, mutated
+
+__all__ = ["Copy", "NotBuiltError"]
+
+PINNED = Path(__file__).resolve().parent / "pinned"
+MODULES = ("_core", "acoustics_core")
+
+
+class NotBuiltError(Exception):
+    """What the compiler says."""
+
+
+class Copy:
+    """A clone under a folder, with a build tree of its own that is kept from run to run."""
+
+    def __init__(self, folder: Path, jobs: int) -> None:
+        self.root = folder / "tree"
+        self.build_tree = self.root / "build" / "release"
+        self._jobs = jobs
+        self._witness = folder / "witness"
+        if not self.root.exists():
+            folder.mkdir(parents=True, exist_ok=True)
+            _run(["git", "clone", "--quiet", "--shared", str(REPOSITORY), str(self.root)])
+        _run(["git", "fetch", "--quiet", "origin", "HEAD"], self.root)
+        # Only what differs is written anew, so that the build tree stays of use.
+        _run(["git", "checkout", "--quiet", "--force", "--detach", "FETCH_HEAD"], self.root)
+        self.commit = _run(["git", "rev-parse", "--short", "HEAD"], self.root).strip()
+
+    def configure(self) -> None:
+        """Make the build tree; warnings are left out, for what is broken may well deserve some."""
+        packages = sysconfig.get_path("purelib")
+        prefixes = f"{packages}/cmeel.prefix;{packages}/pybind11"
+        _run(
+            [
+                *("cmake", "-S", "cpp", "-B", str(self.build_tree), "-G", "Ninja"),
+                *("-DCMAKE_BUILD_TYPE=Release", "-DMAPPERD_BUILD_TESTS=ON"),
+                *("-DCMAKE_CXX_FLAGS=-w", f"-DPython_EXECUTABLE={sys.executable}"),
+                f"-DCMAKE_PREFIX_PATH={prefixes}",
+            ],
+            self.root,
+        )
+
+    def build(self, targets: Sequence[str]) -> None:
+        """Compile targets, where they are not up to date.
+
+        Raises:
+            NotBuiltError: it does not compile.
+        """
+        words = ["cmake", "--build", str(self.build_tree), "-j", str(self._jobs), "--target"]
+        _run([*words, *targets], self.root)
+        if not set(MODULES) & set(targets):
+            return
+        for built, package in (("", "mapperd"), ("acoustics", "tools/sonar_sim")):
+            for module in (self.build_tree / built).glob("_core.*.so"):
+                link = self.root / package / module.name
+                link.unlink(missing_ok=True)
+                link.symlink_to(module)
+
+    @contextmanager
+    def broken(self, mutation: Mutation) -> Iterator[None]:
+        """Have a file hold a mutation as long as the context lasts."""
+        path = self.root / mutation.file
+        whole = path.read_text()
+        _write(path, mutated(mutation, whole))
+        try:
+            yield
+        finally:
+            _write(path, whole)
+
+    def environment(self, mutation: Mutation | None) -> dict[str, str]:
+        """What programs run in, so that they import the copy's packages."""
+        self._witness.unlink(missing_ok=True)
+        paths = (PINNED, self.root, self.root / "tools")
+        variables = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, paths))}
+        if mutation is not None:
+            variables["MUTATIONS_FILE"] = str(self.root / mutation.file)
+            variables["MUTATIONS_WITNESS"] = str(self._witness)
+        return variables
+
+    @property
+    def was_imported(self) -> bool:
+        """Whether a program since `environment` imported the mutated file."""
+        return self._witness.exists()
+
+
+def _write(path: Path, text: str) -> None:
+    """Python tells compiled files by the second and the size: neither need change here."""
+    path.write_text(text)
+    for compiled in (path.parent / "__pycache__").glob(f"{path.stem}.*.pyc"):
+        compiled.unlink()
+
+
+def _run(words: Sequence[str], folder: Path | None = None) -> str:
+    here = Path(sys.executable).parent  # cmake and ninja are installed beside Python
+    variables = {**os.environ, "PATH": f"{here}{os.pathsep}{os.environ['PATH']}"}
+    ended = subprocess.run(  # noqa: S603
+        list(words), cwd=folder, env=variables, capture_output=True, text=True, check=False
+    )
+    if ended.returncode != 0:
+        raise NotBuiltError(f"{' '.join(words)}\n{ended.stdout[-3000:]}{ended.stderr[-3000:]}")
+    return ended.stdout

@@ -1,0 +1,88 @@
+"""The mutations, as the YAML files of `catalogue/` list them."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+__all__ = ["CATALOGUE", "REPOSITORY", "Mutation", "load", "mutated"]
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+CATALOGUE = Path(__file__).resolve().parent / "catalogue"
+
+
+@dataclass(frozen=True, slots=True)
+class Mutation:
+    """One formula, broken.
+
+    Attributes:
+        name: unique, such as `localization/resample/comb-offset`: the catalogue's file, the broken
+            file, what is done to it.
+        file: that is changed, from the repository's root.
+        old: text that occurs once in it.
+        new: what stands there instead.
+        breaks: what is wrong then, in words.
+        killed_by: tests of which one must fail, tried in order: `tests/....py::test` for pytest,
+            `program: part of a case's name` for the C++ tests.
+        survives: why no test can fail, where the change is none that could be seen; else empty.
+        may: ways to end that count as failing, besides checks that do: "hang", "crash".
+    """
+
+    name: str
+    file: str
+    old: str
+    new: str
+    breaks: str
+    killed_by: tuple[str, ...]
+    survives: str = ""
+    may: tuple[str, ...] = ()
+
+    @property
+    def is_cpp(self) -> bool:
+        """Whether something must be compiled."""
+        return self.file.startswith("cpp/")
+
+
+def load(folder: Path = CATALOGUE) -> list[Mutation]:
+    """All of them, in the order of the files that they change.
+
+    Raises:
+        ValueError: two have one name.
+    """
+    found = [one for path in sorted(folder.glob("*.yaml")) for one in _of_file(path)]
+    names = [one.name for one in found]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(f"mutations with one name: {', '.join(twice)}")
+    return sorted(found, key=lambda one: one.file)
+
+
+def _of_file(path: Path) -> Iterator[Mutation]:
+    for file in yaml.safe_load(path.read_text()):
+        for told in file["mutations"]:
+            tests = told.get("killed_by", file.get("killed_by", ()))
+            yield Mutation(
+                name=f"{path.stem}/{Path(file['file']).stem}/{told['name']}",
+                file=file["file"],
+                old=told["old"],
+                new=told["new"],
+                breaks=told["breaks"],
+                killed_by=(tests,) if isinstance(tests, str) else tuple(tests),
+                survives=told.get("survives", ""),
+                may=tuple(told.get("may", ())),
+            )
+
+
+def mutated(mutation: Mutation, text: str) -> str:
+    """The file's text with the mutation in it.
+
+    Raises:
+        ValueError: the old text does not occur exactly once, or the new one is the same.
+    """
+    times = text.count(mutation.old)
+    if times != 1:
+        raise ValueError(f"{mutation.name}: {times} times in {mutation.file}: {mutation.old!r}")
+    if mutation.old == mutation.new:
+        raise ValueError(f"{mutation.name} changes nothing")
+    return text.replace(mutation.old, mutation.new)

@@ -1,0 +1,81 @@
+"""Runs tests in the copy and says how they ended."""
+
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from mutations.catalogue import Mutation
+from mutations.broken_copy import MODULES, Copy
+
+__all__ = ["End", "judge_cpp", "judge_pytest", "run_test", "targets_of"]
+
+PATIENCE_S = 120.0
+# What a test says that a mutation has broken otherwise than meant.
+NO_FAILURE = re.compile(r"\b(SyntaxError|NameError|ImportError|ModuleNotFoundError)\b")
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """How a test ended: "passed", "failed", "hang", "crash" or "broken", and its own words."""
+
+    how: str
+    words: str = ""
+
+
+def targets_of(test: str) -> tuple[str, ...]:
+    """What must be built before a test is run."""
+    return MODULES if test.startswith("tests/") else (test.partition(":")[0],)
+
+
+def run_test(copy: Copy, test: str, mutation: Mutation | None) -> End:
+    """Run one entry of `killed_by`."""
+    if test.startswith("tests/"):
+        options = ["-q", "-x", "-rfE", "-p", "no:cacheprovider", "--hypothesis-seed=0"]
+        words = [sys.executable, "-m", "pytest", *options, *test.split()]
+    else:
+        program, _, case = test.partition(": ")
+        words = [str(copy.build_tree / "test" / program), case]
+    try:
+        ended = subprocess.run(  # noqa: S603
+            words,
+            cwd=copy.root,
+            env=copy.environment(mutation),
+            capture_output=True,
+            text=True,
+            errors="replace",
+            check=False,
+            timeout=PATIENCE_S,
+        )
+    except subprocess.TimeoutExpired:
+        return End("hang", f"no end within {PATIENCE_S:.0f} s")
+    judge = judge_pytest if test.startswith("tests/") else judge_cpp
+    return judge(ended.returncode, ended.stdout)
+
+
+def judge_pytest(code: int, out: str) -> End:
+    """By pytest's exit code and its short summary."""
+    if code == 0:
+        return End("passed")
+    failed = re.findall(r"^FAILED (.*)$", out, re.MULTILINE)
+    if code < 0:
+        return End("crash", f"signal {-code}")
+    if code != 1 or not failed:
+        return End("broken", out[-1500:])
+    if "Timeout" in failed[0]:
+        return End("hang", failed[0])
+    return End("broken" if NO_FAILURE.search(failed[0]) else "failed", failed[0])
+
+
+def judge_cpp(code: int, out: str) -> End:
+    """By the harness's exit code and last line."""
+    if code == 0:
+        return End("passed")
+    if code < 0:
+        return End("crash", f"signal {-code}")
+    lines = out.splitlines()
+    if code != 1 or not lines or not re.fullmatch(r"\d+ failures in \d+ cases", lines[-1]):
+        return End("broken", out[-1500:])
+    first = next((line for line in lines if ".cpp:" in line or "exception" in line), lines[-1])
+    return End("failed", Path(first).name)

@@ -1,0 +1,103 @@
+"""What became of the mutations: kept from run to run, and told as tables."""
+
+import json
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from mutations.catalogue import Mutation
+
+__all__ = ["Result", "Results", "is_well", "table"]
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What became of a mutation.
+
+    Attributes:
+        outcome: "killed"; "survived"; "broken", when it did not compile, could not be imported or
+            a test fails without it.
+        test: the one that failed.
+        words: the test's own, or of what went wrong.
+        commit: that was broken.
+    """
+
+    name: str
+    outcome: str
+    test: str
+    words: str
+    seconds: float
+    commit: str
+
+
+class Results:
+    """A file of one line a mutation; those of a commit are not measured again."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._all: dict[str, Result] = {}
+        if path.exists():
+            for line in path.read_text().splitlines():
+                one = Result(**json.loads(line))
+                self._all[one.name] = one
+
+    def add(self, result: Result) -> None:
+        """Keep a result, at once."""
+        self._all[result.name] = result
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        with self._path.open("a") as file:
+            file.write(json.dumps(asdict(result)) + "\n")
+
+    def of(self, mutation: Mutation) -> Result | None:
+        """The newest result of a mutation, of whatever commit."""
+        return self._all.get(mutation.name)
+
+    def is_done(self, mutation: Mutation, commit: str) -> bool:
+        """Whether a commit's result is there, and not one of something broken."""
+        result = self.of(mutation)
+        return result is not None and result.commit == commit and result.outcome != "broken"
+
+
+def is_well(mutation: Mutation, result: Result | None) -> bool:
+    """Whether a mutation was killed, or survived as it is said that it must."""
+    if result is None:
+        return False
+    return result.outcome == ("survived" if mutation.survives else "killed")
+
+
+def table(mutations: Sequence[Mutation], results: Results) -> str:
+    """Markdown: the sums, survivors with their reasons, and what each mutation breaks."""
+    found = Counter(_outcome(results.of(one)) for one in mutations)
+    commits = sorted({result.commit for one in mutations if (result := results.of(one))})
+    lines = [
+        f"{len(mutations)} mutations in {len({one.file for one in mutations})} files, at "
+        f"{', '.join(commits)}: {', '.join(f'{found[how]} {how}' for how in sorted(found))}.",
+        "",
+        *_survivors(mutations, results),
+    ]
+    for group in sorted({one.name.partition("/")[0] for one in mutations}):
+        chosen = [one for one in mutations if one.name.startswith(f"{group}/")]
+        lines += ["", f"### {group}", "", "| file | broken so that | killed by |", "|---|---|---|"]
+        lines += [_row(one, results.of(one)) for one in chosen]
+    return "\n".join(lines)
+
+
+def _survivors(mutations: Sequence[Mutation], results: Results) -> Iterator[str]:
+    survivors = [one for one in mutations if _outcome(results.of(one)) != "killed"]
+    if not survivors:
+        yield "There are no survivors."
+        return
+    yield "Survivors, and why:"
+    yield ""
+    for one in survivors:
+        yield f"- `{one.name}`, so that {one.breaks}: {one.survives or '**not explained**'}"
+
+
+def _outcome(result: Result | None) -> str:
+    return "not measured" if result is None else result.outcome
+
+
+def _row(mutation: Mutation, result: Result | None) -> str:
+    killer = f"`{result.test}`" if result is not None and result.test else _outcome(result)
+    return f"| `{mutation.file}` | {mutation.breaks} | {killer} |"

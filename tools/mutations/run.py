@@ -1,0 +1,122 @@
+"""Breaks each formula of the catalogue once in a copy, and has a test notice.
+
+    python -m mutations.run [--only 'localization/*'] [--again] [--write]
+
+The last commit is looked at, not what is uncommitted. The copy and its build lie in
+build/mutations, results in out/mutations/results.jsonl: a run that was stopped goes on there.
+Exit code 1 when a mutation survives unexplained.
+"""
+
+import argparse
+import fnmatch
+import os
+import sys
+import time
+from collections.abc import Sequence
+
+from tqdm import tqdm
+
+from mutations.broken_copy import Copy, NotBuiltError
+from mutations.catalogue import REPOSITORY, Mutation, load
+from mutations.judge import End, run_test, targets_of
+from mutations.results import Result, Results, is_well, table
+
+PAGE = REPOSITORY / "docs" / "mutations.md"
+BEGIN = "<!-- measured: make mutations -->\n"
+END = "<!-- end of measured -->\n"
+
+
+class Check:
+    """Measures mutations, one after another."""
+
+    def __init__(self, copy: Copy) -> None:
+        self._copy = copy
+        self._whole: dict[str, End] = {}
+
+    def run(self, mutation: Mutation) -> Result:
+        """Break, build, test, mend."""
+        began_s = time.monotonic()
+        try:
+            outcome, test, words = self._measured(mutation)
+        except (NotBuiltError, ValueError) as error:
+            outcome, test, words = "broken", "", str(error)
+        seconds = round(time.monotonic() - began_s, 1)
+        return Result(mutation.name, outcome, test, words, seconds, self._copy.commit)
+
+    def _measured(self, mutation: Mutation) -> tuple[str, str, str]:
+        for test in mutation.killed_by:
+            whole = self._whole_end(test)
+            if whole.how != "passed":
+                return "broken", test, f"unbroken, {test} ends so: {whole.how} {whole.words}"
+        with self._copy.broken(mutation):
+            for test in mutation.killed_by:
+                if mutation.is_cpp:
+                    self._copy.build(targets_of(test))
+                end = run_test(self._copy, test, mutation)
+                if end.how != "passed":
+                    outcome, words = self._outcome(mutation, end)
+                    return outcome, test, words
+        return "survived", "", ""
+
+    def _outcome(self, mutation: Mutation, end: End) -> tuple[str, str]:
+        if end.how == "failed" and not mutation.is_cpp and not self._copy.was_imported:
+            return "broken", f"{mutation.file} was not imported: {end.words}"
+        failed = end.how in ("failed", *mutation.may)
+        return ("killed" if failed else "broken"), f"{end.how}: {end.words}"
+
+    def _whole_end(self, test: str) -> End:
+        """How a test ends without any mutation; asked once."""
+        if test not in self._whole:
+            self._copy.build(targets_of(test))
+            self._whole[test] = run_test(self._copy, test, None)
+        return self._whole[test]
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the check."""
+    parser = argparse.ArgumentParser(prog="mutations", description=__doc__.partition("\n")[0])
+    parser.add_argument("--only", default="*", metavar="GLOB", help="of names of mutations")
+    parser.add_argument("--again", action="store_true", help="also what this commit has passed")
+    parser.add_argument("--write", action="store_true", help="write the tables into the page")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="of the compiler")
+    told = parser.parse_args(words)
+    results = Results(REPOSITORY / "out" / "mutations" / "results.jsonl")
+    mutations = load()
+    chosen = [one for one in mutations if fnmatch.fnmatch(one.name, told.only)]
+    copy = Copy(REPOSITORY / "build" / "mutations", told.jobs)
+    due = [one for one in chosen if told.again or not results.is_done(one, copy.commit)]
+    print(f"{len(due)} of {len(chosen)} mutations to measure at {copy.commit}")
+    _measure(copy, due, results)
+    if told.write:
+        _write_page(table(mutations, results))
+    unwell = [one for one in chosen if not is_well(one, results.of(one))]
+    for one in unwell:
+        print(f"{one.name}: {results.of(one)}\n  {one.survives or one.breaks}")
+    print(f"{len(chosen) - len(unwell)} of {len(chosen)} are as they must be")
+    return 1 if unwell else 0
+
+
+def _measure(copy: Copy, mutations: Sequence[Mutation], results: Results) -> None:
+    if not mutations:
+        return
+    copy.configure()
+    check = Check(copy)
+    with tqdm(mutations, unit="mutation", dynamic_ncols=True) as bar:
+        for mutation in bar:
+            bar.set_description(mutation.name)
+            result = check.run(mutation)
+            results.add(result)
+            if not is_well(mutation, result):
+                bar.write(f"{mutation.name}: {result.outcome} {result.words}")
+
+
+def _write_page(tables: str) -> None:
+    before, begin, rest = PAGE.read_text().partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end:
+        raise SystemExit(f"{PAGE} has no place for the tables")
+    PAGE.write_text(f"{before}{BEGIN}\n{tables}\n\n{END}{after}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
