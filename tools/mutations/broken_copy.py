@@ -1,5 +1,6 @@
 """A copy of the repository's last commit, built, in which files are broken."""
 
+import fcntl
 import os
 import subprocess
 import sys
@@ -24,12 +25,17 @@ class Copy:
     """A clone under a folder, with a build tree of its own that is kept from run to run."""
 
     def __init__(self, folder: Path, jobs: int) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._lock = (folder / "lock").open("w")
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise SystemExit(f"another mutation check is at work in {folder}") from None
         self.root = folder / "tree"
         self.build_tree = self.root / "build" / "release"
         self._jobs = jobs
         self._witness = folder / "witness"
         if not self.root.exists():
-            folder.mkdir(parents=True, exist_ok=True)
             _run(["git", "clone", "--quiet", "--shared", str(REPOSITORY), str(self.root)])
         _run(["git", "fetch", "--quiet", "origin", "HEAD"], self.root)
         # Only what differs is written anew, so that the build tree stays of use.
