@@ -6,8 +6,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from mutations.catalogue import Mutation
 from mutations.broken_copy import MODULES, Copy
+from mutations.catalogue import Mutation
 
 __all__ = ["End", "judge_cpp", "judge_pytest", "run_test", "targets_of"]
 

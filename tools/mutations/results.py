@@ -70,9 +70,10 @@ def table(mutations: Sequence[Mutation], results: Results) -> str:
     """Markdown: the sums, survivors with their reasons, and what each mutation breaks."""
     found = Counter(_outcome(results.of(one)) for one in mutations)
     commits = sorted({result.commit for one in mutations if (result := results.of(one))})
+    sums = ", ".join(f"{found[how]} {how}" for how in sorted(found))
+    files = len({one.file for one in mutations})
     lines = [
-        f"{len(mutations)} mutations in {len({one.file for one in mutations})} files, at "
-        f"{', '.join(commits)}: {', '.join(f'{found[how]} {how}' for how in sorted(found))}.",
+        f"{len(mutations)} mutations in {files} files, at {', '.join(commits)}: {sums}.",
         "",
         *_survivors(mutations, results),
     ]

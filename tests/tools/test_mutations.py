@@ -1,0 +1,146 @@
+"""The mutation check's own judge: what counts as killed, and a catalogue that has not rotted."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from mutations.catalogue import CATALOGUE, REPOSITORY, Mutation, load, mutated
+from mutations.judge import judge_cpp, judge_pytest
+from mutations.results import Result, Results, is_well, table
+
+MUTATIONS = load()
+
+
+def one(**changes: str) -> Mutation:
+    fields = {"name": "a/b/c", "file": "x.py", "old": "1", "new": "2", "breaks": "it is wrong"}
+    return Mutation(**{**fields, **changes}, killed_by=("tests/x.py",))  # type: ignore[arg-type]
+
+
+def result(outcome: str, commit: str = "abc") -> Result:
+    return Result("a/b/c", outcome, "tests/x.py", "", 1.0, commit)
+
+
+def test_every_mutation_finds_its_text_once_and_leaves_python_that_compiles() -> None:
+    texts = {file: (REPOSITORY / file).read_text() for file in {each.file for each in MUTATIONS}}
+    for each in MUTATIONS:
+        broken = mutated(each, texts[each.file])
+        if not each.is_cpp:
+            compile(broken, each.file, "exec")
+
+
+def test_every_test_that_is_named_is_there() -> None:
+    sources = (REPOSITORY / "cpp" / "test").rglob("test_*.cpp")
+    found = [re.findall(r'TEST_CASE\(\s*"([^"]+)"', path.read_text()) for path in sources]
+    cases = [case for each in found for case in each]
+    for test in {test for each in MUTATIONS for test in each.killed_by}:
+        if test.startswith("tests/"):
+            path, _, name = test.partition("::")
+            assert (REPOSITORY / path).exists(), test
+            assert not name or f"def {name}(" in (REPOSITORY / path).read_text(), test
+        else:
+            assert any(test.partition(": ")[2] in case for case in cases), test
+
+
+def test_the_catalogue_has_the_rooms_and_at_least_eighty_mutations() -> None:
+    assert len(MUTATIONS) >= 80
+    rooms = {each.file.partition("/")[0] for each in MUTATIONS}
+    assert rooms == {"cpp", "mapperd", "oculus_driver", "tools"}
+    assert all(path.suffix == ".yaml" for path in CATALOGUE.iterdir())
+
+
+def test_a_text_that_is_not_there_or_twice_is_refused() -> None:
+    for text in ("", "1 1"):
+        with pytest.raises(ValueError, match="times in"):
+            mutated(one(), text)
+    with pytest.raises(ValueError, match="changes nothing"):
+        mutated(one(new="1"), "1")
+    assert mutated(one(), "x = 1\n") == "x = 2\n"
+
+
+FAILED = "FAILED tests/x.py::test_a - {}\n1 failed in 0.1s\n"
+
+
+@pytest.mark.parametrize(
+    ("code", "out", "how"),
+    [
+        (0, "1 passed", "passed"),
+        (1, FAILED.format("assert 1 == 2"), "failed"),
+        (1, FAILED.format("NameError: name 'x' is not defined"), "broken"),
+        (1, FAILED.format("ImportError: cannot import name 'x'"), "broken"),
+        (1, FAILED.format("Failed: Timeout >300.0s"), "hang"),
+        (1, "ERROR tests/x.py::test_a - fixture\n1 error in 0.1s\n", "broken"),
+        (2, "ERROR tests/x.py\n", "broken"),
+        (5, "no tests ran", "broken"),
+        (-11, "", "crash"),
+    ],
+)
+def test_pytest_counts_as_failed_only_where_a_test_failed(code: int, out: str, how: str) -> None:
+    assert judge_pytest(code, out).how == how
+
+
+@pytest.mark.parametrize(
+    ("code", "out", "how"),
+    [
+        (0, "0 failures in 2 cases", "passed"),
+        (1, "a.cpp:7: x == y\nFAIL case\n3 failures in 1 cases\n", "failed"),
+        (2, 'no case has "x" in its name\n', "broken"),
+        (1, "something else\n", "broken"),
+        (-6, "", "crash"),
+    ],
+)
+def test_a_cpp_program_counts_as_failed_only_by_its_own_checks(
+    code: int, out: str, how: str
+) -> None:
+    assert judge_cpp(code, out).how == how
+
+
+def test_results_are_kept_by_commit_and_the_newest_counts(tmp_path: Path) -> None:
+    results = Results(tmp_path / "deep" / "results.jsonl")
+    assert results.of(one()) is None
+    results.add(result("survived"))
+    results.add(result("killed", "def"))
+    again = Results(tmp_path / "deep" / "results.jsonl")
+    assert again.of(one()) == result("killed", "def")
+    assert again.is_done(one(), "def")
+    assert not again.is_done(one(), "abc")
+    again.add(result("broken", "def"))
+    assert not again.is_done(one(), "def")
+
+
+def test_only_explained_mutations_may_survive(tmp_path: Path) -> None:
+    assert is_well(one(), result("killed"))
+    assert not is_well(one(), result("survived"))
+    assert not is_well(one(), result("broken"))
+    assert not is_well(one(), None)
+    explained = one(survives="it is the same")
+    assert is_well(explained, result("survived"))
+    assert not is_well(explained, result("killed"))
+    results = Results(tmp_path / "results.jsonl")
+    results.add(result("survived"))
+    assert "**not explained**" in table([one()], results)
+    assert "it is the same" in table([explained], results)
+    results.add(result("killed"))
+    assert "no survivors" in table([one()], results)
+
+
+def test_packages_come_from_the_copy_and_who_imports_the_broken_file_bears_witness(
+    tmp_path: Path,
+) -> None:
+    package = tmp_path / "oculus_driver"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "seen.py").write_text("")
+    (package / "unseen.py").write_text("")
+    pinned = REPOSITORY / "tools" / "mutations" / "pinned"
+    for name, imported in (("seen", True), ("unseen", False)):
+        witness = tmp_path / f"{name}.witness"
+        variables = {
+            "PYTHONPATH": f"{pinned}:{tmp_path}",
+            "MUTATIONS_FILE": str(package / f"{name}.py"),
+            "MUTATIONS_WITNESS": str(witness),
+        }
+        words = [sys.executable, "-c", "import oculus_driver.seen"]
+        subprocess.run(words, check=True, env=variables, cwd=tmp_path)  # noqa: S603
+        assert witness.exists() == imported
