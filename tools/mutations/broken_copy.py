@@ -62,8 +62,7 @@ class Copy:
         Raises:
             NotBuiltError: it does not compile.
         """
-        words = ["cmake", "--build", str(self.build_tree), "-j", str(self._jobs), "--target"]
-        _run([*words, *targets], self.root)
+        _run(["ninja", "-C", str(self.build_tree), "-j", str(self._jobs), *targets], self.root)
         if not set(MODULES) & set(targets):
             return
         for built, package in (("", "mapperd"), ("acoustics", "tools/sonar_sim")):

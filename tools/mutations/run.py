@@ -1,6 +1,6 @@
 """Breaks each formula of the catalogue once in a copy, and has a test notice.
 
-    python -m mutations.run [--only 'localization/*'] [--again] [--write]
+    python -m mutations.run [--only 'localization/*'] [--keep | --again] [--write]
 
 The last commit is looked at, not what is uncommitted. The copy and its build lie in
 build/mutations, results in out/mutations/results.jsonl: a run that was stopped goes on there.
@@ -77,6 +77,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="mutations", description=__doc__.partition("\n")[0])
     parser.add_argument("--only", default="*", metavar="GLOB", help="of names of mutations")
     parser.add_argument("--again", action="store_true", help="also what this commit has passed")
+    parser.add_argument("--keep", action="store_true", help="not what any commit has passed")
     parser.add_argument("--write", action="store_true", help="write the tables into the page")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="of the compiler")
     told = parser.parse_args(words)
@@ -84,7 +85,7 @@ def main(words: Sequence[str] | None = None) -> int:
     mutations = load()
     chosen = [one for one in mutations if fnmatch.fnmatch(one.name, told.only)]
     copy = Copy(REPOSITORY / "build" / "mutations", told.jobs)
-    due = [one for one in chosen if told.again or not results.is_done(one, copy.commit)]
+    due = [one for one in chosen if told.again or _is_due(one, results, copy.commit, told.keep)]
     print(f"{len(due)} of {len(chosen)} mutations to measure at {copy.commit}")
     _measure(copy, due, results)
     if told.write:
@@ -94,6 +95,12 @@ def main(words: Sequence[str] | None = None) -> int:
         print(f"{one.name}: {results.of(one)}\n  {one.survives or one.breaks}")
     print(f"{len(chosen) - len(unwell)} of {len(chosen)} are as they must be")
     return 1 if unwell else 0
+
+
+def _is_due(mutation: Mutation, results: Results, commit: str, keep: bool) -> bool:  # noqa: FBT001
+    if keep and is_well(mutation, results.of(mutation)):
+        return False
+    return not results.is_done(mutation, commit)
 
 
 def _measure(copy: Copy, mutations: Sequence[Mutation], results: Results) -> None:
