@@ -21,6 +21,10 @@ TEST_CASE("exponential, logarithm, sine and cosine are the library's") {
                                 std::max(1.0, std::abs(std::log(positive))));
   }
   CHECK(worst < 1e-14);
+  for (const double power : {709.0, 1e4, 1e300}) {
+    CHECK(exp_of(power) == exp_of(708.0));
+    CHECK(exp_of(-power) == exp_of(-708.0));
+  }
 }
 
 TEST_CASE("an angle is wrapped into (-pi, pi]") {

@@ -88,6 +88,31 @@ def test_cells_are_where_and_what_they_are(level: int) -> None:
     assert mirror.classify(points).tolist() == [1, 0, -1, -1]
 
 
+def test_a_cell_at_a_threshold_is_of_neither_class() -> None:
+    mirror = MapMirror(MapFacts("m", 0.1, 0.25, 0.5, -0.5), Interest())
+    cells = np.full((1, CELLS), UNKNOWN, np.int8)
+    cells[0, :4] = [-3, -2, 2, 3]
+    mirror.put(BlockSet(np.zeros((1, 3), np.int32), np.zeros(1, np.uint32), cells), 0)
+    assert mirror.cells().log_odds.tolist() == [0.75]
+    assert mirror.cells("free").log_odds.tolist() == [-0.75]
+
+
+def test_certainty_has_no_log_odds_and_is_asked_for_all_the_same() -> None:
+    mirror = MapMirror(FACTS, Interest())
+    mirror.put(block_set({(0, 0, 0): 1}), 0)
+    assert len(mirror.cells(min_probability=1.0)) == 0
+    assert len(mirror.cells(min_probability=0.0)) == len(mirror.cells("known"))
+
+
+def test_ages_of_weeks_do_not_wrap() -> None:
+    mirror = MapMirror(FACTS, Interest())
+    blocks = block_set({(0, 0, 0): 1})
+    blocks.ages_ms[:] = 2**32 - 1
+    mirror.put(blocks, 10**18)
+    changed_ns = mirror.cells("known").changed_ns
+    assert set(changed_ns.tolist()) == {10**18 - (2**32 - 1) * 10**6}
+
+
 def test_classes_have_values_that_are_of_their_class() -> None:
     mirror = MapMirror(FACTS, Interest(detail="classes"))
     cells = np.full((1, CELLS), UNKNOWN, np.int8)
