@@ -28,8 +28,8 @@ class Wheel {
   std::size_t parent(double uniform) const {
     const double place = uniform * sum_;
     const auto k = static_cast<std::size_t>(place * per_unit_);
+    // Rounding keeps the order of products: the beginning is never behind the parent.
     std::size_t at = begin_[std::min(k, begin_.size() - 1)];
-    while (at > 0 && until_[at - 1] > place) --at;
     while (at < last_ && until_[at] <= place) ++at;
     return at;
   }
