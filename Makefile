@@ -8,7 +8,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 STAMP := $(VENV)/.installed
 CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt' -o -name 'CMakePresets.json')
 
-.PHONY: demo test bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
+.PHONY: demo test bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
 
 demo: $(STAMP)
 	$(BIN)/python tools/demo.py --out out/demo
@@ -81,6 +81,11 @@ fuzz: $(STAMP)
 	$(PIP) --no-build-isolation -e '.[fuzz]'
 	$(BIN)/python tests/fuzz/fuzz_stream.py tests/fuzz/corpus -max_total_time=600 -max_len=8192
 	$(BIN)/python tests/fuzz/fuzz_map_stream.py tests/fuzz/corpus-map-stream -max_total_time=600 -max_len=4096
+
+# Breaks each guarded formula once and has a test notice; writes docs/mutations.md. An hour of one
+# core; what was measured of a commit is not measured again.
+mutations: $(STAMP)
+	PYTHONPATH=tools $(BIN)/python -m mutations.run --write
 
 install: $(STAMP)
 

@@ -10,6 +10,7 @@ Exit code 1 when a mutation survives unexplained.
 import argparse
 import fnmatch
 import os
+import resource
 import sys
 import time
 from collections.abc import Sequence
@@ -24,6 +25,8 @@ from mutations.results import Result, Results, is_well, table
 PAGE = REPOSITORY / "docs" / "mutations.md"
 BEGIN = "<!-- measured: make mutations -->\n"
 END = "<!-- end of measured -->\n"
+MOST_BYTES = 8 << 30
+"""Of a program's memory: a loop that lost its end must not take the machine's with it."""
 
 
 class Check:
@@ -81,6 +84,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--write", action="store_true", help="write the tables into the page")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="of the compiler")
     told = parser.parse_args(words)
+    resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
     results = Results(REPOSITORY / "out" / "mutations" / "results.jsonl")
     mutations = load()
     chosen = [one for one in mutations if fnmatch.fnmatch(one.name, told.only)]

@@ -57,6 +57,21 @@ TEST_CASE("independent draws come as often as their weights say (chi-square)") {
   }
 }
 
+TEST_CASE("weights of any sum are drawn as those of sum 1 are") {
+  for (const double sum : {1e-9, 7.0}) {
+    const auto share = uneven(101);
+    auto weight = share;
+    for (double& w : weight) w *= sum;
+    const ResampleRule rule{20000, 20000, {}, Scheme::kMultinomial};
+    const Drawn drawn = draw_parents(in_a_row(101), weight, rule, false, 0.0, nullptr, {1, 1});
+    const double chi = chi_square(drawn.parent, share);
+    CHECK(chi > 0.5 && chi < 1.5);
+    std::vector<double> times(101);
+    for (const std::size_t parent : comb(weight, 1777, 0.3)) times[parent] += 1.0;
+    for (std::size_t i = 0; i < 101; ++i) CHECK(std::abs(times[i] - 1777 * share[i]) < 1.0 + 1e-9);
+  }
+}
+
 TEST_CASE("the comb takes each particle as often as its weight says, give or take one") {
   const auto weight = uneven(101);
   for (const double offset : {0.0, 0.3, 0.999999}) {
