@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-__all__ = ["Column", "Dive", "Knob", "Setting", "Study", "Task", "Value"]
+__all__ = ["Column", "Dive", "Knob", "Setting", "Study", "Value"]
 
 Value = bool | int | float | str
 
@@ -40,6 +40,7 @@ class Knob:
         published: label of the setting that the published system has, if any.
         margin: how far, as a share of the error, the default may lie behind the front.
         advice: a sentence for docs/accuracy-cost.md: what turning it buys and costs.
+        quick: whether the subset of `accuracy-cost check` turns it.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Knob:
     published: str | None
     margin: float
     advice: str
+    quick: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,15 +82,6 @@ class Dive:
     name: str
     seed: int
     quick: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """One measurement: a study's setting on a dive. Picklable; runs in a process of its own."""
-
-    study: str
-    setting: Setting
-    dive: Dive
 
 
 class Study(Protocol):

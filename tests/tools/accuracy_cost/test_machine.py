@@ -1,0 +1,53 @@
+"""A commit names exactly what was measured."""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+from accuracy_cost.errors import AccuracyCostError
+from accuracy_cost.machine import commit
+
+
+def git(root: Path, *words: str) -> None:
+    who = ["-c", "user.name=a", "-c", "user.email=a@b"]
+    subprocess.run(["git", *who, "-C", str(root), *words], check=True, capture_output=True)  # noqa: S603, S607
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """A checkout of two files."""
+    git(tmp_path, "init", "-q")
+    for name in ("mapperd/a.py", "docs/page.md"):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).write_text("1")
+    git(tmp_path, "add", ".")
+    git(tmp_path, "commit", "-qm", "first")
+    return tmp_path
+
+
+def test_texts_leave_figures_valid_and_sources_do_not(root: Path) -> None:
+    first = commit(root)
+    (root / "docs/page.md").write_text("2")
+    assert commit(root) == first
+    git(root, "commit", "-qam", "text")
+    assert commit(root) == first
+    (root / "mapperd/a.py").write_text("2")
+    git(root, "commit", "-qam", "source")
+    assert commit(root) != first
+
+
+def test_what_is_not_committed_has_a_name_by_its_content(root: Path) -> None:
+    first = commit(root)
+    names = []
+    for content in ("2", "3", "2"):
+        (root / "mapperd/a.py").write_text(content)
+        names.append(commit(root))
+    assert names[0] == names[2] != names[1]
+    assert all(name.startswith(f"{first}+") for name in names)
+    (root / "mapperd/new.py").write_text("")
+    assert commit(root) not in (first, *names)
+
+
+def test_no_checkout_is_told(tmp_path: Path) -> None:
+    with pytest.raises(AccuracyCostError, match="no checkout of git"):
+        commit(tmp_path)

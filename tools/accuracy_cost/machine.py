@@ -1,0 +1,50 @@
+"""Where figures come from: the machine, and the commit of what was measured."""
+
+import hashlib
+import os
+import platform
+import subprocess
+from pathlib import Path
+
+from accuracy_cost.errors import AccuracyCostError
+from accuracy_cost.studies import ROOT
+
+__all__ = ["commit", "machine"]
+
+MEASURED = ("cpp", "mapperd", "oculus_driver", "tools", "config", "pyproject.toml")
+"""What figures depend on: a commit of texts or tests alone leaves them valid."""
+
+
+def machine() -> str:
+    """Processor, number of cores and system."""
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text(encoding="utf-8").splitlines() if cpuinfo.exists() else []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    cpu = models[0] if models else platform.machine()
+    return f"{cpu}, {os.cpu_count()} cores, Python {platform.python_version()}"
+
+
+def commit(root: Path = ROOT) -> str:
+    """The last commit that changed what is measured; `+` and a digest where it is changed since.
+
+    Raises:
+        AccuracyCostError: this is no checkout of git.
+    """
+    last = _git(root, "log", "-1", "--format=%h", "--abbrev=12", "--", *MEASURED).strip()
+    if not _git(root, "status", "--porcelain", "--", *MEASURED):
+        return last
+    names = _git(root, "ls-files", "-co", "--exclude-standard", "-z", "--", *MEASURED)
+    digest = hashlib.sha256()
+    for name in sorted(filter(None, names.split("\0"))):
+        file = root / name
+        digest.update(name.encode() + b"\0" + (file.read_bytes() if file.is_file() else b""))
+    return f"{last}+{digest.hexdigest()[:8]}"
+
+
+def _git(root: Path, *words: str) -> str:
+    command = ["git", "-C", str(root), *words]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
+    except (OSError, subprocess.CalledProcessError) as error:
+        raise AccuracyCostError(f"{root} is no checkout of git: its commit is unknown") from error
+    return done.stdout
