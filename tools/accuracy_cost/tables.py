@@ -1,0 +1,94 @@
+"""The figures of docs/accuracy-cost.md: one row a knob, one a whole configuration."""
+
+import math
+from collections.abc import Sequence
+
+from accuracy_cost.checking import verdict
+from accuracy_cost.front import Point, mean_point
+from accuracy_cost.results import Results
+from accuracy_cost.studies import DEFAULT
+from accuracy_cost.study import Knob, Study
+
+__all__ = ["IMAGES", "section"]
+
+IMAGES = "images/accuracy-cost"
+
+
+def section(study: Study, results: Results) -> str:
+    """All that stands between a study's marks, as Markdown."""
+    head = results.head
+    dives = ", ".join(f"{dive.name} (seed {dive.seed})" for dive in study.dives)
+    columns = {column.name: column.title for column in study.columns}
+    about = (
+        f"Error: {columns[study.error]}. Cost: {columns[study.cost]}. Means over the dives "
+        f"{dives}. Commit {head.get('commit')} on {head.get('machine')}; all figures: "
+        f"[{study.name}.csv](accuracy-cost/{study.name}.csv)."
+    )
+    command = (
+        f"accuracy-cost run --only {study.name} --knob KNOB\n"
+        f"accuracy-cost plot --only {study.name} --knob KNOB"
+    )
+    parts = (
+        f"![All settings of {study.name}]({IMAGES}/{study.name}.png)",
+        about,
+        "\n".join(_whole_rows(study, results)),
+        "\n".join(_knob_rows(study, results)),
+        f"Each picture is drawn again, from nothing, by\n\n```sh\n{command}\n```",
+    )
+    return "\n\n".join(parts)
+
+
+def _whole_rows(study: Study, results: Results) -> list[str]:
+    rows = ["| configuration | error | cost |", "|---|---:|---:|"]
+    for setting in (DEFAULT, *study.wholes):
+        point = mean_point(study, results, setting, study.dives)
+        rows.append(f"| {setting.label} | {_figure(point.error)} | {_figure(point.cost)} |")
+    return rows
+
+
+def _knob_rows(study: Study, results: Results) -> list[str]:
+    rows = [
+        "| knob | default | published | least error | least cost | the default | what it does |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    return rows + [_knob_row(study, results, knob) for knob in study.knobs]
+
+
+def _knob_row(study: Study, results: Results, knob: Knob) -> str:
+    points = [mean_point(study, results, setting, study.dives) for setting in knob.settings]
+    known = [point for point in points if point.known]
+    (default,) = (point for point in points if not point.setting.overrides)
+    cells = [
+        f"[{knob.name}]({IMAGES}/{study.name}-{knob.name}.png)",
+        _text(default),
+        _text(_labelled(points, knob.published)),
+        _text(min(known, key=lambda point: point.error, default=None)),
+        _text(min(known, key=lambda point: point.cost, default=None)),
+        _place(study, results, knob),
+        knob.advice,
+    ]
+    return f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |"
+
+
+def _place(study: Study, results: Results, knob: Knob) -> str:
+    """Whether the default is on the front, and by how much it is not."""
+    judged = verdict(study, knob, study.dives, results, results).lag
+    if judged is None:
+        return "not measured"
+    if judged.better is None:
+        return "on the front"
+    return f"{100 * judged.share:.2g} % behind {judged.better.label}"
+
+
+def _labelled(points: Sequence[Point], label: str | None) -> Point | None:
+    return next((point for point in points if point.setting.label == label), None)
+
+
+def _text(point: Point | None) -> str:
+    if point is None:
+        return "-"
+    return f"{point.setting.label}: {_figure(point.error)} at {_figure(point.cost)}"
+
+
+def _figure(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.3g}"
