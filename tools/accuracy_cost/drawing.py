@@ -6,6 +6,7 @@ from pathlib import Path
 from marked import put_into
 
 from accuracy_cost.plots import draw_knob, draw_summary, measured_knob
+from accuracy_cost.reliability import draw_reliability, has_bins
 from accuracy_cost.results import Results
 from accuracy_cost.studies import ROOT, Selection
 from accuracy_cost.study import Study
@@ -28,6 +29,9 @@ def draw(
     if not selection.knobs:
         draw_summary(study, results, pictures / f"{study.name}.png")
         yield pictures / f"{study.name}.png"
+        if has_bins(results):
+            draw_reliability(study, results, pictures / f"{study.name}-reliability.png")
+            yield pictures / f"{study.name}-reliability.png"
     if write:
         put_into(PAGE, f"accuracy-cost plot --only {study.name} --write", section(study, results))
         yield PAGE

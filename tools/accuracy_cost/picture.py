@@ -22,6 +22,7 @@ __all__ = [
     "label_points",
     "lay_out",
     "new_figure",
+    "panel_size",
     "panels",
     "save",
     "scale",
@@ -43,6 +44,11 @@ def new_figure(width: float, height: float) -> Figure:
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def panel_size(number: int) -> tuple[float, float]:
+    """Width and height in inches of a figure of some panels."""
+    return {1: (6.5, 4.6), 2: (10.0, 4.4), 3: (13.0, 4.2), 4: (10.5, 8.0)}.get(number, (13.0, 8.0))
 
 
 def panels(figure: Figure, number: int) -> list[Axes]:
@@ -150,4 +156,5 @@ def save(figure: Figure, path: Path) -> None:
     figure.savefig(data, dpi=DPI, format="png")
     path.parent.mkdir(parents=True, exist_ok=True)
     with Image.open(data) as image:
-        image.convert("RGB").quantize(64).save(path, optimize=True)
+        few = image.convert("RGB").quantize(96, method=Image.Quantize.MAXCOVERAGE)
+        few.save(path, optimize=True)

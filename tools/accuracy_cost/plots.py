@@ -13,6 +13,7 @@ from accuracy_cost.picture import (
     label_points,
     lay_out,
     new_figure,
+    panel_size,
     panels,
     save,
     scale,
@@ -38,7 +39,7 @@ def measured_knob(results: Results, knob: Knob) -> bool:
 def draw_knob(study: Study, results: Results, knob: Knob, path: Path) -> None:
     """Draw error against cost of a knob's settings: a panel a dive, and the mean over them."""
     groups = _groups(study, results, knob.settings)
-    figure = new_figure(*_size(len(groups)))
+    figure = new_figure(*panel_size(len(groups)))
     for axes, (title, points) in zip(panels(figure, len(groups)), groups, strict=True):
         scale(axes, points)
         draw_front(axes, points)
@@ -61,7 +62,7 @@ def draw_summary(study: Study, results: Results, path: Path) -> None:
     """Draw all that was measured: every knob, the front over all, the whole configurations."""
     settings = Selection().settings_of(study)
     groups = _groups(study, results, settings)
-    figure = new_figure(*_size(len(groups)))
+    figure = new_figure(*panel_size(len(groups)))
     wholes = {whole.key: whole for whole in study.wholes}
     for axes, (title, points) in zip(panels(figure, len(groups)), groups, strict=True):
         scale(axes, points)
@@ -112,10 +113,6 @@ def _groups(
         means = [mean_point(study, results, setting, study.dives) for setting in settings]
         groups.append(("mean", means))
     return [(title, points) for title, points in groups if any(point.known for point in points)]
-
-
-def _size(number: int) -> tuple[float, float]:
-    return {1: (6.5, 4.6), 2: (10.0, 4.4), 3: (13.0, 4.2), 4: (10.5, 8.0)}.get(number, (13.0, 8.0))
 
 
 def _mark(axes: Axes, point: Point, *, published: bool) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 from accuracy_cost.checking import verdict
 from accuracy_cost.front import Point, mean_point
+from accuracy_cost.reliability import has_bins
 from accuracy_cost.results import Results
 from accuracy_cost.studies import DEFAULT
 from accuracy_cost.study import Knob, Study
@@ -28,13 +29,14 @@ def section(study: Study, results: Results) -> str:
         f"accuracy-cost run --only {study.name} --knob KNOB\n"
         f"accuracy-cost plot --only {study.name} --knob KNOB"
     )
-    parts = (
-        f"![All settings of {study.name}]({IMAGES}/{study.name}.png)",
-        about,
+    parts = [f"![All settings of {study.name}]({IMAGES}/{study.name}.png)", about]
+    if has_bins(results):
+        parts.append(f"![Reliability]({IMAGES}/{study.name}-reliability.png)")
+    parts += [
         "\n".join(_whole_rows(study, results)),
         "\n".join(_knob_rows(study, results)),
         f"Each picture is drawn again, from nothing, by\n\n```sh\n{command}\n```",
-    )
+    ]
     return "\n\n".join(parts)
 
 
