@@ -8,7 +8,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 STAMP := $(VENV)/.installed
 CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt' -o -name 'CMakePresets.json')
 
-.PHONY: demo test bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
+.PHONY: demo test bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
 
 demo: $(STAMP)
 	$(BIN)/python tools/demo.py --out out/demo
@@ -63,6 +63,14 @@ out/chaos/tank.mcap: | $(STAMP)
 # docs/map-stream.md. Ten minutes; wants the right to make network namespaces for a real bad link.
 stream-study: $(STAMP) out/demo/capture.bin
 	PYTHONPATH=tools $(BIN)/python -m stream_study.run --write
+
+# Measures what accuracy costs in time, and how errors grow, from nothing; draws every figure of
+# docs/accuracy-cost.md and docs/numerical-stability.md. Less than an hour of two cores; after a
+# stop the same command goes on.
+accuracy-cost: $(STAMP)
+	$(BIN)/accuracy-cost run --write
+	$(BIN)/accuracy-cost plot --write
+	$(MAKE) numerical-growth
 
 out/demo/capture.bin: | $(STAMP)
 	$(BIN)/python tools/demo.py --out out/demo
