@@ -1,10 +1,11 @@
 """The figures of docs/accuracy-cost.md: one row a knob, one a whole configuration."""
 
 import math
+import textwrap
 from collections.abc import Sequence
 
 from accuracy_cost.checking import verdict
-from accuracy_cost.front import Point, mean_point
+from accuracy_cost.front import SAME_COST, Point, mean_point
 from accuracy_cost.reliability import has_bins
 from accuracy_cost.results import Results
 from accuracy_cost.studies import DEFAULT
@@ -13,12 +14,17 @@ from accuracy_cost.study import Knob, Study
 __all__ = ["IMAGES", "section"]
 
 IMAGES = "images/accuracy-cost"
+LITTLE = 0.1
+"""More error that somebody gladly takes for a faster computer."""
+FIRST = f"""\
+What to turn first on a weak computer: the cheapest setting of each knob with at most
+{100 * LITTLE:g} % more error than the default."""
 
 
 def section(study: Study, results: Results) -> str:
     """All that stands between a study's marks, as Markdown."""
     head = results.head
-    dives = ", ".join(f"{dive.name} (seed {dive.seed})" for dive in study.dives)
+    dives = ", ".join(f"{dive.name} (random seed {dive.seed})" for dive in study.dives)
     columns = {column.name: column.title for column in study.columns}
     about = (
         f"Error: {columns[study.error]}. Cost: {columns[study.cost]}. Means over the dives "
@@ -29,15 +35,22 @@ def section(study: Study, results: Results) -> str:
         f"accuracy-cost run --only {study.name} --knob KNOB\n"
         f"accuracy-cost plot --only {study.name} --knob KNOB"
     )
-    parts = [f"![All settings of {study.name}]({IMAGES}/{study.name}.png)", about]
+    parts = [f"![All settings of {study.name}]({IMAGES}/{study.name}.png)", _wrapped(about)]
     if has_bins(results):
         parts.append(f"![Reliability]({IMAGES}/{study.name}-reliability.png)")
     parts += [
         "\n".join(_whole_rows(study, results)),
+        FIRST,
+        "\n".join(_saving_rows(study, results)),
+        "All knobs; each figure is the error at the cost.",
         "\n".join(_knob_rows(study, results)),
         f"Each picture is drawn again, from nothing, by\n\n```sh\n{command}\n```",
     ]
     return "\n\n".join(parts)
+
+
+def _wrapped(text: str) -> str:
+    return textwrap.fill(text, 100, break_on_hyphens=False)
 
 
 def _whole_rows(study: Study, results: Results) -> list[str]:
@@ -46,6 +59,33 @@ def _whole_rows(study: Study, results: Results) -> list[str]:
         point = mean_point(study, results, setting, study.dives)
         rows.append(f"| {setting.label} | {_figure(point.error)} | {_figure(point.cost)} |")
     return rows
+
+
+def _saving_rows(study: Study, results: Results) -> list[str]:
+    """Knobs that save anything, those that save most first."""
+    default = mean_point(study, results, DEFAULT, study.dives)
+    found = [(knob, _saving(study, results, knob, default)) for knob in study.knobs]
+    savings = sorted(
+        ((knob, point) for knob, point in found if point is not None),
+        key=lambda pair: pair[1].cost,
+    )
+    rows = ["| knob | turned to | cost, times the default's | error |", "|---|---|---:|---:|"]
+    for knob, point in savings:
+        error = 100.0 * (point.error / default.error - 1.0) if default.error else 0.0
+        cost = point.cost / default.cost
+        rows.append(f"| {knob.name} | {point.setting.label} | {cost:.2f} | {error:+.0f} % |")
+    return rows if savings else ["No knob saves time at so little error."]
+
+
+def _saving(study: Study, results: Results, knob: Knob, default: Point) -> Point | None:
+    """The cheapest setting that is nearly as good as the default, if it is cheaper at all."""
+    points = [mean_point(study, results, setting, study.dives) for setting in knob.settings]
+    good = [
+        point
+        for point in points
+        if point.error <= default.error * (1.0 + LITTLE) and point.cost * SAME_COST < default.cost
+    ]
+    return min(good, key=lambda point: point.cost, default=None)
 
 
 def _knob_rows(study: Study, results: Results) -> list[str]:

@@ -53,6 +53,7 @@ def test_run_plot_and_check_make_everything(
     assert "| published | 2.25 | 100 |" in page
     assert "1: 1.5 at 10 | 2: 3.3 at 2.5 | 0.5: 0.75 at 40 | 2: 3.3 at 2.5 | on the front |" in page
     assert "10 % behind good" in page
+    assert "No knob saves time at so little error." in page
 
     assert accuracy_cost(tmp_path, "check") == 0
     assert capsys.readouterr().out.endswith("fake: size: the default is on the front\n")
