@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from accuracy_cost.errors import AccuracyCostError
-from accuracy_cost.front import Lag, lag, mean_point
+from accuracy_cost.front import Lag, lag, mean_point, plane_of
 from accuracy_cost.pool import Job, perform
 from accuracy_cost.results import Results, key_of
 from accuracy_cost.studies import Selection
@@ -68,10 +68,11 @@ def verdict(
     study: Study, knob: Knob, dives: Sequence[Dive], errors: Results, costs: Results
 ) -> Verdict:
     """Judge a knob's default by the mean over dives; errors and costs may be of different runs."""
+    plane = plane_of(study, knob)
     points = [
         replace(
-            mean_point(study, errors, setting, dives),
-            cost=mean_point(study, costs, setting, dives).cost,
+            mean_point(plane, errors, setting, dives),
+            cost=mean_point(plane, costs, setting, dives).cost,
         )
         for setting in knob.settings
     ]

@@ -3,11 +3,23 @@
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from accuracy_cost.results import Results, key_of
-from accuracy_cost.study import Dive, Setting, Study
+from accuracy_cost.study import Dive, Knob, Setting, Study
 
-__all__ = ["SAME_COST", "Lag", "Point", "dominates", "front", "lag", "mean_point", "point_on"]
+__all__ = [
+    "SAME_COST",
+    "Lag",
+    "Plane",
+    "Point",
+    "dominates",
+    "front",
+    "lag",
+    "mean_point",
+    "plane_of",
+    "point_on",
+]
 
 SAME_COST = 1.05
 """Costs within a twentieth are the same: times of two runs differ by as much."""
@@ -67,15 +79,28 @@ def lag(point: Point, others: Sequence[Point]) -> Lag:
     return Lag(1.0 if math.isinf(error) else 1.0 - best.error / error, best.setting)
 
 
-def point_on(study: Study, results: Results, setting: Setting, dive: Dive) -> Point:
+class Plane(NamedTuple):
+    """The columns on both axes."""
+
+    cost: str
+    error: str
+
+
+def plane_of(study: Study, knob: Knob | None = None) -> Plane:
+    """Where settings are compared: a knob may have an error of its own."""
+    own = knob.error if knob else None
+    return Plane(study.cost, own or study.error)
+
+
+def point_on(plane: Plane, results: Results, setting: Setting, dive: Dive) -> Point:
     """A setting on a dive; NaN where it is not measured."""
     figures = results.rows.get(key_of(setting, dive), {})
-    return Point(setting, figures.get(study.cost, math.nan), figures.get(study.error, math.nan))
+    return Point(setting, figures.get(plane.cost, math.nan), figures.get(plane.error, math.nan))
 
 
-def mean_point(study: Study, results: Results, setting: Setting, dives: Sequence[Dive]) -> Point:
+def mean_point(plane: Plane, results: Results, setting: Setting, dives: Sequence[Dive]) -> Point:
     """The mean over dives; NaN where it is not measured on all."""
-    on = [point_on(study, results, setting, dive) for dive in dives]
+    on = [point_on(plane, results, setting, dive) for dive in dives]
     return Point(
         setting,
         math.fsum(point.cost for point in on) / len(on),

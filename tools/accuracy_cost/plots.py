@@ -5,7 +5,7 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 
-from accuracy_cost.front import Point, front, mean_point, point_on
+from accuracy_cost.front import Plane, Point, front, mean_point, plane_of, point_on
 from accuracy_cost.picture import (
     DEFAULT_STYLE,
     PUBLISHED_STYLE,
@@ -38,7 +38,8 @@ def measured_knob(results: Results, knob: Knob) -> bool:
 
 def draw_knob(study: Study, results: Results, knob: Knob, path: Path) -> None:
     """Draw error against cost of a knob's settings: a panel a dive, and the mean over them."""
-    groups = _groups(study, results, knob.settings)
+    plane = plane_of(study, knob)
+    groups = _groups(study, results, knob.settings, plane)
     figure = new_figure(*panel_size(len(groups)))
     for axes, (title, points) in zip(panels(figure, len(groups)), groups, strict=True):
         scale(axes, points)
@@ -50,7 +51,7 @@ def draw_knob(study: Study, results: Results, knob: Knob, path: Path) -> None:
         )  # fmt: skip
         for point in known:
             _mark(axes, point, published=point.setting.label == knob.published)
-        _name_axes(axes, study, title)
+        _name_axes(axes, study, plane, title)
     figure.suptitle(_title(knob), fontsize=12)
     lay_out(figure)
     for axes, (_, points) in zip(figure.axes, groups, strict=True):
@@ -61,14 +62,15 @@ def draw_knob(study: Study, results: Results, knob: Knob, path: Path) -> None:
 def draw_summary(study: Study, results: Results, path: Path) -> None:
     """Draw all that was measured: every knob, the front over all, the whole configurations."""
     settings = Selection().settings_of(study)
-    groups = _groups(study, results, settings)
+    plane = plane_of(study)
+    groups = _groups(study, results, settings, plane)
     figure = new_figure(*panel_size(len(groups)))
     wholes = {whole.key: whole for whole in study.wholes}
     for axes, (title, points) in zip(panels(figure, len(groups)), groups, strict=True):
         scale(axes, points)
         draw_front(axes, points)
         _draw_all(axes, [point for point in points if point.known], wholes)
-        _name_axes(axes, study, title)
+        _name_axes(axes, study, plane, title)
     figure.suptitle(f"All settings of the study of {study.name}", fontsize=12)
     lay_out(figure)
     for axes, (_, points) in zip(figure.axes, groups, strict=True):
@@ -102,15 +104,15 @@ def _draw_all(axes: Axes, points: Sequence[Point], wholes: Mapping[str, Setting]
 
 
 def _groups(
-    study: Study, results: Results, settings: Sequence[Setting]
+    study: Study, results: Results, settings: Sequence[Setting], plane: Plane
 ) -> list[tuple[str, list[Point]]]:
     """Titles of panels and what is in them."""
     groups = [
-        (dive.name, [point_on(study, results, setting, dive) for setting in settings])
+        (dive.name, [point_on(plane, results, setting, dive) for setting in settings])
         for dive in study.dives
     ]
     if len(groups) > 1:
-        means = [mean_point(study, results, setting, study.dives) for setting in settings]
+        means = [mean_point(plane, results, setting, study.dives) for setting in settings]
         groups.append(("mean", means))
     return [(title, points) for title, points in groups if any(point.known for point in points)]
 
@@ -150,8 +152,8 @@ def _title(knob: Knob) -> str:
     return f"{knob.title}  ({marks}; line: front)"
 
 
-def _name_axes(axes: Axes, study: Study, title: str) -> None:
+def _name_axes(axes: Axes, study: Study, plane: Plane, title: str) -> None:
     columns: dict[str, Column] = {column.name: column for column in study.columns}
-    axes.set_xlabel(columns[study.cost].title)
-    axes.set_ylabel(columns[study.error].title)
+    axes.set_xlabel(columns[plane.cost].title)
+    axes.set_ylabel(columns[plane.error].title)
     axes.set_title(title, fontsize=10)

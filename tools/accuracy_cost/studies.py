@@ -45,11 +45,12 @@ def load_all(only: Iterable[str]) -> dict[str, Study]:
 
 def _check(study: Study) -> None:
     columns = {column.name: column for column in study.columns}
-    for axis in (study.error, study.cost):
+    errors = {study.error, *(knob.error for knob in study.knobs if knob.error)}
+    for axis in (*sorted(errors), study.cost):
         if axis not in columns or columns[axis].better != "less":
             raise AccuracyCostError(f"{study.name}: {axis} is no column of which less is better")
-    if not columns[study.error].repeatable:
-        raise AccuracyCostError(f"{study.name}: its error {study.error} differs from run to run")
+        if axis in errors and not columns[axis].repeatable:
+            raise AccuracyCostError(f"{study.name}: its error {axis} differs from run to run")
     for knob in study.knobs:
         labels = [setting.label for setting in knob.settings]
         if len(set(labels)) < len(labels):

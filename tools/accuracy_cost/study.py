@@ -40,6 +40,7 @@ class Knob:
         published: label of the setting that the published system has, if any.
         margin: how far, as a share of the error, the default may lie behind the front.
         advice: a sentence for docs/accuracy-cost.md: what turning it buys and costs.
+        error: column on its error axis, where turning it shows in another one than the study's.
         quick: whether the subset of `accuracy-cost check` turns it.
     """
 
@@ -49,6 +50,7 @@ class Knob:
     published: str | None
     margin: float
     advice: str
+    error: str | None = None
     quick: bool = False
 
 
@@ -76,6 +78,7 @@ class Dive:
     Attributes:
         name: in the results' file.
         seed: of everything random in it.
+        error: column on its error axis, where turning it shows in another one than the study's.
         quick: whether the subset of `accuracy-cost check` measures it.
     """
 

@@ -5,7 +5,7 @@ import textwrap
 from collections.abc import Sequence
 
 from accuracy_cost.checking import verdict
-from accuracy_cost.front import SAME_COST, Point, mean_point
+from accuracy_cost.front import SAME_COST, Point, mean_point, plane_of
 from accuracy_cost.reliability import has_bins
 from accuracy_cost.results import Results
 from accuracy_cost.studies import DEFAULT
@@ -56,30 +56,31 @@ def _wrapped(text: str) -> str:
 def _whole_rows(study: Study, results: Results) -> list[str]:
     rows = ["| configuration | error | cost |", "|---|---:|---:|"]
     for setting in (DEFAULT, *study.wholes):
-        point = mean_point(study, results, setting, study.dives)
+        point = mean_point(plane_of(study), results, setting, study.dives)
         rows.append(f"| {setting.label} | {_figure(point.error)} | {_figure(point.cost)} |")
     return rows
 
 
 def _saving_rows(study: Study, results: Results) -> list[str]:
     """Knobs that save anything, those that save most first."""
-    default = mean_point(study, results, DEFAULT, study.dives)
-    found = [(knob, _saving(study, results, knob, default)) for knob in study.knobs]
+    found = [(knob, _saving(study, results, knob)) for knob in study.knobs]
     savings = sorted(
         ((knob, point) for knob, point in found if point is not None),
         key=lambda pair: pair[1].cost,
     )
     rows = ["| knob | turned to | cost, times the default's | error |", "|---|---|---:|---:|"]
     for knob, point in savings:
+        default = mean_point(plane_of(study, knob), results, DEFAULT, study.dives)
         error = 100.0 * (point.error / default.error - 1.0) if default.error else 0.0
         cost = point.cost / default.cost
         rows.append(f"| {knob.name} | {point.setting.label} | {cost:.2f} | {error:+.0f} % |")
     return rows if savings else ["No knob saves time at so little error."]
 
 
-def _saving(study: Study, results: Results, knob: Knob, default: Point) -> Point | None:
+def _saving(study: Study, results: Results, knob: Knob) -> Point | None:
     """The cheapest setting that is nearly as good as the default, if it is cheaper at all."""
-    points = [mean_point(study, results, setting, study.dives) for setting in knob.settings]
+    points = _points(study, results, knob)
+    (default,) = (point for point in points if not point.setting.overrides)
     good = [
         point
         for point in points
@@ -97,11 +98,12 @@ def _knob_rows(study: Study, results: Results) -> list[str]:
 
 
 def _knob_row(study: Study, results: Results, knob: Knob) -> str:
-    points = [mean_point(study, results, setting, study.dives) for setting in knob.settings]
+    points = _points(study, results, knob)
     known = [point for point in points if point.known]
     (default,) = (point for point in points if not point.setting.overrides)
+    own = {column.name: f", {column.title}" for column in study.columns}.get(knob.error or "", "")
     cells = [
-        f"[{knob.name}]({IMAGES}/{study.name}-{knob.name}.png)",
+        f"[{knob.name}]({IMAGES}/{study.name}-{knob.name}.png){own}",
         _text(default),
         _text(_labelled(points, knob.published)),
         _text(min(known, key=lambda point: point.error, default=None)),
@@ -110,6 +112,11 @@ def _knob_row(study: Study, results: Results, knob: Knob) -> str:
         knob.advice,
     ]
     return f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |"
+
+
+def _points(study: Study, results: Results, knob: Knob) -> list[Point]:
+    plane = plane_of(study, knob)
+    return [mean_point(plane, results, setting, study.dives) for setting in knob.settings]
 
 
 def _place(study: Study, results: Results, knob: Knob) -> str:

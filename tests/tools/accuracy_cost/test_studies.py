@@ -16,6 +16,8 @@ def test_a_good_study_is_loaded(fake: Study) -> None:
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
+        ("own_error", "share", "share is no column of which less is better"),
+        ("own_error", "cpu_ms", "differs from run to run"),
         ("error", "depth_m", "depth_m is no column"),
         ("error", "share", "share is no column of which less is better"),
         ("error", "cpu_ms", "differs from run to run"),
@@ -28,6 +30,8 @@ def test_a_good_study_is_loaded(fake: Study) -> None:
 def test_a_contradiction_is_told(
     fake: Study, monkeypatch: pytest.MonkeyPatch, name: str, value: Any, said: str
 ) -> None:
+    if name == "own_error":
+        name, value = "knobs", (replace(fake.knobs[0], error=value),)
     if name in ("settings", "published"):
         knob = replace(fake.knobs[0], **{"published": None, name: value})
         name, value = "knobs", (knob,)

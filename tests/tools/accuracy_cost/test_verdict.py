@@ -1,6 +1,7 @@
 """When a default is no longer worth choosing."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -52,6 +53,15 @@ def test_a_verdict_names_knob_margin_and_the_setting_that_beats_the_default(fake
         "fake: size: the default lies 15.0 % behind the front (margin 10 %): "
         "2 has less error at no more cost"
     )
+
+
+def test_a_knob_may_be_judged_by_an_error_of_its_own(fake: Study) -> None:
+    now, costs = recorded(fake, errors(0.1, 0.5)), recorded(fake, COSTS)
+    knob = replace(fake.knobs[0], error="other")
+    for key, row in now.rows.items():
+        row["other"] = 3.0 if key.setting == "default" else 4.0
+    assert verdict(fake, knob, fake.dives, now, costs).good
+    assert not verdict(fake, fake.knobs[0], fake.dives, now, costs).good
 
 
 def test_a_default_whose_cost_was_never_recorded_is_not_good(fake: Study) -> None:
