@@ -65,7 +65,7 @@ def _plot(studies: Mapping[str, Study], said: argparse.Namespace) -> int:
     selection = Selection(tuple(said.knob))
     selection.check_names(studies.values())
     for study in studies.values():
-        results = _results(study, said.out)
+        results = _results(study, RECORDED if said.write else said.out)
         for path in draw(study, results, selection, said.pictures, write=said.write):
             print(path)
     return 0
@@ -109,7 +109,11 @@ def _parser() -> argparse.ArgumentParser:
     measure.set_defaults(does=_run)
     plot = commands.add_parser("plot", help="draw what is measured")
     plot.add_argument("--pictures", type=Path, default=ROOT / "docs/images/accuracy-cost")
-    plot.add_argument("--write", action="store_true", help="tables into docs/accuracy-cost.md")
+    plot.add_argument(
+        "--write",
+        action="store_true",
+        help="of what is recorded, with the tables of docs/accuracy-cost.md",
+    )
     plot.set_defaults(does=_plot)
     check = commands.add_parser("check", help="fail where a default is not worth choosing")
     check.set_defaults(does=_check)

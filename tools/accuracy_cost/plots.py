@@ -1,5 +1,6 @@
 """The plots of a study: one a knob, and one of everything that was measured."""
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -28,6 +29,8 @@ PUBLISHED = "published"
 """Label of the whole configuration that the published system has."""
 WHOLE_MARKS = ("D", "^", "v", "P", "X", "o")
 LABELLED_ON_FRONT = 7
+AXIS_WIDTH = 45
+"""Characters of an axis title's line."""
 
 
 def measured_knob(results: Results, knob: Knob) -> bool:
@@ -52,7 +55,7 @@ def draw_knob(study: Study, results: Results, knob: Knob, path: Path) -> None:
         for point in known:
             _mark(axes, point, published=point.setting.label == knob.published)
         _name_axes(axes, study, plane, title)
-    figure.suptitle(_title(knob), fontsize=12)
+    figure.suptitle(_title(knob, width=60 * min(len(groups), 2)), fontsize=12)
     lay_out(figure)
     for axes, (_, points) in zip(figure.axes, groups, strict=True):
         label_points(axes, [(point, _label(point, knob)) for point in points if point.known])
@@ -147,13 +150,13 @@ def _whole_label(study: Study, key: str, wholes: Mapping[str, Setting]) -> str:
     )
 
 
-def _title(knob: Knob) -> str:
+def _title(knob: Knob, width: int) -> str:
     marks = "star: default" + (", square: published" if knob.published else "")
-    return f"{knob.title}  ({marks}; line: front)"
+    return textwrap.fill(f"{knob.title} ({marks}; line: front)", width)
 
 
 def _name_axes(axes: Axes, study: Study, plane: Plane, title: str) -> None:
     columns: dict[str, Column] = {column.name: column for column in study.columns}
-    axes.set_xlabel(columns[plane.cost].title)
-    axes.set_ylabel(columns[plane.error].title)
+    axes.set_xlabel(textwrap.fill(columns[plane.cost].title, AXIS_WIDTH))
+    axes.set_ylabel(textwrap.fill(columns[plane.error].title, AXIS_WIDTH))
     axes.set_title(title, fontsize=10)
