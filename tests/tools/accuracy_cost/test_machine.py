@@ -7,6 +7,8 @@ import pytest
 from accuracy_cost.errors import AccuracyCostError
 from accuracy_cost.machine import commit
 
+TOOL = "tools/accuracy_cost"
+
 
 def git(root: Path, *words: str) -> None:
     who = ["-c", "user.name=a", "-c", "user.email=a@b"]
@@ -15,25 +17,32 @@ def git(root: Path, *words: str) -> None:
 
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
-    """A checkout of two files."""
+    """A checkout of sources and texts."""
     git(tmp_path, "init", "-q")
-    for name in ("mapperd/a.py", "docs/page.md"):
-        (tmp_path / name).parent.mkdir()
+    for name in ("mapperd/a.py", "docs/page.md", f"{TOOL}/plots.py", f"{TOOL}/mapping/a.py"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("1")
     git(tmp_path, "add", ".")
     git(tmp_path, "commit", "-qm", "first")
     return tmp_path
 
 
-def test_texts_leave_figures_valid_and_sources_do_not(root: Path) -> None:
+@pytest.mark.parametrize("name", ["docs/page.md", f"{TOOL}/plots.py"])
+def test_texts_and_drawing_leave_figures_valid(root: Path, name: str) -> None:
     first = commit(root)
-    (root / "docs/page.md").write_text("2")
+    (root / name).write_text("2")
     assert commit(root) == first
     git(root, "commit", "-qam", "text")
     assert commit(root) == first
-    (root / "mapperd/a.py").write_text("2")
+
+
+@pytest.mark.parametrize("name", ["mapperd/a.py", f"{TOOL}/mapping/a.py"])
+def test_sources_do_not(root: Path, name: str) -> None:
+    first = commit(root)
+    (root / name).write_text("2")
     git(root, "commit", "-qam", "source")
     assert commit(root) != first
+    assert "+" not in commit(root)
 
 
 def test_what_is_not_committed_has_a_name_by_its_content(root: Path) -> None:
