@@ -7,6 +7,8 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from tqdm import tqdm
+
 from accuracy_cost.checking import measure_quick, verdicts
 from accuracy_cost.errors import AccuracyCostError
 from accuracy_cost.results import Results, read_results, write_results
@@ -85,7 +87,7 @@ def _check(studies: Mapping[str, Study], _: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix="accuracy-cost-") as folder:
         errors = {
             study.name: measure_quick(module, study, Path(folder))
-            for module, study in studies.items()
+            for module, study in tqdm(studies.items(), unit="study", disable=None)
         }
     judged = verdicts(studies, errors, costs)
     for each in judged:

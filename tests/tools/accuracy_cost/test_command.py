@@ -1,5 +1,6 @@
 """The command, on a fake study: what it says, writes and draws."""
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -57,6 +58,9 @@ def test_run_plot_and_check_make_everything(
 
     assert accuracy_cost(tmp_path, "check") == 0
     assert capsys.readouterr().out.endswith("fake: size: the default is on the front\n")
+    sys.modules["fake_study"].FIGURES["size=2"] = (2.5, 0.85)
+    assert accuracy_cost(tmp_path, "check") == 1
+    assert "fake: size: the default lies 15.0 % behind" in capsys.readouterr().err
 
 
 def test_a_part_is_never_recorded_as_the_whole(
@@ -87,6 +91,18 @@ def test_an_unknown_knob_is_named_with_those_that_there_are(
 ) -> None:
     assert accuracy_cost(tmp_path, "run", "--knob", "colour") == 2
     assert capsys.readouterr().err == "accuracy-cost: no knob colour; there are size, way\n"
+
+
+@pytest.mark.usefixtures("recorded")
+def test_an_interrupt_says_how_to_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "run", interrupted)
+    assert accuracy_cost(tmp_path, "run") == 130
+    assert "the same command goes on from here" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("recorded")
