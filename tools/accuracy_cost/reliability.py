@@ -11,9 +11,10 @@ from accuracy_cost.results import Results, key_of
 from accuracy_cost.studies import DEFAULT
 from accuracy_cost.study import Setting, Study
 
-__all__ = ["bins_of", "draw_reliability", "has_bins"]
+__all__ = ["BIN", "bins_of", "draw_reliability", "has_bins"]
 
-BINS = 10
+BIN, BINS = "bin", 10
+"""How the columns of a bin begin, such as `bin0_voxels`."""
 LEAST_VOXELS = 100
 """A bin of fewer says nothing of its share."""
 PROMISED = 0.1
@@ -22,13 +23,13 @@ COLOURS = ("#d62728", "#7b3294", "#e08214", "#1f77b4", "#2ca02c", "#666666")
 
 def has_bins(results: Results) -> bool:
     """Whether a study tells how many voxels there are of each probability."""
-    return "bin0_voxels" in results.columns
+    return f"{BIN}0_voxels" in results.columns
 
 
 def bins_of(figures: dict[str, float]) -> NDArray[np.float64]:
     """Rows (N, 3) of the filled bins: probability that is said, occupied share, voxels."""
     rows = np.array(
-        [[figures[f"bin{i}_{name}"] for name in ("said", "solid", "voxels")] for i in range(BINS)]
+        [[figures[f"{BIN}{i}_{name}"] for name in ("said", "solid", "voxels")] for i in range(BINS)]
     )
     return rows[rows[:, 2] >= LEAST_VOXELS]
 

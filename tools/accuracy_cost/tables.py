@@ -5,8 +5,8 @@ import textwrap
 from collections.abc import Sequence
 
 from accuracy_cost.checking import verdict
-from accuracy_cost.front import SAME_COST, Point, mean_point, plane_of
-from accuracy_cost.reliability import has_bins
+from accuracy_cost.front import SAME_COST, Plane, Point, mean_point, plane_of
+from accuracy_cost.reliability import BIN, has_bins
 from accuracy_cost.results import Results
 from accuracy_cost.studies import DEFAULT
 from accuracy_cost.study import Knob, Study
@@ -54,10 +54,14 @@ def _wrapped(text: str) -> str:
 
 
 def _whole_rows(study: Study, results: Results) -> list[str]:
-    rows = ["| configuration | error | cost |", "|---|---:|---:|"]
-    for setting in (DEFAULT, *study.wholes):
-        point = mean_point(plane_of(study), results, setting, study.dives)
-        rows.append(f"| {setting.label} | {_figure(point.error)} | {_figure(point.cost)} |")
+    """All figures of the default and of whole configurations."""
+    wholes = (DEFAULT, *study.wholes)
+    rows = [f"| | {' | '.join(whole.label for whole in wholes)} |", "|---|" + "---:|" * len(wholes)]
+    for column in study.columns:
+        if not column.name.startswith(BIN):
+            plane = Plane(column.name, column.name)
+            means = [mean_point(plane, results, whole, study.dives).error for whole in wholes]
+            rows.append(f"| {column.title} | {' | '.join(map(_figure, means))} |")
     return rows
 
 

@@ -50,8 +50,9 @@ def test_run_plot_and_check_make_everything(
             assert len(image.convert("RGB").getcolors(65536) or ()) > 5
     page = (tmp_path / "page.md").read_text()
     assert "\nold\n" not in page
-    assert "| default | 1.5 | 10 |" in page
-    assert "| published | 2.25 | 100 |" in page
+    assert "| | default | published |" in page
+    assert "| error, m | 1.5 | 2.25 |" in page
+    assert "| CPU, ms | 10 | 100 |" in page
     assert "1: 1.5 at 10 | 2: 3.3 at 2.5 | 0.5: 0.75 at 40 | 2: 3.3 at 2.5 | on the front |" in page
     assert "10 % behind good" in page
     assert "No knob saves time at so little error." in page

@@ -30,5 +30,5 @@ def test_a_twentieth_of_the_time_is_no_saving(fake: Study) -> None:
 def test_what_was_not_measured_is_no_figure(fake: Study) -> None:
     results = Results({"study": "fake"}, ["error_m", "cpu_ms", "share"])
     text = section(fake, results)
-    assert "| published | - | - |" in text
+    assert "| error, m | - | - |" in text
     assert "| not measured |" in text
