@@ -90,16 +90,33 @@ class Dive:
 class Study(Protocol):
     """One of mapping, localization, simulation, stream."""
 
-    name: str
-    knobs: Sequence[Knob]
-    dives: Sequence[Dive]
-    wholes: Sequence[Setting]
-    """Whole configurations, marked in all plots: the published system's, the profiles."""
-    columns: Sequence[Column]
-    error: str
-    """Column on the error axis."""
-    cost: str
-    """Column on the time axis."""
+    @property
+    def name(self) -> str:
+        """Of the study's results and pictures."""
+
+    @property
+    def knobs(self) -> Sequence[Knob]:
+        """What is turned."""
+
+    @property
+    def dives(self) -> Sequence[Dive]:
+        """On what."""
+
+    @property
+    def wholes(self) -> Sequence[Setting]:
+        """Whole configurations, marked in all plots: the published system's, the profiles."""
+
+    @property
+    def columns(self) -> Sequence[Column]:
+        """What is measured."""
+
+    @property
+    def error(self) -> str:
+        """Column on the error axis."""
+
+    @property
+    def cost(self) -> str:
+        """Column on the time axis."""
 
     def prepare(self, dive: Dive, folder: Path) -> None:
         """Make a dive's files in a folder, once; what is there and whole is kept."""
