@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from accuracy_cost.checking import verdict
 from accuracy_cost.front import SAME_COST, Plane, Point, mean_point, plane_of
 from accuracy_cost.reliability import BIN, has_bins
+from accuracy_cost.remarks import remarks
 from accuracy_cost.results import Results
 from accuracy_cost.studies import DEFAULT
 from accuracy_cost.study import Knob, Study
@@ -42,6 +43,7 @@ def section(study: Study, results: Results) -> str:
         "\n".join(_whole_rows(study, results)),
         FIRST,
         "\n".join(_saving_rows(study, results)),
+        *remarks(study, results),
         "All knobs; each figure is the error at the cost.",
         "\n".join(_knob_rows(study, results)),
         f"Each picture is drawn again, from nothing, by\n\n```sh\n{command}\n```",
