@@ -29,7 +29,11 @@ AHEAD = Beams(bearing_rad=np.zeros(1), range_m=np.array([3.0]), quality=np.ones(
 
 
 def test_map_without_free_cells() -> None:
-    """Drawing until a free cell comes never ends; the last of none lies before the list."""
+    """Starting anywhere needs a free cell; a map without one is refused and the cloud stays.
+
+    Naively drawing until a free cell comes never ends, and the last of no cells lies before the
+    list.
+    """
     for value in (100, -1, 50):
         full = grid(np.full((5, 5), value, np.int8), 0.5)
         with pytest.raises(ValueError, match="no free cell"):
@@ -43,7 +47,10 @@ def test_map_without_free_cells() -> None:
 
 
 def test_map_without_obstacles() -> None:
-    """Nothing to spread from: each cell is far from everything, not upon an obstacle."""
+    """With nothing to spread distances from, each cell is far from everything.
+
+    Naively distances that nobody filled in stay 0, and all water looks like a wall.
+    """
     field = LikelihoodField.of_grid(grid(np.zeros((5, 5), np.int8), 0.5), HIT)
     assert field.values() == pytest.approx(HIT.density(2.0))
     ranges = RangeMap(grid(np.zeros((100, 100), np.int8), 0.5))
@@ -52,20 +59,30 @@ def test_map_without_obstacles() -> None:
 
 @pytest.mark.parametrize("shape", [(0, 0), (0, 5), (5, 0)])
 def test_map_without_cells(shape: tuple[int, int]) -> None:
-    """The column of a cell is its index modulo a width of 0."""
+    """A map of no rows or no columns is refused.
+
+    Naively the column of a cell is its index modulo a width of 0: the program dies.
+    """
     with pytest.raises(ValueError, match="cells"):
         grid(np.zeros(shape, np.int8), 0.5)
 
 
 @pytest.mark.parametrize("resolution_m", [0.0, -1.0, np.nan, np.inf])
 def test_map_of_no_resolution(resolution_m: float) -> None:
-    """Places divided by it are no numbers."""
+    """A cell edge of zero, below zero, or no number is refused.
+
+    Naively places are divided by it: every cell's number is infinite, or NaN.
+    """
     with pytest.raises(ValueError, match="resolution"):
         grid(np.zeros((5, 5), np.int8), resolution_m)
 
 
 def test_particle_off_the_map() -> None:
-    """Off the map the reference gives 1 / r_max, more than in mapped water: leaving is rewarded."""
+    """A particle that left the map is weighed like one in open water.
+
+    Naively it gets 1 / r_max, more than particles in mapped water: leaving is rewarded, and the
+    cloud drifts off.
+    """
     water = grid(np.zeros((50, 50), np.int8), 0.5)
     field = LikelihoodField.of_grid(water, HIT)
     inside = field_likelihood(field, pose(12, 12, 0), endpoints((1, 0)))
@@ -81,14 +98,20 @@ BEAM_BACKGROUND = 0.5 / 20.0
 
 
 def test_particle_within_an_obstacle() -> None:
-    """The expected range is 0: half the Gaussian is cut off, and the short term has no room."""
+    """At an expected range of 0, half the Gaussian and all short readings are cut off.
+
+    Naively their parts of the density are divided by a width of 0.
+    """
     wall = grid(np.full((50, 50), 100, np.int8), 0.5)
     likelihood = beam_likelihood(RangeMap(wall), pose(12, 12, 0), AHEAD, BEAM)
     assert likelihood == pytest.approx(BEAM_BACKGROUND**3, rel=1e-6)
 
 
 def test_particle_in_unknown_space() -> None:
-    """Where unknown cells block, every ray is 0 long and all particles are alike."""
+    """Unknown cells stop a ray only where that is asked for.
+
+    Naively unknown counts as occupied, every ray is 0 long, and all particles are alike.
+    """
     occupancy = np.full((50, 50), -1, np.int8)
     occupancy[:, 40] = 100
     ray = np.array([[12.0, 12.0, 0.0]])
@@ -97,7 +120,10 @@ def test_particle_in_unknown_space() -> None:
 
 
 def test_coordinates_far_from_the_origin() -> None:
-    """A map at UTM coordinates: single precision would lose decimetres."""
+    """A map at UTM coordinates is read as sharply as one at the origin.
+
+    Naively, in single precision, places at 7e6 m are whole half metres.
+    """
     occupancy = np.zeros((50, 50), np.int8)
     occupancy[:, 40] = 100
     far = grid(occupancy, 0.1, (6.5e6, -7.0e6, 0.0))
@@ -110,7 +136,11 @@ def test_coordinates_far_from_the_origin() -> None:
 
 @pytest.mark.parametrize("place", [1e18, -1e300])
 def test_huge_coordinates(place: float) -> None:
-    """Their cells' numbers fit no integer."""
+    """Particles whose cell numbers fit no integer are off the map, and stay numbers.
+
+    Naively the conversion to an integer is undefined: some cell or other is read, or memory
+    beyond the map.
+    """
     particles = ParticleFilter(rule(50, 300), 1)
     particles.start_about(pose(place, place, 0), np.eye(3))
     field = LikelihoodField.of_grid(grid(np.zeros((5, 5), np.int8), 0.5), HIT)
@@ -123,7 +153,11 @@ def test_huge_coordinates(place: float) -> None:
 
 
 def test_grazing_rays() -> None:
-    """Along a wall's face, rays must neither end early nor slip through it."""
+    """Rays along a wall's face end where they meet it, to a tenth of a millimetre.
+
+    Naively a march of fixed steps, or a slope divided by 1e-9, ends early or slips through the
+    wall.
+    """
     occupancy = np.zeros((100, 400), np.int8)
     occupancy[50] = 100
     ranges = RangeMap(grid(occupancy, 0.1))
@@ -134,7 +168,10 @@ def test_grazing_rays() -> None:
 
 
 def test_rays_between_diagonal_cells() -> None:
-    """A standard line of cells slips between two that touch at a corner."""
+    """No ray slips between two occupied cells that touch at a corner.
+
+    Naively a standard line of cells goes from one free cell to the next across the corner.
+    """
     occupancy = np.eye(40, dtype=np.int8)[::-1].copy() * 100
     ranges = RangeMap(grid(occupancy, 0.5))
     rays = np.array([[2.0, 2.0, yaw] for yaw in np.linspace(0.4, 1.1, 301)])
@@ -143,7 +180,10 @@ def test_rays_between_diagonal_cells() -> None:
 
 
 def test_layers_of_a_field_and_ends_above_and_below() -> None:
-    """Ends of beams above the top layer or below the lowest read no memory beyond the field."""
+    """Ends of beams above the top layer or below the lowest are outside the field.
+
+    Naively the layer's number is cast from 1e300 and memory beyond the field is read.
+    """
     distances = np.zeros((4, 4, 4), np.float32)
     distances[0, 0, 0] = np.nan
     model = HitModel(z_hit=0.5, z_rand=0.5, sigma_hit_m=0.2, max_range_m=20, max_distance_m=2)

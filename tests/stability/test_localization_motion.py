@@ -27,7 +27,10 @@ def cloud(count: int = 500, seed: int = 3, **how: float) -> ParticleFilter:
 
 @pytest.mark.parametrize("model", MODELS[:2])
 def test_alphas_zero(model: str) -> None:
-    """Sigma 0: exactly the odometry's motion, no division by it."""
+    """Motion without noise is exactly that of the odometry.
+
+    Naively a sample is divided by a sigma of 0.
+    """
     particles = filter_at(np.zeros((50, 3)))
     particles.predict(pose(0, 0, 0), pose(1, 2, 0.5), model, np.zeros(5))
     assert np.ptp(particles.poses, axis=0) == pytest.approx(0, abs=0)
@@ -36,7 +39,10 @@ def test_alphas_zero(model: str) -> None:
 
 @pytest.mark.parametrize("model", MODELS[:2])
 def test_no_motion(model: str) -> None:
-    """The bearing of no translation is atan2(0, 0): noise must not come of it."""
+    """Where the odometry stands still, so do the particles.
+
+    Naively the bearing atan2(0, 0) of no translation counts as a turn, and noise comes of it.
+    """
     particles = cloud()
     before = particles.poses
     particles.predict(pose(4, 5, 1), pose(4, 5, 1), model, NOISY)
@@ -44,7 +50,10 @@ def test_no_motion(model: str) -> None:
 
 
 def test_no_motion_with_a_floor_keeps_the_cloud_alive() -> None:
-    """At rest, updates resample copies of fewer and fewer particles unless some noise stays."""
+    """At rest, least noises keep the particles apart.
+
+    Naively every update resamples copies of fewer and fewer particles, until one is left.
+    """
     particles = cloud()
     for _ in range(300):
         particles.predict(pose(0, 0, 0), pose(0, 0, 0), MODELS[0], NOISY, 0.01, 0.01)
@@ -57,7 +66,10 @@ def test_no_motion_with_a_floor_keeps_the_cloud_alive() -> None:
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf, 1e9])
 def test_odometry_jump_and_odometry_not_a_number(model: str, wrong: float) -> None:
-    """NaN enters every pose and never leaves; a jump throws the cloud off the map."""
+    """A step that is no number, or longer than the vehicle can go, moves nothing.
+
+    Naively NaN enters every pose and never leaves, and a jump throws the cloud off the map.
+    """
     particles = cloud(max_step_m=5.0)
     before = particles.poses
     for axis in range(2):
@@ -70,14 +82,20 @@ def test_odometry_jump_and_odometry_not_a_number(model: str, wrong: float) -> No
 
 
 def test_negative_and_nan_alphas_are_refused() -> None:
-    """Square roots of negative variances are NaN."""
+    """Noise parameters below 0, or no numbers, are refused.
+
+    Naively the square root of a negative variance makes every pose NaN.
+    """
     for wrong in (-0.1, np.nan):
         with pytest.raises(ValueError, match="alphas"):
             cloud().predict(pose(0, 0, 0), pose(1, 0, 0), MODELS[0], np.full(5, wrong))
 
 
 def test_headings_around_pi() -> None:
-    """Averaged as numbers, pi - 0.01 and -pi + 0.01 look the other way."""
+    """Headings on both sides of pi have their mean at pi.
+
+    Naively, averaged as numbers, pi - 0.01 and -pi + 0.01 look the other way.
+    """
     particles = filter_at(np.array([(0, 0, PI - 0.01), (0, 0, 0.01 - PI)]))
     estimate = particles.estimate()
     assert abs(estimate.mean[2]) == pytest.approx(PI, abs=1e-12)
@@ -85,7 +103,10 @@ def test_headings_around_pi() -> None:
 
 
 def test_cross_terms_around_pi() -> None:
-    """Differences of headings are wrapped before they are multiplied."""
+    """Covariances of place and heading hold across pi.
+
+    Naively differences of headings are multiplied unwrapped, and are off by whole turns.
+    """
     off = np.linspace(-0.2, 0.2, 41)
     poses = np.stack([off, 0 * off, np.remainder(PI + off + PI, 2 * PI) - PI], axis=1)
     covariance = filter_at(poses).estimate().covariance
@@ -93,7 +114,11 @@ def test_cross_terms_around_pi() -> None:
 
 
 def test_opposite_headings() -> None:
-    """The mean vector is 0: its angle is noise, its logarithm minus infinity."""
+    """Two opposite headings have no mean, and it is said so.
+
+    Naively the mean vector of length 0 has an angle made of rounding, and a logarithm of minus
+    infinity.
+    """
     estimate = filter_at(np.array([(0, 0, 0.4), (1, 0, 0.4 - PI)])).estimate()
     assert not estimate.heading_known
     assert estimate.mean[2] == 0
@@ -102,7 +127,11 @@ def test_opposite_headings() -> None:
 
 
 def test_opposite_headings_in_a_message() -> None:
-    """Infinity is no JSON number, and no matrix with it has eigenvalues."""
+    """An unknown heading leaves as the largest finite variance.
+
+    Naively infinity goes into a message: it is no JSON number, and no matrix with it has
+    eigenvalues.
+    """
     two = filter_at(np.array([(0, 0, 0.4), (0.05, 0, 0.4 - PI)]))
     overall = belief(two).overall
     assert overall.covariance[2, 2] == pytest.approx(PI**2)
@@ -112,7 +141,10 @@ def test_opposite_headings_in_a_message() -> None:
 
 
 def test_mean_vector_rounded_above_one() -> None:
-    """-2 ln R is negative where R is 1 and an ulp."""
+    """The spread of equal headings is 0 or a little more, never imaginary.
+
+    Naively the length R of the mean vector is rounded to 1 and an ulp, and -2 ln R is negative.
+    """
     for yaw in np.linspace(-PI, PI, 501):
         estimate = filter_at(np.tile(pose(0, 0, yaw), (7, 1))).estimate()
         assert estimate.covariance[2, 2] >= 1e-12
@@ -120,7 +152,10 @@ def test_mean_vector_rounded_above_one() -> None:
 
 
 def test_covariance_far_from_the_origin() -> None:
-    """Mean of squares less square of the mean: at 1e7 m no digit is left of a centimetre."""
+    """A spread of a centimetre is told at 1e7 m from the origin.
+
+    Naively, as mean of squares less square of the mean, no digit of it is left there.
+    """
     generator = np.random.default_rng(5)
     near = generator.normal(0, 0.01, (5000, 3))
     far = near + pose(1e7, -1e7, 0)
@@ -129,7 +164,10 @@ def test_covariance_far_from_the_origin() -> None:
 
 
 def test_one_particle() -> None:
-    """N - 1 is 0."""
+    """One particle is an estimate, marked as one without a spread.
+
+    Naively the covariance is divided by N - 1, which is 0.
+    """
     one = filter_at(np.array([(1.0, 2.0, 3.0)]))
     estimate = one.estimate()
     assert estimate.mean == pytest.approx((1, 2, 3))
@@ -142,7 +180,11 @@ def test_one_particle() -> None:
 
 
 def test_no_particles() -> None:
-    """Before the first pose everything is asked all the same."""
+    """Before the first pose every question has an answer.
+
+    Naively means of nothing are 0 / 0, and the heaviest of no particles is read from before the
+    list.
+    """
     none = ParticleFilter(rule(), 1)
     assert none.predict(pose(0, 0, 0), pose(1, 0, 0), MODELS[0], NOISY)
     assert not none.weigh(np.zeros(0), 60).informative
@@ -154,13 +196,20 @@ def test_no_particles() -> None:
 
 
 def test_identical_particles() -> None:
-    """Variances are 0 and a covariance of them has no inverse: the floor makes it one."""
+    """A cloud in one point has a covariance that can be inverted.
+
+    Naively its variances are 0, and whoever inverts it downstream gets infinities.
+    """
     estimate = filter_at(np.tile(pose(1, 1, 1), (300, 1))).estimate()
     assert np.linalg.inv(estimate.covariance) == pytest.approx(np.eye(3) * 1e12)
 
 
 def test_converged_cloud_is_cheap() -> None:
-    """One bucket gives no limit: perfectly converged clouds took the most particles of all."""
+    """A cloud that fits one bucket takes the fewest particles.
+
+    Naively the limit is not defined for one bucket, and perfectly converged clouds take the most
+    particles of all.
+    """
     particles = ParticleFilter(rule(50, 5000), 1)
     particles.start_about(pose(0.25, 0.25, 0.05), np.diag([1e-6, 1e-6, 1e-6]))
     particles.resample()
@@ -192,7 +241,11 @@ def test_converged_cloud_is_cheap() -> None:
     ],
 )
 def test_settings_without_meaning(wrong: dict[str, float]) -> None:
-    """Error 0 wants infinitely many particles; interval 0 is a modulo by zero."""
+    """Settings that cannot be meant are refused, each by name.
+
+    Naively an error of 0 wants infinitely many particles, and an interval of 0 is a modulo by
+    zero.
+    """
     with pytest.raises(ValueError, match=r".+"):
         rule(**wrong)  # type: ignore[arg-type]
 
@@ -209,7 +262,10 @@ def test_settings_without_meaning(wrong: dict[str, float]) -> None:
     ids=["nothing", "rank 1", "one axis", "rounded below 0", "ill-conditioned"],
 )
 def test_singular_initial_covariance(covariance: NDArray[np.float64]) -> None:
-    """Square roots of eigenvalues rounded below 0 are NaN."""
+    """A covariance of lower rank, or with an axis rounded below 0, draws a finite cloud.
+
+    Naively Cholesky fails on it, or the square root of -1e-18 makes poses NaN.
+    """
     particles = ParticleFilter(rule(), 1)
     particles.start_about(pose(1, 2, 3), covariance)
     assert np.isfinite(particles.poses).all()
@@ -226,7 +282,10 @@ def test_singular_initial_covariance(covariance: NDArray[np.float64]) -> None:
     ids=["negative", "asymmetric", "not a number", "infinite"],
 )
 def test_initial_covariance_that_is_none(covariance: NDArray[np.float64]) -> None:
-    """Refused, and the cloud there was is kept."""
+    """A matrix that is no covariance is refused, and the cloud there was is kept.
+
+    Naively half of it is used, or NaN is drawn into every particle.
+    """
     particles = cloud()
     before = particles.poses
     with pytest.raises(ValueError, match="covariance"):
@@ -235,14 +294,20 @@ def test_initial_covariance_that_is_none(covariance: NDArray[np.float64]) -> Non
 
 
 def test_initial_covariance_rounded_asymmetric() -> None:
-    """Written as text and read again, the last digits differ."""
+    """A covariance whose halves differ in the last digits is taken as meant.
+
+    Naively one that was written as text and read again is refused for not being symmetric.
+    """
     covariance = np.array([[1.0, 0.5, 0], [0.5 + 1e-12, 1, 0], [0, 0, 1]])
     ParticleFilter(rule(), 1).start_about(pose(0, 0, 0), covariance)
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 def test_initial_pose_not_a_number(wrong: float) -> None:
-    """Refused, and the cloud there was is kept."""
+    """A start at no number is refused, and the cloud there was is kept.
+
+    Naively all particles become NaN, and no later scan brings one back.
+    """
     particles = cloud()
     before = particles.poses
     with pytest.raises(ValueError, match="finite"):
@@ -253,7 +318,10 @@ def test_initial_pose_not_a_number(wrong: float) -> None:
 
 
 def test_heading_turns_for_ever() -> None:
-    """Unwrapped, one heading occupies ever more buckets, and sines lose digits."""
+    """Headings stay within one turn however long a vehicle circles.
+
+    Naively they grow: one heading occupies ever more buckets, and its sine loses digits.
+    """
     particles = cloud(200)
     yaw = 0.0
     for _ in range(5000):
@@ -279,7 +347,10 @@ def run(seed: int, threads: int) -> NDArray[np.float64]:
 
 
 def test_one_seed_is_one_run_on_any_number_of_threads() -> None:
-    """Thread-local generators make `par` a run of its own each time."""
+    """Equal seeds give equal particles, on any number of threads.
+
+    Naively each thread draws from a generator of its own, and no run can be repeated.
+    """
     first = run(7, 1)
     for threads in (1, 2, 5):
         assert (run(7, threads) == first).all()
@@ -287,7 +358,10 @@ def test_one_seed_is_one_run_on_any_number_of_threads() -> None:
 
 
 def test_initialising_does_not_restart_the_generator() -> None:
-    """A generator seeded anew by every start draws the same cloud again and again."""
+    """Each start draws other particles.
+
+    Naively a generator seeded anew by every start draws the same unlucky cloud again and again.
+    """
     particles = cloud()
     first = particles.poses
     particles.start_about(pose(1, 2, 3), np.diag([0.5, 0.5, 0.5]))

@@ -43,7 +43,10 @@ def scan(range_m: float, beams: int = 30) -> Endpoints:
 @pytest.mark.parametrize("aggregation", ["cube_sum", "product"])
 @pytest.mark.parametrize("count", [100, 3000])
 def test_recovery_with_a_constant_number_of_particles(aggregation: str, count: int) -> None:
-    """After normalisation the mean weight is 1 / N: with N constant recovery is never heard."""
+    """A scan that fits nowhere brings random particles, with N constant too.
+
+    Naively recovery hears the mean weight after normalisation, which is always 1 / N.
+    """
     particles = recovering(count)
     for _ in range(5):
         particles.weigh_field(FIELD, scan(8.1), aggregation)
@@ -57,7 +60,10 @@ def test_recovery_with_a_constant_number_of_particles(aggregation: str, count: i
 
 @pytest.mark.parametrize("aggregation", ["cube_sum", "product"])
 def test_good_fit_triggers_no_recovery_though_numbers_change(aggregation: str) -> None:
-    """With 1 / N for a mean weight, a cloud that grows from 500 to 2000 looked lost."""
+    """A change of the number of particles is no change of the fit.
+
+    Naively, with 1 / N for a mean weight, a cloud that grows from 500 to 2000 looks lost.
+    """
     particles = recovering(500)
     for count in (500, 2000, 4000, 300):
         particles.set_rule(rule(count, count, alpha_slow=0.001, alpha_fast=0.1))
@@ -68,7 +74,11 @@ def test_good_fit_triggers_no_recovery_though_numbers_change(aggregation: str) -
 
 @pytest.mark.parametrize("aggregation", ["cube_sum", "product"])
 def test_fit_is_that_of_one_beam(aggregation: str) -> None:
-    """A scan with twice the beams must not look like a better or a worse one."""
+    """How well a scan fits does not depend on how many beams it has.
+
+    Naively a product over twice the beams is the square of a small number: the vehicle looks
+    lost.
+    """
     fits = []
     for beams in (30, 60, 240):
         particles = ParticleFilter(rule(1, 1), 5)
@@ -78,7 +88,10 @@ def test_fit_is_that_of_one_beam(aggregation: str) -> None:
 
 
 def test_no_recovery_without_free_water() -> None:
-    """Random particles come from the map's free cells, or not at all."""
+    """Where no free cells are known, no random particles come.
+
+    Naively they are drawn anywhere, or from an empty list.
+    """
     particles = recovering(500)
     for range_m in (8.1, 8.1, 3.0, 3.0):
         particles.weigh_field(FIELD, scan(range_m))
@@ -96,7 +109,10 @@ def seen_from(hits: NDArray[np.float64], at: NDArray[np.float64]) -> Endpoints:
 
 
 def test_kidnapped_vehicle_is_found_again() -> None:
-    """All particles are at the wrong place: only random ones can be at the right one."""
+    """A vehicle that was carried off is found again.
+
+    Naively all particles stay at the wrong place, for none is at the right one to be copied.
+    """
     occupancy = np.zeros((40, 40), np.int8)
     occupancy[:, 36] = occupancy[4, 2:12] = occupancy[20:24, 8:12] = occupancy[33, 20:34] = 100
     water = grid(occupancy, 0.5)
@@ -119,7 +135,11 @@ def test_kidnapped_vehicle_is_found_again() -> None:
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 def test_fit_that_is_no_number(wrong: float) -> None:
-    """Averages never forget a NaN or an infinity: recovery would be off, or on, for ever."""
+    """A fit that is no number is passed over.
+
+    Naively the running averages never forget a NaN or an infinity: recovery is off, or on, for
+    ever.
+    """
     recovery = _core.MclRecovery(0.1, 0.5)
     for fit in (1.0, wrong, 0.5):
         recovery.add(fit)

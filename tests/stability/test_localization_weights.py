@@ -47,7 +47,10 @@ def distinct(particles: ParticleFilter) -> int:
 
 @pytest.mark.parametrize("beams", [140, 170, 256, 4096])
 def test_product_underflow(beams: int) -> None:
-    """Multiplied, 256 missing beams are exactly 0 and every weight 0 / 0."""
+    """The product of thousands of small densities keeps its logarithm.
+
+    Naively multiplied, 256 missing beams are exactly 0, and every weight 0 / 0.
+    """
     particles = cloud()
     weighed = particles.weigh_field(FAR, scan(beams), "product")
     assert weighed.informative
@@ -56,7 +59,10 @@ def test_product_underflow(beams: int) -> None:
 
 
 def test_all_weights_zero() -> None:
-    """0 / 0 makes all weights NaN, and resampling copies the first particle N times."""
+    """A scan that no particle explains leaves the weights there were, and is counted.
+
+    Naively 0 / 0 makes all weights NaN, and resampling copies the first particle N times.
+    """
     particles = cloud()
     before = particles.weights
     weighed = particles.weigh(np.full(200, -np.inf), 60)
@@ -70,7 +76,10 @@ def test_all_weights_zero() -> None:
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 def test_one_weight_not_a_number(wrong: float) -> None:
-    """One NaN makes the sum NaN, and with it every weight."""
+    """One particle's NaN costs that particle alone.
+
+    Naively it makes the sum NaN, and with it every weight.
+    """
     particles = cloud()
     logs = np.zeros(200)
     logs[17] = wrong
@@ -82,7 +91,10 @@ def test_one_weight_not_a_number(wrong: float) -> None:
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
 def test_all_weights_not_a_number(wrong: float) -> None:
-    """No particle can be told from another: the scan must count for nothing."""
+    """Where no particle can be told from another, the scan counts for nothing.
+
+    Naively every weight is NaN, and so is the estimate.
+    """
     particles = cloud()
     before = particles.weights
     assert not particles.weigh(np.full(200, wrong), 1).informative
@@ -91,7 +103,11 @@ def test_all_weights_not_a_number(wrong: float) -> None:
 
 
 def test_weights_grow_without_resampling() -> None:
-    """Likelihoods of 1 and more, multiplied, overflow a double after some hundred scans."""
+    """Likelihoods above 1 may be multiplied for ever.
+
+    Naively their product overflows a double after some hundred scans, and infinity / infinity is
+    NaN.
+    """
     particles = cloud()
     for _ in range(2000):
         particles.weigh_field(FAR, scan(60), "cube_sum")
@@ -102,7 +118,11 @@ def test_weights_grow_without_resampling() -> None:
 
 @pytest.mark.parametrize("aggregation", ["cube_sum", "product"])
 def test_empty_scan(aggregation: str) -> None:
-    """The beam model's sum over no beam is 0 for every particle: one distinct one is left."""
+    """A scan without beams changes no weight.
+
+    Naively the sum over no beam is 0 for every particle, and after 0 / 0 one distinct particle is
+    left.
+    """
     particles = cloud()
     before = particles.weights
     none = np.zeros(0)
@@ -117,7 +137,10 @@ def test_empty_scan(aggregation: str) -> None:
 
 
 def test_no_random_readings_and_no_hit() -> None:
-    """With z_rand 0 the logarithm of p is minus infinity where no obstacle is near."""
+    """Without a floor of random readings a miss is very unlikely, not impossible.
+
+    Naively the logarithm of 0 is minus infinity for all particles at once.
+    """
     model = HitModel(z_hit=1.0, z_rand=0.0, sigma_hit_m=0.05, max_range_m=20.0, max_distance_m=2.0)
     occupancy = np.zeros((50, 50), np.int8)
     occupancy[25, 25] = 100
@@ -128,7 +151,10 @@ def test_no_random_readings_and_no_hit() -> None:
 
 
 def test_density_above_one() -> None:
-    """A sigma of 1 cm makes p^3 some 8000 a beam, and 256 products of p overflow nothing."""
+    """Densities of several hundred a beam are summed as logarithms.
+
+    Naively 256 of them multiplied overflow a double.
+    """
     model = HitModel(z_hit=1.0, z_rand=0.1, sigma_hit_m=0.001, max_range_m=20.0, max_distance_m=2.0)
     field = LikelihoodField.of_grid(grid(np.full((50, 50), 100, np.int8), 0.5), model)
     for aggregation in ("cube_sum", "product"):
@@ -140,7 +166,10 @@ def test_density_above_one() -> None:
 
 
 def test_field_in_single_precision() -> None:
-    """Sums of float cubes lose digits; the field's floats are summed in double."""
+    """The field's single-precision values are summed in double precision.
+
+    Naively sums of 4096 float cubes lose digits at every addition.
+    """
     values = np.full((50, 50), 0.1, np.float32)
     field = LikelihoodField.of_values(values, 0.5, pose(0, 0, 0), 0.1)
     particles = filter_at(pose(12, 12, 0).reshape(1, 3))
@@ -150,7 +179,10 @@ def test_field_in_single_precision() -> None:
 
 
 def test_512_correlated_beams() -> None:
-    """512 copies of one beam are no 512 votes: tempered, the cloud keeps its spread."""
+    """Beams that say the same count as one where they are tempered to.
+
+    Naively 512 copies of one reading are 512 votes, and the cloud collapses to one particle.
+    """
     occupancy = np.zeros((50, 50), np.int8)
     occupancy[:, 40] = 100
     field = LikelihoodField.of_grid(grid(occupancy, 0.5), HIT)
@@ -168,7 +200,10 @@ def test_512_correlated_beams() -> None:
 
 
 def test_one_particle_explains_everything() -> None:
-    """Weights 1 and 0: 1 - sum w^2 is 0, and the covariance 0 / 0."""
+    """Where one particle has all the weight, the spread is marked as unknown.
+
+    Naively 1 - sum of squared weights is 0, and the covariance 0 / 0.
+    """
     particles = cloud()
     logs = np.full(200, -1e9)
     logs[5] = 0
@@ -184,7 +219,11 @@ def test_one_particle_explains_everything() -> None:
 
 @pytest.mark.parametrize("range_m", [0.0, 1e-9, 20.0, 1e9])
 def test_range_of_nothing_and_beyond_all(range_m: float) -> None:
-    """A reading of 0 has no bearing; one beyond the limit no density."""
+    """Readings of 0 and beyond the limit weigh all particles finitely.
+
+    Naively a reading of 0 has no bearing, and one beyond the limit no density to take a logarithm
+    of.
+    """
     ranges = RangeMap(grid(np.zeros((50, 50), np.int8), 0.5))
     odd = Beams(bearing_rad=np.zeros(3), range_m=np.full(3, range_m), quality=np.ones(3))
     for aggregation in ("cube_sum", "product"):
@@ -195,7 +234,10 @@ def test_range_of_nothing_and_beyond_all(range_m: float) -> None:
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 def test_beam_not_a_number(wrong: float) -> None:
-    """A NaN reading makes every particle's weight NaN: it is refused before it counts."""
+    """A reading that is no number is refused before it counts.
+
+    Naively it makes every particle's weight NaN.
+    """
     with pytest.raises(ValueError, match="finite"):
         Beams(bearing_rad=np.zeros(1), range_m=np.array([wrong]), quality=np.ones(1))
     with pytest.raises(ValueError, match="finite"):
