@@ -90,6 +90,7 @@ ORDER = (
     "odometry.records",
     "odometry.decoder",
     "odometry.convert",
+    "odometry.record_check",
     "odometry.native",
     "odometry.lines",
     "odometry.cobs",

@@ -19,6 +19,7 @@ from mapperd.odometry.confidence import ConfidenceGate
 from mapperd.odometry.intake import Intake
 from mapperd.odometry.levelling import Levelling, levelled
 from mapperd.odometry.lookup import Reach, enclosing, is_settled, stretch, value_at
+from mapperd.odometry.record_check import bad_record
 from mapperd.odometry.records import Odometry
 from mapperd.odometry.stamps import OdometryClock
 from mapperd.odometry.states import (
@@ -191,6 +192,8 @@ class Fusion:
         }
 
     def _taken(self, source: str, odometry: Odometry, arrival_ns: int | None) -> Reject | None:
+        if (problem := bad_record(odometry)) is not None:
+            return problem
         who = (source, odometry.source)
         # One sender may stamp some messages since boot and others with Unix time.
         key = (*who, odometry.clock)
