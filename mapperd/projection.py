@@ -60,7 +60,7 @@ class TransverseMercator:
         """East and north of places; within 3000 km of the central meridian to a millimetre."""
         turned = longitude_rad - math.radians(self.longitude_deg)
         turned = (turned + math.pi) % (2 * math.pi) - math.pi
-        conformal = np.sinh(_isometric(latitude_rad))
+        conformal = _conformal(latitude_rad)
         north = np.arctan2(conformal, np.cos(turned))
         east = np.arcsinh(np.sin(turned) / np.hypot(conformal, np.cos(turned)))
         along, across = north.copy(), east.copy()
@@ -93,7 +93,8 @@ class TransverseMercator:
 def utm_zone(origin: Origin) -> TransverseMercator:
     """The zone of an origin, by its longitude alone: a map over an edge stays in one zone."""
     longitude_deg = math.degrees(origin.longitude_rad)
-    zone = int((longitude_deg + 180.0) % 360.0 // 6) + 1
+    # Of a place a digit west of -180, the first remainder is rounded to 360: there is no zone 61.
+    zone = int((longitude_deg + 180.0) % 360.0 // 6) % 60 + 1
     south = origin.latitude_rad < 0
     return TransverseMercator(
         f"WGS 84 / UTM zone {zone}{'S' if south else 'N'}",
@@ -118,15 +119,21 @@ def local_projection(origin: Origin) -> TransverseMercator:
     return TransverseMercator(name, latitude_deg, longitude_deg)
 
 
-def _isometric(latitude_rad: Floats) -> Floats:
+def _conformal(latitude_rad: Floats) -> Floats:
+    """Tangent of the conformal latitude.
+
+    By the tangent of the latitude, finite and sharp at the poles too, where the isometric latitude
+    is infinite and near which it loses its digits (Karney, Journal of Geodesy 85, 2011, eq. 7).
+    """
     eccentricity = math.sqrt(ECCENTRICITY2)
-    sine = np.sin(latitude_rad)
-    return np.asarray(np.arctanh(sine) - eccentricity * np.arctanh(eccentricity * sine))
+    tangent = np.tan(latitude_rad)
+    sigma = np.sinh(eccentricity * np.arctanh(eccentricity * np.sin(latitude_rad)))
+    return np.asarray(tangent * np.hypot(1.0, sigma) - sigma * np.hypot(1.0, tangent))
 
 
 def _rectifying(latitude_rad: float) -> float:
     """Way from the equator along a meridian, as an angle."""
-    conformal = math.atan(math.sinh(float(_isometric(np.array(latitude_rad)))))
+    conformal = math.atan(float(_conformal(np.array(latitude_rad))))
     return conformal + sum(
         factor * math.sin(2 * k * conformal) for k, factor in enumerate(SERIES, 1)
     )
