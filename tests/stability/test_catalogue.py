@@ -1,0 +1,62 @@
+"""The hard cases read as a catalogue, and the page has all of them."""
+
+from __future__ import annotations
+
+import pytest
+from write_stability_docs import CASES, PAGE, case_of, cases, catalogue, page_with
+
+LEAST_CASES = 80
+
+
+def test_every_case_says_what_it_guards_against_and_what_happens_naively() -> None:
+    found = list(cases())
+    assert len(found) >= LEAST_CASES
+    assert len({case.name for case in found}) == len(found), "two cases of one name"
+
+
+def test_every_test_is_a_case_of_its_own() -> None:
+    """A test within a class, or an asynchronous one, would be left out of the catalogue."""
+    listed = {case.name for case in cases()}
+    for path in CASES.glob("test_*.py"):
+        if not path.stem.endswith("catalogue"):
+            lines = path.read_text(encoding="utf-8").splitlines()
+            names = {
+                line.split("def ")[1].split("(")[0] for line in lines if "def test_" in line[:20]
+            }
+            assert names <= listed, path.name
+
+
+def test_the_page_is_up_to_date() -> None:
+    """`python tools/write_stability_docs.py` writes it."""
+    page = PAGE.read_text(encoding="utf-8")
+    assert page_with(page, catalogue(list(cases()))) == page
+
+
+@pytest.mark.parametrize(
+    "docstring",
+    [
+        None,
+        "",
+        "What holds.",
+        "Naively it fails.",
+        "What holds. It would fail naively.",
+        "What holds. Naively it fails",
+        "What holds. Naively it fails. Naively it also does that.",
+        "What holds, naively. NaN comes.",
+    ],
+)
+def test_another_form_is_refused(docstring: str | None) -> None:
+    with pytest.raises(ValueError, match="Naively"):
+        case_of("test_mapping_any.py", "test_any", docstring)
+
+
+@pytest.mark.parametrize("gap", [" ", "\n\n", "\n    "])
+def test_the_two_parts_are_two_sentences_or_paragraphs(gap: str) -> None:
+    case = case_of("test_clock_any.py", "test_any", f"What\nholds. Always.{gap}Naively, it fails.")
+    assert (case.area, case.guard) == ("clock", "What holds. Always.")
+    assert case.naive == "Naively, it fails."
+
+
+def test_a_bar_in_a_sentence_is_no_column() -> None:
+    case = case_of("test_clock_any.py", "test_any", "|q| is 1. Naively it is not.")
+    assert "| `test_any` | \\|q\\| is 1. | it is not. |" in catalogue([case])
