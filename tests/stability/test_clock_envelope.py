@@ -85,7 +85,7 @@ def test_line_at_unix_nanoseconds() -> None:
     clock, ppm = LowerEnvelope(), 87
     for k in range(100):
         true_ns = k * 300 * MS
-        host = clock.to_host_ns(drifted(NOW_NS + true_ns, ppm), NOW_NS + true_ns)
+        host = clock.to_host_ns(5 * S + drifted(true_ns, ppm), NOW_NS + true_ns)
     assert host is not None
     with mp.workdps(40):
         slope = 1 / (1 - mp.mpf(ppm) / 1_000_000) - 1
@@ -183,6 +183,8 @@ def test_step_of_the_hosts_clock() -> None:
         host = clock.to_host_ns(true_ns, NOW_NS + true_ns + set_ns)
         if k % 300 >= 5:
             assert host == NOW_NS + true_ns + set_ns, k
+            assert clock.drift == 0.0
+            assert clock.believable
 
 
 def test_outlier_of_a_stamp_that_is_early() -> None:

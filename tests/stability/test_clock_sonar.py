@@ -130,8 +130,8 @@ def test_ids_that_wrap() -> None:
     Naively four thousand million pings are lost, or the sonar is thought to have restarted.
     """
     clock, sequence = SonarClock(), PingSequence()
-    for k in range(8):
-        number = (2**32 - 4 + k) % 2**32
+    for k in range(2):
+        number = (2**32 - 1 + k) % 2**32
         placed(clock, number, 5000.0 + k / 8, BOOT_NS + (5000 * 8 + k) * S // 8 + FLIGHT_NS)
         assert sequence.accept(number)
     assert clock.restarts == 0
