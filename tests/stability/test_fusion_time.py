@@ -182,7 +182,7 @@ def test_two_velocities_of_one_stamp() -> None:
         (T0, 1.0),
         (T0 + S // 10, 1.0),
         (T0 + S // 10, 9.0),
-        (T0, 9.0),
+        (T0, 4.0),
         (T0 + S // 5, 1.0),
     ):
         way.add(t_ns, np.array([v, 0, 0]), in_map=True)
