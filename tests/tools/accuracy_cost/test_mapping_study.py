@@ -1,0 +1,151 @@
+"""The study of mapping on its smallest dive."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from accuracy_cost.mapping import STUDY
+from accuracy_cost.mapping.dives import capture_of, made_by
+from accuracy_cost.mapping.driving import Driven, drive
+from accuracy_cost.mapping.knobs import KNOBS, PUBLISHED, WHOLES
+from accuracy_cost.mapping.oracle import CONVERGED, same_rule
+from accuracy_cost.mapping.settings import Thinning, config_for
+from accuracy_cost.study import Dive, Setting
+
+from mapperd.config import Config
+from mapperd.errors import ConfigError
+from oculus_driver.ping import Ping, decode_ping
+from oculus_driver.recording import OCULUS, open_recording
+from oculus_driver.stream import StreamParser
+
+BASIN = next(dive for dive in STUDY.dives if dive.quick)
+DEFAULT = Setting("default", {})
+COARSE = {"octree.voxel_resolution": 0.1}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("dives")
+    STUDY.prepare(BASIN, made)
+    return made
+
+
+def driven(folder: Path, **overrides: float | str | bool) -> Driven:
+    said = COARSE | {name.replace("__", "."): value for name, value in overrides.items()}
+    return drive(Setting("tried", said), made_by(BASIN), capture_of(BASIN, folder))
+
+
+def first_ping(folder: Path) -> Ping:
+    parser = StreamParser()
+    with open_recording(capture_of(BASIN, folder)) as recording:
+        for chunk in recording:
+            if chunk.encoding == OCULUS:
+                for message in parser.feed(chunk.data, chunk.arrival_ns):
+                    ping = decode_ping(message)
+                    assert isinstance(ping, Ping)
+                    return ping
+    raise AssertionError
+
+
+def test_every_ping_is_mapped_and_all_figures_are_there(folder: Path) -> None:
+    row = STUDY.measure(Setting("coarse", COARSE), BASIN, folder)
+    assert list(row) == [column.name for column in STUDY.columns]
+    assert row["mapped_share"] == 1.0
+    assert 0.0 < row["accuracy_median_m"] < row["accuracy_p95_m"] < 1.0
+    assert 0.5 < row["roc_area"] <= 1.0
+    assert row["ping_cpu_ms"] > 0.0
+    assert math.isnan(row["log_odds_error"])  # another grid
+    again = STUDY.measure(Setting("coarse", COARSE), BASIN, folder)
+    for column in STUDY.columns:
+        if column.repeatable:
+            assert row[column.name] == pytest.approx(again[column.name], abs=0, nan_ok=True)
+
+
+def test_preparing_again_leaves_the_files_alone(folder: Path) -> None:
+    before = {path: path.stat().st_mtime_ns for path in folder.iterdir()}
+    STUDY.prepare(BASIN, folder)
+    assert {path: path.stat().st_mtime_ns for path in folder.iterdir()} == before
+
+
+def test_the_converged_map_has_no_error_and_a_bound_has_some(folder: Path) -> None:
+    assert STUDY.measure(CONVERGED, BASIN, folder)["log_odds_error"] == 0.0
+    default = STUDY.measure(DEFAULT, BASIN, folder)["log_odds_error"]
+    loose = STUDY.measure(Setting("loose", {"mapping.error_bound": 1.0}), BASIN, folder)
+    assert 0.0 < default <= loose["log_odds_error"] < 0.2
+
+
+def test_frame_skip_costs_pings_and_their_time_counts_for_all(folder: Path) -> None:
+    skipping = driven(folder, processing__frame_skip=4)
+    assert (skipping.pings, len(skipping.mapped_ms)) == (16, 4)
+    assert skipping.ms_per_ping == pytest.approx(sum(skipping.mapped_ms) / 16)
+
+
+def test_pose_policies_give_different_maps(folder: Path) -> None:
+    maps = {
+        policy: driven(folder, time_sync__policy=policy).map.sha256()
+        for policy in ("interpolate", "nearest", "latest")
+    }
+    assert len(set(maps.values())) == 3
+
+
+def test_thinning_keeps_the_fan_and_the_loudest(folder: Path) -> None:
+    ping = first_ping(folder)
+    thin = Thinning(beams=4, rows=5).of(ping)
+    assert (thin.beams, thin.rows) == (ping.beams // 4, ping.rows // 5)
+    assert thin.max_range_m == pytest.approx(ping.max_range_m)
+    assert np.array_equal(thin.image[3], ping.image[15:20, 2::4].max(axis=0))
+    assert np.array_equal(thin.bearings_rad, ping.bearings_rad[2::4])
+    assert Thinning().of(ping) is ping
+
+
+def test_settings_reach_the_daemon_and_wrong_ones_are_refused() -> None:
+    made = made_by(BASIN)
+    config, thinning = config_for(Setting("s", {"iwlo.sharpness": 1.5, "study.beams": 2}), made)
+    assert config.iwlo.sharpness == 1.5
+    assert config.mounting.orientation.pitch == made.mounting.pitch_deg
+    assert thinning == Thinning(beams=2)
+    with pytest.raises(ConfigError, match="no such setting"):
+        config_for(Setting("s", {"iwlo.sharpnes": 1.5}), made)
+
+
+def test_each_knob_has_its_default_and_the_published_setting() -> None:
+    for knob in KNOBS:
+        labels = [setting.label for setting in knob.settings]
+        assert [s.label for s in knob.settings if not s.overrides] != [], knob.name
+        assert len({setting.key for setting in knob.settings}) == len(labels), knob.name
+        assert knob.published is None or knob.published in labels, knob.name
+        for setting in knob.settings:
+            config_for(setting, made_by(BASIN))
+
+
+def test_a_default_without_overrides_is_the_daemons_default() -> None:
+    for knob in KNOBS:
+        default = next(setting for setting in knob.settings if not setting.overrides)
+        for setting in knob.settings:
+            for name, value in setting.overrides.items():
+                if name.startswith("study.") or name == "sonar.vertical_aperture":
+                    continue
+                section, field = name.split(".")
+                now = getattr(getattr(Config(), section), field)
+                assert value != now or len(setting.overrides) > 1, (knob.name, default.label)
+
+
+def test_the_published_system_is_slow_to_see_and_old_in_its_poses() -> None:
+    config, _ = config_for(PUBLISHED, made_by(BASIN))
+    assert config.mapping.integrator == "rays"
+    assert config.time_sync.policy == "latest"
+    assert (config.processing.frame_skip, config.octree.voxel_resolution) == (5, 0.05)
+    assert config.adaptive.min_ratio == 0.0
+    assert PUBLISHED in WHOLES
+
+
+def test_other_rules_are_not_compared_with_the_converged_map() -> None:
+    assert same_rule(Setting("s", {"mapping.integrator": "rays", "study.beams": 2}), DEFAULT)
+    for name in ("iwlo.min_alpha", "octree.voxel_resolution", "mapping.aggregation"):
+        assert not same_rule(Setting("s", {name: 0.3}), DEFAULT), name
+
+
+def test_an_unknown_dive_is_refused() -> None:
+    with pytest.raises(KeyError):
+        made_by(Dive("moon", 1))

@@ -1,0 +1,207 @@
+"""What is turned in the study of mapping, and the whole configurations beside it."""
+
+from collections.abc import Sequence
+
+from accuracy_cost.mapping.settings import profile
+from accuracy_cost.study import Knob, Setting, Value
+
+__all__ = ["KNOBS", "PUBLISHED", "PUBLISHED_SHIPPED", "WHOLES"]
+
+DEFAULT = Setting("default", {})
+
+PUBLISHED_RULE: dict[str, Value] = {
+    "mapping.integrator": "rays",
+    "mapping.within_ping_motion": False,
+    "adaptive.min_ratio": 0.0,
+    "time_sync.policy": "latest",
+}
+"""The published sonar mapper: sampled sub-rays, one pose a ping, the newest; its other constants
+are our defaults."""
+
+PUBLISHED = Setting("published", PUBLISHED_RULE | {"processing.frame_skip": 5})
+"""As the published mapper's file of settings runs it: four pings of five are thrown away."""
+
+PUBLISHED_SHIPPED = Setting("published, every ping", PUBLISHED_RULE)
+"""With the frame skip of 1 that its page of parameters names as the default."""
+
+PROFILES = ("low_power", "balanced", "survey")
+WHOLES = (PUBLISHED, PUBLISHED_SHIPPED, *(profile(name) for name in PROFILES))
+
+
+def _knob(
+    name: str,
+    title: str,
+    settings: Sequence[tuple[str, dict[str, Value]]],
+    advice: str,
+    *,
+    published: str | None = None,
+    margin: float = 0.05,
+) -> Knob:
+    made = tuple(Setting(label, overrides) for label, overrides in settings)
+    return Knob(name, title, made, published, margin, advice)
+
+
+def _values(
+    field: str, values: Sequence[Value], default: Value, unit: str = ""
+) -> list[tuple[str, dict[str, Value]]]:
+    """One setting a value; the default's has no overrides."""
+    return [(f"{v}{unit}", {} if v == default else {field: v}) for v in values]
+
+
+KNOBS = (
+    _knob(
+        "voxel-size",
+        "Voxel size",
+        _values("octree.voxel_resolution", (0.05, 0.075, 0.1, 0.15, 0.2, 0.4), 0.05, " m"),
+        "The first to turn: twice the edge is some 3 times cheaper and an eighth of the memory, "
+        "and surfaces blur by about half an edge.",
+        published="0.05 m",
+    ),
+    _knob(
+        "integrator",
+        "Integrator",
+        [
+            ("projective", {}),
+            ("rays", {"mapping.integrator": "rays"}),
+            ("projective, 0.1 m", {"octree.voxel_resolution": 0.1}),
+            ("rays, 0.1 m", {"octree.voxel_resolution": 0.1, "mapping.integrator": "rays"}),
+        ],
+        "Rays are cheap where much echoes, because they look at every second beam, at some of the "
+        "aperture and at 50 rows behind the first return; what they leave out is missing.",
+        published="rays",
+    ),
+    _knob(
+        "error-bound",
+        "Error bound",
+        _values("mapping.error_bound", (0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0), 0.1),
+        "Exact costs several times as much and no surface moves; above 0.1 nothing is gained, so "
+        "`behind.error_bound` helps those alone who map with a tighter one.",
+    ),
+    _knob(
+        "beams",
+        "Beams used",
+        [
+            ("512", {}),
+            ("256", {"study.beams": 2}),
+            ("128", {"study.beams": 4}),
+            ("64", {"study.beams": 8}),
+        ],
+        "The sonar's own setting (`device.beams`), here by leaving out columns: half the beams "
+        "save a part of the time and cost little where voxels are wider than beams.",
+        published="256",
+    ),
+    _knob(
+        "rows",
+        "Rows used",
+        [
+            ("all", {}),
+            ("every 2", {"study.rows": 2}),
+            ("every 4", {"study.rows": 4}),
+            ("every 8", {"study.rows": 8}),
+        ],
+        "Rows put together, as loud as the loudest of them: cheaper until they are thicker than a "
+        "voxel, and then surfaces thicken.",
+    ),
+    _knob(
+        "elevation",
+        "Vertical aperture that an echo is spread over",
+        _values("sonar.vertical_aperture", (5.0, 10.0, 15.0, 20.0, 25.0), 20.0, "°"),
+        "What an echo may be anywhere in. The sonar's own is 20°; a narrower one is sharper and "
+        "cheaper, and misses what is heard at the beam's edge.",
+        published="20.0°",
+        margin=0.25,
+    ),
+    _knob(
+        "within-ping-motion",
+        "Motion within the ping",
+        [("true", {}), ("false", {"mapping.within_ping_motion": False})],
+        "Matters to a sonar that turns while it listens far; standing or slow it costs nothing.",
+        published="false",
+    ),
+    _knob(
+        "pose-policy",
+        "Pose of a ping",
+        _values("time_sync.policy", ("interpolate", "nearest", "latest"), "interpolate"),
+        "Costs no time; the newest pose is the wrong one.",
+        published="latest",
+    ),
+    _knob(
+        "frame-skip",
+        "Frame skip",
+        _values("processing.frame_skip", (1, 2, 3, 5, 10), 1),
+        "Time falls with every ping that is left out, and so does what has been seen.",
+        published="5",
+    ),
+    _knob(
+        "crosstalk",
+        "Crosstalk filter",
+        [
+            ("off", {}),
+            ("on", {"crosstalk.enabled": True}),
+            ("on, notch too", {"crosstalk.enabled": True, "crosstalk.fft_enabled": True}),
+        ],
+        "Turn it on where another sonar draws stripes, not else.",
+        published="off",
+        margin=0.1,
+    ),
+    _knob(
+        "intensity-threshold",
+        "Intensity threshold",
+        _values("filtering.intensity_threshold", (15.0, 25.0, 35.0, 50.0, 70.0, 100.0), 35.0),
+        "Higher is cheaper and sharper until the floor falls silent, which is then carved away: it "
+        "belongs to the gain, and to the water.",
+        published="35.0",
+        margin=0.1,
+    ),
+    _knob(
+        "occupied-threshold",
+        "Probability from which a voxel is occupied",
+        _values("mapping.occupied_threshold", (0.5, 0.6, 0.7, 0.8, 0.9, 0.95), 0.7),
+        "Costs no time; higher is less surface, and less of it false.",
+        published="0.7",
+        margin=0.1,
+    ),
+    _knob(
+        "aggregation",
+        "Both kinds of evidence in one ping",
+        [("occupied_first", {}), ("mean", {"mapping.aggregation": "mean"})],
+        "The mean is several times dearer and loses thin things.",
+    ),
+    _knob(
+        "adaptive",
+        "Adaptive rule",
+        [
+            ("on, min_ratio 0.25", {}),
+            ("on, min_ratio 0", {"adaptive.min_ratio": 0.0}),
+            ("on, min_ratio 0.1", {"adaptive.min_ratio": 0.1}),
+            ("off", {"adaptive.update": False}),
+            ("occupied unprotected", {"adaptive.protect_occupied": False}),
+        ],
+        "Costs no time; off, one wrong echo counts for as much as it says.",
+        published="on, min_ratio 0",
+        margin=0.15,
+    ),
+    _knob(
+        "sharpness",
+        "Slope from intensity to weight",
+        _values("iwlo.sharpness", (0.5, 1.5, 3.0, 6.0, 12.0), 3.0),
+        "Costs no time; above 3, weak echoes hardly count.",
+        published="3.0",
+        margin=0.1,
+    ),
+    _knob(
+        "decay-rate",
+        "How fast the learning rate falls",
+        _values("iwlo.decay_rate", (0.02, 0.05, 0.1, 0.2, 0.5), 0.1),
+        "Costs no time.",
+        published="0.1",
+        margin=0.1,
+    ),
+    _knob(
+        "min-alpha",
+        "Lowest learning rate",
+        _values("iwlo.min_alpha", (0.02, 0.05, 0.1, 0.2, 0.4), 0.1),
+        "Costs no time; it decides how long a change takes, which a short dive cannot show.",
+        published="0.1",
+    ),
+)
