@@ -109,6 +109,13 @@ def test_settings_reach_the_daemon_and_wrong_ones_are_refused() -> None:
         config_for(Setting("s", {"iwlo.sharpnes": 1.5}), made)
 
 
+def test_a_sonar_that_is_asked_for_fewer_beams_sends_fewer() -> None:
+    asked = Setting("s", {"device.beams": 256})
+    wide = next(dive for dive in STUDY.dives if made_by(dive).sonar.beams == 512)
+    assert config_for(asked, made_by(wide))[1] == Thinning(beams=2)
+    assert config_for(asked, made_by(BASIN))[1] == Thinning()  # it has no more
+
+
 def test_each_knob_has_its_default_and_the_published_setting() -> None:
     for knob in KNOBS:
         labels = [setting.label for setting in knob.settings]

@@ -58,6 +58,35 @@ KNOBS = (
         published="0.05 m",
     ),
     _knob(
+        "together",
+        "Coarser voxels, fewer beams and fewer pings together",
+        [
+            ("0.05 m", {}),
+            ("0.05 m, ping 2", {"processing.frame_skip": 2}),
+            ("0.05 m, ping 5", {"processing.frame_skip": 5}),
+            *(
+                (
+                    f"{edge_m} m, {beams} beams, ping {skip}",
+                    {
+                        "octree.voxel_resolution": edge_m,
+                        "device.beams": beams,
+                        "processing.frame_skip": skip,
+                    },
+                )
+                for edge_m, beams, skip in (
+                    (0.1, 256, 1),
+                    (0.1, 256, 2),
+                    (0.1, 256, 5),
+                    (0.2, 256, 1),
+                    (0.2, 256, 2),
+                    (0.2, 256, 5),
+                    (0.4, 256, 1),
+                )
+            ),
+        ],
+        "Coarser first, then fewer beams, then fewer pings.",
+    ),
+    _knob(
         "integrator",
         "Integrator",
         [
@@ -82,7 +111,7 @@ KNOBS = (
         "Beams used",
         [
             ("512", {}),
-            ("256", {"study.beams": 2}),
+            ("256", {"device.beams": 256}),
             ("128", {"study.beams": 4}),
             ("64", {"study.beams": 8}),
         ],

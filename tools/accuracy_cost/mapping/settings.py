@@ -65,8 +65,10 @@ def config_for(setting: Setting, made: Made) -> tuple[Config, Thinning]:
     }
     own = {name: v for name, v in setting.overrides.items() if name.startswith("study.")}
     said |= {name: v for name, v in setting.overrides.items() if name not in own}
+    config = config_of(_tree(said), setting.label)
+    asked_for = max(sonar.beams // config.device.beams, 1)  # what this sonar would have sent
     thinning = Thinning(**{name.removeprefix("study."): int(v) for name, v in own.items()})
-    return config_of(_tree(said), setting.label), thinning
+    return config, replace(thinning, beams=thinning.beams * asked_for)
 
 
 def _tree(said: Mapping[str, Value]) -> dict[str, Any]:
