@@ -18,6 +18,7 @@ voxels. A count is the number of bits of the highest observation count of its vo
 for 1, 2 for 2 and 3, 3 for 4 to 7, ...
 """
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,7 +47,6 @@ LEVEL = 9
 """Of zstd: against 3, messages of the demo's dive are 13 % smaller, and take five times as long to
 make: half a millisecond a hundred blocks, once for all who keep up."""
 
-_COMPRESSOR = zstandard.ZstdCompressor(level=LEVEL)
 _DECOMPRESSOR = zstandard.ZstdDecompressor()
 
 
@@ -86,7 +86,12 @@ def encode_blocks(blocks: BlockSet) -> bytes:
     ]
     if blocks.counts is not None:
         columns.append(blocks.counts[kinds != EMPTY])
-    return _COMPRESSOR.compress(b"".join(column.tobytes() for column in columns))
+    return _compressor(LEVEL).compress(b"".join(column.tobytes() for column in columns))
+
+
+@functools.cache
+def _compressor(level: int) -> zstandard.ZstdCompressor:
+    return zstandard.ZstdCompressor(level=level)
 
 
 def decode_blocks(body: bytes, *, counts: bool) -> BlockSet:

@@ -1,7 +1,7 @@
 """The map's way to the clients: round by round, in one worker thread."""
 
 import asyncio
-from collections.abc import Awaitable, Callable, Collection
+from collections.abc import Awaitable, Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import NoReturn
@@ -11,14 +11,14 @@ from mapperd.operations import Operations
 from mapperd.stream.connection import Around, Connection
 from mapperd.stream.feed import Feed
 from mapperd.stream.framing import framed
-from mapperd.stream.messages import Interest, Reset, Resume
+from mapperd.stream.messages import Interest, Reset, Resume, Vector
 from mapperd.stream.nearest import Part
 from mapperd.stream.parking import Parking, Parting
 from mapperd.stream.session import Beginning, Wish
 from mapperd.stream.source_protocol import MapView, Source
 from mapperd.stream.turns import Rooms
 
-__all__ = ["MapRounds"]
+__all__ = ["Frame", "MapRounds", "next_frames"]
 
 UNWATCHED_S = 2.0
 """Between looks at the map while nobody watches it: the ages of its blocks are told by them."""
@@ -28,6 +28,27 @@ ROUND_BYTES = 128 << 10
 
 BREATH_S = 1.0
 """After a round that failed."""
+
+Frame = tuple[bytes, int, int | None]
+"""A message, its number, and the near blocks that are left where it is about such."""
+
+
+def next_frames(view: MapView, rooms: Rooms, position_m: Vector | None) -> list[Frame]:
+    """What a client is told of the map in one round: of what is near, else of what is far."""
+    return [*_of_part(view, "near", rooms.near, position_m)] or [
+        *_of_part(view, "far", rooms.far, position_m)
+    ]
+
+
+def _of_part(view: MapView, part: Part, most: int, position_m: Vector | None) -> Iterator[Frame]:
+    room = min(most, ROUND_BYTES)
+    # The last half of the room may stay empty: small messages are dear.
+    while room > min(most, ROUND_BYTES) // 2:
+        frame = view.next(position_m, room, part)
+        if frame is None:
+            return
+        yield frame, view.number, view.near_left if part == "near" else None
+        room -= len(frame)
 
 
 @dataclass(slots=True)
@@ -41,7 +62,7 @@ class _Order:
     settled: int = 0
     is_new: bool = False
     went_on: bool = False
-    frames: list[tuple[bytes, int, int | None]] = field(default_factory=list)
+    frames: list[Frame] = field(default_factory=list)
     fault: Exception | None = None
 
 
@@ -217,20 +238,7 @@ class MapRounds:
             return
         if order.view is not None:
             order.view.settle(order.settled)
-        self._take(order, "near", order.rooms.near)
-        if not order.frames:
-            self._take(order, "far", order.rooms.far)
-
-    def _take(self, order: _Order, part: Part, most: int) -> None:
-        view, room = order.view, min(most, ROUND_BYTES)
-        # The last half of the room may stay empty: small messages are dear.
-        while room > min(most, ROUND_BYTES) // 2 and view is not None:
-            frame = view.next(self._feed.position_m, room, part)
-            if frame is None:
-                return
-            near_left = view.near_left if part == "near" else None
-            order.frames.append((frame, view.number, near_left))
-            room -= len(frame)
+            order.frames = next_frames(order.view, order.rooms, self._feed.position_m)
 
     def _meet(self, order: _Order, wish: Wish) -> None:
         """In the worker: what is of interest now."""
