@@ -174,3 +174,21 @@ def test_defaults_of_the_knobs_are_the_published_ones_only_where_they_say_so() -
             wanted = getattr(getattr(published, section), field)
             wanted = "2d" if field == "geometry" else wanted
             assert getattr(getattr(config, section), field) == wanted, (knob.name, name)
+
+
+def test_runs_that_are_lost_know_nothing_or_are_wrong(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dives, "CELLS", ())
+    monkeypatch.setitem(PLANS, "lost", Plan("pile_field", 0.8, 3, 1, anywhere=1, wrong=1))
+    dive = Dive("lost", 5)
+    STUDY.prepare(dive, tmp_path)
+    anywhere, wrong, known = dives.load_runs(dive, tmp_path)
+    assert anywhere.start is None
+    off_m = [
+        math.hypot(run.start.x_m - run.true[0, 0], run.start.y_m - run.true[0, 1])
+        for run in (wrong, known)
+        if run.start is not None
+    ]
+    assert off_m[0] > 3.0
+    assert off_m[1] < 2.0

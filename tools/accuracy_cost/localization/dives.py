@@ -27,6 +27,9 @@ INTERVAL_S = 0.4
 SIGMA_M, SIGMA_RAD = 0.5, math.radians(6.0)
 """Of a start that is known."""
 
+OTHER = 100_000
+"""Between seeds of paths that have nothing to do with each other."""
+
 ARRAYS = ("bearing_rad", "range_m", "points_m", "quality", "beam")
 """Of a scan, a row a return."""
 
@@ -40,14 +43,17 @@ class Plan:
         duration_s: of one run.
         tracks: paths, each with scans and odometry of its own.
         repeats: runs on each, with other particles.
-        start_is_known: within half a metre and 6 degrees; else the start is anywhere.
+        anywhere: runs, the first ones, of whose start nothing is known.
+        wrong: runs, the next ones, that begin at a wrong place and take it for known, as a vehicle
+            does that was carried off. All others know their start to half a metre and 6 degrees.
     """
 
     scene: str
     duration_s: float
     tracks: int
     repeats: int
-    start_is_known: bool = True
+    anywhere: int = 0
+    wrong: int = 0
 
     @property
     def place(self) -> Place:
@@ -56,14 +62,14 @@ class Plan:
 
 
 PLANS = {
-    "harbour": Plan("harbour", 75.0, 3, 1),
-    "harbour-anywhere": Plan("harbour", 25.0, 6, 1, start_is_known=False),
-    "pile_field": Plan("pile_field", 60.0, 3, 1),
+    "harbour": Plan("harbour", 50.0, 3, 1),
+    "harbour-lost": Plan("harbour", 24.0, 12, 1, anywhere=8, wrong=4),
+    "pile_field": Plan("pile_field", 40.0, 3, 1),
     "tank": Plan("tank", 30.0, 1, 3),
 }
 DIVES = (
     Dive("harbour", 11),
-    Dive("harbour-anywhere", 21),
+    Dive("harbour-lost", 21),
     Dive("pile_field", 31),
     Dive("tank", 41, quick=True),
 )
@@ -105,7 +111,8 @@ def prepare_dive(dive: Dive, folder: Path) -> None:
     for number in range(plan.tracks):
         path = _run_path(folder, number)
         if not path.exists():
-            arrays = _cast(world, plan, dive.seed + number)
+            wrong = plan.anywhere <= number < plan.anywhere + plan.wrong
+            arrays = _cast(world, plan, dive.seed + number, starts_wrong=wrong)
             part = path.with_name(f"part-{path.name}")
             np.savez(part, **arrays)
             part.rename(path)
@@ -115,7 +122,7 @@ def load_runs(dive: Dive, folder: Path) -> list[Run]:
     """The prepared runs."""
     plan = PLANS[dive.name]
     return [
-        _read(_run_path(folder, number), start_is_known=plan.start_is_known)
+        _read(_run_path(folder, number), start_is_known=number >= plan.anywhere)
         for number in range(plan.tracks)
     ]
 
@@ -124,10 +131,11 @@ def _run_path(folder: Path, number: int) -> Path:
     return folder / f"run-{number}.npz"
 
 
-def _cast(world: World, plan: Plan, seed: int) -> dict[str, Any]:
+def _cast(world: World, plan: Plan, seed: int, *, starts_wrong: bool) -> dict[str, Any]:
     track = track_of(plan.place, plan.duration_s, INTERVAL_S, seed)
     random = np.random.default_rng((seed, 3))
-    start = track.place[0, [0, 1, 5]]
+    other = track_of(plan.place, INTERVAL_S, INTERVAL_S, seed + OTHER)
+    start = (other if starts_wrong else track).place[0, [0, 1, 5]]
     start = start + [SIGMA_M, SIGMA_M, SIGMA_RAD] * random.normal(size=3)
     stamps = np.round(track.time_s * 1e9).astype(np.int64)
     scans = [
