@@ -318,6 +318,7 @@ ORDER = (
     "export.ascii_grid",
     "export.geotiff",
     "export.nav2",
+    "export.calibration",
     "export.by_suffix",
     "export.map_folder",
     "topside.view_chunks",

@@ -20,6 +20,7 @@ def add_convert(command: argparse.ArgumentParser) -> None:
     command.add_argument("file", metavar="FILE", type=Path, help=HELP_FORMATS)
     _add_origin(command)
     _add_probability(command)
+    _add_calibration(command)
 
 
 def add_export(command: argparse.ArgumentParser) -> None:
@@ -55,6 +56,7 @@ def add_export(command: argparse.ArgumentParser) -> None:
     )
     _add_origin(command)
     _add_probability(command)
+    _add_calibration(command)
 
 
 def add_bag(command: argparse.ArgumentParser) -> None:
@@ -91,6 +93,16 @@ def _add_probability(command: argparse.ArgumentParser) -> None:
         metavar="P",
         type=_probability,
         help="of occupied voxels; default: mapping.occupied_threshold",
+    )
+
+
+def _add_calibration(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--calibration",
+        metavar="FILE",
+        type=Path,
+        help="curve that turns probabilities into shares, such as config/calibration.yaml; "
+        "default: as they are in the map",
     )
 
 

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from mapperd.errors import ExportError, MapError
 from mapperd.export.ascii_grid import write_ascii_grid
 from mapperd.export.atomic import atomic_file
+from mapperd.export.calibration import Calibration
 from mapperd.export.cells import Heights, known_cells, top_cells, top_voxels
 from mapperd.export.geotiff import write_geotiff
 from mapperd.export.las import write_las
@@ -16,10 +17,10 @@ from mapperd.export.pcd import write_pcd
 from mapperd.export.ply import write_ply
 from mapperd.export.xyz import write_xyz
 from mapperd.geodesy import Origin
-from mapperd.mapping import SonarMap
+from mapperd.mapping import SonarMap, Voxels
 from mapperd.projection import local_projection, utm_zone
 
-__all__ = ["FORMATS", "crs_of", "write_map"]
+__all__ = ["FORMATS", "SAY_PROBABILITY", "check_calibration", "crs_of", "write_map"]
 
 ALL = Heights()
 
@@ -28,10 +29,20 @@ ALL = Heights()
 class _Asked:
     heights: Heights
     origin: Origin | None
+    calibration: Calibration | None
+
+    def occupied(self, sonar_map: SonarMap) -> Voxels:
+        """The occupied voxels, with the probabilities that are asked for."""
+        voxels = sonar_map.voxels("occupied")
+        return voxels if self.calibration is None else self.calibration.of(voxels)
 
 
 def write_map(
-    sonar_map: SonarMap, path: Path, heights: Heights = ALL, origin: Origin | None = None
+    sonar_map: SonarMap,
+    path: Path,
+    heights: Heights = ALL,
+    origin: Origin | None = None,
+    calibration: Calibration | None = None,
 ) -> list[Path]:
     """Write one state of a map, whole or not at all, while pings may go on changing it.
 
@@ -40,21 +51,38 @@ def write_map(
         path: its suffix is one of `FORMATS`.
         heights: what the flat formats, `.asc`, `.tif` and `.pgm`, look at.
         origin: where the map's zero lies on Earth; None where nobody knows.
+        calibration: of the probabilities in the formats of `SAY_PROBABILITY`; None leaves them as
+            they are.
 
     Returns:
         the files: `.pgm` has a `.yaml` beside it.
 
     Raises:
         ExportError: the suffix is no format, the library for it is not installed, the file cannot
-            be written, or the format cannot hold this map.
+            be written, the format cannot hold this map, or it says no probabilities that could be
+            calibrated.
         MapError: the map is in tiles (`in_tiles`), or leaves OctoMap's reach (`out_of_reach`).
     """
     write = FORMATS.get(path.suffix)
     if write is None:
         raise ExportError(f"{path.name}: no format has such a name; known: {' '.join(FORMATS)}")
+    check_calibration(path, calibration)
     if sonar_map.core.is_in_tiles:
         raise MapError("the map is in tiles: read it from its file", "in_tiles")
-    return write(sonar_map, path, _Asked(heights, origin))
+    return write(sonar_map, path, _Asked(heights, origin, calibration))
+
+
+def check_calibration(path: Path, calibration: Calibration | None) -> None:
+    """Refuse a calibration of a file without probabilities.
+
+    Raises:
+        ExportError: it is one.
+    """
+    if calibration is not None and path.suffix not in SAY_PROBABILITY:
+        raise ExportError(
+            f"{path.name}: says no probabilities, so there is nothing to calibrate; allowed with a "
+            f"calibration: {' '.join(SAY_PROBABILITY)}"
+        )
 
 
 def crs_of(path: Path, origin: Origin | None) -> str | None:
@@ -84,15 +112,15 @@ def _ot(sonar_map: SonarMap, path: Path, _: _Asked) -> list[Path]:
     return _bytes(sonar_map.octomap_ot(), path)
 
 
-def _ply(sonar_map: SonarMap, path: Path, _: _Asked) -> list[Path]:
-    occupied = sonar_map.voxels("occupied")
+def _ply(sonar_map: SonarMap, path: Path, asked: _Asked) -> list[Path]:
+    occupied = asked.occupied(sonar_map)
     with atomic_file(path) as file:
         write_ply(file, occupied, sonar_map.resolution_m)
     return [path]
 
 
-def _pcd(sonar_map: SonarMap, path: Path, _: _Asked) -> list[Path]:
-    occupied = sonar_map.voxels("occupied")
+def _pcd(sonar_map: SonarMap, path: Path, asked: _Asked) -> list[Path]:
+    occupied = asked.occupied(sonar_map)
     with atomic_file(path) as file:
         write_pcd(file, occupied, sonar_map.resolution_m)
     return [path]
@@ -113,7 +141,7 @@ def _asc(sonar_map: SonarMap, path: Path, asked: _Asked) -> list[Path]:
 
 
 def _las(sonar_map: SonarMap, path: Path, asked: _Asked) -> list[Path]:
-    occupied = sonar_map.voxels("occupied")
+    occupied = asked.occupied(sonar_map)
     with atomic_file(path) as file:
         write_las(file, occupied, asked.origin, packed=path.suffix == ".laz")
     return [path]
@@ -142,6 +170,9 @@ def _bytes(data: bytes, path: Path) -> list[Path]:
         file.write(data)
     return [path]
 
+
+SAY_PROBABILITY = (".ply", ".pcd", ".las", ".laz")
+"""Formats that hold each voxel's probability for a reader to see."""
 
 FORMATS: Mapping[str, Callable[[SonarMap, Path, _Asked], list[Path]]] = MappingProxyType(
     {

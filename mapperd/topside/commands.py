@@ -8,6 +8,7 @@ from typing import Any
 from mapperd.config import Config
 from mapperd.ctl.errors import CtlError, Exit, plain
 from mapperd.errors import ConfigError, ExportError, MapperdError
+from mapperd.export.calibration import load_calibration
 from mapperd.frames import pose_from_rpy
 from mapperd.geodesy import Origin
 from mapperd.map_source import holds_map
@@ -41,7 +42,9 @@ def run(said: argparse.Namespace, config: Config) -> Iterator[str]:
 
 
 def _convert(said: argparse.Namespace, config: Config) -> Iterator[str]:
-    return convert(said.source, said.file, config, _values(said, config), _origin(said))
+    curve = None if said.calibration is None else load_calibration(said.calibration)
+    values = _values(said, config)
+    return convert(said.source, said.file, config, values, _origin(said), calibration=curve)
 
 
 def _bag(said: argparse.Namespace, config: Config) -> Iterator[str]:

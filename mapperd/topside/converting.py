@@ -5,6 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from mapperd.config import Config
+from mapperd.export.by_suffix import check_calibration
+from mapperd.export.calibration import Calibration
 from mapperd.geodesy import Origin
 from mapperd.map_source import map_in
 from mapperd.topside.made import check_suffix, make_files, origin_among
@@ -13,7 +15,13 @@ __all__ = ["convert"]
 
 
 def convert(
-    source: Path, path: Path, config: Config, values: Mapping[str, Any], origin: Origin | None
+    source: Path,
+    path: Path,
+    config: Config,
+    values: Mapping[str, Any],
+    origin: Origin | None,
+    *,
+    calibration: Calibration | None = None,
 ) -> Iterator[str]:
     """Read a map and write it; yields what there is to say.
 
@@ -23,13 +31,16 @@ def convert(
         config: thresholds and heights.
         values: settings above these.
         origin: where the map's zero lies on Earth, whatever the file says.
+        calibration: of the probabilities; None leaves them as they are.
 
     Raises:
         MapperdError: what is wrong with the map, the settings or the new file.
     """
     check_suffix(path)
+    check_calibration(path, calibration)
     found = map_in(source, config, values)
     counts = found.map.counts()
     edge_m = found.map.resolution_m
     yield f"{source}: {counts.occupied} occupied, {counts.free} free voxels of {edge_m:g} m"
-    yield from make_files(found.map, path, origin_among(origin, found.origin, config)).lines()
+    place = origin_among(origin, found.origin, config)
+    yield from make_files(found.map, path, place, calibration).lines()

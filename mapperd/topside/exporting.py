@@ -23,6 +23,8 @@ from mapperd.client import (
 from mapperd.config import Config
 from mapperd.ctl.errors import CtlError, Exit, plain
 from mapperd.errors import ExportError, MapError
+from mapperd.export.by_suffix import check_calibration
+from mapperd.export.calibration import Calibration, load_calibration
 from mapperd.geodesy import Origin
 from mapperd.mapping import SonarMap
 from mapperd.setting_changes import with_values
@@ -93,6 +95,11 @@ def _check(said: argparse.Namespace) -> None:
     check_suffix(said.file, (MCAP,))
     if said.file.suffix == MCAP and (said.origin or said.min_probability):
         raise ExportError(f"{MCAP} knows neither --origin nor --min-probability")
+    check_calibration(said.file, _calibration(said))
+
+
+def _calibration(said: argparse.Namespace) -> Calibration | None:
+    return None if said.calibration is None else load_calibration(said.calibration)
 
 
 def _box(corners: tuple[float, ...] | None) -> Box | None:
@@ -114,7 +121,7 @@ def _made(client: MapClient, said: argparse.Namespace, config: Config) -> Made:
         None if origin_deg is None else Origin.of_degrees(*origin_deg),
         config,
     )
-    return make_files(sonar_map, said.file, origin)
+    return make_files(sonar_map, said.file, origin, _calibration(said))
 
 
 def _choose(sonar_map: SonarMap, least: float | None) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 from mapperd.config import Config
 from mapperd.errors import ExportError
 from mapperd.export.by_suffix import FORMATS, crs_of, write_map
+from mapperd.export.calibration import Calibration
 from mapperd.export.cells import Heights
 from mapperd.geodesy import Origin
 from mapperd.mapping import SonarMap
@@ -54,14 +55,17 @@ def check_suffix(path: Path, others: tuple[str, ...] = ()) -> None:
         raise ExportError(f"{path.name}: no format has such a name; known: {' '.join(known)}")
 
 
-def make_files(sonar_map: SonarMap, path: Path, origin: Origin | None) -> Made:
+def make_files(
+    sonar_map: SonarMap, path: Path, origin: Origin | None, calibration: Calibration | None = None
+) -> Made:
     """Write a map, with the heights of its settings.
 
     Raises:
         ExportError: as `write_map`, and MapError.
     """
     heights = sonar_map.config.export
-    files = write_map(sonar_map, path, Heights(heights.min_z, heights.max_z), origin)
+    window = Heights(heights.min_z, heights.max_z)
+    files = write_map(sonar_map, path, window, origin, calibration)
     return Made({str(file): file.stat().st_size for file in files}, crs_of(path, origin))
 
 

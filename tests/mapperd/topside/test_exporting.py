@@ -11,6 +11,7 @@ import laspy
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from plyfile import PlyData
 
 from mapperd.client import Box, Interest, MapMirror
 from mapperd.ctl.arguments import parser
@@ -122,6 +123,16 @@ def test_probability_decides_what_is_occupied(
 ) -> None:
     assert export(tmp_path / "live.xyz", "--min-probability", str(least))[0] == 0
     assert centres_in(tmp_path / "live.xyz") == cells_of(watched.mirror(), least)
+
+
+def test_probabilities_are_calibrated(tmp_path: Path, export: Call) -> None:
+    curve = tmp_path / "curve.yaml"
+    curve.write_text("log_odds: [0.0]\ncalibrated: [0.0]\n")
+    assert export(tmp_path / "live.ply", "--calibration", curve)[0] == 0
+    told = PlyData.read(str(tmp_path / "live.ply"))["vertex"]["probability"]
+    assert len(told) > 500
+    assert (told == 0.5).all()
+    assert export(tmp_path / "live.mcap", "--calibration", curve)[0] == 73
 
 
 def test_part_and_fineness_are_asked_of_the_daemon(
