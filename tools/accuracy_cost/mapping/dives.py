@@ -34,7 +34,7 @@ from sonar_sim import (
 from accuracy_cost.mapping.solids import Box, Floor, Pile, World
 from accuracy_cost.study import Dive
 
-__all__ = ["DIVES", "Made", "capture_of", "made_by", "make_dive", "once", "truth_of"]
+__all__ = ["DIVES", "FIT", "Made", "capture_of", "made_by", "make_dive", "once", "truth_of"]
 
 LEAD_S = 0.5
 SPAN_S = 0.02
@@ -85,6 +85,9 @@ DIVES = (
     Dive("basin", 404, quick=True),
 )
 
+FIT = Dive("harbour to fit", 505)
+"""Another harbour, whose map probabilities are calibrated by; nothing else is measured on it."""
+
 _HARBOUR = World(
     (
         Floor(4.6, half_m=9.0, middle_m=(4.0, 2.5)),
@@ -94,6 +97,17 @@ _HARBOUR = World(
         Pile((2.0, 6.0, -3.0), 0.2, 6.0),
         Box((4.7, 1.3, -4.4), (1.2, 1.0, 1.4)),
         Box((1.3, 4.2, -4.3), (1.3, 1.3, 1.6)),
+    )
+)
+_OTHER_HARBOUR = World(
+    (
+        Floor(4.4, half_m=9.0, middle_m=(4.0, -2.5)),
+        Box((2.5, -8.2, -3.0), (26.0, 1.0, 6.0)),
+        *(Pile((x, -6.3, -3.0), 0.2, 6.0) for x in (-1.5, 1.2, 3.9, 6.6)),
+        Pile((6.2, 0.4, -3.0), 0.25, 6.0),
+        Pile((4.0, 1.8, -3.0), 0.15, 6.0),
+        Box((4.4, -1.8, -4.2), (1.0, 1.4, 1.2)),
+        Box((2.2, -4.2, -4.1), (1.6, 1.0, 1.5)),
     )
 )
 _BAY = World(
@@ -131,7 +145,14 @@ def made_by(dive: Dive) -> Made:
     Raises:
         KeyError: there is no such dive.
     """
-    return {"harbour": _harbour, "seabed": _seabed, "hard": _hard, "basin": _basin}[dive.name]()
+    makers = {
+        "harbour": _harbour,
+        "seabed": _seabed,
+        "hard": _hard,
+        "basin": _basin,
+        FIT.name: _harbour_to_fit,
+    }
+    return makers[dive.name]()
 
 
 def _around(z_m: float, scale: float, motion: Motion) -> Trajectory:
@@ -147,6 +168,16 @@ def _harbour() -> Made:
     errors = OdometryErrors(latency_s=0.01, jitter_s=0.005)
     vehicle = Vehicle(odometry_rate_hz=20.0, errors=errors)
     return Made(_HARBOUR, sonar, Mounting(pitch_deg=30.0), path, vehicle, pings=40)
+
+
+def _harbour_to_fit() -> Made:
+    legs = ((0.0, 0.3, 0.0), (1.6, -0.2, -20.0), (2.6, -1.4, -75.0), (2.0, -2.6, -100.0))
+    waypoints = [Waypoint(x, y, -1.8, yaw) for x, y, yaw in legs]
+    path = Trajectory(waypoints, Motion(speed_mps=0.5, turn_rate_dps=18.0))
+    sonar = SonarSettings(demanded_range_m=6.0, gain_percent=56.0)
+    errors = OdometryErrors(latency_s=0.015, jitter_s=0.01)
+    vehicle = Vehicle(odometry_rate_hz=15.0, errors=errors)
+    return Made(_OTHER_HARBOUR, sonar, Mounting(pitch_deg=28.0), path, vehicle, pings=40)
 
 
 def _hard() -> Made:
@@ -176,14 +207,18 @@ def _basin() -> Made:
     return Made(_BASIN, sonar, Mounting(pitch_deg=30.0), path, vehicle, pings=16)
 
 
+def _name(dive: Dive) -> str:
+    return f"mapping-{dive.name.replace(' ', '-')}-{dive.seed}"
+
+
 def capture_of(dive: Dive, folder: Path) -> Path:
     """File of what the dive's links brought."""
-    return folder / f"mapping-{dive.name}-{dive.seed}.bin"
+    return folder / f"{_name(dive)}.bin"
 
 
 def seen_of(dive: Dive, folder: Path) -> Path:
     """File of what the sonar had in sight."""
-    return folder / f"mapping-{dive.name}-{dive.seed}-seen.npy"
+    return folder / f"{_name(dive)}-seen.npy"
 
 
 def truth_of(dive: Dive, folder: Path) -> tuple[World, NDArray[np.float64]]:

@@ -48,6 +48,14 @@ def _values(
     return [(f"{v}{unit}", {} if v == default else {field: v}) for v in values]
 
 
+def _together(edge_m: float, skip: int) -> tuple[str, dict[str, Value]]:
+    return f"{edge_m} m, 256 beams, ping {skip}", {
+        "octree.voxel_resolution": edge_m,
+        "device.beams": 256,
+        "processing.frame_skip": skip,
+    }
+
+
 KNOBS = (
     _knob(
         "voxel-size",
@@ -65,22 +73,11 @@ KNOBS = (
             ("0.05 m, ping 2", {"processing.frame_skip": 2}),
             ("0.05 m, ping 5", {"processing.frame_skip": 5}),
             *(
-                (
-                    f"{edge_m} m, {beams} beams, ping {skip}",
-                    {
-                        "octree.voxel_resolution": edge_m,
-                        "device.beams": beams,
-                        "processing.frame_skip": skip,
-                    },
-                )
-                for edge_m, beams, skip in (
-                    (0.1, 256, 1),
-                    (0.1, 256, 2),
-                    (0.1, 256, 5),
-                    (0.2, 256, 1),
-                    (0.2, 256, 2),
-                    (0.2, 256, 5),
-                    (0.4, 256, 1),
+                _together(edge_m, skip)
+                for edge_m, skip in (
+                    *((0.1, skip) for skip in (1, 2, 5)),
+                    *((0.2, skip) for skip in (1, 2, 5)),
+                    (0.4, 1),
                 )
             ),
         ],
@@ -134,7 +131,7 @@ KNOBS = (
     _knob(
         "elevation",
         "Vertical aperture that an echo is spread over",
-        _values("sonar.vertical_aperture", (5.0, 10.0, 15.0, 20.0, 25.0), 20.0, "°"),
+        _values("sonar.vertical_aperture", (5.0, 10.0, 14.0, 17.0, 20.0, 25.0), 20.0, "°"),
         "What an echo may be anywhere in. The sonar's own is 20°; a narrower one is sharper and "
         "cheaper, and misses what is heard at the beam's edge.",
         published="20.0°",
