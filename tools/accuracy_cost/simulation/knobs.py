@@ -1,0 +1,119 @@
+"""What is turned in the simulator, and how far."""
+
+from collections.abc import Sequence
+
+from sonar_sim.effects.effect import Effect
+from sonar_sim.effects.registry import EFFECTS
+from sonar_sim.engine import NODES_PER_BEAM
+from sonar_sim.fan import ELEVATIONS
+from sonar_sim.tolerance import Tolerance
+
+from accuracy_cost.study import Knob, Setting
+
+MARGIN = 0.25
+"""Share of the error by which a default may lie behind the front."""
+GRAIN, ROWS = "grain_spread_db", "grain_correlation"
+"""Columns of the error of what does not change levels."""
+ERROR_OF = {"speckle": GRAIN, "range_spread": ROWS}
+
+
+def _swept(
+    knob: tuple[str, str], dotted: str, values: Sequence[float], default: float, advice: str
+) -> Knob:
+    """A knob of numbers.
+
+    Args:
+        knob: name and title.
+        dotted: the override.
+        values: to which it is turned, the default among them.
+        default: measured without an override.
+        advice: what turning it buys and costs.
+    """
+    settings = tuple(
+        Setting(f"{value:g}", {} if value == default else {dotted: value}) for value in values
+    )
+    error = GRAIN if dotted == "sim.nodes_per_beam" else None
+    return Knob(*knob, settings, None, MARGIN, advice, error)
+
+
+def _switched(effect: Effect) -> Knob:
+    """An effect as its rule has it, always on, and always off."""
+    name = f"sim.effect.{effect.name}"
+    settings = (
+        Setting("auto", {}),
+        Setting("on", {name: True}),
+        Setting("off", {name: False}),
+    )
+    spoken = effect.name.replace("_", " ")
+    advice = f"{spoken.capitalize()} {effect.does}; its work grows with {_work(effect)}."
+    title = f"effect: {spoken}"
+    return Knob(
+        f"effect-{effect.name.replace('_', '-')}",
+        title,
+        settings,
+        None,
+        MARGIN,
+        advice,
+        ERROR_OF.get(effect.name),
+    )
+
+
+def _work(effect: Effect) -> str:
+    return "nothing" if effect.cost.value == "free" else effect.cost.value
+
+
+SAMPLING = (
+    _swept(
+        ("elevations", "rays of a beam's column"),
+        "sim.elevations",
+        (8, 16, 32, 48, 64, 96, 128, 256),
+        ELEVATIONS,
+        "The knob to turn first: half the rays take a third of the time off a ping.",
+    ),
+    _swept(
+        ("scatterers", "scatterers in a row of a beam's width"),
+        "sim.nodes_per_beam",
+        (1, 2, 4, 8, 16, 32),
+        NODES_PER_BEAM,
+        "Fewer scatterers change the grain alone, never the level.",
+    ),
+    _swept(
+        ("beams", "beams of the picture"),
+        "sim.beams",
+        (128, 256, 512, 1024),
+        512,
+        "Half the beams halve the time, and blur what is narrower than two beams.",
+    ),
+)
+TOLERANCES = (
+    _swept(
+        ("tolerance-level", "tolerance of auto: level, dB"),
+        "sim.tolerance.level_db",
+        (0.1, 0.25, 0.5, 1.0, 2.0, 3.0, 6.0),
+        Tolerance().level_db,
+        "A larger tolerance leaves out more effects; most of them cost little.",
+    ),
+    _swept(
+        ("tolerance-cells", "tolerance of auto: displacement, cells"),
+        "sim.tolerance.cells",
+        (0.1, 0.25, 0.5, 1.0, 2.0),
+        Tolerance().cells,
+        "Decides on motion, Doppler, refraction and the speed of sound.",
+    ),
+    _swept(
+        ("tolerance-share", "tolerance of auto: share of the pixels"),
+        "sim.tolerance.share",
+        (0.0, 0.001, 0.01, 0.1),
+        Tolerance().share,
+        "Pixels that may differ by more than the tolerated level.",
+    ),
+)
+EFFECT_KNOBS = tuple(_switched(effect) for effect in EFFECTS.values())
+
+KNOBS = (*SAMPLING, *TOLERANCES, *EFFECT_KNOBS)
+
+WHOLES = (
+    Setting("everything", {"sim.effects": "all"}),
+    Setting("published, 760 x 169", {"sim.camera": "760x169"}),
+    Setting("published, 768 x 492", {"sim.camera": "768x492"}),
+)

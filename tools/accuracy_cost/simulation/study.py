@@ -1,0 +1,86 @@
+"""The study: what is measured of a setting on a scene."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from sonar_sim.effects.plan import EffectWarning
+
+from accuracy_cost.simulation.error import Picture, grain_errors, picture_errors, rounded
+from accuracy_cost.simulation.knobs import KNOBS, WHOLES
+from accuracy_cost.simulation.ours import Ours
+from accuracy_cost.simulation.published import Published
+from accuracy_cost.simulation.reference import load_reference, prepare_reference
+from accuracy_cost.simulation.scenes import DIVES, scenario_of
+from accuracy_cost.simulation.settings import Making, making_of
+from accuracy_cost.study import Column, Dive, Knob, Setting
+
+COLUMNS = (
+    Column("image_rms_db", "error of the picture's levels, RMS, dB"),
+    Column("image_p95_db", "error of the picture's levels, 95th percentile, dB"),
+    Column("beyond_tolerance", "share of the visible pixels off by more than 0.5 dB"),
+    Column("return_median_m", "error of a beam's first return, median, m"),
+    Column("return_p95_m", "error of a beam's first return, 95th percentile, m"),
+    Column("return_missed", "share of the beams with a first return too many or too few"),
+    Column("grain_spread_db", "error of the speckle's spread of levels, dB"),
+    Column("grain_correlation", "error of the speckle's correlation from row to row"),
+    Column("ping_cpu_ms", "CPU time of a ping, median, ms", repeatable=False),
+    Column("ping_cpu_p95_ms", "CPU time of a ping, 95th percentile, ms", repeatable=False),
+    Column("ping_memory_mb", "arrays of a ping, MB", repeatable=False),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationStudy:
+    """The simulator's study; see `accuracy_cost.study.Study`."""
+
+    name: str = "simulation"
+    knobs: Sequence[Knob] = KNOBS
+    dives: Sequence[Dive] = DIVES
+    wholes: Sequence[Setting] = WHOLES
+    columns: Sequence[Column] = COLUMNS
+    error: str = "image_rms_db"
+    cost: str = "ping_cpu_ms"
+
+    def prepare(self, dive: Dive, folder: Path) -> None:
+        """Make the dive's reference pictures."""
+        prepare_reference(dive, folder)
+
+    def measure(self, setting: Setting, dive: Dive, folder: Path) -> dict[str, float]:
+        """Errors and costs of a setting on a dive."""
+        making, truths = making_of(setting.overrides), load_reference(dive, folder)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", EffectWarning)
+            measured = _ours if making.camera is None else _published
+            return measured(making, dive, truths)
+
+
+def _ours(making: Making, dive: Dive, truths: list[Picture]) -> dict[str, float]:
+    ours, sonar = Ours(making, dive), scenario_of(dive).sonar
+    pairs = [
+        # Where both are integers the rounding itself is not compared: a hair would be a step.
+        (seen.expected, truth if seen.rounded else rounded(truth, sonar))
+        for seen, truth in zip(ours.pictures(), truths, strict=True)
+    ]
+    errors = {**picture_errors(pairs, sonar), **grain_errors(ours.grain())}
+    return {**errors, **_costs(ours.cpu_ms(), ours.memory_mb())}
+
+
+def _published(making: Making, dive: Dive, truths: list[Picture]) -> dict[str, float]:
+    theirs = Published(making.camera or (0, 0), dive)
+    pairs = list(zip(theirs.pictures(truths), truths, strict=True))
+    errors = {**picture_errors(pairs, theirs.sonar), **grain_errors(theirs.grain())}
+    return {**errors, **_costs(theirs.cpu_ms(), theirs.memory_mb())}
+
+
+def _costs(cpu_ms: list[float], memory_mb: float) -> dict[str, float]:
+    return {
+        "ping_cpu_ms": float(np.median(cpu_ms)),
+        "ping_cpu_p95_ms": float(np.quantile(cpu_ms, 0.95)),
+        "ping_memory_mb": memory_mb,
+    }
+
+
+STUDY = SimulationStudy()
