@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from accuracy_cost.simulation.error import (
     RETURN,
+    Grain,
     beyond_tolerance,
     first_returns_m,
     grain_errors,
+    grain_of,
     picture_errors,
     rounded,
 )
@@ -85,20 +87,24 @@ def test_without_any_return_in_common_its_error_does_not_exist() -> None:
     assert math.isnan(errors["return_p95_m"])
 
 
-def test_rayleigh_grain_with_a_recordings_rows_has_no_error() -> None:
+def test_rayleigh_grain_spreads_by_its_law_and_leaks_into_the_next_row() -> None:
     rng = np.random.default_rng(1)
     field = rng.normal(size=(1001, 400)) + 1j * rng.normal(size=(1001, 400))
     leak = 0.26
-    spread = np.abs(field[1:-1] + leak * (field[:-2] + field[2:]))
-    errors = grain_errors(20.0 * np.log10(spread))
-    assert errors["grain_spread_db"] < 0.03
-    assert errors["grain_correlation"] < 0.02
+    grain = grain_of(20.0 * np.log10(np.abs(field[1:-1] + leak * (field[:-2] + field[2:]))))
+    assert grain.spread_db == pytest.approx(5.57, abs=0.03)
+    # The correlation of Rayleigh amplitudes is nearly that of their powers, which is the square
+    # of their fields'.
+    of_fields = 2.0 * leak / (1.0 + 2.0 * leak**2)
+    assert grain.row_correlation == pytest.approx(of_fields**2, abs=0.02)
 
 
 def test_a_picture_without_grain_lacks_all_of_it() -> None:
-    errors = grain_errors(np.zeros((5, 4)))
-    assert errors["grain_spread_db"] == pytest.approx(5.57, abs=0.005)
-    assert errors["grain_correlation"] == 0.19
+    even = grain_of(np.zeros((5, 4)))
+    assert grain_errors(even, Grain(5.57, 0.19)) == {
+        "grain_spread_db": 5.57,
+        "grain_correlation": 0.19,
+    }
 
 
 def test_rounding_holds_what_an_integer_pixel_holds() -> None:
@@ -109,5 +115,5 @@ def test_rounding_holds_what_an_integer_pixel_holds() -> None:
 
 
 def test_grain_of_a_picture_that_shows_nothing_does_not_exist() -> None:
-    errors = grain_errors(np.full((5, 4), np.nan))
-    assert all(math.isnan(value) for value in errors.values())
+    nothing = grain_of(np.full((5, 4), np.nan))
+    assert all(math.isnan(value) for value in grain_errors(nothing, nothing).values())

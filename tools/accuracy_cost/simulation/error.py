@@ -1,6 +1,7 @@
 """How far pictures lie from the reference: levels, first returns, grain. Float64, numpy alone."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +12,19 @@ Picture = NDArray[np.float64]
 
 RETURN = 35.0 / 255.0
 """Amplitude of a first return: the threshold of the mapper's own defaults."""
-RAYLEIGH_SPREAD_DB = 20.0 / np.log(10.0) * np.pi / np.sqrt(24.0)
-"""Standard deviation of the level of a Rayleigh amplitude, 5.57 dB."""
-ROW_CORRELATION = 0.19
-"""Of neighbouring rows' amplitudes, as a public Oculus recording shows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Grain:
+    """Of a speckled picture.
+
+    Attributes:
+        spread_db: standard deviation of the level over its expectation; 5.57 dB is Rayleigh's.
+        row_correlation: of neighbouring rows' amplitudes over their expectation.
+    """
+
+    spread_db: float
+    row_correlation: float
 
 
 def picture_errors(
@@ -101,23 +111,28 @@ def first_returns_m(picture: Picture, row_m: float) -> Picture:
     return np.where(above.any(axis=0), (row - 0.5 + part) * row_m, np.nan)
 
 
-def grain_errors(level_db: Picture) -> dict[str, float]:
-    """How far grain is from Rayleigh's in spread, and from a recording's from row to row.
+def grain_of(level_db: Picture) -> Grain:
+    """Measure a picture's grain.
 
     Args:
         level_db: over the expected level, NaN where nothing shows, (rows, beams).
     """
     if np.isnan(level_db).all():
-        return {"grain_spread_db": float("nan"), "grain_correlation": float("nan")}
+        return Grain(float("nan"), float("nan"))
     spread_db = float(np.nanstd(level_db))
     relative = 10.0 ** (level_db / 20.0)
     both = np.isfinite(relative[:-1]) & np.isfinite(relative[1:])
-    correlation = 0.0
-    if spread_db > 0.0:
-        correlation = float(np.corrcoef(relative[:-1][both], relative[1:][both])[0, 1])
+    if spread_db == 0.0:
+        return Grain(0.0, 0.0)
+    correlation = float(np.corrcoef(relative[:-1][both], relative[1:][both])[0, 1])
+    return Grain(spread_db, correlation)
+
+
+def grain_errors(shown: Grain, truth: Grain) -> dict[str, float]:
+    """How far one is from the other."""
     return {
-        "grain_spread_db": abs(spread_db - RAYLEIGH_SPREAD_DB),
-        "grain_correlation": abs(correlation - ROW_CORRELATION),
+        "grain_spread_db": abs(shown.spread_db - truth.spread_db),
+        "grain_correlation": abs(shown.row_correlation - truth.row_correlation),
     }
 
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from sonar_sim.effects.plan import EffectWarning
 
-from accuracy_cost.simulation.error import Picture, grain_errors, picture_errors, rounded
+from accuracy_cost.simulation.error import grain_errors, grain_of, picture_errors, rounded
 from accuracy_cost.simulation.knobs import KNOBS, WHOLES
 from accuracy_cost.simulation.ours import Ours
 from accuracy_cost.simulation.published import Published
-from accuracy_cost.simulation.reference import load_reference, prepare_reference
+from accuracy_cost.simulation.reference import Reference, load_reference, prepare_reference
 from accuracy_cost.simulation.scenes import DIVES, scenario_of
 from accuracy_cost.simulation.settings import Making, making_of
 from accuracy_cost.study import Column, Dive, Knob, Setting
@@ -50,28 +50,31 @@ class SimulationStudy:
 
     def measure(self, setting: Setting, dive: Dive, folder: Path) -> dict[str, float]:
         """Errors and costs of a setting on a dive."""
-        making, truths = making_of(setting.overrides), load_reference(dive, folder)
+        making, truth = making_of(setting.overrides), load_reference(dive, folder)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", EffectWarning)
             measured = _ours if making.camera is None else _published
-            return measured(making, dive, truths)
+            return measured(making, dive, truth)
 
 
-def _ours(making: Making, dive: Dive, truths: list[Picture]) -> dict[str, float]:
+def _ours(making: Making, dive: Dive, truth: Reference) -> dict[str, float]:
     ours, sonar = Ours(making, dive), scenario_of(dive).sonar
     pairs = [
         # Where both are integers the rounding itself is not compared: a hair would be a step.
-        (seen.expected, truth if seen.rounded else rounded(truth, sonar))
-        for seen, truth in zip(ours.pictures(), truths, strict=True)
+        (seen.expected, true if seen.rounded else rounded(true, sonar))
+        for seen, true in zip(ours.pictures(), truth.pictures, strict=True)
     ]
-    errors = {**picture_errors(pairs, sonar), **grain_errors(ours.grain())}
+    errors = {**picture_errors(pairs, sonar), **grain_errors(grain_of(ours.grain()), truth.grain)}
     return {**errors, **_costs(ours.cpu_ms(), ours.memory_mb())}
 
 
-def _published(making: Making, dive: Dive, truths: list[Picture]) -> dict[str, float]:
+def _published(making: Making, dive: Dive, truth: Reference) -> dict[str, float]:
     theirs = Published(making.camera or (0, 0), dive)
-    pairs = list(zip(theirs.pictures(truths), truths, strict=True))
-    errors = {**picture_errors(pairs, theirs.sonar), **grain_errors(theirs.grain())}
+    pairs = list(zip(theirs.pictures(truth.pictures), truth.pictures, strict=True))
+    errors = {
+        **picture_errors(pairs, theirs.sonar),
+        **grain_errors(grain_of(theirs.grain()), truth.grain),
+    }
     return {**errors, **_costs(theirs.cpu_ms(), theirs.memory_mb())}
 
 
