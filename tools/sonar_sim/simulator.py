@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from sonar_sim.effects.look import Look
 from sonar_sim.effects.plan import AUTO, Choice, Wish
 from sonar_sim.effects.planner import Planned, Planner
-from sonar_sim.engine import Engine, Image, SonarMotion
+from sonar_sim.engine import NODES_PER_BEAM, Engine, Image, SonarMotion
+from sonar_sim.fan import ELEVATIONS
 from sonar_sim.poses import Pose
 from sonar_sim.scene import Scene
 from sonar_sim.sonar import SonarSettings
@@ -47,6 +48,9 @@ class Simulator:
         effects: "auto" lets each ping's own rules decide; see `sonar_sim.effects.plan.Wish.read`.
         tolerance: by which they decide.
         threads: at most; the bytes do not depend on it.
+        elevations: rays of a beam's column: fewer are faster and miss more.
+        nodes_per_beam: scatterers in a row of a beam's -3 dB width, about: fewer are faster and
+            make the speckle coarser than Rayleigh's.
 
     Raises:
         EffectError: `effects` names one that does not exist.
@@ -61,11 +65,15 @@ class Simulator:
         effects: Choice = AUTO,
         tolerance: Tolerance | None = None,
         threads: int = 2,
+        elevations: int = ELEVATIONS,
+        nodes_per_beam: float = NODES_PER_BEAM,
     ) -> None:
         self.scene = scene
         self.sonar = sonar
         self.tolerance = tolerance or Tolerance()
-        self._engine = Engine(scene, sonar, seed, threads)
+        self._engine = Engine(
+            scene, sonar, seed, threads, elevations=elevations, nodes_per_beam=nodes_per_beam
+        )
         look = Look(scene, sonar, self._engine.meshes)
         self._planner = Planner(look, Wish.read(effects), self.tolerance)
         self._warned: set[str] = set()
