@@ -151,10 +151,10 @@ def _overlap(a: Bbox, b: Bbox) -> float:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a picture in few colours: it stays in the repository for good."""
+    """Write a picture with a palette: it stays in the repository for good."""
     data = io.BytesIO()
     figure.savefig(data, dpi=DPI, format="png")
     path.parent.mkdir(parents=True, exist_ok=True)
     with Image.open(data) as image:
-        few = image.convert("RGB").quantize(96, method=Image.Quantize.MAXCOVERAGE)
+        few = image.convert("RGB").quantize(256, method=Image.Quantize.MAXCOVERAGE)
         few.save(path, optimize=True)
