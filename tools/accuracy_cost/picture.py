@@ -33,6 +33,8 @@ PUBLISHED_STYLE: dict[str, Any] = {"marker": "s", "markersize": 8, "color": "#7b
 DPI = 90
 LOG_FROM = 4.0
 """Axes that span more than this ratio are logarithmic."""
+LEAST_ROOM = 0.2
+"""Beside the costs: the noise of equal ones must not fill the plot."""
 STEPS, WIDE = (1.0, 2.0, 5.0), 100.0
 """Ticks of a logarithmic axis, but for one that spans more than this ratio."""
 PLACES = ((7, 4), (7, -11), (-7, 4), (-7, -11), (0, 9), (0, -16), (14, 12), (14, -20), (-14, 12))
@@ -83,7 +85,8 @@ def scale(axes: Axes, points: Iterable[Point]) -> None:
             room = (high / low) ** 0.12
             getattr(axes, f"set_{name}lim")(low / room, high * room)
         else:
-            room = 0.15 * (high - low) or 0.1 * abs(high) or 1.0
+            least = LEAST_ROOM * abs(high) if name == "x" else 0.0
+            room = max(0.15 * (high - low), least) or 0.1 * abs(high) or 1.0
             getattr(axes, f"set_{name}lim")(low - room, high + room)
 
 
@@ -103,12 +106,18 @@ def lay_out(figure: Figure) -> None:
     figure.set_layout_engine("none")
 
 
-def label_points(axes: Axes, labelled: Sequence[tuple[Point, str]]) -> None:
-    """Write labels beside points, each where it lies on no other; the figure is laid out."""
+def label_points(
+    axes: Axes, labelled: Sequence[tuple[Point, str]], points: Iterable[Point]
+) -> None:
+    """Write labels where they lie on no other and on none of the points drawn.
+
+    The figure is laid out before.
+    """
     pixels = axes.get_figure(root=True).dpi / 72.0  # type: ignore[union-attr]
     frame = axes.get_window_extent()
     places = axes.transData.transform([(point.cost, point.error) for point, _ in labelled])
-    taken = [Bbox.from_bounds(x - 7, y - 7, 14, 14) for x, y in places]
+    drawn = axes.transData.transform([(point.cost, point.error) for point in points])
+    taken = [Bbox.from_bounds(x - 7, y - 7, 14, 14) for x, y in drawn]
     for (point, text), (x, y) in zip(labelled, places, strict=True):
         note = axes.annotate(
             text,

@@ -58,7 +58,8 @@ def draw_knob(study: Study, results: Results, knob: Knob, path: Path) -> None:
     figure.suptitle(_title(knob, width=60 * min(len(groups), 2)), fontsize=12)
     lay_out(figure)
     for axes, (_, points) in zip(figure.axes, groups, strict=True):
-        label_points(axes, [(point, _label(point, knob)) for point in points if point.known])
+        known = [point for point in points if point.known]
+        label_points(axes, [(point, _label(point, knob)) for point in known], known)
     save(figure, path)
 
 
@@ -77,7 +78,7 @@ def draw_summary(study: Study, results: Results, path: Path) -> None:
     figure.suptitle(f"All settings of the study of {study.name}", fontsize=12)
     lay_out(figure)
     for axes, (_, points) in zip(figure.axes, groups, strict=True):
-        label_points(axes, _named(study, points, wholes))
+        label_points(axes, _named(study, points, wholes), [p for p in points if p.known])
     save(figure, path)
 
 
