@@ -8,7 +8,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 STAMP := $(VENV)/.installed
 CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt' -o -name 'CMakePresets.json')
 
-.PHONY: demo test bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
+.PHONY: demo test bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
 
 demo: $(STAMP)
 	$(BIN)/python tools/demo.py --out out/demo
@@ -71,6 +71,11 @@ accuracy-cost: $(STAMP)
 	$(BIN)/accuracy-cost run --write
 	$(BIN)/accuracy-cost plot --write
 	$(MAKE) numerical-growth
+
+# Errors of rounding over a million updates, and what single precision costs; writes the figure and
+# the tables of docs/numerical-stability.md. One minute of one core.
+numerical-growth: $(STAMP)
+	PYTHONPATH=tools $(BIN)/python -m numerical_growth.run --write
 
 out/demo/capture.bin: | $(STAMP)
 	$(BIN)/python tools/demo.py --out out/demo

@@ -10,8 +10,6 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 CASES = ROOT / "tests" / "stability"
 PAGE = ROOT / "docs" / "numerical-stability.md"
-BEGIN = "<!-- catalogue: begin, written by tools/write_stability_docs.py -->"
-END = "<!-- catalogue: end -->"
 
 AREAS = ("mapping", "store", "stream", "filters", "fusion", "clock", "localization", "simulation")
 """In the order of the page; others follow by name."""
@@ -97,19 +95,20 @@ def _cell(text: str) -> str:
     return text.replace("|", "\\|")
 
 
-def page_with(page: str, tables: str) -> str:
-    """The page with the tables between its marks.
+def page_with(page: str, name: str, text: str) -> str:
+    """The page with a text between the marks of that name.
 
     Raises:
         ValueError: the marks are not there.
     """
-    before, begin, rest = page.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not (begin and end):
-        raise ValueError(f"{PAGE.name} has no place for the catalogue")
-    return f"{before}{begin}\n\n{tables}\n\n{end}{after}"
+    place = re.compile(rf"(<!-- {name}: begin, [^\n]*-->\n).*?(<!-- {name}: end -->)", re.DOTALL)
+    made, times = place.subn(lambda marks: f"{marks[1]}\n{text}\n\n{marks[2]}", page)
+    if times != 1:
+        raise ValueError(f"{PAGE.name} has no one place for the {name}")
+    return made
 
 
 if __name__ == "__main__":
     page = PAGE.read_text(encoding="utf-8")
-    PAGE.write_text(page_with(page, catalogue(list(cases()))), encoding="utf-8")
+    made = page_with(page, "catalogue", catalogue(list(cases())))
+    PAGE.write_text(made, encoding="utf-8")

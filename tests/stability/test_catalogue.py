@@ -29,7 +29,7 @@ def test_every_test_is_a_case_of_its_own() -> None:
 def test_the_page_is_up_to_date() -> None:
     """`python tools/write_stability_docs.py` writes it."""
     page = PAGE.read_text(encoding="utf-8")
-    assert page_with(page, catalogue(list(cases()))) == page
+    assert page_with(page, "catalogue", catalogue(list(cases()))) == page
 
 
 @pytest.mark.parametrize(
@@ -60,3 +60,9 @@ def test_the_two_parts_are_two_sentences_or_paragraphs(gap: str) -> None:
 def test_a_bar_in_a_sentence_is_no_column() -> None:
     case = case_of("test_clock_any.py", "test_any", "|q| is 1. Naively it is not.")
     assert "| `test_any` | \\|q\\| is 1. | it is not. |" in catalogue([case])
+
+
+@pytest.mark.parametrize("page", ["", "<!-- other: begin, x -->\n<!-- other: end -->"])
+def test_a_page_without_a_place_is_refused(page: str) -> None:
+    with pytest.raises(ValueError, match="no one place"):
+        page_with(page, "catalogue", "")

@@ -1,0 +1,73 @@
+"""Long runs in short: ours stays near the oracle; and no single precision is left out."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numerical_growth.panel import Curve, Panel
+from numerical_growth.place import Measured
+from numerical_growth.run import GROWTHS, PICTURE, PLACES
+from numerical_growth.tables import growth_table, places_table
+from write_stability_docs import PAGE
+
+ROOT = Path(__file__).resolve().parents[2]
+MOST = {"log-odds": 1e-5, "rad; part": 1e-13, "m": 1e-10, "s": 2e-3, "part of the weight": 1e-10}
+AS_IT_COMES = {"mapperd/checkpoint/writing.py"}  # writes any array in its own width
+
+
+@pytest.mark.parametrize("grow", GROWTHS, ids=lambda grow: grow.__name__)
+def test_ours_stays_near_the_oracle(grow: object) -> None:
+    assert callable(grow)
+    panel: Panel = grow(500)
+    assert panel.updates[-1] == 500
+    ours, *others = panel.curves
+    assert ours.ours
+    assert not any(curve.ours for curve in others)
+    assert np.nanmax(ours.error) <= MOST.get(panel.unit, 1e-3)
+
+
+def test_every_source_with_single_precision_is_measured_and_on_the_page() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    for place in PLACES:
+        assert f"| {place.where} |" in page
+    named = {path for place in PLACES for glob in place.files for path in ROOT.glob(glob)}
+    left = {str(path.relative_to(ROOT)) for path in sources() - named} - AS_IT_COMES
+    assert not left
+
+
+def test_no_pattern_of_sources_is_stale() -> None:
+    held = sources()
+    for place in PLACES:
+        for glob in place.files:
+            assert held & set(ROOT.glob(glob)), glob
+
+
+def sources() -> set[Path]:
+    """With single precision in Python, or float in C++, comments aside."""
+    folders = [ROOT / name for name in ("mapperd", "oculus_driver", "tools/sonar_sim")]
+    python = re.compile(r'np\.(float32|complex64)|"float32"|"<f4"')
+    scripts = [path for folder in folders for path in folder.rglob("*.py")]
+    found = {path for path in scripts if python.search(path.read_text(encoding="utf-8"))}
+    for path in (ROOT / "cpp").rglob("*.[ch]pp"):
+        text = re.sub(r"//.*", "", path.read_text(encoding="utf-8"))
+        if not {"test", "bench"} & set(path.parts) and re.search(r"\bfloat\b", text):
+            found.add(path)
+    return found
+
+
+def test_the_picture_is_on_the_page() -> None:
+    assert (ROOT / PICTURE).is_file()
+    assert f"({PICTURE.relative_to('docs')})" in PAGE.read_text(encoding="utf-8")
+
+
+def test_tables_say_where_numbers_end() -> None:
+    curves = (
+        Curve("ours", np.array([0.0, 1e-9]), ours=True),
+        Curve("plain", np.array([1, np.nan]), ours=False),
+    )
+    table = growth_table([Panel("sums", "m", np.array([1, 1000]), curves, "fractions")])
+    assert "| sums | ours | m | 0 | 1.0e-09 | fractions |" in table
+    assert "| sums | plain | m | 1.0e+00 | no number | fractions |" in table
+    row = places_table([(PLACES[0], Measured("1 m", "lost"))]).splitlines()[-1]
+    assert row.endswith(f"| 1 m | lost | {PLACES[0].enough} |")

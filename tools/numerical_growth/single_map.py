@@ -1,0 +1,185 @@
+"""Single precision in the map: what it is given, how it reckons, what it hands out."""
+
+import math
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from mapperd.config import Config
+from mapperd.echo import Echo, display_units
+from mapperd.map_queries import MapQueries
+from mapperd.mapping import SonarMap
+from numerical_growth.of_maps import UNIT
+from numerical_growth.place import Measured, Place
+
+__all__ = ["PLACES"]
+
+Floats = NDArray[np.float64]
+POINTS = 200_000
+
+
+def _chance(log_odds: Floats) -> Floats:
+    return np.asarray(1.0 / (1.0 + np.exp(-log_odds)))
+
+
+def _handed_out() -> Measured:
+    """Log-odds that a map of known values is asked for."""
+    sonar_map = SonarMap(Config())
+    chance = np.random.default_rng(1)
+    edge = sonar_map.resolution_m
+    points = np.asarray(edge * (chance.integers(-40, 40, (POINTS, 3)) + 0.5), np.float64)
+    sonar_map.core.set_log_odds(points, chance.uniform(-10.0, 10.0, POINTS))
+    _, units, counts = sonar_map.core.blocks()
+    exact = np.sort(units[counts > 0] * UNIT)
+    _, given, _ = sonar_map.core.voxels()
+    handed = np.sort(given.astype(np.float64))
+    off, wrong = np.abs(handed - exact), np.abs(_chance(handed) - _chance(exact))
+    return Measured(f"{off.max():.1e} log-odds", f"probability off by {wrong.max():.0e}")
+
+
+def _probability() -> Measured:
+    exact = _chance(np.linspace(-10.0, 10.0, POINTS))
+    off = np.abs(exact.astype(np.float32) - exact)
+    return Measured(f"{off.max():.1e}", "a threshold is met or not by that much")
+
+
+def _intensity() -> Measured:
+    """Samples of all widths as 0..255."""
+    chance = np.random.default_rng(2)
+    worst = 0.0
+    for bits in (8, 16, 32):
+        full = 2**bits - 1
+        wide = chance.integers(0, full, POINTS, endpoint=True)
+        samples: NDArray[np.unsignedinteger] = wide.astype(f"u{bits // 8}")
+        exact = samples.astype(np.float64) / (full / 255)
+        worst = max(worst, float(np.abs(display_units(samples, full) - exact).max()))
+    settings = Config()
+    span = settings.iwlo.intensity_max - settings.filtering.intensity_threshold
+    step = settings.iwlo.L_occ * settings.iwlo.sharpness / 4.0 / span * worst
+    return Measured(f"{worst:.1e} of 255", f"a step is off by {step:.0e} log-odds; 8 bit: 0")
+
+
+def _lines() -> Measured:
+    """Everything thrice as large gives the same log-odds, but other roundings on the way."""
+    first, second = _scaled(1.0), _scaled(3.0)
+    off = np.abs(first - second)
+    return Measured(
+        f"{off.max():.1e} log-odds", "the sampling that they serve is off by 0.013 in 1 of 100"
+    )
+
+
+def _scaled(scale: float) -> Floats:
+    """Log-odds after one ping of which all lengths are so many times as large."""
+    default = Config()
+    config = msgspec.structs.replace(
+        default,
+        octree=msgspec.structs.replace(default.octree, voxel_resolution=0.1 * scale),
+        filtering=msgspec.structs.replace(default.filtering, min_range=0.5 * scale),
+    )
+    bearings = np.linspace(-0.9, 0.9, 128)
+    image = np.zeros((200, 128), np.float32)
+    chance = np.random.default_rng(3)
+    for beam in range(128):
+        row = 60 + int(40 * math.sin(beam / 20))
+        image[row : row + 12, beam] = chance.uniform(60, 255, 12)
+    sonar_map = SonarMap(config)
+    sonar_map.integrate(Echo(image, bearings, 0.05 * scale), np.eye(4))
+    _, units, counts = sonar_map.core.blocks()
+    return np.asarray(np.where(counts > 0, units, 0) * UNIT)
+
+
+def _distances() -> Measured:
+    """A distance field of scattered voxels, by scipy's transform in double precision."""
+    edge, chance = 0.05, np.random.default_rng(4)
+    config = Config()
+    sonar_map = SonarMap(
+        msgspec.structs.replace(
+            config, octree=msgspec.structs.replace(config.octree, voxel_resolution=edge)
+        )
+    )
+    cells = chance.integers(0, 160, (40, 3))
+    sonar_map.core.set_log_odds(
+        np.asarray(edge * (cells + 0.5), np.float64), np.full(len(cells), 5.0)
+    )
+    queries = MapQueries(sonar_map.core, occupied_threshold=0.7, free_threshold=0.3)
+    got = queries.distance_field((0, 0, 0), (160 * edge,) * 3, 60 * edge).values
+    empty = np.ones((160, 160, 160), bool)
+    empty[tuple(cells.T)] = False
+    exact = edge * distance_transform_edt(empty)
+    off = np.abs(got - np.minimum(exact, 60 * edge))
+    return Measured(
+        f"{off.max():.1e} m",
+        f"of distances up to {min(exact.max(), 60 * edge):.1f} m, in voxels of 5 cm",
+    )
+
+
+PLACES = (
+    Place(
+        "`VoxelMap.query`, `voxels`; `.ot` files",
+        (
+            "cpp/include/mapperd/voxel_map.hpp",
+            "cpp/src/octomap_*.cpp",
+            "cpp/bind/points.hpp",
+            "cpp/bind/map.cpp",
+        ),
+        "log-odds handed out (stored: whole units of 2^-24)",
+        _handed_out,
+        "the file format's own width; what is stored keeps all its digits",
+    ),
+    Place(
+        "`mapping.Voxels`, `map_queries`, the client's mirror, LAS",
+        (
+            "mapperd/mapping.py",
+            "mapperd/map_queries.py",
+            "mapperd/client/*.py",
+            "mapperd/sonar_to_3d.py",
+            "mapperd/export/las.py",
+            "mapperd/export/p??.py",
+        ),
+        "probabilities handed out",
+        _probability,
+        "thresholds are compared in log-odds, in double precision; half the memory of a cloud",
+    ),
+    Place(
+        "`echo`",
+        (
+            "mapperd/echo.py",
+            "mapperd/polar_image.py",
+        ),
+        "intensities",
+        _intensity,
+        "samples of 8 bit are exact; 32-bit ones are divided in double precision first",
+    ),
+    Place(
+        "`voxel_lines`, `kernels`, `block_evidence`, `fan`",
+        (
+            "cpp/include/mapperd/voxel_lines.hpp",
+            "cpp/src/voxel_lines.cpp",
+            "cpp/include/mapperd/kernels.hpp",
+            "cpp/src/kernels_body.hpp",
+            "cpp/*/block_evidence.*",
+            "cpp/include/mapperd/block_evidence.hpp",
+            "cpp/include/mapperd/fan.hpp",
+            "cpp/src/fan.cpp",
+            "cpp/src/rays.cpp",
+        ),
+        "lines through voxels, weights w(I), parts of a voxel",
+        _lines,
+        "coordinates count from the voxel and not from the map's zero; eight lanes of a vector "
+        "unit instead of four; where digits matter the exact integral is in double precision",
+    ),
+    Place(
+        "`distance_field`, `volume_map`",
+        (
+            "cpp/include/mapperd/distance_field.hpp",
+            "cpp/src/distance_field.cpp",
+            "cpp/bind/queries.cpp",
+            "mapperd/localization/volume_map.py",
+        ),
+        "distances to the nearest voxel",
+        _distances,
+        "squares of distances are whole numbers until the last root; half the memory",
+    ),
+)

@@ -1,0 +1,40 @@
+"""The tables of docs/numerical-stability.md that are measured."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from numerical_growth.panel import Panel
+from numerical_growth.place import Measured, Place
+
+__all__ = ["growth_table", "places_table"]
+
+
+def growth_table(panels: Sequence[Panel]) -> str:
+    """Errors after a tenth, and after all, of the updates."""
+    rows = [
+        "| what is updated | how | unit | after a thousandth | after all | judged by |",
+        "|---|---|---|---:|---:|---|",
+    ]
+    for panel in panels:
+        early = int(np.searchsorted(panel.updates, panel.updates[-1] // 1000))
+        for curve in panel.curves:
+            ends = " | ".join(_number(curve.error[place]) for place in (early, -1))
+            rows.append(
+                f"| {panel.title} | {curve.label} | {panel.unit} | {ends} | {panel.oracle} |"
+            )
+    return "\n".join(rows)
+
+
+def _number(error: float) -> str:
+    return "no number" if not np.isfinite(error) else f"{error:.1e}" if error else "0"
+
+
+def places_table(measured: Sequence[tuple[Place, Measured]]) -> str:
+    """Where single precision is, and what it costs."""
+    rows = ["| where | what | worst error | so | why it is enough |", "|---|---|---|---|---|"]
+    rows += [
+        f"| {place.where} | {place.what} | {found.worst} | {found.so} | {place.enough} |"
+        for place, found in measured
+    ]
+    return "\n".join(rows)
