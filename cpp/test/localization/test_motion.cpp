@@ -149,6 +149,15 @@ TEST_CASE("the floor's noise is not the motion's") {
   for (int k = 0; k < 3; ++k) CHECK_NEAR(m.sigma[k], std::hypot(0.02, 0.03), 0.0003);
 }
 
+TEST_CASE("turns are angles, whichever way the headings pass pi") {
+  const Pose2 driven{std::cos(2.0), -std::sin(2.0), 3.0};
+  const auto two = motion_draws(MotionModel::kDifferential, {0, 0, 0}, driven, {});
+  CHECK_NEAR(two.mean[0], -2.0, 1e-12);
+  CHECK_NEAR(two.mean[2], wrapped(5.0), 1e-12);
+  const auto one = motion_draws(MotionModel::kOmnidirectional, {0, 0, 3}, {0, 0, -3}, {});
+  CHECK_NEAR(one.mean[1], wrapped(-6.0), 1e-12);
+}
+
 TEST_CASE("odometry that is no number is refused") {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   CHECK_THROWS(motion_draws(MotionModel::kDifferential, {}, {nan, 0, 0}, {}),

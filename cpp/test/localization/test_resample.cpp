@@ -83,6 +83,15 @@ TEST_CASE("the comb takes each particle as often as its weight says, give or tak
   }
 }
 
+TEST_CASE("the comb takes none without weight, not even where a tooth is an edge or the end") {
+  const std::vector<double> weight{0.0, 0.5, 0.5, 0.0};
+  const double almost = std::nextafter(1.0, 0.0);  // the last tooth rounds up to the sum
+  for (const double offset : {0.0, almost}) {
+    for (const std::size_t parent : comb(weight, 3, offset)) CHECK(weight[parent] > 0.0);
+  }
+  CHECK(comb(weight, 2, 0.0) == (std::vector<std::size_t>{1, 2}));
+}
+
 TEST_CASE("offsets of the comb are uniform: means over many combs are the weights") {
   const auto weight = uneven(23);
   ResampleRule rule{10, 10, {}, Scheme::kLowVariance};
