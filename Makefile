@@ -5,16 +5,29 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+TOOLS := $(VENV)/.tools
 STAMP := $(VENV)/.installed
 CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt' -o -name 'CMakePresets.json')
 
 .PHONY: demo test bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
 
+# Programs and tests start hundreds of Pythons, which must not compile every module anew.
+unexport PYTHONDONTWRITEBYTECODE
+
+.PHONY: demo test demo-then-python bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
+
 demo: $(STAMP)
 	$(BIN)/python tools/demo.py --out out/demo
 
-# The demo is a test too: it fails when the map is worse than it promises.
-test: check cpp-test cpp-test-asan cpp-test-tsan demo python-test
+# The demo is a test too: it fails when the map is worse than it promises. Two jobs at a time, of
+# which each says what it did when it ends: while one waits, links or has work for one core only, the
+# other computes. The sanitizers' builds come first, they need nothing that is being installed.
+test:
+	+$(MAKE) -j 2 --output-sync=target demo-then-python cpp-test-asan cpp-test-tsan cpp-test check
+
+# The longest of the jobs, as one.
+demo-then-python: demo
+	+$(MAKE) python-test
 
 # Compares the integrators with OctoMap and OpenVDB; writes docs/performance.md. Some minutes.
 bench: $(STAMP)
@@ -108,24 +121,29 @@ check: $(STAMP)
 cpp-test: $(STAMP)
 	scripts/cpp-test release
 
-cpp-test-asan: $(STAMP)
+cpp-test-asan: $(TOOLS)
 	scripts/cpp-test asan-ubsan
 
-cpp-test-tsan: $(STAMP)
+cpp-test-tsan: $(TOOLS)
 	scripts/cpp-test tsan
 
+# More workers than cores: many tests wait, for a sonar's next ping or a link's time-out.
 python-test: $(STAMP)
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 3 --dist worksteal
 
 prerequisites:
 	@PYTHON="$(PYTHON)" scripts/prerequisites
 
-# Installed anew when the build's inputs change; Python sources are used from the tree. The build's
-# own tools are installed first and stay: in a new environment for every build, as pip makes them,
-# the compiler would begin anew too, and the C++ tests could not share the tree.
-$(STAMP): pyproject.toml $(CPP_SOURCES) | prerequisites
+# What compiles: all that the sanitizers' builds need.
+$(TOOLS): pyproject.toml | prerequisites
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(PIP) 'scikit-build-core>=0.10' 'pybind11>=3.0' 'cmake>=3.25' 'ninja>=1.11'
+	$(PIP) 'scikit-build-core>=0.10' 'pybind11>=3.0' 'cmake>=3.25' 'ninja>=1.11' 'cmeel-octomap>=1.9'
+	touch $@
+
+# Installed anew when the build's inputs change; Python sources are used from the tree. The build's
+# own tools are installed before and stay: in a new environment for every build, as pip makes them,
+# the compiler would begin anew too, and the C++ tests could not share the tree.
+$(STAMP): pyproject.toml $(CPP_SOURCES) $(TOOLS)
 	$(PIP) --no-build-isolation -e '.[dev,octomap,render,sim,topside]'
 	touch $@
 
