@@ -74,6 +74,59 @@ class Grid {
   std::vector<Parts> parts_;
 };
 
+// What lies along a beam up to a range: volumes per unit of solid angle. They are summed up row by
+// row once, for all rays of the beam.
+class BeamVolumes {
+ public:
+  BeamVolumes(const PingImage& image, const Settings& settings, std::size_t beam)
+      : spacing_m_(image.range_resolution_m) {
+    std::size_t first = image.rows;
+    for (std::size_t k = image.rows; k-- > 0;) {
+      const double far_edge = static_cast<double>(k + 1) * spacing_m_;
+      const double intensity = image.at(k, beam);
+      const bool above = intensity > settings.iwlo.intensity_threshold;
+      rows_.push_back({{}, {above ? 1.0 : 0.0, 0.0, weight_of(intensity, settings.iwlo)}});
+      if (above && far_edge > settings.fan.min_range_m) first = k;
+    }
+    std::reverse(rows_.begin(), rows_.end());
+    has_return_ = first < image.rows;
+    Parts sum;
+    for (std::size_t k = 0; k < rows_.size(); ++k) {
+      if (k < first) rows_[k].share = {0.0, 1.0, 0.0};
+      rows_[k].nearer = sum;
+      sum = until(k, static_cast<double>(k + 1) * spacing_m_);
+    }
+  }
+
+  bool has_return() const { return has_return_; }
+
+  Parts until(double range_m) const {
+    const auto row = static_cast<std::size_t>(range_m / spacing_m_);
+    return until(std::min(row, rows_.size() - 1), range_m);
+  }
+
+ private:
+  struct Row {
+    Parts nearer;  // of all rows before it
+    Parts share;   // of its own volume
+  };
+
+  Parts until(std::size_t k, double range_m) const {
+    const double edge_m = static_cast<double>(k) * spacing_m_;
+    const double volume = (range_m * range_m * range_m - edge_m * edge_m * edge_m) / 3;
+    const Row& row = rows_[k];
+    Parts parts = row.nearer;
+    parts.occupied += volume * row.share.occupied;
+    parts.free += volume * row.share.free;
+    parts.weighted += volume * row.share.weighted;
+    return parts;
+  }
+
+  double spacing_m_;
+  std::vector<Row> rows_;
+  bool has_return_ = false;
+};
+
 class Caster {
  public:
   Caster(const PingImage& image, const Transform& map_T_sonar, const Settings& settings)
@@ -81,22 +134,15 @@ class Caster {
         image_(image),
         origin_(map_T_sonar.translation),
         settings_(settings) {
-    for (std::size_t j = 0; j < image.beams; ++j) {
-      std::size_t first = image.rows;
-      for (std::size_t k = image.rows; k-- > 0;) {
-        const double far_edge = static_cast<double>(k + 1) * image.range_resolution_m;
-        const bool hit = far_edge > settings.fan.min_range_m &&
-                         image.at(k, j) > settings.iwlo.intensity_threshold;
-        if (hit) first = k;
-      }
-      first_row_.push_back(first);
-    }
+    for (std::size_t j = 0; j < image.beams; ++j) beams_.emplace_back(image, settings, j);
   }
 
   Grid grid;
 
   // Walks the ray through the voxels it crosses.
   void cast(const Ray& ray) {
+    const BeamVolumes& beam = beams_[ray.beam];
+    if (!beam.has_return() && !settings_.fan.carve_no_return) return;
     const std::array<double, 3> start{origin_.x, origin_.y, origin_.z};
     const std::array<double, 3> step{ray.direction.x, ray.direction.y, ray.direction.z};
     const double s = settings_.resolution_m;
@@ -107,11 +153,16 @@ class Caster {
       voxel[i] = static_cast<std::int64_t>(std::floor((start[i] + from * step[i]) / s));
       next[i] = leaving(start[i], step[i], voxel[i]);
     }
+    Parts before = beam.until(from);
     while (from < image_.max_range_m()) {
       const std::size_t axis =
           static_cast<std::size_t>(std::min_element(next.begin(), next.end()) - next.begin());
       const double to = std::min(next[axis], image_.max_range_m());
-      if (to > from) add(ray, from, to, voxel);
+      if (to > from) {
+        const Parts after = beam.until(to);
+        add(ray, before, after, voxel);
+        before = after;
+      }
       from = std::max(from, to);
       voxel[axis] += step[axis] > 0 ? 1 : -1;
       next[axis] = leaving(start[axis], step[axis], voxel[axis]);
@@ -125,35 +176,17 @@ class Caster {
     return (face - start) / step;
   }
 
-  void add(const Ray& ray, double from, double to, const Voxel& voxel) {
-    const double dr = image_.range_resolution_m;
-    const bool has_return = first_row_[ray.beam] < image_.rows;
-    if (!has_return && !settings_.fan.carve_no_return) return;
-    Parts piece;
-    for (auto k = static_cast<std::size_t>(from / dr); k < image_.rows; ++k) {
-      const double a = std::max(from, static_cast<double>(k) * dr);
-      const double b = std::min(to, static_cast<double>(k + 1) * dr);
-      if (static_cast<double>(k) * dr >= to) break;
-      if (b <= a) continue;
-      const double volume = ray.solid_angle * (b * b * b - a * a * a) / 3;
-      if (k < first_row_[ray.beam]) {
-        piece.free += volume;
-      } else if (image_.at(k, ray.beam) > settings_.iwlo.intensity_threshold) {
-        piece.occupied += volume;
-        piece.weighted += volume * weight_of(image_.at(k, ray.beam), settings_.iwlo);
-      }
-    }
-    if (piece.free + piece.occupied == 0) return;
+  void add(const Ray& ray, const Parts& before, const Parts& after, const Voxel& voxel) {
     Parts& total = grid.at(voxel);
-    total.free += piece.free;
-    total.occupied += piece.occupied;
-    total.weighted += piece.weighted;
+    total.free += ray.solid_angle * (after.free - before.free);
+    total.occupied += ray.solid_angle * (after.occupied - before.occupied);
+    total.weighted += ray.solid_angle * (after.weighted - before.weighted);
   }
 
   const PingImage& image_;
   Vec3 origin_;
   const Settings& settings_;
-  std::vector<std::size_t> first_row_;
+  std::vector<BeamVolumes> beams_;
 };
 
 // Every other beam, so that two casters share the work.
