@@ -139,10 +139,11 @@ def test_map_after_a_kill_is_that_of_the_recordings(
         path = folder / "dive.map"
         mid += mid_session(path)
         folders += 1
-        if not path.exists() or not files_in([folder / "recordings"]):
+        recordings = folder / "recordings"
+        if not path.exists() or not recordings.exists() or not files_in([recordings]):
             continue
         recovered(config)
-        reference, pings = as_recorded(folder / "recordings")
+        reference, pings = as_recorded(recordings)
         assert content(path, config) == reference, f"{folder} {pings} pings"
         mapped += pings
     assert mid > folders / 2
@@ -156,7 +157,7 @@ def test_who_is_told_to_end_leaves_a_whole_map(
     (tmp_path / "live.yaml").write_text(text, encoding="utf-8")
     for _ in range(2):
         process = daemons.start("--config", tmp_path / "live.yaml", "--out", tmp_path / "out")
-        time.sleep(1.5)
+        wait_for_bytes(tmp_path / "recordings", "*", 100_000)  # some 28 pings
         os.kill(process, signal.SIGTERM)
         assert daemons.ended() == 0
     reference, pings = as_recorded(tmp_path / "recordings")

@@ -28,6 +28,18 @@ def begun_at(process: "subprocess.Popen[bytes]") -> int:
     return int(process.stdout.readline() or -1)
 
 
+def wait_for_work(process: "subprocess.Popen[bytes]", seconds: float) -> None:
+    """Wait until a process has computed for so long, whatever else the machine has to do."""
+    until_s = computed_s(process) + seconds
+    while process.poll() is None and computed_s(process) < until_s:
+        time.sleep(0.002)
+
+
+def computed_s(process: "subprocess.Popen[bytes]") -> float:
+    words = Path(f"/proc/{process.pid}/stat").read_text("utf-8").rpartition(")")[2].split()
+    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+
+
 def content(path: Path) -> tuple[bytes, int]:
     sonar_map = SonarMap(dive.CONFIG)
     with StoreReader(path) as reader:
@@ -43,7 +55,7 @@ def test_map_equals_that_of_a_process_that_was_never_killed(tmp_path: Path) -> N
     while kills < KILLS:
         with start(path) as process:
             begin = begun_at(process) if chance.random() < 0.8 else 0
-            time.sleep(chance.uniform(0.0, 0.25))
+            wait_for_work(process, chance.uniform(0.0, 0.25))
             process.send_signal(signal.SIGKILL)
         assert begin >= 0
         if process.returncode == -signal.SIGKILL:
