@@ -10,10 +10,11 @@ from accuracy_cost.mapping.dives import capture_of, made_by
 from accuracy_cost.mapping.driving import Driven, drive
 from accuracy_cost.mapping.knobs import KNOBS, PUBLISHED, WHOLES
 from accuracy_cost.mapping.oracle import CONVERGED, same_rule
-from accuracy_cost.mapping.settings import Thinning, config_for
+from accuracy_cost.mapping.settings import PROFILES, Thinning, config_for
 from accuracy_cost.study import Dive, Setting
 
 from mapperd.config import Config
+from mapperd.config_file import load_config
 from mapperd.errors import ConfigError
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.recording import OCULUS, open_recording
@@ -75,10 +76,27 @@ def test_the_converged_map_has_no_error_and_a_bound_has_some(folder: Path) -> No
     assert 0.0 < default <= loose["log_odds_error"] < 0.2
 
 
+def test_profiles_err_less_than_the_defaults_on_their_grids(folder: Path) -> None:
+    wholes = {whole.label: whole for whole in WHOLES}
+    found = []
+    for name, voxel_m in (("survey", 0.05), ("balanced", 0.1), ("low_power", 0.2)):
+        assert wholes[name].overrides["octree.voxel_resolution"] == voxel_m
+        plain = Setting("plain", {"octree.voxel_resolution": voxel_m})
+        own, other = (STUDY.measure(s, BASIN, folder)[STUDY.error] for s in (wholes[name], plain))
+        assert own < 0.97 * other, name
+        found.append(own)
+    assert found == sorted(found)
+
+
 def test_frame_skip_costs_pings_and_their_time_counts_for_all(folder: Path) -> None:
     skipping = driven(folder, processing__frame_skip=4)
     assert (skipping.pings, len(skipping.mapped_ms)) == (16, 4)
     assert skipping.ms_per_ping == pytest.approx(sum(skipping.mapped_ms) / 16)
+
+
+@pytest.mark.parametrize("name", ["low_power", "balanced", "survey"])
+def test_a_profile_is_a_file_of_settings(name: str) -> None:
+    assert load_config(PROFILES / f"{name}.yaml").octree.voxel_resolution in (0.05, 0.1, 0.2)
 
 
 def test_pose_policies_give_different_maps(folder: Path) -> None:

@@ -48,12 +48,18 @@ def _values(
     return [(f"{v}{unit}", {} if v == default else {field: v}) for v in values]
 
 
-def _together(edge_m: float, skip: int) -> tuple[str, dict[str, Value]]:
-    return f"{edge_m} m, 256 beams, ping {skip}", {
+def _together(
+    edge_m: float, skip: int, aperture_deg: float | None = None
+) -> tuple[str, dict[str, Value]]:
+    label = f"{edge_m} m, 256 beams, ping {skip}"
+    overrides: dict[str, Value] = {
         "octree.voxel_resolution": edge_m,
         "device.beams": 256,
         "processing.frame_skip": skip,
     }
+    if aperture_deg is None:
+        return label, overrides
+    return f"{label}, {aperture_deg:g}°", overrides | {"sonar.vertical_aperture": aperture_deg}
 
 
 KNOBS = (
@@ -80,8 +86,10 @@ KNOBS = (
                     (0.4, 1),
                 )
             ),
+            *(_together(edge_m, skip, 14.0) for edge_m, skip in ((0.1, 2), (0.1, 5), (0.2, 5))),
         ],
-        "Coarser first, then fewer beams, then fewer pings.",
+        "Coarser first, then fewer beams, then fewer pings; the narrower aperture pays throughout.",
+        margin=0.25,
     ),
     _knob(
         "integrator",
@@ -92,9 +100,11 @@ KNOBS = (
             ("projective, 0.1 m", {"octree.voxel_resolution": 0.1}),
             ("rays, 0.1 m", {"octree.voxel_resolution": 0.1, "mapping.integrator": "rays"}),
         ],
-        "Rays are cheap where much echoes, because they look at every second beam, at some of the "
-        "aperture and at 50 rows behind the first return; what they leave out is missing.",
+        "Rays are cheap because they look at every second beam, at some of the aperture and at 50 "
+        "rows behind the first return; what they leave out is missing, false surface too, and the "
+        "log-odds of the rest are off by hundreds of times as much.",
         published="rays",
+        margin=0.1,
     ),
     _knob(
         "error-bound",
@@ -132,10 +142,11 @@ KNOBS = (
         "elevation",
         "Vertical aperture that an echo is spread over",
         _values("sonar.vertical_aperture", (5.0, 10.0, 14.0, 17.0, 20.0, 25.0), 20.0, "°"),
-        "What an echo may be anywhere in. The sonar's own is 20°; a narrower one is sharper and "
-        "cheaper, and misses what is heard at the beam's edge.",
+        "What an echo may be anywhere in. The data sheet's 20° are one way; an echo goes both, and "
+        "half its power is left at 14°, which the profiles take: sharper and cheaper looking "
+        "ahead. Looking down, 20° see a little more.",
         published="20.0°",
-        margin=0.25,
+        margin=0.3,
     ),
     _knob(
         "within-ping-motion",

@@ -14,7 +14,7 @@ from mapperd.config import Config
 from mapperd.config_file import config_of
 from oculus_driver.ping import Ping
 
-__all__ = ["Thinning", "config_for", "flat", "profile"]
+__all__ = ["PROFILES", "Thinning", "config_for", "flat", "profile"]
 
 PROFILES = Path(__file__).resolve().parents[3] / "config"
 
