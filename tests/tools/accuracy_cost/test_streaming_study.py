@@ -14,7 +14,7 @@ from accuracy_cost.streaming.figures import Moment, moment, summary
 from accuracy_cost.streaming.link import Link, LinkShape
 from accuracy_cost.streaming.settings import constants, told_by
 from accuracy_cost.streaming.told import PlainTeller, StreamTeller
-from accuracy_cost.streaming.truth import Ages, Blocks
+from accuracy_cost.streaming.truth import Ages, Blocks, coded
 from accuracy_cost.study import Dive, Setting
 
 from mapperd.config import Config, Octree
@@ -129,6 +129,19 @@ def test_a_client_that_was_told_all_has_the_highest_of_each_cell(level: int) -> 
     # Thresholds move a told step by one at most.
     assert np.isnan(found[inside]).tolist() == np.isnan(wanted[inside]).tolist()
     assert np.nanmax(np.abs(found[inside] - wanted[inside])) < 0.004
+
+
+@pytest.mark.parametrize("interest", [Interest(level=k) for k in range(4)], ids=str)
+def test_what_an_interest_should_be_told_is_what_it_is_told(interest: Interest) -> None:
+    """Else a block would never be as new as the judge has it."""
+    sonar_map = random_map()
+    held = blocks_of(sonar_map)
+    client = told_all(sonar_map, interest, 0.25)
+    facts = StreamTeller(sonar_map, interest, 0.25, 0).facts()
+    told, size = coded(held, facts, interest), 2**interest.level
+    whole = told.repeat(size, 1).repeat(size, 2).repeat(size, 3).reshape(len(told), -1)
+    wanted = np.where(whole == -128, np.nan, 1 / (1 + np.exp(-0.25 * whole)))
+    assert client.probabilities(held.keys) == pytest.approx(wanted, abs=1e-6, nan_ok=True)
 
 
 def test_classes_are_a_step_beyond_their_thresholds() -> None:
