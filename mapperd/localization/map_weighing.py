@@ -29,7 +29,7 @@ SEARCH_BEAMS, SEARCH_ELEVATIONS = 30, 3
 """Enough to tell where to look; all beams tell where it is."""
 
 LEAST_BEAMS = 15
-"""A scan of fewer is no scan to search by."""
+"""A scan of fewer is no scan to search by, unless the settings thin all scans to fewer."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +76,8 @@ class MapWeighing:
 
     def can_search(self, scan: Scan) -> bool:
         """Whether a cloud can be drawn from the scan."""
-        return self._broad is not None and len(scan) >= LEAST_BEAMS
+        least = min(LEAST_BEAMS, self._config.amcl.max_beams)
+        return self._broad is not None and len(scan) >= least
 
     def draw(self, particles: ParticleFilter, scan: Scan, base_height_m: float) -> None:
         """A new cloud from a scan that can be searched by."""

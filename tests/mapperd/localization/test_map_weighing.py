@@ -11,6 +11,7 @@ from msgspec import structs
 from mapperd.localization.filter import ParticleFilter
 from mapperd.localization.map_weighing import MapWeighing
 from mapperd.localization.models import filter_rule
+from mapperd.localization.scan import decimated
 from tests.mapperd.localization.test_map_filter import room, scan_from
 from tests.mapperd.localization.test_rival import profile
 
@@ -54,3 +55,13 @@ def test_settings_of_rates_leave_the_fields() -> None:
     before = MapWeighing(room(), profile())
     assert before.with_settings(changed("amcl", save_pose_rate=2.0)).free is before.free
     assert before.with_settings(changed("amcl", laser_z_hit=0.6)).free is not before.free
+
+
+def test_scans_that_the_settings_thin_are_searched_by() -> None:
+    """Else a start anywhere would silently be blind where a weak computer weighs ten beams."""
+    few = MapWeighing(room(), changed("amcl", max_beams=10))
+    assert few.can_search(decimated(SCAN, 10))
+    assert not few.can_search(decimated(SCAN, 9))
+    many = MapWeighing(room(), profile())
+    assert many.can_search(decimated(SCAN, 15))
+    assert not many.can_search(decimated(SCAN, 14))
