@@ -14,7 +14,7 @@ from accuracy_cost.streaming.figures import Moment, moment, summary
 from accuracy_cost.streaming.link import Link, LinkShape
 from accuracy_cost.streaming.settings import constants, told_by
 from accuracy_cost.streaming.told import PlainTeller, StreamTeller
-from accuracy_cost.streaming.truth import Ages, Blocks, coded
+from accuracy_cost.streaming.truth import Ages, Blocks, coded, distances_m
 from accuracy_cost.study import Dive, Setting
 
 from mapperd.config import Config, Octree
@@ -142,6 +142,16 @@ def test_what_an_interest_should_be_told_is_what_it_is_told(interest: Interest) 
     whole = told.repeat(size, 1).repeat(size, 2).repeat(size, 3).reshape(len(told), -1)
     wanted = np.where(whole == -128, np.nan, 1 / (1 + np.exp(-0.25 * whole)))
     assert client.probabilities(held.keys) == pytest.approx(wanted, abs=1e-6, nan_ok=True)
+
+
+def test_a_client_of_a_radius_is_told_what_is_within() -> None:
+    sonar_map = random_map()
+    held = blocks_of(sonar_map)
+    client = told_all(sonar_map, Interest(radius_m=6.0), 0.25)
+    known = ~np.isnan(client.probabilities(held.keys))
+    assert 0 < known.sum() < (held.counts > 0).sum()
+    away_m = distances_m(held.keys.astype(np.int64), 16 * VOXEL_M, HERE)
+    assert not known[away_m > 6.0].any()
 
 
 def test_classes_are_a_step_beyond_their_thresholds() -> None:

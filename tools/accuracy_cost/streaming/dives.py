@@ -29,6 +29,7 @@ class Plan:
         beams, rows: of the sonar's images.
         link: to the client.
         voxel_m: of the map.
+        judged_every: so many pings.
     """
 
     pings: int
@@ -37,15 +38,15 @@ class Plan:
     rows: int
     link: LinkShape
     voxel_m: float = 0.2
+    judged_every: int = 5
 
 
 WIDE = LinkShape(rate=1_000_000.0, delay_s=0.02)
 RADIO = LinkShape(rate=32_000.0, delay_s=0.15)
-THIN = LinkShape(rate=8_000.0, delay_s=0.15)
 PLANS = {
     "wide": Plan(120, 30, 256, 250, WIDE),
     "radio": Plan(120, 30, 256, 250, RADIO),
-    "short": Plan(40, 15, 64, 50, THIN, 0.4),
+    "short": Plan(24, 3, 64, 50, WIDE, 0.4, 2),
 }
 DIVES = (Dive("wide", 1), Dive("radio", 1), Dive("short", 2, quick=True))
 

@@ -51,7 +51,6 @@ KNOBS = (
         None,
         MARGIN,
         "Fewer looks tell a cell once that changed several times, and later.",
-        quick=True,
     ),
     Knob(
         "budget",

@@ -69,6 +69,7 @@ class StreamTeller:
         """Connect."""
         self.pacer = Pacer(self.bytes_per_s)
         self._turns = Turns(self.pacer)
+        self._looked = False
         keep = InMemory(self.sonar_map)
         self._source = MapSource(self.sonar_map, keep, log_odds_step=self.log_odds_step)
         self._view = self._source.subscribe(self.interest)
@@ -86,13 +87,15 @@ class StreamTeller:
         """As of `Teller`."""
         began_s = time.thread_time()
         self._source.look(round(now_s * 1e9) + 1, position_m)
+        self._looked = True
         self.cpu_s += time.thread_time() - began_s
 
     def messages(self, now_s: float, position_m: NDArray[np.float64]) -> list[Made]:
         """As of `Teller`; a round as `MapRounds` has it."""
         rooms = self._turns.rooms(now_s)
-        if not rooms or not self._view.left:
+        if not rooms or not (self._looked or self._view.left):
             return []
+        self._looked = False
         began_s = time.thread_time()
         x, y, z = position_m.tolist()
         frames = next_frames(self._view, rooms, (x, y, z))

@@ -18,9 +18,6 @@ from mapperd.mapping import SonarMap
 __all__ = ["watched"]
 
 STEP_S = 0.02
-JUDGED_EVERY = 5
-"""Pings."""
-
 LOOK_S = 0.07
 """After a ping: pings and looks do not wait for each other."""
 
@@ -78,7 +75,7 @@ def watched(pings: Pings, plan: Plan, told: Told) -> dict[str, float]:
             watch.step(now_s, position_m)
             now_s += STEP_S
             ages_s.append(watch.ages.oldest_s(now_s, position_m, NEAR_M))
-        if number % JUDGED_EVERY == 0:
+        if number % plan.judged_every == 0:
             moments.append(moment(blocks, watch.client, watch.teller.facts(), position_m))
     return summary(moments, ages_s) | {
         "bytes_per_voxel": watch.link.carried / max(watch.changed, 1),
