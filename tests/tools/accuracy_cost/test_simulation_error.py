@@ -109,7 +109,7 @@ def test_a_picture_without_grain_lacks_all_of_it() -> None:
 
 def test_rounding_holds_what_an_integer_pixel_holds() -> None:
     gamma = SonarSettings(gamma_byte=127)
-    assert rounded(np.array([0.3, 2.0]), SONAR) == pytest.approx([76 / 255, 1.0])
+    assert rounded(np.array([0.3, 1.1]), SONAR) == pytest.approx([76 / 255, 280 / 255])
     pixel = round(255 * 0.01 ** (127 / 255))
     assert rounded(np.array([0.01]), gamma) == pytest.approx([(pixel / 255) ** (255 / 127)])
 

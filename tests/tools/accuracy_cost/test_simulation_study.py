@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from accuracy_cost.simulation import STUDY, scenes
+from accuracy_cost.simulation import STUDY, ours, scenes
 from accuracy_cost.simulation.ours import widened
 from accuracy_cost.simulation.published import in_cells, levelled
 from accuracy_cost.simulation.reference import finer, load_reference, margin_beams
@@ -166,6 +166,21 @@ def test_each_shortcut_is_an_error_of_its_own_kind(measured: Measured) -> None:
     even = measured(**ALL, **{"sim_effect.speckle": False})
     assert even["grain_spread_db"] == pytest.approx(5.57, abs=0.5)
     assert even["image_rms_db"] == pytest.approx(whole["image_rms_db"])
+
+
+def test_what_is_cut_off_at_full_scale_is_so_in_the_expected_picture(
+    measured: Measured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual = scenes.scenario_of(TINY)
+    loud = replace(usual, sonar=replace(usual.sonar, gain_percent=90.0))
+    monkeypatch.setattr(ours, "scenario_of", lambda _: loud)
+    dive = Dive(TINY.name, seed=4)  # an engine of its own
+    whole, cut = (
+        ours.Ours(making_of({"sim.effect.saturation": on}), dive).pictures()[0].expected.max()
+        for on in (False, True)
+    )
+    assert cut <= 2.0 / math.sqrt(math.pi) + 1e-6  # the rms of speckle whose every peak is cut
+    assert whole > 2.0
 
 
 def test_published_pipeline_is_measured_by_the_same_figures(measured: Measured) -> None:

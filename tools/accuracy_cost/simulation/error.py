@@ -69,9 +69,9 @@ def half_step(sonar: SonarSettings) -> float:
 
 
 def rounded(picture: Picture, sonar: SonarSettings) -> Picture:
-    """As integer pixels hold it."""
+    """As integer pixels hold it; what exceeds full scale is the business of saturation."""
     gamma, scale = (sonar.gamma_byte / 255.0 if sonar.gamma_byte else 1.0), 2**sonar.bits - 1
-    pixels = np.rint(scale * np.clip(picture, 0.0, 1.0) ** gamma)
+    pixels = np.rint(scale * picture**gamma)
     return np.asarray((pixels / scale) ** (1.0 / gamma), dtype=np.float64)
 
 

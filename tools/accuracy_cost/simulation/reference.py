@@ -1,9 +1,9 @@
 """The truth: the same pings with every effect on, and sampled until the picture stays.
 
 Four columns of rays to a beam instead of one, 512 rays to a column instead of 128 (over the flat
-floor 128 are enough), and 32 poses a ping that moves. Twice the rays in a column change it by less than
-0.005 dB RMS over the floor, in the harbour and in open water, and by 0.14 dB in the tank, whose
-picture is made of mirrors.
+floor 128 are enough), and 32 poses a ping that moves. Twice the rays in a column change it by less
+than 0.005 dB RMS over the floor, in the harbour and in open water, and by 0.14 dB in the tank,
+whose picture is made of mirrors.
 """
 
 import math
@@ -54,6 +54,7 @@ def prepare_reference(dive: Dive, folder: Path) -> None:
     if path.exists():
         return
     pictures, grain = reference_pictures(dive), reference_grain(dive)
+    folder.mkdir(parents=True, exist_ok=True)
     beside = path.with_suffix(f".{os.getpid()}.tmp")
     with beside.open("wb") as file:
         np.savez_compressed(
