@@ -168,8 +168,9 @@ def test_each_shortcut_is_an_error_of_its_own_kind(measured: Measured) -> None:
     assert even["image_rms_db"] == pytest.approx(whole["image_rms_db"])
 
 
+@pytest.mark.usefixtures("measured")
 def test_what_is_cut_off_at_full_scale_is_so_in_the_expected_picture(
-    measured: Measured, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     usual = scenes.scenario_of(TINY)
     loud = replace(usual, sonar=replace(usual.sonar, gain_percent=90.0))
