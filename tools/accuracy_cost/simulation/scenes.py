@@ -41,8 +41,8 @@ STRETCHES = {
     # Looks alike all along, and is the one that must be quick.
     "flat_floor": Stretches((0.5,), pings=4, elevations=128),
     "harbour": Stretches((0.05, 0.5), pings=4),
-    "tank": Stretches((0.5,), pings=4),
-    "wreck": Stretches((0.5,), pings=4),
+    "tank": Stretches((0.5,)),
+    "wreck": Stretches((0.5,)),
     # Bent paths cost ten times as much as straight ones.
     "open_water": Stretches((0.95,), pings=2),
 }
