@@ -13,6 +13,7 @@ from mpmath import mpf
 from mapperd import _core
 from mapperd.probability import log_odds_of, probabilities_of
 from tests.stability.iwlo_oracle import UNIT, Rule, log_odds, sigmoid
+from tests.stability.pings import Look
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -72,8 +73,8 @@ def test_a_free_step_is_exact_where_the_probability_rounds_to_one() -> None:
 def test_an_occupied_step_is_exact_where_the_probability_vanishes() -> None:
     """At log-odds -127 p is 7e-56, and the published rule's step goes with it.
 
-    Naively p is held in single precision, in which it is 0 from -104 on, or as 1 - (1 - p), which
-    is 0 from -37 on: the voxel could never be occupied again.
+    Naively p is taken as 1 - (1 - p) in single precision: it is 0 from log-odds -17 on, and before
+    that a step is off by two of the units that a voxel is held in.
     """
     for least in (0.25, 0.0):
         rule = dataclasses.replace(WIDE, adaptive_min_ratio=least)
@@ -82,19 +83,25 @@ def test_an_occupied_step_is_exact_where_the_probability_vanishes() -> None:
     assert published.update(-12.0, 0, occupied=True)[0] > -12.0
 
 
-def test_a_threshold_of_one_protects_at_every_probability() -> None:
-    """With `adaptive.threshold` 1 the limit 1 - threshold is p = 0, at log-odds minus infinity.
+@pytest.mark.parametrize("threshold", [0.01, 0.5, 1.0])
+def test_free_pings_taken_together_know_where_protection_begins(threshold: float) -> None:
+    """Free steps below p = 1 - threshold are all alike and taken together; with 1 that is p = 0.
 
-    Naively log(0 / 1) becomes the limit below which free steps are unscaled, and as a whole number
-    of units minus infinity is anything.
+    Naively log(0 / 1) becomes the limit below which they are unscaled: minus infinity, as a whole
+    number of units, is anything.
     """
-    rule = dataclasses.replace(WIDE, adaptive_threshold=1.0)
-    voxels = one_voxel(rule)
+    rule = dataclasses.replace(WIDE, adaptive_threshold=threshold)
+    voxels = _core.VoxelMap(0.1, core(rule))
+    look = Look(image=np.zeros((60, 33), np.float32), carve_no_return=True)
     expected = mpf(0)
-    for count in range(60):
-        observe(voxels, np.array([False]))
+    for count in range(30):
+        look.into(voxels)
         expected = rule.after(float(expected), count, occupied=False)
-    assert abs(state(voxels)[0] - expected) < 60 * UNIT
+    _, units, counts = voxels.blocks()
+    seen = units[counts == 30]
+    assert len(seen) > 1000
+    assert seen.min() == seen.max()
+    assert abs(int(seen[0]) - expected / UNIT) < 30
 
 
 def test_a_sigmoid_of_any_sharpness_is_finite_and_rises() -> None:
