@@ -169,3 +169,34 @@ def test_free_water_does_not_depend_on_the_order_of_pings() -> None:
     assert forwards.known_count() > 1000
     assert same(forwards, backwards)
     assert forwards.encode_map() == backwards.encode_map()
+
+
+@pytest.mark.parametrize("bound", [0.0, 0.1])
+def test_planes_through_the_corners_of_voxels_cut_them_alike(bound: float) -> None:
+    """A sonar in a corner of the grid, with beams and an aperture that end along its diagonals.
+
+    Naively a corner in a plane is on one side or the other by a rounding: voxels that mirror each
+    other are free on one side of the sonar and untouched on the other.
+    """
+    sines = np.linspace(-math.sin(math.pi / 4), math.sin(math.pi / 4), 9)
+    image = np.zeros((20, 9), np.float32)
+    image[15] = 200
+    look = Look(
+        image=image,
+        bearings_rad=np.arcsin(sines),
+        row_m=0.1,
+        pose=np.eye(4),
+        aperture_rad=math.pi / 2,
+        error_bound=bound,
+    )
+    found = cells(look.into(empty()))
+    assert np.isfinite(list(found.values())).all()
+    for y, z in ((-1, 1), (1, -1), (-1, -1)):
+        mirrored = {
+            (i, j if y > 0 else -1 - j, k if z > 0 else -1 - k): value
+            for (i, j, k), value in found.items()
+        }
+        common = found.keys() & mirrored.keys()
+        assert len(common) > 0.995 * len(found)
+        off = np.array([abs(found[key] - mirrored[key]) for key in common])
+        assert off.max() < max(1e-4, 2 * bound)
