@@ -74,12 +74,12 @@ def test_a_scene_of_nothing_but_triangles_without_area_is_open_water() -> None:
     assert (shown == 0).all()
 
 
-@pytest.mark.parametrize("gap_m", [1e-6, 1e-3])
-def test_a_sonar_a_hair_before_a_wall_sees_what_is_ahead(gap_m: float) -> None:
-    """A sonar bolted to a wall, or lying on the floor, starts its rays a hair from a triangle.
+@pytest.mark.parametrize("gap_m", [0.0, 1e-6, 1e-3])
+def test_a_sonar_in_a_wall_or_a_hair_before_it_sees_what_is_ahead(gap_m: float) -> None:
+    """A sonar bolted to a wall, or lying on the floor, starts its rays in a triangle or a hair off.
 
-    Naively they meet it at a range that is a rounding, where spreading is infinite, and nothing
-    else.
+    Naively they meet it at range 0, or at one that is a rounding, where spreading is infinite, and
+    nothing else: the sonar is blind.
     """
     wall = rectangle((3.0, 0.0, 0.0), (0.0, 4.0, 0.0), (0.0, 0.0, 4.0), CHALK)
     behind = rectangle((-gap_m, 0.0, 0.0), (0.0, 4.0, 0.0), (0.0, 0.0, 4.0), CHALK)

@@ -20,6 +20,8 @@ SEA = -2
 NOTHING = -1
 LEAST_AREA = 1e-14
 """Of a triangle, against the square of its scene's extent; smaller ones have no normal."""
+AHEAD_M = 1e-4
+"""So far from a sonar that lies in a face its rays begin."""
 SPLIT = 4096
 """Rays that are worth a thread of their own."""
 
@@ -210,7 +212,14 @@ def _run(
     origins = np.empty((len(direction), 3), dtype=np.float32)
     origins[:] = start
     found = group.embree.run(origins, np.ascontiguousarray(direction), output=True)
-    return found["tfar"], found["primID"].astype(np.int32)
+    range_m, face = found["tfar"], found["primID"].astype(np.int32)
+    # A sonar in the plane of a face would see nothing else, on either side of it.
+    blind = np.flatnonzero((face >= 0) & (range_m <= 0.0)) if origin_m.ndim == 1 else ()
+    if len(blind):
+        ahead = origins[blind] + np.float32(AHEAD_M) * direction[blind]
+        found = group.embree.run(ahead, np.ascontiguousarray(direction[blind]), output=True)
+        range_m[blind], face[blind] = found["tfar"] + np.float32(AHEAD_M), found["primID"]
+    return range_m, face
 
 
 class _Part:
