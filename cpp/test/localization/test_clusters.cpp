@@ -1,4 +1,6 @@
 // Modes of clouds of known modes.
+#include <stdexcept>
+
 #include "check.hpp"
 #include "scenes.hpp"
 
@@ -50,6 +52,58 @@ TEST_CASE("masses sum to 1, fall, and belong to the labels") {
     sum += mass[k];
   }
   CHECK_NEAR(sum, 1.0, 1e-9);
+}
+
+// Cells in a row along x: so many particles in each, of so much weight each.
+struct Row {
+  Particles cloud;
+  std::vector<double> weight;
+
+  void add(double x, double yaw, std::size_t count, double each) {
+    const std::size_t first = cloud.size();
+    cloud.resize(first + count);
+    for (std::size_t i = first; i < cloud.size(); ++i) cloud.set(i, {x, 0.25, yaw});
+    weight.resize(cloud.size(), each);
+  }
+  std::size_t modes(double percentile) const {
+    return clusters_of(cloud, weight, {0.5, 0.524, percentile}).mass.size();
+  }
+};
+
+TEST_CASE("modes are parted by valleys of the mean weight, cut at a percentile") {
+  Row valley;
+  valley.add(0.25, 0, 2, 0.5);
+  valley.add(0.75, 0, 2, 0.1);
+  valley.add(1.25, 0, 2, 0.4);
+  CHECK(valley.modes(0.9) == 2);
+  CHECK(valley.modes(1.0) == 2);
+  CHECK(valley.modes(0.0) == 1);
+  Row hill;
+  hill.add(0.25, 0, 2, 0.1);
+  hill.add(0.75, 0, 2, 0.5);
+  hill.add(1.25, 0, 2, 0.2);
+  CHECK(hill.modes(0.9) == 1);
+  Row crowd;  // many light particles weigh much together, and are no peak
+  crowd.add(0.25, 0, 1, 0.3);
+  crowd.add(0.75, 0, 1, 0.1);
+  crowd.add(1.25, 0, 10, 0.02);
+  CHECK(crowd.modes(0.9) == 1);
+  Row seam;
+  seam.add(0.25, 3.0, 2, 0.3);
+  seam.add(0.25, -3.0, 2, 0.2);
+  CHECK(seam.modes(0.9) == 1);
+  CHECK_THROWS(clusters_of(seam.cloud, seam.weight, {0.0, 0.5, 0.9}), std::invalid_argument);
+  CHECK_THROWS(clusters_of(seam.cloud, seam.weight, {0.5, 0.0, 0.9}), std::invalid_argument);
+}
+
+TEST_CASE("a heavy particle alone is no mode") {
+  Row row;
+  row.add(0.25, 0, 1, 0.6);
+  row.add(5.25, 0, 2, 0.2);
+  const Estimate best =
+      best_estimate(row.cloud, row.weight, clusters_of(row.cloud, row.weight, {0.5, 0.524, 0.9}));
+  CHECK(best.particles == 2);
+  CHECK_NEAR(best.mean.x, 5.25, 1e-12);
 }
 
 TEST_CASE("single particles: the estimate is that of all") {
