@@ -21,11 +21,12 @@ demo: $(STAMP)
 # which each says what it did when it ends: while one waits, links or has work for one core only, the
 # other computes. The sanitizers' builds come first, they need nothing that is being installed.
 test:
-	+$(MAKE) -j 2 --output-sync=target demo-then-python cpp-test-asan cpp-test-tsan cpp-test check
+	@echo "Two jobs at a time; each says what it did when it ends, the longest after some minutes."
+	+@$(MAKE) --no-print-directory -j 2 --output-sync=target demo-then-python cpp-test-asan cpp-test-tsan cpp-test check
 
 # The longest of the jobs, as one.
 demo-then-python: demo
-	+$(MAKE) python-test
+	+@$(MAKE) --no-print-directory python-test
 
 # Compares the integrators with OctoMap and OpenVDB; writes docs/performance.md. Some minutes.
 bench: $(STAMP)
