@@ -3,6 +3,7 @@
 import pytest
 
 from mapperd.stream.pacer import (
+    LEAST_BURST,
     LEAST_UNSENT,
     LEAST_WINDOW,
     MOST_LEAST,
@@ -159,6 +160,11 @@ def test_a_limit_holds_and_starves_nobody() -> None:
     small = Link(lambda _: 1_000_000, pacer=Pacer(bytes_per_s=100))
     small.trickle(60.0, 0.1, piece=1_000)
     assert 5_000 < small.delivered < 6_000 + 4_000
+
+
+def test_a_silence_saves_nothing_up_for_a_limit() -> None:
+    pacer = Pacer(bytes_per_s=10_000)
+    assert pacer.room(0.0) <= pacer.room(1000.0) <= LEAST_BURST
 
 
 @pytest.mark.parametrize("limit", [0, 100, 4_000, 1_000_000])

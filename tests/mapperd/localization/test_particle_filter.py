@@ -1,0 +1,41 @@
+"""What the particle filter says of a scan, and what it refuses."""
+
+import numpy as np
+import pytest
+
+from mapperd.localization.filter import Endpoints, LikelihoodField, ParticleFilter
+from tests.mapperd.localization.filter_cases import HIT, grid, pose, rule
+
+OCCUPANCY = np.zeros((50, 50), np.int8)
+OCCUPANCY[:, 40] = 100
+FIELD = LikelihoodField.of_grid(grid(OCCUPANCY, 0.5), HIT)
+ENDS = Endpoints(np.array([[[8.1, 0.0]], [[8.1, 1.0]], [[7.6, 2.0]]]), np.ones(3))
+
+
+def one_particle() -> ParticleFilter:
+    particles = ParticleFilter(rule(1, 1), 5)
+    particles.start_about(pose(12.0, 12.0, 0.0), np.zeros((3, 3)))
+    return particles
+
+
+def test_fit_does_not_depend_on_the_tempering() -> None:
+    fits = [one_particle().weigh_field(FIELD, ENDS, "product", k).fit for k in (1.0, 0.5, 0.02)]
+    assert fits == pytest.approx([fits[0]] * 3, rel=1e-6)
+
+
+@pytest.mark.parametrize("kappa", [0.0, -0.1, 1.1, np.nan])
+def test_tempering_that_is_none_is_refused(kappa: float) -> None:
+    particles = one_particle()
+    with pytest.raises(ValueError, match="tempering"):
+        particles.weigh_field(FIELD, ENDS, "product", kappa)
+    assert particles.counts["updates"] == 0
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_a_heading_that_is_no_number_is_a_refused_step(wrong: float) -> None:
+    particles = one_particle()
+    still, turned = pose(0, 0, 0), pose(0, 0, wrong)
+    assert not particles.predict(still, turned, "differential", np.zeros(5))
+    assert not particles.predict(turned, still, "differential", np.zeros(5))
+    assert particles.counts["refused_steps"] == 2
+    assert np.isfinite(particles.poses).all()
