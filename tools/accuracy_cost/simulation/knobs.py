@@ -19,6 +19,14 @@ a picture that is right to 0.1 dB is several times the error of computing everyt
 GRAIN, ROWS = "grain_spread_db", "grain_correlation"
 """Columns of the error of what does not change levels."""
 ERROR_OF = {"speckle": GRAIN, "range_spread": ROWS}
+HINTS = {
+    "refraction": " Where it is called for, it is the first to turn off: bent paths cost some four "
+    "times a whole ping of straight ones.",
+    "speckle": " It saves time: pictures without it are taken at a finer walk over each patch.",
+    "bearing_table": " It saves time: beams at equal angles follow no column of rays.",
+    "multipath": " Each mirror is one more cast, and where there are mirrors its want shows.",
+}
+"""What to do about effects whose cost shows."""
 
 
 def _swept(
@@ -51,6 +59,7 @@ def _switched(effect: Effect) -> Knob:
     )
     spoken = effect.name.replace("_", " ")
     advice = f"{spoken.capitalize()} {effect.does}; its work grows with {_work(effect)}."
+    advice += HINTS.get(effect.name, "")
     title = f"effect: {spoken}"
     return Knob(
         f"effect-{effect.name.replace('_', '-')}",
