@@ -101,7 +101,7 @@ def _add_calibration(command: argparse.ArgumentParser) -> None:
         "--calibration",
         metavar="FILE",
         type=Path,
-        help="curve that turns probabilities into shares, such as config/calibration.yaml; "
+        help="curve that turns probabilities into shares, such as config/calibration/harbour.yaml; "
         "default: as they are in the map",
     )
 

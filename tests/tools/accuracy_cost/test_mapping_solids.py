@@ -31,6 +31,19 @@ def test_distance_is_that_to_the_mesh(solid: Solid, within_m: float) -> None:
     assert np.abs(said) == pytest.approx(to_mesh(solid, AROUND), abs=within_m)
 
 
+@pytest.mark.parametrize("off_m", [-0.2, 0.1])
+def test_distance_to_a_slope_is_along_its_normal(off_m: float) -> None:
+    floor, step = Floor(3.0, swell_m=0.2), 1e-5
+    x, y = AROUND[:, 0], AROUND[:, 1]
+    height = floor.height_m(x, y)
+    along_x = (floor.height_m(x + step, y) - floor.height_m(x - step, y)) / (2 * step)
+    along_y = (floor.height_m(x, y + step) - floor.height_m(x, y - step)) / (2 * step)
+    normal = np.stack([-along_x, -along_y, np.ones_like(x)], axis=1)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    points = np.stack([x, y, height], axis=1) + off_m * normal
+    assert floor.distance_m(points) == pytest.approx(np.full(len(x), off_m), abs=7e-4)
+
+
 def test_inside_is_negative() -> None:
     box, pile = Box((0, 0, 0), (1.0, 1.0, 1.0)), Pile((0, 0, 0), 0.5, 1.0)
     points = np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [0.6, 0.0, 0.0]])

@@ -9,13 +9,16 @@ from accuracy_cost.mapping import STUDY
 from accuracy_cost.mapping.dives import capture_of, made_by
 from accuracy_cost.mapping.driving import Driven, drive
 from accuracy_cost.mapping.knobs import KNOBS, PUBLISHED, WHOLES
+from accuracy_cost.mapping.metrics import reliability
 from accuracy_cost.mapping.oracle import CONVERGED, same_rule
+from accuracy_cost.mapping.recalibration import FILE, told_and_true
 from accuracy_cost.mapping.settings import PROFILES, Thinning, config_for
 from accuracy_cost.study import Dive, Setting
 
 from mapperd.config import Config
 from mapperd.config_file import load_config
 from mapperd.errors import ConfigError
+from mapperd.export.calibration import load_calibration
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.recording import OCULUS, open_recording
 from oculus_driver.stream import StreamParser
@@ -86,6 +89,13 @@ def test_profiles_err_less_than_the_defaults_on_their_grids(folder: Path) -> Non
         assert own < 0.97 * other, name
         found.append(own)
     assert found == sorted(found)
+
+
+def test_calibrated_probabilities_are_shares_where_the_curve_was_not_fitted(folder: Path) -> None:
+    log_odds, solid = told_and_true(BASIN, folder)
+    assert reliability(log_odds, solid).worst > 0.2
+    mended = load_calibration(FILE).log_odds_of(log_odds)
+    assert reliability(mended, solid).worst < 0.1
 
 
 def test_frame_skip_costs_pings_and_their_time_counts_for_all(folder: Path) -> None:

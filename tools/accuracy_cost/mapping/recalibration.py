@@ -22,7 +22,7 @@ from mapperd.export.calibration import Calibration, load_calibration
 
 __all__ = ["FILE", "fit", "table", "told_and_true"]
 
-FILE = PROFILES / "calibration.yaml"
+FILE = PROFILES / "calibration" / "harbour.yaml"
 STEPS = 60
 FINE, FINE_TO = 0.2, 4.0
 LEAST = 50
