@@ -1,5 +1,7 @@
 """A dive localized: where the filter says the vehicle is at each scan, and what that took."""
 
+import ctypes
+import gc
 import math
 import time
 from collections.abc import Iterator
@@ -57,6 +59,8 @@ def localize(
     Returns:
         what came of each; bytes of memory that map and filter take, about.
     """
+    gc.collect()
+    ctypes.CDLL(None).malloc_trim(0)  # else what the setting before has left is taken again
     before = resident_bytes()
     known = load_known_map(path, config).map
     localizer = Localizer(MapFilter(config), config)
