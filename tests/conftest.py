@@ -6,16 +6,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 ROOT = Path(__file__).resolve().parents[1]
 
+# A test takes as long as it takes: no example fails because the machine is busy.
+settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 # The same examples in every run; `pytest --hypothesis-profile=random` looks for new ones.
-settings.register_profile("seeded", derandomize=True)
-settings.register_profile("random", derandomize=False)
+settings.register_profile("seeded", settings.get_profile("untimed"), derandomize=True)
+settings.register_profile("random", settings.get_profile("untimed"), derandomize=False)
 settings.load_profile("seeded")
 
 
