@@ -8,6 +8,11 @@ from accuracy_cost.study import Knob, Setting, Value
 __all__ = ["KNOBS", "PUBLISHED", "PUBLISHED_SHIPPED", "WHOLES"]
 
 DEFAULT = Setting("default", {})
+QUICK = (
+    *("voxel-size", "error-bound", "within-ping-motion", "pose-policy", "aggregation"),
+    *("adaptive", "occupied-threshold", "intensity-threshold"),
+)
+"""Knobs that every test run turns: those whose default is a choice of ours."""
 
 PUBLISHED_RULE: dict[str, Value] = {
     "mapping.integrator": "rays",
@@ -38,7 +43,7 @@ def _knob(
     margin: float = 0.05,
 ) -> Knob:
     made = tuple(Setting(label, overrides) for label, overrides in settings)
-    return Knob(name, title, made, published, margin, advice)
+    return Knob(name, title, made, published, margin, advice, quick=name in QUICK)
 
 
 def _values(
