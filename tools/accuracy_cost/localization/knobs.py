@@ -50,8 +50,8 @@ KNOBS = (
         ),
         "100 to 5000",
         MARGIN,
-        "A vehicle that is followed needs some hundred; more cost time and no longer make it surer. "
-        "One that is lost wants thousands, which a number that follows the cloud's spread gives.",
+        "A vehicle that is followed needs some hundred; more cost time and make it no surer. One "
+        "that is lost wants thousands, which a number that follows the cloud's spread gives.",
     ),
     Knob(
         "fewest-particles",
