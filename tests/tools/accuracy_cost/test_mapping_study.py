@@ -154,6 +154,14 @@ def test_each_knob_has_its_default_and_the_published_setting() -> None:
             config_for(setting, made_by(BASIN))
 
 
+def test_a_knob_of_its_own_error_has_one_at_each_setting() -> None:
+    own = [knob for knob in KNOBS if knob.error is not None]
+    assert own
+    for knob in own:
+        assert knob.error in {column.name for column in STUDY.columns}
+        assert all(same_rule(setting, DEFAULT) for setting in knob.settings), knob.name
+
+
 def test_a_default_without_overrides_is_the_daemons_default() -> None:
     for knob in KNOBS:
         default = next(setting for setting in knob.settings if not setting.overrides)
