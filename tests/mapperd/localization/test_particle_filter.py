@@ -35,7 +35,7 @@ def test_tempering_that_is_none_is_refused(kappa: float) -> None:
 def test_a_heading_that_is_no_number_is_a_refused_step(wrong: float) -> None:
     particles = one_particle()
     still, turned = pose(0, 0, 0), pose(0, 0, wrong)
-    assert not particles.predict(still, turned, "differential", np.zeros(5))
-    assert not particles.predict(turned, still, "differential", np.zeros(5))
+    assert not particles.predict(still, turned, "differential_drive", np.zeros(5))
+    assert not particles.predict(turned, still, "differential_drive", np.zeros(5))
     assert particles.counts["refused_steps"] == 2
     assert np.isfinite(particles.poses).all()
