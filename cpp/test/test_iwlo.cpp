@@ -171,6 +171,16 @@ TEST_CASE("counts stop, without loss, where alpha has settled") {
   CHECK(rule.free_step(0.0, 60000) == rule.free_step(0.0, 90));
 }
 
+TEST_CASE(
+    "the learning rate never falls below its least, and full scale may lie below the threshold") {
+  IwloParams params;
+  params.min_alpha = 0.3;  // reached between two counts
+  const IwloRule rule(params);
+  CHECK_NEAR(rule.free_step(-5.0, rule.settled_count()), 0.3 * params.L_free, 1e-15);
+  params.intensity_threshold = 300.0;
+  CHECK_NEAR(IwloRule(params).occupied_weight(310.0), 1.0 / (1.0 + std::exp(-1.5)), 1e-15);
+}
+
 TEST_CASE("a threshold at full scale gives no NaN") {
   IwloParams params = set_a();
   params.intensity_threshold = 255;

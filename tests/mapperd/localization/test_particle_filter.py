@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mapperd.localization.filter import Endpoints, LikelihoodField, ParticleFilter
-from tests.mapperd.localization.filter_cases import HIT, grid, pose, rule
+from tests.mapperd.localization.filter_cases import HIT, filter_at, grid, pose, rule
 
 OCCUPANCY = np.zeros((50, 50), np.int8)
 OCCUPANCY[:, 40] = 100
@@ -39,3 +39,14 @@ def test_a_heading_that_is_no_number_is_a_refused_step(wrong: float) -> None:
     assert not particles.predict(turned, still, "differential_drive", np.zeros(5))
     assert particles.counts["refused_steps"] == 2
     assert np.isfinite(particles.poses).all()
+
+
+def test_given_particles_have_headings_that_are_wrapped() -> None:
+    particles = filter_at(np.array([pose(1, 2, 4.0), pose(1, 2, -9.0)]))
+    assert particles.poses[:, 2] == pytest.approx([4.0 - 2 * np.pi, -9.0 + 2 * np.pi])
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_given_particles_that_are_no_numbers_are_refused(wrong: float) -> None:
+    with pytest.raises(ValueError, match="finite"):
+        filter_at(np.array([pose(1, 2, 0), pose(1, wrong, 0)]))
