@@ -78,7 +78,6 @@ class Dive:
     Attributes:
         name: in the results' file.
         seed: of everything random in it.
-        error: column on its error axis, where turning it shows in another one than the study's.
         quick: whether the subset of `accuracy-cost check` measures it.
     """
 

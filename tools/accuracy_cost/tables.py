@@ -126,13 +126,14 @@ def _points(study: Study, results: Results, knob: Knob) -> list[Point]:
 
 
 def _place(study: Study, results: Results, knob: Knob) -> str:
-    """Whether the default is on the front, and by how much it is not."""
+    """Whether the default is on the front, by how much it is not, and by how much it may."""
     judged = verdict(study, knob, study.dives, results, results).lag
     if judged is None:
         return "not measured"
     if judged.better is None:
         return "on the front"
-    return f"{100 * judged.share:.2g} % behind {judged.better.label}"
+    margin = f"margin {100 * knob.margin:g} %"
+    return f"{100 * judged.share:.2g} % behind {judged.better.label} ({margin})"
 
 
 def _labelled(points: Sequence[Point], label: str | None) -> Point | None:

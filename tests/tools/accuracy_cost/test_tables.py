@@ -27,6 +27,12 @@ def test_a_twentieth_of_the_time_is_no_saving(fake: Study) -> None:
     assert "| size | 2 | 0.95 | +0 % |" in page(fake, _1=(1.0, 10.0), _2=(1.0, 9.5))
 
 
+def test_a_default_behind_the_front_is_told_with_its_margin(fake: Study) -> None:
+    text = page(fake, _1=(1.0, 10.0), _2=(0.8, 5.0))
+    assert "| 20 % behind 2 (margin 10 %) |" in text
+    assert "| on the front |" in text
+
+
 def test_what_was_not_measured_is_no_figure(fake: Study) -> None:
     results = Results({"study": "fake"}, ["error_m", "cpu_ms", "share"])
     text = section(fake, results)
