@@ -76,6 +76,16 @@ def test_a_lost_vehicle_counts_as_far_off_as_it_matters() -> None:
     assert figures["p95_m"] == 90.0
 
 
+def test_quantiles_are_those_of_errors_and_times_that_differ() -> None:
+    spread = np.arange(101) / 100.0
+    run = Moments(spread, spread, spread > 2.0, 2.366 * spread, spread, spread)
+    figures = figures_of([run], 9.0, 0)
+    assert (figures["median_m"], figures["p95_m"]) == pytest.approx((0.5, 0.95))
+    assert figures["heading_p95_deg"] == pytest.approx(math.degrees(0.95))
+    assert (figures["update_median_ms"], figures["update_p95_ms"]) == pytest.approx((500.0, 950.0))
+    assert figures["nees"] == pytest.approx(0.5)
+
+
 def test_a_turned_pose_is_wrong_and_one_that_says_so_is_not_sure() -> None:
     figures = figures_of([moments([0.1] * 8, turn_rad=0.5)], 1.0, 3_000_000)
     assert (figures["success"], figures["wrong_and_sure"]) == (0.0, 1.0)

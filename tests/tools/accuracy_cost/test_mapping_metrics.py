@@ -30,6 +30,18 @@ def test_a_map_a_known_way_off_a_plane() -> None:
     assert found.false_share == 0.0
 
 
+def test_quantiles_are_those_of_distances_that_differ() -> None:
+    far_m = np.arange(101) / 1000.0
+    across = np.arange(101) * 0.01
+    seen = np.stack([across, np.zeros(101), np.zeros(101)], axis=1)
+    found = surfaces(PLANE, seen[:1], seen + np.outer(far_m, [0.0, 0.0, 1.0]), 0.1)
+    assert (found.accuracy_median_m, found.accuracy_p95_m) == pytest.approx((0.050, 0.095))
+    assert found.completeness_p95_m == 0.0
+    found = surfaces(PLANE, seen, seen[:1], 0.1)
+    assert (found.completeness_median_m, found.completeness_p95_m) == pytest.approx((0.50, 0.95))
+    assert found.accuracy_p95_m == 0.0
+
+
 def test_half_a_map_is_half_complete_and_wholly_right() -> None:
     centres = grid(0.1, 0.05)
     found = surfaces(PLANE, grid(0.1, 0.0), centres[centres[:, 0] < 0.0], 0.1)

@@ -174,6 +174,21 @@ def test_a_default_without_overrides_is_the_daemons_default() -> None:
                 assert value != now or len(setting.overrides) > 1, (knob.name, default.label)
 
 
+def test_a_default_is_labelled_as_what_the_daemon_has() -> None:
+    labelled = 0
+    for knob in KNOBS:
+        names = {name for setting in knob.settings for name in setting.overrides}
+        numbers = all(setting.label[0].isdigit() for setting in knob.settings)
+        if len(names) > 1 or not numbers or next(iter(names)).startswith("study."):
+            continue
+        section, field = next(iter(names)).split(".")
+        default = next(setting for setting in knob.settings if not setting.overrides)
+        value = getattr(getattr(Config(), section), field)
+        assert default.label.rstrip(" m°") == str(value), knob.name
+        labelled += 1
+    assert labelled > 8
+
+
 def test_the_published_system_is_slow_to_see_and_old_in_its_poses() -> None:
     config, _ = config_for(PUBLISHED, made_by(BASIN))
     assert config.mapping.integrator == "rays"

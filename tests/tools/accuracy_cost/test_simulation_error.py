@@ -27,6 +27,21 @@ def test_half_the_amplitude_everywhere_is_an_error_of_six_decibels() -> None:
     assert errors["beyond_tolerance"] == 1.0
 
 
+def test_quantiles_are_those_of_errors_that_differ() -> None:
+    sonar = SonarSettings(beams=101, forced_rows=5, demanded_range_m=1.0)
+    truth, shown = np.full((5, 101), 0.2), np.full((5, 101), 0.2)
+    shown *= 10.0 ** (np.arange(101) / 2000.0)  # 0 to 1 dB in hundredths
+    assert picture_errors([(shown, truth)], sonar)["image_p95_db"] == pytest.approx(0.95)
+    truth, shown = np.zeros((5, 101)), np.zeros((5, 101))
+    truth[1], shown[2] = 1.0, 1.0
+    shown[1] = np.linspace(0.0, 0.999 * RETURN, 101)  # the threshold comes later within the row
+    off_m = (RETURN - shown[1]) / (1.0 - shown[1])
+    rows_m = sonar.range_resolution_m * np.sort(1.0 + off_m - RETURN)
+    errors = picture_errors([(shown, truth)], sonar)
+    assert errors["return_median_m"] == pytest.approx(rows_m[50])
+    assert errors["return_p95_m"] == pytest.approx(rows_m[95])
+
+
 def test_root_mean_square_counts_the_visible_pixels_of_all_pictures() -> None:
     truth = np.zeros((5, 4))
     truth[0] = 0.4

@@ -39,6 +39,24 @@ def test_every_setting_is_one_and_turns_something(setting: Setting) -> None:
     assert (told_by(setting.overrides, 0.2) == told_by({}, 0.2)) == (not setting.overrides)
 
 
+def test_a_default_is_labelled_as_what_the_daemon_has() -> None:
+    labels = {
+        name: default.label
+        for knob in STUDY.knobs
+        for default in knob.settings
+        if not default.overrides
+        for name in {name for setting in knob.settings for name in setting.overrides}
+    }
+    stream = Config().stream
+    for field in ("log_odds_step", "rate", "bytes_per_s"):
+        assert labels[f"stream.{field}"] == str(getattr(stream, field))
+    assert labels["client.detail"] == Interest().detail
+    assert labels["client.radius_m"] == str(Interest().radius_m)
+    assert labels["client.level"] == str(2 ** Interest().level)
+    assert labels["study.near_m"] == str(nearest.NEAR_M)
+    assert labels["study.compression"] == str(blocks.LEVEL)
+
+
 def test_a_setting_that_does_not_exist_is_refused() -> None:
     for name in ("stream.log_odds_steps", "client.levels", "study.near"):
         with pytest.raises(Exception, match=name.split(".")[1]):
