@@ -67,7 +67,7 @@ def run_export(
         ConfigError: the settings do not allow it.
     """
     try:
-        _check(said)
+        calibration = _checked(said)
         client = MapClient(
             address,
             token=token,
@@ -81,7 +81,7 @@ def run_export(
             made = Made({str(said.file): said.file.stat().st_size})
         else:
             asyncio.run(_followed(client, said.timeout or None))
-            made = _made(client, said, config)
+            made = _made(client, said, config, calibration)
     except ExportError as error:
         raise CtlError(str(error), Exit.CANNOT_WRITE) from error
     except StreamError as error:
@@ -91,15 +91,14 @@ def run_export(
     yield from [json.dumps(made.plain())] if said.json else map(plain, made.lines())
 
 
-def _check(said: argparse.Namespace) -> None:
+def _checked(said: argparse.Namespace) -> Calibration | None:
+    """Refuse what cannot be done before the map is waited for; the calibration is read by then."""
     check_suffix(said.file, (MCAP,))
     if said.file.suffix == MCAP and (said.origin or said.min_probability):
         raise ExportError(f"{MCAP} knows neither --origin nor --min-probability")
-    check_calibration(said.file, _calibration(said))
-
-
-def _calibration(said: argparse.Namespace) -> Calibration | None:
-    return None if said.calibration is None else load_calibration(said.calibration)
+    calibration = None if said.calibration is None else load_calibration(said.calibration)
+    check_calibration(said.file, calibration)
+    return calibration
 
 
 def _box(corners: tuple[float, ...] | None) -> Box | None:
@@ -109,7 +108,9 @@ def _box(corners: tuple[float, ...] | None) -> Box | None:
     return Box((x, y, z), (high[0], high[1], high[2]))
 
 
-def _made(client: MapClient, said: argparse.Namespace, config: Config) -> Made:
+def _made(
+    client: MapClient, said: argparse.Namespace, config: Config, calibration: Calibration | None
+) -> Made:
     mirror = client.mirror
     if mirror is None:
         raise CtlError("the daemon told no map", Exit.PROTOCOL)
@@ -121,7 +122,7 @@ def _made(client: MapClient, said: argparse.Namespace, config: Config) -> Made:
         None if origin_deg is None else Origin.of_degrees(*origin_deg),
         config,
     )
-    return make_files(sonar_map, said.file, origin, _calibration(said))
+    return make_files(sonar_map, said.file, origin, calibration)
 
 
 def _choose(sonar_map: SonarMap, least: float | None) -> None:

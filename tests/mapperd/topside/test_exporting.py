@@ -14,9 +14,11 @@ from msgspec.structs import replace
 from plyfile import PlyData
 
 from mapperd.client import Box, Interest, MapMirror
+from mapperd.config import Config
 from mapperd.ctl.arguments import parser
 from mapperd.ctl.command import main
 from mapperd.export.by_suffix import FORMATS
+from mapperd.mapping import SonarMap
 from mapperd.stream.blocks import CELLS, BlockSet, encode_blocks
 from mapperd.stream.messages import MAX_LEVEL, Blocks, Bye
 from mapperd.topside.exporting import _Progress
@@ -133,6 +135,22 @@ def test_probabilities_are_calibrated(tmp_path: Path, export: Call) -> None:
     assert len(told) > 500
     assert (told == 0.5).all()
     assert export(tmp_path / "live.mcap", "--calibration", curve)[0] == 73
+
+
+def test_a_curve_that_goes_while_the_map_comes_was_read_before(
+    tmp_path: Path, export: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    curve = tmp_path / "curve.yaml"
+    curve.write_text("log_odds: [0.0]\ncalibrated: [0.0]\n")
+    to_map = MapMirror.to_map
+
+    def lose(mirror: MapMirror, config: Config | None = None) -> SonarMap:
+        curve.unlink()
+        return to_map(mirror, config)
+
+    monkeypatch.setattr(MapMirror, "to_map", lose)
+    assert export(tmp_path / "live.ply", "--calibration", curve)[0] == 0
+    assert not curve.exists()
 
 
 def test_part_and_fineness_are_asked_of_the_daemon(
