@@ -59,8 +59,7 @@ def write_map(
 
     Raises:
         ExportError: the suffix is no format, the library for it is not installed, the file cannot
-            be written, the format cannot hold this map, or it says no probabilities that could be
-            calibrated.
+            be written, the format cannot hold this map, or it takes no calibration.
         MapError: the map is in tiles (`in_tiles`), or leaves OctoMap's reach (`out_of_reach`).
     """
     write = FORMATS.get(path.suffix)
@@ -73,15 +72,17 @@ def write_map(
 
 
 def check_calibration(path: Path, calibration: Calibration | None) -> None:
-    """Refuse a calibration of a file without probabilities.
+    """Refuse a calibration where there is no probability to change.
+
+    Files that are a map again when they are read, OctoMap's and our own, keep the map's log-odds.
 
     Raises:
         ExportError: it is one.
     """
     if calibration is not None and path.suffix not in SAY_PROBABILITY:
         raise ExportError(
-            f"{path.name}: says no probabilities, so there is nothing to calibrate; allowed with a "
-            f"calibration: {' '.join(SAY_PROBABILITY)}"
+            f"{path.name}: {path.suffix} takes no calibration; those that do: "
+            f"{' '.join(SAY_PROBABILITY)}"
         )
 
 
@@ -172,7 +173,7 @@ def _bytes(data: bytes, path: Path) -> list[Path]:
 
 
 SAY_PROBABILITY = (".ply", ".pcd", ".las", ".laz")
-"""Formats that hold each voxel's probability for a reader to see."""
+"""Formats that say each voxel's probability, and are no map again when they are read."""
 
 FORMATS: Mapping[str, Callable[[SonarMap, Path, _Asked], list[Path]]] = MappingProxyType(
     {
