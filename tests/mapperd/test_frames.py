@@ -26,7 +26,7 @@ DOWN_FACING = pose_from_rpy((0, 0, -0.5), (0, 90, 0)).map_T_base
 
 
 def beam(range_m: float, bearing_deg: float, elevation_deg: float) -> list[float]:
-    """A point of the sonar frame, as the formulas of the seed have it; homogeneous."""
+    """A point of the sonar frame, as the published formulas have it; homogeneous."""
     b, e = math.radians(bearing_deg), math.radians(elevation_deg)
     across = range_m * math.cos(e)
     return [across * math.cos(b), -across * math.sin(b), range_m * math.sin(e), 1]

@@ -13,9 +13,9 @@ from sonar_sim.scene import PointTarget
 from sonar_sim.sonar import SonarSettings
 
 HIDDEN_M = 0.01
+"""A surface hides a target that lies farther than this behind it."""
 LEAST_SPREAD_M = 0.01
 """Right before the transducer nothing spreads as from a point, and no echo is infinite."""
-"""A surface hides a target that lies farther than this behind it."""
 
 
 def add_targets(
