@@ -73,8 +73,8 @@ def test_a_free_step_is_exact_where_the_probability_rounds_to_one() -> None:
 def test_an_occupied_step_is_exact_where_the_probability_vanishes() -> None:
     """At log-odds -127 p is 7e-56, and the published rule's step goes with it.
 
-    Naively p is taken as 1 - (1 - p) in single precision: it is 0 from log-odds -17 on, and before
-    that a step is off by two of the units that a voxel is held in.
+    Naively p is taken as 1 - (1 - p) in single precision: it is 0 from log-odds -17.4 on, and
+    before that a step is off by two of the units that a voxel is held in.
     """
     for least in (0.25, 0.0):
         rule = dataclasses.replace(WIDE, adaptive_min_ratio=least)
@@ -138,8 +138,8 @@ def test_a_threshold_just_below_full_scale_keeps_weights_between_0_and_1(gap: fl
 def test_a_voxel_hit_a_million_times_still_comes_free() -> None:
     """A quay that was mapped for days and is torn down must leave the map.
 
-    Naively log-odds without a clamp stand at 350000 after a million hits, and as many pings of free
-    water are needed before the map says so.
+    Naively log-odds without a clamp stand at 286000 after a million hits, and three million pings
+    of free water are needed before the map says so.
     """
     voxels = one_voxel(Rule())
     observe(voxels, np.ones(1_000_000, bool))

@@ -220,6 +220,11 @@ def test_levels_of_black_pictures_differ_by_nothing() -> None:
     assert quantiser_change_db(black, sonar, 0.001) == 0.0
     assert quantiser_change_db(white, sonar, 0.001) == 0.0
     assert level_change_db(white, white, sonar, 0.001) == 0.0
+    wide = dataclasses.replace(sonar, bits=32)
+    louder = np.full((50, 64), 1e200)  # beyond single precision, as squares of the other are
+    assert level_change_db(louder, white, wide, 0.001, (0.5, 0.5)) == 0.0
+    assert 500.0 < level_change_db(white, black, wide, 0.001, (0.5, 0.5)) < 1000.0
+    assert 500.0 < level_change_db(louder, black, wide, 0.001, (0.5, 0.5)) < 1000.0
 
 
 def test_speckle_of_next_to_no_mean_is_as_clipped_as_the_law_says() -> None:
@@ -238,14 +243,14 @@ def test_speckle_of_next_to_no_mean_is_as_clipped_as_the_law_says() -> None:
 def test_noise_of_a_faint_and_of_a_loud_cell_has_its_power() -> None:
     """Cells are from a millionth to a billion of a micropascal, side by side in one image.
 
-    Naively they are summed in single precision one into the other, and what is faint is lost; or
-    the power underflows when it is squared.
+    Naively noise is made of the whole image's spectrum in single precision, and what is faint is
+    the rounding of what is loud.
     """
-    for power in (1e-12, 1.0, 1e18):
-        field = np.zeros((64, 512), np.complex64)
-        _core.add_gaussian_power(field, np.full((64, 512), power, np.float32), 7)
-        seen = float(np.mean(np.square(np.abs(field.astype(np.complex128)))))
-        assert seen == pytest.approx(power, rel=0.03)
+    powers = np.array([1e-12, 1.0, 1e18])
+    field = np.zeros((192, 512), np.complex64)
+    _core.add_gaussian_power(field, np.resize(powers, (512, 192)).T.astype(np.float32).copy(), 7)
+    seen = np.square(np.abs(field.astype(np.complex128))).reshape(64, 3, 512).mean(axis=(0, 2))
+    assert seen == pytest.approx(powers, rel=0.03)
 
 
 def test_thermal_noise_of_narrow_and_wide_bands_is_by_the_decade() -> None:

@@ -71,6 +71,30 @@ def test_a_voxel_a_unit_beyond_a_threshold_is_told_on_its_side(step: float) -> N
     assert (told == (expected if reached else -1)).all()
 
 
+def test_a_client_is_off_by_half_a_step_and_beside_a_threshold_by_less_than_one() -> None:
+    """A client reckons with what it was told, and the page says how far off that may be.
+
+    Naively half a step is told as the bound: 0.125. Beside a threshold the class has precedence,
+    and the nearest step on its side is 0.155 away.
+    """
+    values = np.round(np.arange(-4.0, 4.0, 0.0009765625) * 2**24) / 2**24
+    near = np.array([OCCUPIED, FREE])[:, None] + [-(2.0**-20), 2.0**-20]
+    values = np.concatenate([values, near.ravel()])
+    voxels, off, p_off = _core.VoxelMap(0.1, WIDE), [], []
+    for eight in np.split(values, np.arange(8, len(values), 8)):
+        points = np.zeros((len(eight), 3)) + 0.05
+        points[:, 0] += 0.1 * np.arange(len(eight))
+        voxels.set_log_odds(points, eight)
+        told = 0.25 * voxels.stream_blocks(view(0.25), ORIGIN)[1][0, : len(eight)]
+        off.append(np.abs(told - eight))
+        p_off.append(np.abs(1 / (1 + np.exp(-told)) - 1 / (1 + np.exp(-eight))))
+    limits = np.array([OCCUPIED, FREE])
+    away = np.abs(values[:, None] - limits).min(axis=1)
+    assert np.concatenate(off)[away > 0.125].max() <= 0.125
+    assert np.concatenate(off).max() == pytest.approx(0.155, abs=5e-4)
+    assert np.concatenate(p_off).max() == pytest.approx(0.038, abs=5e-4)
+
+
 def test_the_ends_of_log_odds_are_told_as_such_and_not_as_unknown() -> None:
     """Cells are bytes of which -128 is unknown: the surest water must not become that.
 
