@@ -6,11 +6,14 @@ beside it could not be made.
 """
 
 from mapperd.frames import UNIT_TOLERANCE
-from mapperd.odometry.convert import MAX_COVARIANCE, bad_numbers
+from mapperd.odometry.convert import bad_numbers
 from mapperd.odometry.records import Odometry
 from mapperd.reject import Reject
 
 __all__ = ["bad_record"]
+
+LARGEST = 1e12
+"""Of any number, in its unit: nobody is so far off, so fast, or so unsure."""
 
 ARRAYS = (
     "position_m",
@@ -29,13 +32,13 @@ def bad_record(odometry: Odometry) -> Reject | None:
     """Why a record is of no use: it holds what is no number, no possible one, or no rotation."""
     for key in ARRAYS:
         array = getattr(odometry, key)
-        if array is not None and (bad := bad_numbers(key, array.ravel().tolist(), MAX_COVARIANCE)):
+        if array is not None and (bad := bad_numbers(key, array.ravel().tolist(), LARGEST)):
             return bad
     scalars = [getattr(odometry, key) for key in NUMBERS]
     if (geo := odometry.geo) is not None:
         scalars += [geo.latitude_rad, geo.longitude_rad, geo.altitude_m]
     said = [number for number in scalars if number is not None]
-    if bad := bad_numbers("the record", said, MAX_COVARIANCE):
+    if bad := bad_numbers("the record", said, LARGEST):
         return bad
     if (turn := odometry.map_q_base) is None:
         return None

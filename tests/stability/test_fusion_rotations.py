@@ -196,7 +196,7 @@ def test_attitude_carried_on_ten_thousand_times() -> None:
 def test_a_thousand_jumps_of_the_estimate() -> None:
     """Each time the estimate jumps the map's frame is carried over, and its errors do not add up.
 
-    Naively each jump multiplies one more rotation onto the last: the norm drifts, and the heading.
+    Naively each jump multiplies one more rotation onto the last: the norm drifts, and angles shear.
     """
     fusion, chance = Fusion(), np.random.default_rng(4)
     for k in range(1000):
