@@ -47,3 +47,11 @@ def test_clouds_take_their_part_of_bent_paths() -> None:
     wall = rectangle((4.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 2.0))
     straight, bent = straight_and_bent(wall, clouds=(CLOUD,))
     assert np.allclose(bent, straight, rtol=0.02, atol=0.01 * float(straight.max()))
+
+
+def test_a_sonar_that_lies_in_a_face_sees_past_it_on_bent_paths_too() -> None:
+    wall = rectangle((4.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 2.0))
+    mount = rectangle((0.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 2.0))
+    straight, bent = straight_and_bent(wall, mount)
+    assert straight.max() > 0.0
+    assert np.allclose(bent, straight, rtol=0.02, atol=0.01 * float(straight.max()))

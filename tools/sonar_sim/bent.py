@@ -65,10 +65,12 @@ def _followed(
     direction, step_m = start.copy(), reach_m / SEGMENTS
     found = [_Found.nothing(start) for _ in range(1 if here.physics.shadows else 1 + BEHIND)]
     passed_m = np.zeros(len(start))
-    for _ in range(SEGMENTS):
+    for segment in range(SEGMENTS):
         speed, direction = _turned(layers, point, direction, step_m)
+        # From the sonar, and not from points of its own, rays leave the face that it may lie in.
+        start_m = point if segment else here.pose.position_m
         met = here.meshes.cast(
-            point, direction.astype(np.float32), here.time_s, step_m, here.threads
+            start_m, direction.astype(np.float32), here.time_s, step_m, here.threads
         )
         new = np.flatnonzero(met.face >= 0)
         for layer in found:
