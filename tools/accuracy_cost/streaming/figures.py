@@ -30,6 +30,8 @@ COLUMNS = (
     Column("bytes_per_voxel", "bytes a voxel that changed"),
     Column(COST, "told to one client (kB/s)"),
     Column("cpu_ms_per_ping", "CPU time per ping, mean (ms)", repeatable=False),
+    Column("cpu_median_ms", "CPU time per ping, median (ms)", repeatable=False),
+    Column("cpu_p95_ms", "CPU time per ping, 95 % (ms)", repeatable=False),
     Column("memory_mb", "memory of index and client (MB)"),
 )
 

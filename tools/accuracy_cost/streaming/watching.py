@@ -59,6 +59,7 @@ def watched(pings: Pings, plan: Plan, told: Told) -> dict[str, float]:
     watch = _joined(sonar_map, plan, told)
     moments: list[Moment] = []
     ages_s: list[tuple[float, float]] = []
+    cpu_s: list[float] = []
     joined_s = plan.joins * PING_S
     now_s, next_look_s = joined_s, joined_s + LOOK_S
     for number in range(plan.joins, plan.pings):
@@ -67,7 +68,7 @@ def watched(pings: Pings, plan: Plan, told: Told) -> dict[str, float]:
         blocks = Blocks(*sonar_map.core.blocks())
         watch.ages.changed(blocks, now_s)
         watch.count(blocks)
-        until_s = (number + 1) * PING_S
+        until_s, before_s = (number + 1) * PING_S, watch.teller.cpu_s
         while now_s < until_s - STEP_S / 2:
             if now_s >= next_look_s:
                 watch.teller.look(now_s, position_m)
@@ -75,12 +76,15 @@ def watched(pings: Pings, plan: Plan, told: Told) -> dict[str, float]:
             watch.step(now_s, position_m)
             now_s += STEP_S
             ages_s.append(watch.ages.oldest_s(now_s, position_m, NEAR_M))
+        cpu_s.append(watch.teller.cpu_s - before_s)
         if number % plan.judged_every == 0:
             moments.append(moment(blocks, watch.client, watch.teller.facts(), position_m))
     return summary(moments, ages_s) | {
         "bytes_per_voxel": watch.link.carried / max(watch.changed, 1),
         "kb_per_s": watch.link.carried / (now_s - joined_s) / 1e3,
-        "cpu_ms_per_ping": 1e3 * watch.teller.cpu_s / (plan.pings - plan.joins),
+        "cpu_ms_per_ping": 1e3 * float(np.mean(cpu_s)),
+        "cpu_median_ms": 1e3 * float(np.median(cpu_s)),
+        "cpu_p95_ms": 1e3 * float(np.quantile(cpu_s, 0.95)),
         "memory_mb": watch.teller.memory_bytes / 1e6,
     }
 
