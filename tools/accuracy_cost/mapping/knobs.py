@@ -21,11 +21,11 @@ PUBLISHED_RULE: dict[str, Value] = {
     "adaptive.min_ratio": 0.0,
     "time_sync.policy": "latest",
 }
-"""The published sonar mapper: sampled sub-rays, one pose a ping, the newest; its other constants
-are our defaults."""
+"""The published sonar mapper: sampled sub-rays, one pose a ping, the newest; its other constants are
+those of its page of parameters, which are our defaults."""
 
 PUBLISHED = Setting("published", PUBLISHED_RULE | {"processing.frame_skip": 5})
-"""As the published mapper's file of settings runs it: four pings of five are thrown away."""
+"""With the frame skip of its file of settings: four pings of five are thrown away."""
 
 PUBLISHED_SHIPPED = Setting("published, every ping", PUBLISHED_RULE)
 """With the frame skip of 1 that its page of parameters names as the default."""
