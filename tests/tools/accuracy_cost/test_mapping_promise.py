@@ -47,3 +47,14 @@ def test_sentences_name_each_dive_and_what_was_not_kept() -> None:
     text = sentences({"pond": ROWS})
     assert "| pond | published | 0.300 m, 20.0 ms | 10 times cheaper" in text
     assert text.count("**no**") == 1
+
+
+def test_sentences_say_where_none_of_ours_comes_near() -> None:
+    rows = {
+        "": row(0.4, 80.0, 0.01),
+        PUBLISHED.key: row(0.3, 1.0),
+        PUBLISHED_SHIPPED.key: row(0, 1),
+    }
+    text = sentences({"pond": rows | {"mapping.integrator=rays": row(0.01, 1.0, 5.0)}})
+    assert "| none errs so little | none takes so little | **no** |" in text
+    assert "None" not in text

@@ -118,10 +118,12 @@ def sentences(dives: Mapping[str, Rows]) -> str:
     for dive, rows in dives.items():
         for whole in (PUBLISHED, PUBLISHED_SHIPPED):
             found = kept(rows, whole.key)
+            cheaper = f"{found.times_cheaper:.2g} times cheaper (`{found.cheapest}`)"
+            smaller = f"error {found.times_more_exact:.2f} times smaller (`{found.best}`)"
             lines.append(
                 f"| {dive} | {whole.label} | {found.error_m:.3f} m, {found.cost_ms:.1f} ms | "
-                f"{found.times_cheaper:.2g} times cheaper (`{found.cheapest}`) | "
-                f"error {found.times_more_exact:.2f} times smaller (`{found.best}`) | "
+                f"{cheaper if found.cheapest is not None else 'none errs so little'} | "
+                f"{smaller if found.best is not None else 'none takes so little'} | "
                 f"{'yes' if found.is_kept else '**no**'} |"
             )
     lines += ["", "| dive | log-odds off, rays | ours | times more exact | time, rays | ours |"]
