@@ -21,8 +21,8 @@ PUBLISHED_RULE: dict[str, Value] = {
     "adaptive.min_ratio": 0.0,
     "time_sync.policy": "latest",
 }
-"""The published sonar mapper: sampled sub-rays, one pose a ping, the newest; its other constants are
-those of its page of parameters, which are our defaults."""
+"""The published sonar mapper: sampled sub-rays, one pose a ping, the newest; its other constants
+are those of its page of parameters, which are our defaults."""
 
 PUBLISHED = Setting("published", PUBLISHED_RULE | {"processing.frame_skip": 5})
 """With the frame skip of its file of settings: four pings of five are thrown away."""
