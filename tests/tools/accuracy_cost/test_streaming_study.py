@@ -237,6 +237,18 @@ def test_a_block_is_as_old_as_the_first_change_after_what_was_told() -> None:
     assert ages.oldest_s(4.0, HERE, 10.0) == (0.0, 0.0)
 
 
+def test_a_block_that_is_again_what_was_told_is_not_old() -> None:
+    """Where looks are rarer than pings nobody is told of what came and went between two of them."""
+    facts = StreamTeller(random_map(), Interest(), 0.25, 0).facts()
+    ages = Ages(facts, Interest())
+    ages.changed(one_block(1.0), 1.0)
+    ages.told(np.array([[2, 0, 0]], np.int32), 1.0)
+    ages.changed(one_block(2.0), 2.0)
+    assert ages.oldest_s(4.0, HERE, 10.0) == (2.0, 0.0)
+    ages.changed(one_block(1.0), 3.0)
+    assert ages.oldest_s(4.0, HERE, 10.0) == (0.0, 0.0)
+
+
 def test_ages_are_told_by_their_quantiles_and_moments_by_their_mean() -> None:
     moments = [Moment(0.1, 0.2, 0.3, 8.0, 2), Moment(0.3, 0.2, 0.1, 0.0, 0)]
     figures = summary(moments, [(1.0, 5.0), (2.0, 6.0), (3.0, 7.0)])

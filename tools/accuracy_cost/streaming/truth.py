@@ -64,6 +64,8 @@ def stream_keys(keys: NDArray[np.int32], level: int) -> NDArray[np.int64]:
 class Ages:
     """Of each block of the stream: when it changed since the client was told of it.
 
+    A block that is again what it was is not missed, a message about it under way or not.
+
     Args:
         facts: of the map.
         interest: of the client.
@@ -72,7 +74,8 @@ class Ages:
     def __init__(self, facts: MapFacts, interest: Interest) -> None:
         self._facts, self._interest = facts, interest
         self._seen: dict[bytes, tuple[NDArray[np.int32], NDArray[np.int8]]] = {}
-        self._missed: dict[Key, deque[float]] = {}
+        # Of each change: when it was, and what the block was told as before it.
+        self._missed: dict[Key, deque[tuple[float, bytes]]] = {}
 
     def changed(self, blocks: Blocks, now_s: float) -> None:
         """Note what is told otherwise than before."""
@@ -89,22 +92,25 @@ class Ages:
         for k, row in enumerate(rows):
             old = before[row]
             nothing = np.full_like(told[k], UNKNOWN)
-            differ = (told[k] != (nothing if old is None else old[1])).any(axis=1)
-            for part in np.flatnonzero(differ):
+            held = nothing if old is None else old[1]
+            for part in np.flatnonzero((told[k] != held).any(axis=1)):
                 x, y, z = keys[k, part].tolist()
-                self._missed.setdefault((x, y, z), deque()).append(now_s)
+                missed = self._missed.setdefault((x, y, z), deque())
+                missed.append((now_s, held[part].tobytes()))
+                if missed[0][1] == told[k, part].tobytes():
+                    missed.clear()  # it is again what the client has: there is nothing to tell
             self._seen[names[row]] = some.units[k].copy(), told[k]
 
     def told(self, keys: NDArray[np.int32], made_s: float) -> None:
         """The client has blocks (N, 3) as they were then."""
         for x, y, z in keys.tolist():
             missed = self._missed.get((x, y, z))
-            while missed and missed[0] <= made_s:
+            while missed and missed[0][0] <= made_s:
                 missed.popleft()
 
     def oldest_s(self, now_s: float, position_m: Floats, near_m: float) -> tuple[float, float]:
         """Age of the oldest block within a radius, and beyond; 0 where nothing is missed."""
-        missed = [(key, times[0]) for key, times in self._missed.items() if times]
+        missed = [(key, times[0][0]) for key, times in self._missed.items() if times]
         if not missed:
             return 0.0, 0.0
         keys = np.array([key for key, _ in missed], np.int64)
