@@ -135,6 +135,7 @@ PLACES = (
             "mapperd/map_queries.py",
             "mapperd/client/*.py",
             "mapperd/sonar_to_3d.py",
+            "mapperd/export/calibration.py",
             "mapperd/export/las.py",
             "mapperd/export/p??.py",
         ),
