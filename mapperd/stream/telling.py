@@ -133,6 +133,8 @@ class Teller:
         cells = np.full((len(numbers), CELLS), UNKNOWN, np.int8)
         bits = np.zeros((len(numbers), CELLS), np.uint8)
         revision, cells[wanted], bits[wanted] = self._content(view, keys[wanted])
+        if revision > view.sure:
+            view.doubt(numbers[wanted], self._core)
         age_ns = self._stamp_ns - self.times.of(view.revisions[numbers])
         ages_ms = np.clip(age_ns // 1_000_000, 0, 2**32 - 1).astype(np.uint32)
         told = BlockSet(keys, ages_ms, cells, bits if detail == "counts" else None)

@@ -28,6 +28,10 @@ Numbers = NDArray[np.int64]
 Revisions = NDArray[np.uint64]
 
 
+DOUBT = np.uint64(0xD0B7_D0B7_D0B7_D0B7)
+"""Digest of a block that was told as it was at no look: it differs from all that looks find."""
+
+
 class Listener(Protocol):
     """Who is told which blocks changed."""
 
@@ -49,6 +53,7 @@ class View:
         digests, revisions: (>= N,) of each block: what was told of it last, and since when.
         looked: revision up to which the map was looked at.
         in_file: revision up to which the file was.
+        sure: revision up to which all changes in memory are indexed.
         settled: revision up to which all changes are indexed; None before that was ever so.
         listeners: are told of changes.
         unused_since_ns: nobody listens since then; None while somebody does.
@@ -60,7 +65,7 @@ class View:
         self.block_m = resolution_m * BLOCK_EDGE * 2**level
         self.digests = np.zeros(0, np.uint64)
         self.revisions = np.zeros(0, np.uint64)
-        self.looked = 0
+        self.looked = self.sure = 0
         self.in_file = -1
         self.settled: int | None = None
         self.listeners: weakref.WeakSet[Listener] = weakref.WeakSet()
@@ -96,6 +101,17 @@ class View:
         for brick in bricks.tolist():
             self._bricks[tuple(brick)] = revision
 
+    def doubt(self, numbers: Numbers, core: _core.VoxelMap) -> None:
+        """Blocks were told as they are now, which may be newer than what is indexed of them.
+
+        They may be indexed next as what they were before: what was told is wrong then, though
+        nothing seems to have changed. So those that changed since are taken for others.
+        """
+        for part in batches(len(numbers), self.level):
+            some = numbers[part]
+            _, revisions, here = core.stream_digests(self.core, self.keys(some))
+            self.digests[some[(revisions > self.sure) | ~here]] = DOUBT
+
     def work(self, core: _core.VoxelMap, position_m: Vector | None, most_blocks: int) -> None:
         """Index what is in memory, nearest to the vehicle first."""
         keys, later = self._waiting, self._waiting[:0]
@@ -104,6 +120,8 @@ class View:
             order = np.argpartition(away_m, most_blocks)
             keys, later = keys[order[:most_blocks]], keys[order[most_blocks:]]
         self._waiting = later
+        if not len(later):
+            self.sure = self.looked
         for part in batches(len(keys), self.level):
             digests, revisions, here = core.stream_digests(self.core, keys[part])
             self._settle(keys[part][here], digests[here], revisions[here])

@@ -81,6 +81,36 @@ def test_a_block_that_changes_twice_before_it_is_told_is_told_once() -> None:
     assert_same(client, sonar_map)
 
 
+@pytest.mark.parametrize("at_look", [2.0, None])
+def test_what_was_told_between_two_looks_and_is_as_before_is_told_again(
+    at_look: float | None,
+) -> None:
+    """A block is told as it is; a look compares it with what it was at the look before."""
+    sonar_map = SonarMap(CONFIG)
+    source = source_of(sonar_map)
+    point, beside = np.array([[0.05, 0.05, 0.05]]), np.array([[0.15, 0.05, 0.05]])
+    sonar_map.core.set_log_odds(beside, np.array([1.0]))
+    if at_look is not None:
+        sonar_map.core.set_log_odds(point, np.array([at_look]))
+    client = Client(source)
+    source.look(SECOND_NS)
+    sonar_map.core.set_log_odds(point, np.array([5.0]))
+    client.hear()
+    assert_same(client, sonar_map)
+    other = Client(source, Interest(detail="classes"))
+    other.hear()
+    for value in (4.0, 3.0, 2.0):
+        sonar_map.core.set_log_odds(point, np.array([value]))
+    source.look(2 * SECOND_NS)
+    for one in (client, other):
+        one.hear()
+        assert_same(one, sonar_map)
+    told = client.told_blocks
+    source.look(3 * SECOND_NS)
+    client.hear()
+    assert client.told_blocks == told
+
+
 def test_an_empty_map_is_complete_at_once() -> None:
     source = source_of(SonarMap(CONFIG))
     client = Client(source)
@@ -339,6 +369,33 @@ def test_much_that_changed_is_found_in_pieces_nearest_first(
     client.hear()
     assert client.mirror.complete == sonar_map.core.revision
     assert_same(client, sonar_map)
+
+
+def test_what_was_told_before_its_turn_and_is_as_before_is_told_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its change was seen by a look, and not indexed yet, when it was told as it is."""
+    sonar_map = SonarMap(CONFIG)
+    source = source_of(sonar_map)
+    near, far = np.array([[0.05, 0.05, 0.05]]), np.array([[9.05, 0.05, 0.05]])
+    for point in (near, far):
+        sonar_map.core.set_log_odds(point, np.array([2.0]))
+    Client(source)
+    source.look(SECOND_NS)
+    monkeypatch.setattr(source_module, "BLOCKS_AT_ONCE", 8)
+    for point in (near, far):
+        sonar_map.core.set_log_odds(point, np.array([5.0]))
+    source.look(2 * SECOND_NS, (0.0, 0.0, 0.0))
+    assert source.indexing > 0
+    late = Client(source)
+    late.hear()
+    assert_same(late, sonar_map)
+    for value in (4.0, 3.0, 2.0):
+        sonar_map.core.set_log_odds(far, np.array([value]))
+    for second in range(3, 6):
+        source.look(second * SECOND_NS, (0.0, 0.0, 0.0))
+        late.hear()
+    assert_same(late, sonar_map)
 
 
 def test_memory_of_an_index_and_of_clients() -> None:
