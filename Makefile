@@ -12,21 +12,19 @@ CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLi
 # Programs and tests start hundreds of Pythons, which must not compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test demo-then-python bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
+.PHONY: demo test bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
 
 demo: $(STAMP)
 	$(BIN)/python tools/demo.py --out out/demo
 
 # The demo is a test too: it fails when the map is worse than it promises. Two jobs at a time, of
 # which each says what it did when it ends: while one waits, links or has work for one core only, the
-# other computes. The sanitizers' builds come first, they need nothing that is being installed.
+# other computes. The sanitizers' builds come first, they need nothing that is being installed. The
+# Python tests have the machine for themselves: some wait for programs for so many seconds and no more.
 test:
-	@echo "Two jobs at a time; each says what it did when it ends, the longest after some minutes."
-	+@$(MAKE) --no-print-directory -j 2 --output-sync=target demo-then-python cpp-test-asan cpp-test-tsan cpp-test check
-
-# The longest of the jobs, as one.
-demo-then-python: demo
-	+@$(MAKE) --no-print-directory python-test
+	@echo "Two stages at a time, each says what it did when it ends; the first takes minutes."
+	+$(MAKE) -j 2 --output-sync=target cpp-test-asan cpp-test-tsan demo cpp-test check
+	+$(MAKE) python-test
 
 # Compares the integrators with OctoMap and OpenVDB; writes docs/performance.md. Some minutes.
 bench: $(STAMP)
@@ -126,9 +124,9 @@ cpp-test-asan: $(TOOLS)
 cpp-test-tsan: $(TOOLS)
 	scripts/cpp-test tsan
 
-# More workers than cores: many tests wait, for a sonar's next ping or a link's time-out.
+# A worker that is done takes tests from the other: a long file at the end keeps no core idle.
 python-test: $(STAMP)
-	$(BIN)/python -m pytest -n 3 --dist worksteal
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 prerequisites:
 	@PYTHON="$(PYTHON)" scripts/prerequisites
