@@ -124,9 +124,8 @@ cpp-test-asan: $(TOOLS)
 cpp-test-tsan: $(TOOLS)
 	scripts/cpp-test tsan
 
-# A worker that is done takes tests from the other: a long file at the end keeps no core idle.
 python-test: $(STAMP)
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(BIN)/python -m pytest -n 2
 
 prerequisites:
 	@PYTHON="$(PYTHON)" scripts/prerequisites
