@@ -179,6 +179,11 @@ class Link:
         return self._ask(now_ns) if self._state in _CONNECTED else []
 
     @property
+    def has_unsent(self) -> bool:
+        """Whether a message waits for the least time between two of them; `tick` sends it."""
+        return self._pending is not None
+
+    @property
     def can_trigger(self) -> bool:
         """Whether `trigger` would fire: in triggered mode, connected, not held, none waiting."""
         free = self._held is None and self._pending is None

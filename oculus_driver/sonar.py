@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 _LOG: Final = logging.getLogger(__name__)
 _QUIET_S: Final = 1.0
+_UNSENT_LOOK_S: Final = 0.01
+"""Between looks at whether settings have gone out: a fraction of the gap between two messages."""
 
 
 class OculusSonar:
@@ -198,13 +200,15 @@ class OculusSonar:
         if not self._asked.network_trigger:
             raise SettingsError("fire() needs settings with network_trigger=True: apply them first")
         link = self._driver.link
-        if not link.can_trigger:
-            raise LinkError(f"the sonar cannot be fired now: {link.status.reason}")
         future: asyncio.Future[Ping] = asyncio.get_running_loop().create_future()
-        self._next_pings.add(future)
-        self._driver.do(link.trigger(self._clock()))
         try:
             async with asyncio.timeout(patience_s):
+                while link.has_unsent:  # settings that were asked for right before
+                    await asyncio.sleep(_UNSENT_LOOK_S)
+                if not link.can_trigger:
+                    raise LinkError(f"the sonar cannot be fired now: {link.status.reason}")
+                self._next_pings.add(future)
+                self._driver.do(link.trigger(self._clock()))
                 return await future
         except TimeoutError:
             raise LinkError(f"no ping within {patience_s:g} s of the trigger") from None

@@ -146,6 +146,21 @@ def test_triggered_pings_come_one_by_one(fake: MakeSonar, run: Run, quick: LinkT
     run(main())
 
 
+def test_a_shot_right_after_settings_waits_until_they_have_gone_out(
+    fake: MakeSonar, run: Run, quick: LinkTimes
+) -> None:
+    async def main() -> None:
+        settings = replace(FREE, network_trigger=True)
+        slow = replace(quick, send_gap_ns=200_000_000)
+        async with fake() as device, OculusSonar(HOST, FREE, port=device.port, times=slow) as sonar:
+            await sonar.wait_for(LinkState.PINGING)
+            await sonar.apply(replace(settings, range_m=3.0), patience_s=0.0)
+            await sonar.apply(settings, patience_s=0.0)
+            assert (await sonar.fire()).ping_id >= 1
+
+    run(main())
+
+
 def test_firing_needs_triggered_mode_and_a_connection(fake: MakeSonar, run: Run) -> None:
     async def main() -> None:
         async with fake() as device:
