@@ -203,7 +203,7 @@ class OculusSonar:
         future: asyncio.Future[Ping] = asyncio.get_running_loop().create_future()
         try:
             async with asyncio.timeout(patience_s):
-                while link.has_unsent:  # settings that were asked for right before
+                while link.has_unsent:  # noqa: ASYNC110 right-before settings; nobody tells when they went
                     await asyncio.sleep(_UNSENT_LOOK_S)
                 if not link.can_trigger:
                     raise LinkError(f"the sonar cannot be fired now: {link.status.reason}")
