@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from mutations.catalogue import Mutation
+from mutations.stamp import stamp
 
 __all__ = ["Result", "Results", "is_well", "table"]
 
@@ -21,6 +22,7 @@ class Result:
         test: the one that failed.
         words: the test's own, or of what went wrong.
         commit: that was broken.
+        stamp: of what was measured, see `mutations.stamp`.
     """
 
     name: str
@@ -29,10 +31,11 @@ class Result:
     words: str
     seconds: float
     commit: str
+    stamp: str
 
 
 class Results:
-    """A file of one line a mutation; those of a commit are not measured again."""
+    """A file of one line a measurement; the last of a mutation counts."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -50,13 +53,18 @@ class Results:
             file.write(json.dumps(asdict(result)) + "\n")
 
     def of(self, mutation: Mutation) -> Result | None:
-        """The newest result of a mutation, of whatever commit."""
+        """The newest result of a mutation, of whatever it was."""
         return self._all.get(mutation.name)
 
-    def is_done(self, mutation: Mutation, commit: str) -> bool:
-        """Whether a commit's result is there, and not one of something broken."""
+    def is_done(self, mutation: Mutation, root: Path) -> bool:
+        """Whether the result is of the mutation, its file and its tests as they are in a tree."""
         result = self.of(mutation)
-        return result is not None and result.commit == commit and result.outcome != "broken"
+        if result is None or result.outcome == "broken":
+            return False
+        tests = (result.test,) if result.test else mutation.killed_by
+        return set(tests) <= set(mutation.killed_by) and result.stamp == stamp(
+            mutation, tests, root
+        )
 
 
 def is_well(mutation: Mutation, result: Result | None) -> bool:
@@ -69,11 +77,10 @@ def is_well(mutation: Mutation, result: Result | None) -> bool:
 def table(mutations: Sequence[Mutation], results: Results) -> str:
     """Markdown: the sums, survivors with their reasons, and what each mutation breaks."""
     found = Counter(_outcome(results.of(one)) for one in mutations)
-    commits = sorted({result.commit for one in mutations if (result := results.of(one))})
     sums = ", ".join(f"{found[how]} {how}" for how in sorted(found))
     files = len({one.file for one in mutations})
     lines = [
-        f"{len(mutations)} mutations in {files} files, at {', '.join(commits)}: {sums}.",
+        f"{len(mutations)} mutations in {files} files: {sums}.",
         "",
         *_survivors(mutations, results),
     ]

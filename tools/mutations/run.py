@@ -1,10 +1,11 @@
 """Breaks each formula of the catalogue once in a copy, and has a test notice.
 
-    python -m mutations.run [--only 'localization/*'] [--keep | --again] [--write]
+    python -m mutations.run [--only 'localization/*'] [--language cpp] [--again] [--write]
 
 The last commit is looked at, not what is uncommitted. The copy and its build lie in
-build/mutations, results in out/mutations/results.jsonl: a run that was stopped goes on there.
-Exit code 1 when a mutation survives unexplained.
+build/mutations, those of one language beside it, so that both may be looked at at once. Results lie
+in out/mutations/results.jsonl: a mutation is measured again when it, the file that it breaks or the
+file of a test that counts has changed since. Exit code 1 when a mutation survives unexplained.
 """
 
 import argparse
@@ -21,6 +22,7 @@ from mutations.broken_copy import Copy, NotBuiltError
 from mutations.catalogue import REPOSITORY, Mutation, load
 from mutations.judge import End, run_test, targets_of
 from mutations.results import Result, Results, is_well, table
+from mutations.stamp import stamp
 
 PAGE = REPOSITORY / "docs" / "mutations.md"
 BEGIN = "<!-- measured: make mutations -->\n"
@@ -44,7 +46,9 @@ class Check:
         except (NotBuiltError, ValueError) as error:
             outcome, test, words = "broken", "", str(error)
         seconds = round(time.monotonic() - began_s, 1)
-        return Result(mutation.name, outcome, test, words, seconds, self._copy.commit)
+        tests = (test,) if test else mutation.killed_by
+        now = stamp(mutation, tests, self._copy.root)
+        return Result(mutation.name, outcome, test, words, seconds, self._copy.commit, now)
 
     def _measured(self, mutation: Mutation) -> tuple[str, str, str]:
         for test in mutation.killed_by:
@@ -79,17 +83,19 @@ def main(words: Sequence[str] | None = None) -> int:
     """Run the check."""
     parser = argparse.ArgumentParser(prog="mutations", description=__doc__.partition("\n")[0])
     parser.add_argument("--only", default="*", metavar="GLOB", help="of names of mutations")
-    parser.add_argument("--again", action="store_true", help="also what this commit has passed")
-    parser.add_argument("--keep", action="store_true", help="not what any commit has passed")
+    parser.add_argument("--language", choices=("cpp", "python"), help="of the broken files")
+    parser.add_argument("--again", action="store_true", help="also what is as it was measured")
     parser.add_argument("--write", action="store_true", help="write the tables into the page")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="of the compiler")
     told = parser.parse_args(words)
     resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
     results = Results(REPOSITORY / "out" / "mutations" / "results.jsonl")
     mutations = load()
-    chosen = [one for one in mutations if fnmatch.fnmatch(one.name, told.only)]
-    copy = Copy(REPOSITORY / "build" / "mutations", told.jobs)
-    due = [one for one in chosen if told.again or _is_due(one, results, copy.commit, told.keep)]
+    chosen = [one for one in mutations if _is_chosen(one, told.only, told.language)]
+    beside = f"-{told.language}" if told.language else ""
+    copy = Copy(REPOSITORY / "build" / f"mutations{beside}", told.jobs)
+    due = [one for one in chosen if told.again or not results.is_done(one, copy.root)]
+    due.sort(key=lambda one: results.of(one) is not None)  # what is not known at all comes first
     print(f"{len(due)} of {len(chosen)} mutations to measure at {copy.commit}")
     _measure(copy, due, results)
     if told.write:
@@ -101,10 +107,10 @@ def main(words: Sequence[str] | None = None) -> int:
     return 1 if unwell else 0
 
 
-def _is_due(mutation: Mutation, results: Results, commit: str, keep: bool) -> bool:  # noqa: FBT001
-    if keep and is_well(mutation, results.of(mutation)):
+def _is_chosen(mutation: Mutation, names: str, language: str | None) -> bool:
+    if language is not None and (language == "cpp") != mutation.is_cpp:
         return False
-    return not results.is_done(mutation, commit)
+    return fnmatch.fnmatch(mutation.name, names)
 
 
 def _measure(copy: Copy, mutations: Sequence[Mutation], results: Results) -> None:
