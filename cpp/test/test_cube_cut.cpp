@@ -128,6 +128,11 @@ TEST_CASE("normals almost along a face or an axis lose no digits") {
       CHECK_NEAR(part_beyond({tiny, a, -tiny}, level), 0.5 + level / a, second_order);
       CHECK_NEAR(part_beyond({0, tiny, a}, level), 0.5 + level / a, second_order);
       CHECK_NEAR(part_beyond({1e-3 * tiny, tiny, a}, level), 0.5 + level / a, second_order);
+      const Vec3 flat{a, tiny, -tiny};
+      const double edge = random.uniform(-1, 1) * tiny + 0.5 * a;
+      for (const double part : {part_beyond(flat, edge), part_beyond(flat, -edge)}) {
+        CHECK(part >= 0.0 && part <= 1.0);
+      }
     }
   }
 }

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from sonar_sim import _core
 from sonar_sim.beams import beam_former, beam_sines, range_response
-from sonar_sim.pattern import azimuth_amplitude
+from sonar_sim.pattern import azimuth_amplitude, main_lobe_end
 from sonar_sim.physics import Physics
 from sonar_sim.sonar import SonarSettings
 
@@ -38,6 +38,16 @@ def test_main_lobe_alone_ends_at_its_null() -> None:
     assert main[inside] == pytest.approx(whole[inside], abs=1e-5)
     assert inside.sum() < 20
     assert whole[~inside].max() == pytest.approx(10.0 ** (-30.0 / 20.0), rel=0.1)
+
+
+def test_main_lobe_alone_hears_nothing_beyond_its_null_at_equal_angles() -> None:
+    told = Physics(beam_width_rad=WIDTH)
+    at = (MARGIN + 333 - (COLUMNS - 1) / 2.0) * SONAR.sine_pitch
+    beams = np.abs(beam_former(SONAR, told, MARGIN).form(target(333))[2])
+    away = np.abs(beam_sines(SONAR, told) - at)
+    null = main_lobe_end(WIDTH, SONAR.side_lobe_db)
+    assert beams[away > null].max() == 0.0
+    assert beams[away < 0.9 * null].min() > 0.0
 
 
 def test_powers_are_the_mean_of_fields() -> None:

@@ -58,6 +58,24 @@ def test_recovery_with_a_constant_number_of_particles(aggregation: str, count: i
     assert particles.counts["injected_particles"] > 0
 
 
+def test_random_particles_come_once_for_one_bad_moment() -> None:
+    """What has been answered by random particles is forgotten.
+
+    Naively the averages still remember it at the next update, and at hundreds after that: each
+    brings random particles anew, and the cloud never settles.
+    """
+    particles = recovering(3000)
+    for range_m in (8.1, 8.1, 8.1, 3.0):
+        particles.weigh_field(FIELD, scan(range_m))
+        particles.resample_if_due(FREE)
+    injected = particles.counts["injected_particles"]
+    assert injected > 0
+    for _ in range(3):
+        assert particles.weigh_field(FIELD, scan(3.0)).injected_share < 0.01
+        particles.resample_if_due(FREE)
+    assert particles.counts["injected_particles"] - injected < 0.1 * injected
+
+
 @pytest.mark.parametrize("aggregation", ["cube_sum", "product"])
 def test_good_fit_triggers_no_recovery_though_numbers_change(aggregation: str) -> None:
     """A change of the number of particles is no change of the fit.

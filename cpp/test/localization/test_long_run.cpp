@@ -80,4 +80,12 @@ TEST_CASE("a weight that became no number is none, and the others sum to 1") {
   CHECK_NEAR(done.log_evidence, std::log(0.75) - 1.0, 1e-12);
 }
 
+TEST_CASE("the effective size is that of weights of any sum, and 0 of none") {
+  for (const double sum : {1e-9, 1.0, 7.0}) {
+    CHECK_NEAR(effective_size({0.25 * sum, 0.25 * sum, 0.25 * sum, 0.25 * sum}), 4.0, 1e-12);
+    CHECK_NEAR(effective_size({0.5 * sum, 0.0, 0.5 * sum}), 2.0, 1e-12);
+  }
+  CHECK(effective_size({}) == 0.0 && effective_size({0.0, 0.0}) == 0.0);
+}
+
 }  // namespace
