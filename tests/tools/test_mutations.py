@@ -3,12 +3,15 @@
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from mutations.catalogue import CATALOGUE, REPOSITORY, Mutation, load, mutated
 from mutations.judge import judge_cpp, judge_pytest
 from mutations.results import Result, Results, is_well, table
+from mutations.run import BEGIN, END
+from mutations.stamp import files_of, stamp
 
 MUTATIONS = load()
 
@@ -18,8 +21,9 @@ def one(**changes: str) -> Mutation:
     return Mutation(**{**fields, **changes}, killed_by=("tests/x.py",))  # type: ignore[arg-type]
 
 
-def result(outcome: str, commit: str = "abc") -> Result:
-    return Result("a/b/c", outcome, "tests/x.py", "", 1.0, commit)
+def result(outcome: str, stamp: str = "abc") -> Result:
+    test = "tests/x.py" if outcome == "killed" else ""
+    return Result("a/b/c", outcome, test, "", 1.0, "1234567", stamp)
 
 
 def test_every_mutation_finds_its_text_once_and_leaves_python_that_compiles() -> None:
@@ -96,17 +100,79 @@ def test_a_cpp_program_counts_as_failed_only_by_its_own_checks(
     assert judge_cpp(code, out).how == how
 
 
-def test_results_are_kept_by_commit_and_the_newest_counts(tmp_path: Path) -> None:
+def test_the_newest_result_counts(tmp_path: Path) -> None:
     results = Results(tmp_path / "deep" / "results.jsonl")
     assert results.of(one()) is None
     results.add(result("survived"))
     results.add(result("killed", "def"))
-    again = Results(tmp_path / "deep" / "results.jsonl")
-    assert again.of(one()) == result("killed", "def")
-    assert again.is_done(one(), "def")
-    assert not again.is_done(one(), "abc")
-    again.add(result("broken", "def"))
-    assert not again.is_done(one(), "def")
+    assert Results(tmp_path / "deep" / "results.jsonl").of(one()) == result("killed", "def")
+
+
+def tree(folder: Path) -> Path:
+    cases = folder / "cpp" / "test" / "deep"
+    cases.mkdir(parents=True)
+    (folder / "tests").mkdir()
+    (folder / "x.py").write_text("1\n")
+    (folder / "tests" / "x.py").write_text("assert x\n")
+    (folder / "tests" / "y.py").write_text("assert y\n")
+    (cases / "test_one.cpp").write_text('TEST_CASE("one thing") {}')
+    (cases / "test_two.cpp").write_text('TEST_CASE(\n    "two things") {}')
+    return folder
+
+
+def test_a_test_has_its_files(tmp_path: Path) -> None:
+    root = tree(tmp_path)
+    assert list(files_of("tests/x.py::test_a", root)) == [root / "tests" / "x.py"]
+    found = [path.name for path in files_of("program: thing", root)]
+    assert found == ["test_one.cpp", "test_two.cpp"]
+    assert [path.name for path in files_of("program: two", root)] == ["test_two.cpp"]
+
+
+def test_a_result_is_of_the_mutation_its_file_and_its_killer(tmp_path: Path) -> None:
+    root = tree(tmp_path)
+    results = Results(tmp_path / "results.jsonl")
+    assert not results.is_done(one(), root)
+    results.add(result("killed", stamp(one(), ("tests/x.py",), root)))
+    assert results.is_done(one(), root)
+    assert results.is_done(one(breaks="in other words"), root)
+    two = ("tests/y.py", "tests/x.py")
+    assert results.is_done(replace(one(), killed_by=two), root)  # a test more changes nothing
+    assert not results.is_done(replace(one(), killed_by=("tests/y.py",)), root)
+    assert not results.is_done(one(new="3"), root)
+    for path in (root / "x.py", root / "tests" / "x.py"):
+        text = path.read_text()
+        path.write_text(text + "\n")
+        assert not results.is_done(one(), root)
+        path.write_text(text)
+    results.add(result("broken", stamp(one(), ("tests/x.py",), root)))
+    assert not results.is_done(one(), root)
+
+
+def test_a_survivor_is_measured_again_when_any_of_its_tests_is_new(tmp_path: Path) -> None:
+    root = tree(tmp_path)
+    results = Results(tmp_path / "results.jsonl")
+    results.add(result("survived", stamp(one(), ("tests/x.py",), root)))
+    assert results.is_done(one(), root)
+    assert not results.is_done(replace(one(), killed_by=("tests/x.py", "tests/y.py")), root)
+
+
+KILLER = re.compile(r" \| `?([^|`]*)`? \|$")
+
+
+def test_the_page_tells_what_became_of_the_whole_catalogue(tmp_path: Path) -> None:
+    page = (REPOSITORY / "docs" / "mutations.md").read_text()
+    told = page.partition(BEGIN)[2].partition(END)[0].strip().splitlines()
+    results = Results(tmp_path / "results.jsonl")
+    for each in MUTATIONS:
+        ended = ("survived", "") if each.survives else ("killed", each.killed_by[0])
+        results.add(Result(each.name, *ended, "", 1.0, "1234567", ""))
+    expected = table(MUTATIONS, results).splitlines()
+    assert told[0] == expected[0]
+    assert [KILLER.sub("", line) for line in told] == [KILLER.sub("", line) for line in expected]
+    # Which of its tests is a mutation's killer only a run can tell.
+    named = {f"| `{each.file}` | {each.breaks}": {*each.killed_by} for each in MUTATIONS}
+    for row in set(told) - set(expected):
+        assert KILLER.findall(row)[0] in named[KILLER.sub("", row)], row
 
 
 def test_only_explained_mutations_may_survive(tmp_path: Path) -> None:
