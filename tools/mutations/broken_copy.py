@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -34,6 +35,8 @@ class Copy:
             raise SystemExit(f"another mutation check is at work in {folder}") from None
         self.root = folder / "tree"
         self.build_tree = self.root / "build" / "release"
+        self.whole = folder / "whole"
+        self._kept: set[str] = set()
         self._jobs = jobs
         self._witness = folder / "witness"
         if not self.root.exists():
@@ -71,6 +74,17 @@ class Copy:
                 link = self.root / package / module.name
                 link.unlink(missing_ok=True)
                 link.symlink_to(module)
+
+    def keep_whole(self, program: str) -> None:
+        """Build a program of tests while nothing is broken, and lay it aside in `whole`, once.
+
+        So a test that failed is run unbroken without compiling what is mended.
+        """
+        if program and program not in self._kept:
+            self.build([program])
+            self.whole.mkdir(exist_ok=True)
+            shutil.copy2(self.build_tree / "test" / program, self.whole)
+            self._kept.add(program)
 
     @contextmanager
     def broken(self, mutation: Mutation) -> Iterator[None]:

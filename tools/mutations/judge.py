@@ -3,13 +3,13 @@
 import re
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mutations.broken_copy import MODULES, Copy
 from mutations.catalogue import Mutation
 
-__all__ = ["End", "judge_cpp", "judge_pytest", "run_test", "targets_of"]
+__all__ = ["End", "judge_cpp", "judge_pytest", "program_of", "run_test", "targets_of"]
 
 PATIENCE_S = 120.0
 # What a test says that a mutation has broken otherwise than meant.
@@ -18,15 +18,28 @@ NO_FAILURE = re.compile(r"\b(SyntaxError|NameError|ImportError|ModuleNotFoundErr
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """How a test ended: "passed", "failed", "hang", "crash" or "broken", and its own words."""
+    """How a test ended.
+
+    Attributes:
+        how: "passed", "failed", "hang", "crash" or "broken".
+        words: its own.
+        imported: whether it imported the mutated file.
+    """
 
     how: str
     words: str = ""
+    imported: bool = False
 
 
 def targets_of(test: str) -> tuple[str, ...]:
     """What must be built before a test is run."""
-    return MODULES if test.startswith("tests/") else (test.partition(":")[0],)
+    program = program_of(test)
+    return (program,) if program else MODULES
+
+
+def program_of(test: str) -> str:
+    """The program of C++ tests that an entry of `killed_by` belongs to; "" for one of pytest."""
+    return "" if test.startswith("tests/") else test.partition(":")[0]
 
 
 def run_test(copy: Copy, test: str, mutation: Mutation | None) -> End:
@@ -36,7 +49,8 @@ def run_test(copy: Copy, test: str, mutation: Mutation | None) -> End:
         words = [sys.executable, "-m", "pytest", *options, *test.split()]
     else:
         program, _, case = test.partition(": ")
-        words = [str(copy.build_tree / "test" / program), case]
+        folder = copy.whole if mutation is None else copy.build_tree / "test"
+        words = [str(folder / program), case]
     try:
         ended = subprocess.run(  # noqa: S603
             words,
@@ -51,7 +65,7 @@ def run_test(copy: Copy, test: str, mutation: Mutation | None) -> End:
     except subprocess.TimeoutExpired:
         return End("hang", f"no end within {PATIENCE_S:.0f} s")
     judge = judge_pytest if test.startswith("tests/") else judge_cpp
-    return judge(ended.returncode, ended.stdout)
+    return replace(judge(ended.returncode, ended.stdout), imported=copy.was_imported)
 
 
 def judge_pytest(code: int, out: str) -> End:

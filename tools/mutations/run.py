@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from mutations.broken_copy import Copy, NotBuiltError
 from mutations.catalogue import REPOSITORY, Mutation, load
-from mutations.judge import End, run_test, targets_of
+from mutations.judge import End, program_of, run_test, targets_of
 from mutations.results import Result, Results, is_well, table
 from mutations.stamp import stamp
 
@@ -52,21 +52,30 @@ class Check:
 
     def _measured(self, mutation: Mutation) -> tuple[str, str, str]:
         for test in mutation.killed_by:
-            whole = self._whole_end(test)
-            if whole.how != "passed":
-                return "broken", test, f"unbroken, {test} ends so: {whole.how} {whole.words}"
+            self._copy.keep_whole(program_of(test))
         with self._copy.broken(mutation):
-            for test in mutation.killed_by:
-                if mutation.is_cpp:
-                    self._copy.build(targets_of(test))
-                end = run_test(self._copy, test, mutation)
-                if end.how != "passed":
-                    outcome, words = self._outcome(mutation, end)
-                    return outcome, test, words
-        return "survived", "", ""
+            test, end = self._first_to_notice(mutation)
+        if end.how == "passed":
+            return "survived", "", ""
+        whole = self._whole_end(test)
+        if whole.how != "passed":
+            return "broken", test, f"unbroken, {test} ends so: {whole.how} {whole.words}"
+        outcome, words = self._outcome(mutation, end)
+        return outcome, test, words
+
+    def _first_to_notice(self, mutation: Mutation) -> tuple[str, End]:
+        """The first test that does not pass, and how it ends; how the last one passes, else."""
+        test, end = "", End("passed")
+        for test in mutation.killed_by:
+            if mutation.is_cpp:
+                self._copy.build(targets_of(test))
+            end = run_test(self._copy, test, mutation)
+            if end.how != "passed":
+                break
+        return test, end
 
     def _outcome(self, mutation: Mutation, end: End) -> tuple[str, str]:
-        if end.how == "failed" and not mutation.is_cpp and not self._copy.was_imported:
+        if end.how == "failed" and not mutation.is_cpp and not end.imported:
             return "broken", f"{mutation.file} was not imported: {end.words}"
         failed = end.how in ("failed", *mutation.may)
         return ("killed" if failed else "broken"), f"{end.how}: {end.words}"
@@ -74,7 +83,8 @@ class Check:
     def _whole_end(self, test: str) -> End:
         """How a test ends without any mutation; asked once."""
         if test not in self._whole:
-            self._copy.build(targets_of(test))
+            if not program_of(test):
+                self._copy.build(targets_of(test))
             self._whole[test] = run_test(self._copy, test, None)
         return self._whole[test]
 
