@@ -99,6 +99,17 @@ TEST_CASE("a block that ends up free throughout gives its memory back") {
   CHECK(block.voxel(rule, 77).count == rule.settled_count());
 }
 
+TEST_CASE("free steps that are pending have observed every voxel") {
+  const IwloRule rule{IwloParams{}};
+  Block block({0, 0, 0});
+  auto& voxels = block.open(rule);
+  rule.add_free(voxels.units[77], voxels.count[77]);
+  block.close(rule);
+  CHECK(block.known_count() == 1);
+  block.add_free_everywhere(rule);
+  CHECK(block.is_dense() && block.known_count() == mapperd::kBlockVoxels);
+}
+
 TEST_CASE("where free steps say nothing, a block is only counted, for ever") {
   IwloParams params;
   params.L_free = 0.0;

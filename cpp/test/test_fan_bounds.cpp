@@ -63,6 +63,16 @@ void check_reach(const Fan& fan, const Vec3& centre, const Fan::Extent& extent, 
   }
 }
 
+TEST_CASE("a fan of half a turn ends at 90 degrees, and a wide one not beyond") {
+  const double half_pi = std::asin(1.0);
+  for (const double last : {half_pi, 1.3}) {
+    const double bearings[] = {-last, 0.0, last};
+    const auto edges = mapperd::beam_edges(bearings, 3);
+    CHECK(edges.front() == -half_pi && edges.back() == half_pi);
+    CHECK_NEAR(edges[1], -std::asin(std::sin(last) / 2), 1e-15);
+  }
+}
+
 TEST_CASE("a cube reaches no farther than its extent says, in any direction") {
   scenes::Random random(601);
   const scenes::Ping ping = wide_ping();
