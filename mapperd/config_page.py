@@ -79,7 +79,8 @@ them; a setting that is said under two names is an error.
 
 TAIL = """\
 All parameters of the published mapper are here under their names and with their defaults, except
-`outofcore.map_path`, whose default named a folder of its developers.
+`outofcore.map_path`, whose default named a folder of its developers, and `sonar.vertical_aperture`,
+whose 20 degrees map worse and slower ([accuracy-cost.md](accuracy-cost.md#mapping)).
 """
 
 

@@ -113,7 +113,8 @@ class Localization(Struct, frozen=True, forbid_unknown_fields=True):
     elevations: Annotated[
         int,
         rule(
-            "Of 3d: elevations within the aperture that a return may come from, the best counts.",
+            "Of 3d: elevations that a return may come from, in the beam's one-way width; the best "
+            "counts.",
             live=True,
             ge=1,
             le=32,

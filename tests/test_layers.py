@@ -136,6 +136,7 @@ ORDER = (
     "filters.robot_bands",
     "filters.sightings",
     "filters.stage",
+    "localization.aperture",
     "localization.scan",
     "localization.levels",
     "localization.first_return",

@@ -28,6 +28,8 @@ PICTURE = ROOT / "docs" / "images" / "scene-maps.png"
 MOST_PINGS = 300
 EXACT_WITHIN_M = 0.5
 VOXEL_M = 0.1
+BOTH_WAYS = 2.0**0.5
+"""A beam is so much wider one way than where half the power is left after both."""
 STILL_M = 0.01
 """What was seen farther than this from all that stands still was a moving object."""
 
@@ -107,7 +109,7 @@ def config_of(scenario: Scenario) -> dict[str, object]:
     return {
         "sonar": {
             "horizontal_fov": round(float(np.degrees(2.0 * sonar.half_aperture_rad)), 3),
-            "vertical_aperture": round(float(np.degrees(sonar.vertical_width_rad)), 3),
+            "vertical_aperture": round(float(np.degrees(sonar.vertical_width_rad)) / BOTH_WAYS, 1),
         },
         "mounting": {
             "position": {"x": x, "y": y, "z": z},

@@ -1,6 +1,5 @@
 """From a ping to a scan: what happens to a ping that the vehicle is to be found by."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +7,7 @@ from numpy.typing import NDArray
 
 from mapperd.config import Config
 from mapperd.echo import Echo
+from mapperd.localization.aperture import heard_aperture_rad
 from mapperd.localization.burst import BurstWatch
 from mapperd.localization.first_return import FirstReturns, Limits, first_returns
 from mapperd.localization.floor_gate import floor_gate_m
@@ -85,7 +85,7 @@ def _placed(
         gate_m = floor_gate_m(
             echo.bearings_rad,
             around.level_T_sonar,
-            math.radians(config.sonar.vertical_aperture),
+            heard_aperture_rad(config.sonar),
             height_m=around.height_m,
             depth_m=around.depth_m,
         )

@@ -1,12 +1,12 @@
 """How scans weigh particles on a map, by the settings."""
 
-import math
 import os
 from dataclasses import dataclass
 
 import numpy as np
 
 from mapperd.config import Config
+from mapperd.localization.aperture import heard_aperture_rad
 from mapperd.localization.beam_ends import elevation_fan_rad, ends_on_cones
 from mapperd.localization.filter import (
     Beams,
@@ -112,7 +112,7 @@ class MapWeighing:
     def _ends(self, scan: Scan, base_height_m: float, elevations: int) -> Endpoints:
         if not isinstance(self._known, VolumeMap):
             return Endpoints(scan.points_m[:, None, :2].copy(), scan.quality)
-        fan = elevation_fan_rad(elevations, math.radians(self._config.sonar.vertical_aperture))
+        fan = elevation_fan_rad(elevations, heard_aperture_rad(self._config.sonar))
         return Endpoints(ends_on_cones(scan, fan, base_height_m), scan.quality)
 
 

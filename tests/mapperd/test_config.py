@@ -13,7 +13,6 @@ ROOT = Path(__file__).resolve().parents[2]
 
 PUBLISHED_DEFAULTS = {
     "sonar.horizontal_fov": 130.0,
-    "sonar.vertical_aperture": 20.0,
     "filtering.min_range": 0.5,
     "filtering.intensity_threshold": 35.0,
     "mounting.position.x": 0.0,

@@ -23,7 +23,7 @@ SHARE = (0, 1)
 
 PUBLISHED: dict[str, tuple[Any, str, tuple[float | None, float | None], bool]] = {
     "sonar.horizontal_fov": (130.0, "deg", (0, 180), False),
-    "sonar.vertical_aperture": (20.0, "deg", (0, 90), False),
+    "sonar.vertical_aperture": (14.0, "deg", (0, 90), False),  # theirs was 20, the one-way width
     "filtering.min_range": (0.5, "m", (0, 100), True),
     "filtering.intensity_threshold": (35, "0-255", BRIGHTNESS, True),
     "mounting.position.x": (0.0, "m", (-100, 100), False),

@@ -8,7 +8,7 @@ from mapperd.config import Config
 from mapperd.errors import ConfigError
 from mapperd.flat_config import config_from_flat
 
-SEED: dict[str, Any] = {
+PUBLISHED: dict[str, Any] = {
     "horizontal_fov": 130.0,
     "vertical_aperture": 20.0,
     "min_range": 0.5,
@@ -45,8 +45,10 @@ SEED: dict[str, Any] = {
 }
 
 
-def test_the_published_defaults_are_ours() -> None:
-    assert config_from_flat(SEED) == config_from_flat({}) == Config()
+def test_the_published_defaults_are_ours_but_for_the_aperture() -> None:
+    ours = config_from_flat(PUBLISHED | {"vertical_aperture": 14.0})
+    assert ours == config_from_flat({}) == Config()
+    assert config_from_flat(PUBLISHED).sonar.vertical_aperture == 20.0
 
 
 def test_keys_reach_their_settings() -> None:

@@ -10,7 +10,7 @@ from dive_track import Drift, Track, drifted, track_of
 from dive_world import Place, World
 from numpy.typing import NDArray
 
-from mapperd.config import Amcl, Config, Localization, Sonar
+from mapperd.config import Amcl, Config, Localization
 from mapperd.frames import pose_from_rpy
 from mapperd.localization.estimate import Belief, PlanarGaussian
 from mapperd.localization.localizer import Localizer
@@ -119,8 +119,7 @@ def settings(place: Place, seed: int) -> Config:
         draw_exponent=0.5,
         rival_interval=66 * place.step_m,
     )
-    aperture_deg = 20.0
-    return Config(amcl=amcl, localization=ours, sonar=Sonar(vertical_aperture=aperture_deg))
+    return Config(amcl=amcl, localization=ours)
 
 
 def dive(

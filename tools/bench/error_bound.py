@@ -19,8 +19,9 @@ from bench_pings import Pings, load
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from our_settings import APERTURE_DEG
 
-from mapperd.config import Config, Mapping, Octree
+from mapperd.config import Config, Mapping, Octree, Sonar
 from mapperd.mapping import SonarMap
 
 BOUNDS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
@@ -54,7 +55,8 @@ Evidence = tuple[NDArray[np.int64], NDArray[np.float32]]
 def integrated(pings: Pings, i: int, resolution_m: float, bound: float) -> tuple[float, Evidence]:
     """Milliseconds of one ping, and its voxels: a number each, in order, and log-odds."""
     mapping = Mapping(error_bound=bound)
-    sonar_map = SonarMap(Config(octree=Octree(voxel_resolution=resolution_m), mapping=mapping))
+    octree, sonar = Octree(voxel_resolution=resolution_m), Sonar(vertical_aperture=APERTURE_DEG)
+    sonar_map = SonarMap(Config(sonar=sonar, octree=octree, mapping=mapping))
     echo = pings.echo(i, first_returns_only=False)
     began_s = time.perf_counter()
     sonar_map.integrate(echo, pings.map_T_sonar[i])

@@ -21,9 +21,10 @@ from bench_plot import draw
 from bench_report import markdown, put_into
 from contenders import BENCH, CONTENDERS, FIRST, FULL, Case, Contender
 from measured import Measured, run_json
+from our_settings import APERTURE_DEG
 from results import CaseResult, Results, Water
 
-from mapperd.config import Config, Mapping
+from mapperd.config import Mapping
 
 ROOT = BENCH.parent.parent
 PAGE, PICTURE = ROOT / "docs" / "performance.md", ROOT / "docs" / "images" / "performance.png"
@@ -85,7 +86,7 @@ def measure_all(said: argparse.Namespace) -> Results:
 
 def make_cases(out: Path, looks: Sequence[str], pings: int, seed: int) -> list[Case]:
     """Simulate the pings, or find them simulated, and write them for the rivals."""
-    aperture_rad = math.radians(Config().sonar.vertical_aperture)
+    aperture_rad = math.radians(APERTURE_DEG)
     cases = []
     for setting in SETTINGS:
         if setting.look not in looks:

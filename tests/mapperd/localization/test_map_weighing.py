@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from msgspec import structs
 
+from mapperd.config import Sonar
+from mapperd.localization.aperture import heard_aperture_rad
 from mapperd.localization.filter import ParticleFilter
 from mapperd.localization.map_weighing import MapWeighing
 from mapperd.localization.models import filter_rule
 from mapperd.localization.scan import decimated
-from tests.mapperd.localization.test_map_filter import room, scan_from
+from tests.mapperd.localization.filter_cases import filter_at
+from tests.mapperd.localization.test_map_filter import room, scan_from, solid
 from tests.mapperd.localization.test_rival import profile
 
 if TYPE_CHECKING:
@@ -65,3 +69,27 @@ def test_scans_that_the_settings_thin_are_searched_by() -> None:
     many = MapWeighing(room(), profile())
     assert many.can_search(decimated(SCAN, 15))
     assert not many.can_search(decimated(SCAN, 14))
+
+
+def test_returns_are_tried_over_the_height_that_is_heard() -> None:
+    """Two elevations halve the aperture's halves; a wall is as far as its lower one says."""
+    settings = structs.replace(
+        changed("localization", elevations=2), sonar=Sonar(vertical_aperture=50.0)
+    )
+    weighing = MapWeighing(solid(), settings)
+    ahead, at = len(SCAN) // 2, np.array([[4.0, 3.0, 0.2]])
+
+    def evidence(aperture_rad: float) -> float:
+        slant_m = SCAN.range_m[[ahead]] / np.cos(aperture_rad / 4.0)
+        beam = replace(
+            SCAN,
+            bearing_rad=SCAN.bearing_rad[[ahead]],
+            range_m=slant_m,
+            points_m=SCAN.points_m[[ahead]],
+            quality=SCAN.quality[[ahead]],
+            beam=SCAN.beam[[ahead]],
+        )
+        return weighing.weigh(filter_at(at), beam, -1.0, 1.0).log_evidence
+
+    heard_rad = heard_aperture_rad(settings.sonar)
+    assert evidence(heard_rad) > evidence(0.7 * heard_rad) > evidence(0.0)

@@ -111,7 +111,7 @@ def test_the_fan_is_told_when_it_changes(ping: Ping) -> None:
     said = message(feed.newest("fan").frame)
     assert isinstance(said, Fan)
     assert said.bearings_rad[0] == pytest.approx(ping.bearings_rad[0], abs=1e-4)
-    assert said.vertical_aperture_rad == pytest.approx(math.radians(20))
+    assert said.vertical_aperture_rad == pytest.approx(math.radians(14))
     assert said.min_range_m == 0.5
     assert said.max_range_m == pytest.approx(ping.max_range_m, abs=1e-3)
     daemon.settings.apply({"filtering.min_range": 0.7}, "test")

@@ -79,13 +79,14 @@ def test_the_converged_map_has_no_error_and_a_bound_has_some(folder: Path) -> No
     assert 0.0 < default <= loose["log_odds_error"] < 0.2
 
 
-def test_profiles_err_less_than_the_defaults_on_their_grids(folder: Path) -> None:
+def test_profiles_err_less_than_the_published_aperture_on_their_grids(folder: Path) -> None:
     wholes = {whole.label: whole for whole in WHOLES}
     found = []
     for name, voxel_m in (("survey", 0.05), ("balanced", 0.1), ("low_power", 0.2)):
         assert wholes[name].overrides["octree.voxel_resolution"] == voxel_m
-        plain = Setting("plain", {"octree.voxel_resolution": voxel_m})
-        own, other = (STUDY.measure(s, BASIN, folder)[STUDY.error] for s in (wholes[name], plain))
+        wide = {"octree.voxel_resolution": voxel_m, "sonar.vertical_aperture": 20.0}
+        settings = (wholes[name], Setting("wide", wide))
+        own, other = (STUDY.measure(setting, BASIN, folder)[STUDY.error] for setting in settings)
         assert own < 0.97 * other, name
         found.append(own)
     assert found == sorted(found)
@@ -167,7 +168,7 @@ def test_a_default_without_overrides_is_the_daemons_default() -> None:
         default = next(setting for setting in knob.settings if not setting.overrides)
         for setting in knob.settings:
             for name, value in setting.overrides.items():
-                if name.startswith("study.") or name == "sonar.vertical_aperture":
+                if name.startswith("study."):
                     continue
                 section, field = name.split(".")
                 now = getattr(getattr(Config(), section), field)
@@ -195,7 +196,15 @@ def test_the_published_system_is_slow_to_see_and_old_in_its_poses() -> None:
     assert config.time_sync.policy == "latest"
     assert (config.processing.frame_skip, config.octree.voxel_resolution) == (5, 0.05)
     assert config.adaptive.min_ratio == 0.0
+    assert config.sonar.vertical_aperture == 20.0  # of the data sheet, one way
     assert PUBLISHED in WHOLES
+
+
+def test_the_sonars_of_all_dives_are_those_of_the_default_aperture() -> None:
+    for dive in STUDY.dives:
+        both_ways_deg = np.degrees(made_by(dive).sonar.vertical_width_rad) / np.sqrt(2)
+        assert Config().sonar.vertical_aperture == pytest.approx(both_ways_deg, rel=0.02)
+        assert config_for(DEFAULT, made_by(dive))[0].sonar == Config().sonar
 
 
 def test_other_rules_are_not_compared_with_the_converged_map() -> None:

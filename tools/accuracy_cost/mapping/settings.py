@@ -50,6 +50,8 @@ class Thinning:
 def config_for(setting: Setting, made: Made) -> tuple[Config, Thinning]:
     """The daemon's settings for a dive's sonar and mounting, all else by default or as overridden.
 
+    The sonars of the dives are as high as the one that `sonar.vertical_aperture` is by default for.
+
     Raises:
         ConfigError: there is no such setting, or the value is not allowed.
     """
@@ -57,7 +59,6 @@ def config_for(setting: Setting, made: Made) -> tuple[Config, Thinning]:
     x, y, z = mounting.position_m
     said: dict[str, Value] = {
         "sonar.horizontal_fov": round(float(np.degrees(2.0 * sonar.half_aperture_rad)), 3),
-        "sonar.vertical_aperture": round(float(np.degrees(sonar.vertical_width_rad)), 3),
         "mounting.position.x": x,
         "mounting.position.y": y,
         "mounting.position.z": z,
