@@ -2,12 +2,12 @@
 
 import re
 import subprocess
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mutations.broken_copy import MODULES, Copy
 from mutations.catalogue import Mutation
+from mutations.forked import run_forked
 
 __all__ = ["End", "judge_cpp", "judge_pytest", "program_of", "run_test", "targets_of"]
 
@@ -31,6 +31,9 @@ class End:
     imported: bool = False
 
 
+HANG = End("hang", f"no end within {PATIENCE_S:.0f} s")
+
+
 def targets_of(test: str) -> tuple[str, ...]:
     """What must be built before a test is run."""
     program = program_of(test)
@@ -44,18 +47,20 @@ def program_of(test: str) -> str:
 
 def run_test(copy: Copy, test: str, mutation: Mutation | None) -> End:
     """Run one entry of `killed_by`."""
+    environment = copy.environment(mutation)
     if test.startswith("tests/"):
         options = ["-q", "-x", "-rfE", "-p", "no:cacheprovider", "--hypothesis-seed=0"]
-        words = [sys.executable, "-m", "pytest", *options, *test.split()]
-    else:
-        program, _, case = test.partition(": ")
-        folder = copy.whole if mutation is None else copy.build_tree / "test"
-        words = [str(folder / program), case]
+        words = [*options, *test.split()]
+        code, printed = run_forked(words, copy.root, environment, PATIENCE_S)
+        end = HANG if code is None else judge_pytest(code, printed)
+        return replace(end, imported=copy.was_imported)
+    program, _, case = test.partition(": ")
+    folder = copy.whole if mutation is None else copy.build_tree / "test"
     try:
         ended = subprocess.run(  # noqa: S603
-            words,
+            [str(folder / program), case],
             cwd=copy.root,
-            env=copy.environment(mutation),
+            env=environment,
             capture_output=True,
             text=True,
             errors="replace",
@@ -63,9 +68,8 @@ def run_test(copy: Copy, test: str, mutation: Mutation | None) -> End:
             timeout=PATIENCE_S,
         )
     except subprocess.TimeoutExpired:
-        return End("hang", f"no end within {PATIENCE_S:.0f} s")
-    judge = judge_pytest if test.startswith("tests/") else judge_cpp
-    return replace(judge(ended.returncode, ended.stdout), imported=copy.was_imported)
+        return HANG
+    return judge_cpp(ended.returncode, ended.stdout)
 
 
 def judge_pytest(code: int, out: str) -> End:

@@ -15,7 +15,7 @@ sys.meta_path[:] = [
 ]
 
 
-def _bear_witness(mutated: Path, witness: Path) -> None:
+def bear_witness(mutated: Path, witness: Path) -> None:
     files = [getattr(module, "__file__", None) for module in list(sys.modules.values())]
     if any(file is not None and Path(file) == mutated for file in files):
         witness.touch()
@@ -23,7 +23,7 @@ def _bear_witness(mutated: Path, witness: Path) -> None:
 
 if "MUTATIONS_FILE" in os.environ:
     atexit.register(
-        _bear_witness,
+        bear_witness,
         Path(os.environ["MUTATIONS_FILE"]),
         Path(os.environ["MUTATIONS_WITNESS"]),
     )
