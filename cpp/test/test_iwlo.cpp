@@ -190,6 +190,41 @@ TEST_CASE("a threshold at full scale gives no NaN") {
   CHECK(rule.occupied_weight(std::numeric_limits<double>::quiet_NaN()) == 0.0);
 }
 
+TEST_CASE("an intensity above full scale weighs what full scale does") {
+  const IwloRule rule{IwloParams{}};
+  for (const double bright : {255.5, 300.0, 1e30}) {
+    CHECK(rule.occupied_weight(bright) == rule.occupied_weight(255));
+  }
+}
+
+TEST_CASE("steps are rounded to the nearest unit, free ones that are taken together too") {
+  for (const double part : {0.4, 0.6, 1.4, 1.6, 2.9}) {
+    std::int32_t up = 0, down = 0;
+    std::uint16_t count = 0;
+    const IwloRule rule{IwloParams{}};
+    rule.add(part * mapperd::kLogOddsUnit, up, count);
+    rule.add(-part * mapperd::kLogOddsUnit, down, count);
+    CHECK(up == std::lround(part) && down == -up);
+    IwloParams params;
+    params.L_free = -part * mapperd::kLogOddsUnit;
+    params.decay_rate = 0;
+    std::int32_t together = 0;
+    IwloRule(params).add_unscaled_free(together, count, 3);
+    CHECK(together == -3 * std::lround(part));
+  }
+}
+
+TEST_CASE("free steps are taken together up to where protection begins") {
+  for (const double threshold : {0.2, 0.5, 0.8}) {
+    IwloParams params;
+    params.adaptive_threshold = threshold;
+    const IwloRule rule(params);
+    const double limit = log_odds_of(rule.unscaled_up_to());
+    CHECK(rule.free_step(limit - 0.01, 0) == params.L_free);
+    CHECK(rule.free_step(limit + 0.01, 0) > params.L_free);
+  }
+}
+
 TEST_CASE("log-odds stay inside the clamps") {
   const IwloRule rule(set_a());
   std::int32_t units = 0;
