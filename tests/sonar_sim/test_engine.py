@@ -186,6 +186,17 @@ def test_speckle_stays_on_the_surface_when_the_sonar_moves() -> None:
     assert abs(np.corrcoef(here, at(0.5))[0, 1]) < 0.1
 
 
+def test_other_grain_is_that_of_an_engine_of_that_seed() -> None:
+    slope = rectangle((5.0, 0, -1.0), (6.0, 0, 2.0), (0.0, 6.0, 0.0))
+    scene, sonar = Scene((slope,)), narrow_sonar(9.0, 0.01, 32)
+    engine = Engine(scene, sonar, 3)
+    before = engine.ping(HERE, FULL).amplitude
+    other = engine.reseeded(4).ping(HERE, FULL).amplitude
+    assert np.array_equal(other, Engine(scene, sonar, 4).ping(HERE, FULL).amplitude)
+    assert not np.array_equal(other, before)
+    assert np.array_equal(engine.ping(HERE, FULL).amplitude, before)
+
+
 def test_shadows_hide_and_without_them_all_is_heard() -> None:
     scene = Scene((plate(2.0, "near"), plate(4.0, "far")))
     rows = np.square(picture(scene, MEAN)).sum(axis=1)

@@ -63,12 +63,14 @@ class Column:
         title: of its axis, with its unit.
         better: "less" or "more".
         repeatable: the same in every run of the same commit; times are not.
+        chance: column of its standard error, where it is of a sample drawn at random.
     """
 
     name: str
     title: str
     better: str = "less"
     repeatable: bool = True
+    chance: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,6 @@
 """One ping of a scene, with exactly the effects that a `Physics` calls for."""
 
+import copy
 import time
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -120,6 +121,12 @@ class Engine:
     def meshes(self) -> Meshes:
         """The scene's triangles, ready to be met by rays."""
         return self._meshes
+
+    def reseeded(self, seed: int) -> "Engine":
+        """The same sonar in the same scene, with other grain: shares all that is slow to make."""
+        other = copy.copy(self)
+        other._seed = seed  # noqa: SLF001 one of ours
+        return other
 
     def ping(
         self,

@@ -1,10 +1,24 @@
 """What is worth choosing, by hand and against brute force."""
 
 import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
-from accuracy_cost.front import Lag, Point, dominates, front, lag
-from accuracy_cost.study import Setting
+from accuracy_cost.front import (
+    Lag,
+    Plane,
+    Point,
+    dominates,
+    front,
+    lag,
+    mean_point,
+    plane_of,
+)
+from accuracy_cost.results import Results, key_of
+from accuracy_cost.studies import DEFAULT
+from accuracy_cost.study import Setting, Study
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -68,6 +82,36 @@ def test_costs_within_a_twentieth_are_the_same() -> None:
 
 def test_no_lag_behind_errors_that_are_equal_or_do_not_exist() -> None:
     assert lag(point(10, 1), [point(5, 1), point(5, NAN), point(NAN, 0.5)]) == Lag(0.0, None)
+
+
+def test_a_difference_that_may_be_chance_is_no_lag() -> None:
+    drawn = Point(Setting("", {}), 10, 1.0, chance=0.03)
+    sure, unsure = point(9, 0.8, "sure"), Point(Setting("unsure", {"x": "u"}), 9, 0.7, chance=0.14)
+    assert lag(drawn, [point(9, 0.95)]) == Lag(0.0, None)
+    # Two standard errors of the difference are taken off: 0.06 and 2 hypot(0.03, 0.14) = 0.286.
+    found = lag(drawn, [unsure, sure])
+    assert found.better == sure.setting
+    assert found.share == pytest.approx(1.0 - 0.86)
+
+
+def test_the_mean_over_dives_is_surer_than_each(fake: Study) -> None:
+    results = Results({"study": "fake"}, ["error_m", "cpu_ms", "error_chance_m"])
+    for dive, chance in zip(fake.dives, (0.3, 0.4), strict=True):
+        row = {"error_m": 1.0, "cpu_ms": 1.0, "error_chance_m": chance}
+        results.rows[key_of(DEFAULT, dive)] = row
+    plane = Plane("cpu_ms", "error_m", "error_chance_m")
+    assert mean_point(plane, results, DEFAULT, fake.dives).chance == pytest.approx(0.25)
+    assert mean_point(Plane("cpu_ms", "error_m"), results, DEFAULT, fake.dives).chance == 0.0
+
+
+def test_an_error_has_the_chance_that_its_column_names(fake: Study) -> None:
+    columns = tuple(
+        replace(column, chance="share" if column.name == "error_m" else None)
+        for column in fake.columns
+    )
+    drawn = SimpleNamespace(cost="cpu_ms", error="error_m", columns=columns)
+    assert plane_of(cast("Study", drawn)) == Plane("cpu_ms", "error_m", "share")
+    assert plane_of(fake) == Plane("cpu_ms", "error_m", None)
 
 
 def test_an_error_that_does_not_exist_is_worse_than_any() -> None:

@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 from accuracy_cost.simulation.error import (
     RETURN,
-    Grain,
     beyond_tolerance,
     first_returns_m,
-    grain_errors,
-    grain_of,
     picture_errors,
     rounded,
 )
@@ -102,33 +99,8 @@ def test_without_any_return_in_common_its_error_does_not_exist() -> None:
     assert math.isnan(errors["return_p95_m"])
 
 
-def test_rayleigh_grain_spreads_by_its_law_and_leaks_into_the_next_row() -> None:
-    rng = np.random.default_rng(1)
-    field = rng.normal(size=(1001, 400)) + 1j * rng.normal(size=(1001, 400))
-    leak = 0.26
-    grain = grain_of(20.0 * np.log10(np.abs(field[1:-1] + leak * (field[:-2] + field[2:]))))
-    assert grain.spread_db == pytest.approx(5.57, abs=0.03)
-    # The correlation of Rayleigh amplitudes is nearly that of their powers, which is the square
-    # of their fields'.
-    of_fields = 2.0 * leak / (1.0 + 2.0 * leak**2)
-    assert grain.row_correlation == pytest.approx(of_fields**2, abs=0.02)
-
-
-def test_a_picture_without_grain_lacks_all_of_it() -> None:
-    even = grain_of(np.zeros((5, 4)))
-    assert grain_errors(even, Grain(5.57, 0.19)) == {
-        "grain_spread_db": 5.57,
-        "grain_correlation": 0.19,
-    }
-
-
 def test_rounding_holds_what_an_integer_pixel_holds() -> None:
     gamma = SonarSettings(gamma_byte=127)
     assert rounded(np.array([0.3, 1.1]), SONAR) == pytest.approx([76 / 255, 280 / 255])
     pixel = round(255 * 0.01 ** (127 / 255))
     assert rounded(np.array([0.01]), gamma) == pytest.approx([(pixel / 255) ** (255 / 127)])
-
-
-def test_grain_of_a_picture_that_shows_nothing_does_not_exist() -> None:
-    nothing = grain_of(np.full((5, 4), np.nan))
-    assert all(math.isnan(value) for value in grain_errors(nothing, nothing).values())

@@ -132,7 +132,7 @@ def measured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Measured:
     floor = load_scenario("flat_floor")
     sonar = replace(floor.sonar, beams=48, forced_rows=60, half_aperture_rad=math.radians(12.0))
     small = replace(floor, sonar=sonar)
-    stretches = scenes.Stretches((0.5,), pings=1, elevations=64)
+    stretches = scenes.Stretches((0.5,), pings=1, grains=4, elevations=64)
     monkeypatch.setattr(scenes, "load_scenario", lambda _: small)
     monkeypatch.setitem(scenes.STRETCHES, TINY.name, stretches)
     STUDY.prepare(TINY, tmp_path)
@@ -166,6 +166,23 @@ def test_each_shortcut_is_an_error_of_its_own_kind(measured: Measured) -> None:
     even = measured(**ALL, **{"sim_effect.speckle": False})
     assert even["grain_spread_db"] == pytest.approx(5.57, abs=0.5)
     assert even["image_rms_db"] == pytest.approx(whole["image_rms_db"])
+
+    sparse = measured(**ALL, sim_nodes_per_beam=0.2)
+    assert sparse["grain_spread_db"] > 4.0 * sparse["grain_spread_chance_db"]
+    assert whole["grain_spread_db"] < 3.0 * whole["grain_spread_chance_db"]
+
+
+def test_settings_that_change_nothing_of_the_surfaces_share_a_grain(
+    measured: Measured, tmp_path: Path
+) -> None:
+    quiet, noisy, coarse = (
+        measured(**setting)
+        for setting in ({"sim_effect.noise": False}, {"sim_effect.noise": True}, {"sim_beams": 24})
+    )
+    of_grain = [name for name in quiet if name.startswith("grain")]
+    assert [quiet[name] for name in of_grain] == [noisy[name] for name in of_grain]
+    assert coarse["grain_spread_db"] != quiet["grain_spread_db"]
+    assert len(list(tmp_path.glob("grain-*.npy"))) == 2
 
 
 @pytest.mark.usefixtures("measured")

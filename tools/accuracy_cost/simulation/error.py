@@ -1,7 +1,6 @@
-"""How far pictures lie from the reference: levels, first returns, grain. Float64, numpy alone."""
+"""How far pictures lie from the reference: levels and first returns. Float64, numpy alone."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,19 +11,6 @@ Picture = NDArray[np.float64]
 
 RETURN = 35.0 / 255.0
 """Amplitude of a first return: the threshold of the mapper's own defaults."""
-
-
-@dataclass(frozen=True, slots=True)
-class Grain:
-    """Of a speckled picture.
-
-    Attributes:
-        spread_db: standard deviation of the level over its expectation; 5.57 dB is Rayleigh's.
-        row_correlation: of neighbouring rows' amplitudes over their expectation.
-    """
-
-    spread_db: float
-    row_correlation: float
 
 
 def picture_errors(
@@ -109,31 +95,6 @@ def first_returns_m(picture: Picture, row_m: float) -> Picture:
     with np.errstate(divide="ignore", invalid="ignore"):
         part = np.where(row > 0, (RETURN - before) / (here - before), 0.0)
     return np.where(above.any(axis=0), (row - 0.5 + part) * row_m, np.nan)
-
-
-def grain_of(level_db: Picture) -> Grain:
-    """Measure a picture's grain.
-
-    Args:
-        level_db: over the expected level, NaN where nothing shows, (rows, beams).
-    """
-    if np.isnan(level_db).all():
-        return Grain(float("nan"), float("nan"))
-    spread_db = float(np.nanstd(level_db))
-    relative = 10.0 ** (level_db / 20.0)
-    both = np.isfinite(relative[:-1]) & np.isfinite(relative[1:])
-    if spread_db == 0.0:
-        return Grain(0.0, 0.0)
-    correlation = float(np.corrcoef(relative[:-1][both], relative[1:][both])[0, 1])
-    return Grain(spread_db, correlation)
-
-
-def grain_errors(shown: Grain, truth: Grain) -> dict[str, float]:
-    """How far one is from the other."""
-    return {
-        "grain_spread_db": abs(shown.spread_db - truth.spread_db),
-        "grain_correlation": abs(shown.row_correlation - truth.row_correlation),
-    }
 
 
 def _hull(picture: Picture, cells: float) -> tuple[Picture, Picture]:

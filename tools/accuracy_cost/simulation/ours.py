@@ -1,8 +1,11 @@
 """Pings of our own engine: timed as a user has them, and their expected pictures and grain."""
 
 import functools
+import hashlib
+import pickle
 import time
 import tracemalloc
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,11 +17,15 @@ from sonar_sim.physics import Physics
 from sonar_sim.picture_change import expected_clipped, gamma_of
 from sonar_sim.sonar import SonarSettings
 
+from accuracy_cost.simulation.grain import Grain, grain_of
 from accuracy_cost.simulation.scenes import Moment, moments_of, scenario_of
 from accuracy_cost.simulation.settings import Making
 from accuracy_cost.study import Dive
 
 Picture = NDArray[np.float64]
+
+LEAST = 1e-9
+"""Of the expected amplitude: a cell of nothing has no level."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,21 +76,35 @@ class Ours:
         planner = self._planner()
         return [self._seen(planner, stretch[0]) for stretch in moments_of(self._dive)]
 
-    def grain(self) -> Picture:
-        """Level of a ping's echoes over their expected level, dB, NaN where nothing shows.
-
-        Without what is not speckle of surfaces: noise, the water's own echoes, other sonars.
-        """
+    def grain(self, seeds: Iterable[int]) -> Grain:
+        """Of the first ping's echoes over their expected level, with surfaces of random seeds."""
         moment = moments_of(self._dive)[0][0]
-        physics = self._physics(self._planner(), moment)
-        physics = replace(physics, noise_level_db=None, volume_strength_db=None, arrivals=())
-        grained, smooth = (
-            self._made(moment, replace(physics, speckle=speckle)).amplitude.astype(np.float64)
-            for speckle in (physics.speckle, False)
-        )
+        physics = self._surfaces_alone(moment)
+        smooth = self._made(moment, replace(physics, speckle=False)).amplitude
         shows = smooth > 1.0 / (2**self.sonar.bits - 1)
+        return grain_of([self._level_db(physics, seed, smooth, shows) for seed in seeds])
+
+    def grain_key(self) -> str:
+        """Equal where settings make the same grain."""
+        making = self._making
+        sampling = (making.elevations, making.nodes_per_beam, making.beams)
+        physics = self._surfaces_alone(moments_of(self._dive)[0][0])
+        return hashlib.sha256(pickle.dumps((physics, sampling))).hexdigest()[:16]
+
+    def _surfaces_alone(self, moment: Moment) -> Physics:
+        """Without what is not speckle of surfaces: noise, the water's own echoes, other sonars."""
+        physics = self._physics(self._planner(), moment)
+        return replace(physics, noise_level_db=None, volume_strength_db=None, arrivals=())
+
+    def _level_db(
+        self, physics: Physics, seed: int, smooth: NDArray[np.float32], shows: NDArray[np.bool_]
+    ) -> Picture:
+        """A ping's level over the expected one, NaN where nothing shows."""
+        engine = self._engine.reseeded(seed)
+        grained = _ping(engine, moments_of(self._dive)[0][0], physics).amplitude
         level_db = np.full(smooth.shape, np.nan)
-        level_db[shows] = 20.0 * np.log10(np.maximum(grained[shows], 1e-12) / smooth[shows])
+        relative = grained[shows].astype(np.float64) / smooth[shows]
+        level_db[shows] = 20.0 * np.log10(np.maximum(relative, LEAST))
         return level_db
 
     def _planner(self) -> Planner:
@@ -108,17 +129,18 @@ class Ours:
         return Seen(widened(picture, beams), physics.quantised)
 
     def _made(self, moment: Moment, physics: Physics) -> EnginePing:
-        return self._engine.ping(
-            moment.map_T_sonar, physics, moment.number, moment.time_s, moment.motion
-        )
+        return _ping(self._engine, moment, physics)
 
 
 def expected(engine: Engine, sonar: SonarSettings, moment: Moment, physics: Physics) -> Picture:
     """Amplitude of full scale with speckle averaged, before pixels are rounded, (rows, beams)."""
     even = replace(physics, quantised=False, speckle=False, saturation=False)
-    made = engine.ping(moment.map_T_sonar, even, moment.number, moment.time_s, moment.motion)
-    amplitude = made.image.astype(np.float64) ** (1.0 / gamma_of(sonar))
+    amplitude = _ping(engine, moment, even).image.astype(np.float64) ** (1.0 / gamma_of(sonar))
     return (expected_clipped(amplitude) if physics.saturation else amplitude).astype(np.float64)
+
+
+def _ping(engine: Engine, moment: Moment, physics: Physics) -> EnginePing:
+    return engine.ping(moment.map_T_sonar, physics, moment.number, moment.time_s, moment.motion)
 
 
 def widened(picture: Picture, beams: int) -> Picture:

@@ -8,6 +8,7 @@ it, and its values become levels by the straight line that fits the reference be
 import functools
 import time
 import tracemalloc
+from collections.abc import Iterable
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ from sonar_sim.pinhole import Onlooker, View
 from sonar_sim.sonar import SonarSettings
 
 from accuracy_cost.simulation.error import Picture, step
+from accuracy_cost.simulation.grain import Grain, grain_of
 from accuracy_cost.simulation.scenes import Moment, moments_of, scenario_of
 from accuracy_cost.study import Dive
 
@@ -61,9 +63,14 @@ class Published:
             for moment, truth in zip(firsts, truths, strict=True)
         ]
 
-    def grain(self) -> Picture:
-        """Level of a frame's speckle, dB, NaN where nothing is drawn, in the plan view."""
-        smooth, speckled = self._plan_views(moments_of(self._dive)[0][0])
+    def grain(self, seeds: Iterable[int]) -> Grain:
+        """Of a frame's speckle over what it is drawn on, in the plan view."""
+        moment = moments_of(self._dive)[0][0]
+        return grain_of([self._level_db(moment, seed) for seed in seeds])
+
+    def _level_db(self, moment: Moment, seed: int) -> Picture:
+        """Level of a frame's speckle, NaN where nothing is drawn."""
+        smooth, speckled = self._plan_views(moment, np.random.default_rng(seed))
         level_db = np.full(smooth.shape, np.nan)
         drawn = (smooth > 0.0) & (speckled > 0.0)
         level_db[drawn] = 20.0 * np.log10(speckled[drawn] / smooth[drawn])
@@ -73,9 +80,11 @@ class Published:
         smooth, _ = self._plan_views(moment)
         return in_cells(smooth, self._camera.horizontal_rad, self.sonar)
 
-    def _plan_views(self, moment: Moment) -> tuple[Picture, Picture]:
+    def _plan_views(
+        self, moment: Moment, generator: np.random.Generator | None = None
+    ) -> tuple[Picture, Picture]:
         """Before and after speckle, (400, columns)."""
-        view, images = self._frame(moment)
+        view, images = self._frame(moment, generator)
         x, y = places(view.depth_m.shape, self._camera.focal_px)
         pie = plan_view.pie(self._camera.horizontal_rad)
         smooth = plan_view.broadened(plan_view.strewn(view.depth_m, images.snr, x, y, pie))
@@ -86,9 +95,11 @@ class Published:
         self._frame(moment)
         return 1e3 * (time.process_time() - start_s)
 
-    def _frame(self, moment: Moment) -> tuple[View, ClassicImages]:
+    def _frame(
+        self, moment: Moment, generator: np.random.Generator | None = None
+    ) -> tuple[View, ClassicImages]:
         view = self._onlooker.look(self._camera, moment.map_T_sonar)
-        return view, classic_images(view.depth_m, self._camera.horizontal_rad)
+        return view, classic_images(view.depth_m, self._camera.horizontal_rad, generator)
 
 
 def in_cells(plan: Picture, horizontal_rad: float, sonar: SonarSettings) -> Picture:

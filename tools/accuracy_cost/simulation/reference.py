@@ -20,9 +20,9 @@ from sonar_sim.fan import MARGIN_BEAMS
 from sonar_sim.sonar import SonarSettings
 from sonar_sim.tolerance import Tolerance
 
-from accuracy_cost.simulation.error import Grain, grain_of
+from accuracy_cost.simulation.grain import Grain
 from accuracy_cost.simulation.ours import Ours, Picture, expected
-from accuracy_cost.simulation.scenes import STRETCHES, Moment, moments_of, scenario_of
+from accuracy_cost.simulation.scenes import STRETCHES, Moment, grain_seeds, moments_of, scenario_of
 from accuracy_cost.simulation.settings import making_of
 from accuracy_cost.study import Dive, Value
 
@@ -32,6 +32,8 @@ POSES = 32
 """A ping, where motion within it counts."""
 SCATTERERS = 64
 """In a row of a beam's width, of the reference's grain."""
+GRAINS = 3
+"""Times as many random seeds as a setting has: the truth's chance is in all their errors."""
 MOST_SINE = 0.99
 
 
@@ -41,7 +43,7 @@ class Reference:
 
     Attributes:
         pictures: expected amplitudes of the first ping of each stretch, (rows, beams) each.
-        grain: of the first ping.
+        grain: of the first pings.
     """
 
     pictures: list[Picture]
@@ -86,9 +88,11 @@ def reference_pictures(dive: Dive) -> list[Picture]:
 
 
 def reference_grain(dive: Dive) -> Grain:
-    """Of as many scatterers as leave no grain of their own."""
+    """Of as many scatterers as leave no grain of their own, and surfaces of other random seeds."""
     everything: dict[str, Value] = {"sim.effects": "all", "sim.nodes_per_beam": SCATTERERS}
-    return grain_of(Ours(making_of(everything), dive).grain())
+    of_settings = grain_seeds(dive)
+    seeds = range(of_settings.stop, of_settings.stop + GRAINS * len(of_settings))
+    return Ours(making_of(everything), dive).grain(seeds)
 
 
 def finer(sonar: SonarSettings) -> SonarSettings:

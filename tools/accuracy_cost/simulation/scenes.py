@@ -19,11 +19,13 @@ class Stretches:
     Attributes:
         parts: of the path's time, where each stretch begins.
         pings: of each; the first one's picture is compared, all are timed.
+        grains: random seeds of the surfaces, over which the grain is taken.
         elevations: rays of a column of the reference.
     """
 
     parts: tuple[float, ...]
     pings: int = 3
+    grains: int = 8
     elevations: int = 512
 
 
@@ -39,7 +41,7 @@ class Moment:
 
 STRETCHES = {
     # Looks alike all along, and is the one that must be quick.
-    "flat_floor": Stretches((0.5,), pings=4, elevations=128),
+    "flat_floor": Stretches((0.5,), pings=4, grains=4, elevations=128),
     "harbour": Stretches((0.05, 0.5), pings=4),
     "tank": Stretches((0.5,)),
     "wreck": Stretches((0.5,)),
@@ -48,6 +50,11 @@ STRETCHES = {
 }
 
 DIVES = tuple(Dive(name, seed=1, quick=name == "flat_floor") for name in STRETCHES)
+
+
+def grain_seeds(dive: Dive) -> range:
+    """Of a setting's surfaces; those after them are the reference's."""
+    return range(dive.seed, dive.seed + STRETCHES[dive.name].grains)
 
 
 @functools.lru_cache(maxsize=2)
