@@ -1,7 +1,7 @@
 """What was promised beside the published settings, on figures made up for it."""
 
 import pytest
-from accuracy_cost.mapping.knobs import PUBLISHED, PUBLISHED_SHIPPED
+from accuracy_cost.mapping.knobs import PUBLISHED, PUBLISHED_FILE, PUBLISHED_SHIPPED
 from accuracy_cost.mapping.promise import evidence, kept, sentences
 
 
@@ -13,6 +13,7 @@ ROWS = {
     "": row(0.10, 80.0, 0.01),
     PUBLISHED.key: row(0.30, 20.0),
     PUBLISHED_SHIPPED.key: row(0.05, 100.0),
+    PUBLISHED_FILE.key: row(0.31, 10.0),
     "mapping.integrator=rays": row(0.01, 1.0, 5.0),
     "octree.voxel_resolution=0.1": row(0.12, 20.0),
     "octree.voxel_resolution=0.2": row(0.30, 2.0),
@@ -46,7 +47,8 @@ def test_evidence_is_compared_with_rays_alone() -> None:
 def test_sentences_name_each_dive_and_what_was_not_kept() -> None:
     text = sentences({"pond": ROWS})
     assert "| pond | published | 0.300 m, 20.0 ms | 10 times cheaper" in text
-    assert text.count("**no**") == 1
+    assert "| pond | published, its file at 0.2 m | 0.310 m, 10.0 ms | 10 times cheaper" in text
+    assert text.count("**no**") == 2
 
 
 def test_sentences_say_where_none_of_ours_comes_near() -> None:
@@ -54,6 +56,7 @@ def test_sentences_say_where_none_of_ours_comes_near() -> None:
         "": row(0.4, 80.0, 0.01),
         PUBLISHED.key: row(0.3, 1.0),
         PUBLISHED_SHIPPED.key: row(0, 1),
+        PUBLISHED_FILE.key: row(0.2, 0.5),
     }
     text = sentences({"pond": rows | {"mapping.integrator=rays": row(0.01, 1.0, 5.0)}})
     assert "| none errs so little | none takes so little | **no** |" in text

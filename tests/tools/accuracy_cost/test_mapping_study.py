@@ -8,7 +8,7 @@ import pytest
 from accuracy_cost.mapping import STUDY
 from accuracy_cost.mapping.dives import capture_of, made_by
 from accuracy_cost.mapping.driving import Driven, drive
-from accuracy_cost.mapping.knobs import KNOBS, PUBLISHED, WHOLES
+from accuracy_cost.mapping.knobs import KNOBS, PUBLISHED, PUBLISHED_FILE, WHOLES
 from accuracy_cost.mapping.metrics import reliability
 from accuracy_cost.mapping.oracle import CONVERGED, same_rule
 from accuracy_cost.mapping.recalibration import FILE, told_and_true
@@ -205,6 +205,19 @@ def test_the_sonars_of_all_dives_are_those_of_the_default_aperture() -> None:
         both_ways_deg = np.degrees(made_by(dive).sonar.vertical_width_rad) / np.sqrt(2)
         assert Config().sonar.vertical_aperture == pytest.approx(both_ways_deg, rel=0.02)
         assert config_for(DEFAULT, made_by(dive))[0].sonar == Config().sonar
+
+
+def test_the_published_file_is_coarse_and_trusts_each_echo_alike() -> None:
+    config, _ = config_for(PUBLISHED_FILE, made_by(BASIN))
+    assert config.mapping.integrator == "rays"
+    assert (config.processing.frame_skip, config.octree.voxel_resolution) == (5, 0.2)
+    assert (config.filtering.intensity_threshold, config.filtering.min_range) == (100.0, 1.0)
+    assert (config.iwlo.L_occ, config.iwlo.L_free) == (2.0, -4.0)
+    assert (config.iwlo.L_min, config.iwlo.L_max) == (-12.0, 8.0)
+    assert (config.iwlo.sharpness, config.iwlo.min_alpha) == (0.1, 0.3)
+    assert (config.iwlo.decay_rate, config.mapping.occupied_threshold) == (0.1, 0.7)
+    assert config.sonar.vertical_aperture == 20.0
+    assert PUBLISHED_FILE in WHOLES
 
 
 def test_other_rules_are_not_compared_with_the_converged_map() -> None:

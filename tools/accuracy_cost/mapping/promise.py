@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from accuracy_cost.mapping.knobs import PUBLISHED, PUBLISHED_SHIPPED
+from accuracy_cost.mapping.knobs import PUBLISHED, PUBLISHED_FILE, PUBLISHED_SHIPPED
 from accuracy_cost.mapping.measuring import COST, ERROR
 
 __all__ = ["CHEAPER", "MORE_EXACT", "Evidence", "Kept", "evidence", "kept", "sentences"]
@@ -116,7 +116,7 @@ def sentences(dives: Mapping[str, Rows]) -> str:
         "|---|---|---|---|---|---|",
     ]
     for dive, rows in dives.items():
-        for whole in (PUBLISHED, PUBLISHED_SHIPPED):
+        for whole in (PUBLISHED, PUBLISHED_SHIPPED, PUBLISHED_FILE):
             found = kept(rows, whole.key)
             cheaper = f"{found.times_cheaper:.2g} times cheaper (`{found.cheapest}`)"
             smaller = f"error {found.times_more_exact:.2f} times smaller (`{found.best}`)"
