@@ -4,7 +4,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# Modules are compiled when they are first imported: of 140 MB of sources most never are.
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 TOOLS := $(VENV)/.tools
 STAMP := $(VENV)/.installed
 CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt' -o -name 'CMakePresets.json')
@@ -140,7 +141,7 @@ $(TOOLS): pyproject.toml | prerequisites
 # own tools are installed before and stay: in a new environment for every build, as pip makes them,
 # the compiler would begin anew too, and the C++ tests could not share the tree.
 $(STAMP): pyproject.toml $(CPP_SOURCES) $(TOOLS)
-	$(PIP) --no-build-isolation -e '.[dev,octomap,render,sim,topside]'
+	env -u MAKEFLAGS $(PIP) --no-build-isolation -e '.[dev,octomap,render,sim,topside]'
 	touch $@
 
 clean:
