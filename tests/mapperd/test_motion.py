@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.config import Config, Mapping, Mounting, Octree, Orientation, Position
+from mapperd.config import Config, Mapping, Mounting, Octree, Orientation, Position, Sonar
 from mapperd.echo import Echo
 from mapperd.errors import MapError
 from mapperd.frames import pose_from_rpy
@@ -20,6 +20,7 @@ from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]
 FORWARD = Config(
+    sonar=Sonar(vertical_aperture=20.0),  # so many voxels that their middle is known to 0.02 m
     octree=Octree(voxel_resolution=0.05),
     mounting=Mounting(position=Position(z=0.0), orientation=Orientation(pitch=0.0)),
 )

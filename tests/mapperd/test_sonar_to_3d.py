@@ -186,7 +186,7 @@ def test_queries_know_the_settings_thresholds() -> None:
     cloud = mapper.get_point_cloud(include_free=True)
     assert (mapper.queries.classify(cloud["points"]) == OCCUPIED).all()
     assert (mapper.queries.classify(cloud["free_points"]) == FREE).all()
-    depth = mapper.queries.ray_cast_depth([[0, 0, 0.01]], [[1, 0, 0]], 5.0)
+    depth = mapper.queries.ray_cast_depth([[0, 0, -0.49]], [[1, 0, 0]], 5.0)
     assert depth[0] == pytest.approx(3.0, abs=0.2)
 
 
