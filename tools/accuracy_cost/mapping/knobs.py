@@ -25,7 +25,6 @@ PUBLISHED_RULE: dict[str, Value] = {
     "mapping.within_ping_motion": False,
     "adaptive.min_ratio": 0.0,
     "time_sync.policy": "latest",
-    "sonar.vertical_aperture": 20.0,
 }
 """The published sonar mapper: sampled sub-rays, one pose a ping, the newest, all of the aperture of
 the data sheet; its other constants are those of its page of parameters, which are our defaults."""
