@@ -11,7 +11,7 @@ from mutations.catalogue import CATALOGUE, REPOSITORY, Mutation, load, mutated
 from mutations.judge import judge_cpp, judge_pytest
 from mutations.results import Result, Results, is_well, table
 from mutations.run import BEGIN, END
-from mutations.stamp import files_of, stamp
+from mutations.stamp import stamp, texts_of
 
 MUTATIONS = load()
 
@@ -115,17 +115,19 @@ def tree(folder: Path) -> Path:
     (folder / "x.py").write_text("1\n")
     (folder / "tests" / "x.py").write_text("assert x\n")
     (folder / "tests" / "y.py").write_text("assert y\n")
-    (cases / "test_one.cpp").write_text('TEST_CASE("one thing") {}')
-    (cases / "test_two.cpp").write_text('TEST_CASE(\n    "two things") {}')
+    (cases / "test_one.cpp").write_text('int help;\nTEST_CASE("one") {\n  a;\n}\n')
+    two = 'TEST_CASE("two") {\n  b;\n}\n\nint more;\n\nTEST_CASE(\n    "three") {\n  c;\n}\n'
+    (cases / "test_two.cpp").write_text(two)
     return folder
 
 
-def test_a_test_has_its_files(tmp_path: Path) -> None:
+def test_a_test_is_its_file_or_its_case_with_what_is_around_it(tmp_path: Path) -> None:
     root = tree(tmp_path)
-    assert list(files_of("tests/x.py::test_a", root)) == [root / "tests" / "x.py"]
-    found = [path.name for path in files_of("program: thing", root)]
-    assert found == ["test_one.cpp", "test_two.cpp"]
-    assert [path.name for path in files_of("program: two", root)] == ["test_two.cpp"]
+    assert list(texts_of("tests/x.py::test_a", root)) == ["assert x\n"]
+    assert list(texts_of("program: one", root)) == ['int help;\nTEST_CASE("one") {\n  a;\n}\n']
+    two = 'TEST_CASE("two") {\n  b;\n}\n\nint more;\n\n'
+    assert list(texts_of("program: two", root)) == [two]
+    assert list(texts_of("program: t", root)) == [two + 'TEST_CASE(\n    "three") {\n  c;\n}\n']
 
 
 def test_a_result_is_of_the_mutation_its_file_and_its_killer(tmp_path: Path) -> None:

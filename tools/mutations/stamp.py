@@ -8,11 +8,14 @@ from pathlib import Path
 
 from mutations.catalogue import Mutation
 
-__all__ = ["files_of", "stamp"]
+__all__ = ["stamp", "texts_of"]
+
+
+CASE = re.compile(r'^TEST_CASE\(\s*"([^"]+)".*?^}\n', re.MULTILINE | re.DOTALL)
 
 
 def stamp(mutation: Mutation, tests: Sequence[str], root: Path) -> str:
-    """A digest of the mutation, the whole file that it breaks, and the files of some tests.
+    """A digest of the mutation, the whole file that it breaks, and of what some tests are.
 
     Args:
         mutation: only its texts count, so that other words for what it breaks change nothing.
@@ -20,26 +23,23 @@ def stamp(mutation: Mutation, tests: Sequence[str], root: Path) -> str:
         root: of the tree whose files count.
     """
     told = hashlib.sha256()
-    paths = [root / mutation.file, *(path for test in tests for path in files_of(test, root))]
-    for text in (mutation.old, mutation.new, *tests, *(path.read_text() for path in paths)):
+    texts = [text for test in tests for text in texts_of(test, root)]
+    for text in (mutation.old, mutation.new, (root / mutation.file).read_text(), *tests, *texts):
         told.update(f"{len(text)}:{text}".encode())
     return told.hexdigest()[:16]
 
 
-def files_of(test: str, root: Path) -> Iterator[Path]:
-    """The files that hold an entry of `killed_by`; none where it is nowhere."""
+def texts_of(test: str, root: Path) -> Iterator[str]:
+    """What an entry of `killed_by` is: files of Python, and of C++ without the other cases."""
     if test.startswith("tests/"):
-        yield from (root / word.partition("::")[0] for word in test.split())
+        yield from ((root / word.partition("::")[0]).read_text() for word in test.split())
         return
     part = test.partition(": ")[2]
-    yield from (path for path, cases in _cases(root) if any(part in case for case in cases))
+    for text in _cpp_tests(root):
+        if any(part in case for case in CASE.findall(text)):
+            yield CASE.sub(lambda case: case[0] if part in case[1] else "", text)
 
 
 @cache
-def _cases(root: Path) -> tuple[tuple[Path, tuple[str, ...]], ...]:
-    """Each file of C++ tests with the names of its cases."""
-    found = []
-    for path in sorted((root / "cpp" / "test").rglob("test_*.cpp")):
-        cases = re.findall(r'TEST_CASE\(\s*"([^"]+)"', path.read_text())
-        found.append((path, tuple(cases)))
-    return tuple(found)
+def _cpp_tests(root: Path) -> tuple[str, ...]:
+    return tuple(path.read_text() for path in sorted((root / "cpp" / "test").rglob("test_*.cpp")))
