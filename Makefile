@@ -107,7 +107,7 @@ fuzz: $(STAMP)
 	$(BIN)/python tests/fuzz/fuzz_map_stream.py tests/fuzz/corpus-map-stream -max_total_time=600 -max_len=4096
 
 # Breaks each guarded formula once and has a test notice; writes docs/mutations.md. An hour of one
-# core; what was measured of a commit is not measured again.
+# core; what is as it was when it was measured is not measured again.
 mutations: $(STAMP)
 	PYTHONPATH=tools $(BIN)/python -m mutations.run --write
 

@@ -22,16 +22,11 @@ __all__ = ["run_forked"]
 
 # What the copy's packages and tests import from elsewhere; none of it is ever mutated.
 FOREIGN = (
-    *("numpy", "numpy.random", "numpy.testing", "scipy.ndimage", "scipy.signal", "scipy.spatial"),
-    *(
-        "scipy.interpolate",
-        "scipy.special",
-        "hypothesis",
-        "hypothesis.strategies",
-        "hypothesis.extra",
-    ),
-    *("_hypothesis_pytestplugin", "xdist", "pytest_timeout", "msgspec", "msgpack", "yaml", "cv2"),
-    *("asyncio", "http.client", "sqlite3", "ssl", "uuid", "zstandard", "PIL.Image", "trimesh"),
+    *("numpy", "numpy.random", "numpy.testing", "scipy.interpolate", "scipy.ndimage"),
+    *("scipy.signal", "scipy.spatial", "scipy.special", "trimesh", "PIL.Image", "cv2"),
+    *("hypothesis", "hypothesis.strategies", "hypothesis.extra.numpy", "_hypothesis_pytestplugin"),
+    *("xdist", "pytest_timeout", "msgspec", "msgpack", "yaml", "zstandard"),
+    *("asyncio", "http.client", "sqlite3", "ssl", "uuid"),
 )
 ALREADY_IMPORTED = ("-W", "ignore::pytest.PytestAssertRewriteWarning")
 WAIT_S = 0.02

@@ -16,6 +16,7 @@ sys.meta_path[:] = [
 
 
 def bear_witness(mutated: Path, witness: Path) -> None:
+    """Touch the witness where the mutated file has been imported."""
     files = [getattr(module, "__file__", None) for module in list(sys.modules.values())]
     if any(file is not None and Path(file) == mutated for file in files):
         witness.touch()
