@@ -131,6 +131,27 @@ TEST_CASE("a voxel's nearest and farthest slices hold a negligible part of it, a
   CHECK(most > 0.009);
 }
 
+TEST_CASE("a negligible slice is one in every direction that a cell's voxels are seen in") {
+  scenes::Random random(604);
+  const scenes::Ping ping = wide_ping();
+  for (int i = 0; i < turns(4000); ++i) {
+    mapperd::Transform pose = scenes::random_pose(random);
+    if (i % 2 == 0) pose = {};
+    const Fan fan(ping.image(), {}, mapperd::IwloRule{{}}, pose);
+    const bool along = i % 4 == 0;  // an axis of the map, so that widths are less than the turn
+    const Vec3 in_sonar = mapperd::fan_point(random.uniform(16, 60),
+                                             along ? 0.0 : random.uniform(-1.5, 1.5), 0.0);
+    const double cap = fan.extent_in_cell(in_sonar, 1.0, 4).cap;
+    for (int corner = 0; corner < 8; ++corner) {
+      const Vec3 shift{corner & 1 ? 1.5 : -1.5, corner & 2 ? 1.5 : -1.5, corner & 4 ? 1.5 : -1.5};
+      const Vec3 place = fan.to_map(in_sonar) + shift;
+      const Vec3 n = (1 / mapperd::norm(place)) * place;
+      const double reach = 0.5 * (std::abs(n.x) + std::abs(n.y) + std::abs(n.z));
+      CHECK(mapperd::part_beyond(n, cap - reach) < 0.01 + 1e-9);
+    }
+  }
+}
+
 struct Seen {
   int mostly = 0;
   int less = 0;

@@ -1,5 +1,7 @@
 """The mutation check's own judge: what counts as killed, and a catalogue that has not rotted."""
 
+import json
+import os
 import re
 import subprocess
 import sys
@@ -212,3 +214,42 @@ def test_packages_come_from_the_copy_and_who_imports_the_broken_file_bears_witne
         words = [sys.executable, "-c", "import oculus_driver.seen"]
         subprocess.run(words, check=True, env=variables, cwd=tmp_path)  # noqa: S603
         assert witness.exists() == imported
+
+
+FORKED = """
+import json, os, sys
+from pathlib import Path
+from mutations import forked
+
+forked.FOREIGN = ()
+for name, patience_s in (("good", 60), ("bad", 60), ("endless", 1.0)):
+    options = ["-q", "-p", "no:cacheprovider", f"test_{name}.py"]
+    code, out = forked.run_forked(options, Path.cwd(), dict(os.environ), patience_s)
+    witness = Path(os.environ["MUTATIONS_WITNESS"])
+    print(json.dumps([code, "1 failed" in out, witness.exists()]))
+    witness.unlink(missing_ok=True)
+"""
+
+
+def test_a_fork_tells_how_the_copy_s_tests_end_and_lets_none_run_for_ever(tmp_path: Path) -> None:
+    package = tmp_path / "oculus_driver"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "seen.py").write_text(f"HERE = {str(tmp_path)!r}\n")
+    imports = "from oculus_driver import seen\n\ndef test_it():\n    assert seen.HERE == "
+    (tmp_path / "test_good.py").write_text(f"{imports}{str(tmp_path)!r}\n")
+    (tmp_path / "test_bad.py").write_text(f"{imports}None\n")
+    (tmp_path / "test_endless.py").write_text("import time\n\ndef test_it():\n    time.sleep(60)\n")
+    tools = REPOSITORY / "tools"
+    variables = {
+        **os.environ,
+        "PYTHONPATH": f"{tools / 'mutations' / 'pinned'}:{tmp_path}:{tools}",
+        "MUTATIONS_FILE": str(package / "seen.py"),
+        "MUTATIONS_WITNESS": str(tmp_path / "witness"),
+    }
+    words = [sys.executable, "-c", FORKED]
+    ended = subprocess.run(  # noqa: S603
+        words, check=True, env=variables, cwd=tmp_path, capture_output=True, text=True
+    )
+    told = [json.loads(line) for line in ended.stdout.splitlines()]
+    assert told == [[0, False, True], [1, True, True], [None, False, False]]
