@@ -139,8 +139,8 @@ TEST_CASE("a negligible slice is one in every direction that a cell's voxels are
     if (i % 2 == 0) pose = {};
     const Fan fan(ping.image(), {}, mapperd::IwloRule{{}}, pose);
     const bool along = i % 4 == 0;  // an axis of the map, so that widths are less than the turn
-    const Vec3 in_sonar = mapperd::fan_point(random.uniform(16, 60),
-                                             along ? 0.0 : random.uniform(-1.5, 1.5), 0.0);
+    const Vec3 in_sonar =
+        mapperd::fan_point(random.uniform(16, 60), along ? 0.0 : random.uniform(-1.5, 1.5), 0.0);
     const double cap = fan.extent_in_cell(in_sonar, 1.0, 4).cap;
     for (int corner = 0; corner < 8; ++corner) {
       const Vec3 shift{corner & 1 ? 1.5 : -1.5, corner & 2 ? 1.5 : -1.5, corner & 4 ? 1.5 : -1.5};

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from mapperd.localization.estimate import PlanarGaussian
 from mapperd.localization.filter import belief
 from tests.mapperd.localization.filter_cases import Floats, filter_at
 
@@ -34,3 +35,27 @@ def test_weight_a_metre_off_a_narrow_mode_is_elsewhere() -> None:
     assert found.ambiguous
     poses[:300, 0] -= 0.9
     assert belief(filter_at(poses)).elsewhere == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_gaussian_s_heading_is_wrapped_and_its_rounding_mended() -> None:
+    told = PlanarGaussian(1, 2, 4.0, np.diag([1.0, -1e-17, 2.0]))
+    assert told.yaw_rad == pytest.approx(4.0 - math.tau)
+    assert np.linalg.eigvalsh(told.covariance)[0] >= 0.0
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf])
+def test_a_gaussian_of_no_numbers_is_refused(wrong: float) -> None:
+    for mean in ((wrong, 0.0, 0.0), (0.0, wrong, 0.0), (0.0, 0.0, wrong)):
+        with pytest.raises(ValueError, match="finite"):
+            PlanarGaussian(*mean, np.eye(3))
+    with pytest.raises(ValueError, match="finite"):
+        PlanarGaussian(0, 0, 0, np.diag([1.0, wrong, 1.0]))
+
+
+def test_a_matrix_that_is_no_covariance_is_refused() -> None:
+    leaning = np.eye(3)
+    leaning[0, 1] = 0.1
+    with pytest.raises(ValueError, match="symmetric"):
+        PlanarGaussian(0, 0, 0, leaning)
+    with pytest.raises(ValueError, match="semi-definite"):
+        PlanarGaussian(0, 0, 0, np.diag([1.0, -0.1, 1.0]))

@@ -7,7 +7,7 @@ import pytest
 
 from mapperd.config import Config
 from mapperd.config_file import config_from_text
-from mapperd.echo import echo_of
+from mapperd.echo import Echo, echo_of
 from mapperd.frames import rigid_transform, rotation_from_rpy
 from mapperd.localization.burst import BurstWatch
 from mapperd.localization.extraction import Surroundings, scan_of
@@ -53,6 +53,16 @@ def test_limits_are_the_narrowest_of_the_settings(make_echo: Any) -> None:
     assert np.median(scan(echo, "amcl: {laser_min_range: 4}").range_m) > 5
     near = scan(echo, "amcl: {laser_max_range: 5, laser_min_range: 3}")
     assert (len(near), near.max_range_m) == (0, 5)
+
+
+def test_a_surface_that_rises_beyond_the_largest_range_is_none(make_echo: Any) -> None:
+    echo = make_echo()
+    image = echo.intensity.copy()
+    image[246:250] += 40
+    image[250:256] += 210
+    rising = Echo(np.minimum(image, 255), echo.bearings_rad, echo.range_resolution_m)
+    assert np.median(scan(rising).range_m) > 5.0
+    assert len(scan(rising, "amcl: {laser_max_range: 5}")) == 0
 
 
 def test_quality_grows_with_the_echo_within_0_and_1(make_echo: Any) -> None:

@@ -105,6 +105,16 @@ def test_a_haze_in_few_beams_is_no_surface_and_a_surface_in_it_is(make_echo: Any
     assert np.nanmedian(found(wall).range_m[:20]) == pytest.approx(8.01, abs=ROW_M)
 
 
+def test_what_is_fainter_than_the_noise_is_no_surface(make_echo: Any) -> None:
+    echo, limits = make_echo(), Limits(0.5, 10.0, ROW_M)
+    bright = Echo(np.full(echo.intensity.shape, 50, np.float32), echo.bearings_rad, ROW_M)
+    levels = np.full(echo.intensity.shape, -30, np.float32)
+    for level_db, there in ((-3.0, False), (40.0, True)):
+        levels[250:256] = level_db
+        returns = first_returns(levels, bright, limits, ScanExtraction())
+        assert (np.isfinite(returns.range_m) == there).all()
+
+
 @pytest.mark.parametrize("level", [0.0, 255.0])
 def test_empty_and_full_images_have_no_returns(make_echo: Any, level: float) -> None:
     echo = make_echo()
