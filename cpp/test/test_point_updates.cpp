@@ -59,8 +59,8 @@ TEST_CASE("steps stop at their limits and never bring back what is beyond") {
   CHECK(map.at(VoxelIndex{}).log_odds == 9.0F);
   add_log_odds(map, {xyz, 1}, &down, kLimits);
   CHECK(map.at(VoxelIndex{}).log_odds == 8.0F);
-  for (int i = 0; i < 20; ++i) add_log_odds(map, {xyz, 1}, &down, kLimits);
-  CHECK(map.at(VoxelIndex{}).log_odds == -2.0F);
+  for (int i = 0; i < 200; ++i) add_log_odds(map, {xyz, 1}, &down, kLimits);
+  CHECK(map.at(VoxelIndex{}).log_odds == -2.0F && map.at(VoxelIndex{}).count == 90);
 }
 
 TEST_CASE("set values are absolute and clamped by the map") {
@@ -71,6 +71,9 @@ TEST_CASE("set values are absolute and clamped by the map") {
   set_log_odds(map, {xyz, 2}, values);
   CHECK(map.at(Vec3{0, 0, 0}).log_odds == 10.0F && map.at(Vec3{0, 0, 0}).count == 2);
   CHECK(map.at(Vec3{1, 0, 0}).log_odds == -10.0F);
+  const double enormous[] = {-1e300, 1e300};
+  set_log_odds(map, {xyz, 2}, enormous);
+  CHECK(map.at(Vec3{0, 0, 0}).log_odds == -10.0F && map.at(Vec3{1, 0, 0}).log_odds == 10.0F);
 }
 
 TEST_CASE("log-odds are kept to their unit, which 32-bit floats are too coarse for") {

@@ -105,6 +105,16 @@ def test_a_haze_in_few_beams_is_no_surface_and_a_surface_in_it_is(make_echo: Any
     assert np.nanmedian(found(wall).range_m[:20]) == pytest.approx(8.01, abs=ROW_M)
 
 
+def test_the_guard_keeps_a_surface_that_rises_slowly_out_of_its_background(make_echo: Any) -> None:
+    echo, limits = make_echo(), Limits(0.5, 10.0, ROW_M)
+    bright = Echo(np.full(echo.intensity.shape, 50, np.float32), echo.bearings_rad, ROW_M)
+    levels = np.zeros(echo.intensity.shape, np.float32)
+    levels[240:280] = 0.7 * np.arange(1, 41)[:, None]
+    for guard_m, there in ((ROW_M, False), (5 * ROW_M, True)):
+        settings = msgspec.structs.replace(ScanExtraction(), guard=guard_m)
+        assert (np.isfinite(first_returns(levels, bright, limits, settings).range_m) == there).all()
+
+
 def test_what_is_fainter_than_the_noise_is_no_surface(make_echo: Any) -> None:
     echo, limits = make_echo(), Limits(0.5, 10.0, ROW_M)
     bright = Echo(np.full(echo.intensity.shape, 50, np.float32), echo.bearings_rad, ROW_M)

@@ -23,6 +23,13 @@ def test_what_is_no_range_is_no_return() -> None:
     assert len(scan_of_ranges(0, [], [])) == 0
 
 
+def test_a_quality_lies_within_0_and_1() -> None:
+    assert scan_of_ranges(0, [0.0, 0.1], [1.0, 1.0], quality=[10.0, -1.0]).quality.tolist() == [
+        1,
+        0,
+    ]
+
+
 @pytest.mark.parametrize(("bearing", "ranges"), [([0.0], [1.0, 2.0]), ([np.nan], [1.0])])
 def test_what_is_no_scan_is_refused(bearing: list[float], ranges: list[float]) -> None:
     with pytest.raises(ValueError, match="as many ranges as bearings"):
