@@ -1,4 +1,5 @@
 import contextlib
+import math
 from pathlib import Path
 from typing import Any, get_args
 
@@ -191,3 +192,11 @@ def test_cells_and_points_agree_in_a_turned_map() -> None:
     assert grid.centres_m(np.array([2]), np.array([2]))[0] == pytest.approx([-1.5, 3.5])
     outside = np.array([[1.1, 1.1], [np.nan, 0.0], [1e300, 0.0]])
     assert grid.cells_at(outside).tolist() == [UNKNOWN] * 3
+
+
+def test_what_lies_just_outside_of_a_map_is_unknown() -> None:
+    water = GridMap(np.full((2, 3), FREE, np.int8), 0.5, 1.0, 2.0)
+    outside = [(0.9, 2.1), (1.1, 1.9), (2.6, 2.1), (1.1, 3.1), (math.nan, 2.1)]
+    assert water.cells_at(np.array(outside)).tolist() == [UNKNOWN] * 5
+    inside = [(1.01, 2.01), (2.49, 2.99)]
+    assert water.cells_at(np.array(inside)).tolist() == [FREE] * 2
