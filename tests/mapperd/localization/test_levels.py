@@ -49,6 +49,14 @@ def test_a_wall_at_one_range_in_all_beams_stays() -> None:
     assert abs(np.median(level[190])) < 2
 
 
+def test_a_surface_all_along_a_beam_is_not_taken_for_its_gain() -> None:
+    levels = np.zeros((400, 128), np.float32)
+    levels[:, 7], levels[:, 9] = 20.0, 4.0
+    level = equalised(levels, 0.02)
+    assert (level[:, 7] == 14.0).all()
+    assert (level[:, 9] == 0.0).all()
+
+
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1), (9, 3)])
 def test_small_images_are_images(shape: tuple[int, int]) -> None:
     level = equalised(levels_db(np.ones(shape, dtype=np.float32)), 0.02)

@@ -12,7 +12,7 @@ from msgspec import structs
 from mapperd.config import Sonar
 from mapperd.localization.aperture import heard_aperture_rad
 from mapperd.localization.filter import ParticleFilter
-from mapperd.localization.map_weighing import MapWeighing
+from mapperd.localization.map_weighing import SEARCH_BEAMS, MapWeighing
 from mapperd.localization.models import filter_rule
 from mapperd.localization.scan import decimated
 from tests.mapperd.localization.filter_cases import filter_at
@@ -93,3 +93,11 @@ def test_returns_are_tried_over_the_height_that_is_heard() -> None:
 
     heard_rad = heard_aperture_rad(settings.sonar)
     assert evidence(heard_rad) > evidence(0.7 * heard_rad) > evidence(0.0)
+
+
+def test_a_search_by_few_beams_has_no_more_votes_than_these() -> None:
+    assert len(SCAN) > SEARCH_BEAMS
+    certain = MapWeighing(room(), changed("localization", tempering=1.0))
+    particles = ParticleFilter(filter_rule(profile()), 5)
+    certain.draw(particles, SCAN, 0.0)
+    assert np.isfinite(particles.poses).all()
