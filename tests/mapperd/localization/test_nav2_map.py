@@ -156,6 +156,13 @@ def test_trinary_rounds_percents_to_what_they_mean(tmp_path: Path) -> None:
     assert read_nav2_map(tmp_path / "m.yaml").occupancy.tolist() == [[0, -1, -1, 100, 100]]
 
 
+def test_scale_writes_the_nearest_pixel(tmp_path: Path) -> None:
+    percents = np.array([[0, 2, 6, 98, 100]], dtype=np.int8)
+    write_nav2_map(GridMap(percents, 1), tmp_path / "m.yaml", "scale")
+    pixels = pgm_pixels((tmp_path / "m.pgm").read_bytes(), "m.pgm")
+    assert pixels.tolist() == [[255, 250, 240, 5, 0]]  # of 255, 249.9, 239.7, 5.1, 0
+
+
 def test_scale_refuses_unknown_cells_and_writes_nothing(tmp_path: Path) -> None:
     with pytest.raises(MapError, match="no pixel for unknown"):
         write_nav2_map(GridMap(np.array([[-1]], dtype=np.int8), 1), tmp_path / "m.yaml", "scale")

@@ -39,6 +39,11 @@ def test_vehicle_comes_to_the_estimate_and_keeps_depth_roll_and_pitch(
     assert found.map_T_base == pytest.approx(transform.map_T_odom @ odom.map_T_base, abs=1e-9)
 
 
+def test_turn_of_the_correction_is_the_short_way_round() -> None:
+    transform = map_from_odom(at(0, 0, 3.0), pose_from_rpy((0, 0, 0), (0, 0, -170)), 0, 0)
+    assert transform.yaw_rad == pytest.approx(3.0 + math.radians(170) - math.tau)
+
+
 def test_correction_is_a_shift_and_a_turn_and_nothing_else() -> None:
     odom = pose_from_rpy((3, -2, -7), (10, -20, 170))
     transform = map_from_odom(at(1, 2, -3), odom, 0, 0).map_T_odom
