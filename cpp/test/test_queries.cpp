@@ -196,6 +196,9 @@ TEST_CASE("occupied voxels of a region, and the number of known ones") {
     CHECK((maps::Entry{voxel, state} == maps::Entry{voxel, map.at(voxel)}));
   }
   CHECK(known_count(map) == maps::content(map).size());
+  VoxelMap one(0.1, {});
+  one.set({0, 0, 0}, {0.5F, 1});
+  CHECK(occupied_in(one, box, 0.5).empty() && occupied_in(one, box, 0.499).size() == 1);
 }
 
 }  // namespace

@@ -9,8 +9,10 @@ import rasterio
 import yaml
 from PIL import Image
 
+from mapperd import _core
 from mapperd.errors import ExportError
-from mapperd.export.cells import Heights
+from mapperd.export import cells
+from mapperd.export.cells import Heights, KnownCells, indices_of
 from mapperd.mapping import SonarMap
 from tests.mapperd.export.maps import COARSE, FREE, OCCUPIED, UNSURE, map_of, with_thresholds
 
@@ -123,3 +125,22 @@ def test_voxels_far_apart_are_refused_before_memory_is_taken(
     with pytest.raises(ExportError, match="too large"):
         saved(map_of([(0.125, 0.125, 0.125), (4e5, 4e5, 0.125)]), name)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("unit", [0.25, 0.5, 0.75])
+def test_a_voxel_a_unit_beyond_a_threshold_is_on_its_side(unit: float) -> None:
+    """Thresholds lie between two units: the units beside them are apart."""
+    threshold = (1000 + unit) * _core.LOG_ODDS_UNIT
+    known = KnownCells(Heights(), 0.1, threshold, -threshold)
+    units = np.zeros((1, _core.BLOCK_EDGE**3), np.int32)
+    units[0, :4] = 1001, 1000, -1001, -1000
+    known.add(np.zeros((1, 3), np.int32), units, (units != 0).astype(np.uint16))
+    found = known.cells()
+    assert found is not None
+    assert found.values.ravel().tolist() == [cells.OCCUPIED, cells.UNKNOWN, cells.FREE]
+
+
+@pytest.mark.parametrize("resolution_m", [0.05, 0.1, 0.07])
+def test_centres_that_rounding_left_low_are_in_their_cells(resolution_m: float) -> None:
+    index = np.arange(-3000, 3000)
+    assert (indices_of((index + 0.5) * resolution_m, resolution_m) == index).all()
