@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 ScanMaker = Callable[[int, Floats, int], Scan]
 
 
-PARTICLES = 30_000
+PARTICLES = 10_000
 """At a start, for a start anywhere in 1800 square metres; a cloud that has converged has 500."""
 
 

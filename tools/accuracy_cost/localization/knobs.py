@@ -46,12 +46,15 @@ KNOBS = (
             _always(10000),
             _always(20000),
             Setting("100 to 5000", {"amcl.min_particles": 100, "amcl.max_particles": 5000}),
-            Setting("500 to 30000", {}),
+            Setting("500 to 5000", {"amcl.max_particles": 5000}),
+            Setting("500 to 10000", {}),
+            Setting("500 to 30000", {"amcl.max_particles": 30000}),
         ),
         "100 to 5000",
         MARGIN,
         "A vehicle that is followed needs some hundred; more cost time and make it no surer. One "
-        "that is lost wants thousands, which a number that follows the cloud's spread gives.",
+        "that is lost wants thousands, which a number that follows the cloud's spread gives; with "
+        "5000 at most, rivals that are thinly drawn take over now and then (docs/localization.md).",
     ),
     Knob(
         "fewest-particles",
