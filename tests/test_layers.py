@@ -156,6 +156,7 @@ ORDER = (
     "memory_stats",
     "map_queries",
     "stream.messages",
+    "stream.way",
     "stream.framing",
     "stream.blocks",
     "client.errors",

@@ -22,12 +22,21 @@ from mapperd.stream.messages import (
     Interest,
     Localization,
     MapFacts,
+    Path,
     Pose,
     Returns,
     Robots,
 )
 
-__all__ = ["check_blocks", "check_facts", "check_message", "floats_of", "image_of", "size_of"]
+__all__ = [
+    "check_blocks",
+    "check_facts",
+    "check_message",
+    "floats_of",
+    "image_of",
+    "places_of",
+    "size_of",
+]
 
 UNIT_LOW, UNIT_HIGH = 0.9, 1.1
 """Of the length of a quaternion."""
@@ -102,6 +111,19 @@ def floats_of(data: bytes, columns: int) -> NDArray[np.float32]:
     if not np.isfinite(rows).all():
         raise StreamError("a number that is none", "bad_value")
     return rows
+
+
+def places_of(path: Path) -> NDArray[np.float64]:
+    """The points of a piece of the path, (N, 3) metres, map frame.
+
+    Raises:
+        StreamError: `bad_value`.
+    """
+    points = floats_of(path.points, 3).astype(np.float64)
+    rest = floats_of(path.rest, 3)
+    if len(rest) not in (0, len(points)):
+        raise StreamError("a path with the rest of other points", "bad_value")
+    return points + rest if len(rest) else points
 
 
 def image_of(message: Image) -> NDArray[np.uint8]:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.client.changes import ClientChange, MapChanged, MapReset
-from mapperd.client.checks import check_blocks, check_facts, check_message, floats_of, size_of
+from mapperd.client.checks import check_blocks, check_facts, check_message, places_of, size_of
 from mapperd.client.errors import EndedError
 from mapperd.client.mirror import MapMirror
 from mapperd.stream.blocks import decode_blocks
@@ -80,7 +80,7 @@ class Knowledge:
         self.welcome: Welcome | None = None
         self.is_complete = False
         self.mirror: MapMirror | None = None
-        self.path: NDArray[np.float32] = _frozen(np.zeros((0, 3), np.float32))
+        self.path: NDArray[np.float64] = _frozen(np.zeros((0, 3)))
         self.newest: dict[type, ClientChange] = {}
         self.settings: dict[str, Any] = {}
         self.last_event: int | None = None
@@ -218,7 +218,7 @@ class Knowledge:
         return blocks.keys
 
     def _take_path(self, news: Path) -> None:
-        points = floats_of(news.points, 3)
+        points = places_of(news)
         if news.first > len(self.path):
             raise StreamError("a path with a gap", "bad_value")
         if news.first + len(points) > MAX_PATH:
@@ -246,6 +246,6 @@ def _grid(facts: MapFacts) -> tuple[str, float, float]:
     return facts.id, facts.resolution_m, facts.log_odds_step
 
 
-def _frozen(array: NDArray[np.float32]) -> NDArray[np.float32]:
+def _frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:
     array.flags.writeable = False
     return array

@@ -37,7 +37,7 @@ class Known:
         return self._knowledge.mirror
 
     @property
-    def path(self) -> NDArray[np.float32]:
+    def path(self) -> NDArray[np.float64]:
         """(N, 3), metres, map frame; read only."""
         return self._knowledge.path
 

@@ -12,6 +12,7 @@ from mapperd.client.changes import ClientChange, LinkChanged, MapChanged, MapRes
 from mapperd.client.checks import size_of
 from mapperd.client.knowledge import Knowledge
 from mapperd.stream.messages import Event, Path, Settings
+from mapperd.stream.way import path_message
 
 __all__ = ["Pending"]
 
@@ -59,8 +60,7 @@ class Pending:
             if kind is Event:
                 return self._taken_event()
             if isinstance(change, Path):
-                points = self._knowledge.path[change.first :]
-                return Path(first=change.first, points=points.astype("<f4").tobytes())
+                return path_message(change.first, self._knowledge.path[change.first :])
             if not isinstance(change, MapChanged):
                 return change
             keys, self._keys = self._keys, {}

@@ -323,11 +323,13 @@ class Path(_Message, frozen=True, kw_only=True):
         first: number of the first of these points; what the client holds from there on is old.
         points: float32 (N, 3), metres, map frame.
         version: counts up when a long path is thinned, which numbers its points anew.
+        rest: float32 (N, 3), metres: what rounding left of the points; b"" where next to nothing.
     """
 
     first: Count
     points: bytes
     version: Count = 0
+    rest: bytes = b""
 
 
 class Fan(_Message, frozen=True, kw_only=True):

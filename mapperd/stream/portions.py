@@ -5,14 +5,14 @@ from collections.abc import Collection, Iterator
 from typing import Any
 
 import msgspec
-import numpy as np
 
 from mapperd.events import EventLog
 from mapperd.stream.feed import Feed, Newest
 from mapperd.stream.framing import framed
-from mapperd.stream.messages import WANTS, Path, Resume, Settings
+from mapperd.stream.messages import WANTS, Resume, Settings
 from mapperd.stream.pacer import Pacer
 from mapperd.stream.pictures import IMAGE_SIZES
+from mapperd.stream.way import path_message
 
 __all__ = ["Portions"]
 
@@ -46,7 +46,7 @@ FIRST_IMAGES = (60_000, 16_000, 5_000)
 PIECE, EVENT = 4_000, 300
 """Bytes of a message, about."""
 
-POINT = 12
+POINT = 24
 
 
 class _Beat(msgspec.Struct, tag_field="t", tag="status"):
@@ -210,8 +210,7 @@ class Portions:
         if not len(points) and not self._path_is_old:
             return b""
         self._path_is_old = False
-        body = np.asarray(points, "<f4").tobytes()
-        return framed(Path(first=first, points=body, version=new_version))
+        return framed(path_message(first, points, new_version))
 
     def _beat(self, now_s: float, now_ns: int) -> bytes:
         self._beat_s = now_s

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 __all__ = ["Track"]
 
 MOST_M = 1e30
-"""That float32 holds with room."""
+"""That the float32 of the messages hold with room."""
 
 
 class Track:
@@ -27,7 +27,7 @@ class Track:
 
     def __init__(self, most: int, spacing_m: float) -> None:
         self.version = 0
-        self._points = np.zeros((max(most, 2), 3), np.float32)
+        self._points = np.zeros((max(most, 2), 3))
         self._count = 0
         self._spacing_m = spacing_m
         self._last: tuple[float, float, float] | None = None
@@ -53,7 +53,7 @@ class Track:
             self._points[self._count] = self._last
             self._count += 1
 
-    def since(self, version: int, first: int, most: int) -> tuple[int, int, NDArray[np.float32]]:
+    def since(self, version: int, first: int, most: int) -> tuple[int, int, NDArray[np.float64]]:
         """The next points of who holds some.
 
         Args:
@@ -62,7 +62,7 @@ class Track:
             most: points to give.
 
         Returns:
-            The version, the number of the first point given, and (N, 3) points.
+            The version, the number of the first point given, and (N, 3) points, metres, map frame.
         """
         with self._lock:
             if version != self.version or first > self._count:

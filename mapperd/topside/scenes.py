@@ -97,13 +97,13 @@ class PathDrawing:
     """Points; each piece begins where the one before ends."""
 
     def __init__(self) -> None:
-        self._told = np.zeros((0, 3), np.float32)
+        self._told = np.zeros((0, 3), np.float64)
 
     def clear(self) -> None:
         """Nothing was told."""
-        self._told = np.zeros((0, 3), np.float32)
+        self._told = np.zeros((0, 3), np.float64)
 
-    def update(self, path: NDArray[np.float32], frame: str, stamp_ns: int) -> SceneUpdate | None:
+    def update(self, path: NDArray[np.float64], frame: str, stamp_ns: int) -> SceneUpdate | None:
         """The pieces that are others than before; None where none is.
 
         Args:
@@ -128,7 +128,7 @@ class PathDrawing:
         return SceneUpdate(deletions=deletions, entities=entities)
 
     def _piece(
-        self, path: NDArray[np.float32], piece: int, frame: str, stamp_ns: int
+        self, path: NDArray[np.float64], piece: int, frame: str, stamp_ns: int
     ) -> SceneEntity:
         begin = piece * self.PIECE
         line = _line(path[begin : begin + self.PIECE + 1], WAY, LinePrimitiveLineType.LineStrip)
@@ -140,7 +140,7 @@ def _pieces(length: int) -> int:
     return -(-max(length - 1, 0) // PathDrawing.PIECE)
 
 
-def _same(one: NDArray[np.float32], other: NDArray[np.float32]) -> int:
+def _same(one: NDArray[np.float64], other: NDArray[np.float64]) -> int:
     """How many points both begin with."""
     length = min(len(one), len(other))
     differ = (one[:length] != other[:length]).any(axis=1)

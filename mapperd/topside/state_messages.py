@@ -47,7 +47,7 @@ class Follows(Protocol):
     @property
     def pose(self) -> Pose | None: ...  # noqa: D102
     @property
-    def path(self) -> NDArray[np.float32]: ...  # noqa: D102
+    def path(self) -> NDArray[np.float64]: ...  # noqa: D102
     @property
     def fan(self) -> Fan | None: ...  # noqa: D102
     @property

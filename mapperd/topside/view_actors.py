@@ -84,7 +84,7 @@ class Actors:
             plane = np.array(pose.covariance).reshape(6, 6)[:2, :2]
             self._ellipse("/localization/pose", plane, pose.position_m)
 
-    def take(self, told: object, path: NDArray[np.float32], z_m: float) -> None:
+    def take(self, told: object, path: NDArray[np.float64], z_m: float) -> None:
         """Something was told.
 
         Args:
@@ -110,7 +110,7 @@ class Actors:
         """The sonar looks at this."""
         self._nodes.put("/sonar/fan", self._lines(FAN, 1.5), points=fan_lines(fan))
 
-    def path(self, points: NDArray[np.float32], first: int) -> int:
+    def path(self, points: NDArray[np.float64], first: int) -> int:
         """The vehicle came this way, (N, 3) metres; returns the bytes that were sent.
 
         Those from `first` on are new: another way, perhaps longer than what was told before.
@@ -125,7 +125,13 @@ class Actors:
         ):
             part = points[piece * PATH_PIECE : (piece + 1) * PATH_PIECE + 1]
             if len(part) > 1:
-                self._nodes.put(f"/path/{piece}", self._lines(PATH, 2.5), points=strip(part))
+                # From its first point on: graphics have single precision.
+                self._nodes.put(
+                    f"/path/{piece}",
+                    self._lines(PATH, 2.5),
+                    points=strip(part - part[0]),
+                    position=tuple(part[0].tolist()),
+                )
                 sent += 24 * (len(part) - 1)
                 self._pieces = max(self._pieces, piece + 1)
         self._path_told = len(points)

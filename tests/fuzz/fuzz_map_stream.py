@@ -10,6 +10,7 @@ import contextlib
 import sys
 
 import atheris
+import numpy as np
 import zstandard
 
 from mapperd.client.dialogue import Dialogue, Wishes
@@ -35,7 +36,7 @@ INTERESTS = (Interest(detail="classes"), Interest(level=3), Interest(detail="cou
 
 
 def _client_survives(data: bytes, choice: int) -> None:
-    """Whatever a server says is taken or ends the connection, and the mirror stays bounded."""
+    """Whatever a server says is taken or ends the connection, and what is held stays sound."""
     interest = INTERESTS[choice % 3]
     knowledge = Knowledge(interest, lambda _: None, MOST_BLOCKS)
     dialogue = Dialogue(Wishes(WANTS, interest), knowledge, None, lambda _: None)
@@ -45,6 +46,8 @@ def _client_survives(data: bytes, choice: int) -> None:
     with contextlib.suppress(StreamError):
         dialogue.receive(data[:half])
         dialogue.receive(data[half:])
+    if knowledge.path.shape[1:] != (3,) or not np.isfinite(knowledge.path).all():
+        raise AssertionError("a path that is none")
     mirror = knowledge.mirror
     if mirror is not None:
         mirror.digest()

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 import pytest
 
 from mapperd.client.checks import check_message, image_of
+from mapperd.client.knowledge import Knowledge
 from mapperd.config import Config
 from mapperd.echo import Echo
+from mapperd.stream.messages import Interest, Path
 from mapperd.stream.pictures import IMAGE_SIZES, first_returns, image_message
 from mapperd.stream.track import Track
+from mapperd.stream.way import path_message
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.stream import StreamParser
 from tests.mapperd.conftest import make_ping
@@ -90,6 +94,36 @@ def test_a_path_of_a_year_stays_within_its_points() -> None:
     steps = np.diff(points[:, 0])
     assert (steps == steps[0]).all()
     assert points[-1, 0] > 19_000
+
+
+def test_a_path_in_universal_coordinates_is_told_to_a_millimetre() -> None:
+    """A path goes on 4650 km from the zero of its zone, a decimetre from point to point.
+
+    Naively its points are in single precision, in steps of half a metre: a staircase.
+    """
+    track = Track(1000, 0.05)
+    way = np.array([500_000.123, 4_649_776.25, -12.5]) + np.outer(np.arange(300), [0.07, 0.071, 0])
+    for position_m in way:
+        track.add(position_m)
+    version, first, points = track.since(0, 0, 1000)
+    knowledge = Knowledge(Interest(), lambda _: None)
+    for begin in (0, 100, 200):
+        piece = path_message(first + begin, points[begin : begin + 100], version)
+        knowledge.take(msgspec.msgpack.decode(msgspec.msgpack.encode(piece), type=Path))
+    assert np.abs(knowledge.path - way).max() < 1e-6
+    # Who knows no more than points reads them where they were before.
+    old = np.frombuffer(piece.points, "<f4").reshape(-1, 3)
+    assert np.abs(old - way[200:]).max() < 0.5
+
+
+def test_a_path_near_the_map_s_zero_has_no_rest() -> None:
+    """Within some kilometres single precision holds a path to the millimetre.
+
+    Naively each point takes twice the bytes of the link, for digits that nobody sees.
+    """
+    near, far = (np.array([[x_m, 0.1, -5.0]]) for x_m in (9_000.1, 90_000.1))
+    assert path_message(0, near).rest == b""
+    assert len(path_message(0, far).rest) == len(path_message(0, far).points)
 
 
 def test_a_position_beyond_all_numbers_is_no_point_of_the_path() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from mapperd.client.checks import places_of
 from mapperd.config import Config
 from mapperd.config_filters import Crosstalk
 from mapperd.filters.fft_notch import notched
@@ -18,7 +19,7 @@ from mapperd.localization.filter import (
 )
 from mapperd.localization.levels import levels_db
 from mapperd.localization.models import filter_rule
-from mapperd.stream.track import Track
+from mapperd.stream.way import path_message
 from numerical_growth.place import Measured, Place
 
 __all__ = ["PLACES"]
@@ -95,13 +96,13 @@ def _notch() -> Measured:
 
 
 def _path() -> Measured:
-    track = Track(1000, 0.0)
-    at = np.random.default_rng(9).uniform(-10_000.0, 10_000.0, (900, 3))
-    for position in at:
-        track.add(position)
-    _, _, points = track.since(0, 0, 1000)
-    off = np.abs(points - at[: len(points)]).max()
-    return Measured(f"{off:.1e} m at 10 km", "the path is drawn; poses are in double precision")
+    """What a client reads of the points that it is told."""
+    said = []
+    for far_m in (10_000.0, 5e6):
+        at = np.random.default_rng(9).uniform(-far_m, far_m, (900, 3))
+        off = np.abs(places_of(path_message(0, at)) - at).max()
+        said.append(f"{off:.1e} m at {far_m / 1000:.0f} km")
+    return Measured(", ".join(said), "a path is drawn; poses are in double precision")
 
 
 def _returns() -> Measured:
@@ -163,16 +164,15 @@ PLACES = (
         "the samples have 8 or 16 bit",
     ),
     Place(
-        "`stream.track`, particles, `topside`",
+        "`stream.way`, particles, `topside`",
         (
-            "mapperd/stream/track.py",
+            "mapperd/stream/way.py",
             "mapperd/stream/feed.py",
-            "mapperd/stream/portions.py",
             "mapperd/topside/*.py",
         ),
         "points of the path",
         _path,
-        "12 bytes a point on the link",
+        "12 bytes a point on the link; far away 12 more hold what rounding left",
     ),
     Place(
         "`stream.pictures`",

@@ -27,6 +27,7 @@ from mapperd.stream.messages import (
     Hello,
     Interest,
     MapFacts,
+    Path,
     Reset,
     Status,
     Welcome,
@@ -55,6 +56,7 @@ class Served:
     revision: int = 0
     token: bytes | None = None
     refusal: Bye | None = None
+    path: Path | None = None
     versions: tuple[int, ...] = (1,)
     status_s: float = 1.0
     hellos: list[Hello] = field(default_factory=list)
@@ -184,6 +186,8 @@ class Connection:
         served = self.served
         blocks = served.since(self.told)
         self.told = served.revision
+        if served.path is not None:
+            self.say(served.path)
         self.say(
             Blocks(
                 revision=served.revision,

@@ -9,10 +9,12 @@ from collections.abc import Iterator
 from typing import Any
 
 import msgpack
+import numpy as np
 import zstandard
 
 from mapperd.client import MapMirror
 from mapperd.stream.messages import Interest
+from mapperd.stream.way import path_message
 from tests.mapperd.client.served import FACTS, TOKEN, Served, Server, a_block
 
 Key = tuple[int, int, int]
@@ -23,6 +25,7 @@ class Foreign:
 
     def __init__(self, host: str, port: int, token: bytes) -> None:
         self.cells: dict[Key, bytes] = {}
+        self.path: list[tuple[float, ...]] = []
         self.held: dict[str, Any] | None = None
         self._token = token
         self._address = (host, port)
@@ -45,6 +48,8 @@ class Foreign:
                         assert self.held is not None
                         self.held["revision"] = message["complete"]
                         return
+                elif kind == "path":
+                    self._go(message)
                 elif kind == "bye":
                     raise ConnectionError(message["reason"])
                 if kind not in ("greeting", "welcome"):
@@ -76,7 +81,7 @@ class Foreign:
         if challenge := greeting.get("challenge", ""):
             said = b"mapperd-control-1 " + challenge.encode()
             proof = hmac.new(self._token, said, hashlib.sha256).hexdigest()
-        hello = {"t": "hello", "version": 1, "proof": proof, "wants": ["map"]}
+        hello = {"t": "hello", "version": 1, "proof": proof, "wants": ["map", "path"]}
         hello["interest"] = {"detail": detail}
         self._say(hello | {"resume": self.held})
 
@@ -107,6 +112,13 @@ class Foreign:
             data
         )
 
+    def _go(self, message: dict[str, Any]) -> None:
+        points = struct.iter_unpack("<3f", message["points"])
+        rest = struct.iter_unpack("<3f", message.get("rest") or bytes(len(message["points"])))
+        del self.path[message["first"] :]
+        for point, left in zip(points, rest, strict=True):
+            self.path.append(tuple(a + b for a, b in zip(point, left, strict=True)))
+
 
 def cells_of(served: Served) -> dict[Key, bytes]:
     """What the daemon knows, by our own mirror."""
@@ -136,5 +148,22 @@ def test_a_client_made_from_the_document_holds_the_same_cells() -> None:
             served.begin_anew("map-2")
             await asyncio.to_thread(foreign.follow_until_complete)
             assert foreign.cells == cells_of(served)
+
+    asyncio.run(follow())
+
+
+def test_it_holds_the_same_path_near_and_far() -> None:
+    async def follow() -> None:
+        served = Served(token=TOKEN)
+        near_m = np.array([[1.0, 2.0, -3.0], [1.5, 2.5, -3.5], [9.0, 9.0, 9.0]])
+        far_m = np.array([[500_000.123, 4_649_776.25, -3.1], [500_000.3, 4_649_776.4, -3.2]])
+        async with Server(served) as server:
+            foreign = Foreign("127.0.0.1", server.port, TOKEN)
+            served.path = path_message(0, near_m)
+            await asyncio.to_thread(foreign.follow_until_complete)
+            served.path = path_message(2, far_m)
+            await asyncio.to_thread(foreign.follow_until_complete)
+        told = np.array(foreign.path)
+        np.testing.assert_allclose(told, np.vstack([near_m[:2], far_m]), rtol=0, atol=1e-6)
 
     asyncio.run(follow())

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from mapperd.client import LinkChanged, LinkStatus, MapChanged, MapReset
 from mapperd.client import pending as module
 from mapperd.client.changes import ClientChange
+from mapperd.client.checks import places_of
 from mapperd.client.knowledge import Knowledge
 from mapperd.client.pending import Pending
 from mapperd.stream.framing import StreamError
@@ -20,6 +21,7 @@ from mapperd.stream.messages import (
     Status,
     Welcome,
 )
+from mapperd.stream.way import path_message
 from tests.mapperd.client.served import FACTS, Served, a_block
 
 LINK = LinkChanged(LinkStatus("connected", "here", "", 0.0))
@@ -105,6 +107,16 @@ def test_pieces_of_the_path_are_joined() -> None:
     (path,) = reader.take_all()
     assert path == Path(first=2, points=points[:1].tobytes())
     assert reader.knowledge.path.tolist() == [*points[:2].tolist(), points[0].tolist()]
+
+
+def test_pieces_of_a_path_far_away_are_joined_with_all_their_digits() -> None:
+    reader = Reader()
+    far_m = np.array([[5e5 + 0.1, 4.6e6 + 0.2, 0.3], [5e5 + 0.2, 4.6e6 + 0.3, 0.4]])
+    reader.knowledge.take(path_message(0, far_m[:1]))
+    reader.knowledge.take(path_message(1, far_m[1:]))
+    (path,) = reader.take_all()
+    assert isinstance(path, Path)
+    np.testing.assert_allclose(places_of(path), far_m, rtol=0, atol=1e-6)
 
 
 def test_events_that_were_too_many_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:

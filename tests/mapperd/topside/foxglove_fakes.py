@@ -30,6 +30,7 @@ from mapperd.stream.messages import (
     Status,
     Welcome,
 )
+from mapperd.stream.way import path_message
 
 T0 = 1_790_000_000_000_000_000
 S = 1_000_000_000
@@ -106,7 +107,7 @@ SETTINGS = Settings(
         "frames.sonar": {"value": "oculus", "dynamic": False},
     }
 )
-WAY = np.arange(30, dtype=np.float32).reshape(10, 3)
+WAY = np.arange(30, dtype=np.float64).reshape(10, 3)
 
 
 class FakeClient:
@@ -117,7 +118,7 @@ class FakeClient:
         self.link = CONNECTED
         self.welcome: Welcome | None = None
         self.pose: Pose | None = None
-        self.path: NDArray[np.float32] = np.zeros((0, 3), np.float32)
+        self.path: NDArray[np.float64] = np.zeros((0, 3))
         self.fan: Fan | None = None
         self.returns: Returns | None = None
         self.image: Image | None = None
@@ -149,7 +150,7 @@ class FakeClient:
             MapReset(FACTS),
             SETTINGS,
             FAN,
-            Path(first=0, points=WAY.tobytes()),
+            path_message(0, WAY),
             POSE,
             RETURNS,
             IMAGE,

@@ -31,8 +31,8 @@ def server() -> Iterator["ViserServer"]:
         one.stop()
 
 
-def way(length: int, x: float) -> NDArray[np.float32]:
-    return np.column_stack([np.full(length, x), np.arange(length), np.zeros(length)]).astype("f4")
+def way(length: int, x: float) -> NDArray[np.float64]:
+    return np.column_stack([np.full(length, x), np.arange(length), np.zeros(length)])
 
 
 def test_a_path_that_begins_anew_leaves_nothing_of_the_one_before(server: "ViserServer") -> None:
@@ -41,8 +41,25 @@ def test_a_path_that_begins_anew_leaves_nothing_of_the_one_before(server: "Viser
     longer = way(4 * PATH_PIECE, 2.0)
     actors.take(Path(first=0, points=b""), longer, 0.0)
     drawn = [server.scene.get_handle_by_name(f"/path/{number}") for number in range(4)]
-    told = np.concatenate([cast("Any", one).points for one in drawn])
+    told = np.concatenate([segments_of(one) for one in drawn])
     np.testing.assert_array_equal(told, strip(longer))
+
+
+def test_a_path_far_from_the_maps_zero_is_drawn_to_the_millimetre(server: "ViserServer") -> None:
+    actors = Actors(server.scene)
+    metres = np.arange(2 * PATH_PIECE)
+    points = np.column_stack([500_000.3 + 0.1 * metres, 4_649_776.7 - 0.1 * metres, 0.0 * metres])
+    actors.take(Path(first=0, points=b""), points, 0.0)
+    drawn = [server.scene.get_handle_by_name(f"/path/{number}") for number in range(2)]
+    told = np.concatenate([segments_of(one)[:, 0] for one in drawn])
+    np.testing.assert_allclose(told, points[:-1], rtol=0, atol=1e-3)
+
+
+def segments_of(drawn: object) -> NDArray[np.float64]:
+    """Ends in the map's frame, (N, 2, 3)."""
+    node = cast("Any", drawn)
+    assert node.points.dtype == np.float32
+    return np.asarray(node.points.astype(np.float64) + np.asarray(node.position, np.float64))
 
 
 def test_an_ellipse_goes_with_the_covariance(server: "ViserServer") -> None:
@@ -94,7 +111,7 @@ def test_what_moves_is_moved_and_not_made_anew(server: "ViserServer") -> None:
     assert np.abs(second["sonar/fan"].points).max() == pytest.approx(6.0, rel=0.01)
     np.testing.assert_array_equal(second["returns/last"].position, (1, 2, -4))
     np.testing.assert_array_equal(second["robots/0"].position, (1, 0, -4))
-    np.testing.assert_array_equal(second["path/0"].points, strip(way(6, 1.0)))
+    np.testing.assert_array_equal(segments_of(second["path/0"]), strip(way(6, 1.0)))
     actors.localization(Localization(report={}, particles=b"", scan=b""), -4.0)
     assert server.scene.get_handle_by_name("/localization/particles") is None
 

@@ -65,7 +65,7 @@ class FakeClient:
         self.link = LinkStatus("connecting", "127.0.0.1:52300", "", time.monotonic())
         self.mirror: MapMirror | None = None
         self.welcome: Welcome | None = None
-        self.path: NDArray[np.float32] = np.zeros((0, 3), np.float32)
+        self.path: NDArray[np.float64] = np.zeros((0, 3))
         self.values: dict[str, Any] = {}
         self.refuses: dict[str, str] = {}
         self._blocks = blocks
