@@ -1,6 +1,8 @@
 """Long runs in short: ours stays near the oracle; and no single precision is left out."""
 
 import re
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,12 +10,12 @@ import pytest
 from numerical_growth.panel import Curve, Panel
 from numerical_growth.place import Measured
 from numerical_growth.run import GROWTHS, PICTURE, PLACES
+from numerical_growth.sources import MEASURED, NOT_MEASURED
 from numerical_growth.tables import growth_table, places_table
 from write_stability_docs import PAGE
 
 ROOT = Path(__file__).resolve().parents[2]
 MOST = {"log-odds": 1e-5, "rad; part": 1e-13, "m": 1e-10, "s": 2e-3, "part of the weight": 1e-10}
-AS_IT_COMES = {"mapperd/checkpoint/writing.py"}  # writes any array in its own width
 
 
 @pytest.mark.parametrize("grow", GROWTHS, ids=lambda grow: grow.__name__)
@@ -29,18 +31,18 @@ def test_ours_stays_near_the_oracle(grow: object) -> None:
 
 def test_every_source_with_single_precision_is_measured_and_on_the_page() -> None:
     page = PAGE.read_text(encoding="utf-8")
+    assert [place.where for place in PLACES] == list(MEASURED)
     for place in PLACES:
-        assert f"| {place.where} |" in page
-    named = {path for place in PLACES for glob in place.files for path in ROOT.glob(glob)}
-    left = {str(path.relative_to(ROOT)) for path in sources() - named} - AS_IT_COMES
-    assert not left
+        assert f"| {place.where} | {place.what} |" in page
+        assert f"in numpy: {place.numpy} |" in page or not place.numpy
+    assert all(f"| {reason} |" in page for reason in NOT_MEASURED)
 
 
-def test_no_pattern_of_sources_is_stale() -> None:
-    held = sources()
-    for place in PLACES:
-        for glob in place.files:
-            assert held & set(ROOT.glob(glob)), glob
+def test_each_source_with_single_precision_is_in_one_list_and_no_other_is() -> None:
+    named = [name for names in (*MEASURED.values(), *NOT_MEASURED.values()) for name in names]
+    twice = {name for name, times in Counter(named).items() if times > 1}
+    assert not twice
+    assert set(named) == {str(path.relative_to(ROOT)) for path in sources()}
 
 
 def sources() -> set[Path]:
@@ -70,4 +72,6 @@ def test_tables_say_where_numbers_end() -> None:
     assert "| sums | ours | m | 0 | 1.0e-09 | fractions |" in table
     assert "| sums | plain | m | 1.0e+00 | no number | fractions |" in table
     row = places_table([(PLACES[0], Measured("1 m", "lost"))]).splitlines()[-1]
-    assert row.endswith(f"| 1 m | lost | {PLACES[0].enough} |")
+    assert row.endswith(f"| 1 m | lost | {PLACES[0].enough} | of the product |")
+    row = places_table([(replace(PLACES[0], numpy="so"), Measured("1 m", "lost"))])
+    assert row.endswith("| in numpy: so |")

@@ -24,16 +24,15 @@ class Place:
     """One of them.
 
     Attributes:
-        where: for people.
-        files: patterns of the sources that hold it; together with those of all others they are
-            every source with single precision in it.
+        where: for people, and the sources of `numerical_growth.sources`.
         what: is single precision there.
         measure: gives the error and its consequence.
         enough: why it does, and what it saves.
+        numpy: why the same arithmetic is measured in numpy, where it is not the product's own.
     """
 
     where: str
-    files: tuple[str, ...]
     what: str
     measure: Callable[[], Measured]
     enough: str
+    numpy: str = ""

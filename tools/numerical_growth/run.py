@@ -20,7 +20,7 @@ from numerical_growth import (
 )
 from numerical_growth.panel import Panel
 from numerical_growth.picture import draw
-from numerical_growth.tables import growth_table, places_table
+from numerical_growth.tables import growth_table, places_table, unmeasured_table
 
 __all__ = ["GROWTHS", "PLACES", "main"]
 
@@ -51,7 +51,8 @@ def main() -> None:
     arguments = parser.parse_args()
     panels = [grow(arguments.updates) for grow in tqdm(GROWTHS, "long runs")]
     measured = [(place, place.measure()) for place in tqdm(PLACES, "single precision")]
-    growth, places = growth_table(panels), places_table(measured)
+    growth = growth_table(panels)
+    places = f"{places_table(measured)}\n\n{unmeasured_table()}"
     print(growth, places, sep="\n\n")
     draw(panels, ROOT / PICTURE if arguments.write else arguments.out / PICTURE.name)
     if arguments.write:

@@ -40,8 +40,15 @@ def _handed_out() -> Measured:
 
 
 def _probability() -> Measured:
-    exact = _chance(np.linspace(-10.0, 10.0, POINTS))
-    off = np.abs(exact.astype(np.float32) - exact)
+    """Of a map's occupied voxels, in the order of the log-odds that they are made of."""
+    sonar_map = SonarMap(Config())
+    chance = np.random.default_rng(15)
+    edge = sonar_map.resolution_m
+    points = np.asarray(edge * (chance.integers(-40, 40, (POINTS, 3)) + 0.5), np.float64)
+    sonar_map.core.set_log_odds(points, chance.uniform(2.0, 10.0, POINTS))
+    _, given, _ = sonar_map.core.voxels()
+    exact = np.sort(_chance(given.astype(np.float64)))
+    off = np.abs(np.sort(sonar_map.voxels("occupied").probability.astype(np.float64)) - exact)
     return Measured(f"{off.max():.1e}", "a threshold is met or not by that much")
 
 
@@ -118,54 +125,24 @@ def _distances() -> Measured:
 PLACES = (
     Place(
         "`VoxelMap.query`, `voxels`; `.ot` files",
-        (
-            "cpp/include/mapperd/voxel_map.hpp",
-            "cpp/src/octomap_*.cpp",
-            "cpp/bind/points.hpp",
-            "cpp/bind/map.cpp",
-        ),
         "log-odds handed out (stored: whole units of 2^-24)",
         _handed_out,
         "the file format's own width; what is stored keeps all its digits",
     ),
     Place(
         "`mapping.Voxels`, `map_queries`, the client's mirror, LAS",
-        (
-            "mapperd/mapping.py",
-            "mapperd/map_queries.py",
-            "mapperd/client/*.py",
-            "mapperd/sonar_to_3d.py",
-            "mapperd/export/calibration.py",
-            "mapperd/export/las.py",
-            "mapperd/export/p??.py",
-        ),
         "probabilities handed out",
         _probability,
         "thresholds are compared in log-odds, in double precision; half the memory of a cloud",
     ),
     Place(
         "`echo`",
-        (
-            "mapperd/echo.py",
-            "mapperd/polar_image.py",
-        ),
         "intensities",
         _intensity,
         "samples of 8 bit are exact; 32-bit ones are divided in double precision first",
     ),
     Place(
         "`voxel_lines`, `kernels`, `block_evidence`, `fan`",
-        (
-            "cpp/include/mapperd/voxel_lines.hpp",
-            "cpp/src/voxel_lines.cpp",
-            "cpp/include/mapperd/kernels.hpp",
-            "cpp/src/kernels_body.hpp",
-            "cpp/*/block_evidence.*",
-            "cpp/include/mapperd/block_evidence.hpp",
-            "cpp/include/mapperd/fan.hpp",
-            "cpp/src/fan.cpp",
-            "cpp/src/rays.cpp",
-        ),
         "lines through voxels, weights w(I), parts of a voxel",
         _lines,
         "coordinates count from the voxel and not from the map's zero; eight lanes of a vector "
@@ -173,12 +150,6 @@ PLACES = (
     ),
     Place(
         "`distance_field`, `volume_map`",
-        (
-            "cpp/include/mapperd/distance_field.hpp",
-            "cpp/src/distance_field.cpp",
-            "cpp/bind/queries.cpp",
-            "mapperd/localization/volume_map.py",
-        ),
         "distances to the nearest voxel",
         _distances,
         "squares of distances are whole numbers until the last root; half the memory",

@@ -9,6 +9,7 @@ from scipy.ndimage import distance_transform_edt
 from mapperd.client.checks import places_of
 from mapperd.config import Config
 from mapperd.config_filters import Crosstalk
+from mapperd.echo import Echo
 from mapperd.filters.fft_notch import notched
 from mapperd.localization.filter import (
     Endpoints,
@@ -19,6 +20,7 @@ from mapperd.localization.filter import (
 )
 from mapperd.localization.levels import levels_db
 from mapperd.localization.models import filter_rule
+from mapperd.stream.pictures import first_returns
 from mapperd.stream.way import path_message
 from numerical_growth.place import Measured, Place
 
@@ -106,7 +108,15 @@ def _path() -> Measured:
 
 
 def _returns() -> Measured:
-    off = float(np.spacing(np.float32(120.0))) / 2
+    """One return in each beam, as far as a sonar of low frequency sees."""
+    rows, bearings = 2400, np.linspace(-1.1, 1.1, 512)
+    image = np.zeros((rows, 512), np.float32)
+    row = np.random.default_rng(16).integers(rows // 2, rows, 512)
+    image[row, np.arange(512)] = 200.0
+    points, _ = first_returns(Echo(image, bearings, 0.05), Config())
+    range_m = (row + 0.5) * 0.05
+    exact = range_m[:, None] * np.column_stack([np.cos(bearings), -np.sin(bearings)])
+    off = np.abs(points[:, :2] - exact).max()
     return Measured(f"{off:.1e} m at 120 m", "a row of the image is 2 mm and more")
 
 
@@ -130,65 +140,53 @@ def _pictures() -> Measured:
 PLACES = (
     Place(
         "`likelihood_field`",
-        (
-            "cpp/localization/include/localization/likelihood_field.hpp",
-            "cpp/localization/src/likelihood_field.cpp",
-            "cpp/bind/localization_maps.cpp",
-        ),
         "likelihoods of a map's cells",
         _likelihoods,
         "half the memory, twice the cells in a cache; the model's constants are rough guesses",
     ),
     Place(
         "`field_weight`",
-        ("cpp/localization/src/field_weight.cpp",),
         "likelihoods looked up for a block of particles; products and logarithms are doubles",
         _weighing,
         "particles are told apart by tenths of a logarithm",
     ),
     Place(
         "`levels`, `first_return`",
-        (
-            "mapperd/localization/levels.py",
-            "mapperd/localization/first_return.py",
-        ),
         "levels in dB and running sums of them",
         _levels,
         "a scan is taken of every ping; sums begin anew in each",
+        "means alone, whose running sums lie within the search for a return; levels are ours",
     ),
     Place(
         "`fft_notch`, `crosstalk`, `robot_bands`",
-        ("mapperd/filters/*.py",),
         "images while they are filtered; measured of the notch",
         _notch,
         "the samples have 8 or 16 bit",
     ),
     Place(
         "`stream.way`, particles, `topside`",
-        (
-            "mapperd/stream/way.py",
-            "mapperd/stream/feed.py",
-            "mapperd/topside/*.py",
-        ),
         "points of the path",
         _path,
         "12 bytes a point on the link; far away 12 more hold what rounding left",
     ),
     Place(
         "`stream.pictures`",
-        ("mapperd/stream/pictures.py",),
         "first returns, fan and bearings",
         _returns,
         "they count from the sonar, not from the map's zero",
     ),
     Place(
-        "GeoTIFF", ("mapperd/export/geotiff.py",), "heights", _heights, "what survey programs read"
+        "GeoTIFF",
+        "heights",
+        _heights,
+        "what survey programs read",
+        "the file holds no more than a rounding of each height",
     ),
     Place(
         "pictures of pings",
-        ("oculus_driver/picture/*.py", "oculus_driver/ping.py"),
         "levels before they are greys",
         _pictures,
         "a screen shows 8 bit",
+        "the greys of a picture are mixed with their neighbours at once",
     ),
 )

@@ -114,62 +114,31 @@ def _pixels() -> Measured:
 PLACES = (
     Place(
         "`meshes`, `tracing` (Embree)",
-        (
-            "tools/sonar_sim/*.py",
-            "tools/sonar_sim/effects/*.py",
-            "tools/sonar_sim/navigation/*.py",
-            "cpp/acoustics/bind/tracing.cpp",
-            "cpp/acoustics/*/neighbours.*",
-            "cpp/acoustics/include/acoustics/neighbours.hpp",
-        ),
         "corners, directions and ranges",
         _rays,
         "corners count from their scene's middle, the sonar's pose stays in double precision",
     ),
     Place(
         "`footprint`, `placing`, `nodes`, `scatter_*`",
-        (
-            "cpp/acoustics/bind/scatter.cpp",
-            "cpp/acoustics/src/footprint.cpp",
-            "cpp/acoustics/src/nodes.?pp",
-            "cpp/acoustics/src/placing.cpp",
-            "cpp/acoustics/src/scatter_*.cpp",
-        ),
         "what a patch sends back, and where it is heard",
         _scattering,
         "patches are placed in rows and columns about the sonar, in metres from it",
     ),
     Place(
         "`deposit`, `random`, `hearing`",
-        (
-            "cpp/acoustics/src/deposit.cpp",
-            "cpp/acoustics/src/cells.cpp",
-            "cpp/acoustics/src/random.cpp",
-            "cpp/acoustics/include/acoustics/*.hpp",
-        ),
         "echoes and the cells that they fall into",
         _echoes,
         "twice the numbers a vector and a cache; bits do not depend on the number of threads",
+        "a cell's echoes are added where they are made, and have no twin in double precision",
     ),
     Place(
         "`convolution`, `beams`",
-        (
-            "cpp/acoustics/src/convolution.*",
-            "cpp/acoustics/src/beams.cpp",
-            "cpp/acoustics/bind/receiving.cpp",
-        ),
         "beams, by Fourier transform",
         _beams,
         "eight rows at a time",
     ),
     Place(
         "`receiver`, `fast_math`",
-        (
-            "cpp/acoustics/src/receiver.cpp",
-            "tools/sonar_sim/classic/*.py",
-            "tools/sonar_sim/products/*.py",
-            "tools/sonar_sim/validation/*.py",
-        ),
         "gain, gamma and the quantiser",
         _pixels,
         "series without branches, the same bits on every machine",

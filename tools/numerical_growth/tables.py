@@ -6,8 +6,9 @@ import numpy as np
 
 from numerical_growth.panel import Panel
 from numerical_growth.place import Measured, Place
+from numerical_growth.sources import NOT_MEASURED
 
-__all__ = ["growth_table", "places_table"]
+__all__ = ["growth_table", "places_table", "unmeasured_table"]
 
 
 def growth_table(panels: Sequence[Panel]) -> str:
@@ -32,9 +33,28 @@ def _number(error: float) -> str:
 
 def places_table(measured: Sequence[tuple[Place, Measured]]) -> str:
     """Where single precision is, and what it costs."""
-    rows = ["| where | what | worst error | so | why it is enough |", "|---|---|---|---|---|"]
+    rows = [
+        "| where | what | worst error | so | why it is enough | measured |",
+        "|---|---|---|---|---|---|",
+    ]
     rows += [
-        f"| {place.where} | {place.what} | {found.worst} | {found.so} | {place.enough} |"
+        f"| {place.where} | {place.what} | {found.worst} | {found.so} | {place.enough} | "
+        f"{f'in numpy: {place.numpy}' if place.numpy else 'of the product'} |"
         for place, found in measured
     ]
     return "\n".join(rows)
+
+
+def unmeasured_table() -> str:
+    """Sources with single precision that no row measures, and why not."""
+    rows = ["| not measured | why |", "|---|---|"]
+    return "\n".join(
+        [*rows, *(f"| {_names(files)} | {reason} |" for reason, files in NOT_MEASURED.items())]
+    )
+
+
+def _names(files: Sequence[str]) -> str:
+    """Those of one folder by that."""
+    folder = files[0].rpartition("/")[0]
+    many = len(files) > 1 and all(name.rpartition("/")[0] == folder for name in files)
+    return f"{len(files)} of `{folder}`" if many else ", ".join(f"`{name}`" for name in files)

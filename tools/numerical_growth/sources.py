@@ -1,0 +1,116 @@
+"""Which sources hold single precision: each is measured by one row of the page, or said why not."""
+
+__all__ = ["MEASURED", "NOT_MEASURED"]
+
+ACOUSTICS, HEARD = "cpp/acoustics/src/", "cpp/acoustics/include/acoustics/"
+SIMULATOR = "tools/sonar_sim/"
+
+
+def _in(folder: str, names: str) -> tuple[str, ...]:
+    return tuple(folder + name for name in names.split())
+
+
+MEASURED: dict[str, tuple[str, ...]] = {
+    "`VoxelMap.query`, `voxels`; `.ot` files": _in(
+        "cpp/",
+        "include/mapperd/voxel_map.hpp bind/points.hpp bind/map.cpp src/octomap_tree.cpp "
+        "src/octomap_write.cpp",
+    ),
+    "`mapping.Voxels`, `map_queries`, the client's mirror, LAS": _in(
+        "mapperd/",
+        "mapping.py map_queries.py sonar_to_3d.py client/cells.py client/mirror.py "
+        "export/calibration.py export/las.py export/pcd.py export/ply.py",
+    ),
+    "`echo`": _in("mapperd/", "echo.py polar_image.py"),
+    "`voxel_lines`, `kernels`, `block_evidence`, `fan`": (
+        *_in("cpp/include/mapperd/", "voxel_lines.hpp kernels.hpp block_evidence.hpp fan.hpp"),
+        *_in("cpp/src/", "voxel_lines.cpp kernels_body.hpp block_evidence.cpp fan.cpp rays.cpp"),
+    ),
+    "`distance_field`, `volume_map`": (
+        *_in("cpp/", "include/mapperd/distance_field.hpp src/distance_field.cpp bind/queries.cpp"),
+        "mapperd/localization/volume_map.py",
+    ),
+    "`likelihood_field`": _in(
+        "cpp/",
+        "localization/include/localization/likelihood_field.hpp "
+        "localization/src/likelihood_field.cpp bind/localization_maps.cpp",
+    ),
+    "`field_weight`": ("cpp/localization/src/field_weight.cpp",),
+    "`levels`, `first_return`": _in("mapperd/localization/", "levels.py first_return.py"),
+    "`fft_notch`, `crosstalk`, `robot_bands`": _in(
+        "mapperd/filters/", "fft_notch.py crosstalk.py robot_bands.py"
+    ),
+    "`stream.way`, particles, `topside`": _in(
+        "mapperd/",
+        "stream/way.py stream/feed.py client/checks.py topside/view_actors.py "
+        "topside/view_shapes.py",
+    ),
+    "`stream.pictures`": ("mapperd/stream/pictures.py",),
+    "GeoTIFF": ("mapperd/export/geotiff.py",),
+    "pictures of pings": _in("oculus_driver/", "picture/fan.py picture/painter.py ping.py"),
+    "`meshes`, `tracing` (Embree)": (
+        "cpp/acoustics/bind/tracing.cpp",
+        ACOUSTICS + "neighbours.cpp",
+        HEARD + "neighbours.hpp",
+        *_in(
+            SIMULATOR,
+            "bent.py bounce.py fan.py meshes.py paths.py pinhole.py spans.py tracing.py truth.py "
+            "navigation/altimeter.py",
+        ),
+    ),
+    "`footprint`, `placing`, `nodes`, `scatter_*`": (
+        "cpp/acoustics/bind/scatter.cpp",
+        *_in(
+            ACOUSTICS,
+            "footprint.cpp nodes.cpp nodes.hpp placing.cpp scatter_field.cpp scatter_power.cpp",
+        ),
+        *_in(HEARD, "footprint.hpp scatter.hpp"),
+    ),
+    "`deposit`, `random`, `hearing`": (
+        *_in(ACOUSTICS, "deposit.cpp cells.cpp random.cpp"),
+        *_in(HEARD, "cells.hpp deposit.hpp hearing.hpp random.hpp"),
+        *_in(SIMULATOR, "between.py cells.py clouds.py engine.py targets.py"),
+    ),
+    "`convolution`, `beams`": (
+        "cpp/acoustics/bind/receiving.cpp",
+        *_in(ACOUSTICS, "convolution.cpp convolution.hpp beams.cpp"),
+        HEARD + "beams.hpp",
+        SIMULATOR + "beams.py",
+    ),
+    "`receiver`, `fast_math`": (
+        ACOUSTICS + "receiver.cpp",
+        *_in(HEARD, "receiver.hpp fast_math.hpp"),
+        SIMULATOR + "receiver.py",
+    ),
+}
+"""Sources by the row that measures them."""
+
+NOT_MEASURED: dict[str, tuple[str, ...]] = {
+    "writes any array in its own width": ("mapperd/checkpoint/writing.py",),
+    "drawn by a browser or a viewer, whose own width it is": _in(
+        "mapperd/topside/",
+        "clouds.py poses.py sonar_images.py view_colours.py view_map.py view_tools.py "
+        "view_voxels.py",
+    ),
+    "serves the rules that decide on effects, to tenths of a decibel": _in(
+        SIMULATOR,
+        "picture_change.py rule_check.py texture.py effects/coarse.py effects/ghosts.py "
+        "effects/plumes.py effects/rays.py",
+    ),
+    "the published plugin's arithmetic in the widths that it has": _in(
+        SIMULATOR + "classic/",
+        "level_defects.py normals.py pipeline.py scan.py shape_defects.py shapes.py snr.py "
+        "visual.py writer.py",
+    ),
+    "hands on what other sources made": _in(
+        SIMULATOR,
+        "product.py simulator.py products/arrays.py products/cells.py products/cloud.py "
+        "products/pictures.py products/raw_scan.py products/sounding.py",
+    ),
+    "checks of the simulator, which run beside it": _in(
+        SIMULATOR + "validation/",
+        "homogeneous.py recording.py v05_plate.py v06_beam_pattern.py v10_mirror_ghosts.py "
+        "v14_quantiser.py v17_no_wrap.py v18_classic.py v19_determinism.py v20_tank.py",
+    ),
+}
+"""Those that no row measures, by the reason."""
