@@ -141,3 +141,8 @@ def look_until_indexed(source: MapSource, now_ns: int = SECOND_NS) -> None:
     source.look(now_ns)
     while source.indexing:
         source.look(now_ns)
+
+
+def assert_same(client: Client, sonar_map: SonarMap) -> None:
+    """What a client holds is what the map says of its interest."""
+    assert client.holds() == expected(sonar_map.core, client.mirror.facts, client.interest)
