@@ -1,7 +1,7 @@
 """Arrows between the rooms point one way; an import that points back fails here.
 
 tools -> mapperd -> oculus_driver; mapperd -> mapperd._core; sonar_sim -> oculus_driver only.
-Inside mapperd every module imports only modules that stand above it in `ORDER`.
+Inside mapperd every module imports only modules that stand above it in `tests.layer_order`.
 """
 
 import ast
@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from tests.layer_order import ORDER
 
 ROOT = Path(__file__).resolve().parents[1]
 
