@@ -106,9 +106,8 @@ void compare(const Shot& shot, SharesByBound& total) {
 
 // Two hundred voxels of range and more; sanitizer builds see fewer, and one scene.
 std::vector<Shot> shots(Aggregation aggregation) {
-  const bool sanitized = std::getenv("MAPPERD_ORACLE_SCENES") != nullptr;
   std::vector<Shot> all;
-  for (int scene = 0; scene < (sanitized ? 1 : 4); ++scene) {
+  for (int scene = 0; scene < (check::sanitized() ? 1 : 4); ++scene) {
     scenes::Random random(400 + static_cast<std::uint64_t>(scene));
     Ragged want;
     want.half_fan_rad = 0.35;
@@ -124,7 +123,7 @@ std::vector<Shot> shots(Aggregation aggregation) {
     shot.settings.carve_no_return = scene < 2;
     shot.settings.min_range_m = scene == 3 ? 10.0 : 0.5;
     shot.pose = scenes::random_pose(random);
-    shot.edge_m = want.max_range_m / (sanitized ? 60 : random.uniform(200, 230));
+    shot.edge_m = want.max_range_m / (check::sanitized() ? 60 : random.uniform(200, 230));
     all.push_back(std::move(shot));
   }
   return all;
@@ -139,7 +138,7 @@ void check_bounds(Aggregation aggregation) {
     CHECK(s.occupied > 200);
     CHECK(s.far == 0);
     // The shares are those of far fields: sanitizer builds only walk the code.
-    if (std::getenv("MAPPERD_ORACLE_SCENES") != nullptr) continue;
+    if (check::sanitized()) continue;
     CHECK(s.off <= 0.01 * s.occupied);
     CHECK(s.disputed + s.edges < 0.015 * s.occupied);
   }

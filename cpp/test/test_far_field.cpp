@@ -1,7 +1,6 @@
 // Far-field pings with ragged first returns: every shortcut gives what the voxel gives on its own.
 #include <cmath>
 #include <cstdio>
-#include <cstdlib>
 
 #include "check.hpp"
 #include "far_scenes.hpp"
@@ -18,7 +17,7 @@ using oracle::Parts;
 using scenes::Ragged;
 
 // Sanitizer builds look at a few points only.
-int points_of_scene() { return std::getenv("MAPPERD_ORACLE_SCENES") == nullptr ? 6000 : 300; }
+int points_of_scene() { return check::sanitized() ? 300 : 6000; }
 
 // Into an empty map.
 double expected_log_odds(const mapperd::IwloRule& rule, const Parts& parts,

@@ -1,7 +1,6 @@
 // Of a moving sonar, too, every shortcut gives what the voxel gives on its own.
 #include <cmath>
 #include <cstdio>
-#include <cstdlib>
 
 #include "check.hpp"
 #include "far_scenes.hpp"
@@ -21,7 +20,7 @@ using oracle::Parts;
 using scenes::Ragged;
 
 // Sanitizer builds look at a few points only.
-int points_of_scene() { return std::getenv("MAPPERD_ORACLE_SCENES") == nullptr ? 5000 : 300; }
+int points_of_scene() { return check::sanitized() ? 300 : 5000; }
 
 Class class_of(const mapperd::VoxelState& state) {
   if (state.count == 0) return Class::untouched;

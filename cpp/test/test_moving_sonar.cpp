@@ -29,8 +29,6 @@ using oracle::Class;
 using oracle::Voxel;
 using scenes::Ragged;
 
-bool sanitized() { return std::getenv("MAPPERD_ORACLE_SCENES") != nullptr; }
-
 struct Shot {
   scenes::Ping ping;
   oracle::Settings settings;
@@ -132,15 +130,15 @@ void print(const char* name, const Agreement& a) {
 // Sound as in water, and so much slower that second orders would show.
 TEST_CASE("each sample lies where its own pose puts it, in a voxel's every part") {
   for (const double slow : {0.0, 1.0, 8.0}) {
-    for (std::uint64_t scene = 0; scene < (sanitized() ? 1 : 2); ++scene) {
+    for (std::uint64_t scene = 0; scene < (check::sanitized() ? 1 : 2); ++scene) {
       Shot shot = shot_of(800 + scene, std::max(slow, 1.0));
       if (!(slow > 0)) shot.motion = {};
-      const Judge oracle(shot, sanitized() ? 4 : 50);
+      const Judge oracle(shot, check::sanitized() ? 4 : 50);
       const Agreement with = oracle.judge(shot.motion);
       print(slow > 1 ? "sound slower" : slow > 0 ? "sound as in water" : "at rest", with);
       CHECK(with.disputed == 0);
       CHECK(with.worst < 1.5e-3);
-      if (sanitized()) continue;
+      if (check::sanitized()) continue;
       CHECK(with.occupied > 12);
       CHECK(with.rms() < 3e-4);
       if (!(slow > 0)) continue;
@@ -201,7 +199,7 @@ TEST_CASE("of a moving sonar as well threads make no difference, to the bit") {
 TEST_CASE("error_bound holds for a moving sonar") {
   const double bound = 0.1;
   int occupied = 0, off = 0, others = 0;
-  for (std::uint64_t scene = 0; scene < (sanitized() ? 1 : 3); ++scene) {
+  for (std::uint64_t scene = 0; scene < (check::sanitized() ? 1 : 3); ++scene) {
     Shot shot = shot_of(840 + scene, scene == 2 ? 5.0 : 1.0);
     shot.settings.resolution_m = 0.15;
     const VoxelMap exact = mapped(shot, shot.settings.fan, shot.motion);
@@ -219,7 +217,7 @@ TEST_CASE("error_bound holds for a moving sonar") {
     });
   }
   std::printf("  %d occupied, %d off by more, %d of another class\n", occupied, off, others);
-  CHECK(occupied > (sanitized() ? 100 : 5000));
+  CHECK(occupied > (check::sanitized() ? 100 : 5000));
   CHECK(off * 100 <= occupied && others * 100 < occupied);
 }
 

@@ -3,7 +3,6 @@
 #include <array>
 #include <cmath>
 #include <cstdio>
-#include <cstdlib>
 #include <vector>
 
 #include "check.hpp"
@@ -120,9 +119,8 @@ Scene usual_scene(scenes::Random& random) {
 
 // At the borders between classes; or else anywhere in the fan, no place rather than another.
 AllErrors errors_of(Scene (*next_scene)(scenes::Random&), bool at_borders) {
-  const bool sanitized = std::getenv("MAPPERD_ORACLE_SCENES") != nullptr;
   AllErrors errors;
-  for (int i = 0; i < (sanitized ? 3 : 12); ++i) {
+  for (int i = 0; i < (check::sanitized() ? 3 : 12); ++i) {
     scenes::Random random(300 + static_cast<std::uint64_t>(i));
     const Scene scene = next_scene(random);
     const scenes::Ping& ping = scene.ping;
@@ -133,7 +131,7 @@ AllErrors errors_of(Scene (*next_scene)(scenes::Random&), bool at_borders) {
     const VoxelLines voxel_lines(fan, scene.edge_m, mapperd::kernels());
     const scenes::Borders borders(ping, scene.settings, scene.edge_m);
     const double half_aperture = scene.settings.vertical_aperture_rad / 2;
-    for (int k = 0; k < (sanitized ? 100 : 1000) * (at_borders ? 1 : 4); ++k) {
+    for (int k = 0; k < (check::sanitized() ? 100 : 1000) * (at_borders ? 1 : 4); ++k) {
       const double range = fan.max_range_m() * std::cbrt(random.uniform(0, 1));
       const double bearing = random.uniform(fan.edges_rad().front(), fan.edges_rad().back());
       const double elevation = random.uniform(-half_aperture, half_aperture);
@@ -164,7 +162,7 @@ TEST_CASE("parts along lines are near to the closed form, the nearer the more li
     print(kLines[i], "voxels, error times lines", errors.parts);
     print(kLines[i], "of them cut", errors.sides);
     print(kLines[i], "weights, error over documented", errors.weight);
-    if (std::getenv("MAPPERD_ORACLE_SCENES") != nullptr) continue;  // too few to be shares of
+    if (check::sanitized()) continue;  // too few to be shares of
     CHECK(errors.parts.size() > 300 && errors.sides.size() > 50);
     CHECK(at_share(errors.parts, 0.9) <= 1.0 && at_share(errors.sides, 0.9) <= 1.0);
     CHECK(at_share(errors.parts, 0.99) <= 3.5 && at_share(errors.sides, 0.99) <= 3.5);
@@ -177,7 +175,7 @@ TEST_CASE("weights along lines are as near to the closed form as documented") {
   const AllErrors all = errors_of(usual_scene, false);
   for (std::size_t i = 0; i < kLines.size(); ++i) {
     print(kLines[i], "weights, error over documented", all[i].weight);
-    if (std::getenv("MAPPERD_ORACLE_SCENES") != nullptr) continue;  // too few to be shares of
+    if (check::sanitized()) continue;  // too few to be shares of
     CHECK(all[i].weight.size() > 100);
     CHECK(at_share(all[i].weight, 0.99) <= 1.0);
   }
