@@ -12,7 +12,8 @@ using namespace scenes;
 // `make localization-soak` asks for ten millions.
 long updates_wished() {
   const char* said = std::getenv("MAPPERD_LONG_UPDATES");
-  return said == nullptr ? 100000 : std::atol(said);
+  if (said != nullptr) return std::atol(said);
+  return check::sanitized() ? 5000 : 100000;
 }
 
 TEST_CASE("a vehicle that circles for ever stays where it is, and its numbers sound") {
@@ -61,7 +62,7 @@ TEST_CASE("ten million reweightings leave weights of sum 1") {
   std::vector<double> log_weight{std::log(0.25), std::log(0.25), std::log(0.5)};
   const std::vector<double> likely{-1.0, -2.0, -300.0};
   const std::vector<double> unlikely{-2.0, -1.0, 300.0};
-  for (int k = 0; k < 5'000'000; ++k) {
+  for (int k = 0; k < (check::sanitized() ? 50'000 : 5'000'000); ++k) {
     reweight(log_weight, likely);
     reweight(log_weight, unlikely);
   }
