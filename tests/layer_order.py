@@ -119,6 +119,7 @@ ORDER = (
     "localization.levels",
     "localization.first_return",
     "localization.levelling",
+    "localization.aperture",
     "localization.floor_gate",
     "localization.burst",
     "localization.extraction",

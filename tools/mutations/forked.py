@@ -6,6 +6,7 @@ A program of its own takes seconds of imports for tests of a tenth of one.
 import contextlib
 import importlib
 import os
+import pkgutil
 import sys
 import tempfile
 import time
@@ -55,7 +56,7 @@ def run_forked(
 def _import_foreign() -> None:
     for name in FOREIGN:
         with contextlib.suppress(ImportError):  # extras that are not installed
-            importlib.import_module(name)
+            pkgutil.resolve_name(name)
 
 
 def _run_in_child(

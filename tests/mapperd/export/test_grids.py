@@ -142,5 +142,5 @@ def test_a_voxel_a_unit_beyond_a_threshold_is_on_its_side(unit: float) -> None:
 
 @pytest.mark.parametrize("resolution_m", [0.05, 0.1, 0.07])
 def test_centres_that_rounding_left_low_are_in_their_cells(resolution_m: float) -> None:
-    index = np.arange(-3000, 3000)
+    index = np.arange(-3000, 3000, dtype=np.float64)
     assert (indices_of((index + 0.5) * resolution_m, resolution_m) == index).all()
