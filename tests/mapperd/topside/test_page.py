@@ -1,7 +1,7 @@
 """The page in a real browser: it shows the map, changes settings, and outlives the link."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -75,6 +75,17 @@ def draw_points(serving: Serving, page: "Page") -> None:
     serving.until(lambda: not view.map.stale and not view.map._nodes.leaving, page)
 
 
+def settled(render: Callable[[], Any], patience: int = 20) -> Any:
+    """A picture that is as the one before: a busy browser mounts what it was sent frames later."""
+    before = render()
+    for _ in range(patience):
+        now = render()
+        if np.array_equal(now, before):
+            return now
+        before = now
+    raise AssertionError(f"the picture still changes after {patience} renderings")
+
+
 def test_the_picture_is_that_of_the_map(serving: Serving, page: "Page") -> None:
     draw_points(serving, page)
     panel = serving.view._panel
@@ -84,13 +95,15 @@ def test_the_picture_is_that_of_the_map(serving: Serving, page: "Page") -> None:
     rotation = camera_towards(at, (low + high) / 2)
     (client,) = serving.server.get_clients().values()
     size, fov = (client.camera.image_height, client.camera.image_width), client.camera.fov
-    theirs = client.get_render(  # as large as the window: of that viser sizes points
-        *size,
-        wxyz=quaternion_of(rotation),
-        position=tuple(at),
-        fov=fov,
-        transport_format="png",
-        timeout=60.0,
+    theirs = settled(  # as large as the window: of that viser sizes points
+        lambda: client.get_render(
+            *size,
+            wxyz=quaternion_of(rotation),
+            position=tuple(at),
+            fov=fov,
+            transport_format="png",
+            timeout=60.0,
+        )
     )
     scale = Scale("height", *panel._span.ends_m)
     ours, covered = picture_of(
