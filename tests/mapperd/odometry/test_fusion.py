@@ -15,8 +15,9 @@ from mapperd.config_odometry import (
     Owners,
     TimeSync,
 )
+from mapperd.frames import rotation_from_rpy
 from mapperd.odometry.fusion import FusedPose, Fusion
-from mapperd.odometry.records import GeoPoint
+from mapperd.odometry.records import GeoPoint, Odometry
 from mapperd.reject import Reject
 from tests.mapperd.odometry.conftest import T0, Circle, S, feed, fused_at, record, yaw_of
 
@@ -214,6 +215,43 @@ def test_implausible_speed_and_turn_rate_are_refused(circle: Circle) -> None:
     spinning = record(map_q_base=circle.quaternion(0), rate_radps=np.array([0, 0, 2.0]))
     refused = fusion.take("ahrs", spinning, T0)
     assert refused == Reject("turns_too_fast", "115 deg/s; at most 90")
+
+
+@pytest.mark.parametrize(("limit_dps", "told"), [(20.0, False), (90.0, True)])
+def test_a_turn_by_attitudes_that_no_vehicle_has_is_none(limit_dps: float, *, told: bool) -> None:
+    fusion = Fusion(OdometryFusion(limits=Limits(max_turn_rate=limit_dps)))
+
+    def turning(t_s: float) -> dict[str, np.ndarray]:
+        return {"position_m": np.zeros(3), "map_q_base": rotation_from_rpy(0, 0, 30.0 * t_s)}
+
+    feed(fusion, "ekf", 20, 2, turning)
+    rate = fused_at(fusion, 1.0).rate_radps
+    assert (rate is None) != told
+    assert rate is None or rate == pytest.approx(np.radians([0, 0, 30.0]), abs=1e-6)
+
+
+def test_a_jump_of_the_attitude_alone_begins_a_segment(circle: Circle) -> None:
+    fusion = Fusion()
+    feed(fusion, "ekf", 20, 10, lambda t: {"position_m": circle.position_m(t)})
+
+    def turned(t_s: float) -> dict[str, np.ndarray]:
+        return {"map_q_base": rotation_from_rpy(0, 0, 0.0 if t_s < 5.0 else 80.0)}
+
+    feed(fusion, "ahrs", 20, 10, turned)
+    assert fused_at(fusion, 9.0).segment > fused_at(fusion, 3.0).segment
+
+
+def test_stamps_of_two_clocks_of_one_sender_are_fitted_apart(circle: Circle) -> None:
+    fusion = Fusion()
+    for k in range(200):
+        t_s, now_ns = k / 20, T0 + k * S // 20
+        unset = Odometry(now_ns - 3600 * S, "unix", map_q_base=circle.quaternion(t_s))
+        booted = Odometry(5 * S + k * S // 20, "boot", position_m=circle.position_m(t_s))
+        fusion.take("fc", unset, now_ns)
+        fusion.take("fc", booted, now_ns)
+    fused = fused_at(fusion, 8.0)
+    assert fused.pose.position_m == pytest.approx(circle.position_m(8.0), abs=0.01)
+    assert yaw_of(fused) == pytest.approx(circle.yaw_rad(8.0), abs=0.01)
 
 
 def test_geographic_positions_have_their_origin_and_the_depth_its_height(circle: Circle) -> None:

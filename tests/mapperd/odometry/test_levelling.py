@@ -89,6 +89,10 @@ def test_nothing_is_mapped_before_the_world_is_level_and_all_is_turned_after() -
     assert abs(float(fused.pose.map_q_base @ tilt)) == pytest.approx(1)
     assert fused.pose.position_m == pytest.approx(quaternion_to_matrix(tilt) @ [2.0, 1.0, 0.0])
     assert fusion.at(T0 + 5 * S) != fused
+    ahead = {**fields, "velocity_map_mps": np.array([0.2, 0.0, 0.1])}
+    feed(fusion, "ekf", 10, 3.0, lambda _: ahead, start_s=2.1)
+    moving = fused_at(fusion, 2.8).velocity_mps
+    assert moving == pytest.approx(quaternion_to_matrix(tilt) @ [0.2, 0.0, 0.1])
 
 
 @pytest.mark.parametrize(("body", "at_rest"), [("flu", (0, 0, 9.81)), ("frd", (0, 0, -9.81))])
