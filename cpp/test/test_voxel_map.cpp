@@ -75,6 +75,15 @@ TEST_CASE("a block's revision tells when it last changed, and it stops with the 
   CHECK(map.find(key)->revision > of_wall && map.find(key)->revision < map.revision());
 }
 
+TEST_CASE("states from elsewhere are brought inside the clamps and the settled count") {
+  VoxelMap map(0.1, {});
+  map.set({0, 0, 0}, {50.0F, 60000});
+  map.set({1, 0, 0}, {-50.0F, 1});
+  CHECK(map.at(VoxelIndex{0, 0, 0}).log_odds == 10.0F);
+  CHECK(map.at(VoxelIndex{0, 0, 0}).count == map.rule().settled_count());
+  CHECK(map.at(VoxelIndex{1, 0, 0}).log_odds == -10.0F);
+}
+
 TEST_CASE("a resolution that is no length is refused") {
   CHECK_THROWS(VoxelMap(0.0, {}), std::invalid_argument);
   CHECK_THROWS(VoxelMap(-0.1, {}), std::invalid_argument);

@@ -32,6 +32,11 @@ def test_the_outermost_beams_look_along_the_aperture(beams: int, half_deg: float
     np.testing.assert_array_equal(table, -table[::-1])
 
 
+def test_hundredths_of_a_degree_are_cut_off_as_sonars_do() -> None:
+    table = bearing_table_cdeg(256, math.radians(30.0))
+    assert table[[3, 4, 6, 7]].tolist() == [-2922, -2896, -2845, -2819]  # -2896.75 and -2819.99
+
+
 def test_one_beam_looks_straight_ahead() -> None:
     assert bearing_table_cdeg(1, 0.5).tolist() == [0]
 

@@ -12,9 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from oculus_driver.encode import encode_dummy, encode_fire, encode_user_config
+from oculus_driver.framing import Header, header_fault
 from oculus_driver.ping import Ping, Reject, decode_ping
 from oculus_driver.stream import Message, StreamCounters, StreamParser
-from oculus_driver.wire import HEADER, MIB, PING_RESULT_V2
+from oculus_driver.wire import HEADER, MAGIC, MIB, MIN_PING_PAYLOAD, PING_RESULT_V2, MessageId
 
 MakePing = Callable[..., bytes]
 
@@ -381,3 +382,11 @@ def test_sound_pings_between_anything_small_are_found(
 @given(st.binary(max_size=2000), st.lists(st.integers(0, 2000), max_size=5))
 def test_any_bytes_are_parsed(stream: bytes, cuts: list[int]) -> None:
     assert parsed(stream, *(min(cut, len(stream)) for cut in cuts)) == parsed(stream)
+
+
+def test_a_ping_too_short_for_one_is_none_while_the_place_is_in_doubt() -> None:
+    least = Header(MAGIC, 1, 0, MessageId.PING_RESULT, 2, MIN_PING_PAYLOAD, 0)
+    assert header_fault(least, strict=True) is None
+    short = least._replace(payload_size=MIN_PING_PAYLOAD - 1)
+    assert header_fault(short, strict=True) == "short_message"
+    assert header_fault(short, strict=False) is None

@@ -70,7 +70,7 @@ def test_returns_behind_the_least_range_of_all_are_none() -> None:
     Naively the first row is a negative number or beyond the last, and counts from the end.
     """
     image = np.full((10, 5), 200, np.float32)
-    for row_m in (0.001, 0.05, 0.5):
+    for row_m in (0.001, 0.05, 0.09, 0.5):
         echo = Echo(image, np.linspace(-1, 1, 5), row_m)
         points, bright = first_returns(echo, Config())
         least_m = Config().filtering.min_range

@@ -254,6 +254,14 @@ def test_stamps_of_two_clocks_of_one_sender_are_fitted_apart(circle: Circle) -> 
     assert yaw_of(fused) == pytest.approx(circle.yaw_rad(8.0), abs=0.01)
 
 
+@pytest.mark.parametrize("nothing", [0.0, -1.0])
+def test_a_covariance_that_says_nothing_is_replaced_by_ours(circle: Circle, nothing: float) -> None:
+    fusion = Fusion()
+    told = nothing * np.eye(6)
+    feed(fusion, "ekf", 20, 2, lambda t: {**circle.pose(t), "pose_covariance": told})
+    assert (np.diag(fused_at(fusion, 1.0).covariance) > 0.0).all()
+
+
 def test_geographic_positions_have_their_origin_and_the_depth_its_height(circle: Circle) -> None:
     origin = OdometryFusion(origin=GeoOrigin(60.0, 5.0))
     fusion = Fusion(origin)
