@@ -1,0 +1,32 @@
+"""What fusion is made of: the way summed up, turns between attitudes, clocks of links."""
+
+import numpy as np
+import pytest
+
+from mapperd.frames import rotation_from_rpy
+from mapperd.odometry.reckoning import DeadReckoning
+from mapperd.odometry.stamps import OdometryClock
+from mapperd.odometry.states import turn_between
+from tests.mapperd.odometry.conftest import T0, S, record
+
+
+def test_a_last_velocity_is_carried_on_for_a_gap_and_no_longer() -> None:
+    reckoning = DeadReckoning(S, 0.1)
+    for k in range(3):
+        reckoning.add(k * S // 2, np.array([1.0, 0.0, 0.0]), in_map=True)
+    reckoning.go_on(lambda _: None, None)
+    carried = reckoning.at(2 * S)
+    assert carried is not None
+    assert carried.value.way_m == pytest.approx([2.0, 0.0, 0.0])
+    assert reckoning.at(2 * S + 1) is None
+
+
+def test_a_quaternion_and_its_negative_are_one_turn() -> None:
+    start, end = np.array([1.0, 0, 0, 0]), rotation_from_rpy(0, 0, 40.0)
+    for sign in (1.0, -1.0):
+        assert turn_between(start, sign * end) == pytest.approx([0, 0, np.radians(40.0)])
+
+
+def test_a_known_delay_of_a_link_is_taken_off() -> None:
+    clock = OdometryClock(S, S // 5)
+    assert clock.t_host_ns(record(), T0) == T0 - S // 5
