@@ -195,6 +195,24 @@ def test_an_unknown_data_size_is_told_by_the_only_fit(make_ping: MakePing, width
     assert ping.warnings == {"bad_data_size"}
 
 
+def test_rows_of_a_broken_number_of_bytes_are_dropped(make_ping: MakePing) -> None:
+    data = make_ping() + b"\0"
+    whole = patched(
+        data,
+        PING_RESULT_V2,
+        image_size=PING_RESULT_V2.unpack(data)["image_size"] + 1,
+        message_size=len(data),
+        payload_size=len(data) - 16,
+    )
+    assert reason_of(whole) == "size_mismatch"
+
+
+def test_ranges_are_those_of_the_rows_middles(make_ping: MakePing) -> None:
+    ping = ping_of(make_ping())
+    expected = (np.arange(ping.rows) + 0.5) * ping.range_resolution_m
+    np.testing.assert_array_equal(ping.ranges_m, expected)
+
+
 def test_an_unknown_data_size_with_two_fits_is_dropped(make_ping: MakePing) -> None:
     data = make_ping(beams=4)  # 4 beams of 2 bytes are also 4 of 1 byte and a gain word
     image_size = 5 * 8

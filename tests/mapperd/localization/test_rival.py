@@ -106,6 +106,15 @@ def test_clouds_are_at_the_same_place_if_each_is_at_one() -> None:
     assert not same_place(here, cloud_at(0, spread_m=2.0).estimate())
 
 
+def test_clouds_that_head_along_pi_are_at_the_same_place() -> None:
+    clouds = []
+    for yaw_rad in (math.pi - 0.01, 0.01 - math.pi):
+        particles = ParticleFilter(rule(200, 200), 5)
+        particles.start_about(np.array([1.0, 1.0, yaw_rad]), np.diag([1e-4, 1e-4, 1e-6]))
+        clouds.append(particles.estimate())
+    assert same_place(*clouds)
+
+
 def test_vehicle_that_is_carried_off_says_so_and_is_found_again() -> None:
     particles = MapFilter(profile())
     particles.take_map(room())

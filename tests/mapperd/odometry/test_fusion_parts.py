@@ -6,7 +6,7 @@ import pytest
 from mapperd.frames import rotation_from_rpy
 from mapperd.odometry.reckoning import DeadReckoning
 from mapperd.odometry.stamps import OdometryClock
-from mapperd.odometry.states import turn_between
+from mapperd.odometry.states import POSITION, Position, turn_between
 from tests.mapperd.odometry.conftest import T0, S, record
 
 
@@ -30,3 +30,9 @@ def test_a_quaternion_and_its_negative_are_one_turn() -> None:
 def test_a_known_delay_of_a_link_is_taken_off() -> None:
     clock = OdometryClock(S, S // 5)
     assert clock.t_host_ns(record(), T0) == T0 - S // 5
+
+
+def test_between_a_good_place_and_a_bad_one_places_are_bad() -> None:
+    good, bad = (Position(np.zeros(3), None, s * np.eye(3), has_height=True) for s in (1.0, 9.0))
+    for pair in ((good, bad), (bad, good)):
+        assert POSITION.blend(*pair, 0.5).covariance_m2[0, 0] == 9.0

@@ -7,8 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from mapperd.stream import nearest as nearest_module
+from mapperd.stream.messages import Interest
 from mapperd.stream.nearest import NEAR_M, WAITING, NearestFirst, Part
-from mapperd.stream.region import distances_m, vector_of
+from mapperd.stream.region import LEAVE, distances_m, vector_of, within
 
 BLOCK_M = 0.8
 ALL = 1 << 14
@@ -150,3 +151,13 @@ def test_twice_the_front_at_once_hides_nothing_that_is_nearer(
     assert every.take(1) == [0]
     every.add(range(30, 42))
     assert every.take(2) == [41, 40]
+
+
+def test_what_was_told_goes_later_than_it_came() -> None:
+    keys, here = np.array([[10, 0, 0]] * 2, np.int32), (0.5, 0.5, 0.5)
+    away_m = distances_m(keys, 1.0, here)[0]
+    held = np.array([False, True])
+    for radius_m, told in ((away_m, [True, True]), (away_m - 0.1, [False, True])):
+        assert within(keys, 1.0, Interest(radius_m=radius_m), here, held).tolist() == told
+    beyond = Interest(radius_m=away_m / LEAVE - 0.1)
+    assert within(keys, 1.0, beyond, here, held).tolist() == [False, False]
