@@ -126,6 +126,7 @@ def tree(folder: Path) -> Path:
 def test_a_test_is_its_file_or_its_case_with_what_is_around_it(tmp_path: Path) -> None:
     root = tree(tmp_path)
     assert list(texts_of("tests/x.py::test_a", root)) == ["assert x\n"]
+    assert list(texts_of("tests/", root)) == list(texts_of("tests/x.py tests/y.py", root))
     assert list(texts_of("program: one", root)) == ['int help;\nTEST_CASE("one") {\n  a;\n}\n']
     two = 'TEST_CASE("two") {\n  b;\n}\n\nint more;\n\n'
     assert list(texts_of("program: two", root)) == [two]

@@ -32,7 +32,10 @@ def stamp(mutation: Mutation, tests: Sequence[str], root: Path) -> str:
 def texts_of(test: str, root: Path) -> Iterator[str]:
     """What an entry of `killed_by` is: files of Python, and of C++ without the other cases."""
     if test.startswith("tests/"):
-        yield from ((root / word.partition("::")[0]).read_text() for word in test.split())
+        for word in test.split():
+            path = root / word.partition("::")[0]
+            files = sorted(path.rglob("*.py")) if path.is_dir() else [path]
+            yield from (file.read_text() for file in files)
         return
     part = test.partition(": ")[2]
     for text in _cpp_tests(root):
