@@ -45,6 +45,32 @@ TEST_CASE("the matrix is one of covariance even where place and heading go toget
   }
 }
 
+TEST_CASE("the matrix is one of covariance where a few particles head the other way") {
+  Particles particles;
+  particles.resize(100);
+  for (std::size_t i = 0; i < 100; ++i) {
+    const bool other = i < 5;
+    particles.set(i, {other ? 1.0 : 0.0, 0.001 * static_cast<double>(i % 7), other ? 3.1 : 0.0});
+  }
+  const Estimate e = estimate_of(particles, std::vector<double>(100, 0.01));
+  CHECK(smallest_pivot(e.covariance) > -1e-12 && e.covariance[0][2] > 0.0);
+}
+
+TEST_CASE("a cloud on a slanting line has finite numbers") {
+  for (int scale = 1; scale < 60; ++scale) {
+    Particles particles;
+    particles.resize(4);
+    for (std::size_t i = 0; i < 4; ++i) {
+      const double t = scale * static_cast<double>(i);
+      particles.set(i, {t, t, 0.1 * static_cast<double>(i)});
+    }
+    const Estimate e = estimate_of(particles, std::vector<double>(4, 0.25));
+    for (const auto& row : e.covariance) {
+      for (const double value : row) CHECK(std::isfinite(value));
+    }
+  }
+}
+
 TEST_CASE("one particle, all weight on one, equal ones and opposite headings") {
   Particles two;
   two.resize(2);
