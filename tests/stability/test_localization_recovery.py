@@ -162,3 +162,14 @@ def test_fit_that_is_no_number(wrong: float) -> None:
     for fit in (1.0, wrong, 0.5):
         recovery.add(fit)
     assert recovery.injected_share == pytest.approx(1 - 0.75 / 0.95)
+
+
+def test_fit_of_nothing_at_all() -> None:
+    """A fit of 0 from the beginning asks for no random particles.
+
+    Naively the share is 1 - 0 / 0, which is no number, and no clamp makes it one.
+    """
+    recovery = _core.MclRecovery(0.1, 0.5)
+    for _ in range(3):
+        recovery.add(0.0)
+    assert recovery.injected_share == 0.0
