@@ -379,6 +379,16 @@ class VoxelMap:
     def is_in_tiles(self) -> bool:
         """Whether `cut_into_tiles` was called: not all of the map need be here."""
 
+    def limit_to_tile(self, tile: Key, tile_bricks: int) -> None:
+        """From now on pings change only voxels of a tile, and those as if there were no limit.
+
+        Maps of tiles side by side are together the map of all, to the bit; their revisions too,
+        where each counts a ping of the whole by `raise_revision`.
+
+        Raises:
+            ValueError: the tile lies beyond the map's reach.
+        """
+
     def cut_into_tiles(self, tile_bricks: int, fetch: Callable[[list[Key]], None]) -> None:
         """From now on hold only tiles, cubes of bricks, that somebody put here.
 

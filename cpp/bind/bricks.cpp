@@ -45,6 +45,25 @@ void cut_into_tiles(VoxelMap& map, int tile_bricks, const py::function& fetch) {
   map.cut_into_tiles(std::move(residency));
 }
 
+void limit_to_tile(VoxelMap& map, const Key& tile, int tile_bricks) {
+  const auto edge = static_cast<std::int64_t>(tile_bricks) * kBrickEdge;
+  BlockBox box;
+  const auto limit = [edge](std::int32_t i, std::int32_t& first, std::int32_t& last) {
+    const std::int64_t low = i * edge;
+    if (edge < 1 || low < -kMaxBlock || low + edge - 1 > kMaxBlock) {
+      throw std::invalid_argument("the tile lies beyond the map's reach");
+    }
+    first = static_cast<std::int32_t>(low);
+    last = static_cast<std::int32_t>(low + edge - 1);
+  };
+  limit(tile[0], box.first.x, box.last.x);
+  limit(tile[1], box.first.y, box.last.y);
+  limit(tile[2], box.first.z, box.last.z);
+  const py::gil_scoped_release release;
+  const WriteLock lock(map);
+  map.limit_to(box);
+}
+
 py::tuple since(const VoxelMap& map, std::uint64_t revision) {
   ChangedBricks changed;
   {
@@ -93,6 +112,7 @@ void bind_bricks(py::module_& module) {
   static_cast<py::class_<VoxelMap>>(module.attr("VoxelMap"))
       .def_property_readonly("is_in_tiles", &is_in_tiles)
       .def("cut_into_tiles", &cut_into_tiles, "tile_bricks"_a, "fetch"_a)
+      .def("limit_to_tile", &limit_to_tile, "tile"_a, "tile_bricks"_a)
       .def("bricks_since", &since, "revision"_a)
       .def("put_bricks", &put, "bricks"_a, "tiles"_a = std::vector<Key>{})
       .def("drop_tiles", &drop, "tiles"_a)

@@ -44,6 +44,9 @@ class PingUpdate {
 
   // A cube of `span` blocks along an edge, at `at` in units of its own edge.
   void visit(const BlockKey& at, int span) {
+    const BlockKey low = absolute({at.x * span, at.y * span, at.z * span});
+    const int rest = span - 1;
+    if (!map_.limit().meets(low, {low.x + rest, low.y + rest, low.z + rest})) return;
     const double cube_m = span * block_m_;
     const Vec3 centre = Vec3{(at.x + 0.5) * cube_m, (at.y + 0.5) * cube_m, (at.z + 0.5) * cube_m} -
                         start_.block_T_sonar.translation;

@@ -145,6 +145,7 @@ class RaySampler {
     };
     const VoxelIndex voxel{origin_.x + index(point.x), origin_.y + index(point.y),
                            origin_.z + index(point.z)};
+    if (!map_.limit().holds(block_holding(voxel))) return;
     const auto [found, is_new] = order_.try_emplace(voxel, samples_.size());
     if (is_new) {
       samples_.push_back({voxel, occupied, intensity});

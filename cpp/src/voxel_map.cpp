@@ -100,6 +100,11 @@ void VoxelMap::drop_tiles(const std::vector<BlockKey>& tiles) {
   index_blocks(slots);
 }
 
+void VoxelMap::limit_to(const BlockBox& box) {
+  if (!box.meets(box.first, box.first)) throw std::invalid_argument("the box holds no block");
+  limit_ = box;
+}
+
 Block& VoxelMap::get_or_create(const BlockKey& key) {
   if (!in_reach(key)) throw std::out_of_range("the block lies beyond the map's reach");
   const std::size_t slot = slot_of(key);

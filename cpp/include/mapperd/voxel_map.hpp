@@ -32,6 +32,20 @@ struct VoxelIndex {
   }
 };
 
+// Blocks from the first to the last along each axis, both with.
+struct BlockBox {
+  BlockKey first{-kMaxBlock, -kMaxBlock, -kMaxBlock};
+  BlockKey last{kMaxBlock, kMaxBlock, kMaxBlock};
+
+  bool holds(const BlockKey& key) const { return meets(key, key); }
+
+  // Whether it shares a block with the box from `low` to `high`.
+  bool meets(const BlockKey& low, const BlockKey& high) const {
+    return low.x <= last.x && low.y <= last.y && low.z <= last.z && high.x >= first.x &&
+           high.y >= first.y && high.z >= first.z;
+  }
+};
+
 struct VoxelState {
   float log_odds = 0.0F;
   std::uint16_t count = 0;
@@ -75,6 +89,12 @@ class VoxelMap {
   Residency& residency() { return residency_; }
   const Residency& residency() const { return residency_; }
   void drop_tiles(const std::vector<BlockKey>& tiles);
+
+  // From now on pings change only blocks within the box, and those as if there were none: maps of
+  // boxes side by side are together the map of all.
+  // Throws std::invalid_argument for a box without blocks.
+  void limit_to(const BlockBox& box);
+  const BlockBox& limit() const { return limit_; }
 
   // Throws std::out_of_range when the key lies beyond +-kMaxBlock, and std::logic_error when its
   // tile is not resident.
@@ -144,6 +164,7 @@ class VoxelMap {
   std::uint64_t revision_ = 0;
   std::uint64_t replaced_at_ = 0;
   Residency residency_;
+  BlockBox limit_;
   BlockStore blocks_;
   std::vector<std::uint32_t> slots_;  // open addressing, a power of two, at most half full
 };
