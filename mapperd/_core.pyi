@@ -82,7 +82,9 @@ class PingMotion:
     ) -> None: ...
 
 class PingStats:
-    """What one ping changed, in voxels."""
+    """What one ping changed, in voxels; nothing, of one that is made."""
+
+    def __init__(self) -> None: ...
 
     occupied: int
     free: int
@@ -378,6 +380,23 @@ class VoxelMap:
     @property
     def is_in_tiles(self) -> bool:
         """Whether `cut_into_tiles` was called: not all of the map need be here."""
+
+    def blocks_of_ping(
+        self,
+        intensity: NDArray[np.float32],
+        bearings_rad: NDArray[np.float64],
+        range_resolution_m: float,
+        map_T_sonar: NDArray[np.float64],  # noqa: N803 frames are named
+        *,
+        vertical_aperture_rad: float,
+        min_range_m: float = ...,
+        carve_no_return: bool = ...,
+        motion: PingMotion = ...,
+    ) -> tuple[Key, Key] | None:
+        """A box of blocks, first and last, outside of which the ping changes nothing.
+
+        None for a ping that says nothing. Raises as `integrate_projective`, for the same pings.
+        """
 
     def limit_to_tile(self, tile: Key, tile_bricks: int) -> None:
         """From now on pings change only voxels of a tile, and those as if there were no limit.

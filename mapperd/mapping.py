@@ -13,13 +13,28 @@ from numpy.typing import NDArray
 
 from mapperd import _core
 from mapperd.config import Config
+from mapperd.core_ping import check_size, fan_arguments, refusals
 from mapperd.echo import Echo
 from mapperd.errors import ConfigError, MapError
 from mapperd.frames import pose_from_rpy
 from mapperd.map_file import load_map, save_map
 from mapperd.motion import PingMotion
 
-__all__ = ["MapCounts", "SonarMap", "Voxels", "iwlo_params", "mounting"]
+__all__ = [
+    "BLOCK_VOXELS",
+    "BRICK_VOXELS",
+    "MapCounts",
+    "SonarMap",
+    "Voxels",
+    "iwlo_params",
+    "mounting",
+]
+
+BLOCK_VOXELS = _core.BLOCK_EDGE
+"""Voxels along the edge of a block, the least that the map keeps as one."""
+
+BRICK_VOXELS = _core.BRICK_VOXELS
+"""Voxels along the edge of a brick, the least that its file keeps as one."""
 
 HASH_VERSION = 2
 """Part of the fingerprint: another layout of its input is another version."""
@@ -29,12 +44,9 @@ BLOCKS_AT_ONCE = 1024
 OCTOMAP_REACH_VOXELS = 32768
 """OctoMap numbers voxels with 16 bits, the origin in the middle."""
 
-MAX_FAN_VOXELS = 500_000_000
-"""A fan with more voxels than this would take gigabytes for a single ping."""
-
 Floats = NDArray[np.float64]
 
-AT_REST = PingMotion(np.zeros(3), np.zeros(3), 0.0, 1500.0)
+Key = tuple[int, int, int]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,33 +152,50 @@ class SonarMap:
                 pose leaves the map's reach, or the sonar cannot move so (faster than a fiftieth of
                 sound, by more than a radian in one ping). The map is as before.
         """
-        self._check_size(echo)
+        check_size(echo, self.config)
         settings = self.config.mapping
         ping = (echo.intensity, echo.bearings_rad, echo.range_resolution_m, map_T_sonar)
-        aperture_rad = math.radians(self.config.sonar.vertical_aperture)
-        min_range_m = self.config.filtering.min_range
-        try:
-            moved = _core_motion(motion if settings.within_ping_motion else None)
+        with refusals():
             if settings.integrator == "rays":
                 return self._map.integrate_rays(
                     *ping,
-                    vertical_aperture_rad=aperture_rad,
-                    min_range_m=min_range_m,
+                    **fan_arguments(self.config, motion),
                     angular_cone_width=settings.angular_cone_width,
-                    motion=moved,
                 )
             return self._map.integrate_projective(
                 *ping,
-                vertical_aperture_rad=aperture_rad,
-                min_range_m=min_range_m,
+                **fan_arguments(self.config, motion),
                 carve_no_return=settings.carve_no_return,
                 aggregation=settings.aggregation,
                 error_bound=settings.error_bound,
                 threads=settings.threads,
-                motion=moved,
             )
-        except (ValueError, IndexError, OverflowError) as error:
-            raise MapError(str(error), "refused_by_map") from error
+
+    def blocks_of(
+        self,
+        echo: Echo,
+        map_T_sonar: Floats,  # noqa: N803 frames are named
+        motion: PingMotion | None = None,
+    ) -> tuple[Key, Key] | None:
+        """Where `integrate` may change anything: a box, first and last block, from geometry alone.
+
+        Returns:
+            the box in blocks of `BLOCK_VOXELS` voxels an edge; None for a ping that says nothing.
+
+        Raises:
+            MapError: as `integrate`, for the same pings.
+        """
+        check_size(echo, self.config)
+        settings = self.config.mapping
+        with refusals():
+            return self._map.blocks_of_ping(
+                echo.intensity,
+                echo.bearings_rad,
+                echo.range_resolution_m,
+                map_T_sonar,
+                **fan_arguments(self.config, motion),
+                carve_no_return=settings.integrator != "rays" and settings.carve_no_return,
+            )
 
     def voxels(self, kind: Literal["occupied", "free"]) -> Voxels:
         """Observed voxels of one class.
@@ -286,29 +315,6 @@ class SonarMap:
         """Refuse to take a part for the whole; `mapperd.store.reader` has the whole."""
         if self._map.is_in_tiles:
             raise MapError("the map is in tiles: read it from its file", "in_tiles")
-
-    def _check_size(self, echo: Echo) -> None:
-        """Refuse what would exhaust the machine: a range that no sonar has, or tiny voxels."""
-        width = float(echo.bearings_rad[-1] - echo.bearings_rad[0])
-        height = 2 * math.sin(math.radians(self.config.sonar.vertical_aperture) / 2)
-        volume_m3 = width * height * echo.max_range_m**3 / 3
-        if not volume_m3 <= MAX_FAN_VOXELS * self.resolution_m**3:
-            raise MapError(
-                f"a fan of {echo.max_range_m:g} m holds over {MAX_FAN_VOXELS:.0e} voxels of "
-                f"{self.resolution_m:g} m: set a larger octree.voxel_resolution",
-                "fan_too_large",
-            )
-
-
-def _core_motion(motion: PingMotion | None) -> _core.PingMotion:
-    if motion is None:
-        motion = AT_REST
-    return _core.PingMotion(
-        linear_mps=np.ascontiguousarray(motion.linear_mps, dtype=np.float64),
-        angular_radps=np.ascontiguousarray(motion.angular_radps, dtype=np.float64),
-        valid_s=motion.valid_s,
-        speed_of_sound_mps=motion.speed_of_sound_mps,
-    )
 
 
 def iwlo_params(config: Config) -> _core.IwloParams:

@@ -129,6 +129,7 @@ ORDER = (
     "export.atomic",
     "localization.nav2_map",
     "map_file",
+    "core_ping",
     "mapping",
     "probability",
     "point_arrays",

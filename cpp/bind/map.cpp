@@ -3,11 +3,13 @@
 
 #include <cstdint>
 #include <limits>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "arrays.hpp"
 #include "bindings.hpp"
+#include "mapperd/ping_box.hpp"
 #include "mapperd/projective.hpp"
 #include "mapperd/rays.hpp"
 #include "mapperd/snapshot.hpp"
@@ -67,6 +69,26 @@ PingStats rays(VoxelMap& map, const py::object& intensity, const py::object& bea
   const RaysSettings settings{vertical_aperture_rad, min_range_m, angular_cone_width};
   const py::gil_scoped_release release;
   return integrate_rays(map, ping.image, pose, settings, motion);
+}
+
+py::object blocks_of(const VoxelMap& map, const py::object& intensity, const py::object& bearings,
+                     double range_resolution_m, const py::object& map_T_sonar,
+                     double vertical_aperture_rad, double min_range_m, bool carve_no_return,
+                     const PingMotion& motion) {
+  const Ping ping(intensity, bearings, range_resolution_m);
+  const Transform pose = transform_of(map_T_sonar, "map_T_sonar");
+  FanSettings settings;
+  settings.vertical_aperture_rad = vertical_aperture_rad;
+  settings.min_range_m = min_range_m;
+  settings.carve_no_return = carve_no_return;
+  std::optional<BlockBox> box;
+  {
+    const py::gil_scoped_release release;
+    box = blocks_of_ping(map, ping.image, pose, settings, motion);
+  }
+  if (!box) return py::none();
+  const auto key = [](const BlockKey& block) { return py::make_tuple(block.x, block.y, block.z); };
+  return py::make_tuple(key(box->first), key(box->last));
 }
 
 PingMotion motion_of(const py::object& linear_mps, const py::object& angular_radps, double valid_s,
@@ -160,6 +182,7 @@ void bind_map(py::module_& module) {
       .def(py::init(&motion_of), py::kw_only(), "linear_mps"_a, "angular_radps"_a, "valid_s"_a,
            "speed_of_sound_mps"_a);
   py::class_<PingStats>(module, "PingStats")
+      .def(py::init<>())
       .def_readonly("occupied", &PingStats::occupied)
       .def_readonly("free", &PingStats::free)
       .def_readonly("blocks_visited", &PingStats::blocks_visited)
@@ -180,6 +203,10 @@ void bind_map(py::module_& module) {
       .def("integrate_rays", &rays, "intensity"_a, "bearings_rad"_a, "range_resolution_m"_a,
            "map_T_sonar"_a, py::kw_only(), "vertical_aperture_rad"_a,
            "min_range_m"_a = fan.min_range_m, "angular_cone_width"_a = 0.5, "motion"_a = still)
+      .def("blocks_of_ping", &blocks_of, "intensity"_a, "bearings_rad"_a, "range_resolution_m"_a,
+           "map_T_sonar"_a, py::kw_only(), "vertical_aperture_rad"_a,
+           "min_range_m"_a = fan.min_range_m, "carve_no_return"_a = fan.carve_no_return,
+           "motion"_a = still)
       .def("voxels", &voxels, "min_log_odds"_a = -kInfinity, "max_log_odds"_a = kInfinity)
       .def("blocks", &blocks, "begin"_a = 0, "count"_a = std::numeric_limits<std::size_t>::max())
       .def("visit_blocks", &visit_blocks, "visit"_a, "at_once"_a)
