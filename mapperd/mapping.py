@@ -24,11 +24,15 @@ __all__ = [
     "BLOCK_VOXELS",
     "BRICK_VOXELS",
     "MapCounts",
+    "PingStats",
     "SonarMap",
     "Voxels",
     "iwlo_params",
     "mounting",
 ]
+
+PingStats = _core.PingStats
+"""What one ping changed, in voxels."""
 
 BLOCK_VOXELS = _core.BLOCK_EDGE
 """Voxels along the edge of a block, the least that the map keeps as one."""
@@ -138,7 +142,7 @@ class SonarMap:
         echo: Echo,
         map_T_sonar: Floats,  # noqa: N803 frames are named
         motion: PingMotion | None = None,
-    ) -> _core.PingStats:
+    ) -> PingStats:
         """Add one ping's evidence with the integrator of the settings.
 
         Args:

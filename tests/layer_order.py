@@ -216,6 +216,7 @@ ORDER = (
     "store.saving",
     "store.tile_store",
     "store.reader",
+    "store.whole",
     "store.rebuild",
     "export.png",
     "localization_report",

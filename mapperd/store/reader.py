@@ -11,7 +11,7 @@ import zstandard
 
 from mapperd.errors import StoreError
 from mapperd.mapping import SonarMap
-from mapperd.store.bricks import COLUMNS, DamagedBrickError, Key, rows_of, unpack
+from mapperd.store.bricks import COLUMNS, BrickRow, DamagedBrickError, Key, rows_of, unpack
 from mapperd.store.database import open_reader, reading, translated
 from mapperd.store.kind import check_kind, kind_in
 from mapperd.store.progress import progress_in
@@ -82,6 +82,25 @@ class StoreReader:
                 return kind_in(self._connection)
         except ValueError as error:
             raise StoreError(f"{self.path}: is damaged: {error}", "damaged") from error
+
+    def rows(self) -> Iterator[BrickRow]:
+        """All bricks as the file holds them, to be put into another file of the same settings.
+
+        Raises:
+            StoreError: the file cannot be read, or a row of it is damaged.
+        """
+        with translated(self.path), reading(self._connection):
+            found = self._connection.execute(
+                f"SELECT {COLUMNS} FROM brick ORDER BY x, y, z"  # noqa: S608 our own text
+            )
+            for row in rows_of(found):
+                try:
+                    unpack(self._unpacker, row)
+                except DamagedBrickError as error:
+                    raise StoreError(
+                        f"{self.path}: is damaged: brick {row.key}: {error}", "damaged"
+                    ) from error
+                yield row
 
     def load(self, sonar_map: SonarMap, since: int = 0) -> Loaded:
         """Bring a map that is in memory as a whole up to the last saved state.
