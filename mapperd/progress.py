@@ -18,10 +18,12 @@ class ProgressBar:
     Args:
         out: where to, stderr as a rule.
         clock: seconds.
+        name: what lines begin with where there is no terminal.
     """
 
-    def __init__(self, out: TextIO, clock: Callable[[], float]) -> None:
+    def __init__(self, out: TextIO, clock: Callable[[], float], name: str = "mapperd") -> None:
         self._out = out
+        self._name = name
         self._clock = clock
         self._tty = out.isatty()
         self._began_s = clock()
@@ -54,7 +56,7 @@ class ProgressBar:
             bar = "#" * round(WIDTH * done)
             self._write(f"\r[{bar:<{WIDTH}}] {text}\x1b[K")
         else:
-            self._write(f"mapperd: {text}\n")
+            self._write(f"{self._name}: {text}\n")
 
     def _write(self, text: str) -> None:
         with contextlib.suppress(OSError):  # nobody can look on: no reason to stop the work

@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-
 from mapperd.errors import StoreError
 from mapperd.mapping import SonarMap
 from mapperd.store.bricks import BrickRow

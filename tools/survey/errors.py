@@ -1,0 +1,7 @@
+"""What a person can mend: a wrong name, a map that is not there, two that do not fit."""
+
+__all__ = ["SurveyError"]
+
+
+class SurveyError(Exception):
+    """Told in one line."""

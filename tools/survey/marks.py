@@ -1,0 +1,30 @@
+"""What is done already: a small file beside each result says what it was made of and what it took.
+
+It is written after the result, so that a stop in between only has the result made again.
+"""
+
+from typing import TypeVar
+
+import msgspec
+
+from survey.folder import Folder
+
+__all__ = ["mark", "marked"]
+
+T = TypeVar("T", bound=msgspec.Struct)
+
+
+def mark(folder: Folder, name: str, told: msgspec.Struct) -> None:
+    """Say that a result is there."""
+    folder.write(name, msgspec.json.format(msgspec.json.encode(told), indent=2))
+
+
+def marked(folder: Folder, name: str, kind: type[T]) -> T | None:
+    """What was said of a result; None where nothing was, or nothing of this version."""
+    data = folder.read(name)
+    if data is None:
+        return None
+    try:
+        return msgspec.json.decode(data, type=kind)
+    except msgspec.DecodeError:
+        return None

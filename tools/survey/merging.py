@@ -1,0 +1,77 @@
+"""Shards become one map's file: their rows side by side, as they are."""
+
+import contextlib
+import os
+import time
+from collections.abc import Generator, Sequence
+
+from msgspec import Struct
+
+from mapperd.config import Config
+from mapperd.store.bricks import BrickRow
+from mapperd.store.reader import StoreReader
+from mapperd.store.whole import write_whole
+from survey.folder import Folder
+
+__all__ = ["MergeResult", "MergeTask", "merge_shards"]
+
+
+class MergeTask(Struct, frozen=True):
+    """Shards to be merged.
+
+    Attributes:
+        name: of the map's file.
+        shards: of tiles that share no voxel.
+        config: the settings.
+        revision: of the map of all.
+        folder: the survey's, as `Folder` takes it.
+    """
+
+    name: str
+    shards: list[str]
+    config: Config
+    revision: int
+    folder: str
+
+
+class MergeResult(Struct, frozen=True):
+    """What became of it."""
+
+    name: str
+    bricks: int
+    cpu_s: float
+    read_bytes: int
+    written_bytes: int
+
+
+def merge_shards(task: MergeTask) -> MergeResult:
+    """Make one file of many; memory for one brick.
+
+    Raises:
+        StoreError: a shard is damaged, or two hold the same brick.
+        OSError: the survey's folder cannot be read or written.
+    """
+    began_s = time.process_time()
+    folder = Folder(task.folder)
+    with folder.workspace() as work:
+        path = work / "map.db"
+        rows = _rows(folder, task.shards)
+        with contextlib.closing(rows):
+            bricks = write_whole(path, task.config, task.revision, rows)
+        with path.open("rb") as file:
+            os.fsync(file.fileno())
+        written = path.stat().st_size
+        folder.put(path, task.name)
+    return MergeResult(
+        name=task.name,
+        bricks=bricks,
+        cpu_s=time.process_time() - began_s,
+        read_bytes=sum(folder.size_of(shard) for shard in task.shards),
+        written_bytes=written,
+    )
+
+
+def _rows(folder: Folder, shards: Sequence[str]) -> Generator[BrickRow]:
+    for shard in shards:
+        with folder.fetched(shard) as path, StoreReader(path) as reader:
+            yield from reader.rows()

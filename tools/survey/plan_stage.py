@@ -1,0 +1,70 @@
+"""All dives are planned, each once: what did not change since stays as it is."""
+
+import io
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+
+from survey.engine import Engine
+from survey.fingerprint import digest_of, facts_of, program_digest
+from survey.folder import Folder
+from survey.marks import mark, marked
+from survey.planning import DivePlan, PlanTask, index_name, plan_dive, spool_name
+from survey.request import Dive, Request
+from survey.spool import Rows
+
+__all__ = ["mark_name", "plan_all", "rows_of"]
+
+Show = Callable[[float, int], None]
+
+
+def plan_all(request: Request, folder: Folder, engine: Engine, show: Show) -> list[DivePlan]:
+    """Plan what has to be; returns the plans of all dives, in the survey's order.
+
+    Raises:
+        SurveyError: a task cannot be done.
+    """
+    tasks = [_task(request, dive, folder) for dive in request.survey.dives]
+    there = folder.names("plan")
+    plans: dict[str, DivePlan] = {}
+    for task in tasks:
+        kept = _kept(folder, task, there)
+        if kept is None:
+            engine.submit(plan_dive, task)
+        else:
+            plans[task.name] = kept
+    for task, plan in engine.done():
+        mark(folder, mark_name(task.name), plan)
+        plans[task.name] = plan
+        show(len(plans) / len(tasks), sum(each.pings for each in plans.values()))
+    return [plans[task.name] for task in tasks]
+
+
+def mark_name(dive: str) -> str:
+    """Of what is said of a dive's plan."""
+    return f"plan/{dive}.json"
+
+
+def rows_of(folder: Folder, plan: DivePlan) -> Rows:
+    """The index of a dive's spool."""
+    data = folder.read(index_name(plan.name))
+    assert data is not None  # noqa: S101 it was there, or has just been made
+    rows: Rows = np.load(io.BytesIO(data))
+    return rows
+
+
+def _task(request: Request, dive: Dive, folder: Folder) -> PlanTask:
+    config, recording = request.config_of(dive), request.path_of(dive)
+    known = "" if dive.localization is None else facts_of(request.folder / dive.localization)
+    fingerprint = digest_of(
+        program_digest(), facts_of(recording), config, msgspec.json.encode(dive.transform), known
+    )
+    return PlanTask(dive.name, str(recording), config, dive.transform, folder.url, fingerprint)
+
+
+def _kept(folder: Folder, task: PlanTask, there: set[str]) -> DivePlan | None:
+    if not {spool_name(task.name), index_name(task.name), mark_name(task.name)} <= there:
+        return None
+    plan = marked(folder, mark_name(task.name), DivePlan)
+    return plan if plan is not None and plan.fingerprint == task.fingerprint else None

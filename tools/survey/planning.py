@@ -1,0 +1,192 @@
+"""Planning one dive: its recording goes the ordinary way, but into a spool instead of a map."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+from msgspec import Struct
+
+from mapperd.config import Config
+from mapperd.counters import ReplayCounters
+from mapperd.engine import Settled
+from mapperd.recording_files import RecordedSession, files_in, sessions_of
+from mapperd.replay import Window
+from mapperd.replay_runs import as_asked
+from oculus_driver.errors import RecordingError
+from survey.folder import Folder
+from survey.frame import Frame
+from survey.request import Transform
+from survey.spool import NO_TIME, SpoolMap
+
+__all__ = ["DivePlan", "Lost", "PlanTask", "index_name", "plan_dive", "spool_name"]
+
+
+class PlanTask(Struct, frozen=True):
+    """One dive to be planned.
+
+    Attributes:
+        name: of the dive.
+        recording: a file or a folder.
+        config: the dive's settings.
+        transform: into the survey's frame; None is none.
+        folder: the survey's, as `Folder` takes it.
+        fingerprint: of all that the plan depends on.
+    """
+
+    name: str
+    recording: str
+    config: Config
+    transform: Transform | None
+    folder: str
+    fingerprint: str
+
+
+class Lost(Struct, frozen=True):
+    """What could not be used of a recording.
+
+    Attributes:
+        recording: its file, or the first one of its session.
+        reason: for a person.
+        truncated: it ends before its content does.
+        bytes_read, size_bytes: of its session.
+        bytes_rejected: read, but of no message.
+        pings_lost: ping numbers that never came.
+    """
+
+    recording: str
+    reason: str
+    truncated: bool = False
+    bytes_read: int = 0
+    size_bytes: int = 0
+    bytes_rejected: int = 0
+    pings_lost: int = 0
+
+
+class DivePlan(Struct, frozen=True):
+    """One dive as it is planned.
+
+    Attributes:
+        name, fingerprint: of the task.
+        pings: in the spool.
+        pings_total: that came.
+        pings_dropped: reason to count.
+        dropped_details: reason to the sentence of its first case.
+        first_ns, last_ns: of pings with a time; None without any.
+        bearings: tables of the records.
+        lost: what could not be used.
+        cpu_s, read_bytes, written_bytes: of the task.
+    """
+
+    name: str
+    fingerprint: str
+    pings: int
+    pings_total: int
+    pings_dropped: dict[str, int]
+    dropped_details: dict[str, str]
+    first_ns: int | None
+    last_ns: int | None
+    bearings: list[bytes]
+    lost: list[Lost]
+    cpu_s: float
+    read_bytes: int
+    written_bytes: int
+
+
+def spool_name(dive: str) -> str:
+    """Of a dive's records in the survey's folder."""
+    return f"plan/{dive}.spool"
+
+
+def index_name(dive: str) -> str:
+    """Of their rows."""
+    return f"plan/{dive}.npy"
+
+
+def plan_dive(task: PlanTask) -> DivePlan:
+    """Read a dive's recording, and spool what the integrators will want of it.
+
+    Raises:
+        ConfigError: localization cannot begin with the settings.
+        OSError: the survey's folder cannot be written.
+    """
+    began_s = time.process_time()
+    folder = Folder(task.folder)
+    with folder.workspace() as work:
+        with (work / "spool").open("wb") as out:
+            spool = SpoolMap(task.config, out, Frame(task.transform))
+            counters = ReplayCounters()
+            sessions, lost = _sessions(Path(task.recording))
+            for session in sessions:
+                lost += _spool(session, task.config, spool, counters)
+        rows = spool.rows()
+        np.save(work / "rows.npy", rows)
+        folder.put(work / "spool", spool_name(task.name))
+        folder.put(work / "rows.npy", index_name(task.name))
+    times = [int(t_ns) for t_ns in rows["t_ns"] if t_ns != NO_TIME]
+    return DivePlan(
+        name=task.name,
+        fingerprint=task.fingerprint,
+        pings=len(rows),
+        pings_total=counters.pings_total,
+        pings_dropped=dict(sorted(counters.pings_dropped.items())),
+        dropped_details=dict(sorted(counters.first_drop.items())),
+        first_ns=min(times, default=None),
+        last_ns=max(times, default=None),
+        bearings=spool.bearings,
+        lost=lost,
+        cpu_s=time.process_time() - began_s,
+        read_bytes=sum(session.bytes_read for session in sessions),
+        written_bytes=spool.size_bytes + rows.nbytes,
+    )
+
+
+def _sessions(recording: Path) -> tuple[list[RecordedSession], list[Lost]]:
+    """The sessions of a dive; files that cannot be opened at all are lost as a whole."""
+    lost: list[Lost] = []
+    usable: list[Path] = []
+    for path in files_in([recording], begun=True):
+        try:
+            sessions_of([path])
+        except (RecordingError, OSError) as error:
+            lost.append(Lost(str(path), str(error)))
+        else:
+            usable.append(path)
+    if not usable and not lost:
+        lost.append(Lost(str(recording), "there is no recording in it"))
+    return sessions_of(usable), lost
+
+
+def _spool(
+    session: RecordedSession, config: Config, spool: SpoolMap, counters: ReplayCounters
+) -> list[Lost]:
+    """One session on its way; returns what was wrong with it."""
+    before = counters.bytes_rejected, counters.pings_lost
+    replay = as_asked(session, None, config).replay(spool, Window(), counters)
+
+    def note(settled: Settled) -> None:
+        spool.t_ns = settled.t_ns
+
+    replay.on_settled = note
+    stopped: str | None = None
+    try:
+        for _ in replay.run(session):
+            pass
+    except (RecordingError, OSError) as error:
+        stopped = str(error)
+    reason = stopped or session.damage or ("it was cut" if session.truncated else None)
+    rejected = counters.bytes_rejected - before[0]
+    if reason is None and rejected:
+        reason = f"{rejected} bytes of it are no sonar message"
+    if reason is None:
+        return []
+    return [
+        Lost(
+            recording=str(session.paths[0]),
+            reason=reason,
+            truncated=session.truncated,
+            bytes_read=session.bytes_read,
+            size_bytes=session.size_bytes,
+            bytes_rejected=rejected,
+            pings_lost=counters.pings_lost - before[1],
+        )
+    ]

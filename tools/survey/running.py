@@ -1,0 +1,243 @@
+"""A survey from beginning to end: plan, tiles, merge. What is done already is not done again."""
+
+import contextlib
+import fcntl
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TextIO
+
+import msgspec
+
+from mapperd.progress import ProgressBar
+from mapperd.version import version
+from survey.engine import Engine
+from survey.errors import SurveyError
+from survey.fingerprint import digest_of
+from survey.folder import Folder
+from survey.marks import mark, marked
+from survey.memory import edge_for, voxel_bytes_of
+from survey.merging import MergeResult, MergeTask, merge_shards
+from survey.plan_stage import mark_name, plan_all, rows_of
+from survey.planning import DivePlan, index_name, spool_name
+from survey.request import Request
+from survey.task_times import TaskTime
+from survey.tile_stage import Scope, TileStage, shard_mark
+
+__all__ = ["MAP", "RECORD", "Options", "dive_map", "plan_survey", "run_survey"]
+
+MAP = "map.db"
+RECORD = "survey.json"
+
+
+class Options(msgspec.Struct, frozen=True):
+    """How a survey is run.
+
+    Attributes:
+        memory_bytes: that a worker may take.
+        by_dive: make a map of each dive alone, too.
+    """
+
+    memory_bytes: int
+    by_dive: bool = False
+
+
+class _Merged(msgspec.Struct, frozen=True):
+    key: str
+    result: MergeResult
+
+
+def dive_map(dive: str) -> str:
+    """Name of the map of one dive."""
+    return f"dives/{dive}.db"
+
+
+def plan_survey(request: Request, folder: Folder, engine: Engine, out: TextIO) -> dict[str, Any]:
+    """Plan the dives alone; returns what there is to say of them."""
+    with _alone(folder):
+        folder.forget_workspaces()
+        with _bar("plan", out) as show:
+            plans = plan_all(request, folder, engine, show)
+        return {"dives": [_told(plan) for plan in plans]}
+
+
+def run_survey(
+    request: Request, folder: Folder, engine: Engine, options: Options, out: TextIO
+) -> dict[str, Any]:
+    """Make the map of all dives; returns what `survey.json` says.
+
+    Raises:
+        SurveyError: somebody else is at work there, or a task cannot be done.
+    """
+    resolution_m = request.config.octree.voxel_resolution
+    most_bytes = voxel_bytes_of(options.memory_bytes, resolution_m)
+    edge = edge_for(request.config, most_bytes, request.survey.tile_size_m)
+    with _alone(folder):
+        return _Running(request, folder, engine, out).run(edge, most_bytes, by_dive=options.by_dive)
+
+
+class _Running:
+    def __init__(self, request: Request, folder: Folder, engine: Engine, out: TextIO) -> None:
+        self._request = request
+        self._folder = folder
+        self._engine = engine
+        self._out = out
+        self._times: list[TaskTime] = []
+        self._wall_s: dict[str, float] = {}
+        self._shards: set[str] = set()
+
+    def run(self, edge: int, most_bytes: int, *, by_dive: bool) -> dict[str, Any]:
+        self._folder.forget_workspaces()
+        with self._stage("plan") as show:
+            plans = plan_all(self._request, self._folder, self._engine, show)
+        self._times += [
+            TaskTime(
+                kind="plan",
+                name=f"plan/{plan.name}",
+                cpu_s=plan.cpu_s,
+                read_bytes=plan.read_bytes,
+                written_bytes=plan.written_bytes,
+            )
+            for plan in plans
+        ]
+        rows = [rows_of(self._folder, plan) for plan in plans]
+        whole = Scope("", plans, rows)
+        alone = [Scope(p.name, [p], [r]) for p, r in zip(plans, rows, strict=True)]
+        scopes = [whole, *(alone if by_dive else [])]
+        maps = [self._map_of(scope, edge, most_bytes) for scope in scopes]
+        self._forget_others(plans)
+        record = self._record(plans, maps, whole, edge)
+        self._folder.write(RECORD, msgspec.json.format(msgspec.json.encode(record), indent=2))
+        return record
+
+    def _map_of(self, scope: Scope, edge: int, most_bytes: int) -> dict[str, Any]:
+        stage = TileStage(scope, self._request.config, self._folder, edge, most_bytes)
+        suffix = f" {scope.name}" if scope.name else ""
+        with self._stage(f"tiles{suffix}") as show:
+            shards = stage.run(self._engine, show)
+        results = sorted(stage.results, key=lambda result: result.shard)
+        self._shards.update(result.shard for result in results)
+        planned = tuple(f"plan/{plan.name}" for plan in scope.plans)
+        self._times += [
+            TaskTime(
+                kind="tile",
+                name=f"tile/{_short(result.shard)}",
+                cpu_s=result.cpu_s,
+                read_bytes=result.read_bytes,
+                written_bytes=result.written_bytes,
+                after=planned,
+            )
+            for result in results
+        ]
+        with self._stage(f"merge{suffix}"):
+            merged = self._merged(scope, shards)
+        self._times.append(
+            TaskTime(
+                kind="merge",
+                name=f"merge/{merged.name}",
+                cpu_s=merged.cpu_s,
+                read_bytes=merged.read_bytes,
+                written_bytes=merged.written_bytes,
+                after=tuple(f"tile/{_short(result.shard)}" for result in results),
+            )
+        )
+        return {
+            "map": merged.name,
+            "pings": scope.pings,
+            "bricks": merged.bricks,
+            "tiles": len(shards),
+            "tiles_cut": sum(result.too_large for result in results),
+            "largest_tile_bytes": max((each.voxel_bytes for each in results), default=0),
+        }
+
+    def _merged(self, scope: Scope, shards: Sequence[str]) -> MergeResult:
+        name = dive_map(scope.name) if scope.name else MAP
+        key = digest_of(str(scope.pings), *shards)
+        said = f"{name.removesuffix('.db')}.json"
+        before = marked(self._folder, said, _Merged)
+        folder, _, _ = f"./{name}".rpartition("/")
+        there = {each.removeprefix("./") for each in self._folder.names(folder)}
+        if before is not None and before.key == key and name in there:
+            return before.result
+        config = self._request.config
+        task = MergeTask(name, list(shards), config, scope.pings, self._folder.url)
+        result = merge_shards(task)
+        mark(self._folder, said, _Merged(key, result))
+        return result
+
+    def _forget_others(self, plans: Sequence[DivePlan]) -> None:
+        """Remove what earlier runs with other inputs have left."""
+        wanted = self._shards | {shard_mark(shard) for shard in self._shards}
+        for plan in plans:
+            wanted |= {spool_name(plan.name), index_name(plan.name), mark_name(plan.name)}
+        for name in (self._folder.names("shards") | self._folder.names("plan")) - wanted:
+            self._folder.remove(name)
+
+    def _record(
+        self, plans: Sequence[DivePlan], maps: list[dict[str, Any]], whole: Scope, edge: int
+    ) -> dict[str, Any]:
+        first = [plan.first_ns for plan in plans if plan.first_ns is not None]
+        return {
+            "version": version(),
+            "pings": whole.pings,
+            "recorded_s": sum(
+                (plan.last_ns - plan.first_ns) / 1e9
+                for plan in plans
+                if plan.first_ns is not None and plan.last_ns is not None
+            ),
+            "first_ns": min(first, default=None),
+            "tile_bricks": edge,
+            "wall_s": self._wall_s,
+            "dives": [_told(plan) for plan in plans],
+            "maps": maps,
+            "tasks": self._times,
+        }
+
+    @contextlib.contextmanager
+    def _stage(self, name: str) -> Iterator[Callable[[float, int], None]]:
+        began_s = time.perf_counter()
+        with _bar(name, self._out) as show:
+            yield show
+        self._wall_s[name] = round(time.perf_counter() - began_s, 3)
+
+
+@contextlib.contextmanager
+def _bar(stage: str, out: TextIO) -> Iterator[Callable[[float, int], None]]:
+    bar = ProgressBar(out, time.perf_counter, f"mapper-survey {stage}")
+    last = 0
+
+    def show(fraction: float, pings: int) -> None:
+        nonlocal last
+        last = pings
+        bar.show(fraction, pings)
+
+    yield show
+    bar.close(last)
+
+
+@contextlib.contextmanager
+def _alone(folder: Folder) -> Iterator[None]:
+    """Hold a lock that ends with the process; elsewhere than on the disk nobody can."""
+    if folder.local is None:
+        yield
+        return
+    try:
+        folder.local.mkdir(parents=True, exist_ok=True)
+        with (folder.local / ".lock").open("w") as handle:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                raise SurveyError(f"{folder.url}: another mapper-survey is at work") from error
+            yield
+    except PermissionError as error:
+        raise SurveyError(f"{folder.url}: cannot be written into: {error.strerror}") from error
+
+
+def _short(shard: str) -> str:
+    """A tile's name without what it was made of."""
+    return shard.removeprefix("shards/").rsplit(".", 2)[0]
+
+
+def _told(plan: DivePlan) -> dict[str, Any]:
+    told: dict[str, Any] = msgspec.to_builtins(plan)
+    del told["bearings"]
+    return told
