@@ -1,0 +1,66 @@
+"""Recordings that were cut or damaged: what stands before is used, what was lost is told."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from survey.command import main
+from tests.tools.survey.dives import rows_in, run_here, write_dive, write_survey
+
+ALONE: list[dict[str, Any]] = [{"name": "a", "recording": "a.mcap"}]
+
+
+def run_on(folder: Path, data: bytes) -> dict[str, Any]:
+    survey = write_survey(folder, dives=ALONE)
+    (folder / "a.mcap").write_bytes(data)
+    return run_here(survey, folder / "out")
+
+
+def test_a_cut_recording_counts_up_to_the_cut(tmp_path: Path) -> None:
+    sizes = write_dive(tmp_path / "a.mcap", 1)
+    data = (tmp_path / "a.mcap").read_bytes()[: sizes[20] - 5]
+    record = run_on(tmp_path, data)
+    write_dive(tmp_path / "short.mcap", 1, pings=19)
+    (dive,) = record["dives"]
+    (lost,) = dive["lost"]
+    assert 15 <= dive["pings"] < 30
+    assert lost["truncated"]
+    assert lost["bytes_read"] <= lost["size_bytes"] == len(data)
+    assert len(rows_in(tmp_path / "out/map.db")) > 5
+
+
+def test_turned_bits_cost_what_they_hit(tmp_path: Path) -> None:
+    sizes = write_dive(tmp_path / "a.mcap", 1)
+    data = bytearray((tmp_path / "a.mcap").read_bytes())
+    part = slice(sizes[9], sizes[11])
+    data[part] = bytes(value ^ 0xFF for value in data[part])
+    record = run_on(tmp_path, bytes(data))
+    (dive,) = record["dives"]
+    assert 8 <= dive["pings"] < 30
+    assert dive["lost"]
+    assert dive["lost"][0]["reason"]
+
+
+def test_what_is_no_recording_is_lost_as_a_whole(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dives = [*ALONE, {"name": "gone", "recording": "gone.mcap"}, {"name": "x", "recording": "x"}]
+    survey = write_survey(tmp_path, dives=dives)
+    (tmp_path / "gone.mcap").write_bytes(b"\x89MCAP0\r\n")
+    (tmp_path / "x").mkdir()
+    words = ["run", str(survey), "--out", str(tmp_path / "out"), "--workers", "0"]
+    assert main(words) == 0
+    said = capsys.readouterr().err
+    assert "dive gone: " in said
+    assert "dive x: not a ping of it is in the map" in said
+    alone = write_survey(tmp_path / "alone", dives=ALONE)
+    run_here(alone, tmp_path / "alone/out")
+    assert rows_in(tmp_path / "out/map.db") == rows_in(tmp_path / "alone/out/map.db")
+
+
+def test_a_recording_that_is_not_there_is_told(tmp_path: Path) -> None:
+    dives = [*ALONE, {"name": "b", "recording": "nowhere.mcap"}]
+    record = run_here(write_survey(tmp_path, dives=dives), tmp_path / "out")
+    assert [dive["pings"] for dive in record["dives"]] == [30, 0]
+    assert "nowhere.mcap" in record["dives"][1]["lost"][0]["recording"]

@@ -1,0 +1,154 @@
+"""A survey goes on where it was stopped, and makes anew only what changed inputs touch."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from survey.command import main
+from survey.errors import SurveyError
+from survey.folder import Folder
+from tests.tools.survey.dives import (
+    SETTINGS,
+    rows_in,
+    run_here,
+    write_dive,
+    write_survey,
+)
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[3])
+from survey.folder import Folder
+from tests.tools.survey.dives import run_here
+left = int(sys.argv[4])
+put = Folder.put
+def counted(self, path, name):
+    global left
+    left -= 1
+    if left < 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    put(self, path, name)
+Folder.put = counted
+run_here(Path(sys.argv[1]), Path(sys.argv[2]))
+"""
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[Any, ...]]]:
+    folder = tmp_path_factory.mktemp("survey")
+    survey = write_survey(folder, tile_size_m=12.8)
+    run_here(survey, folder / "out")
+    return survey, rows_in(folder / "out/map.db")
+
+
+@pytest.mark.parametrize("files", [1, 9])
+def test_killed_between_any_two_files_it_goes_on(
+    whole: tuple[Path, list[tuple[Any, ...]]], tmp_path: Path, files: int
+) -> None:
+    survey, expected = whole
+    words = [sys.executable, "-c", KILLED, str(survey), str(tmp_path / "out")]
+    done = subprocess.run(  # noqa: S603 our own
+        [*words, str(ROOT / "tools"), str(files)], cwd=ROOT, check=False
+    )
+    assert done.returncode == -signal.SIGKILL
+    assert not (tmp_path / "out/map.db").exists()
+    assert list((tmp_path / "out/.work").iterdir())
+    run_here(survey, tmp_path / "out")
+    assert rows_in(tmp_path / "out/map.db") == expected
+    assert not list((tmp_path / "out/.work").iterdir())
+
+
+def changed_files(out: Path, before: dict[Path, int]) -> set[str]:
+    return {
+        str(path.relative_to(out))
+        for path, at in stamps(out).items()
+        if before.get(path) != at and not path.name.startswith(".")
+    }
+
+
+def stamps(out: Path) -> dict[Path, int]:
+    return {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()}
+
+
+def test_done_work_is_not_done_again(tmp_path: Path) -> None:
+    survey = write_survey(tmp_path, tile_size_m=12.8)
+    first = run_here(survey, tmp_path / "out")
+    before = stamps(tmp_path / "out")
+    again = run_here(survey, tmp_path / "out")
+    assert changed_files(tmp_path / "out", before) == {"survey.json"}
+    assert again["tasks"] == first["tasks"]
+
+
+def test_a_later_dive_touches_only_its_own_tiles(tmp_path: Path) -> None:
+    one = [{"name": "a", "recording": "a.mcap"}]
+    survey = write_survey(tmp_path, dives=one, tile_size_m=12.8)
+    run_here(survey, tmp_path / "out")
+    write_dive(tmp_path / "c.mcap", 3, pings=6, begin_s=100.0, y=1.0)
+    told = json.loads(survey.read_text("utf-8"))
+    told["dives"].append({"name": "c", "recording": "c.mcap"})
+    survey.write_text(json.dumps(told), encoding="utf-8")
+    before = stamps(tmp_path / "out")
+    run_here(survey, tmp_path / "out")
+    made = {name for name in changed_files(tmp_path / "out", before) if name.startswith("shards")}
+    kept = {str(path.relative_to(tmp_path / "out")) for path in before} - made
+    assert any(name.endswith(".db") for name in made)
+    assert any(name.startswith("shards") and (tmp_path / "out" / name).exists() for name in kept)
+    fresh = run_here(survey, tmp_path / "fresh")
+    assert rows_in(tmp_path / "out/map.db") == rows_in(tmp_path / "fresh/map.db")
+    names = {path.name for path in (tmp_path / "out/shards").iterdir()}
+    assert names == {path.name for path in (tmp_path / "fresh/shards").iterdir()}
+    assert fresh["pings"] == 36
+
+
+def test_other_settings_make_another_map(tmp_path: Path) -> None:
+    survey = write_survey(tmp_path)
+    run_here(survey, tmp_path / "out")
+    before = rows_in(tmp_path / "out/map.db")
+    survey = write_survey(tmp_path, settings=SETTINGS | {"octree": {"voxel_resolution": 0.2}})
+    run_here(survey, tmp_path / "out")
+    run_here(survey, tmp_path / "fresh")
+    assert rows_in(tmp_path / "out/map.db") == rows_in(tmp_path / "fresh/map.db") != before
+
+
+def test_two_at_once_in_one_folder_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    survey = write_survey(tmp_path)
+    code = "import sys, fcntl; f = open(sys.argv[1], 'w'); fcntl.flock(f, 2); print(1, flush=True); sys.stdin.read()"  # noqa: E501
+    (tmp_path / "out").mkdir()
+    words = [sys.executable, "-c", code, str(tmp_path / "out/.lock")]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:  # noqa: S603 our own
+        assert other.stdout is not None
+        other.stdout.readline()
+        words = ["run", str(survey), "--out", str(tmp_path / "out"), "--workers", "0"]
+        assert main(words) == 2
+        assert "another mapper-survey is at work" in capsys.readouterr().err
+        other.communicate()
+
+
+def test_the_folder_may_lie_elsewhere(tmp_path: Path) -> None:
+    survey = write_survey(tmp_path, tile_size_m=12.8)
+    run_here(survey, tmp_path / "out")
+    elsewhere = Folder("memory://a-survey")
+    from survey.engine import InProcess
+    from survey.request import read_survey
+    from survey.running import Options, run_survey
+    from tests.tools.survey.dives import MEMORY, Silent
+
+    request = read_survey(survey)
+    for _ in range(2):
+        run_survey(request, elsewhere, InProcess(), Options(MEMORY), Silent())  # type: ignore[arg-type]
+    (tmp_path / "fetched.db").write_bytes(elsewhere.read("map.db") or b"")
+    assert rows_in(tmp_path / "fetched.db") == rows_in(tmp_path / "out/map.db")
+    with pytest.raises(SurveyError, match="cannot be reached"):
+        Folder("nothing-known://x")
