@@ -4,6 +4,7 @@ Samples at or below the intensity threshold tell the integrators nothing: as zer
 nearly nothing, and the map is the same to the bit.
 """
 
+import math
 import struct
 from collections.abc import Sequence
 
@@ -40,6 +41,7 @@ class RecordWriter:
     def __init__(self, threshold: float) -> None:
         self.bearings: list[bytes] = []
         self._threshold = _rounded_down(threshold)
+        self._whole_threshold = math.floor(threshold)
         self._numbers: dict[bytes, int] = {}
         self._compressor = zstandard.ZstdCompressor(level=LEVEL)
 
@@ -61,10 +63,10 @@ class RecordWriter:
 
     def _samples(self, intensity: NDArray[np.float32]) -> NDArray[np.uint8] | NDArray[np.float32]:
         """As bytes where that loses nothing."""
+        small = intensity.astype(np.uint8)
+        if (small == intensity).all():
+            return small * (small > self._whole_threshold)
         kept = intensity * (intensity > self._threshold)
-        small = kept.astype(np.uint8)
-        if np.array_equal(small, kept):
-            return small
         return np.ascontiguousarray(kept, dtype="<f4")
 
     def _number(self, table: bytes) -> int:

@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
 from survey.command import main
+
 from tests.tools.survey.dives import rows_in, run_here, write_dive, write_survey
 
 ALONE: list[dict[str, Any]] = [{"name": "a", "recording": "a.mcap"}]

@@ -1,22 +1,24 @@
 """A survey goes on where it was stopped, and makes anew only what changed inputs touch."""
 
 import json
-import os
-import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import pytest
-
 from survey.command import main
+from survey.engine import InProcess
 from survey.errors import SurveyError
 from survey.folder import Folder
+from survey.request import read_survey
+from survey.running import Options, run_survey
+
 from tests.tools.survey.dives import (
+    MEMORY,
     SETTINGS,
+    Silent,
     rows_in,
     run_here,
     write_dive,
@@ -140,11 +142,6 @@ def test_the_folder_may_lie_elsewhere(tmp_path: Path) -> None:
     survey = write_survey(tmp_path, tile_size_m=12.8)
     run_here(survey, tmp_path / "out")
     elsewhere = Folder("memory://a-survey")
-    from survey.engine import InProcess
-    from survey.request import read_survey
-    from survey.running import Options, run_survey
-    from tests.tools.survey.dives import MEMORY, Silent
-
     request = read_survey(survey)
     for _ in range(2):
         run_survey(request, elsewhere, InProcess(), Options(MEMORY), Silent())  # type: ignore[arg-type]
