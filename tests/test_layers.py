@@ -21,9 +21,13 @@ MAY_IMPORT = {
     "oculus_driver": {"oculus_driver"},
     "mapperd": {"mapperd", "oculus_driver"},
     "sonar_sim": {"sonar_sim", "oculus_driver"},
-    "tools": {"tools", "sonar_sim", "mapperd", "oculus_driver"},
+    "tools": {"tools", "survey", "sonar_sim", "mapperd", "oculus_driver"},
 }
-OUR_ROOMS = {"oculus_driver", "mapperd", "sonar_sim", "tools", "tests"}
+OUR_ROOMS = {"oculus_driver", "mapperd", "sonar_sim", "survey", "tools", "tests"}
+
+DASK = {"dask", "distributed"}
+MAY_IMPORT_DASK = re.compile(r"tools/survey/engine\w*\.py")
+"""The one place that knows of the engine of surveys."""
 
 
 def room_of(path: Path, root: Path) -> str:
@@ -104,6 +108,19 @@ def points_back(room: str, module: str, name: str) -> bool:
     return here is None or there is None or there >= here  # also: a package imports nothing
 
 
+def dask_elsewhere(root: Path) -> list[str]:
+    """Every import of Dask in a room of the daemon, or outside of its one place in the tools."""
+    return [
+        f"{path.relative_to(root)} imports {name}"
+        for folder in ("oculus_driver", "mapperd", "tools")
+        for path in sorted((root / folder).rglob("*.py"))
+        if not MAY_IMPORT_DASK.fullmatch(path.relative_to(root).as_posix())
+        if (module := module_of(path, room_of(path, root), root)) != "mapperd"
+        for name in imports_of(path, module)
+        if name.partition(".")[0] in DASK
+    ]
+
+
 def python_in_core(root: Path) -> list[str]:
     """C++ sources outside cpp/bind that know of Python."""
     pattern = re.compile(rb"#\s*include\s*[<\"](Python\.h|pybind11/|nanobind/|numpy/)")
@@ -140,6 +157,26 @@ def test_importing_the_package_imports_nothing_else() -> None:
     assert done.stdout.strip() == "[]"
 
 
+def test_dask_has_one_place() -> None:
+    assert dask_elsewhere(ROOT) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "found"),
+    [
+        ("mapperd/replay.py", True),
+        ("tools/survey/running.py", True),
+        ("tools/survey/deep/engine_dask.py", True),
+        ("tools/survey/engine_dask.py", False),
+    ],
+)
+def test_planted_dask_is_found(tmp_path: Path, file: str, *, found: bool) -> None:
+    path = tmp_path / file
+    path.parent.mkdir(parents=True)
+    path.write_text("def f():\n    from distributed import Client\n", encoding="utf-8")
+    assert bool(dask_elsewhere(tmp_path)) == found
+
+
 def test_core_knows_no_python() -> None:
     assert python_in_core(ROOT) == []
 
@@ -159,6 +196,8 @@ def test_core_knows_no_python() -> None:
         ("tools/bench/run.py", "from mapperd import _core"),
         ("mapperd/frames.py", "import sonar_sim"),
         ("mapperd/frames.py", "import tools.demo"),
+        ("mapperd/replay.py", "import survey.running"),
+        ("tools/sonar_sim/scene.py", "from survey.request import Survey"),
         ("mapperd/frames.py", "from mapperd import cli"),
         ("mapperd/frames.py", "from mapperd.mapping import SonarMap"),
         ("mapperd/mapping.py", "from mapperd.step import process_ping"),
