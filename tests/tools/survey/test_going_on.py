@@ -91,32 +91,53 @@ def test_done_work_is_not_done_again(tmp_path: Path) -> None:
     assert again["tasks"] == first["tasks"]
 
 
+def with_dive(survey: Path, name: str, begin_s: float) -> None:
+    """Add a short dive to a survey."""
+    write_dive(survey.parent / f"{name}.mcap", 3, pings=6, begin_s=begin_s, y=1.0)
+    told = json.loads(survey.read_text("utf-8"))
+    told["dives"].append({"name": name, "recording": f"{name}.mcap"})
+    survey.write_text(json.dumps(told), encoding="utf-8")
+
+
 def test_a_later_dive_touches_only_its_own_tiles(tmp_path: Path) -> None:
     one = [{"name": "a", "recording": "a.mcap"}]
-    survey = write_survey(tmp_path, dives=one, tile_size_m=12.8)
+    survey = write_survey(tmp_path, dives=one, tile_size_m=6.4)
     run_here(survey, tmp_path / "out")
-    write_dive(tmp_path / "c.mcap", 3, pings=6, begin_s=100.0, y=1.0)
-    told = json.loads(survey.read_text("utf-8"))
-    told["dives"].append({"name": "c", "recording": "c.mcap"})
-    survey.write_text(json.dumps(told), encoding="utf-8")
+    with_dive(survey, "c", 100.0)
     before = stamps(tmp_path / "out")
     run_here(survey, tmp_path / "out")
     made = {name for name in changed_files(tmp_path / "out", before) if name.startswith("shards")}
-    kept = {str(path.relative_to(tmp_path / "out")) for path in before} - made
-    assert any(name.endswith(".db") for name in made)
-    assert any(name.startswith("shards") and (tmp_path / "out" / name).exists() for name in kept)
+    there = {f"shards/{path.name}" for path in (tmp_path / "out/shards").iterdir()}
+    assert made
+    assert there - made
     fresh = run_here(survey, tmp_path / "fresh")
     assert rows_in(tmp_path / "out/map.db") == rows_in(tmp_path / "fresh/map.db")
-    names = {path.name for path in (tmp_path / "out/shards").iterdir()}
-    assert names == {path.name for path in (tmp_path / "fresh/shards").iterdir()}
+    assert there == {f"shards/{path.name}" for path in (tmp_path / "fresh/shards").iterdir()}
     assert fresh["pings"] == 36
 
 
-def test_other_settings_make_another_map(tmp_path: Path) -> None:
-    survey = write_survey(tmp_path)
+def test_an_earlier_dive_gives_all_pings_other_numbers(tmp_path: Path) -> None:
+    one = [{"name": "a", "recording": "a.mcap"}]
+    survey = write_survey(tmp_path, dives=one, tile_size_m=6.4)
+    run_here(survey, tmp_path / "out")
+    with_dive(survey, "c", -100.0)
+    run_here(survey, tmp_path / "out")
+    run_here(survey, tmp_path / "fresh")
+    assert rows_in(tmp_path / "out/map.db") == rows_in(tmp_path / "fresh/map.db")
+
+
+@pytest.mark.parametrize("what", ["settings", "recording", "transform"])
+def test_whatever_changes_makes_another_map(tmp_path: Path, what: str) -> None:
+    dive: dict[str, Any] = {"name": "a", "recording": "a.mcap"}
+    survey = write_survey(tmp_path, dives=[dive])
     run_here(survey, tmp_path / "out")
     before = rows_in(tmp_path / "out/map.db")
-    survey = write_survey(tmp_path, settings=SETTINGS | {"octree": {"voxel_resolution": 0.2}})
+    settings = SETTINGS | ({"sonar": {"horizontal_fov": 60}} if what == "settings" else {})
+    dive |= {"transform": {"x": 0.35}} if what == "transform" else {}
+    told = {"settings": settings, "dives": [dive]}
+    survey.write_text(json.dumps(told), encoding="utf-8")
+    if what == "recording":
+        write_dive(tmp_path / "a.mcap", 1, pings=20)
     run_here(survey, tmp_path / "out")
     run_here(survey, tmp_path / "fresh")
     assert rows_in(tmp_path / "out/map.db") == rows_in(tmp_path / "fresh/map.db") != before
