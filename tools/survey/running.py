@@ -186,6 +186,8 @@ class _Running:
             ),
             "first_ns": min(first, default=None),
             "tile_bricks": edge,
+            "origin": self._request.survey.origin,
+            "settings": self._request.config,
             "wall_s": self._wall_s,
             "dives": [_told(plan) for plan in plans],
             "maps": maps,
