@@ -1,14 +1,17 @@
 """Look into the map's file while another process writes to it, without ever changing it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import numpy as np
 import zstandard
+from numpy.typing import NDArray
 
+from mapperd import _core
 from mapperd.errors import StoreError
 from mapperd.mapping import SonarMap
 from mapperd.store.bricks import COLUMNS, BrickRow, DamagedBrickError, Key, rows_of, unpack
@@ -17,7 +20,10 @@ from mapperd.store.kind import check_kind, kind_in
 from mapperd.store.progress import progress_in
 from mapperd.store.schema import check_version
 
-__all__ = ["Loaded", "StoreReader"]
+__all__ = ["BRICK_VOXELS", "Loaded", "StoreReader"]
+
+BRICK_VOXELS = _core.BRICK_VOXELS
+"""Along an edge of a brick: the brick k of an axis begins at voxel k times this."""
 
 AT_ONCE = 64
 """Bricks decoded before they are put into the map: they may be 1.5 MB each."""
@@ -117,19 +123,66 @@ class StoreReader:
             check_kind(self._connection, self.path, sonar_map.config)
             revision, position = progress_in(self._connection, self.path) or (0, b"")
             lost = set(self._connection.execute("SELECT x, y, z FROM quarantine WHERE NOT rebuilt"))
-            for batch in self._batches(since, lost):
+            found = self._connection.execute(
+                # All, if all are wanted: even those whose revision is damaged.
+                f"SELECT {COLUMNS} FROM brick WHERE revision > ? OR NOT ?",  # noqa: S608 our own
+                (since, since),
+            )
+            for batch in self._batches(rows_of(found), lost):
                 sonar_map.core.put_bricks(batch)
                 bricks += len(batch)
         return Loaded(revision, position, bricks, frozenset(lost))
 
-    def _batches(self, since: int, lost: set[Key]) -> Iterator[list[tuple[Key, bytes]]]:
-        found = self._connection.execute(
-            # All, if all are wanted: even those whose revision is damaged.
-            f"SELECT {COLUMNS} FROM brick WHERE revision > ? OR NOT ?",  # noqa: S608 our own text
-            (since, since),
-        )
+    def keys(self) -> NDArray[np.int64]:
+        """Keys (N, 3) of all bricks in ascending order, those that are lost among them.
+
+        Raises:
+            StoreError: the file cannot be read.
+        """
+        with translated(self.path), reading(self._connection):
+            found = self._connection.execute(
+                "SELECT x, y, z FROM brick UNION SELECT x, y, z FROM quarantine WHERE NOT rebuilt"
+            ).fetchall()
+        keys = np.array(found, dtype=np.int64).reshape(-1, 3)
+        return keys[np.lexsort(keys.T[::-1])]
+
+    def load_box(self, sonar_map: SonarMap, low: Key, high: Key) -> frozenset[Key]:
+        """Put a part of the map into another, in memory that this part alone takes.
+
+        Args:
+            sonar_map: of the same settings, in memory as a whole; bricks of the box are replaced.
+            low: key of the box's first brick.
+            high: key of its last brick, which belongs to it.
+
+        Returns:
+            bricks of the box that are lost.
+
+        Raises:
+            StoreError: the file cannot be read, or is of other settings.
+        """
+        box = [edge for pair in zip(low, high, strict=True) for edge in pair]
+        inside = "x BETWEEN ? AND ? AND y BETWEEN ? AND ? AND z BETWEEN ? AND ?"
+        with translated(self.path), reading(self._connection):
+            check_kind(self._connection, self.path, sonar_map.config)
+            lost = set(
+                self._connection.execute(
+                    f"SELECT x, y, z FROM quarantine WHERE NOT rebuilt AND {inside}",  # noqa: S608
+                    box,
+                )
+            )
+            found = self._connection.execute(
+                f"SELECT {COLUMNS} FROM brick WHERE {inside}",  # noqa: S608 our own text
+                box,
+            )
+            for batch in self._batches(rows_of(found), lost):
+                sonar_map.core.put_bricks(batch)
+        return frozenset(lost)
+
+    def _batches(
+        self, rows: Iterable[BrickRow], lost: set[Key]
+    ) -> Iterator[list[tuple[Key, bytes]]]:
         batch = []
-        for row in rows_of(found):
+        for row in rows:
             try:
                 batch.append((row.key, unpack(self._unpacker, row)))
             except DamagedBrickError:

@@ -4,10 +4,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mapperd.mapping import SonarMap
-from mapperd.store.reader import StoreReader
+from mapperd.store.reader import BRICK_VOXELS, StoreReader
 from tests.mapperd.store import dive
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -109,3 +110,43 @@ def test_a_reader_changes_nothing(tmp_path: Path) -> None:
         with pytest.raises(Exception, match="readonly"):
             reader._connection.execute("DELETE FROM brick")
     assert path.read_bytes() == before
+
+
+def test_boxes_side_by_side_are_the_whole_map(tmp_path: Path) -> None:
+    path = tmp_path / "dive.map"
+    sonar_map, store = dive.open_store(path)
+    with store:
+        dive.dive_on(sonar_map, store, 0, 20)
+    whole, parts = SonarMap(dive.CONFIG), SonarMap(dive.CONFIG)
+    with StoreReader(path) as reader:
+        reader.load(whole)
+        keys = reader.keys()
+        (x, y, z), (far_x, far_y, far_z) = keys.min(axis=0).tolist(), keys.max(axis=0).tolist()
+        assert far_x > x + 1
+        part = SonarMap(dive.CONFIG)
+        assert reader.load_box(part, (x + 1, y, z), (far_x, far_y, far_z)) == frozenset()
+        assert 0 < part.core.known_count() < whole.core.known_count()
+        centres_m, _, _ = part.core.voxels()
+        assert centres_m[:, 0].min() > (x + 1) * BRICK_VOXELS * part.resolution_m
+        for low, high in (((x, y, z), (x, far_y, far_z)), ((x + 1, y, z), (far_x, far_y, far_z))):
+            reader.load_box(parts, low, high)
+    assert parts.core.encode_map() == whole.core.encode_map()
+    of_whole = np.unique(whole.core.blocks()[0] // (BRICK_VOXELS // 16), axis=0)
+    assert (keys == of_whole).all()
+
+
+def test_damage_in_a_box_is_told_by_its_brick(tmp_path: Path) -> None:
+    path = tmp_path / "dive.map"
+    sonar_map, store = dive.open_store(path)
+    with store:
+        dive.dive_on(sonar_map, store, 0, 10)
+        key = store._saver._connection.execute("SELECT x, y, z FROM brick").fetchone()
+        store._saver._connection.execute(
+            "UPDATE brick SET crc = crc + 1 WHERE (x, y, z) = (?, ?, ?)", key
+        )
+    with StoreReader(path) as reader:
+        everywhere = (-99, -99, -99), (99, 99, 99)
+        assert reader.load_box(SonarMap(dive.CONFIG), *everywhere) == {key}
+        beside = (key[0] + 1, -99, -99), (99, 99, 99)
+        assert reader.load_box(SonarMap(dive.CONFIG), *beside) == frozenset()
+        assert list(key) in reader.keys().tolist()
