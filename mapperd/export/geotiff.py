@@ -1,15 +1,18 @@
-"""The top of the map as a GeoTIFF of two bands: height and how often it was seen."""
+"""Grids as GeoTIFF: the top of the map, with how often it was seen, or tiles of any numbers."""
 
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mapperd.errors import ExportError
 from mapperd.export.cells import Tops
 from mapperd.geodesy import Origin
 from mapperd.projection import TransverseMercator, local_projection
 
-__all__ = ["MISSING", "NO_DATA", "write_geotiff"]
+__all__ = ["MISSING", "NO_DATA", "Band", "GridPlace", "write_geotiff", "write_tiles"]
 
 MISSING = "tifffile cannot be imported (pip install 'mapperd[geo]')"
 
@@ -22,15 +25,48 @@ PIXEL_SCALE, TIE_POINT, GEO_KEYS, GEO_DOUBLES, GEO_TEXTS = 33550, 33922, 34735, 
 GDAL_METADATA, GDAL_NODATA = 42112, 42113
 """Numbers of tags; those of GDAL are what GIS programs know missing cells and bands' names by."""
 
-BANDS = "<GDALMetadata>{}</GDALMetadata>".format(
-    "".join(
-        f'<Item name="{key}" sample="{band}" role="{role}">{text}</Item>'
-        for band, key, role, text in (
-            (0, "DESCRIPTION", "description", "height of the highest occupied voxel's centre"),
-            (0, "UNITTYPE", "unittype", "m"),
-            (1, "DESCRIPTION", "description", "pings that told something about that voxel"),
-        )
-    )
+HOW = {
+    "photometric": "minisblack",
+    "compression": "zlib",
+    "predictor": False,
+    "metadata": None,
+    "software": "mapperd",
+}
+"""What all our files have of TIFF."""
+
+MOST_BYTES = 4_000_000_000
+"""Of cells in a plain TIFF, packed or not: places in it have 32 bits."""
+
+Floats32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """One number a cell.
+
+    Attributes:
+        description: in ASCII, without the signs that XML keeps for itself.
+        unit: of it; empty for a plain number.
+    """
+
+    description: str
+    unit: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class GridPlace:
+    """Where a grid lies in the map's frame: metres of its edges, and its size in cells."""
+
+    west_m: float
+    north_m: float
+    cell_m: float
+    width: int
+    height: int
+
+
+TOPS = (
+    Band("height of the highest occupied voxel's centre", "m"),
+    Band("pings that told something about that voxel"),
 )
 
 
@@ -50,37 +86,102 @@ def write_geotiff(
     Raises:
         ExportError: the library is not there, or there is nothing to write.
     """
-    try:
-        import tifffile  # noqa: PLC0415 an extra
-    except ImportError:
-        raise ExportError(MISSING) from None
+    write = _library()
     if tops is None:
         raise ExportError("no occupied voxel: there is no surface to write")
     window, known = tops.window, tops.rows >= 0
     values = np.full((2, *known.shape), NO_DATA, dtype=np.float32)
     values[0][known] = tops.voxels.centres_m[tops.rows[known], 2]
     values[1][known] = tops.voxels.count[tops.rows[known]]
-    west_m, north_m = window.x * resolution_m, (window.y + window.height) * resolution_m
-    tags = [
-        (PIXEL_SCALE, DOUBLE, 3, (resolution_m, resolution_m, 0.0), True),
-        (TIE_POINT, DOUBLE, 6, (0.0, 0.0, 0.0, west_m, north_m, 0.0), True),
-        _text(GDAL_METADATA, BANDS),
-        _text(GDAL_NODATA, f"{NO_DATA:g}"),
-    ]
-    if origin is not None:
-        tags += _geo_tags(local_projection(origin))
-    tifffile.imwrite(
+    place = GridPlace(
+        window.x * resolution_m,
+        (window.y + window.height) * resolution_m,
+        resolution_m,
+        window.width,
+        window.height,
+    )
+    write(
         file,
         values[:, ::-1],
         bigtiff=False,
-        photometric="minisblack",
         planarconfig="separate",
-        compression="zlib",
-        predictor=False,
-        metadata=None,
-        software="mapperd",
-        extratags=tags,
+        **HOW,
+        extratags=_tags(place, TOPS, origin),
     )
+
+
+def write_tiles(
+    file: BinaryIO,
+    tiles: Iterator[Floats32 | None],
+    place: GridPlace,
+    bands: Sequence[Band],
+    origin: Origin | None,
+    *,
+    edge: int,
+) -> None:
+    """Write a grid of any size, a tile in memory at a time.
+
+    Args:
+        file: where to; it can seek.
+        tiles: (edge, edge, bands) float32 each, row 0 in the north, `NO_DATA` where nothing is
+            known; those of the northernmost row first, from west to east. None where a tile holds
+            nothing: it takes no room in the file. What lies beyond the grid's edges is left out.
+        place: of the whole grid.
+        bands: what the numbers are.
+        origin: with it the file has a projection whose zero it is; without, none.
+        edge: of a tile in cells, a multiple of 16.
+
+    Raises:
+        ExportError: the library is not there.
+    """
+    empty = np.full((edge, edge, len(bands)), NO_DATA, dtype=np.float32)
+    _library()(
+        file,
+        _with_a_first(tiles, empty),
+        shape=(place.height, place.width, len(bands)),
+        dtype=np.float32,
+        tile=(edge, edge),
+        bigtiff=place.height * place.width * len(bands) * 4 > MOST_BYTES,
+        planarconfig="contig",
+        maxworkers=1,  # else it asks for tiles that wait for others to be packed
+        **HOW,
+        extratags=_tags(place, bands, origin),
+    )
+
+
+def _with_a_first(tiles: Iterator[Floats32 | None], empty: Floats32) -> Iterator[Floats32 | None]:
+    """The library tells from the first tile what the others are: that one is never None."""
+    for first in tiles:
+        yield empty if first is None else first
+        yield from tiles
+
+
+def _library() -> Callable[..., object]:
+    try:
+        import tifffile  # noqa: PLC0415 an extra
+    except ImportError:
+        raise ExportError(MISSING) from None
+    write: Callable[..., object] = tifffile.imwrite
+    return write
+
+
+def _tags(place: GridPlace, bands: Sequence[Band], origin: Origin | None) -> list[Any]:
+    items = "".join(
+        f'<Item name="{key}" sample="{number}" role="{role}">{text}</Item>'
+        for number, band in enumerate(bands)
+        for key, role, text in (
+            ("DESCRIPTION", "description", band.description),
+            ("UNITTYPE", "unittype", band.unit),
+        )
+        if text
+    )
+    tags = [
+        (PIXEL_SCALE, DOUBLE, 3, (place.cell_m, place.cell_m, 0.0), True),
+        (TIE_POINT, DOUBLE, 6, (0.0, 0.0, 0.0, place.west_m, place.north_m, 0.0), True),
+        _text(GDAL_METADATA, f"<GDALMetadata>{items}</GDALMetadata>"),
+        _text(GDAL_NODATA, f"{NO_DATA:g}"),
+    ]
+    return tags if origin is None else tags + _geo_tags(local_projection(origin))
 
 
 def _geo_tags(projection: TransverseMercator) -> list[Any]:
