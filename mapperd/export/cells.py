@@ -21,6 +21,7 @@ __all__ = [
     "Heights",
     "Tops",
     "Window",
+    "indices_of",
     "known_cells",
     "top_cells",
     "top_voxels",

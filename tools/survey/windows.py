@@ -1,0 +1,161 @@
+"""A map's file looked at window by window, in memory that one window takes."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd.config import Config
+from mapperd.errors import StoreError
+from mapperd.mapping import SonarMap
+from mapperd.setting_changes import with_values
+from mapperd.store.reader import BRICK_VOXELS, StoreReader
+
+__all__ = ["WINDOW_BRICKS", "Key", "StoredMap", "Tiling", "Window", "tiling_of"]
+
+WINDOW_BRICKS = 4
+"""Along an edge of a window: 25.6 m of a map of 10 cm."""
+
+Key = tuple[int, int, int]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Some columns of voxels.
+
+    Attributes:
+        x: index of the westernmost column.
+        y: index of the southernmost one.
+        edge: columns along each side.
+        z: keys of the lowest and the highest brick in it; None where there is none.
+    """
+
+    x: int
+    y: int
+    edge: int
+    z: tuple[int, int] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Tiling:
+    """Windows that cover maps as a rectangle.
+
+    Attributes:
+        x: index of the westernmost column of voxels.
+        north: index behind the northernmost one.
+        edge: columns along each side of a window.
+        columns: windows from west to east.
+        rows: windows from north to south.
+        heights: keys of the lowest and the highest brick, by column and row of the window.
+    """
+
+    x: int
+    north: int
+    edge: int
+    columns: int
+    rows: int
+    heights: Mapping[tuple[int, int], tuple[int, int]]
+
+    def __iter__(self) -> Iterator[Window]:
+        """The northernmost row first, from west to east."""
+        for row in range(self.rows):
+            for column in range(self.columns):
+                yield Window(
+                    self.x + column * self.edge,
+                    self.north - (row + 1) * self.edge,
+                    self.edge,
+                    self.heights.get((column, row)),
+                )
+
+
+class StoredMap:
+    """The file of a map, opened to be read, `with`.
+
+    Args:
+        path: of the file.
+        config: its thresholds count; grid and rule are those of the file.
+
+    Raises:
+        StoreError: it cannot be read.
+
+    Attributes:
+        config: the settings together.
+        keys: (N, 3) int64, of all bricks.
+    """
+
+    def __init__(self, path: Path, config: Config | None = None) -> None:
+        self.path = path
+        with ExitStack() as opening:
+            self._reader = opening.enter_context(StoreReader(path))
+            self.config = with_values(config or Config(), self._reader.kind())
+            self.keys = self._reader.keys()
+            self._open = opening.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._open.close()
+
+    @property
+    def resolution_m(self) -> float:
+        """Edge of a voxel."""
+        return self.config.octree.voxel_resolution
+
+    def part(self, low: Key, high: Key) -> SonarMap:
+        """The bricks of a box, both corners among them, as a map of their own.
+
+        Raises:
+            StoreError: one of them is damaged (`damaged`): a hole would look like water.
+        """
+        sonar_map = SonarMap(self.config)
+        lost = self._reader.load_box(sonar_map, low, high)
+        if lost:
+            raise StoreError(
+                f"{self.path}: {len(lost)} bricks of it are damaged; holes would look like water: "
+                "merge the survey again",
+                "damaged",
+            )
+        return sonar_map
+
+    def columns(self, window: Window) -> SonarMap | None:
+        """What the map holds in a window, over its whole height; None if nothing.
+
+        Raises:
+            StoreError: as `part`.
+        """
+        if window.z is None:
+            return None
+        x, y = window.x // BRICK_VOXELS, window.y // BRICK_VOXELS
+        more = window.edge // BRICK_VOXELS - 1
+        return self.part((x, y, window.z[0]), (x + more, y + more, window.z[1]))
+
+
+def tiling_of(keys: Ints, bricks: int = WINDOW_BRICKS) -> Tiling:
+    """Windows whose corners lie on multiples of their size.
+
+    Args:
+        keys: (N, 3) of bricks, N at least 1.
+        bricks: along an edge of a window.
+    """
+    of_bricks = keys[:, :2] // bricks
+    (west, south), (east, north) = of_bricks.min(axis=0).tolist(), of_bricks.max(axis=0).tolist()
+    heights: dict[tuple[int, int], tuple[int, int]] = {}
+    for (x, y), z in zip(of_bricks.tolist(), keys[:, 2].tolist(), strict=True):
+        low, high = heights.get((x - west, north - y), (z, z))
+        heights[x - west, north - y] = min(low, z), max(high, z)
+    edge = bricks * BRICK_VOXELS
+    return Tiling(
+        west * edge, (north + 1) * edge, edge, east - west + 1, north - south + 1, heights
+    )
