@@ -23,7 +23,7 @@ from survey.products import PRODUCTS, Options, check_products, crs_of
 from survey.surface import Surface, surface_of
 from survey.windows import StoredMap, Tiling, Window, tiling_of
 
-__all__ = ["Exported", "Progress", "export_survey"]
+__all__ = ["Exported", "Progress", "export_survey", "place_of"]
 
 DEPTH_DIGITS, METRE_DIGITS, DEGREE_DIGITS = 3, 3, 9
 """After the point: a billionth of a degree is 0.1 mm."""
@@ -127,7 +127,7 @@ class _Export:
                 )
             tiles = self._tiles()
             if grid := self._files.get("grid"):
-                place = _place_of(self._tiling, self._stored.resolution_m, self._cell_m)
+                place = place_of(self._tiling, self._stored.resolution_m, self._options.cell_voxels)
                 edge = self._tiling.edge // self._options.cell_voxels
                 write_tiles(grid, tiles, place, self._bands(), self._origin, edge=edge)
             for _ in tiles:
@@ -212,12 +212,13 @@ def _box_of(stored: StoredMap) -> Floats:
     return np.stack([stored.keys.min(axis=0), stored.keys.max(axis=0) + 1]) * edge_m
 
 
-def _place_of(tiling: Tiling, resolution_m: float, cell_m: float) -> GridPlace:
-    across = round(tiling.edge * resolution_m / cell_m)
+def place_of(tiling: Tiling, resolution_m: float, cell_voxels: int) -> GridPlace:
+    """Where the grid of a tiling lies."""
+    across = tiling.edge // cell_voxels
     return GridPlace(
         tiling.x * resolution_m,
         tiling.north * resolution_m,
-        cell_m,
+        resolution_m * cell_voxels,
         across * tiling.columns,
         across * tiling.rows,
     )

@@ -6,11 +6,11 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.export.cells import indices_of
+from mapperd.export.cells import NO_TOP, indices_of
 from mapperd.mapping import Voxels
 from survey.windows import Window
 
-__all__ = ["CELL_VOXELS", "RULES", "Rule", "Surface", "surface_of", "tops_of"]
+__all__ = ["CELL_VOXELS", "NO_TOP", "RULES", "Rule", "Surface", "surface_of", "tops_of"]
 
 Rule = Literal["shoalest", "median"]
 RULES: tuple[Rule, ...] = get_args(Rule)
@@ -108,9 +108,9 @@ def tops_of(voxels: Voxels, resolution_m: float, window: Window) -> Ints:
     """Index in z of the uppermost occupied voxel of each column.
 
     Returns:
-        (edge, edge), row 0 in the north; the smallest number where a column has none.
+        (edge, edge), row 0 in the north; `NO_TOP` where a column has none.
     """
-    tops = np.full((window.edge, window.edge), np.iinfo(np.int64).min)
+    tops = np.full((window.edge, window.edge), NO_TOP)
     index = indices_of(voxels.centres_m, resolution_m)
     place = window.edge - 1 - (index[:, 1] - window.y), index[:, 0] - window.x
     np.maximum.at(tops, place, index[:, 2])

@@ -86,7 +86,7 @@ class StoredMap:
 
     Attributes:
         config: the settings together.
-        keys: (N, 3) int64, of all bricks.
+        keys: (N, 3) int64, of all bricks, in ascending order.
     """
 
     def __init__(self, path: Path, config: Config | None = None) -> None:
@@ -129,6 +129,19 @@ class StoredMap:
             )
         return sonar_map
 
+    def box(self, low: Ints, high: Ints) -> SonarMap | None:
+        """The same with keys as arrays (3,); None where there is no brick at all.
+
+        Raises:
+            StoreError: as `part`.
+        """
+        begin, end = np.searchsorted(self.keys[:, 0], (low[0], high[0] + 1))
+        slab = self.keys[begin:end]
+        if not ((slab >= low) & (slab <= high)).all(axis=1).any():
+            return None
+        (x, y, z), (far_x, far_y, far_z) = low.tolist(), high.tolist()
+        return self.part((x, y, z), (far_x, far_y, far_z))
+
     def columns(self, window: Window) -> SonarMap | None:
         """What the map holds in a window, over its whole height; None if nothing.
 
@@ -137,9 +150,9 @@ class StoredMap:
         """
         if window.z is None:
             return None
-        x, y = window.x // BRICK_VOXELS, window.y // BRICK_VOXELS
         more = window.edge // BRICK_VOXELS - 1
-        return self.part((x, y, window.z[0]), (x + more, y + more, window.z[1]))
+        low = np.array([window.x // BRICK_VOXELS, window.y // BRICK_VOXELS, window.z[0]])
+        return self.box(low, np.array([low[0] + more, low[1] + more, window.z[1]]))
 
 
 def tiling_of(keys: Ints, bricks: int = WINDOW_BRICKS) -> Tiling:

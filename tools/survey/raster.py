@@ -1,0 +1,67 @@
+"""Pictures of a map from above, a pixel for some columns of voxels, filled window by window."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from survey.windows import Tiling
+
+__all__ = ["MOST_PIXELS", "Raster"]
+
+MOST_PIXELS = 1200
+"""Along the longer side; a wider map gets more columns to a pixel."""
+
+Ints = NDArray[np.int64]
+
+
+class Raster:
+    """What pixels of one picture lie where.
+
+    Args:
+        tiling: what the picture shows.
+        resolution_m: edge of a voxel.
+
+    Attributes:
+        shape: rows and columns.
+        extent_m: left, right, bottom and top in the map's frame.
+        columns: of voxels, along a pixel's edge.
+    """
+
+    def __init__(self, tiling: Tiling, resolution_m: float) -> None:
+        width, height = tiling.columns * tiling.edge, tiling.rows * tiling.edge
+        self.columns = max(1, math.ceil(max(width, height) / MOST_PIXELS))
+        self.shape = math.ceil(height / self.columns), math.ceil(width / self.columns)
+        self._x, self._north = tiling.x, tiling.north
+        pixel_m = self.columns * resolution_m
+        left_m, top_m = tiling.x * resolution_m, tiling.north * resolution_m
+        self.extent_m = (
+            left_m,
+            left_m + self.shape[1] * pixel_m,
+            top_m - self.shape[0] * pixel_m,
+            top_m,
+        )
+
+    def full(self, value: float) -> NDArray[np.float64]:
+        """A picture of one number."""
+        return np.full(self.shape, value)
+
+    def put(
+        self,
+        picture: NDArray[np.float64],
+        how: Callable[..., None],
+        x: Ints,
+        y: Ints,
+        values: NDArray[np.generic] | float,
+    ) -> None:
+        """Put values into a picture by `np.maximum.at` and the like.
+
+        Args:
+            picture: of `shape`, row 0 in the north.
+            how: joins a value to what is there.
+            x: (N,) indices of columns of voxels.
+            y: the same northwards.
+            values: (N,) numbers, or one.
+        """
+        how(picture, ((self._north - 1 - y) // self.columns, (x - self._x) // self.columns), values)
