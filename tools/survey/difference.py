@@ -19,9 +19,13 @@ from mapperd.probability import log_odds_of
 from mapperd.store.reader import BRICK_VOXELS
 from survey.errors import SurveyError
 from survey.tally import Tally
-from survey.windows import WINDOW_BRICKS, Key, StoredMap
+from survey.windows import Key, StoredMap
 
 __all__ = ["Comparison", "Disagreement", "Way", "cubes_of", "differences"]
+
+CUBE_BRICKS = 4
+"""Along an edge of what is compared at a time: larger than a window, for what lies around it is
+looked at too."""
 
 MOST_REACH_VOXELS = 60
 """A distance that is looked for: less than a brick, and than the core's field of distances."""
@@ -110,9 +114,9 @@ class Comparison:
 
 
 def cubes_of(stores: Mapping[str, StoredMap]) -> list[Key]:
-    """Places of all cubes of `WINDOW_BRICKS` bricks an edge with a brick of one of some maps."""
+    """Places of all cubes of `CUBE_BRICKS` bricks an edge with a brick of one of some maps."""
     keys = np.concatenate([stored.keys for stored in stores.values()])
-    return [(x, y, z) for x, y, z in np.unique(keys // WINDOW_BRICKS, axis=0).tolist()]
+    return [(x, y, z) for x, y, z in np.unique(keys // CUBE_BRICKS, axis=0).tolist()]
 
 
 def differences(
@@ -142,8 +146,8 @@ def differences(
 
 def _occupied(stored: StoredMap, cube: Key) -> Ints:
     """Indices (N, 3) of a dive's occupied voxels in a cube."""
-    low = np.array(cube) * WINDOW_BRICKS
-    high = low + WINDOW_BRICKS - 1
+    low = np.array(cube) * CUBE_BRICKS
+    high = low + CUBE_BRICKS - 1
     part = stored.box(low, high)
     if part is None:
         return np.empty((0, 3), dtype=np.int64)

@@ -13,6 +13,9 @@ __all__ = ["MOST_PIXELS", "Raster"]
 MOST_PIXELS = 1200
 """Along the longer side; a wider map gets more columns to a pixel."""
 
+MARGIN = 0.03
+"""Of what is shown, left empty around it."""
+
 Ints = NDArray[np.int64]
 
 
@@ -46,6 +49,23 @@ class Raster:
     def full(self, value: float) -> NDArray[np.float64]:
         """A picture of one number."""
         return np.full(self.shape, value)
+
+    def shown_m(self, seen: NDArray[np.bool_]) -> tuple[float, float, float, float]:
+        """Left, right, bottom and top of the pixels that show something, and a little around.
+
+        Args:
+            seen: of `shape`; one of them at least.
+        """
+        rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
+        left_m, right_m, _, top_m = self.extent_m
+        pixel_m = (right_m - left_m) / self.shape[1]
+        room_m = MARGIN * max(len(rows), len(columns)) * pixel_m
+        return (
+            left_m + columns[0] * pixel_m - room_m,
+            left_m + (columns[-1] + 1) * pixel_m + room_m,
+            top_m - (rows[-1] + 1) * pixel_m - room_m,
+            top_m - rows[0] * pixel_m + room_m,
+        )
 
     def put(
         self,

@@ -59,12 +59,12 @@ def _coverage(report: Report, pictures: Pictures, raster: Raster) -> Any:  # noq
     figure, (axes,) = _maps(
         f"{covered.merged_m2:,.0f} m² mapped by {len(report.dives)} dives; "
         "grey: looked at, no surface",
+        pictures,
         raster,
-        1,
     )
-    _put(axes, np.where(pictures.observed > 0, 0.0, np.nan), raster, cmap=_plain(LOOKED))
+    _put(axes, np.where(pictures.observed > 0, 0.0, np.nan), pictures, raster, cmap=_plain(LOOKED))
     heights = np.where(np.isfinite(pictures.z_m), pictures.z_m, np.nan)
-    image = _put(axes, heights, raster, cmap="viridis")
+    image = _put(axes, heights, pictures, raster, cmap="viridis")
     figure.colorbar(image, ax=axes, label="highest surface z [m]", shrink=0.8)
     return figure
 
@@ -74,8 +74,8 @@ def _overlap(report: Report, pictures: Pictures, raster: Raster) -> Any:  # noqa
     share = covered.overlap_m2 / covered.mapped_m2
     figure, (axes,) = _maps(
         f"{covered.overlap_m2:,.0f} m² seen by two or more dives, {share:.0%} of what is mapped",
+        pictures,
         raster,
-        1,
     )
     most = max(int(dives) for dives in covered.by_dives_m2)
     from matplotlib import colormaps  # noqa: PLC0415 an extra
@@ -84,7 +84,7 @@ def _overlap(report: Report, pictures: Pictures, raster: Raster) -> Any:  # noqa
     colours = colormaps["plasma"].resampled(max(most, 2))
     norm = BoundaryNorm(np.arange(0.5, max(most, 2) + 1), colours.N)
     dives = np.where(pictures.dives > 0, pictures.dives, np.nan)
-    image = _put(axes, dives, raster, cmap=colours, norm=norm)
+    image = _put(axes, dives, pictures, raster, cmap=colours, norm=norm)
     ticks = np.unique(np.linspace(1, max(most, 2), min(max(most, 2), 10)).astype(int))
     figure.colorbar(image, ax=axes, label="dives with a surface", shrink=0.8, ticks=ticks)
     return figure
@@ -92,17 +92,20 @@ def _overlap(report: Report, pictures: Pictures, raster: Raster) -> Any:  # noqa
 
 def _disagreement(report: Report, pictures: Pictures, raster: Raster) -> Any:  # noqa: ANN401
     figure, (left, right) = _maps(
-        f"disagreement where several dives looked; tolerance {report.tolerance_m:g} m", raster, 2
+        f"disagreement where several dives looked; tolerance {report.tolerance_m:g} m",
+        pictures,
+        raster,
+        number=2,
     )
     spread = np.where(np.isfinite(pictures.spread_m), pictures.spread_m, np.nan)
     high = max(5 * report.tolerance_m, report.resolution_m)
-    image = _put(left, spread, raster, cmap="magma_r", vmin=0.0, vmax=high)
+    image = _put(left, spread, pictures, raster, cmap="magma_r", vmin=0.0, vmax=high)
     left.set_title("highest less lowest surface, the most in a pixel", fontsize=10, loc="left")
     bar = {"ax": left, "label": "spread [m]", "shrink": 0.8, "extend": "max"}
     figure.colorbar(image, **bar)
     with np.errstate(invalid="ignore"):
         missing = pictures.missing / np.where(pictures.compared > 0, pictures.compared, np.nan)
-    image = _put(right, missing, raster, cmap="magma_r", vmin=0.0, vmax=1.0)
+    image = _put(right, missing, pictures, raster, cmap="magma_r", vmin=0.0, vmax=1.0)
     right.set_title("voxels that the other dive has not", fontsize=10, loc="left")
     figure.colorbar(image, ax=right, label="share", shrink=0.8)
     return figure
@@ -135,20 +138,26 @@ def _distances(report: Report, ways: Mapping[tuple[str, str], Way]) -> Any:  # n
     return figure
 
 
-def _maps(title: str, raster: Raster, number: int) -> tuple[Any, list[Any]]:
+def _maps(
+    title: str, pictures: Pictures, raster: Raster, *, number: int = 1
+) -> tuple[Any, list[Any]]:
     """A figure with some maps beside each other, or above where they are wide."""
-    rows, columns = raster.shape
-    wide = columns > rows
-    width, height = 9.0, 9.0 * float(np.clip(rows / columns, 0.35, 1.4)) + 0.8
+    left, right, bottom, top = _shown(pictures, raster)
+    ratio = float(np.clip((top - bottom) / (right - left), 0.3, 1.6))
+    wide = ratio < 1
+    width, height = 9.0, 7.5 * ratio + 0.9
     size = (width, height * number) if wide else (width * number, height)
     figure = _figure(*size)
     figure.suptitle(title, color=INK, fontsize=12)
     grid = figure.subplots(number, 1) if wide else figure.subplots(1, number)
     maps = list(np.atleast_1d(grid))
     for axes in maps:
-        axes.set(xlabel="x east [m]", ylabel="y north [m]", facecolor=PAPER)
-        axes.set_aspect("equal")
+        axes.set(xlabel="x east [m]", ylabel="y north [m]", facecolor=PAPER, aspect="equal")
     return figure, maps
+
+
+def _shown(pictures: Pictures, raster: Raster) -> tuple[float, float, float, float]:
+    return raster.shown_m((pictures.observed > 0) | (pictures.dives > 0))
 
 
 def _figure(width_in: float, height_in: float) -> Any:  # noqa: ANN401
@@ -160,9 +169,12 @@ def _figure(width_in: float, height_in: float) -> Any:  # noqa: ANN401
     return figure
 
 
-def _put(axes: Any, picture: Floats, raster: Raster, **how: Any) -> Any:  # noqa: ANN401
+def _put(axes: Any, picture: Floats, pictures: Pictures, raster: Raster, **how: Any) -> Any:  # noqa: ANN401
+    shown = _shown(pictures, raster)
     left, right, bottom, top = raster.extent_m
-    return axes.imshow(picture, extent=(left, right, bottom, top), interpolation="nearest", **how)
+    image = axes.imshow(picture, extent=(left, right, bottom, top), interpolation="nearest", **how)
+    axes.set(xlim=shown[:2], ylim=shown[2:])
+    return image
 
 
 def _plain(colour: str) -> Any:  # noqa: ANN401

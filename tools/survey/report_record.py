@@ -176,7 +176,9 @@ def _heights(middle: Tally, high: Tally, edge_m: float) -> HeightRecord:
 
 
 def _mean(a: float | None, b: float | None) -> float | None:
-    return None if a is None or b is None else (a + b) / 2
+    """Of both ways, or the one that there is."""
+    there = [share for share in (a, b) if share is not None]
+    return sum(there) / len(there) if there else None
 
 
 def _grade(share: float | None) -> str | None:

@@ -18,8 +18,8 @@ from mapperd.store.reader import BRICK_VOXELS, StoreReader
 
 __all__ = ["WINDOW_BRICKS", "Key", "StoredMap", "Tiling", "Window", "tiling_of"]
 
-WINDOW_BRICKS = 4
-"""Along an edge of a window: 25.6 m of a map of 10 cm."""
+WINDOW_BRICKS = 2
+"""Along an edge of a window: 12.8 m of a map of 10 cm."""
 
 Key = tuple[int, int, int]
 Ints = NDArray[np.int64]

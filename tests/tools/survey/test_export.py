@@ -108,7 +108,7 @@ def test_only_heights_that_are_asked_for_count(stored: Path, tmp_path: Path) -> 
 @pytest.mark.parametrize("bricks", [1, 2])
 def test_pieces_of_any_size_give_the_same(stored: Path, tmp_path: Path, bricks: int) -> None:
     products = ("grid", "cloud", "soundings", "positions")
-    one = export(stored, tmp_path / "a", *products, origin=KIEL, cell_voxels=4)
+    one = export(stored, tmp_path / "a", *products, origin=KIEL, cell_voxels=4, window_bricks=4)
     many = export(
         stored, tmp_path / "b", *products, origin=KIEL, cell_voxels=4, window_bricks=bricks
     )

@@ -196,7 +196,7 @@ def test_grades_are_those_of_the_published_analyser(
 def test_pieces_of_any_size_give_the_same(
     files: dict[str, Path], made: tuple[Report, Path], tmp_path: Path, undrawn: pytest.MonkeyPatch
 ) -> None:
-    undrawn.setattr("survey.difference.WINDOW_BRICKS", 1)
+    undrawn.setattr("survey.difference.CUBE_BRICKS", 1)
     undrawn.setattr("survey.report.WINDOW_BRICKS", 1)
     sizes, part = [], StoredMap.part
 
