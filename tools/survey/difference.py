@@ -23,9 +23,8 @@ from survey.windows import Key, StoredMap
 
 __all__ = ["Comparison", "Disagreement", "Way", "cubes_of", "differences"]
 
-CUBE_BRICKS = 4
-"""Along an edge of what is compared at a time: larger than a window, for what lies around it is
-looked at too."""
+CUBE_BRICKS = 2
+"""Along an edge of what is compared at a time; what lies around it within the reach is read too."""
 
 MOST_REACH_VOXELS = 60
 """A distance that is looked for: less than a brick, and than the core's field of distances."""

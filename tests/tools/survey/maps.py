@@ -50,4 +50,7 @@ def seabed(random: np.random.Generator, west: int = -300, east: int = 300) -> So
     layers = [layer[random.random(len(layer)) > 0.2 * n] for n, layer in enumerate(layers)]
     deck = columns[(columns[:, 0] > 100) & (columns[:, 0] < 160)] * (1, 1, 0) + (0, 0, 10)
     index = np.unique(np.concatenate([*layers, deck]), axis=0)
-    return map_of(index, random.uniform(1.0, 6.0, len(index)))
+    sonar_map = map_of(index, random.uniform(1.0, 6.0, len(index)))
+    again = centres(index[random.random(len(index)) < 0.5])
+    sonar_map.core.observe(again, np.full(len(again), 200.0), np.full(len(again), fill_value=True))
+    return sonar_map

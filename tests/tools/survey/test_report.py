@@ -20,7 +20,7 @@ from survey.windows import StoredMap
 from mapperd.config import Config, Mapping, Octree
 from mapperd.errors import StoreError
 from mapperd.mapping import SonarMap
-from tests.tools.survey.maps import RESOLUTION_M, map_of, store_of
+from tests.tools.survey.maps import RESOLUTION_M, centres, map_of, store_of
 
 TOLERANCE_M = 0.2
 PICTURES = ("coverage.png", "overlap.png", "disagreement.png", "distances.png")
@@ -39,7 +39,10 @@ def dive(seed: int, west: int, east: int, risen: int) -> SonarMap:
     floor = np.stack([x, y, z], axis=1)
     water = np.concatenate([floor + np.array([0, 0, above]) for above in range(1, 16)])
     seen = random.random(len(floor)) < 0.9
-    return map_of(floor[seen], random.uniform(1.0, 5.0, seen.sum()), water)
+    unsure = random.random(len(water)) < 0.2
+    sonar_map = map_of(water[unsure], 0.3, water[~unsure])
+    sonar_map.core.set_log_odds(centres(floor[seen]), random.uniform(1.0, 5.0, seen.sum()))
+    return sonar_map
 
 
 @pytest.fixture(scope="module")
