@@ -239,3 +239,17 @@ def test_thresholds_are_those_of_the_settings(files: dict[str, Path], tmp_path: 
     with StoredMap(files["a"], strict) as stored:
         expected = len(stored.part((-9,) * 3, (9,) * 3).voxels("occupied"))
     assert report.pairs[0].a_to_b.voxels == expected
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_dive_that_has_no_surface_in_a_cell_does_not_spread_it(tmp_path: Path) -> None:
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(8), np.arange(8)))
+    floor = np.stack([x, y, np.full(64, -30)], axis=1)
+    moved = {"a": (0, 0, 0), "b": (0, 0, 2), "c": (20, 0, 0)}
+    files = {
+        name: store_of(tmp_path / f"{name}.db", map_of(floor + np.array(by)))
+        for name, by in moved.items()
+    }
+    report = report_survey(files, files["a"], tmp_path / "out", TOLERANCE_M)
+    assert report.spread.cells == 64
+    assert report.spread.median_m == report.spread.p95_m == pytest.approx(0.2)
