@@ -13,7 +13,7 @@ CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLi
 # Programs and tests start hundreds of Pythons, which must not compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
+.PHONY: demo test bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth survey-dives fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
 
 demo: $(STAMP)
 	$(BIN)/python tools/demo.py --out out/demo
@@ -105,6 +105,11 @@ fuzz: $(STAMP)
 	$(PIP) --no-build-isolation -e '.[fuzz]'
 	$(BIN)/python tests/fuzz/fuzz_stream.py tests/fuzz/corpus -max_total_time=600 -max_len=8192
 	$(BIN)/python tests/fuzz/fuzz_map_stream.py tests/fuzz/corpus-map-stream -max_total_time=600 -max_len=4096
+
+# The dives of the survey study: two hours in ten recordings, 7 GB; damaged copies of two. Half an
+# hour of one core; what was finished is kept.
+survey-dives: $(STAMP)
+	PYTHONPATH=tools $(BIN)/python -m survey_study.make_dives --out out/survey --damage
 
 # Breaks each guarded formula once and has a test notice; writes docs/mutations.md. An hour of one
 # core; what is as it was when it was measured is not measured again.

@@ -1,0 +1,1 @@
+"""A survey of two hours over a simulated seabed, mapped whole by `mapper-survey` and judged."""
