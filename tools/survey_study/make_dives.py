@@ -41,7 +41,7 @@ def make(folder: Path, plan: Plan, processes: int) -> list[Path]:
     if processes == 1:
         recordings = [record(dive, folder / "dives") for dive in todo]
     else:
-        recordings = _in_processes(todo, folder / "dives", processes)
+        recordings = record_all(todo, folder / "dives", processes)
     write_survey(folder, recordings)
     return recordings
 
@@ -58,21 +58,26 @@ def damage(folder: Path, recordings: Sequence[Path], seed: int) -> list[Damage]:
     return done
 
 
-def _in_processes(todo: Sequence[Dive], folder: Path, processes: int) -> list[Path]:
+def record_all(todo: Sequence[Dive], folder: Path, processes: int) -> list[Path]:
+    """Record dives in processes of their own, with a progress bar; what fails ends it soon."""
     # Forking would copy the threads' locks of whatever runs here; spawning does not.
     context = multiprocessing.get_context("spawn")
     done = context.Value("q", 0)
-    pool = ProcessPoolExecutor(processes, context, _done.append, (done,))
+    pool = ProcessPoolExecutor(processes, context, _start, (done,))
     pings = sum(round(dive.duration_s * PING_RATE_HZ) for dive in todo)
     with pool, tqdm(total=pings, unit="ping", file=sys.stderr, disable=None) as bar:
         waiting = futures = [pool.submit(_record, dive, folder) for dive in todo]
         while waiting:
             over, left = wait(waiting, LOOK_S, FIRST_COMPLETED)
-            for future in over:
-                future.result()  # raises what went wrong at once
+            if any(not future.cancelled() and future.exception() for future in over):
+                pool.shutdown(wait=False, cancel_futures=True)
             waiting = list(left)
             bar.update(done.value - bar.n)
         return [future.result() for future in futures]
+
+
+def _start(done: "Synchronized[int]") -> None:
+    _done.append(done)
 
 
 def _record(dive: Dive, folder: Path) -> Path:

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 import yaml
 from numpy.typing import NDArray
+from sonar_sim.errors import SceneError
 from survey_study.damage import cut, flip
 from survey_study.dives import ALTITUDE_M, FULL, PAUSE_S, SMALL, Dive, dives
+from survey_study.make_dives import record_all
 from survey_study.recorder import record
 from survey_study.seabed import DEPTH_M
 from survey_study.survey_file import write_survey
@@ -66,6 +68,21 @@ def test_a_recording_is_the_same_each_time_and_is_not_made_twice(tmp_path: Path)
     heard.clear()
     record(dive, tmp_path / "a", lambda *pings: heard.append(pings))
     assert heard == []
+
+
+def test_processes_make_the_same_recordings(tmp_path: Path) -> None:
+    todo = [replace(short(), name=name, seed=seed) for seed, name in enumerate("ab")]
+    made = record_all(todo, tmp_path / "processes", 2)
+    alone = [record(dive, tmp_path / "alone") for dive in todo]
+    assert [path.name for path in made] == ["a.mcap", "b.mcap"]
+    assert [path.read_bytes() for path in made] == [path.read_bytes() for path in alone]
+    assert made[0].read_bytes() != made[1].read_bytes()
+
+
+def test_a_dive_that_cannot_be_made_ends_the_making(tmp_path: Path) -> None:
+    wrong = replace(short(), scene={**short().scene, "sonar": {"range_m": 1e9}})
+    with pytest.raises(SceneError, match="range"):
+        record_all([wrong] * 4, tmp_path, 1)
 
 
 def test_another_dive_under_the_same_name_is_recorded_anew(tmp_path: Path) -> None:
