@@ -20,8 +20,6 @@ SETTINGS: dict[str, Any] = {
 """Those of config/survey.yaml, but for coarser voxels, and how the simulated sonar is mounted."""
 
 CONFIGURATION = "mapperd.yaml"
-STANDS = {"x": 0.0, "y": 0.0, "z": 0.0, "yaw_deg": 0.0}
-"""The beacons that the dives navigate by are those of one frame."""
 
 
 def write_survey(folder: Path, recordings: Sequence[Path], name: str = "survey.yaml") -> Path:
@@ -38,12 +36,8 @@ def write_survey(folder: Path, recordings: Sequence[Path], name: str = "survey.y
         "configuration": CONFIGURATION,
         "origin": ORIGIN,
         "dives": [
-            {
-                "name": recording.stem,
-                "recording": str(recording.relative_to(folder)),
-                "transform": STANDS,
-            }
-            for recording in recordings
+            {"name": recording.stem, "recording": str(recording.relative_to(folder))}
+            for recording in recordings  # all in the frame of the beacons that they navigate by
         ],
     }
     path = folder / name

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from numpy.typing import NDArray
 from sonar_sim.errors import SceneError
+from survey.request import read_survey
 from survey_study.damage import cut, flip
 from survey_study.dives import ALTITUDE_M, FULL, PAUSE_S, SMALL, Dive, dives
 from survey_study.make_dives import record_all
@@ -105,14 +105,16 @@ def test_a_recording_that_was_not_finished_is_not_there(
 
 
 def test_the_survey_file_names_recordings_and_settings_from_where_it_lies(tmp_path: Path) -> None:
-    path = write_survey(tmp_path, [tmp_path / "dives" / "dive-01.mcap"])
-    survey = yaml.safe_load(path.read_text())
-    assert survey["dives"][0]["recording"] == "dives/dive-01.mcap"
-    settings = yaml.safe_load((tmp_path / survey["configuration"]).read_text())
-    assert settings["octree"]["voxel_resolution"] == 0.1
-    mounting = short().scene["mounting"]
-    assert list(settings["mounting"]["position"].values()) == mounting["position_m"]
-    assert settings["mounting"]["orientation"]["pitch"] == mounting["pitch_deg"]
+    path = write_survey(tmp_path, [tmp_path / "dives" / f"dive-0{k}.mcap" for k in (1, 2)])
+    request = read_survey(path)
+    assert [request.path_of(dive) for dive in request.survey.dives] == [
+        tmp_path / "dives/dive-01.mcap",
+        tmp_path / "dives/dive-02.mcap",
+    ]
+    said, mounting = request.config.mounting, short().scene["mounting"]
+    assert request.config.octree.voxel_resolution == 0.1
+    assert [said.position.x, said.position.y, said.position.z] == mounting["position_m"]
+    assert said.orientation.pitch == mounting["pitch_deg"]
 
 
 def test_a_cut_copy_is_the_beginning_of_the_recording(tmp_path: Path) -> None:
