@@ -13,7 +13,7 @@ CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLi
 # Programs and tests start hundreds of Pythons, which must not compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth survey-dives fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
+.PHONY: demo test bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
 
 demo: $(STAMP)
 	$(BIN)/python tools/demo.py --out out/demo
@@ -110,6 +110,12 @@ fuzz: $(STAMP)
 # hour of one core; what was finished is kept.
 survey-dives: $(STAMP)
 	PYTHONPATH=tools $(BIN)/python -m survey_study.make_dives --out out/survey --damage
+
+# The survey study: the dives mapped with one and two workers, with workers killed, on damaged
+# recordings, and in one process; the maps compared, and how the survey scales. An hour or two of two
+# cores that have nothing else to do; after a stop the same command goes on.
+survey-study: survey-dives
+	PYTHONPATH=tools $(BIN)/python -m survey_study.run --out out/survey
 
 # Breaks each guarded formula once and has a test notice; writes docs/mutations.md. An hour of one
 # core; what is as it was when it was measured is not measured again.

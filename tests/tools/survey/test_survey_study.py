@@ -1,0 +1,61 @@
+"""The study's own judge: when two maps are the same, and what a run must hold."""
+
+from pathlib import Path
+
+import pytest
+from survey.request import read_survey
+from survey_study.run import Judged, Single, verdicts_of
+from survey_study.runs import Watched, watch
+from survey_study.single_process import Fingerprint, fingerprint, map_in_one_process
+
+from tests.tools.survey.dives import run_here, write_dive, write_survey
+
+SAME, OTHER = Fingerprint(2, "ab"), Fingerprint(2, "cd")
+
+
+def test_the_map_of_one_process_is_the_survey_s_to_the_bit(tmp_path: Path) -> None:
+    dives = [{"name": name, "recording": f"{name}.mcap"} for name in "ab"]
+    survey = write_survey(tmp_path, dives=dives)
+    write_dive(tmp_path / "b.mcap", 2, begin_s=60.0, y=3.0)
+    record = run_here(survey, tmp_path / "out")
+    recordings = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
+    config = read_survey(survey).config
+    pings = map_in_one_process(recordings, config, tmp_path / "single.db")
+    assert pings == record["pings"]
+    whole = fingerprint(tmp_path / "out/map.db")
+    assert whole == fingerprint(tmp_path / "single.db")
+    assert whole.bricks == record["maps"][0]["bricks"] > 10
+    map_in_one_process(recordings[::-1], config, tmp_path / "turned.db")
+    assert fingerprint(tmp_path / "turned.db") != whole
+
+
+def judged(found: Fingerprint, wall_s: float = 10.0, killed: int = 0, lost: int = 0) -> Judged:
+    told: dict[str, list[object]] = {f"dive-{k}": ["cut"] for k in range(lost)}
+    return Judged(Watched(2, wall_s, 1.0, 1, killed), 200.0, found, told)
+
+
+def test_all_that_a_survey_must_hold_is_looked_at() -> None:
+    results = {
+        "one": judged(SAME),
+        "two": judged(SAME),
+        "killed": judged(SAME, killed=1),
+        "damaged": judged(OTHER, lost=2),
+    }
+    single = Single(1.0, 5, SAME)
+    assert all(verdicts_of(results, single, bounded=True).values())
+    wrong = {
+        "one": judged(OTHER),
+        "two": judged(OTHER),
+        "killed": judged(OTHER, killed=1),
+        "damaged": judged(OTHER, lost=1),
+    }
+    for name, result in wrong.items():
+        assert not all(verdicts_of({**results, name: result}, single, bounded=True).values())
+    for name, result in (("two", judged(SAME, wall_s=10.1)), ("killed", judged(SAME))):
+        assert not all(verdicts_of({**results, name: result}, single, bounded=True).values())
+        assert all(verdicts_of({**results, name: result}, single, bounded=False).values())
+
+
+def test_a_run_that_failed_is_no_result(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match="ended with 2"):
+        watch(tmp_path / "none.yaml", tmp_path / "out", 0, "1GiB")

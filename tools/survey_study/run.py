@@ -1,0 +1,151 @@
+"""The study of `mapper-survey`: two hours of dives, mapped, with workers killed, and compared.
+
+    PYTHONPATH=tools python -m survey_study.run --out out/survey
+
+Makes the dives, runs the survey with one and two workers, with two that are killed at random, and
+on damaged recordings; maps all in one process; compares the maps to the bit; and simulates how the
+survey scales. Leaves study.json and the scaling report. Steps that are done are not done again.
+"""
+
+import argparse
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+from survey import scaling_command
+from survey.request import read_survey
+
+from survey_study.make_dives import PLANS, damage, make
+from survey_study.runs import Watched, watch
+from survey_study.single_process import Fingerprint, fingerprint, map_in_one_process
+
+Step = TypeVar("Step", bound=msgspec.Struct)
+
+MEMORY = "1GiB"
+KILL_EVERY_S = {"full": 60.0, "small": 2.0}
+PROMISED_SPEED = 20.0
+"""Times real time, on two cores."""
+
+
+class Judged(msgspec.Struct, frozen=True):
+    """A run of the survey, and its map.
+
+    Attributes:
+        run: what it took.
+        recorded_s: of all recordings.
+        map: of the merged file.
+        lost: what `survey.json` says was lost, by dive.
+    """
+
+    run: Watched
+    recorded_s: float
+    map: Fingerprint
+    lost: dict[str, list[Any]]
+
+
+class Single(msgspec.Struct, frozen=True):
+    """The map of one process: its CPU time and fingerprint."""
+
+    cpu_s: float
+    pings: int
+    map: Fingerprint
+
+
+class _Record(msgspec.Struct):
+    """The parts of `survey.json` that are read here."""
+
+    recorded_s: float
+    dives: list[dict[str, Any]]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run all; 0 if the maps are equal and what is promised holds."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    add = parser.add_argument
+    add("--out", type=Path, default=Path("out/survey"), metavar="DIR")
+    add("--scale", choices=list(PLANS), default="full", help="(default: full, two hours)")
+    add("--memory", default=MEMORY, metavar="SIZE", help=f"of a worker (default: {MEMORY})")
+    said = parser.parse_args(argv)
+    out: Path = said.out
+    recordings = make(out, PLANS[said.scale], os.cpu_count() or 1)
+    damage(out, recordings, PLANS[said.scale].seed)
+    whole, damaged = out / "survey.yaml", out / "damaged.yaml"
+    every_s = KILL_EVERY_S[said.scale]
+    results = {
+        "one": _judged(out / "one", whole, 1, said.memory),
+        "two": _judged(out / "two", whole, 2, said.memory),
+        "killed": _judged(out / "killed", whole, 2, said.memory, every_s),
+        "damaged": _judged(out / "damage", damaged, 2, said.memory),
+    }
+    single = _once(out / "single.json", Single, lambda: _single(out, whole, recordings))
+    verdicts = verdicts_of(results, single, bounded=said.scale == "full")
+    told = {**results, "single": single, "verdicts": verdicts}
+    (out / "study.json").write_bytes(msgspec.json.format(msgspec.json.encode(told), indent=2))
+    for verdict, holds in verdicts.items():
+        print(f"{'holds' if holds else 'FAILS'}: {verdict}")
+    return max(_scaling(out), int(not all(verdicts.values())))
+
+
+def _judged(
+    out: Path, survey: Path, workers: int, memory: str, every_s: float | None = None
+) -> Judged:
+    def run() -> Judged:
+        shutil.rmtree(out, ignore_errors=True)  # its times are those of a run from nothing
+        watched = watch(survey, out, workers, memory, kill_every_s=every_s)
+        record = msgspec.json.decode((out / "survey.json").read_bytes(), type=_Record)
+        lost = {dive["name"]: dive["lost"] for dive in record.dives if dive["lost"]}
+        return Judged(watched, record.recorded_s, fingerprint(out / "map.db"), lost)
+
+    return _once(out.with_suffix(".json"), Judged, run)
+
+
+def _single(out: Path, survey: Path, recordings: Sequence[Path]) -> Single:
+    path = out / "single.db"
+    path.unlink(missing_ok=True)
+    began_s = time.process_time()
+    pings = map_in_one_process(recordings, read_survey(survey).config, path)
+    return Single(time.process_time() - began_s, pings, fingerprint(path))
+
+
+def _once(path: Path, kind: type[Step], do: Callable[[], Step]) -> Step:
+    """What a step told, now or before."""
+    if path.exists():
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+    result = do()
+    unfinished = path.with_suffix(".part")
+    unfinished.write_bytes(msgspec.json.encode(result))
+    unfinished.replace(path)
+    return result
+
+
+def verdicts_of(results: dict[str, Judged], single: Single, *, bounded: bool) -> dict[str, bool]:
+    """What must hold; speed and killed workers only where a survey is long enough for them."""
+    one, two, killed, damaged = (results[k] for k in ("one", "two", "killed", "damaged"))
+    verdicts = {
+        "one worker's map is that of a single process": one.map == single.map,
+        "two workers' map is that of a single process": two.map == single.map,
+        "killed workers change nothing in the map": killed.map == single.map,
+        "damage is told of both damaged dives": len(damaged.lost) == 2,  # noqa: PLR2004
+        "what stands before the damage is used": damaged.map.bricks > 0,
+    }
+    if bounded:
+        speed = two.recorded_s / two.run.wall_s
+        verdicts[f"{PROMISED_SPEED:g} times real time on two workers"] = speed >= PROMISED_SPEED
+        verdicts["workers were killed"] = killed.run.killed > 0
+    return verdicts
+
+
+def _scaling(out: Path) -> int:
+    parser = argparse.ArgumentParser()
+    scaling_command.add_arguments(parser)
+    runs = [f"{workers}={out / name / 'survey.json'}" for workers, name in ((1, "one"), (2, "two"))]
+    return scaling_command.run(parser.parse_args([*runs, "--out", str(out / "scaling")]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

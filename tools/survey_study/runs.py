@@ -1,0 +1,118 @@
+"""Runs of `mapper-survey`, watched: what they take, and with workers killed at random."""
+
+import random
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+import psutil
+
+LOOK_S = 0.1
+WORKER = "spawn_main"
+"""In the command line of a worker: Dask's nanny spawns it from the process of the command."""
+
+
+class Watched(msgspec.Struct, frozen=True):
+    """What a run took.
+
+    Attributes:
+        workers: that it had at a time.
+        wall_s: from start to end of the command.
+        cpu_s: of its processes, as far as they were seen; at most `LOOK_S` of each is missing.
+        worker_peak_bytes: most memory of one worker at any look.
+        killed: workers that were killed.
+    """
+
+    workers: int
+    wall_s: float
+    cpu_s: float
+    worker_peak_bytes: int
+    killed: int
+
+
+def watch(
+    survey: Path,
+    out: Path,
+    workers: int,
+    memory: str,
+    *,
+    kill_every_s: float | None = None,
+    seed: int = 1,
+) -> Watched:
+    """Run a survey.
+
+    Args:
+        survey: the survey file.
+        out: the survey's folder.
+        workers: processes on this machine.
+        memory: `--memory-per-worker`.
+        kill_every_s: mean time between two kills of a worker; None kills none.
+        seed: of when, and whom.
+
+    Raises:
+        RuntimeError: the command failed.
+    """
+    program = Path(sys.executable).with_name("mapper-survey")
+    words = [str(program), "run", str(survey), "--out", str(out)]
+    words += ["--workers", str(workers), "--memory-per-worker", memory]
+    chance, began_s = random.Random(seed), time.perf_counter()  # noqa: S311 no secret
+    cpu_s: dict[int, float] = {}
+    peak, killed = 0, 0
+    next_s = began_s + chance.expovariate(1.0 / kill_every_s) if kill_every_s else None
+    command = subprocess.Popen(words)  # noqa: S603 our own program
+    try:
+        while command.poll() is None:
+            peak = max(peak, *_look(command.pid, cpu_s), 0)
+            at_work = (out / "plan").exists()  # before, the pool has not begun
+            if next_s is not None and kill_every_s and at_work and time.perf_counter() >= next_s:
+                killed += _kill_one(command.pid, chance)
+                next_s = time.perf_counter() + chance.expovariate(1.0 / kill_every_s)
+            time.sleep(LOOK_S)
+    finally:
+        command.kill()
+        code = command.wait()
+    if code != 0:
+        raise RuntimeError(f"mapper-survey ended with {code}")
+    wall_s = time.perf_counter() - began_s
+    return Watched(workers, wall_s, sum(cpu_s.values()), peak, killed)
+
+
+def _look(command: int, cpu_s: dict[int, float]) -> list[int]:
+    """Note the CPU time of all processes; returns the memory of each worker."""
+    peaks = []
+    for process in _family(command):
+        try:
+            times = process.cpu_times()
+            cpu_s[process.pid] = times.user + times.system
+            if WORKER in " ".join(process.cmdline()):
+                peaks.append(process.memory_info().rss)
+        except psutil.Error:  # it ended meanwhile
+            continue
+    return peaks
+
+
+def _kill_one(command: int, chance: random.Random) -> int:
+    workers = []
+    for process in _family(command):
+        try:
+            if WORKER in " ".join(process.cmdline()):
+                workers.append(process)
+        except psutil.Error:
+            continue
+    if not workers:
+        return 0
+    try:
+        chance.choice(workers).kill()
+    except psutil.Error:
+        return 0
+    return 1
+
+
+def _family(command: int) -> list[psutil.Process]:
+    try:
+        parent = psutil.Process(command)
+        return [parent, *parent.children(recursive=True)]
+    except psutil.Error:
+        return []
