@@ -27,7 +27,7 @@ from survey_study.single_process import Fingerprint, fingerprint, map_in_one_pro
 Step = TypeVar("Step", bound=msgspec.Struct)
 
 MEMORY = "1GiB"
-KILL_EVERY_S = {"full": 60.0, "small": 2.0}
+KILL_EVERY_S = {"full": 60.0, "small": 6.0}
 PROMISED_SPEED = 20.0
 """Times real time, on two cores."""
 

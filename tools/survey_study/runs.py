@@ -10,6 +10,7 @@ import msgspec
 import psutil
 
 LOOK_S = 0.1
+ALONE_S = 120.0
 WORKER = "spawn_main"
 """In the command line of a worker: Dask's nanny spawns it from the process of the command."""
 
@@ -52,7 +53,7 @@ def watch(
         seed: of when, and whom.
 
     Raises:
-        RuntimeError: the command failed.
+        RuntimeError: the command failed, or has no worker left and gets none.
     """
     program = Path(sys.executable).with_name("mapper-survey")
     words = [str(program), "run", str(survey), "--out", str(out)]
@@ -60,11 +61,16 @@ def watch(
     chance, began_s = random.Random(seed), time.perf_counter()  # noqa: S311 no secret
     cpu_s: dict[int, float] = {}
     peak, killed = 0, 0
+    seen_s = began_s
     next_s = began_s + chance.expovariate(1.0 / kill_every_s) if kill_every_s else None
     command = subprocess.Popen(words)  # noqa: S603 our own program
     try:
         while command.poll() is None:
-            peak = max(peak, *_look(command.pid, cpu_s), 0)
+            memory_bytes = _look(command.pid, cpu_s)
+            peak = max(peak, *memory_bytes, 0)
+            seen_s = time.perf_counter() if memory_bytes or not workers else seen_s
+            if time.perf_counter() - seen_s > ALONE_S:
+                raise RuntimeError(f"mapper-survey has no worker for {ALONE_S:g} s, and waits")
             at_work = (out / "plan").exists()  # before, the pool has not begun
             if next_s is not None and kill_every_s and at_work and time.perf_counter() >= next_s:
                 killed += _kill_one(command.pid, chance)
