@@ -47,6 +47,10 @@ class Folder:
         """Read a part of a file."""
         return cast("BinaryIO", self._fs.open(self._at(name), "rb"))
 
+    def has(self, name: str) -> bool:
+        """Whether there is such a file."""
+        return bool(self._fs.exists(self._at(name)))
+
     def read(self, name: str) -> bytes | None:
         """All of a file; None where there is none."""
         try:

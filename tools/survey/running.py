@@ -23,9 +23,10 @@ from survey.request import Request
 from survey.task_times import TaskTime
 from survey.tile_stage import Scope, TileStage, shard_mark
 
-__all__ = ["MAP", "RECORD", "Options", "dive_map", "plan_survey", "run_survey"]
+__all__ = ["DIVES", "MAP", "RECORD", "Options", "dive_map", "plan_survey", "run_survey"]
 
 MAP = "map.db"
+DIVES = "dives"
 RECORD = "survey.json"
 
 
@@ -48,7 +49,7 @@ class _Merged(msgspec.Struct, frozen=True):
 
 def dive_map(dive: str) -> str:
     """Name of the map of one dive."""
-    return f"dives/{dive}.db"
+    return f"{DIVES}/{dive}.db"
 
 
 def plan_survey(request: Request, folder: Folder, engine: Engine, out: TextIO) -> dict[str, Any]:
@@ -104,7 +105,7 @@ class _Running:
         alone = [Scope(p.name, [p], [r]) for p, r in zip(plans, rows, strict=True)]
         scopes = [whole, *(alone if by_dive else [])]
         maps = [self._map_of(scope, edge, most_bytes) for scope in scopes]
-        self._forget_others(plans)
+        self._forget_others(plans, [each["map"] for each in maps])
         record = self._record(plans, maps, whole, edge)
         self._folder.write(RECORD, msgspec.json.format(msgspec.json.encode(record), indent=2))
         return record
@@ -152,11 +153,9 @@ class _Running:
     def _merged(self, scope: Scope, shards: Sequence[str]) -> MergeResult:
         name = dive_map(scope.name) if scope.name else MAP
         key = digest_of(str(scope.pings), *shards)
-        said = f"{name.removesuffix('.db')}.json"
+        said = _said_of(name)
         before = marked(self._folder, said, _Merged)
-        folder, _, _ = f"./{name}".rpartition("/")
-        there = {each.removeprefix("./") for each in self._folder.names(folder)}
-        if before is not None and before.key == key and name in there:
+        if before is not None and before.key == key and self._folder.has(name):
             return before.result
         config = self._request.config
         task = MergeTask(name, list(shards), config, scope.pings, self._folder.url)
@@ -164,13 +163,16 @@ class _Running:
         mark(self._folder, said, _Merged(key, result))
         return result
 
-    def _forget_others(self, plans: Sequence[DivePlan]) -> None:
+    def _forget_others(self, plans: Sequence[DivePlan], maps: Sequence[str]) -> None:
         """Remove what earlier runs with other inputs have left."""
         wanted = self._shards | {shard_mark(shard) for shard in self._shards}
         for plan in plans:
             wanted |= {spool_name(plan.name), index_name(plan.name), mark_name(plan.name)}
-        for name in (self._folder.names("shards") | self._folder.names("plan")) - wanted:
-            self._folder.remove(name)
+        for name in maps:
+            wanted |= {name, _said_of(name)}
+        for part in ("shards", "plan", DIVES):
+            for name in self._folder.names(part) - wanted:
+                self._folder.remove(name)
 
     def _record(
         self, plans: Sequence[DivePlan], maps: list[dict[str, Any]], whole: Scope, edge: int
@@ -232,6 +234,11 @@ def _alone(folder: Folder) -> Iterator[None]:
             yield
     except PermissionError as error:
         raise SurveyError(f"{folder.url}: cannot be written into: {error.strerror}") from error
+
+
+def _said_of(map_name: str) -> str:
+    """Name of what is said of a map's file."""
+    return f"{map_name.removesuffix('.db')}.json"
 
 
 def _short(shard: str) -> str:

@@ -126,6 +126,21 @@ def test_an_earlier_dive_gives_all_pings_other_numbers(tmp_path: Path) -> None:
     assert rows_in(tmp_path / "out/map.db") == rows_in(tmp_path / "fresh/map.db")
 
 
+def test_maps_of_dives_that_are_no_more_are_removed(tmp_path: Path) -> None:
+    survey = write_survey(tmp_path)
+    run_here(survey, tmp_path / "out", by_dive=True)
+    told = json.loads(survey.read_text("utf-8"))
+    survey.write_text(json.dumps(told | {"dives": told["dives"][:1]}), encoding="utf-8")
+    for by_dive, left in ((True, {"a.db", "a.json"}), (False, set())):
+        run_here(survey, tmp_path / "out", by_dive=by_dive)
+        assert {path.name for path in (tmp_path / "out/dives").iterdir()} == left
+    assert {path.name for path in (tmp_path / "out/plan").iterdir()} == {
+        "a.json",
+        "a.spool",
+        "a.npy",
+    }
+
+
 @pytest.mark.parametrize("what", ["settings", "recording", "transform"])
 def test_whatever_changes_makes_another_map(tmp_path: Path, what: str) -> None:
     dive: dict[str, Any] = {"name": "a", "recording": "a.mcap"}
