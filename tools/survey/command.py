@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mapperd.errors import MapperdError
+from survey import export_command, report_command, scaling_command
 from survey.engine import Engine, InProcess
 from survey.errors import SurveyError
 from survey.folder import Folder
@@ -18,16 +19,24 @@ __all__ = ["main"]
 
 FAULT, INTERRUPTED = 2, 130
 
+FURTHER = (
+    ("export", "write grids of depths, a cloud and soundings of the map", export_command),
+    ("report", "tell what the dives cover, and how far they disagree", report_command),
+    (
+        "scaling",
+        "simulate the survey on 1 to 1000 workers, and name the bottlenecks",
+        scaling_command,
+    ),
+)
+"""Sub-commands that take what `run` has left."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; what a person can mend is one line and exit code 2."""
     said = _parser().parse_args(argv)
     try:
         return int(said.does(said))
-    except (SurveyError, MapperdError) as error:
-        sys.stderr.write(f"mapper-survey: {error}\n")
-        return FAULT
-    except OSError as error:
+    except (SurveyError, MapperdError, OSError) as error:
         sys.stderr.write(f"mapper-survey: {error}\n")
         return FAULT
     except KeyboardInterrupt:
@@ -51,6 +60,10 @@ def _parser() -> argparse.ArgumentParser:
         help="make a map of each dive alone, too: the report compares them",
     )
     run.set_defaults(does=_run)
+    for name, what, command in FURTHER:
+        further = does.add_parser(name, help=what, description=what)
+        command.add_arguments(further)
+        further.set_defaults(does=command.run)
     return parser
 
 

@@ -73,7 +73,7 @@ def export_survey(
         StoreError: the map cannot be read, or bricks of it are damaged.
         ExportError: a file cannot be written, or a library is not there.
     """
-    check_products(products, origin)
+    check_products(products, known=origin is not None)
     files = {product: out_dir / PRODUCTS[product] for product in products}
     with StoredMap(store_path, (options or Options()).config) as stored:
         if not len(stored.keys):

@@ -5,8 +5,9 @@ import math
 
 from mapperd.export.cells import Heights
 from survey.export import export_survey
-from survey.place_arguments import MERGED, add_place, config_of, shown, told
+from survey.place_arguments import add_place, place_of, shown
 from survey.products import PRODUCTS, Options
+from survey.running import MAP
 from survey.surface import CELL_VOXELS, RULES
 
 __all__ = ["FOLDER", "add_arguments", "run"]
@@ -22,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--products",
         nargs="+",
         choices=PRODUCTS,
-        help="what to write; default: all, positions only with an origin",
+        help="what to write; default: `outputs` of the survey, or all that can be",
     )
     add("--rule", choices=RULES, default="shoalest", help="what stands for a cell of the grid")
     add(
@@ -42,37 +43,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--altitude",
         type=float,
-        default=0.0,
         metavar="M",
-        help="height of the map's zero above what depths are below; default: 0",
+        help="height of the map's zero above what depths are below; default: the survey's, or 0",
     )
     add("--min-z", type=float, default=-math.inf, metavar="M", help="leave out what lies lower")
     add("--max-z", type=float, default=math.inf, metavar="M", help="leave out what lies higher")
 
 
 def run(said: argparse.Namespace) -> int:
-    """Write the products; returns the exit code."""
-    return told(lambda: _export(said))
+    """Write the products; returns the exit code.
 
-
-def _export(said: argparse.Namespace) -> None:
-    known = [name for name in PRODUCTS if name != "positions" or said.origin is not None]
+    Raises:
+        SurveyError, MapperdError: what a person can mend.
+        OSError: the folder cannot be reached.
+    """
+    place = place_of(said, FOLDER)
+    able = [name for name in PRODUCTS if name != "positions" or place.origin is not None]
     options = Options(
-        config=config_of(said.config),
+        config=place.config,
         cell_voxels=said.cell_voxels,
         rule=said.rule,
         vertical_uncertainty_m=said.vertical_uncertainty,
-        altitude_m=said.altitude,
+        altitude_m=place.altitude_m if said.altitude is None else said.altitude,
         heights=Heights(said.min_z, said.max_z),
     )
-    out = said.out or said.survey / FOLDER
-    done = export_survey(
-        said.survey / MERGED,
-        out,
-        said.products or known,
-        said.origin,
-        shown("export"),
-        options=options,
-    )
+    with place.folder.fetched(MAP) as path:
+        done = export_survey(
+            path,
+            place.out,
+            said.products or place.outputs or able,
+            place.origin,
+            shown("export"),
+            options=options,
+        )
     for product, path in done.files.items():
         print(f"{path}: {path.stat().st_size} bytes; coordinates: {done.crs[product]}")
+    return 0

@@ -6,56 +6,92 @@ import math
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from mapperd.config import Config
 from mapperd.config_file import load_config
-from mapperd.errors import MapperdError
 from mapperd.geodesy import Origin
 from survey.errors import SurveyError
 from survey.export import Progress
+from survey.finished import told_in
+from survey.folder import Folder
+from survey.running import MAP
 
-__all__ = ["MERGED", "USAGE", "add_place", "config_of", "shown", "told"]
+__all__ = ["Place", "add_place", "place_of", "shown"]
 
-MERGED = "map.db"
-"""The merged map in a survey's folder."""
-
-USAGE = 2
 PERIOD_S = 5.0
 
 
-def add_place(parser: argparse.ArgumentParser, folder: str) -> None:
-    """Add the survey's folder, `--out`, `--origin` and `--config`."""
-    parser.add_argument("survey", type=Path, help=f"the survey's folder, with {MERGED}")
-    parser.add_argument("--out", type=Path, help=f"folder of what is written; default: {folder}/")
+@dataclass(frozen=True, slots=True)
+class Place:
+    """What is asked for, with what the survey itself says where nothing was said.
+
+    Attributes:
+        folder: the survey's.
+        out: of what is written.
+        origin: where on Earth the map's zero lies; None where nobody said.
+        altitude_m: of that zero, as the survey says; 0 where it does not.
+        config: whose thresholds say what is occupied.
+        outputs: products that the survey asks for; none are all that can be made.
+    """
+
+    folder: Folder
+    out: Path
+    origin: Origin | None
+    altitude_m: float
+    config: Config | None
+    outputs: list[str]
+
+
+def add_place(parser: argparse.ArgumentParser, part: str) -> None:
+    """Add the survey's folder, `--out`, `--origin` and `--config`; `part` of the folder is out."""
+    parser.add_argument(
+        "survey", metavar="FOLDER", help="that the survey was run into: a path, or an fsspec URL"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help=f"what is written; default: {part}/ in FOLDER"
+    )
     parser.add_argument(
         "--origin",
         metavar="LAT,LON",
         type=_origin,
-        help="where on Earth the map's zero lies, in degrees; default: nobody knows",
+        help="where on Earth the map's zero lies, in degrees; default: as the survey says",
     )
     parser.add_argument(
-        "--config", type=Path, help="settings, whose thresholds say what is occupied"
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help="settings, whose thresholds say what is occupied; default: those of the survey",
     )
 
 
-def config_of(path: Path | None) -> Config | None:
-    """The settings of a file.
+def place_of(said: argparse.Namespace, part: str) -> Place:
+    """What the arguments mean, together with the survey's record.
 
     Raises:
-        ConfigError: they are not allowed, or cannot be read.
+        SurveyError: no survey was run there, its record is damaged, or nothing can be written.
+        ConfigError: the settings are not allowed, or cannot be read.
     """
-    return None if path is None else load_config(path)
-
-
-def told(does: Callable[[], None]) -> int:
-    """Do something; what a person can mend is one line and exit code 2."""
-    try:
-        does()
-    except (SurveyError, MapperdError) as error:
-        sys.stderr.write(f"mapper-survey: {error}\n")
-        return USAGE
-    return 0
+    folder = Folder(said.survey)
+    if not folder.has(MAP):
+        raise SurveyError(f"{folder.url}: no {MAP} in it: run the survey first")
+    told = told_in(folder)
+    out = said.out or (folder.local and folder.local / part)
+    if out is None:
+        raise SurveyError(
+            f"{folder.url}: lies elsewhere; allowed: --out DIR, a folder of this disk"
+        )
+    zero = told.origin
+    known = None if zero is None else Origin.of_degrees(zero.latitude, zero.longitude)
+    return Place(
+        folder=folder,
+        out=out,
+        origin=said.origin or known,
+        altitude_m=0.0 if zero is None else zero.altitude,
+        config=told.settings if said.config is None else load_config(said.config),
+        outputs=told.outputs,
+    )
 
 
 def shown(what: str, clock: Callable[[], float] = time.monotonic) -> Progress:

@@ -60,8 +60,12 @@ class Options:
             )
 
 
-def check_products(products: Sequence[str], origin: Origin | None) -> None:
+def check_products(products: Sequence[str], *, known: bool) -> None:
     """Refuse what cannot be made.
+
+    Args:
+        products: by their names.
+        known: whether somebody said where on Earth the map is.
 
     Raises:
         SurveyError: no such product, or one that needs an origin.
@@ -70,7 +74,7 @@ def check_products(products: Sequence[str], origin: Origin | None) -> None:
     if unknown or not products:
         asked = ", ".join(unknown) or "nothing"
         raise SurveyError(f"no such product: {asked}; allowed: {', '.join(PRODUCTS)}")
-    if "positions" in products and origin is None:
+    if "positions" in products and not known:
         raise SurveyError("positions need an origin: say where on Earth the map's zero lies")
 
 

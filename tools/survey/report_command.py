@@ -1,15 +1,17 @@
 """`mapper-survey report`: coverage, overlap and disagreement of a survey's dives."""
 
 import argparse
+from contextlib import ExitStack
 
 from survey.errors import SurveyError
-from survey.place_arguments import MERGED, add_place, config_of, shown, told
+from survey.place_arguments import add_place, place_of, shown
 from survey.report import REPORT, report_survey
 from survey.report_record import Report
+from survey.running import DIVES, MAP, dive_map
 
-__all__ = ["DIVES", "FOLDER", "add_arguments", "run"]
+__all__ = ["FOLDER", "add_arguments", "run"]
 
-DIVES, FOLDER = "dives", "report"
+FOLDER = "report"
 
 TOLERANCE_M = 0.2
 """That of the published mapper's analyser."""
@@ -28,28 +30,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(said: argparse.Namespace) -> int:
-    """Write the report; returns the exit code."""
-    return told(lambda: _report(said))
+    """Write the report; returns the exit code.
 
-
-def _report(said: argparse.Namespace) -> None:
-    folder = said.survey / DIVES
-    dives = {path.stem: path for path in sorted(folder.glob("*.db"))}
+    Raises:
+        SurveyError, MapperdError: what a person can mend.
+        OSError: the folder cannot be reached.
+    """
+    place = place_of(said, FOLDER)
+    names = sorted(place.folder.names(DIVES))
+    dives = [name.removeprefix(f"{DIVES}/")[:-3] for name in names if name.endswith(".db")]
     if not dives:
-        raise SurveyError(f"{folder}: no map of a dive (NAME.db): run the survey first")
-    out = said.out or said.survey / FOLDER
-    report = report_survey(
-        dives,
-        said.survey / MERGED,
-        out,
-        said.tolerance,
-        shown("report"),
-        origin=said.origin,
-        config=config_of(said.config),
-    )
+        raise SurveyError(
+            f"{place.folder.url}/{DIVES}: no map of a dive: run the survey with --dives first"
+        )
+    with ExitStack() as opened:
+        report = report_survey(
+            {d: opened.enter_context(place.folder.fetched(dive_map(d))) for d in dives},
+            opened.enter_context(place.folder.fetched(MAP)),
+            place.out,
+            said.tolerance,
+            shown("report"),
+            origin=place.origin,
+            config=place.config,
+        )
     for line in _lines(report):
         print(line)
-    print(out / REPORT)
+    print(place.out / REPORT)
+    return 0
 
 
 def _lines(report: Report) -> list[str]:

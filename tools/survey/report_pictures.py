@@ -20,7 +20,7 @@ __all__ = ["COVERAGE", "DISAGREEMENT", "DISTANCES", "MISSING", "OVERLAP", "draw_
 COVERAGE, OVERLAP = "coverage.png", "overlap.png"
 DISAGREEMENT, DISTANCES = "disagreement.png", "distances.png"
 
-MISSING = "no pictures: matplotlib cannot be imported (pip install 'mapperd[topside]')"
+MISSING = "no pictures: matplotlib cannot be imported (pip install 'mapperd[survey]')"
 
 DPI = 110
 PAPER, INK, LOOKED = "#ffffff", "#1b2733", "#d9e0e6"

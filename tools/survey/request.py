@@ -19,6 +19,7 @@ from mapperd.errors import ConfigError
 from mapperd.setting_changes import with_values
 from mapperd.yaml_strict import YamlProblem, parse_yaml
 from survey.errors import SurveyError
+from survey.products import check_products
 
 __all__ = ["Dive", "Origin", "Request", "Survey", "Transform", "read_survey"]
 
@@ -73,7 +74,7 @@ class Origin(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Survey(Struct, frozen=True, forbid_unknown_fields=True):
-    """The file as it is written."""
+    """The file as it is written; `outputs` are the products of exporting, where not all."""
 
     dives: Annotated[list[Dive], Meta(min_length=1)]
     configuration: str = ""
@@ -131,6 +132,11 @@ def read_survey(path: Path) -> Request:
     names = [dive.name for dive in survey.dives]
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise SurveyError(f"{path}: $.dives: two dives are called {twice}")
+    try:
+        if survey.outputs:
+            check_products(survey.outputs, known=survey.origin is not None)
+    except SurveyError as error:
+        raise SurveyError(f"{path}: $.outputs: {error}") from error
     for number, dive in enumerate(survey.dives):
         here = f"{path}: $.dives[{number}]"
         if dive.transform is not None and dive.localization is not None:

@@ -190,6 +190,7 @@ class _Running:
             "tile_bricks": edge,
             "origin": self._request.survey.origin,
             "settings": self._request.config,
+            "outputs": self._request.survey.outputs,
             "wall_s": self._wall_s,
             "dives": [_told(plan) for plan in plans],
             "maps": maps,

@@ -11,9 +11,6 @@ from survey.cluster_simulation import Cluster
 from survey.scaling import WORKERS, scaling
 from survey.scaling_record import Run, read_run, record_of, tables
 
-NAME = "scaling"
-HELP = "simulate the survey on 1 to 1000 workers from its measured tasks, and name the bottlenecks"
-
 SCHEDULER_MS = 1.0
 """The most that Dask's documentation says a task costs its scheduler (Best Practices, "Avoid very
 large graphs": 200 us to 1 ms)."""

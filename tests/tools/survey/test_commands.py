@@ -1,15 +1,18 @@
 """The sub-commands export and report, as a person gives them."""
 
-import argparse
+import json
 from pathlib import Path
-from typing import Any
 
+import fsspec
+import msgspec
 import numpy as np
 import pytest
 import rasterio
-from survey import export_command, report_command
+from survey.command import main
 from survey.place_arguments import shown
 
+from mapperd.config import Config
+from mapperd.setting_changes import with_values
 from tests.tools.survey.maps import map_of, store_of
 
 
@@ -26,14 +29,12 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def run(command: Any, *words: object) -> int:
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    return int(command.run(parser.parse_args([str(word) for word in words])))
+def run(*words: object) -> int:
+    return main([str(word) for word in words])
 
 
 def test_export_writes_what_can_be(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(export_command, folder) == 0
+    assert run("export", folder) == 0
     written = {path.name for path in (folder / "exports").iterdir()}
     assert written == {"depth.tif", "cloud.laz", "soundings.xyz"}
     assert "depth.tif" in capsys.readouterr().out
@@ -44,7 +45,7 @@ def test_export_does_what_it_is_told(folder: Path, tmp_path: Path) -> None:
     settings.write_text("mapping: {occupied_threshold: 0.9}\n")
     words = ["--origin=54.36,10.16", "--out", tmp_path / "here", "--cell-voxels", 4]
     words += ["--altitude", 1, "--max-z=-2.8", "--rule", "median", "--vertical-uncertainty", 0.4]
-    assert run(export_command, folder, *words, "--config", settings) == 0
+    assert run("export", folder, *words, "--config", settings) == 0
     with rasterio.open(tmp_path / "here/depth.tif") as grid:
         assert grid.crs is not None
         assert grid.res == pytest.approx((0.4, 0.4))
@@ -53,11 +54,11 @@ def test_export_does_what_it_is_told(folder: Path, tmp_path: Path) -> None:
         assert uncertainty.min() > 0.4
     assert len((tmp_path / "here/positions.xyz").read_text().split("\n")) == depths.count() + 1
     settings.write_text("mapping: {occupied_threshold: 0.99}\n")
-    assert run(export_command, folder, "--config", settings) == 2
+    assert run("export", folder, "--config", settings) == 2
 
 
 def test_report_says_how_the_dives_agree(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(report_command, folder, "--tolerance", 0.2) == 0
+    assert run("report", folder, "--tolerance", 0.2) == 0
     told = capsys.readouterr().out
     assert "one, two: 100.0% without a partner within 0.2 m (poor); 64 conflicts" in told
     assert (folder / "report" / "report.json").exists()
@@ -66,13 +67,13 @@ def test_report_says_how_the_dives_agree(folder: Path, capsys: pytest.CaptureFix
 @pytest.mark.parametrize(
     ("command", "words", "said"),
     [
-        (export_command, ["--products", "positions"], "positions need an origin"),
-        (report_command, ["--tolerance", "0"], "tolerance: 0 m is not allowed"),
-        (report_command, ["--config", "gone.yaml"], "gone.yaml"),
+        ("export", ["--products", "positions"], "positions need an origin"),
+        ("report", ["--tolerance", "0"], "tolerance: 0 m is not allowed"),
+        ("report", ["--config", "gone.yaml"], "gone.yaml"),
     ],
 )
 def test_what_a_person_can_mend_is_one_line(
-    folder: Path, capsys: pytest.CaptureFixture[str], command: Any, words: list[str], said: str
+    folder: Path, capsys: pytest.CaptureFixture[str], command: str, words: list[str], said: str
 ) -> None:
     assert run(command, folder, *words) == 2
     told = capsys.readouterr().err
@@ -83,14 +84,68 @@ def test_what_a_person_can_mend_is_one_line(
 def test_survey_that_was_not_run_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for command in (export_command, report_command):
+    for command in ("export", "report"):
         assert run(command, tmp_path) == 2
-    assert "run the survey first" in capsys.readouterr().err
+        assert "no map.db in it: run the survey first" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+    store_of(tmp_path / "map.db", map_of(np.array([[0, 0, 0]])))
+    assert run("report", tmp_path) == 2
+    assert "no map of a dive: run the survey with --dives first" in capsys.readouterr().err
+
+
+def test_what_the_survey_says_of_itself_need_not_be_said_again(folder: Path) -> None:
+    record = {
+        "origin": {"latitude": 54.36, "longitude": 10.16, "altitude": 0.5},
+        "settings": msgspec.to_builtins(
+            with_values(
+                Config(), {"mapping.occupied_threshold": 0.9, "mapping.free_threshold": 0.2}
+            )
+        ),
+        "outputs": ["grid", "positions"],
+    }
+    (folder / "survey.json").write_text(json.dumps(record))
+    assert run("export", folder) == 0
+    written = folder / "exports"
+    assert {path.name for path in written.iterdir()} == {"depth.tif", "positions.xyz"}
+    longitude, latitude, depth = np.loadtxt(written / "positions.xyz").T
+    assert longitude == pytest.approx(10.16, abs=1e-4)
+    assert latitude == pytest.approx(54.36, abs=1e-4)
+    assert depth == pytest.approx(2.95 - 0.5)
+    words = ["--altitude", 1, "--origin=-10,20", "--products", "positions"]
+    assert run("export", folder, *words) == 0
+    assert np.loadtxt(written / "positions.xyz").mean(axis=0) == pytest.approx(
+        [20, -10, 1.95], abs=1e-4
+    )
+    assert run("report", folder) == 0
+    report = json.loads((folder / "report/report.json").read_text())
+    assert (report["occupied_threshold"], report["free_threshold"]) == (0.9, 0.2)
+    with rasterio.open(folder / "report/difference.tif") as grid:
+        assert grid.crs is not None
+
+
+def test_damaged_record_is_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "survey.json").write_text('{"origin": 3}')
+    assert run("export", folder) == 2
+    assert "survey.json: no record of a survey" in capsys.readouterr().err
+
+
+def test_folder_elsewhere_is_read_from_there(folder: Path, tmp_path: Path) -> None:
+    elsewhere = fsspec.filesystem("memory")
+    elsewhere.put(f"{folder}/", "memory://commands", recursive=True)
+    assert run("export", "memory://commands") == 2
+    for command in ("export", "report"):
+        assert run(command, "memory://commands", "--out", tmp_path / command) == 0
+        assert run(command, folder) == 0
+    for name in ("depth.tif", "soundings.xyz"):
+        here = (folder / "exports" / name).read_bytes()
+        assert (tmp_path / "export" / name).read_bytes() == here
+    here = (folder / "report/report.json").read_bytes()
+    assert (tmp_path / "report/report.json").read_bytes() == here
 
 
 def test_place_that_is_none_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
-        run(export_command, folder, "--origin=91,0")
+        run("export", folder, "--origin=91,0")
     assert "latitude,longitude" in capsys.readouterr().err
 
 

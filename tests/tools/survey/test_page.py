@@ -6,7 +6,6 @@ from pathlib import Path
 import msgspec
 import pytest
 from survey import report_pictures
-from survey.place_arguments import MERGED
 from survey.products import PRODUCTS
 from survey.report import DIFFERENCE, REPORT
 from survey.report_record import (
@@ -18,6 +17,7 @@ from survey.report_record import (
     Report,
     WayRecord,
 )
+from survey.running import MAP
 from survey.surface import CELL_VOXELS, RULES
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs/survey-products.md").read_text("utf-8")
@@ -35,7 +35,7 @@ def test_every_file_is_told() -> None:
     pictures = [getattr(report_pictures, name) for name in ("COVERAGE", "OVERLAP", "DISAGREEMENT")]
     for name in (*PRODUCTS.values(), *pictures, report_pictures.DISTANCES, REPORT, DIFFERENCE):
         assert f"`{name}`" in PAGE
-    assert f"`{MERGED}`" in PAGE
+    assert f"`{MAP}`" in PAGE
     assert f"of this layout: {VERSION}" in PAGE
 
 

@@ -66,6 +66,8 @@ def test_a_dive_on_a_known_map_is_mapped_where_it_is_localized(tmp_path: Path) -
         ({"dives": DIVES, "settings": {"octree.voxel_resolution": -1}}, "-1 is not allowed"),
         ({"dives": DIVES, "configuration": "no.yaml"}, "no.yaml: cannot be read"),
         ({"dives": DIVES, "tile_size_m": 0}, "tile_size_m"),
+        ({"dives": DIVES, "outputs": ["grids"]}, r"\$\.outputs: no such product: grids; allowed"),
+        ({"dives": DIVES, "outputs": ["positions"]}, r"\$\.outputs: positions need an origin"),
         ({"dives": DIVES, "origin": {"latitude": 91, "longitude": 0}}, "origin.latitude"),
     ],
 )

@@ -1,13 +1,12 @@
 """The scaling report, from the records of runs to its files."""
 
-import argparse
 import json
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
-from survey import scaling_command
+from survey.command import main
 from survey.task_times import TaskTime
 
 
@@ -42,9 +41,7 @@ def survey_json(path: Path, wall_s: float, slower: float = 1.0) -> Path:
 
 
 def report(tmp_path: Path, *words: str) -> int:
-    parser = argparse.ArgumentParser()
-    scaling_command.add_arguments(parser)
-    return scaling_command.run(parser.parse_args([*words, "--out", str(tmp_path / "out")]))
+    return main(["scaling", *words, "--out", str(tmp_path / "out")])
 
 
 @pytest.fixture(name="out", scope="module")
