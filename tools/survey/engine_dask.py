@@ -4,18 +4,21 @@ Tasks are plain functions of plain arguments, and write only files of their own 
 place when they are whole: it does no harm to do one twice, and a worker may die at any time.
 """
 
+import contextlib
+import logging
 import queue
+import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import dask
-from distributed import Client, Future, LocalCluster
+from distributed import Client, Future, LocalCluster, Status
 from distributed.scheduler import KilledWorker
 
 from survey.engine import Done
 from survey.errors import SurveyError
 
-__all__ = ["DaskEngine", "local_pool", "on_scheduler"]
+__all__ = ["DaskEngine", "Pool", "local_pool", "on_scheduler"]
 
 RETRIES = 3
 """Of a task that failed, as when a disk or a network does not answer."""
@@ -24,101 +27,147 @@ ALLOWED_DEATHS = 10
 """Of workers while they did one task: Dask asks for another worker until then."""
 
 LOOK_S = 5.0
-"""While nothing ends, so often it is asked whether there are workers."""
+"""So often it is looked whether all workers are there."""
 
-MOST_IDLE = 3
-"""Looks without one: Dask begins a worker anew unless that died while it began."""
+ALONE_S = 600.0
+"""Without any worker: a cluster's own may take minutes to begin, but none comes of itself."""
 
-MOST_BEGINNINGS = 10
-"""Of a pool, each of whose workers may die before it is there."""
+MOST_BEGUN = 10
+"""Times that all workers of a pool are begun anew while no task ends."""
 
-QUIET = 50
-"""Level of `logging` of the workers: what they lose is told by the survey."""
+QUIET = logging.CRITICAL
+"""What workers lose is told by the survey, and that they die is no news."""
 
-
-Begin = Callable[[], tuple[Client, LocalCluster | None]]
+GONE = {Status.closed, Status.failed}
 
 
 class DaskEngine:
     """Has tasks done by the workers of a scheduler.
 
     Args:
-        begin: connects; a cluster that it returns is ours, and begun anew when it has no worker
-            left and begins none itself.
+        client: connected.
+        pool: to be filled up and closed with it; None where the workers are somebody else's.
     """
 
-    def __init__(self, begin: Begin) -> None:
-        self._begin = begin
-        self._client, self._cluster = begin()
-        self._tasks: dict[str, tuple[Callable[[Any], Any], Any]] = {}
+    def __init__(self, client: Client, pool: "Pool | None") -> None:
+        self._client, self._pool = client, pool
+        self._tasks: dict[str, Any] = {}
         self._ended: queue.SimpleQueue[Future] = queue.SimpleQueue()
+        self._seen_s = time.monotonic()
 
     def submit(self, function: Callable[[Any], Any], task: Any) -> None:  # noqa: ANN401 any task
         """Have a task done."""
         future = self._client.submit(function, task, retries=RETRIES, pure=False)
-        self._tasks[future.key] = function, task
+        self._tasks[future.key] = task
         future.add_done_callback(self._ended.put)
 
     def done(self) -> Iterator[Done]:
         """Tasks as they end."""
-        idle = 0
+        looked_s = self._seen_s = time.monotonic()
+        some_ended = False
         while self._tasks:
-            try:
+            future = None
+            with contextlib.suppress(queue.Empty):
                 future = self._ended.get(timeout=LOOK_S)
-            except queue.Empty:
-                idle = 0 if self._has_workers() else idle + 1
-                if idle == MOST_IDLE:
-                    self._begin_anew()
-                continue
-            idle = 0
-            if future.key in self._tasks:  # else of workers that are gone
+            some_ended |= future is not None
+            if time.monotonic() - looked_s >= LOOK_S:
+                self._look(some_ended=some_ended)
+                looked_s, some_ended = time.monotonic(), False
+            if future is not None:
                 result = _result_of(future)
-                yield self._tasks.pop(future.key)[1], result
+                yield self._tasks.pop(future.key), result
 
     def close(self) -> None:
         """Let the workers go."""
         self._client.close()
-        if self._cluster is not None:
-            self._cluster.close()
+        if self._pool is not None:
+            self._pool.close()
 
-    def _has_workers(self) -> bool:
-        return self._cluster is None or bool(self._client.scheduler_info()["workers"])
+    def _look(self, *, some_ended: bool) -> None:
+        """See to it that there are workers.
 
-    def _begin_anew(self) -> None:
-        tasks = list(self._tasks.values())
-        self._tasks.clear()
-        self.close()
-        self._client, self._cluster = self._begin()
-        for function, task in tasks:
-            self.submit(function, task)
+        Raises:
+            SurveyError: there are none, and none come.
+        """
+        if self._pool is not None:
+            self._pool.fill_up(anew=some_ended)
+        elif some_ended or self._client.scheduler_info()["workers"]:
+            self._seen_s = time.monotonic()
+        elif time.monotonic() - self._seen_s > ALONE_S:
+            raise SurveyError(
+                f"{self._client.scheduler.address}: no worker for {ALONE_S:g} s; allowed: begin "
+                "some, and the same command goes on"
+            )
+
+
+class Pool:
+    """Workers on this machine, whatever becomes of them.
+
+    Dask's nannies begin a worker anew that died, unless it dies while it begins: it is forgotten,
+    or ends what began it.
+
+    Args:
+        cluster: without workers.
+        workers: that there shall be.
+    """
+
+    def __init__(self, cluster: LocalCluster, workers: int) -> None:
+        self.cluster = cluster
+        self._workers = workers
+        self._begun = 0
+        self.fill_up(anew=True)
+
+    def fill_up(self, *, anew: bool) -> None:
+        """Begin the workers that are missing.
+
+        Args:
+            anew: forget how many were begun already: they do something.
+
+        Raises:
+            SurveyError: they die as often as they are begun.
+        """
+        self._begun = 0 if anew else self._begun
+        if self._begun >= MOST_BEGUN * self._workers:
+            raise SurveyError(
+                f"workers die before they do anything: {self._begun} of them; allowed: --workers 0 "
+                "does all in one process, and says what is wrong"
+            )
+        self._begun += self.cluster.sync(self._fill_up)
+
+    async def _fill_up(self) -> int:
+        cluster = self.cluster
+        for name in [name for name, nanny in cluster.workers.items() if nanny.status in GONE]:
+            del cluster.workers[name]
+        while len(cluster.worker_spec) < self._workers:
+            cluster.worker_spec.update(cluster.new_worker_spec())
+        missing = len(cluster.worker_spec.keys() - cluster.workers.keys())
+        if missing:
+            with contextlib.suppress(RuntimeError, OSError, TimeoutError):  # died: seen next time
+                await cluster
+        return missing
+
+    def close(self) -> None:
+        """Let them go."""
+        self.cluster.close()
 
 
 def local_pool(workers: int, memory_bytes: int) -> DaskEngine:
-    """Workers of our own: processes that are ended, and begun anew, when they take more memory."""
+    """Workers of our own: processes that are ended, and begun anew, when they take more memory.
+
+    Raises:
+        SurveyError: none can be begun.
+    """
     dask.config.set({"distributed.scheduler.allowed-failures": ALLOWED_DEATHS})
-
-    def begin() -> tuple[Client, LocalCluster]:
-        failed: RuntimeError | None = None
-        for _ in range(MOST_BEGINNINGS):
-            try:
-                return begin_once()
-            except RuntimeError as error:  # a worker died while it began
-                failed = error
-        raise SurveyError(f"workers cannot begin, {MOST_BEGINNINGS} times: {failed}") from failed
-
-    def begin_once() -> tuple[Client, LocalCluster]:
-        cluster = LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            memory_limit=memory_bytes,
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",
-            silence_logs=QUIET,
-        )
-        return Client(cluster), cluster
-
-    return DaskEngine(begin)
+    cluster = LocalCluster(
+        n_workers=0,
+        threads_per_worker=1,
+        processes=True,
+        memory_limit=memory_bytes,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",  # with none, Dask takes a port that may be taken
+        silence_logs=QUIET,
+    )
+    return DaskEngine(Client(cluster), Pool(cluster, workers))
 
 
 def on_scheduler(address: str) -> DaskEngine:
@@ -128,7 +177,7 @@ def on_scheduler(address: str) -> DaskEngine:
         SurveyError: nobody answers there.
     """
     try:
-        return DaskEngine(lambda: (Client(address), None))
+        return DaskEngine(Client(address), None)
     except (OSError, ValueError) as error:
         raise SurveyError(f"{address}: no Dask scheduler answers there: {error}") from error
 

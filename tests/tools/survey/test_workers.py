@@ -1,14 +1,20 @@
 """Dask's workers make the same map, however often they die. The one test that begins a cluster."""
 
+import contextlib
 import os
 import signal
+import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
+from distributed import Status
+from survey import engine_dask
 from survey.engine import Done
-from survey.engine_dask import DaskEngine, local_pool, on_scheduler
+from survey.engine_dask import DaskEngine, Pool, local_pool, on_scheduler
 from survey.errors import SurveyError
 from survey.folder import Folder
 from survey.request import read_survey
@@ -21,7 +27,6 @@ class Killing:
     """Kills a worker while the other works, and later has none left."""
 
     def __init__(self, engine: DaskEngine) -> None:
-        self.killed = 0
         self._engine = engine
         self._ended = 0
 
@@ -30,43 +35,72 @@ class Killing:
 
     def done(self) -> Iterator[Done]:
         for each in self._engine.done():
+            cluster = cluster_of(self._engine)
             if self._ended == 0:
-                self._kill()
+                os.kill(next(n.pid for n in cluster.workers.values() if n.pid), signal.SIGKILL)
             elif self._ended == 4:
-                assert self._engine._cluster is not None
-                self._engine._cluster.scale(0)
+                cluster.scale(0)
             self._ended += 1
             yield each
 
     def close(self) -> None: ...
 
-    def _kill(self) -> None:
-        assert self._engine._cluster is not None
-        nannies = list(self._engine._cluster.workers.values())
-        process = nannies[self.killed % len(nannies)].process
-        os.kill(process.pid, signal.SIGKILL)
-        self.killed += 1
+
+def cluster_of(engine: DaskEngine) -> Any:
+    assert engine._pool is not None
+    return engine._pool.cluster
+
+
+@contextlib.contextmanager
+def first_worker_killed() -> Iterator[list[int]]:
+    """Whatever worker begins first does not live to be there."""
+    killed: list[int] = []
+    over = threading.Event()
+
+    def watch() -> None:
+        while not killed and not over.wait(0.02):
+            for process in psutil.Process().children(recursive=True):
+                with contextlib.suppress(psutil.Error):
+                    if not killed and "spawn_main" in " ".join(process.cmdline()):
+                        process.kill()
+                        killed.append(process.pid)
+
+    watching = threading.Thread(target=watch)
+    watching.start()
+    try:
+        yield killed
+    finally:
+        over.set()
+        watching.join()
 
 
 def fails(_: object) -> None:
     raise SurveyError("cannot be done")
 
 
-def test_killed_workers_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("survey.engine_dask.LOOK_S", 0.2)
+def test_killed_workers_change_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(engine_dask, "LOOK_S", 0.2)
     survey = write_survey(tmp_path, tile_size_m=12.8)
     request, options = read_survey(survey), Options(MEMORY)
     run_here(survey, tmp_path / "here")
-    engine = local_pool(2, MEMORY)
+    with first_worker_killed() as killed:
+        engine = local_pool(2, MEMORY)
     try:
+        assert len(killed) == 1
         killing = Killing(engine)
         run_survey(request, Folder(str(tmp_path / "out")), killing, options, Silent())  # type: ignore[arg-type]
-        assert killing.killed == 1
-        assert engine._cluster is not None
-        theirs = on_scheduler(engine._cluster.scheduler_address)
+        assert len(cluster_of(engine).workers) == 2
+        theirs = on_scheduler(cluster_of(engine).scheduler_address)
         run_survey(request, Folder(str(tmp_path / "more")), theirs, options, Silent())  # type: ignore[arg-type]
         theirs.submit(fails, 1)
         with pytest.raises(SurveyError, match="cannot be done"):
+            list(theirs.done())
+        cluster_of(engine).scale(0)
+        monkeypatch.setattr(engine_dask, "ALONE_S", 0.5)
+        theirs.submit(time.sleep, 1000)
+        with pytest.raises(SurveyError, match=r"no worker for 0\.5 s; allowed: "):
             list(theirs.done())
         theirs.close()
     finally:
@@ -74,3 +108,36 @@ def test_killed_workers_change_nothing(tmp_path: Path, monkeypatch: pytest.Monke
     expected = rows_in(tmp_path / "here/map.db")
     assert rows_in(tmp_path / "out/map.db") == expected
     assert rows_in(tmp_path / "more/map.db") == expected
+    assert capfd.readouterr().err == ""
+
+
+class Deadly:
+    """A cluster whose workers die while they begin."""
+
+    def __init__(self) -> None:
+        self.workers: dict[int, Any] = {}
+        self.worker_spec: dict[int, Any] = {}
+
+    def new_worker_spec(self) -> dict[int, Any]:
+        return {len(self.worker_spec): None}
+
+    def sync(self, function: Any) -> Any:
+        with pytest.raises(StopIteration) as ended:
+            function().send(None)
+        return ended.value.value
+
+    def __await__(self) -> Iterator[None]:
+        dead = type("Nanny", (), {"status": Status.failed})
+        self.workers = dict.fromkeys(self.worker_spec, dead)
+        yield from ()
+        raise RuntimeError("Nanny failed to start.")
+
+
+def test_workers_that_always_die_end_the_run() -> None:
+    cluster = Deadly()
+    pool = Pool(cluster, 2)
+    for _ in range(engine_dask.MOST_BEGUN - 1):
+        pool.fill_up(anew=False)
+    with pytest.raises(SurveyError, match="20 of them; allowed: --workers 0"):
+        pool.fill_up(anew=False)
+    pool.fill_up(anew=True)
