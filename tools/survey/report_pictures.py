@@ -64,8 +64,13 @@ def _coverage(report: Report, pictures: Pictures, raster: Raster) -> Any:  # noq
     )
     _put(axes, np.where(pictures.observed > 0, 0.0, np.nan), pictures, raster, cmap=_plain(LOOKED))
     heights = np.where(np.isfinite(pictures.z_m), pictures.z_m, np.nan)
-    image = _put(axes, heights, pictures, raster, cmap="viridis")
-    figure.colorbar(image, ax=axes, label="highest surface z [m]", shrink=0.8)
+    known = heights[np.isfinite(heights)]
+    low, high = (
+        np.percentile(known, [1, 99]) if len(known) else (0.0, 1.0)
+    )  # relief, not what sticks up
+    image = _put(axes, heights, pictures, raster, cmap="viridis", vmin=low, vmax=high)
+    bar = {"ax": axes, "label": "highest surface z [m]", "shrink": 0.8, "extend": "both"}
+    figure.colorbar(image, **bar)
     return figure
 
 
@@ -145,7 +150,7 @@ def _maps(
     left, right, bottom, top = _shown(pictures, raster)
     ratio = float(np.clip((top - bottom) / (right - left), 0.3, 1.6))
     wide = ratio < 1
-    width, height = 9.0, 7.5 * ratio + 0.9
+    width, height = 9.0, 6.9 * ratio + 1.2  # the rest is the scale's, and the title's
     size = (width, height * number) if wide else (width * number, height)
     figure = _figure(*size)
     figure.suptitle(title, color=INK, fontsize=12)

@@ -42,7 +42,9 @@ def _draw_speedups(axes: Axes, record: ScalingRecord) -> None:
     speedups = [run.speedup for run in measured]
     axes.plot([run.workers for run in measured], speedups, "kx", ms=9, mew=2, label="measured")
     axes.set(xscale="log", yscale="log", xlabel="workers", ylabel="speed-up")
-    axes.set_title("As fast as so many workers")
+    axes.set_title("How much faster than one worker")
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_major_formatter("{x:g}")
     axes.grid(visible=True, alpha=0.3)
     axes.legend(fontsize="small")
 
@@ -54,5 +56,6 @@ def _draw_limits(axes: Axes, record: ScalingRecord) -> None:
         axes.plot(workers, saved, "o-", ms=4, color=COLOURS[name], label=name)
     axes.set(xscale="log", xlabel="workers", ylabel="part of the time, %", ylim=(0.0, 100.0))
     axes.set_title("What each limit alone costs")
+    axes.xaxis.set_major_formatter("{x:g}")
     axes.grid(visible=True, alpha=0.3)
     axes.legend(fontsize="small")

@@ -169,7 +169,7 @@ def _steps_table(record: ScalingRecord) -> str:
         saved = step.saved.get(step.bottleneck, 0.0)
         rows.append(
             f"| {step.workers} | {step.wall_s:.1f} | {step.speedup:.1f} "
-            f"| {step.efficiency:.0%} | {step.bottleneck} | {saved:.0%} |"
+            f"| {step.efficiency:.1%} | {step.bottleneck} | {saved:.0%} |"
         )
     head = "| workers, simulated | time, s | speed-up | of the workers | bottleneck | costs |"
     return "\n".join([head, "|---|---|---|---|---|---|", *rows])
