@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 
 import msgspec
 from survey import scaling_command
+from survey.memory import bytes_of
 from survey.request import read_survey
 
 from survey_study.make_dives import PLANS, damage, make
@@ -83,7 +84,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "damaged": _judged(out / "damage", damaged, 2, said.memory),
     }
     single = _once(out / "single.json", Single, lambda: _single(out, whole, recordings))
-    verdicts = verdicts_of(results, single, bounded=said.scale == "full")
+    verdicts = verdicts_of(results, single, bytes_of(said.memory), long=said.scale == "full")
     told = {**results, "single": single, "verdicts": verdicts}
     (out / "study.json").write_bytes(msgspec.json.format(msgspec.json.encode(told), indent=2))
     for verdict, holds in verdicts.items():
@@ -123,8 +124,17 @@ def _once(path: Path, kind: type[Step], do: Callable[[], Step]) -> Step:
     return result
 
 
-def verdicts_of(results: dict[str, Judged], single: Single, *, bounded: bool) -> dict[str, bool]:
-    """What must hold; speed and killed workers only where a survey is long enough for them."""
+def verdicts_of(
+    results: dict[str, Judged], single: Single, memory_bytes: int, *, long: bool
+) -> dict[str, bool]:
+    """What must hold; size, speed and killed workers only where a survey is long enough for them.
+
+    Args:
+        results: by run.
+        single: the map of one process.
+        memory_bytes: that a worker may take.
+        long: whether it is.
+    """
     one, two, killed, damaged = (results[k] for k in ("one", "two", "killed", "damaged"))
     verdicts = {
         "one worker's map is that of a single process": one.map == single.map,
@@ -132,11 +142,15 @@ def verdicts_of(results: dict[str, Judged], single: Single, *, bounded: bool) ->
         "killed workers change nothing in the map": killed.map == single.map,
         "damage is told of both damaged dives": len(damaged.lost) == 2,  # noqa: PLR2004
         "what stands before the damage is used": damaged.map.bricks > 0,
+        "no worker takes more memory than it may": all(
+            result.run.worker_peak_bytes <= memory_bytes for result in results.values()
+        ),
     }
-    if bounded:
+    if long:
         speed = two.recorded_s / two.run.wall_s
         verdicts[f"{PROMISED_SPEED:g} times real time on two workers"] = speed >= PROMISED_SPEED
         verdicts["workers were killed"] = killed.run.killed > 0
+        verdicts["the map is larger than a worker's memory"] = single.map.voxel_bytes > memory_bytes
     return verdicts
 
 

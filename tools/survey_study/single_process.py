@@ -23,10 +23,12 @@ class Fingerprint(msgspec.Struct, frozen=True):
 
     Attributes:
         bricks: how many.
+        voxel_bytes: of all their voxels, unpacked.
         total: sum of the rows' digests, in hexadecimal.
     """
 
     bricks: int
+    voxel_bytes: int
     total: str
 
 
@@ -50,11 +52,12 @@ def map_in_one_process(recordings: Sequence[Path], config: Config, path: Path) -
 
 def fingerprint(path: Path) -> Fingerprint:
     """Of a map's file: keys, revisions and voxels, to the bit; memory for one brick."""
-    bricks = total = 0
+    bricks = voxel_bytes = total = 0
     with StoreReader(path) as reader:
         for row in reader.rows():
             words = f"{row.key} {row.revision} {row.size} {row.crc} ".encode()
             digest = hashlib.blake2b(words + row.data, digest_size=16).digest()
             total += int.from_bytes(digest, "little")
             bricks += 1
-    return Fingerprint(bricks, f"{total % (1 << 128):032x}")
+            voxel_bytes += row.size
+    return Fingerprint(bricks, voxel_bytes, f"{total % (1 << 128):032x}")

@@ -10,7 +10,8 @@ from survey_study.single_process import Fingerprint, fingerprint, map_in_one_pro
 
 from tests.tools.survey.dives import run_here, write_dive, write_survey
 
-SAME, OTHER = Fingerprint(2, "ab"), Fingerprint(2, "cd")
+SAME, OTHER = Fingerprint(2, 2001, "ab"), Fingerprint(2, 2001, "cd")
+MEMORY_BYTES = 2000
 
 
 def test_the_map_of_one_process_is_the_survey_s_to_the_bit(tmp_path: Path) -> None:
@@ -25,13 +26,24 @@ def test_the_map_of_one_process_is_the_survey_s_to_the_bit(tmp_path: Path) -> No
     whole = fingerprint(tmp_path / "out/map.db")
     assert whole == fingerprint(tmp_path / "single.db")
     assert whole.bricks == record["maps"][0]["bricks"] > 10
+    assert whole.voxel_bytes > whole.bricks * 1000
     map_in_one_process(recordings[::-1], config, tmp_path / "turned.db")
     assert fingerprint(tmp_path / "turned.db") != whole
 
 
-def judged(found: Fingerprint, wall_s: float = 10.0, killed: int = 0, lost: int = 0) -> Judged:
+def judged(
+    found: Fingerprint,
+    wall_s: float = 10.0,
+    killed: int = 0,
+    lost: int = 0,
+    peak: int = MEMORY_BYTES,
+) -> Judged:
     told: dict[str, list[object]] = {f"dive-{k}": ["cut"] for k in range(lost)}
-    return Judged(Watched(2, wall_s, 1.0, 1, killed), 200.0, found, told)
+    return Judged(Watched(2, wall_s, 1.0, peak, killed), 200.0, found, told)
+
+
+def hold(results: dict[str, Judged], single: Single, *, long: bool) -> bool:
+    return all(verdicts_of(results, single, MEMORY_BYTES, long=long).values())
 
 
 def test_all_that_a_survey_must_hold_is_looked_at() -> None:
@@ -42,7 +54,7 @@ def test_all_that_a_survey_must_hold_is_looked_at() -> None:
         "damaged": judged(OTHER, lost=2),
     }
     single = Single(1.0, 5, SAME)
-    assert all(verdicts_of(results, single, bounded=True).values())
+    assert hold(results, single, long=True)
     wrong = {
         "one": judged(OTHER),
         "two": judged(OTHER),
@@ -50,10 +62,16 @@ def test_all_that_a_survey_must_hold_is_looked_at() -> None:
         "damaged": judged(OTHER, lost=1),
     }
     for name, result in wrong.items():
-        assert not all(verdicts_of({**results, name: result}, single, bounded=True).values())
+        assert not hold({**results, name: result}, single, long=False)
+    greedy = judged(OTHER, lost=2, peak=MEMORY_BYTES + 1)
+    assert not hold({**results, "damaged": greedy}, single, long=False)
     for name, result in (("two", judged(SAME, wall_s=10.1)), ("killed", judged(SAME))):
-        assert not all(verdicts_of({**results, name: result}, single, bounded=True).values())
-        assert all(verdicts_of({**results, name: result}, single, bounded=False).values())
+        assert not hold({**results, name: result}, single, long=True)
+        assert hold({**results, name: result}, single, long=False)
+    tiny = Fingerprint(2, MEMORY_BYTES, "ab")
+    small = {name: judged(tiny, killed=1, lost=2) for name in results}
+    assert not hold(small, Single(1.0, 5, tiny), long=True)
+    assert hold(small, Single(1.0, 5, tiny), long=False)
 
 
 def test_a_run_that_failed_is_no_result(tmp_path: Path) -> None:
