@@ -3,8 +3,9 @@
     PYTHONPATH=tools python -m survey_study.run --out out/survey
 
 Makes the dives, runs the survey with one and two workers, with two that are killed at random, and
-on damaged recordings; maps all in one process; compares the maps to the bit; and simulates how the
-survey scales. Leaves study.json and the scaling report. Steps that are done are not done again.
+on damaged recordings; maps all in one process; compares the maps to the bit; measures what a task
+costs the scheduler; and simulates how the survey scales. Leaves study.json and the scaling report.
+Steps that are done are not done again.
 """
 
 import argparse
@@ -17,12 +18,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
-from survey import scaling_command
+from survey import command
 from survey.memory import bytes_of
 from survey.request import read_survey
 
 from survey_study.make_dives import PLANS, damage, make
 from survey_study.runs import Watched, watch
+from survey_study.scheduler_time import SchedulerTime, scheduler_time
 from survey_study.single_process import Fingerprint, fingerprint, map_in_one_process
 
 Step = TypeVar("Step", bound=msgspec.Struct)
@@ -89,7 +91,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     (out / "study.json").write_bytes(msgspec.json.format(msgspec.json.encode(told), indent=2))
     for verdict, holds in verdicts.items():
         print(f"{'holds' if holds else 'FAILS'}: {verdict}")
-    return max(_scaling(out), int(not all(verdicts.values())))
+    handed_out = _once(out / "scheduler.json", SchedulerTime, scheduler_time)
+    return max(_scaling(out, handed_out.ms), int(not all(verdicts.values())))
 
 
 def _judged(
@@ -154,11 +157,10 @@ def verdicts_of(
     return verdicts
 
 
-def _scaling(out: Path) -> int:
-    parser = argparse.ArgumentParser()
-    scaling_command.add_arguments(parser)
+def _scaling(out: Path, scheduler_ms: float) -> int:
     runs = [f"{workers}={out / name / 'survey.json'}" for workers, name in ((1, "one"), (2, "two"))]
-    return scaling_command.run(parser.parse_args([*runs, "--out", str(out / "scaling")]))
+    words = ["--scheduler-ms", f"{scheduler_ms:.2f}", "--out", str(out / "scaling")]
+    return command.main(["scaling", *runs, *words])
 
 
 if __name__ == "__main__":

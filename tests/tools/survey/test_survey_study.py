@@ -1,11 +1,15 @@
 """The study's own judge: when two maps are the same, and what a run must hold."""
 
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from survey.engine import Done, InProcess
 from survey.request import read_survey
 from survey_study.run import Judged, Single, verdicts_of
 from survey_study.runs import Watched, watch
+from survey_study.scheduler_time import time_of
 from survey_study.single_process import Fingerprint, fingerprint, map_in_one_process
 
 from tests.tools.survey.dives import run_here, write_dive, write_survey
@@ -72,6 +76,27 @@ def test_all_that_a_survey_must_hold_is_looked_at() -> None:
     small = {name: judged(tiny, killed=1, lost=2) for name in results}
     assert not hold(small, Single(1.0, 5, tiny), long=True)
     assert hold(small, Single(1.0, 5, tiny), long=False)
+
+
+class Busy(InProcess):
+    """Loses a task, or takes its time for each."""
+
+    def __init__(self, lost: int) -> None:
+        super().__init__()
+        self._lost = lost
+
+    def done(self) -> Iterator[Done]:
+        for each in list(super().done())[self._lost :]:
+            until_s = time.process_time() + 0.003
+            while time.process_time() < until_s:
+                pass
+            yield each
+
+
+def test_the_scheduler_s_time_is_that_of_a_task() -> None:
+    assert time_of(Busy(0), 20).ms >= 3.0
+    with pytest.raises(RuntimeError, match="19 of 20 tasks ended"):
+        time_of(Busy(1), 20)
 
 
 def test_a_run_that_failed_is_no_result(tmp_path: Path) -> None:
