@@ -46,7 +46,10 @@ MEASURED: dict[str, tuple[str, ...]] = {
         "topside/view_shapes.py",
     ),
     "`stream.pictures`": ("mapperd/stream/pictures.py",),
-    "GeoTIFF": ("mapperd/export/geotiff.py",),
+    "GeoTIFF": (
+        "mapperd/export/geotiff.py",
+        *_in("tools/survey/", "coverage.py export.py"),
+    ),
     "pictures of pings": _in("oculus_driver/", "picture/fan.py picture/painter.py ping.py"),
     "`meshes`, `tracing` (Embree)": (
         "cpp/acoustics/bind/tracing.cpp",
@@ -102,10 +105,14 @@ NOT_MEASURED: dict[str, tuple[str, ...]] = {
         "level_defects.py normals.py pipeline.py scan.py shape_defects.py shapes.py snr.py "
         "visual.py writer.py",
     ),
-    "hands on what other sources made": _in(
-        SIMULATOR,
-        "product.py simulator.py products/arrays.py products/cells.py products/cloud.py "
-        "products/pictures.py products/raw_scan.py products/sounding.py",
+    "hands on what other sources made": (
+        "cpp/src/ping_box.cpp",
+        "tools/survey/records.py",
+        *_in(
+            SIMULATOR,
+            "product.py simulator.py products/arrays.py products/cells.py products/cloud.py "
+            "products/pictures.py products/raw_scan.py products/sounding.py",
+        ),
     ),
     "checks of the simulator, which run beside it": _in(
         SIMULATOR + "validation/",
