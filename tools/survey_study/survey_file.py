@@ -11,7 +11,6 @@ ORIGIN = {"latitude": 53.5, "longitude": 8.1}
 
 SETTINGS: dict[str, Any] = {
     "octree": {"voxel_resolution": VOXEL_M},
-    "sonar": {"vertical_aperture": 14.0},
     "mounting": {
         "position": {"x": 0.3, "y": 0.0, "z": -0.4},
         "orientation": {"roll": 0.0, "pitch": 90.0, "yaw": 0.0},
