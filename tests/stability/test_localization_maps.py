@@ -192,3 +192,48 @@ def test_layers_of_a_field_and_ends_above_and_below() -> None:
         ends = Endpoints(np.array([[[1.0, 1.0, z]]]), np.ones(1))
         got = field_likelihood(field, pose(1, 1, 0), ends, "product")
         assert got == pytest.approx(field.background, rel=1e-9)
+
+
+def test_distances_that_nobody_knows_and_beyond_the_truncation() -> None:
+    """An unknown distance is as likely as one beyond the truncation, and as what is off the map.
+
+    Naively one is NaN, the other an underflow, and a beam that ends there decides everything.
+    """
+    model = HitModel(z_hit=1.0, z_rand=0.0, sigma_hit_m=1.0, max_range_m=20, max_distance_m=2)
+    distances = np.full((3, 3, 2), 1e9, np.float32)
+    distances[0, 0, 0], distances[1, 1, 1], distances[2, 2, 0] = np.nan, 0.5, np.inf
+    field = LikelihoodField.of_distances(distances, np.array([0.5, 0.5, 0.5]), 1.0, model)
+    wanted = np.full((3, 3), model.density(2.0))
+    assert field.background == pytest.approx(model.density(2.0))
+    assert field.values(0) == pytest.approx(wanted)
+    wanted[1, 1] = model.density(0.5)
+    assert field.values(1) == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -1e-9, 1e16])
+def test_given_likelihoods_that_are_none(wrong: float) -> None:
+    """Values of a field that are no numbers, negative or infinite are refused.
+
+    Naively one NaN in a corner waits for the particle whose beam ends there.
+    """
+    values = np.full((5, 5), 0.1, np.float32)
+    LikelihoodField.of_values(values, 0.5, pose(0, 0, 0), 0.1)
+    values[4, 4] = wrong
+    with pytest.raises(ValueError, match="finite and not negative"):
+        LikelihoodField.of_values(values, 0.5, pose(0, 0, 0), 0.1)
+    with pytest.raises(ValueError, match="finite and not negative"):
+        LikelihoodField.of_values(np.ones_like(values), 0.5, pose(0, 0, 0), wrong)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1e-300, -1e-300])
+def test_a_ray_exactly_along_an_axis(yaw: float) -> None:
+    """A ray whose direction has a part of exactly 0 runs through a passage of one cell.
+
+    Naively it is divided by: the next edge to that side lies at minus infinity, and the ray stays
+    in its first cell.
+    """
+    occupancy = np.full((3, 40), 100, np.int8)
+    occupancy[1, :35] = 0
+    ranges = RangeMap(grid(occupancy, 0.5))
+    rays = np.array([[1.25, y, yaw] for y in (0.501, 0.75, 0.999)])
+    assert ranges.cast(rays, 30.0) == pytest.approx(16.25, abs=1e-8)

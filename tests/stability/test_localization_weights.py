@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mapperd.localization.filter import (
+    BeamModel,
     Beams,
     Endpoints,
     HitModel,
@@ -148,6 +149,31 @@ def test_no_random_readings_and_no_hit() -> None:
     field = LikelihoodField.of_grid(grid(occupancy, 0.5), model)
     assert np.isfinite(particles.weigh_field(field, scan(60), "product").log_evidence)
     sound(particles)
+    missed = cloud().weigh_field(field, scan(60, 20.0), "product")
+    assert missed.log_evidence == pytest.approx(60 * np.log(1e-12 * model.density(0)), rel=1e-6)
+
+
+def test_beams_that_no_particle_explains_without_random_readings() -> None:
+    """A beam model without random readings takes a reading beside all that it expects.
+
+    Naively each such beam is a factor of 0, and whatever the others say is lost.
+    """
+    model = BeamModel(
+        z_hit=1.0,
+        z_short=0.0,
+        z_max=0.0,
+        z_rand=0.0,
+        sigma_hit_m=0.05,
+        lambda_short_per_m=0.1,
+        max_range_m=20.0,
+    )
+    occupancy = np.zeros((50, 50), np.int8)
+    occupancy[:, 40] = 100
+    ranges = RangeMap(grid(occupancy, 0.5))
+    seen = Beams(bearing_rad=np.zeros(60), range_m=np.full(60, 12.0), quality=np.ones(60))
+    weighed = filter_at(pose(12, 12, 0).reshape(1, 3)).weigh_beams(ranges, seen, model, "product")
+    peak = 1.0 / (0.05 * np.sqrt(2 * np.pi))
+    assert weighed.log_evidence == pytest.approx(60 * np.log(1e-12 * peak), rel=1e-9)
 
 
 def test_density_above_one() -> None:

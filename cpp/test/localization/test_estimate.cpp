@@ -56,7 +56,7 @@ TEST_CASE("the matrix is one of covariance where a few particles head the other 
   CHECK(smallest_pivot(e.covariance) > -1e-12 && e.covariance[0][2] > 0.0);
 }
 
-TEST_CASE("a cloud on a slanting line has finite numbers") {
+TEST_CASE("a cloud on a slanting line has finite numbers and a correlation of 1 at the most") {
   for (int scale = 1; scale < 60; ++scale) {
     Particles particles;
     particles.resize(4);
@@ -68,6 +68,9 @@ TEST_CASE("a cloud on a slanting line has finite numbers") {
     for (const auto& row : e.covariance) {
       for (const double value : row) CHECK(std::isfinite(value));
     }
+    // To the last bit: who takes the root of 1 less the square of the correlation gets a number.
+    const double most = std::sqrt(e.covariance[0][0]) * std::sqrt(e.covariance[1][1]);
+    CHECK(std::abs(e.covariance[0][1]) <= most);
   }
 }
 
@@ -78,7 +81,7 @@ TEST_CASE("one particle, all weight on one, equal ones and opposite headings") {
   two.set(1, {5, 5, 0.5 + kPi});
   const Estimate one = estimate_of(two, {1.0, 0.0});
   CHECK(!one.spread_known && one.covariance[0][0] == kLeastVariance);
-  CHECK(one.covariance[2][2] == kLeastVariance);
+  CHECK(one.covariance[2][2] == kLeastVariance && one.covariance[0][1] == 0.0);
   const Estimate opposite = estimate_of(two, {0.5, 0.5});
   CHECK(!opposite.heading_known && opposite.mean.yaw == 0.0);
   CHECK(std::isinf(opposite.covariance[2][2]) && opposite.covariance[0][2] == 0.0);
@@ -86,6 +89,19 @@ TEST_CASE("one particle, all weight on one, equal ones and opposite headings") {
   const Estimate equal = estimate_of(two, {0.5, 0.5});
   CHECK(equal.spread_known && equal.covariance[1][1] == kLeastVariance);
   CHECK(estimate_of({}, {}).particles == 0);
+}
+
+TEST_CASE("headings that cancel do not go with places, wherever those are") {
+  Particles square;
+  square.resize(4);
+  square.set(0, {0, 0, 0.0});
+  square.set(1, {1, 0, 0.5 * kPi});
+  square.set(2, {0, 1, kPi});
+  square.set(3, {1, 1, -0.5 * kPi});
+  const Estimate e = estimate_of(square, std::vector<double>(4, 0.25));
+  CHECK(!e.heading_known && std::isinf(e.covariance[2][2]));
+  CHECK(e.covariance[0][2] == 0.0 && e.covariance[2][0] == 0.0);
+  CHECK(e.covariance[1][2] == 0.0 && e.covariance[2][1] == 0.0);
 }
 
 TEST_CASE("square roots: correlated, of lower rank, nothing; and what is refused") {

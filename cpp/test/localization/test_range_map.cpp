@@ -69,6 +69,16 @@ TEST_CASE("rays along the axes, from within a wall, from outside, in a map witho
   CHECK_NEAR(RangeMap(grid, true, 1).cast({0.25, 0.25, 0.0}, 30.0), 1.75, 1e-6);
 }
 
+TEST_CASE("a ray exactly along an axis goes through a passage of one cell to its end") {
+  OccupancyGrid grid = open_water(3, 40, 0.5);
+  for (std::size_t c = 0; c < 40; ++c) grid.cells[c] = grid.cells[80 + c] = kOccupied;
+  grid.cells[40 + 35] = kOccupied;
+  const RangeMap along(grid, false, 1);
+  for (const double y : {0.501, 0.75, 0.999}) {
+    CHECK_NEAR(along.cast({1.25, y, 0.0}, 30.0), 16.25, 1e-8);
+  }
+}
+
 // A wedge counts at most 253 columns: the way is longer, to either side and along diagonals.
 TEST_CASE("rays cross water wider than a cell can count, and meet the one cell at its end") {
   OccupancyGrid grid = open_water(700, 700, 1.0);

@@ -102,6 +102,7 @@ def test_search_without_a_surface_in_sight_keeps_all_poses() -> None:
         particles.start_by_scan(free, field, ends, 5000)
         assert np.isfinite(particles.poses).all()
         assert np.ptp(particles.poses[:, 0]) > 7
+        assert np.abs(particles.poses[:, 2]).max() <= np.pi  # also of those that jitter turned
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
