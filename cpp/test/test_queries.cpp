@@ -142,6 +142,17 @@ TEST_CASE("a ray's depth is where it enters the nearest occupied voxel of all") 
   CHECK(hits > 200 && misses > 200);
 }
 
+TEST_CASE("a vector of any length has one of length 1 along it") {
+  constexpr double kLargest = std::numeric_limits<double>::max();
+  constexpr double kSmallest = std::numeric_limits<double>::denorm_min();
+  for (const double length : {1.0, 1e-200, 1e200, kLargest, kSmallest}) {
+    const Vec3 along = mapperd::unit_vector({0.0, -length, length});
+    CHECK(along.x == 0.0);
+    CHECK_NEAR(along.y, -std::sqrt(0.5), 1e-15);
+    CHECK_NEAR(along.z, std::sqrt(0.5), 1e-15);
+  }
+}
+
 TEST_CASE("rays along axes, from inside, through edges, and of no length") {
   VoxelMap map(0.1, {});
   map.set({5, 0, 0}, {3.0F, 1});
@@ -168,6 +179,16 @@ TEST_CASE("rays along axes, from inside, through edges, and of no length") {
   CHECK_THROWS(depth({0, 0, 0}, {1, 0, 0}, kNaN), std::invalid_argument);
   CHECK_THROWS(depth({0, 0, 0}, {1, 0, 0}, -1), std::invalid_argument);
   CHECK_THROWS(depth({0, 0, 0}, {1, 0, 0}, kInfinity), std::invalid_argument);
+}
+
+TEST_CASE("a threshold below 0 is of what was seen: rays run on through what was not") {
+  VoxelMap map(0.1, {});
+  map.set({3, 0, 0}, {-1.0F, 1});
+  map.set({5, 0, 0}, {-0.2F, 1});
+  const double from[] = {0.05, 0.05, 0.05};
+  const double along[] = {1, 0, 0};
+  CHECK_NEAR(ray_cast_depth(map, {from, 1}, {along, 1}, 10.0, -0.5)[0], 0.45, 1e-15);
+  CHECK(ray_cast_depth(map, {from, 1}, {along, 1}, 10.0, -0.1)[0] == -1.0);
 }
 
 TEST_CASE("depths far from the origin equal those at it") {

@@ -114,4 +114,19 @@ TEST_CASE("the first occupied intensity of a ping counts, and occupied beats fre
   CHECK_NEAR(hit.log_odds, 1.75, 1e-6);
 }
 
+TEST_CASE("an occupied sample beats the free ones before it and behind it in a voxel") {
+  VoxelMap map(1.0, {});
+  scenes::Ping ping = wall(64, 62, 145.0F);
+  for (std::size_t j = 32; j < 64; ++j) {
+    ping.intensity[62 * 64 + j] = 0.0F;
+    ping.intensity[72 * 64 + j] = 145.0F;  // free at rows 60 and 70 here
+  }
+  Transform pose;
+  pose.translation = {0.3, 0.5, 0.5};  // rows 54 ... 73 ahead are one voxel: 60 there is free
+  integrate_rays(map, ping.image(), pose, {});
+  const auto hit = map.at(mapperd::Vec3{3.4, 0.5, 0.5});
+  CHECK(hit.count == 1);
+  CHECK_NEAR(hit.log_odds, 1.75, 1e-6);
+}
+
 }  // namespace

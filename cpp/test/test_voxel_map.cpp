@@ -43,6 +43,13 @@ TEST_CASE("points and blocks beyond the reach are unknown or refused") {
   VoxelMap map(0.05, {});
   CHECK(map.at(mapperd::Vec3{1e30, 0, 0}).count == 0);
   CHECK(map.at(mapperd::Vec3{std::numeric_limits<double>::quiet_NaN(), 0, 0}).count == 0);
+  mapperd::VoxelIndex voxel{};
+  for (const double none : {std::numeric_limits<double>::quiet_NaN(), 1e30, -1e30,
+                            std::numeric_limits<double>::infinity()}) {
+    CHECK(!map.index_of({none, 0, 0}, voxel));
+    CHECK(!map.index_of({0, none, 0}, voxel));
+    CHECK(!map.index_of({0, 0, none}, voxel));
+  }
   CHECK_THROWS(map.get_or_create({mapperd::kMaxBlock + 1, 0, 0}), std::out_of_range);
   CHECK(map.block_count() == 0);
 }
@@ -72,7 +79,11 @@ TEST_CASE("a block's revision tells when it last changed, and it stops with the 
   CHECK(map.find({65, 0, 0})->revision == map.revision());
   for (int i = 0; i < 30; ++i) integrate_projective(map, water.image(), here, settings);
   CHECK(!map.find(key)->is_dense());
-  CHECK(map.find(key)->revision > of_wall && map.find(key)->revision < map.revision());
+  const std::uint64_t settled = map.find(key)->revision;
+  CHECK(settled > of_wall && settled < map.revision());
+  // Nor does a ping change it that ends within it.
+  integrate_projective(map, scenes::empty_ping(14, 8, 1.0, 2.8).image(), here, settings);
+  CHECK(map.find(key)->revision == settled);
 }
 
 TEST_CASE("states from elsewhere are brought inside the clamps and the settled count") {
