@@ -64,8 +64,10 @@ struct Wall {
 };
 
 // The integral of mu cos²i / R⁴ over the patch of wall: dA = R² dOmega / cos i, R = d / cos i and
-// dOmega = ds dw / cos i, so mu cos²i ds dw / d².
-double expected_power() {
+// dOmega = ds dw / x, so mu cos³i ds dw / (d² x), where x is ahead. The wall leans by an angle
+// about the point ahead of the sonar.
+double expected_power(double lean_rad = 0.0) {
+  const double distance_m = kWallM * std::cos(lean_rad);
   double sum = 0.0;
   constexpr int kFine = 400;
   constexpr double kStep = 2.0 * kHalf / kFine;
@@ -73,16 +75,49 @@ double expected_power() {
     for (int j = 0; j < kFine; ++j) {
       const double s = -kHalf + kStep * (i + 0.5);
       const double w = -kHalf + kStep * (j + 0.5);
-      sum += kMu * (1.0 - s * s - w * w) / (kWallM * kWallM) * kStep * kStep;
+      const double x = std::sqrt(1.0 - s * s - w * w);
+      const double cosine = std::cos(lean_rad) * x - std::sin(lean_rad) * w;
+      sum += kMu * std::pow(cosine, 3) / (distance_m * distance_m * x) * kStep * kStep;
     }
   }
   return sum;
 }
 
-TEST_CASE("the mean power of a wall is Lambert's integral over it") {
+double sum_of(const std::vector<float>& powers) {
   double sum = 0.0;
-  for (const float cell : Wall().power(2)) sum += static_cast<double>(cell);
-  CHECK_NEAR(sum / expected_power(), 1.0, 0.01);
+  for (const float cell : powers) sum += static_cast<double>(cell);
+  return sum;
+}
+
+double sum_of(const std::vector<std::complex<float>>& field) {
+  double sum = 0.0;
+  for (const auto& cell : field) sum += static_cast<double>(std::norm(cell));
+  return sum;
+}
+
+TEST_CASE("the mean power of a wall is Lambert's integral over it, however it leans") {
+  for (const double lean_rad : {0.0, 0.4, -0.4, 0.8}) {
+    Wall wall;
+    wall.planes = {-std::cos(lean_rad), 0.0, std::sin(lean_rad), -kWallM * std::cos(lean_rad)};
+    CHECK_NEAR(sum_of(wall.power(2)) / expected_power(lean_rad), 1.0, 0.01);
+  }
+}
+
+TEST_CASE("a beam counts there and back, and like losses and gains it is one of amplitudes") {
+  const Wall whole(kSide / 4);
+  Wall beam = whole, lossy = whole, faint = whole, mirrored = whole;
+  beam.vertical = {0.5F, 0.5F};
+  lossy.loss.assign(Wall::kRows, 0.5F);
+  faint.gain.assign(faint.gain.size(), 0.5F);
+  mirrored.leg.gain = 0.5;  // of the way there, and of the way back
+  const auto check_share = [&whole](const Wall& wall, double share) {
+    CHECK_NEAR(sum_of(wall.power(1)) / sum_of(whole.power(1)), share, 1e-5);
+    CHECK_NEAR(sum_of(wall.field(3, 1)) / sum_of(whole.field(3, 1)), share, 1e-5);
+  };
+  check_share(beam, 1.0 / 16.0);
+  check_share(lossy, 1.0 / 4.0);
+  check_share(faint, 1.0 / 4.0);
+  check_share(mirrored, 1.0 / 16.0);
 }
 
 TEST_CASE("the field's power is the mean power, over many keys, however wide the rays' cells") {
@@ -92,7 +127,7 @@ TEST_CASE("the field's power is the mean power, over many keys, however wide the
     const Wall wall(side);
     double sum = 0.0;
     for (std::uint64_t key = 0; key < kKeys; ++key) {
-      for (const auto& cell : wall.field(key, 2)) sum += static_cast<double>(std::norm(cell));
+      sum += sum_of(wall.field(key, 2));
     }
     CHECK_NEAR(sum / kKeys / expected_power(), 1.0, 0.03);
   }
