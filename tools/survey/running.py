@@ -22,6 +22,7 @@ from survey.planning import DivePlan, index_name, spool_name
 from survey.request import Request
 from survey.task_times import TaskTime
 from survey.tile_stage import Scope, TileStage, shard_mark
+from survey.tile_task import TileResult
 
 __all__ = ["DIVES", "MAP", "RECORD", "Options", "dive_map", "plan_survey", "run_survey"]
 
@@ -40,6 +41,10 @@ class Options(msgspec.Struct, frozen=True):
 
     memory_bytes: int
     by_dive: bool = False
+
+
+SUFFIXES = (".db", ".spool", ".npy", ".json")
+"""Of files that a run makes beside its marks."""
 
 
 class _Merged(msgspec.Struct, frozen=True):
@@ -170,9 +175,14 @@ class _Running:
             wanted |= {spool_name(plan.name), index_name(plan.name), mark_name(plan.name)}
         for name in maps:
             wanted |= {name, _said_of(name)}
-        for part in ("shards", "plan", DIVES):
-            for name in self._folder.names(part) - wanted:
-                self._folder.remove(name)
+        ours = [
+            name
+            for part, kind in (("shards", TileResult), ("plan", DivePlan), (DIVES, _Merged))
+            for name in self._folder.names(part) - wanted
+            if name.endswith(SUFFIXES) and _is_marked(self._folder, name, kind)
+        ]
+        for name in sorted(ours, key=lambda name: name.endswith(".json")):  # the marks last
+            self._folder.remove(name)
 
     def _record(
         self, plans: Sequence[DivePlan], maps: list[dict[str, Any]], whole: Scope, edge: int
@@ -217,6 +227,11 @@ def _bar(stage: str, out: TextIO) -> Iterator[Callable[[float, int], None]]:
 
     yield show
     bar.close(last)
+
+
+def _is_marked(folder: Folder, name: str, kind: type[msgspec.Struct]) -> bool:
+    """Whether a run made a file: a user's recordings may lie in folders of these names too."""
+    return marked(folder, f"{name.rpartition('.')[0]}.json", kind) is not None
 
 
 @contextlib.contextmanager

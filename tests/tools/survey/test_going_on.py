@@ -141,6 +141,17 @@ def test_maps_of_dives_that_are_no_more_are_removed(tmp_path: Path) -> None:
     }
 
 
+def test_files_of_others_in_its_folder_stay(tmp_path: Path) -> None:
+    theirs = {tmp_path / "dives/a.mcap", tmp_path / "dives/note.json", tmp_path / "plan/b.db"}
+    for path in theirs:
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("{}", encoding="utf-8")
+    write_dive(tmp_path / "dives/a.mcap", 1)
+    survey = write_survey(tmp_path, dives=[{"name": "a", "recording": "dives/a.mcap"}])
+    run_here(survey, tmp_path)
+    assert all(path.exists() for path in theirs)
+
+
 @pytest.mark.parametrize("what", ["settings", "recording", "transform"])
 def test_whatever_changes_makes_another_map(tmp_path: Path, what: str) -> None:
     dive: dict[str, Any] = {"name": "a", "recording": "a.mcap"}
