@@ -48,6 +48,7 @@ def test_sentences_name_each_dive_and_what_was_not_kept() -> None:
     text = sentences({"pond": ROWS})
     assert "| pond | published | 0.300 m, 20.0 ms | 10 times cheaper" in text
     assert "| pond | published, its file at 0.2 m | 0.310 m, 10.0 ms | 10 times cheaper" in text
+    assert "| error 2.00 times larger (`" in text
     assert text.count("**no**") == 2
 
 

@@ -52,9 +52,10 @@ KNOBS = (
         ),
         "100 to 5000",
         MARGIN,
-        "A vehicle that is followed needs some hundred; more cost time and make it no surer. One "
-        "that is lost wants thousands, which a number that follows the cloud's spread gives; with "
-        "5000 at most, rivals that are thinly drawn take over now and then (docs/localization.md).",
+        "A vehicle that is followed needs some hundred, which a number that follows the cloud's "
+        "spread gives; 300 always are less exact in small places. What the most may be changes "
+        "little here; with 5000, rivals that are thinly drawn take over now and then in half an "
+        "hour's dives (docs/localization.md).",
     ),
     Knob(
         "fewest-particles",
@@ -80,7 +81,8 @@ KNOBS = (
         _scaled("scale.cells", 1.0, 1.5, 2.0, 3.0, 5.0),
         None,
         MARGIN,
-        "Larger cells cost precision and hardly save time; they save memory, by their cube.",
+        "Larger cells cost precision; twice as large they save a third of the time, and memory by "
+        "their cube.",
     ),
     Knob(
         "model",
@@ -95,7 +97,7 @@ KNOBS = (
         "likelihood_field",
         MARGIN,
         "The product over a field; the sum of cubes can neither be tempered nor tell when it is "
-        "lost, and rays on a planar map cost many times as much.",
+        "lost, and rays on a planar map hardly find who is.",
         quick=True,
     ),
     Knob(
@@ -104,7 +106,8 @@ KNOBS = (
         _turned("localization.tempering", "0.1", 0.02, 0.05, 0.1, 0.2, 0.4, 1.0),
         "1.0",
         MARGIN,
-        "Costs no time. Beams that overlap are not as many votes; with 1 the cloud collapses.",
+        "Costs no time. Beams that overlap are not as many votes; with 1 the cloud is sure of itself "
+        "where it is wrong, three times as often.",
         quick=True,
     ),
     Knob(
@@ -142,7 +145,8 @@ KNOBS = (
         _scaled("scale.step", 0.5, 1.0, 2.0, 4.0, 8.0),
         None,
         MARGIN,
-        "Fewer updates cost less, and odometry drifts between them.",
+        "Fewer updates save no time: odometry drifts between them, and the cloud that spreads needs "
+        "more particles.",
     ),
     Knob(
         "cloud-error",
@@ -170,7 +174,7 @@ KNOBS = (
         "never",
         MARGIN,
         "The first to turn on a weak computer where the start is known: a followed dive takes a "
-        "tenth of the time without. A vehicle that was carried off, or began at a wrong place, is "
+        "sixth to a third of the time without. A vehicle that was carried off, or began at a wrong place, is "
         "found by it.",
     ),
     Knob(
@@ -179,7 +183,7 @@ KNOBS = (
         _scaled("scale.sigma", 0.5, 1.0, 2.0, 4.0),
         None,
         MARGIN,
-        "Costs no time.",
+        "Sharper or blunter, the cloud takes longer to settle, and time with it.",
     ),
     Knob(
         "drawing",

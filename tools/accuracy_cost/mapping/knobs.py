@@ -139,7 +139,7 @@ KNOBS = (
         "error-bound",
         "Error bound",
         _values("mapping.error_bound", (0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0), 0.1),
-        "Exact costs several times as much and no surface moves; above 0.1 nothing is gained, so "
+        "Exact costs several times as much and no surface moves; above 0.1 a tenth is gained, so "
         "`behind.error_bound` helps those alone who map with a tighter one.",
     ),
     _knob(
@@ -152,7 +152,7 @@ KNOBS = (
             ("64", {"study.beams": 8}),
         ],
         "The sonar's own setting (`device.beams`), here by leaving out columns: half of them save "
-        "a sixth of the time at 0.05 m and a third at 0.2 m, and surfaces hardly move.",
+        "an eighth of the time at 0.05 m and a third at 0.2 m, and surfaces hardly move.",
         published="256",
     ),
     _knob(
@@ -234,7 +234,7 @@ KNOBS = (
         "aggregation",
         "Both kinds of evidence in one ping",
         [("occupied_first", {}), ("mean", {"mapping.aggregation": "mean"})],
-        "The mean takes 3 times as long, as it cannot be sampled, and more surface is missing.",
+        "The mean takes more than twice as long, as it cannot be sampled, and more surface is missing.",
     ),
     _knob(
         "adaptive",

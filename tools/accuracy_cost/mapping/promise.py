@@ -109,6 +109,22 @@ def evidence(rows: Rows) -> Evidence:
     return Evidence(rays[name], rays[COST], default[name], default[COST])
 
 
+def _at_equal_error(found: Kept) -> str:
+    if found.cheapest is None:
+        return "none errs so little"
+    return f"{_times(found.times_cheaper, 'cheaper', 'dearer', '.2g')} (`{found.cheapest}`)"
+
+
+def _at_equal_time(found: Kept) -> str:
+    if found.best is None:
+        return "none takes so little"
+    return f"error {_times(found.times_more_exact, 'smaller', 'larger', '.2f')} (`{found.best}`)"
+
+
+def _times(factor: float, more: str, less: str, form: str) -> str:
+    return f"{factor:{form}} times {more}" if factor >= 1.0 else f"{1 / factor:{form}} times {less}"
+
+
 def sentences(dives: Mapping[str, Rows]) -> str:
     """What came of it on each dive, as Markdown."""
     lines = [
@@ -118,12 +134,9 @@ def sentences(dives: Mapping[str, Rows]) -> str:
     for dive, rows in dives.items():
         for whole in (PUBLISHED, PUBLISHED_SHIPPED, PUBLISHED_FILE):
             found = kept(rows, whole.key)
-            cheaper = f"{found.times_cheaper:.2g} times cheaper (`{found.cheapest}`)"
-            smaller = f"error {found.times_more_exact:.2f} times smaller (`{found.best}`)"
             lines.append(
                 f"| {dive} | {whole.label} | {found.error_m:.3f} m, {found.cost_ms:.1f} ms | "
-                f"{cheaper if found.cheapest is not None else 'none errs so little'} | "
-                f"{smaller if found.best is not None else 'none takes so little'} | "
+                f"{_at_equal_error(found)} | {_at_equal_time(found)} | "
                 f"{'yes' if found.is_kept else '**no**'} |"
             )
     lines += ["", "| dive | log-odds off, rays | ours | times more exact | time, rays | ours |"]
