@@ -106,8 +106,8 @@ KNOBS = (
         _turned("localization.tempering", "0.1", 0.02, 0.05, 0.1, 0.2, 0.4, 1.0),
         "1.0",
         MARGIN,
-        "Costs no time. Beams that overlap are not as many votes; with 1 the cloud is sure of itself "
-        "where it is wrong, three times as often.",
+        "Costs no time. Beams that overlap are not as many votes; with 1 the cloud is sure of "
+        "itself where it is wrong, three times as often.",
         quick=True,
     ),
     Knob(
@@ -145,8 +145,8 @@ KNOBS = (
         _scaled("scale.step", 0.5, 1.0, 2.0, 4.0, 8.0),
         None,
         MARGIN,
-        "Fewer updates save no time: odometry drifts between them, and the cloud that spreads needs "
-        "more particles.",
+        "Fewer updates save no time: odometry drifts between them, and the cloud that spreads "
+        "needs more particles.",
     ),
     Knob(
         "cloud-error",
@@ -174,8 +174,8 @@ KNOBS = (
         "never",
         MARGIN,
         "The first to turn on a weak computer where the start is known: a followed dive takes a "
-        "sixth to a third of the time without. A vehicle that was carried off, or began at a wrong place, is "
-        "found by it.",
+        "sixth to a third of the time without. A vehicle that was carried off, or began at a "
+        "wrong place, is found by it.",
     ),
     Knob(
         "sharpness",

@@ -234,7 +234,8 @@ KNOBS = (
         "aggregation",
         "Both kinds of evidence in one ping",
         [("occupied_first", {}), ("mean", {"mapping.aggregation": "mean"})],
-        "The mean takes more than twice as long, as it cannot be sampled, and more surface is missing.",
+        "The mean takes more than twice as long, as it cannot be sampled, and more surface is "
+        "missing.",
     ),
     _knob(
         "adaptive",
