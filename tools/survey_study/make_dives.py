@@ -71,7 +71,7 @@ def record_all(todo: Sequence[Dive], folder: Path, processes: int) -> list[Path]
             over, left = wait(waiting, LOOK_S, FIRST_COMPLETED)
             if any(not future.cancelled() and future.exception() for future in over):
                 pool.shutdown(wait=False, cancel_futures=True)
-            waiting = list(left)
+            waiting = [future for future in left if not future.cancelled()]
             bar.update(done.value - bar.n)
         return [future.result() for future in futures]
 
