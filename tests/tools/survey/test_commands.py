@@ -133,14 +133,15 @@ def test_folder_elsewhere_is_read_from_there(folder: Path, tmp_path: Path) -> No
     elsewhere = fsspec.filesystem("memory")
     elsewhere.put(f"{folder}/", "memory://commands", recursive=True)
     assert run("export", "memory://commands") == 2
-    for command in ("export", "report"):
-        assert run(command, "memory://commands", "--out", tmp_path / command) == 0
-        assert run(command, folder) == 0
+    words = ["--products", "grid", "soundings"]
+    assert run("export", "memory://commands", *words, "--out", tmp_path / "here") == 0
+    assert run("export", folder, *words) == 0
     for name in ("depth.tif", "soundings.xyz"):
         here = (folder / "exports" / name).read_bytes()
-        assert (tmp_path / "export" / name).read_bytes() == here
-    here = (folder / "report/report.json").read_bytes()
-    assert (tmp_path / "report/report.json").read_bytes() == here
+        assert (tmp_path / "here" / name).read_bytes() == here
+    assert run("report", "memory://commands", "--out", tmp_path / "here") == 0
+    report = json.loads((tmp_path / "here/report.json").read_text())
+    assert [dive["name"] for dive in report["dives"]] == ["one", "two"]
 
 
 def test_place_that_is_none_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
