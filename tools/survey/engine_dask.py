@@ -4,11 +4,14 @@ Tasks are plain functions of plain arguments, and write only files of their own 
 place when they are whole: it does no harm to do one twice, and a worker may die at any time.
 """
 
+import asyncio
 import contextlib
 import logging
 import queue
+import signal
 import time
 from collections.abc import Callable, Iterator
+from multiprocessing import resource_tracker
 from typing import Any
 
 import dask
@@ -132,7 +135,11 @@ class Pool:
                 f"workers die before they do anything: {self._begun} of them; allowed: --workers 0 "
                 "does all in one process, and says what is wrong"
             )
-        self._begun += self.cluster.sync(self._fill_up)
+        try:
+            self._begun += self.cluster.sync(self._fill_up)
+        except KeyboardInterrupt:
+            self.cluster.sync(self._begin)  # Dask cannot close what is half begun
+            raise
 
     async def _fill_up(self) -> int:
         cluster = self.cluster
@@ -142,9 +149,13 @@ class Pool:
             cluster.worker_spec.update(cluster.new_worker_spec())
         missing = len(cluster.worker_spec.keys() - cluster.workers.keys())
         if missing:
-            with contextlib.suppress(RuntimeError, OSError, TimeoutError):  # died: seen next time
-                await cluster
+            await asyncio.shield(asyncio.ensure_future(self._begin()))
         return missing
+
+    async def _begin(self) -> None:
+        """Wait until all have begun, or died: that is seen next time."""
+        with contextlib.suppress(RuntimeError, OSError, TimeoutError):
+            await self.cluster
 
     def close(self) -> None:
         """Let them go."""
@@ -158,16 +169,31 @@ def local_pool(workers: int, memory_bytes: int) -> DaskEngine:
         SurveyError: none can be begun.
     """
     dask.config.set({"distributed.scheduler.allowed-failures": ALLOWED_DEATHS})
-    cluster = LocalCluster(
-        n_workers=0,
-        threads_per_worker=1,
-        processes=True,
-        memory_limit=memory_bytes,
-        host="127.0.0.1",
-        dashboard_address="127.0.0.1:0",  # with none, Dask takes a port that may be taken
-        silence_logs=QUIET,
-    )
+    with _deaf_to_interrupts():
+        cluster = LocalCluster(
+            n_workers=0,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=memory_bytes,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",  # with none, Dask takes a port that may be taken
+            silence_logs=QUIET,
+        )
     return DaskEngine(Client(cluster), Pool(cluster, workers))
+
+
+@contextlib.contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Threads that begin meanwhile, and processes that these begin, do not hear Ctrl-C.
+
+    It reaches all processes of a terminal; who began them lets them go.
+    """
+    resource_tracker.ensure_running()  # where it is begun later, it makes its thread hear again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def on_scheduler(address: str) -> DaskEngine:

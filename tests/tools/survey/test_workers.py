@@ -1,5 +1,6 @@
 """Dask's workers make the same map, however often they die. The one test that begins a cluster."""
 
+import asyncio
 import contextlib
 import os
 import signal
@@ -74,6 +75,10 @@ def first_worker_killed() -> Iterator[list[int]]:
         watching.join()
 
 
+def hears_interrupts(_: object) -> bool:
+    return signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
 def fails(_: object) -> None:
     raise SurveyError("cannot be done")
 
@@ -94,6 +99,9 @@ def test_killed_workers_change_nothing(
         assert len(cluster_of(engine).workers) == 2
         theirs = on_scheduler(cluster_of(engine).scheduler_address)
         run_survey(request, Folder(str(tmp_path / "more")), theirs, options, Silent())  # type: ignore[arg-type]
+        theirs.submit(hears_interrupts, 1)
+        assert list(theirs.done()) == [(1, False)]
+        assert hears_interrupts(1)
         theirs.submit(fails, 1)
         with pytest.raises(SurveyError, match="cannot be done"):
             list(theirs.done())
@@ -117,16 +125,20 @@ class Deadly:
     def __init__(self) -> None:
         self.workers: dict[int, Any] = {}
         self.worker_spec: dict[int, Any] = {}
+        self.begun = 0
+        self.interrupted = False
 
     def new_worker_spec(self) -> dict[int, Any]:
         return {len(self.worker_spec): None}
 
     def sync(self, function: Any) -> Any:
-        with pytest.raises(StopIteration) as ended:
-            function().send(None)
-        return ended.value.value
+        if self.interrupted:
+            self.interrupted = False
+            raise KeyboardInterrupt
+        return asyncio.run(function())
 
     def __await__(self) -> Iterator[None]:
+        self.begun += 1
         dead = type("Nanny", (), {"status": Status.failed})
         self.workers = dict.fromkeys(self.worker_spec, dead)
         yield from ()
@@ -141,3 +153,12 @@ def test_workers_that_always_die_end_the_run() -> None:
     with pytest.raises(SurveyError, match="20 of them; allowed: --workers 0"):
         pool.fill_up(anew=False)
     pool.fill_up(anew=True)
+
+
+def test_an_interrupted_pool_is_not_left_half_begun() -> None:
+    cluster = Deadly()
+    pool = Pool(cluster, 2)
+    cluster.interrupted = True
+    with pytest.raises(KeyboardInterrupt):
+        pool.fill_up(anew=True)
+    assert cluster.begun == 2
