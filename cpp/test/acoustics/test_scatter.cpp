@@ -1,6 +1,7 @@
 #include <cmath>
 #include <vector>
 
+#include "acoustics/footprint.hpp"
 #include "acoustics/scatter.hpp"
 #include "check.hpp"
 
@@ -46,7 +47,7 @@ struct Wall {
             {count, none.data(), none.data(), none.data(), none.data(), cell.data(), span.data(),
              gain.data(), &leg},
             {kRows, kColumns, 0.02, -0.2, 0.005, 1.0},
-            {loss.data(), vertical.data(), 2, taps.data(), 1, 2},
+            {loss.data(), vertical.data(), 2, taps.data(), 1, taps.size()},
             {true, false, true, 500.0, 4.0, key}};
   }
 
@@ -101,6 +102,50 @@ TEST_CASE("the mean power of a wall is Lambert's integral over it, however it le
     wall.planes = {-std::cos(lean_rad), 0.0, std::sin(lean_rad), -kWallM * std::cos(lean_rad)};
     CHECK_NEAR(sum_of(wall.power(2)) / expected_power(lean_rad), 1.0, 0.01);
   }
+}
+
+TEST_CASE("a wall that leans has the field's power too") {
+  Wall wall(kSide / 8);
+  wall.planes = {-std::cos(0.8), 0.0, std::sin(0.8), -kWallM * std::cos(0.8)};
+  double sum = 0.0;
+  for (std::uint64_t key = 0; key < 100; ++key) sum += sum_of(wall.field(key, 2));
+  CHECK_NEAR(sum / 100 / expected_power(0.8), 1.0, 0.03);
+}
+
+TEST_CASE("what an echo spreads to the columns beside it is lost nowhere") {
+  Wall wide;
+  wide.taps = {0.1F, 0.2F, 0.3F, 0.4F};
+  CHECK_NEAR(sum_of(wide.power(2)) / sum_of(Wall().power(2)), 1.0, 1e-5);
+}
+
+// One cell's patch on a plane.
+acoustics::Footprint footprint(const std::vector<double>& plane, const std::vector<float>& cell,
+                               const std::vector<float>& span) {
+  Wall wall(1);
+  wall.planes = plane;
+  wall.cell = cell;
+  wall.span = span;
+  acoustics::Footprint patch{};
+  CHECK(acoustics::footprint_of(wall.echoes(1, 1), 0, patch));
+  return patch;
+}
+
+TEST_CASE("a floor seen along has a patch that ends where its face does") {
+  const std::vector<double> floor{0.0, 0.0, 1.0, -1.0};
+  const std::vector<float> to_the_sky{-0.01F, 0.01F, -0.05F, 0.01F};
+  const acoustics::Footprint far = footprint(floor, to_the_sky, {0.1F, 100.0F});
+  CHECK_NEAR(far.near_m, 20.0, 1e-4);
+  CHECK(far.far_m > 60.0 && far.far_m < 100.0);
+  const acoustics::Footprint face = footprint(floor, to_the_sky, {30.0F, 60.0F});
+  CHECK_NEAR(face.near_m, 30.0, 1e-9);
+  CHECK_NEAR(face.far_m, 60.0, 1e-9);
+}
+
+TEST_CASE("a cell ends where directions do") {
+  const acoustics::Footprint abeam =
+      footprint({0.0, 1.0, 0.0, -5.0}, {0.95F, 1.05F, -0.01F, 0.01F}, {0.1F, 100.0F});
+  CHECK_NEAR(abeam.near_m, 5.0, 1e-3);
+  for (std::size_t k = 0; k < 4; ++k) CHECK_NEAR(abeam.corner_m[1][k], -5.0, 1e-6);
 }
 
 TEST_CASE("a beam counts there and back, and like losses and gains it is one of amplitudes") {
