@@ -136,6 +136,21 @@ def test_arrival_outside_the_picture_is_not_heard(time_s: float, sine: float) ->
     assert not cells.any()
 
 
+def test_a_pulse_from_beside_the_first_column_is_heard_by_its_part() -> None:
+    cells = field()
+    sine = float(column_sines(COLUMNS, SONAR)[0]) - 0.75 * SONAR.sine_pitch
+    add_arrival(cells, Arrival(0.0, 1.0, sine, 120.0), SONAR, SPEED, key=1)
+    assert np.abs(cells[50, 0]) == pytest.approx(0.25e6, rel=1e-4)
+    assert not cells[:, 1:].any()
+
+
+def test_columns_beyond_the_last_direction_hear_no_water_and_no_nan() -> None:
+    columns = math.ceil(2.4 / SONAR.sine_pitch)
+    _, heard = volume_rms(SONAR, physics(volume_strength_db=-60.0), columns)
+    assert np.isfinite(heard).all()
+    assert heard[columns // 2] > 0
+
+
 @pytest.mark.parametrize("empty", [field, power])
 def test_crosstalk_puts_a_part_of_the_rows_mean_power_into_every_beam(empty: type) -> None:
     beams = empty()

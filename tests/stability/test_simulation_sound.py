@@ -185,6 +185,8 @@ def test_a_cloud_is_passed_along_its_faces_and_edges() -> None:
         assert ((gain >= 0) & (gain <= 1)).all()
     enter, leave = passage(cloud, np.zeros(3), rays, reach)
     assert (enter[0], leave[0]) == pytest.approx((1.0, 3.0))
+    enter, leave = passage(cloud, np.zeros(3), rays, np.full(len(rays), 2.5))
+    assert (enter[0], leave[0]) == pytest.approx((1.0, 2.5))
 
 
 @pytest.mark.parametrize("bits", [8, 16, 32])
