@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from oculus_driver import OculusError, Ping, bearing_table_cdeg, decode_ping
 from oculus_driver.labels import caption_of, time_of
-from oculus_driver.picture import Painter, Style, fan_of
+from oculus_driver.picture import Painter, Style, fan_of, laid_out
 from oculus_driver.picture.film import Film, PngFolder
 from oculus_driver.picture.scale import ring_ranges_m, spoke_bearings_deg
 
@@ -121,6 +121,27 @@ def test_gain_words_are_taken_out_and_rows_without_one_are_dark(
     assert middle[[550, 400, 100]].tolist() == [0, 255, 128]
 
 
+def test_what_is_brighter_than_white_is_white_and_a_black_ping_is_black(
+    ping_of: Callable[..., Ping],
+) -> None:
+    gains = np.ones(ROWS, dtype=np.uint32)
+    painter = Painter(Style(height_px=600, colours="grey", gamma=1.0, labels=False))
+    image = np.full((ROWS, BEAMS), 100, dtype=np.uint16)
+    image[150:153, 127:130] = 250  # so few that they do not settle what is white
+    frame = painter.paint(ping_of(image, gains=gains))
+    assert (frame[200:400, frame.shape[1] // 2, 0] == 255).all()
+    frame = painter.paint(ping_of(np.zeros_like(image), gains=gains))
+    assert (frame[200:400, frame.shape[1] // 2] == 0).all()
+
+
+def test_samples_stand_at_the_middles_of_their_rows() -> None:
+    fan = fan_of(np.radians(np.linspace(-30, 30, 8)), 10.0, (400, 400), (0, 0, 0, 0))
+    level = np.repeat(np.arange(4, dtype=np.float32)[:, np.newaxis], 8, axis=1)
+    laid = laid_out(level, fan)
+    expected = np.clip(4.0 * fan.row_share - 0.5, 0.0, 3.0)
+    assert laid[~fan.outside] == pytest.approx(expected[~fan.outside], abs=0.05)
+
+
 def test_labels_change_nothing_about_where_the_fan_may_be(ping_of: Callable[..., Ping]) -> None:
     ping = ping_of(spot(150, 128))
     frame = Painter(Style(height_px=700)).paint(ping)
@@ -148,6 +169,7 @@ def test_spokes_are_whole_degrees_of_the_aperture() -> None:
     assert spoke_bearings_deg(np.radians([-30.0, 0.0, 30.0])) == [-30, -20, -10, 0, 10, 20, 30]
     assert spoke_bearings_deg(np.radians([-65.0, 65.0])) == [-60, -45, -30, -15, 0, 15, 30, 45, 60]
     assert spoke_bearings_deg(np.radians([-3.0, 3.0])) == [0]
+    assert spoke_bearings_deg(np.radians([11.0, 43.0])) == [15, 20, 25, 30, 35, 40]
 
 
 def test_the_caption_says_what_the_ping_is(captured: list[Message]) -> None:
