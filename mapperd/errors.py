@@ -25,6 +25,14 @@ __all__ = [
 class MapperdError(Exception):
     """Root of all errors of this package; its text is one line for a person."""
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """For other processes: whatever the constructor of a kind wants besides the text."""
+        return _again, (type(self), self.args), self.__dict__
+
+
+def _again(kind: type[MapperdError], args: tuple[object, ...]) -> MapperdError:
+    return kind.__new__(kind, *args)
+
 
 class ConfigError(MapperdError):
     """A setting is wrong.

@@ -18,6 +18,7 @@ import dask
 from distributed import Client, Future, LocalCluster, Status
 from distributed.scheduler import KilledWorker
 
+from mapperd.errors import MapperdError
 from survey.engine import Done
 from survey.errors import SurveyError
 
@@ -215,4 +216,11 @@ def _result_of(future: Future) -> object:
         raise SurveyError(
             f"{ALLOWED_DEATHS} workers died of the same task, most likely for want of memory: "
             f"allowed: a larger --memory-per-worker ({error})"
+        ) from error
+    except (SurveyError, MapperdError, OSError):
+        raise
+    except Exception as error:  # a scheduler that is gone has errors of its own, workers have any
+        raise SurveyError(
+            f"a task did not end: {type(error).__name__}: {error}; the same command goes on; "
+            "--workers 0 does all in one process, and says what is wrong"
         ) from error

@@ -13,6 +13,7 @@ from typing import Any
 import psutil
 import pytest
 from distributed import Status
+from distributed.client import FutureCancelledError
 from survey import engine_dask
 from survey.engine import Done
 from survey.engine_dask import DaskEngine, Pool, local_pool, on_scheduler
@@ -21,6 +22,7 @@ from survey.folder import Folder
 from survey.request import read_survey
 from survey.running import Options, run_survey
 
+from mapperd.errors import StoreError
 from tests.tools.survey.dives import MEMORY, Silent, rows_in, run_here, write_survey
 
 
@@ -83,6 +85,14 @@ def fails(_: object) -> None:
     raise SurveyError("cannot be done")
 
 
+def damaged(_: object) -> None:
+    raise StoreError("a.db: is damaged", "damaged")
+
+
+def faulty(_: object) -> None:
+    raise ZeroDivisionError
+
+
 def test_killed_workers_change_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -105,6 +115,12 @@ def test_killed_workers_change_nothing(
         theirs.submit(fails, 1)
         with pytest.raises(SurveyError, match="cannot be done"):
             list(theirs.done())
+        theirs.submit(damaged, 1)
+        with pytest.raises(StoreError, match=r"a\.db: is damaged"):
+            list(theirs.done())
+        theirs.submit(faulty, 1)
+        with pytest.raises(SurveyError, match="ZeroDivisionError: ; the same command goes on"):
+            list(theirs.done())
         cluster_of(engine).scale(0)
         monkeypatch.setattr(engine_dask, "ALONE_S", 0.5)
         theirs.submit(time.sleep, 1000)
@@ -117,6 +133,18 @@ def test_killed_workers_change_nothing(
     assert rows_in(tmp_path / "out/map.db") == expected
     assert rows_in(tmp_path / "more/map.db") == expected
     assert capfd.readouterr().err == ""
+
+
+class Lost:
+    """What a scheduler that is gone leaves behind."""
+
+    def result(self) -> None:
+        raise FutureCancelledError("map_tile-1", "scheduler-connection-lost")
+
+
+def test_a_lost_scheduler_is_told_in_one_line() -> None:
+    with pytest.raises(SurveyError, match="connection-lost.*; the same command goes on"):
+        engine_dask._result_of(Lost())  # type: ignore[arg-type]
 
 
 class Deadly:
