@@ -10,11 +10,11 @@ from survey.engine import Engine
 from survey.fingerprint import digest_of, facts_of, program_digest
 from survey.folder import Folder
 from survey.marks import mark, marked
-from survey.planning import DivePlan, PlanTask, index_name, plan_dive, spool_name
+from survey.planning import DivePlan, PlanTask, index_name, mark_name, plan_dive, spool_name
 from survey.request import Dive, Request
 from survey.spool import Rows
 
-__all__ = ["mark_name", "plan_all", "rows_of"]
+__all__ = ["plan_all", "rows_of"]
 
 Show = Callable[[float, int], None]
 
@@ -35,20 +35,15 @@ def plan_all(request: Request, folder: Folder, engine: Engine, show: Show) -> li
         else:
             plans[task.name] = kept
     for task, plan in engine.done():
-        mark(folder, mark_name(task.name), plan)
+        mark(folder, mark_name(task), plan)
         plans[task.name] = plan
         show(len(plans) / len(tasks), sum(each.pings for each in plans.values()))
     return [plans[task.name] for task in tasks]
 
 
-def mark_name(dive: str) -> str:
-    """Of what is said of a dive's plan."""
-    return f"plan/{dive}.json"
-
-
 def rows_of(folder: Folder, plan: DivePlan) -> Rows:
     """The index of a dive's spool."""
-    data = folder.read(index_name(plan.name))
+    data = folder.read(index_name(plan))
     assert data is not None  # noqa: S101 it was there, or has just been made
     rows: Rows = np.load(io.BytesIO(data))
     return rows
@@ -64,7 +59,7 @@ def _task(request: Request, dive: Dive, folder: Folder) -> PlanTask:
 
 
 def _kept(folder: Folder, task: PlanTask, there: set[str]) -> DivePlan | None:
-    if not {spool_name(task.name), index_name(task.name), mark_name(task.name)} <= there:
+    if not {spool_name(task), index_name(task), mark_name(task)} <= there:
         return None
-    plan = marked(folder, mark_name(task.name), DivePlan)
+    plan = marked(folder, mark_name(task), DivePlan)
     return plan if plan is not None and plan.fingerprint == task.fingerprint else None

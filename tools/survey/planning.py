@@ -18,7 +18,7 @@ from survey.frame import Frame
 from survey.request import Transform
 from survey.spool import NO_TIME, SpoolMap
 
-__all__ = ["DivePlan", "Lost", "PlanTask", "index_name", "plan_dive", "spool_name"]
+__all__ = ["DivePlan", "Lost", "PlanTask", "index_name", "mark_name", "plan_dive", "spool_name"]
 
 
 class PlanTask(Struct, frozen=True):
@@ -92,14 +92,19 @@ class DivePlan(Struct, frozen=True):
     written_bytes: int
 
 
-def spool_name(dive: str) -> str:
-    """Of a dive's records in the survey's folder."""
-    return f"plan/{dive}.spool"
+def spool_name(plan: DivePlan | PlanTask) -> str:
+    """Of a dive's records in the survey's folder; those of other inputs are other files."""
+    return f"plan/{plan.name}.{plan.fingerprint}.spool"
 
 
-def index_name(dive: str) -> str:
+def index_name(plan: DivePlan | PlanTask) -> str:
     """Of their rows."""
-    return f"plan/{dive}.npy"
+    return f"plan/{plan.name}.{plan.fingerprint}.npy"
+
+
+def mark_name(plan: DivePlan | PlanTask) -> str:
+    """Of what is said of both."""
+    return f"plan/{plan.name}.{plan.fingerprint}.json"
 
 
 def plan_dive(task: PlanTask) -> DivePlan:
@@ -120,8 +125,8 @@ def plan_dive(task: PlanTask) -> DivePlan:
                 lost += _spool(session, task.config, spool, counters)
         rows = spool.rows()
         np.save(work / "rows.npy", rows)
-        folder.put(work / "spool", spool_name(task.name))
-        folder.put(work / "rows.npy", index_name(task.name))
+        folder.put(work / "spool", spool_name(task))
+        folder.put(work / "rows.npy", index_name(task))
     times = [int(t_ns) for t_ns in rows["t_ns"] if t_ns != NO_TIME]
     return DivePlan(
         name=task.name,

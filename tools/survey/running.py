@@ -2,6 +2,7 @@
 
 import contextlib
 import fcntl
+import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TextIO
@@ -17,8 +18,8 @@ from survey.folder import Folder
 from survey.marks import mark, marked
 from survey.memory import edge_for, voxel_bytes_of
 from survey.merging import MergeResult, MergeTask, merge_shards
-from survey.plan_stage import mark_name, plan_all, rows_of
-from survey.planning import DivePlan, index_name, spool_name
+from survey.plan_stage import plan_all, rows_of
+from survey.planning import DivePlan, index_name, mark_name, spool_name
 from survey.request import Request
 from survey.task_times import TaskTime
 from survey.tile_stage import Scope, TileStage, shard_mark
@@ -44,7 +45,10 @@ class Options(msgspec.Struct, frozen=True):
 
 
 SUFFIXES = (".db", ".spool", ".npy", ".json")
-"""Of files that a run makes beside its marks."""
+"""Of files that a run makes, its marks with them."""
+
+FINGERPRINTED = re.compile(r"\.[0-9a-f]{24}\.[a-z]+$")
+"""Names that nobody but a run gives: a stop may have left such a file without its mark."""
 
 
 class _Merged(msgspec.Struct, frozen=True):
@@ -164,6 +168,7 @@ class _Running:
             return before.result
         config = self._request.config
         task = MergeTask(name, list(shards), config, scope.pings, self._folder.url)
+        self._folder.remove(said)  # of the map before, which the merged one takes the place of
         result = merge_shards(task)
         mark(self._folder, said, _Merged(key, result))
         return result
@@ -172,14 +177,14 @@ class _Running:
         """Remove what earlier runs with other inputs have left."""
         wanted = self._shards | {shard_mark(shard) for shard in self._shards}
         for plan in plans:
-            wanted |= {spool_name(plan.name), index_name(plan.name), mark_name(plan.name)}
+            wanted |= {spool_name(plan), index_name(plan), mark_name(plan)}
         for name in maps:
             wanted |= {name, _said_of(name)}
         ours = [
             name
             for part, kind in (("shards", TileResult), ("plan", DivePlan), (DIVES, _Merged))
             for name in self._folder.names(part) - wanted
-            if name.endswith(SUFFIXES) and _is_marked(self._folder, name, kind)
+            if name.endswith(SUFFIXES) and _is_ours(self._folder, name, kind)
         ]
         for name in sorted(ours, key=lambda name: name.endswith(".json")):  # the marks last
             self._folder.remove(name)
@@ -229,8 +234,10 @@ def _bar(stage: str, out: TextIO) -> Iterator[Callable[[float, int], None]]:
     bar.close(last)
 
 
-def _is_marked(folder: Folder, name: str, kind: type[msgspec.Struct]) -> bool:
+def _is_ours(folder: Folder, name: str, kind: type[msgspec.Struct]) -> bool:
     """Whether a run made a file: a user's recordings may lie in folders of these names too."""
+    if FINGERPRINTED.search(name):
+        return True
     return marked(folder, f"{name.rpartition('.')[0]}.json", kind) is not None
 
 

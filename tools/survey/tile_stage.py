@@ -16,7 +16,7 @@ from survey.fingerprint import digest_of, program_digest
 from survey.folder import Folder
 from survey.marks import mark, marked
 from survey.order import Tile, ordinals_of, tiles_of
-from survey.planning import DivePlan
+from survey.planning import DivePlan, spool_name
 from survey.spool import Rows
 from survey.tile_task import SpooledDive, TileResult, TileTask, map_tile
 
@@ -135,7 +135,7 @@ class TileStage:
             key=tile.key,
             edge=tile.edge,
             config=self._config,
-            dives=[SpooledDive(plan.name, plan.bearings) for plan in self._scope.plans],
+            dives=[SpooledDive(spool_name(plan), plan.bearings) for plan in self._scope.plans],
             pings=places.tobytes(),
             folder=self._folder.url,
             most_bytes=self._most_bytes,

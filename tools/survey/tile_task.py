@@ -15,7 +15,6 @@ from mapperd.mapping import SonarMap
 from mapperd.store.whole import packed, write_whole
 from survey.folder import Folder
 from survey.order import PLACE, Key
-from survey.planning import spool_name
 from survey.records import Record, RecordReader
 
 __all__ = ["SpooledDive", "TileResult", "TileTask", "map_tile"]
@@ -25,9 +24,9 @@ LOOK_EVERY = 200
 
 
 class SpooledDive(Struct, frozen=True):
-    """A dive's spool: its name, and the tables that its records refer to."""
+    """A dive's spool: name of the file, and the tables that its records refer to."""
 
-    name: str
+    spool: str
     bearings: list[bytes]
 
 
@@ -146,7 +145,7 @@ def _pings(
     files: dict[int, tuple[BinaryIO, RecordReader]] = {}
     for ordinal, dive, size, offset in places.tolist():
         if dive not in files:
-            file = opened.enter_context(folder.open(spool_name(dives[dive].name)))
+            file = opened.enter_context(folder.open(dives[dive].spool))
             files[dive] = file, RecordReader(dives[dive].bearings)
         file, reader = files[dive]
         file.seek(offset)

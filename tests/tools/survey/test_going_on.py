@@ -1,6 +1,7 @@
 """A survey goes on where it was stopped, and makes anew only what changed inputs touch."""
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -134,11 +135,12 @@ def test_maps_of_dives_that_are_no_more_are_removed(tmp_path: Path) -> None:
     for by_dive, left in ((True, {"a.db", "a.json"}), (False, set())):
         run_here(survey, tmp_path / "out", by_dive=by_dive)
         assert {path.name for path in (tmp_path / "out/dives").iterdir()} == left
-    assert {path.name for path in (tmp_path / "out/plan").iterdir()} == {
-        "a.json",
-        "a.spool",
-        "a.npy",
-    }
+    planned = sorted(path.name.split(".") for path in (tmp_path / "out/plan").iterdir())
+    assert [(name, suffix) for name, _, suffix in planned] == [
+        ("a", "json"),
+        ("a", "npy"),
+        ("a", "spool"),
+    ]
 
 
 def test_files_of_others_in_its_folder_stay(tmp_path: Path) -> None:
@@ -167,6 +169,34 @@ def test_whatever_changes_makes_another_map(tmp_path: Path, what: str) -> None:
     run_here(survey, tmp_path / "out")
     run_here(survey, tmp_path / "fresh")
     assert rows_in(tmp_path / "out/map.db") == rows_in(tmp_path / "fresh/map.db") != before
+
+
+@pytest.mark.parametrize("stage", ["plan_stage", "running"])
+def test_what_a_stop_leaves_is_not_taken_for_what_was_there(
+    whole: tuple[Path, list[tuple[Any, ...]]], tmp_path: Path, stage: str
+) -> None:
+    survey, expected = whole
+    told = json.loads(survey.read_text("utf-8"))
+    told["dives"][0] |= {"recording": str(survey.parent / "a.mcap")}
+    told["dives"][1] |= {"recording": str(survey.parent / "b.mcap")}
+    mine = tmp_path / "survey.yaml"
+    for shift_m in (0, 10, 0):
+        told["dives"][0]["transform"] = {"x": shift_m}
+        mine.write_text(json.dumps(told), encoding="utf-8")
+        with pytest.MonkeyPatch.context() as patch:
+            if shift_m:
+                patch.setattr(f"survey.{stage}.mark", stopped)
+                with pytest.raises(KeyboardInterrupt):
+                    run_here(mine, tmp_path / "out")
+                shutil.rmtree(tmp_path / "out/shards")
+            else:
+                run_here(mine, tmp_path / "out")
+                assert rows_in(tmp_path / "out/map.db") == expected
+    assert len(list((tmp_path / "out/plan").iterdir())) == 6
+
+
+def stopped(*_: object) -> None:
+    raise KeyboardInterrupt
 
 
 def test_two_at_once_in_one_folder_are_refused(
