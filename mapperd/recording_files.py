@@ -24,6 +24,7 @@ class _Seen:
     bytes_read: int = 0
     truncated: bool = False
     damage: str | None = None
+    read_error: OSError | None = None
 
 
 class RecordedSession:
@@ -62,6 +63,11 @@ class RecordedSession:
         """The first thing found wrong, for a person."""
         return self._seen.damage
 
+    @property
+    def read_error(self) -> OSError | None:
+        """What the disk said, where it did not let a file be read: it may do so later."""
+        return self._seen.read_error
+
     def __iter__(self) -> Iterator[Chunk]:
         """Read from the front; raises `RecordingError` where a file cannot be opened any more."""
         self._seen = seen = _Seen()
@@ -73,6 +79,7 @@ class RecordedSession:
                     yield chunk
                 seen.bytes_read = before + recording.bytes_read
                 seen.truncated = seen.truncated or recording.truncated
+                seen.read_error = seen.read_error or recording.read_error
                 if recording.damage is not None and seen.damage is None:
                     name = f"{path.name}: " if len(self.paths) > 1 else ""
                     seen.damage = f"{name}{recording.damage}"

@@ -43,6 +43,7 @@ class Progress:
         truncated: the file ends before its content does.
         damage: the first thing that is wrong with the file, for a person, or None.
         faults: how many things were wrong.
+        read_error: what the disk said, where it did not let the file be read to its end.
         first_ns, last_ns: earliest and latest stamp.
         metadata: of the recording, by key.
     """
@@ -51,6 +52,7 @@ class Progress:
     truncated: bool = False
     damage: str | None = None
     faults: int = 0
+    read_error: OSError | None = None
     first_ns: int | None = None
     last_ns: int | None = None
     metadata: dict[str, str] = field(default_factory=dict)

@@ -81,6 +81,11 @@ class Recording:
         return self._progress.damage
 
     @property
+    def read_error(self) -> OSError | None:
+        """What the disk said, where it did not let the file be read to its end."""
+        return self._progress.read_error
+
+    @property
     def faults(self) -> int:
         """How many things were found wrong with the file."""
         return self._progress.faults
@@ -99,6 +104,7 @@ class Recording:
             self._file.seek(0)
             yield from READERS[self.format](self._file, self.size_bytes, progress)
         except OSError as error:
+            progress.read_error = error
             progress.cut(f"cannot be read on: {error.strerror or error}")
 
     def _look_ahead(self) -> None:

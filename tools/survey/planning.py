@@ -13,6 +13,7 @@ from mapperd.recording_files import RecordedSession, files_in, sessions_of
 from mapperd.replay import Window
 from mapperd.replay_runs import as_asked
 from oculus_driver.errors import RecordingError
+from survey.errors import SurveyError
 from survey.folder import Folder
 from survey.frame import Frame
 from survey.request import Transform
@@ -112,7 +113,8 @@ def plan_dive(task: PlanTask) -> DivePlan:
 
     Raises:
         ConfigError: localization cannot begin with the settings.
-        OSError: the survey's folder cannot be written.
+        OSError: the recording cannot be read now, or the survey's folder not be written.
+        SurveyError: there is no such recording.
     """
     began_s = time.process_time()
     folder = Folder(task.folder)
@@ -146,19 +148,32 @@ def plan_dive(task: PlanTask) -> DivePlan:
 
 
 def _sessions(recording: Path) -> tuple[list[RecordedSession], list[Lost]]:
-    """The sessions of a dive; files that cannot be opened at all are lost as a whole."""
+    """The sessions of a dive; files that are no recordings are lost as a whole."""
+    if not recording.exists():
+        raise SurveyError(f"{recording}: there is no such recording; allowed: a file or a folder")
     lost: list[Lost] = []
     usable: list[Path] = []
     for path in files_in([recording], begun=True):
         try:
             sessions_of([path])
-        except (RecordingError, OSError) as error:
+        except RecordingError as error:
+            _raise_if_of_disk(error)
             lost.append(Lost(str(path), str(error)))
         else:
             usable.append(path)
     if not usable and not lost:
         lost.append(Lost(str(recording), "there is no recording in it"))
     return sessions_of(usable), lost
+
+
+def _raise_if_of_disk(error: RecordingError) -> None:
+    """What a disk or a network refuses is no damage: it is tried again, and ends the run if need be.
+
+    Raises:
+        OSError: that it is.
+    """
+    if isinstance(error.__cause__, OSError):
+        raise OSError(str(error)) from error
 
 
 def _spool(
@@ -176,8 +191,11 @@ def _spool(
     try:
         for _ in replay.run(session):
             pass
-    except (RecordingError, OSError) as error:
+    except RecordingError as error:
+        _raise_if_of_disk(error)
         stopped = str(error)
+    if session.read_error is not None:
+        raise session.read_error
     reason = stopped or session.damage or ("it was cut" if session.truncated else None)
     rejected = counters.bytes_rejected - before[0]
     if reason is None and rejected:

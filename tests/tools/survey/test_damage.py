@@ -1,10 +1,12 @@
 """Recordings that were cut or damaged: what stands before is used, what was lost is told."""
 
+import errno
 from pathlib import Path
 from typing import Any
 
 import pytest
 from survey.command import main
+from survey.errors import SurveyError
 
 from tests.tools.survey.dives import rows_in, run_here, write_dive, write_survey
 
@@ -21,13 +23,15 @@ def test_a_cut_recording_counts_up_to_the_cut(tmp_path: Path) -> None:
     sizes = write_dive(tmp_path / "a.mcap", 1)
     data = (tmp_path / "a.mcap").read_bytes()[: sizes[20] - 5]
     record = run_on(tmp_path, data)
-    write_dive(tmp_path / "short.mcap", 1, pings=19)
     (dive,) = record["dives"]
     (lost,) = dive["lost"]
-    assert 15 <= dive["pings"] < 30
+    assert dive["pings"] == 20
     assert lost["truncated"]
     assert lost["bytes_read"] <= lost["size_bytes"] == len(data)
-    assert len(rows_in(tmp_path / "out/map.db")) > 5
+    undamaged = write_survey(tmp_path / "short", dives=ALONE)
+    write_dive(tmp_path / "short/a.mcap", 1, pings=20)
+    run_here(undamaged, tmp_path / "short/out")
+    assert rows_in(tmp_path / "out/map.db") == rows_in(tmp_path / "short/out/map.db")
 
 
 def test_turned_bits_cost_what_they_hit(tmp_path: Path) -> None:
@@ -59,8 +63,32 @@ def test_what_is_no_recording_is_lost_as_a_whole(
     assert rows_in(tmp_path / "out/map.db") == rows_in(tmp_path / "alone/out/map.db")
 
 
-def test_a_recording_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_a_recording_that_is_not_there_is_an_error(tmp_path: Path) -> None:
     dives = [*ALONE, {"name": "b", "recording": "nowhere.mcap"}]
-    record = run_here(write_survey(tmp_path, dives=dives), tmp_path / "out")
-    assert [dive["pings"] for dive in record["dives"]] == [30, 0]
-    assert "nowhere.mcap" in record["dives"][1]["lost"][0]["recording"]
+    survey = write_survey(tmp_path, dives=dives)
+    with pytest.raises(SurveyError, match=r"nowhere\.mcap: there is no such recording"):
+        run_here(survey, tmp_path / "out")
+
+
+def refused(*_: object, **__: object) -> None:
+    raise OSError(errno.EIO, "Input/output error")
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        "oculus_driver.recording.recording._open",
+        "oculus_driver.recording.recording.kind_of",
+        "oculus_driver.recording.mcap_reader._Reader.read",
+        "survey.spool.RecordWriter.pack",
+    ],
+)
+def test_what_a_disk_refuses_is_no_damage(tmp_path: Path, what: str) -> None:
+    survey = write_survey(tmp_path, dives=ALONE)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(what, refused)
+        with pytest.raises(OSError, match="Input/output error"):
+            run_here(survey, tmp_path / "out")
+    (dive,) = run_here(survey, tmp_path / "out")["dives"]
+    assert dive["pings"] == 30
+    assert not dive["lost"]
