@@ -167,7 +167,7 @@ def _sessions(recording: Path) -> tuple[list[RecordedSession], list[Lost]]:
 
 
 def _raise_if_of_disk(error: RecordingError) -> None:
-    """What a disk or a network refuses is no damage: it is tried again, and ends the run if need be.
+    """What a disk or a network refuses is no damage: it is tried again, and may end the run.
 
     Raises:
         OSError: that it is.
