@@ -4,6 +4,7 @@ Files come into it whole or not at all: they are written in a workspace, then pu
 """
 
 import contextlib
+import os
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -66,13 +67,15 @@ class Folder:
             self.put(path, name)
 
     def put(self, path: Path, name: str) -> None:
-        """Give a finished file of a workspace its place."""
+        """Give a finished file of a workspace its place; a power cut does not take it away."""
         at = self._at(name)
         if self.local is None:
             self._fs.put_file(str(path), at)
             return
         Path(at).parent.mkdir(parents=True, exist_ok=True)
+        _sync(path)
         path.replace(at)
+        _sync(Path(at).parent)
 
     @contextlib.contextmanager
     def fetched(self, name: str) -> Iterator[Path]:
@@ -104,11 +107,18 @@ class Folder:
 
     def names(self, prefix: str) -> set[str]:
         """Of the files directly in a part of the folder, with that part's name."""
+        return set(self.sizes(prefix))
+
+    def sizes(self, prefix: str) -> dict[str, int]:
+        """Bytes of the files directly in a part of the folder, by name."""
         try:
-            found = self._fs.ls(self._at(prefix), detail=False)
+            found = self._fs.ls(self._at(prefix), detail=True)
         except FileNotFoundError:
-            return set()
-        return {f"{prefix}/{str(path).rstrip('/').rpartition('/')[2]}" for path in found}
+            return {}
+        return {
+            f"{prefix}/{each['name'].rstrip('/').rpartition('/')[2]}": int(each["size"] or 0)
+            for each in found
+        }
 
     def remove(self, name: str) -> None:
         """Remove a file if it is there."""
@@ -121,3 +131,12 @@ class Folder:
 
     def _at(self, name: str) -> str:
         return f"{self._root.rstrip('/')}/{name}"
+
+
+def _sync(path: Path) -> None:
+    """Have the disk itself hold a file, or the names in a folder."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

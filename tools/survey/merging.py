@@ -1,17 +1,19 @@
 """Shards become one map's file: their rows side by side, as they are."""
 
 import contextlib
-import os
 import time
 from collections.abc import Generator, Sequence
 
 from msgspec import Struct
 
 from mapperd.config import Config
+from mapperd.errors import StoreError
 from mapperd.store.bricks import BrickRow
 from mapperd.store.reader import StoreReader
 from mapperd.store.whole import write_whole
+from survey.errors import SurveyError
 from survey.folder import Folder
+from survey.tile_stage import shard_mark
 
 __all__ = ["MergeResult", "MergeTask", "merge_shards"]
 
@@ -48,7 +50,8 @@ def merge_shards(task: MergeTask) -> MergeResult:
     """Make one file of many; memory for one brick.
 
     Raises:
-        StoreError: a shard is damaged, or two hold the same brick.
+        SurveyError: a shard is damaged, and has no mark any more.
+        StoreError: two hold the same brick.
         OSError: the survey's folder cannot be read or written.
     """
     began_s = time.process_time()
@@ -58,8 +61,6 @@ def merge_shards(task: MergeTask) -> MergeResult:
         rows = _rows(folder, task.shards)
         with contextlib.closing(rows):
             bricks = write_whole(path, task.config, task.revision, rows)
-        with path.open("rb") as file:
-            os.fsync(file.fileno())
         written = path.stat().st_size
         folder.put(path, task.name)
     return MergeResult(
@@ -73,5 +74,9 @@ def merge_shards(task: MergeTask) -> MergeResult:
 
 def _rows(folder: Folder, shards: Sequence[str]) -> Generator[BrickRow]:
     for shard in shards:
-        with folder.fetched(shard) as path, StoreReader(path) as reader:
-            yield from reader.rows()
+        try:
+            with folder.fetched(shard) as path, StoreReader(path) as reader:
+                yield from reader.rows()
+        except StoreError as error:
+            folder.remove(shard_mark(shard))
+            raise SurveyError(f"{error}; the same command makes it anew") from error

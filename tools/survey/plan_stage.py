@@ -1,6 +1,7 @@
 """All dives are planned, each once: what did not change since stays as it is."""
 
 import io
+import zlib
 from collections.abc import Callable
 
 import msgspec
@@ -26,7 +27,7 @@ def plan_all(request: Request, folder: Folder, engine: Engine, show: Show) -> li
         SurveyError: a task cannot be done.
     """
     tasks = [_task(request, dive, folder) for dive in request.survey.dives]
-    there = folder.names("plan")
+    there = folder.sizes("plan")
     plans: dict[str, DivePlan] = {}
     for task in tasks:
         kept = _kept(folder, task, there)
@@ -58,8 +59,9 @@ def _task(request: Request, dive: Dive, folder: Folder) -> PlanTask:
     return PlanTask(dive.name, str(recording), config, dive.transform, folder.url, fingerprint)
 
 
-def _kept(folder: Folder, task: PlanTask, there: set[str]) -> DivePlan | None:
-    if not {spool_name(task), index_name(task), mark_name(task)} <= there:
+def _kept(folder: Folder, task: PlanTask, there: dict[str, int]) -> DivePlan | None:
+    plan = marked(folder, mark_name(task), DivePlan) if mark_name(task) in there else None
+    if plan is None or there.get(spool_name(task)) != plan.spool_bytes:
         return None
-    plan = marked(folder, mark_name(task), DivePlan)
-    return plan if plan is not None and plan.fingerprint == task.fingerprint else None
+    index = folder.read(index_name(task))
+    return plan if index is not None and zlib.crc32(index) == plan.index_crc else None

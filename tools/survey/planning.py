@@ -1,6 +1,7 @@
 """Planning one dive: its recording goes the ordinary way, but into a spool instead of a map."""
 
 import time
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,7 @@ class DivePlan(Struct, frozen=True):
         first_ns, last_ns: of pings with a time; None without any.
         bearings: tables of the records.
         lost: what could not be used.
+        spool_bytes, index_crc: of its files: others are damaged.
         cpu_s, read_bytes, written_bytes: of the task.
     """
 
@@ -88,6 +90,8 @@ class DivePlan(Struct, frozen=True):
     last_ns: int | None
     bearings: list[bytes]
     lost: list[Lost]
+    spool_bytes: int
+    index_crc: int
     cpu_s: float
     read_bytes: int
     written_bytes: int
@@ -127,6 +131,7 @@ def plan_dive(task: PlanTask) -> DivePlan:
                 lost += _spool(session, task.config, spool, counters)
         rows = spool.rows()
         np.save(work / "rows.npy", rows)
+        index_crc = zlib.crc32((work / "rows.npy").read_bytes())
         folder.put(work / "spool", spool_name(task))
         folder.put(work / "rows.npy", index_name(task))
     times = [int(t_ns) for t_ns in rows["t_ns"] if t_ns != NO_TIME]
@@ -141,6 +146,8 @@ def plan_dive(task: PlanTask) -> DivePlan:
         last_ns=max(times, default=None),
         bearings=spool.bearings,
         lost=lost,
+        spool_bytes=spool.size_bytes,
+        index_crc=index_crc,
         cpu_s=time.process_time() - began_s,
         read_bytes=sum(session.bytes_read for session in sessions),
         written_bytes=spool.size_bytes + rows.nbytes,
@@ -167,7 +174,7 @@ def _sessions(recording: Path) -> tuple[list[RecordedSession], list[Lost]]:
 
 
 def _raise_if_of_disk(error: RecordingError) -> None:
-    """What a disk or a network refuses is no damage: it is tried again, and may end the run.
+    """What a disk or a network refuses is no damage: it is tried again, or ends the run.
 
     Raises:
         OSError: that it is.

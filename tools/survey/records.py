@@ -6,6 +6,7 @@ nearly nothing, and the map is the same to the bit.
 
 import math
 import struct
+import zlib
 from collections.abc import Sequence
 
 import numpy as np
@@ -23,6 +24,9 @@ Record = tuple[Echo, Floats, PingMotion | None]
 
 HEAD = struct.Struct("<BBHIId16d8d")
 """Bytes a sample, whether it moves, table of bearings, rows, beams, metres a row, pose, motion."""
+
+CRC = struct.Struct("<I")
+"""Before the rest, of which it is."""
 
 LEVEL = 1
 STILL = (0.0,) * 8
@@ -59,7 +63,8 @@ class RecordWriter:
             *map_T_sonar.ravel().tolist(),
             *(STILL if motion is None else _numbers_of(motion)),
         )
-        return head + self._compressor.compress(samples.data)
+        record = head + self._compressor.compress(samples.data)
+        return CRC.pack(zlib.crc32(record)) + record
 
     def _samples(self, intensity: NDArray[np.float32]) -> NDArray[np.uint8] | NDArray[np.float32]:
         """As bytes where that loses nothing."""
@@ -94,6 +99,10 @@ class RecordReader:
             MapperdError: the bytes are no such record.
         """
         try:
+            (crc,) = CRC.unpack_from(record)
+            record = record[CRC.size :]
+            if zlib.crc32(record) != crc:
+                raise ValueError("wrong checksum")  # noqa: TRY301 one text for all damage
             size, moves, table, rows, beams, resolution_m, *numbers = HEAD.unpack_from(record)
             data = self._decompressor.decompress(
                 record[HEAD.size :], max_output_size=rows * beams * size

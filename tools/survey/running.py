@@ -164,7 +164,12 @@ class _Running:
         key = digest_of(str(scope.pings), *shards)
         said = _said_of(name)
         before = marked(self._folder, said, _Merged)
-        if before is not None and before.key == key and self._folder.has(name):
+        if (
+            before is not None
+            and before.key == key
+            and self._folder.has(name)
+            and self._folder.size_of(name) == before.result.written_bytes
+        ):
             return before.result
         config = self._request.config
         task = MergeTask(name, list(shards), config, scope.pings, self._folder.url)

@@ -16,7 +16,7 @@ from survey.fingerprint import digest_of, program_digest
 from survey.folder import Folder
 from survey.marks import mark, marked
 from survey.order import Tile, ordinals_of, tiles_of
-from survey.planning import DivePlan, spool_name
+from survey.planning import DivePlan, mark_name, spool_name
 from survey.spool import Rows
 from survey.tile_task import SpooledDive, TileResult, TileTask, map_tile
 
@@ -75,7 +75,7 @@ class TileStage:
         self._edge = edge
         self._ordinals = ordinals_of(scope.rows)
         self._tiles: dict[int, dict[Tile, NDArray[np.void]]] = {}
-        self._there: set[str] = set()
+        self._there: dict[str, int] = {}
         self._done = self._asked = 0
 
     def run(self, engine: Engine, show: Show) -> list[str]:
@@ -84,7 +84,7 @@ class TileStage:
         Raises:
             SurveyError: a task cannot be done, or a single brick is too large.
         """
-        self._there = self._folder.names("shards")
+        self._there = self._folder.sizes("shards")
         tiles = self._tiles_of(self._edge)
         shards: list[str] = []
         largest_first = sorted(tiles, key=lambda tile: -len(tiles[tile]))
@@ -135,7 +135,10 @@ class TileStage:
             key=tile.key,
             edge=tile.edge,
             config=self._config,
-            dives=[SpooledDive(spool_name(plan), plan.bearings) for plan in self._scope.plans],
+            dives=[
+                SpooledDive(spool_name(plan), mark_name(plan), plan.bearings)
+                for plan in self._scope.plans
+            ],
             pings=places.tobytes(),
             folder=self._folder.url,
             most_bytes=self._most_bytes,
@@ -149,4 +152,4 @@ class TileStage:
             return None
         if result.too_large:
             return result if task.most_bytes <= result.most_bytes else None
-        return result if task.shard in self._there else None
+        return result if self._there.get(task.shard) == result.written_bytes else None

@@ -11,8 +11,10 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from mapperd.config import Config
+from mapperd.errors import MapperdError
 from mapperd.mapping import SonarMap
 from mapperd.store.whole import packed, write_whole
+from survey.errors import SurveyError
 from survey.folder import Folder
 from survey.order import PLACE, Key
 from survey.records import Record, RecordReader
@@ -24,9 +26,10 @@ LOOK_EVERY = 200
 
 
 class SpooledDive(Struct, frozen=True):
-    """A dive's spool: name of the file, and the tables that its records refer to."""
+    """A dive's spool: names of the file and of its mark, and tables that its records refer to."""
 
     spool: str
+    mark: str
     bearings: list[bytes]
 
 
@@ -83,7 +86,7 @@ def map_tile(task: TileTask) -> TileResult:
     Revisions are those of the map of all: every ping counts, wherever it lies.
 
     Raises:
-        MapperdError: a spool is damaged.
+        SurveyError: a spool is damaged, and has no mark any more.
         OSError: the survey's folder cannot be read or written.
     """
     began_s = time.process_time()
@@ -149,4 +152,11 @@ def _pings(
             files[dive] = file, RecordReader(dives[dive].bearings)
         file, reader = files[dive]
         file.seek(offset)
-        yield ordinal, reader.unpack(file.read(size))
+        try:
+            record = reader.unpack(file.read(size))
+        except MapperdError as error:
+            folder.remove(dives[dive].mark)
+            raise SurveyError(
+                f"{dives[dive].spool}: {error}; the same command makes it anew"
+            ) from error
+        yield ordinal, record

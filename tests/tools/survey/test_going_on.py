@@ -195,6 +195,43 @@ def test_what_a_stop_leaves_is_not_taken_for_what_was_there(
     assert len(list((tmp_path / "out/plan").iterdir())) == 6
 
 
+@pytest.mark.parametrize("name", ["plan/a.*.spool", "plan/a.*.npy", "shards/*.db", "map.db"])
+@pytest.mark.parametrize("empty", [True, False])
+def test_what_a_power_cut_damages_is_made_anew(tmp_path: Path, name: str, empty: bool) -> None:  # noqa: FBT001 two ways
+    survey = write_survey(tmp_path, dives=[{"name": "a", "recording": "a.mcap"}])
+    out = tmp_path / "out"
+    run_here(survey, out)
+    expected = rows_in(out / "map.db")
+    damaged = next(out.glob(name))
+    data = damaged.read_bytes()
+    if empty:
+        damaged.write_bytes(b"")
+    elif name == "map.db":
+        damaged.write_bytes(data[:-4096])
+    else:
+        damaged.write_bytes(data[: len(data) // 2] + bytes(len(data) - len(data) // 2))
+    if not name.startswith("shards"):
+        shutil.rmtree(out / "shards")
+    else:
+        (out / "map.json").unlink()
+    if not empty and damaged.suffix in (".spool", ".db") and name != "map.db":
+        with pytest.raises(SurveyError, match="the same command makes it anew"):
+            run_here(survey, out)
+    run_here(survey, out)
+    assert rows_in(out / "map.db") == expected
+
+
+def test_files_are_on_the_disk_before_their_marks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced: list[str] = []
+    monkeypatch.setattr(
+        "os.fsync", lambda handle: synced.append(str(Path(f"/proc/self/fd/{handle}").readlink()))
+    )
+    Folder(str(tmp_path)).write("shards/a.db", b"1")
+    assert [Path(path).name for path in synced] == ["file", "shards"]
+
+
 def stopped(*_: object) -> None:
     raise KeyboardInterrupt
 

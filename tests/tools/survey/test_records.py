@@ -77,3 +77,11 @@ def test_damage_is_told(cut: int) -> None:
     record = writer.pack(noise(np.round), POSE, None)
     with pytest.raises(MapperdError, match="spool is damaged"):
         RecordReader(writer.bearings).unpack(record[:cut])
+
+
+def test_a_turned_bit_of_a_pose_is_told() -> None:
+    writer = RecordWriter(35)
+    record = bytearray(writer.pack(noise(np.round), POSE, None))
+    record[40] ^= 1
+    with pytest.raises(MapperdError, match="spool is damaged: wrong checksum"):
+        RecordReader(writer.bearings).unpack(bytes(record))
