@@ -2,16 +2,18 @@
 
 import argparse
 import contextlib
-import math
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
+
 from mapperd.config import Config
 from mapperd.config_file import load_config
 from mapperd.geodesy import Origin
+from survey import request
 from survey.errors import SurveyError
 from survey.export import Progress
 from survey.finished import told_in
@@ -113,8 +115,9 @@ def shown(what: str, clock: Callable[[], float] = time.monotonic) -> Progress:
 def _origin(text: str) -> Origin:
     try:
         latitude, longitude = (float(part) for part in text.split(","))
-    except ValueError:
-        latitude = longitude = math.nan
-    if not (abs(latitude) < 90 and abs(longitude) <= 180):  # noqa: PLR2004 degrees
-        raise argparse.ArgumentTypeError(f"{text!r}: latitude,longitude in degrees were expected")
-    return Origin.of_degrees(latitude, longitude)
+        told = {"latitude": latitude, "longitude": longitude}
+        said = msgspec.convert(told, request.Origin)  # as in survey.yaml, by the same limits
+    except ValueError as error:
+        expected = "latitude,longitude in degrees were expected"
+        raise argparse.ArgumentTypeError(f"{text!r}: {expected}: {error}") from error
+    return Origin.of_degrees(said.latitude, said.longitude)

@@ -1,5 +1,6 @@
 """The sub-commands export and report, as a person gives them."""
 
+import argparse
 import json
 from pathlib import Path
 
@@ -9,9 +10,12 @@ import numpy as np
 import pytest
 import rasterio
 from survey.command import main
-from survey.place_arguments import shown
+from survey.errors import SurveyError
+from survey.place_arguments import _origin, shown
+from survey.request import read_survey
 
 from mapperd.config import Config
+from mapperd.geodesy import Origin as GeodeticOrigin
 from mapperd.setting_changes import with_values
 from tests.tools.survey.maps import map_of, store_of
 
@@ -148,6 +152,33 @@ def test_place_that_is_none_is_refused(folder: Path, capsys: pytest.CaptureFixtu
     with pytest.raises(SystemExit):
         run("export", folder, "--origin=91,0")
     assert "latitude,longitude" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "allowed"),
+    [
+        ("90,180", True),
+        ("-90,-180", True),
+        ("90.1,0", False),
+        ("0,180.1", False),
+        ("nan,0", False),
+        ("0,nan", False),
+    ],
+)
+def test_one_rule_for_an_origin(text: str, allowed: bool, tmp_path: Path) -> None:  # noqa: FBT001 said of each
+    latitude, longitude = text.replace("nan", ".nan").split(",")
+    survey = tmp_path / "survey.yaml"
+    origin = f"origin: {{latitude: {latitude}, longitude: {longitude}}}"
+    survey.write_text(f"dives: [{{name: a, recording: a.mcap}}]\n{origin}\n", encoding="utf-8")
+    if not allowed:
+        with pytest.raises(argparse.ArgumentTypeError, match="were expected"):
+            _origin(text)
+        with pytest.raises(SurveyError, match=r"survey\.yaml: "):
+            read_survey(survey)
+        return
+    said = read_survey(survey).survey.origin
+    assert said is not None
+    assert _origin(text) == GeodeticOrigin.of_degrees(said.latitude, said.longitude)
 
 
 def test_progress_says_the_time_that_is_left(capsys: pytest.CaptureFixture[str]) -> None:
