@@ -144,7 +144,7 @@ class Lost:
 
 def test_a_lost_scheduler_is_told_in_one_line() -> None:
     with pytest.raises(SurveyError, match=r"connection-lost.*; the same command goes on"):
-        engine_dask._result_of(Lost())  # type: ignore[arg-type]
+        engine_dask._result_of(Lost())
 
 
 class Deadly:
