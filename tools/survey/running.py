@@ -21,7 +21,7 @@ from survey.merging import MergeResult, MergeTask, merge_shards
 from survey.plan_stage import plan_all, rows_of
 from survey.planning import DivePlan, index_name, mark_name, spool_name
 from survey.request import Request
-from survey.task_times import TaskTime
+from survey.task_times import Kind, TaskTime
 from survey.tile_stage import Scope, TileStage, shard_mark
 from survey.tile_task import TileResult
 
@@ -99,16 +99,7 @@ class _Running:
         self._folder.forget_workspaces()
         with self._stage("plan") as show:
             plans = plan_all(self._request, self._folder, self._engine, show)
-        self._times += [
-            TaskTime(
-                kind="plan",
-                name=f"plan/{plan.name}",
-                cpu_s=plan.cpu_s,
-                read_bytes=plan.read_bytes,
-                written_bytes=plan.written_bytes,
-            )
-            for plan in plans
-        ]
+        self._times += [_time_of("plan", plan.name, plan) for plan in plans]
         rows = [rows_of(self._folder, plan) for plan in plans]
         whole = Scope("", plans, rows)
         alone = [Scope(p.name, [p], [r]) for p, r in zip(plans, rows, strict=True)]
@@ -127,29 +118,11 @@ class _Running:
         results = sorted(stage.results, key=lambda result: result.shard)
         self._shards.update(result.shard for result in results)
         planned = tuple(f"plan/{plan.name}" for plan in scope.plans)
-        self._times += [
-            TaskTime(
-                kind="tile",
-                name=f"tile/{_short(result.shard)}",
-                cpu_s=result.cpu_s,
-                read_bytes=result.read_bytes,
-                written_bytes=result.written_bytes,
-                after=planned,
-            )
-            for result in results
-        ]
+        tiles = [_time_of("tile", _short(result.shard), result, planned) for result in results]
         with self._stage(f"merge{suffix}"):
             merged = self._merged(scope, shards)
-        self._times.append(
-            TaskTime(
-                kind="merge",
-                name=f"merge/{merged.name}",
-                cpu_s=merged.cpu_s,
-                read_bytes=merged.read_bytes,
-                written_bytes=merged.written_bytes,
-                after=tuple(f"tile/{_short(result.shard)}" for result in results),
-            )
-        )
+        after = tuple(tile.name for tile in tiles)
+        self._times += [*tiles, _time_of("merge", merged.name, merged, after)]
         return {
             "map": merged.name,
             "pings": scope.pings,
@@ -237,6 +210,22 @@ def _bar(stage: str, out: TextIO) -> Iterator[Callable[[float, int], None]]:
 
     yield show
     bar.close(last)
+
+
+def _time_of(
+    kind: Kind,
+    name: str,
+    took: DivePlan | TileResult | MergeResult,
+    after: tuple[str, ...] = (),
+) -> TaskTime:
+    return TaskTime(
+        kind=kind,
+        name=f"{kind}/{name}",
+        cpu_s=took.cpu_s,
+        read_bytes=took.read_bytes,
+        written_bytes=took.written_bytes,
+        after=after,
+    )
 
 
 def _is_ours(folder: Folder, name: str, kind: type[msgspec.Struct]) -> bool:
