@@ -265,3 +265,19 @@ def test_the_folder_may_lie_elsewhere(tmp_path: Path) -> None:
     assert rows_in(tmp_path / "fetched.db") == rows_in(tmp_path / "out/map.db")
     with pytest.raises(SurveyError, match="cannot be reached"):
         Folder("nothing-known://x")
+
+
+def test_each_task_tells_what_it_took_and_what_it_waited_for(tmp_path: Path) -> None:
+    record = run_here(write_survey(tmp_path, tile_size_m=12.8), tmp_path / "out")
+    tasks = {task.name: task for task in record["tasks"]}
+    plans, tiles, merges = (
+        {name for name, task in tasks.items() if task.kind == kind}
+        for kind in ("plan", "tile", "merge")
+    )
+    assert plans == {"plan/a", "plan/b"}
+    assert len(tiles) > 1
+    assert len(merges) == 1
+    assert all(set(tasks[name].after) == plans for name in tiles)
+    assert set(tasks[merges.pop()].after) == tiles
+    assert all(task.cpu_s > 0 for task in tasks.values())
+    assert all(min(task.read_bytes, task.written_bytes) > 0 for task in tasks.values())
