@@ -24,12 +24,12 @@ QUICK = LinkTimes(
     connect_ns=500 * MS,
     keep_alive_ns=20 * MS,
     send_gap_ns=MS,
-    silence_ns=200 * MS,
+    silence_ns=5000 * MS,  # a busy machine's pause is no silence
     reconnect_ns=500 * MS,
     fallback_ns=200 * MS,
     back_off_ns=(10 * MS, 20 * MS),
 )
-"""A link's patience, for tests that wait for it to end."""
+"""A link's patience, for tests that wait for it to end; of silence, they say their own."""
 
 
 class FakeSonar:
@@ -84,9 +84,10 @@ class FakeSonar:
         await self._free.wait()
 
     def drop(self) -> None:
-        """Cut the connection, as a pulled cable's reset does."""
+        """Cut the connection, as a pulled cable's reset does; the place is free at once."""
         if self._writer is not None:
             self._writer.transport.abort()
+            self._writer = self._settings = None
 
     def send(self, data: bytes) -> None:
         assert self._writer is not None
@@ -144,7 +145,8 @@ class FakeSonar:
         except* ConnectionError:
             pass
         finally:
-            self._writer = None
+            if self._writer is writer:
+                self._writer = None
             writer.close()
             with suppress(ConnectionError):
                 await writer.wait_closed()

@@ -174,9 +174,10 @@ def test_silence_is_named_and_ends_in_a_new_connection(
     fake: MakeSonar, run: Run, quick: LinkTimes
 ) -> None:
     async def main() -> None:
+        strict = replace(quick, silence_ns=200_000_000)
         async with (
             fake() as device,
-            OculusSonar(HOST, FREE, port=device.port, times=quick) as sonar,
+            OculusSonar(HOST, FREE, port=device.port, times=strict) as sonar,
         ):
             await take(sonar, 1)
             device.mute = True
