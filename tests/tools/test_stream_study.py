@@ -43,6 +43,12 @@ def test_what_the_reference_was_never_told_is_as_old_as_the_daemon_says() -> Non
     assert ages(reference, judged, 3.8, 6.0)[0] == pytest.approx([0, 2.0])
 
 
+def test_what_went_back_unseen_by_the_reference_is_as_old_as_the_daemon_says() -> None:
+    reference = told((1, 0, 11), (2, 0, 12), (4, 0, 14))
+    judged = told((3.0, 0, 11), late_s=0.5)
+    assert ages(reference, judged, 3.8, 6.0)[0] == pytest.approx([0, 2.0])
+
+
 def test_near_and_far_are_told_apart() -> None:
     reference = told((1, 9, 1), (1, 12, 2))
     near, far = ages(reference, told((1.1, 9, 1)), 3.0)

@@ -60,8 +60,8 @@ def staleness(
     A block is as old as the time since the reference was first told something that the client has
     not got: the first change after the one whose content the client holds. A content that comes
     again (a cell that goes back) counts as the newest time it was so, in the client's favour. One
-    that the reference was never told, as it was read between two of its messages, is as old as the
-    daemon says.
+    that was read between two messages of the reference, which was never told it, or was told the
+    same long before, is as old as the daemon says.
 
     Args:
         reference: told at once of everything.
@@ -122,7 +122,8 @@ def _ages(
         digest, stamp_ns = _held(known, int(moment))
         told = int(np.searchsorted(times, moment + AHEAD_NS, side="right"))
         same = np.nonzero(digests[:told] == digest)[0]
-        missed = int(same[-1]) + 1 if len(same) else int(np.searchsorted(stamps, stamp_ns, "right"))
+        missed = int(np.searchsorted(stamps, stamp_ns, "right"))
+        missed = max(missed, int(same[-1]) + 1) if len(same) else missed
         if missed <= last:
             ages[at] = (moment - times[missed]) / 1e9
     return ages, newest >= 0
