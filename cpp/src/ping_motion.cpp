@@ -28,12 +28,11 @@ class Turn {
       return;
     }
     // Series in the square of the angle, to the last digit of a double.
-    sine_ = cosine_ = 0.0;
-    for (int n = 17; n >= 1; n -= 2) {
-      sine_ = 1 - s * sine_ / ((n + 1) * (n + 2));
-      cosine_ = 1 - s * cosine_ / ((n + 2) * (n + 3));
+    if (s < kSmall) {
+      sum<kTermsOfSmall>(s);
+    } else {
+      sum<kTerms>(s);
     }
-    cosine_ *= 0.5;
   }
 
   Vec3 operator()(const Vec3& v) const {
@@ -42,9 +41,28 @@ class Turn {
   }
 
  private:
+  // What follows the last term is less than s^terms / (2 terms + 1)!, below half a last digit.
+  static constexpr double kSmall = 1e-3;  // nearly every ping turns less than two degrees
+  static constexpr int kTermsOfSmall = 4;
+  static constexpr int kTerms = 9;
+
+  template <int kFrom>
+  void sum(double s) {
+    if constexpr (kFrom > 0) {
+      constexpr int n = 2 * kFrom - 1;
+      constexpr double kOfSine = 1.0 / ((n + 1) * (n + 2));
+      constexpr double kOfCosine = 1.0 / ((n + 2) * (n + 3));
+      sine_ = 1 - s * sine_ * kOfSine;
+      cosine_ = 1 - s * cosine_ * kOfCosine;
+      sum<kFrom - 1>(s);
+    } else {
+      cosine_ *= 0.5;
+    }
+  }
+
   Vec3 angle_;
-  double sine_ = 1.0;
-  double cosine_ = 0.5;
+  double sine_ = 0.0;
+  double cosine_ = 0.0;
 };
 
 }  // namespace

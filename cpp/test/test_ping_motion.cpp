@@ -58,6 +58,15 @@ TEST_CASE("a moving sonar sees a place where poses in time say that it does") {
   }
 }
 
+TEST_CASE("a turn of any size is right to the last digits") {
+  // Of unit vectors about z, small and large: each size is worked out in its own way.
+  for (const double angle : {0.0, 1e-9, 1e-3, 0.02, 0.0316, 0.0317, 0.3, 0.99, 1.01, 3.0}) {
+    const Transform turned = mapperd::turned_to_transmission({}, {{}, {0, 0, angle}, 1.0, 1500.0});
+    const Vec3 expected{std::cos(angle), std::sin(angle), 0};
+    check_near(turned.rows[0], expected, 5e-16);
+  }
+}
+
 TEST_CASE("sign and size of each motion, worked out by hand") {
   // 30 m ahead of a level sonar that looks along x: 40 ms there and back.
   const Vec3 ahead{30, 0, 0};
