@@ -77,14 +77,20 @@ def open_writer(path: Path) -> sqlite3.Connection:
         return connection
 
 
-def open_reader(path: Path) -> sqlite3.Connection:
+def open_reader(path: Path, *, finished: bool = False) -> sqlite3.Connection:
     """Open the file to read only, beside a writer in this or another process.
+
+    Args:
+        path: of the file.
+        finished: there is no writer, and none will be: take no locks.
 
     Raises:
         StoreError: it cannot be.
     """
     name = f"file:{quote(str(path.resolve()))}?mode=ro"
     with translated(path):
+        if finished:
+            return _checked(f"{name}&immutable=1")
         try:
             return _checked(name)
         except sqlite3.OperationalError:

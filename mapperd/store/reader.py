@@ -51,16 +51,18 @@ class StoreReader:
 
     Args:
         path: of the file.
+        finished: nobody will ever write to it again, and it is closed: it is read without locks,
+            which a network's folder may not have.
 
     Raises:
         StoreError: it cannot be read, or is none of this version.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, finished: bool = False) -> None:
         self.path = path
         self._unpacker = zstandard.ZstdDecompressor()
         with ExitStack() as opening:
-            self._connection = open_reader(path)
+            self._connection = open_reader(path, finished=finished)
             opening.callback(self._connection.close)
             with translated(path):
                 check_version(self._connection, path)

@@ -1,6 +1,6 @@
 """The survey's folder: on this machine's disk, or wherever fsspec reaches.
 
-Files come into it whole or not at all: they are written in a workspace, then put.
+Files come into it whole or not at all: they are written elsewhere, then put.
 """
 
 import contextlib
@@ -14,6 +14,7 @@ from typing import BinaryIO, cast
 import fsspec
 
 from survey.errors import SurveyError
+from survey.scratch import scratch
 
 __all__ = ["Folder"]
 
@@ -67,14 +68,20 @@ class Folder:
             self.put(path, name)
 
     def put(self, path: Path, name: str) -> None:
-        """Give a finished file of a workspace its place; a power cut does not take it away."""
+        """Give a finished file its place; a power cut does not take it away.
+
+        It is moved: a copy where it lies on another disk.
+        """
         at = self._at(name)
         if self.local is None:
             self._fs.put_file(str(path), at)
             return
         Path(at).parent.mkdir(parents=True, exist_ok=True)
-        _sync(path)
-        path.replace(at)
+        with self.workspace() as work:
+            near = work / "file"
+            shutil.move(path, near, copy_function=shutil.copyfile)
+            _sync(near)
+            near.replace(at)
         _sync(Path(at).parent)
 
     @contextlib.contextmanager
@@ -83,17 +90,17 @@ class Folder:
         if self.local is not None:
             yield Path(self._at(name))
             return
-        with tempfile.TemporaryDirectory() as temporary:
-            path = Path(temporary) / "file"
+        with scratch() as temporary:
+            path = temporary / "file"
             self._fs.get_file(self._at(name), str(path))
             yield path
 
     @contextlib.contextmanager
     def workspace(self) -> Iterator[Path]:
-        """A folder of its own on the disk, from where files can be put."""
+        """A folder of its own, near where files of it are put; not for SQLite."""
         if self.local is None:
-            with tempfile.TemporaryDirectory() as temporary:
-                yield Path(temporary)
+            with scratch() as temporary:
+                yield temporary
             return
         base = self.local / WORK
         base.mkdir(parents=True, exist_ok=True)

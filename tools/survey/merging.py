@@ -13,6 +13,7 @@ from mapperd.store.reader import StoreReader
 from mapperd.store.whole import write_whole
 from survey.errors import SurveyError
 from survey.folder import Folder
+from survey.scratch import scratch
 from survey.tile_stage import shard_mark
 
 __all__ = ["MergeResult", "MergeTask", "merge_shards"]
@@ -56,7 +57,7 @@ def merge_shards(task: MergeTask) -> MergeResult:
     """
     began_s = time.process_time()
     folder = Folder(task.folder)
-    with folder.workspace() as work:
+    with scratch() as work:
         path = work / "map.db"
         rows = _rows(folder, task.shards)
         with contextlib.closing(rows):
@@ -75,7 +76,7 @@ def merge_shards(task: MergeTask) -> MergeResult:
 def _rows(folder: Folder, shards: Sequence[str]) -> Generator[BrickRow]:
     for shard in shards:
         try:
-            with folder.fetched(shard) as path, StoreReader(path) as reader:
+            with folder.fetched(shard) as path, StoreReader(path, finished=True) as reader:
                 yield from reader.rows()
         except StoreError as error:
             folder.remove(shard_mark(shard))

@@ -18,6 +18,7 @@ from survey.errors import SurveyError
 from survey.folder import Folder
 from survey.order import PLACE, Key
 from survey.records import Record, RecordReader
+from survey.scratch import scratch
 
 __all__ = ["SpooledDive", "TileResult", "TileTask", "map_tile"]
 
@@ -98,7 +99,7 @@ def map_tile(task: TileTask) -> TileResult:
     whole = _integrate(sonar_map, folder, task.dives, places, task.most_bytes)
     voxel_bytes = sonar_map.memory_bytes
     if whole:
-        with folder.workspace() as work:
+        with scratch() as work:
             revision, found = sonar_map.core.bricks_since(0)
             bricks = write_whole(work / "shard.db", task.config, revision, packed(found))
             written = (work / "shard.db").stat().st_size
