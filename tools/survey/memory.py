@@ -1,12 +1,17 @@
 """How large tiles are, by the memory that a worker may take."""
 
 import re
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mapperd.config import Config
-from mapperd.mapping import BRICK_VOXELS
+from mapperd.mapping import BLOCK_VOXELS, BRICK_VOXELS
 from survey.errors import SurveyError
+from survey.spool import Rows
 
-__all__ = ["bytes_of", "edge_for", "voxel_bytes_of"]
+__all__ = ["bytes_of", "edge_for", "edge_within", "ping_bytes", "voxel_bytes_of"]
 
 PROGRAM_BYTES = 300 << 20
 """A worker before it has mapped anything, with one ping, and what Python keeps for itself."""
@@ -16,6 +21,13 @@ COPIES = 3
 
 VOXEL_BYTES = 6
 """Of an observed voxel in memory."""
+
+EVIDENCE_BYTES = {"projective": 12, "rays": 176}
+"""Of a voxel that a ping changes, as long as it is integrated: `OccupiedVoxel` in
+block_evidence.hpp, and a sample with its place in a table in rays.cpp."""
+
+BLOCK_BYTES = 1024
+"""Of a block that a ping changes, beside its voxels."""
 
 DEEP_M = 10.0
 """How thick the seabed and what stands on it are taken to be, where tiles are chosen."""
@@ -71,3 +83,35 @@ def edge_for(config: Config, voxel_bytes: int, tile_size_m: float | None) -> int
     while edge < MOST_EDGE and 2 * edge * brick_m <= tile_size_m:
         edge *= 2
     return edge
+
+
+def edge_within(edge: int, dives: Sequence[Rows], config: Config, voxel_bytes: int) -> int:
+    """The same edge, or a smaller one: no ping alone may bring more into a tile than has room.
+
+    Memory is looked at after each ping. Up to then a tile may have grown from its bound by what the
+    ping brings; the copies that it is written with are not there yet.
+
+    Args:
+        edge: of a tile, in bricks, a power of two.
+        dives: rows of each.
+        config: the settings.
+        voxel_bytes: that a tile may take.
+    """
+    room = (COPIES - 1) * voxel_bytes
+    extents = [rows["last"].astype(np.int64) - rows["first"] + 1 for rows in dives]
+    while edge > 1 and any(ping_bytes(extent, edge, config) > room for extent in extents):
+        edge //= 2
+    return edge
+
+
+def ping_bytes(extents: NDArray[np.int64], edge: int, config: Config) -> int:
+    """The most that one of some pings may take in one tile, in the map and while it is integrated.
+
+    Args:
+        extents: (N, 3) of the boxes that the pings may change, in blocks.
+        edge: of a tile, in bricks.
+        config: the settings.
+    """
+    within = np.clip(extents, 0, edge * BRICK_VOXELS // BLOCK_VOXELS)
+    voxel_bytes = VOXEL_BYTES + EVIDENCE_BYTES[config.mapping.integrator]
+    return int(within.prod(axis=1).max(initial=0)) * (voxel_bytes * BLOCK_VOXELS**3 + BLOCK_BYTES)

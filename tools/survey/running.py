@@ -16,7 +16,7 @@ from survey.errors import SurveyError
 from survey.fingerprint import digest_of
 from survey.folder import Folder
 from survey.marks import mark, marked
-from survey.memory import edge_for, voxel_bytes_of
+from survey.memory import edge_for, edge_within, voxel_bytes_of
 from survey.merging import MergeResult, MergeTask, merge_shards
 from survey.plan_stage import plan_all, rows_of
 from survey.planning import DivePlan, index_name, mark_name, spool_name
@@ -101,6 +101,7 @@ class _Running:
             plans = plan_all(self._request, self._folder, self._engine, show)
         self._times += [_time_of("plan", plan.name, plan) for plan in plans]
         rows = [rows_of(self._folder, plan) for plan in plans]
+        edge = edge_within(edge, rows, self._request.config, most_bytes)
         whole = Scope("", plans, rows)
         alone = [Scope(p.name, [p], [r]) for p, r in zip(plans, rows, strict=True)]
         scopes = [whole, *(alone if by_dive else [])]

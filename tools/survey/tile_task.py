@@ -22,10 +22,6 @@ from survey.scratch import scratch
 
 __all__ = ["SpooledDive", "TileResult", "TileTask", "map_tile"]
 
-LOOK_EVERY = 200
-"""Pings after which the tile's memory is looked at: that takes a moment."""
-
-
 class SpooledDive(Struct, frozen=True):
     """A dive's spool: names of the file and of its mark, and tables that its records refer to."""
 
@@ -130,14 +126,18 @@ def _integrate(
     places: NDArray[np.void],
     most_bytes: int,
 ) -> bool:
-    """Replay the pings; False as soon as the voxels take too much memory."""
+    """Replay the pings; False as soon as the voxels take too much memory.
+
+    It is looked after each: one may bring hundreds of megabytes, and a look takes less than a
+    hundredth of it.
+    """
     with contextlib.ExitStack() as opened:
-        for number, (ordinal, ping) in enumerate(_pings(folder, dives, places, opened), 1):
+        for ordinal, ping in _pings(folder, dives, places, opened):
             sonar_map.core.raise_revision(ordinal - 1)
             sonar_map.integrate(*ping)
-            if number % LOOK_EVERY == 0 and sonar_map.memory_bytes > most_bytes:
+            if sonar_map.memory_bytes > most_bytes:
                 return False
-    return sonar_map.memory_bytes <= most_bytes
+    return True
 
 
 def _pings(

@@ -125,16 +125,33 @@ def test_the_size_of_tiles_changes_nothing(tmp_path: Path) -> None:
 
 
 def test_a_tile_that_is_too_large_is_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    survey = write_survey(tmp_path, tile_size_m=51.2)
-    run_here(survey, tmp_path / "whole")
-    monkeypatch.setattr("survey.running.voxel_bytes_of", lambda *_: 900_000)
-    monkeypatch.setattr("survey.tile_task.LOOK_EVERY", 3)
+    dives = [
+        {"name": name, "recording": f"{name}.mcap", "transform": {"x": 10.0, "y": y, "z": 25.0}}
+        for name, y in (("a", 12.0), ("b", 30.0))  # both in one tile
+    ]
+    survey = write_survey(tmp_path, tile_size_m=51.2, dives=dives)
+    whole = run_here(survey, tmp_path / "whole")
+    most = 4_600_000
+    assert whole["maps"][0]["largest_tile_bytes"] > most + 1_000_000
+    monkeypatch.setattr("survey.running.voxel_bytes_of", lambda *_: most)
     record = run_here(survey, tmp_path / "cut")
+    assert record["tile_bricks"] == whole["tile_bricks"] == 8
     assert record["maps"][0]["tiles_cut"] > 0
-    assert record["maps"][0]["largest_tile_bytes"] < 1_500_000
+    assert most < record["maps"][0]["largest_tile_bytes"] < most + 300_000  # of the last ping
     assert rows_in(tmp_path / "cut/map.db") == rows_in(tmp_path / "whole/map.db")
     again = run_here(survey, tmp_path / "cut")
     assert again["tasks"] == record["tasks"]
+
+
+def test_tiles_asked_for_that_are_too_large_for_a_ping_begin_smaller(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    survey = write_survey(tmp_path, tile_size_m=204.8)
+    whole = run_here(survey, tmp_path / "whole")
+    monkeypatch.setattr("survey.running.voxel_bytes_of", lambda *_: 3_200_000)
+    record = run_here(survey, tmp_path / "cut")
+    assert (whole["tile_bricks"], record["tile_bricks"]) == (32, 1)
+    assert rows_in(tmp_path / "cut/map.db") == rows_in(tmp_path / "whole/map.db")
 
 
 def test_time_order_matters(tmp_path: Path) -> None:
