@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mapperd.mapping import BLOCK_VOXELS, BRICK_VOXELS
 from survey.spool import Rows
 
-__all__ = ["PLACE", "Key", "Tile", "ordinals_of", "tiles_of"]
+__all__ = ["PLACE", "Key", "Tile", "children_of", "ordinals_of", "tiles_of"]
 
 Key = tuple[int, int, int]
 
@@ -75,6 +75,37 @@ def tiles_of(
             parts.setdefault(Tile(key, edge), []).append(places[chosen])
     merged = {tile: np.concatenate(found) for tile, found in sorted(parts.items(), key=_key)}
     return {tile: found[np.argsort(found["ordinal"])] for tile, found in merged.items()}
+
+
+def children_of(
+    tile: Tile,
+    places: NDArray[np.void],
+    dives: Sequence[Rows],
+    ordinals: Sequence[NDArray[np.int64]],
+) -> dict[Tile, NDArray[np.void]]:
+    """What `tiles_of` half its edge says of a tile's children, from the tile's own pings alone.
+
+    Args:
+        tile: to be cut.
+        places: its pings.
+        dives: rows of each.
+        ordinals: of their pings.
+    """
+    first = np.empty((len(places), 3), dtype=np.int32)
+    last = np.empty((len(places), 3), dtype=np.int32)
+    for dive in np.unique(places["dive"]):
+        of_dive = places["dive"] == dive
+        # Within a dive numbers ascend.
+        at = np.searchsorted(ordinals[dive], places["ordinal"][of_dive])
+        first[of_dive], last[of_dive] = dives[dive]["first"][at], dives[dive]["last"][at]
+    found = {}
+    for child in tile.children():
+        low = np.array(child.key) * (child.edge * BLOCKS)
+        high = low + (child.edge * BLOCKS - 1)
+        touches = np.all((first <= high) & (last >= low), axis=1)
+        if touches.any():
+            found[child] = places[touches]
+    return found
 
 
 def _key(item: tuple[Tile, object]) -> Key:

@@ -15,7 +15,7 @@ from survey.errors import SurveyError
 from survey.fingerprint import digest_of, program_digest
 from survey.folder import Folder
 from survey.marks import mark, marked
-from survey.order import Tile, ordinals_of, tiles_of
+from survey.order import PLACE, Tile, children_of, ordinals_of, tiles_of
 from survey.planning import DivePlan, mark_name, spool_name
 from survey.spool import Rows
 from survey.tile_task import SpooledDive, TileResult, TileTask, map_tile
@@ -74,7 +74,6 @@ class TileStage:
         self._most_bytes = most_bytes
         self._edge = edge
         self._ordinals = ordinals_of(scope.rows)
-        self._tiles: dict[int, dict[Tile, NDArray[np.void]]] = {}
         self._there: dict[str, int] = {}
         self._done = self._asked = 0
 
@@ -85,48 +84,48 @@ class TileStage:
             SurveyError: a task cannot be done, or a single brick is too large.
         """
         self._there = self._folder.sizes("shards")
-        tiles = self._tiles_of(self._edge)
+        tiles = tiles_of(self._scope.rows, self._ordinals, self._edge)
         shards: list[str] = []
         largest_first = sorted(tiles, key=lambda tile: -len(tiles[tile]))
-        self._take(largest_first, engine, shards)
+        for tile in largest_first:
+            self._take(tile, tiles.pop(tile), engine, shards)
         for task, result in engine.done():
             mark(self._folder, shard_mark(task.shard), result)
-            self._took(Tile(task.key, task.edge), result, engine, shards)
+            self._took(task, result, engine, shards)
             show(self._done / max(self._asked, 1), self._done)
         return sorted(shards)
 
-    def _take(self, tiles: Sequence[Tile], engine: Engine, shards: list[str]) -> None:
-        """Have tiles made that are not there."""
-        for tile in tiles:
-            task = self._task(tile)
-            self._asked += len(self._tiles_of(tile.edge)[tile])
-            kept = self._kept(task)
-            if kept is None:
-                engine.submit(map_tile, task)
-            else:
-                self._took(tile, kept, engine, shards)
+    def _take(
+        self, tile: Tile, places: NDArray[np.void], engine: Engine, shards: list[str]
+    ) -> None:
+        """Have a tile made if it is not there."""
+        task = self._task(tile, places)
+        self._asked += len(places)
+        kept = self._kept(task)
+        if kept is None:
+            engine.submit(map_tile, task)
+        else:
+            self._took(task, kept, engine, shards)
 
-    def _took(self, tile: Tile, result: TileResult, engine: Engine, shards: list[str]) -> None:
+    def _took(
+        self, task: TileTask, result: TileResult, engine: Engine, shards: list[str]
+    ) -> None:
         self.results.append(result)
         self._done += result.pings
         if not result.too_large:
             shards.append(result.shard)
             return
-        children = [child for child in tile.children() if child in self._tiles_of(child.edge)]
+        tile, places = Tile(task.key, task.edge), np.frombuffer(task.pings, dtype=PLACE)
+        children = children_of(tile, places, self._scope.rows, self._ordinals)
         if not children:
             raise SurveyError(
                 f"tile {tile.name} takes over {self._most_bytes >> 20} MiB and cannot be cut: "
                 "allowed: a larger --memory-per-worker, or larger voxels"
             )
-        self._take(children, engine, shards)
+        for child, theirs in children.items():
+            self._take(child, theirs, engine, shards)
 
-    def _tiles_of(self, edge: int) -> dict[Tile, NDArray[np.void]]:
-        if edge not in self._tiles:
-            self._tiles[edge] = tiles_of(self._scope.rows, self._ordinals, edge)
-        return self._tiles[edge]
-
-    def _task(self, tile: Tile) -> TileTask:
-        places = self._tiles_of(tile.edge)[tile]
+    def _task(self, tile: Tile, places: NDArray[np.void]) -> TileTask:
         used = [self._scope.plans[dive].fingerprint for dive in np.unique(places["dive"])]
         key = digest_of(program_digest(), self._config, tile.name, *used, places.tobytes())
         scope = f"{self._scope.name}@" if self._scope.name else ""
