@@ -21,6 +21,7 @@ from distributed.scheduler import KilledWorker
 from mapperd.errors import MapperdError
 from survey.engine import Done
 from survey.errors import SurveyError
+from survey.same_program import done_by_worker, sent
 
 __all__ = ["DaskEngine", "Pool", "local_pool", "on_scheduler"]
 
@@ -61,7 +62,8 @@ class DaskEngine:
 
     def submit(self, function: Callable[[Any], Any], task: Any) -> None:  # noqa: ANN401 any task
         """Have a task done."""
-        future = self._client.submit(function, task, retries=RETRIES, pure=False)
+        work = sent(function, task)
+        future = self._client.submit(done_by_worker, work, retries=RETRIES, pure=False)
         self._tasks[future.key] = task
         future.add_done_callback(self._ended.put)
 

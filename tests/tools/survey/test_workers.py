@@ -21,6 +21,7 @@ from survey.errors import SurveyError
 from survey.folder import Folder
 from survey.request import read_survey
 from survey.running import Options, run_survey
+from survey.same_program import done_by_worker, sent
 
 from mapperd.errors import StoreError
 from tests.tools.survey.dives import MEMORY, Silent, rows_in, run_here, write_survey
@@ -121,6 +122,11 @@ def test_killed_workers_change_nothing(
         theirs.submit(faulty, 1)
         with pytest.raises(SurveyError, match="ZeroDivisionError: ; the same command goes on"):
             list(theirs.done())
+        with monkeypatch.context() as patch:
+            patch.setattr("survey.same_program.program_digest", lambda: "another")
+            theirs.submit(hears_interrupts, 1)
+        with pytest.raises(SurveyError, match=r"a worker has mapperd .* \(program another\)"):
+            list(theirs.done())
         cluster_of(engine).scale(0)
         monkeypatch.setattr(engine_dask, "ALONE_S", 0.5)
         theirs.submit(time.sleep, 1000)
@@ -133,6 +139,13 @@ def test_killed_workers_change_nothing(
     assert rows_in(tmp_path / "out/map.db") == expected
     assert rows_in(tmp_path / "more/map.db") == expected
     assert capfd.readouterr().err == ""
+
+
+def test_a_worker_of_another_program_refuses_before_it_unpacks_anything() -> None:
+    their_version, digest, packed = sent(str, 3)
+    assert done_by_worker((their_version, digest, packed)) == "3"
+    with pytest.raises(SurveyError, match=r"^a worker has mapperd .*; allowed: the one of the comm"):
+        done_by_worker(("9.9", "f" * 24, b"no pickle of mine"))
 
 
 class Lost:
