@@ -9,9 +9,10 @@ from pathlib import Path
 import msgspec
 
 from mapperd.config import Config
+from mapperd.localization.nav2_map import image_of
 from mapperd.recording_files import files_in
 
-__all__ = ["digest_of", "facts_of", "program_digest"]
+__all__ = ["digest_of", "facts_of", "known_map_facts", "program_digest"]
 
 PACKAGES = ("mapperd", "oculus_driver", "survey")
 CORE = "mapperd._core"
@@ -33,6 +34,27 @@ def digest_of(*parts: bytes | str | Config) -> str:
 def facts_of(recording: Path) -> str:
     """Names, sizes and times of change of a recording's files."""
     return "\n".join(_fact(path) for path in files_in([recording]))
+
+
+def known_map_facts(path: Path) -> str:
+    """Of a map to be localized on, with the files that belong to it.
+
+    Raises:
+        MapError: it is a planar map whose description makes no sense.
+    """
+    return "\n".join(_fact(each) for each in _files_of_map(path))
+
+
+def _files_of_map(path: Path) -> list[Path]:
+    """Its image; or its journal, which alone holds what a daemon wrote last.
+
+    An empty journal is none: looking into the map may leave it.
+    """
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return [path, path.parent / image_of(path)]
+    journal = path.with_name(f"{path.name}-wal")
+    written = journal.is_file() and journal.stat().st_size > 0
+    return [path, journal] if written else [path]
 
 
 def _fact(path: Path) -> str:

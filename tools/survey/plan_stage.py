@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from survey.engine import Engine
-from survey.fingerprint import digest_of, facts_of, program_digest
+from survey.fingerprint import digest_of, facts_of, known_map_facts, program_digest
 from survey.folder import Folder
 from survey.marks import mark, marked
 from survey.planning import DivePlan, PlanTask, index_name, mark_name, plan_dive, spool_name
@@ -52,7 +52,8 @@ def rows_of(folder: Folder, plan: DivePlan) -> Rows:
 
 def _task(request: Request, dive: Dive, folder: Folder) -> PlanTask:
     config, recording = request.config_of(dive), request.path_of(dive)
-    known = "" if dive.localization is None else facts_of(request.folder / dive.localization)
+    at = dive.localization
+    known = "" if at is None else known_map_facts(request.folder / at)
     fingerprint = digest_of(
         program_digest(), facts_of(recording), config, msgspec.json.encode(dive.transform), known
     )
