@@ -4,7 +4,6 @@ import time
 import zlib
 from pathlib import Path
 
-import numpy as np
 from msgspec import Struct
 
 from mapperd.config import Config
@@ -18,9 +17,11 @@ from survey.errors import SurveyError
 from survey.folder import Folder
 from survey.frame import Frame
 from survey.request import Transform
-from survey.spool import NO_TIME, SpoolMap
+from survey.spool import RowFile, SpoolMap
 
 __all__ = ["DivePlan", "Lost", "PlanTask", "index_name", "mark_name", "plan_dive", "spool_name"]
+
+PIECE_BYTES = 1 << 20
 
 
 class PlanTask(Struct, frozen=True):
@@ -52,7 +53,6 @@ class Lost(Struct, frozen=True):
         truncated: it ends before its content does.
         bytes_read, size_bytes: of its session.
         bytes_rejected: read, but of no message.
-        pings_lost: ping numbers that never came.
     """
 
     recording: str
@@ -61,7 +61,6 @@ class Lost(Struct, frozen=True):
     bytes_read: int = 0
     size_bytes: int = 0
     bytes_rejected: int = 0
-    pings_lost: int = 0
 
 
 class DivePlan(Struct, frozen=True):
@@ -72,6 +71,7 @@ class DivePlan(Struct, frozen=True):
         pings: in the spool.
         pings_total: that came.
         pings_dropped: reason to count.
+        pings_lost: ping numbers that never came, whether the recording is damaged or not.
         dropped_details: reason to the sentence of its first case.
         first_ns, last_ns: of pings with a time; None without any.
         bearings: tables of the records.
@@ -85,6 +85,7 @@ class DivePlan(Struct, frozen=True):
     pings: int
     pings_total: int
     pings_dropped: dict[str, int]
+    pings_lost: int
     dropped_details: dict[str, str]
     first_ns: int | None
     last_ns: int | None
@@ -123,35 +124,44 @@ def plan_dive(task: PlanTask) -> DivePlan:
     began_s = time.process_time()
     folder = Folder(task.folder)
     with folder.workspace() as work:
-        with (work / "spool").open("wb") as out:
-            spool = SpoolMap(task.config, out, Frame(task.transform))
+        with (work / "spool").open("wb") as out, (work / "rows.npy").open("wb") as index:
+            rows = RowFile(index)
+            spool = SpoolMap(task.config, out, rows, Frame(task.transform))
             counters = ReplayCounters()
             sessions, lost = _sessions(Path(task.recording))
             for session in sessions:
                 lost += _spool(session, task.config, spool, counters)
-        rows = spool.rows()
-        np.save(work / "rows.npy", rows)
-        index_crc = zlib.crc32((work / "rows.npy").read_bytes())
+            rows.close()
+        index_crc, index_bytes = _crc_of(work / "rows.npy")
         folder.put(work / "spool", spool_name(task))
         folder.put(work / "rows.npy", index_name(task))
-    times = [int(t_ns) for t_ns in rows["t_ns"] if t_ns != NO_TIME]
     return DivePlan(
         name=task.name,
         fingerprint=task.fingerprint,
-        pings=len(rows),
+        pings=rows.count,
         pings_total=counters.pings_total,
         pings_dropped=dict(sorted(counters.pings_dropped.items())),
+        pings_lost=counters.pings_lost,
         dropped_details=dict(sorted(counters.first_drop.items())),
-        first_ns=min(times, default=None),
-        last_ns=max(times, default=None),
+        first_ns=spool.first_ns,
+        last_ns=spool.last_ns,
         bearings=spool.bearings,
         lost=lost,
         spool_bytes=spool.size_bytes,
         index_crc=index_crc,
         cpu_s=time.process_time() - began_s,
         read_bytes=sum(session.bytes_read for session in sessions),
-        written_bytes=spool.size_bytes + rows.nbytes,
+        written_bytes=spool.size_bytes + index_bytes,
     )
+
+
+def _crc_of(path: Path) -> tuple[int, int]:
+    """Checksum and size of a file, a piece at a time."""
+    crc = size = 0
+    with path.open("rb") as file:
+        while piece := file.read(PIECE_BYTES):
+            crc, size = zlib.crc32(piece, crc), size + len(piece)
+    return crc, size
 
 
 def _sessions(recording: Path) -> tuple[list[RecordedSession], list[Lost]]:
@@ -187,7 +197,7 @@ def _spool(
     session: RecordedSession, config: Config, spool: SpoolMap, counters: ReplayCounters
 ) -> list[Lost]:
     """One session on its way; returns what was wrong with it."""
-    before = counters.bytes_rejected, counters.pings_lost
+    before = counters.bytes_rejected
     replay = as_asked(session, None, config).replay(spool, Window(), counters)
 
     def note(settled: Settled) -> None:
@@ -204,7 +214,7 @@ def _spool(
     if session.read_error is not None:
         raise session.read_error
     reason = stopped or session.damage or ("it was cut" if session.truncated else None)
-    rejected = counters.bytes_rejected - before[0]
+    rejected = counters.bytes_rejected - before
     if reason is None and rejected:
         reason = f"{rejected} bytes of it are no sonar message"
     if reason is None:
@@ -217,6 +227,5 @@ def _spool(
             bytes_read=session.bytes_read,
             size_bytes=session.size_bytes,
             bytes_rejected=rejected,
-            pings_lost=counters.pings_lost - before[1],
         )
     ]

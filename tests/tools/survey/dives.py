@@ -2,6 +2,7 @@
 
 import json
 import sqlite3
+from collections.abc import Container
 from pathlib import Path
 from typing import Any
 
@@ -63,9 +64,18 @@ def odometry_of(x: float, y: float, yaw: float) -> bytes:
 
 
 def write_dive(
-    path: Path, dive: int, *, pings: int = 30, begin_s: float = 0.0, y: float = 0.0
+    path: Path,
+    dive: int,
+    *,
+    pings: int = 30,
+    begin_s: float = 0.0,
+    y: float = 0.0,
+    never: Container[int] = (),
 ) -> list[int]:
-    """A vehicle that goes along x, a metre between two pings; returns the sizes after each."""
+    """A vehicle that goes along x, a metre between two pings; returns the sizes after each.
+
+    Pings of some numbers never come.
+    """
     sizes = []
     path.parent.mkdir(parents=True, exist_ok=True)
     with RecordingWriter(path, overwrite=True) as writer:
@@ -74,7 +84,7 @@ def write_dive(
         for k in range(pings + 1):
             t_ns = START_NS + round((begin_s + 0.2 * k) * SECOND)
             writer.write(vehicle, odometry_of(1.0 * k, y, 0.05 * k), t_ns)
-            if k < pings:
+            if k < pings and k not in never:
                 writer.write(sonar, ping_of(k, dive), t_ns + SECOND // 10)
             sizes.append(writer.size_bytes)
     return sizes

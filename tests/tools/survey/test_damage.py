@@ -46,6 +46,18 @@ def test_turned_bits_cost_what_they_hit(tmp_path: Path) -> None:
     assert dive["lost"][0]["reason"]
 
 
+def test_pings_that_never_came_are_counted_by_dive(tmp_path: Path) -> None:
+    dives = [{"name": "a", "recording": "a.mcap"}, {"name": "b", "recording": "b.mcap"}]
+    survey = write_survey(tmp_path, dives=dives)
+    write_dive(tmp_path / "a.mcap", 1, pings=12, never=(3, 7, 8))
+    sizes = write_dive(tmp_path / "b.mcap", 2, pings=12, never=(5,))
+    data = (tmp_path / "b.mcap").read_bytes()
+    (tmp_path / "b.mcap").write_bytes(data[: sizes[9] - 5])
+    first, second = run_here(survey, tmp_path / "out")["dives"]
+    assert (first["pings"], first["pings_lost"], first["lost"]) == (9, 3, [])
+    assert (second["pings"], second["pings_lost"], len(second["lost"])) == (8, 1, 1)
+
+
 def test_what_is_no_recording_is_lost_as_a_whole(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
