@@ -15,6 +15,7 @@ from survey.engine import Engine
 from survey.errors import SurveyError
 from survey.fingerprint import digest_of
 from survey.folder import Folder
+from survey.lock_file import held
 from survey.marks import mark, marked
 from survey.memory import edge_for, edge_within, voxel_bytes_of
 from survey.merging import MergeResult, MergeTask, merge_shards
@@ -238,9 +239,10 @@ def _is_ours(folder: Folder, name: str, kind: type[msgspec.Struct]) -> bool:
 
 @contextlib.contextmanager
 def _alone(folder: Folder) -> Iterator[None]:
-    """Hold a lock that ends with the process; elsewhere than on the disk nobody can."""
+    """Hold a lock that ends with the process; elsewhere than on the disk a file has to do."""
     if folder.local is None:
-        yield
+        with held(folder):
+            yield
         return
     try:
         folder.local.mkdir(parents=True, exist_ok=True)
