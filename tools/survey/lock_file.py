@@ -86,4 +86,4 @@ def _is_gone(holder: Holder) -> bool:
 def _system() -> str:
     """Since its last start, and within a container, process ids mean the same."""
     started = Path("/proc/sys/kernel/random/boot_id").read_text("ascii").strip()
-    return f"{started} {os.readlink('/proc/self/ns/pid')}"
+    return f"{started} {Path('/proc/self/ns/pid').readlink()}"

@@ -11,7 +11,7 @@ from survey.fingerprint import program_digest
 __all__ = ["Sent", "done_by_worker", "sent"]
 
 Sent = tuple[str, str, bytes]
-"""Version and digest of who sends it; function and task, to be unpacked only where they are alike."""
+"""Version and digest of who sends it; function and task, unpacked only where these are alike."""
 
 
 def sent(function: Callable[[Any], Any], task: Any) -> Sent:  # noqa: ANN401 any task
@@ -29,8 +29,8 @@ def done_by_worker(work: Sent) -> object:
     mine = program_digest()
     if mine != their_digest:
         raise SurveyError(
-            f"a worker has mapperd {version()} (program {mine[:8]}); allowed: the one of the command, "
-            f"{their_version} (program {their_digest[:8]}), from the same package on all machines"
+            f"a worker has mapperd {version()} (program {mine[:8]}); allowed: the one of the "
+            f"command, {their_version} (program {their_digest[:8]}), of the same package"
         )
     function, task = pickle.loads(packed)  # noqa: S301 from who began the workers
     return function(task)

@@ -107,9 +107,7 @@ class TileStage:
         else:
             self._took(task, kept, engine, shards)
 
-    def _took(
-        self, task: TileTask, result: TileResult, engine: Engine, shards: list[str]
-    ) -> None:
+    def _took(self, task: TileTask, result: TileResult, engine: Engine, shards: list[str]) -> None:
         self.results.append(result)
         self._done += result.pings
         if not result.too_large:

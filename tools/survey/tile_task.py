@@ -22,6 +22,7 @@ from survey.scratch import scratch
 
 __all__ = ["SpooledDive", "TileResult", "TileTask", "map_tile"]
 
+
 class SpooledDive(Struct, frozen=True):
     """A dive's spool: names of the file and of its mark, and tables that its records refer to."""
 

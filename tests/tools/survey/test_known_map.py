@@ -13,7 +13,7 @@ from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
 from tests.mapperd.localization.room import settings, write_room
 from tests.tools.survey.dives import write_survey
-from tests.tools.survey.maps import CONFIG, centres, map_of
+from tests.tools.survey.maps import CONFIG, map_of
 
 
 def planned_on(folder: Path, known: Path) -> str:

@@ -51,7 +51,11 @@ def test_an_error_leaves_no_lock(elsewhere: Folder, tmp_path: Path) -> None:
     survey = write_survey(tmp_path, dives=[{"name": "a", "recording": "nowhere.mcap"}])
     with pytest.raises(SurveyError, match="no such recording"):
         run_survey(
-            read_survey(survey), elsewhere, InProcess(), Options(MEMORY), Silent()  # type: ignore[arg-type]
+            read_survey(survey),
+            elsewhere,
+            InProcess(),
+            Options(MEMORY),
+            Silent(),  # type: ignore[arg-type]
         )
     assert not elsewhere.has(LOCK)
 

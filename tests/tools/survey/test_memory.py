@@ -37,7 +37,7 @@ def test_no_ping_takes_more_than_is_reckoned(integrator: str) -> None:
     echo = bright_ping(12.0)
     box = sonar_map.blocks_of(echo, POSE)
     assert box is not None
-    extents = np.array(box[1]) - box[0] + 1
+    extents = np.array(box[1], dtype=np.int64) - np.array(box[0]) + 1
     sonar_map.integrate(echo, POSE)
     took = sonar_map.memory_bytes - empty
     assert took > 1_000_000

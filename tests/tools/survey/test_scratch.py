@@ -45,9 +45,9 @@ def test_sqlite_neither_writes_nor_locks_in_the_surveys_folder(
     tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     opened: list[str] = []
-    connect = sqlite3.connect
+    connect: Any = sqlite3.connect
 
-    def noted(name: Any, *args: Any, **more: Any) -> sqlite3.Connection:
+    def noted(name: Any, *args: Any, **more: Any) -> Any:
         opened.append(unquote(str(name)))
         return connect(name, *args, **more)
 

@@ -1,6 +1,7 @@
 """What is said of a dive's pings goes into a file as they come."""
 
 import io
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,8 @@ def test_rows_are_numpys_array(count: int) -> None:
         expected[box] = random.integers(-(2**31), 2**31, (count, 3))
     out = io.BytesIO()
     rows = RowFile(out)
-    for t_ns, offset, size, first, last in expected:
+    plain: Any = expected.tolist()
+    for t_ns, offset, size, first, last in plain:
         rows.add((t_ns, offset, size, *first, *last))
     assert len(out.getvalue()) == len(rows._head()) + count * PACKED.size
     rows.close()
