@@ -55,6 +55,7 @@ def test_pings_that_never_came_are_counted_by_dive(tmp_path: Path) -> None:
     (tmp_path / "b.mcap").write_bytes(data[: sizes[9] - 5])
     first, second = run_here(survey, tmp_path / "out")["dives"]
     assert (first["pings"], first["pings_lost"], first["lost"]) == (9, 3, [])
+    assert first["last_ns"] - first["first_ns"] == pytest.approx(11 * 0.2e9, abs=1e6)
     assert (second["pings"], second["pings_lost"], len(second["lost"])) == (8, 1, 1)
 
 
