@@ -6,6 +6,7 @@ content, and SQLite runs no code that the file brings along.
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
@@ -27,6 +28,9 @@ _MAX_TEXT: Final = 4096
 _LIMIT: Final = MAX_MESSAGE_SIZE + (1 << 16)
 """Bytes of one row or value that SQLite may hold."""
 
+_PRIMARY: Final = 0xFF
+"""The part of SQLite's result codes that says of which kind they are."""
+
 _PLAIN_TABLE: Final = """
     SELECT count(*) FROM sqlite_master
     WHERE type = 'table' AND name = ? AND rootpage > 0
@@ -39,7 +43,11 @@ _ROWS: Final = """
 
 
 def read_viewpoint_log(file: BinaryIO, size: int, progress: Progress) -> Iterator[Chunk]:
-    """Yield the messages of a ViewPoint log of `size` bytes by entry; fill in `progress`."""
+    """Yield the messages of a ViewPoint log of `size` bytes by entry; fill in `progress`.
+
+    Raises:
+        OSError: the disk refuses the file, or memory for it; what is in it is not to blame.
+    """
     import sqlite3  # noqa: PLC0415 - only these files need it
 
     try:
@@ -51,8 +59,29 @@ def read_viewpoint_log(file: BinaryIO, size: int, progress: Progress) -> Iterato
         finally:
             connection.close()
     except (sqlite3.Error, OverflowError) as error:
+        if _is_refused(error):
+            raise OSError(errno.EIO, str(error), file.name) from error
         progress.cut(f"cannot be read on: {error}")
     progress.bytes_read = size
+
+
+def _is_refused(error: Exception) -> bool:
+    """Whether SQLite was kept from reading, by a disk, a lock or rights: no damage of the file."""
+    import sqlite3  # noqa: PLC0415 - only these files need it
+
+    code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_OK)
+    if code == sqlite3.SQLITE_IOERR_SHORT_READ:  # the file ends where its content does not
+        return False
+    return code & _PRIMARY in {
+        sqlite3.SQLITE_IOERR,
+        sqlite3.SQLITE_CANTOPEN,
+        sqlite3.SQLITE_PERM,
+        sqlite3.SQLITE_READONLY,
+        sqlite3.SQLITE_BUSY,
+        sqlite3.SQLITE_LOCKED,
+        sqlite3.SQLITE_FULL,
+        sqlite3.SQLITE_NOMEM,
+    }
 
 
 def _open(path: Path) -> sqlite3.Connection:

@@ -162,3 +162,50 @@ def test_damaged_databases_give_what_they_can(tmp_path: Path, make_ping: MakePin
         path.write_bytes(hurt)
         with open_recording(path) as recording:
             assert describe(recording).pings <= 30
+
+
+def test_a_file_that_is_not_there_any_more_is_no_damage_of_it(
+    tmp_path: Path, make_ping: MakePing
+) -> None:
+    path = tmp_path / "log"
+    write(path, [(1, 1, make_ping())])
+    with open_recording(path) as recording:
+        away = path.rename(tmp_path / "away")
+        assert list(recording) == []
+        assert str(path) in str(recording.read_error)
+        away.rename(path)
+        assert len(list(recording)) == 1
+        assert (recording.read_error, recording.damage) == (None, None)
+
+
+@pytest.mark.parametrize(
+    ("code", "refused"),
+    [
+        (sqlite3.SQLITE_IOERR_READ, True),
+        (sqlite3.SQLITE_BUSY, True),
+        (sqlite3.SQLITE_NOMEM, True),
+        (sqlite3.SQLITE_IOERR_SHORT_READ, False),
+        (sqlite3.SQLITE_CORRUPT, False),
+        (sqlite3.SQLITE_ERROR, False),
+    ],
+)
+def test_what_a_disk_refuses_is_no_damage(
+    tmp_path: Path,
+    make_ping: MakePing,
+    monkeypatch: pytest.MonkeyPatch,
+    code: int,
+    refused: bool,  # noqa: FBT001 two ways
+) -> None:
+    path = tmp_path / "log"
+    write(path, [(1, 1, make_ping())])
+
+    def fails(*_: object) -> None:
+        error = sqlite3.OperationalError("no")
+        error.sqlite_errorcode = code
+        raise error
+
+    monkeypatch.setattr("oculus_driver.recording.viewpoint_log._sources", fails)
+    chunks, recording = read(path)
+    assert chunks == []
+    assert recording.truncated
+    assert (recording.read_error is not None) == refused
