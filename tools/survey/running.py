@@ -22,7 +22,7 @@ from survey.merging import MergeResult, MergeTask, merge_shards
 from survey.plan_stage import plan_all, rows_of
 from survey.planning import DivePlan, index_name, mark_name, spool_name
 from survey.request import Request
-from survey.task_times import Kind, TaskTime
+from survey.run_record import map_times, plan_times, told
 from survey.tile_stage import Scope, TileStage, shard_mark
 from survey.tile_task import TileResult
 
@@ -68,7 +68,7 @@ def plan_survey(request: Request, folder: Folder, engine: Engine, out: TextIO) -
         folder.forget_workspaces()
         with _bar("plan", out) as show:
             plans = plan_all(request, folder, engine, show)
-        return {"dives": [_told(plan) for plan in plans]}
+        return {"dives": [told(plan) for plan in plans]}
 
 
 def run_survey(
@@ -92,7 +92,7 @@ class _Running:
         self._folder = folder
         self._engine = engine
         self._out = out
-        self._times: list[TaskTime] = []
+        self._times = plan_times([])
         self._wall_s: dict[str, float] = {}
         self._shards: set[str] = set()
 
@@ -100,31 +100,34 @@ class _Running:
         self._folder.forget_workspaces()
         with self._stage("plan") as show:
             plans = plan_all(self._request, self._folder, self._engine, show)
-        self._times += [_time_of("plan", plan.name, plan) for plan in plans]
+        self._times += plan_times(plans)
         rows = [rows_of(self._folder, plan) for plan in plans]
         edge = edge_within(edge, rows, self._request.config, most_bytes)
         whole = Scope("", plans, rows)
         alone = [Scope(p.name, [p], [r]) for p, r in zip(plans, rows, strict=True)]
         scopes = [whole, *(alone if by_dive else [])]
-        maps = [self._map_of(scope, edge, most_bytes) for scope in scopes]
+        before = tuple(task.name for task in self._times)
+        maps = []
+        for scope in scopes:
+            maps.append(self._map_of(scope, edge, most_bytes, before))
+            before = (self._times[-1].name,)  # of the merge: the next map is begun after it
         self._forget_others(plans, [each["map"] for each in maps])
         record = self._record(plans, maps, whole, edge)
         self._folder.write(RECORD, msgspec.json.format(msgspec.json.encode(record), indent=2))
         return record
 
-    def _map_of(self, scope: Scope, edge: int, most_bytes: int) -> dict[str, Any]:
+    def _map_of(
+        self, scope: Scope, edge: int, most_bytes: int, before: tuple[str, ...]
+    ) -> dict[str, Any]:
         stage = TileStage(scope, self._request.config, self._folder, edge, most_bytes)
         suffix = f" {scope.name}" if scope.name else ""
         with self._stage(f"tiles{suffix}") as show:
             shards = stage.run(self._engine, show)
-        results = sorted(stage.results, key=lambda result: result.shard)
+        results = sorted(stage.results, key=lambda result: (-result.pings, result.shard))
         self._shards.update(result.shard for result in results)
-        planned = tuple(f"plan/{plan.name}" for plan in scope.plans)
-        tiles = [_time_of("tile", _short(result.shard), result, planned) for result in results]
         with self._stage(f"merge{suffix}"):
             merged = self._merged(scope, shards)
-        after = tuple(tile.name for tile in tiles)
-        self._times += [*tiles, _time_of("merge", merged.name, merged, after)]
+        self._times += map_times(results, merged, before)
         return {
             "map": merged.name,
             "pings": scope.pings,
@@ -187,7 +190,7 @@ class _Running:
             "settings": self._request.config,
             "outputs": self._request.survey.outputs,
             "wall_s": self._wall_s,
-            "dives": [_told(plan) for plan in plans],
+            "dives": [told(plan) for plan in plans],
             "maps": maps,
             "tasks": self._times,
         }
@@ -212,22 +215,6 @@ def _bar(stage: str, out: TextIO) -> Iterator[Callable[[float, int], None]]:
 
     yield show
     bar.close(last)
-
-
-def _time_of(
-    kind: Kind,
-    name: str,
-    took: DivePlan | TileResult | MergeResult,
-    after: tuple[str, ...] = (),
-) -> TaskTime:
-    return TaskTime(
-        kind=kind,
-        name=f"{kind}/{name}",
-        cpu_s=took.cpu_s,
-        read_bytes=took.read_bytes,
-        written_bytes=took.written_bytes,
-        after=after,
-    )
 
 
 def _is_ours(folder: Folder, name: str, kind: type[msgspec.Struct]) -> bool:
@@ -259,14 +246,3 @@ def _alone(folder: Folder) -> Iterator[None]:
 def _said_of(map_name: str) -> str:
     """Name of what is said of a map's file."""
     return f"{map_name.removesuffix('.db')}.json"
-
-
-def _short(shard: str) -> str:
-    """A tile's name without what it was made of."""
-    return shard.removeprefix("shards/").rsplit(".", 2)[0]
-
-
-def _told(plan: DivePlan) -> dict[str, Any]:
-    told: dict[str, Any] = msgspec.to_builtins(plan)
-    del told["bearings"]
-    return told

@@ -10,7 +10,7 @@ from math import inf
 import msgspec
 
 from survey.cluster_simulation import Cluster, Schedule, simulate
-from survey.task_times import Kind, TaskTime
+from survey.task_times import Kind, TaskTime, in_order
 
 WORKERS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
@@ -107,41 +107,51 @@ def _no_merge(tasks: list[TaskTime], cluster: Cluster) -> Limited:
 def _divided(kind: Kind) -> Callable[[list[TaskTime], Cluster], Limited]:
     """Tasks of a kind in as many pieces as there are workers, together the same work.
 
-    The scheduler has no more to do for them than before.
+    Those of each map are divided on their own: one map is made after the other. The scheduler has
+    no more to do for them than before.
     """
 
     def divide(tasks: list[TaskTime], cluster: Cluster) -> Limited:
-        whole = [task for task in tasks if task.kind == kind]
-        if not whole:
-            return tasks, cluster
-        pieces = [_piece(whole, k, cluster.workers) for k in range(cluster.workers)]
-        end = TaskTime(
-            kind=kind,
-            name=f"end of {whole[0].name} and its like",
-            cpu_s=0.0,
-            read_bytes=0,
-            written_bytes=0,
-            after=tuple(piece.name for piece in pieces),
-        )
-        names = {task.name for task in whole}
-        rest = [_waiting_for(task, names, end) for task in tasks if task.kind != kind]
-        made = [*rest, *pieces, end]
+        made = in_order(tasks)
+        for before, whole in _together(made, kind).items():
+            pieces = [_piece(whole, before, k, cluster.workers) for k in range(cluster.workers)]
+            end = TaskTime(
+                kind=kind,
+                name=f"end of {whole[0].name} and its like",
+                cpu_s=0.0,
+                read_bytes=0,
+                written_bytes=0,
+                after=tuple(piece.name for piece in pieces),
+            )
+            names = {task.name for task in whole}
+            rest = [_waiting_for(task, names, end) for task in made if task.name not in names]
+            made = [*rest, *pieces, end]
         scheduler_s = cluster.scheduler_s * min(len(tasks) / len(made), 1.0)
         return made, replace(cluster, scheduler_s=scheduler_s)
 
     return divide
 
 
-def _piece(whole: Sequence[TaskTime], number: int, pieces: int) -> TaskTime:
-    names = {task.name for task in whole}
-    after = {name for task in whole for name in task.after} - names
+def _together(tasks: Sequence[TaskTime], kind: Kind) -> dict[frozenset[str], list[TaskTime]]:
+    """Tasks of a kind by the tasks of others that they wait for, be it through one of their own."""
+    groups: dict[frozenset[str], list[TaskTime]] = {}
+    waits: dict[str, frozenset[str]] = {}
+    for task in tasks:
+        if task.kind == kind:
+            before = (waits.get(name, frozenset([name])) for name in task.after)
+            waits[task.name] = frozenset().union(*before)
+            groups.setdefault(waits[task.name], []).append(task)
+    return groups
+
+
+def _piece(whole: Sequence[TaskTime], before: frozenset[str], number: int, pieces: int) -> TaskTime:
     return TaskTime(
         kind=whole[0].kind,
         name=f"piece {number} of {whole[0].name}",
         cpu_s=sum(task.cpu_s for task in whole) / pieces,
         read_bytes=round(sum(task.read_bytes for task in whole) / pieces),
         written_bytes=round(sum(task.written_bytes for task in whole) / pieces),
-        after=tuple(sorted(after)),
+        after=tuple(sorted(before)),
     )
 
 

@@ -1,9 +1,9 @@
 """Which limit is named: in surveys made so that it is known."""
 
 import pytest
-from survey.cluster_simulation import Cluster
+from survey.cluster_simulation import Cluster, simulate
 from survey.scaling import LIMITS, scaling, without
-from survey.task_times import TaskTime
+from survey.task_times import Kind, TaskTime
 
 
 def survey(
@@ -93,3 +93,31 @@ def test_no_survey_is_slower_without_a_limit_where_workers_share_nothing(limit: 
     tasks = survey(tuple(float(k) for k in range(10)), merge_s=2.0, tile_bytes=1000)
     cluster = Cluster(50, 0.001, link_bytes_per_s=1e4)
     assert scaling(tasks, cluster, [50])[0].saved[limit] >= -1e-9
+
+
+def task(kind: Kind, name: str, cpu_s: float, *after: str) -> TaskTime:
+    return TaskTime(kind=kind, name=name, cpu_s=cpu_s, read_bytes=0, written_bytes=0, after=after)
+
+
+def two_maps() -> list[TaskTime]:
+    """A map of a tile that was cut in two, and after it that of a dive of two tiles."""
+    return [
+        task("plan", "plan", 2.0),
+        task("tile", "whole", 3.0, "plan"),
+        task("tile", "half", 4.0, "whole"),
+        task("tile", "other half", 1.0, "whole"),
+        task("merge", "merge", 0.5, "half", "other half", "whole"),
+        task("tile", "dive's large", 6.0, "merge"),
+        task("tile", "dive's small", 2.0, "merge"),
+        task("merge", "merge dive", 0.25, "dive's large", "dive's small"),
+    ]
+
+
+@pytest.mark.parametrize("tasks", [two_maps(), two_maps()[::-1]])
+def test_maps_that_are_made_one_after_the_other_stay_so_in_pieces(tasks: list[TaskTime]) -> None:
+    assert simulate(tasks, Cluster(9)).wall_s == pytest.approx(2 + 3 + 4 + 0.5 + 6 + 0.25)
+    went = without("tiles", tasks, Cluster(4))
+    assert went.ended_s["merge"] == pytest.approx(2.0 + 8.0 / 4 + 0.5)
+    assert went.wall_s == pytest.approx(4.5 + 8.0 / 4 + 0.25)
+    assert without("recordings", tasks, Cluster(4)).wall_s == pytest.approx(0.5 + 13.75)
+    assert went.computing_s == pytest.approx(18.75)
