@@ -4,13 +4,18 @@ from collections.abc import Sequence
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from survey.merging import MergeResult
 from survey.planning import DivePlan
+from survey.spool import NO_TIME, Rows
 from survey.task_times import Kind, TaskTime
 from survey.tile_task import TileResult
 
-__all__ = ["map_times", "plan_times", "told"]
+__all__ = ["PAUSE_S", "map_times", "plan_times", "recorded_s", "told"]
+
+PAUSE_S = 10.0
+"""A longer time without a ping is a pause: no sonar that maps is as slow."""
 
 
 def told(plan: DivePlan) -> dict[str, Any]:
@@ -18,6 +23,12 @@ def told(plan: DivePlan) -> dict[str, Any]:
     of_dive: dict[str, Any] = msgspec.to_builtins(plan)
     del of_dive["bearings"]
     return of_dive
+
+
+def recorded_s(rows: Rows) -> float:
+    """For how long a dive's pings came: from each to the next, without the pauses."""
+    gaps_ns = np.diff(np.sort(rows["t_ns"][rows["t_ns"] != NO_TIME]))
+    return float(gaps_ns[gaps_ns <= PAUSE_S * 1e9].sum()) / 1e9
 
 
 def plan_times(plans: Sequence[DivePlan]) -> list[TaskTime]:

@@ -22,7 +22,7 @@ from survey.merging import MergeResult, MergeTask, merge_shards
 from survey.plan_stage import plan_all, rows_of
 from survey.planning import DivePlan, index_name, mark_name, spool_name
 from survey.request import Request
-from survey.run_record import map_times, plan_times, told
+from survey.run_record import map_times, plan_times, recorded_s, told
 from survey.tile_stage import Scope, TileStage, shard_mark
 from survey.tile_task import TileResult
 
@@ -179,11 +179,7 @@ class _Running:
         return {
             "version": version(),
             "pings": whole.pings,
-            "recorded_s": sum(
-                (plan.last_ns - plan.first_ns) / 1e9
-                for plan in plans
-                if plan.first_ns is not None and plan.last_ns is not None
-            ),
+            "recorded_s": sum(recorded_s(rows) for rows in whole.rows),
             "first_ns": min(first, default=None),
             "tile_bricks": edge,
             "origin": self._request.survey.origin,

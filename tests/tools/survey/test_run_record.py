@@ -1,14 +1,17 @@
-"""What `survey.json` tells of a run's tasks is the order in which they can be done."""
+"""What `survey.json` tells of a run: its tasks as they can be done, and the time recorded."""
 
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from survey.cluster_simulation import Cluster, simulate
+from survey.run_record import PAUSE_S, recorded_s
 from survey.scaling import LIMITS, scaling
+from survey.spool import NO_TIME, ROW, Rows
 from survey.task_times import TaskTime, read_task_times
 
-from tests.tools.survey.dives import run_here, write_survey
+from tests.tools.survey.dives import SECOND, START_NS, run_here, write_dive, write_survey
 
 
 @pytest.fixture(scope="module")
@@ -86,3 +89,27 @@ def test_large_tiles_are_told_first_as_they_are_begun(out: Path, tasks: list[Tas
     pings = [json.loads(marks[name].read_bytes())["pings"] for name in firsts]
     assert len(set(pings)) > 2
     assert pings == sorted(pings, reverse=True)
+
+
+def rows(*times_s: float | None) -> Rows:
+    times = [NO_TIME if s is None else START_NS + round(s * SECOND) for s in times_s]
+    return np.array([(t_ns, 0, 0, (0, 0, 0), (0, 0, 0)) for t_ns in times], dtype=ROW)
+
+
+def test_pauses_are_not_counted_as_recorded() -> None:
+    assert recorded_s(rows(0.0, 0.2, 0.6, 1.0)) == pytest.approx(1.0)
+    assert recorded_s(rows(0.0, 1.0, 3601.0, 3603.5)) == pytest.approx(3.5)
+    assert recorded_s(rows(0.0, PAUSE_S, 2 * PAUSE_S + 0.1)) == pytest.approx(PAUSE_S)
+    assert recorded_s(rows(5.0, None, 4.0, 6.0)) == pytest.approx(2.0)
+    assert recorded_s(rows(7.0)) == recorded_s(rows(None)) == recorded_s(rows()) == 0.0
+
+
+def test_sessions_an_hour_apart_are_as_long_as_they_are(tmp_path: Path) -> None:
+    dives = [{"name": name, "recording": name} for name in ("day", "c.mcap")]
+    survey = write_survey(tmp_path, dives=dives)
+    write_dive(tmp_path / "day/1.mcap", 1, pings=6)
+    write_dive(tmp_path / "day/2.mcap", 1, pings=11, begin_s=3600.0)
+    write_dive(tmp_path / "c.mcap", 2, pings=4)
+    record = run_here(survey, tmp_path / "out")
+    assert record["pings"] == 21
+    assert record["recorded_s"] == pytest.approx(0.2 * (5 + 10 + 3))
