@@ -229,14 +229,15 @@ def _alone(folder: Folder) -> Iterator[None]:
         return
     try:
         folder.local.mkdir(parents=True, exist_ok=True)
-        with (folder.local / ".lock").open("w") as handle:
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError as error:
-                raise SurveyError(f"{folder.url}: another mapper-survey is at work") from error
-            yield
+        handle = (folder.local / ".lock").open("w")
     except PermissionError as error:
         raise SurveyError(f"{folder.url}: cannot be written into: {error.strerror}") from error
+    with handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise SurveyError(f"{folder.url}: another mapper-survey is at work") from error
+        yield
 
 
 def _said_of(map_name: str) -> str:
