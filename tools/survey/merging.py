@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 
 from msgspec import Struct
 
@@ -17,6 +17,8 @@ from survey.scratch import scratch
 from survey.tile_stage import shard_mark
 
 __all__ = ["MergeResult", "MergeTask", "merge_shards"]
+
+Show = Callable[[float, int], None]
 
 
 class MergeTask(Struct, frozen=True):
@@ -47,8 +49,12 @@ class MergeResult(Struct, frozen=True):
     written_bytes: int
 
 
-def merge_shards(task: MergeTask) -> MergeResult:
+def merge_shards(task: MergeTask, show: Show) -> MergeResult:
     """Make one file of many; memory for one brick.
+
+    Args:
+        task: what to do.
+        show: is told which part of the shards is done, and how many.
 
     Raises:
         SurveyError: a shard is damaged, and has no mark any more.
@@ -59,7 +65,7 @@ def merge_shards(task: MergeTask) -> MergeResult:
     folder = Folder(task.folder)
     with scratch() as work:
         path = work / "map.db"
-        rows = _rows(folder, task.shards)
+        rows = _rows(folder, task.shards, show)
         with contextlib.closing(rows):
             bricks = write_whole(path, task.config, task.revision, rows)
         written = path.stat().st_size
@@ -73,11 +79,12 @@ def merge_shards(task: MergeTask) -> MergeResult:
     )
 
 
-def _rows(folder: Folder, shards: Sequence[str]) -> Generator[BrickRow]:
-    for shard in shards:
+def _rows(folder: Folder, shards: Sequence[str], show: Show) -> Generator[BrickRow]:
+    for number, shard in enumerate(shards, 1):
         try:
             with folder.fetched(shard) as path, StoreReader(path, finished=True) as reader:
                 yield from reader.rows()
         except StoreError as error:
             folder.remove(shard_mark(shard))
             raise SurveyError(f"{error}; the same command makes it anew") from error
+        show(number / len(shards), number)

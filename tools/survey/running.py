@@ -28,6 +28,8 @@ from survey.tile_task import TileResult
 
 __all__ = ["DIVES", "MAP", "RECORD", "Options", "dive_map", "plan_survey", "run_survey"]
 
+Show = Callable[[float, int], None]
+
 MAP = "map.db"
 DIVES = "dives"
 RECORD = "survey.json"
@@ -125,8 +127,8 @@ class _Running:
             shards = stage.run(self._engine, show)
         results = sorted(stage.results, key=lambda result: (-result.pings, result.shard))
         self._shards.update(result.shard for result in results)
-        with self._stage(f"merge{suffix}"):
-            merged = self._merged(scope, shards)
+        with self._stage(f"merge{suffix}", "shards") as show:
+            merged = self._merged(scope, shards, show)
         self._times += map_times(results, merged, before)
         return {
             "map": merged.name,
@@ -137,7 +139,7 @@ class _Running:
             "largest_tile_bytes": max((each.voxel_bytes for each in results), default=0),
         }
 
-    def _merged(self, scope: Scope, shards: Sequence[str]) -> MergeResult:
+    def _merged(self, scope: Scope, shards: Sequence[str], show: Show) -> MergeResult:
         name = dive_map(scope.name) if scope.name else MAP
         key = digest_of(str(scope.pings), *shards)
         said = _said_of(name)
@@ -152,7 +154,7 @@ class _Running:
         config = self._request.config
         task = MergeTask(name, list(shards), config, scope.pings, self._folder.url)
         self._folder.remove(said)  # of the map before, which the merged one takes the place of
-        result = merge_shards(task)
+        result = merge_shards(task, show)
         mark(self._folder, said, _Merged(key, result))
         return result
 
@@ -192,22 +194,22 @@ class _Running:
         }
 
     @contextlib.contextmanager
-    def _stage(self, name: str) -> Iterator[Callable[[float, int], None]]:
+    def _stage(self, name: str, unit: str = "pings") -> Iterator[Show]:
         began_s = time.perf_counter()
-        with _bar(name, self._out) as show:
+        with _bar(name, self._out, unit) as show:
             yield show
         self._wall_s[name] = round(time.perf_counter() - began_s, 3)
 
 
 @contextlib.contextmanager
-def _bar(stage: str, out: TextIO) -> Iterator[Callable[[float, int], None]]:
-    bar = ProgressBar(out, time.perf_counter, f"mapper-survey {stage}")
+def _bar(stage: str, out: TextIO, unit: str = "pings") -> Iterator[Show]:
+    bar = ProgressBar(out, time.perf_counter, f"mapper-survey {stage}", unit)
     last = 0
 
-    def show(fraction: float, pings: int) -> None:
+    def show(fraction: float, count: int) -> None:
         nonlocal last
-        last = pings
-        bar.show(fraction, pings)
+        last = count
+        bar.show(fraction, count)
 
     yield show
     bar.close(last)
