@@ -3,13 +3,17 @@
 It is written after the result, so that a stop in between only has the result made again.
 """
 
-from typing import TypeVar
+import zlib
+from typing import BinaryIO, TypeVar
 
 import msgspec
 
 from survey.folder import Folder
 
-__all__ = ["mark", "marked"]
+__all__ = ["crc_of", "mark", "marked"]
+
+PIECE = 1 << 20
+"""Bytes of a file in memory at a time."""
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -28,3 +32,11 @@ def marked(folder: Folder, name: str, kind: type[T]) -> T | None:
         return msgspec.json.decode(data, type=kind)
     except msgspec.DecodeError:
         return None
+
+
+def crc_of(file: BinaryIO) -> int:
+    """CRC-32 of the rest of a file."""
+    crc = 0
+    while piece := file.read(PIECE):
+        crc = zlib.crc32(piece, crc)
+    return crc

@@ -13,6 +13,7 @@ from mapperd.store.reader import StoreReader
 from mapperd.store.whole import write_whole
 from survey.errors import SurveyError
 from survey.folder import Folder
+from survey.marks import crc_of
 from survey.scratch import scratch
 from survey.tile_stage import shard_mark
 
@@ -40,13 +41,14 @@ class MergeTask(Struct, frozen=True):
 
 
 class MergeResult(Struct, frozen=True):
-    """What became of it."""
+    """What became of it; `crc` is that of the file."""
 
     name: str
     bricks: int
     cpu_s: float
     read_bytes: int
     written_bytes: int
+    crc: int
 
 
 def merge_shards(task: MergeTask, show: Show) -> MergeResult:
@@ -69,6 +71,8 @@ def merge_shards(task: MergeTask, show: Show) -> MergeResult:
         with contextlib.closing(rows):
             bricks = write_whole(path, task.config, task.revision, rows)
         written = path.stat().st_size
+        with path.open("rb") as file:
+            crc = crc_of(file)
         folder.put(path, task.name)
     return MergeResult(
         name=task.name,
@@ -76,6 +80,7 @@ def merge_shards(task: MergeTask, show: Show) -> MergeResult:
         cpu_s=time.process_time() - began_s,
         read_bytes=sum(folder.size_of(shard) for shard in task.shards),
         written_bytes=written,
+        crc=crc,
     )
 
 

@@ -16,7 +16,7 @@ from survey.errors import SurveyError
 from survey.fingerprint import digest_of
 from survey.folder import Folder
 from survey.lock_file import held
-from survey.marks import mark, marked
+from survey.marks import crc_of, mark, marked
 from survey.memory import edge_for, edge_within, voxel_bytes_of
 from survey.merging import MergeResult, MergeTask, merge_shards
 from survey.plan_stage import plan_all, rows_of
@@ -49,6 +49,9 @@ class Options(msgspec.Struct, frozen=True):
 
 SUFFIXES = (".db", ".spool", ".npy", ".json")
 """Of files that a run makes, its marks with them."""
+
+BESIDE = ("-journal", "-wal", "-shm")
+"""Of files that SQLite keeps beside one that somebody writes into; to another one they are harm."""
 
 FINGERPRINTED = re.compile(r"\.[0-9a-f]{24}\.[a-z]+$")
 """Names that nobody but a run gives: a stop may have left such a file without its mark."""
@@ -144,19 +147,27 @@ class _Running:
         key = digest_of(str(scope.pings), *shards)
         said = _said_of(name)
         before = marked(self._folder, said, _Merged)
-        if (
-            before is not None
-            and before.key == key
-            and self._folder.has(name)
-            and self._folder.size_of(name) == before.result.written_bytes
-        ):
+        if before is not None and before.key == key and self._is_whole(before.result):
             return before.result
         config = self._request.config
         task = MergeTask(name, list(shards), config, scope.pings, self._folder.url)
         self._folder.remove(said)  # of the map before, which the merged one takes the place of
+        for suffix in BESIDE:
+            self._folder.remove(f"{name}{suffix}")
         result = merge_shards(task, show)
         mark(self._folder, said, _Merged(key, result))
         return result
+
+    def _is_whole(self, merged: MergeResult) -> bool:
+        """Whether a map's file is what the merge made, and nobody has written into it since."""
+        if any(self._folder.has(f"{merged.name}{suffix}") for suffix in BESIDE):
+            return False
+        if not self._folder.has(merged.name):
+            return False
+        if self._folder.size_of(merged.name) != merged.written_bytes:
+            return False
+        with self._folder.open(merged.name) as file:
+            return crc_of(file) == merged.crc
 
     def _forget_others(self, plans: Sequence[DivePlan], maps: Sequence[str]) -> None:
         """Remove what earlier runs with other inputs have left."""

@@ -10,7 +10,7 @@ from survey.folder import Folder
 from survey.request import read_survey
 from survey.running import Options, run_survey
 
-from tests.tools.survey.dives import MEMORY, write_survey
+from tests.tools.survey.dives import MEMORY, rows_in, run_here, write_survey
 
 
 class Terminal(io.StringIO):
@@ -30,3 +30,30 @@ def test_the_merge_says_how_far_it_is(tmp_path: Path, monkeypatch: pytest.Monkey
     expected = [(f"{100 * n / tiles:.1f}", str(n)) for n in range(1, tiles + 1)]
     assert tiles > 2
     assert shown == [*expected, expected[-1]]
+
+
+@pytest.mark.parametrize("name", ["map.db", "dives/a.db"])
+def test_a_map_that_is_not_what_was_merged_is_merged_anew(tmp_path: Path, name: str) -> None:
+    survey = write_survey(tmp_path, dives=[{"name": "a", "recording": "a.mcap"}])
+    path = tmp_path / "out" / name
+    run_here(survey, tmp_path / "out", by_dive=True)
+    expected, damaged = rows_in(path), bytearray(path.read_bytes())
+    damaged[len(damaged) // 2] ^= 1
+    path.write_bytes(damaged)
+    run_here(survey, tmp_path / "out", by_dive=True)
+    assert path.read_bytes() != damaged
+    assert rows_in(path) == expected
+
+
+@pytest.mark.parametrize("suffix", ["-wal", "-journal", "-shm"])
+def test_a_map_that_somebody_began_to_change_is_merged_anew(tmp_path: Path, suffix: str) -> None:
+    survey = write_survey(tmp_path, dives=[{"name": "a", "recording": "a.mcap"}])
+    path = tmp_path / "out/map.db"
+    run_here(survey, tmp_path / "out")
+    expected, before = rows_in(path), path.stat().st_ino
+    beside = path.with_name(f"map.db{suffix}")
+    beside.write_bytes(b"left by one who was killed")
+    run_here(survey, tmp_path / "out")
+    assert not beside.exists()
+    assert path.stat().st_ino != before
+    assert rows_in(path) == expected
