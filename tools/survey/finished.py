@@ -6,7 +6,7 @@ from mapperd.config import Config
 from survey.errors import SurveyError
 from survey.folder import Folder
 from survey.request import Origin
-from survey.running import RECORD
+from survey.running import RECORD, was_begun
 
 __all__ = ["Told", "told_in"]
 
@@ -29,10 +29,15 @@ def told_in(folder: Folder) -> Told:
     """What the record says; nothing where maps were put together without one.
 
     Raises:
-        SurveyError: it is no such record.
+        SurveyError: it is no such record, or a run was stopped before it was written.
     """
     data = folder.read(RECORD)
     if data is None:
+        if was_begun(folder):
+            raise SurveyError(
+                f"{folder.url}: no {RECORD} in it, because its run was stopped: "
+                "the same mapper-survey run goes on"
+            )
         return Told()
     try:
         return msgspec.json.decode(data, type=Told)

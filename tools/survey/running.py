@@ -26,7 +26,16 @@ from survey.run_record import map_times, plan_times, recorded_s, told
 from survey.tile_stage import Scope, TileStage, shard_mark
 from survey.tile_task import TileResult
 
-__all__ = ["DIVES", "MAP", "RECORD", "Options", "dive_map", "plan_survey", "run_survey"]
+__all__ = [
+    "DIVES",
+    "MAP",
+    "RECORD",
+    "Options",
+    "dive_map",
+    "plan_survey",
+    "run_survey",
+    "was_begun",
+]
 
 Show = Callable[[float, int], None]
 
@@ -65,6 +74,11 @@ class _Merged(msgspec.Struct, frozen=True):
 def dive_map(dive: str) -> str:
     """Name of the map of one dive."""
     return f"{DIVES}/{dive}.db"
+
+
+def was_begun(folder: Folder) -> bool:
+    """Whether a survey was run into a folder, if not to its end."""
+    return any(FINGERPRINTED.search(name) for name in folder.names("plan"))
 
 
 def plan_survey(request: Request, folder: Folder, engine: Engine, out: TextIO) -> dict[str, Any]:
@@ -151,7 +165,8 @@ class _Running:
             return before.result
         config = self._request.config
         task = MergeTask(name, list(shards), config, scope.pings, self._folder.url)
-        self._folder.remove(said)  # of the map before, which the merged one takes the place of
+        for told_before in (RECORD, said):  # of the map that the merged one takes the place of
+            self._folder.remove(told_before)
         for suffix in BESIDE:
             self._folder.remove(f"{name}{suffix}")
         result = merge_shards(task, show)
@@ -182,6 +197,8 @@ class _Running:
             for name in self._folder.names(part) - wanted
             if name.endswith(SUFFIXES) and _is_ours(self._folder, name, kind)
         ]
+        if any(name.startswith(f"{DIVES}/") for name in ours):
+            self._folder.remove(RECORD)  # it tells of them
         for name in sorted(ours, key=lambda name: name.endswith(".json")):  # the marks last
             self._folder.remove(name)
 

@@ -1,10 +1,13 @@
 """The merged map: how far it is, and whether what is there is still what was merged."""
 
 import io
+import json
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
+from survey.command import main
 from survey.engine import InProcess
 from survey.folder import Folder
 from survey.request import read_survey
@@ -57,3 +60,66 @@ def test_a_map_that_somebody_began_to_change_is_merged_anew(tmp_path: Path, suff
     assert not beside.exists()
     assert path.stat().st_ino != before
     assert rows_in(path) == expected
+
+
+def stopped_before(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run ends before a file, or what is said of a map, takes its place."""
+    put = Folder.put
+
+    def stopping(self: Folder, path: Path, at: str) -> None:
+        if at == name:
+            raise KeyboardInterrupt
+        put(self, path, at)
+
+    monkeypatch.setattr(Folder, "put", stopping)
+
+
+def export(out: Path) -> int:
+    return main(["export", str(out), "--products", "soundings"])
+
+
+@pytest.mark.parametrize("name", ["map.db", "map.json", "dives/a.json", "survey.json"])
+def test_a_record_never_tells_of_another_map(
+    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    dive: dict[str, Any] = {"name": "a", "recording": "a.mcap"}
+    run_here(write_survey(tmp_path, dives=[dive]), out, by_dive=True)
+    assert export(out) == 0
+    origin = {"latitude": 53.5, "longitude": 8.1, "altitude": 1.0}
+    dive["transform"] = {"z": -1.0}
+    survey = write_survey(tmp_path, dives=[dive], origin=origin)
+    with pytest.MonkeyPatch.context() as patch:
+        stopped_before(name, patch)
+        with pytest.raises(KeyboardInterrupt):
+            run_here(survey, out, by_dive=True)
+    assert not (out / "survey.json").exists()
+    assert export(out) == 2
+    assert "its run was stopped: the same mapper-survey run goes on" in capsys.readouterr().err
+    run_here(survey, out, by_dive=True)
+    assert json.loads((out / "survey.json").read_text("utf-8"))["origin"] == origin
+    assert export(out) == 0
+
+
+def test_a_record_of_maps_that_are_no_more_is_removed_before_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    survey = write_survey(tmp_path, dives=[{"name": "a", "recording": "a.mcap"}])
+    run_here(survey, tmp_path / "out", by_dive=True)
+    stopped_before("survey.json", monkeypatch)
+    with pytest.raises(KeyboardInterrupt):
+        run_here(survey, tmp_path / "out")
+    assert not (tmp_path / "out/dives/a.db").exists()
+    assert not (tmp_path / "out/survey.json").exists()
+
+
+def test_a_run_that_changes_no_map_leaves_the_record_until_it_has_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    survey = write_survey(tmp_path, dives=[{"name": "a", "recording": "a.mcap"}])
+    run_here(survey, tmp_path / "out")
+    before = (tmp_path / "out/survey.json").read_bytes()
+    stopped_before("survey.json", monkeypatch)
+    with pytest.raises(KeyboardInterrupt):
+        run_here(survey, tmp_path / "out")
+    assert (tmp_path / "out/survey.json").read_bytes() == before
