@@ -17,7 +17,9 @@ from survey.running import Options, plan_survey, run_survey
 
 __all__ = ["main"]
 
-FAULT, INTERRUPTED = 2, 130
+FAULT, NOT_ALL, INTERRUPTED = 2, 3, 130
+"""Exit codes: something to mend; a dive of which not a ping is in the map, which is made of the
+others; Ctrl-C."""
 
 FURTHER = (
     ("export", "write grids of depths, a cloud and soundings of the map", export_command),
@@ -97,8 +99,7 @@ def _plan(said: argparse.Namespace) -> int:
         record = plan_survey(request, Folder(said.out), engine, sys.stderr)
     finally:
         engine.close()
-    _tell(record, request)
-    return 0
+    return _tell(record, request)
 
 
 def _run(said: argparse.Namespace) -> int:
@@ -110,9 +111,8 @@ def _run(said: argparse.Namespace) -> int:
         record = run_survey(request, folder, engine, options, sys.stderr)
     finally:
         engine.close()
-    _tell(record, request)
     print(f"{record['pings']} pings of {record['recorded_s']:.0f} s: {folder.url}/map.db")
-    return 0
+    return _tell(record, request)
 
 
 def _engine(said: argparse.Namespace) -> Engine:
@@ -128,8 +128,9 @@ def _engine(said: argparse.Namespace) -> Engine:
     return local_pool(said.workers, bytes_of(said.memory_per_worker))
 
 
-def _tell(record: dict[str, Any], request: Request) -> None:
-    """Say what was lost and what was dropped; all else is in the files."""
+def _tell(record: dict[str, Any], request: Request) -> int:
+    """Say what was lost and what was dropped, all else is in the files; returns the exit code."""
+    code = 0
     for dive, told in zip(request.survey.dives, record["dives"], strict=True):
         for lost in told["lost"]:
             sys.stderr.write(f"mapper-survey: dive {dive.name}: {lost['recording']}: ")
@@ -139,4 +140,6 @@ def _tell(record: dict[str, Any], request: Request) -> None:
             sys.stderr.write(f"mapper-survey: dive {dive.name}: {count} pings dropped, ")
             sys.stderr.write(f"{reason}: {detail}\n")
         if told["pings"] == 0:
+            code = NOT_ALL
             sys.stderr.write(f"mapper-survey: dive {dive.name}: not a ping of it is in the map\n")
+    return code

@@ -139,6 +139,11 @@ def read_survey(path: Path) -> Request:
         raise SurveyError(f"{path}: $.outputs: {error}") from error
     for number, dive in enumerate(survey.dives):
         here = f"{path}: $.dives[{number}]"
+        if not (folder / dive.recording).exists():
+            raise SurveyError(
+                f"{here}.recording: {dive.recording}: there is no such recording; allowed: a file "
+                "or a folder, from the folder of this file"
+            )
         if dive.transform is not None and dive.localization is not None:
             raise SurveyError(
                 f"{here}: has a transform and localization; allowed: one of them, for either says "

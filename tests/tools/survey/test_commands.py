@@ -167,6 +167,7 @@ def test_place_that_is_none_is_refused(folder: Path, capsys: pytest.CaptureFixtu
 )
 def test_one_rule_for_an_origin(text: str, allowed: bool, tmp_path: Path) -> None:  # noqa: FBT001 said of each
     latitude, longitude = text.replace("nan", ".nan").split(",")
+    (tmp_path / "a.mcap").touch()
     survey = tmp_path / "survey.yaml"
     origin = f"origin: {{latitude: {latitude}, longitude: {longitude}}}"
     survey.write_text(f"dives: [{{name: a, recording: a.mcap}}]\n{origin}\n", encoding="utf-8")

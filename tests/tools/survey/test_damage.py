@@ -1,12 +1,14 @@
 """Recordings that were cut or damaged: what stands before is used, what was lost is told."""
 
 import errno
+import json
 from pathlib import Path
 from typing import Any
 
 import pytest
 from survey.command import main
 from survey.errors import SurveyError
+from survey.request import read_survey
 
 from tests.tools.survey.dives import rows_in, run_here, write_dive, write_survey
 
@@ -67,19 +69,41 @@ def test_what_is_no_recording_is_lost_as_a_whole(
     (tmp_path / "gone.mcap").write_bytes(b"\x89MCAP0\r\n")
     (tmp_path / "x").mkdir()
     words = ["run", str(survey), "--out", str(tmp_path / "out"), "--workers", "0"]
-    assert main(words) == 0
-    said = capsys.readouterr().err
-    assert "dive gone: " in said
-    assert "dive x: not a ping of it is in the map" in said
+    assert main(words) == 3
+    assert main(["plan", *words[1:]]) == 3
+    said = capsys.readouterr()
+    assert "30 pings of 6 s: " in said.out
+    for dive, file in (("gone", "gone.mcap"), ("x", "x")):
+        assert f"mapper-survey: dive {dive}: {tmp_path / file}: " in said.err
+        assert f"mapper-survey: dive {dive}: not a ping of it is in the map\n" in said.err
     alone = write_survey(tmp_path / "alone", dives=ALONE)
     run_here(alone, tmp_path / "alone/out")
     assert rows_in(tmp_path / "out/map.db") == rows_in(tmp_path / "alone/out/map.db")
 
 
-def test_a_recording_that_is_not_there_is_an_error(tmp_path: Path) -> None:
-    dives = [*ALONE, {"name": "b", "recording": "nowhere.mcap"}]
-    survey = write_survey(tmp_path, dives=dives)
-    with pytest.raises(SurveyError, match=r"nowhere\.mcap: there is no such recording"):
+def test_what_was_damaged_is_a_line_and_the_map_is_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    survey = write_survey(tmp_path, dives=ALONE)
+    sizes = write_dive(tmp_path / "a.mcap", 1)
+    (tmp_path / "a.mcap").write_bytes((tmp_path / "a.mcap").read_bytes()[: sizes[20] - 5])
+    out = tmp_path / "out"
+    assert main(["run", str(survey), "--out", str(out), "--workers", "0"]) == 0
+    said = capsys.readouterr().err.splitlines()
+    (line,) = [line for line in said if line.startswith("mapper-survey: ")]  # no progress
+    assert line.startswith(f"mapper-survey: dive a: {tmp_path / 'a.mcap'}: ")
+    (dive,) = json.loads((out / "survey.json").read_text("utf-8"))["dives"]
+    assert line.endswith(dive["lost"][0]["reason"])
+
+
+def test_a_recording_that_is_gone_before_it_is_read_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    survey = write_survey(tmp_path, dives=ALONE)
+    request = read_survey(survey)
+    monkeypatch.setattr("tests.tools.survey.dives.read_survey", lambda _: request)
+    (tmp_path / "a.mcap").unlink()
+    with pytest.raises(SurveyError, match=r"a\.mcap: there is no such recording"):
         run_here(survey, tmp_path / "out")
 
 

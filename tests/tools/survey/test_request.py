@@ -16,6 +16,7 @@ DIVES = [{"name": "a", "recording": "a.mcap"}]
 
 def written(folder: Path, told: object) -> Path:
     path = folder / "survey.yaml"
+    (folder / "a.mcap").touch()
     path.write_text(told if isinstance(told, str) else json.dumps(told), encoding="utf-8")
     return path
 
@@ -62,6 +63,10 @@ def test_a_dive_on_a_known_map_is_mapped_where_it_is_localized(tmp_path: Path) -
         ({"dives": [DIVES[0] | {"transfrom": {}}]}, "did you mean transform"),
         ({"dives": [DIVES[0] | {"transform": {"roll": 1}}]}, "there is no roll; allowed: x, y, z"),
         ({"dives": [DIVES[0] | {"localization": "no.db"}]}, "there is no such map"),
+        (
+            {"dives": [DIVES[0], {"name": "b", "recording": "no.mcap"}]},
+            r"\$\.dives\[1\]\.recording: no\.mcap: there is no such recording; allowed: ",
+        ),
         ({"dives": DIVES, "settings": {"octree": {"voxel": 1}}}, "there is no such setting"),
         ({"dives": DIVES, "settings": {"octree.voxel_resolution": -1}}, "-1 is not allowed"),
         ({"dives": DIVES, "configuration": "no.yaml"}, "no.yaml: cannot be read"),
