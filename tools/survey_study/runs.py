@@ -1,6 +1,7 @@
 """Runs of `mapper-survey`, watched: what they take, and with workers killed at random."""
 
 import random
+import re
 import subprocess
 import sys
 import time
@@ -22,7 +23,8 @@ class Watched(msgspec.Struct, frozen=True):
         workers: that it had at a time.
         wall_s: from start to end of the command.
         cpu_s: of its processes, as far as they were seen; at most `LOOK_S` of each is missing.
-        worker_peak_bytes: most memory of one worker at any look.
+        worker_peak_bytes: most memory that one worker ever took until its last look, as the kernel
+            counts it (VmHWM): what a worker took in its last `LOOK_S` may be missing, no peak else.
         killed: workers that were killed.
     """
 
@@ -66,9 +68,9 @@ def watch(
     command = subprocess.Popen(words)  # noqa: S603 our own program
     try:
         while command.poll() is None:
-            memory_bytes = _look(command.pid, cpu_s)
-            peak = max(peak, *memory_bytes, 0)
-            seen_s = time.perf_counter() if memory_bytes or not workers else seen_s
+            peaks = _look(command.pid, cpu_s)
+            peak = max(peak, *peaks, 0)
+            seen_s = time.perf_counter() if peaks or not workers else seen_s
             if time.perf_counter() - seen_s > ALONE_S:
                 raise RuntimeError(f"mapper-survey has no worker for {ALONE_S:g} s, and waits")
             at_work = (out / "plan").exists()  # before, the pool has not begun
@@ -86,17 +88,28 @@ def watch(
 
 
 def _look(command: int, cpu_s: dict[int, float]) -> list[int]:
-    """Note the CPU time of all processes; returns the memory of each worker."""
+    """Note the CPU time of all processes; returns the most memory that each worker ever took."""
     peaks = []
     for process in _family(command):
         try:
             times = process.cpu_times()
             cpu_s[process.pid] = times.user + times.system
             if WORKER in " ".join(process.cmdline()):
-                peaks.append(process.memory_info().rss)
-        except psutil.Error:  # it ended meanwhile
+                peaks.append(peak_bytes(process.pid))
+        except (psutil.Error, OSError):  # it ended meanwhile
             continue
     return peaks
+
+
+def peak_bytes(pid: int) -> int:
+    """Most memory that a process ever had resident; 0 of one that has ended.
+
+    Raises:
+        OSError: there is no such process.
+    """
+    told = Path(f"/proc/{pid}/status").read_text(encoding="ascii", errors="replace")
+    found = re.search(r"^VmHWM:\s*(\d+) kB$", told, re.MULTILINE)
+    return 1024 * int(found[1]) if found else 0
 
 
 def _kill_one(command: int, chance: random.Random) -> int:

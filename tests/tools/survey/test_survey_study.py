@@ -1,14 +1,19 @@
 """The study's own judge: when two maps are the same, and what a run must hold."""
 
+import os
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 from survey.engine import Done, InProcess
 from survey.request import read_survey
-from survey_study.run import Judged, Single, verdicts_of
-from survey_study.runs import Watched, watch
+from survey.task_times import TaskTime
+from survey_study.run import Judged, Single, kill_every_s, verdicts_of
+from survey_study.runs import Watched, peak_bytes, watch
 from survey_study.scheduler_time import time_of
 from survey_study.single_process import Fingerprint, fingerprint, map_in_one_process
 
@@ -97,6 +102,30 @@ def test_the_scheduler_s_time_is_that_of_a_task() -> None:
     assert time_of(Busy(0), 20).ms >= 3.0
     with pytest.raises(RuntimeError, match="19 of 20 tasks ended"):
         time_of(Busy(1), 20)
+
+
+def test_memory_that_was_taken_for_a_moment_is_seen_later() -> None:
+    code = "import sys; bytearray(b'1') * (200 << 20); print(1, flush=True); sys.stdin.read()"
+    words = [sys.executable, "-c", code]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:  # noqa: S603 our own
+        assert other.stdout is not None
+        other.stdout.readline()
+        assert psutil.Process(other.pid).memory_info().rss < 100 << 20
+        assert 200 << 20 < peak_bytes(other.pid) < 300 << 20
+        other.kill()
+        os.waitid(os.P_PID, other.pid, os.WEXITED | os.WNOWAIT)
+        assert peak_bytes(other.pid) == 0
+        other.communicate()
+    with pytest.raises(OSError, match="No such file"):
+        peak_bytes(other.pid)
+
+
+def test_workers_live_long_enough_for_the_longest_task() -> None:
+    def task(cpu_s: float) -> TaskTime:
+        return TaskTime(kind="tile", name="t", cpu_s=cpu_s, read_bytes=0, written_bytes=0)
+
+    assert kill_every_s([task(3.0), task(29.0), task(1.0)], 60.0) == 60.0
+    assert kill_every_s([task(3.0), task(200.0), task(1.0)], 60.0) == 400.0
 
 
 def test_a_run_that_failed_is_no_result(tmp_path: Path) -> None:
