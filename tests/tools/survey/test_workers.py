@@ -55,6 +55,13 @@ def cluster_of(engine: DaskEngine) -> Any:
     return engine._pool.cluster
 
 
+def leave_one(cluster: Any) -> None:
+    """One worker does all, as with --workers 1."""
+    cluster.scale(1)
+    while len(cluster.scheduler.workers) > 1:
+        time.sleep(0.02)
+
+
 @contextlib.contextmanager
 def first_worker_killed() -> Iterator[list[int]]:
     """Whatever worker begins first does not live to be there."""
@@ -109,7 +116,9 @@ def test_killed_workers_change_nothing(
         run_survey(request, Folder(str(tmp_path / "out")), killing, options, Silent())  # type: ignore[arg-type]
         assert len(cluster_of(engine).workers) == 2
         theirs = on_scheduler(cluster_of(engine).scheduler_address)
+        leave_one(cluster_of(engine))
         run_survey(request, Folder(str(tmp_path / "more")), theirs, options, Silent())  # type: ignore[arg-type]
+        assert len(cluster_of(engine).scheduler.workers) == 1
         theirs.submit(hears_interrupts, 1)
         assert list(theirs.done()) == [(1, False)]
         assert hears_interrupts(1)
