@@ -29,13 +29,13 @@ def told_in(folder: Folder) -> Told:
     """What the record says; nothing where maps were put together without one.
 
     Raises:
-        SurveyError: it is no such record, or a run was stopped before it was written.
+        SurveyError: it is no such record, or a run has not come to its end.
     """
     data = folder.read(RECORD)
     if data is None:
         if was_begun(folder):
             raise SurveyError(
-                f"{folder.url}: no {RECORD} in it, because its run was stopped: "
+                f"{folder.url}: no {RECORD} in it: its run has not come to its end; "
                 "the same mapper-survey run goes on"
             )
         return Told()
