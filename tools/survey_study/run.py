@@ -92,7 +92,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "one": one,
         "two": two,
         "killed": _judged(out / "killed", whole, 2, said.memory, every_s),
-        "damaged": _judged(out / "damage", damaged, 2, said.memory),
+        "damaged": _judged(out / "with-damage", damaged, 2, said.memory),
     }
     single = _once(out / "single.json", Single, lambda: _single(out, whole, recordings))
     verdicts = verdicts_of(results, single, bytes_of(said.memory), long=said.scale == "full")

@@ -1,5 +1,6 @@
 """The study's own judge: when two maps are the same, and what a run must hold."""
 
+import json
 import os
 import subprocess
 import sys
@@ -12,10 +13,11 @@ import pytest
 from survey.engine import Done, InProcess
 from survey.request import read_survey
 from survey.task_times import TaskTime
-from survey_study.run import Judged, Single, kill_every_s, verdicts_of
+from survey_study.run import Judged, Single, kill_every_s, main, verdicts_of
 from survey_study.runs import Watched, peak_bytes, watch
-from survey_study.scheduler_time import time_of
+from survey_study.scheduler_time import SchedulerTime, time_of
 from survey_study.single_process import Fingerprint, fingerprint, map_in_one_process
+from survey_study.survey_file import write_survey as write_study
 
 from tests.tools.survey.dives import run_here, write_dive, write_survey
 
@@ -131,3 +133,30 @@ def test_workers_live_long_enough_for_the_longest_task() -> None:
 def test_a_run_that_failed_is_no_result(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="ended with 2"):
         watch(tmp_path / "none.yaml", tmp_path / "out", 0, "1GiB")
+
+
+def test_the_study_goes_through_to_its_report(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dives = [tmp_path / f"dives/{name}.mcap" for name in "abc"]
+    for number, path in enumerate(dives):
+        write_dive(path, number, pings=8, begin_s=60.0 * number)
+
+    def made(out: Path, *_: object) -> list[Path]:
+        write_study(out, dives)
+        return dives
+
+    def watched(survey: Path, out: Path, workers: int, *_: object, **__: object) -> Watched:
+        run_here(survey, out)
+        return Watched(workers, 1.0, 1.0, 1, 0)
+
+    monkeypatch.setattr("survey_study.run.make", made)
+    monkeypatch.setattr("survey_study.run.watch", watched)
+    monkeypatch.setattr("survey_study.run.scheduler_time", lambda: SchedulerTime(1.0))
+    words = ["--out", str(tmp_path), "--scale", "small"]
+    assert [main(words), main(words)] == [0, 0]
+    assert "FAILS" not in capsys.readouterr().out
+    told = json.loads((tmp_path / "study.json").read_text("utf-8"))
+    assert told["one"]["map"] == told["killed"]["map"] == told["single"]["map"]
+    assert told["damaged"]["lost"].keys() == {"a", "b"}
+    assert (tmp_path / "scaling/scaling.json").exists()
