@@ -105,12 +105,12 @@ def test_a_recording_that_was_not_finished_is_not_there(
 
 
 def test_the_survey_file_names_recordings_and_settings_from_where_it_lies(tmp_path: Path) -> None:
-    path = write_survey(tmp_path, [tmp_path / "dives" / f"dive-0{k}.mcap" for k in (1, 2)])
-    request = read_survey(path)
-    assert [request.path_of(dive) for dive in request.survey.dives] == [
-        tmp_path / "dives/dive-01.mcap",
-        tmp_path / "dives/dive-02.mcap",
-    ]
+    recordings = [tmp_path / "dives" / f"dive-0{k}.mcap" for k in (1, 2)]
+    (tmp_path / "dives").mkdir()
+    for recording in recordings:
+        recording.touch()
+    request = read_survey(write_survey(tmp_path, recordings))
+    assert [request.path_of(dive) for dive in request.survey.dives] == recordings
     said, mounting = request.config.mounting, short().scene["mounting"]
     assert request.config.octree.voxel_resolution == 0.1
     assert [said.position.x, said.position.y, said.position.z] == mounting["position_m"]
