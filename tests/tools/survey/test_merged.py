@@ -13,7 +13,7 @@ from survey.folder import Folder
 from survey.request import read_survey
 from survey.running import Options, run_survey
 
-from tests.tools.survey.dives import MEMORY, rows_in, run_here, write_survey
+from tests.tools.survey.dives import MEMORY, rows_in, run_here, write_dive, write_survey
 
 
 class Terminal(io.StringIO):
@@ -21,6 +21,14 @@ class Terminal(io.StringIO):
 
     def isatty(self) -> bool:
         return True
+
+
+def short_survey(folder: Path, z: float = 0.0, **changes: Any) -> Path:
+    """One dive of a second; returns `survey.yaml`."""
+    dive = {"name": "a", "recording": "a.mcap", "transform": {"z": z}}
+    survey = write_survey(folder, dives=[dive], **changes)
+    write_dive(folder / "a.mcap", 1, pings=6)
+    return survey
 
 
 def test_the_merge_says_how_far_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -37,7 +45,7 @@ def test_the_merge_says_how_far_it_is(tmp_path: Path, monkeypatch: pytest.Monkey
 
 @pytest.mark.parametrize("name", ["map.db", "dives/a.db"])
 def test_a_map_that_is_not_what_was_merged_is_merged_anew(tmp_path: Path, name: str) -> None:
-    survey = write_survey(tmp_path, dives=[{"name": "a", "recording": "a.mcap"}])
+    survey = short_survey(tmp_path)
     path = tmp_path / "out" / name
     run_here(survey, tmp_path / "out", by_dive=True)
     expected, damaged = rows_in(path), bytearray(path.read_bytes())
@@ -50,7 +58,7 @@ def test_a_map_that_is_not_what_was_merged_is_merged_anew(tmp_path: Path, name: 
 
 @pytest.mark.parametrize("suffix", ["-wal", "-journal", "-shm"])
 def test_a_map_that_somebody_began_to_change_is_merged_anew(tmp_path: Path, suffix: str) -> None:
-    survey = write_survey(tmp_path, dives=[{"name": "a", "recording": "a.mcap"}])
+    survey = short_survey(tmp_path)
     path = tmp_path / "out/map.db"
     run_here(survey, tmp_path / "out")
     expected, before = rows_in(path), path.stat().st_ino
@@ -83,12 +91,10 @@ def test_a_record_never_tells_of_another_map(
     tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    dive: dict[str, Any] = {"name": "a", "recording": "a.mcap"}
-    run_here(write_survey(tmp_path, dives=[dive]), out, by_dive=True)
+    run_here(short_survey(tmp_path), out, by_dive=True)
     assert export(out) == 0
     origin = {"latitude": 53.5, "longitude": 8.1, "altitude": 1.0}
-    dive["transform"] = {"z": -1.0}
-    survey = write_survey(tmp_path, dives=[dive], origin=origin)
+    survey = short_survey(tmp_path, z=-1.0, origin=origin)
     with pytest.MonkeyPatch.context() as patch:
         stopped_before(name, patch)
         with pytest.raises(KeyboardInterrupt):
@@ -107,7 +113,7 @@ def test_a_record_never_tells_of_another_map(
 def test_a_record_of_maps_that_are_no_more_is_removed_before_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    survey = write_survey(tmp_path, dives=[{"name": "a", "recording": "a.mcap"}])
+    survey = short_survey(tmp_path)
     run_here(survey, tmp_path / "out", by_dive=True)
     stopped_before("survey.json", monkeypatch)
     with pytest.raises(KeyboardInterrupt):
@@ -119,7 +125,7 @@ def test_a_record_of_maps_that_are_no_more_is_removed_before_them(
 def test_a_run_that_changes_no_map_leaves_the_record_until_it_has_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    survey = write_survey(tmp_path, dives=[{"name": "a", "recording": "a.mcap"}])
+    survey = short_survey(tmp_path)
     run_here(survey, tmp_path / "out")
     before = (tmp_path / "out/survey.json").read_bytes()
     stopped_before("survey.json", monkeypatch)
