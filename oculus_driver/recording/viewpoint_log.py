@@ -46,7 +46,7 @@ def read_viewpoint_log(file: BinaryIO, size: int, progress: Progress) -> Iterato
     """Yield the messages of a ViewPoint log of `size` bytes by entry; fill in `progress`.
 
     Raises:
-        OSError: the disk refuses the file, or memory for it; what is in it is not to blame.
+        OSError: the disk refuses the file; what is in it is not to blame.
     """
     import sqlite3  # noqa: PLC0415 - only these files need it
 
@@ -80,7 +80,6 @@ def _is_refused(error: Exception) -> bool:
         sqlite3.SQLITE_BUSY,
         sqlite3.SQLITE_LOCKED,
         sqlite3.SQLITE_FULL,
-        sqlite3.SQLITE_NOMEM,
     }
 
 

@@ -183,7 +183,7 @@ def test_a_file_that_is_not_there_any_more_is_no_damage_of_it(
     [
         (sqlite3.SQLITE_IOERR_READ, True),
         (sqlite3.SQLITE_BUSY, True),
-        (sqlite3.SQLITE_NOMEM, True),
+        (sqlite3.SQLITE_CANTOPEN, True),
         (sqlite3.SQLITE_IOERR_SHORT_READ, False),
         (sqlite3.SQLITE_CORRUPT, False),
         (sqlite3.SQLITE_ERROR, False),
