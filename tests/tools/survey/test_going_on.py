@@ -1,6 +1,5 @@
 """A survey goes on where it was stopped, and makes anew only what changed inputs touch."""
 
-import errno
 import json
 import shutil
 import signal
@@ -253,27 +252,6 @@ def test_two_at_once_in_one_folder_are_refused(
         assert main(words) == 2
         assert "another mapper-survey is at work" in capsys.readouterr().err
         other.communicate()
-
-
-def refused(*_: object, **__: object) -> None:
-    raise PermissionError(errno.EACCES, "Permission denied", "a.mcap")
-
-
-@pytest.mark.parametrize(
-    ("what", "error", "said"),
-    [
-        ("pathlib.Path.mkdir", SurveyError, "out: cannot be written into: Permission denied"),
-        ("survey.running.plan_all", PermissionError, "Permission denied: 'a.mcap'"),
-    ],
-)
-def test_only_the_folder_is_said_not_to_be_written_into(
-    tmp_path: Path, what: str, error: type[Exception], said: str
-) -> None:
-    survey = write_survey(tmp_path)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(what, refused)
-        with pytest.raises(error, match=said):
-            run_here(survey, tmp_path / "out")
 
 
 def test_the_folder_may_lie_elsewhere(tmp_path: Path) -> None:
