@@ -58,7 +58,8 @@ def read_viewpoint_log(file: BinaryIO, size: int, progress: Progress) -> Iterato
                 yield chunk
         finally:
             connection.close()
-    except (sqlite3.Error, OverflowError) as error:
+    except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:
+        # The last is of SQLite's own words, where they quote what is no text in the file.
         if _is_refused(error):
             raise OSError(errno.EIO, str(error), file.name) from error
         progress.cut(f"cannot be read on: {error}")

@@ -209,3 +209,17 @@ def test_what_a_disk_refuses_is_no_damage(
     assert chunks == []
     assert recording.truncated
     assert (recording.read_error is not None) == refused
+
+
+def test_a_schema_that_is_no_text_is_damage(tmp_path: Path, make_ping: MakePing) -> None:
+    path = tmp_path / "log"
+    write(path, [(1, 1, make_ping())])
+    data = path.read_bytes()
+    name, made = b"tabledatadata", b"CREATE TABLE data "
+    assert data.count(name) == data.count(made) == 1
+    damaged = data.replace(name, b"tabled\x8ftadata").replace(made, b"CREATE TXBLE data ")
+    path.write_bytes(damaged)
+    chunks, recording = read(path)
+    assert chunks == []
+    assert recording.truncated
+    assert recording.read_error is None
