@@ -20,6 +20,9 @@ constexpr int kMostLines = 128;
 // A part of the volume as near as this to the limit that it is compared with is sampled again.
 constexpr double kUnclear = 0.12;
 constexpr int kLinesIfUnclear = 64;
+// Edges of a voxel by which its place as a moving sonar sees it may be off where weights are sampled:
+// small beside what that is off by.
+constexpr double kStraight = 0.005;
 // More planes than there can be through a voxel: whether it is free is worked out for it alone.
 constexpr std::uint8_t kAskItself = 128;
 
@@ -107,18 +110,21 @@ void BlockLooker::look(const BlockKey& local, BlockEvidence& evidence) const {
 void BlockLooker::look_at_cell(const BlockKey& local, int x, int y, int z,
                                BlockEvidence& evidence) const {
   Cell cell{x, y, z, centre_of(local, x + kCell / 2, y + kCell / 2, z + kCell / 2), {}, {}, {}};
-  cell.verdict = fan_.verdict(cell.centre, kCell * edge_m_);
+  const double cell_m = kCell * edge_m_;
+  if (fan_.view() != nullptr) {
+    cell.seen = fan_.view()->look(cell.centre);
+    cell.widening = fan_.view()->widening(cell.centre, kHalfDiagonal * cell_m);
+    cell.verdict = fan_.verdict(cell.seen, cell.widening, cell_m);
+  } else {
+    cell.verdict = fan_.verdict(cell.centre, cell_m);
+  }
   if (cell.verdict.content == Fan::Content::nothing) return;
   if (cell.verdict.content == Fan::Content::all_free) {
     return mark_free_cube(x, y, z, kCell, evidence);
   }
-  if (fan_.view() != nullptr) {
-    cell.seen = fan_.view()->look(cell.centre);
-    cell.widening = fan_.view()->widening(cell.centre, kHalfDiagonal * kCell * edge_m_);
-  }
   if (look_between_beams(cell, evidence)) return;
   // There the directions change too much within the cell for one set of widths.
-  const bool near = norm(cell.centre) < 5 * kCell * edge_m_;
+  const bool near = norm(cell.centre) < 5 * cell_m;
   near ? look_near(cell, evidence) : look_far(cell, evidence);
 }
 
@@ -212,6 +218,7 @@ void BlockLooker::look_far(const Cell& cell, BlockEvidence& evidence) const {
   const FanPart& where = cell.verdict.where;
   const double least_free = fan_.least_free_m(where.first_beam, where.last_beam);
   const double most_free = fan_.most_free_m(where.first_beam, where.last_beam);
+  const bool straight = weight_error_ > 0 && cell.widening.bend <= kStraight * edge_m_;
   for (int i = 0; i < kCellVoxels; ++i) {
     const double near_m = at.range[i] - extent.inward;
     const double far_m = at.range[i] + extent.outward;
@@ -233,7 +240,8 @@ void BlockLooker::look_far(const Cell& cell, BlockEvidence& evidence) const {
     const Fan::Place place{at.range[i], at.horizontal[i], at.sine[i], at.inside_aperture[i],
                            at.inside_sides[i]};
     SeenAxes axes;
-    const Cube cube = cube_at(voxel_centre(cell, i), axes);
+    const Vec3 centre = voxel_centre(cell, i);
+    const Cube cube = straight ? cube_in(cell, centre) : cube_at(centre, axes);
     settle(fan_.verdict(cube.centre(), place, extent, cube.seen), cube, voxel_offset(x, y, z),
            evidence);
   }
@@ -263,6 +271,13 @@ Cube BlockLooker::cube_at(const Vec3& centre, SeenAxes& axes) const {
   const Seen seen = fan_.view()->look(centre);
   axes = seen.axes;
   return {{seen.at.x, seen.at.y, seen.at.z}, edge_m_ / 2, &axes};
+}
+
+// The same by what its cell is seen as, which has to last as long.
+Cube BlockLooker::cube_in(const Cell& cell, const Vec3& centre) const {
+  if (fan_.view() == nullptr) return {{centre.x, centre.y, centre.z}, edge_m_ / 2};
+  const Vec3 at = cell.seen.at + cell.seen.axes.apply(centre - cell.centre);
+  return {{at.x, at.y, at.z}, edge_m_ / 2, &cell.seen.axes};
 }
 
 void BlockLooker::settle(const Fan::Verdict& verdict, const Cube& cube, int offset,

@@ -93,12 +93,14 @@ Fan::Extent Fan::extent_at_rest(const Vec3& in_sonar, double edge_m) const {
 
 Fan::Verdict Fan::verdict(const Vec3& centre, double edge_m) const {
   if (view_) {
-    const Seen seen = view_->look(centre);
-    const Widening widening = view_->widening(centre, kHalfDiagonal * edge_m);
-    return verdict(seen.at, place_of(seen.at), extent_of(to_sonar(seen.at), edge_m, widening),
-                   &seen.axes);
+    return verdict(view_->look(centre), view_->widening(centre, kHalfDiagonal * edge_m), edge_m);
   }
   return verdict(centre, place_of(centre), extent_of(to_sonar(centre), edge_m));
+}
+
+Fan::Verdict Fan::verdict(const Seen& seen, const Widening& widening, double edge_m) const {
+  return verdict(seen.at, place_of(seen.at), extent_of(to_sonar(seen.at), edge_m, widening),
+                 &seen.axes);
 }
 
 Fan::Place Fan::place_of(const Vec3& centre) const {

@@ -59,6 +59,7 @@ class BlockLooker {
   void places(const Cell& cell, CellPlaces& at) const;
   Vec3 voxel_centre(const Cell& cell, int i) const;
   Cube cube_at(const Vec3& centre, SeenAxes& axes) const;
+  Cube cube_in(const Cell& cell, const Vec3& centre) const;
   void settle(const Fan::Verdict& verdict, const Cube& cube, int offset,
               BlockEvidence& evidence) const;
   void decide(const Evidence& sum, int offset, BlockEvidence& evidence) const;

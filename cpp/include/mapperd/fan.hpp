@@ -149,6 +149,8 @@ class Fan {
     FanPart where;  // set unless nothing
   };
   Verdict verdict(const Vec3& centre, double edge_m) const;
+  // The same for a cube that a moving sonar sees so.
+  Verdict verdict(const Seen& seen, const Widening& widening, double edge_m) const;
 
   // How far a cube reaches from its centre, along the directions that matter.
   struct Extent {
