@@ -20,8 +20,8 @@ constexpr int kMostLines = 128;
 // A part of the volume as near as this to the limit that it is compared with is sampled again.
 constexpr double kUnclear = 0.12;
 constexpr int kLinesIfUnclear = 64;
-// Edges of a voxel by which its place as a moving sonar sees it may be off where weights are sampled:
-// small beside what that is off by.
+// Edges of a voxel by which the place where a moving sonar sees it may be off where weights are
+// sampled: little beside what that is off by.
 constexpr double kStraight = 0.005;
 // More planes than there can be through a voxel: whether it is free is worked out for it alone.
 constexpr std::uint8_t kAskItself = 128;
