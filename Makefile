@@ -71,7 +71,7 @@ out/chaos/tank.mcap: | $(STAMP)
 	$(BIN)/sonar-sim capture tank --out $@
 
 # The map stream on a bad link, with a hundred clients, and what twenty cost; writes the figures into
-# docs/map-stream.md. Ten minutes; wants the right to make network namespaces for a real bad link.
+# docs/map-stream.md. A quarter of an hour; wants the right to make network namespaces for a real link.
 stream-study: $(STAMP) out/demo/capture.bin
 	PYTHONPATH=tools $(BIN)/python -m stream_study.run --write
 

@@ -77,7 +77,7 @@ class Tether:
 
 
 @contextlib.contextmanager
-def joined_hosts(shape: LinkShape, dice: int = 1) -> Iterator[tuple[str, str, Tether]]:
+def joined_hosts(shape: LinkShape, dice: int) -> Iterator[tuple[str, str, Tether]]:
     """Names of the namespaces of the server and the client, and the link, as long as this lasts.
 
     Raises:

@@ -56,6 +56,9 @@ def _tether(one: dict[str, Any]) -> list[str]:
         "the same: age of what is within 10 m, worst and 95 %": (
             f"{one['near_worst_s']:.1f} s, {one['near_p95_s']:.1f} s"
         ),
+        f"the same: worst of each of {len(one['near_each_s'])} runs": ", ".join(
+            f"{worst_s:.1f} s" for worst_s in one["near_each_s"]
+        ),
         "the same: joined in the middle of the dive, near there after": (
             f"{one['near_first_s']:.1f} s"
         ),

@@ -113,11 +113,11 @@ class WatcherOutcome:
         return asdict(self)
 
 
-def tether(folder: Path, capture: Path, shape: LinkShape, say: Say) -> TetherOutcome:
+def tether(folder: Path, capture: Path, shape: LinkShape, dice: int, say: Say) -> TetherOutcome:
     """One client behind a bad link joins in the middle of a dive, where a large map is already."""
     with ExitStack() as stack:
         try:
-            server, client, link = stack.enter_context(joined_hosts(shape))
+            server, client, link = stack.enter_context(joined_hosts(shape, dice))
         except NotPermittedError as error:
             say(f"no hosts ({error}): the link is a relay in a process")
             server, client, link = "", "", None
