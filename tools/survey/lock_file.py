@@ -15,6 +15,7 @@ import msgspec
 
 from survey.errors import SurveyError
 from survey.folder import Folder
+from survey.this_system import this_system
 
 __all__ = ["LOCK", "held"]
 
@@ -47,7 +48,7 @@ def held(folder: Folder) -> Iterator[None]:
         SurveyError: another one does, or was killed and cannot say that it does not.
     """
     _refuse_another(folder)
-    me = Holder(socket.gethostname(), _system(), os.getpid(), uuid.uuid4().hex)
+    me = Holder(socket.gethostname(), this_system(), os.getpid(), uuid.uuid4().hex)
     folder.write(LOCK, msgspec.json.encode(me))
     if _holder(folder) != me:
         _refuse_another(folder)
@@ -80,10 +81,4 @@ def _holder(folder: Folder) -> Holder | None:
 
 def _is_gone(holder: Holder) -> bool:
     """Known only of processes that are counted where this one is."""
-    return holder.system == _system() and not Path(f"/proc/{holder.pid}").exists()
-
-
-def _system() -> str:
-    """Since its last start, and within a container, process ids mean the same."""
-    started = Path("/proc/sys/kernel/random/boot_id").read_text("ascii").strip()
-    return f"{started} {Path('/proc/self/ns/pid').readlink()}"
+    return holder.system == this_system() and not Path(f"/proc/{holder.pid}").exists()

@@ -6,6 +6,7 @@ A survey's folder may lie on another machine, where SQLite's locks are not to be
 
 import contextlib
 import fcntl
+import hashlib
 import os
 import shutil
 import tempfile
@@ -13,9 +14,13 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from survey.this_system import this_system
+
 __all__ = ["scratch"]
 
-PREFIX = "mapper-survey-"
+PREFIX = ".mapper-survey-scratch."
+"""Nobody calls a folder of their own so; what follows is this machine, since its last start: others
+may share the folder of all these, and do not see its locks."""
 
 YOUNG_S = 60.0
 """Since a folder was changed: it may be between being made and being locked."""
@@ -25,8 +30,10 @@ YOUNG_S = 60.0
 def scratch() -> Iterator[Path]:
     """A folder of its own in the one that `TMPDIR` names; what the killed have left there goes."""
     base = Path(tempfile.gettempdir())
-    _sweep(base)
-    with tempfile.TemporaryDirectory(prefix=PREFIX, dir=base) as temporary:
+    machine = hashlib.blake2b(this_system().encode(), digest_size=8).hexdigest()
+    prefix = f"{PREFIX}{machine}."
+    _sweep(base, prefix)
+    with tempfile.TemporaryDirectory(prefix=prefix, dir=base) as temporary:
         handle = os.open(temporary, os.O_RDONLY)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX)
@@ -35,9 +42,9 @@ def scratch() -> Iterator[Path]:
             os.close(handle)
 
 
-def _sweep(base: Path) -> None:
+def _sweep(base: Path, prefix: str) -> None:
     """Remove folders whose owner is gone: a lock ends with the process that has it."""
-    for path in base.glob(f"{PREFIX}*"):
+    for path in base.glob(f"{prefix}*"):
         with contextlib.suppress(OSError):  # somebody else's, or removed meanwhile
             if path.stat().st_mtime > time.time() - YOUNG_S:
                 continue

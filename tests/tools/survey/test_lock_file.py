@@ -11,9 +11,10 @@ from survey.command import main
 from survey.engine import InProcess
 from survey.errors import SurveyError
 from survey.folder import Folder
-from survey.lock_file import LOCK, Holder, _system, held
+from survey.lock_file import LOCK, Holder, held
 from survey.request import read_survey
 from survey.running import Options, run_survey
+from survey.this_system import this_system
 
 from tests.tools.survey.dives import MEMORY, Silent, write_survey
 
@@ -25,7 +26,7 @@ def elsewhere(tmp_path: Path) -> Folder:
 
 def holder(folder: Folder, **changes: Any) -> Holder:
     """Put one there."""
-    mine = Holder("near", _system(), 1, "a")
+    mine = Holder("near", this_system(), 1, "a")
     said = msgspec.structs.replace(mine, **changes)
     folder.write(LOCK, msgspec.json.encode(said))
     return said
@@ -89,7 +90,7 @@ def test_whoever_wrote_last_has_it(elsewhere: Folder, monkeypatch: pytest.Monkey
 
     def overtaken(self: Folder, name: str, data: bytes) -> None:
         write(self, name, data)
-        other = Holder("near", _system(), 1, "other")
+        other = Holder("near", this_system(), 1, "other")
         write(self, name, msgspec.json.encode(other))
 
     monkeypatch.setattr(Folder, "write", overtaken)

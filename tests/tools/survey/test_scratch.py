@@ -14,7 +14,7 @@ from urllib.parse import unquote
 
 import pytest
 from survey.folder import Folder
-from survey.scratch import YOUNG_S, scratch
+from survey.scratch import PREFIX, YOUNG_S, scratch
 
 from tests.tools.survey.dives import rows_in, run_here, write_survey
 
@@ -118,3 +118,17 @@ def test_what_the_killed_have_left_is_removed(temporary: Path) -> None:
         with scratch() as second:
             assert not left.exists()
             assert {path.name for path in temporary.iterdir()} == {mine.name, second.name, "others"}
+
+
+def test_only_folders_of_this_machine_that_nobody_else_makes_are_removed(temporary: Path) -> None:
+    """A survey may lie there itself, and other machines may share the folder."""
+    with scratch() as mine:
+        others = mine.with_name(f"{PREFIX}0123456789abcdef.xyz")
+    names = [others.name, "mapper-survey-north", PREFIX, f"{PREFIX}north"]
+    long_ago_s = time.time() - 2 * YOUNG_S
+    for name in names:
+        (temporary / name).mkdir()
+        (temporary / name / "map.db").write_bytes(b"1")
+        os.utime(temporary / name, (long_ago_s, long_ago_s))
+    with scratch():
+        assert all((temporary / name / "map.db").exists() for name in names)
