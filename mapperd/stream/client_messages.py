@@ -51,6 +51,8 @@ class Hello(Message, frozen=True, kw_only=True):
         bytes_per_s: at most; 0 leaves it to the link.
         resume: what the client holds.
         events_since: number of the last event that it has; None is told of new ones alone.
+        beside: ticket of a living connection of the same client, whose second line this one is;
+            then nothing else of these is heeded but `version`, `proof` and `name`.
     """
 
     version: int
@@ -61,6 +63,7 @@ class Hello(Message, frozen=True, kw_only=True):
     bytes_per_s: Annotated[int, Meta(ge=0, le=1 << 40)] = 0
     resume: Resume | None = None
     events_since: Count | None = None
+    beside: Annotated[str, Meta(max_length=64)] = ""
 
 
 class Change(Message, frozen=True, kw_only=True):
