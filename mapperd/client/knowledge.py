@@ -10,6 +10,7 @@ from mapperd.client.changes import ClientChange, MapChanged, MapReset
 from mapperd.client.checks import check_blocks, check_facts, check_message, places_of, size_of
 from mapperd.client.errors import EndedError
 from mapperd.client.mirror import MapMirror
+from mapperd.client.orders import MOST_FORGOTTEN, Orders
 from mapperd.stream.blocks import decode_blocks
 from mapperd.stream.framing import StreamError
 from mapperd.stream.messages import (
@@ -87,10 +88,17 @@ class Knowledge:
         self._setting_bytes: dict[str, int] = {}
         self.used = 0
         self._ticket = ""
+        self._is_doubted = False
+        self._orders = Orders()
         self._path_version = 0
         self._newest = 0
         self._tell = tell
         self._most_blocks = most_blocks
+
+    @property
+    def ticket(self) -> str:
+        """Of the last connection; "" where it has none, or is not to be gone on from."""
+        return self._ticket
 
     def newest_of(self, kind: type[Newest]) -> Newest | None:
         """The newest message of a kind."""
@@ -100,7 +108,7 @@ class Knowledge:
     def resume(self) -> Resume | None:
         """What another connection may go on from."""
         mirror = self.mirror
-        if mirror is None or self.welcome is None:
+        if mirror is None or self.welcome is None or self._is_doubted:
             return None
         if mirror.complete is None and not self._ticket:
             return None
@@ -128,8 +136,7 @@ class Knowledge:
     def distrust(self) -> None:
         """Something that was told is wrong: the next connection begins with nothing."""
         self.forget_ticket()
-        if self.mirror is not None:
-            self.mirror.complete = None
+        self._is_doubted = True
 
     def begin(self, welcome: Welcome, resume: Resume | None) -> None:
         """A connection has come about.
@@ -149,6 +156,8 @@ class Knowledge:
             raise StreamError("a map that was not held is gone on with", "bad_resume")
         else:
             mirror.facts = welcome.map
+            mirror.begin_orders()
+        self._orders = Orders()
         is_other = self.welcome is None or self.welcome.session != welcome.session
         self.welcome = welcome
         self._ticket, self.used = welcome.ticket, 0
@@ -163,9 +172,11 @@ class Knowledge:
         """
         check_message(news)
         if isinstance(news, Blocks):
+            self._orders.first = max(self._orders.first, news.order)
             self._take_blocks(news)
         elif isinstance(news, Reset):
             check_facts(news.map)
+            self._orders.reset(news.order)
             self.is_complete = False
             self._begin_map(news.map, news.interest or self.interest)
         elif isinstance(news, Path):
@@ -182,8 +193,55 @@ class Knowledge:
         else:
             raise StreamError(f"a {type(news).__name__.lower()} out of turn", "bad_order")
 
+    def begin_beside(self) -> None:
+        """From now on a second line may bring blocks that are older than what is here.
+
+        Raises:
+            EndedError: too much is remembered of one before.
+        """
+        self._orders.is_beside = True
+        self._settle()
+        self._check_beside()
+
+    def take_beside(self, news: Blocks) -> None:
+        """Take blocks of the second line.
+
+        Raises:
+            StreamError: they cannot be; an `EndedError` where this line is of no more use.
+        """
+        self._check_beside()
+        if news.order <= self._orders.floor:
+            return
+        self._orders.second = max(self._orders.second, news.order)
+        self._take_blocks(news)
+
+    def end_beside(self) -> None:
+        """Nothing comes from the second line any more.
+
+        What it told stays newer than what is still to come on the first.
+        """
+        self._orders.is_beside = False
+        self._settle()
+
+    def _check_beside(self) -> None:
+        if not self._orders.is_beside:
+            what = f"more than {MOST_FORGOTTEN} blocks were forgotten beside a second line"
+            raise EndedError(what, "too_many_forgotten")
+
+    def _settle(self) -> None:
+        """Let go of the orders of blocks that nothing can bring back."""
+        mirror = self.mirror
+        if mirror is None or not mirror.forgotten:
+            return
+        if mirror.forgotten > MOST_FORGOTTEN:
+            # Nothing is taken from the second line any more, so that these do not add up.
+            self._orders.is_beside = False
+        if not self._orders.is_beside:
+            mirror.settle(self._orders.first)
+
     def _begin_map(self, facts: MapFacts, interest: Interest) -> None:
         self._newest = 0
+        self._is_doubted = False
         if self.mirror is None:
             self.mirror = MapMirror(facts, interest)
         else:
@@ -200,22 +258,24 @@ class Knowledge:
         with mirror.lock:
             if news.body:
                 keys = self._put(mirror, news)
-            mirror.revision = news.revision
+            mirror.revision = max(mirror.revision, news.revision)
             self._newest = max(self._newest, news.revision)
             if news.complete is not None:
-                mirror.complete = news.complete
-        self.is_complete = news.complete is not None and mirror.interest == self.interest
+                mirror.complete = max(mirror.complete or 0, news.complete)
+        if news.order >= self._orders.newest:
+            self.is_complete = news.complete is not None and mirror.interest == self.interest
+        self._settle()
         # Without the mirror's lock: readers may hold it and wait for what is told.
         self._tell(MapChanged(keys, news.stamp_ns, news.left))
 
     def _put(self, mirror: MapMirror, news: Blocks) -> NDArray[np.int32]:
         blocks = decode_blocks(news.body, counts=mirror.interest.detail == "counts")
         check_blocks(blocks, mirror.interest, mirror.cell_m)
-        mirror.put(blocks, news.stamp_ns)
+        taken = mirror.put(blocks, news.stamp_ns, news.order)
         if len(mirror) > self._most_blocks:
             what = f"more than {self._most_blocks} blocks; ask for less of it, or more coarsely"
             raise EndedError(what, "too_many_blocks")
-        return blocks.keys
+        return taken
 
     def _take_path(self, news: Path) -> None:
         points = places_of(news)

@@ -42,7 +42,7 @@ class MapMirror:
     Attributes:
         lock: held by each call; a thread that has it may take it again.
         facts, interest: as given.
-        revision: of the newest blocks.
+        revision: the newest of all blocks.
         complete: all of the interest was as of this revision, or newer, when the daemon last said
             so; None before.
     """
@@ -71,13 +71,32 @@ class MapMirror:
         """Edge of a cell."""
         return float(self.facts.resolution_m * 2**self.interest.level)
 
-    def put(self, blocks: BlockSet, stamp_ns: int) -> None:
+    @property
+    def forgotten(self) -> int:
+        """Blocks that are not here any more, and whose orders are remembered."""
+        return len(self._table.gone)
+
+    def put(self, blocks: BlockSet, stamp_ns: int, order: int = 0) -> NDArray[np.int32]:
         """Take blocks as they were at a moment, each key once.
 
-        Those without a known cell are forgotten.
+        Those without a known cell are forgotten. Of what is told about a block in messages that
+        overtook each other, that of the highest order holds.
+
+        Returns:
+            (N, 3), keys of those that were taken.
         """
         with self.lock:
-            self._table.put(blocks, stamp_ns)
+            return self._table.put(blocks, stamp_ns, order)
+
+    def begin_orders(self) -> None:
+        """Whatever comes from now on is newer than what is here."""
+        with self.lock:
+            self._table.begin_orders()
+
+    def settle(self, order: int) -> None:
+        """Nothing below an order comes any more."""
+        with self.lock:
+            self._table.settle(order)
 
     def forget(self) -> None:
         """Nothing is known any more."""
