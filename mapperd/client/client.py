@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import dataclasses
-import random
 import ssl
 import time
 from collections.abc import AsyncIterator, Callable, Collection, Iterator, Mapping
@@ -13,7 +12,7 @@ from typing import Any, Self
 from mapperd.client.address import place_of
 from mapperd.client.asking import Asking
 from mapperd.client.changes import ClientChange, LinkChanged, LinkState, LinkStatus
-from mapperd.client.connecting import opened, reason_of, with_hint
+from mapperd.client.connecting import Attempts, opened, read, reason_of, send, with_hint
 from mapperd.client.dialogue import Dialogue, Wishes
 from mapperd.client.errors import AskError, EndedError
 from mapperd.client.knowledge import MOST_BLOCKS, Knowledge
@@ -25,18 +24,6 @@ from mapperd.stream.messages import Interest, Want
 __all__ = ["DEFAULT_WANTS", "MapClient"]
 
 DEFAULT_WANTS: tuple[Want, ...] = ("map", "pose", "path", "fan")
-
-READ_BYTES = 1 << 16
-CONNECT_S = 10.0
-SILENCE_S = 6.0
-"""The daemon says something once a second."""
-
-WAIT_S, LONGEST_WAIT_S = 0.2, 5.0
-SOUND_S = 2.0
-"""A connection that lasted as long was a good one: the next attempt comes soon."""
-
-UNSENT_BYTES = 1 << 16
-"""Of a daemon that does not read; no more is acknowledged to it meanwhile."""
 
 
 class MapClient(Known):
@@ -81,13 +68,12 @@ class MapClient(Known):
         self._error: StreamError | None = None
         self._bytes = self._connects = self._faults = 0
         self._link = LinkStatus("connecting", str(self._place), "", time.monotonic())
-        self._jitter = random.Random()  # noqa: S311 no secret
-        self._wait_s = WAIT_S
+        self._attempts = Attempts()
 
     @property
     def link(self) -> LinkStatus:
         """How the connection is."""
-        return dataclasses.replace(self._link, bytes=self._bytes)
+        return dataclasses.replace(self._link, bytes=self._bytes, faults=self._faults)
 
     async def __aenter__(self) -> Self:
         self._running = asyncio.create_task(self._run())
@@ -225,11 +211,8 @@ class MapClient(Known):
                     self._be("closed", str(error))
                     return
                 reason = str(error)
-            if time.monotonic() - began_s > SOUND_S:
-                self._wait_s = WAIT_S
             self._be("waiting", reason)
-            await asyncio.sleep(self._wait_s * self._jitter.uniform(0.5, 1.0))
-            self._wait_s = min(LONGEST_WAIT_S, 2 * self._wait_s)
+            await self._attempts.wait(time.monotonic() - began_s)
 
     async def _connection(self) -> str:
         """One connection from its beginning to its end; returns why it ended.
@@ -238,10 +221,7 @@ class MapClient(Known):
             StreamError: because of what the daemon said.
         """
         try:
-            async with asyncio.timeout(CONNECT_S):
-                reader, writer = await opened(self._place, self._tls)
-        except TimeoutError:
-            return "nobody answers"
+            reader, writer = await opened(self._place, self._tls)
         except OSError as error:
             return reason_of(error)
         self._writer = writer
@@ -253,8 +233,7 @@ class MapClient(Known):
             reason = reason_of(error)
         except StreamError as error:
             if not isinstance(error, EndedError):
-                self._faults += 1
-                self._knowledge.distrust()
+                self._distrust()
             raise
         finally:
             self._writer = None
@@ -264,15 +243,8 @@ class MapClient(Known):
         return with_hint(reason, self._place, self._tls, is_greeted=self._dialogue.is_greeted)
 
     async def _converse(self, reader: asyncio.StreamReader) -> None:
-        while True:
-            try:
-                async with asyncio.timeout(SILENCE_S):
-                    data = await reader.read(READ_BYTES)
-            except TimeoutError as error:
-                raise ConnectionError(f"nothing was heard for {SILENCE_S:g} s") from error
-            if not data:
-                return
-            self._bytes += len(data)
+        while data := await read(reader):
+            self._count(len(data))
             try:
                 self._dialogue.receive(data)
             finally:
@@ -284,17 +256,19 @@ class MapClient(Known):
             await asyncio.sleep(0)
 
     def _send(self) -> None:
-        writer = self._writer
-        if writer is None or writer.is_closing():
-            return
-        is_read = writer.transport.get_write_buffer_size() < UNSENT_BYTES
-        if said := self._dialogue.outgoing(acknowledge=is_read):
-            writer.write(said)
+        if self._writer is not None:
+            send(self._writer, self._dialogue)
+
+    def _count(self, received: int) -> None:
+        self._bytes += received
+
+    def _distrust(self) -> None:
+        """The daemon said what it may not."""
+        self._faults += 1
+        self._knowledge.distrust()
 
     def _be(self, state: LinkState, reason: str) -> None:
-        self._link = LinkStatus(
-            state, str(self._place), reason, time.monotonic(), self._connects, 0, self._faults
-        )
+        self._link = LinkStatus(state, str(self._place), reason, time.monotonic(), self._connects)
         self._tell(LinkChanged(self.link))
 
     def _tell(self, change: ClientChange) -> None:

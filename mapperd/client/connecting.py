@@ -1,12 +1,26 @@
-"""How a connection to a daemon comes about, and why it does not."""
+"""How a connection to a daemon comes about and is kept, and why it is not."""
 
 import asyncio
+import random
 import ssl
 
 from mapperd.client.address import Place
 from mapperd.client.errors import EndedError
+from mapperd.client.line import Line
 
-__all__ = ["opened", "reason_of", "with_hint"]
+__all__ = ["Attempts", "opened", "read", "reason_of", "send", "with_hint"]
+
+READ_BYTES = 1 << 16
+CONNECT_S = 10.0
+SILENCE_S = 6.0
+"""The daemon says something once a second."""
+
+WAIT_S, LONGEST_WAIT_S = 0.2, 5.0
+SOUND_S = 2.0
+"""A connection that lasted as long was a good one: the next attempt comes soon."""
+
+UNSENT_BYTES = 1 << 16
+"""Of a daemon that does not read; no more is acknowledged to it meanwhile."""
 
 PLAIN = frozenset({"PACKET_LENGTH_TOO_LONG", "RECORD_LAYER_FAILURE", "WRONG_VERSION_NUMBER"})
 """What TLS makes of a greeting without it, as versions of OpenSSL say it."""
@@ -20,10 +34,42 @@ async def opened(
     Raises:
         OSError: nobody is there.
     """
+    try:
+        async with asyncio.timeout(CONNECT_S):
+            return await _opened(place, tls)
+    except TimeoutError as error:
+        raise ConnectionError("nobody answers") from error
+
+
+async def _opened(
+    place: Place, tls: ssl.SSLContext | None
+) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
     if place.paths:
         return await asyncio.open_unix_connection(place.path)
     name = place.host if tls else None
     return await asyncio.open_connection(place.host, place.port, ssl=tls, server_hostname=name)
+
+
+async def read(reader: asyncio.StreamReader) -> bytes:
+    """What comes next; nothing at the end.
+
+    Raises:
+        OSError: the connection broke, or nothing came for long.
+    """
+    try:
+        async with asyncio.timeout(SILENCE_S):
+            return await reader.read(READ_BYTES)
+    except TimeoutError as error:
+        raise ConnectionError(f"nothing was heard for {SILENCE_S:g} s") from error
+
+
+def send(writer: asyncio.StreamWriter, line: Line) -> None:
+    """Send what is to be said."""
+    if writer.is_closing():
+        return
+    is_read = writer.transport.get_write_buffer_size() < UNSENT_BYTES
+    if said := line.outgoing(acknowledge=is_read):
+        writer.write(said)
 
 
 def reason_of(error: OSError) -> str:
@@ -46,3 +92,22 @@ def with_hint(reason: str, place: Place, tls: ssl.SSLContext | None, *, is_greet
     if is_greeted or tls is not None or place.paths:
         return reason
     return f"{reason} without a greeting: its socket may want TLS"
+
+
+class Attempts:
+    """How long to wait between them: longer each time, unless a connection was a good one."""
+
+    def __init__(self) -> None:
+        self._wait_s = WAIT_S
+        self._jitter = random.Random()  # noqa: S311 no secret
+
+    async def wait(self, lasted_s: float) -> None:
+        """Wait for the next one.
+
+        Args:
+            lasted_s: of the last.
+        """
+        if lasted_s > SOUND_S:
+            self._wait_s = WAIT_S
+        await asyncio.sleep(self._wait_s * self._jitter.uniform(0.5, 1.0))
+        self._wait_s = min(LONGEST_WAIT_S, 2 * self._wait_s)

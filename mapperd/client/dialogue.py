@@ -6,22 +6,19 @@ from typing import Any
 
 import msgspec
 
-from mapperd.client.errors import AskError, EndedError
+from mapperd.client.errors import AskError
 from mapperd.client.knowledge import Knowledge
-from mapperd.control.token import proof_of
-from mapperd.stream.framing import StreamError, client_inbox, framed, server_inbox
+from mapperd.client.line import Line
+from mapperd.stream.framing import StreamError, framed, server_inbox
 from mapperd.stream.messages import (
     MAX_FROM_CLIENT,
     VERSION,
     WANTS,
-    Ack,
     Answer,
     Ask,
     Bye,
     Change,
-    FromClient,
     FromServer,
-    Greeting,
     Hello,
     Interest,
     Resume,
@@ -30,8 +27,6 @@ from mapperd.stream.messages import (
 )
 
 __all__ = ["Dialogue", "Wishes"]
-
-STREAM = "map stream"
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -75,7 +70,7 @@ class Wishes:
         )
 
 
-class Dialogue:
+class Dialogue(Line):
     """One client, through all its connections.
 
     Args:
@@ -86,8 +81,6 @@ class Dialogue:
 
     Attributes:
         wishes: of now.
-        is_greeted: the daemon has said something on this connection, or on the one that ended.
-        is_welcome: the connection has come about.
     """
 
     def __init__(
@@ -97,18 +90,15 @@ class Dialogue:
         token: bytes | None,
         answered: Callable[[Answer], None],
     ) -> None:
+        super().__init__(token)
         self.wishes = wishes
         self._knowledge = knowledge
-        self._token = token
         self._answered = answered
         self.begin()
 
     def begin(self) -> None:
         """A connection is there; what is known stays until the daemon says otherwise."""
-        self._inbox = client_inbox()
-        self._acknowledged = 0
-        self._outgoing = bytearray()
-        self.is_greeted = False
+        self._begin_line()
         self._resume: Resume | None = None
         self._knowledge.wants_map = "map" in self.wishes.wants
         self.end()
@@ -124,19 +114,9 @@ class Dialogue:
         Raises:
             StreamError: it is nothing that a daemon may say; an `EndedError` if it says good-bye.
         """
-        for message in self._inbox.feed(data):
-            self._take(message)
+        super().receive(data)
         if self.is_welcome:
             self._knowledge.used = self._inbox.received
-
-    def outgoing(self, *, acknowledge: bool = True) -> bytes:
-        """What is to be sent now, once."""
-        if acknowledge and self.is_welcome and self._inbox.received > self._acknowledged:
-            self._acknowledged = self._inbox.received
-            self._say(Ack(bytes=self._acknowledged))
-        said = bytes(self._outgoing)
-        self._outgoing.clear()
-        return said
 
     def ask(self, number: int, do: str, fields: Mapping[str, Any]) -> None:
         """Have something asked by the next `outgoing`.
@@ -172,47 +152,21 @@ class Dialogue:
             )
         )
 
-    def _say(self, message: FromClient) -> None:
-        self._outgoing += framed(message)
-
     def _take(self, message: FromServer) -> None:
-        if isinstance(message, Bye):
-            if message.reason == "bad_message":
-                self._knowledge.forget_ticket()  # a daemon of before knows none
-            raise EndedError(message.message or message.reason, message.reason)
-        if isinstance(message, Greeting):
-            self._take_greeting(message)
-        elif isinstance(message, Welcome):
-            self._take_welcome(message)
-        elif not self.is_welcome:
-            raise StreamError("news before a welcome", "bad_order")
-        elif isinstance(message, Answer):
+        if isinstance(message, Bye) and message.reason == "bad_message":
+            self._knowledge.forget_ticket()  # a daemon of before knows none
+        super()._take(message)
+
+    def _hello(self, proof: str) -> Hello:
+        if "map" in self.wishes.wants:
+            self._resume = self._knowledge.resume()
+        return self.wishes.hello(proof, self._resume, self._knowledge.last_event)
+
+    def _begin(self, welcome: Welcome) -> None:
+        self._knowledge.begin(welcome, self._resume)
+
+    def _take_news(self, message: FromServer) -> None:
+        if isinstance(message, Answer):
             self._answered(message)
         else:
             self._knowledge.take(message)
-
-    def _take_greeting(self, greeting: Greeting) -> None:
-        if self.is_greeted:
-            raise StreamError("a second greeting", "bad_order")
-        self.is_greeted = True
-        if greeting.mapperd != STREAM:
-            raise EndedError(f"this is no {STREAM} but a {greeting.mapperd!r:.50}", "bad_version")
-        if VERSION not in greeting.versions:
-            spoken = ", ".join(map(str, greeting.versions[:10]))
-            raise EndedError(f"the daemon speaks versions {spoken}, not {VERSION}", "bad_version")
-        proof = ""
-        if greeting.challenge:
-            if self._token is None:
-                raise EndedError("the daemon wants a token", "needs_token")
-            proof = proof_of(self._token, greeting.challenge)
-        if "map" in self.wishes.wants:
-            self._resume = self._knowledge.resume()
-        self._say(self.wishes.hello(proof, self._resume, self._knowledge.last_event))
-
-    def _take_welcome(self, welcome: Welcome) -> None:
-        if not self.is_greeted or self.is_welcome:
-            raise StreamError("a welcome out of turn", "bad_order")
-        if welcome.version != VERSION:
-            raise StreamError(f"a welcome to version {welcome.version}", "bad_version")
-        self._knowledge.begin(welcome, self._resume)
-        self.is_welcome = True

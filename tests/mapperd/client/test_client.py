@@ -20,8 +20,8 @@ from mapperd.client import (
     MapChanged,
     MapClient,
     MapReset,
+    connecting,
 )
-from mapperd.client import client as shell
 from mapperd.stream.messages import Bye, Pose, Status
 from tests.conftest import ROOT
 from tests.mapperd.client.served import TOKEN, Served, Server, a_block
@@ -199,7 +199,7 @@ def test_full_daemon_is_tried_again() -> None:
 
 
 def test_silent_link_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shell, "SILENCE_S", 0.1)
+    monkeypatch.setattr(connecting, "SILENCE_S", 0.1)
 
     async def listen() -> None:
         async with pair(Served(status_s=1000.0)) as (_, client):

@@ -14,8 +14,7 @@ import pytest
 from stream_study.told_steps import told_steps
 
 from mapperd import _core
-from mapperd.client import Interest, MapClient
-from mapperd.client import client as shell
+from mapperd.client import Interest, MapClient, connecting
 from mapperd.config import Config
 from mapperd.control.doors import open_unix_door
 from mapperd.mapping import SonarMap
@@ -103,7 +102,7 @@ def go(work: Callable[[AsyncExitStack], Awaitable[None]]) -> None:
 def test_mirrors_equal_the_map_through_restarts_and_breaks(
     short: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(shell, "LONGEST_WAIT_S", 0.2)
+    monkeypatch.setattr(connecting, "LONGEST_WAIT_S", 0.2)
     chance = np.random.default_rng(3)
     breaks = random.Random(3)  # noqa: S311 a test
     sonar_map, path = a_map(), short / "map.sock"

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from mapperd.client import Interest, MapClient
-from mapperd.client import client as shell
+from mapperd.client import Interest, MapClient, connecting
 from mapperd.config import Config
 from mapperd.control.doors import open_unix_door
 from mapperd.mapping import SonarMap
@@ -79,7 +78,7 @@ def browser() -> Iterator["Browser"]:
 def test_the_page_follows_a_daemon_through_a_restart(
     browser: "Browser", short: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(shell, "LONGEST_WAIT_S", 0.2)
+    monkeypatch.setattr(connecting, "LONGEST_WAIT_S", 0.2)
     path = short / "map.sock"
     daemon = Daemon(path)
     daemon.build(0.0)
