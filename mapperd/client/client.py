@@ -18,6 +18,8 @@ from mapperd.client.errors import AskError, EndedError
 from mapperd.client.knowledge import MOST_BLOCKS, Knowledge
 from mapperd.client.known import Known
 from mapperd.client.pending import Pending
+from mapperd.client.second_dialogue import SecondDialogue
+from mapperd.client.second_line import SecondLine
 from mapperd.stream.framing import StreamError
 from mapperd.stream.messages import Interest, Want
 
@@ -69,11 +71,19 @@ class MapClient(Known):
         self._bytes = self._connects = self._faults = 0
         self._link = LinkStatus("connecting", str(self._place), "", time.monotonic())
         self._attempts = Attempts()
+        self._second = SecondLine(
+            self._place,
+            tls,
+            lambda: SecondDialogue(name, self._knowledge, token),
+            self._count,
+            self._distrust,
+        )
 
     @property
     def link(self) -> LinkStatus:
         """How the connection is."""
-        return dataclasses.replace(self._link, bytes=self._bytes, faults=self._faults)
+        lines = 1 + self._second.is_welcome if self._link.state == "connected" else 0
+        return dataclasses.replace(self._link, bytes=self._bytes, faults=self._faults, lines=lines)
 
     async def __aenter__(self) -> Self:
         self._running = asyncio.create_task(self._run())
@@ -240,6 +250,7 @@ class MapClient(Known):
             self._dialogue.end()
             self._asking.lose_all()
             writer.transport.abort()
+            await self._second.close()
         return with_hint(reason, self._place, self._tls, is_greeted=self._dialogue.is_greeted)
 
     async def _converse(self, reader: asyncio.StreamReader) -> None:
@@ -252,6 +263,8 @@ class MapClient(Known):
                     self._connects += 1
                     self._be("connected", "")
             self._send()
+            if self._dialogue.wants_second:
+                self._second.open()
             # A read of bytes that are there already does not let others have their turn.
             await asyncio.sleep(0)
 

@@ -22,6 +22,7 @@ from mapperd.stream.messages import (
     Hello,
     Interest,
     Resume,
+    Status,
     Want,
     Welcome,
 )
@@ -99,6 +100,7 @@ class Dialogue(Line):
     def begin(self) -> None:
         """A connection is there; what is known stays until the daemon says otherwise."""
         self._begin_line()
+        self._is_second_advised = False
         self._resume: Resume | None = None
         self._knowledge.wants_map = "map" in self.wishes.wants
         self.end()
@@ -107,6 +109,12 @@ class Dialogue(Line):
         """The connection is gone; what is known stays."""
         self.is_welcome = False
         self._knowledge.is_complete = False
+
+    @property
+    def wants_second(self) -> bool:
+        """A second line would bring the map sooner."""
+        wants_map = self.is_welcome and "map" in self.wishes.wants
+        return wants_map and self._is_second_advised and self._knowledge.ticket != ""
 
     def receive(self, data: bytes) -> None:
         """Take what came in; changes and answers are told on the way.
@@ -168,5 +176,7 @@ class Dialogue(Line):
     def _take_news(self, message: FromServer) -> None:
         if isinstance(message, Answer):
             self._answered(message)
-        else:
-            self._knowledge.take(message)
+            return
+        self._knowledge.take(message)
+        if isinstance(message, Status):
+            self._is_second_advised = message.link.get("second_line") is True

@@ -10,11 +10,14 @@ import contextlib
 import sys
 
 import atheris
+import msgspec
 import numpy as np
 import zstandard
 
 from mapperd.client.dialogue import Dialogue, Wishes
 from mapperd.client.knowledge import Knowledge
+from mapperd.client.orders import MOST_FORGOTTEN
+from mapperd.client.second_dialogue import SecondDialogue
 from mapperd.stream.blocks import CELLS, MAX_KEY, decode_blocks
 from mapperd.stream.framing import StreamError, framed, server_inbox
 from mapperd.stream.messages import (
@@ -28,9 +31,11 @@ from mapperd.stream.messages import (
 )
 
 FACTS = MapFacts("map", 0.1, 0.25, 0.6, -1.4)
-BEGIN = framed(Greeting()) + framed(
-    Welcome(version=1, server="", vehicle="", session="", map=FACTS, revision=0, resumed=False)
+WELCOME = Welcome(
+    version=1, server="", vehicle="", session="", map=FACTS, revision=0, resumed=False, ticket="t"
 )
+BEGIN = framed(Greeting()) + framed(WELCOME)
+BEGIN_BESIDE = framed(Greeting()) + framed(msgspec.structs.replace(WELCOME, resumed=True))
 MOST_BLOCKS = 4096
 INTERESTS = (Interest(detail="classes"), Interest(level=3), Interest(detail="counts"))
 
@@ -46,6 +51,29 @@ def _client_survives(data: bytes, choice: int) -> None:
     with contextlib.suppress(StreamError):
         dialogue.receive(data[:half])
         dialogue.receive(data[half:])
+    _is_sound(knowledge)
+
+
+def _client_survives_beside(data: bytes, choice: int) -> None:
+    """The same of what is said on a second line, or on both at once."""
+    interest = INTERESTS[choice % 3]
+    knowledge = Knowledge(interest, lambda _: None, MOST_BLOCKS)
+    first = Dialogue(Wishes(WANTS, interest), knowledge, None, lambda _: None)
+    first.receive(BEGIN)
+    second = SecondDialogue("", knowledge, None)
+    if choice & 1:
+        second.receive(BEGIN_BESIDE)
+    with contextlib.suppress(StreamError):
+        second.receive(data)
+        if choice & 2:
+            first.receive(data)
+            second.receive(data)
+    second.end()
+    _is_sound(knowledge)
+
+
+def _is_sound(knowledge: Knowledge) -> None:
+    """What is held is a path and a map, and not too much."""
     if knowledge.path.shape[1:] != (3,) or not np.isfinite(knowledge.path).all():
         raise AssertionError("a path that is none")
     mirror = knowledge.mirror
@@ -54,6 +82,8 @@ def _client_survives(data: bytes, choice: int) -> None:
         mirror.cells("known")
         if len(mirror) > MOST_BLOCKS + MAX_BLOCKS:
             raise AssertionError(f"{len(mirror)} blocks")
+        if mirror.forgotten > MOST_FORGOTTEN + MAX_BLOCKS:
+            raise AssertionError(f"{mirror.forgotten} orders of forgotten blocks")
 
 
 def _server_survives(data: bytes) -> None:
@@ -85,6 +115,8 @@ def one_input(data: bytes) -> None:
     choice, said = data[0], data[1:]
     _client_survives(said, choice)
     _client_survives(len(said).to_bytes(4, "big") + said, choice)
+    _client_survives_beside(said, choice)
+    _client_survives_beside(len(said).to_bytes(4, "big") + said, choice)
     _server_survives(said)
     _server_survives(len(said).to_bytes(4, "big") + said)
     _blocks_are_blocks(said, counts=bool(choice & 1))

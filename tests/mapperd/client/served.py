@@ -59,6 +59,9 @@ class Served:
     path: Path | None = None
     versions: tuple[int, ...] = (1,)
     status_s: float = 1.0
+    ticket: str = ""
+    advises_second: object = None
+    second_refusal: Bye | None = None
     hellos: list[Hello] = field(default_factory=list)
     asked: list[dict[str, object]] = field(default_factory=list)
     acked: int = 0
@@ -107,9 +110,13 @@ class Connection:
         self.inbox: Inbox[FromClient] = server_inbox()
         self.interest = Interest()
         self.told = 0
+        self.is_second = False
+        self.sent = self.acked = 0
+        self.quiet = False
 
     def say(self, *messages: FromServer) -> None:
         said = b"".join(map(framed, messages))
+        self.sent += len(said)
         self.served.sent += len(said)
         self.writer.write(said)
 
@@ -137,31 +144,41 @@ class Connection:
         if served.token is not None and not is_proof(hello.proof, served.token, challenge):
             self.say(Bye(reason="wrong_token", message="that is not the token"))
             return False
-        if served.refusal is not None:
-            self.say(served.refusal)
+        self.is_second = hello.beside != ""
+        refusal = served.second_refusal if self.is_second else served.refusal
+        if refusal is not None:
+            self.say(refusal)
             return False
+        if self.is_second:
+            self.say(self.welcomed(resumed=True))
+            return True
         is_resumed = served.can_resume(hello)
         held = hello.resume.revision if hello.resume and is_resumed else 0
         self.told = held or 0
         self.interest = hello.interest
-        self.say(
-            Welcome(
-                version=1,
-                server="test",
-                vehicle="diver",
-                session=served.session,
-                map=served.facts,
-                revision=served.revision,
-                resumed=is_resumed,
-                may_change=True,
-            )
-        )
+        self.say(self.welcomed(resumed=is_resumed, ticket=served.ticket))
         self.tell()
         return True
 
+    def welcomed(self, *, resumed: bool, ticket: str = "") -> Welcome:
+        served = self.served
+        return Welcome(
+            version=1,
+            server="test",
+            vehicle="diver",
+            session=served.session,
+            map=served.facts,
+            revision=served.revision,
+            resumed=resumed,
+            may_change=True,
+            ticket=ticket,
+        )
+
     def hear(self, message: FromClient) -> None:
         if isinstance(message, Ack):
-            self.served.acked = message.bytes
+            self.acked = message.bytes
+            if not self.is_second:
+                self.served.acked = message.bytes
         elif isinstance(message, Change) and message.interest is not None:
             self.interest = message.interest
             self.told = 0
@@ -198,8 +215,11 @@ class Connection:
         )
 
     async def beat(self) -> None:
-        while True:
-            self.say(Status(stamp_ns=10**18))
+        while not self.quiet:
+            advice = self.served.advises_second
+            self.say(
+                Status(stamp_ns=10**18, link={} if advice is None else {"second_line": advice})
+            )
             await asyncio.sleep(self.served.status_s)
 
 
