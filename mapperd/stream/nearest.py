@@ -1,7 +1,9 @@
 """Blocks that wait to be told to a client: what is near the vehicle first, then by distance.
 
 Near the vehicle whatever has waited longest comes first: the blocks right before the sonar change
-all the time, and those around them would never have their turn.
+all the time, and those around them would never have their turn. It is told in passes: what comes to
+wait after one has begun belongs to the next, though it is told with the last of this one where
+there is room.
 """
 
 from collections.abc import Callable
@@ -38,7 +40,8 @@ class NearestFirst:
 
     Attributes:
         flags: uint8 a block; bits other than ours are the owner's.
-        near_left: blocks that wait near the vehicle, but for those that were given last.
+        near_left: blocks near the vehicle that this pass is still to tell, but for those that were
+            given last; with none left, the next pass begins when what is near is asked for again.
     """
 
     def __init__(self, keys_of: KeysOf, block_m: float) -> None:
@@ -50,7 +53,7 @@ class NearestFirst:
         self._front = np.zeros(0, np.int64)
         self._front_keys = np.zeros((0, 3), np.int32)
         self._front_turns = np.zeros(0, np.float64)
-        self._turn = 0.0
+        self._turn = self._pass = 0.0
         self._added_at: int | None = None
         self._reach_m = np.inf
         self._ordered_at = np.zeros(3)
@@ -115,7 +118,11 @@ class NearestFirst:
         room = {"near": 0, "far": most, "any": max(most - near_count, 0)}[part]
         far_count = min(len(near) - near_count, room)
         near_most = 0 if part == "far" else min(most - far_count, near_count)
-        self.near_left = near_count - near_most
+        if part != "far":
+            of_pass = int(np.count_nonzero(near & (self._front_turns <= self._pass)))
+            if not of_pass:
+                self._pass, of_pass = self._turn, near_count
+            self.near_left = max(of_pass - near_most, 0)
         order = np.concatenate(
             [
                 _least(rank, np.flatnonzero(near), near_most),

@@ -21,6 +21,7 @@ class Queue:
 
     def __init__(self, keys: NDArray[np.int32]) -> None:
         self.keys, self.since, self.turn = keys, dict[int, int](), 0
+        self.pass_turn = 0
         self.queue = NearestFirst(lambda numbers: keys[numbers], BLOCK_M)
         self.queue.make_room(len(keys))
         self.position = np.zeros(3)
@@ -31,6 +32,13 @@ class Queue:
         self.queue.add(np.array(coming, np.int64), self.turn)
         for number in coming:
             self.since.setdefault(number, self.turn)
+
+    def of_pass(self) -> list[tuple[float, ...]]:
+        """Near ones of the pass; another begins where there are none."""
+        near = self.order(ALL, "near")
+        if not any(one[0] <= self.pass_turn for one in near):
+            self.pass_turn = self.turn
+        return [one for one in near if one[0] <= self.pass_turn]
 
     def take(self, most: int, part: Part = "any") -> list[int]:
         found = self.nearest(most, part)
@@ -70,7 +78,7 @@ def random() -> np.random.Generator:
 
 def test_what_waits_longest_nearby_and_then_the_nearest(random: np.random.Generator) -> None:
     every = Queue(random.integers(-20, 20, (600, 3)).astype(np.int32))
-    kinds = set()
+    kinds, passes = set(), 0
     for _ in range(400):
         if random.random() < 0.3:
             coming = random.integers(0, 600, int(random.integers(0, 60))).tolist()
@@ -79,9 +87,11 @@ def test_what_waits_longest_nearby_and_then_the_nearest(random: np.random.Genera
         most = int(random.integers(1, 20))
         part = PARTS[int(random.integers(0, 3))]
         expected, since = every.order(most, part), dict(every.since)
+        of_pass = [] if part == "far" else every.of_pass()
         found = every.take(most, part)
         if part != "far":
-            assert every.queue.near_left == len(every.order(ALL, "near"))
+            assert every.queue.near_left == len(of_pass[most:])
+            passes += not of_pass[most:]
         away = every.away_m(found)
         told = zip(found, away, strict=True)
         assert [(since[n], far) if far <= NEAR_M else (far,) for n, far in told] == expected
@@ -90,6 +100,7 @@ def test_what_waits_longest_nearby_and_then_the_nearest(random: np.random.Genera
         assert len(every.queue) == len(every.since)
         assert waiting == sorted(every.since)
     assert kinds >= {(True, True), (True, False), (False, True)}
+    assert 20 < passes < 250
 
 
 def test_more_than_are_put_in_order_at_a_time(
@@ -132,6 +143,19 @@ def test_what_changes_all_the_time_does_not_starve_what_waits_beside_it(
         told += every.take(2)
         every.add([0, 1])
     assert set(told) >= set(range(10))
+
+
+def test_a_pass_ends_though_the_same_blocks_change_all_the_time() -> None:
+    every = Queue(np.array([(n, 0, 0) for n in range(8)], np.int32))
+    every.add(range(8))
+    left = []
+    for _ in range(4):
+        told = every.take(2, "near")
+        left.append(every.queue.near_left)
+        every.add(told)  # they have changed again
+    assert left == [6, 4, 2, 0]
+    assert every.take(8, "near") == [0, 1, 2, 3, 4, 5, 6, 7]
+    assert every.queue.near_left == 0
 
 
 def test_what_was_found_together_waits_equally_long() -> None:
