@@ -194,13 +194,12 @@ class Knowledge:
             raise StreamError(f"a {type(news).__name__.lower()} out of turn", "bad_order")
 
     def is_of_this(self, welcome: Welcome) -> bool:
-        """A welcome to a second line is of the daemon and the map of the first."""
-        first, mirror = self.welcome, self.mirror
-        if first is None or mirror is None:
-            return False
-        # The map may have been reset since.
-        is_map = welcome.map.id in (first.map.id, mirror.facts.id)
-        return is_map and welcome.session == first.session
+        """A welcome to a second line is of the daemon of the first.
+
+        It may be of another map: the reset that says so on the first may be stuck.
+        """
+        first = self.welcome
+        return first is not None and welcome.session == first.session
 
     def begin_beside(self) -> None:
         """From now on a second line may bring blocks that are older than what is here.

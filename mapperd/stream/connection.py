@@ -66,6 +66,8 @@ class Connection(asyncio.BufferedProtocol):
 
     Attributes:
         session, origin: as given.
+        first: the connection whose second line this is; None is a client by itself.
+        second: the client's second line; None without one.
         is_over: nothing is said any more.
         is_for_good: and that is no fault of the link.
     """
@@ -73,6 +75,8 @@ class Connection(asyncio.BufferedProtocol):
     def __init__(self, session: Session, origin: str, around: Around) -> None:
         self.session = session
         self.origin = origin
+        self.first: Connection | None = None
+        self.second: Connection | None = None
         self.is_over = self.is_for_good = False
         self._around = around
         self._transport: asyncio.Transport | None = None
@@ -137,6 +141,31 @@ class Connection(asyncio.BufferedProtocol):
             return
         self.write(self.session.next(now_s, self._around.now_ns()))
 
+    def join(self, second: "Connection") -> None:
+        """This is the client's second line now."""
+        self.part()
+        self.second, second.first = second, self
+        self.session.join(second.session)
+
+    def part(self) -> None:
+        """There is no second line any more; if there was one it is dropped."""
+        if self.second is not None:
+            second = self.second
+            second.leave_first()
+            second.drop()
+
+    def leave_first(self) -> None:
+        """Nothing of the map is told on it any more, if it was a second line."""
+        if self.first is not None:
+            first, self.first = self.first, None
+            first.second = None
+            first.session.part()
+
+    def line(self, now_s: float) -> "Connection":
+        """The client's connection on which it is told of the map now."""
+        line = self.session.line(now_s)
+        return self if self.second is None or line is self.session else self.second
+
     def measure(self) -> None:
         """Have the pacer know how the connection stands."""
         if self.is_over or self._transport is None:
@@ -150,6 +179,8 @@ class Connection(asyncio.BufferedProtocol):
             state.round_trip_s,
             self._around.clock(),
             fills=self._fills,
+            in_network=state.in_network,
+            link_rate=state.rate,
         )
 
     def write(self, data: bytes) -> None:
@@ -171,6 +202,7 @@ class Connection(asyncio.BufferedProtocol):
         if self.is_over or self._transport is None:
             self.abort()
             return
+        self.leave_first()
         self.write(self.session.bye(reason, message))
         self.is_over = True
         self._transport.close()

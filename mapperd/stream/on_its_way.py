@@ -8,20 +8,21 @@ from numpy.typing import NDArray
 __all__ = ["OnItsWay"]
 
 MOST_BLOCKS, MOST_MESSAGES = 1 << 17, 4096
-"""Half a MiB of a client; whoever has more on its way when its link breaks begins anew."""
+"""Half a MiB of a line; whoever has more on its way when its link breaks begins anew."""
 
 Numbers = NDArray[np.int64]
 
 
 class OnItsWay:
-    """Of one client: its messages about the map, numbered from 1 on.
+    """Of one line of a client: its messages about the map, numbered from 1 on.
 
     Attributes:
         number: of the last message.
+        settled: of the last one that was used, as far as is known.
     """
 
     def __init__(self) -> None:
-        self.number = 0
+        self.number = self.settled = 0
         self._forgotten = 0
         self._messages: deque[tuple[int, NDArray[np.uint32]]] = deque()
         self._blocks = 0
@@ -46,6 +47,7 @@ class OnItsWay:
 
     def settle(self, number: int) -> None:
         """The client has used messages up to this one."""
+        self.settled = max(self.settled, number)
         self._forgotten = max(self._forgotten, number)
         while self._messages and self._messages[0][0] <= number:
             self._forget()
@@ -56,6 +58,10 @@ class OnItsWay:
             return None
         later = [blocks for at, blocks in self._messages if at > number]
         return np.unique(np.concatenate([np.zeros(0, np.uint32), *later])).astype(np.int64)
+
+    def unsettled(self) -> Numbers | None:
+        """The blocks of all that may not be used yet; None where they are not remembered."""
+        return self.beyond(self.settled)
 
     def _forget(self) -> None:
         number, blocks = self._messages.popleft()

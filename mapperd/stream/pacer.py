@@ -16,10 +16,16 @@ it no more than it sends within moments. Two rules do that:
 from collections import deque
 from math import inf
 
+from mapperd.stream.budget import Budget
+
 __all__ = ["FIRST_RATE", "FIRST_WINDOW", "LEAST_WINDOW", "MOST_WINDOW", "Pacer"]
 
 UNSENT_S, LEAST_UNSENT = 0.3, 2048
 """Not sent yet at most, of what the link delivers; more than the time between two rounds."""
+
+CALM_UNSENT_S = 0.12
+"""The same where TCP sends at once what the link takes: it needs no store, and what lies there when
+it pauses, as BBR does, is late."""
 
 LEAST_WINDOW, FIRST_WINDOW, MOST_WINDOW = 4096, 1 << 16, 1 << 20
 
@@ -52,10 +58,11 @@ SHORTEST_S = 0.001
 
 FIRST_RATE = 16_000
 
-BURST_S, LEAST_BURST = 0.2, 2048
-
 LEAST_S, MOST_LEAST = 0.12, 16_384
-"""Below `BURST_S`, `UNSENT_S`, and the smallest of windows."""
+"""Below the burst of a budget, and the smallest of windows."""
+
+LOSS_S = 0.35
+"""So much beyond a round trip what was sent is acknowledged late: a packet was lost, or waited."""
 
 
 class Pacer:
@@ -65,20 +72,31 @@ class Pacer:
         bytes_per_s: never more, in the long run; 0 has no limit.
 
     Attributes:
-        bytes_per_s: as given; may be changed.
+        budget: of the client; its connections may share one.
         sent, acked: bytes so far.
-        rate: bytes a second that the link has delivered at its best of late; None before it is
-            known.
+        rate: bytes a second that the link has delivered at its best of late, or that TCP says; None
+            before it was ever busy.
         round_trip_s: the smallest of late of a packet; None where nobody knows it.
+        trip_s: that of now, as TCP has it.
         window: bytes that may be in flight.
+        stalls: how often something was acknowledged late, once a round trip.
+        in_network: bytes that are under way, of what was sent and not acknowledged.
+        link_rate: bytes a second that the network delivers, as TCP sees it: it is not misled by
+            what comes at once after a lost packet came again. None where it does not say.
     """
 
     def __init__(self, bytes_per_s: int = 0) -> None:
-        self.bytes_per_s = bytes_per_s
+        self.budget = Budget(bytes_per_s)
         self.sent = self.acked = 0
         self.rate: float | None = None
         self.round_trip_s: float | None = None
         self.window = FIRST_WINDOW
+        self.stalls = 0
+        self.trip_s: float | None = None
+        self.in_network = 0
+        self.link_rate: float | None = None
+        self._stalled_s = -inf
+        self._unsent_since_s = inf
         self._unsent = 0
         self._turned_s = -inf
         self._grown_at = 0
@@ -88,8 +106,11 @@ class Pacer:
         self._rates: deque[tuple[float, float]] = deque()
         self._span = (0.0, 0)
         self._quiet_since_s = 0.0
-        self._tokens = float(LEAST_BURST)
-        self._filled_s: float | None = None
+
+    @property
+    def bytes_per_s(self) -> int:
+        """Of the budget."""
+        return self.budget.bytes_per_s
 
     @property
     def in_flight(self) -> int:
@@ -103,11 +124,8 @@ class Pacer:
 
     @property
     def _most_unsent(self) -> float:
-        return max(UNSENT_S * (self.rate or FIRST_RATE), LEAST_UNSENT)
-
-    @property
-    def _burst(self) -> float:
-        return max(BURST_S * self.bytes_per_s, LEAST_BURST)
+        unsent_s = UNSENT_S if self.link_rate is None else CALM_UNSENT_S
+        return max(unsent_s * (self.rate or FIRST_RATE), LEAST_UNSENT)
 
     @property
     def _fills_window(self) -> bool:
@@ -115,21 +133,21 @@ class Pacer:
 
     def room(self, now_s: float) -> int:
         """Bytes that may be sent now; 0 or less is none."""
-        self._refill(now_s)
         room = min(self.window - self.in_flight, self._most_unsent - self._unsent)
-        return int(min(room, self._tokens) if self.bytes_per_s else room)
+        return int(min(room, self.budget.left(now_s)) if self.bytes_per_s else room)
 
     def fits(self, size: int, now_s: float) -> bool:
         """Whether so much may be sent now: half of it has room, or it would hardly have more."""
         room = self.room(now_s)
         most = min(self.window, self._most_unsent)
         if self.bytes_per_s:
-            most = min(most, self._burst)
+            most = min(most, self.budget.burst)
         return room > 0 and (size // 2 <= room or room >= NEARLY_ALL * most)
 
     def least(self) -> int:
         """Bytes that are worth a message where more are to come: a while of what the link takes."""
-        return int(min(LEAST_S * self._allowed_rate, MOST_LEAST, self.window / 2))
+        ever = min(self.window, self._most_unsent)
+        return int(min(LEAST_S * self._allowed_rate, MOST_LEAST, ever / 2))
 
     def is_idle_for(self, size: int) -> bool:
         """Whether so much is no more than the link takes in moments, and little is under way."""
@@ -139,8 +157,7 @@ class Pacer:
 
     def note_sent(self, size: int, now_s: float) -> None:
         """So much was sent."""
-        self._refill(now_s)
-        self._tokens -= size if self.bytes_per_s else 0
+        self.budget.spend(size, now_s)
         if not self.in_flight:
             self._quiet_since_s = now_s
             self._span = (now_s, self.acked)
@@ -149,7 +166,14 @@ class Pacer:
         self._pieces.append((self.sent, now_s))
 
     def note_link(
-        self, unsent: int, round_trip_s: float | None, now_s: float, *, fills: bool
+        self,
+        unsent: int,
+        round_trip_s: float | None,
+        now_s: float,
+        *,
+        fills: bool,
+        in_network: int | None = None,
+        link_rate: float | None = None,
     ) -> None:
         """How the connection stands.
 
@@ -158,8 +182,19 @@ class Pacer:
             round_trip_s: of its packets, of late; None where it has none.
             now_s: now.
             fills: it sends as fast as buffers take it.
+            in_network: bytes of packets that were sent and have neither arrived nor been lost; None
+                is all that is not acknowledged.
+            link_rate: bytes a second, as it has seen the network deliver; None where unknown.
         """
         self._unsent = unsent
+        self._unsent_since_s = min(self._unsent_since_s, now_s) if unsent else inf
+        self.trip_s = round_trip_s
+        # Small packets were taken for full ones.
+        most = max(self.in_flight - unsent, 0)
+        self.in_network = most if in_network is None else min(in_network, most)
+        self.link_rate = link_rate
+        if self.rate is not None and link_rate is not None:
+            self.rate = link_rate
         self._was_full |= unsent > 0 or self._fills_window
         if round_trip_s is None or now_s - self._turned_s < max(round_trip_s, TURN_S):
             return
@@ -188,8 +223,17 @@ class Pacer:
         while self._pieces and self._pieces[0][0] <= acked:
             _, sent_s = self._pieces.popleft()
             self._was_full |= now_s - sent_s > late_s
+            self._note_stall(now_s - sent_s, now_s)
         self._learn_rate(now_s)
         return True
+
+    def waits_s(self, now_s: float) -> float:
+        """How long ago the oldest was sent of what is not acknowledged; 0 where all is."""
+        return now_s - self._pieces[0][1] if self._pieces else 0.0
+
+    def blocked_s(self, now_s: float) -> float:
+        """How long TCP has not sent all that it was given."""
+        return max(now_s - self._unsent_since_s, 0.0)
 
     def quiet_s(self, now_s: float) -> float:
         """How long nothing was acknowledged though something is under way."""
@@ -203,6 +247,11 @@ class Pacer:
         self._round_trips.append((now_s, round_trip_s))
         self.round_trip_s = self._round_trips[0][1]
 
+    def _note_stall(self, took_s: float, now_s: float) -> None:
+        trip_s = self.round_trip_s or inf
+        if took_s > trip_s + LOSS_S and now_s - self._stalled_s > trip_s:
+            self.stalls, self._stalled_s = self.stalls + 1, now_s
+
     def _learn_rate(self, now_s: float) -> None:
         """From the first of a busy time on, again and again; and at its end."""
         began_s, acked = self._span
@@ -211,6 +260,8 @@ class Pacer:
         rate = (self.acked - acked) / max(now_s - began_s, SHORTEST_S)
         was_full, self._was_full = self._was_full, False
         self._span = (now_s, self.acked)
+        if self.rate is not None and self.link_rate is not None:
+            return  # TCP knows it better
         if not was_full and rate < (self.rate or FIRST_RATE):
             return  # there was no more to send: that says nothing against the link
         while self._rates and self._rates[0][0] < now_s - RATE_S:
@@ -219,8 +270,3 @@ class Pacer:
             self._rates.pop()
         self._rates.append((now_s, rate))
         self.rate = self._rates[0][1]
-
-    def _refill(self, now_s: float) -> None:
-        passed_s = 0.0 if self._filled_s is None else max(0.0, now_s - self._filled_s)
-        self._filled_s = now_s
-        self._tokens = min(self._burst, self._tokens + passed_s * self.bytes_per_s)

@@ -69,6 +69,7 @@ class Portions:
 
     Attributes:
         wants: kinds of messages.
+        second_line: the client is advised to have one.
         left: blocks of the map that the client still lacks.
         skipped: messages that were never told, by kind.
         waits: something is due and lacks room, which the map is not to take.
@@ -78,7 +79,7 @@ class Portions:
         self.wants: frozenset[str] = frozenset()
         self.left = 0
         self.skipped: Counter[str] = Counter()
-        self.waits = False
+        self.waits = self.second_line = False
         self._feed = feed
         self._events = events
         self._pacer = pacer
@@ -127,6 +128,7 @@ class Portions:
             "in_flight": pacer.in_flight,
             "left": self.left,
             "skipped": dict(self.skipped),
+            "second_line": self.second_line,
         }
 
     def pieces(self, now_s: float, now_ns: int) -> Iterator[bytes]:

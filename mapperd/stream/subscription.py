@@ -8,10 +8,11 @@ from numpy.typing import ArrayLike, NDArray
 from mapperd.errors import StoreError
 from mapperd.stream.framing import framed
 from mapperd.stream.messages import MAX_BLOCKS, Blocks, Interest, MapFacts, Reset, Vector
-from mapperd.stream.nearest import NearestFirst, Part
+from mapperd.stream.nearest import NEAR_M, NearestFirst, Part
 from mapperd.stream.on_its_way import OnItsWay
-from mapperd.stream.region import vector_of, within
-from mapperd.stream.telling import Teller
+from mapperd.stream.region import distances_m, vector_of, within
+from mapperd.stream.source_protocol import FIRST, SECOND, Line
+from mapperd.stream.telling import Body, Teller
 from mapperd.stream.view import View
 
 __all__ = ["Source", "Subscription"]
@@ -69,7 +70,10 @@ class Subscription:
         self.reason = reason
         self._source = source
         self._reset = self._closed = False
-        self._on_its_way = OnItsWay()
+        self._lines = [OnItsWay(), OnItsWay()]
+        self._line: Line = FIRST
+        self._begins_at = 1
+        self._order = 0
         self._begin(known_up_to)
 
     def _begin(self, known_up_to: int | None) -> None:
@@ -102,12 +106,44 @@ class Subscription:
 
     @property
     def number(self) -> int:
-        """Of the last message."""
-        return self._on_its_way.number
+        """Of the last message, of those on the same line."""
+        return self._lines[self._line].number
 
-    def settle(self, number: int) -> None:
-        """The client has used messages up to this one."""
-        self._on_its_way.settle(number)
+    def settle(self, number: int, line: Line = FIRST) -> None:
+        """The client has used messages of a line up to this one."""
+        self._lines[line].settle(number)
+
+    def tell_on(self, line: Line) -> Line:
+        """Tell the next messages on this line, if that may be.
+
+        Returns:
+            the line: the first one until the client is known to have begun with this map there.
+        """
+        if self._reset or self._lines[FIRST].settled < self._begins_at:
+            return FIRST
+        self._line = line
+        return line
+
+    def tell_again(self, line: Line, position_m: ArrayLike | None) -> None:
+        """What is near the vehicle and under way on this line waits to be told once more."""
+        if self._reset:
+            return  # all of the map waits, and its blocks have other numbers
+        stuck = self._lines[line].unsettled()
+        if stuck is not None and (position := vector_of(position_m)) is not None:
+            away_m = distances_m(self._view.keys(stuck), self._view.block_m, position)
+            self._tell_again(stuck[away_m <= NEAR_M])
+
+    def lose_second(self) -> None:
+        """The client's second line is gone: what was under way there is told again."""
+        lost, self._lines[SECOND], self._line = self._lines[SECOND], OnItsWay(), FIRST
+        self._complete = None
+        if self._reset:
+            return  # all of the map waits, and its blocks have other numbers
+        numbers = lost.unsettled()
+        if numbers is None:
+            self.restart()
+        else:
+            self._tell_again(numbers)
 
     def go_on(self, interest: Interest, number: int) -> bool:
         """The client is back, and has messages up to this one; later ones are told again.
@@ -115,16 +151,22 @@ class Subscription:
         Returns:
             whether it may keep what it holds.
         """
-        numbers = self._on_its_way.beyond(number)
-        if numbers is None or self._reset or self._closed or interest != self.interest:
+        numbers, beside = self._lines[FIRST].beyond(number), self._lines[SECOND].unsettled()
+        if self._reset or self._closed or interest != self.interest:
             return False
-        # It may still hold what they were before: that they are empty now is told again as well.
-        self._queue.flags[numbers] |= HELD
-        self._queue.add(numbers, self._source.now_ns)
-        self._on_its_way.settle(self.number)
+        if numbers is None or beside is None:
+            return False
+        self._tell_again(np.union1d(numbers, beside))
+        self._lines[FIRST].settle(self._lines[FIRST].number)
+        self._lines[SECOND], self._line = OnItsWay(), FIRST
         self._complete = None
         self.resumed, self.reason = True, ""
         return True
+
+    def _tell_again(self, numbers: Numbers) -> None:
+        # It may still hold what they were before: that they are empty now is told again as well.
+        self._queue.flags[numbers] |= HELD
+        self._queue.add(numbers, self._source.now_ns)
 
     @property
     def left(self) -> int:
@@ -134,7 +176,7 @@ class Subscription:
     @property
     def memory_bytes(self) -> int:
         """Of what it remembers of blocks."""
-        return int(self._queue.flags.nbytes) + self._on_its_way.memory_bytes
+        return int(self._queue.flags.nbytes) + sum(line.memory_bytes for line in self._lines)
 
     def changed(self, numbers: Numbers) -> None:
         """These blocks are told otherwise than before."""
@@ -151,7 +193,7 @@ class Subscription:
 
     @property
     def near_left(self) -> int:
-        """Of those the ones near the vehicle, as of the last message."""
+        """Of those the ones near the vehicle that belong to this pass, as of the last message."""
         return self._queue.near_left
 
     def next(
@@ -177,16 +219,26 @@ class Subscription:
     ) -> Blocks | Reset | None:
         """The same as a message."""
         if self._reset:
-            self._reset = False
-            self._on_its_way.note_reset()
-            facts = self._source.facts()
-            return Reset(map=facts, revision=self._view.looked, interest=self.interest)
+            return self._reset_now()
         self._draw(vector_of(position_m))
         try:
             return self._next(most_bytes, part)
         except StoreError as error:
             self._source.trouble = str(error)
             return None
+
+    def _reset_now(self) -> Reset:
+        """Said on the first line; what is under way on the second is known by its order."""
+        self._reset, self._line = False, FIRST
+        for line in self._lines:
+            line.note_reset()
+        self._begins_at = self._lines[FIRST].number + 1
+        return Reset(
+            map=self._source.facts(),
+            revision=self._view.looked,
+            interest=self.interest,
+            order=self._source.teller.fence(),
+        )
 
     def _next(self, most_bytes: int, part: Part) -> Blocks | None:
         teller, detail = self._source.teller, self.interest.detail
@@ -195,14 +247,14 @@ class Subscription:
             numbers, wanted = self._chosen(most, part)
             if not len(numbers):
                 return None if len(self._queue) else self._quiet()
-            revision, body = teller.body(self._view, detail, numbers, wanted)
-            if 2 * len(body) <= 3 * most_bytes or len(numbers) == 1:
+            body = teller.body(self._view, detail, numbers, wanted, self._order)
+            if 2 * len(body.data) <= 3 * most_bytes or len(numbers) == 1:
                 break
             most = max(min(most, len(numbers)) // 2, 1)
         self._queue.remove(numbers)
         self._queue.flags[numbers] &= np.uint8(~HELD & 0xFF)
         self._queue.flags[numbers[wanted]] |= HELD
-        return self._message(revision, body, numbers)
+        return self._message(body, numbers)
 
     def _chosen(self, most: int, part: Part) -> tuple[Numbers, NDArray[np.bool_]]:
         """The nearest blocks that wait, and which of them are told with what they hold."""
@@ -219,20 +271,28 @@ class Subscription:
         settled, now_ns = self._view.settled, self._source.now_ns
         if settled is None or settled == self._complete or self._view.left:
             return None
+        if not (self._is_drawn and self._is_told_on_one_line):
+            return None
         if self._complete is not None and now_ns - self._told_ns < QUIET_NS:
             return None
         nothing = np.zeros(0, np.int64)
         teller = self._source.teller
-        revision, body = teller.body(self._view, self.interest.detail, nothing, nothing != 0)
-        return self._message(revision, body, nothing)
+        body = teller.body(self._view, self.interest.detail, nothing, nothing != 0, self._order)
+        return self._message(body, nothing)
 
-    def _message(self, revision: int, body: bytes, numbers: Numbers) -> Blocks:
-        self._on_its_way.note(numbers)
-        complete = None
-        if not len(self._queue) and not self._view.left and self._is_drawn:
-            complete = self._view.settled
-            self._complete, self._told_ns = complete, self._source.now_ns
-        return self._source.teller.message(revision, body, self.left, complete)
+    def _message(self, body: Body, numbers: Numbers) -> Blocks:
+        self._lines[self._line].note(numbers)
+        self._order = body.order
+        is_all = not len(self._queue) and not self._view.left and self._is_drawn
+        complete = self._view.settled if is_all and self._is_told_on_one_line else None
+        self._complete, self._told_ns = complete, self._source.now_ns
+        return self._source.teller.message(body, self.left, complete)
+
+    @property
+    def _is_told_on_one_line(self) -> bool:
+        """Whether nothing is under way on the other one: the client may have that later."""
+        other = self._lines[SECOND if self._line == FIRST else FIRST]
+        return other.settled == other.number
 
     @property
     def _is_drawn(self) -> bool:

@@ -15,8 +15,14 @@ CALM = b"bbr"
 
 NAME_BYTES = 16
 
-STATE = struct.Struct("<68xI72xI")
-"""Of Linux's `struct tcp_info`: tcpi_rtt in microseconds, and tcpi_notsent_bytes."""
+STATE = struct.Struct("<16xI4xIIII28xI72xI")
+"""Of Linux's `struct tcp_info`: tcpi_snd_mss; packets in tcpi_unacked, of which tcpi_sacked have
+arrived and tcpi_lost have not, and tcpi_retrans that were sent again; tcpi_rtt in microseconds; and
+tcpi_notsent_bytes."""
+
+TCP_CC_INFO = 26
+BBR_INFO = struct.Struct("<Q")
+"""The beginning of Linux's `struct tcp_bbr_info`: the rate that it found, in bytes a second."""
 
 
 class Socket(Protocol):
@@ -37,10 +43,16 @@ class TcpState:
     Attributes:
         unsent: bytes that the system was given and has not sent yet.
         round_trip_s: of packets, of late; None where the system does not say.
+        in_network: bytes in packets that were sent and have neither arrived nor been lost, about;
+            None where it does not say.
+        rate: bytes a second that the network delivers, losses and what waits for them apart; None
+            where it does not say.
     """
 
     unsent: int = 0
     round_trip_s: float | None = None
+    in_network: int | None = None
+    rate: float | None = None
 
 
 UNKNOWN = TcpState()
@@ -73,8 +85,18 @@ def tcp_state(connection: Socket) -> TcpState:
     said = _option(connection, socket.TCP_INFO, STATE.size)
     if len(said) < STATE.size:
         return UNKNOWN
-    round_trip_us, unsent = STATE.unpack(said)
-    return TcpState(unsent, round_trip_us / 1e6 or None)
+    size, unacked, arrived, lost, again, round_trip_us, unsent = STATE.unpack(said)
+    in_network = size * max(unacked - arrived - lost + again, 0)
+    return TcpState(unsent, round_trip_us / 1e6 or None, in_network, _rate(connection))
+
+
+def _rate(connection: Socket) -> float | None:
+    """What BBR knows; other congestion controls say other things in its place."""
+    name = _option(connection, socket.TCP_CONGESTION, NAME_BYTES)
+    if name.rstrip(b"\0") != CALM:
+        return None
+    said = _option(connection, TCP_CC_INFO, BBR_INFO.size)
+    return None if len(said) < BBR_INFO.size else float(BBR_INFO.unpack(said)[0]) or None
 
 
 def _option(connection: Socket, name: int, size: int) -> bytes:

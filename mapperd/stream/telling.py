@@ -1,5 +1,6 @@
 """Blocks made into bodies of messages, once for all clients that are told the same."""
 
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -12,7 +13,7 @@ from mapperd.stream.messages import Blocks
 from mapperd.stream.stored_bricks import StoredBricks
 from mapperd.stream.view import View, batches, bricks_of
 
-__all__ = ["Teller", "Times"]
+__all__ = ["Body", "Teller", "Times"]
 
 MOST_KEPT = 64
 """Bodies, and messages: clients that keep up are told the same, the others each their own."""
@@ -28,6 +29,21 @@ BRICKS_AT_ONCE = 32
 Numbers = NDArray[np.int64]
 Key = TypeVar("Key")
 Value = TypeVar("Value")
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """Blocks as they were read from the map.
+
+    Attributes:
+        revision: of the map then.
+        order: higher than that of all that was read before.
+        data: as `Blocks` has it.
+    """
+
+    revision: int
+    order: int
+    data: bytes
 
 
 class Times:
@@ -64,20 +80,26 @@ class Teller:
 
     def __init__(self, core: _core.VoxelMap, files: StoredBricks | None) -> None:
         self.times = Times()
+        self._order = 0
         self._core = core
         self._files = files
         self._stamp_ns = 0
         self._guess: dict[tuple[int, str], float] = {}
-        self._bodies: dict[tuple[object, ...], tuple[int, bytes]] = {}
+        self._bodies: dict[tuple[object, ...], Body] = {}
         self._messages: dict[tuple[object, ...], Blocks] = {}
         self._framed: dict[int, tuple[Blocks, bytes]] = {}
 
     def begin(self, now_ns: int) -> None:
         """The map was looked at: what was made before is not to be told any more."""
         self._stamp_ns = now_ns
+        self.fence()
+
+    def fence(self) -> int:
+        """An order that all exceed that are told from now on, and nothing that was told before."""
         self._bodies.clear()
         self._messages.clear()
         self._framed.clear()
+        return self._order
 
     def blocks_in(self, most_bytes: int, level: int, detail: str) -> int:
         """How many blocks about fill so many bytes: few numbers, so that clients agree on them."""
@@ -86,34 +108,44 @@ class Teller:
         return low + low // 2 if number >= low + low // 2 else low
 
     def body(
-        self, view: View, detail: str, numbers: Numbers, wanted: NDArray[np.bool_]
-    ) -> tuple[int, bytes]:
+        self,
+        view: View,
+        detail: str,
+        numbers: Numbers,
+        wanted: NDArray[np.bool_],
+        least_order: int = 0,
+    ) -> Body:
         """Blocks as they are now, those that are not wanted as empty ones.
 
-        Returns:
-            the map's revision; the body.
+        Args:
+            view: of the map.
+            detail: of the interest.
+            numbers: of the blocks.
+            wanted: which of them are told with what they hold.
+            least_order: what was read before is not told, though it was in the same look.
 
         Raises:
             StoreError: the file cannot be read.
         """
         key = (id(view), detail, numbers.tobytes(), wanted.tobytes())
         known = self._bodies.get(key)
-        if known is None:
+        if known is None or known.order < least_order:
             known = self._made(view, detail, numbers, wanted)
             _keep(self._bodies, key, known)
         return known
 
-    def message(self, revision: int, body: bytes, left: int, complete: int | None) -> Blocks:
+    def message(self, body: Body, left: int, complete: int | None) -> Blocks:
         """The same object for all who are told the same."""
-        key = (body, revision, left, complete)
+        key = (body.order, left, complete)
         known = self._messages.get(key)
         if known is None:
             known = Blocks(
-                revision=revision,
+                revision=body.revision,
                 stamp_ns=self._stamp_ns,
                 left=left,
                 complete=complete,
-                body=body,
+                body=body.data,
+                order=body.order,
             )
             _keep(self._messages, key, known)
         return known
@@ -126,9 +158,8 @@ class Teller:
             _keep(self._framed, id(message), known)
         return known[1]
 
-    def _made(
-        self, view: View, detail: str, numbers: Numbers, wanted: NDArray[np.bool_]
-    ) -> tuple[int, bytes]:
+    def _made(self, view: View, detail: str, numbers: Numbers, wanted: NDArray[np.bool_]) -> Body:
+        self._order += 1
         keys = view.keys(numbers)
         cells = np.full((len(numbers), CELLS), UNKNOWN, np.int8)
         bits = np.zeros((len(numbers), CELLS), np.uint8)
@@ -143,7 +174,7 @@ class Teller:
             before = self._guess.get((view.level, detail), FIRST_GUESS)
             share = min(len(numbers) / 256, 1.0) / 2
             self._guess[view.level, detail] = before + (len(body) / len(numbers) - before) * share
-        return revision, body
+        return Body(revision, self._order, body)
 
     def _content(
         self, view: View, keys: NDArray[np.int32]

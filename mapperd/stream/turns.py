@@ -6,12 +6,13 @@ between two of them; what is far goes in the rests, and only as much as delays n
 """
 
 from dataclasses import dataclass
+from math import inf
 
 from mapperd.stream.pacer import FIRST_RATE, Pacer
 
 __all__ = ["Rooms", "Turns"]
 
-DUTY, LONGEST_REST_S = 0.6, 1.0
+DUTY, LONGEST_REST_S = 0.6, 0.6
 """A pass and the rest after it take so long that the link was busy for this part of the time with
 what is near; and no longer than that."""
 
@@ -50,20 +51,25 @@ class Turns:
 
     Args:
         pacer: of its connection.
+
+    Attributes:
+        pacer: as given; of another connection where the client is told on that one.
+        beside: of the one on which it is not told, over the same link; None without one.
     """
 
     def __init__(self, pacer: Pacer) -> None:
-        self._pacer = pacer
+        self.pacer = pacer
+        self.beside: Pacer | None = None
         self._began_s: float | None = None
         self._bytes = self._messages = 0
         self._rests_until_s = 0.0
         self._near_s: float | None = None
 
-    def rooms(self, now_s: float) -> Rooms:
-        """What may be told now."""
-        pacer = self._pacer
+    def rooms(self, now_s: float, most: float = inf) -> Rooms:
+        """What may be told now, and no more than `most` bytes."""
+        pacer = self.pacer
         free = int(pacer.window * SHARE) - pacer.in_flight
-        room = min(free, int(pacer.room(now_s) * SHARE))
+        room = int(min(free, pacer.room(now_s) * SHARE, most))
         if room < max(LEAST, SHARE * pacer.least()):
             return Rooms()
         near = room if now_s >= self._rests_until_s else 0
@@ -71,17 +77,32 @@ class Turns:
             return Rooms(near, room)
         rate = self._rate()
         wire = rate * (ASIDE_S + (pacer.round_trip_s or 0.0))
-        is_idle = pacer.in_flight <= IDLE * wire or self._messages >= EACH
+        in_flight = pacer.in_flight + (self.beside.in_flight if self.beside else 0)
+        is_idle = in_flight <= IDLE * wire or self._messages >= EACH
         return Rooms(near, min(room, max(LEAST, int(ASIDE_S * rate))) if is_idle else 0)
 
+    @property
+    def in_pass(self) -> bool:
+        """What is near has been told in part."""
+        return self._began_s is not None
+
+    def hurry(self) -> None:
+        """There is something near that cannot wait."""
+        self._rests_until_s = 0.0
+
     def told_near(self, size: int, left: int, now_s: float) -> None:
-        """A message of so many bytes about what is near; so many near blocks are left."""
+        """A message of so many bytes about what is near; so many blocks are left of the pass."""
         self._near_s = now_s
         if self._began_s is None:
             self._began_s = now_s
         self._bytes += size
         self._messages += 1
         if not left:
+            self.end_pass()
+
+    def end_pass(self) -> None:
+        """Nothing is left of it, told or not: the vehicle may have gone on."""
+        if self._began_s is not None:
             rest_s = min(self._bytes / (DUTY * self._rate()), LONGEST_REST_S)
             self._rests_until_s = self._began_s + rest_s
             self._began_s, self._bytes, self._messages = None, 0, 0
@@ -91,6 +112,7 @@ class Turns:
         self._messages = 0
 
     def _rate(self) -> float:
-        rate = self._pacer.rate or FIRST_RATE
-        limit = self._pacer.bytes_per_s
+        rates = [one.rate for one in (self.pacer, self.beside) if one and one.rate]
+        rate = max(rates, default=FIRST_RATE)
+        limit = self.pacer.bytes_per_s
         return min(rate, limit) if limit else rate

@@ -2,8 +2,8 @@
 
 import pytest
 
+from mapperd.stream.budget import LEAST_BURST
 from mapperd.stream.pacer import (
-    LEAST_BURST,
     LEAST_UNSENT,
     LEAST_WINDOW,
     MOST_LEAST,
@@ -237,3 +237,27 @@ def test_acknowledgements_that_cannot_be_are_told() -> None:
     assert (pacer.in_flight, pacer.quiet_s(10.2)) == (40, 10.0)
     assert pacer.note_ack(100, 11.0)
     assert pacer.quiet_s(99.0) == 0.0
+
+
+def test_what_tcp_says_of_the_link_is_not_doubted_because_something_came_late() -> None:
+    """A link that is hardly used and loses a packet now and then is no slower for that."""
+    pacer = Pacer()
+    for n in range(20):
+        pacer.note_sent(8_000, 0.25 * n)
+        pacer.note_link(0, 0.6, 0.25 * n, fills=False, link_rate=31_000.0)
+        assert pacer.note_ack(pacer.sent, 0.25 * n + 0.2)
+    for n in range(1, 20):
+        pacer.note_sent(130, 10.0 * n)
+        pacer.note_link(0, 0.6, 10.0 * n, fills=False, link_rate=30_000.0)
+        assert pacer.note_ack(pacer.sent, 10.0 * n + 4.0)
+    assert pacer.rate == 30_000.0
+    assert pacer.room(200.0) > 3_000
+
+
+def test_what_tcp_says_before_the_link_was_busy_is_not_believed() -> None:
+    pacer = Pacer()
+    pacer.note_sent(100, 0.0)
+    pacer.note_link(0, 0.6, 0.0, fills=False, link_rate=160.0)
+    assert pacer.note_ack(100, 0.6)
+    pacer.note_link(0, 0.6, 0.6, fills=False, link_rate=160.0)
+    assert pacer.rate is None

@@ -15,7 +15,7 @@ import pytest
 
 from mapperd.control.limits import Limits
 from mapperd.stream.connection import Connection
-from mapperd.stream.tcp import CALM, TcpState, fills_buffers, tcp_state, tune
+from mapperd.stream.tcp import CALM, TCP_CC_INFO, TcpState, fills_buffers, tcp_state, tune
 from tests.mapperd.control.fakes import TOKEN
 from tests.mapperd.stream.watched import Bed, Watcher, bed_of, run
 
@@ -99,8 +99,14 @@ class Answering:
         assert level == socket.IPPROTO_TCP
         if name == socket.TCP_CONGESTION:
             return self.name.ljust(size, b"\0")
+        if name == TCP_CC_INFO:
+            # <linux/inet_diag.h>: bbr_bw_lo, bbr_bw_hi, then other things; of others, other things.
+            return struct.pack("<II", 31_000, 2).ljust(size, b"\7")[:size]
         assert name == socket.TCP_INFO
         info = bytearray(256)
+        struct.pack_into("<I", info, 16, 1_448)  # tcpi_snd_mss
+        struct.pack_into("<IIII", info, 24, 20, 9, 2, 1)  # tcpi_unacked, _sacked, _lost, _retrans
+        struct.pack_into("<II", info, 40, 99, 98)  # tcpi_fackets, tcpi_last_data_sent
         struct.pack_into("<I", info, 68, 250_000)  # tcpi_rtt of <linux/tcp.h>
         struct.pack_into("<I", info, 72, 125_000)  # tcpi_rttvar
         struct.pack_into("<I", info, 144, 777)  # tcpi_notsent_bytes
@@ -113,7 +119,22 @@ def test_a_calm_one_does_not_fill_buffers() -> None:
 
 
 def test_a_system_is_understood() -> None:
-    assert tcp_state(Answering(b"cubic")) == TcpState(777, 0.25)
+    packets = 20 - 9 - 2 + 1
+    assert tcp_state(Answering(b"cubic")) == TcpState(777, 0.25, packets * 1_448, None)
+    rate = 31_000 + 2 * 2.0**32
+    assert tcp_state(Answering(CALM)) == TcpState(777, 0.25, packets * 1_448, rate)
+
+
+def test_packets_under_way_have_not_arrived(pair: Pair) -> None:
+    here, there = pair
+    here.settimeout(0)
+    here.send(bytes(100_000))  # its reader takes some thousand
+    state = tcp_state(here)
+    assert state.in_network is not None
+    assert state.in_network < 100_000
+    there.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+    there.recv(100_000, socket.MSG_WAITALL)
+    assert tcp_state(here).in_network == 0
 
 
 def test_a_local_socket_is_not_asked() -> None:
@@ -126,7 +147,7 @@ def test_a_local_socket_is_not_asked() -> None:
 @pytest.mark.parametrize("name", [b"cubic", CALM])
 def test_a_connection_tells_its_pacer_all_of_it(name: bytes) -> None:
     told: list[tuple[object, ...]] = []
-    pacer = SimpleNamespace(note_link=lambda *said, fills: told.append((*said, fills)))
+    pacer = SimpleNamespace(note_link=lambda *said, **more: told.append((*said, more)))
     session: Any = SimpleNamespace(greeting=lambda _: b"", state="served", pacer=pacer)
     around: Any = SimpleNamespace(
         clock=lambda: 7.0, limits=Limits(), count=Counter().update, gone=lambda _: None
@@ -142,7 +163,9 @@ def test_a_connection_tells_its_pacer_all_of_it(name: bytes) -> None:
         connection.connection_lost(None)
 
     asyncio.run(work())
-    assert told == [(1_777, 0.25, 7.0, name != CALM)]
+    rate = 31_000 + 2 * 2.0**32 if name == CALM else None
+    more = {"fills": name != CALM, "in_network": 14_480, "link_rate": rate}
+    assert told == [(1_777, 0.25, 7.0, more)]
 
 
 @pytest.mark.parametrize("kind", ["open", "tls", "unix"])

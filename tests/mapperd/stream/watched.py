@@ -37,6 +37,7 @@ from mapperd.stream.messages import (
 )
 from mapperd.stream.nearest import Part
 from mapperd.stream.server import StreamServer
+from mapperd.stream.source_protocol import FIRST, Line
 from tests.mapperd.control.fakes import TOKEN, FakeDaemon
 
 if TYPE_CHECKING:
@@ -83,7 +84,16 @@ class PlainView:
 
     number = 0
 
-    def settle(self, _: int) -> None:
+    def settle(self, _: int, line: Line = FIRST) -> None:
+        pass
+
+    def tell_on(self, line: Line) -> Line:
+        return line
+
+    def tell_again(self, line: Line, _: Vector | None) -> None:
+        pass
+
+    def lose_second(self) -> None:
         pass
 
     def go_on(self, _: Interest, __: int) -> bool:
@@ -147,6 +157,9 @@ class PlainSource:
     def facts(self) -> MapFacts:
         return MapFacts(self.map_id, 0.1, 0.25, 0.8, 0.0)
 
+    def fence(self) -> int:
+        return 0
+
     def look(self, now_ns: int, _: Vector | None = None) -> None:
         assert now_ns > 0
         fault, self.fault = self.fault, None
@@ -162,11 +175,17 @@ class PlainSource:
 class Bed:
     """A server at a Unix socket, at TCP with and without a token, and perhaps at TLS."""
 
-    def __init__(self, folder: Path, tls: ssl.SSLContext | None, limits: Limits | None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        tls: ssl.SSLContext | None,
+        limits: Limits | None,
+        source: Any = None,
+    ) -> None:
         self.daemon = FakeDaemon()
         self.daemon.settings.follow(["stream.rate"], lambda _: None)
         self.daemon.settings.apply({"stream.rate": 20.0}, "test")
-        self.source = PlainSource()
+        self.source: Any = source or PlainSource()
         self.feed = Feed(self.daemon, lambda: None, 1000)
         self.doors = {
             "unix": open_unix_door(folder / "map.sock", 0o600),
@@ -232,6 +251,8 @@ class Watcher:
         self.greeting: Greeting | None = None
         self.welcome: Welcome | None = None
         self.bye: Bye | None = None
+        self.orders: dict[Key, int] = {}
+        self.floor = 0
         self.cells: dict[Key, bytes] = {}
         self.complete: int | None = None
         self.resets = 0
@@ -282,12 +303,14 @@ class Watcher:
                 self.welcome = message
             case Bye():
                 self.bye = message
-            case Reset():
+            case Reset(order=floor):
                 self.cells, self.complete, self.resets = {}, None, self.resets + 1
-            case Blocks(body=body, complete=complete):
+                self.orders, self.floor = {}, floor
+            case Blocks(body=body, complete=complete, order=order):
                 blocks = decode_blocks(body, counts=False)
                 for key, cells in zip(blocks.keys.tolist(), blocks.cells, strict=True):
                     self.cells[tuple(key)] = cells.tobytes()
+                    self.orders[tuple(key)] = order
                 self.complete = complete if complete is not None else self.complete
             case _:
                 self.newest[type(message)] = message
@@ -304,9 +327,12 @@ def as_bytes(source: PlainSource) -> dict[Key, bytes]:
 
 @asynccontextmanager
 async def bed_of(
-    folder: Path, tls: ssl.SSLContext | None = None, limits: Limits | None = None
+    folder: Path,
+    tls: ssl.SSLContext | None = None,
+    limits: Limits | None = None,
+    source: Any = None,
 ) -> AsyncIterator[Bed]:
-    bed = Bed(folder, tls, limits)
+    bed = Bed(folder, tls, limits, source)
     try:
         async with bed.server:
             yield bed
