@@ -294,6 +294,7 @@ ORDER = (
     "stream.pictures",
     "stream.feed",
     "stream.portions",
+    "stream.wishes",
     "stream.session",
     "stream.asks",
     "stream.connection",

@@ -14,9 +14,9 @@ from mapperd.stream.framing import framed
 from mapperd.stream.messages import Interest, Reset, Resume, Vector
 from mapperd.stream.nearest import Part
 from mapperd.stream.parking import Parking, Parting
-from mapperd.stream.session import Beginning, Wish
 from mapperd.stream.source_protocol import FIRST, SECOND, Line, MapView, Source
 from mapperd.stream.turns import Rooms
+from mapperd.stream.wishes import Beginning, Wish
 
 __all__ = ["Frame", "MapRounds", "next_frames"]
 

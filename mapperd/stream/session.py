@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import msgspec
-import numpy as np
 
 from mapperd.control.admission import Newcomer, doubt
 from mapperd.control.limits import TokenBucket
@@ -33,7 +32,6 @@ from mapperd.stream.messages import (
     Greeting,
     Hello,
     Interest,
-    MapFacts,
     Resume,
     Welcome,
 )
@@ -42,9 +40,10 @@ from mapperd.stream.parking import Ends, Parting, is_ticket
 from mapperd.stream.portions import Portions
 from mapperd.stream.source_protocol import FIRST, Line, MapView
 from mapperd.stream.turns import Rooms, Turns
+from mapperd.stream.wishes import Beginning, Wish, checked
 from mapperd.version import version
 
-__all__ = ["Beginning", "Common", "Session", "Wish"]
+__all__ = ["Common", "Session"]
 
 ASKS = 8
 """That may wait for their answers."""
@@ -74,23 +73,6 @@ class Common:
     failures: FailureLimiter
     vehicle: str
     bytes_per_s: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Wish:
-    """A part of the map that is to be told; None is no map."""
-
-    interest: Interest | None
-    resume: Resume | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Beginning:
-    """The map when a client begins to be told of it, as `Welcome` says it."""
-
-    facts: MapFacts
-    revision: int
-    session: str
 
 
 class Session:
@@ -356,7 +338,7 @@ class Session:
         self.portions.want(hello.wants)
         self._resume = hello.resume
         self._limit(hello.bytes_per_s)
-        self._interest = _checked(hello.interest)
+        self._interest = checked(hello.interest)
         self.wish = Wish(self._interest if "map" in self.wants else None, hello.resume)
         self.portions.begin(hello.events_since)
 
@@ -386,7 +368,7 @@ class Session:
         if change.bytes_per_s is not None:
             self._limit(change.bytes_per_s)
         if change.interest is not None:
-            self._interest = _checked(change.interest)
+            self._interest = checked(change.interest)
         if change.wants is not None:
             self.portions.want(change.wants)
         wants = "map" in self.wants
@@ -407,18 +389,3 @@ class Session:
     def _sent(self, frame: bytes, now_s: float) -> bytes:
         self.pacer.note_sent(len(frame), now_s)
         return frame
-
-
-def _checked(interest: Interest) -> Interest:
-    """The interest, if it is one.
-
-    Raises:
-        StreamError: its numbers are none.
-    """
-    box = interest.box
-    numbers = [interest.radius_m, *(() if box is None else (*box.low_m, *box.high_m))]
-    if not np.isfinite(numbers).all():
-        raise StreamError("an interest with numbers that are none", "bad_interest")
-    if box is not None and any(a > b for a, b in zip(box.low_m, box.high_m, strict=True)):
-        raise StreamError("a box that ends before it begins", "bad_interest")
-    return interest

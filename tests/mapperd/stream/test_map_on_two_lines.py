@@ -14,6 +14,19 @@ from tests.mapperd.stream.told import SECOND_NS, Client, expected, scatter, sour
 from tests.mapperd.stream.two_lines import AnyLuck, TwoLines
 
 
+def begun(voxels: int = 300, reach_m: float = 3.0) -> tuple[SonarMap, TwoLines]:
+    """A client with two lines that has had its first message, so that both may be told on."""
+    sonar_map = SonarMap(Config())
+    scatter(sonar_map, 1, voxels, reach_m)
+    source = source_of(sonar_map)
+    lines = TwoLines(source, Interest())
+    lines.has_second = True
+    source.look(SECOND_NS)
+    lines.tell(FIRST, 1)
+    lines.deliver(FIRST, 1)
+    return sonar_map, lines
+
+
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize(
     "interest",
@@ -43,14 +56,7 @@ def test_the_client_has_the_map_whatever_its_lines_do(interest: Interest, seed: 
 
 
 def test_only_what_is_near_is_told_again() -> None:
-    sonar_map = SonarMap(Config())
-    scatter(sonar_map, 1, 4000, reach_m=30.0)
-    source = source_of(sonar_map)
-    lines = TwoLines(source, Interest())
-    lines.has_second = True
-    source.look(SECOND_NS)
-    lines.tell(FIRST, 1)
-    lines.deliver(FIRST, 1)
+    sonar_map, lines = begun(4000, reach_m=30.0)
     lines.tell(FIRST, 10_000)
     told = lines.client.view.left
     assert told == 0
@@ -58,23 +64,18 @@ def test_only_what_is_near_is_told_again() -> None:
     lines.tell(SECOND, 10_000)
     told_again = [one for one, _ in lines.way[SECOND] if isinstance(one, Blocks)]
     keys = np.concatenate([decode_blocks(one.body, counts=False).keys for one in told_again])
-    low_m = keys * 8 * source.facts().resolution_m
-    away_m = np.linalg.norm(np.clip(0.0, low_m, low_m + 8 * source.facts().resolution_m), axis=1)
+    low_m = keys * 8 * lines.source.facts().resolution_m
+    away_m = np.linalg.norm(
+        np.clip(0.0, low_m, low_m + 8 * lines.source.facts().resolution_m), axis=1
+    )
     assert len(keys) > 50
     assert away_m.max() <= NEAR_M
     lines.hear_all()
-    assert lines.client.holds() == expected(sonar_map.core, source.facts(), Interest())
+    assert lines.client.holds() == expected(sonar_map.core, lines.source.facts(), Interest())
 
 
 def test_complete_is_not_said_while_the_other_line_has_something_under_way() -> None:
-    sonar_map = SonarMap(Config())
-    scatter(sonar_map, 1, 300)
-    source = source_of(sonar_map)
-    lines = TwoLines(source, Interest())
-    lines.has_second = True
-    source.look(SECOND_NS)
-    lines.tell(FIRST, 1)
-    lines.deliver(FIRST, 1)
+    sonar_map, lines = begun()
     lines.tell(FIRST, 1)
     lines.tell(SECOND, 10_000)
     lines.deliver(SECOND, 10_000)
@@ -87,14 +88,7 @@ def test_complete_is_not_said_while_the_other_line_has_something_under_way() -> 
 
 
 def test_complete_is_said_once_more_after_what_was_told_again() -> None:
-    sonar_map = SonarMap(Config())
-    scatter(sonar_map, 1, 300)
-    source = source_of(sonar_map)
-    lines = TwoLines(source, Interest())
-    lines.has_second = True
-    source.look(SECOND_NS)
-    lines.tell(FIRST, 1)
-    lines.deliver(FIRST, 1)
+    _, lines = begun()
     lines.tell(FIRST, 10_000)
     lines.client.view.tell_again(FIRST, lines.place)
     lines.tell(SECOND, 10_000)
@@ -110,26 +104,19 @@ def test_complete_is_said_once_more_after_what_was_told_again() -> None:
 @pytest.mark.parametrize("how", ["change", "reset"])
 def test_what_was_under_way_before_a_reset_is_not_told_again(how: str, *, lost: bool) -> None:
     """Blocks have other numbers afterwards, which there may be none of yet."""
-    sonar_map = SonarMap(Config())
-    scatter(sonar_map, 1, 300)
-    source = source_of(sonar_map)
-    lines = TwoLines(source, Interest())
-    lines.has_second = True
-    source.look(SECOND_NS)
-    lines.tell(FIRST, 1)
-    lines.deliver(FIRST, 1)
+    sonar_map, lines = begun()
     lines.tell(SECOND, 10_000)
     if how == "change":
         lines.client.view.change(Interest(level=3))
     else:
-        source._begin_anew()
+        lines.source._begin_anew()
     lines.client.view.tell_again(SECOND, lines.place)
     if lost:
         lines.lose_second()
-    source.look(SECOND_NS)
+    lines.source.look(SECOND_NS)
     lines.hear_all()
     interest = lines.client.mirror.interest
-    assert lines.client.holds() == expected(sonar_map.core, source.facts(), interest)
+    assert lines.client.holds() == expected(sonar_map.core, lines.source.facts(), interest)
 
 
 def test_complete_that_was_lost_with_the_second_line_is_said_again() -> None:

@@ -30,9 +30,10 @@ from mapperd.stream.messages import (
 )
 from mapperd.stream.pacer import FIRST_RATE, LEAST_UNSENT, UNSENT_S
 from mapperd.stream.portions import SHARES
-from mapperd.stream.session import Beginning, Common, Session
+from mapperd.stream.session import Common, Session
 from mapperd.stream.setting_log import SettingLog
 from mapperd.stream.track import Track
+from mapperd.stream.wishes import Beginning
 from tests.mapperd.stream.shaped import LEAST_ON_ITS_WAY, STEP_S, Link
 
 FACTS = MapFacts("m1", 0.1, 0.25, 0.8, 0.0)
