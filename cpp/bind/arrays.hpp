@@ -9,7 +9,7 @@
 #include <stdexcept>
 #include <string>
 
-#include "mapperd/vec.hpp"
+#include "mapperd/common/vec.hpp"
 
 namespace mapperd::bind {
 

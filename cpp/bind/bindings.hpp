@@ -3,9 +3,12 @@
 
 #include <pybind11/pybind11.h>
 
+namespace mapperd::map {}
+
 namespace mapperd::bind {
 
 namespace py = pybind11;
+using namespace map;
 
 void bind_iwlo(py::module_& module);
 void bind_map(py::module_& module);

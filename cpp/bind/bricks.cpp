@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "bindings.hpp"
-#include "mapperd/brick.hpp"
+#include "mapperd/map/brick.hpp"
 
 namespace mapperd::bind {
 namespace {

@@ -1,5 +1,5 @@
 // The IWLO rule.
-#include "mapperd/iwlo.hpp"
+#include "mapperd/map/iwlo.hpp"
 
 #include <pybind11/pybind11.h>
 

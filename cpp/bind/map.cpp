@@ -9,11 +9,11 @@
 
 #include "arrays.hpp"
 #include "bindings.hpp"
-#include "mapperd/ping_box.hpp"
-#include "mapperd/projective.hpp"
-#include "mapperd/rays.hpp"
-#include "mapperd/snapshot.hpp"
-#include "mapperd/voxel_map.hpp"
+#include "mapperd/map/ping_box.hpp"
+#include "mapperd/map/projective.hpp"
+#include "mapperd/map/rays.hpp"
+#include "mapperd/map/snapshot.hpp"
+#include "mapperd/map/voxel_map.hpp"
 #include "points.hpp"
 
 namespace mapperd::bind {

@@ -1,5 +1,5 @@
 // Whole maps as bytes, as methods of VoxelMap.
-#include "mapperd/map_file.hpp"
+#include "mapperd/map/map_file.hpp"
 
 #include <pybind11/pybind11.h>
 

@@ -2,12 +2,12 @@
 #include <pybind11/pybind11.h>
 
 #include "bindings.hpp"
-#include "mapperd/voxel_map.hpp"
+#include "mapperd/map/voxel_map.hpp"
 
 PYBIND11_MODULE(_core, module) {
   module.doc() = "The C++ map core of mapperd.";
-  module.attr("BLOCK_EDGE") = mapperd::kBlockEdge;
-  module.attr("LOG_ODDS_UNIT") = mapperd::kLogOddsUnit;
+  module.attr("BLOCK_EDGE") = mapperd::map::kBlockEdge;
+  module.attr("LOG_ODDS_UNIT") = mapperd::map::kLogOddsUnit;
   mapperd::bind::bind_iwlo(module);
   mapperd::bind::bind_map(module);
   mapperd::bind::bind_map_file(module);

@@ -5,7 +5,7 @@
 #include <string_view>
 
 #include "bindings.hpp"
-#include "mapperd/octomap_file.hpp"
+#include "mapperd/map/octomap_file.hpp"
 
 namespace mapperd::bind {
 namespace {

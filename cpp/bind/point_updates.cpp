@@ -1,5 +1,5 @@
 // Evidence about single points, and whole maps from whole maps, as methods of VoxelMap.
-#include "mapperd/point_updates.hpp"
+#include "mapperd/map/point_updates.hpp"
 
 #include <pybind11/pybind11.h>
 
@@ -8,7 +8,7 @@
 
 #include "arrays.hpp"
 #include "bindings.hpp"
-#include "mapperd/merge.hpp"
+#include "mapperd/map/merge.hpp"
 #include "points.hpp"
 
 namespace mapperd::bind {

@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "arrays.hpp"
-#include "mapperd/queries.hpp"
-#include "mapperd/vec.hpp"
+#include "mapperd/map/queries.hpp"
+#include "mapperd/common/vec.hpp"
 
 namespace mapperd::bind {
 

@@ -1,5 +1,5 @@
 // Questions to the map, as methods of VoxelMap.
-#include "mapperd/queries.hpp"
+#include "mapperd/map/queries.hpp"
 
 #include <pybind11/pybind11.h>
 
@@ -8,7 +8,7 @@
 
 #include "arrays.hpp"
 #include "bindings.hpp"
-#include "mapperd/distance_field.hpp"
+#include "mapperd/map/distance_field.hpp"
 #include "points.hpp"
 
 namespace mapperd::bind {

@@ -1,5 +1,5 @@
 // The map as the map stream tells it, as methods of VoxelMap, and the numbers of its blocks.
-#include "mapperd/stream_view.hpp"
+#include "mapperd/map/stream_view.hpp"
 
 #include <pybind11/pybind11.h>
 
@@ -10,7 +10,7 @@
 
 #include "arrays.hpp"
 #include "bindings.hpp"
-#include "mapperd/key_index.hpp"
+#include "mapperd/map/key_index.hpp"
 
 namespace mapperd::bind {
 namespace {

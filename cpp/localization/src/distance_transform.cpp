@@ -3,7 +3,7 @@
 #include <algorithm>
 
 #include "localization/vectorised.hpp"
-#include "mapperd/parallel.hpp"
+#include "mapperd/common/parallel.hpp"
 
 namespace mapperd::localization {
 namespace {

@@ -6,7 +6,7 @@
 #include <stdexcept>
 
 #include "localization/block_poses.hpp"
-#include "mapperd/parallel.hpp"
+#include "mapperd/common/parallel.hpp"
 
 namespace mapperd::localization {
 namespace {

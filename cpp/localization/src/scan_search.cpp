@@ -7,7 +7,7 @@
 #include "localization/elementary.hpp"
 #include "localization/log_weights.hpp"
 #include "localization/resample.hpp"
-#include "mapperd/parallel.hpp"
+#include "mapperd/common/parallel.hpp"
 
 namespace mapperd::localization {
 namespace {

@@ -1,0 +1,62 @@
+// The blocks of a map, in no order that means anything.
+#pragma once
+
+#include <cstddef>
+#include <utility>
+#include <vector>
+
+#include "mapperd/map/block.hpp"
+#include "mapperd/common/memory_use.hpp"
+
+namespace mapperd::map {
+
+// As a std::deque, references stay valid while blocks are added; unlike there it is known what
+// memory it takes, and it is given back.
+class BlockStore {
+ public:
+  std::size_t size() const { return size_; }
+  Block& operator[](std::size_t i) { return chunks_[i / kChunk][i % kChunk]; }
+  const Block& operator[](std::size_t i) const { return chunks_[i / kChunk][i % kChunk]; }
+
+  Block& add(const BlockKey& key) {
+    if (size_ == kChunk * chunks_.size()) {
+      std::vector<Block> chunk;
+      chunk.reserve(kChunk);
+      chunks_.push_back(std::move(chunk));
+    }
+    Block& block = chunks_.back().emplace_back(key);
+    ++size_;
+    return block;
+  }
+
+  // Gives back what the others took; the references to blocks end here.
+  template <typename Keep>  // bool(const Block&)
+  void keep_if(const Keep& keep) {
+    BlockStore kept;
+    for (std::vector<Block>& chunk : chunks_) {
+      for (Block& block : chunk) {
+        if (keep(block)) kept.add(block.key) = std::move(block);
+      }
+      std::vector<Block>().swap(chunk);
+    }
+    *this = std::move(kept);
+  }
+
+  // Of the blocks and what they hold.
+  std::size_t memory_bytes() const {
+    std::size_t bytes = allocated_by(chunks_);
+    for (const std::vector<Block>& chunk : chunks_) {
+      bytes += allocated_by(chunk);
+      for (const Block& block : chunk) bytes += block.voxel_bytes();
+    }
+    return bytes;
+  }
+
+ private:
+  static constexpr std::size_t kChunk = 32;
+
+  std::vector<std::vector<Block>> chunks_;  // all but the last are full
+  std::size_t size_ = 0;
+};
+
+}  // namespace mapperd::map

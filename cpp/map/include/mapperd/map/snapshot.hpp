@@ -1,0 +1,57 @@
+// The map's content as plain values and arrays, each taken from one state of the map.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <vector>
+
+#include "mapperd/map/queries.hpp"
+#include "mapperd/map/voxel_map.hpp"
+
+namespace mapperd::map {
+
+struct MapSize {
+  std::size_t blocks = 0;
+  std::size_t known_voxels = 0;
+  std::size_t memory_bytes = 0;
+  std::uint64_t revision = 0;
+};
+
+MapSize size_of(const VoxelMap& map);
+
+// Observed voxels by class.
+struct ClassCounts {
+  std::size_t occupied = 0;
+  std::size_t free = 0;
+  std::size_t uncertain = 0;
+};
+
+// Throws std::invalid_argument for thresholds out of order.
+ClassCounts count_classes(const VoxelMap& map, const Thresholds& thresholds);
+
+// One state a point; unknown beyond the map's reach and for points that are not finite.
+std::vector<VoxelState> states_at(const VoxelMap& map, const Points& points);
+
+// Observed voxels with low < L < high, in the map's canonical order.
+std::vector<KnownVoxel> voxels_between(const VoxelMap& map, double low_log_odds,
+                                       double high_log_odds);
+
+// Blocks with every voxel written out, x fastest; kBlockVoxels units and counts a key.
+struct DenseBlocks {
+  std::vector<BlockKey> keys;
+  std::vector<std::int32_t> units;
+  std::vector<std::uint16_t> counts;
+};
+
+// `count` blocks from the one with index `begin` of the canonical order on, or as many as there
+// are.
+DenseBlocks dense_blocks(const VoxelMap& map, std::size_t begin, std::size_t count);
+
+// All blocks in canonical order, `at_once` of them at a time: written out they are larger than the
+// map. All are of one state of the map: nobody writes to it until the visit ends, and the visitor
+// must not turn to the map by itself.
+void for_dense_blocks(const VoxelMap& map, std::size_t at_once,
+                      const std::function<void(const DenseBlocks&)>& visit);
+
+}  // namespace mapperd::map

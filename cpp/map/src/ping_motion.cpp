@@ -1,0 +1,155 @@
+#include "mapperd/map/ping_motion.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <stdexcept>
+
+namespace mapperd::map {
+namespace {
+
+constexpr double kMostSpeed = 0.02;  // of that of sound
+constexpr double kMostTurn = 1.0;    // rad, from transmission to the last row
+constexpr double kMostShift = 60.0;  // s
+
+bool is_finite(const Vec3& v) {
+  return std::isfinite(v.x) && std::isfinite(v.y) && std::isfinite(v.z);
+}
+
+// By the angle and about the axis of a vector (Rodrigues).
+class Turn {
+ public:
+  explicit Turn(const Vec3& angle) : angle_(angle) {
+    const double s = dot(angle, angle);
+    if (s > 1) {
+      const double a = std::sqrt(s);
+      sine_ = std::sin(a) / a;
+      cosine_ = (1 - std::cos(a)) / s;
+      return;
+    }
+    // Series in the square of the angle, to the last digit of a double.
+    if (s < kSmall) {
+      sum<kTermsOfSmall>(s);
+    } else {
+      sum<kTerms>(s);
+    }
+  }
+
+  Vec3 operator()(const Vec3& v) const {
+    const Vec3 across = cross(angle_, v);
+    return v + (sine_ * across + cosine_ * cross(angle_, across));
+  }
+
+ private:
+  // What follows the last term is less than s^terms / (2 terms + 1)!, below half a last digit.
+  static constexpr double kSmall = 1e-3;  // nearly every ping turns less than two degrees
+  static constexpr int kTermsOfSmall = 4;
+  static constexpr int kTerms = 9;
+
+  template <int kFrom>
+  void sum(double s) {
+    if constexpr (kFrom > 0) {
+      constexpr int n = 2 * kFrom - 1;
+      constexpr double kOfSine = 1.0 / ((n + 1) * (n + 2));
+      constexpr double kOfCosine = 1.0 / ((n + 2) * (n + 3));
+      sine_ = 1 - s * sine_ * kOfSine;
+      cosine_ = 1 - s * cosine_ * kOfCosine;
+      sum<kFrom - 1>(s);
+    } else {
+      cosine_ *= 0.5;
+    }
+  }
+
+  Vec3 angle_;
+  double sine_ = 0.0;
+  double cosine_ = 0.0;
+};
+
+}  // namespace
+
+void check_motion(const PingMotion& motion, double max_range_m) {
+  const auto require = [](bool ok, const char* what) {
+    if (!ok) throw std::invalid_argument(what);
+  };
+  const double c = motion.speed_of_sound_mps;
+  require(std::isfinite(c) && c > 0, "motion: speed_of_sound_mps must be finite, above 0");
+  require(is_finite(motion.linear_mps) && norm(motion.linear_mps) <= kMostSpeed * c,
+          "motion: linear_mps must be finite, at most a fiftieth of the speed of sound");
+  require(is_finite(motion.angular_radps) &&
+              2 * max_range_m / c * norm(motion.angular_radps) <= kMostTurn,
+          "motion: angular_radps must be finite, at most a radian while the ping lasts");
+  require(std::isfinite(motion.valid_s) && std::abs(motion.valid_s) <= kMostShift,
+          "motion: valid_s must be finite, within a minute");
+}
+
+Transform turned_to_transmission(const Transform& map_T_sonar, const PingMotion& motion) {
+  const Turn turn(motion.valid_s * motion.angular_radps);
+  // map_R_sonar(0) = map_R_sonar(t) exp(-w t): its rows are those of map_R_sonar(t), turned on.
+  Transform pose = map_T_sonar;
+  for (Vec3& row : pose.rows) row = turn(row);
+  return pose;
+}
+
+MovingView::MovingView(const PingMotion& motion, const Transform& map_R_sonar)
+    : linear_((1.0 / motion.speed_of_sound_mps) * motion.linear_mps),
+      angular_(map_R_sonar.rotate((2.0 / motion.speed_of_sound_mps) * motion.angular_radps)),
+      speed_(norm(linear_)),
+      turn_(norm(angular_)),
+      scale_(1.0 / (1.0 - dot(linear_, linear_))) {}
+
+// The range r solves |place| + |place - 2 r v / c| = 2 r, which is linear in r once it is squared.
+Vec3 MovingView::seen(const Vec3& place) const {
+  const double distance = norm(place);
+  if (!(distance > 0)) return {};
+  const double range = range_of(place, distance);
+  const Vec3 back = place - 2 * range * linear_;  // from where the sonar is at reception
+  return Turn(-range * angular_)((range / (2 * range - distance)) * back);
+}
+
+Seen MovingView::look(const Vec3& place) const {
+  const double distance = norm(place);
+  if (!(distance > 0)) return {};
+  const double range = range_of(place, distance);
+  const Vec3 back = place - 2 * range * linear_;
+  const double leg = 2 * range - distance;
+  const Vec3 ahead = (1.0 / leg) * back;
+  const Turn turn(-range * angular_);
+  Seen seen;
+  seen.at = turn(range * ahead);
+  // Of the range along the map's axes; the turn itself grows with range.
+  const Vec3 slope = scale_ * ((1.0 / distance) * place - linear_);
+  const Vec3 turning = -1.0 * cross(angular_, seen.at);
+  const auto axis = [&](const Vec3& unit, double step) {
+    const Vec3 moved = unit - 2 * step * linear_;
+    const Vec3 across = moved - dot(ahead, moved) * ahead;
+    return turn(step * ahead + (range / leg) * across) + step * turning;
+  };
+  seen.axes = {axis({1, 0, 0}, slope.x), axis({0, 1, 0}, slope.y), axis({0, 0, 1}, slope.z)};
+  return seen;
+}
+
+Vec3 MovingView::place_of(const Vec3& seen) const {
+  const double range = norm(seen);
+  if (!(range > 0)) return {};
+  const Vec3 ahead = (1.0 / range) * Turn(range * angular_)(seen);
+  const Vec3 moved = 2 * range * linear_;
+  // |moved + leg ahead| + leg = 2 range.
+  const double leg = (4 * range * range - dot(moved, moved)) / (4 * range + 2 * dot(moved, ahead));
+  return moved + leg * ahead;
+}
+
+// With b the speed over that of sound, k the turn a metre of range and t = k r, first derivatives
+// depart from the identity by 6 b + 2 t and second ones are at most 8 b / distance + 3 k, to first
+// order; the rest is room for the limits of `check_motion`.
+Widening MovingView::widening(const Vec3& place, double radius_m) const {
+  const double distance = norm(place);
+  const double turned = turn_ * (distance + radius_m) / (1 - speed_);
+  const double stretch = 7 * speed_ + 2.2 * turned;
+  const double nearest = distance - radius_m;
+  const double most = 2 * stretch * radius_m;
+  if (!(nearest > 0)) return {stretch, most};
+  const double second = turn_ * (3.5 + 1.3 * turned) + 10 * speed_ / nearest;
+  return {stretch, std::min(0.5 * second * radius_m * radius_m, most)};
+}
+
+}  // namespace mapperd::map

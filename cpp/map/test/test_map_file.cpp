@@ -1,0 +1,228 @@
+// Map files: without loss, equal for equal maps, and refused when they are not what they say.
+#include <cstdint>
+#include <limits>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "check.hpp"
+#include "mapperd/map/bytes.hpp"
+#include "mapperd/map/map_file.hpp"
+#include "mapperd/map/snapshot.hpp"
+#include "maps.hpp"
+
+namespace {
+
+using mapperd::map::IwloParams;
+using mapperd::map::VoxelMap;
+
+constexpr std::size_t kHeaderBytes = 8 + 4 + 8 + 4 + 4 + 2 + 8;
+
+// A map of few blocks: two scattered, one full, one alike, one far away.
+VoxelMap small_map() {
+  VoxelMap map = maps::random_map(3, 12, 5);
+  auto& voxels = map.get_or_create({7, 0, 0}).open(map.rule());
+  for (std::size_t i = 0; i < mapperd::map::kBlockVoxels; ++i) {
+    voxels.units[i] = static_cast<std::int32_t>(i) * 997 - 2000000;
+    voxels.count[i] = static_cast<std::uint16_t>(1 + i % 90);
+  }
+  map.get_or_create({7, 0, 0}).close(map.rule());
+  map.get_or_create({-9, 4, 2}).add_free_everywhere(map.rule());
+  map.get_or_create({1, 1, 1});  // nothing in it
+  map.set({16LL * mapperd::map::kMaxBlock, 0, 0}, {-10.0F, 90});
+  return map;
+}
+
+std::string with_checksum(std::string content) {
+  mapperd::map::put(content, mapperd::map::crc32(content));
+  return content;
+}
+
+std::string content_of(const VoxelMap& map) {
+  const std::string file = encode_map(map);
+  return file.substr(0, file.size() - 4);
+}
+
+// What the file is refused with; the map must not change by that. Empty when it is taken.
+std::string refusal_of(const std::string& file, VoxelMap& map) {
+  const std::string before = encode_map(map);
+  const std::uint64_t revision = map.revision();
+  try {
+    load_map(file, map);
+  } catch (const std::invalid_argument& error) {
+    CHECK(encode_map(map) == before && map.revision() == revision);
+    return error.what();
+  }
+  return "";
+}
+
+std::string refusal_of(const std::string& file) {
+  VoxelMap map(0.1, {});
+  map.set({1, 2, 3}, {2.0F, 7});
+  return refusal_of(file, map);
+}
+
+bool says(const std::string& refusal, const char* what) {
+  return refusal.find("map file: ") == 0 && refusal.find(what) != std::string::npos;
+}
+
+TEST_CASE("the checksum is zlib's") {
+  CHECK(mapperd::map::crc32("") == 0);
+  CHECK(mapperd::map::crc32("123456789") == 0xCBF43926U);  // the catalogued check value
+}
+
+TEST_CASE("a map comes back from its file, to the bit") {
+  VoxelMap map = small_map();
+  auto& alike = map.get_or_create({8, 0, 0}).open(map.rule());  // but for one count
+  alike.units.fill(1000);
+  alike.count.fill(3);
+  alike.count[7] = 4;
+  map.get_or_create({8, 0, 0}).close(map.rule());
+  VoxelMap loaded(0.1, {});
+  loaded.set({5000, 0, 0}, {1.0F, 1});  // must go
+  const std::uint64_t revision = loaded.revision();
+  load_map(encode_map(map), loaded);
+  CHECK(maps::content(loaded) == maps::content(map));
+  CHECK(known_count(loaded) == known_count(map));
+  CHECK(encode_map(loaded) == encode_map(map));
+  CHECK(loaded.revision() == revision + 1);
+  CHECK(loaded.find({7, 0, 0})->revision == loaded.revision());
+  CHECK(loaded.find({1, 1, 1}) == nullptr);
+}
+
+TEST_CASE("an empty map is a header and a checksum, and empties what loads it") {
+  const std::string file = encode_map(VoxelMap(0.1, {}));
+  CHECK(file.size() == kHeaderBytes + 4);
+  VoxelMap map = small_map();
+  load_map(file, map);
+  CHECK(map.block_count() == 0);
+}
+
+TEST_CASE("free water is a few bytes a block") {
+  VoxelMap map(0.1, {});
+  for (int i = 0; i < 100; ++i) map.get_or_create({i, 0, 0}).add_free_everywhere(map.rule());
+  CHECK(encode_map(map).size() == kHeaderBytes + 100 * 19 + 4);
+}
+
+TEST_CASE("equal blocks are equal bytes, whether they know that they are alike or not") {
+  VoxelMap pending(0.1, {}), plain(0.1, {});
+  const mapperd::map::IwloRule& rule = pending.rule();
+  auto& voxels = pending.get_or_create({0, 0, 0}).open(rule);
+  voxels.units[5] = 1000;  // differs, until free pings bring all to the clamp
+  voxels.count[5] = 1;
+  pending.get_or_create({0, 0, 0}).close(rule);
+  for (int i = 0; i < 120; ++i) {
+    pending.get_or_create({0, 0, 0}).add_free_everywhere(rule);
+    plain.get_or_create({0, 0, 0}).add_free_everywhere(rule);
+  }
+  CHECK(pending.find({0, 0, 0})->is_dense() && !plain.find({0, 0, 0})->is_dense());
+  CHECK(encode_map(pending) == encode_map(plain));
+}
+
+TEST_CASE("maps of another kind are refused by what differs") {
+  const std::string file = encode_map(small_map());
+  VoxelMap coarse(0.2, {});
+  CHECK(says(refusal_of(file, coarse), "its voxels are 0.1"));
+  IwloParams clamps, counts;
+  clamps.L_max = 9.0;
+  counts.decay_rate = 0.2;
+  VoxelMap clamped(0.1, clamps), counted(0.1, counts);
+  CHECK(says(refusal_of(file, clamped), "its clamps (L_min, L_max) are -10 and 10"));
+  CHECK(says(refusal_of(file, counted), "it counts to 90"));
+}
+
+TEST_CASE("what is no map file is refused") {
+  CHECK(says(refusal_of(""), "no map of mapperd"));
+  CHECK(says(refusal_of("# Octomap OcTree file\n"), "no map of mapperd"));
+  CHECK(says(refusal_of(std::string(mapperd::map::kMapFileMagic)), "ends too early"));
+  std::string newer = content_of(small_map());
+  newer[8] = 2;
+  CHECK(says(refusal_of(with_checksum(newer)), "version 2"));
+}
+
+TEST_CASE("a file cut off anywhere is refused, and so is one with a byte too many") {
+  const std::string file = encode_map(small_map());
+  for (std::size_t size = 0; size < file.size(); size += size < 200 ? 1 : 97) {
+    CHECK(!refusal_of(file.substr(0, size)).empty());
+  }
+  CHECK(!refusal_of(file.substr(0, file.size() - 1)).empty());
+  CHECK(says(refusal_of(file + '\0'), "checksum"));
+}
+
+TEST_CASE("a changed bit is found wherever it is") {
+  const std::string file = encode_map(small_map());
+  for (std::size_t at = 0; at < file.size(); at += at < 200 ? 1 : 61) {
+    std::string changed = file;
+    changed[at] = static_cast<char>(changed[at] ^ 1 << at % 8);
+    CHECK(!refusal_of(changed).empty());
+  }
+}
+
+// Contents that carry a true checksum, so that the reader behind it has to judge them.
+TEST_CASE("what a block must not be is refused with its place") {
+  const std::string header = content_of(VoxelMap(0.1, {})).substr(0, kHeaderBytes - 8);
+  const auto file = [&](std::uint64_t blocks, const std::string& data) {
+    std::string content = header;
+    mapperd::map::put(content, blocks);
+    return with_checksum(content + data);
+  };
+  const auto alike = [](std::int32_t x, std::int32_t units, std::uint16_t count) {
+    std::string block;
+    for (const std::int32_t coordinate : {x, 0, 0}) mapperd::map::put(block, coordinate);
+    block.push_back(1);
+    mapperd::map::put(block, units);
+    mapperd::map::put(block, count);
+    return block;
+  };
+  CHECK(refusal_of(file(2, alike(0, 5, 1) + alike(1, 5, 1))).empty());
+  CHECK(says(refusal_of(file(0, alike(0, 5, 1))), "bytes follow"));
+  CHECK(says(refusal_of(file(2, alike(0, 5, 1))), "more blocks than bytes"));
+  CHECK(says(refusal_of(file(std::numeric_limits<std::uint64_t>::max(), alike(0, 5, 1))),
+             "more blocks than bytes"));
+  CHECK(says(refusal_of(file(2, alike(1, 5, 1) + alike(1, 5, 1))), "byte 69: blocks out of order"));
+  CHECK(says(refusal_of(file(2, alike(1, 5, 1) + alike(0, 5, 1))), "out of order"));
+  CHECK(says(refusal_of(file(1, alike(mapperd::map::kMaxBlock + 1, 5, 1))), "beyond the map's reach"));
+  CHECK(says(refusal_of(file(1, alike(0, 5, 0))), "count 0"));
+  CHECK(says(refusal_of(file(1, alike(0, 5, 91))), "settled"));
+  CHECK(says(refusal_of(file(1, alike(0, 10 * (1 << 24) + 1, 1))), "clamps"));
+  CHECK(says(refusal_of(file(1, alike(0, -10 * (1 << 24) - 1, 1))), "clamps"));
+  std::string strange = alike(0, 5, 1);
+  strange[12] = 3;
+  CHECK(says(refusal_of(file(1, strange)), "does not know"));
+  std::string unknown = alike(0, 5, 1).substr(0, 12) + '\2' + std::string(512, '\0');
+  CHECK(says(refusal_of(file(1, unknown)), "without observed voxels"));
+  unknown[13] = 1;
+  CHECK(says(refusal_of(file(1, unknown)), "end too early"));
+}
+
+TEST_CASE("mutated contents are read or refused, never more") {
+  const std::string content = content_of(small_map());
+  scenes::Random random(41);
+  int taken = 0;
+  for (int i = 0; i < 3000; ++i) {
+    std::string mutated = content;
+    const int changes = random.integer(1, 4);
+    for (int change = 0; change < changes; ++change) {
+      const auto last = static_cast<int>(mutated.size()) - 1;
+      // Mostly near the front, where the header and the keys are.
+      const auto at = static_cast<std::size_t>(
+          random.integer(0, random.integer(0, 1) == 0 ? last : std::min(last, 120)));
+      const int kind = random.integer(0, 3);
+      if (kind == 0) mutated[at] = static_cast<char>(random.integer(-128, 127));
+      if (kind == 1) mutated.erase(at, static_cast<std::size_t>(random.integer(1, 40)));
+      if (kind == 2) mutated.insert(at, static_cast<std::size_t>(random.integer(1, 40)), '\xFF');
+      if (kind == 3) mutated.resize(std::max<std::size_t>(at, 1));
+    }
+    VoxelMap map(0.1, {});
+    map.set({1, 2, 3}, {2.0F, 7});
+    if (!refusal_of(with_checksum(mutated), map).empty()) continue;
+    ++taken;
+    CHECK(encode_map(map).size() <= mutated.size() + 4);
+    map.for_each_known([&map](const mapperd::map::VoxelIndex&, const mapperd::map::VoxelState& state) {
+      CHECK(std::abs(state.log_odds) <= 10.0F && state.count <= map.rule().settled_count());
+    });
+  }
+  CHECK(taken > 30 && taken < 2000);
+}
+
+}  // namespace

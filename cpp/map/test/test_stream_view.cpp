@@ -1,0 +1,244 @@
+// What the map stream is told of a map, against a look at every voxel.
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <set>
+#include <stdexcept>
+#include <tuple>
+#include <vector>
+
+#include "check.hpp"
+#include "mapperd/map/brick.hpp"
+#include "mapperd/map/key_index.hpp"
+#include "mapperd/map/projective.hpp"
+#include "mapperd/map/stream_view.hpp"
+#include "maps.hpp"
+#include "scenes.hpp"
+
+namespace {
+
+using mapperd::map::Block;
+using mapperd::map::BlockKey;
+using mapperd::map::kStreamCells;
+using mapperd::map::StreamDetail;
+using mapperd::map::StreamView;
+using mapperd::map::VoxelIndex;
+using mapperd::map::VoxelMap;
+using mapperd::map::VoxelState;
+
+constexpr mapperd::map::Thresholds kThresholds{0.8, -0.8};
+
+StreamView view_of(int level, StreamDetail detail, double step = 0.25) {
+  return {level, detail, step, kThresholds};
+}
+
+struct Told {
+  std::vector<std::int8_t> cells = std::vector<std::int8_t>(kStreamCells, -128);
+  std::vector<std::uint8_t> bits = std::vector<std::uint8_t>(kStreamCells, 0);
+};
+using Content = std::map<BlockKey, Told>;
+
+std::int8_t told_of(const VoxelState& state, const StreamView& view) {
+  if (view.detail == StreamDetail::classes) {
+    const auto occupancy = kThresholds.of(state);
+    if (occupancy == mapperd::map::Occupancy::occupied) return 1;
+    return occupancy == mapperd::map::Occupancy::free ? -1 : 0;
+  }
+  // The nearest step of those that the thresholds sort as they do the log-odds.
+  const double exact = static_cast<double>(state.log_odds) / view.log_odds_step;
+  const auto same = [&](int steps) {
+    const double log_odds = steps * view.log_odds_step;
+    const auto occupancy = kThresholds.of(state);
+    return (log_odds > kThresholds.occupied_log_odds) ==
+               (occupancy == mapperd::map::Occupancy::occupied) &&
+           (log_odds < kThresholds.free_log_odds) == (occupancy == mapperd::map::Occupancy::free);
+  };
+  const int nearest = static_cast<int>(std::clamp(std::nearbyint(exact), -127.0, 127.0));
+  for (int away = 0; away < 255; ++away) {
+    for (const int steps : {nearest - away, nearest + away}) {
+      if (std::abs(steps) <= 127 && same(steps)) return static_cast<std::int8_t>(steps);
+    }
+  }
+  return static_cast<std::int8_t>(nearest);
+}
+
+// Voxel by voxel: every value grows with the log-odds, so that the highest is that of the highest.
+Content expected(const VoxelMap& map, const StreamView& view) {
+  Content content;
+  const int shift = view.level + 3;
+  map.for_each_known([&](const VoxelIndex& voxel, const VoxelState& state) {
+    const auto block = [&](std::int64_t i) { return static_cast<std::int32_t>(i >> shift); };
+    const auto local = [&](std::int64_t i) { return (i >> view.level) & 7; };
+    Told& told = content[{block(voxel.x), block(voxel.y), block(voxel.z)}];
+    const auto cell =
+        static_cast<std::size_t>(local(voxel.x) + 8 * (local(voxel.y) + 8 * local(voxel.z)));
+    told.cells[cell] = std::max(told.cells[cell], told_of(state, view));
+    const auto bits = static_cast<std::uint8_t>(std::floor(std::log2(state.count)) + 1);
+    told.bits[cell] = std::max(told.bits[cell], bits);
+  });
+  return content;
+}
+
+std::vector<BlockKey> keys_of(const Content& content) {
+  std::vector<BlockKey> keys;
+  for (const auto& entry : content) keys.push_back(entry.first);
+  return keys;
+}
+
+bool agree(const VoxelMap& map, const StreamView& view) {
+  const Content content = expected(map, view);
+  const auto told = stream_blocks(map, view, keys_of(content));
+  std::size_t i = 0;
+  for (const auto& entry : content) {
+    const auto at = static_cast<std::ptrdiff_t>(kStreamCells * i);
+    if (told.resident[i] != 1) return false;
+    if (!std::equal(entry.second.cells.begin(), entry.second.cells.end(),
+                    told.cells.begin() + at)) {
+      return false;
+    }
+    if (!std::equal(entry.second.bits.begin(), entry.second.bits.end(),
+                    told.count_bits.begin() + at)) {
+      return false;
+    }
+    ++i;
+  }
+  return i > 0 && told.revision == map.revision();
+}
+
+TEST_CASE("cells and counts are those of all voxels, at every level and detail") {
+  const VoxelMap map = maps::random_map(5, check::sanitized() ? 1500 : 6000, 70);
+  for (int level = 0; level <= 3; ++level) {
+    for (const auto detail :
+         {StreamDetail::classes, StreamDetail::log_odds, StreamDetail::counts}) {
+      for (const double step : {0.25, 0.1, 3.7, 0.001})
+        CHECK(agree(map, view_of(level, detail, step)));
+    }
+  }
+}
+
+TEST_CASE("blocks all alike, and free pings that are only counted, are told as they read") {
+  VoxelMap map(0.1, {});
+  scenes::Random random(4);
+  for (int i = 0; i < 12; ++i) {
+    mapperd::Transform pose = scenes::random_pose(random);
+    pose.translation = {};
+    integrate_projective(map, scenes::random_ping(random).image(), pose, {});
+  }
+  map.get_or_create({9, 9, 9}).fill({-16777216, 300});
+  map.get_or_create({9, 9, 10}).fill({});  // as a brick that was forgotten leaves it
+  for (int level = 0; level <= 3; ++level) CHECK(agree(map, view_of(level, StreamDetail::counts)));
+
+  VoxelMap pending(0.1, {});
+  pending.set({1, 2, 3}, {-1.0F, 4});
+  Block& block = pending.get_or_create({0, 0, 0});
+  CHECK(block.add_free_everywhere(pending.rule()) && block.is_dense());
+  for (int level = 0; level <= 3; ++level)
+    CHECK(agree(pending, view_of(level, StreamDetail::counts)));
+}
+
+TEST_CASE("halves of a step go to the even one") {
+  VoxelMap map(0.1, {});
+  const std::vector<std::pair<float, int>> cases{{0.5F, 0},   {1.5F, 2},   {2.5F, 2}, {-0.5F, 0},
+                                                 {-1.5F, -2}, {-2.5F, -2}, {3.49F, 3}};
+  for (std::size_t i = 0; i < cases.size(); ++i) {
+    map.set({static_cast<std::int64_t>(i), 0, 0}, {cases[i].first, 1});
+  }
+  const auto told = stream_blocks(map, view_of(0, StreamDetail::log_odds, 1.0), {{0, 0, 0}});
+  for (std::size_t i = 0; i < cases.size(); ++i) CHECK(told.cells[i] == cases[i].second);
+  CHECK(told.cells[7] == -128);
+}
+
+TEST_CASE("a digest changes with what is told, and with nothing else") {
+  VoxelMap map(0.1, {});
+  const std::vector<BlockKey> key{{0, 0, 0}};
+  const auto digest = [&](StreamDetail detail) {
+    return stream_digests(map, view_of(0, detail), key).digests[0];
+  };
+  CHECK(digest(StreamDetail::counts) == 0);
+  map.set({3, 0, 0}, {2.0F, 4});
+  const auto classes = digest(StreamDetail::classes);
+  const auto log_odds = digest(StreamDetail::log_odds);
+  const auto counts = digest(StreamDetail::counts);
+  CHECK(classes != 0 && log_odds != 0 && counts != 0);
+  map.set({3, 0, 0}, {2.1F, 5});  // the same step, as many bits
+  CHECK(digest(StreamDetail::counts) == counts);
+  map.set({3, 0, 0}, {2.1F, 9});
+  CHECK(digest(StreamDetail::counts) != counts && digest(StreamDetail::log_odds) == log_odds);
+  map.set({3, 0, 0}, {2.6F, 9});
+  CHECK(digest(StreamDetail::log_odds) != log_odds && digest(StreamDetail::classes) == classes);
+  map.set({3, 0, 0}, {-2.6F, 9});
+  CHECK(digest(StreamDetail::classes) != classes);
+  CHECK(stream_digests(map, view_of(0, StreamDetail::counts), key).revisions[0] == map.revision());
+
+  std::set<std::uint64_t> seen;
+  for (int x = 0; x < 512; ++x) {  // one voxel, everywhere in turn
+    VoxelMap one(0.1, {});
+    one.set({x & 7, x >> 3 & 7, x >> 6}, {2.0F, 1});
+    seen.insert(stream_digests(one, view_of(0, StreamDetail::log_odds), key).digests[0]);
+  }
+  CHECK(seen.size() == 512);
+}
+
+TEST_CASE("blocks that changed after a revision, and when all were replaced") {
+  VoxelMap map(0.1, {});
+  map.set({0, 0, 0}, {1.0F, 1});
+  map.set({100, 0, 0}, {1.0F, 1});
+  const auto first = changed_blocks(map, 0, {});
+  CHECK(first.keys.size() == 2 && first.revision == 2 && first.replaced_at == 0);
+  map.set({-1, 0, 0}, {1.0F, 1});
+  const auto next = changed_blocks(map, first.revision, {});
+  CHECK(next.keys.size() == 1 && next.keys[0] == (BlockKey{-1, 0, 0}) && next.revisions[0] == 3);
+  CHECK(changed_blocks(map, next.revision, {}).keys.empty());
+  clear(map);
+  CHECK(changed_blocks(map, next.revision, {}).replaced_at == 4);
+}
+
+TEST_CASE("what is not in memory is unknown, and said to be elsewhere") {
+  VoxelMap map(0.1, {});
+  map.cut_into_tiles({mapperd::map::kBrickEdge, [](const std::vector<BlockKey>&) {}});
+  put_bricks(map, {}, {{0, 0, 0}});
+  map.set({1, 1, 1}, {1.0F, 1});
+  CHECK(
+      (changed_blocks(map, 0, {{0, 0, 0}, {1, 0, 0}}).resident == std::vector<std::uint8_t>{1, 0}));
+  for (int level = 0; level <= 3; ++level) {
+    const StreamView view = view_of(level, StreamDetail::log_odds);
+    const int across = 64 >> (3 + level);  // stream blocks in a brick
+    const std::vector<BlockKey> keys{{0, 0, 0}, {across - 1, 0, 0}, {across, 0, 0}, {-1, 0, 0}};
+    const auto told = stream_digests(map, view, keys);
+    CHECK((told.resident == std::vector<std::uint8_t>{1, 1, 0, 0}));
+    CHECK(told.digests[0] != 0 && told.digests[2] == 0);
+    CHECK(stream_blocks(map, view, keys).resident == told.resident);
+  }
+}
+
+TEST_CASE("keys at the map's end are unknown, and bad views refused") {
+  VoxelMap map(0.1, {});
+  map.set({0, 0, 0}, {3.0F, 5});  // which multiples of 2^32 are in 32 bits
+  const std::int32_t far = 2147483647;
+  for (int level = 0; level <= 3; ++level) {
+    const auto told = stream_digests(map, view_of(level, StreamDetail::log_odds),
+                                     {{far, far, far}, {-far - 1, 0, 0}});
+    CHECK(told.digests[0] == 0 && told.digests[1] == 0);
+  }
+  CHECK_THROWS(stream_digests(map, view_of(4, StreamDetail::log_odds), {}), std::invalid_argument);
+  CHECK_THROWS(stream_blocks(map, view_of(-1, StreamDetail::log_odds), {}), std::invalid_argument);
+  CHECK_THROWS(stream_blocks(map, view_of(0, StreamDetail::log_odds, 0.0), {}),
+               std::invalid_argument);
+}
+
+TEST_CASE("keys keep their numbers") {
+  mapperd::map::KeyIndex index;
+  scenes::Random random(8);
+  std::map<BlockKey, std::uint32_t> expected_numbers;
+  for (int i = 0; i < 5000; ++i) {
+    const auto any = [&] { return static_cast<std::int32_t>(random.integer(-9, 9)); };
+    const BlockKey key{any(), any(), any() * 1000000};
+    CHECK((index.find(key) == mapperd::map::KeyIndex::kNone) == (expected_numbers.count(key) == 0));
+    const auto next = static_cast<std::uint32_t>(expected_numbers.size());
+    const std::uint32_t number = expected_numbers.try_emplace(key, next).first->second;
+    CHECK(index.find_or_add(key) == number && index[number] == key);
+  }
+  CHECK(index.size() == expected_numbers.size() && index.size() > 2000);
+}
+
+}  // namespace
