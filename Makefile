@@ -27,7 +27,8 @@ test:
 	+$(MAKE) -j 2 --output-sync=target cpp-test-asan cpp-test-tsan demo cpp-test check
 	+$(MAKE) python-test
 
-# Compares the integrators with OctoMap and OpenVDB; writes docs/performance.md. Some minutes.
+# Compares the integrators with OctoMap, OpenVDB and, given BONXAI_PATH=<checkout>, with Bonxai;
+# writes docs/performance.md. Some minutes.
 bench: $(STAMP)
 	$(BIN)/python tools/bench/rivals.py
 

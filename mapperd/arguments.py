@@ -140,7 +140,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add(
         "--integrator",
-        choices=("projective", "rays"),
+        choices=("evidence_grid", "rays"),
         help="how a ping becomes voxels (default: mapping.integrator of the settings)",
     )
     add("--start", metavar="S", type=_seconds, default=0.0, help="skip the first S seconds of it")

@@ -4,6 +4,7 @@ import contextlib
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from enum import IntEnum
 from functools import partial
 from pathlib import Path
@@ -131,6 +132,8 @@ def _settings(arguments: Arguments) -> Layered:
     """Of the files, and on top of them the command line."""
     given = [] if arguments.config is None else [arguments.config]
     layered = load_settings(given, os.environ)
+    if layered.notice:
+        _say(layered.notice)
     check_filters(layered.config)
     if arguments.integrator is None:
         return layered
@@ -139,7 +142,8 @@ def _settings(arguments: Arguments) -> Layered:
     except ValueError as error:  # the section's own rules
         raise ConfigError(f"--integrator: {error}", "$.mapping.integrator") from error
     config = msgspec.structs.replace(layered.config, mapping=mapping)
-    return Layered(config, {**layered.origins, "mapping.integrator": "--integrator"})
+    origins = {**layered.origins, "mapping.integrator": "--integrator"}
+    return replace(layered, config=config, origins=origins)
 
 
 def _poses(arguments: Arguments, config: Config) -> FixedPose | OdometryPoses:

@@ -174,22 +174,31 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True):
         bool, rule("Beams without a return free their whole length.", live=True)
     ] = False
     integrator: Annotated[
-        Literal["projective", "rays"],
-        rule("projective: each voxel once; rays: sampled sub-rays.", live=True),
-    ] = "projective"
-    error_bound: Annotated[
+        Literal["evidence_grid", "rays"],
+        rule(
+            "evidence_grid: filter the image by the voxel's footprint, look each voxel up once; "
+            "rays: sampled sub-rays.",
+            live=True,
+        ),
+    ] = "evidence_grid"
+    detail: Annotated[
         float,
         rule(
-            "What one ping's step may be off by, in 99 of 100 voxels of projective; 0 is exact.",
-            "log-odds",
+            "Fineness of the evidence grid: rows every 0.3 / detail voxels, columns every "
+            "0.5 / detail voxels at most; more is more accurate and slower.",
             live=True,
-            ge=0,
-            le=10,
+            ge=0.25,
+            le=8,
         ),
-    ] = 0.1
+    ] = 1.0
     threads: Annotated[
         int,
-        rule("Threads of projective; the map does not depend on them.", live=True, ge=1, le=64),
+        rule(
+            "Threads of the evidence grid; the map does not depend on them.",
+            live=True,
+            ge=1,
+            le=64,
+        ),
     ] = 1
     within_ping_motion: Annotated[
         bool,
@@ -214,7 +223,7 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True):
         if self.integrator == "rays" and (self.carve_no_return or self.aggregation == "mean"):
             raise ValueError(
                 "integrator rays knows neither carve_no_return nor aggregation mean; "
-                "allowed: integrator projective with them"
+                "allowed: integrator evidence_grid with them"
             )
 
 

@@ -1,7 +1,8 @@
-"""Other names of settings: those of other releases of the published AMCL node, and of Nav2's.
+"""Other names of settings, and what earlier versions of this program had.
 
-A setting has one name. What a file or a caller says under another one is renamed before it is
-checked.
+A setting has one name. What a file or a caller says under another one (of other releases of the
+published AMCL node, and of Nav2's) is renamed before it is checked. Settings that were removed are
+ignored, and renamed values replaced, in files and in the settings of old recordings and stores.
 """
 
 from collections.abc import Mapping
@@ -10,7 +11,7 @@ from typing import Any
 
 from mapperd.errors import ConfigError
 
-__all__ = ["ALIASES", "VALUE_ALIASES", "change_renamed", "tree_renamed"]
+__all__ = ["ALIASES", "VALUE_ALIASES", "change_renamed", "tree_renamed", "tree_updated"]
 
 ALIASES = MappingProxyType(
     {
@@ -49,6 +50,12 @@ VALUE_ALIASES = MappingProxyType(
     }
 )
 """Value by its other name, by setting."""
+
+REMOVED = ("mapping.error_bound", "behind.policy", "behind.error_bound")
+"""Settings of earlier versions."""
+
+REPLACED = MappingProxyType({"mapping.integrator": ("projective", "evidence_grid")})
+"""Value of an earlier version and the one that replaces it, by setting."""
 
 
 def change_renamed(changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -91,6 +98,32 @@ def tree_renamed(tree: Mapping[str, Any]) -> dict[str, Any]:
     nameless = {key: value for key, value in flat.items() if not isinstance(key, str)}
     renamed = {name.removeprefix("amcl."): v for name, v in change_renamed(named).items()}
     return dict(tree) | {"amcl": nameless | renamed}
+
+
+def tree_updated(tree: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Bring the settings of an earlier version up to date.
+
+    Args:
+        tree: sections and values; what is no section stays.
+
+    Returns:
+        the tree without removed settings and with replaced values, and what was changed: one
+        phrase a setting, for people.
+    """
+    updated = dict(tree)
+    phrases = []
+    for name in (*REMOVED, *REPLACED):
+        section, field = name.split(".")
+        fields = updated.get(section)
+        if not isinstance(fields, dict) or field not in fields:
+            continue
+        if name in REMOVED:
+            updated[section] = {key: value for key, value in fields.items() if key != field}
+            phrases.append(f"{name} was removed and is ignored")
+        elif fields[field] == REPLACED[name][0]:
+            updated[section] = fields | {field: REPLACED[name][1]}
+            phrases.append("{}: {} is now {}".format(name, *REPLACED[name]))
+    return updated, tuple(phrases)
 
 
 def _value(name: str, value: object) -> object:

@@ -10,7 +10,7 @@ import msgspec
 import yaml
 
 from mapperd.config import Config
-from mapperd.config_aliases import tree_renamed
+from mapperd.config_aliases import tree_renamed, tree_updated
 from mapperd.config_parameters import hint_at, rule_text, section_of
 from mapperd.errors import ConfigError
 from mapperd.yaml_strict import YamlProblem, parse_yaml
@@ -53,6 +53,8 @@ def config_from_text(text: str, name: str = "config") -> Config:
 
 def read_tree(path: Path) -> dict[str, Any]:
     """Read what a YAML file says, and nothing else: sections, and in them values.
+
+    Settings of earlier versions are in it as they stand: see `tree_updated`.
 
     Raises:
         ConfigError: as `load_config`, but for rules about several settings, as long as others may
@@ -108,7 +110,7 @@ def _tree_of(text: str, name: str) -> dict[str, Any]:
         tree = tree_renamed(tree)
     except ConfigError as error:
         raise ConfigError(f"{name}: {error}", error.path) from error
-    _check_section(tree, Config, "$", name)
+    _check_section(tree_updated(tree)[0], Config, "$", name)
     return tree
 
 
@@ -116,12 +118,14 @@ def config_of(tree: dict[str, Any], name: str) -> Config:
     """Settings from sections and values, all that is not said at its default.
 
     Args:
-        tree: as of `read_tree`.
+        tree: as of `read_tree`, or the settings in a recording or a store; those of earlier
+            versions are brought up to date.
         name: where it comes from, for messages.
 
     Raises:
         ConfigError: as `load_config`; here also for rules about several settings.
     """
+    tree, _ = tree_updated(tree)
     try:
         return msgspec.convert(tree, Config)
     except msgspec.ValidationError as error:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from mapperd.config import Config
+from mapperd.config_aliases import tree_updated
 from mapperd.config_file import config_of, read_tree
 from mapperd.config_parameters import parameters
 from mapperd.errors import ConfigError
@@ -26,10 +27,13 @@ class Layered:
     Attributes:
         config: the settings.
         origins: file of each setting that a file names, `octree.voxel_resolution`.
+        notice: settings of an earlier version in the files, in one line; empty where there are
+            none.
     """
 
     config: Config = field(default_factory=Config)
     origins: Mapping[str, str] = field(default_factory=dict)
+    notice: str = ""
 
     def origin_of(self, name: str) -> str:
         """The file that says a setting, or `DEFAULT`."""
@@ -81,12 +85,16 @@ def load_files(files: Sequence[Path]) -> Layered:
     """
     merged: dict[str, Any] = {}
     origins: dict[str, str] = {}
+    outdated: list[str] = []
     for path in files:
-        for name, value in _leaves(read_tree(path), ""):
+        tree, phrases = tree_updated(read_tree(path))
+        if phrases:
+            outdated.append(f"{path}: {', '.join(phrases)}")
+        for name, value in _leaves(tree, ""):
             _put(merged, name, value)
             origins[name] = str(path)
     try:
-        return Layered(config_of(merged, "settings"), origins)
+        return Layered(config_of(merged, "settings"), origins, "; ".join(outdated))
     except ConfigError as error:
         raise ConfigError(_named(error, origins), error.path) from error
 

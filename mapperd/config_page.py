@@ -40,6 +40,9 @@ From the highest of these that says a setting, each setting on its own (lists as
 A mistake in a file is an error even where a higher one says the setting anew. Rules about several
 settings hold for all files together.
 
+Files written for an earlier version load: settings that were removed are ignored, and `mapperd`
+names all of them in one line.
+
 `mapperctl params` prints the settings that these files give, `--origin` also which file said each,
 `--json` everything there is to know about them. `config/` holds files to start from;
 `config/schema.json` is the JSON Schema, for editors that check while one types.

@@ -1,6 +1,6 @@
 """Settings of the daemon itself: where it keeps things, and who may talk to it."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from msgspec import Struct
 
@@ -48,20 +48,17 @@ class Recording(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Behind(Struct, frozen=True, forbid_unknown_fields=True):
-    """What happens when pings come faster than they can be mapped."""
+    """What happens when pings come faster than they can be mapped: the oldest are dropped."""
 
-    policy: Annotated[
-        Literal["drop_oldest", "coarser_first"],
-        rule("Drop the pings that wait longest, or map coarser before anything is dropped."),
-    ] = "drop_oldest"
     max_wait: Annotated[
         float,
-        rule("With its pose known, a ping may wait so long for its turn.", "s", gt=0, le=60),
+        rule(
+            "A ping whose pose is known waits at most this long for its turn; then it is dropped.",
+            "s",
+            gt=0,
+            le=60,
+        ),
     ] = 1.0
-    error_bound: Annotated[
-        float,
-        rule("What `coarser_first` sets mapping.error_bound to meanwhile.", "log-odds", ge=0, le=5),
-    ] = 0.5
 
 
 class Control(Struct, frozen=True, forbid_unknown_fields=True):

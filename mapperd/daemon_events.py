@@ -26,7 +26,7 @@ class Watch:
     def __init__(self, events: EventLog, live: Live) -> None:
         self._events = events
         self._live = live
-        self._late = self._coarse = False
+        self._late = False
         self._dropped = 0
         self._recording: object = None
         self._localization = LocalizationWatch(events)
@@ -36,16 +36,12 @@ class Watch:
         if facts.localization is not None:
             self._localization.told(facts.localization)
         behind = facts.behind
-        if behind["coarse"] != self._coarse:
-            self._coarse = behind["coarse"]
-            how = "coarser" if self._coarse else "as the settings say again"
-            self._events.add(Severity.NOTICE, "coarse", f"pings are mapped {how}", on=self._coarse)
         if behind["late"] == self._late:
             return
         self._late = behind["late"]
         if self._late:
             text = "pings come faster than they can be mapped"
-            self._events.add(Severity.WARNING, "behind", text, policy=behind["policy"])
+            self._events.add(Severity.WARNING, "behind", text)
             return
         dropped, self._dropped = behind["dropped"] - self._dropped, behind["dropped"]
         text = f"mapping has caught up; {dropped} pings were dropped"

@@ -21,7 +21,6 @@ __all__ = [
     "Covariance9",
     "Decision",
     "Drop",
-    "ErrorBound",
     "Gap",
     "GlobalLocalization",
     "InitialPose",
@@ -29,6 +28,7 @@ __all__ = [
     "NoMotionUpdate",
     "Numbers12",
     "Remarks",
+    "RemovedRemark",
     "Request",
     "Reset",
     "ResetFailed",
@@ -187,17 +187,14 @@ class Drop(Struct, frozen=True, tag_field="kind", tag="drop"):
     ping: int
 
 
-class ErrorBound(Struct, frozen=True, tag_field="kind", tag="error_bound"):
-    """From a ping on, `mapping.error_bound` was other than the settings say; None ends that."""
-
-    ping: int
-    value: float | None
+class RemovedRemark(Struct, frozen=True, tag_field="kind", tag="error_bound"):
+    """A remark of earlier versions about a setting that was removed; it has no effect."""
 
 
 Request = InitialPose | GlobalLocalization | NoMotionUpdate | NewMap | SetMap
 """What localization is asked for."""
 
-Decision = Session | Settings | Reset | ResetFailed | Gap | Skip | Drop | ErrorBound | Request
+Decision = Session | Settings | Reset | ResetFailed | Gap | Skip | Drop | RemovedRemark | Request
 
 _DECODER: msgspec.msgpack.Decoder[Decision] = msgspec.msgpack.Decoder(Decision)
 
@@ -219,7 +216,7 @@ def decision_of(chunk: Chunk) -> Decision | None:
 
 def is_remark(decision: Decision | None) -> bool:
     """Whether it is about what came before it, so that its place in the stream says nothing."""
-    return isinstance(decision, Drop | ErrorBound | ResetFailed)
+    return isinstance(decision, Drop | RemovedRemark | ResetFailed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,29 +225,24 @@ class Remarks:
 
     Attributes:
         drops: numbers of the pings that were dropped.
-        bounds: (number of the first ping, error bound or None), in order.
         failed: numbers of the resets that could not be carried out.
     """
 
     drops: frozenset[int] = frozenset()
-    bounds: tuple[tuple[int, float | None], ...] = ()
     failed: frozenset[int] = frozenset()
 
 
 def remarks_in(chunks: Iterable[Chunk]) -> Remarks:
     """Collect the remarks of a session; reads it to its end."""
     drops: set[int] = set()
-    bounds: list[tuple[int, float | None]] = []
     failed: set[int] = set()
     for chunk in chunks:
         match decision_of(chunk):
             case Drop(ping):
                 drops.add(ping)
-            case ErrorBound(ping, value):
-                bounds.append((ping, value))
             case ResetFailed(number):
                 failed.add(number)
-    return Remarks(frozenset(drops), tuple(bounds), frozenset(failed))
+    return Remarks(frozenset(drops), frozenset(failed))
 
 
 def without_skipped(chunks: Iterable[Chunk]) -> Iterator[Chunk]:

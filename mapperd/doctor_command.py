@@ -39,12 +39,14 @@ def doctor(argv: Sequence[str]) -> int:
     """Run `mapperd doctor`; exit code 0 where every link is well, 1 where one is not."""
     said = _parser().parse_args(argv)
     try:
-        config = load_settings([] if said.config is None else [said.config], os.environ).config
+        layered = load_settings([] if said.config is None else [said.config], os.environ)
     except ConfigError as error:
         print(f"mapperd: {error}", file=sys.stderr)  # noqa: T201 a command speaks
         return BAD_CONFIG
+    if layered.notice:
+        print(f"mapperd: {layered.notice}", file=sys.stderr)  # noqa: T201
     try:
-        found = asyncio.run(_examined(config, said.seconds, ping=said.ping))
+        found = asyncio.run(_examined(layered.config, said.seconds, ping=said.ping))
     except KeyboardInterrupt:
         return INTERRUPTED
     failed = [

@@ -54,9 +54,7 @@ def _pings(thread: MappingThread) -> dict[str, Any]:
 def _behind(thread: MappingThread) -> dict[str, Any]:
     backlog = thread.backlog
     return {
-        "policy": backlog.policy,
         "late": backlog.late,
-        "coarse": backlog.coarse,
         "dropped": backlog.dropped,
         "ready": backlog.pings,
     }

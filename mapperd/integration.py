@@ -69,7 +69,6 @@ class Integration:
         remarks = remarks or Remarks()
         self._drops = remarks.drops
         self._failed = remarks.failed
-        self._bounds = list(reversed(remarks.bounds))
 
     def do(self, work: Work) -> None:
         """Map a ping or count why not, change the settings, empty the map, or localize anew.
@@ -135,8 +134,6 @@ class Integration:
 
     def _ping(self, settled: Settled) -> None:
         number = settled.number
-        while self._bounds and self._bounds[-1][0] <= number:
-            self.stepping.error_bound = self._bounds.pop()[1]
         if number in self._drops:
             self.stepping.counters.drop(*TOO_SLOW)
         else:

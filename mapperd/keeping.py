@@ -8,7 +8,6 @@ from mapperd.localizing import Localizing
 from mapperd.mapping import SonarMap
 from mapperd.position import Places
 from mapperd.service.watchdog import Worker
-from mapperd.stepping import Stepping
 
 if TYPE_CHECKING:
     from mapperd.store.tile_store import TileStore
@@ -26,7 +25,6 @@ class Keeping(Protocol):
     def begin(
         self,
         engine: Engine,
-        stepping: Stepping,
         places: Places,
         wake: Callable[[], None],
         localizing: Localizing | None = None,
@@ -35,7 +33,6 @@ class Keeping(Protocol):
 
         Args:
             engine: of the session.
-            stepping: which the work goes through.
             places: of the recording.
             wake: lets the thread come to `between` soon; any thread.
             localizing: what the poses depend on; None where they do not.
@@ -100,7 +97,6 @@ class InMemory:
     def begin(
         self,
         engine: Engine,
-        stepping: Stepping,
         places: Places,
         wake: Callable[[], None],
         localizing: Localizing | None = None,

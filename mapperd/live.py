@@ -150,10 +150,8 @@ class Live:
         links = [asyncio.create_task(link.run()) for link in self.links]
         async with self.recorder:
             mapping = self.mapping
-            stepping = mapping.integration.stepping
             self.keep.begin(
                 mapping.engine,
-                stepping,
                 self.recorder,
                 self.queue.wake,
                 poses_depend_on(self.localizing),

@@ -166,12 +166,12 @@ class SonarMap:
                     **fan_arguments(self.config, motion),
                     angular_cone_width=settings.angular_cone_width,
                 )
-            return self._map.integrate_projective(
+            return self._map.integrate_evidence_grid(
                 *ping,
                 **fan_arguments(self.config, motion),
                 carve_no_return=settings.carve_no_return,
                 aggregation=settings.aggregation,
-                error_bound=settings.error_bound,
+                detail=settings.detail,
                 threads=settings.threads,
             )
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from mapperd.behind import Backlog
 from mapperd.chunk_queue import ChunkQueue
-from mapperd.decisions import Decision, Drop, ErrorBound, Request, Reset, ResetFailed
+from mapperd.decisions import Decision, Drop, Request, Reset, ResetFailed
 from mapperd.engine import Engine, NewSettings, Settled, Work
 from mapperd.errors import StoreError
 from mapperd.integration import Integration
@@ -165,14 +165,10 @@ class MappingThread:
 
     def _do_next(self, *, patient: bool) -> bool:
         """Do what is next; returns whether it was dropped."""
-        bound = self.engine.config.mapping.error_bound
-        turn = self.backlog.next(self._clock(), bound, patient=patient)
-        if turn.remark is not None:
-            self._remark(turn.remark)
-        if isinstance(turn.remark, ErrorBound):
-            self.integration.stepping.error_bound = turn.remark.value
+        turn = self.backlog.next(self._clock(), patient=patient)
         match turn.work:
-            case Settled() as settled if isinstance(turn.remark, Drop):
+            case Settled() as settled if turn.dropped:
+                self._remark(Drop(settled.number))
                 self.integration.drop(settled)
             case Settled() as settled:
                 self._ping(settled)
@@ -183,7 +179,7 @@ class MappingThread:
             case request:
                 self.on_request(request, self.integration.ask(request))
         self.progress += 1
-        return isinstance(turn.remark, Drop)
+        return turn.dropped
 
     def _ping(self, settled: Settled) -> None:
         mapped = self.integration.stepping.counters.pings_mapped

@@ -45,7 +45,6 @@ class Position(Struct, frozen=True):
         done: pieces of work that are in the map since then.
         config: the settings in force at the checkpoint, as plain values.
         fixed: the vehicle stood still.
-        error_bound: that held at the checkpoint instead of the setting's; None is the setting's.
         checkpoint: the estimators.
         localization: its state when the work before the checkpoint was done; empty where the map
             does not depend on it.
@@ -60,7 +59,6 @@ class Position(Struct, frozen=True):
     done: int = 0
     config: dict[str, Any] | None = None
     fixed: bool = False
-    error_bound: float | None = None
     checkpoint: bytes = b""
     origin_deg: tuple[float, float] | None = None
     localization: bytes = b""

@@ -198,11 +198,10 @@ def go_on(
         CheckpointError: a known map that somebody chose in it is not there any more.
     """
     stepping = Stepping(going.sonar_map, time.perf_counter, engine.counters)
-    stepping.error_bound = None if going.position is None else going.position.error_bound
     keep = going.keeping()
     onboard = None if going.localizing is None else going.localizing.onboard
     integration = Integration(stepping, keep, remarks, onboard)
-    keep.begin(engine, stepping, tail, lambda: None, going.localizing)
+    keep.begin(engine, tail, lambda: None, going.localizing)
     keep.skip(going.done)
     left = going.done
     try:

@@ -2,8 +2,6 @@
 
 from collections.abc import Callable
 
-import msgspec
-
 from mapperd.config import Config
 from mapperd.counters import ReplayCounters
 from mapperd.filters.sightings import Sighting, Sightings
@@ -33,8 +31,6 @@ class Stepping:
     Attributes:
         counters: what happened.
         sightings: robots that were seen lately.
-        error_bound: holds instead of `mapping.error_bound` from the next ping on; None is the
-            setting's own.
     """
 
     FOLLOWS = (
@@ -59,13 +55,11 @@ class Stepping:
         counters: ReplayCounters | None = None,
     ) -> None:
         self.counters = counters or ReplayCounters()
-        self.error_bound: float | None = None
         self._map = sonar_map
         self._clock = clock
         check_filters(sonar_map.config)
         self.sightings = Sightings()
         self._next = sonar_map.config
-        self._in_force: tuple[Config, float | None] = (self._next, None)
 
     def take(self, config: Config) -> None:
         """Step with other settings from the next ping on.
@@ -81,7 +75,8 @@ class Stepping:
         if isinstance(pose, Reject):
             self.counters.drop(pose.reason, pose.detail)
             return pose
-        self._reconfigure()
+        if self._map.config is not self._next:
+            self._map.reconfigure(self._next)
         began_s = self._clock()
         moving = BaseMotion(pose.velocity_mps, pose.rate_radps)
         result = process_ping(ping, pose.pose, self._map, moving)
@@ -92,17 +87,6 @@ class Stepping:
         else:
             self.counters.drop(result.reason, result.detail)
         return result
-
-    def _reconfigure(self) -> None:
-        config, bound = self._next, self.error_bound
-        if config is self._in_force[0] and bound == self._in_force[1]:
-            return
-        wanted = config, bound
-        if bound is not None:
-            mapping = msgspec.structs.replace(config.mapping, error_bound=bound)
-            config = msgspec.structs.replace(config, mapping=mapping)
-        self._map.reconfigure(config)
-        self._in_force = wanted
 
     def _remember(self, arrival_ns: int | None, mapped: Mapped) -> None:
         if arrival_ns is not None:

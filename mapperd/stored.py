@@ -23,7 +23,6 @@ from mapperd.mapping import SonarMap
 from mapperd.pairing import FixedPose, origin_of
 from mapperd.position import Place, Places, Position
 from mapperd.service.watchdog import Worker
-from mapperd.stepping import Stepping
 from mapperd.store.reader import StoreReader
 from mapperd.store.saving import Snapshot
 from mapperd.store.tile_store import TileStore
@@ -48,7 +47,6 @@ class _Point:
     config: dict[str, Any] | None
     fixed: bool
     checkpoint: bytes
-    error_bound: float | None = None
     localization: bytes = b""
     place: Place | None = None
 
@@ -97,7 +95,6 @@ class Stored:
     def begin(
         self,
         engine: Engine,
-        stepping: Stepping,
         places: Places,
         wake: Callable[[], None],
         localizing: Localizing | None = None,
@@ -106,13 +103,12 @@ class Stored:
 
         Args:
             engine: as it is before the first chunk.
-            stepping: which the work goes through.
             places: of the recording.
             wake: lets the thread of the pings come to `between` soon.
             localizing: what the poses depend on; None where they do not.
         """
         self._localizing = localizing
-        self._engine, self._stepping, self._places, self._wake = engine, stepping, places, wake
+        self._engine, self._places, self._wake = engine, places, wake
         self._point = self._point_at(0, 0)
         self._complete(self._point)
         self._began = True
@@ -277,7 +273,6 @@ class Stored:
 
     def _complete(self, point: _Point) -> None:
         """Add what only the work before the checkpoint brings about."""
-        point.error_bound = self._stepping.error_bound
         if self._localizing is not None:
             began_s = time.monotonic()
             point.localization = saved_state(self._localizing)
@@ -301,7 +296,6 @@ class Stored:
             done=done,
             config=point.config,
             fixed=point.fixed,
-            error_bound=point.error_bound,
             checkpoint=point.checkpoint,
             origin_deg=self._origin_deg(),
             localization=point.localization,

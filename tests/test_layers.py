@@ -1,6 +1,7 @@
 """Arrows between the rooms point one way; an import that points back fails here.
 
 tools -> mapperd -> oculus_driver; mapperd -> mapperd._core; sonar_sim -> oculus_driver only.
+In C++ map, localization and acoustics include common, and nothing of each other.
 Inside mapperd every module imports only modules that stand above it in `tests.layer_order`.
 """
 
@@ -121,14 +122,35 @@ def dask_elsewhere(root: Path) -> list[str]:
     ]
 
 
+CPP_LIBRARIES = ("common", "map", "localization", "acoustics")
+PYTHON_HEADER = re.compile(r"#\s*include\s*[<\"](Python\.h|pybind11/|nanobind/|numpy/)")
+LIBRARY_HEADER = re.compile(r"#\s*include\s*[<\"](?:mapperd/)?(map|localization|acoustics|common)/")
+
+
+def sources_of(library: str, root: Path) -> Iterator[Path]:
+    """Headers and sources of a C++ library; its tests and bindings may include what they like."""
+    for folder in ("include", "src"):
+        yield from sorted((root / "cpp" / library / folder).rglob("*.[ch]pp"))
+
+
 def python_in_core(root: Path) -> list[str]:
-    """C++ sources outside cpp/bind that know of Python."""
-    pattern = re.compile(rb"#\s*include\s*[<\"](Python\.h|pybind11/|nanobind/|numpy/)")
+    """Sources of C++ libraries that know of Python."""
     return [
         str(path.relative_to(root))
-        for folder in ("include", "src")
-        for path in sorted((root / "cpp" / folder).rglob("*"))
-        if path.is_file() and pattern.search(path.read_bytes())
+        for library in CPP_LIBRARIES
+        for path in sources_of(library, root)
+        if PYTHON_HEADER.search(path.read_text(encoding="utf-8"))
+    ]
+
+
+def cpp_back_arrows(root: Path) -> list[str]:
+    """Sources of C++ libraries that include another library than `common`."""
+    return [
+        f"{path.relative_to(root)} includes {included}"
+        for library in CPP_LIBRARIES
+        for path in sources_of(library, root)
+        for included in LIBRARY_HEADER.findall(path.read_text(encoding="utf-8"))
+        if included not in {library, "common"}
     ]
 
 
@@ -178,7 +200,34 @@ def test_planted_dask_is_found(tmp_path: Path, file: str, *, found: bool) -> Non
 
 
 def test_core_knows_no_python() -> None:
+    assert all(any(sources_of(library, ROOT)) for library in CPP_LIBRARIES)
     assert python_in_core(ROOT) == []
+
+
+def test_cpp_libraries_include_only_what_is_common() -> None:
+    assert cpp_back_arrows(ROOT) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "header", "found"),
+    [
+        ("common/include/mapperd/common/vec.hpp", "mapperd/map/block.hpp", True),
+        ("map/src/block.cpp", "localization/grid.hpp", True),
+        ("localization/src/grid.cpp", "mapperd/map/block.hpp", True),
+        ("acoustics/include/acoustics/beams.hpp", "localization/grid.hpp", True),
+        ("map/src/block.cpp", "mapperd/map/block.hpp", False),
+        ("map/src/block.cpp", "mapperd/common/vec.hpp", False),
+        ("localization/src/grid.cpp", "mapperd/common/vec.hpp", False),
+        ("bind/map.cpp", "mapperd/map/block.hpp", False),
+    ],
+)
+def test_planted_cpp_include_is_found(
+    tmp_path: Path, file: str, header: str, *, found: bool
+) -> None:
+    path = tmp_path / "cpp" / file
+    path.parent.mkdir(parents=True)
+    path.write_text(f'#include "{header}"\n', encoding="utf-8")
+    assert bool(cpp_back_arrows(tmp_path)) == found
 
 
 @pytest.mark.parametrize(
@@ -238,8 +287,12 @@ def test_forward_arrow_is_left_alone(tmp_path: Path, file: str, line: str) -> No
 
 
 def test_planted_python_header_is_found(tmp_path: Path) -> None:
-    for folder in ("include/mapperd", "src", "bind"):
+    for folder in ("map/include/mapperd/map", "map/src", "acoustics/src", "acoustics/bind", "bind"):
         path = tmp_path / "cpp" / folder / "a.hpp"
         path.parent.mkdir(parents=True)
         path.write_text("#include <pybind11/pybind11.h>\n", encoding="utf-8")
-    assert python_in_core(tmp_path) == ["cpp/include/mapperd/a.hpp", "cpp/src/a.hpp"]
+    assert python_in_core(tmp_path) == [
+        "cpp/map/include/mapperd/map/a.hpp",
+        "cpp/map/src/a.hpp",
+        "cpp/acoustics/src/a.hpp",
+    ]

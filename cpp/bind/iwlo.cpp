@@ -38,12 +38,12 @@ IwloParams iwlo_params(double L_occ, double L_free, double L_min, double L_max, 
 py::tuple update(const IwloParams& params, double log_odds, int count, bool occupied, double weight,
                  double factor) {
   const IwloRule rule(params);
-  std::int32_t units = units_of(std::clamp(log_odds, params.L_min, params.L_max));
-  auto seen = static_cast<std::uint16_t>(std::clamp(count, 0, 65535));
+  auto seen = static_cast<std::uint16_t>(std::clamp<int>(count, 0, rule.settled_count()));
   const double step =
       occupied ? rule.occupied_step(log_odds, seen, weight) : rule.free_step(log_odds, seen);
-  rule.add(factor * step, units, seen);
-  return py::make_tuple(log_odds_of(units), static_cast<int>(seen));
+  const double updated = std::clamp(log_odds + factor * step, params.L_min, params.L_max);
+  if (seen < rule.settled_count()) ++seen;
+  return py::make_tuple(updated, static_cast<int>(seen));
 }
 
 }  // namespace

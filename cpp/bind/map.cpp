@@ -10,7 +10,7 @@
 #include "arrays.hpp"
 #include "bindings.hpp"
 #include "mapperd/map/ping_box.hpp"
-#include "mapperd/map/projective.hpp"
+#include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/rays.hpp"
 #include "mapperd/map/snapshot.hpp"
 #include "mapperd/map/voxel_map.hpp"
@@ -47,17 +47,17 @@ Aggregation aggregation_of(const std::string& name) {
   throw std::invalid_argument("aggregation must be 'occupied_first' or 'mean', not '" + name + "'");
 }
 
-PingStats projective(VoxelMap& map, const py::object& intensity, const py::object& bearings,
+PingStats evidence_grid(VoxelMap& map, const py::object& intensity, const py::object& bearings,
                      double range_resolution_m, const py::object& map_T_sonar,
                      double vertical_aperture_rad, double min_range_m, bool carve_no_return,
-                     const std::string& aggregation, double error_bound, int threads,
+                     const std::string& aggregation, double detail, int threads,
                      const PingMotion& motion) {
   const Ping ping(intensity, bearings, range_resolution_m);
   const Transform pose = transform_of(map_T_sonar, "map_T_sonar");
-  const FanSettings settings{vertical_aperture_rad,       min_range_m, carve_no_return,
-                             aggregation_of(aggregation), error_bound, threads};
+  const PingSettings settings{vertical_aperture_rad,       min_range_m, carve_no_return,
+                             aggregation_of(aggregation), detail,      threads};
   const py::gil_scoped_release release;
-  return integrate_projective(map, ping.image, pose, settings, motion);
+  return integrate_evidence_grid(map, ping.image, pose, settings, motion);
 }
 
 PingStats rays(VoxelMap& map, const py::object& intensity, const py::object& bearings,
@@ -77,7 +77,7 @@ py::object blocks_of(const VoxelMap& map, const py::object& intensity, const py:
                      const PingMotion& motion) {
   const Ping ping(intensity, bearings, range_resolution_m);
   const Transform pose = transform_of(map_T_sonar, "map_T_sonar");
-  FanSettings settings;
+  PingSettings settings;
   settings.vertical_aperture_rad = vertical_aperture_rad;
   settings.min_range_m = min_range_m;
   settings.carve_no_return = carve_no_return;
@@ -176,7 +176,7 @@ std::uint64_t revision_without_gil(const VoxelMap& map) {
 }  // namespace
 
 void bind_map(py::module_& module) {
-  const FanSettings fan;
+  const PingSettings fan;
   const PingMotion still;
   py::class_<PingMotion>(module, "PingMotion")
       .def(py::init(&motion_of), py::kw_only(), "linear_mps"_a, "angular_radps"_a, "valid_s"_a,
@@ -195,10 +195,12 @@ void bind_map(py::module_& module) {
                              [](const VoxelMap& map) { return size_without_gil(map).blocks; })
       .def_property_readonly("memory_bytes",
                              [](const VoxelMap& map) { return size_without_gil(map).memory_bytes; })
-      .def("integrate_projective", &projective, "intensity"_a, "bearings_rad"_a,
+      .def_property_readonly("held_voxels",
+                             [](const VoxelMap& map) { return size_without_gil(map).held_voxels; })
+      .def("integrate_evidence_grid", &evidence_grid, "intensity"_a, "bearings_rad"_a,
            "range_resolution_m"_a, "map_T_sonar"_a, py::kw_only(), "vertical_aperture_rad"_a,
            "min_range_m"_a = fan.min_range_m, "carve_no_return"_a = fan.carve_no_return,
-           "aggregation"_a = "occupied_first", "error_bound"_a = fan.error_bound,
+           "aggregation"_a = "occupied_first", "detail"_a = fan.detail,
            "threads"_a = fan.threads, "motion"_a = still)
       .def("integrate_rays", &rays, "intensity"_a, "bearings_rad"_a, "range_resolution_m"_a,
            "map_T_sonar"_a, py::kw_only(), "vertical_aperture_rad"_a,

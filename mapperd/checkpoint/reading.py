@@ -13,6 +13,8 @@ import numpy as np
 
 from mapperd.checkpoint.registry import class_named, is_frozen, kept_of
 from mapperd.checkpoint.shape import FORMAT, Tag, attributes_of
+from mapperd.config import Config
+from mapperd.config_aliases import tree_updated
 from mapperd.errors import CheckpointError
 
 __all__ = ["overlay"]
@@ -204,7 +206,8 @@ class _Reader:
         return class_named(parts[0])[parts[1]]
 
     def struct_(self, parts: list[Any], _: Any) -> Any:  # noqa: ANN401
-        return msgspec.convert(parts[1], class_named(parts[0]))
+        kind, fields = class_named(parts[0]), parts[1]
+        return msgspec.convert(tree_updated(fields)[0] if kind is Config else fields, kind)
 
     def array_(self, parts: list[Any], _: Any) -> Any:  # noqa: ANN401
         dtype, shape, order, write, data = parts

@@ -30,7 +30,8 @@ LEVEL = 1
 MAX_BYTES = 1 + (_core.BRICK_VOXELS // _core.BLOCK_EDGE) ** 3 * (
     1 + 8 + 1 + _core.BLOCK_EDGE**3 // 8 + _core.BLOCK_EDGE**3 * 6
 )
-"""Of a brick with every voxel observed (cpp/include/mapperd/brick.hpp)."""
+"""Of a brick with every voxel observed, in the largest form that was ever written: form 2 of
+cpp/map/include/mapperd/map/block_codec.hpp. Forms 3 to 5 are smaller."""
 
 COLUMNS = "x, y, z, revision, size, crc, data"
 

@@ -21,7 +21,6 @@ from mapperd.decisions import (
     DECISIONS,
     SESSION,
     Drop,
-    ErrorBound,
     Gap,
     Reset,
     Settings,
@@ -59,12 +58,12 @@ class Event:
     changes: dict[str, Any] | None = None
 
 
-def settings_text(folder: Path, policy: str) -> str:
+def settings_text(folder: Path) -> str:
     return (
         "octree: {voxel_resolution: 0.1}\nmounting: {orientation: {pitch: 0}}\n"
         "device: {address: 127.0.0.1}\n"
         "odometry: {sources: [{name: vehicle, link: 'udp://127.0.0.1:52200'}]}\n"
-        f"behind: {{policy: {policy}, max_wait: 1.0, error_bound: 5}}\n"
+        "behind: {max_wait: 1.0}\n"
         f"recording: {{folder: '{folder}', max_file: 1, free_floor: 0}}\n"
     )
 
@@ -179,9 +178,8 @@ def test_recording_gives_the_map_again(
 ) -> None:
     chance = Random(seed)  # noqa: S311 no secret
     folder = tmp_path / "recordings"
-    policy = ("drop_oldest", "coarser_first")[seed % 2]
-    config = config_from_text(settings_text(folder, policy))
-    resets = (1,) if seed % 2 else (17, 40)  # what was mapped coarser must not be wiped out
+    config = config_from_text(settings_text(folder))
+    resets = (1,) if seed % 2 else (17, 40)
     events = list(dive(chance, ping_bytes, odometry_bytes, resets))
     at_once, step_ns = chance.uniform(0.3, 0.9), chance.randrange(50, 500) * MS
     room = 64 << 20 if seed < 3 else 1 << 21
@@ -196,7 +194,6 @@ def test_recording_gives_the_map_again(
     kinds = kinds_in(folder)
     assert kinds >= {Gap, Settings, Reset, Drop}
     assert (Skip in kinds) == (room < 64 << 20)
-    assert (ErrorBound in kinds) == (policy == "coarser_first")
 
 
 def short_session(sonar_map: SonarMap, session: str, pings: list[bytes], pose: Pose) -> None:
@@ -219,7 +216,7 @@ def short_session(sonar_map: SonarMap, session: str, pings: list[bytes], pose: P
 @pytest.mark.usefixtures("no_picture")
 def test_sessions_of_a_folder_go_into_one_map(tmp_path: Path, ping_bytes: MakeBytes) -> None:
     folder = tmp_path / "recordings"
-    config = config_from_text(settings_text(folder, "drop_oldest"))
+    config = config_from_text(settings_text(folder))
     sonar_map = SonarMap(config)
     for session, x_m in (("one", 0.0), ("two", 2.0)):
         pings = [ping_bytes(k) for k in range(1, 4)]  # the sonar began anew as well
@@ -237,7 +234,7 @@ def test_recording_that_a_kill_cut_at_its_first_bytes_is_passed_over(
     size: int, tmp_path: Path, ping_bytes: MakeBytes
 ) -> None:
     folder = tmp_path / "recordings"
-    sonar_map = SonarMap(config_from_text(settings_text(folder, "drop_oldest")))
+    sonar_map = SonarMap(config_from_text(settings_text(folder)))
     still = pose_from_rpy((0, 0, 0), (0, 0, 30))
     short_session(sonar_map, "one", [ping_bytes(k) for k in range(1, 4)], still)
     [whole] = folder.iterdir()
@@ -261,7 +258,7 @@ def test_end_is_not_put_off_for_ever(
     tmp_path: Path, ping_bytes: MakeBytes, odometry_bytes: MakeBytes
 ) -> None:
     folder = tmp_path / "recordings"
-    config = config_from_text(settings_text(folder, "drop_oldest"))
+    config = config_from_text(settings_text(folder))
     events = [Event(START_NS + k * MS, SONAR, ping_bytes(k + 1)) for k in range(8)]
     events.append(Event(START_NS + 9 * MS, "vehicle", odometry_bytes()))
     events.append(Event(START_NS + 9 * MS, "vehicle", odometry_bytes()))

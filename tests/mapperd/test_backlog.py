@@ -5,7 +5,7 @@ import pytest
 
 from mapperd.behind import Backlog
 from mapperd.config_service import Behind
-from mapperd.decisions import Drop, ErrorBound, Reset
+from mapperd.decisions import Reset
 from mapperd.engine import Settled
 from mapperd.frames import pose_from_rpy
 from mapperd.pairing import FixedPose
@@ -35,15 +35,15 @@ def test_ping_that_waited_too_long_is_dropped_while_newer_ones_wait(
     backlog = Backlog(Behind(max_wait=1.0))
     for t_s in (0.0, 0.2, 0.4):
         backlog.put(settled(), round(t_s * S))
-    turns = [backlog.next(round(1.3 * S), 0.0) for _ in range(3)]
-    assert [turn.remark for turn in turns] == [Drop(0), Drop(1), None]
+    turns = [backlog.next(round(1.3 * S)) for _ in range(3)]
+    assert [turn.dropped for turn in turns] == [True, True, False]
     assert (backlog.dropped, backlog.late, len(backlog)) == (2, True, 0)
 
 
 def test_newest_ping_is_mapped_however_long_it_waited(settled: Callable[..., Settled]) -> None:
     backlog = Backlog(Behind(max_wait=1.0))
     backlog.put(settled(), 0)
-    assert backlog.next(100 * S, 0.0).remark is None
+    assert not backlog.next(100 * S).dropped
 
 
 def test_order_and_a_ping_without_pose_cost_nothing_and_are_never_dropped(
@@ -54,28 +54,20 @@ def test_order_and_a_ping_without_pose_cost_nothing_and_are_never_dropped(
     backlog.put(settled(posed=False), 0)
     backlog.put(settled(), 0)
     assert backlog.pings == 1
-    assert [backlog.next(9 * S, 0.0).remark for _ in range(3)] == [None] * 3
+    assert not any(backlog.next(9 * S).dropped for _ in range(3))
 
 
-def test_coarser_comes_first_and_ends_when_caught_up(settled: Callable[..., Settled]) -> None:
-    backlog = Backlog(Behind(policy="coarser_first", max_wait=1.0, error_bound=0.4))
+def test_backlog_is_late_until_it_has_caught_up(settled: Callable[..., Settled]) -> None:
+    backlog = Backlog(Behind(max_wait=1.0))
     seen = []
-    for wait_s in (0.4, 0.6, 0.9, 1.1, 0.3, 0.05):
+    for wait_s in (0.9, 1.1, 0.3, 0.05):
         backlog.put(settled(), 0)
         backlog.put(settled(posed=False), 0)
         backlog.put(settled(), 0)
-        seen.append(backlog.next(round(wait_s * S), 0.1).remark)
+        seen.append((backlog.next(round(wait_s * S)).dropped, backlog.late))
         for _ in range(2):
-            backlog.next(0, 0.1, patient=True)
-    assert seen == [None, ErrorBound(3, 0.4), None, Drop(9), None, ErrorBound(15, None)]
-    assert not backlog.late
-
-
-def test_bound_that_is_coarser_already_stays(settled: Callable[..., Settled]) -> None:
-    backlog = Backlog(Behind(policy="coarser_first", max_wait=1.0, error_bound=0.4))
-    backlog.put(settled(), 0)
-    assert backlog.next(round(0.9 * S), 0.4).remark is None
-    assert not backlog.coarse
+            backlog.next(0, patient=True)
+    assert seen == [(False, False), (True, True), (False, True), (False, False)]
 
 
 def test_images_that_wait_are_bounded(
@@ -86,12 +78,11 @@ def test_images_that_wait_are_bounded(
     monkeypatch.setattr("mapperd.behind.MAX_BYTES", works[0].ping.image.nbytes)
     for work in works:
         backlog.put(work, 0)
-    remarks = [backlog.next(0, 0.0).remark for _ in range(4)]
-    assert remarks == [Drop(0), Drop(1), None, None]
+    assert [backlog.next(0).dropped for _ in range(4)] == [True, True, False, False]
 
 
 def test_at_the_end_everything_is_mapped(settled: Callable[..., Settled]) -> None:
     backlog = Backlog(Behind(max_wait=1.0))
     for _ in range(3):
         backlog.put(settled(), 0)
-    assert [backlog.next(9 * S, 0.0, patient=True).remark for _ in range(3)] == [None] * 3
+    assert not any(backlog.next(9 * S, patient=True).dropped for _ in range(3))

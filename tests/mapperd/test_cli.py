@@ -65,7 +65,7 @@ def test_recording_becomes_a_folder_of_results(
     assert summary["pings_mapped"] == 5
     assert summary["voxels_occupied"] > 0
     assert summary["voxel_resolution_m"] == 0.2
-    assert summary["integrator"] == "projective"
+    assert summary["integrator"] == "evidence_grid"
     assert summary["poses"]["odometry_accepted"] == 6
     assert (out / "map.bt").read_bytes().startswith(b"# Octomap OcTree binary file")
     assert (
@@ -87,6 +87,24 @@ def test_two_runs_give_one_fingerprint_and_integrators_two(
     assert prints[0] == prints[1]
     assert prints[2][0] != prints[0][0]
     assert prints[2][1] == "rays"
+
+
+@pytest.mark.usefixtures("no_picture")
+def test_settings_of_an_earlier_version_are_told_once(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "old.yaml"
+    config.write_text(
+        "octree: {voxel_resolution: 0.2}\n"
+        "mapping: {integrator: projective, error_bound: 0.1}\nbehind: {policy: drop_oldest}\n",
+        encoding="utf-8",
+    )
+    words = ["--replay", str(recording), "--config", str(config), "--out", str(tmp_path / "out")]
+    assert main(words) == Exit.OK
+    told = [line for line in capsys.readouterr().err.splitlines() if str(config) in line]
+    assert len(told) == 1
+    for name in ("mapping.error_bound", "mapping.integrator", "behind.policy"):
+        assert name in told[0]
 
 
 def test_window_is_taken_from_the_command_line(

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapperd.config import Config
+from mapperd.config import Behind, Config, Mapping
 from mapperd.config_file import MAX_FILE_BYTES, config_from_text, load_config
 from mapperd.errors import ConfigError
 
@@ -73,7 +73,7 @@ def test_floor_of_the_scale_is_read_and_bounded() -> None:
         ("adaptive: {min_ratio: 1.5}", "$.adaptive.min_ratio", ["1.5", "<= 1"]),
         ("adaptive: {min_ratio: -0.1}", "$.adaptive.min_ratio", ["-0.1", ">= 0"]),
         ("adaptive: {update: 1}", "$.adaptive.update", ["true or false"]),
-        ("mapping: {integrator: x}", "$.mapping.integrator", ["projective or rays"]),
+        ("mapping: {integrator: x}", "$.mapping.integrator", ["evidence_grid or rays"]),
         ("octree: {voxel_size: 1}", "$.octree.voxel_size", ["no such setting"]),
         ("octree: {voxel_resolutoin: 1}", "$.octree.voxel_resolutoin", ["mean voxel_resolution"]),
         ("octre: {}", "$.octre", ["did you mean octree"]),
@@ -99,6 +99,29 @@ def test_mistakes_are_named_with_their_place(text: str, path: str, words: list[s
     assert message.startswith(f"my.yaml: {path}: ")
     assert "\n" not in message
     assert all(word in message for word in words), message
+
+
+def test_settings_of_an_earlier_version_load() -> None:
+    config = config_from_text(
+        "mapping: {integrator: projective, error_bound: 0.05, threads: 2}\n"
+        "behind: {policy: coarser_first, error_bound: 0.5, max_wait: 2}\n"
+    )
+    assert config == Config(mapping=Mapping(threads=2), behind=Behind(max_wait=2.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "path"),
+    [
+        ("mapping: {error_bund: 1}", "$.mapping.error_bund"),
+        ("behind: [policy]", "$.behind"),
+        ("mapping: {integrator: [projective]}", "$.mapping.integrator"),
+        ("mapping: {integrator: projective, threads: 0}", "$.mapping.threads"),
+    ],
+)
+def test_mistakes_beside_settings_of_an_earlier_version_are_named(text: str, path: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        config_from_text(text)
+    assert caught.value.path == path
 
 
 @pytest.mark.parametrize(

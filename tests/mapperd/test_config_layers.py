@@ -60,6 +60,21 @@ def test_last_file_that_names_a_setting_says_it(tmp_path: Path) -> None:
     assert layered.origin_of("mounting.orientation.pitch") == str(high)
 
 
+def test_settings_of_an_earlier_version_are_told_in_one_line(tmp_path: Path) -> None:
+    low = write(tmp_path / "low.yaml", "mapping: {integrator: projective, error_bound: 0.1}")
+    high = write(tmp_path / "high.yaml", "behind: {policy: coarser_first, error_bound: 0.5}")
+    layered = load_files([low, high])
+    assert layered.config == Config()
+    assert layered.notice == (
+        f"{low}: mapping.error_bound was removed and is ignored, "
+        "mapping.integrator: projective is now evidence_grid; "
+        f"{high}: behind.policy was removed and is ignored, "
+        "behind.error_bound was removed and is ignored"
+    )
+    assert layered.origins == {"mapping.integrator": str(low)}
+    assert load_files([write(tmp_path / "new.yaml", "mapping: {detail: 2}")]).notice == ""
+
+
 def test_lists_are_said_as_a_whole(tmp_path: Path) -> None:
     low = write(tmp_path / "low.yaml", "odometry: {sources: [{name: a}, {name: b}]}")
     high = write(tmp_path / "high.yaml", "odometry: {sources: [{name: c}]}")

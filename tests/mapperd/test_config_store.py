@@ -58,7 +58,7 @@ def test_every_mistake_is_named_and_nothing_changes() -> None:
         "filtering.intensity_treshold": 3,
         "octree.voxel_resolution": 0.1,
         "filtering": {},
-        "mapping.error_bound": "0.1",
+        "mapping.detail": "2",
     }
     reasons = reasons_of(store.apply(changes, "command"))
     assert reasons.pop("filtering").startswith("there is no such setting")
@@ -67,7 +67,7 @@ def test_every_mistake_is_named_and_nothing_changes() -> None:
         "(pings)",
         "filtering.intensity_treshold": f"there is no such setting; did you mean {THRESHOLD}?",
         "octree.voxel_resolution": "cannot change while running; needs a restart",
-        "mapping.error_bound": "'0.1' is not allowed; allowed: a number >= 0 and <= 10 (log-odds)",
+        "mapping.detail": "'2' is not allowed; allowed: a number >= 0.25 and <= 8",
     }
     assert store.current is before
 

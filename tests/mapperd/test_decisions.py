@@ -8,13 +8,13 @@ from mapperd.decisions import (
     DECISIONS,
     Decision,
     Drop,
-    ErrorBound,
     Gap,
     GlobalLocalization,
     InitialPose,
     NewMap,
     NoMotionUpdate,
     Remarks,
+    RemovedRemark,
     Reset,
     ResetFailed,
     Session,
@@ -44,8 +44,7 @@ ALL: list[Decision] = [
     Gap("sonar"),
     Skip("sonar", 5),
     Drop(7),
-    ErrorBound(8, 0.1),
-    ErrorBound(9, None),
+    RemovedRemark(),
 ]
 
 
@@ -73,8 +72,18 @@ def test_other_links_hold_no_decisions() -> None:
 def test_remarks_are_collected() -> None:
     chunks = [chunk_of(decision, 0) for decision in [*ALL, Drop(3)]]
     found = remarks_in([*chunks, bytes_of(b"x")])
-    assert found == Remarks(frozenset({3, 7}), ((8, 0.1), (9, None)), frozenset({1}))
-    assert [is_remark(one) for one in ALL].count(True) == 4
+    assert found == Remarks(frozenset({3, 7}), frozenset({1}))
+    assert [is_remark(one) for one in ALL].count(True) == 3
+
+
+@pytest.mark.parametrize("value", [0.1, None])
+def test_remark_about_the_removed_error_bound_is_read_and_ignored(value: float | None) -> None:
+    data = msgspec.msgpack.encode({"kind": "error_bound", "ping": 8, "value": value})
+    chunk = Chunk("mapperd", DECISIONS, 0, data)
+    decision = decision_of(chunk)
+    assert decision == RemovedRemark()
+    assert is_remark(decision)
+    assert remarks_in([chunk]) == Remarks()
 
 
 def test_skipped_bytes_are_left_out_however_they_were_cut() -> None:

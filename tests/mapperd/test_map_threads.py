@@ -51,7 +51,7 @@ def every_read(sonar_map: SonarMap) -> list[Callable[[], object]]:
     ]
 
 
-@pytest.mark.parametrize("integrator", ["projective", "rays"])
+@pytest.mark.parametrize("integrator", ["evidence_grid", "rays"])
 def test_what_is_read_is_the_map_after_a_whole_number_of_pings(
     ping: MakePing, integrator: str
 ) -> None:

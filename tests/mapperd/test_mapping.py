@@ -51,7 +51,7 @@ def test_mounting_is_the_published_one() -> None:
     )
 
 
-@pytest.mark.parametrize("integrator", ["projective", "rays"])
+@pytest.mark.parametrize("integrator", ["evidence_grid", "rays"])
 def test_classes_and_counts_agree(ping: MakePing, integrator: str) -> None:
     sonar_map = mapped(with_mapping(integrator=integrator), ping(1), ping(2), ping(3))
     counts = sonar_map.counts()
@@ -79,7 +79,8 @@ def test_thresholds_divide_the_observed_voxels(ping: MakePing) -> None:
 def test_integrators_differ_and_settings_reach_the_core(ping: MakePing) -> None:
     dark = np.zeros((50, 65), dtype=np.uint8)
     prints = {
-        "projective": mapped(COARSE, ping()).sha256(),
+        "evidence_grid": mapped(COARSE, ping()).sha256(),
+        "detail": mapped(with_mapping(detail=4.0), ping()).sha256(),
         "rays": mapped(with_mapping(integrator="rays"), ping()).sha256(),
         "mean": mapped(with_mapping(aggregation="mean"), ping()).sha256(),
         "range": mapped(

@@ -54,7 +54,7 @@ def motion(linear: tuple[float, ...], angular: tuple[float, ...], valid_s: float
     return PingMotion(np.array(linear), np.array(angular), valid_s, 1500.0)
 
 
-@pytest.mark.parametrize("integrator", ["projective", "rays"])
+@pytest.mark.parametrize("integrator", ["evidence_grid", "rays"])
 @pytest.mark.parametrize(
     ("moving", "expected_m"),
     [
@@ -73,7 +73,7 @@ def test_samples_lie_where_the_sonar_was(
     assert shift == pytest.approx(expected_m, abs=0.02)
 
 
-@pytest.mark.parametrize("integrator", ["projective", "rays"])
+@pytest.mark.parametrize("integrator", ["evidence_grid", "rays"])
 def test_the_setting_leaves_motion_out(integrator: str) -> None:
     mapping = Mapping(integrator=integrator, within_ping_motion=False)  # type: ignore[arg-type]
     shift = shift_by(motion((5, 5, 5), (0.5, 0.5, 0.5), 0.0), mapping)
@@ -132,7 +132,7 @@ def test_a_speed_of_sound_that_cannot_be_is_not_taken(ping: MakePing) -> None:
         PingMotion(np.zeros(2), np.ones(3), 0.0, 1500.0),
     ],
 )
-@pytest.mark.parametrize("integrator", ["projective", "rays"])
+@pytest.mark.parametrize("integrator", ["evidence_grid", "rays"])
 def test_motion_that_cannot_be_is_refused(moving: PingMotion, integrator: str) -> None:
     mapping = Mapping(integrator=integrator)  # type: ignore[arg-type]
     sonar_map = SonarMap(msgspec.structs.replace(FORWARD, mapping=mapping))

@@ -92,7 +92,7 @@ def errors_m(sonar_map: SonarMap, points: Floats) -> Floats:
 def test_samples_lie_where_their_echoes_came_from(
     ping: MakePing, odometry_bytes: OdometryBytes
 ) -> None:
-    mapping = Mapping(error_bound=0.0)
+    mapping = Mapping(detail=8.0)
     config = msgspec.structs.replace(CONFIG, mapping=mapping)
     found = errors_m(*mapped(ping, odometry_bytes, config))
     assert found.max() < 0.03, found

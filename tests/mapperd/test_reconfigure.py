@@ -60,7 +60,7 @@ def step_on(stepping: Stepping, engine: Engine, *pings: Ping) -> None:
         {"filtering.min_range": 2.5},
         {"mounting.orientation.pitch": 30, "mounting.orientation.yaw": -20},
         {"mapping.integrator": "rays"},
-        {"mapping.error_bound": 0, "mapping.aggregation": "mean"},
+        {"mapping.detail": 4, "mapping.aggregation": "mean"},
         {"mapping.carve_no_return": True},
         {"crosstalk.enabled": True, "crosstalk.morpho_kernel_size": 3},
         {"robot_detection.enabled": True, "robot_detection.keep_out": True},

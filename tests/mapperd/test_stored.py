@@ -68,7 +68,7 @@ class Session:
             on_trouble=self.troubles.append,
         )
         self.at_once = False
-        self.keep.begin(self.engine, self.stepping, self.recording, self.woken.set)
+        self.keep.begin(self.engine, self.recording, self.woken.set)
 
     def position(self) -> Position:
         with StoreReader(self.path) as reader:
@@ -120,11 +120,10 @@ def test_a_checkpoint_counts_once_the_work_before_it_is_done(session: Session) -
     session.keep.done(WORK)
     session.store.save()
     assert (session.position().place, session.position().done) == (Place(), 2)
-    session.stepping.error_bound = 0.25
     session.keep.done(WORK)
     session.store.save()
     position = session.position()
-    assert (position.place, position.done, position.error_bound) == (Place(3, 12), 0, 0.25)
+    assert (position.place, position.done) == (Place(3, 12), 0)
     session.keep.done(WORK)
     session.store.save()
     assert session.position().done == 1

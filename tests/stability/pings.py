@@ -35,12 +35,12 @@ class Look:
     aperture_rad: float = 0.35
     min_range_m: float = 0.3
     aggregation: str = "occupied_first"
-    error_bound: float = 0.0
+    detail: float = 1.0
     carve_no_return: bool = False
 
     def into(self, voxels: _core.VoxelMap) -> _core.VoxelMap:
         """Integrate it."""
-        voxels.integrate_projective(
+        voxels.integrate_evidence_grid(
             self.image,
             self.bearings_rad,
             self.row_m,
@@ -48,7 +48,7 @@ class Look:
             vertical_aperture_rad=self.aperture_rad,
             min_range_m=self.min_range_m,
             aggregation=self.aggregation,
-            error_bound=self.error_bound,
+            detail=self.detail,
             carve_no_return=self.carve_no_return,
         )
         return voxels

@@ -104,20 +104,20 @@ def test_a_sample_at_the_threshold_is_water_and_the_next_float_a_return() -> Non
         assert (voxels.block_count > 0) == returns
 
 
-@pytest.mark.parametrize("bound", [5e-324, 1e-9, 1e-3, 0.1, 5.0, 1e300])
-def test_an_error_bound_of_any_size_is_finite_and_near(bound: float) -> None:
-    """The bound sets a number of lines through each voxel, as its inverse.
+@pytest.mark.parametrize("detail", [0.25, 0.3, 1.0, math.nextafter(1.0, 2.0), 3.7, 8.0])
+def test_a_detail_of_any_size_is_finite_and_near(detail: float) -> None:
+    """The detail sets the spacing of the evidence grid, finer or coarser than the image's own rows.
 
-    Naively 1 / bound becomes a whole number: a bound of 1e-300 asks for 1e300 lines, which wraps to
-    a negative number, and one of 1e300 for none at all.
+    Naively the spacing becomes a whole number of rows: none at all with a detail of 8, and with one
+    of 0.25 the rows that do not fill the last step are left out.
     """
-    exact = cells(Look().into(empty()))
-    got = cells(Look(error_bound=bound).into(empty()))
+    finest = cells(Look(detail=8.0).into(empty()))
+    got = cells(Look(detail=detail).into(empty()))
     assert np.isfinite(list(got.values())).all()
-    common = exact.keys() & got.keys()
-    assert len(common) > 0.98 * len(exact.keys() | got.keys())
-    off = np.array([abs(got[key] - exact[key]) for key in common])
-    assert np.quantile(off, 0.98) <= max(min(bound, 0.1), 1e-4)
+    common = finest.keys() & got.keys()
+    assert len(common) > 0.9 * len(finest.keys() | got.keys())
+    off = np.array([abs(got[key] - finest[key]) for key in common])
+    assert np.median(off) <= 0.1 / detail
 
 
 def test_one_bright_sample_in_a_voxel_of_a_million_is_not_lost() -> None:

@@ -1,11 +1,13 @@
 """The two looks: what they promise of poses and of pixels, and which contenders are chosen."""
 
+from pathlib import Path
+
 import bench_seabed
 import numpy as np
 import pytest
 from bench_input import AHEAD, DOWN, LOOKS, SETTINGS, Setting, simulate
 from bench_pings import first_rows, loud_share
-from contenders import CONTENDERS
+from contenders import CONTENDERS, GRID_FIRST, GRID_FULL
 from rivals import RESOLUTIONS_M, chosen, parse
 
 LOOKING_DOWN = [setting for setting in SETTINGS if setting.look == DOWN]
@@ -41,13 +43,28 @@ def test_looking_down_one_to_two_pixels_in_a_hundred_are_loud(setting: Setting) 
 
 def test_all_contenders_run_unless_words_choose_some() -> None:
     assert chosen([]) == list(CONTENDERS)
-    assert {c.name for c in chosen(["octomap", "default 2"])} == {
+    assert {c.name for c in chosen(["octomap", "grid 2"])} == {
         "octomap",
-        "default 2 first returns",
-        "default 2 full image",
+        "grid 2 first returns",
+        "grid 2 full image",
     }
 
 
-def test_looks_are_both_unless_said() -> None:
+def test_motion_is_timed_with_one_thread_of_the_evidence_grid() -> None:
+    timed = [c for c in CONTENDERS if "--motion" in c.words]
+    assert timed == [GRID_FIRST, GRID_FULL]
+
+
+def test_both_looks_by_default() -> None:
     assert parse([]).looks == [DOWN, AHEAD]
     assert parse(["--looks", "down"]).looks == [DOWN]
+
+
+def test_the_checkout_of_bonxai_comes_from_an_option_or_the_environment(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv("BONXAI_PATH", raising=False)
+    assert parse([]).bonxai is None
+    monkeypatch.setenv("BONXAI_PATH", "/there")
+    assert parse([]).bonxai == Path("/there")
+    assert parse(["--bonxai", "/here"]).bonxai == Path("/here")

@@ -37,7 +37,7 @@ def test_every_mutation_finds_its_text_once_and_leaves_python_that_compiles() ->
 
 
 def test_every_test_that_is_named_is_there() -> None:
-    sources = (REPOSITORY / "cpp" / "test").rglob("test_*.cpp")
+    sources = (REPOSITORY / "cpp").rglob("test_*.cpp")
     found = [re.findall(r'TEST_CASE\(\s*"([^"]+)"', path.read_text()) for path in sources]
     cases = [case for each in found for case in each]
     for test in {test for each in MUTATIONS for test in each.killed_by}:
@@ -111,7 +111,7 @@ def test_the_newest_result_counts(tmp_path: Path) -> None:
 
 
 def tree(folder: Path) -> Path:
-    cases = folder / "cpp" / "test" / "deep"
+    cases = folder / "cpp" / "map" / "test"
     cases.mkdir(parents=True)
     (folder / "tests").mkdir()
     (folder / "x.py").write_text("1\n")

@@ -3,11 +3,9 @@
 from pathlib import Path
 
 import matplotlib as mpl
-from bench_input import DOWN
 from contenders import CONTENDERS, FULL, Contender
-from measured import figure
-from results import CaseResult, Results
-from targets import FINE_M, MOST_MEDIAN_MS
+from results import CaseResult, Results, figure
+from targets import FINE_M, RATE_MS
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -16,7 +14,7 @@ from matplotlib.patches import Patch
 
 RIVAL, FIRST_RETURNS, FULL_IMAGE = "#9a9a9a", "#1f77b4", "#ff7f0e"
 TOP = len(CONTENDERS)
-"""Where the limit is named: beside its line, above the first bar."""
+"""Height of the limit's label: above the first bar."""
 
 
 def draw(path: Path, results: Results) -> None:
@@ -64,10 +62,9 @@ def _panel(panel: Axes, case: CaseResult) -> None:
     panel.set_title(case.name, fontsize=11)
     panel.set_ylim(-0.8, TOP + 0.8)
     if case.resolution_m == FINE_M:
-        limit_ms = MOST_MEDIAN_MS[case.range_m]
+        limit_ms = RATE_MS[case.range_m]
         panel.axvline(limit_ms, color="firebrick", linestyle="--", linewidth=1)
-        note = f"{'asked: ' if case.look == DOWN else ''}{limit_ms:g} ms"
-        panel.text(1.15 * limit_ms, TOP, note, fontsize=8, color="firebrick")
+        panel.text(1.15 * limit_ms, TOP, f"{limit_ms:g} ms", fontsize=8, color="firebrick")
 
 
 def _label(contender: Contender) -> str:

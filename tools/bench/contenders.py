@@ -1,7 +1,6 @@
-"""Who takes part, and how each is started."""
+"""The contenders, and the command that runs each."""
 
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +12,7 @@ class Case:
     """One look, range and voxel size, and the files that hold its pings.
 
     Attributes:
-        loud_share: of the pixels, those above the map's intensity threshold.
+        loud_share: share of the pixels above the map's intensity threshold.
     """
 
     look: str
@@ -25,7 +24,7 @@ class Case:
 
     @property
     def name(self) -> str:
-        """As people say it."""
+        """For people."""
         return f"looking {self.look}, {self.range_m:g} m, {100 * self.resolution_m:g} cm"
 
 
@@ -49,7 +48,7 @@ class Contender:
 
     @property
     def label(self) -> str:
-        """As people say it; what the rivals take is always the same."""
+        """For people; all rivals take the same input."""
         takes = f", {self.takes}" if self.is_ours else ""
         threads = f", {self.threads} threads" if self.threads > 1 else ""
         return f"{self.map_name}{takes}{threads}"
@@ -61,36 +60,40 @@ class Contender:
 
     def command(self, case: Case, build: Path, budget_s: float) -> list[str | Path]:
         """To run it on a case in a process of its own."""
+        given = (f"{case.resolution_m}", f"{budget_s}")
         if not self.is_ours:
             program, *way = self.words
-            return [build / program, case.rays_file, f"{case.resolution_m}", f"{budget_s}", *way]
+            return [build / program, case.rays_file, *given, *way]
         where = (BENCH / "our_contender.py", case.pings_file)
-        return [sys.executable, *where, f"{case.resolution_m}", f"{budget_s}", *self.words]
+        return [sys.executable, *where, *given, *self.words]
+
+
+def _rival(program: str, map_name: str, *way: str) -> Contender:
+    name = " ".join((program.removesuffix("_rival"), *way))
+    return Contender(name, map_name, RAYS, 1, (program, *way))
+
+
+def _ours(way: str, threads: int, takes: str) -> Contender:
+    """Motion within the ping is timed with one thread of the evidence grid."""
+    map_name = "ours, rays" if way == "rays" else "ours, evidence grid"
+    words = [way, "--threads", f"{threads}"]
+    words += ["--first-returns"] if takes == FIRST else []
+    words += ["--motion"] if way == "grid" and threads == 1 else []
+    return Contender(f"{way} {threads} {takes}", map_name, takes, threads, tuple(words))
 
 
 RAYS, FIRST, FULL = "11 rays a first return", "first returns", "full image"
-
-
-def _ours() -> Iterator[Contender]:
-    ways = (
-        ("rays", "ours, rays", 1),
-        ("exact", "ours, exact", 1),
-        ("default", "ours, default bound", 1),
-        ("default", "ours, default bound", 2),
-    )
-    for way, map_name, threads in ways:
-        for takes, option in ((FIRST, ("--first-returns",)), (FULL, ())):
-            name = f"{way} {threads} {takes}"
-            words = (way, "--threads", f"{threads}", *option)
-            yield Contender(name, map_name, takes, threads, words)
-
-
-OCTOMAP = Contender("octomap", "OctoMap insertPointCloud", RAYS, 1, ("octomap_rival",))
-OPENVDB = tuple(
-    Contender(f"openvdb {way}", f"OpenVDB, {said}", RAYS, 1, ("openvdb_rival", way))
-    for way, said in (("visits", "each visit"), ("once", "once a ping"))
+OCTOMAP = _rival("octomap_rival", "OctoMap insertPointCloud")
+OPENVDB = (
+    _rival("openvdb_rival", "OpenVDB, each visit", "visits"),
+    _rival("openvdb_rival", "OpenVDB, once a ping", "once"),
 )
-CONTENDERS = (OCTOMAP, *OPENVDB, *_ours())
-EXACT_FIRST, EXACT_FULL = f"exact 1 {FIRST}", f"exact 1 {FULL}"
-DEFAULT_FIRST, DEFAULT_FULL = f"default 1 {FIRST}", f"default 1 {FULL}"
-RAYS_FIRST = f"rays 1 {FIRST}"
+BONXAI = _rival("bonxai_rival", "Bonxai insertPointCloud")
+RAYS_FIRST, RAYS_FULL = _ours("rays", 1, FIRST), _ours("rays", 1, FULL)
+GRID_FIRST, GRID_FULL = _ours("grid", 1, FIRST), _ours("grid", 1, FULL)
+GRID_FIRST_2, GRID_FULL_2 = _ours("grid", 2, FIRST), _ours("grid", 2, FULL)
+CONTENDERS = (
+    *(OCTOMAP, *OPENVDB, BONXAI),
+    *(RAYS_FIRST, RAYS_FULL),
+    *(GRID_FIRST, GRID_FULL, GRID_FIRST_2, GRID_FULL_2),
+)

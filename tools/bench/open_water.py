@@ -3,14 +3,14 @@
 Prints, as JSON, the median milliseconds a ping of each range in metres.
 """
 
-import argparse
 import statistics
 import time
 
+import msgspec
 import numpy as np
 from bench_input import SETTINGS
 from bench_scene import mounting, path
-from our_settings import config_of, print_json
+from our_contender import config_of
 
 from mapperd.echo import Echo
 from mapperd.mapping import SonarMap
@@ -22,13 +22,13 @@ PINGS = 12
 PITCH_DEG = 10.0
 
 
-def median_ms(way: str, range_m: float) -> float:
+def median_ms(range_m: float) -> float:
     """Of pings along the benchmark's path, into one map."""
     sonar = SETTINGS[0].sonar
     bearings_rad = np.radians(bearing_table_cdeg(sonar.beams, sonar.half_aperture_rad) / 100.0)
     silent = np.zeros((sonar.rows, sonar.beams), dtype=np.float32)
     echo = Echo(silent, bearings_rad, range_m / sonar.rows)
-    sonar_map = SonarMap(config_of(way, RESOLUTION_M, carve_no_return=True))
+    sonar_map = SonarMap(config_of("grid", RESOLUTION_M, carve_no_return=True))
     trajectory = path()
     times_ms = []
     for time_s in np.linspace(0.0, trajectory.duration_s, PINGS):
@@ -43,10 +43,8 @@ def median_ms(way: str, range_m: float) -> float:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("way", choices=("exact", "default"))
-    said = parser.parse_args()
-    print_json({f"{range_m:g}": median_ms(said.way, range_m) for range_m in RANGES_M})
+    times_ms = {f"{range_m:g}": median_ms(range_m) for range_m in RANGES_M}
+    print(msgspec.json.encode(times_ms).decode())
 
 
 if __name__ == "__main__":

@@ -1,25 +1,20 @@
-"""What motion within the ping costs and gains; prints the tables of docs/mapping.md.
+"""What motion within the ping gains; prints the table of docs/mapping.md.
 
-Gain: posts seen by a sonar that moves and turns while it listens. Each of their points is found in
+Posts are seen by a sonar that moves and turns while it listens. Each of their points is found in
 the image by going to and fro between its range and the sonar's pose at that time; the map then
 gets the pose at the middle of the image, which is true. How far the occupied voxels' centres lie
 from the posts is compared with a sonar that stops for every ping. The fan is thin, so that the
-elevation that a sonar cannot tell does not hide the rest.
+elevation that a sonar cannot tell does not hide the rest. What motion costs is measured by
+`make bench`.
 
-Cost: milliseconds a ping, one thread, of simulated pings told to move and not.
-
-Usage: python tools/bench/ping_motion.py [--pings N] [--out FOLDER]
+Usage: python tools/bench/ping_motion.py [--pings N]
 """
 
 import argparse
 import math
-import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-from bench_input import DOWN, SETTINGS, cached
-from bench_pings import load
 from numpy.typing import NDArray
 
 from mapperd.config import Config, Mapping, Octree, Sonar
@@ -38,8 +33,7 @@ POSTS = 60
 RESOLUTION_M = 0.05
 THIN_DEG = 1.0
 SEED = 11
-TURNING = (1.0, 20.0)
-MOTIONS = ((1.0, 0.0), (0.0, 5.0), (0.0, 20.0), TURNING, (3.0, 45.0))
+MOTIONS = ((1.0, 0.0), (0.0, 5.0), (0.0, 20.0), (1.0, 20.0), (3.0, 45.0))
 """Metres per second, half ahead and half to the side, and degrees per second of yaw."""
 
 
@@ -158,46 +152,11 @@ def gain_table(pings: int) -> str:
     return "\n".join(lines)
 
 
-def cost_table(pings: int, out: Path) -> str:
-    """Markdown; the least of three runs, into a map that has its blocks."""
-    lines = ["| range, voxels, bound | at rest | moving | |", "|---|---:|---:|---:|"]
-    speed_mps, rate_dps = TURNING
-    moving = PingMotion(
-        np.array([speed_mps, 0.0, 0.0]), np.array([math.radians(rate_dps), 0, 0]), 0.0, SOUND_MPS
-    )
-    for setting in SETTINGS:
-        if setting.look != DOWN:
-            continue
-        inputs = load(cached(out, setting, pings, SEED))
-        for resolution_m, bound in ((0.1, 0.1), (0.05, 0.1), (0.1, 0.0)):
-            mapping = Mapping(error_bound=bound)
-            sonar_map = SonarMap(Config(octree=Octree(resolution_m), mapping=mapping))
-            took_ms = []
-            for motion in (None, moving):
-                least_ms = [math.inf] * len(inputs)
-                for _ in range(3):
-                    for i in range(len(inputs)):
-                        image = inputs.echo(i, first_returns_only=False)
-                        began_s = time.process_time()
-                        sonar_map.integrate(image, inputs.map_T_sonar[i], motion)
-                        least_ms[i] = min(least_ms[i], 1e3 * (time.process_time() - began_s))
-                took_ms.append(float(np.median(least_ms)))
-            lines.append(
-                f"| {setting.range_m:g} m, {100 * resolution_m:g} cm, {bound:g} | "
-                f"{took_ms[0]:.0f} ms | {took_ms[1]:.0f} ms | x {took_ms[1] / took_ms[0]:.2f} |"
-            )
-    return "\n".join(lines)
-
-
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--pings", type=int, default=6)
-    parser.add_argument("--out", type=Path, default=Path("out/bench"))
-    said = parser.parse_args()
-    said.out.mkdir(parents=True, exist_ok=True)
-    print(gain_table(2 * said.pings), flush=True)
-    print(cost_table(said.pings, said.out))
+    parser.add_argument("--pings", type=int, default=12)
+    print(gain_table(parser.parse_args().pings))
 
 
 if __name__ == "__main__":

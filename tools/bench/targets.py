@@ -1,120 +1,189 @@
-"""What the project asks of its integrators, and whether a run meets it."""
+"""What the project requires of the evidence grid at 5 cm, and whether a run meets it."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import pairwise
+import statistics
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
-from bench_input import DOWN
+from bench_input import AHEAD, DOWN
 from contenders import (
-    DEFAULT_FIRST,
-    DEFAULT_FULL,
-    EXACT_FIRST,
-    EXACT_FULL,
-    FIRST,
+    BONXAI,
+    GRID_FIRST,
+    GRID_FULL,
+    GRID_FULL_2,
     OCTOMAP,
     OPENVDB,
-    RAYS_FIRST,
+    RAYS_FULL,
+    Contender,
 )
-from measured import Measured, figure, times_faster
-from results import CaseResult, Results
+from results import CaseResult, Measured, figure, p95, times_faster
 
 FINE_M = 0.05
-ORACLE_WORST = 8.6e-5
-"""Largest difference in log-odds of the exact integrator from the oracle of the C++ tests, most of
-it the oracle's own (docs/mapping.md)."""
-MOST_MEDIAN_MS = {10.0: 20.0, 30.0: 40.0}
-LEAST_ERROR_RATIO = 10.0
-MOST_GROWTH = {"exact": 4.5, "default": 3.0}
-NOT_MEASURED = "not measured"
+Measure = Callable[[CaseResult], float | None]
+Corner = tuple[str, float]
+"""Look and range in metres."""
+CORNERS: tuple[Corner, ...] = ((DOWN, 10.0), (AHEAD, 10.0), (DOWN, 30.0), (AHEAD, 30.0))
+RATE_MS = {10.0: 6.25, 30.0: 100.0}
+"""By range: a quarter of the 25 ms between the sonar's pings at 40 Hz; ten pings a second."""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """One figure of each 5 cm case, and its limit.
+
+    Attributes:
+        wish: what is required.
+        measure: the figure; None if it was not measured.
+        limits: by case; empty for a figure that is only reported.
+        at_least: the limit is the least allowed value, otherwise the greatest.
+        unit: follows the figure.
+        asked: the project requires it; otherwise it is for information.
+    """
+
+    wish: str
+    measure: Measure
+    limits: Mapping[Corner, float] = field(default_factory=dict)
+    at_least: bool = True
+    unit: str = "x"
+    asked: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """One wish and what came of it.
+    """A target on one case.
 
     Attributes:
-        asked: the project asks it of itself; otherwise it is there for information.
+        found: None if not measured.
+        limit: None if the target has none for this case.
     """
 
-    wish: str
-    found: str
-    met: bool
-    asked: bool = True
+    target: Target
+    found: float | None
+    limit: float | None
+
+    @property
+    def met(self) -> bool:
+        """Whether the limit is kept; a figure that is missing keeps none."""
+        if self.found is None or self.limit is None:
+            return self.limit is None
+        return self.found >= self.limit if self.target.at_least else self.found <= self.limit
+
+    def __str__(self) -> str:
+        """The figure with its limit; bold where missed."""
+        if self.found is None:
+            return "not measured"
+        found = f"{figure(self.found)}{self.target.unit}"
+        if self.limit is None:
+            return found
+        sign = "≥" if self.target.at_least else "≤"
+        found = found if self.met else f"**{found}**"
+        return f"{found} ({sign} {self.limit:g})"
 
 
-def verdicts(results: Results) -> list[Verdict]:
-    """Judge a run."""
-    fine = [case for case in results.cases if case.resolution_m == FINE_M]
-    found = [verdict for case in fine for verdict in _medians(case)]
-    found += [verdict for case in fine for verdict in _speed(case, "exact", EXACT_FIRST)]
-    found += [verdict for case in fine for verdict in _error(case)]
-    found += _growth(results)
-    return found + [v for case in fine for v in _speed(case, "default bound", DEFAULT_FIRST)]
+def fine_cases(cases: list[CaseResult]) -> list[CaseResult]:
+    """The cases that targets are for."""
+    return [case for case in cases if case.resolution_m == FINE_M]
 
 
-def _medians(case: CaseResult) -> Iterator[Verdict]:
-    """Asked where the sonar looks down, as when the lines were drawn; ahead it is far denser."""
-    most_ms, asked = MOST_MEDIAN_MS[case.range_m], case.look == DOWN
-    ours = (
-        ("default bound, full image (what a vehicle runs)", DEFAULT_FULL),
-        ("default bound, first returns", DEFAULT_FIRST),
-        ("exact, full image", EXACT_FULL),
-        ("exact, first returns", EXACT_FIRST),
-    )
-    for name, contender in ours:
-        case_name = case.name if asked else f"{case.name} (dense seabed)"
-        wish = f"{case_name}: one thread, {name}: median under {most_ms:g} ms"
-        run = case.runs.get(contender)
-        if run:
-            found, met = f"{figure(run.median_ms)} ms", run.median_ms < most_ms
-            yield Verdict(wish, found, met, asked)
-        else:
-            yield Verdict(wish, NOT_MEASURED, met=False, asked=asked)
+def judge(target: Target, case: CaseResult) -> Verdict:
+    """Compare a case's figure with its limit."""
+    return Verdict(target, target.measure(case), target.limits.get((case.look, case.range_m)))
 
 
-def _speed(case: CaseResult, way: str, contender: str) -> Iterator[Verdict]:
-    """One thread of ours against the others, on the same first returns; asked of exact mode."""
-    asked, ours = contender == EXACT_FIRST, case.runs.get(contender)
-    rivals = (
-        ("OctoMap", _runs(case, OCTOMAP.name), 50.0),
-        ("the faster OpenVDB", _runs(case, *(each.name for each in OPENVDB)), 2.0),
-        ("our rays", _runs(case, RAYS_FIRST), 10.0),
-    )
-    for name, runs, least in rivals:
-        wish = f"{case.name}: {way} on first returns at least {least:g}x faster than {name}"
-        if ours and runs:
-            ratio = min(times_faster(ours, run) for run in runs)
-            yield Verdict(wish, f"{figure(ratio)}x", ratio >= least, asked)
-        else:
-            yield Verdict(wish, NOT_MEASURED, met=False, asked=asked)
+def _everywhere(limit: float) -> dict[Corner, float]:
+    return dict.fromkeys(CORNERS, limit)
 
 
-def _runs(case: CaseResult, *names: str) -> list[Measured]:
-    return [case.runs[name] for name in names if name in case.runs]
+def _each(*limits: float) -> dict[Corner, float]:
+    return dict(zip(CORNERS, limits, strict=True))
 
 
-def _error(case: CaseResult) -> Iterator[Verdict]:
-    """The exact integrator's worst error against the mean one of `rays`, where both know."""
-    wish = f"{case.name}: error of exact at least 10x smaller than that of our rays"
-    if not case.accuracy:
-        yield Verdict(wish, NOT_MEASURED, met=False)
-        return
-    rays_error = case.accuracy[FIRST]["rays"].mean_of_shared
-    ratio = rays_error / ORACLE_WORST
-    yield Verdict(
-        wish,
-        f"{ORACLE_WORST:.1e} at worst, {rays_error:.2g} on average where both know: {ratio:.0f}x",
-        ratio >= LEAST_ERROR_RATIO,
-    )
+def _faster_than(ours: Contender, *others: Contender) -> Measure:
+    """Ratio of the medians, to the fastest of the others."""
+
+    def ratio(case: CaseResult) -> float | None:
+        run = case.runs.get(ours.name)
+        rivals = [case.runs[other.name] for other in others if other.name in case.runs]
+        return min((times_faster(run, each) for each in rivals), default=None) if run else None
+
+    return ratio
 
 
-def _growth(results: Results) -> Iterator[Verdict]:
-    for way, most in MOST_GROWTH.items():
-        wish = f"open water, {way}: each doubling of the range costs less than {most:g}x"
-        if way not in results.open_water:
-            yield Verdict(wish, NOT_MEASURED, met=False)
-            continue
-        times_ms = list(results.open_water[way].values())
-        growth = [after / before for before, after in pairwise(times_ms)]
-        found = ", ".join(f"{ratio:.2f}x" for ratio in growth)
-        yield Verdict(wish, found, max(growth) < most)
+def _full_image(figure_of: Callable[[Measured], float | None]) -> Measure:
+    """A figure of one thread on full images."""
+
+    def found(case: CaseResult) -> float | None:
+        run = case.runs.get(GRID_FULL.name)
+        return figure_of(run) if run else None
+
+    return found
+
+
+def _threads(case: CaseResult) -> float | None:
+    one, two = case.runs.get(GRID_FULL.name), case.runs.get(GRID_FULL_2.name)
+    return times_faster(two, one) if one and two else None
+
+
+def _median_moving(run: Measured) -> float | None:
+    return statistics.median(run.moving_ms) if run.moving_ms else None
+
+
+def _p95_moving(run: Measured) -> float | None:
+    return p95(run.moving_ms) if run.moving_ms else None
+
+
+def _at(range_m: float) -> dict[Corner, float]:
+    return {corner: RATE_MS[range_m] for corner in CORNERS if corner[1] == range_m}
+
+
+_FASTER_THAN_RAYS = "full image: faster than our rays"
+_FASTER_THAN_OPENVDB = "first returns: faster than the faster OpenVDB"
+TARGETS = (
+    Target(_FASTER_THAN_RAYS, _faster_than(GRID_FULL, RAYS_FULL), _each(9, 13, 4.5, 3.5)),
+    Target(_FASTER_THAN_OPENVDB, _faster_than(GRID_FIRST, *OPENVDB), _each(3, 3, 1.3, 1.3)),
+    Target(
+        "first returns: faster than OctoMap",
+        _faster_than(GRID_FIRST, OCTOMAP),
+        _each(35, 35, 35, 15),
+    ),
+    Target(
+        "full image, moving: median, a quarter of the time between pings at 40 Hz",
+        _full_image(_median_moving),
+        _at(10.0),
+        at_least=False,
+        unit=" ms",
+    ),
+    Target(
+        "full image, moving: 95th percentile, the time between pings at 10 Hz",
+        _full_image(_p95_moving),
+        _at(30.0),
+        at_least=False,
+        unit=" ms",
+    ),
+    Target(
+        "full image: moving against at rest",
+        _full_image(lambda run: run.motion_ratio),
+        _everywhere(1.15),
+        at_least=False,
+    ),
+    Target("full image: two threads against one", _threads, _everywhere(1.7)),
+    Target(
+        "full image: first ping into an empty map against the median",
+        _full_image(lambda run: run.first_ping_ratio),
+        _everywhere(2.0),
+        at_least=False,
+    ),
+    Target(
+        "full image: bytes a voxel held",
+        _full_image(lambda run: run.bytes_a_held_voxel),
+        _everywhere(4.0),
+        at_least=False,
+        unit="",
+    ),
+    Target(
+        f"{_FASTER_THAN_RAYS}, moonshot",
+        _faster_than(GRID_FULL, RAYS_FULL),
+        _each(18, 26, 9, 7),
+        asked=False,
+    ),
+    Target("first returns: faster than Bonxai", _faster_than(GRID_FIRST, BONXAI), asked=False),
+)

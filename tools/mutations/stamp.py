@@ -45,4 +45,4 @@ def texts_of(test: str, root: Path) -> Iterator[str]:
 
 @cache
 def _cpp_tests(root: Path) -> tuple[str, ...]:
-    return tuple(path.read_text() for path in sorted((root / "cpp" / "test").rglob("test_*.cpp")))
+    return tuple(path.read_text() for path in sorted((root / "cpp").rglob("test_*.cpp")))

@@ -14,7 +14,7 @@ __all__ = ["log_odds"]
 
 Floats = NDArray[np.float64]
 UNIT = 2.0**-24
-"""Of the map's log-odds."""
+"""Of log-odds as the map hands them out; it holds whole multiples of 2^-11."""
 
 OCCUPIED_SHARE = 0.45
 
@@ -34,7 +34,7 @@ def log_odds(updates: int, seed: int = 1) -> Panel:
         "log-odds",
         at,
         (
-            Curve("whole units of 2^-24 (ours)", np.abs(ours - exact), ours=True),
+            Curve("whole units of 2^-11 (ours)", np.abs(ours - exact), ours=True),
             Curve("single precision", np.abs(single - exact), ours=False),
         ),
         "the same rule in double precision",

@@ -9,8 +9,9 @@ from scipy.ndimage import distance_transform_edt
 
 from mapperd.config import Config
 from mapperd.echo import Echo, display_units
+from mapperd.frames import pose_from_rpy
 from mapperd.map_queries import MapQueries
-from mapperd.mapping import SonarMap
+from mapperd.mapping import BLOCK_VOXELS, SonarMap
 from numerical_growth.of_maps import UNIT
 from numerical_growth.place import Measured, Place
 
@@ -18,6 +19,8 @@ __all__ = ["PLACES"]
 
 Floats = NDArray[np.float64]
 POINTS = 200_000
+NOTHING = np.zeros(BLOCK_VOXELS**3)
+"""Log-odds of a block that a map does not have."""
 
 
 def _chance(log_odds: Floats) -> Floats:
@@ -68,17 +71,20 @@ def _intensity() -> Measured:
     return Measured(f"{worst:.1e} of 255", f"a step is off by {step:.0e} log-odds; 8 bit: 0")
 
 
-def _lines() -> Measured:
+def _look_ups() -> Measured:
     """Everything thrice as large gives the same log-odds, but other roundings on the way."""
     first, second = _scaled(1.0), _scaled(3.0)
-    off = np.abs(first - second)
+    keys = first.keys() | second.keys()
+    off = np.array([np.abs(first.get(key, NOTHING) - second.get(key, NOTHING)) for key in keys])
+    seen = sum(np.count_nonzero(log_odds) for log_odds in first.values())
     return Measured(
-        f"{off.max():.1e} log-odds", "the sampling that they serve is off by 0.013 in 1 of 100"
+        f"{off.max():.1e} log-odds",
+        f"{np.count_nonzero(off)} of {seen} voxels take the next point of the grid",
     )
 
 
-def _scaled(scale: float) -> Floats:
-    """Log-odds after one ping of which all lengths are so many times as large."""
+def _scaled(scale: float) -> dict[bytes, Floats]:
+    """Log-odds by block after one ping of which all lengths are so many times as large."""
     default = Config()
     config = msgspec.structs.replace(
         default,
@@ -92,9 +98,11 @@ def _scaled(scale: float) -> Floats:
         row = 60 + int(40 * math.sin(beam / 20))
         image[row : row + 12, beam] = chance.uniform(60, 255, 12)
     sonar_map = SonarMap(config)
-    sonar_map.integrate(Echo(image, bearings, 0.05 * scale), np.eye(4))
-    _, units, counts = sonar_map.core.blocks()
-    return np.asarray(np.where(counts > 0, units, 0) * UNIT)
+    pose = pose_from_rpy((0.0, 0.0, 0.0), (7.0, 11.0, 13.0)).map_T_base
+    sonar_map.integrate(Echo(image, bearings, 0.05 * scale), pose)
+    keys, units, counts = sonar_map.core.blocks()
+    log_odds = np.where(counts > 0, units, 0) * UNIT
+    return {key.tobytes(): block for key, block in zip(keys, log_odds, strict=True)}
 
 
 def _distances() -> Measured:
@@ -125,7 +133,7 @@ def _distances() -> Measured:
 PLACES = (
     Place(
         "`VoxelMap.query`, `voxels`; `.ot` files",
-        "log-odds handed out (stored: whole units of 2^-24)",
+        "log-odds handed out (stored: whole units of 2^-11)",
         _handed_out,
         "the file format's own width; what is stored keeps all its digits",
     ),
@@ -142,11 +150,11 @@ PLACES = (
         "samples of 8 bit are exact; 32-bit ones are divided in double precision first",
     ),
     Place(
-        "`voxel_lines`, `kernels`, `block_evidence`, `fan`",
-        "lines through voxels, weights w(I), parts of a voxel",
-        _lines,
-        "coordinates count from the voxel and not from the map's zero; eight lanes of a vector "
-        "unit instead of four; where digits matter the exact integral is in double precision",
+        "`evidence_grid`, `kernels`, `iwlo`",
+        "shares of a footprint, weights w(I), places of voxels in the grid",
+        _look_ups,
+        "places count from the sonar, and within a cell from its centre; a point of the grid is "
+        "0.3 voxels wide; eight lanes of a vector unit instead of four",
     ),
     Place(
         "`distance_field`, `volume_map`",

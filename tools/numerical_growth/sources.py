@@ -13,8 +13,8 @@ def _in(folder: str, names: str) -> tuple[str, ...]:
 MEASURED: dict[str, tuple[str, ...]] = {
     "`VoxelMap.query`, `voxels`; `.ot` files": _in(
         "cpp/",
-        "include/mapperd/voxel_map.hpp bind/points.hpp bind/map.cpp src/octomap_tree.cpp "
-        "src/octomap_write.cpp",
+        "map/include/mapperd/map/voxel_map.hpp bind/points.hpp bind/map.cpp "
+        "map/src/octomap_tree.cpp map/src/octomap_write.cpp",
     ),
     "`mapping.Voxels`, `map_queries`, the client's mirror, LAS": _in(
         "mapperd/",
@@ -22,12 +22,19 @@ MEASURED: dict[str, tuple[str, ...]] = {
         "export/calibration.py export/las.py export/pcd.py export/ply.py",
     ),
     "`echo`": _in("mapperd/", "echo.py polar_image.py"),
-    "`voxel_lines`, `kernels`, `block_evidence`, `fan`": (
-        *_in("cpp/include/mapperd/", "voxel_lines.hpp kernels.hpp block_evidence.hpp fan.hpp"),
-        *_in("cpp/src/", "voxel_lines.cpp kernels_body.hpp block_evidence.cpp fan.cpp rays.cpp"),
+    "`evidence_grid`, `kernels`, `iwlo`": (
+        *_in("cpp/map/include/mapperd/map/", "evidence_grid.hpp kernels.hpp ping.hpp"),
+        *_in(
+            "cpp/map/src/",
+            "evidence_grid.cpp evidence_integrator.cpp iwlo.cpp kernels_body.hpp rays.cpp",
+        ),
     ),
     "`distance_field`, `volume_map`": (
-        *_in("cpp/", "include/mapperd/distance_field.hpp src/distance_field.cpp bind/queries.cpp"),
+        *_in(
+            "cpp/",
+            "map/include/mapperd/map/distance_field.hpp map/src/distance_field.cpp "
+            "bind/queries.cpp",
+        ),
         "mapperd/localization/volume_map.py",
     ),
     "`likelihood_field`": _in(
@@ -106,7 +113,7 @@ NOT_MEASURED: dict[str, tuple[str, ...]] = {
         "visual.py writer.py",
     ),
     "hands on what other sources made": (
-        "cpp/src/ping_box.cpp",
+        "cpp/map/src/ping_box.cpp",
         "tools/survey/records.py",
         *_in(
             SIMULATOR,

@@ -11,7 +11,14 @@ from mapperd.mapping import BLOCK_VOXELS, BRICK_VOXELS
 from survey.errors import SurveyError
 from survey.spool import Rows
 
-__all__ = ["bytes_of", "edge_for", "edge_within", "ping_bytes", "voxel_bytes_of"]
+__all__ = [
+    "bytes_of",
+    "edge_for",
+    "edge_within",
+    "grid_bytes",
+    "ping_bytes",
+    "voxel_bytes_of",
+]
 
 PROGRAM_BYTES = 300 << 20
 """A worker before it has mapped anything, with one ping, and what Python keeps for itself."""
@@ -19,15 +26,26 @@ PROGRAM_BYTES = 300 << 20
 COPIES = 3
 """Of a tile at the end of its task: the map, its bricks as bytes, and the file's pages."""
 
-VOXEL_BYTES = 6
-"""Of an observed voxel in memory."""
+VOXEL_BYTES = 3.2
+"""Of a voxel that is stored by itself: log-odds of two bytes, a count of one, and its part of what
+the map needs beside them. Tiles are chosen by it."""
 
-EVIDENCE_BYTES = {"projective": 12, "rays": 176}
-"""Of a voxel that a ping changes, as long as it is integrated: `OccupiedVoxel` in
-block_evidence.hpp, and a sample with its place in a table in rays.cpp."""
+MAX_VOXEL_BYTES = 4
+"""The same under a rule that counts beyond 255, without what is beside: pings are bounded by it."""
+
+EVIDENCE_BYTES = {"evidence_grid": 0, "rays": 176}
+"""Of a voxel that a ping changes, as long as it is integrated: a sample with its place in a table
+in rays.cpp. The evidence grid has no list of voxels, see `grid_bytes`."""
 
 BLOCK_BYTES = 1024
 """Of a block that a ping changes, beside its voxels."""
+
+ROW_PITCH, COLUMN_PITCH = 0.27, 0.5
+"""Of the evidence grid, in voxels, at `detail` 1: the finest between rows, the widest between
+columns at the largest range (evidence_grid.cpp)."""
+
+GRID_POINT_BYTES = 1.2
+"""Of a point of the grid: its code, and its part of the tiles' classes."""
 
 DEEP_M = 3.5
 """How thick a layer is taken to be observed, where tiles are chosen: 2.4 m were on a seabed of sand
@@ -56,7 +74,7 @@ def voxel_bytes_of(memory_bytes: int, resolution_m: float) -> int:
     Raises:
         SurveyError: not even a single brick has room in it.
     """
-    brick = VOXEL_BYTES * BRICK_VOXELS**3
+    brick = int(VOXEL_BYTES * BRICK_VOXELS**3)
     most = (memory_bytes - PROGRAM_BYTES) // COPIES
     if most < 2 * brick:
         least = (PROGRAM_BYTES + 2 * brick * COPIES) >> 20
@@ -114,5 +132,27 @@ def ping_bytes(extents: NDArray[np.int64], edge: int, config: Config) -> int:
         config: the settings.
     """
     within = np.clip(extents, 0, edge * BRICK_VOXELS // BLOCK_VOXELS)
-    voxel_bytes = VOXEL_BYTES + EVIDENCE_BYTES[config.mapping.integrator]
-    return int(within.prod(axis=1).max(initial=0)) * (voxel_bytes * BLOCK_VOXELS**3 + BLOCK_BYTES)
+    voxel_bytes = MAX_VOXEL_BYTES + EVIDENCE_BYTES[config.mapping.integrator]
+    blocks = int(within.prod(axis=1).max(initial=0))
+    return blocks * (voxel_bytes * BLOCK_VOXELS**3 + BLOCK_BYTES) + grid_bytes(extents, config)
+
+
+def grid_bytes(extents: NDArray[np.int64], config: Config) -> int:
+    """The most that the evidence grid of one of some pings takes while it is integrated.
+
+    A ping's grid is that of the whole ping, however small the tile. At 30 m, in voxels of 5 cm, it
+    takes some 6 MB. Its range and width are not known here: the box's diagonal and half a turn
+    bound them, so that this is a few times as much.
+
+    Args:
+        extents: (N, 3) of the boxes that the pings may change, in blocks.
+        config: the settings.
+    """
+    if config.mapping.integrator != "evidence_grid":
+        return 0
+    diagonals = np.sqrt(np.square(extents.astype(np.float64)).sum(axis=1))
+    reach = BLOCK_VOXELS * float(diagonals.max(initial=0))
+    rows = config.mapping.detail * reach / ROW_PITCH
+    columns = config.mapping.detail * 2 * reach / COLUMN_PITCH  # sines from -1 to 1
+    planes = 2 if config.mapping.aggregation == "mean" else 1
+    return int(GRID_POINT_BYTES * planes * rows * columns)

@@ -1,108 +1,169 @@
 #include "mapperd/map/block_codec.hpp"
 
 #include <algorithm>
-#include <array>
-#include <memory>
 
 namespace mapperd::map {
 namespace {
 
-enum class Form : std::uint8_t { alike = 1, one_by_one = 2 };
+enum class Form : std::uint8_t {
+  old_alike = 1,
+  old_one_by_one = 2,
+  alike = 3,
+  cells = 4,
+  cells_wide = 5,
+};
 
 constexpr std::size_t kMaskBytes = kBlockVoxels / 8;
+constexpr int kMaxShift = 24;
 
-void encode_alike(const Voxel& voxel, std::string& out) {
-  put(out, static_cast<std::uint8_t>(Form::alike));
-  put(out, voxel.units);
-  put(out, voxel.count);
-}
-
-// Appends the known ones of some numbers; written straight on where all are known.
-template <typename T>
-void encode_known(const std::array<T, kBlockVoxels>& numbers, const DenseVoxels& voxels,
-                  std::size_t known, std::string& out) {
-  const std::size_t begin = out.size();
-  out.resize(begin + known * sizeof(T));
-  char* at = &out[begin];
-  for (std::size_t i = 0; i < numbers.size(); ++i) {
-    if (known != kBlockVoxels && voxels.count[i] == 0) continue;
-    write_number(at, numbers[i]);
-    at += sizeof(T);
+Voxel checked(const ByteReader& bytes, const IwloRule& rule, std::int64_t units, unsigned count) {
+  if (units < rule.min_units() || units > rule.max_units()) {
+    bytes.refuse("log-odds beyond the map's clamps");
   }
-}
-
-void encode_one_by_one(const DenseVoxels& voxels, std::string& out) {
-  put(out, static_cast<std::uint8_t>(Form::one_by_one));
-  std::size_t known = 0;
-  for (std::size_t i = 0; i < kBlockVoxels; i += 8) {
-    unsigned byte = 0;
-    for (unsigned bit = 0; bit < 8; ++bit) {
-      const unsigned is_known = voxels.count[i + bit] != 0 ? 1U : 0U;
-      byte |= is_known << bit;
-      known += is_known;
-    }
-    put(out, static_cast<std::uint8_t>(byte));
-  }
-  encode_known(voxels.units, voxels, known, out);
-  encode_known(voxels.count, voxels, known, out);
-}
-
-std::int32_t checked_units(const ByteReader& bytes, const IwloRule& rule, std::int32_t units) {
-  if (rule.clamped(units) != units) bytes.refuse("log-odds beyond the map's clamps");
-  return units;
-}
-
-std::uint16_t checked_count(const ByteReader& bytes, const IwloRule& rule, std::uint16_t count) {
   if (count == 0) bytes.refuse("an observed voxel with count 0");
   if (count > rule.settled_count()) bytes.refuse("a count beyond the map's settled one");
-  return count;
+  return {static_cast<std::int16_t>(units), static_cast<std::uint16_t>(count)};
 }
 
-Voxel decode_alike(ByteReader& bytes, const IwloRule& rule) {
-  const std::int32_t units = checked_units(bytes, rule, bytes.get<std::int32_t>());
-  return {units, checked_count(bytes, rule, bytes.get<std::uint16_t>())};
-}
-
-void decode_one_by_one(ByteReader& bytes, const IwloRule& rule, DenseVoxels& voxels) {
-  const std::string_view mask = bytes.take(kMaskBytes);
-  bool any = false;
-  for (std::size_t i = 0; i < kBlockVoxels; ++i) {
-    const bool known = (static_cast<unsigned char>(mask[i / 8]) >> i % 8 & 1U) != 0;
-    voxels.units[i] = known ? checked_units(bytes, rule, bytes.get<std::int32_t>()) : 0;
-    voxels.count[i] = known ? 1 : 0;
-    any = any || known;
+// Units of 2^-shift, as those of the rule.
+class Units {
+ public:
+  Units(ByteReader& bytes, const IwloRule& rule) {
+    const int shift = bytes.get<std::uint8_t>();
+    if (shift > kMaxShift) bytes.refuse("log-odds in a unit that no map has");
+    scale_ = std::ldexp(1.0, rule.shift() - shift);
   }
-  if (!any) bytes.refuse("a block without observed voxels");
-  for (std::uint16_t& count : voxels.count) {
-    if (count != 0) count = checked_count(bytes, rule, bytes.get<std::uint16_t>());
+  std::int64_t next(ByteReader& bytes) const {
+    return std::llrint(scale_ * bytes.get<std::int16_t>());
+  }
+
+ private:
+  double scale_ = 1.0;
+};
+
+void decode_old(ByteReader& bytes, const IwloRule& rule, BlockStates& states) {
+  const std::string_view mask = bytes.take(kMaskBytes);
+  std::vector<std::size_t> known;
+  for (std::size_t i = 0; i < kBlockVoxels; ++i) {
+    if ((static_cast<unsigned char>(mask[i / 8]) >> i % 8 & 1U) != 0) known.push_back(i);
+  }
+  if (known.empty()) bytes.refuse("a block without observed voxels");
+  std::vector<std::int64_t> units;
+  for (std::size_t k = 0; k < known.size(); ++k) {
+    units.push_back(rule.units_of_file(bytes.get<std::int32_t>()));
+  }
+  for (std::size_t k = 0; k < known.size(); ++k) {
+    states[known[k]] = checked(bytes, rule, units[k], bytes.get<std::uint16_t>());
+  }
+}
+
+void decode_mixed(ByteReader& bytes, const IwloRule& rule, const Units& shifted, bool wide,
+                  Voxel* states) {
+  std::array<std::int64_t, kCellVoxels> units;
+  for (std::int64_t& each : units) each = shifted.next(bytes);
+  bool any = false;
+  for (int v = 0; v < kCellVoxels; ++v) {
+    const unsigned count = wide ? bytes.get<std::uint16_t>() : bytes.get<std::uint8_t>();
+    const std::int64_t each = units[static_cast<std::size_t>(v)];
+    if (count == 0 && each != 0) bytes.refuse("log-odds of a voxel that was not observed");
+    if (count == 0) continue;
+    states[offset_in_cell(v)] = checked(bytes, rule, each, count);
+    any = true;
+  }
+  if (!any) bytes.refuse("a cell without observed voxels");
+}
+
+void decode_cells(ByteReader& bytes, const IwloRule& rule, bool wide, BlockStates& states) {
+  const Units shifted(bytes, rule);
+  const auto alike = bytes.get<std::uint64_t>();
+  const auto mixed = bytes.get<std::uint64_t>();
+  if ((alike & mixed) != 0) bytes.refuse("a cell in two forms");
+  if ((alike | mixed) == 0) bytes.refuse("a block without observed voxels");
+  for (int cell = 0; cell < kBlockCells; ++cell) {
+    Voxel* const first = &states[static_cast<std::size_t>(offset_of_cell(cell))];
+    if ((mixed & cell_bit(cell)) != 0) decode_mixed(bytes, rule, shifted, wide, first);
+    if ((alike & cell_bit(cell)) == 0) continue;
+    const std::int64_t units = shifted.next(bytes);
+    const Voxel voxel = checked(bytes, rule, units, bytes.get<std::uint16_t>());
+    for (int v = 0; v < kCellVoxels; ++v) first[offset_in_cell(v)] = voxel;
   }
 }
 
 }  // namespace
 
-void encode_block(const Block& block, const IwloRule& rule, std::string& out) {
-  if (!block.is_dense()) return encode_alike(block.voxel(rule, 0), out);
-  DenseVoxels voxels;
-  block.copy_voxels(rule, voxels);
-  const auto differs = [](const auto& numbers) {
-    return std::any_of(numbers.begin(), numbers.end(), [&](auto n) { return n != numbers[0]; });
+void encode_block(const VoxelMap& map, const Block& block, std::string& out) {
+  const IwloRule& rule = map.rule();
+  const auto put_form = [&](Form form) {
+    put(out, static_cast<std::uint8_t>(form));
+    put(out, static_cast<std::uint8_t>(rule.shift()));
   };
-  if (!differs(voxels.units) && !differs(voxels.count)) {
-    return encode_alike({voxels.units[0], voxels.count[0]}, out);
+  DenseVoxels voxels;
+  block.copy_voxels(rule, map.pool(), voxels);
+  CellSet alike = 0, mixed = 0;
+  bool all_alike = true;
+  for (int cell = 0; cell < kBlockCells; ++cell) {
+    const auto first = static_cast<std::size_t>(offset_of_cell(cell));
+    bool known = false, same = true;
+    for (int v = 0; v < kCellVoxels; ++v) {
+      const std::size_t at = first + static_cast<std::size_t>(offset_in_cell(v));
+      known = known || voxels.count[at] != 0;
+      same = same && voxels.count[at] == voxels.count[first] &&
+             voxels.units[at] == voxels.units[first];
+    }
+    all_alike = all_alike && same && voxels.count[first] == voxels.count[0] &&
+                voxels.units[first] == voxels.units[0];
+    if (known) (same ? alike : mixed) |= cell_bit(cell);
   }
-  encode_one_by_one(voxels, out);
+  if (all_alike) {
+    put_form(Form::alike);
+    put(out, voxels.units[0]);
+    put(out, voxels.count[0]);
+    return;
+  }
+  const bool wide = rule.count_bytes() == 2;
+  put_form(wide ? Form::cells_wide : Form::cells);
+  put(out, alike);
+  put(out, mixed);
+  for (int cell = 0; cell < kBlockCells; ++cell) {
+    const auto first = static_cast<std::size_t>(offset_of_cell(cell));
+    if ((alike & cell_bit(cell)) != 0) {
+      put(out, voxels.units[first]);
+      put(out, voxels.count[first]);
+    }
+    if ((mixed & cell_bit(cell)) == 0) continue;
+    for (int v = 0; v < kCellVoxels; ++v) {
+      put(out, voxels.units[first + static_cast<std::size_t>(offset_in_cell(v))]);
+    }
+    for (int v = 0; v < kCellVoxels; ++v) {
+      const std::uint16_t count = voxels.count[first + static_cast<std::size_t>(offset_in_cell(v))];
+      if (wide) {
+        put(out, count);
+      } else {
+        put(out, static_cast<std::uint8_t>(count));
+      }
+    }
+  }
 }
 
-void decode_block(ByteReader& bytes, const IwloRule& rule, Block& block) {
+void decode_block(ByteReader& bytes, const IwloRule& rule, BlockStates& states) {
+  states.fill({});
   switch (static_cast<Form>(bytes.get<std::uint8_t>())) {
-    case Form::alike:
-      return block.fill(decode_alike(bytes, rule));
-    case Form::one_by_one: {
-      DenseVoxels voxels;
-      decode_one_by_one(bytes, rule, voxels);
-      block.open(rule) = voxels;
-      return block.close(rule);
+    case Form::old_alike: {
+      const std::int64_t units = rule.units_of_file(bytes.get<std::int32_t>());
+      states.fill(checked(bytes, rule, units, bytes.get<std::uint16_t>()));
+      return;
     }
+    case Form::old_one_by_one:
+      return decode_old(bytes, rule, states);
+    case Form::alike: {
+      const std::int64_t units = Units(bytes, rule).next(bytes);
+      states.fill(checked(bytes, rule, units, bytes.get<std::uint16_t>()));
+      return;
+    }
+    case Form::cells:
+      return decode_cells(bytes, rule, false, states);
+    case Form::cells_wide:
+      return decode_cells(bytes, rule, true, states);
   }
   bytes.refuse("a block in a form that this version does not know");
 }

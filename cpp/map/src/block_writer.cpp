@@ -3,31 +3,33 @@
 namespace mapperd::map {
 
 Voxel BlockWriter::at(const VoxelIndex& voxel) {
-  const std::size_t offset = enter(voxel);
-  return {voxels_->units[offset], voxels_->count[offset]};
+  const Place at = enter(voxel);
+  return {at.cell.units()[at.voxel], at.cell.count(at.voxel)};
 }
 
 void BlockWriter::set(const VoxelIndex& voxel, const Voxel& state) {
-  const std::size_t offset = enter(voxel);
-  voxels_->units[offset] = state.units;
-  voxels_->count[offset] = state.count;
+  const Place at = enter(voxel);
+  at.cell.units()[at.voxel] = state.units;
+  at.cell.set_count(at.voxel, state.count);
 }
 
-std::size_t BlockWriter::enter(const VoxelIndex& voxel) {
+BlockWriter::Place BlockWriter::enter(const VoxelIndex& voxel) {
   const BlockKey key = block_holding(voxel);
   if (block_ == nullptr || !(block_->key == key)) {
     leave();
-    Block& block = map_.get_or_create(key);
-    voxels_ = &block.open(map_.rule());
-    block_ = &block;
+    block_ = &map_.get_or_create(key);
   }
   const auto local = [](std::int64_t i) { return static_cast<int>(i & (kBlockEdge - 1)); };
-  return static_cast<std::size_t>(voxel_offset(local(voxel.x), local(voxel.y), local(voxel.z)));
+  const CellPlace at = cell_place(voxel_offset(local(voxel.x), local(voxel.y), local(voxel.z)));
+  open_ |= cell_bit(at.cell);
+  return {block_->open(map_.rule(), pool_, at.cell), at.voxel};
 }
 
 void BlockWriter::leave() {
   if (block_ == nullptr) return;
-  block_->close(map_.rule());
+  for (; open_ != 0; open_ &= open_ - 1) {
+    block_->close(map_.rule(), pool_, __builtin_ctzll(open_));
+  }
   block_->revision = map_.next_revision();
   block_ = nullptr;
 }

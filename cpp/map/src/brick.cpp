@@ -24,18 +24,24 @@ Brick encoded(const VoxelMap& map, const BlockKey& key) {
     const Block* block = map.find(block_at(key, place));
     if (block == nullptr) continue;
     brick.revision = std::max(brick.revision, block->revision);
-    if (block->known_count() == 0) continue;
+    if (block->known_count(map.pool()) == 0) continue;
     put(brick.bytes, static_cast<std::uint8_t>(place));
     put(brick.bytes, block->revision);
-    encode_block(*block, map.rule(), brick.bytes);
+    encode_block(map, *block, brick.bytes);
     ++blocks;
   }
   brick.bytes[0] = static_cast<char>(blocks);
   return brick;
 }
 
-std::vector<Block> decoded(const BrickView& brick, const IwloRule& rule) {
-  std::vector<Block> blocks;
+struct DecodedBlock {
+  BlockKey key;
+  std::uint64_t revision = 0;
+  BlockStates states;
+};
+
+std::vector<DecodedBlock> decoded(const BrickView& brick, const IwloRule& rule) {
+  std::vector<DecodedBlock> blocks;
   ByteReader bytes(brick.bytes);
   const int count = bytes.get<std::uint8_t>();
   int last = -1;
@@ -43,10 +49,10 @@ std::vector<Block> decoded(const BrickView& brick, const IwloRule& rule) {
     const int place = bytes.get<std::uint8_t>();
     if (place <= last || place >= kBrickBlocks) bytes.refuse("a block out of order");
     last = place;
-    Block block(block_at(brick.key, place));
+    DecodedBlock block{block_at(brick.key, place), 0, {}};
     if (!in_reach(block.key)) bytes.refuse("a block beyond the map's reach");
     block.revision = bytes.get<std::uint64_t>();
-    decode_block(bytes, rule, block);
+    decode_block(bytes, rule, block.states);
     blocks.push_back(std::move(block));
   }
   if (bytes.left() != 0) bytes.refuse("bytes follow the last block");
@@ -63,9 +69,9 @@ void check_key(const BlockKey& brick) {
   }
 }
 
-void check_resident(const VoxelMap& map, const std::vector<Block>& blocks,
+void check_resident(const VoxelMap& map, const std::vector<DecodedBlock>& blocks,
                     const std::vector<BlockKey>& tiles) {
-  for (const Block& block : blocks) {
+  for (const DecodedBlock& block : blocks) {
     if (map.residency().holds(block.key)) continue;
     const BlockKey tile = map.residency().tile_holding(block.key);
     if (std::find(tiles.begin(), tiles.end(), tile) == tiles.end()) {
@@ -75,9 +81,10 @@ void check_resident(const VoxelMap& map, const std::vector<Block>& blocks,
 }
 
 void forget(VoxelMap& map, const BlockKey& brick) {
+  CellPool::Cache pool(map.pool());
   for (int place = 0; place < kBrickBlocks; ++place) {
     const BlockKey key = block_at(brick, place);
-    if (map.find(key) != nullptr) map.get_or_create(key).fill({});
+    if (Block* const block = map.find(key); block != nullptr) block->clear(map.rule(), pool);
   }
 }
 
@@ -100,19 +107,19 @@ ChangedBricks bricks_since(const VoxelMap& map, std::uint64_t revision) {
 
 void put_bricks(VoxelMap& map, const std::vector<BrickView>& bricks,
                 const std::vector<BlockKey>& tiles) {
-  std::vector<std::vector<Block>> contents;
+  std::vector<std::vector<DecodedBlock>> contents;
   for (const BrickView& brick : bricks) {
     check_key(brick.key);
     contents.push_back(decoded(brick, map.rule()));
   }
   const WriteLock lock(map);
-  for (const std::vector<Block>& blocks : contents) check_resident(map, blocks, tiles);
+  for (const std::vector<DecodedBlock>& blocks : contents) check_resident(map, blocks, tiles);
   for (const BlockKey& tile : tiles) map.residency().add(tile);
   for (std::size_t i = 0; i < bricks.size(); ++i) {
     forget(map, bricks[i].key);
-    for (Block& block : contents[i]) {
+    for (const DecodedBlock& block : contents[i]) {
       map.raise_revision(block.revision);
-      map.get_or_create(block.key) = std::move(block);
+      map.write_block(block.key, block.states).revision = block.revision;
     }
   }
 }

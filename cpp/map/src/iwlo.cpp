@@ -12,6 +12,7 @@ namespace mapperd::map {
 namespace {
 
 constexpr double kMaxCount = 65535.0;
+constexpr double kLargestUnits = 32512;  // 127 in units of 2^-8
 
 void require(bool ok, const std::string& what) {
   if (!ok) throw std::invalid_argument(what);
@@ -48,53 +49,105 @@ double checked_settling_count(const IwloParams& p) {
   return settled;
 }
 
+// Units fine enough for 16 bits to hold the clamps and every step that is not clamped anyway.
+int finest_shift(const IwloParams& p) {
+  const double span = p.L_max - p.L_min;
+  const double largest =
+      std::max({-p.L_min, p.L_max, std::min(p.L_occ, span), std::min(-p.L_free, span)});
+  int shift = 11;
+  while (std::ldexp(largest, shift) > kLargestUnits) --shift;
+  return shift;
+}
+
+std::int16_t q15(double value) {
+  return static_cast<std::int16_t>(std::min<long>(std::lround(value * 32768), kOneQ15));
+}
+
 }  // namespace
 
 IwloRule::IwloRule(const IwloParams& params) : params_(params) {
-  const double settled = checked_settling_count(params);
-  alpha_.reserve(static_cast<std::size_t>(settled) + 1);
-  for (double n = 0; n <= settled; ++n) {
-    alpha_.push_back(std::max(params_.min_alpha, 1.0 / (1.0 + params_.decay_rate * n)));
+  const auto settled = static_cast<std::uint32_t>(checked_settling_count(params));
+  shift_ = finest_shift(params_);
+  const auto whole = [this](double log_odds) { return std::lround(std::ldexp(log_odds, shift_)); };
+  min_units_ = static_cast<std::int16_t>(whole(params_.L_min));
+  max_units_ = static_cast<std::int16_t>(whole(params_.L_max));
+  full_free_ = static_cast<std::int16_t>(whole(std::min(-params_.L_free, params_.L_max - params_.L_min)));
+  least_weight_ = sigmoid(-0.5 * params_.sharpness);
+  largest_weight_ = sigmoid(0.5 * params_.sharpness);
+  code_base_ = full_step(least_weight_);
+  // Codes are shifted by 7 bits before they are multiplied.
+  code_slope_ = static_cast<std::int16_t>(
+      std::lround((full_step(largest_weight_) - code_base_) * 32768.0 /
+                  ((255 - kCodeOccupied) * 128)));
+  min_ratio_ = q15(params_.adaptive_min_ratio);
+  // In single precision, as the kernels compute it for many voxels at once.
+  const auto decay = static_cast<float>(params_.decay_rate);
+  const auto least = static_cast<float>(params_.min_alpha);
+  alpha_.reserve(settled + 1);
+  for (std::uint32_t n = 0; n <= settled; ++n) {
+    const float exact = std::max(least, 1.0F / (1.0F + decay * static_cast<float>(n)));
+    const auto rounded = static_cast<std::int32_t>(exact * 32768.0F + 0.5F);
+    alpha_.push_back(static_cast<std::int16_t>(std::min<std::int32_t>(rounded, kOneQ15)));
   }
-  min_units_ = units_of(params.L_min);
-  max_units_ = units_of(params.L_max);
-  // Free steps are scaled down above p = 1 - adaptive.threshold.
-  const double p = 1.0 - params.adaptive_threshold;
-  const bool scales = params.adaptive_update && params.protect_occupied;
-  const double limit = scales ? (p > 0 ? std::log(p / (1.0 - p)) : -kMaxLogOdds) : kMaxLogOdds;
-  unscaled_up_to_ = units_of(std::clamp(limit, -kMaxLogOdds, kMaxLogOdds));
-  const auto free_units = [this](double a) {
-    return std::llround(params_.L_free * a / kLogOddsUnit);
-  };
-  free_steps_sum_.reserve(alpha_.size() + 1);
-  free_steps_sum_.push_back(0);
-  for (const double a : alpha_) free_steps_sum_.push_back(free_steps_sum_.back() + free_units(a));
-  free_steps_sum_.pop_back();
-  settled_free_step_ = free_units(alpha_.back());
-  one_free_step_ = free_steps(1);
+  fill_scales();
+  free_steps_sum_.reserve(alpha_.size());
+  std::int64_t sum = 0;
+  for (const std::int16_t a : alpha_) {
+    free_steps_sum_.push_back(sum);
+    sum += multiply_q15(full_free_, a);
+  }
+  const std::int64_t settled_step = multiply_q15(full_free_, alpha_.back());
   free_steps_to_floor_ = std::numeric_limits<std::uint32_t>::max();
-  if (settled_free_step_ < 0) {
-    const std::int64_t span = std::int64_t{max_units_} - min_units_;
-    const std::int64_t steps = settled_count() + span / -settled_free_step_ + 1;
-    free_steps_to_floor_ =
-        static_cast<std::uint32_t>(std::min<std::int64_t>(steps, free_steps_to_floor_));
+  if (settled_step > 0) {
+    const std::int64_t steps = settled + (max_units_ - min_units_) / settled_step + 1;
+    free_steps_to_floor_ = static_cast<std::uint32_t>(steps);
   }
 }
 
-IwloRule::FreeSteps IwloRule::free_steps(std::uint32_t times) const {
-  constexpr std::int64_t kMost = 0xFFFFFFFF;  // more than any voxel is above its clamp
-  const auto settled = static_cast<std::uint32_t>(settled_count());
-  FreeSteps steps;
-  steps.down.reserve(settled + 1);
-  steps.count.reserve(settled + 1);
-  for (std::uint32_t count = 0; count <= settled; ++count) {
-    const std::uint32_t learning = std::min(times, settled - count);
-    const std::int64_t sum = free_steps_sum_[count] - free_steps_sum_[count + learning] -
-                             static_cast<std::int64_t>(times - learning) * settled_free_step_;
-    steps.down.push_back(static_cast<std::uint32_t>(std::min(sum, kMost)));
-    steps.count.push_back(count + learning);
+// Free steps are scaled above p = 1 - adaptive.threshold, occupied ones below p = threshold.
+void IwloRule::fill_scales() {
+  unscaled_up_to_ = max_units_;
+  occupied_unscaled_from_ = min_units_;
+  if (!params_.adaptive_update) return;
+  const double threshold = params_.adaptive_threshold;
+  const auto span = static_cast<std::size_t>(max_units_ - min_units_) + 1;
+  occupied_scale_.resize(span, kOneQ15);
+  free_scale_.resize(span, kOneQ15);
+  unscaled_up_to_ = static_cast<std::int16_t>(min_units_ - 1);
+  occupied_unscaled_from_ = static_cast<std::int16_t>(max_units_ + 1);
+  for (std::size_t i = 0; i < span; ++i) {
+    const auto units = static_cast<std::int16_t>(min_units_ + static_cast<std::int32_t>(i));
+    const double p = sigmoid(log_odds(units));
+    const double excess = p - (1.0 - threshold);
+    if (p >= threshold) {
+      occupied_unscaled_from_ = std::min(occupied_unscaled_from_, units);
+    } else {
+      occupied_scale_[i] = q15(p / threshold * params_.adaptive_max_ratio);
+    }
+    if (excess <= 0 || !params_.protect_occupied) {
+      unscaled_up_to_ = units;
+    } else {
+      free_scale_[i] = q15(1.0 - (1.0 - params_.adaptive_max_ratio) * (excess / threshold));
+    }
   }
-  return steps;
+}
+
+RuleTables IwloRule::tables() const {
+  return {alpha_.data(),
+          occupied_scale_.data(),
+          free_scale_.data(),
+          static_cast<float>(params_.decay_rate),
+          static_cast<float>(params_.min_alpha),
+          occupied_unscaled_from_,
+          unscaled_up_to_,
+          min_ratio_,
+          q15(params_.adaptive_max_ratio),
+          code_base_,
+          code_slope_,
+          full_free_,
+          min_units_,
+          max_units_,
+          settled_count()};
 }
 
 void IwloRule::set_intensity_threshold(double intensity) {
@@ -103,12 +156,12 @@ void IwloRule::set_intensity_threshold(double intensity) {
 }
 
 std::size_t IwloRule::memory_bytes() const {
-  return allocated_by(alpha_) + allocated_by(free_steps_sum_) + allocated_by(one_free_step_.down) +
-         allocated_by(one_free_step_.count);
+  return allocated_by(alpha_) + allocated_by(free_steps_sum_) + allocated_by(occupied_scale_) +
+         allocated_by(free_scale_);
 }
 
 double IwloRule::alpha(std::uint16_t count) const {
-  return alpha_[std::min<std::size_t>(count, alpha_.size() - 1)];
+  return std::max(params_.min_alpha, 1.0 / (1.0 + params_.decay_rate * count));
 }
 
 double IwloRule::occupied_weight(double intensity) const {
@@ -142,22 +195,16 @@ double IwloRule::free_step(double log_odds, std::uint16_t count) const {
   return params_.L_free * alpha(count) * scale;
 }
 
-void IwloRule::add(double step, std::int32_t& units, std::uint16_t& count) const {
-  const std::int64_t updated = units + static_cast<std::int64_t>(std::llrint(step / kLogOddsUnit));
-  units = clamped(updated);
-  if (count < settled_count()) ++count;
-}
-
-void IwloRule::add_unscaled_free(std::int32_t& units, std::uint16_t& count,
+void IwloRule::add_unscaled_free(std::int16_t& units, std::uint16_t& count,
                                  std::uint32_t times) const {
-  const auto settled = static_cast<std::uint32_t>(settled_count());
-  const auto before = std::min<std::uint32_t>(count, settled);
-  const std::uint32_t learning = std::min(times, settled - before);
-  const std::int64_t step = free_steps_sum_[before + learning] - free_steps_sum_[before] +
-                            static_cast<std::int64_t>(times - learning) * settled_free_step_;
+  const std::uint32_t settled = settled_count();
+  const std::uint32_t learning = std::min(times, settled - count);
+  const std::int64_t down =
+      free_steps_sum_[count + learning] - free_steps_sum_[count] +
+      std::int64_t{times - learning} * multiply_q15(full_free_, alpha_.back());
   // All steps go down, so that clamping once at the end is clamping at each.
-  units = static_cast<std::int32_t>(std::max<std::int64_t>(units + step, min_units_));
-  count = static_cast<std::uint16_t>(before + learning);
+  units = static_cast<std::int16_t>(std::max<std::int64_t>(units - down, min_units_));
+  count = static_cast<std::uint16_t>(count + learning);
 }
 
 }  // namespace mapperd::map

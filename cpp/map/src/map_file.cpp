@@ -14,7 +14,7 @@ namespace {
 constexpr std::uint32_t kVersion = 1;
 constexpr std::size_t kBegin = kMapFileMagic.size() + sizeof kVersion;
 constexpr std::size_t kChecksumBytes = sizeof(std::uint32_t);
-constexpr std::size_t kLeastBlockBytes = 12 + 1 + 4 + 2;  // key, form, one state
+constexpr std::size_t kLeastBlockBytes = 12 + 2 + 2 + 2;  // key, form and shift, one state
 
 [[noreturn]] void refuse(const std::string& what) {
   throw std::invalid_argument("map file: " + what);
@@ -47,11 +47,12 @@ void check_same_kind(ByteReader& bytes, const VoxelMap& map) {
   }
   const auto low = bytes.get<std::int32_t>();
   const auto high = bytes.get<std::int32_t>();
-  if (low != map.rule().min_units() || high != map.rule().max_units()) {
+  const IwloRule& rule = map.rule();
+  if (rule.units_of_file(low) != rule.min_units() ||
+      rule.units_of_file(high) != rule.max_units()) {
     std::ostringstream what;
     what << "its clamps (L_min, L_max) are " << log_odds_of(low) << " and " << log_odds_of(high)
-         << ", the map's " << log_odds_of(map.rule().min_units()) << " and "
-         << log_odds_of(map.rule().max_units());
+         << ", the map's " << rule.params().L_min << " and " << rule.params().L_max;
     refuse(what.str());
   }
   const auto settled = bytes.get<std::uint16_t>();
@@ -73,11 +74,13 @@ void read_blocks(ByteReader& bytes, VoxelMap& map) {
   const auto count = bytes.get<std::uint64_t>();
   if (count > bytes.left() / kLeastBlockBytes) bytes.refuse("more blocks than bytes for them");
   BlockKey last;
+  BlockStates states;
   for (std::uint64_t i = 0; i < count; ++i) {
     const BlockKey key = next_key(bytes);
     if (i > 0 && !(last < key)) bytes.refuse("blocks out of order");
     if (!in_reach(key)) bytes.refuse("a block beyond the map's reach");
-    decode_block(bytes, map.rule(), map.get_or_create(key));
+    decode_block(bytes, map.rule(), states);
+    map.set_block(key, states);
     last = key;
   }
   if (bytes.left() != 0) bytes.refuse("bytes follow the last block");
@@ -89,8 +92,8 @@ std::string encode_map(const VoxelMap& map) {
   std::string file(kMapFileMagic);
   put(file, kVersion);
   put(file, map.resolution_m());
-  put(file, map.rule().min_units());
-  put(file, map.rule().max_units());
+  put(file, file_units_of(map.rule().params().L_min));
+  put(file, file_units_of(map.rule().params().L_max));
   put(file, map.rule().settled_count());
   const std::size_t count_at = file.size();
   std::uint64_t count = 0;
@@ -98,11 +101,11 @@ std::string encode_map(const VoxelMap& map) {
   {
     const ReadLock lock(map);
     for (const Block* block : map.sorted_blocks()) {
-      if (block->known_count() == 0) continue;
+      if (block->known_count(map.pool()) == 0) continue;
       for (const std::int32_t coordinate : {block->key.x, block->key.y, block->key.z}) {
         put(file, coordinate);
       }
-      encode_block(*block, map.rule(), file);
+      encode_block(map, *block, file);
       ++count;
     }
   }

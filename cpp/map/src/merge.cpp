@@ -1,6 +1,8 @@
 #include "mapperd/map/merge.hpp"
 
 #include <algorithm>
+#include <array>
+#include <cmath>
 #include <cstdint>
 #include <functional>
 #include <optional>
@@ -59,18 +61,19 @@ std::vector<BlockKey> keys_of(const std::vector<const VoxelMap*>& maps) {
 
 // What all maps but one know of one block.
 struct Sum {
-  std::vector<std::int64_t> units;
+  std::vector<std::int64_t> units;  // of files: maps may hold others
   std::vector<std::uint64_t> count;
 
   Sum(const std::vector<const VoxelMap*>& maps, const BlockKey& key)
       : units(kBlockVoxels), count(kBlockVoxels) {
+    DenseVoxels voxels;
     for (const VoxelMap* map : maps) {
       const Block* block = map->find(key);
       if (block == nullptr) continue;
+      block->copy_voxels(map->rule(), map->pool(), voxels);
       for (std::size_t i = 0; i < kBlockVoxels; ++i) {
-        const Voxel voxel = block->voxel(map->rule(), static_cast<int>(i));
-        units[i] += voxel.units;
-        count[i] += voxel.count;
+        units[i] += map->rule().file_units(voxels.units[i]);
+        count[i] += voxels.count[i];
       }
     }
   }
@@ -83,15 +86,16 @@ struct Sum {
 void add_to(VoxelMap& map, const BlockKey& key, const Sum& sum) {
   if (sum.is_nothing()) return;
   const IwloRule& rule = map.rule();
-  Block& block = map.get_or_create(key);
-  DenseVoxels& voxels = block.open(rule);
+  DenseVoxels voxels;
+  map.get_or_create(key).copy_voxels(rule, map.pool(), voxels);
+  std::array<Voxel, kBlockVoxels> states;
   for (std::size_t i = 0; i < kBlockVoxels; ++i) {
-    voxels.units[i] = rule.clamped(voxels.units[i] + sum.units[i]);
-    voxels.count[i] = static_cast<std::uint16_t>(
-        std::min<std::uint64_t>(voxels.count[i] + sum.count[i], rule.settled_count()));
+    const std::int64_t total = rule.file_units(voxels.units[i]) + sum.units[i];
+    const std::uint64_t count = voxels.count[i] + sum.count[i];
+    states[i] = {rule.units(std::ldexp(static_cast<double>(total), -24)),
+                 static_cast<std::uint16_t>(std::min<std::uint64_t>(count, rule.settled_count()))};
   }
-  block.close(rule);
-  block.revision = map.next_revision();
+  map.set_block(key, states);
 }
 
 }  // namespace

@@ -56,7 +56,7 @@ class Filler {
  public:
   explicit Filler(VoxelMap& map) : map_(map) {}
 
-  void add(const OctomapCube& leaf, std::int32_t units) {
+  void add(const OctomapCube& leaf, std::int16_t units) {
     // Once for a leaf within a block, else for each block of the leaf.
     for (std::uint32_t z = 0; z < leaf.edge(); z += kBlock) {
       for (std::uint32_t y = 0; y < leaf.edge(); y += kBlock) {
@@ -87,7 +87,7 @@ class Filler {
   }
 
   // The leaf's voxels in this block: all of them, or the part from its corner on.
-  void set(const OctomapCube& leaf, std::int32_t units) {
+  void set(const OctomapCube& leaf, std::int16_t units) {
     const std::uint32_t edge = std::min(leaf.edge(), kBlock);
     for (std::uint32_t i = 0; i < edge * edge * edge; ++i) {
       const std::uint32_t x = leaf.x % kBlock + i % edge;
@@ -114,11 +114,10 @@ void load_octomap(std::string_view file, VoxelMap& map, std::uint64_t max_voxels
   });
   const WriteLock lock(map);
   map.clear();
-  const IwloParams& iwlo = map.rule().params();
   try {
     Filler filler(map);
     for_each_octomap_leaf(file, header, [&](std::size_t, const OctomapCube& leaf, double log_odds) {
-      filler.add(leaf, units_of(std::clamp(log_odds, iwlo.L_min, iwlo.L_max)));
+      filler.add(leaf, map.rule().units(log_odds));
     });
     filler.flush();
   } catch (...) {

@@ -61,7 +61,7 @@ std::vector<Leaf> sorted_leaves(const VoxelMap& map, const ValueOf& value_of) {
   const double s = map.resolution_m();
   const auto add = [&](const VoxelIndex& voxel, const Voxel& state, int depth) {
     float value = 0.0F;
-    if (state.count == 0 || !value_of(VoxelMap::state_of(state).log_odds, value)) return;
+    if (state.count == 0 || !value_of(map.state_of(state).log_odds, value)) return;
     const std::uint64_t x = key_of(voxel.x, s);
     const std::uint64_t y = key_of(voxel.y, s);
     const std::uint64_t z = key_of(voxel.z, s);
@@ -69,10 +69,13 @@ std::vector<Leaf> sorted_leaves(const VoxelMap& map, const ValueOf& value_of) {
   };
   const ReadLock lock(map);
   for (const Block* block : map.sorted_blocks()) {
-    const bool dense = block->is_dense();
-    for (int i = 0; i < (dense ? kBlockVoxels : 1); ++i) {
-      add(VoxelMap::index_of(block->key, i), block->voxel(map.rule(), i),
-          dense ? kOctomapDepth : kBlockDepth);
+    Voxel voxel;
+    if (block->all_alike(map.rule(), voxel)) {
+      add(VoxelMap::index_of(block->key, 0), voxel, kBlockDepth);
+      continue;
+    }
+    for (int i = 0; i < kBlockVoxels; ++i) {
+      add(VoxelMap::index_of(block->key, i), map.voxel(*block, i), kOctomapDepth);
     }
   }
   std::sort(leaves.begin(), leaves.end(),

@@ -4,8 +4,6 @@
 #include <cmath>
 #include <vector>
 
-#include "mapperd/map/projective.hpp"
-#include "mapperd/map/rays.hpp"
 
 namespace mapperd::map {
 namespace {
@@ -14,7 +12,7 @@ constexpr int kBearings = 16;
 constexpr int kElevations = 4;
 
 // How far the ping says anything: to the end of its last return, unless it carves beyond.
-double said_range_m(const PingImage& image, const FanSettings& settings, const IwloRule& rule) {
+double said_range_m(const PingImage& image, const PingSettings& settings, const IwloRule& rule) {
   if (settings.carve_no_return) return image.max_range_m();
   for (std::size_t row = image.rows; row > 0; --row) {
     const float* const first = image.intensity + (row - 1) * image.beams;
@@ -37,7 +35,7 @@ double moved_m(const PingMotion& motion, double range_m) {
 }  // namespace
 
 std::optional<BlockBox> blocks_of_ping(const VoxelMap& map, const PingImage& image,
-                                       const Transform& map_T_sonar, const FanSettings& settings,
+                                       const Transform& map_T_sonar, const PingSettings& settings,
                                        const PingMotion& motion) {
   check_ping(image, settings);
   check_reach(map, map_T_sonar, image.max_range_m(), motion);
@@ -45,7 +43,8 @@ std::optional<BlockBox> blocks_of_ping(const VoxelMap& map, const PingImage& ima
   if (!(range_m > 0)) return std::nullopt;
   const double block_m = map.resolution_m() * kBlockEdge;
   const BlockPose start = at_transmission(map_T_sonar, motion, block_m);
-  const std::vector<double> edges = beam_edges(image.bearings_rad, image.beams);
+  std::vector<double> edges = beam_edge_sines(image.bearings_rad, image.beams);
+  for (double& edge : edges) edge = std::asin(edge);
   const double bearing_step = (edges.back() - edges.front()) / kBearings;
   const double elevation_step = settings.vertical_aperture_rad / kElevations;
   // Between samples half a step apart a sphere bulges by the square of that over two, each way.

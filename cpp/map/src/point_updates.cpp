@@ -44,8 +44,8 @@ std::vector<std::size_t> by_block(const std::vector<VoxelIndex>& voxels) {
 }
 
 // In whole units. Steps and limits of any size come to no more than the whole span of log-odds.
-std::int64_t whole_units(double log_odds) {
-  return std::llrint(std::clamp(log_odds, -2 * kMaxLogOdds, 2 * kMaxLogOdds) / kLogOddsUnit);
+std::int64_t whole_units(const IwloRule& rule, double log_odds) {
+  return std::llrint(std::clamp(log_odds, -2 * kMaxLogOdds, 2 * kMaxLogOdds) / rule.unit());
 }
 
 // One observation that leaves a voxel at the given log-odds.
@@ -57,9 +57,9 @@ void put(BlockWriter& writer, const IwloRule& rule, const VoxelIndex& voxel, std
 void add_step(BlockWriter& writer, const IwloRule& rule, const VoxelIndex& voxel, double step,
               const StepLimits& limits) {
   const std::int64_t before = writer.at(voxel).units;
-  const std::int64_t sum = before + whole_units(step);
-  const std::int64_t updated = step > 0 ? std::min(sum, std::max(whole_units(limits.high), before))
-                                        : std::max(sum, std::min(whole_units(limits.low), before));
+  const std::int64_t sum = before + whole_units(rule, step);
+  const std::int64_t updated = step > 0 ? std::min(sum, std::max(whole_units(rule, limits.high), before))
+                                        : std::max(sum, std::min(whole_units(rule, limits.low), before));
   put(writer, rule, voxel, updated);
 }
 
@@ -75,13 +75,13 @@ void observe(VoxelMap& map, const ObservedPoints& observed) {
   BlockWriter writer(map);
   for (const std::size_t i : by_block(voxels)) {
     const Voxel before = writer.at(voxels[i]);
-    const double log_odds = log_odds_of(before.units);
+    const double log_odds = rule.log_odds(before.units);
     const double step = observed.occupied[i]
                             ? rule.occupied_step(log_odds, before.count,
                                                  rule.occupied_weight(observed.intensity[i]))
                             : rule.free_step(log_odds, before.count);
     const double factor = observed.step_factor == nullptr ? 1.0 : observed.step_factor[i];
-    put(writer, rule, voxels[i], before.units + whole_units(factor * step));
+    put(writer, rule, voxels[i], before.units + whole_units(rule, factor * step));
   }
 }
 
@@ -102,7 +102,7 @@ void set_log_odds(VoxelMap& map, const Points& points, const double* values) {
   const WriteLock lock(map);
   BlockWriter writer(map);
   for (const std::size_t i : by_block(voxels)) {
-    put(writer, map.rule(), voxels[i], whole_units(values[i]));
+    put(writer, map.rule(), voxels[i], whole_units(map.rule(), values[i]));
   }
 }
 

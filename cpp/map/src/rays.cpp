@@ -5,7 +5,6 @@
 #include <cstdint>
 #include <optional>
 #include <unordered_map>
-#include <unordered_set>
 #include <vector>
 
 #include "mapperd/map/block_writer.hpp"
@@ -165,31 +164,36 @@ class RaySampler {
     PingStats stats;
     const WriteLock lock(map_);
     const std::size_t before = map_.block_count();
-    std::unordered_set<Block*> opened;
+    CellPool::Cache pool(map_.pool());
+    std::unordered_map<Block*, CellSet> opened;
     const std::uint64_t revision = map_.next_revision();
     for (const Sample& sample : samples_) {
       const VoxelIndex& v = sample.voxel;
       const auto local = [](std::int64_t i) { return static_cast<int>(i & (kBlockEdge - 1)); };
       Block& at = map_.get_or_create(block_holding(v));
-      DenseVoxels& voxels = at.open(map_.rule());
-      opened.insert(&at);
-      const auto i = static_cast<std::size_t>(voxel_offset(local(v.x), local(v.y), local(v.z)));
-      update(sample, voxels.units[i], voxels.count[i]);
+      const CellPlace place = cell_place(voxel_offset(local(v.x), local(v.y), local(v.z)));
+      const CellVoxels cell = at.open(map_.rule(), pool, place.cell);
+      opened[&at] |= cell_bit(place.cell);
+      std::uint16_t count = cell.count(place.voxel);
+      update(sample, cell.units()[place.voxel], count);
+      cell.set_count(place.voxel, count);
       ++(sample.occupied ? stats.occupied : stats.free);
     }
-    for (Block* block : opened) {
-      block->close(map_.rule());
+    for (auto& [block, cells] : opened) {
+      for (CellSet left = cells; left != 0; left &= left - 1) {
+        block->close(map_.rule(), pool, __builtin_ctzll(left));
+      }
       block->revision = revision;
     }
     stats.blocks_created = map_.block_count() - before;
     return stats;
   }
 
-  void update(const Sample& sample, std::int32_t& units, std::uint16_t& count) const {
+  void update(const Sample& sample, std::int16_t& units, std::uint16_t& count) const {
     const IwloRule& rule = map_.rule();
     if (!sample.occupied) return rule.add_free(units, count);
-    const double weight = rule.occupied_weight(sample.intensity);
-    rule.add(rule.occupied_step(log_odds_of(units), count, weight), units, count);
+    const std::int16_t full = rule.full_step(rule.occupied_weight(sample.intensity));
+    rule.add(rule.occupied_units(units, count, full), units, count);
   }
 
   VoxelMap& map_;
@@ -207,15 +211,9 @@ class RaySampler {
 
 }  // namespace
 
-Vec3 fan_point(double range_m, double bearing_rad, double elevation_rad) {
-  const double horizontal = range_m * std::cos(elevation_rad);
-  return {horizontal * std::cos(bearing_rad), -horizontal * std::sin(bearing_rad),
-          range_m * std::sin(elevation_rad)};
-}
-
 PingStats integrate_rays(VoxelMap& map, const PingImage& image, const Transform& map_T_sonar,
                          const RaysSettings& settings, const PingMotion& motion) {
-  FanSettings fan;
+  PingSettings fan;
   fan.vertical_aperture_rad = settings.vertical_aperture_rad;
   fan.min_range_m = settings.min_range_m;
   check_ping(image, fan);

@@ -7,16 +7,15 @@ namespace {
 
 DenseBlocks written_out(const VoxelMap& map, const Block* const* blocks, std::size_t count) {
   DenseBlocks dense;
+  DenseVoxels voxels;
   dense.keys.reserve(count);
   dense.units.reserve(count * kBlockVoxels);
   dense.counts.reserve(count * kBlockVoxels);
   for (std::size_t b = 0; b < count; ++b) {
     dense.keys.push_back(blocks[b]->key);
-    for (int i = 0; i < kBlockVoxels; ++i) {
-      const Voxel voxel = blocks[b]->voxel(map.rule(), i);
-      dense.units.push_back(voxel.units);
-      dense.counts.push_back(voxel.count);
-    }
+    blocks[b]->copy_voxels(map.rule(), map.pool(), voxels);
+    for (const std::int16_t units : voxels.units) dense.units.push_back(map.rule().file_units(units));
+    dense.counts.insert(dense.counts.end(), voxels.count.begin(), voxels.count.end());
   }
   return dense;
 }
@@ -25,7 +24,8 @@ DenseBlocks written_out(const VoxelMap& map, const Block* const* blocks, std::si
 
 MapSize size_of(const VoxelMap& map) {
   const ReadLock lock(map);
-  return {map.block_count(), map.known_count(), map.memory_bytes(), map.revision()};
+  return {map.block_count(), map.known_count(), map.held_count(), map.memory_bytes(),
+          map.revision()};
 }
 
 ClassCounts count_classes(const VoxelMap& map, const Thresholds& thresholds) {

@@ -122,7 +122,7 @@ class Extractor {
   }
 
   const DenseVoxels& voxels_of(const Block& block) {
-    if (!held_ || !(held_key_ == block.key)) block.copy_voxels(map_.rule(), voxels_);
+    if (!held_ || !(held_key_ == block.key)) block.copy_voxels(map_.rule(), map_.pool(), voxels_);
     held_ = true;
     held_key_ = block.key;
     return voxels_;
@@ -132,7 +132,7 @@ class Extractor {
   void add_part(const Block* block, const BlockKey& key) {
     if (block == nullptr) return;
     revision_ = block->revision;
-    if (!block->is_dense()) return add_uniform(*block, 0, kStreamEdge);
+    if (Voxel same; block->all_alike(map_.rule(), same)) return add_uniform(same, 0, kStreamEdge);
     const DenseVoxels& voxels = voxels_of(*block);
     const int begin = voxel_offset(kStreamEdge * (key.x & 1), kStreamEdge * (key.y & 1),
                                    kStreamEdge * (key.z & 1));
@@ -154,7 +154,7 @@ class Extractor {
     const int level = view_.level;
     const int edge = kBlockEdge >> level;
     const int begin = edge * (dx + kStreamEdge * (dy + kStreamEdge * dz));
-    if (!block->is_dense()) return add_uniform(*block, begin, edge);
+    if (Voxel same; block->all_alike(map_.rule(), same)) return add_uniform(same, begin, edge);
     const DenseVoxels& voxels = voxels_of(*block);
     std::size_t i = 0;
     for (int z = 0; z < kBlockEdge; ++z) {
@@ -167,8 +167,7 @@ class Extractor {
     }
   }
 
-  void add_uniform(const Block& block, int begin, int edge) {
-    const Voxel voxel = block.voxel(map_.rule(), 0);
+  void add_uniform(const Voxel& voxel, int begin, int edge) {
     for (int z = 0; z < edge; ++z) {
       for (int y = 0; y < edge; ++y) {
         const int row = begin + kStreamEdge * (y + kStreamEdge * z);
@@ -190,7 +189,7 @@ class Extractor {
     for (std::size_t i = 0; i < kStreamCells; ++i) bits_[i] = told_bits(counts_[i]);
     if (view_.detail == StreamDetail::classes) return tell_classes();
     for (std::size_t i = 0; i < kStreamCells; ++i) {
-      const double steps = rounded(log_odds_of(highest_[i]) / view_.log_odds_step);
+      const double steps = rounded(map_.rule().log_odds(static_cast<std::int16_t>(highest_[i])) / view_.log_odds_step);
       const int within = static_cast<int>(std::min(std::max(steps, -127.0), 127.0));
       cells_[i] = counts_[i] != 0 ? on_its_side(i, within) : kStreamUnknown;
     }
@@ -199,7 +198,7 @@ class Extractor {
   // Where no step is on its side, the nearest one stays.
   std::int8_t on_its_side(std::size_t cell, int steps) const {
     int least = -127, most = 127;
-    switch (view_.thresholds.of(VoxelMap::state_of({highest_[cell], counts_[cell]}))) {
+    switch (view_.thresholds.of(map_.state_of({static_cast<std::int16_t>(highest_[cell]), counts_[cell]}))) {
       case Occupancy::occupied:
         least = lowest_occupied_;
         break;
@@ -218,7 +217,7 @@ class Extractor {
   void tell_classes() {
     for (std::size_t i = 0; i < kStreamCells; ++i) {
       if (counts_[i] == 0) continue;
-      const VoxelState state = VoxelMap::state_of({highest_[i], counts_[i]});
+      const VoxelState state = map_.state_of({static_cast<std::int16_t>(highest_[i]), counts_[i]});
       switch (view_.thresholds.of(state)) {
         case Occupancy::occupied:
           cells_[i] = 1;

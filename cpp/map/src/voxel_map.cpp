@@ -48,7 +48,10 @@ bool in_reach(const BlockKey& key) {
 }
 
 VoxelMap::VoxelMap(double resolution_m, const IwloParams& iwlo)
-    : resolution_m_(resolution_m), rule_(iwlo), slots_(kFirstSlots, kEmpty) {
+    : resolution_m_(resolution_m),
+      rule_(iwlo),
+      pool_(rule_.count_bytes()),
+      slots_(kFirstSlots, kEmpty) {
   if (!(std::isfinite(resolution_m) && resolution_m >= 1e-4 && resolution_m <= 1e4)) {
     throw std::invalid_argument("resolution_m must lie between 0.0001 and 10000 m");
   }
@@ -56,13 +59,13 @@ VoxelMap::VoxelMap(double resolution_m, const IwloParams& iwlo)
 
 std::size_t VoxelMap::memory_bytes() const {
   return sizeof(VoxelMap) + rule_.memory_bytes() + allocated_by(slots_) + blocks_.memory_bytes() +
-         residency_.memory_bytes();
+         pool_.memory_bytes() + residency_.memory_bytes();
 }
 
 std::size_t VoxelMap::known_count() const {
   std::size_t count = 0;
   for (std::size_t i = 0; i < blocks_.size(); ++i) {
-    count += static_cast<std::size_t>(blocks_[i].known_count());
+    count += static_cast<std::size_t>(blocks_[i].known_count(pool_));
   }
   return count;
 }
@@ -94,10 +97,27 @@ void VoxelMap::cut_into_tiles(Residency residency) {
 
 void VoxelMap::drop_tiles(const std::vector<BlockKey>& tiles) {
   for (const BlockKey& tile : tiles) residency_.remove(tile);
+  {
+    CellPool::Cache pool(pool_);
+    for (std::size_t i = 0; i < blocks_.size(); ++i) {
+      if (!residency_.holds(blocks_[i].key)) blocks_[i].clear(rule_, pool);
+    }
+  }
   blocks_.keep_if([this](const Block& block) { return residency_.holds(block.key); });
+  if (pool_.is_sparse()) compact();
   std::size_t slots = kFirstSlots;
   while (slots < 2 * blocks_.size()) slots *= 2;
   index_blocks(slots);
+}
+
+// Moves all cells to a pool that holds no more than them.
+void VoxelMap::compact() {
+  CellPool pool(rule_.count_bytes());
+  {
+    CellPool::Cache to(pool);
+    for (std::size_t i = 0; i < blocks_.size(); ++i) blocks_[i].move_cells(pool_, to);
+  }
+  pool_ = std::move(pool);
 }
 
 void VoxelMap::limit_to(const BlockBox& box) {
@@ -107,17 +127,27 @@ void VoxelMap::limit_to(const BlockBox& box) {
 
 Block& VoxelMap::get_or_create(const BlockKey& key) {
   if (!in_reach(key)) throw std::out_of_range("the block lies beyond the map's reach");
-  const std::size_t slot = slot_of(key);
-  if (slots_[slot] != kEmpty) return blocks_[slots_[slot]];
-  if (!residency_.holds(key)) throw std::logic_error("a block in a tile that is not in memory");
+  Block* const found = find(key);
+  return found != nullptr ? *found : insert(Block(key, rule_));
+}
+
+Block& VoxelMap::insert(Block block) {
+  if (!residency_.holds(block.key)) {
+    throw std::logic_error("a block in a tile that is not in memory");
+  }
   if (2 * (blocks_.size() + 1) > slots_.size()) index_blocks(2 * slots_.size());
   // Memory may run out up to here, and the map is as before.
-  Block& block = blocks_.add(key);
-  slots_[slot_of(key)] = static_cast<std::uint32_t>(blocks_.size() - 1);
-  return block;
+  Block& added = blocks_.add(block);
+  slots_[slot_of(block.key)] = static_cast<std::uint32_t>(blocks_.size() - 1);
+  return added;
 }
 
 const Block* VoxelMap::find(const BlockKey& key) const {
+  const std::size_t slot = slot_of(key);
+  return slots_[slot] == kEmpty ? nullptr : &blocks_[slots_[slot]];
+}
+
+Block* VoxelMap::find(const BlockKey& key) {
   const std::size_t slot = slot_of(key);
   return slots_[slot] == kEmpty ? nullptr : &blocks_[slots_[slot]];
 }
@@ -150,41 +180,48 @@ VoxelState VoxelMap::at(const VoxelIndex& voxel) const {
   if (!block_of(voxel, key)) return {};
   const Block* found = find(key);
   if (found == nullptr) return {};
-  return state_of(found->voxel(rule_, offset_of(voxel)));
+  return state_of(this->voxel(*found, offset_of(voxel)));
 }
 
 Voxel VoxelMap::voxel_of(const VoxelState& state) const {
   if (state.count == 0) return {};
-  const double log_odds =
-      std::clamp<double>(state.log_odds, rule_.params().L_min, rule_.params().L_max);
-  return {units_of(log_odds), std::min(state.count, rule_.settled_count())};
+  return {rule_.units(state.log_odds), std::min(state.count, rule_.settled_count())};
 }
 
 void VoxelMap::set(const VoxelIndex& voxel, const VoxelState& state) {
   BlockKey key;
   if (!block_of(voxel, key)) throw std::out_of_range("the voxel lies beyond the map's reach");
   Block& block = get_or_create(key);
-  DenseVoxels& voxels = block.open(rule_);
-  const auto offset = static_cast<std::size_t>(offset_of(voxel));
+  const CellPlace at = cell_place(offset_of(voxel));
   const Voxel updated = voxel_of(state);
-  voxels.units[offset] = updated.units;
-  voxels.count[offset] = updated.count;
-  block.close(rule_);
+  CellPool::Cache pool(pool_);
+  const CellVoxels voxels = block.open(rule_, pool, at.cell);
+  voxels.units()[at.voxel] = updated.units;
+  voxels.set_count(at.voxel, updated.count);
+  block.close(rule_, pool, at.cell);
   block.revision = next_revision();
 }
 
-void VoxelMap::set_block(const BlockKey& key, const std::array<Voxel, kBlockVoxels>& states) {
+void VoxelMap::set_block(const BlockKey& key, const BlockStates& states) {
   const auto observed = [](const Voxel& state) { return state.count != 0; };
   if (std::none_of(states.begin(), states.end(), observed)) return;
+  write_block(key, states).revision = next_revision();
+}
+
+Block& VoxelMap::write_block(const BlockKey& key, const BlockStates& states) {
   Block& block = get_or_create(key);
-  DenseVoxels& voxels = block.open(rule_);
-  for (std::size_t i = 0; i < states.size(); ++i) {
-    if (!observed(states[i])) continue;
-    voxels.units[i] = states[i].units;
-    voxels.count[i] = states[i].count;
+  CellPool::Cache pool(pool_);
+  for (int cell = 0; cell < kBlockCells; ++cell) {
+    const CellVoxels voxels = block.open(rule_, pool, cell);
+    for (int v = 0; v < kCellVoxels; ++v) {
+      const Voxel& state = states[static_cast<std::size_t>(offset_of_cell(cell) + offset_in_cell(v))];
+      if (state.count == 0) continue;
+      voxels.units()[v] = state.units;
+      voxels.set_count(v, state.count);
+    }
+    block.close(rule_, pool, cell);
   }
-  block.close(rule_);
-  block.revision = next_revision();
+  return block;
 }
 
 VoxelIndex VoxelMap::index_of(const BlockKey& key, int offset) {
@@ -208,6 +245,7 @@ void VoxelMap::clear() {
   check_whole();
   std::vector<std::uint32_t> empty(kFirstSlots, kEmpty);
   blocks_ = BlockStore();
+  pool_ = CellPool(rule_.count_bytes());
   slots_.swap(empty);
   replaced_at_ = ++revision_;
 }
@@ -215,6 +253,7 @@ void VoxelMap::clear() {
 void VoxelMap::take_blocks(VoxelMap& other) {
   check_whole();
   std::swap(blocks_, other.blocks_);
+  pool_.swap(other.pool_);
   slots_.swap(other.slots_);
   replaced_at_ = ++revision_;
   for (std::size_t i = 0; i < blocks_.size(); ++i) blocks_[i].revision = revision_;

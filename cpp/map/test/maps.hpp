@@ -42,4 +42,33 @@ inline std::vector<Entry> content(const mapperd::map::VoxelMap& map) {
   return entries;
 }
 
+// One free observation of some cells of a block.
+inline bool see_free(mapperd::map::VoxelMap& map, const mapperd::map::BlockKey& key,
+                     mapperd::map::CellSet cells = mapperd::map::kAllCells) {
+  mapperd::map::CellPool::Cache pool(map.pool());
+  return map.get_or_create(key).add_free(map.rule(), pool, cells);
+}
+
+// Opens every cell of a block and closes it again, after change(offset, units, count) of each voxel.
+template <typename Change>
+void change_block(mapperd::map::VoxelMap& map, const mapperd::map::BlockKey& key,
+                  const Change& change) {
+  mapperd::map::CellPool::Cache pool(map.pool());
+  mapperd::map::Block& block = map.get_or_create(key);
+  for (int cell = 0; cell < mapperd::map::kBlockCells; ++cell) {
+    const mapperd::map::CellVoxels voxels = block.open(map.rule(), pool, cell);
+    for (int v = 0; v < mapperd::map::kCellVoxels; ++v) {
+      std::uint16_t count = voxels.count(v);
+      change(mapperd::map::offset_of_cell(cell) + mapperd::map::offset_in_cell(v),
+             voxels.units()[v], count);
+      voxels.set_count(v, count);
+    }
+    block.close(map.rule(), pool, cell);
+  }
+}
+
+inline void open_and_close(mapperd::map::VoxelMap& map, const mapperd::map::BlockKey& key) {
+  change_block(map, key, [](int, std::int16_t&, std::uint16_t&) {});
+}
+
 }  // namespace maps

@@ -1,60 +1,88 @@
-// The converged oracle: the rule for one ping, evaluated over each voxel's volume by brute force.
+// The oracle: what evidence_grid.hpp defines, by plain sums over rows and beams in double precision.
 //
-// The published mapper's rays, ever finer: thousands of sub-rays through the fan, each walked voxel
-// by voxel, each piece of it weighed with its volume r^2 cos(e) dr de db. Slow and obvious, in
-// double precision, and with nothing of the library in it but the plain data types.
+// Slow and obvious: no grid, no sums kept, nothing of the library in it but the plain data types.
+// A second oracle takes what the definition stands for: parts of a voxel's volume.
 #pragma once
 
-#include <array>
+#include <cstddef>
 #include <cstdint>
-#include <map>
 #include <vector>
 
-#include "mapperd/map/fan.hpp"
-#include "mapperd/map/iwlo.hpp"
 #include "mapperd/common/vec.hpp"
+#include "mapperd/map/iwlo.hpp"
+#include "mapperd/map/ping.hpp"
 
 namespace oracle {
 
-using Voxel = std::array<std::int64_t, 3>;
-
-struct Parts {
-  double occupied = 0.0;  // parts of the voxel's volume
-  double free = 0.0;
-  double weighted = 0.0;  // sum of w(I) over the occupied part
-
-  double weight() const { return weighted / occupied; }
-};
-
-enum class Class { untouched, free, occupied };
-
 struct Settings {
-  double resolution_m = 0.1;
-  mapperd::map::FanSettings fan;
+  double edge_m = 0.1;  // of a voxel
+  mapperd::map::PingSettings ping;
   mapperd::map::IwloParams iwlo;
-  // Across one voxel at the maximum range. The error falls with the square of it: at 250 the
-  // oracle itself is good to some 4e-5 in log-odds.
-  int rays_per_voxel = 250;
 };
+
+struct Evidence {
+  double returns = 0.0;   // N, F and W: parts of the footprint, or of the voxel
+  double free = 0.0;
+  double weighted = 0.0;
+
+  double weight() const { return weighted / returns; }
+};
+
+enum class Class { nothing, free, occupied };
+
+Class class_of(const Evidence& evidence);
+
+// How near the part that decides the class lies to its limit.
+double distance_to_limit(const Evidence& evidence);
 
 double weight_of(double intensity, const mapperd::map::IwloParams& params);
-// In radians, half way between beams in sine.
-std::vector<double> edges_of(const mapperd::map::PingImage& image);
 
-std::map<Voxel, Parts> parts_of_ping(const mapperd::map::PingImage& image,
-                                     const mapperd::Transform& map_T_sonar,
-                                     const Settings& settings);
+// What the footprint's width is measured in. Where all beams are as wide in sine both are the same;
+// elsewhere the grid, whose columns are parts of beams, counts beams within a footprint alike.
+enum class Measure { sine, beams };
 
-Class class_of(const Parts& parts);
+class PingOracle {
+ public:
+  PingOracle(const mapperd::map::PingImage& image, const Settings& settings,
+             Measure measure = Measure::sine);
 
-// How near the part that decides the class lies to its limit, as a part of the volume.
-double distance_to_limit(const Parts& parts);
+  Evidence at(double range_m, double sine) const;
+  // The same at a point of the sonar's frame, if the aperture lets it be.
+  Evidence at(const mapperd::Vec3& in_sonar) const;
 
+  // In voxel edges, positive inside the aperture's faces.
+  double inside_aperture(const mapperd::Vec3& in_sonar) const;
+  static double sine_of(const mapperd::Vec3& in_sonar);
+
+  // In beams, from the first one's outer edge on; and the way back.
+  double place_of(double sine) const;
+  double sine_at(double place) const;
+  // Half a footprint, in beams.
+  double half_width(double range_m, double sine) const;
+
+  // Of a cube of the sonar's frame, turned by a pose: n x n x n points, each anywhere in its part.
+  Evidence volume(const mapperd::Vec3& centre, const mapperd::Transform& map_T_sonar, int n,
+                  std::uint64_t seed) const;
+
+ private:
+  bool is_return(std::size_t row, std::size_t beam) const;
+  double mean_width(double sine) const;  // of the beams in the group of eight around it
+  double cosine(double sine) const;      // of the group's middle
+  std::size_t beam_at(double sine) const;
+
+  mapperd::map::PingImage image_;
+  Settings settings_;
+  Measure measure_;
+  std::vector<double> edges_;      // sines
+  std::vector<double> free_end_m_;  // by beam; no more than min_range where nothing is free
+};
+
+// Clamped, and never rounded.
 struct State {
   double log_odds = 0.0;
   int count = 0;
 };
 
-void update(State& state, const Parts& parts, const Settings& settings);
+void update(State& state, const Evidence& evidence, const Settings& settings);
 
 }  // namespace oracle

@@ -1,12 +1,9 @@
-// The oracle of a sonar that moves: every sample of a voxel is looked for in the ping with the
-// sonar's own poses, at transmission and when the sample's echo is back.
-//
-// Nothing in it is to first order: the range is found by going to and fro between pose and time,
-// and the volume is sampled along many lines, each followed from crossing to crossing by bisection.
+// A sonar that moves, by its own poses at transmission and when an echo is back: nothing in it is to
+// first order. The range is found by going to and fro between pose and time.
 #pragma once
 
+#include "mapperd/common/vec.hpp"
 #include "mapperd/map/ping_motion.hpp"
-#include "oracle.hpp"
 
 namespace oracle {
 
@@ -33,9 +30,5 @@ class Track {
   mapperd::Transform pose_;
   mapperd::map::PingMotion motion_;
 };
-
-// Of one voxel.
-Parts parts_of_voxel(const mapperd::map::PingImage& image, const Track& track, const Settings& settings,
-                     const Voxel& voxel);
 
 }  // namespace oracle

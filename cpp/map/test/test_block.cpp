@@ -1,127 +1,193 @@
 // Blocks: however the content is held, it is the same to the bit.
+#include <algorithm>
+#include <cstdint>
 #include <vector>
 
 #include "check.hpp"
+#include "maps.hpp"
 #include "mapperd/map/block.hpp"
+#include "rules.hpp"
 #include "scenes.hpp"
 
 namespace {
 
 using mapperd::map::Block;
+using mapperd::map::CellPool;
+using mapperd::map::cell_bit;
+using mapperd::map::CellSet;
 using mapperd::map::IwloParams;
 using mapperd::map::IwloRule;
+using mapperd::map::kAllCells;
+using mapperd::map::kBlockCells;
+using mapperd::map::kBlockVoxels;
+using mapperd::map::kCellVoxels;
 using mapperd::map::Voxel;
+using mapperd::map::VoxelMap;
 
-// The same block, every voxel on its own.
-class Plain {
+int cell_of(int offset) { return mapperd::map::cell_place(offset).cell; }
+
+// A block, and the same block with every voxel on its own.
+class Pair {
  public:
-  explicit Plain(const IwloRule& rule) : voxels(mapperd::map::kBlockVoxels), rule_(rule) {}
-  void free_everywhere() {
-    for (Voxel& voxel : voxels) rule_.add_free(voxel.units, voxel.count);
+  explicit Pair(const IwloParams& params)
+      : rule_(params), pool_(rule_.count_bytes()), block_({}, rule_), plain_(kBlockVoxels) {}
+
+  void free(CellSet cells) {
+    CellPool::Cache cache(pool_);
+    const std::vector<Voxel> before = plain_;
+    for (int i = 0; i < kBlockVoxels; ++i) {
+      Voxel& voxel = plain_[static_cast<std::size_t>(i)];
+      if ((cells & cell_bit(cell_of(i))) != 0) rule_.add_free(voxel.units, voxel.count);
+    }
+    const bool changed = block_.add_free(rule_, cache, cells);
+    if (before != plain_) CHECK(changed);
   }
-  std::vector<Voxel> voxels;
+
+  // Opens a cell, as a ping with a surface in it does.
+  template <typename Change>  // void(Voxel&)
+  void change(int cell, int voxel, const Change& change_voxel) {
+    CellPool::Cache cache(pool_);
+    const mapperd::map::CellVoxels voxels = block_.open(rule_, cache, cell);
+    Voxel changed{voxels.units()[voxel], voxels.count(voxel)};
+    change_voxel(changed);
+    voxels.units()[voxel] = changed.units;
+    voxels.set_count(voxel, changed.count);
+    block_.close(rule_, cache, cell);
+    const int at = mapperd::map::offset_of_cell(cell) + mapperd::map::offset_in_cell(voxel);
+    change_voxel(plain_[static_cast<std::size_t>(at)]);
+  }
+
+  void compare() const {
+    mapperd::map::DenseVoxels dense;
+    block_.copy_voxels(rule_, pool_, dense);
+    int known = 0;
+    bool equal = true;
+    CellSet same = kAllCells;
+    for (int i = 0; i < kBlockVoxels; ++i) {
+      const auto at = static_cast<std::size_t>(i);
+      equal = equal && block_.voxel(rule_, pool_, i) == plain_[at] &&
+              Voxel{dense.units[at], dense.count[at]} == plain_[at];
+      known += plain_[at].count > 0 ? 1 : 0;
+      const auto first = static_cast<std::size_t>(mapperd::map::offset_of_cell(cell_of(i)));
+      if (!(plain_[first] == plain_[at])) same &= ~cell_bit(cell_of(i));
+    }
+    CHECK(equal);
+    CHECK(block_.known_count(pool_) == known);
+    CHECK((block_.held() | same) == kAllCells);
+    Voxel one;
+    const bool all_alike = std::count(plain_.begin(), plain_.end(), plain_[0]) == kBlockVoxels;
+    CHECK(!block_.all_alike(rule_, one) || (all_alike && one == plain_[0]));
+    for (int cell = 0; cell < kBlockCells; ++cell) {
+      const auto first = static_cast<std::size_t>(mapperd::map::offset_of_cell(cell));
+      if (!block_.is_held(cell)) CHECK(block_.alike(rule_, cell) == plain_[first]);
+      if ((block_.at_floor() & cell_bit(cell)) == 0) continue;
+      CHECK((plain_[first] == Voxel{rule_.min_units(), rule_.settled_count()}));
+    }
+    CHECK(pool_.in_use() == static_cast<std::size_t>(__builtin_popcountll(block_.held())));
+  }
+
+  const IwloRule& rule() const { return rule_; }
+  const Block& block() const { return block_; }
 
  private:
-  const IwloRule& rule_;
+  IwloRule rule_;
+  CellPool pool_;
+  Block block_;
+  std::vector<Voxel> plain_;
 };
 
-void check_equal(const Block& block, const Plain& plain, const IwloRule& rule) {
-  for (int i = 0; i < mapperd::map::kBlockVoxels; ++i) {
-    const Voxel a = block.voxel(rule, i);
-    const Voxel& b = plain.voxels[static_cast<std::size_t>(i)];
-    CHECK(a.units == b.units && a.count == b.count);
+CellSet random_cells(scenes::Random& random) {
+  CellSet cells = 0;
+  for (int cell = 0; cell < kBlockCells; ++cell) {
+    if (random.integer(0, 2) == 0) cells |= cell_bit(cell);
   }
+  const int kind = random.integer(0, 3);
+  return kind == 0 ? 0 : kind < 3 ? kAllCells : cells;
 }
 
-void run_random_updates(const IwloParams& params, std::uint64_t seed) {
-  const IwloRule rule(params);
-  scenes::Random random(seed);
-  Block block({0, 0, 0});
-  Plain plain(rule);
-  for (int ping = 0; ping < 400; ++ping) {
-    if (random.uniform(0, 1) < 0.8) {
-      block.add_free_everywhere(rule);
-      plain.free_everywhere();
-    } else {
-      auto& voxels = block.open(rule);
-      const int updates = random.integer(1, 40);
-      for (int i = 0; i < updates; ++i) {
-        const auto at = static_cast<std::size_t>(random.integer(0, mapperd::map::kBlockVoxels - 1));
+TEST_CASE("pending, opened and uniform cells hold the same bits as plain voxels") {
+  std::uint64_t seed = 0;
+  for (const IwloParams& params : rules::extreme()) {
+    scenes::Random random(++seed);
+    Pair pair(params);
+    const IwloRule& rule = pair.rule();
+    const int span = rule.max_units() - rule.min_units();
+    for (int ping = 0; ping < (check::sanitized() ? 150 : 600); ++ping) {
+      const int kind = random.integer(0, 9);
+      if (kind < 7) pair.free(random_cells(random));
+      for (int i = 0; kind >= 7 && i < 20; ++i) {
         // Far enough up, at times, that free steps are scaled and may not be kept pending.
-        const double step = random.uniform(-1, 25);
-        rule.add(step, voxels.units[at], voxels.count[at]);
-        rule.add(step, plain.voxels[at].units, plain.voxels[at].count);
+        const int step = random.integer(-20, kind == 9 ? span : span / 50);
+        pair.change(random.integer(0, kBlockCells - 1), random.integer(0, kCellVoxels - 1),
+                    [&](Voxel& voxel) { rule.add(step, voxel.units, voxel.count); });
       }
-      block.close(rule);
+      if (ping % 7 == 0) pair.compare();
     }
-    if (ping % 3 == 0) check_equal(block, plain, rule);
+    for (int i = 0; i < 300; ++i) pair.free(kAllCells);  // more than are counted
+    pair.compare();
   }
-  check_equal(block, plain, rule);
 }
 
-TEST_CASE("pending, opened and uniform blocks hold the same bits as plain voxels") {
-  IwloParams params;
-  run_random_updates(params, 1);
-  params.adaptive_threshold = 0.3;
-  run_random_updates(params, 2);
-  params.adaptive_threshold = 0.8;
-  run_random_updates(params, 3);
-  params.adaptive_threshold = 1.0;
-  run_random_updates(params, 4);
-  params.adaptive_update = false;
-  run_random_updates(params, 5);
-  params = {};
-  params.decay_rate = 0;
-  run_random_updates(params, 6);
+TEST_CASE("a cell that comes down from where steps are scaled takes one step a ping") {
+  Pair pair({});
+  for (int cell = 0; cell < kBlockCells; ++cell) {
+    for (int v = 0; v < kCellVoxels; ++v) {  // alike in some cells, in others not
+      pair.change(cell, v, [&](Voxel& voxel) {
+        voxel = {static_cast<std::int16_t>(100 * cell + cell % 2 * v), 3};
+      });
+    }
+  }
+  for (int i = 0; i < 40; ++i) {
+    pair.free(kAllCells);
+    pair.compare();
+  }
 }
 
-TEST_CASE("free space costs one state a block, and a settled one does not change") {
-  const IwloRule rule{IwloParams{}};
-  Block block({0, 0, 0});
-  for (int i = 0; i < 90; ++i) CHECK(block.add_free_everywhere(rule));
-  CHECK(!block.is_dense());
-  CHECK(block.memory_bytes() < 100);
-  CHECK(!block.add_free_everywhere(rule));
+TEST_CASE("free space costs one state a cell, and a settled one does not change") {
+  VoxelMap map(0.1, {});
+  const std::uint32_t steps = map.rule().free_steps_to_floor();
+  CHECK(steps > 90 && steps < 200);
+  for (std::uint32_t i = 0; i < 300; ++i) CHECK(maps::see_free(map, {}) == (i < steps));
+  const Block& block = *map.find({});
+  CHECK(block.held() == 0 && map.held_count() == 0);
+  CHECK(block.at_floor() == kAllCells);
+  CHECK((block.alike(map.rule(), 9) == Voxel{map.rule().min_units(), map.rule().settled_count()}));
 }
 
-TEST_CASE("a block that ends up free throughout gives its memory back") {
-  const IwloRule rule{IwloParams{}};
-  Block block({0, 0, 0});
-  auto& voxels = block.open(rule);
-  rule.add(0.5, voxels.units[77], voxels.count[77]);
-  block.close(rule);
-  CHECK(block.is_dense());
-  bool changed = true;
-  for (int i = 0; i < 200 && changed; ++i) changed = block.add_free_everywhere(rule);
-  CHECK(!changed);
-  CHECK(!block.is_dense() && block.memory_bytes() < 100);
-  CHECK(block.voxel(rule, 77).units == rule.min_units());
-  CHECK(block.voxel(rule, 77).count == rule.settled_count());
-}
-
-TEST_CASE("free steps that are pending have observed every voxel") {
-  const IwloRule rule{IwloParams{}};
-  Block block({0, 0, 0});
-  auto& voxels = block.open(rule);
-  rule.add_free(voxels.units[77], voxels.count[77]);
-  block.close(rule);
-  CHECK(block.known_count() == 1);
-  block.add_free_everywhere(rule);
-  CHECK(block.is_dense() && block.known_count() == mapperd::map::kBlockVoxels);
+TEST_CASE("a cell that ends up free throughout gives its memory back") {
+  VoxelMap map(0.1, {});
+  map.set({5, 0, 0}, {0.5F, 1});
+  CHECK(map.held_count() == kCellVoxels);
+  for (int i = 0; i < 300; ++i) maps::see_free(map, {});
+  CHECK(map.held_count() == 0 && !maps::see_free(map, {}));
+  CHECK(map.at(mapperd::map::VoxelIndex{5, 0, 0}).log_odds == -10.0F);
 }
 
 TEST_CASE("where free steps say nothing, a block is only counted, for ever") {
   IwloParams params;
   params.L_free = 0.0;
-  const IwloRule rule(params);
-  Block block({0, 0, 0});
-  auto& voxels = block.open(rule);
-  rule.add(-0.5, voxels.units[77], voxels.count[77]);
-  block.close(rule);
-  for (int i = 0; i < 1000000; ++i) block.add_free_everywhere(rule);
-  CHECK(block.is_dense());
-  CHECK(block.voxel(rule, 77).units == mapperd::map::units_of(-0.5));
-  CHECK(block.voxel(rule, 0).units == 0 && block.voxel(rule, 0).count == rule.settled_count());
+  VoxelMap map(0.1, params);
+  map.set({5, 0, 0}, {-0.5F, 1});
+  for (int i = 0; i < 1000000; ++i) maps::see_free(map, {});
+  CHECK(map.held_count() == kCellVoxels);
+  CHECK(map.at(mapperd::map::VoxelIndex{5, 0, 0}).log_odds == -0.5F);
+  CHECK(map.at(mapperd::map::VoxelIndex{5, 0, 0}).count == map.rule().settled_count());
+  CHECK(map.at(mapperd::map::VoxelIndex{0, 0, 0}).count == map.rule().settled_count());
+}
+
+TEST_CASE("slots that were given back are taken again before the pool grows") {
+  VoxelMap map(0.1, {});
+  for (int i = 0; i < 64; ++i) map.set({16 * i, 0, 0}, {1.0F, 1});
+  const std::size_t bytes = map.pool().memory_bytes();
+  for (int round = 0; round < 50; ++round) {
+    CellPool::Cache pool(map.pool());
+    for (int i = 0; i < 64; ++i) map.get_or_create({i, 0, 0}).clear(map.rule(), pool);
+    CHECK(map.pool().in_use() <= 64);
+    for (int i = 0; i < 64; ++i) pool.give_back(pool.take());
+    CHECK(map.known_count() == 0);
+  }
+  for (int i = 0; i < 64; ++i) map.set({16 * i, 0, 0}, {1.0F, 1});
+  CHECK(map.pool().memory_bytes() <= bytes + 2048 && map.held_count() == 64U * kCellVoxels);
 }
 
 }  // namespace

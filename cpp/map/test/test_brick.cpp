@@ -8,11 +8,11 @@
 #include <vector>
 
 #include "check.hpp"
-#include "far_scenes.hpp"
+#include "scenes.hpp"
 #include "mapperd/map/brick.hpp"
 #include "mapperd/map/bytes.hpp"
 #include "mapperd/map/map_file.hpp"
-#include "mapperd/map/projective.hpp"
+#include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/rays.hpp"
 #include "maps.hpp"
 
@@ -96,10 +96,10 @@ void check_paged(const Integrate& integrate) {
 }
 
 TEST_CASE("a map that fits into memory tile by tile only is the same, to the bit") {
-  mapperd::map::FanSettings settings;
+  mapperd::map::PingSettings settings;
   settings.vertical_aperture_rad = 0.5;
   check_paged([&](VoxelMap& map, const Shot& shot) {
-    integrate_projective(map, shot.ping.image(), shot.pose, settings);
+    integrate_evidence_grid(map, shot.ping.image(), shot.pose, settings);
   });
   check_paged([](VoxelMap& map, const Shot& shot) {
     mapperd::map::RaysSettings rays;
@@ -116,9 +116,9 @@ TEST_CASE("a ping whose tiles cannot be fetched leaves the map alone") {
                         asked = static_cast<int>(tiles.size());
                         throw std::runtime_error("the disk is gone");
                       }});
-  mapperd::map::FanSettings settings;
+  mapperd::map::PingSettings settings;
   settings.vertical_aperture_rad = 0.5;
-  CHECK_THROWS(integrate_projective(map, shot.ping.image(), shot.pose, settings),
+  CHECK_THROWS(integrate_evidence_grid(map, shot.ping.image(), shot.pose, settings),
                std::runtime_error);
   CHECK(asked > 0 && map.block_count() == 0 && map.revision() == 0);
 }
@@ -193,7 +193,7 @@ TEST_CASE("dropping tiles finds the others again, wherever they were held") {
   CHECK(map.block_count() == tiles.size() - even.size());
   for (const BlockKey& tile : tiles) {
     CHECK((map.find(tile) != nullptr) == (tile.x % 2 != 0));
-    CHECK(map.find(tile) == nullptr || map.find(tile)->known_count() == 1);
+    CHECK(map.find(tile) == nullptr || map.find(tile)->known_count(map.pool()) == 1);
   }
 }
 

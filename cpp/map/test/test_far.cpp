@@ -7,7 +7,7 @@
 #include "check.hpp"
 #include "mapperd/map/distance_field.hpp"
 #include "mapperd/map/point_updates.hpp"
-#include "mapperd/map/projective.hpp"
+#include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/queries.hpp"
 #include "mapperd/map/rays.hpp"
 #include "mapperd/map/snapshot.hpp"
@@ -62,7 +62,7 @@ void check_equal_but_shifted(const VoxelMap& near, const VoxelMap& far, const Sh
 }
 
 void project(VoxelMap& map, const mapperd::map::PingImage& image, const Transform& pose) {
-  integrate_projective(map, image, pose, {});
+  integrate_evidence_grid(map, image, pose, {});
 }
 
 TEST_CASE("pings ten thousand kilometres away make the same blocks, projected") {
@@ -127,7 +127,7 @@ TEST_CASE(
       const scenes::Ping ping = scenes::random_ping(random);
       Transform pose = scenes::random_pose(random);
       pose.translation = {0.03 + shift_m, -0.02, 0.01};
-      integrate_projective(map, ping.image(), pose, {});
+      integrate_evidence_grid(map, ping.image(), pose, {});
     }
     return voxels_between(map, -200, 200);
   };
@@ -166,7 +166,7 @@ TEST_CASE("a pose that would overflow is refused and the map is as before") {
       (axis == 0 ? pose.translation.x : axis == 1 ? pose.translation.y : pose.translation.z) = at;
       const std::string because = std::isfinite(at) ? "beyond the map's reach" : "is not finite";
       const std::string projected =
-          refusal_of([&] { integrate_projective(map, ping.image(), pose, {}); });
+          refusal_of([&] { integrate_evidence_grid(map, ping.image(), pose, {}); });
       const std::string sampled = refusal_of([&] { integrate_rays(map, ping.image(), pose, {}); });
       CHECK(projected.find(because) != std::string::npos);
       CHECK(sampled == projected);
@@ -175,7 +175,7 @@ TEST_CASE("a pose that would overflow is refused and the map is as before") {
   for (const double bad : {nan, infinity, 0.0, 2.0}) {
     Transform pose;
     pose.rows[1].y = bad;
-    CHECK(!refusal_of([&] { integrate_projective(map, ping.image(), pose, {}); }).empty());
+    CHECK(!refusal_of([&] { integrate_evidence_grid(map, ping.image(), pose, {}); }).empty());
     CHECK(!refusal_of([&] { integrate_rays(map, ping.image(), pose, {}); }).empty());
   }
   const auto after = dense_blocks(map, 0, map.block_count());
@@ -192,7 +192,7 @@ TEST_CASE("the last poses and keys inside the reach are taken") {
     VoxelMap map(kResolution, {});
     Transform pose = scenes::rotation_zyx(side > 0 ? 0.0 : 3.14159, 0, 0);
     pose.translation = {side * last, side * last, side * last};
-    integrate_projective(map, ping.image(), pose, {});
+    integrate_evidence_grid(map, ping.image(), pose, {});
     integrate_rays(map, ping.image(), pose, {});
     CHECK(map.known_count() > 100);
     CHECK(map.at(pose.apply({1.0, 0, 0})).count > 0);

@@ -6,12 +6,13 @@
 
 #include "check.hpp"
 #include "mapperd/map/distance_field.hpp"
+#include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/map_file.hpp"
 #include "mapperd/map/merge.hpp"
-#include "mapperd/map/projective.hpp"
 #include "mapperd/map/queries.hpp"
 #include "mapperd/map/rays.hpp"
 #include "mapperd/map/snapshot.hpp"
+#include "maps.hpp"
 #include "scenes.hpp"
 
 namespace {
@@ -27,8 +28,8 @@ struct Shot {
   Transform pose;
 };
 
-mapperd::map::FanSettings wide() {
-  mapperd::map::FanSettings settings;
+mapperd::map::PingSettings wide() {
+  mapperd::map::PingSettings settings;
   settings.vertical_aperture_rad = 1.2;
   return settings;
 }
@@ -56,15 +57,13 @@ std::vector<Shot> shots() {
   return all;
 }
 
-void integrate(VoxelMap& map, const Shot& shot, const mapperd::map::FanSettings& settings = wide()) {
-  integrate_projective(map, shot.ping.image(), shot.pose, settings);
+void integrate(VoxelMap& map, const Shot& shot, const mapperd::map::PingSettings& settings = wide()) {
+  integrate_evidence_grid(map, shot.ping.image(), shot.pose, settings);
 }
 
 void open_and_close_all(VoxelMap& map) {
   for (const mapperd::map::BlockKey& key : dense_blocks(map, 0, map.block_count()).keys) {
-    mapperd::map::Block& block = map.get_or_create(key);
-    block.open(map.rule());
-    block.close(map.rule());
+    maps::open_and_close(map, key);
   }
 }
 
@@ -80,7 +79,7 @@ void ask_everything(const VoxelMap& map) {
 
 bool equal(const VoxelMap& a, const VoxelMap& b) { return encode_map(a) == encode_map(b); }
 
-void check_pending(const mapperd::map::FanSettings& settings) {
+void check_pending(const mapperd::map::PingSettings& settings) {
   VoxelMap pending(kResolution, {}), opened(kResolution, {}), asked(kResolution, {});
   for (const Shot& shot : shots()) {
     for (VoxelMap* map : {&pending, &opened, &asked}) integrate(*map, shot, settings);
@@ -94,13 +93,13 @@ void check_pending(const mapperd::map::FanSettings& settings) {
   CHECK(known_count(pending) == known_count(opened));
 }
 
-TEST_CASE("pending blocks are the blocks that are opened after every ping, to the bit") {
+TEST_CASE("pending cells are the cells that are opened after every ping, to the bit") {
   check_pending(wide());
 }
 
-TEST_CASE("so are those of sampled pings, written by two threads") {
-  mapperd::map::FanSettings settings = wide();
-  settings.error_bound = 0.2;
+TEST_CASE("so are those of averaged evidence, written by two threads") {
+  mapperd::map::PingSettings settings = wide();
+  settings.aggregation = mapperd::map::Aggregation::mean;
   settings.threads = 2;
   check_pending(settings);
 }

@@ -3,17 +3,17 @@
 #include <vector>
 
 #include "check.hpp"
-#include "far_scenes.hpp"
-#include "mapperd/map/projective.hpp"
+#include "scenes.hpp"
+#include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/rays.hpp"
 #include "mapperd/map/snapshot.hpp"
-#include "moving_scenes.hpp"
+#include "scenes.hpp"
 
 namespace {
 
 using mapperd::map::BlockBox;
 using mapperd::map::BlockKey;
-using mapperd::map::FanSettings;
+using mapperd::map::PingSettings;
 using mapperd::map::PingMotion;
 using mapperd::map::VoxelMap;
 
@@ -79,8 +79,8 @@ void check_parts_are_the_whole(const MotionOf& motion_of, const Integrate& integ
       const mapperd::map::Block* same = whole.find(block->key);
       CHECK(same != nullptr && same->revision == block->revision);
       for (int i = 0; same != nullptr && i < mapperd::map::kBlockVoxels; ++i) {
-        const mapperd::map::Voxel a = block->voxel(part.rule(), i);
-        const mapperd::map::Voxel b = same->voxel(whole.rule(), i);
+        const mapperd::map::Voxel a = part.voxel(*block, i);
+        const mapperd::map::Voxel b = whole.voxel(*same, i);
         CHECK(a.units == b.units && a.count == b.count);
       }
     }
@@ -108,16 +108,13 @@ void check_still_and_moving(const Integrate& integrate) {
 }
 
 TEST_CASE("maps of boxes side by side are the map of all, to the bit") {
-  for (const double error_bound : {0.0, 0.2}) {
-    FanSettings settings;
-    settings.vertical_aperture_rad = 0.9;
-    settings.error_bound = error_bound;
-    settings.carve_no_return = true;
-    check_still_and_moving(
-        [&](VoxelMap& map, const scenes::Ping& ping, const auto& pose, const PingMotion& motion) {
-          integrate_projective(map, ping.image(), pose, settings, motion);
-        });
-  }
+  PingSettings settings;
+  settings.vertical_aperture_rad = 0.9;
+  settings.carve_no_return = true;
+  check_still_and_moving(
+      [&](VoxelMap& map, const scenes::Ping& ping, const auto& pose, const PingMotion& motion) {
+        integrate_evidence_grid(map, ping.image(), pose, settings, motion);
+      });
 }
 
 TEST_CASE("sampled rays, too, change only the box") {

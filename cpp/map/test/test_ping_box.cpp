@@ -1,15 +1,15 @@
 // The box told beforehand of what a ping may change.
 #include "check.hpp"
 #include "mapperd/map/ping_box.hpp"
-#include "mapperd/map/projective.hpp"
+#include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/rays.hpp"
-#include "moving_scenes.hpp"
+#include "scenes.hpp"
 #include "scenes.hpp"
 
 namespace {
 
 using mapperd::map::BlockBox;
-using mapperd::map::FanSettings;
+using mapperd::map::PingSettings;
 using mapperd::map::PingMotion;
 using mapperd::map::VoxelMap;
 
@@ -30,13 +30,13 @@ void check_pings(double speed_mps, double rate_radps, bool carve) {
     const mapperd::Transform pose = scenes::random_pose(random);
     const PingMotion motion =
         speed_mps > 0 ? scenes::motion_of(speed_mps, rate_radps, random) : PingMotion{};
-    FanSettings settings;
+    PingSettings settings;
     settings.vertical_aperture_rad = random.uniform(0.05, 1.5);
     settings.min_range_m = 0.2;
     settings.carve_no_return = carve;
     VoxelMap map(kResolution, {});
     const auto box = mapperd::map::blocks_of_ping(map, ping.image(), pose, settings, motion);
-    mapperd::map::integrate_projective(map, ping.image(), pose, settings, motion);
+    mapperd::map::integrate_evidence_grid(map, ping.image(), pose, settings, motion);
     VoxelMap sampled(kResolution, {});
     mapperd::map::RaysSettings rays;
     rays.vertical_aperture_rad = settings.vertical_aperture_rad;
@@ -67,7 +67,7 @@ TEST_CASE("so it does where the sonar moves") {
 TEST_CASE("the box ends where the last return does") {
   scenes::Ping ping = scenes::empty_ping(100, 32, 0.5, 10.0);
   const VoxelMap map(kResolution, {});
-  FanSettings settings;
+  PingSettings settings;
   CHECK(!mapperd::map::blocks_of_ping(map, ping.image(), {}, settings));
   ping.intensity[20 * 32 + 16] = 200.0F;
   const auto near = mapperd::map::blocks_of_ping(map, ping.image(), {}, settings);

@@ -6,7 +6,7 @@
 #include "check.hpp"
 #include "mapperd/map/ping_motion.hpp"
 #include "mapperd/map/rays.hpp"
-#include "moving_scenes.hpp"
+#include "scenes.hpp"
 #include "oracle_motion.hpp"
 #include "scenes.hpp"
 

@@ -3,15 +3,15 @@
 #include <vector>
 
 #include "check.hpp"
-#include "far_scenes.hpp"
+#include "scenes.hpp"
 #include "mapperd/map/map_file.hpp"
-#include "mapperd/map/projective.hpp"
+#include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/snapshot.hpp"
 
 namespace {
 
 using mapperd::map::Aggregation;
-using mapperd::map::FanSettings;
+using mapperd::map::PingSettings;
 using mapperd::map::VoxelMap;
 
 constexpr double kResolution = 0.06;
@@ -39,10 +39,10 @@ std::vector<Shot> moving_pings() {
   return all;
 }
 
-VoxelMap mapped(const std::vector<Shot>& shots, const FanSettings& settings) {
+VoxelMap mapped(const std::vector<Shot>& shots, const PingSettings& settings) {
   VoxelMap map(kResolution, {});
   for (const Shot& shot : shots) {
-    integrate_projective(map, shot.ping.image(), shot.pose, settings);
+    integrate_evidence_grid(map, shot.ping.image(), shot.pose, settings);
   }
   return map;
 }
@@ -60,24 +60,22 @@ void check_equal(const VoxelMap& a, const VoxelMap& b) {
   CHECK(revisions(a) == revisions(b) && a.revision() == b.revision());
 }
 
-std::vector<FanSettings> all_settings() {
-  std::vector<FanSettings> all(4);
-  all[1].error_bound = 0.2;
-  all[2].aggregation = Aggregation::mean;
-  all[3].aggregation = Aggregation::mean;
-  all[3].error_bound = 0.2;
-  all[3].carve_no_return = true;
-  for (FanSettings& settings : all) settings.vertical_aperture_rad = 0.9;
+std::vector<PingSettings> all_settings() {
+  std::vector<PingSettings> all(3);
+  all[1].aggregation = Aggregation::mean;
+  all[2].detail = 2.0;
+  all[2].carve_no_return = true;
+  for (PingSettings& settings : all) settings.vertical_aperture_rad = 0.9;
   return all;
 }
 
-TEST_CASE("one, two or four threads make the same map, to the bit") {
+TEST_CASE("one, two, three or five threads make the same map, to the bit") {
   const std::vector<Shot> shots = moving_pings();
-  for (FanSettings settings : all_settings()) {
+  for (PingSettings settings : all_settings()) {
     const VoxelMap alone = mapped(shots, settings);
     CHECK(alone.known_count() > 10000);
-    for (const int threads : {2, 4}) {
-      if (check::sanitized() && threads == 2) continue;  // the same ways
+    for (const int threads : {2, 3, 5}) {
+      if (check::sanitized() && threads != 3) continue;  // the same ways
       settings.threads = threads;
       const VoxelMap shared = mapped(shots, settings);
       check_equal(alone, shared);

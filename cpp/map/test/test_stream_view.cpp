@@ -10,14 +10,13 @@
 #include "check.hpp"
 #include "mapperd/map/brick.hpp"
 #include "mapperd/map/key_index.hpp"
-#include "mapperd/map/projective.hpp"
+#include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/stream_view.hpp"
 #include "maps.hpp"
 #include "scenes.hpp"
 
 namespace {
 
-using mapperd::map::Block;
 using mapperd::map::BlockKey;
 using mapperd::map::kStreamCells;
 using mapperd::map::StreamDetail;
@@ -122,16 +121,18 @@ TEST_CASE("blocks all alike, and free pings that are only counted, are told as t
   for (int i = 0; i < 12; ++i) {
     mapperd::Transform pose = scenes::random_pose(random);
     pose.translation = {};
-    integrate_projective(map, scenes::random_ping(random).image(), pose, {});
+    integrate_evidence_grid(map, scenes::random_ping(random).image(), pose, {});
   }
-  map.get_or_create({9, 9, 9}).fill({-16777216, 300});
-  map.get_or_create({9, 9, 10}).fill({});  // as a brick that was forgotten leaves it
+  maps::change_block(map, {9, 9, 9}, [](int, std::int16_t& units, std::uint16_t& count) {
+    units = -2048;
+    count = 60;
+  });
+  map.get_or_create({9, 9, 10});  // as a brick that was forgotten leaves it
   for (int level = 0; level <= 3; ++level) CHECK(agree(map, view_of(level, StreamDetail::counts)));
 
   VoxelMap pending(0.1, {});
   pending.set({1, 2, 3}, {-1.0F, 4});
-  Block& block = pending.get_or_create({0, 0, 0});
-  CHECK(block.add_free_everywhere(pending.rule()) && block.is_dense());
+  CHECK(maps::see_free(pending, {}) && pending.find({})->held() != 0);
   for (int level = 0; level <= 3; ++level)
     CHECK(agree(pending, view_of(level, StreamDetail::counts)));
 }

@@ -14,7 +14,7 @@
 #include "mapperd/map/merge.hpp"
 #include "mapperd/map/octomap_file.hpp"
 #include "mapperd/map/point_updates.hpp"
-#include "mapperd/map/projective.hpp"
+#include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/queries.hpp"
 #include "mapperd/map/rays.hpp"
 #include "mapperd/map/snapshot.hpp"
@@ -127,13 +127,12 @@ class Writes {
 
   std::vector<std::function<void(VoxelMap&)>> all() {
     return {
-        [this](VoxelMap& map) { integrate_projective(map, next_ping().image(), pose_, {}); },
+        [this](VoxelMap& map) { integrate_evidence_grid(map, next_ping().image(), pose_, {}); },
         [this](VoxelMap& map) {
-          mapperd::map::FanSettings shared;
+          mapperd::map::PingSettings shared;
           shared.threads = 2;
-          shared.error_bound = 0.2;
           shared.carve_no_return = true;
-          integrate_projective(map, next_ping().image(), pose_, shared);
+          integrate_evidence_grid(map, next_ping().image(), pose_, shared);
         },
         [this](VoxelMap& map) { integrate_rays(map, next_ping().image(), pose_, {}); },
         [this](VoxelMap& map) { set_log_odds(map, kTwinPoints, next_values()); },

@@ -5,7 +5,7 @@
 #include <stdexcept>
 
 #include "check.hpp"
-#include "mapperd/map/projective.hpp"
+#include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/voxel_map.hpp"
 #include "scenes.hpp"
 
@@ -34,7 +34,7 @@ TEST_CASE("voxels are found again among thousands of blocks, near and far") {
   map.for_each_known([&known](const VoxelIndex&, const mapperd::map::VoxelState&) { ++known; });
   CHECK(known == expected.size());
   CHECK(map.at(VoxelIndex{1, 1, 12345}).count == 0);
-  CHECK(map.memory_bytes() > map.block_count() * sizeof(mapperd::map::DenseVoxels));
+  CHECK(map.memory_bytes() > map.block_count() * (sizeof(mapperd::map::Block) + 3 * mapperd::map::kCellVoxels));
   map.clear();
   CHECK(map.block_count() == 0);
 }
@@ -61,7 +61,7 @@ TEST_CASE("a block's revision tells when it last changed, and it stops with the 
   VoxelMap map(0.1, quick);
   // Free water, and far from it a wall that goes away after two pings.
   const scenes::Ping water = scenes::empty_ping(30, 8, 1.0, 6.0);
-  mapperd::map::FanSettings settings;
+  mapperd::map::PingSettings settings;
   settings.vertical_aperture_rad = 1.2;
   settings.carve_no_return = true;
   mapperd::Transform here, there;
@@ -69,20 +69,20 @@ TEST_CASE("a block's revision tells when it last changed, and it stops with the 
   there.translation = {100.8, 0.8, 0.8};
   scenes::Ping wall = water;
   for (std::size_t j = 0; j < 8; ++j) wall.intensity[15 * 8 + j] = 50.0F;
-  for (int i = 0; i < 2; ++i) integrate_projective(map, wall.image(), here, settings);
+  for (int i = 0; i < 2; ++i) integrate_evidence_grid(map, wall.image(), here, settings);
   const std::uint64_t of_wall = map.revision();
   const mapperd::map::BlockKey key{2, 0, 0};
-  CHECK(map.find(key)->is_dense() && map.find(key)->revision == of_wall);
-  integrate_projective(map, water.image(), there, settings);
+  CHECK(map.find(key)->held() != 0 && map.find(key)->revision == of_wall);
+  integrate_evidence_grid(map, water.image(), there, settings);
   CHECK(map.revision() > of_wall);
   CHECK(map.find(key)->revision == of_wall);
   CHECK(map.find({65, 0, 0})->revision == map.revision());
-  for (int i = 0; i < 30; ++i) integrate_projective(map, water.image(), here, settings);
-  CHECK(!map.find(key)->is_dense());
+  for (int i = 0; i < 30; ++i) integrate_evidence_grid(map, water.image(), here, settings);
+  CHECK(map.find(key)->held() == 0);
   const std::uint64_t settled = map.find(key)->revision;
   CHECK(settled > of_wall && settled < map.revision());
   // Nor does a ping change it that ends within it.
-  integrate_projective(map, scenes::empty_ping(14, 8, 1.0, 2.8).image(), here, settings);
+  integrate_evidence_grid(map, scenes::empty_ping(14, 8, 1.0, 2.8).image(), here, settings);
   CHECK(map.find(key)->revision == settled);
 }
 
@@ -105,18 +105,18 @@ TEST_CASE("a resolution that is no length is refused") {
 TEST_CASE("another threshold changes later pings as if the map had always had it") {
   scenes::Ping ping = scenes::empty_ping(30, 8, 1.0, 6.0);
   for (std::size_t j = 0; j < 8; ++j) ping.intensity[15 * 8 + j] = 50.0F;
-  mapperd::map::FanSettings settings;
+  mapperd::map::PingSettings settings;
   settings.vertical_aperture_rad = 1.2;
   const mapperd::Transform here;
   mapperd::map::IwloParams above, below;
   above.intensity_threshold = 60;
   below.intensity_threshold = 40;
   VoxelMap changed(0.2, above), always(0.2, below);
-  CHECK(integrate_projective(changed, ping.image(), here, settings).occupied == 0);
+  CHECK(integrate_evidence_grid(changed, ping.image(), here, settings).occupied == 0);
   mapperd::map::clear(changed);
   mapperd::map::set_intensity_threshold(changed, 40);
-  CHECK(integrate_projective(changed, ping.image(), here, settings).occupied > 0);
-  integrate_projective(always, ping.image(), here, settings);
+  CHECK(integrate_evidence_grid(changed, ping.image(), here, settings).occupied > 0);
+  integrate_evidence_grid(always, ping.image(), here, settings);
   CHECK(changed.known_count() == always.known_count());
   bool equal = true;
   always.for_each_known([&](const mapperd::map::VoxelIndex& voxel, const mapperd::map::VoxelState& state) {

@@ -54,6 +54,14 @@ def test_settings_are_checked_as_they_come_back() -> None:
         overlay(msgspec.msgpack.encode(saved), None)
 
 
+def test_settings_of_an_earlier_version_come_back() -> None:
+    saved = msgspec.msgpack.decode(written(Config()))
+    settings = saved[1][0][2]
+    settings["mapping"] |= {"integrator": "projective", "error_bound": 0.1}
+    settings["behind"] |= {"policy": "drop_oldest", "error_bound": 0.5}
+    assert overlay(msgspec.msgpack.encode(saved), None) == (Config(),)
+
+
 def test_what_was_one_object_is_one_again() -> None:
     series: Series[int] = Series()
     one, two = overlay(written([series, series], [series]), None, None)

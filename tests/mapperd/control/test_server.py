@@ -99,7 +99,7 @@ def test_fault_of_ours_is_told_and_the_daemon_goes_on(short: Path) -> None:
     [
         ({"filtering.min_range": -1}, "filtering.min_range", "is not allowed"),
         ({"octree.voxel_resolution": 1.0}, "octree.voxel_resolution", "needs a restart"),
-        ({"mapping.error_bound": 0.7}, "mapping.error_bound", "nothing that runs follows"),
+        ({"mapping.detail": 2.0}, "mapping.detail", "nothing that runs follows"),
         ({"filtering.min_rnge": 1}, "filtering.min_rnge", "did you mean filtering.min_range?"),
     ],
 )

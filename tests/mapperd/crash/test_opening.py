@@ -17,6 +17,7 @@ from mapperd.decisions import (
     LINK,
     SESSION,
     Drop,
+    RemovedRemark,
     Reset,
     Session,
     Settings,
@@ -49,7 +50,7 @@ def config_of(folder: Path, more: str = "") -> Config:
 
 
 def record(config: Config, number: int, session: str, pings: range, **decided: Any) -> Path:
-    """A recorded session: odometry, pings, and what was decided before ping `at`."""
+    """A recorded session: odometry, pings, what was decided before ping `at`, and `settings`."""
     folder = Path(config.recording.folder)
     folder.mkdir(exist_ok=True)
     path = folder / f"dive_{number:06d}_20231114T221320Z.mcap"
@@ -63,7 +64,8 @@ def record(config: Config, number: int, session: str, pings: range, **decided: A
         def say(decision: Any, t_ns: int) -> None:
             writer.write(links[LINK], chunk_of(decision, t_ns).data, t_ns)
 
-        say(Session(session, "1", msgspec.to_builtins(config)), START_NS)
+        settings = decided.get("settings", msgspec.to_builtins(config))
+        say(Session(session, "1", settings), START_NS)
         for k in pings:
             t_ns = START_NS + k * S // 10
             if k == decided.get("at"):
@@ -154,6 +156,45 @@ def test_the_rest_of_a_session_is_mapped_with_what_was_decided(
     assert position.whole
     assert found == reference(config, "a")
     assert codes(opened(config)) == []  # nothing is missing any more
+
+
+def aged(value: Any) -> Any:
+    """Plain values of a store or a recording as an earlier version wrote them."""
+    if isinstance(value, list):
+        return [aged(one) for one in value]
+    if not isinstance(value, dict):
+        return value
+    found = {key: aged(one) for key, one in value.items()}
+    if "mapping" in found and "behind" in found:
+        found["mapping"] |= {"integrator": "projective", "error_bound": 0.1}
+        found["behind"] |= {"policy": "coarser_first", "error_bound": 0.5}
+        found["mapping"].pop("detail")
+    return found
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        RemovedRemark(),
+        Settings({"mapping.error_bound": 0.5, "mapping.integrator": "projective"}),
+        Settings({"mapping.error_bound": 0.5, "filtering.intensity_threshold": 190}),
+    ],
+)
+def test_a_session_of_an_earlier_version_goes_on(tmp_path: Path, what: Any) -> None:
+    config = config_of(tmp_path)
+    settings = aged(msgspec.to_builtins(config))
+    record(config, 1, "a", range(30), at=12, what=what, settings=settings)
+    mapped(config, "a", chunks=60, save_at=20)
+    with closing(sqlite3.connect(tmp_path / "dive.map")) as file, file:
+        ((data,),) = file.execute("SELECT position FROM progress").fetchall()
+        position = aged(msgspec.msgpack.decode(data)) | {"error_bound": 0.5}
+        position["checkpoint"] = msgspec.msgpack.encode(
+            aged(msgspec.msgpack.decode(position["checkpoint"]))
+        )
+        file.execute("UPDATE progress SET position = ?", (msgspec.msgpack.encode(position),))
+    assert not content(config)[1].whole
+    assert codes(opened(config)) == ["recovered"]
+    assert content(config)[0] == reference(config, "a")
 
 
 def test_sessions_follow_each_other_in_one_map(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ def test_all_settings_are_told_a_line_each(capsys: pytest.CaptureFixture[str]) -
     lines = capsys.readouterr().out.splitlines()
     assert [line.partition(" = ")[0] for line in lines] == list(parameters())
     assert "octree.voxel_resolution = 0.05 m" in lines
-    assert 'mapping.integrator = "projective"' in lines
+    assert 'mapping.integrator = "evidence_grid"' in lines
     assert "crosstalk.azimuth_threshold = 0.5" in lines
     assert "odometry.origin = null" in lines
 

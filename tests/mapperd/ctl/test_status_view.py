@@ -12,7 +12,7 @@ STATUS = {
     "pings": {"total": 1000, "mapped": 990, "dropped": {"too_slow": 10}, "waiting": 0},
     "latency_ms": {"p50": 12.3456, "p95": None},
     "map": {"memory_bytes": 1 << 30, "resolution_m": 0.05},
-    "behind": {"policy": "drop_oldest", "coarse": True, "late": False},
+    "behind": {"late": True, "dropped": 3, "ready": 0},
     "robots": [],
     "servers": {
         "control": {"clients": 2, "counters": {"accepted": 7}},
@@ -28,7 +28,7 @@ def test_what_there_is_is_said_with_its_units() -> None:
         "pings      total 1000, mapped 990, dropped too slow 10, waiting 0",
         "latency_ms p50 12.35",
         "map        memory 1024.0 MiB, resolution 0.05 m",
-        "behind     policy drop_oldest, coarse",
+        "behind     late, dropped 3, ready 0",
         "servers    control clients 2, control counters accepted 7, stream clients 1",
     ]
 

@@ -72,7 +72,7 @@ class FakeDaemon:
                 "waiting": 2,
             },
             "latency_ms": {"p50": 1.0, "p95": 2.0, "p99": float("nan")},
-            "behind": {"policy": "drop_oldest", "coarse": False, "dropped": 0, "ready": 0},
+            "behind": {"late": False, "dropped": 0, "ready": 0},
             "map": {"memory_bytes": 1000, "revision": 3, "resolution_m": 0.05},
             "store": {"saved_s": 5.0},
             "recording": {"bytes": 10},

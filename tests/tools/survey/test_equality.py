@@ -84,7 +84,7 @@ def replayed(survey: Path, path: Path) -> int:
     return len(pings)
 
 
-@pytest.mark.parametrize("integrator", ["projective", "rays"])
+@pytest.mark.parametrize("integrator", ["evidence_grid", "rays"])
 def test_two_dives_at_the_same_time_are_one_map(tmp_path: Path, integrator: str) -> None:
     settings = SETTINGS | {"mapping": {"integrator": integrator, "within_ping_motion": True}}
     survey = write_survey(tmp_path, settings=settings, tile_size_m=12.8)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from survey.memory import COPIES, edge_within, ping_bytes, voxel_bytes_of
+from survey.memory import COPIES, edge_within, grid_bytes, ping_bytes, voxel_bytes_of
 from survey.spool import ROW, Rows
 
 from mapperd.config import Config, Mapping
@@ -29,7 +29,7 @@ def bright_ping(range_m: float) -> Echo:
     return Echo(intensity, np.linspace(-1, 1, 64), range_m / 100)
 
 
-@pytest.mark.parametrize("integrator", ["projective", "rays"])
+@pytest.mark.parametrize("integrator", ["evidence_grid", "rays"])
 def test_no_ping_takes_more_than_is_reckoned(integrator: str) -> None:
     config = Config(octree=CONFIG.octree, mapping=Mapping(integrator=integrator, threads=1))  # type: ignore[arg-type]
     sonar_map = SonarMap(config)
@@ -40,16 +40,18 @@ def test_no_ping_takes_more_than_is_reckoned(integrator: str) -> None:
     extents = np.array(box[1], dtype=np.int64) - np.array(box[0]) + 1
     sonar_map.integrate(echo, POSE)
     took = sonar_map.memory_bytes - empty
-    assert took > 1_000_000
+    assert took > 500_000
     assert 2 * took < ping_bytes(extents[None], 32, config)
     # Of all blocks in its box: as much, and no more, can be dense.
     blocks = sonar_map.core.block_count
-    assert took <= ping_bytes(np.array([[blocks, 1, 1]]), blocks, config)
+    row = np.array([[blocks, 1, 1]])
+    assert took <= ping_bytes(row, blocks, config) - grid_bytes(row, config)
 
 
 def test_tiles_are_so_small_that_one_ping_has_room() -> None:
     most = voxel_bytes_of(1 << 30, 0.1)
-    block = ping_bytes(np.array([[1, 1, 1]]), 1, CONFIG)
+    one = np.array([[1, 1, 1]])
+    block = ping_bytes(one, 1, CONFIG) - grid_bytes(one, CONFIG)
     fits = (COPIES - 1) * most // block
     assert 16**3 < 20 * 20 * 15 < fits < 32**3
     few = rows_of((1, 1, 1), (20, 20, 15), (0, 0, 0))
@@ -58,6 +60,18 @@ def test_tiles_are_so_small_that_one_ping_has_room() -> None:
     wide = rows_of((200, 64, 100))
     assert edge_within(32, [few, wide], CONFIG, most) == 4
     assert edge_within(32, [rows_of((10**6,) * 3)], CONFIG, 0) == 1
+
+
+def test_the_grid_of_a_ping_takes_a_few_megabytes() -> None:
+    """A fan of 130 degrees and 30 m that looks along an axis, in voxels of 5 cm."""
+    extents = np.array([[38, 68, 14]])
+    config = Config()
+    assert 5 << 20 < grid_bytes(extents, config) < 60 << 20
+    fine = Config(mapping=Mapping(detail=2.0))
+    assert grid_bytes(extents, fine) == pytest.approx(4 * grid_bytes(extents, config))
+    mean = Config(mapping=Mapping(aggregation="mean"))
+    assert grid_bytes(extents, mean) == pytest.approx(2 * grid_bytes(extents, config))
+    assert grid_bytes(extents, Config(mapping=Mapping(integrator="rays"))) == 0
 
 
 def test_default_tiles_need_not_be_smaller_for_a_sonar_of_12_m() -> None:

@@ -25,7 +25,7 @@ class MappingStudy:
     cost: str = COST
 
     def prepare(self, dive: Dive, folder: Path) -> None:
-        """Simulate the dive and map it exactly."""
+        """Simulate the dive and make its converged map."""
         folder.mkdir(parents=True, exist_ok=True)
         make_dive(dive, folder)
         make_oracle(dive, folder)

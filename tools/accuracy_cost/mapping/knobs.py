@@ -17,7 +17,7 @@ APERTURE_MARGIN = 0.1
 """That default is where half of an echo's power is left, whichever way the sonar looks. Narrower
 ones err some 6 % less looking ahead, as the quick dives do, and 12 % more looking straight down."""
 QUICK = (
-    *("voxel-size", "error-bound", "within-ping-motion", "pose-policy", "aggregation"),
+    *("voxel-size", "detail", "within-ping-motion", "pose-policy", "aggregation"),
     *("adaptive", "occupied-threshold", "intensity-threshold", "elevation"),
 )
 """Knobs that every test run turns: those whose default is a choice of ours."""
@@ -125,9 +125,9 @@ KNOBS = (
         "integrator",
         "Integrator",
         [
-            ("projective", {}),
+            ("evidence_grid", {}),
             ("rays", {"mapping.integrator": "rays"}),
-            ("projective, 0.1 m", {"octree.voxel_resolution": 0.1}),
+            ("evidence_grid, 0.1 m", {"octree.voxel_resolution": 0.1}),
             ("rays, 0.1 m", {"octree.voxel_resolution": 0.1, "mapping.integrator": "rays"}),
         ],
         "Rays are cheap because they look at every second beam, at some of the aperture and at 50 "
@@ -136,11 +136,10 @@ KNOBS = (
         published="rays",
     ),
     _knob(
-        "error-bound",
-        "Error bound",
-        _values("mapping.error_bound", (0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0), 0.1),
-        "Exact costs several times as much and no surface moves; above 0.1 a tenth is gained, so "
-        "`behind.error_bound` helps those alone who map with a tighter one.",
+        "detail",
+        "Detail of the evidence grid",
+        _values("mapping.detail", (0.25, 0.5, 1.0, 2.0, 4.0, 8.0), 1.0),
+        "A finer grid takes more time and tells voxels more exactly what the image says of them.",
     ),
     _knob(
         "beams",
@@ -234,8 +233,7 @@ KNOBS = (
         "aggregation",
         "Both kinds of evidence in one ping",
         [("occupied_first", {}), ("mean", {"mapping.aggregation": "mean"})],
-        "The mean takes more than twice as long, as it cannot be sampled, and more surface is "
-        "missing.",
+        "With the mean more surface is missing.",
     ),
     _knob(
         "adaptive",

@@ -72,7 +72,7 @@ def measure(setting: Setting, dive: Dive, folder: Path) -> dict[str, float]:
 
 
 def _driven(setting: Setting, dive: Dive, folder: Path) -> Driven:
-    """The exact map takes a minute, and is there already."""
+    """The converged map takes a minute, and is there already."""
     if setting.key == CONVERGED.key:
         return oracle_of(dive, folder)
     return drive(setting, made_by(dive), capture_of(dive, folder))

@@ -1,4 +1,4 @@
-"""The converged map: each voxel's evidence integrated exactly, with all beams and rows.
+"""The converged map: the finest evidence grid, with all beams and rows.
 
 Poses are interpolated and samples placed at their own time of flight. It is what a setting's
 log-odds are compared with, wherever the setting leaves the grid and the rule of update as they
@@ -25,7 +25,7 @@ __all__ = [
     "same_rule",
 ]
 
-CONVERGED = Setting("converged", {"mapping.error_bound": 0.0})
+CONVERGED = Setting("converged", {"mapping.detail": 8.0})
 
 OTHER_RULE = ("octree.", "iwlo.", "adaptive.", "filtering.", "sonar.", "mapping.aggregation")
 """Settings that change what the log-odds mean, not how well they are known."""
@@ -35,12 +35,12 @@ Voxels = tuple[NDArray[np.int64], NDArray[np.float64]]
 
 def _files(dive: Dive, folder: Path) -> tuple[Path, Path]:
     """The map, and what it took."""
-    name = f"mapping-{dive.name}-{dive.seed}-converged"
+    name = f"mapping-{dive.name}-{dive.seed}-finest"
     return folder / f"{name}.map", folder / f"{name}.npz"
 
 
 def make_oracle(dive: Dive, folder: Path) -> None:
-    """Map a dive's capture exactly, unless that is done."""
+    """Map a dive's capture with the finest evidence grid, unless that is done."""
     map_file, times_file = _files(dive, folder)
     if map_file.exists() and times_file.exists():
         return

@@ -1,16 +1,16 @@
-// A block of 16 x 16 x 16 voxels, in as little memory as its content needs.
+// A block of 16 x 16 x 16 voxels in 64 cells of 4 x 4 x 4, in as little memory as its content needs.
 //
-// Space that is wholly free, or seen alike throughout, is one state for all voxels. A block that a
-// surface crosses holds every voxel; free pings over the whole of it are only counted, as long as
-// every voxel's free step is independent of its log-odds, and applied when somebody opens it, or
+// A cell whose voxels are alike is one state. Any other cell is held voxel by voxel, in a slot of
+// the map's pool. Free observations of whole cells are only counted (`pending`), as long as every
+// voxel's free step is independent of its log-odds; they are applied when the cell is opened, or
 // when they are so many that all voxels must have come to be alike.
 #pragma once
 
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <memory>
 
+#include "mapperd/map/cell_pool.hpp"
 #include "mapperd/map/iwlo.hpp"
 
 namespace mapperd::map {
@@ -18,6 +18,7 @@ namespace mapperd::map {
 inline constexpr int kBlockEdge = 16;
 inline constexpr int kBlockShift = 4;
 inline constexpr int kBlockVoxels = kBlockEdge * kBlockEdge * kBlockEdge;
+inline constexpr int kBlockCells = kBlockVoxels / kCellVoxels;
 
 // Block coordinates stay within +-kMaxBlock, so that voxel indices and sums of them fit easily.
 inline constexpr std::int32_t kMaxBlock = 1 << 30;
@@ -39,65 +40,103 @@ struct BlockKey {
 // Index of a voxel inside its block, x fastest.
 inline int voxel_offset(int x, int y, int z) { return x + kBlockEdge * (y + kBlockEdge * z); }
 
+// Where a voxel of a block is held: its cell and its place there, both x fastest.
+struct CellPlace {
+  int cell;
+  int voxel;
+};
+inline CellPlace cell_place(int offset) {
+  const int x = offset & 15, y = offset >> 4 & 15, z = offset >> 8;
+  return {(x >> 2) + 4 * ((y >> 2) + 4 * (z >> 2)), (x & 3) + 4 * ((y & 3) + 4 * (z & 3))};
+}
+inline int offset_of_cell(int cell) {
+  return voxel_offset(4 * (cell & 3), 4 * (cell >> 2 & 3), 4 * (cell >> 4));
+}
+inline int offset_in_cell(int voxel) {
+  return voxel_offset(voxel & 3, voxel >> 2 & 3, voxel >> 4);
+}
+
 // A voxel with count 0 was never observed.
 struct Voxel {
-  std::int32_t units = 0;  // log-odds in kLogOddsUnit
+  std::int16_t units = 0;  // log-odds in the rule's unit
   std::uint16_t count = 0;
+
+  friend bool operator==(const Voxel& a, const Voxel& b) {
+    return a.units == b.units && a.count == b.count;
+  }
 };
 
-// Every voxel of a block, structure of arrays.
+// Every voxel of a block, x fastest.
 struct DenseVoxels {
-  std::array<std::int32_t, kBlockVoxels> units;
+  std::array<std::int16_t, kBlockVoxels> units;
   std::array<std::uint16_t, kBlockVoxels> count;
 };
 
-// Some voxels of a block: a bit a voxel, 16 in a row along x, the rows as voxel_offset() has them.
-inline constexpr int kBlockRows = kBlockEdge * kBlockEdge;
-using VoxelRows = std::array<std::uint16_t, kBlockRows>;
+// A set of a block's cells, a bit each.
+using CellSet = std::uint64_t;
+inline constexpr CellSet kAllCells = ~CellSet{0};
+inline constexpr CellSet cell_bit(int cell) { return CellSet{1} << cell; }
 
 class Block {
  public:
-  explicit Block(const BlockKey& block_key) : key(block_key) {}
+  // Unknown throughout.
+  Block(const BlockKey& block_key, const IwloRule& rule)
+      : key(block_key), above_(rule.unscaled_up_to() < 0 ? kAllCells : 0) {}
 
   BlockKey key;
   std::uint64_t revision = 0;  // of the map, when this block last changed
 
-  // One free observation of every voxel; false when nothing changed, all being settled. O(1)
-  // unless a voxel is believed occupied.
-  bool add_free_everywhere(const IwloRule& rule);
+  // One free observation of every voxel of some cells; false when nothing changed, all being at
+  // the floor. O(1) a cell unless a voxel is believed occupied.
+  bool add_free(const IwloRule& rule, CellPool::Cache& pool, CellSet cells);
 
-  // One free observation of some of an open block's voxels; false when nothing changed.
-  bool add_free(const IwloRule& rule, const VoxelRows& rows);
+  // A cell's voxels, to be changed; call close() after it.
+  CellVoxels open(const IwloRule& rule, CellPool::Cache& pool, int cell);
+  void close(const IwloRule& rule, CellPool::Cache& pool, int cell);
 
-  // Every voxel is at the lower clamp and its count settled: free observations change nothing.
-  bool is_settled_free(const IwloRule& rule) const {
-    return dense_ == nullptr && uniform_.units == rule.min_units() &&
-           uniform_.count == rule.settled_count();
+  // Brings a cell's voxels nearer to the processor, if it is held.
+  void prefetch(const CellPool::Cache& pool, int cell) const {
+    if (!is_held(cell)) return;
+    const auto* const slot =
+        reinterpret_cast<const char*>(pool[state_[static_cast<std::size_t>(cell)]].units());
+    __builtin_prefetch(slot);
+    __builtin_prefetch(slot + 64);
+    __builtin_prefetch(slot + 128);
   }
 
-  // The voxels themselves, to be changed; call close() after it.
-  DenseVoxels& open(const IwloRule& rule);
-  void close(const IwloRule& rule);
+  // Makes all voxels of a cell alike, whatever they were; not between open() and close().
+  void fill(const IwloRule& rule, CellPool::Cache& pool, int cell, const Voxel& voxel);
 
-  // Makes all voxels alike, whatever they were; not between open() and close().
-  void fill(const Voxel& voxel);
+  // Forgets all voxels.
+  void clear(const IwloRule& rule, CellPool::Cache& pool);
+  // Moves the slots to another pool.
+  void move_cells(const CellPool& from, CellPool::Cache& to);
 
-  Voxel voxel(const IwloRule& rule, int offset) const;
-  void copy_voxels(const IwloRule& rule, DenseVoxels& out) const;  // all of them
-  int known_count() const;  // voxels that were ever observed; of a block that is not open
-  bool is_dense() const { return dense_ != nullptr; }
-  std::size_t voxel_bytes() const;  // allocated for voxels, beside the block itself
-  std::size_t memory_bytes() const { return sizeof(Block) + voxel_bytes(); }
+  Voxel voxel(const IwloRule& rule, const CellPool& pool, int offset) const;
+  void copy_voxels(const IwloRule& rule, const CellPool& pool, DenseVoxels& out) const;
+
+  // The one state of a cell's voxels, if it is held as one.
+  bool is_held(int cell) const { return (held_ & cell_bit(cell)) != 0; }
+  Voxel alike(const IwloRule& rule, int cell) const;
+  // The one state of all voxels, if they are alike.
+  bool all_alike(const IwloRule& rule, Voxel& voxel) const;
+  // Free observations change nothing there: every voxel is at the lower clamp and counted out.
+  CellSet at_floor() const { return at_floor_; }
+
+  CellSet held() const { return held_; }
+  int known_count(const CellPool& pool) const;  // voxels that were ever observed
 
  private:
-  bool add_free_steps(const IwloRule& rule, const IwloRule::FreeSteps& steps,
-                      const VoxelRows& rows);
+  void apply_pending(const IwloRule& rule, CellPool::Cache& pool, int cell);
+  void settle(const IwloRule& rule, CellPool::Cache& pool);
+  void set_alike(const IwloRule& rule, int cell, const Voxel& voxel);
 
-  Voxel uniform_;  // all voxels, unless dense_
-  bool all_unscaled_ = true;
-  std::uint16_t dense_known_ = 0;  // observed voxels of dense_, without pending_
-  std::uint32_t pending_ = 0;      // free steps not yet applied to dense_
-  std::unique_ptr<DenseVoxels> dense_;
+  std::uint8_t most_pending_ = 0;  // no cell has more
+  CellSet held_ = 0;
+  CellSet above_ = 0;     // cells with a voxel whose free step depends on its log-odds
+  CellSet at_floor_ = 0;
+  std::array<std::uint8_t, kBlockCells> pending_{};  // free steps not yet applied
+  std::array<std::uint32_t, kBlockCells> state_{};   // a slot, or the state of all voxels
 };
 
 }  // namespace mapperd::map

@@ -18,15 +18,15 @@ class BlockStore {
   Block& operator[](std::size_t i) { return chunks_[i / kChunk][i % kChunk]; }
   const Block& operator[](std::size_t i) const { return chunks_[i / kChunk][i % kChunk]; }
 
-  Block& add(const BlockKey& key) {
+  Block& add(const Block& block) {
     if (size_ == kChunk * chunks_.size()) {
       std::vector<Block> chunk;
       chunk.reserve(kChunk);
       chunks_.push_back(std::move(chunk));
     }
-    Block& block = chunks_.back().emplace_back(key);
+    Block& added = chunks_.back().emplace_back(block);
     ++size_;
-    return block;
+    return added;
   }
 
   // Gives back what the others took; the references to blocks end here.
@@ -35,20 +35,17 @@ class BlockStore {
     BlockStore kept;
     for (std::vector<Block>& chunk : chunks_) {
       for (Block& block : chunk) {
-        if (keep(block)) kept.add(block.key) = std::move(block);
+        if (keep(block)) kept.add(block);
       }
       std::vector<Block>().swap(chunk);
     }
     *this = std::move(kept);
   }
 
-  // Of the blocks and what they hold.
+  // Without the voxels that the pool holds.
   std::size_t memory_bytes() const {
     std::size_t bytes = allocated_by(chunks_);
-    for (const std::vector<Block>& chunk : chunks_) {
-      bytes += allocated_by(chunk);
-      for (const Block& block : chunk) bytes += block.voxel_bytes();
-    }
+    for (const std::vector<Block>& chunk : chunks_) bytes += allocated_by(chunk);
     return bytes;
   }
 

@@ -1,4 +1,4 @@
-// Many voxels changed one by one, each block opened once: opening and closing it costs more than
+// Many voxels changed one by one, each cell opened once: opening and closing it costs more than
 // its voxels.
 #pragma once
 
@@ -19,7 +19,7 @@ inline BlockKey block_holding(const VoxelIndex& voxel) {
 // nobody else may look at the map.
 class BlockWriter {
  public:
-  explicit BlockWriter(VoxelMap& map) : map_(map) {}
+  explicit BlockWriter(VoxelMap& map) : map_(map), pool_(map.pool()) {}
   ~BlockWriter() { leave(); }
   BlockWriter(const BlockWriter&) = delete;
   BlockWriter& operator=(const BlockWriter&) = delete;
@@ -28,12 +28,17 @@ class BlockWriter {
   void set(const VoxelIndex& voxel, const Voxel& state);
 
  private:
-  std::size_t enter(const VoxelIndex& voxel);  // its offset
+  struct Place {
+    CellVoxels cell;
+    int voxel;
+  };
+  Place enter(const VoxelIndex& voxel);
   void leave();
 
   VoxelMap& map_;
-  Block* block_ = nullptr;  // open
-  DenseVoxels* voxels_ = nullptr;
+  CellPool::Cache pool_;
+  Block* block_ = nullptr;
+  CellSet open_ = 0;
 };
 
 }  // namespace mapperd::map

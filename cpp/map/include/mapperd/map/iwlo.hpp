@@ -7,6 +7,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "mapperd/map/kernels.hpp"
+
 namespace mapperd::map {
 
 // Names and defaults are those of the published sonar mapper that this project grew from.
@@ -29,17 +31,25 @@ struct IwloParams {
   bool protect_occupied = true;  // false: free steps are never scaled down
 };
 
-// Log-odds are held in whole units of 2^-24. Sums of whole numbers do not depend on their order,
-// so free steps that are kept pending, or applied to many voxels at once, give the same bits as
-// free steps applied one by one. 32 bits reach to +-127.
-inline constexpr double kLogOddsUnit = 0x1p-24;
 inline constexpr double kMaxLogOdds = 127.0;
 
-inline double log_odds_of(std::int32_t units) { return kLogOddsUnit * units; }
-inline std::int32_t units_of(double log_odds) {
+// Outside the map (files, Python) log-odds are whole numbers of 2^-24.
+inline constexpr double kLogOddsUnit = 0x1p-24;
+inline std::int32_t file_units_of(double log_odds) {
   return static_cast<std::int32_t>(std::lround(log_odds / kLogOddsUnit));
 }
+inline double log_odds_of(std::int32_t file_units) { return kLogOddsUnit * file_units; }
 
+// a b / 2^15, rounded half up: what pmulhrsw of SSSE3 and sqrdmulh of NEON compute.
+inline std::int16_t multiply_q15(std::int16_t a, std::int16_t b) {
+  return static_cast<std::int16_t>((std::int32_t{a} * b + 0x4000) >> 15);
+}
+inline constexpr std::int16_t kOneQ15 = 32767;
+
+// The map holds log-odds in 16 bits, in units of 2^-shift: 2^-11 for clamps within +-15, coarser
+// ones for wider clamps. Every step is a whole number of units that depends on the voxel's state
+// alone. Sums of whole numbers do not depend on their order, so free steps that are kept pending, or
+// applied to many voxels at once, give the same bits as free steps applied one by one.
 class IwloRule {
  public:
   // Throws std::invalid_argument, naming the parameter, for values that are not finite, out of
@@ -54,65 +64,107 @@ class IwloRule {
 
   // Observations after which alpha no longer changes: counts stop there without loss.
   std::uint16_t settled_count() const { return static_cast<std::uint16_t>(alpha_.size() - 1); }
+  // Bytes of a count: 1 where counts stop below 256, else 2.
+  int count_bytes() const { return settled_count() < 256 ? 1 : 2; }
 
   bool is_return(double intensity) const { return intensity > params_.intensity_threshold; }
 
   // w(I): 0 at or below the threshold, else the sigmoid of the normalised intensity.
   double occupied_weight(double intensity) const;
+  // Between which weights lie; codes 2 to 255 divide them evenly.
+  double least_weight() const { return least_weight_; }
+  double largest_weight() const { return largest_weight_; }
 
-  // Log-odds steps of a voxel in state (log_odds, count).
+  // The rule in log-odds: steps of a voxel in state (log_odds, count).
   double occupied_step(double log_odds, std::uint16_t count, double weight) const;
   double free_step(double log_odds, std::uint16_t count) const;
 
-  // Adds a step, clamps, and counts the observation.
-  void add(double step, std::int32_t& units, std::uint16_t& count) const;
-
-  // One free step; the same as `times` = 1 below, but for any voxel.
-  void add_free(std::int32_t& units, std::uint16_t& count) const {
-    if (is_unscaled(units)) {
-      add_unscaled_free(units, count, 1);
-    } else {
-      add(free_step(log_odds_of(units), count), units, count);
-    }
+  // The same in units of the map.
+  int shift() const { return shift_; }
+  double unit() const { return std::ldexp(1.0, -shift_); }
+  double log_odds(std::int16_t units) const { return unit() * units; }
+  std::int16_t units(double log_odds) const {  // clamped
+    return clamped(std::llrint(std::ldexp(std::clamp(log_odds, -1e3, 1e3), shift_)));
+  }
+  std::int32_t file_units(std::int16_t units) const {
+    return std::int32_t{units} * (1 << (24 - shift_));
+  }
+  // Rounds; not clamped.
+  std::int64_t units_of_file(std::int32_t units) const {
+    const int bits = 24 - shift_;
+    return (std::int64_t{units} + (std::int64_t{1} << (bits - 1))) >> bits;
+  }
+  std::int16_t min_units() const { return min_units_; }
+  std::int16_t max_units() const { return max_units_; }
+  std::int16_t clamped(std::int64_t units) const {
+    return static_cast<std::int16_t>(std::clamp<std::int64_t>(units, min_units_, max_units_));
   }
 
-  // Below this the free step does not depend on the log-odds, and free steps telescope.
-  bool is_unscaled(std::int32_t units) const { return units <= unscaled_up_to_; }
-  void add_unscaled_free(std::int32_t& units, std::uint16_t& count, std::uint32_t times) const;
+  // An occupied step before alpha and scale.
+  std::int16_t full_step(double weight) const {
+    const double step = std::min(params_.L_occ * weight, params_.L_max - params_.L_min);
+    return static_cast<std::int16_t>(std::lround(std::ldexp(step, shift_)));
+  }
+  std::int16_t full_step_of_code(std::uint8_t code) const {
+    const auto place = static_cast<std::int16_t>((code - kCodeOccupied) << 7);
+    return static_cast<std::int16_t>(code_base_ + multiply_q15(place, code_slope_));
+  }
+  std::int16_t occupied_units(std::int16_t units, std::uint16_t count, std::int16_t full) const {
+    const std::int16_t alpha = alpha_[count];
+    if (units >= occupied_unscaled_from_) return multiply_q15(full, alpha);
+    return multiply_q15(full, std::max(multiply_q15(alpha, occupied_scale_[scale_index(units)]),
+                                       min_ratio_));
+  }
+  // Positive: by how much a free step lowers a voxel.
+  std::int16_t free_units(std::int16_t units, std::uint16_t count) const {
+    const std::int16_t down = multiply_q15(full_free_, alpha_[count]);
+    return units <= unscaled_up_to_ ? down : multiply_q15(down, free_scale_[scale_index(units)]);
+  }
 
-  // What so many unscaled free steps do to a voxel, by its count: by how many units they lower it
-  // (those that lower any voxel to the clamp are all alike) and the count after them.
-  struct FreeSteps {
-    std::vector<std::uint32_t> down;
-    std::vector<std::uint32_t> count;
-  };
-  FreeSteps free_steps(std::uint32_t times) const;
-  const FreeSteps& one_free_step() const { return one_free_step_; }
-  std::int32_t unscaled_up_to() const { return unscaled_up_to_; }
+  // Adds a step, clamps, and counts the observation.
+  void add(std::int64_t step, std::int16_t& units, std::uint16_t& count) const {
+    units = clamped(units + step);
+    if (count < settled_count()) ++count;
+  }
+  void add_free(std::int16_t& units, std::uint16_t& count) const {
+    add(-std::int64_t{free_units(units, count)}, units, count);
+  }
+
+  // Up to here the free step does not depend on the log-odds, and free steps telescope.
+  std::int16_t unscaled_up_to() const { return unscaled_up_to_; }
+  void add_unscaled_free(std::int16_t& units, std::uint16_t& count, std::uint32_t times) const;
 
   // After so many free steps without a scale every voxel is at L_min and counted out.
   std::uint32_t free_steps_to_floor() const { return free_steps_to_floor_; }
 
+  RuleTables tables() const;
+
   std::size_t memory_bytes() const;  // of its tables
 
-  std::int32_t min_units() const { return min_units_; }
-  std::int32_t max_units() const { return max_units_; }
-  std::int32_t clamped(std::int64_t units) const {
-    return static_cast<std::int32_t>(std::clamp<std::int64_t>(units, min_units_, max_units_));
-  }
-
  private:
+  std::size_t scale_index(std::int16_t units) const {
+    return static_cast<std::size_t>(units - min_units_);
+  }
   double alpha(std::uint16_t count) const;
+  void fill_scales();
 
   IwloParams params_;
-  std::vector<double> alpha_;  // by count, up to the settled count
-  std::int32_t min_units_;
-  std::int32_t max_units_;
-  std::int32_t unscaled_up_to_;
-  std::int64_t settled_free_step_;  // units a ping once alpha has settled
+  double least_weight_;
+  double largest_weight_;
+  int shift_;
+  std::int16_t min_units_;
+  std::int16_t max_units_;
+  std::int16_t unscaled_up_to_;
+  std::int16_t occupied_unscaled_from_;
+  std::int16_t min_ratio_;
+  std::int16_t full_free_;
+  std::int16_t code_base_;
+  std::int16_t code_slope_;
   std::uint32_t free_steps_to_floor_;
+  std::vector<std::int16_t> alpha_;           // by count, up to the settled count
   std::vector<std::int64_t> free_steps_sum_;  // of the first n free steps, n up to settled
-  FreeSteps one_free_step_;
+  std::vector<std::int16_t> occupied_scale_;
+  std::vector<std::int16_t> free_scale_;
 };
 
 }  // namespace mapperd::map

@@ -1,110 +1,144 @@
-// The inner loops, compiled twice: for any machine, and for AVX2. Both do the same operations in
-// the same order, lane by lane, and so give the same bits.
+// The inner loops of the evidence grid, compiled for any machine and, on x86, for AVX2 as well. All
+// do the same operations in the same order, lane by lane, and so give the same bits.
 //
 // They see plain data only. Inline functions of the standard library compiled with AVX2 could be
 // the copies that the linker keeps for the whole program, and crash it on older machines.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 
 namespace mapperd::map {
 
-inline constexpr int kLanes = 8;
-inline constexpr int kMaxBeamsOfVoxel = 128;
-inline constexpr int kMaxRowsOfVoxel = 64;
+// What the image says of a voxel, as one byte: nothing, free, or a return of some weight.
+inline constexpr std::uint8_t kCodeNothing = 0;
+inline constexpr std::uint8_t kCodeFree = 1;
+inline constexpr std::uint8_t kCodeOccupied = 2;  // the least weight; 255 is the largest
 
-// The direction of a plane, over the lines of a voxel: positive on the inner side at
-// base + u * (line's u) + v * (line's v) + t * (place along the line).
-struct LinePlane {
-  float u;
-  float v;
-  float t;
-  float minus_inverse_t;
+// The update rule in whole units of log-odds (iwlo.hpp).
+struct RuleTables {
+  const std::int16_t* alpha;           // by count, Q15
+  const std::int16_t* occupied_scale;  // by units - min_units, Q15
+  const std::int16_t* free_scale;
+  float decay_rate;  // alpha = max(min_alpha, 1 / (1 + decay_rate n)), as in `alpha`
+  float min_alpha;
+  std::int16_t occupied_unscaled_from;
+  std::int16_t unscaled_up_to;
+  std::int16_t min_ratio;
+  std::int16_t max_ratio;
+  std::int16_t code_base;
+  std::int16_t code_slope;
+  std::int16_t full_free;
+  std::int16_t min_units;
+  std::int16_t max_units;
+  std::uint16_t settled_count;
 };
 
-// One beam where it passes a voxel.
-struct LineBeam {
-  const float* weight;    // w(I) of the voxel's rows
-  std::uint64_t returns;  // those with a return, the first row in the lowest bit
-  float free_row;         // free up to here, in rows from the voxel's first
-};
+// Beams that share one width of the footprint.
+inline constexpr int kGroupBeams = 8;
 
-// A voxel as seen along parallel lines through it. Lengths in metres; range in rows of the image,
-// counted from the first row that the voxel touches.
-struct LineTask {
-  float half;  // half the voxel's edge
-  float row;   // of the centre
-  float rows_per_m;
-  float ahead_u;  // direction of increasing range
-  float ahead_v;
-  float ahead_t;  // along the lines, positive
-  float inverse_range;
-  float min_row;  // nothing is learnt before it
+// The grid reaches so many beams beyond either side of the fan, as the footprints of its outermost
+// beams do.
+inline constexpr int kMarginBeams = kGroupBeams;
+inline constexpr int kMaxSubcolumns = 4096;
+
+// Tiles of the grid that class masks stand for.
+inline constexpr int kTileRows = 4;
+inline constexpr int kTileColumns = 4;
+
+// Classes of evidence, as bits of a mask.
+inline constexpr std::uint8_t kHasNothing = 1;
+inline constexpr std::uint8_t kHasFree = 2;
+inline constexpr std::uint8_t kHasOccupied = 4;
+
+// What the rows of the grid are made of. Arrays by beam have `beams` entries, a multiple of
+// kGroupBeams; beams beyond those of the ping say nothing.
+struct GridTask {
   int beams;
-  bool any_return;      // in these rows and beams
-  bool outermost_low;   // the first beam is the fan's first: its lower edge counts
-  bool outermost_high;  // and the last beam's upper edge
-  int cones;            // planes of the aperture that cut the voxel
-  LinePlane cone[2];
-  float cone_base[2];
-  const LinePlane* edge;  // of the beams, one more than there are; positive to larger bearings
-  float edge_base[kMaxBeamsOfVoxel + 1];
-  LineBeam beam[kMaxBeamsOfVoxel];
-  LinePlane seen_edge[kMaxBeamsOfVoxel + 1];  // where a moving sonar's `edge` lies
+  int subcolumns;       // columns a beam
+  float subcolumn;      // one of them, in beams
+  int ping_rows;
+  float row_pitch;      // m
+  float half_window;    // m, of the footprint along range
+  float rows_per_m;     // of the ping
+  float min_range;      // m
+  const float* counted;    // [row][beam] returns in the rows before
+  const float* weighted;   // and the sum of their weights, from 0 to 1
+  const float* free_end;   // by beam: free up to here, m
+  const float* width;      // by group: half the footprint in beams, times range in m
+  float least_occupied;    // share of the footprint
+  float least_free;
+  std::uint8_t* codes;     // [row][column]
+  std::uint8_t* shares;    // null unless evidence is averaged
+  std::uint8_t* classes;   // [tile row][tile column]
+  std::ptrdiff_t stride;   // columns of a row in memory
+  std::ptrdiff_t tile_stride;
 };
 
-struct LineSums {
-  float occupied;  // lengths of lines, in metres
-  float weighted;
-  float squared;  // integral of the squared weight
-  float free;
+// Memory for one row: see scratch_floats().
+std::size_t scratch_floats(const GridTask& task);
+
+struct GridView {
+  const std::uint8_t* codes;
+  const std::uint8_t* shares;
+  const std::uint8_t* cell_classes;  // [tile row][tile column], of all that a cell there may hold
+  std::int32_t stride;
+  std::int32_t tile_stride;
+  float rows;
+  float columns;
 };
 
-// Voxels of a cell, 4 along each edge, x fastest.
-inline constexpr int kCellEdge = 4;
-inline constexpr int kCellVoxels = kCellEdge * kCellEdge * kCellEdge;
-
-// A linear function of a voxel's place in its cell: first + x * step[0] + y * step[1] + z *
-// step[2].
-struct CellLine {
-  double first;
-  double step[3];
+// Grid coordinates of a block's cells. Lengths in voxels; the sonar frame.
+struct CellsTask {
+  float first[3];    // centre of the first cell
+  float step[3][3];  // from cell to cell along the map's x, y, z
+  float voxel_step[3][3];
+  float sin_half_aperture;
+  float cos_half_aperture;
+  float rows_per_voxel;
+  float sine_low;  // of the first bin of the bearing table
+  float bins_per_sine;
+  float last_bin;
+  const float* bin_column;  // column = bin_column + bin_slope * sine
+  const float* bin_slope;
+  float reach;  // of a cell's voxels from its centre
 };
 
-struct CellTask {
-  CellLine ahead;  // the centres' coordinates in the sonar's frame
-  CellLine port;
-  CellLine up;
-  CellLine low_side;  // distance inside the fan's outermost edges
-  CellLine high_side;
-  double sin_half_aperture;
-  double cos_half_aperture;
-};
+// Evidence that a cell may hold, as bits kHas...; 0 for none.
+inline constexpr std::uint8_t kCutByAperture = 8;
+inline constexpr std::uint8_t kNearAxis = 16;  // behind or beside the sonar for some voxels
 
-// Where the voxels' centres lie, seen from the sonar.
+// The cells of a block in the grid. Rows, columns and the distances to the aperture's faces are
+// linear functions of a voxel's place in its cell: the first voxel's, and a step along each axis of
+// the map. Nothing but `classes` is set where no cell is mixed.
 struct CellPlaces {
-  double range[kCellVoxels];
-  double horizontal[kCellVoxels];  // distance from the sonar's vertical axis
-  double sine[kCellVoxels];        // of the bearing
-  double inside_aperture[kCellVoxels];
-  double inside_sides[kCellVoxels];
+  std::uint8_t classes[64];
+  bool within[64];  // all voxels lie inside the grid
+  float range[64];  // voxels
+  float row[64], row_step[3][64];
+  float column[64], column_step[3][64];
+  // Inside the aperture where |height| < spread, in voxels.
+  float spread[64], spread_step[3][64];
+  float height[64];
 };
 
-struct Lowered {
-  bool any_above;  // voxels that were skipped because of the limit
-  bool changed;
+struct CodeCounts {
+  int occupied;
+  int free;
 };
 
 struct Kernels {
   const char* name;
-  // Sums over 8 * `chunks` lines, at u and v times the voxel's edge.
-  LineSums (*lines)(const LineTask& task, const float* u, const float* v, int chunks);
-  void (*places)(const CellTask& task, CellPlaces& places);
-  // Free steps of voxels: `down` (units, positive) and `next` (the new count) by count. Skips
-  // voxels whose bit in `rows` (16 voxels a row) is not set, and those above `limit`.
-  Lowered (*lower)(std::int32_t* units, std::uint16_t* count, const std::uint16_t* rows,
-                   const std::uint32_t* down, const std::uint32_t* next, std::int32_t min_units,
-                   std::int32_t limit);
+  void (*build_rows)(const GridTask& task, int first, int end, float* scratch);
+  void (*place_cells)(const CellsTask& task, const GridView& grid, CellPlaces& places);
+  // Codes, and shares if there are any, of a cell's voxels.
+  CodeCounts (*look_up)(const CellsTask& task, const GridView& grid, const CellPlaces& places,
+                        int cell, std::uint8_t* codes, std::uint8_t* shares);
+  // Updates a cell's voxels by their codes; with `shares`, evidence of both kinds is averaged.
+  // False when nothing changed.
+  bool (*apply)(const RuleTables& rule, const std::uint8_t* codes,
+                const std::uint8_t* shares, std::int16_t* units, std::byte* counts,
+                int count_bytes);
 };
 
 // The fastest that this machine runs, and the plain ones.

@@ -1,6 +1,6 @@
 // Sampled sub-rays, as the published sonar mapper has them that this project grew from.
 //
-// The baseline that the projective integrator is measured against, with that mapper's steps and
+// The baseline that the evidence grid is measured against, with that mapper's steps and
 // quirks:
 // - of a wide image only every (beams / 256)-th beam is used;
 // - a row's range is its near edge;
@@ -15,8 +15,7 @@
 // weight, which only one of its two back ends had.
 #pragma once
 
-#include "mapperd/map/fan.hpp"
-#include "mapperd/map/projective.hpp"
+#include "mapperd/map/ping.hpp"
 #include "mapperd/common/vec.hpp"
 #include "mapperd/map/voxel_map.hpp"
 
@@ -28,10 +27,7 @@ struct RaysSettings {
   double angular_cone_width = 0.5;  // a factor of the beam spacing, not an angle
 };
 
-// Point of the sonar frame at a range, bearing and elevation.
-Vec3 fan_point(double range_m, double bearing_rad, double elevation_rad);
-
-// Throws as integrate_projective().
+// Throws as integrate_evidence_grid().
 PingStats integrate_rays(VoxelMap& map, const PingImage& image, const Transform& map_T_sonar,
                          const RaysSettings& settings, const PingMotion& motion = {});
 

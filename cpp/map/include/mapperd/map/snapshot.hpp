@@ -14,6 +14,7 @@ namespace mapperd::map {
 struct MapSize {
   std::size_t blocks = 0;
   std::size_t known_voxels = 0;
+  std::size_t held_voxels = 0;  // one by one
   std::size_t memory_bytes = 0;
   std::uint64_t revision = 0;
 };
@@ -40,7 +41,7 @@ std::vector<KnownVoxel> voxels_between(const VoxelMap& map, double low_log_odds,
 // Blocks with every voxel written out, x fastest; kBlockVoxels units and counts a key.
 struct DenseBlocks {
   std::vector<BlockKey> keys;
-  std::vector<std::int32_t> units;
+  std::vector<std::int32_t> units;  // of kLogOddsUnit
   std::vector<std::uint16_t> counts;
 };
 

@@ -70,9 +70,9 @@ void for_each_known_of(const VoxelMap& map, const Block& block, const VoxelBox& 
   for (int z = from(box.first.z, corner.z); z < z_end; ++z) {
     for (int y = from(box.first.y, corner.y); y < y_end; ++y) {
       for (int x = from(box.first.x, corner.x); x < x_end; ++x) {
-        const Voxel voxel = block.voxel(map.rule(), voxel_offset(x, y, z));
+        const Voxel voxel = map.voxel(block, voxel_offset(x, y, z));
         if (voxel.count == 0) continue;
-        visit(VoxelIndex{corner.x + x, corner.y + y, corner.z + z}, VoxelMap::state_of(voxel));
+        visit(VoxelIndex{corner.x + x, corner.y + y, corner.z + z}, map.state_of(voxel));
       }
     }
   }

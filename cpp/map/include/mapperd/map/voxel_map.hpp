@@ -11,6 +11,7 @@
 
 #include "mapperd/map/block.hpp"
 #include "mapperd/map/block_store.hpp"
+#include "mapperd/map/cell_pool.hpp"
 #include "mapperd/map/iwlo.hpp"
 #include "mapperd/map/map_mutex.hpp"
 #include "mapperd/map/residency.hpp"
@@ -46,6 +47,8 @@ struct BlockBox {
   }
 };
 
+using BlockStates = std::array<Voxel, kBlockVoxels>;
+
 struct VoxelState {
   float log_odds = 0.0F;
   std::uint16_t count = 0;
@@ -69,6 +72,9 @@ class VoxelMap {
   std::size_t block_count() const { return blocks_.size(); }
   std::size_t memory_bytes() const;  // all that is allocated, within 5 % of what malloc says
   std::size_t known_count() const;   // voxels that were ever observed
+  std::size_t held_count() const {   // voxels held one by one
+    return pool_.in_use() * kCellVoxels;
+  }
 
   // Counts up with every change of the map; a block's revision tells when it last changed.
   std::uint64_t revision() const { return revision_; }
@@ -100,6 +106,12 @@ class VoxelMap {
   // tile is not resident.
   Block& get_or_create(const BlockKey& key);
   const Block* find(const BlockKey& key) const;
+  Block* find(const BlockKey& key);
+  // Takes a block whose cells lie in this map's pool and whose key it does not know yet.
+  // Throws std::logic_error when its tile is not resident.
+  Block& insert(Block block);
+  CellPool& pool() { return pool_; }
+  const CellPool& pool() const { return pool_; }
 
   // The voxel at a point of the map frame; unknown for points beyond the map's reach.
   VoxelState at(const Vec3& point_m) const;
@@ -111,7 +123,11 @@ class VoxelMap {
 
   // The same for many voxels of one block at once, inside the clamps; those with a count of 0 stay
   // as they are.
-  void set_block(const BlockKey& key, const std::array<Voxel, kBlockVoxels>& states);
+  void set_block(const BlockKey& key, const BlockStates& states);
+  // The same, for who says by itself when the block changed.
+  Block& write_block(const BlockKey& key, const BlockStates& states);
+
+  Voxel voxel(const Block& block, int offset) const { return block.voxel(rule_, pool_, offset); }
 
   // The voxel that holds a point; false beyond the map's reach and for points that are not finite.
   bool index_of(const Vec3& point_m, VoxelIndex& voxel) const;
@@ -122,8 +138,8 @@ class VoxelMap {
   void for_each_known(const Visit& visit) const {
     for (const Block* block : sorted_blocks()) {
       for (int i = 0; i < kBlockVoxels; ++i) {
-        const Voxel voxel = block->voxel(rule_, i);
-        if (voxel.count != 0) visit(index_of(block->key, i), state_of(voxel));
+        const Voxel known = voxel(*block, i);
+        if (known.count != 0) visit(index_of(block->key, i), state_of(known));
       }
     }
   }
@@ -137,8 +153,8 @@ class VoxelMap {
   std::vector<const Block*> sorted_blocks() const;
 
   static VoxelIndex index_of(const BlockKey& key, int offset);
-  static VoxelState state_of(const Voxel& voxel) {
-    return {static_cast<float>(log_odds_of(voxel.units)), voxel.count};
+  VoxelState state_of(const Voxel& voxel) const {
+    return {static_cast<float>(rule_.log_odds(voxel.units)), voxel.count};
   }
 
   // This and the next throw std::logic_error for a map in tiles: it is not all here.
@@ -157,6 +173,7 @@ class VoxelMap {
   std::size_t slot_of(const BlockKey& key) const;
   void index_blocks(std::size_t slots);
   void check_whole() const;
+  void compact();
 
   mutable MapMutex mutex_;
   double resolution_m_;
@@ -165,6 +182,7 @@ class VoxelMap {
   std::uint64_t replaced_at_ = 0;
   Residency residency_;
   BlockBox limit_;
+  CellPool pool_;
   BlockStore blocks_;
   std::vector<std::uint32_t> slots_;  // open addressing, a power of two, at most half full
 };

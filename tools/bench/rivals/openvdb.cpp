@@ -7,9 +7,7 @@
 #include <openvdb/openvdb.h>
 
 #include <algorithm>
-#include <cstdlib>
-#include <exception>
-#include <iostream>
+#include <string>
 #include <vector>
 
 #include "run.hpp"
@@ -127,16 +125,16 @@ std::size_t count_touched(const RayPing& ping, double resolution_m) {
   return free.activeVoxelCount();
 }
 
-void measure(const std::string& rays, double resolution_m, double budget_ms, bool once) {
+void measure(const std::string& rays, double resolution_m, double budget_ms,
+             const std::string& way) {
   openvdb::initialize();
   const FloatGrid::Ptr grid = FloatGrid::create(0.0F);
   FloatTree& map = grid->tree();
   Rival rival;
   rival.insert = [&](const RayPing& ping) {
-    (once ? insert_once : insert_visits)(ping, resolution_m, map);
+    (way == "once" ? insert_once : insert_visits)(ping, resolution_m, map);
   };
   rival.count_touched = [&](const RayPing& ping) { return count_touched(ping, resolution_m); };
-  rival.finish = [] {};
   rival.memory_bytes = [&] { return map.memUsage(); };
   rival.known_voxels = [&] { return map.activeVoxelCount(); };
   run(rival, read_rays(rays), budget_ms);
@@ -144,17 +142,4 @@ void measure(const std::string& rays, double resolution_m, double budget_ms, boo
 
 }  // namespace
 
-int main(int argc, char** argv) {
-  const std::string way = argc == 5 ? argv[4] : "";
-  if (way != "visits" && way != "once") {
-    std::cerr << kUsage << " visits|once\n";
-    return 2;
-  }
-  try {
-    measure(argv[1], std::atof(argv[2]), 1e3 * std::atof(argv[3]), way == "once");
-  } catch (const std::exception& error) {
-    std::cerr << error.what() << "\n";
-    return 1;
-  }
-  return 0;
-}
+int main(int argc, char** argv) { return rival_main(argc, argv, {"visits", "once"}, measure); }

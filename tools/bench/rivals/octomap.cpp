@@ -2,9 +2,7 @@
 #include <octomap/octomap.h>
 
 #include <cmath>
-#include <cstdlib>
-#include <exception>
-#include <iostream>
+#include <string>
 
 #include "run.hpp"
 
@@ -34,7 +32,8 @@ std::size_t count_touched(octomap::OcTree& tree, const RayPing& ping) {
   return free_cells.size() + occupied_cells.size();
 }
 
-void measure(const std::string& rays, double resolution_m, double budget_ms) {
+void measure(const std::string& rays, double resolution_m, double budget_ms,
+             const std::string& /*way*/) {
   octomap::OcTree tree(resolution_m);
   tree.setProbHit(probability_of(kHit));
   tree.setProbMiss(probability_of(kMiss));
@@ -45,7 +44,6 @@ void measure(const std::string& rays, double resolution_m, double budget_ms) {
     tree.insertPointCloud(cloud_of(ping), origin_of(ping), kNoMaxRange, true, true);
   };
   rival.count_touched = [&](const RayPing& ping) { return count_touched(tree, ping); };
-  rival.finish = [&] { tree.updateInnerOccupancy(); };
   rival.memory_bytes = [&] { return tree.memoryUsage(); };
   rival.known_voxels = [&] { return tree.getNumLeafNodes(); };
   run(rival, read_rays(rays), budget_ms);
@@ -53,16 +51,4 @@ void measure(const std::string& rays, double resolution_m, double budget_ms) {
 
 }  // namespace
 
-int main(int argc, char** argv) {
-  if (argc != 4) {
-    std::cerr << kUsage << "\n";
-    return 2;
-  }
-  try {
-    measure(argv[1], std::atof(argv[2]), 1e3 * std::atof(argv[3]));
-  } catch (const std::exception& error) {
-    std::cerr << error.what() << "\n";
-    return 1;
-  }
-  return 0;
-}
+int main(int argc, char** argv) { return rival_main(argc, argv, {}, measure); }

@@ -1,0 +1,16 @@
+// The evidence grid's integrator: coarse to fine over class masks, one look-up a voxel.
+#pragma once
+
+#include "mapperd/common/vec.hpp"
+#include "mapperd/map/ping.hpp"
+#include "mapperd/map/voxel_map.hpp"
+
+namespace mapperd::map {
+
+// Throws std::invalid_argument for a bad ping, pose or motion, std::out_of_range for a pose so far
+// away that the ping would leave the map's reach. The map is unchanged then.
+PingStats integrate_evidence_grid(VoxelMap& map, const PingImage& image,
+                                  const Transform& map_T_sonar, const PingSettings& settings,
+                                  const PingMotion& motion = {});
+
+}  // namespace mapperd::map

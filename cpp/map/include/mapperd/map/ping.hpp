@@ -1,0 +1,72 @@
+// One ping as the map takes it: the image, its geometry, and where the sonar was.
+//
+// Sonar frame: x along the centre beam, y to port, z up; positive bearing is to starboard, so a
+// point at range r, bearing b, elevation e is (r cos e cos b, -r cos e sin b, r sin e).
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include "mapperd/common/vec.hpp"
+#include "mapperd/map/ping_motion.hpp"
+#include "mapperd/map/voxel_map.hpp"
+
+namespace mapperd::map {
+
+enum class Aggregation {
+  occupied_first,  // occupied evidence beats free evidence inside one ping
+  mean,            // both kinds by their shares, as the published rule averages them
+};
+
+// A view of a ping image: row-major, row 0 nearest, column 0 the most negative bearing.
+struct PingImage {
+  const float* intensity = nullptr;
+  std::size_t rows = 0;
+  std::size_t beams = 0;
+  const double* bearings_rad = nullptr;  // strictly increasing, within +-90 degrees
+  double range_resolution_m = 0.0;
+
+  float at(std::size_t row, std::size_t beam) const { return intensity[row * beams + beam]; }
+  double max_range_m() const { return static_cast<double>(rows) * range_resolution_m; }
+};
+
+struct PingSettings {
+  double vertical_aperture_rad = 0.349065850398866;  // 20 degrees
+  double min_range_m = 0.5;
+  bool carve_no_return = false;
+  Aggregation aggregation = Aggregation::occupied_first;
+  double detail = 1.0;  // of the evidence grid; its pitch shrinks as this grows
+  int threads = 1;      // the map does not depend on it
+};
+
+struct PingStats {
+  std::size_t occupied = 0;
+  std::size_t free = 0;
+  std::size_t blocks_visited = 0;
+  std::size_t blocks_created = 0;
+};
+
+// Throws std::invalid_argument, naming the argument, for a ping that cannot be projected.
+void check_ping(const PingImage& image, const PingSettings& settings);
+
+// Throws std::invalid_argument for a bad pose or motion, std::out_of_range for a pose so far away
+// that the ping would leave the map's reach.
+void check_reach(const VoxelMap& map, const Transform& map_T_sonar, double max_range_m,
+                 const PingMotion& motion);
+
+// Sines of the beams' edges, beams + 1 of them: half way between neighbours, because the sonar
+// spaces its beams uniformly in sine; the outermost are extrapolated, within +-1.
+std::vector<double> beam_edge_sines(const double* bearings_rad, std::size_t beams);
+
+// Point of the sonar frame at a range, bearing and elevation.
+Vec3 fan_point(double range_m, double bearing_rad, double elevation_rad);
+
+// Where the sonar was at transmission: a block, and the pose from its corner. Far from the map's
+// origin no precision is lost.
+struct BlockPose {
+  BlockKey block;
+  Transform block_T_sonar;
+};
+BlockPose at_transmission(const Transform& map_T_sonar, const PingMotion& motion, double block_m);
+
+}  // namespace mapperd::map
