@@ -1,4 +1,4 @@
-"""OctoMap files through the public map; their content is judged by OctoMap itself in cpp/map/test."""
+"""OctoMap files through the public map; OctoMap itself judges their content in cpp/map/test."""
 
 from collections.abc import Callable
 

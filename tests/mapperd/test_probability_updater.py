@@ -8,6 +8,12 @@ from mapperd import ProbabilityUpdater
 from mapperd.map_queries import OCCUPIED, UNKNOWN
 
 HERE = [[0.01, 0.02, 0.03]]
+UNIT = 2.0**-11  # of the log-odds that the map holds; every step is rounded to the nearest one
+
+
+def near(expected: float, updates: int) -> Any:
+    """Half a unit for each update, and the published vectors' last decimal."""
+    return pytest.approx(expected, abs=updates * UNIT / 2 + 1e-6)
 
 
 def log_odds(updater: ProbabilityUpdater) -> float:
@@ -34,9 +40,9 @@ def test_published_vectors() -> None:
         (145, 6.843706),
         (145, 7.873118),
     ]
-    for intensity, expected in steps:
+    for updates, (intensity, expected) in enumerate(steps, 1):
         updater.batch_update_iwlo(HERE, [intensity], [intensity > 0])
-        assert log_odds(updater) == pytest.approx(expected, abs=1e-5)
+        assert log_odds(updater) == near(expected, updates)
     assert updater.get_observation_count((0, 0, 0)) == len(steps)
     assert updater.get_observation_count((1, 0, 0)) == 0
 
@@ -44,11 +50,10 @@ def test_published_vectors() -> None:
 @pytest.mark.parametrize("weights", [[3, 2, 1], np.array([3.0, 2.0, 1.0])])
 def test_published_vectors_with_weights(weights: Any) -> None:
     single = set_a()
-    for (intensity, expected), weight in zip(
-        ((145, 5.25), (0, 3.573774), (145, 5.032107)), weights, strict=True
-    ):
+    steps = ((145, 5.25), (0, 3.573774), (145, 5.032107))
+    for updates, ((intensity, expected), weight) in enumerate(zip(steps, weights, strict=True), 1):
         single.batch_update_iwlo(HERE, [intensity], [intensity > 0], [weight])
-        assert log_odds(single) == pytest.approx(expected, abs=1e-5)
+        assert log_odds(single) == near(expected, updates)
     batch = set_a()
     batch.batch_update_iwlo(HERE * 3, [145, 0, 145], [True, False, True], weights)
     assert log_odds(batch) == log_odds(single)
@@ -60,9 +65,9 @@ def test_set_b_through_all_setters() -> None:
     updater.set_iwlo_params(0.1, 0.1, 0.3, -12.0, 8.0)
     updater.set_adaptive_params(enable=True, threshold=0.5, max_ratio=0.3)
     updater.set_intensity_params(100.0, 255.0)
-    for intensity, expected in ((150, 0.991129), (150, 1.892156), (150, 2.718097)):
-        updater.batch_update_iwlo(HERE, [intensity], [True])
-        assert log_odds(updater) == pytest.approx(expected, abs=1e-5)
+    for updates, expected in enumerate((0.991129, 1.892156, 2.718097), 1):
+        updater.batch_update_iwlo(HERE, [150], [True])
+        assert log_odds(updater) == near(expected, updates)
 
 
 def pings_back(updater: ProbabilityUpdater, free_pings: int) -> int:
@@ -80,11 +85,47 @@ def test_changed_voxel_comes_back_within_30_pings() -> None:
         assert pings_back(set_a(), free_pings) == pings
 
 
-def test_min_ratio_of_zero_is_the_published_rule() -> None:
-    for free_pings, pings in ((1, 84), (2, 2850)):
-        updater = set_a()
-        updater.set_adaptive_params(enable=True, threshold=0.5, max_ratio=0.3, min_ratio=0)
-        assert pings_back(updater, free_pings) == pings
+def published_pings_back(free_pings: int, unit: float) -> int:
+    """Of the published rule, with steps of whole units; 0 if a step is none and it stays so."""
+    value = 0.0
+    for ping in range(free_pings + 10_000):
+        p, alpha = 1 / (1 + math.exp(-value)), max(0.1, 1 / (1 + 0.1 * ping))
+        if ping < free_pings:
+            step = -3.0 * alpha
+        else:
+            step = 3.5 * 0.5 * alpha * (1.0 if p >= 0.5 else p / 0.5 * 0.3)
+        if abs(step) < unit / 2:
+            return 0
+        value += round(step / unit) * unit
+        if value > math.log(0.7 / 0.3):
+            return ping + 1 - free_pings
+    raise AssertionError("never")
+
+
+def without_min_ratio() -> ProbabilityUpdater:
+    updater = set_a()
+    updater.set_adaptive_params(enable=True, threshold=0.5, max_ratio=0.3, min_ratio=0)
+    return updater
+
+
+@pytest.mark.parametrize(("free_pings", "published", "pings"), [(1, 84, 84), (2, 2850, 2877)])
+def test_min_ratio_of_zero_is_the_published_rule(
+    free_pings: int, published: int, pings: int
+) -> None:
+    assert published_pings_back(free_pings, 2.0**-40) == published
+    assert published_pings_back(free_pings, UNIT) == pings
+    assert pings_back(without_min_ratio(), free_pings) == pings
+
+
+def test_without_min_ratio_steps_below_half_a_unit_are_none() -> None:
+    assert published_pings_back(3, UNIT) == 0
+    updater = without_min_ratio()
+    updater.batch_update_iwlo(HERE * 3, [0] * 3, [False] * 3)
+    free = log_odds(updater)
+    assert free == near(-3 * (1 + 1 / 1.1 + 1 / 1.2), 3)
+    updater.batch_update_iwlo(HERE * 10_000, [145] * 10_000, [True] * 10_000)
+    assert log_odds(updater) == free
+    assert updater.get_observation_count((0, 0, 0)) > 3
 
 
 def test_adaptive_setter_without_min_ratio_takes_any_max_ratio() -> None:
@@ -110,7 +151,7 @@ def test_own_defaults() -> None:
     updater = ProbabilityUpdater()
     assert updater.get_resolution() == 0.05
     updater.batch_update_iwlo(HERE, [255], [True])
-    assert log_odds(updater) == pytest.approx(3.5 / (1 + math.exp(-0.05)), abs=1e-5)
+    assert log_odds(updater) == near(3.5 / (1 + math.exp(-0.05)), 1)
 
 
 def test_flag_decides() -> None:
@@ -135,10 +176,10 @@ def test_clamps_are_one_pair_and_hold_at_once() -> None:
     updater.batch_update_iwlo(HERE * 40, [255] * 40, [True] * 40)
     assert log_odds(updater) == pytest.approx(10.0, abs=1e-4)
     updater.set_clamping_thresholds(0.1, 0.9)
-    assert log_odds(updater) == pytest.approx(math.log(9), abs=1e-5)
+    assert log_odds(updater) == near(math.log(9), 1)  # clamps are whole units too
     assert len(updater.get_occupied_voxels()) == 1  # and max_prob is no threshold
     updater.batch_update_iwlo(HERE * 40, [0] * 40, [False] * 40)
-    assert log_odds(updater) == pytest.approx(-math.log(9), abs=1e-5)
+    assert log_odds(updater) == near(-math.log(9), 1)
     assert updater.get_observation_count([0, 0, 0]) > 1  # kept through the change of rule
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -45,17 +46,52 @@ def test_a_quarter_turn_of_the_sonar_turns_the_map() -> None:
         assert max(abs(got[key] - turned[key]) for key in got) < 1e-5
 
 
-def test_a_mirrored_image_gives_a_mirrored_map() -> None:
+@pytest.mark.parametrize("detail", [1.0, 4.0])
+@pytest.mark.parametrize("beams", [8, 32, 40])
+def test_a_mirrored_image_gives_a_mirrored_map(beams: int, detail: float) -> None:
     """Port and starboard are alike: a mirrored image makes a mirrored map.
 
     Naively a beam has the voxels from its bearing to the next one's, and the whole map is half a
     beam off to one side.
     """
-    look = Look(pose=at(0.05, 0.05, 0.05))
-    flipped = look.but(image=np.ascontiguousarray(look.image[:, ::-1]))
-    before, after = cells(look.into(empty())), cells(flipped.into(empty()))
-    assert {(x, -y, z) for x, y, z in after} == set(before)
-    assert max(abs(after[x, -y, z] - before[x, y, z]) for x, y, z in before) < 1e-5
+    # The grid takes one cosine for eight beams: groups, too, are to be each other's image. And no
+    # voxel's centre is to lie on the axis, where two columns of the grid are equally near.
+    look = Look(image=wall(beams=beams), bearings_rad=fan(beams), pose=at(0.05, 0.0, 0.05))
+    flipped = look.but(image=np.ascontiguousarray(look.image[:, ::-1]), detail=detail)
+    before = cells(look.but(detail=detail).into(empty()))
+    after = cells(flipped.into(empty()))
+    assert len(before) > 1000
+    assert {(x, -1 - y, z): value for (x, y, z), value in after.items()} == before
+
+
+@pytest.mark.parametrize("y", [0.0, 0.05])
+def test_a_mirrored_image_of_33_beams_gives_a_mirrored_map_of_classes(y: float) -> None:
+    """Beams need not be whole groups of eight, nor the sonar lie on a face of the grid.
+
+    Naively the middle of the last group is reckoned with beams that are not there, and one side of
+    the fan is wider than the other.
+    """
+    # Of one intensity all weights are alike, whatever footprint they are the mean of.
+    image = np.where(wall() > 100, np.float32(200), np.float32(0)).astype(np.float32)
+    look = Look(image=image, pose=at(0.05, y, 0.05))
+    before = cells(look.into(empty()))
+    after = cells(look.but(image=np.ascontiguousarray(image[:, ::-1])).into(empty()))
+    mirrored = {(x, -j if y > 0 else -1 - j, z): value for (x, j, z), value in after.items()}
+    common = before.keys() & mirrored.keys()
+    assert len(common) > 1000
+    differ = before.keys() ^ mirrored.keys()
+    differ |= {key for key in common if before[key] != mirrored[key]}
+    classes = {key: value > 0 for key, value in before.items()}
+    around = list(itertools.product((-1, 0, 1), repeat=3))
+    beside = {
+        (x, j, z)
+        for x, j, z in before.keys() | mirrored.keys()
+        if len({classes.get((x + a, j + b, z + c)) for a, b, c in around}) > 1
+    }
+    assert differ <= beside
+    # Groups of beams 0 to 7 and of 32 alone are each other's image: footprints differ by
+    # 0.54 (cos 0.70 - cos 0.9) = 0.077 edges, and so does the place where a class ends.
+    assert len(differ) <= 0.077 * len(beside)
 
 
 def test_a_sonar_that_looks_astern_has_no_seam_at_180_degrees() -> None:

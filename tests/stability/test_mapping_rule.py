@@ -12,15 +12,15 @@ from mpmath import mpf
 
 from mapperd import _core
 from mapperd.probability import log_odds_of, probabilities_of
-from tests.stability.iwlo_oracle import UNIT, Rule, log_odds, sigmoid
-from tests.stability.pings import Look
+from tests.stability.iwlo_oracle import UNIT, Rule, WholeRule, log_odds, sigmoid
+from tests.stability.pings import Look, at, empty, fan
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 HERE = np.full((1, 3), 0.5)
 ALL = [i / 8 for i in range(-1016, 1017, 7)] + [-127.0, 127.0, -(2**-24), 0.0, 2**-24, 36.75]
-"""Log-odds, all of them whole units."""
+"""Log-odds, all of them whole numbers of 2^-24."""
 
 
 def core(rule: Rule) -> _core.IwloParams:
@@ -91,17 +91,53 @@ def test_free_pings_taken_together_know_where_protection_begins(threshold: float
     number of units, is anything.
     """
     rule = dataclasses.replace(WIDE, adaptive_threshold=threshold)
-    voxels = _core.VoxelMap(0.1, core(rule))
+    voxels, whole = _core.VoxelMap(0.1, core(rule)), WholeRule(rule)
     look = Look(image=np.zeros((60, 33), np.float32), carve_no_return=True)
-    expected = mpf(0)
-    for count in range(30):
+    units, count, worst = 0, 0, mpf(0)
+    for _ in range(30):
         look.into(voxels)
-        expected = rule.after(float(expected), count, occupied=False)
-    _, units, counts = voxels.blocks()
-    seen = units[counts == 30]
+        exact = rule.after(units * whole.unit, count, occupied=False) / whole.unit
+        units, count = whole.after_ping(units, count)
+        worst = max(worst, abs(units - exact))
+    _, held, counts = voxels.blocks()
+    seen = held[counts == 30]
     assert len(seen) > 1000
-    assert seen.min() == seen.max()
-    assert abs(int(seen[0]) - expected / UNIT) < 30
+    assert (seen * float(UNIT) == units * whole.unit).all()
+    # Two products are rounded to half a unit each; their factors, 1 among them, to 2^-15 of 768.
+    assert worst < 1 + 2 * 768 * 2**-15
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        Rule(),
+        WIDE,
+        Rule(adaptive_update=False),
+        Rule(adaptive_threshold=0.8, adaptive_max_ratio=0.9, adaptive_min_ratio=0.0),
+        Rule(decay_rate=0.01, min_alpha=0.01, protect_occupied=False),
+        Rule(L_occ=0.3, L_free=-0.2, L_min=-2.0, L_max=31.0),
+    ],
+    ids=["usual", "wide", "plain", "published", "slow", "small"],
+)
+def test_a_series_of_pings_is_the_rule_in_whole_numbers(rule: Rule) -> None:
+    """A voxel's steps are whole units that its state says alone: two thousand pings have one sum.
+
+    Naively steps are products of floats, which a vector unit, a table and the free pings that are
+    taken together round otherwise: the map depends on the machine.
+    """
+    rng = np.random.default_rng(11)
+    voxels, whole = empty(0.1, **dataclasses.asdict(rule)), WholeRule(rule)
+    here, units, count = np.array([[1.55, 0.05, 0.05]]), 0, 0
+    white, black = np.full((20, 9), 255, np.float32), np.zeros((20, 9), np.float32)
+    look = Look(bearings_rad=fan(9, 0.3), row_m=0.1, pose=at(0.05, 0.05, 0.05))
+    for number in range(2000):
+        # Long runs of either kind reach the clamps, and are kept pending.
+        occupied = bool(rng.uniform() < (0.3, 0.02, 0.98, 0.5)[number // 50 % 4])
+        look.but(image=white if occupied else black, carve_no_return=True).into(voxels)
+        units, count = whole.after_ping(units, count, 255 if occupied else None)
+        if number % 37 == 0 or number > 1900:
+            held, seen = voxels.query(here)[:2]
+            assert (float(held[0]), int(seen[0])) == (units * whole.unit, count)
 
 
 def test_a_sigmoid_of_any_sharpness_is_finite_and_rises() -> None:
@@ -176,32 +212,67 @@ def test_counts_stop_at_65535_and_do_not_begin_anew() -> None:
     voxels = one_voxel(rule)
     observe(voxels, np.arange(70_000) % 2 == 0)
     assert state(voxels)[1] == 65535
-    before = state(voxels)[0]
+    before, unit = state(voxels)[0], WholeRule(rule).unit
     observe(voxels, np.array([True]))
-    assert state(voxels)[0] - before == pytest.approx(3.5 * float(rule.weight(255.0)) / 65536, 1e-2)
+    step = 3.5 * float(rule.weight(255.0)) / 65536
+    assert step < unit / 2
+    assert state(voxels) == (before, 65535)  # a step of less than half a unit is none
+    # Its rate shows in one that counts 65536 times; at a rate of 1 it would end at the clamp.
+    observe(voxels, np.array([True]), np.array([65536.0]))
+    assert abs(state(voxels)[0] - before - 65536 * step) <= unit / 2
+    assert state(voxels)[0] < 10.0
     assert voxels.known_count() == 1
 
 
-def test_a_million_tiny_steps_add_up_as_they_should() -> None:
-    """A slow learner's steps are some thousandths, and a million of them make the map.
+def test_a_million_tiny_steps_add_up_in_whole_units() -> None:
+    """A million steps about as large as a unit are rounded each to a whole one: half a unit is lost
+    at each at most, the sum of what is left is exact, and the same in any order.
 
-    Naively they are summed in single precision, which rounds each step beside 74 by up to 4e-6,
-    often to one side: the sum is off by 0.18, six times what whole units may be off by.
+    Naively they are summed in single precision, which rounds the sum anew at each step: it is
+    nearer to the rule, but in another order it is another map.
+    """
+    rule = Rule(decay_rate=0.0, adaptive_update=False, L_min=-15.0, L_max=15.0)
+    bright, whole = 3.5 * float(rule.weight(255.0)), WholeRule(rule)
+    occupied = np.arange(1_000_000) % 2 == 0
+    wanted = np.random.default_rng(4).uniform(0.5, 3.5, 1_000_000) * whole.unit
+    factors = wanted / np.where(occupied, bright, 3.0)
+    steps = factors * np.where(occupied, bright, -3.0)
+    rounded = np.round(steps / whole.unit)
+    sums = np.cumsum(rounded) * whole.unit
+    assert np.abs([sums, sums[-1] - sums]).max() < 15  # no clamp comes between, either way
+    singles = []
+    for turn in (slice(None), slice(None, None, -1)):
+        voxels = one_voxel(rule)
+        observe(voxels, occupied[turn].copy(), factors[turn].copy())
+        assert state(voxels) == (sums[-1], 1)
+        singles.append(np.cumsum(steps[turn].astype(np.float32), dtype=np.float32)[-1])
+    assert abs(sums[-1] - math.fsum(steps)) <= 1_000_000 * whole.unit / 2
+    assert singles[0] != singles[1]
+
+
+def test_a_slow_learner_s_steps_are_whole_units_and_its_sum_is_theirs() -> None:
+    """A learning rate of a thousandth makes steps of less than a unit, each of which is a whole one
+    or none: the map holds exactly their sum, which after a million is 3 where the rule says 74.
+
+    Naively steps are cut off to whole units: those of seven tenths are none, and a voxel stands
+    still whatever is seen.
     """
     rule = Rule(min_alpha=0.001, decay_rate=10.0, adaptive_update=False, L_min=-127.0, L_max=127.0)
-    bright = float(rule.weight(255.0))
+    bright, whole = float(rule.weight(255.0)), WholeRule(rule)
     factors = np.tile([1.0, 3.5 * bright / 3.0], 500_000)
     factors[1::2] *= np.random.default_rng(4).uniform(0.9, 1.0, 500_000)
     occupied = np.arange(1_000_000) % 2 == 0
     voxels = one_voxel(rule)
     observe(voxels, occupied, factors)
+    units, count = 0, 0
+    for is_occupied, factor in zip(occupied.tolist(), factors.tolist(), strict=True):
+        units, count = whole.after_point(units, count, occupied=is_occupied, factor=factor)
+    assert state(voxels) == (units * whole.unit, count)
     alpha = np.maximum(0.001, 1 / (1 + 10.0 * np.arange(1_000_000)))
-    steps = alpha * factors * np.where(occupied, 3.5 * bright, -3.0)
-    exact = math.fsum(steps)
-    assert 50 < exact < 126
-    assert abs(state(voxels)[0] - exact) < 1_000_000 * UNIT / 2
-    single = float(np.cumsum(steps.astype(np.float32), dtype=np.float32)[-1])
-    assert abs(single - exact) > 5 * 1_000_000 * UNIT / 2
+    exact = math.fsum(alpha * factors * np.where(occupied, 3.5 * bright, -3.0))
+    assert abs(state(voxels)[0] - exact) <= 1_000_000 * whole.unit / 2
+    # 0.73 of a unit up and 0.66 or more down are a whole one each.
+    assert (round(state(voxels)[0]), round(exact)) == (3, 74)
 
 
 def test_clamps_of_127_hold_against_the_largest_steps() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mapperd.echo import display_units
+from tests.stability.iwlo_oracle import Rule, WholeRule
 from tests.stability.pings import Look, at, cells, empty, fan, same, wall
 
 
@@ -51,8 +52,10 @@ def test_the_smallest_sample_of_all_is_a_return_above_a_threshold_of_0() -> None
     assert tiny.max() > 0
     voxels = Look(image=tiny).into(empty(intensity_threshold=0.0))
     assert voxels.class_counts(0.0, 0.0)[0] > 100
-    weight = 1 / (1 + math.exp(1.5))
-    assert voxels.voxels()[1].max() == pytest.approx(3.5 * weight, abs=1e-5)
+    units = WholeRule(Rule())
+    least = units.full_of(2) * units.unit
+    assert voxels.voxels()[1].max() == least
+    assert abs(least - 3.5 / (1 + math.exp(1.5))) <= units.unit / 2  # it is rounded once
 
 
 def test_an_image_of_full_scale_is_a_wall_at_the_nearest_row() -> None:
@@ -66,8 +69,11 @@ def test_an_image_of_full_scale_is_a_wall_at_the_nearest_row() -> None:
     occupied, free, _ = voxels.class_counts(0.0, 0.0)
     assert free == 0
     assert occupied > 1000
-    step = 3.5 / (1 + math.exp(-1.5))
-    assert voxels.voxels()[1].max() == pytest.approx(step, abs=1e-4)
+    units = WholeRule(Rule())
+    most = units.full_of(255) * units.unit
+    assert voxels.voxels()[1].max() == most
+    # Rounded three times to half a unit: the least step, the slope over all codes, their product.
+    assert abs(most - 3.5 / (1 + math.exp(-1.5))) <= 1.5 * units.unit
     for _ in range(5):
         look.into(voxels)
     assert voxels.voxels()[1].max() == 10.0

@@ -20,6 +20,9 @@ from tests.stability.iwlo_oracle import sigmoid
 
 OCCUPIED, FREE = math.log(0.7 / 0.3), math.log(0.4 / 0.6)
 WIDE = _core.IwloParams(L_min=-127.0, L_max=127.0)
+USUAL, UNIT = _core.IwloParams(), 2.0**-11
+"""The default rule, and in what a map of it holds log-odds."""
+
 ORIGIN = np.zeros((1, 3), np.int32)
 
 
@@ -33,9 +36,11 @@ def view(step: float, level: int = 0, detail: str = "log_odds") -> _core.StreamV
     )
 
 
-def voxels_of(values: np.ndarray) -> tuple[_core.VoxelMap, np.ndarray]:
+def voxels_of(
+    values: np.ndarray, rule: _core.IwloParams = WIDE
+) -> tuple[_core.VoxelMap, np.ndarray]:
     """A map of these log-odds along x, and the points at which they are."""
-    voxels = _core.VoxelMap(0.1, WIDE)
+    voxels = _core.VoxelMap(0.1, rule)
     points = np.zeros((len(values), 3)) + 0.05
     points[:, 0] += 0.1 * np.arange(len(values))
     voxels.set_log_odds(points, values)
@@ -60,12 +65,14 @@ def test_a_voxel_a_unit_beyond_a_threshold_is_told_on_its_side(step: float) -> N
     Naively log-odds are rounded to the nearest step, which lies on the other side of the threshold:
     the pilot sees water where the map has a wall.
     """
-    units = np.array([-3, -2, -1, 0, 1, 2, 3]) * 2.0**-24
-    limits = np.round(np.array([OCCUPIED, FREE]) * 2**24) / 2**24
+    units = np.array([-3, -2, -1, 0, 1, 2, 3]) * UNIT
+    limits = np.round(np.array([OCCUPIED, FREE]) / UNIT) * UNIT
     values = np.concatenate([limits[0] + units, limits[1] + units])
-    voxels, points = voxels_of(values)
+    voxels, points = voxels_of(values, USUAL)
+    assert (voxels.query(points)[0] == values).all()
     told = mirrored(voxels, step).classify(points)
     expected = voxels.classify(points, OCCUPIED, FREE)
+    assert (expected == np.where(values > OCCUPIED, 1, np.where(values < FREE, 0, -1))).all()
     assert set(expected.tolist()) == {-1, 0, 1}
     reached = 127 * step > OCCUPIED  # of so fine a step no multiple lies beyond the thresholds
     assert (told == (expected if reached else -1)).all()
@@ -77,10 +84,8 @@ def test_a_client_is_off_by_half_a_step_and_beside_a_threshold_by_less_than_one(
     Naively half a step is told as the bound: 0.125. Beside a threshold the class has precedence,
     and the nearest step on its side is 0.155 away.
     """
-    values = np.round(np.arange(-4.0, 4.0, 0.0009765625) * 2**24) / 2**24
-    near = np.array([OCCUPIED, FREE])[:, None] + [-(2.0**-20), 2.0**-20]
-    values = np.concatenate([values, near.ravel()])
-    voxels, off, p_off = _core.VoxelMap(0.1, WIDE), [], []
+    values = np.arange(-4.0, 4.0, UNIT)  # all that the map can hold there
+    voxels, off, p_off = _core.VoxelMap(0.1, USUAL), [], []
     for eight in np.split(values, np.arange(8, len(values), 8)):
         points = np.zeros((len(eight), 3)) + 0.05
         points[:, 0] += 0.1 * np.arange(len(eight))

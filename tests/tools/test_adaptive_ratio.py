@@ -5,6 +5,7 @@ import pytest
 from accuracy_cost.adaptive_ratio import (
     BEFORE,
     DEFAULT,
+    MIDDLE,
     NOISE,
     PROMISED_PINGS,
     PUBLISHED,
@@ -17,6 +18,8 @@ from accuracy_cost.adaptive_ratio import (
     noise_row,
     pings_to_free,
     pings_to_occupied,
+    probability_after,
+    published_pings_to_occupied,
     reclassification_table,
 )
 
@@ -34,8 +37,12 @@ def test_search_gives_up() -> None:
 
 
 def test_published_rule_deadlocks_and_the_default_does_not() -> None:
-    assert [pings_to_occupied(PUBLISHED, n) for n in (1, 2)] == [84, 2850]
-    assert pings_to_occupied(PUBLISHED, 5) == pytest.approx(210_000, rel=0.005)
+    assert [published_pings_to_occupied(n) for n in (1, 2)] == [84, 2850]
+    assert published_pings_to_occupied(5) == pytest.approx(210_000, rel=0.005)
+    assert pings_to_occupied(PUBLISHED, 1) == pytest.approx(84, abs=2)
+    # In the map's 16 bits its steps are nothing from there on.
+    start = probability_after(PUBLISHED, [(5, 0)])
+    assert probability_after(PUBLISHED, [(5, 0), (300_000, MIDDLE)]) == start
     assert max(pings_to_occupied(DEFAULT, n) for n in BEFORE) <= PROMISED_PINGS
 
 

@@ -168,7 +168,12 @@ def test_the_page_tells_what_became_of_the_whole_catalogue(tmp_path: Path) -> No
     page = (REPOSITORY / "docs" / "mutations.md").read_text()
     told = page.partition(BEGIN)[2].partition(END)[0].strip().splitlines()
     results = Results(tmp_path / "results.jsonl")
+    # A new mutation is in the page before a run has measured it.
+    waiting = {line.rpartition(" | ")[0] for line in told if line.endswith("| not measured |")}
+    assert len(waiting) < len(MUTATIONS) / 4
     for each in MUTATIONS:
+        if f"| `{each.file}` | {each.breaks}" in waiting:
+            continue
         ended = ("survived", "") if each.survives else ("killed", each.killed_by[0])
         results.add(Result(each.name, *ended, "", 1.0, "1234567", ""))
     expected = table(MUTATIONS, results).splitlines()

@@ -2,12 +2,14 @@
 
 Draws docs/images/adaptive-ratio.png and prints the tables of docs/mapping.md, in about two
 minutes. The rule is the map's own, through `mapperd.ProbabilityUpdater`, with the defaults of the
-settings.
+settings. The published rule's way back is computed in real numbers: the map holds log-odds in 16
+bits, and rounds most of its steps to nothing.
 
 Usage: python tools/accuracy_cost/adaptive_ratio.py [--picture FILE]
 """
 
 import argparse
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -78,6 +80,29 @@ def pings_to_occupied(min_ratio: float, free_before: int, intensity: float = MID
     )
 
 
+@cache
+def published_pings_to_occupied(free_before: int, intensity: float = MIDDLE) -> int:
+    """The same by the published rule, in double precision."""
+    iwlo, adaptive = DEFAULTS.iwlo, DEFAULTS.adaptive
+    threshold = DEFAULTS.filtering.intensity_threshold
+    share = (intensity - threshold) / (iwlo.intensity_max - threshold)
+    full = iwlo.L_occ / (1.0 + math.exp(-iwlo.sharpness * (share - 0.5)))
+
+    def alpha(count: int) -> float:
+        return max(iwlo.min_alpha, 1.0 / (1.0 + iwlo.decay_rate * count))
+
+    log_odds = 0.0
+    for count in range(free_before):
+        log_odds = max(log_odds + iwlo.L_free * alpha(count), iwlo.L_min)
+    for pings in range(1, GIVEN_UP):
+        p = 1.0 / (1.0 + math.exp(-log_odds))
+        scale = 1.0 if p >= adaptive.threshold else p / adaptive.threshold * adaptive.max_ratio
+        log_odds += full * alpha(free_before + pings - 1) * scale
+        if 1.0 / (1.0 + math.exp(-log_odds)) > OCCUPIED:
+            return pings
+    raise ValueError(f"not within {GIVEN_UP} pings")
+
+
 def pings_to_free(min_ratio: float, occupied_before: int, intensity: float = MIDDLE) -> int:
     """The other way round."""
     return first_true(
@@ -131,7 +156,8 @@ def reclassification_table() -> list[str]:
         "|---:|---:|---:|---:|",
     ]
     for before in BEFORE:
-        published, now = (pings_to_occupied(ratio, before) for ratio in (PUBLISHED, DEFAULT))
+        published = published_pings_to_occupied(before)
+        now = pings_to_occupied(DEFAULT, before)
         back = pings_to_free(DEFAULT, before)
         rows.append(f"| {before} | {_spaced(published)} | {now} | {back} |")
     return rows
@@ -141,9 +167,9 @@ def intensity_table() -> list[str]:
     """Pings until a voxel that was seen free 1000 times is occupied, by intensity."""
     rows = ["| intensity | " + " | ".join(f"{i:g}" for i in INTENSITIES) + " |"]
     rows.append("|---|" + "---:|" * len(INTENSITIES))
-    for name, ratio in (("published", PUBLISHED), ("now", DEFAULT)):
-        pings = [_spaced(pings_to_occupied(ratio, BEFORE[-1], i)) for i in INTENSITIES]
-        rows.append(f"| {name} | " + " | ".join(pings) + " |")
+    published = [_spaced(published_pings_to_occupied(BEFORE[-1], i)) for i in INTENSITIES]
+    now = [_spaced(pings_to_occupied(DEFAULT, BEFORE[-1], i)) for i in INTENSITIES]
+    rows += ["| published | " + " | ".join(published) + " |", "| now | " + " | ".join(now) + " |"]
     return rows
 
 
@@ -198,12 +224,11 @@ def draw(path: Path, alarms: dict[float, list[FalseAlarms]]) -> None:
 
 def _draw_reach(axes: Axes) -> None:
     before = (1, 2, 3, 4, 5, 7, 10, 15, 20, 30, 50, 100, 200, 500, 1000)
-    for ratio, name, style in (
-        (PUBLISHED, "free to occupied, published rule (0)", "C3o-"),
-        (DEFAULT, f"free to occupied, min_ratio {DEFAULT:g}", "C0o-"),
-    ):
-        pings = [pings_to_occupied(ratio, n) for n in before]
-        axes.loglog(before, pings, style, markersize=4, label=name)
+    published = [published_pings_to_occupied(n) for n in before]
+    axes.loglog(before, published, "C3o-", markersize=4, label="free to occupied, published rule")
+    now = [pings_to_occupied(DEFAULT, n) for n in before]
+    name = f"free to occupied, min_ratio {DEFAULT:g}"
+    axes.loglog(before, now, "C0o-", markersize=4, label=name)
     back = [pings_to_free(DEFAULT, n) for n in before]
     axes.loglog(before, back, "--", color="0.5", label="occupied to free, both rules")
     _promise(axes)

@@ -706,10 +706,12 @@ bool apply_to(const RuleTables& rule, const std::uint8_t* codes, const std::uint
       down = occupied ? -net : down;
     }
     const auto unsign = [](S16 a) { return reinterpret_cast<U16>(a); };
-    const U16 room_up = unsign(rule.max_units - level);
-    const U16 room_down = unsign(level - rule.min_units);
-    const S16 raised = level + reinterpret_cast<S16>(smaller(unsign(up), room_up));
-    const S16 lowered = level - reinterpret_cast<S16>(smaller(unsign(down), room_down));
+    // From clamp to clamp is more than 16 bits with a sign hold.
+    const U16 from = unsign(level);
+    const U16 room_up = unsign(all16(rule.max_units)) - from;
+    const U16 room_down = from - unsign(all16(rule.min_units));
+    const auto raised = reinterpret_cast<S16>(from + smaller(unsign(up), room_up));
+    const auto lowered = reinterpret_cast<S16>(from - smaller(unsign(down), room_down));
     const S16 touched = occupied | free;
     const S16 updated = rises ? raised : (touched ? lowered : level);
     const auto n = load<Counts>(counts);

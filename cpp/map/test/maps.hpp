@@ -11,13 +11,13 @@ namespace maps {
 
 // Observed voxels at random in a cube of -edge .. edge - 1 about the origin.
 inline mapperd::map::VoxelMap random_map(std::uint64_t seed, int voxels, int edge,
-                                    const mapperd::map::IwloParams& params = {}) {
+                                         const mapperd::map::IwloParams& params = {}) {
   mapperd::map::VoxelMap map(0.1, params);
   scenes::Random random(seed);
   for (int i = 0; i < voxels; ++i) {
     const mapperd::map::VoxelIndex voxel{random.integer(-edge, edge - 1),
-                                    random.integer(-edge, edge - 1),
-                                    random.integer(-edge, edge - 1)};
+                                         random.integer(-edge, edge - 1),
+                                         random.integer(-edge, edge - 1)};
     map.set(voxel, {static_cast<float>(random.uniform(-5.0, 5.0)),
                     static_cast<std::uint16_t>(random.integer(1, 60))});
   }
@@ -36,9 +36,10 @@ struct Entry {
 
 inline std::vector<Entry> content(const mapperd::map::VoxelMap& map) {
   std::vector<Entry> entries;
-  map.for_each_known([&](const mapperd::map::VoxelIndex& voxel, const mapperd::map::VoxelState& state) {
-    entries.push_back({voxel, state});
-  });
+  map.for_each_known(
+      [&](const mapperd::map::VoxelIndex& voxel, const mapperd::map::VoxelState& state) {
+        entries.push_back({voxel, state});
+      });
   return entries;
 }
 
@@ -49,7 +50,8 @@ inline bool see_free(mapperd::map::VoxelMap& map, const mapperd::map::BlockKey& 
   return map.get_or_create(key).add_free(map.rule(), pool, cells);
 }
 
-// Opens every cell of a block and closes it again, after change(offset, units, count) of each voxel.
+// Opens every cell of a block and closes it again, after change(offset, units, count) of each
+// voxel.
 template <typename Change>
 void change_block(mapperd::map::VoxelMap& map, const mapperd::map::BlockKey& key,
                   const Change& change) {

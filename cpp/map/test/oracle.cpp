@@ -142,7 +142,9 @@ Evidence PingOracle::volume(const Vec3& centre, const Transform& map_T_sonar, in
   const double step = settings_.edge_m / n;
   Evidence sum;
   for (int i = 0; i < n * n * n; ++i) {
-    const auto along = [&](int k) { return step * (k + random.uniform(0, 1)) - settings_.edge_m / 2; };
+    const auto along = [&](int k) {
+      return step * (k + random.uniform(0, 1)) - settings_.edge_m / 2;
+    };
     const Vec3 offset{along(i % n), along(i / n % n), along(i / n / n)};
     const Vec3 v = centre + map_T_sonar.rotate_back(offset);
     const double range = norm(v), sine = sine_of(v);

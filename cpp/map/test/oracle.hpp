@@ -1,4 +1,5 @@
-// The oracle: what evidence_grid.hpp defines, by plain sums over rows and beams in double precision.
+// The oracle: what evidence_grid.hpp defines, by plain sums over rows and beams in double
+// precision.
 //
 // Slow and obvious: no grid, no sums kept, nothing of the library in it but the plain data types.
 // A second oracle takes what the definition stands for: parts of a voxel's volume.
@@ -21,7 +22,7 @@ struct Settings {
 };
 
 struct Evidence {
-  double returns = 0.0;   // N, F and W: parts of the footprint, or of the voxel
+  double returns = 0.0;  // N, F and W: parts of the footprint, or of the voxel
   double free = 0.0;
   double weighted = 0.0;
 
@@ -73,7 +74,7 @@ class PingOracle {
   mapperd::map::PingImage image_;
   Settings settings_;
   Measure measure_;
-  std::vector<double> edges_;      // sines
+  std::vector<double> edges_;       // sines
   std::vector<double> free_end_m_;  // by beam; no more than min_range where nothing is free
 };
 

@@ -1,5 +1,5 @@
-// A sonar that moves, by its own poses at transmission and when an echo is back: nothing in it is to
-// first order. The range is found by going to and fro between pose and time.
+// A sonar that moves, by its own poses at transmission and when an echo is back: nothing in it is
+// to first order. The range is found by going to and fro between pose and time.
 #pragma once
 
 #include "mapperd/common/vec.hpp"

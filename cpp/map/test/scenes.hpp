@@ -174,7 +174,8 @@ class Borders {
     const double range = first_return_m(beam) + random.uniform(-1, 1) * edge_m_;
     const double edge = edges_[beam + static_cast<std::size_t>(random.integer(0, 1))];
     const double beside = random.uniform(-0.5, 0.5) * edge_m_ / std::max(range, edge_m_);
-    return mapperd::map::fan_point(range, edge + beside, random.uniform(-0.8, 0.8) * half_aperture_);
+    return mapperd::map::fan_point(range, edge + beside,
+                                   random.uniform(-0.8, 0.8) * half_aperture_);
   }
 
  private:
@@ -202,7 +203,7 @@ inline mapperd::Vec3 random_direction(Random& random) {
 
 // Of a given speed and rate, in any direction; sound as slow as is said makes it matter more.
 inline mapperd::map::PingMotion motion_of(double speed_mps, double rate_radps, Random& random,
-                                     double speed_of_sound_mps = 1500.0) {
+                                          double speed_of_sound_mps = 1500.0) {
   return {speed_mps * random_direction(random), rate_radps * random_direction(random),
           random.uniform(-0.05, 0.05), speed_of_sound_mps};
 }

@@ -4,16 +4,16 @@
 #include <vector>
 
 #include "check.hpp"
-#include "maps.hpp"
 #include "mapperd/map/block.hpp"
+#include "maps.hpp"
 #include "rules.hpp"
 #include "scenes.hpp"
 
 namespace {
 
 using mapperd::map::Block;
-using mapperd::map::CellPool;
 using mapperd::map::cell_bit;
+using mapperd::map::CellPool;
 using mapperd::map::CellSet;
 using mapperd::map::IwloParams;
 using mapperd::map::IwloRule;

@@ -8,13 +8,13 @@
 #include <vector>
 
 #include "check.hpp"
-#include "scenes.hpp"
 #include "mapperd/map/brick.hpp"
 #include "mapperd/map/bytes.hpp"
-#include "mapperd/map/map_file.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
+#include "mapperd/map/map_file.hpp"
 #include "mapperd/map/rays.hpp"
 #include "maps.hpp"
+#include "scenes.hpp"
 
 namespace {
 

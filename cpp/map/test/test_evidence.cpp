@@ -40,9 +40,7 @@ struct Scene {
   PingMotion motion;
   mapperd::map::BlockBox limit;
 
-  Measure measure() const {
-    return table == Table::even_sine ? Measure::sine : Measure::beams;
-  }
+  Measure measure() const { return table == Table::even_sine ? Measure::sine : Measure::beams; }
 };
 
 void lay_bearings(Table table, double half_fan, scenes::Random& random, std::vector<double>& b) {
@@ -74,8 +72,8 @@ Scene scene_of(std::uint64_t seed) {
   lay_bearings(scene.table, want.half_fan_rad, random, scene.ping.bearings_rad);
   oracle::Settings& settings = scene.settings;
   settings.edge_m = want.max_range_m / random.uniform(8, seed % 4 == 0 ? 45 : 28);
-  settings.ping.vertical_aperture_rad = random.uniform(0, 1) < 0.3 ? random.uniform(0.02, 0.1)
-                                                                  : random.uniform(0.1, 1.2);
+  settings.ping.vertical_aperture_rad =
+      random.uniform(0, 1) < 0.3 ? random.uniform(0.02, 0.1) : random.uniform(0.1, 1.2);
   const double row_m = scene.ping.range_resolution_m;
   settings.ping.min_range_m = seed % 5 == 0 ? 0.0 : random.uniform(0, 0.4) * want.max_range_m;
   if (seed % 5 == 1) settings.ping.min_range_m = 0.5 * row_m;
@@ -128,8 +126,7 @@ class Nodes {
     const std::int64_t key = row * 100000000 + column;
     const auto found = known_.find(key);
     if (found != known_.end()) return found->second;
-    return known_[key] =
-               is_beside(column) ? Evidence{} : oracle.at(range_of(row), sine_of(column));
+    return known_[key] = is_beside(column) ? Evidence{} : oracle.at(range_of(row), sine_of(column));
   }
 
   // From eight beams beside the fan on, its beams made a multiple of eight, nothing is said.
@@ -158,13 +155,13 @@ class Nodes {
     oracle::State free;
     oracle::update(free, {0, 1, 0}, scene_.settings);
     const double unit = rule_.unit();
-    if (may_be_other && e.free > 0.5 - tolerance && std::abs(state.log_odds - free.log_odds) <= unit)
+    if (may_be_other && e.free > 0.5 - tolerance &&
+        std::abs(state.log_odds - free.log_odds) <= unit)
       return true;
     if (!may_be_occupied) return false;
     oracle::State occupied;
     const double lift = std::max(0.0201 - e.returns, 0.0) / 0.02;  // over the limit
-    oracle::update(occupied,
-                   {e.returns + lift * e.returns, e.free, e.weighted + lift * e.weighted},
+    oracle::update(occupied, {e.returns + lift * e.returns, e.free, e.weighted + lift * e.weighted},
                    scene_.settings);
     // Half a code of 253, three roundings to units, and what the sums are off by.
     const double L_occ = scene_.settings.iwlo.L_occ;
@@ -205,10 +202,9 @@ TEST_CASE("the grid holds the definition's values at its nodes") {
       const auto row = static_cast<std::int64_t>(nodes.row_of(range));
       const double at_m = nodes.range_of(row);
       // Beside the fan, too, as far as footprints reach.
-      const auto beside = static_cast<int>(std::min(
-          40 + 1.2 * nodes.oracle.half_width(at_m, 0.0) * grid.subcolumns(), 1e6));
-      const std::int64_t column =
-          random.integer(-beside, beams * grid.subcolumns() + beside - 1);
+      const auto beside = static_cast<int>(
+          std::min(40 + 1.2 * nodes.oracle.half_width(at_m, 0.0) * grid.subcolumns(), 1e6));
+      const std::int64_t column = random.integer(-beside, beams * grid.subcolumns() + beside - 1);
       const double sine = nodes.sine_of(column);
       if (!(std::abs(sine) < 0.9999)) continue;
       const EvidenceGrid::Evidence is =
@@ -220,7 +216,8 @@ TEST_CASE("the grid holds the definition's values at its nodes") {
         state = {static_cast<float>(rule.free_step(0, 0)), 1};
       } else if (is.code >= mapperd::map::kCodeOccupied) {
         double step = rule.log_odds(rule.full_step_of_code(is.code));
-        if (grid.averages()) step = (is.share * step + (255 - is.share) * rule.free_step(0, 0)) / 255;
+        if (grid.averages())
+          step = (is.share * step + (255 - is.share) * rule.free_step(0, 0)) / 255;
         state = {static_cast<float>(step), 1};
       }
       occupied += is.code >= mapperd::map::kCodeOccupied ? 1 : 0;
@@ -228,10 +225,12 @@ TEST_CASE("the grid holds the definition's values at its nodes") {
       if (nodes.makes(e, nodes.tolerance(at_m, sine), state)) continue;
       ++wrong;
       if (wrong <= 2) {
-        std::printf("  %s: row %d column %d of %d, range %.2f edges, half %.1f beams: code %d, N %.5f F %.5f w %.4f\n",
-                    scene.name.c_str(), static_cast<int>(row), static_cast<int>(column),
-                    beams * grid.subcolumns(), at_m / scene.settings.edge_m,
-                    nodes.oracle.half_width(at_m, sine), is.code, e.returns, e.free, e.weight());
+        std::printf(
+            "  %s: row %d column %d of %d, range %.2f edges, half %.1f beams: code %d, N %.5f F "
+            "%.5f w %.4f\n",
+            scene.name.c_str(), static_cast<int>(row), static_cast<int>(column),
+            beams * grid.subcolumns(), at_m / scene.settings.edge_m,
+            nodes.oracle.half_width(at_m, sine), is.code, e.returns, e.free, e.weight());
       }
     }
     off += wrong;
@@ -261,7 +260,8 @@ class Comparison {
   int wrong = 0;        // of no node nearby
   int other_class = 0;  // than at the voxel's own centre
   int other_volume = 0;
-  int volume_of_every = 0;  // looks at the volume of one voxel of so many
+  int every = 1;  // looks at one voxel of so many
+  bool by_volume = false;
   bool quiet = false;
 
   void run() {
@@ -286,10 +286,11 @@ class Comparison {
   }
 
   void look(const VoxelIndex& voxel) {
-    if (volume_of_every > 0 && ++looked_ % volume_of_every != 0) return;
+    if (++looked_ % every != 0) return;
     const VoxelState state = map_.at(voxel);
     const Vec3 coarse = start_.rotate_back(map_.centre_of(voxel) - start_.translation);
-    if (state.count == 0 && (nodes_.oracle.inside_aperture(coarse) < -8 || coarse.x < -8 * map_.resolution_m()))
+    if (state.count == 0 &&
+        (nodes_.oracle.inside_aperture(coarse) < -8 || coarse.x < -8 * map_.resolution_m()))
       return;
     if (nodes_.grid().says_nothing()) {
       wrong += state.count;
@@ -309,11 +310,12 @@ class Comparison {
                      : is_free(state) ? Class::free
                                       : Class::occupied;
     Class volume = Class::nothing;
-    if (volume_of_every > 0) {
+    if (by_volume) {
       volume = oracle::class_of(nodes_.oracle.volume(v, start_, 12, 5));
       if (volume != oracle::class_of(own)) ++other_volume;
     }
-    if (is == Class::nothing && oracle::class_of(own) == Class::nothing && volume == Class::nothing) {
+    if (is == Class::nothing && oracle::class_of(own) == Class::nothing &&
+        volume == Class::nothing) {
       return;
     }
     ++compared;
@@ -337,13 +339,14 @@ class Comparison {
     double across = (range > 20 ? 6.8 / flat : 0.0) + moved;
     // Neighbouring beams of such cells may differ in width by 15 %.
     if (scene_.table != Table::even_sine && range > 20) across += 0.15 * 2.6;
-    const double face = 1e-4 + 1.2 * along;
+    const double face =
+        1e-4 + moved + std::sin(scene_.settings.ping.vertical_aperture_rad / 2) * 3.4 / flat;
     const double sine = PingOracle::sine_of(v);
     const double row = nodes_.row_of(norm(v)), column = nodes_.column_of(sine);
     const double columns_per_edge =
         nodes_.oracle.half_width(norm(v), sine) / 0.54 * nodes_.grid().subcolumns();
-    const auto rows = static_cast<std::int64_t>(
-        1 + std::floor(along * edge_m / nodes_.grid().row_pitch_m()));
+    const auto rows =
+        static_cast<std::int64_t>(1 + std::floor(along * edge_m / nodes_.grid().row_pitch_m()));
     const auto columns = static_cast<std::int64_t>(1 + std::floor(across * columns_per_edge));
     const bool may_be_nothing = inside < face || std::abs(v.x) < 1e-4 * edge_m;
     if (state.count == 0 && (inside <= -0.5 + face || v.x < 1e-4 * edge_m)) return true;
@@ -372,10 +375,12 @@ class Comparison {
   void tell(const Vec3& v, const VoxelState& state) const {
     const double edge_m = map_.resolution_m();
     const Evidence e = nodes_.oracle.at(norm(v), PingOracle::sine_of(v));
-    std::printf("  %s: voxel at %.2f %.2f %.2f edges, %.3f inside: count %d log-odds %.4f, N %.4f F %.4f w %.4f row %.2f column %.2f\n",
-                scene_.name.c_str(), v.x / edge_m, v.y / edge_m, v.z / edge_m,
-                nodes_.oracle.inside_aperture(v), state.count, state.log_odds, e.returns, e.free,
-                e.weight(), nodes_.row_of(norm(v)), nodes_.column_of(PingOracle::sine_of(v)));
+    std::printf(
+        "  %s: voxel at %.2f %.2f %.2f edges, %.3f inside: count %d log-odds %.4f, N %.4f F %.4f w "
+        "%.4f row %.2f column %.2f\n",
+        scene_.name.c_str(), v.x / edge_m, v.y / edge_m, v.z / edge_m,
+        nodes_.oracle.inside_aperture(v), state.count, state.log_odds, e.returns, e.free,
+        e.weight(), nodes_.row_of(norm(v)), nodes_.column_of(PingOracle::sine_of(v)));
   }
 
   const Scene& scene_;
@@ -435,6 +440,99 @@ TEST_CASE("of a moving sonar that is said to be at rest many voxels take other v
   }
 }
 
+// Open water up to a wall, over a hundred voxels and more: whole blocks are free, and what is
+// settled for all of a block must hold for its outermost voxels.
+TEST_CASE("open water is free up to the wall and the aperture's faces, and nothing beyond is") {
+  for (std::uint64_t seed = 340; seed < 340 + (check::sanitized() ? 1 : 6); ++seed) {
+    scenes::Random random(seed);
+    scenes::Ping ping = scenes::empty_ping(100, 64, random.uniform(0.4, 1.2), 10.0);
+    for (std::size_t j = 0; j < 64; ++j) ping.intensity[90 * 64 + j] = 200.0F;
+    oracle::Settings settings;
+    settings.edge_m = 10.0 / random.uniform(70, 130);
+    settings.ping.vertical_aperture_rad = random.uniform(0.5, 1.4);
+    settings.ping.min_range_m = 1.0;
+    const PingOracle judge(ping.image(), settings);
+    const Transform pose = scenes::random_pose(random);
+    VoxelMap map(settings.edge_m, {});
+    integrate_evidence_grid(map, ping.image(), pose, settings.ping);
+    // Rows and columns are met within a pitch, lines within 3.4 / 24 voxels.
+    const double slack = 0.3 + 0.15, beside = 0.6 + 0.3;
+    const double edge_m = settings.edge_m;
+    const double last = judge.sine_at(64);
+    std::size_t free = 0, missing = 0, beyond = 0;
+    const auto in_sonar = [&](const VoxelIndex& v) {
+      return pose.rotate_back(map.centre_of(v) - pose.translation);
+    };
+    map.for_each_known([&](const VoxelIndex& voxel, const VoxelState& state) {
+      const Vec3 v = in_sonar(voxel);
+      const double inside = judge.inside_aperture(v);
+      const double out = (std::abs(PingOracle::sine_of(v)) - last) * std::hypot(v.x, v.y) / edge_m;
+      const bool is_free = state.log_odds < 0;
+      free += is_free ? 1 : 0;
+      if (is_free
+              ? inside < -0.08 || norm(v) > 9.0 + slack * edge_m || out > beside
+              : inside < -0.58 || norm(v) < 9.0 - (0.54 + slack) * edge_m || out > beside + 0.54) {
+        ++beyond;
+      }
+    });
+    VoxelIndex low, high;
+    CHECK(map.index_of(pose.translation - Vec3{10, 10, 10}, low));
+    CHECK(map.index_of(pose.translation + Vec3{10, 10, 10}, high));
+    for (VoxelIndex at = low; at.x <= high.x; ++at.x) {
+      for (at.y = low.y; at.y <= high.y; ++at.y) {
+        for (at.z = low.z; at.z <= high.z; ++at.z) {
+          const Vec3 v = in_sonar(at);
+          if (v.x < edge_m || judge.inside_aperture(v) < 0.08) continue;
+          const double range = norm(v);
+          const double out =
+              (std::abs(PingOracle::sine_of(v)) - last) * std::hypot(v.x, v.y) / edge_m;
+          if (range < 1.0 + slack * edge_m || range > 9.0 - (0.54 + slack) * edge_m ||
+              out > -beside) {
+            continue;
+          }
+          if (!(map.at(at).log_odds < 0)) ++missing;
+        }
+      }
+    }
+    CHECK(free > 100000 && missing == 0 && beyond == 0);
+  }
+}
+
+// So far away that cells and blocks of a moving sonar are seen as turned; where it turns fast, as
+// bent.
+TEST_CASE("far away a moving sonar is as near to the definition as one at rest") {
+  double at_rest = 0.0;
+  for (const double rate_radps : {0.0, 0.8, 9.0}) {
+    int compared = 0, others = 0;
+    for (std::uint64_t seed = 320; seed < 320 + (check::sanitized() ? 1 : 3); ++seed) {
+      scenes::Random random(seed);
+      Scene scene;
+      scenes::Ragged want;
+      want.thickness = 6;
+      want.jump = 0.05;
+      want.beams = 256;
+      want.surface = 0.8;
+      scene.ping = scenes::ragged_ping(want, random);
+      scene.settings.edge_m = 0.1;
+      scene.settings.ping.vertical_aperture_rad = 0.2;
+      scene.settings.ping.min_range_m = 14;
+      scene.pose = scenes::random_pose(random);
+      if (rate_radps > 0) scene.motion = scenes::motion_of(1.0, rate_radps, random);
+      Comparison comparison(scene);
+      comparison.every = 41;
+      comparison.run();
+      CHECK(comparison.wrong == 0);
+      compared += comparison.compared;
+      others += comparison.other_class;
+    }
+    const double share = static_cast<double>(others) / compared;
+    std::printf("  turning by %.1f rad/s: %d voxels, %.2f %% of another class than their centres\n",
+                rate_radps, compared, 100 * share);
+    if (!(rate_radps > 0)) at_rest = share;
+    CHECK(share <= 1.15 * at_rest);
+  }
+}
+
 // Both the pitch and the lines that voxels beyond 24 are looked up along take part: what is left at
 // the finest pitch is theirs.
 TEST_CASE("a finer grid comes nearer to the definition at each voxel's centre") {
@@ -459,8 +557,8 @@ TEST_CASE("a finer grid comes nearer to the definition at each voxel's centre") 
   }
 }
 
-// The finer the voxels, the fewer are cut by the aperture's faces, where a voxel's centre stands for
-// its volume.
+// The finer the voxels, the fewer are cut by the aperture's faces, where a voxel's centre stands
+// for its volume.
 TEST_CASE("the definition's classes are those of parts of the voxel's volume") {
   for (const double edge_m : {0.3, 0.12}) {
     int compared = 0, others = 0, apart = 0;
@@ -468,7 +566,8 @@ TEST_CASE("the definition's classes are those of parts of the voxel's volume") {
       Scene scene = usual_scene(seed);
       scene.settings.edge_m = edge_m;
       Comparison comparison(scene);
-      comparison.volume_of_every = edge_m < 0.2 ? 19 : 3;
+      comparison.every = edge_m < 0.2 ? 19 : 3;
+      comparison.by_volume = true;
       comparison.run();
       CHECK(comparison.wrong == 0);
       compared += comparison.compared;

@@ -6,10 +6,10 @@
 #include <thread>
 
 #include "check.hpp"
-#include "maps.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/map_file.hpp"
 #include "mapperd/map/rays.hpp"
+#include "maps.hpp"
 #include "scenes.hpp"
 
 namespace {
@@ -86,9 +86,8 @@ TEST_CASE("no intensity brings a NaN into the map") {
     integrate_evidence_grid(map, ping.image(), {}, mean);
   }
   CHECK(map.block_count() > 0);
-  map.for_each_known([](const VoxelIndex&, const VoxelState& state) {
-    CHECK(std::abs(state.log_odds) <= 10.0F);
-  });
+  map.for_each_known(
+      [](const VoxelIndex&, const VoxelState& state) { CHECK(std::abs(state.log_odds) <= 10.0F); });
 }
 
 TEST_CASE("what is settled does not change any more, nor does its revision") {
@@ -106,7 +105,8 @@ TEST_CASE("what is settled does not change any more, nor does its revision") {
     return latest;
   };
   const std::uint32_t pings = map.rule().free_steps_to_floor();
-  for (std::uint32_t i = 0; i < pings; ++i) integrate_evidence_grid(map, ping.image(), pose, settings);
+  for (std::uint32_t i = 0; i < pings; ++i)
+    integrate_evidence_grid(map, ping.image(), pose, settings);
   CHECK(last_change() > 80);  // counts settle after 90 pings
   const std::uint64_t settled = last_change();
   CHECK(settled <= map.revision());
@@ -158,7 +158,8 @@ TEST_CASE("a ping does not depend on those before it, but for the voxels") {
     PingSettings mean;
     mean.aggregation = mapperd::map::Aggregation::mean;
     const scenes::Ping other = scenes::random_ping(random);
-    integrate_evidence_grid(after, other.image(), scenes::random_pose(random), i % 2 == 0 ? mean : PingSettings{});
+    integrate_evidence_grid(after, other.image(), scenes::random_pose(random),
+                            i % 2 == 0 ? mean : PingSettings{});
     clear(after);
     const scenes::Ping ping = scenes::random_ping(random);
     const mapperd::Transform pose = scenes::random_pose(random);

@@ -6,8 +6,8 @@
 
 #include "check.hpp"
 #include "mapperd/map/distance_field.hpp"
-#include "mapperd/map/point_updates.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
+#include "mapperd/map/point_updates.hpp"
 #include "mapperd/map/queries.hpp"
 #include "mapperd/map/rays.hpp"
 #include "mapperd/map/snapshot.hpp"
@@ -15,10 +15,10 @@
 
 namespace {
 
-using mapperd::map::BlockKey;
-using mapperd::map::DenseBlocks;
 using mapperd::Transform;
 using mapperd::Vec3;
+using mapperd::map::BlockKey;
+using mapperd::map::DenseBlocks;
 using mapperd::map::VoxelMap;
 
 // A whole number of blocks, in doubles exactly: block edges of 2 m, and 10 000 km of them. Poses
@@ -73,9 +73,8 @@ TEST_CASE("pings ten thousand kilometres away make the same blocks, projected") 
 }
 
 TEST_CASE("pings ten thousand kilometres away make the same blocks, by rays") {
-  const auto sample = [](VoxelMap& map, const mapperd::map::PingImage& image, const Transform& pose) {
-    integrate_rays(map, image, pose, {});
-  };
+  const auto sample = [](VoxelMap& map, const mapperd::map::PingImage& image,
+                         const Transform& pose) { integrate_rays(map, image, pose, {}); };
   const VoxelMap near = mapped({}, sample);
   for (const Shift& shift : kShifts) {
     check_equal_but_shifted(near, mapped(shift.metres(), sample), shift);

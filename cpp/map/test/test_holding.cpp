@@ -57,7 +57,8 @@ std::vector<Shot> shots() {
   return all;
 }
 
-void integrate(VoxelMap& map, const Shot& shot, const mapperd::map::PingSettings& settings = wide()) {
+void integrate(VoxelMap& map, const Shot& shot,
+               const mapperd::map::PingSettings& settings = wide()) {
   integrate_evidence_grid(map, shot.ping.image(), shot.pose, settings);
 }
 

@@ -224,7 +224,8 @@ TEST_CASE("log-odds stay inside the clamps and reach both") {
     Voxel voxel;
     for (int i = 0; i < 70000; ++i) see_occupied(rule, 255, voxel);
     CHECK((voxel == Voxel{rule.max_units(), rule.settled_count()}));
-    for (int i = 0; i < 140000 && params.L_free < -0.1; ++i) rule.add_free(voxel.units, voxel.count);
+    for (int i = 0; i < 140000 && params.L_free < -0.1; ++i)
+      rule.add_free(voxel.units, voxel.count);
     CHECK(params.L_free > -0.1 || (voxel == Voxel{rule.min_units(), rule.settled_count()}));
   }
 }
@@ -308,8 +309,8 @@ TEST_CASE("codes divide the weights evenly") {
 struct Way {
   double worst = 0.0;
   double rms = 0.0;
-  double apart = 0.0;  // share of pings after which they differ by more than a tenth
-  double mean = 0.0;   // difference of both means
+  double apart = 0.0;     // share of pings after which they differ by more than a tenth
+  double mean = 0.0;      // difference of both means
   double occupied = 0.0;  // and of the shares of pings after which p > 0.7
 };
 
@@ -348,9 +349,9 @@ Way walk(const IwloParams& params, double returns, std::uint64_t seed, int pings
 }
 
 // Roundings add up between the clamps to hundredths. The adaptive rule tells them apart where the
-// scale of a step jumps, at the threshold: from there two ways may lead to different clamps, in units
-// of 2^-24 as well (1.5 % of the time at 50 % returns, against 9.6 % here). What the ways have in
-// common is how often the voxel is occupied, and where it is on average.
+// scale of a step jumps, at the threshold: from there two ways may lead to different clamps, in
+// units of 2^-24 as well (1.5 % of the time at 50 % returns, against 9.6 % here). What the ways
+// have in common is how often the voxel is occupied, and where it is on average.
 TEST_CASE("a million pings of one voxel in 16 bits stay near the rule in real numbers") {
   const int pings = check::sanitized() ? 20000 : 1000000;
   std::vector<IwloParams> all(6);
@@ -367,10 +368,10 @@ TEST_CASE("a million pings of one voxel in 16 bits stay near the rule in real nu
   for (std::size_t i = 0; i < all.size(); ++i) {
     for (const double returns : {0.5, 0.1}) {
       const Way way = walk(all[i], returns, 7 + i, pings);
-      std::printf("  %-15s %2.0f %% returns: off by %.4f at most, %.4f rms, by 0.1 in %.2f %%; "
-                  "means by %.4f, share occupied by %.4f\n",
-                  names[i], 100 * returns, way.worst, way.rms, 100 * way.apart, way.mean,
-                  way.occupied);
+      std::printf(
+          "  %-15s %2.0f %% returns: off by %.4f at most, %.4f rms, by 0.1 in %.2f %%; "
+          "means by %.4f, share occupied by %.4f\n",
+          names[i], 100 * returns, way.worst, way.rms, 100 * way.apart, way.mean, way.occupied);
       if (check::sanitized()) continue;
       CHECK(std::abs(way.mean) < 0.08 && std::abs(way.occupied) < 0.006);
       if (!all[i].adaptive_update) CHECK(way.worst < 0.1 && way.rms < 0.015);

@@ -123,7 +123,8 @@ TEST_CASE("rows of the grid, to the bit, whatever the memory held before") {
       const std::uint8_t code = plain.codes[at];
       occupied += code >= kCodeOccupied ? 1U : 0U;
       free += code == kCodeFree ? 1U : 0U;
-      classes[at / stride / mapperd::map::kTileRows * static_cast<std::size_t>(rows.task.tile_stride) +
+      classes[at / stride / mapperd::map::kTileRows *
+                  static_cast<std::size_t>(rows.task.tile_stride) +
               at % stride / mapperd::map::kTileColumns] |=
           code < kCodeOccupied ? kOf[code] : mapperd::map::kHasOccupied;
     }
@@ -178,7 +179,8 @@ struct RandomCells {
     const double half = random.uniform(0.05, 0.8);
     task.sin_half_aperture = static_cast<float>(std::sin(half));
     task.cos_half_aperture = static_cast<float>(std::cos(half));
-    task.rows_per_voxel = static_cast<float>(random.uniform(0.4, 1.1) * static_cast<double>(grid.rows) / far);
+    task.rows_per_voxel =
+        static_cast<float>(random.uniform(0.4, 1.1) * static_cast<double>(grid.rows) / far);
     task.reach = 2.65F;
     const int bins = random.integer(1, 300);
     const double width = random.uniform(0.2, 2);
@@ -186,7 +188,8 @@ struct RandomCells {
     const double slope = static_cast<double>(grid.columns) / width;
     for (int bin = 0; bin < bins; ++bin) {
       slopes.push_back(static_cast<float>(slope * random.uniform(0.9, 1.1)));
-      columns.push_back(static_cast<float>(-slope * static_cast<double>(task.sine_low) + random.uniform(-1, 1)));
+      columns.push_back(
+          static_cast<float>(-slope * static_cast<double>(task.sine_low) + random.uniform(-1, 1)));
     }
     task.bins_per_sine = static_cast<float>(bins / width);
     task.last_bin = static_cast<float>(bins) - 0.5F;
@@ -197,8 +200,9 @@ struct RandomCells {
   // The codes of a cell's voxels in double precision, kUnsure where single precision may differ.
   static constexpr int kUnsure = -1;
   std::array<int, kCellVoxels> codes(const RandomGrid& grid, int cell, unsigned classes) const {
-    const mapperd::Vec3 c = first + 4.0 * (double(cell % 4) * step[0] + double(cell / 4 % 4) * step[1] +
-                                           double(cell / 16) * step[2]);
+    const mapperd::Vec3 c =
+        first + 4.0 * (double(cell % 4) * step[0] + double(cell / 4 % 4) * step[1] +
+                       double(cell / 16) * step[2]);
     const double flat = std::hypot(c.x, c.y), range = norm(c), sine = -c.y / flat;
     const double bin = std::clamp((sine - double(task.sine_low)) * double(task.bins_per_sine), 0.0,
                                   double(task.last_bin));
@@ -208,22 +212,25 @@ struct RandomCells {
     const double slope = double(slopes[static_cast<std::size_t>(bin)]);
     const double column = double(columns[static_cast<std::size_t>(bin)]) + slope * sine;
     for (int v = 0; v < kCellVoxels; ++v) {
-      const mapperd::Vec3 d = (v % 4 - 1.5) * step[0] + (v / 4 % 4 - 1.5) * step[1] + (v / 16 - 1.5) * step[2];
+      const mapperd::Vec3 d =
+          (v % 4 - 1.5) * step[0] + (v / 4 % 4 - 1.5) * step[1] + (v / 16 - 1.5) * step[2];
       const double along = dot(c, d) / range;
       const double across = (c.y * (c.x * d.x + c.y * d.y) / (flat * flat) - d.y) / flat;
       const double row = std::clamp((range + along) * double(task.rows_per_voxel), 0.0,
                                     double(grid.view.rows) - 0.5);
       const double at = std::clamp(column + slope * across, 0.0, double(grid.view.columns) - 0.5);
-      const double inside = (flat + (c.x * d.x + c.y * d.y) / flat) * double(task.sin_half_aperture) -
-                            std::abs(c.z + d.z) * double(task.cos_half_aperture);
+      const double inside =
+          (flat + (c.x * d.x + c.y * d.y) / flat) * double(task.sin_half_aperture) -
+          std::abs(c.z + d.z) * double(task.cos_half_aperture);
       if (near_whole(row, 2e-3) || near_whole(at, 2e-3) || std::abs(inside) < 1e-4 ||
           std::abs(inside + 0.5) < 1e-4) {
         continue;
       }
-      const bool all_free = (classes & (mapperd::map::kHasNothing | mapperd::map::kHasOccupied)) == 0;
+      const bool all_free =
+          (classes & (mapperd::map::kHasNothing | mapperd::map::kHasOccupied)) == 0;
       int code = all_free ? kCodeFree
-                          : grid.codes[static_cast<std::size_t>(static_cast<int>(row) * grid.view.stride +
-                                                                static_cast<int>(at))];
+                          : grid.codes[static_cast<std::size_t>(
+                                static_cast<int>(row) * grid.view.stride + static_cast<int>(at))];
       const bool cut = (classes & mapperd::map::kCutByAperture) != 0;
       if (cut && (code >= kCodeOccupied ? inside <= -0.5 : inside <= 0)) code = kCodeNothing;
       found[static_cast<std::size_t>(v)] = code;
@@ -261,15 +268,14 @@ TEST_CASE("look-ups of a block's voxels, to the bit, and those of double precisi
       const bool averages = random.integer(0, 1) == 1;
       const CodeCounts a = kernels().look_up(cells.task, grid.view, fast, cell, codes.data(),
                                              averages ? shares.data() : nullptr);
-      const CodeCounts b = plain_kernels().look_up(cells.task, grid.view, plain, cell,
-                                                   plain_codes.data(),
-                                                   averages ? plain_shares.data() : nullptr);
+      const CodeCounts b =
+          plain_kernels().look_up(cells.task, grid.view, plain, cell, plain_codes.data(),
+                                  averages ? plain_shares.data() : nullptr);
       CHECK(codes == plain_codes && shares == plain_shares);
       CHECK(a.occupied == b.occupied && a.free == b.free);
       CHECK(b.free == std::count(codes.begin(), codes.end(), kCodeFree));
-      CHECK(b.occupied == std::count_if(codes.begin(), codes.end(), [](std::uint8_t code) {
-              return code >= kCodeOccupied;
-            }));
+      CHECK(b.occupied == std::count_if(codes.begin(), codes.end(),
+                                        [](std::uint8_t code) { return code >= kCodeOccupied; }));
       const auto expected = cells.codes(grid, cell, classes);
       for (std::size_t v = 0; v < 64; ++v) {
         if (expected[v] == RandomCells::kUnsure) continue;
@@ -343,10 +349,9 @@ void check_apply(const IwloRule& rule, const Cell& before,
   }
   for (const Kernels* each : {&kernels(), &plain_kernels()}) {
     Cell cell = before;
-    const bool changed = each->apply(rule.tables(), codes.data(),
-                                     shares == nullptr ? nullptr : shares->data(),
-                                     cell.units.data(),
-                                     reinterpret_cast<std::byte*>(cell.counts.data()), bytes);
+    const bool changed =
+        each->apply(rule.tables(), codes.data(), shares == nullptr ? nullptr : shares->data(),
+                    cell.units.data(), reinterpret_cast<std::byte*>(cell.counts.data()), bytes);
     CHECK(cell == expected);
     CHECK(changed == changes);
   }
@@ -376,11 +381,12 @@ TEST_CASE("updates of a cell are those of the scalar rule, in every state") {
           const auto at = static_cast<std::size_t>(v);
           const int kind = random.integer(0, 5);
           cell.units[at] = units;
-          cell.set_count(rule.count_bytes(), v,
-                         alike ? static_cast<std::uint16_t>(seen) : rules::random_count(rule, random));
+          cell.set_count(
+              rule.count_bytes(), v,
+              alike ? static_cast<std::uint16_t>(seen) : rules::random_count(rule, random));
           codes[at] = static_cast<std::uint8_t>(kind < 2 ? kind : random.integer(2, 255));
-          shares[at] = static_cast<std::uint8_t>(random.integer(0, 3) == 0 ? 255 * random.integer(0, 1)
-                                                                          : random.integer(0, 255));
+          shares[at] = static_cast<std::uint8_t>(
+              random.integer(0, 3) == 0 ? 255 * random.integer(0, 1) : random.integer(0, 255));
           if (++v < kCellVoxels) continue;
           v = 0;
           check_apply(rule, cell, codes, nullptr, tally);
@@ -403,8 +409,10 @@ TEST_CASE("averaged evidence of both kinds lies between them") {
     for (const int units : {-8000, -1, 0, 3000}) {
       const Voxel was{static_cast<std::int16_t>(units), 4};
       const Voxel mean = stepped(rule, was, 200, &part);
-      const Voxel up = stepped(rule, was, 200, nullptr), down = stepped(rule, was, kCodeFree, nullptr);
-      const double exact = units + (share * (up.units - units) + (255 - share) * (down.units - units)) / 255.0;
+      const Voxel up = stepped(rule, was, 200, nullptr),
+                  down = stepped(rule, was, kCodeFree, nullptr);
+      const double exact =
+          units + (share * (up.units - units) + (255 - share) * (down.units - units)) / 255.0;
       // A share of 255ths is made one of 2^15 by shifts, off by 1 / 500; each product is rounded.
       CHECK_NEAR(mean.units, exact, 1.0 + (up.units - down.units) / 256.0);
     }

@@ -3,7 +3,6 @@
 #include <vector>
 
 #include "check.hpp"
-#include "scenes.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/rays.hpp"
 #include "mapperd/map/snapshot.hpp"
@@ -13,8 +12,8 @@ namespace {
 
 using mapperd::map::BlockBox;
 using mapperd::map::BlockKey;
-using mapperd::map::PingSettings;
 using mapperd::map::PingMotion;
+using mapperd::map::PingSettings;
 using mapperd::map::VoxelMap;
 
 constexpr double kResolution = 0.06;
@@ -92,10 +91,11 @@ void check_parts_are_the_whole(const MotionOf& motion_of, const Integrate& integ
 // Voxels of the second map that the first one has otherwise.
 std::size_t differing(const VoxelMap& first, const VoxelMap& second) {
   std::size_t count = 0;
-  second.for_each_known([&](const mapperd::map::VoxelIndex& voxel, const mapperd::map::VoxelState& state) {
-    const mapperd::map::VoxelState other = first.at(voxel);
-    count += other.count != state.count || other.log_odds != state.log_odds ? 1 : 0;
-  });
+  second.for_each_known(
+      [&](const mapperd::map::VoxelIndex& voxel, const mapperd::map::VoxelState& state) {
+        const mapperd::map::VoxelState other = first.at(voxel);
+        count += other.count != state.count || other.log_odds != state.log_odds ? 1 : 0;
+      });
   return count;
 }
 

@@ -174,7 +174,8 @@ TEST_CASE("what a block must not be is refused with its place") {
              "more blocks than bytes"));
   CHECK(says(refusal_of(file(2, alike(1, 5, 1) + alike(1, 5, 1))), "byte 69: blocks out of order"));
   CHECK(says(refusal_of(file(2, alike(1, 5, 1) + alike(0, 5, 1))), "out of order"));
-  CHECK(says(refusal_of(file(1, alike(mapperd::map::kMaxBlock + 1, 5, 1))), "beyond the map's reach"));
+  CHECK(says(refusal_of(file(1, alike(mapperd::map::kMaxBlock + 1, 5, 1))),
+             "beyond the map's reach"));
   CHECK(says(refusal_of(file(1, alike(0, 5, 0))), "count 0"));
   CHECK(says(refusal_of(file(1, alike(0, 5, 91))), "settled"));
   // Half a unit of the map is 2^12 of these.
@@ -313,9 +314,10 @@ TEST_CASE("mutated contents are read or refused, never more") {
     if (!refusal_of(with_checksum(mutated), map).empty()) continue;
     ++taken;
     CHECK(encode_map(map).size() <= mutated.size() + 4);
-    map.for_each_known([&map](const mapperd::map::VoxelIndex&, const mapperd::map::VoxelState& state) {
-      CHECK(std::abs(state.log_odds) <= 10.0F && state.count <= map.rule().settled_count());
-    });
+    map.for_each_known(
+        [&map](const mapperd::map::VoxelIndex&, const mapperd::map::VoxelState& state) {
+          CHECK(std::abs(state.log_odds) <= 10.0F && state.count <= map.rule().settled_count());
+        });
   }
   CHECK(taken > 30 && taken < 2000);
 }

@@ -5,10 +5,10 @@
 
 #include "allocations.hpp"
 #include "check.hpp"
-#include "maps.hpp"
 #include "mapperd/map/brick.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/voxel_map.hpp"
+#include "maps.hpp"
 #include "scenes.hpp"
 
 namespace {
@@ -22,8 +22,8 @@ using mapperd::map::VoxelMap;
 
 BlockKey key_of(int block) { return {block % 100, block / 100, -1}; }
 
-// Blocks in which one cell of so many is held, no voxel of it like its neighbours, and the rest seen
-// free; behind them free water.
+// Blocks in which one cell of so many is held, no voxel of it like its neighbours, and the rest
+// seen free; behind them free water.
 void fill(VoxelMap& map, int blocks, int one_of, int water) {
   for (int b = 0; b < blocks + water; ++b) {
     maps::see_free(map, key_of(b));
@@ -48,7 +48,8 @@ TEST_CASE("a voxel that is held takes four bytes at most, all overhead counted")
       CHECK(map.held_count() >= static_cast<std::size_t>(blocks) * 21 * kCellVoxels);
       const double overhead = bytes_of(VoxelMap(0.1, {}));  // tables of the rule
       const double each = (bytes_of(map) - overhead) / static_cast<double>(map.held_count());
-      std::printf("  %d blocks, one cell of %d held: %.3f bytes a held voxel\n", blocks, one_of, each);
+      std::printf("  %d blocks, one cell of %d held: %.3f bytes a held voxel\n", blocks, one_of,
+                  each);
       CHECK(each <= 4.0);
       if (blocks >= 700) CHECK(bytes_of(map) / static_cast<double>(map.held_count()) <= 4.0);
     }

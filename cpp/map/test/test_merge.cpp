@@ -87,10 +87,11 @@ TEST_CASE("another rule keeps the content, inside its clamps") {
   tight.L_max = 2.0;
   tight.min_alpha = 0.5;
   const VoxelMap bounded = with_rule(map, tight);
-  map.for_each_known([&](const mapperd::map::VoxelIndex& voxel, const mapperd::map::VoxelState& state) {
-    CHECK(bounded.at(voxel).log_odds == std::clamp(state.log_odds, -1.0F, 2.0F));
-    CHECK(bounded.at(voxel).count == std::min<int>(state.count, 10));
-  });
+  map.for_each_known(
+      [&](const mapperd::map::VoxelIndex& voxel, const mapperd::map::VoxelState& state) {
+        CHECK(bounded.at(voxel).log_odds == std::clamp(state.log_odds, -1.0F, 2.0F));
+        CHECK(bounded.at(voxel).count == std::min<int>(state.count, 10));
+      });
   CHECK(bounded.rule().params().L_max == 2.0);
 }
 

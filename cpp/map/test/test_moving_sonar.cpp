@@ -6,9 +6,8 @@
 #include <vector>
 
 #include "check.hpp"
-#include "scenes.hpp"
-#include "mapperd/map/map_file.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
+#include "mapperd/map/map_file.hpp"
 #include "mapperd/map/rays.hpp"
 #include "maps.hpp"
 #include "oracle.hpp"
@@ -17,10 +16,10 @@
 
 namespace {
 
-using mapperd::map::PingSettings;
-using mapperd::map::PingMotion;
 using mapperd::Transform;
 using mapperd::Vec3;
+using mapperd::map::PingMotion;
+using mapperd::map::PingSettings;
 using mapperd::map::VoxelMap;
 using scenes::Ragged;
 

@@ -3,8 +3,8 @@
 #include <string>
 
 #include "check.hpp"
-#include "maps.hpp"
 #include "mapperd/map/octomap_file.hpp"
+#include "maps.hpp"
 
 namespace {
 

@@ -9,8 +9,8 @@
 #include <sstream>
 
 #include "check.hpp"
-#include "mapperd/map/octomap_file.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
+#include "mapperd/map/octomap_file.hpp"
 #include "scenes.hpp"
 
 namespace {

@@ -1,16 +1,15 @@
 // The box told beforehand of what a ping may change.
 #include "check.hpp"
-#include "mapperd/map/ping_box.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
+#include "mapperd/map/ping_box.hpp"
 #include "mapperd/map/rays.hpp"
-#include "scenes.hpp"
 #include "scenes.hpp"
 
 namespace {
 
 using mapperd::map::BlockBox;
-using mapperd::map::PingSettings;
 using mapperd::map::PingMotion;
+using mapperd::map::PingSettings;
 using mapperd::map::VoxelMap;
 
 constexpr double kResolution = 0.05;
@@ -88,7 +87,8 @@ TEST_CASE("a ping that the map would refuse has no box") {
   skewed.rows[0].y = 0.1;
   CHECK_THROWS(mapperd::map::blocks_of_ping(map, ping.image(), skewed, {}), std::invalid_argument);
   const PingMotion fast{{100.0, 0, 0}, {}, 0.0, 1500.0};
-  CHECK_THROWS(mapperd::map::blocks_of_ping(map, ping.image(), {}, {}, fast), std::invalid_argument);
+  CHECK_THROWS(mapperd::map::blocks_of_ping(map, ping.image(), {}, {}, fast),
+               std::invalid_argument);
 }
 
 }  // namespace

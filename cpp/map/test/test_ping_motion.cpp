@@ -6,17 +6,16 @@
 #include "check.hpp"
 #include "mapperd/map/ping_motion.hpp"
 #include "mapperd/map/rays.hpp"
-#include "scenes.hpp"
 #include "oracle_motion.hpp"
 #include "scenes.hpp"
 
 namespace {
 
+using mapperd::Transform;
+using mapperd::Vec3;
 using mapperd::map::MovingView;
 using mapperd::map::PingMotion;
 using mapperd::map::Seen;
-using mapperd::Transform;
-using mapperd::Vec3;
 using mapperd::map::Widening;
 
 struct Scene {
@@ -61,7 +60,8 @@ TEST_CASE("a moving sonar sees a place where poses in time say that it does") {
 TEST_CASE("a turn of any size is right to the last digits") {
   // Of unit vectors about z, small and large: each size is worked out in its own way.
   for (const double angle : {0.0, 1e-9, 1e-3, 0.02, 0.0316, 0.0317, 0.3, 0.99, 1.01, 3.0}) {
-    const Transform turned = mapperd::map::turned_to_transmission({}, {{}, {0, 0, angle}, 1.0, 1500.0});
+    const Transform turned =
+        mapperd::map::turned_to_transmission({}, {{}, {0, 0, angle}, 1.0, 1500.0});
     const Vec3 expected{std::cos(angle), std::sin(angle), 0};
     check_near(turned.rows[0], expected, 5e-16);
   }

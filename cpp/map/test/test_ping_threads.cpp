@@ -3,10 +3,10 @@
 #include <vector>
 
 #include "check.hpp"
-#include "scenes.hpp"
-#include "mapperd/map/map_file.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
+#include "mapperd/map/map_file.hpp"
 #include "mapperd/map/snapshot.hpp"
+#include "scenes.hpp"
 
 namespace {
 

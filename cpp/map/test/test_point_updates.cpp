@@ -12,8 +12,8 @@
 
 namespace {
 
-using mapperd::map::StepLimits;
 using mapperd::Vec3;
+using mapperd::map::StepLimits;
 using mapperd::map::VoxelIndex;
 using mapperd::map::VoxelMap;
 

@@ -11,9 +11,9 @@
 
 namespace {
 
+using mapperd::Vec3;
 using mapperd::map::Occupancy;
 using mapperd::map::Points;
-using mapperd::Vec3;
 using mapperd::map::VoxelBox;
 using mapperd::map::VoxelIndex;
 using mapperd::map::VoxelMap;
@@ -124,8 +124,8 @@ TEST_CASE("a ray's depth is where it enters the nearest occupied voxel of all") 
   int hits = 0, misses = 0;
   for (int i = 0; i < 2000; ++i) {
     const Vec3 origin{random.uniform(-2, 2), random.uniform(-2, 2), random.uniform(-2, 2)};
-    const Vec3 unit =
-        mapperd::map::unit_vector({random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1)});
+    const Vec3 unit = mapperd::map::unit_vector(
+        {random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1)});
     double expected = kInfinity;
     map.for_each_known([&](const VoxelIndex& voxel, const mapperd::map::VoxelState& state) {
       if (state.log_odds > 0.8F) {

@@ -4,9 +4,9 @@
 #include <vector>
 
 #include "check.hpp"
-#include "maps.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/snapshot.hpp"
+#include "maps.hpp"
 #include "oracle.hpp"
 #include "rules.hpp"
 #include "scenes.hpp"
@@ -18,8 +18,8 @@ using mapperd::map::IwloRule;
 using mapperd::map::Voxel;
 using mapperd::map::VoxelMap;
 
-// Nearly all pings see a block free throughout, which is only counted; now and then some, or many in
-// a row, have a surface in its first 64 voxels.
+// Nearly all pings see a block free throughout, which is only counted; now and then some, or many
+// in a row, have a surface in its first 64 voxels.
 void million_into_block(const IwloParams& params) {
   const int pings = check::sanitized() ? 20000 : 1000000;
   VoxelMap map(0.1, params);

@@ -9,8 +9,8 @@
 
 #include "check.hpp"
 #include "mapperd/map/brick.hpp"
-#include "mapperd/map/key_index.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
+#include "mapperd/map/key_index.hpp"
 #include "mapperd/map/stream_view.hpp"
 #include "maps.hpp"
 #include "scenes.hpp"

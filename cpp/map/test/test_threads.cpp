@@ -10,11 +10,11 @@
 #include "check.hpp"
 #include "mapperd/map/brick.hpp"
 #include "mapperd/map/distance_field.hpp"
+#include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/map_file.hpp"
 #include "mapperd/map/merge.hpp"
 #include "mapperd/map/octomap_file.hpp"
 #include "mapperd/map/point_updates.hpp"
-#include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/queries.hpp"
 #include "mapperd/map/rays.hpp"
 #include "mapperd/map/snapshot.hpp"
@@ -23,10 +23,10 @@
 
 namespace {
 
+using mapperd::Vec3;
 using mapperd::map::KnownVoxel;
 using mapperd::map::Occupancy;
 using mapperd::map::Points;
-using mapperd::Vec3;
 using mapperd::map::VoxelMap;
 
 constexpr double kResolution = 0.1;
@@ -84,7 +84,8 @@ std::vector<std::function<bool()>> all_reads(const VoxelMap& map) {
       [&map, box] { return occupied_in(map, box, 0.8).size() <= box.count(); },
       [&map] {
         const auto counts = count_classes(map, kThresholds);
-        return counts.occupied + counts.free + counts.uncertain <= 4000 * mapperd::map::kBlockVoxels;
+        return counts.occupied + counts.free + counts.uncertain <=
+               4000 * mapperd::map::kBlockVoxels;
       },
       [&map] { return voxels_between(map, 0.8, 200).size() < 4000 * mapperd::map::kBlockVoxels; },
       [&map] { return dense_blocks(map, 1, 2).keys.size() <= 2; },
@@ -94,7 +95,8 @@ std::vector<std::function<bool()>> all_reads(const VoxelMap& map) {
         return blocks <= 4000;
       },
       [&map] {  // the twins, as the map stream tells them
-        const mapperd::map::StreamView view{1, mapperd::map::StreamDetail::counts, 0.25, kThresholds};
+        const mapperd::map::StreamView view{1, mapperd::map::StreamDetail::counts, 0.25,
+                                            kThresholds};
         const auto told = stream_blocks(map, view, {{18, 0, 0}, {-19, 0, 0}});
         const auto first = told.cells.begin(), second = first + mapperd::map::kStreamCells;
         const auto digests = stream_digests(map, view, {{18, 0, 0}}).digests;
@@ -244,7 +246,8 @@ TEST_CASE("tiles come and go whole under everybody's eyes") {
       [&](int i) {
         if (i % 2 == 0) return drop_tiles(map, tiles);
         std::vector<mapperd::map::BrickView> bricks;
-        for (const mapperd::map::Brick& brick : kept.bricks) bricks.push_back({brick.key, brick.bytes});
+        for (const mapperd::map::Brick& brick : kept.bricks)
+          bricks.push_back({brick.key, brick.bytes});
         put_bricks(map, bricks, tiles);
       },
       {all_or_none, [&map] { return twins_agree(map); },

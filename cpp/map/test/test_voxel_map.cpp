@@ -34,7 +34,8 @@ TEST_CASE("voxels are found again among thousands of blocks, near and far") {
   map.for_each_known([&known](const VoxelIndex&, const mapperd::map::VoxelState&) { ++known; });
   CHECK(known == expected.size());
   CHECK(map.at(VoxelIndex{1, 1, 12345}).count == 0);
-  CHECK(map.memory_bytes() > map.block_count() * (sizeof(mapperd::map::Block) + 3 * mapperd::map::kCellVoxels));
+  CHECK(map.memory_bytes() >
+        map.block_count() * (sizeof(mapperd::map::Block) + 3 * mapperd::map::kCellVoxels));
   map.clear();
   CHECK(map.block_count() == 0);
 }
@@ -119,10 +120,11 @@ TEST_CASE("another threshold changes later pings as if the map had always had it
   integrate_evidence_grid(always, ping.image(), here, settings);
   CHECK(changed.known_count() == always.known_count());
   bool equal = true;
-  always.for_each_known([&](const mapperd::map::VoxelIndex& voxel, const mapperd::map::VoxelState& state) {
-    const mapperd::map::VoxelState other = changed.at(voxel);
-    equal = equal && other.log_odds == state.log_odds && other.count == state.count;
-  });
+  always.for_each_known(
+      [&](const mapperd::map::VoxelIndex& voxel, const mapperd::map::VoxelState& state) {
+        const mapperd::map::VoxelState other = changed.at(voxel);
+        equal = equal && other.log_odds == state.log_odds && other.count == state.count;
+      });
   CHECK(equal);
   CHECK_THROWS(mapperd::map::set_intensity_threshold(changed, std::nan("")), std::invalid_argument);
   CHECK(changed.rule().params().intensity_threshold == 40);

@@ -1,10 +1,11 @@
 """Whatever a client says is answered or cut, and the next one is served."""
 
 import json
+import math
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from tests.mapperd.control.fakes import FREE, MALFORMED, Served, go, until
@@ -63,16 +64,37 @@ VALUES = st.recursive(
 )
 
 
+def is_json(value: object) -> bool:
+    """Whether no number in it is infinite or none: JSON has no such numbers, Python writes them."""
+    try:
+        json.dumps(value, allow_nan=False)
+    except ValueError:
+        return False
+    return True
+
+
 @settings(
     max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(value=VALUES)
+@example(value=math.inf)
+@example(value=[math.nan])
+@example(value=1.7e308)
 @pytest.mark.parametrize("name", ["filtering.intensity_threshold", "control.mode", "odometry"])
 def test_any_value_is_taken_or_refused(short: Path, name: str, value: object) -> None:
     async def work(one: Served) -> None:
         async with await one.line() as line:
-            answer = await line.ask("set", changes={name: value})
-            assert "result" in answer or answer["error"]["reason"] in ("refused", "bad_request")
+            if is_json(value):
+                answer = await line.ask("set", changes={name: value})
+                assert "result" in answer or answer["error"]["reason"] in ("refused", "bad_request")
+            else:  # nor is the line, so that its id cannot be read
+                await line.say(
+                    json.dumps({"id": 1, "do": "set", "changes": {name: value}}).encode()
+                )
+                await line.say(b"\n")
+                answer = await line.hear()
+                assert (answer["id"], answer["error"]["reason"]) == (None, "bad_request")
+            assert "result" in await line.ask("status")
         assert one.counters["failed"] == 0
 
     go(work, short, limits=FREE)

@@ -89,16 +89,29 @@ def size_of(path: Path) -> int:
     return 0
 
 
-def wait_for_bytes(folder: Path, names: str, more: int) -> None:
-    """Wait until files have grown by so much, whatever else the machine has to do."""
+def runs(process: int) -> bool:
+    """Whether a daemon has not ended yet."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def wait_for_bytes(process: int, folder: Path, names: str, more: int) -> bool:
+    """Wait until a daemon's files have grown by so much; returns False if it ends before.
+
+    A busy machine takes seconds to start one: who waits too briefly kills what has not begun.
+    """
     begin = None
-    until_s = time.monotonic() + 3
-    while time.monotonic() < until_s:
+    until_s = time.monotonic() + 60
+    while time.monotonic() < until_s and runs(process):
         size = sum(map(size_of, folder.glob(names))) if folder.exists() else 0
         begin = size if begin is None else begin
         if size - begin >= more:
-            return
+            return True
         time.sleep(0.003)
+    return False
 
 
 def mid_session(path: Path) -> bool:
@@ -131,7 +144,9 @@ def test_map_after_a_kill_is_that_of_the_recordings(
         for _ in range(chance.randint(1, 3)):
             process = daemons.start("--config", folder / "live.yaml", "--out", folder / "out")
             if chance.random() < 0.9:
-                wait_for_bytes(folder / "recordings", "*", chance.randint(1, 300_000))
+                assert wait_for_bytes(
+                    process, folder / "recordings", "*", chance.randint(1, 300_000)
+                )
             time.sleep(chance.uniform(0.0, 0.1))
             os.kill(process, signal.SIGKILL)
             assert daemons.ended() == -signal.SIGKILL
@@ -157,7 +172,7 @@ def test_who_is_told_to_end_leaves_a_whole_map(
     (tmp_path / "live.yaml").write_text(text, encoding="utf-8")
     for _ in range(2):
         process = daemons.start("--config", tmp_path / "live.yaml", "--out", tmp_path / "out")
-        wait_for_bytes(tmp_path / "recordings", "*", 100_000)  # some 28 pings
+        assert wait_for_bytes(process, tmp_path / "recordings", "*", 100_000)  # some 28 pings
         os.kill(process, signal.SIGTERM)
         assert daemons.ended() == 0
     reference, pings = as_recorded(tmp_path / "recordings")
@@ -186,7 +201,7 @@ def test_replay_into_a_file_goes_on_after_a_kill(
     survey: Callable[..., list[Any]],
     write_recording: Callable[..., object],
 ) -> None:
-    write_recording(tmp_path / "dive.mcap", survey(100))
+    write_recording(tmp_path / "dive.mcap", survey(400))  # a quarter of a megabyte of map
     (tmp_path / "dive.yaml").write_text(REPLAY, encoding="utf-8")
     kill_replays(tmp_path, daemons, KILLS // 2)
 
@@ -214,7 +229,7 @@ def kill_replays(folder: Path, daemons: Daemons, least: int) -> None:
     while kills < least or not ends:
         process = daemons.start(*words, "--out", folder / "out")
         if chance.random() < 0.9:
-            wait_for_bytes(folder, "dive.map*", chance.randint(1, 100_000))
+            wait_for_bytes(process, folder, "dive.map*", chance.randint(1, 100_000))
         time.sleep(chance.uniform(0.0, 0.1))
         with contextlib.suppress(ProcessLookupError):
             os.kill(process, signal.SIGKILL)

@@ -75,7 +75,7 @@ def test_map_at_corrected_poses_after_a_kill_is_that_of_the_recordings(
         config = config_from_text(text)
         for _ in range(2):
             process = daemons.start("--config", folder / "live.yaml", "--out", folder / "out")
-            wait_for_bytes(folder / "recordings", "*", chance.randint(100_000, 500_000))
+            wait_for_bytes(process, folder / "recordings", "*", chance.randint(100_000, 500_000))
             wait_for_file(pose_path(config, {}))  # on a loaded machine the first takes a while
             time.sleep(chance.uniform(0.1, 0.6))
             os.kill(process, signal.SIGKILL)

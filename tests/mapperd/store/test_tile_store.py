@@ -24,6 +24,7 @@ from tests.mapperd.store.dive import (
 )
 
 PINGS = 130
+CHUNK = 256 * 64 * 3  # bytes: cells of 4 x 4 x 4 voxels, each log-odds and a count
 
 
 @pytest.fixture(scope="module")
@@ -57,13 +58,20 @@ def test_map_of_a_tiny_cache_equals_the_one_in_memory_to_the_bit(
 
 
 def test_memory_is_bounded_by_the_cache(tmp_path: Path) -> None:
-    whole = mapped(PINGS).memory_bytes
+    pings = 3 * PINGS
+    whole = mapped(pings).memory_bytes
+    empty = SonarMap(CONFIG).memory_bytes  # the rule's tables
     sonar_map, store = open_store(tmp_path / "dive.map", tile_size_m=6.4, cache_tiles=1)
     most = 0
     with store:
-        for number in range(PINGS):
+        for number in range(pings):
             dive_on(sonar_map, store, number, number + 1)
             most = max(most, sonar_map.memory_bytes)
+            if number % 10 == 0:
+                held = SonarMap(CONFIG)
+                held.core.load_map(sonar_map.core.encode_map())
+                # Dropped cells are given back when they are more than those in use and a chunk.
+                assert sonar_map.memory_bytes - empty <= 2 * (held.memory_bytes - empty) + CHUNK
     assert most < whole / 4
 
 

@@ -131,8 +131,8 @@ def test_a_tile_that_is_too_large_is_cut(tmp_path: Path, monkeypatch: pytest.Mon
     ]
     survey = write_survey(tmp_path, tile_size_m=51.2, dives=dives)
     whole = run_here(survey, tmp_path / "whole")
-    most = 4_600_000
-    assert whole["maps"][0]["largest_tile_bytes"] > most + 1_000_000
+    most = 1_100_000
+    assert whole["maps"][0]["largest_tile_bytes"] > most + 400_000
     monkeypatch.setattr("survey.running.voxel_bytes_of", lambda *_: most)
     record = run_here(survey, tmp_path / "cut")
     assert record["tile_bricks"] == whole["tile_bricks"] == 8
@@ -148,7 +148,7 @@ def test_tiles_asked_for_that_are_too_large_for_a_ping_begin_smaller(
 ) -> None:
     survey = write_survey(tmp_path, tile_size_m=204.8)
     whole = run_here(survey, tmp_path / "whole")
-    monkeypatch.setattr("survey.running.voxel_bytes_of", lambda *_: 3_200_000)
+    monkeypatch.setattr("survey.running.voxel_bytes_of", lambda *_: 700_000)
     record = run_here(survey, tmp_path / "cut")
     assert (whole["tile_bricks"], record["tile_bricks"]) == (32, 1)
     assert rows_in(tmp_path / "cut/map.db") == rows_in(tmp_path / "whole/map.db")

@@ -19,7 +19,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a run with maps of the dives, and tiles that were cut, some of them twice."""
     folder = tmp_path_factory.mktemp("survey")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("survey.running.voxel_bytes_of", lambda *_: 700_000)
+        patch.setattr("survey.running.voxel_bytes_of", lambda *_: 400_000)
         patch.setattr("survey.running.edge_within", lambda edge, *_: edge)
         run_here(write_survey(folder, tile_size_m=25.6), folder / "out", by_dive=True)
     return folder / "out"
