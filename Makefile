@@ -13,7 +13,7 @@ CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLi
 # Programs and tests start hundreds of Pythons, which must not compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study fuzz check cpp-test cpp-test-asan cpp-test-tsan python-test install prerequisites clean
+.PHONY: demo test bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study fuzz check cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install prerequisites clean
 
 demo: $(STAMP)
 	$(BIN)/python tools/demo.py --out out/demo
@@ -136,6 +136,10 @@ cpp-test-asan: $(TOOLS)
 
 cpp-test-tsan: $(TOOLS)
 	scripts/cpp-test tsan
+
+# The map core's golden tests as NEON code, on any machine: wants g++-aarch64-linux-gnu and qemu-user.
+cpp-test-aarch64: $(TOOLS)
+	scripts/cpp-test aarch64
 
 # More workers than cores: many tests wait, for a daemon's next save or a client's time-out. A worker
 # begins with a part of its own, which keeps a module's fixtures in one place, and helps where others

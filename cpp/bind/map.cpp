@@ -9,8 +9,8 @@
 
 #include "arrays.hpp"
 #include "bindings.hpp"
-#include "mapperd/map/ping_box.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
+#include "mapperd/map/ping_box.hpp"
 #include "mapperd/map/rays.hpp"
 #include "mapperd/map/snapshot.hpp"
 #include "mapperd/map/voxel_map.hpp"
@@ -48,14 +48,14 @@ Aggregation aggregation_of(const std::string& name) {
 }
 
 PingStats evidence_grid(VoxelMap& map, const py::object& intensity, const py::object& bearings,
-                     double range_resolution_m, const py::object& map_T_sonar,
-                     double vertical_aperture_rad, double min_range_m, bool carve_no_return,
-                     const std::string& aggregation, double detail, int threads,
-                     const PingMotion& motion) {
+                        double range_resolution_m, const py::object& map_T_sonar,
+                        double vertical_aperture_rad, double min_range_m, bool carve_no_return,
+                        const std::string& aggregation, double detail, int threads,
+                        const PingMotion& motion) {
   const Ping ping(intensity, bearings, range_resolution_m);
   const Transform pose = transform_of(map_T_sonar, "map_T_sonar");
   const PingSettings settings{vertical_aperture_rad,       min_range_m, carve_no_return,
-                             aggregation_of(aggregation), detail,      threads};
+                              aggregation_of(aggregation), detail,      threads};
   const py::gil_scoped_release release;
   return integrate_evidence_grid(map, ping.image, pose, settings, motion);
 }
@@ -200,8 +200,8 @@ void bind_map(py::module_& module) {
       .def("integrate_evidence_grid", &evidence_grid, "intensity"_a, "bearings_rad"_a,
            "range_resolution_m"_a, "map_T_sonar"_a, py::kw_only(), "vertical_aperture_rad"_a,
            "min_range_m"_a = fan.min_range_m, "carve_no_return"_a = fan.carve_no_return,
-           "aggregation"_a = "occupied_first", "detail"_a = fan.detail,
-           "threads"_a = fan.threads, "motion"_a = still)
+           "aggregation"_a = "occupied_first", "detail"_a = fan.detail, "threads"_a = fan.threads,
+           "motion"_a = still)
       .def("integrate_rays", &rays, "intensity"_a, "bearings_rad"_a, "range_resolution_m"_a,
            "map_T_sonar"_a, py::kw_only(), "vertical_aperture_rad"_a,
            "min_range_m"_a = fan.min_range_m, "angular_cone_width"_a = 0.5, "motion"_a = still)

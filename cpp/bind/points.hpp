@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "arrays.hpp"
-#include "mapperd/map/queries.hpp"
 #include "mapperd/common/vec.hpp"
+#include "mapperd/map/queries.hpp"
 
 namespace mapperd::bind {
 

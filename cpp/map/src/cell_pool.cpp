@@ -19,9 +19,7 @@ std::size_t CellPool::memory_bytes() const {
          chunks_.size() * allocated_bytes(kChunk * slot_bytes_);
 }
 
-void CellPool::reserve(std::size_t slots) {
-  chunks_.reserve(chunks_.size() + slots / kChunk + 1);
-}
+void CellPool::reserve(std::size_t slots) { chunks_.reserve(chunks_.size() + slots / kChunk + 1); }
 
 void CellPool::take(std::size_t count, std::vector<std::uint32_t>& slots) {
   const std::lock_guard<std::mutex> lock(mutex_);

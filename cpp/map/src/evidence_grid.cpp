@@ -14,16 +14,17 @@ constexpr double kRowPitch = 0.3;     // in edges
 constexpr double kColumnPitch = 0.5;  // in edges, at most, at the largest range
 constexpr double kMaxGridCells = 1 << 30;
 constexpr int kBinsPerBeam = 4;
-constexpr int kRowsBeyond = 24;    // of nothing, for voxels of cells that end beyond the reach
-constexpr double kUneven = 0.15;   // from beam to beam, relative to their width
-constexpr int kRowsAtOnce = 64;    // by one thread
+constexpr int kRowsBeyond = 24;       // of nothing, for voxels of cells that end beyond the reach
+constexpr double kUneven = 0.15;      // from beam to beam, relative to their width
+constexpr int kRowsAtOnce = 64;       // by one thread
 constexpr std::ptrdiff_t kLane = 16;  // columns that the kernels take at once
 
 int padded_beams(std::size_t beams) {
   return (static_cast<int>(beams) + kGroupBeams - 1) / kGroupBeams * kGroupBeams;
 }
 
-// How badly multiples of a ratio avoid whole numbers: large for ratios whose multiples spread evenly.
+// How badly multiples of a ratio avoid whole numbers: large for ratios whose multiples spread
+// evenly.
 double evenness(double ratio) {
   double least = 1.0;
   for (int m = 1; m <= 24; ++m) {
@@ -70,8 +71,8 @@ struct EvidenceGrid::Sums {
   std::size_t end_row = 0;  // behind the last return
 };
 
-EvidenceGrid::EvidenceGrid(GridMemory& memory, const PingImage& image,
-                           const PingSettings& settings, const IwloRule& rule, double edge_m)
+EvidenceGrid::EvidenceGrid(GridMemory& memory, const PingImage& image, const PingSettings& settings,
+                           const IwloRule& rule, double edge_m)
     : memory_(memory),
       edge_m_(edge_m),
       min_range_(settings.min_range_m),
@@ -266,8 +267,7 @@ void EvidenceGrid::dilate(float reach, std::vector<std::uint8_t>& wide) const {
     // A sideways step of t changes the sine by t / range at most.
     const double near_m =
         (static_cast<double>(tile * kTileRows) * row_pitch_ - reach_m) * cos_half_;
-    const double columns =
-        near_m > 0 ? reach_m / near_m / narrowest_ * subcolumns_ + 1 : 1e9;
+    const double columns = near_m > 0 ? reach_m / near_m / narrowest_ * subcolumns_ + 1 : 1e9;
     const auto sideways = static_cast<std::size_t>(
         std::min(std::ceil(columns / kTileColumns), static_cast<double>(tiles)));
     // OR over 2 sideways + 1 tiles, by doubling the run that each tile stands for.
@@ -336,11 +336,11 @@ EvidenceGrid::Evidence EvidenceGrid::at(const Vec3& v) const {
 
 std::uint8_t EvidenceGrid::classes_of_block(double range_m, double sine) const {
   const auto place = [](double at, std::ptrdiff_t count, int tile) {
-    return static_cast<std::ptrdiff_t>(std::clamp(at, 0.0, static_cast<double>(count) - 0.5)) / tile;
+    return static_cast<std::ptrdiff_t>(std::clamp(at, 0.0, static_cast<double>(count) - 0.5)) /
+           tile;
   };
   const std::ptrdiff_t row = place(range_m / row_pitch_, rows_, kTileRows);
-  const std::ptrdiff_t column =
-      place(binned_column_of(sine), columns_, kTileColumns);
+  const std::ptrdiff_t column = place(binned_column_of(sine), columns_, kTileColumns);
   return memory_.block_classes[static_cast<std::size_t>(row * tile_columns_ + column)];
 }
 

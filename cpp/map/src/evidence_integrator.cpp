@@ -122,8 +122,9 @@ class PingUpdate {
     while (blocks * block_m_ < 1.02 * grid_.reach_m() + block_m_) blocks *= 2;
     for (int octant = 0; octant < 8; ++octant) {
       const auto low = [&](int bit) { return (octant >> bit & 1) != 0 ? 0 : -blocks; };
-      visit({{low(0), low(1), low(2)}, blocks},
-            [&](const Cube& cube) { cubes_.push_back(cube); }, kCubeBlocks);
+      visit(
+          {{low(0), low(1), low(2)}, blocks}, [&](const Cube& cube) { cubes_.push_back(cube); },
+          kCubeBlocks);
     }
   }
 
@@ -148,9 +149,12 @@ class PingUpdate {
     if (!map_.residency().is_partial()) return;
     std::vector<BlockKey> blocks;
     for (const Cube& cube : cubes_) {
-      visit(cube, [&](const Cube& block) {
-        if (classes_of(view_of(block)) != kHasNothing) blocks.push_back(absolute(block.first));
-      }, 1);
+      visit(
+          cube,
+          [&](const Cube& block) {
+            if (classes_of(view_of(block)) != kHasNothing) blocks.push_back(absolute(block.first));
+          },
+          1);
     }
     map_.residency().fetch(blocks);
   }
@@ -163,8 +167,7 @@ class PingUpdate {
       const Seen apparent = view_->look(view.centre);
       seen = apparent.at;
       axes = apparent.axes;
-      view.is_linear =
-          view_->widening(view.centre, 0.8661 * block_m_).bend <= kMaxBend * edge_m_;
+      view.is_linear = view_->widening(view.centre, 0.8661 * block_m_).bend <= kMaxBend * edge_m_;
     }
     view.seen = (1.0 / edge_m_) * to_sonar(seen);
     view.step = {to_sonar(axes.x), to_sonar(axes.y), to_sonar(axes.z)};
@@ -175,7 +178,8 @@ class PingUpdate {
   std::uint8_t classes_of(const BlockView& view) const {
     const Vec3& v = view.seen;
     const double horizontal = std::max(std::sqrt(v.x * v.x + v.y * v.y), 1e-12);
-    return grid_.classes_of_block(edge_m_ * std::sqrt(horizontal * horizontal + v.z * v.z), -v.y / horizontal);
+    return grid_.classes_of_block(edge_m_ * std::sqrt(horizontal * horizontal + v.z * v.z),
+                                  -v.y / horizontal);
   }
 
   PingStats apply() {
@@ -250,8 +254,7 @@ class PingUpdate {
     void find_cells() {
       task_ = ping_.cells_task_;
       constexpr double kFirstCell = -1.5 * kCellEdge;
-      const Vec3 first =
-          view_.seen + kFirstCell * (view_.step[0] + view_.step[1] + view_.step[2]);
+      const Vec3 first = view_.seen + kFirstCell * (view_.step[0] + view_.step[1] + view_.step[2]);
       set(task_.first, first);
       for (std::size_t i = 0; i < 3; ++i) {
         set(task_.step[i], double{kCellEdge} * view_.step[i]);
@@ -267,10 +270,9 @@ class PingUpdate {
           free_cells |= cell_bit(cell);
           continue;
         }
-        const bool near =
-            all_near || (found & kNearAxis) != 0 || places_.range[i] < kNearVoxels;
-        mixed.cells[static_cast<std::size_t>(mixed.count++)] = {
-            static_cast<std::uint8_t>(cell), near};
+        const bool near = all_near || (found & kNearAxis) != 0 || places_.range[i] < kNearVoxels;
+        mixed.cells[static_cast<std::size_t>(mixed.count++)] = {static_cast<std::uint8_t>(cell),
+                                                                near};
       }
     }
 
@@ -284,9 +286,10 @@ class PingUpdate {
         if (m + kAhead < mixed.count) {
           block.prefetch(pool_, mixed.cells[static_cast<std::size_t>(m + kAhead)].cell);
         }
-        const CodeCounts found = at.near ? look_up_each(at.cell, codes.data(), shares.data())
-                                         : ping_.kernels_.look_up(task_, ping_.grid_view_, places_, at.cell,
-                                                            codes.data(), told_shares);
+        const CodeCounts found = at.near
+                                     ? look_up_each(at.cell, codes.data(), shares.data())
+                                     : ping_.kernels_.look_up(task_, ping_.grid_view_, places_,
+                                                              at.cell, codes.data(), told_shares);
         stats.occupied += static_cast<std::size_t>(found.occupied);
         if (found.free == kCellVoxels) {
           free_cells |= cell_bit(at.cell);
@@ -299,7 +302,7 @@ class PingUpdate {
         }
         const CellVoxels voxels = block.open(ping_.rule_, pool_, at.cell);
         changed |= ping_.kernels_.apply(ping_.tables_, codes.data(), told_shares, voxels.units(),
-                                   voxels.counts(), ping_.rule_.count_bytes());
+                                        voxels.counts(), ping_.rule_.count_bytes());
         block.close(ping_.rule_, pool_, at.cell);
       }
       stats.free += static_cast<std::size_t>(__builtin_popcountll(free_cells)) * kCellVoxels;
@@ -320,10 +323,9 @@ class PingUpdate {
       for (int v = 0; v < kCellVoxels; ++v) {
         const int offset = corner + offset_in_cell(v);
         const auto from_middle = [](int at) { return at - (kBlockEdge - 1) / 2.0; };
-        const Vec3 place =
-            view_.centre + ping_.edge_m_ * Vec3{from_middle(offset & 15),
-                                                from_middle(offset >> 4 & 15),
-                                                from_middle(offset >> 8)};
+        const Vec3 place = view_.centre + ping_.edge_m_ * Vec3{from_middle(offset & 15),
+                                                               from_middle(offset >> 4 & 15),
+                                                               from_middle(offset >> 8)};
         const Vec3 seen = ping_.view_ ? ping_.view_->seen(place) : place;
         const EvidenceGrid::Evidence evidence = ping_.grid_.at(ping_.to_sonar(seen));
         codes[v] = evidence.code;
@@ -348,7 +350,7 @@ class PingUpdate {
   double block_m_;
   BlockPose start_;
   EvidenceGrid grid_;
-  Vec3 low_side_;   // positive inside
+  Vec3 low_side_;  // positive inside
   Vec3 high_side_;
   RuleTables tables_ = rule_.tables();
   const Kernels& kernels_ = kernels();

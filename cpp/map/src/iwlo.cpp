@@ -71,14 +71,14 @@ IwloRule::IwloRule(const IwloParams& params) : params_(params) {
   const auto whole = [this](double log_odds) { return std::lround(std::ldexp(log_odds, shift_)); };
   min_units_ = static_cast<std::int16_t>(whole(params_.L_min));
   max_units_ = static_cast<std::int16_t>(whole(params_.L_max));
-  full_free_ = static_cast<std::int16_t>(whole(std::min(-params_.L_free, params_.L_max - params_.L_min)));
+  full_free_ =
+      static_cast<std::int16_t>(whole(std::min(-params_.L_free, params_.L_max - params_.L_min)));
   least_weight_ = sigmoid(-0.5 * params_.sharpness);
   largest_weight_ = sigmoid(0.5 * params_.sharpness);
   code_base_ = full_step(least_weight_);
   // Codes are shifted by 7 bits before they are multiplied.
-  code_slope_ = static_cast<std::int16_t>(
-      std::lround((full_step(largest_weight_) - code_base_) * 32768.0 /
-                  ((255 - kCodeOccupied) * 128)));
+  code_slope_ = static_cast<std::int16_t>(std::lround((full_step(largest_weight_) - code_base_) *
+                                                      32768.0 / ((255 - kCodeOccupied) * 128)));
   min_ratio_ = q15(params_.adaptive_min_ratio);
   // In single precision, as the kernels compute it for many voxels at once.
   const auto decay = static_cast<float>(params_.decay_rate);

@@ -405,8 +405,8 @@ class RowBuilder {
   const GridTask& task_;
   int groups_;
   float range_ = 0;
-  std::ptrdiff_t place_ = 0;   // of the row
-  std::ptrdiff_t filled_ = 0;  // columns of the row that are written
+  std::ptrdiff_t place_ = 0;               // of the row
+  std::ptrdiff_t filled_ = 0;              // columns of the row that are written
   std::uint8_t fill_code_ = kCodeNothing;  // of those after them
   float* returns_;
   float* weights_;
@@ -481,8 +481,8 @@ void place_cells(const CellsTask& task, const GridView& grid, CellPlaces& places
     const F8 horizontal = root(flat) + 1e-20F;
     const F8 range = root(flat + z * z);
     const F8 sine = -y / horizontal;
-    const F8 bin = smaller(larger((sine - task.sine_low) * task.bins_per_sine, F8{}),
-                           all(task.last_bin));
+    const F8 bin =
+        smaller(larger((sine - task.sine_low) * task.bins_per_sine, F8{}), all(task.last_bin));
     const I8 bins = truncated(bin);
     F8 column, slope;
     for (int k = 0; k < 8; ++k) {
@@ -491,8 +491,8 @@ void place_cells(const CellsTask& task, const GridView& grid, CellPlaces& places
     }
     column += slope * sine;
     const I8 rows = smaller(truncated(smaller(range * task.rows_per_voxel, all(1e6F))), last_row);
-    const I8 columns = smaller(larger(truncated(smaller(larger(column, all(-1e6F)), all(1e6F))),
-                                      I8{}), last_column);
+    const I8 columns = smaller(
+        larger(truncated(smaller(larger(column, all(-1e6F)), all(1e6F))), I8{}), last_column);
     const I8 tiles = (rows / kTileRows) * grid.tile_stride + columns / kTileColumns;
     I8 classes;
     for (int k = 0; k < 8; ++k) classes[k] = grid.cell_classes[tiles[k]];
@@ -532,8 +532,8 @@ void place_cells(const CellsTask& task, const GridView& grid, CellPlaces& places
     store(z * task.cos_half_aperture - 1.5F * height_step, places.height + 8 * i);
     const F8 wide = absolute(turn) * task.reach + 1.0F;
     const float deep = task.reach * task.rows_per_voxel + 1.0F;
-    const I8 within = (row > deep) & (row < grid.rows - deep) & (column > wide) &
-                      (column < grid.columns - wide);
+    const I8 within =
+        (row > deep) & (row < grid.rows - deep) & (column > wide) & (column < grid.columns - wide);
     for (int k = 0; k < 8; ++k) places.within[8 * i + k] = within[k] != 0;
   }
 }
@@ -552,7 +552,8 @@ CodeCounts count_codes(const std::uint8_t* codes) {
   return {sum(occupied), sum(free)};
 }
 
-// Sixteen bytes of a table, in one register: whoever loads them then need not wait for sixteen stores.
+// Sixteen bytes of a table, in one register: whoever loads them then need not wait for sixteen
+// stores.
 inline B16 sixteen(const std::uint8_t* table, const std::int32_t* at) {
 #if defined(__AVX2__)
   __m128i low = _mm_cvtsi32_si128(table[at[0]]), high = _mm_setzero_si128();
@@ -650,8 +651,7 @@ inline S16 alphas(const RuleTables& rule, const Count* counts) {
   if (all_alike(counts)) return all16(rule.alpha[counts[0]]);
   const auto rate = [&rule](F8 count) {
     const F8 exact = 1.0F / (1.0F + rule.decay_rate * count);
-    return smaller(truncated(larger(exact, all(rule.min_alpha)) * 32768.0F + 0.5F),
-                   I8{} + 32767);
+    return smaller(truncated(larger(exact, all(rule.min_alpha)) * 32768.0F + 0.5F), I8{} + 32767);
   };
   return joined(rate(eight_floats(counts)), rate(eight_floats(counts + 8)));
 }

@@ -48,8 +48,7 @@ void check_same_kind(ByteReader& bytes, const VoxelMap& map) {
   const auto low = bytes.get<std::int32_t>();
   const auto high = bytes.get<std::int32_t>();
   const IwloRule& rule = map.rule();
-  if (rule.units_of_file(low) != rule.min_units() ||
-      rule.units_of_file(high) != rule.max_units()) {
+  if (rule.units_of_file(low) != rule.min_units() || rule.units_of_file(high) != rule.max_units()) {
     std::ostringstream what;
     what << "its clamps (L_min, L_max) are " << log_odds_of(low) << " and " << log_odds_of(high)
          << ", the map's " << rule.params().L_min << " and " << rule.params().L_max;

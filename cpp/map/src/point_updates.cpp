@@ -58,8 +58,9 @@ void add_step(BlockWriter& writer, const IwloRule& rule, const VoxelIndex& voxel
               const StepLimits& limits) {
   const std::int64_t before = writer.at(voxel).units;
   const std::int64_t sum = before + whole_units(rule, step);
-  const std::int64_t updated = step > 0 ? std::min(sum, std::max(whole_units(rule, limits.high), before))
-                                        : std::max(sum, std::min(whole_units(rule, limits.low), before));
+  const std::int64_t updated = step > 0
+                                   ? std::min(sum, std::max(whole_units(rule, limits.high), before))
+                                   : std::max(sum, std::min(whole_units(rule, limits.low), before));
   put(writer, rule, voxel, updated);
 }
 

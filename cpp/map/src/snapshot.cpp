@@ -14,7 +14,8 @@ DenseBlocks written_out(const VoxelMap& map, const Block* const* blocks, std::si
   for (std::size_t b = 0; b < count; ++b) {
     dense.keys.push_back(blocks[b]->key);
     blocks[b]->copy_voxels(map.rule(), map.pool(), voxels);
-    for (const std::int16_t units : voxels.units) dense.units.push_back(map.rule().file_units(units));
+    for (const std::int16_t units : voxels.units)
+      dense.units.push_back(map.rule().file_units(units));
     dense.counts.insert(dense.counts.end(), voxels.count.begin(), voxels.count.end());
   }
   return dense;

@@ -189,7 +189,8 @@ class Extractor {
     for (std::size_t i = 0; i < kStreamCells; ++i) bits_[i] = told_bits(counts_[i]);
     if (view_.detail == StreamDetail::classes) return tell_classes();
     for (std::size_t i = 0; i < kStreamCells; ++i) {
-      const double steps = rounded(map_.rule().log_odds(static_cast<std::int16_t>(highest_[i])) / view_.log_odds_step);
+      const double steps = rounded(map_.rule().log_odds(static_cast<std::int16_t>(highest_[i])) /
+                                   view_.log_odds_step);
       const int within = static_cast<int>(std::min(std::max(steps, -127.0), 127.0));
       cells_[i] = counts_[i] != 0 ? on_its_side(i, within) : kStreamUnknown;
     }
@@ -198,7 +199,8 @@ class Extractor {
   // Where no step is on its side, the nearest one stays.
   std::int8_t on_its_side(std::size_t cell, int steps) const {
     int least = -127, most = 127;
-    switch (view_.thresholds.of(map_.state_of({static_cast<std::int16_t>(highest_[cell]), counts_[cell]}))) {
+    switch (view_.thresholds.of(
+        map_.state_of({static_cast<std::int16_t>(highest_[cell]), counts_[cell]}))) {
       case Occupancy::occupied:
         least = lowest_occupied_;
         break;

@@ -214,7 +214,8 @@ Block& VoxelMap::write_block(const BlockKey& key, const BlockStates& states) {
   for (int cell = 0; cell < kBlockCells; ++cell) {
     const CellVoxels voxels = block.open(rule_, pool, cell);
     for (int v = 0; v < kCellVoxels; ++v) {
-      const Voxel& state = states[static_cast<std::size_t>(offset_of_cell(cell) + offset_in_cell(v))];
+      const Voxel& state =
+          states[static_cast<std::size_t>(offset_of_cell(cell) + offset_in_cell(v))];
       if (state.count == 0) continue;
       voxels.units()[v] = state.units;
       voxels.set_count(v, state.count);

@@ -1,4 +1,5 @@
-// A block of 16 x 16 x 16 voxels in 64 cells of 4 x 4 x 4, in as little memory as its content needs.
+// A block of 16 x 16 x 16 voxels in 64 cells of 4 x 4 x 4, in as little memory as its content
+// needs.
 //
 // A cell whose voxels are alike is one state. Any other cell is held voxel by voxel, in a slot of
 // the map's pool. Free observations of whole cells are only counted (`pending`), as long as every
@@ -52,9 +53,7 @@ inline CellPlace cell_place(int offset) {
 inline int offset_of_cell(int cell) {
   return voxel_offset(4 * (cell & 3), 4 * (cell >> 2 & 3), 4 * (cell >> 4));
 }
-inline int offset_in_cell(int voxel) {
-  return voxel_offset(voxel & 3, voxel >> 2 & 3, voxel >> 4);
-}
+inline int offset_in_cell(int voxel) { return voxel_offset(voxel & 3, voxel >> 2 & 3, voxel >> 4); }
 
 // A voxel with count 0 was never observed.
 struct Voxel {
@@ -133,7 +132,7 @@ class Block {
 
   std::uint8_t most_pending_ = 0;  // no cell has more
   CellSet held_ = 0;
-  CellSet above_ = 0;     // cells with a voxel whose free step depends on its log-odds
+  CellSet above_ = 0;  // cells with a voxel whose free step depends on its log-odds
   CellSet at_floor_ = 0;
   std::array<std::uint8_t, kBlockCells> pending_{};  // free steps not yet applied
   std::array<std::uint32_t, kBlockCells> state_{};   // a slot, or the state of all voxels

@@ -2,7 +2,8 @@
 //
 // The first byte says how they are written; another way would get another number:
 //   1  all voxels alike, as once written: units of 2^-24 i32, count u16;
-//   2  one by one, as once written: 512 bytes with a bit for each voxel that was observed (voxel i is
+//   2  one by one, as once written: 512 bytes with a bit for each voxel that was observed (voxel i
+//   is
 //      bit i % 8 of byte i / 8, x fastest), then the units i32 of those, then their counts u16;
 //   3  all voxels alike: shift u8, units of 2^-shift i16, count u16;
 //   4  cell by cell, counts of one byte: shift u8, a bit for each cell whose voxels are alike and

@@ -5,8 +5,8 @@
 #include <utility>
 #include <vector>
 
-#include "mapperd/map/block.hpp"
 #include "mapperd/common/memory_use.hpp"
+#include "mapperd/map/block.hpp"
 
 namespace mapperd::map {
 

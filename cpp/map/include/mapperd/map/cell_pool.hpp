@@ -65,9 +65,9 @@ class CellPool {
   std::size_t memory_bytes() const;
   bool is_sparse() const { return used_ > 2 * in_use() + kChunk; }
 
-  // Makes room for the numbers of so many slots more: only then may threads take slots side by side.
+  // Makes room for the numbers of so many slots more: only then may threads take slots side by
+  // side.
   void reserve(std::size_t slots);
-
 
   // One thread's hand in the pool. Gives back what it holds when it ends.
   class Cache {

@@ -26,7 +26,8 @@ struct IwloParams {
   double adaptive_threshold = 0.5;
   double adaptive_max_ratio = 0.3;
   // Below the adaptive threshold, the least that alpha times the scale may be for an occupied step.
-  // 0 is the published rule, by which a voxel seen free five times stays so for 210 000 pings.
+  // 0 is the published rule, by which a voxel seen free five times stays so for 210 000 pings; here
+  // it stays so for ever, because steps below half a unit are lost.
   double adaptive_min_ratio = 0.25;
   bool protect_occupied = true;  // false: free steps are never scaled down
 };
@@ -48,8 +49,8 @@ inline constexpr std::int16_t kOneQ15 = 32767;
 
 // The map holds log-odds in 16 bits, in units of 2^-shift: 2^-11 for clamps within +-15, coarser
 // ones for wider clamps. Every step is a whole number of units that depends on the voxel's state
-// alone. Sums of whole numbers do not depend on their order, so free steps that are kept pending, or
-// applied to many voxels at once, give the same bits as free steps applied one by one.
+// alone. Sums of whole numbers do not depend on their order, so free steps that are kept pending,
+// or applied to many voxels at once, give the same bits as free steps applied one by one.
 class IwloRule {
  public:
   // Throws std::invalid_argument, naming the parameter, for values that are not finite, out of
@@ -112,8 +113,8 @@ class IwloRule {
   std::int16_t occupied_units(std::int16_t units, std::uint16_t count, std::int16_t full) const {
     const std::int16_t alpha = alpha_[count];
     if (units >= occupied_unscaled_from_) return multiply_q15(full, alpha);
-    return multiply_q15(full, std::max(multiply_q15(alpha, occupied_scale_[scale_index(units)]),
-                                       min_ratio_));
+    return multiply_q15(
+        full, std::max(multiply_q15(alpha, occupied_scale_[scale_index(units)]), min_ratio_));
   }
   // Positive: by how much a free step lowers a voxel.
   std::int16_t free_units(std::int16_t units, std::uint16_t count) const {

@@ -55,23 +55,23 @@ inline constexpr std::uint8_t kHasOccupied = 4;
 // kGroupBeams; beams beyond those of the ping say nothing.
 struct GridTask {
   int beams;
-  int subcolumns;       // columns a beam
-  float subcolumn;      // one of them, in beams
+  int subcolumns;   // columns a beam
+  float subcolumn;  // one of them, in beams
   int ping_rows;
-  float row_pitch;      // m
-  float half_window;    // m, of the footprint along range
-  float rows_per_m;     // of the ping
-  float min_range;      // m
-  const float* counted;    // [row][beam] returns in the rows before
-  const float* weighted;   // and the sum of their weights, from 0 to 1
-  const float* free_end;   // by beam: free up to here, m
-  const float* width;      // by group: half the footprint in beams, times range in m
-  float least_occupied;    // share of the footprint
+  float row_pitch;        // m
+  float half_window;      // m, of the footprint along range
+  float rows_per_m;       // of the ping
+  float min_range;        // m
+  const float* counted;   // [row][beam] returns in the rows before
+  const float* weighted;  // and the sum of their weights, from 0 to 1
+  const float* free_end;  // by beam: free up to here, m
+  const float* width;     // by group: half the footprint in beams, times range in m
+  float least_occupied;   // share of the footprint
   float least_free;
-  std::uint8_t* codes;     // [row][column]
-  std::uint8_t* shares;    // null unless evidence is averaged
-  std::uint8_t* classes;   // [tile row][tile column]
-  std::ptrdiff_t stride;   // columns of a row in memory
+  std::uint8_t* codes;    // [row][column]
+  std::uint8_t* shares;   // null unless evidence is averaged
+  std::uint8_t* classes;  // [tile row][tile column]
+  std::ptrdiff_t stride;  // columns of a row in memory
   std::ptrdiff_t tile_stride;
 };
 
@@ -136,9 +136,8 @@ struct Kernels {
                         int cell, std::uint8_t* codes, std::uint8_t* shares);
   // Updates a cell's voxels by their codes; with `shares`, evidence of both kinds is averaged.
   // False when nothing changed.
-  bool (*apply)(const RuleTables& rule, const std::uint8_t* codes,
-                const std::uint8_t* shares, std::int16_t* units, std::byte* counts,
-                int count_bytes);
+  bool (*apply)(const RuleTables& rule, const std::uint8_t* codes, const std::uint8_t* shares,
+                std::int16_t* units, std::byte* counts, int count_bytes);
 };
 
 // The fastest that this machine runs, and the plain ones.

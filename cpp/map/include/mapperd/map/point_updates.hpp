@@ -5,8 +5,8 @@
 
 #include <cstddef>
 
-#include "mapperd/map/queries.hpp"
 #include "mapperd/common/vec.hpp"
+#include "mapperd/map/queries.hpp"
 #include "mapperd/map/voxel_map.hpp"
 
 namespace mapperd::map {

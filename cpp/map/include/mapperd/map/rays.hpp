@@ -15,8 +15,8 @@
 // weight, which only one of its two back ends had.
 #pragma once
 
-#include "mapperd/map/ping.hpp"
 #include "mapperd/common/vec.hpp"
+#include "mapperd/map/ping.hpp"
 #include "mapperd/map/voxel_map.hpp"
 
 namespace mapperd::map {

@@ -8,8 +8,8 @@
 #include <functional>
 #include <vector>
 
-#include "mapperd/map/block.hpp"
 #include "mapperd/common/memory_use.hpp"
+#include "mapperd/map/block.hpp"
 
 namespace mapperd::map {
 

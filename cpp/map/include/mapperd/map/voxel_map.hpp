@@ -9,13 +9,13 @@
 #include <shared_mutex>
 #include <vector>
 
+#include "mapperd/common/vec.hpp"
 #include "mapperd/map/block.hpp"
 #include "mapperd/map/block_store.hpp"
 #include "mapperd/map/cell_pool.hpp"
 #include "mapperd/map/iwlo.hpp"
 #include "mapperd/map/map_mutex.hpp"
 #include "mapperd/map/residency.hpp"
-#include "mapperd/common/vec.hpp"
 
 namespace mapperd::map {
 
