@@ -7,7 +7,7 @@
 //
 //   occupied with weight W / N  where N >= 0.02,
 //   free                        elsewhere where F > 0.5,
-//   not told of                 elsewhere.
+//   unknown                     elsewhere.
 //
 // A voxel's evidence is that of its centre, if the centre lies inside the vertical aperture; an
 // occupied one's centre may lie outside by half an edge. 0.54: the plane that cuts off 2 % of a
@@ -15,7 +15,8 @@
 //
 // The grid holds the definition's values at points: rows every 0.3 edges or less, columns every 0.5
 // edges at max_range or less, both divided by `detail`. A voxel takes the value of the nearest
-// point. cos(bearing) is that of the middle of each group of eight beams.
+// point. cos(bearing) is that of the middle of each group of eight beams, whose beams count as
+// equally wide. The grid ends eight beams beside the fan.
 #pragma once
 
 #include <cstddef>
@@ -39,7 +40,7 @@ inline constexpr float kCellReach = 2.65F;    // 1.5 sqrt(3)
 inline constexpr float kBlockReach = 13.25F;  // 7.5 sqrt(3)
 
 // A grid's memory, for the next grid of the same thread: a ping's grid takes megabytes, which the
-// system would clear anew for each.
+// system would clear again for each.
 struct GridMemory {
   std::vector<float> counted;
   std::vector<float> weighted;
