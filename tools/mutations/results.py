@@ -92,7 +92,8 @@ def table(mutations: Sequence[Mutation], results: Results) -> str:
 
 
 def _survivors(mutations: Sequence[Mutation], results: Results) -> Iterator[str]:
-    survivors = [one for one in mutations if _outcome(results.of(one)) != "killed"]
+    measured = [one for one in mutations if results.of(one) is not None]
+    survivors = [one for one in measured if _outcome(results.of(one)) != "killed"]
     if not survivors:
         yield "There are no survivors."
         return
