@@ -89,13 +89,18 @@ class DaskEngine:
             future = None
             with contextlib.suppress(queue.Empty):
                 future = self._ended.get(timeout=LOOK_S)
-            some_ended |= future is not None
             if time.monotonic() - looked_s >= LOOK_S:
                 self._look(some_ended=some_ended)
                 looked_s, some_ended = time.monotonic(), False
-            if future is not None:
+            if future is None:
+                continue
+            try:
                 result = _result_of(future)
-                yield self._tasks.pop(future.key), result
+            except _ResultLost:
+                self._ended.put(future)
+                continue
+            some_ended = True
+            yield self._tasks.pop(future.key), result
 
     def close(self) -> None:
         """Let the workers go."""
@@ -225,9 +230,17 @@ def on_scheduler(address: str) -> DaskEngine:
         raise SurveyError(f"{address}: no Dask scheduler answers there: {error}") from error
 
 
+class _ResultLost(Exception):  # noqa: N818 nothing failed
+    """The worker that held a result died: another does the task once more."""
+
+
 def _result_of(future: Future) -> object:
     try:
-        return future.result()
+        return future.result(timeout=LOOK_S)
+    except TimeoutError as error:
+        if future.status == "error":  # the task's own
+            raise
+        raise _ResultLost from error
     except KilledWorker as error:
         raise SurveyError(
             f"{ALLOWED_DEATHS} workers died of the same task, most likely for want of memory: "

@@ -62,6 +62,17 @@ def leave_one(cluster: Any) -> None:
         time.sleep(0.02)
 
 
+def lose_a_result(engine: DaskEngine) -> None:
+    """All workers die after a task ended and before anyone asks for its result."""
+    engine.submit(str, 5)
+    while engine._ended.empty():
+        time.sleep(0.02)
+    cluster_of(engine).scale(0)
+    while cluster_of(engine).scheduler.workers:
+        time.sleep(0.02)
+    assert list(engine.done()) == [(5, "5")]
+
+
 @contextlib.contextmanager
 def first_worker_killed() -> Iterator[list[int]]:
     """Whatever worker begins first does not live to be there."""
@@ -115,6 +126,7 @@ def test_killed_workers_change_nothing(
         killing = Killing(engine)
         run_survey(request, Folder(str(tmp_path / "out")), killing, options, Silent())  # type: ignore[arg-type]
         assert len(cluster_of(engine).workers) == 2
+        lose_a_result(engine)
         theirs = on_scheduler(cluster_of(engine).scheduler_address)
         leave_one(cluster_of(engine))
         run_survey(request, Folder(str(tmp_path / "more")), theirs, options, Silent())  # type: ignore[arg-type]
@@ -160,7 +172,7 @@ def test_a_worker_of_another_program_refuses_before_it_unpacks_anything() -> Non
 class Lost:
     """What a scheduler that is gone leaves behind."""
 
-    def result(self) -> None:
+    def result(self, **_: float) -> None:
         raise FutureCancelledError("map_tile-1", "scheduler-connection-lost")
 
 
