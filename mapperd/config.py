@@ -275,7 +275,8 @@ class Adaptive(Struct, frozen=True, forbid_unknown_fields=True):
         float,
         rule(
             "Scaled occupied steps are at least this part of L_occ w, so that a voxel believed "
-            "free comes back; at most max_ratio, 0 is the published rule.",
+            "free comes back; at most max_ratio. With 0, as published, three free pings make a "
+            "voxel free for good.",
             ge=0,
             le=1,
         ),

@@ -17,7 +17,9 @@ namespace {
 constexpr int kCubeBlocks = 4;
 
 // Nearer than this many voxels range and bearing bend too much within a cell: each voxel is placed
-// on its own.
+// on its own. Beyond, the linear functions put some voxels into a neighbouring grid cell, at any
+// detail: of test_evidence.cpp's voxels 2.9, 2.1, 1.7 and 1.5 % are of another class at detail 1, 2,
+// 4 and 8.
 constexpr float kNearVoxels = 24.0F;
 
 // By how much, in voxels, what a moving sonar sees of a block may depart from a linear function of

@@ -533,6 +533,29 @@ TEST_CASE("far away a moving sonar is as near to the definition as one at rest")
   }
 }
 
+// Where the rows of the grid were a whole multiple of the ping's, rounding to the nearest one would
+// widen or narrow every surface alike.
+TEST_CASE("the grid's rows meet the ping's rows at all phases") {
+  for (const double rows_per_pitch : {0.5, 1.0, 1.5, 2.0, 3.0, 3.7}) {
+    scenes::Ping ping = scenes::empty_ping(400, 16, 0.5, 4.0);
+    ping.intensity.assign(400 * 16, 200.0F);
+    const double edge_m = rows_per_pitch * ping.range_resolution_m / 0.3;
+    mapperd::map::GridMemory memory;
+    const mapperd::map::IwloRule rule({});
+    const EvidenceGrid grid(memory, ping.image(), {}, rule, edge_m);
+    CHECK(grid.row_pitch_m() <= 0.3 * edge_m && grid.row_pitch_m() >= 0.27 * edge_m);
+    std::vector<double> phases;
+    for (int row = 0; row < 100; ++row) {
+      const double at = (row + 0.5) * grid.row_pitch_m() / ping.range_resolution_m;
+      phases.push_back(at - std::floor(at));
+    }
+    std::sort(phases.begin(), phases.end());
+    double gap = 1.0 - phases.back() + phases.front();
+    for (std::size_t i = 1; i < phases.size(); ++i) gap = std::max(gap, phases[i] - phases[i - 1]);
+    CHECK(gap < 0.1);
+  }
+}
+
 // Both the pitch and the lines that voxels beyond 24 are looked up along take part: what is left at
 // the finest pitch is theirs.
 TEST_CASE("a finer grid comes nearer to the definition at each voxel's centre") {
