@@ -19,7 +19,7 @@ def section(title: str) -> str:
 def test_every_test_that_the_page_names_is_there() -> None:
     """A renamed test leaves a row that nothing holds."""
     tests = names_in("tests", "test_*.py", r"def (test_\w+)")
-    cases = names_in("cpp/test/localization", "*.cpp", r'TEST_CASE\("([^"]+)"\)')
+    cases = names_in("cpp/localization/test", "*.cpp", r'TEST_CASE\("([^"]+)"\)')
     for title in ("Two published filters", "Hard cases"):
         rows = [row for row in section(title).splitlines() if row.startswith("| ")][1:]
         for row in rows:

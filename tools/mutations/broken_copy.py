@@ -69,7 +69,7 @@ class Copy:
         _run(["ninja", "-C", str(self.build_tree), "-j", str(self._jobs), *targets], self.root)
         if not set(MODULES) & set(targets):
             return
-        for built, package in (("", "mapperd"), ("acoustics", "tools/sonar_sim")):
+        for built, package in (("mapperd", "mapperd"), ("sonar_sim", "tools/sonar_sim")):
             for module in (self.build_tree / built).glob("_core.*.so"):
                 link = self.root / package / module.name
                 link.unlink(missing_ok=True)

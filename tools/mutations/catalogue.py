@@ -39,6 +39,11 @@ class Mutation:
     may: tuple[str, ...] = ()
 
     @property
+    def area(self) -> str:
+        """The catalogue's file that lists it."""
+        return self.name.partition("/")[0]
+
+    @property
     def is_cpp(self) -> bool:
         """Whether something must be compiled."""
         return self.file.startswith("cpp/")

@@ -75,20 +75,28 @@ def is_well(mutation: Mutation, result: Result | None) -> bool:
 
 
 def table(mutations: Sequence[Mutation], results: Results) -> str:
-    """Markdown: the sums, survivors with their reasons, and what each mutation breaks."""
-    found = Counter(_outcome(results.of(one)) for one in mutations)
-    sums = ", ".join(f"{found[how]} {how}" for how in sorted(found))
-    files = len({one.file for one in mutations})
+    """Markdown: what became of the mutations by area, and the survivors with their reasons."""
     lines = [
-        f"{len(mutations)} mutations in {files} files: {sums}.",
-        "",
-        *_survivors(mutations, results),
+        "| area | files | mutations | killed | survived | not measured |",
+        "|---|---|---|---|---|---|",
     ]
-    for group in sorted({one.name.partition("/")[0] for one in mutations}):
-        chosen = [one for one in mutations if one.name.startswith(f"{group}/")]
-        lines += ["", f"### {group}", "", "| file | broken so that | killed by |", "|---|---|---|"]
-        lines += [_row(one, results.of(one)) for one in chosen]
+    for area in sorted({one.area for one in mutations}):
+        chosen = [one for one in mutations if one.area == area]
+        lines.append(_row(area, chosen, results))
+    lines += [_row("all", mutations, results), "", *_survivors(mutations, results)]
     return "\n".join(lines)
+
+
+def _row(area: str, mutations: Sequence[Mutation], results: Results) -> str:
+    found = Counter(_outcome(results.of(one)) for one in mutations)
+    counts = [
+        len({one.file for one in mutations}),
+        len(mutations),
+        found["killed"],
+        len(mutations) - found["killed"] - found["not measured"],
+        found["not measured"],
+    ]
+    return f"| {area} | " + " | ".join(map(str, counts)) + " |"
 
 
 def _survivors(mutations: Sequence[Mutation], results: Results) -> Iterator[str]:
@@ -105,8 +113,3 @@ def _survivors(mutations: Sequence[Mutation], results: Results) -> Iterator[str]
 
 def _outcome(result: Result | None) -> str:
     return "not measured" if result is None else result.outcome
-
-
-def _row(mutation: Mutation, result: Result | None) -> str:
-    killer = f"`{result.test}`" if result is not None and result.test else _outcome(result)
-    return f"| `{mutation.file}` | {mutation.breaks} | {killer} |"

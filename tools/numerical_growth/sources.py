@@ -2,7 +2,7 @@
 
 __all__ = ["MEASURED", "NOT_MEASURED"]
 
-ACOUSTICS, HEARD = "cpp/acoustics/src/", "cpp/acoustics/include/acoustics/"
+ACOUSTICS, HEARD = "cpp/acoustics/src/", "cpp/acoustics/include/mapperd/acoustics/"
 SIMULATOR = "tools/sonar_sim/"
 
 
@@ -13,7 +13,7 @@ def _in(folder: str, names: str) -> tuple[str, ...]:
 MEASURED: dict[str, tuple[str, ...]] = {
     "`VoxelMap.query`, `voxels`; `.ot` files": _in(
         "cpp/",
-        "map/include/mapperd/map/voxel_map.hpp bind/points.hpp bind/map.cpp "
+        "map/include/mapperd/map/voxel_map.hpp python/points.hpp python/map.cpp "
         "map/src/octomap_tree.cpp map/src/octomap_write.cpp",
     ),
     "`mapping.Voxels`, `map_queries`, the client's mirror, LAS": _in(
@@ -33,14 +33,14 @@ MEASURED: dict[str, tuple[str, ...]] = {
         *_in(
             "cpp/",
             "map/include/mapperd/map/distance_field.hpp map/src/distance_field.cpp "
-            "bind/queries.cpp",
+            "python/queries.cpp",
         ),
         "mapperd/localization/volume_map.py",
     ),
     "`likelihood_field`": _in(
         "cpp/",
-        "localization/include/localization/likelihood_field.hpp "
-        "localization/src/likelihood_field.cpp bind/localization_maps.cpp",
+        "localization/include/mapperd/localization/likelihood_field.hpp "
+        "localization/src/likelihood_field.cpp python/localization_maps.cpp",
     ),
     "`field_weight`": ("cpp/localization/src/field_weight.cpp",),
     "`levels`, `first_return`": _in("mapperd/localization/", "levels.py first_return.py"),
@@ -59,7 +59,7 @@ MEASURED: dict[str, tuple[str, ...]] = {
     ),
     "pictures of pings": _in("oculus_driver/", "picture/fan.py picture/painter.py ping.py"),
     "`meshes`, `tracing` (Embree)": (
-        "cpp/acoustics/bind/tracing.cpp",
+        "cpp/python/acoustics/tracing.cpp",
         ACOUSTICS + "neighbours.cpp",
         HEARD + "neighbours.hpp",
         *_in(
@@ -69,7 +69,7 @@ MEASURED: dict[str, tuple[str, ...]] = {
         ),
     ),
     "`footprint`, `placing`, `nodes`, `scatter_*`": (
-        "cpp/acoustics/bind/scatter.cpp",
+        "cpp/python/acoustics/scatter.cpp",
         *_in(
             ACOUSTICS,
             "footprint.cpp nodes.cpp nodes.hpp placing.cpp scatter_field.cpp scatter_power.cpp",
@@ -77,19 +77,20 @@ MEASURED: dict[str, tuple[str, ...]] = {
         *_in(HEARD, "footprint.hpp scatter.hpp"),
     ),
     "`deposit`, `random`, `hearing`": (
-        *_in(ACOUSTICS, "deposit.cpp cells.cpp random.cpp"),
-        *_in(HEARD, "cells.hpp deposit.hpp hearing.hpp random.hpp"),
+        *_in(ACOUSTICS, "complex_gaussian.cpp deposit.cpp cells.cpp"),
+        *_in(HEARD, "cells.hpp complex_gaussian.hpp deposit.hpp hearing.hpp"),
         *_in(SIMULATOR, "between.py cells.py clouds.py engine.py targets.py"),
     ),
     "`convolution`, `beams`": (
-        "cpp/acoustics/bind/receiving.cpp",
+        "cpp/python/acoustics/receiving.cpp",
         *_in(ACOUSTICS, "convolution.cpp convolution.hpp beams.cpp"),
         HEARD + "beams.hpp",
         SIMULATOR + "beams.py",
     ),
     "`receiver`, `fast_math`": (
         ACOUSTICS + "receiver.cpp",
-        *_in(HEARD, "receiver.hpp fast_math.hpp"),
+        HEARD + "receiver.hpp",
+        "cpp/common/include/mapperd/common/fast_math.hpp",
         SIMULATOR + "receiver.py",
     ),
 }

@@ -1,13 +1,13 @@
-#include "acoustics/bands.hpp"
+#include "mapperd/acoustics/bands.hpp"
 
 #include <algorithm>
 #include <atomic>
 #include <cmath>
 #include <thread>
 
-#include "acoustics/footprint.hpp"
+#include "mapperd/acoustics/footprint.hpp"
 
-namespace acoustics {
+namespace mapperd::acoustics {
 
 namespace {
 
@@ -112,4 +112,4 @@ std::vector<Band> bands_of(const Echoes& echoes, int threads) {
 
 double column_of(const EchoGrid& grid, double s) { return (s - grid.first_sine) / grid.sine_pitch; }
 
-}  // namespace acoustics
+}  // namespace mapperd::acoustics

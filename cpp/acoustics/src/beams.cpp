@@ -1,27 +1,27 @@
-#include "acoustics/beams.hpp"
+#include "mapperd/acoustics/beams.hpp"
 
 #include <algorithm>
 #include <vector>
 
-#include "acoustics/fast_math.hpp"
-#include "acoustics/row_bands.hpp"
 #include "convolution.hpp"
+#include "mapperd/acoustics/row_bands.hpp"
+#include "mapperd/common/fast_math.hpp"
 
-namespace acoustics {
+namespace mapperd::acoustics {
 
 namespace {
 
 // Above so many taps the Fourier transform is quicker than the sum itself.
 constexpr std::size_t kDirectTaps = 64;
 
-ACOUSTICS_VECTORISED void add_weighted(float* to, const float* from, float weight,
-                                       std::size_t count) {
+MAPPERD_VECTORISED void add_weighted(float* to, const float* from, float weight,
+                                     std::size_t count) {
   for (std::size_t i = 0; i < count; ++i) to[i] += weight * from[i];
 }
 
 // sum over k of taps[k] from[i + k * parts], in pieces that stay in registers.
-ACOUSTICS_VECTORISED void slide(const float* from, const float* taps, std::size_t tap_count,
-                                std::size_t parts, std::size_t count, float* to) {
+MAPPERD_VECTORISED void slide(const float* from, const float* taps, std::size_t tap_count,
+                              std::size_t parts, std::size_t count, float* to) {
   constexpr std::size_t kPiece = 32;
   std::size_t start = 0;
   for (; start + kPiece <= count; start += kPiece) {
@@ -110,4 +110,4 @@ void form_beams_at(const Grid& grid, const Response& response, const std::int64_
   });
 }
 
-}  // namespace acoustics
+}  // namespace mapperd::acoustics

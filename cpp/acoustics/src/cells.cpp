@@ -1,17 +1,17 @@
-#include "acoustics/cells.hpp"
+#include "mapperd/acoustics/cells.hpp"
 
 #include <cmath>
 #include <vector>
 
-#include "acoustics/random.hpp"
-#include "acoustics/row_bands.hpp"
+#include "mapperd/acoustics/complex_gaussian.hpp"
+#include "mapperd/acoustics/row_bands.hpp"
 
-namespace acoustics {
+namespace mapperd::acoustics {
 
 namespace {
 
-ACOUSTICS_VECTORISED void add_scaled(float* field, const float* unit, const float* rms,
-                                     float row_rms, std::size_t columns) {
+MAPPERD_VECTORISED void add_scaled(float* field, const float* unit, const float* rms, float row_rms,
+                                   std::size_t columns) {
   for (std::size_t i = 0; i < columns; ++i) {
     const float scale = row_rms * rms[i];
     field[2 * i] += scale * unit[2 * i];
@@ -19,7 +19,7 @@ ACOUSTICS_VECTORISED void add_scaled(float* field, const float* unit, const floa
   }
 }
 
-ACOUSTICS_VECTORISED void roots(const float* power, float* amplitude, std::size_t columns) {
+MAPPERD_VECTORISED void roots(const float* power, float* amplitude, std::size_t columns) {
   for (std::size_t i = 0; i < columns; ++i) {
     amplitude[i] = std::sqrt(power[i] > 0.0F ? power[i] : 0.0F);
   }
@@ -52,4 +52,4 @@ void add_gaussian_power(float* field, std::size_t rows, std::size_t columns, con
   });
 }
 
-}  // namespace acoustics
+}  // namespace mapperd::acoustics

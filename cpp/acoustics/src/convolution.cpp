@@ -3,33 +3,33 @@
 #include <algorithm>
 #include <cmath>
 
-#include "acoustics/fast_math.hpp"
+#include "mapperd/common/fast_math.hpp"
 
-namespace acoustics {
+namespace mapperd::acoustics {
 
 namespace {
 
 using Lanes = Convolution::Lanes;
 using Number = Convolution::Number;
 
-ACOUSTICS_INLINE Number turned(const Number& number, const std::complex<float>& by) {
+MAPPERD_INLINE Number turned(const Number& number, const std::complex<float>& by) {
   return {number.re * by.real() - number.im * by.imag(),
           number.re * by.imag() + number.im * by.real()};
 }
 
-ACOUSTICS_INLINE Number operator+(const Number& a, const Number& b) {
+MAPPERD_INLINE Number operator+(const Number& a, const Number& b) {
   return {a.re + b.re, a.im + b.im};
 }
 
-ACOUSTICS_INLINE Number operator-(const Number& a, const Number& b) {
+MAPPERD_INLINE Number operator-(const Number& a, const Number& b) {
   return {a.re - b.re, a.im - b.im};
 }
 
 // Times i.
-ACOUSTICS_INLINE Number quarter(const Number& a) { return {-a.im, a.re}; }
+MAPPERD_INLINE Number quarter(const Number& a) { return {-a.im, a.re}; }
 
 // Sum and difference of neighbours: the stage that is left over when their number is odd.
-ACOUSTICS_INLINE void pairs(Number* data, std::size_t length) {
+MAPPERD_INLINE void pairs(Number* data, std::size_t length) {
   for (std::size_t k = 0; k < length; k += 2) {
     const Number a = data[k];
     data[k] = a + data[k + 1];
@@ -39,8 +39,8 @@ ACOUSTICS_INLINE void pairs(Number* data, std::size_t length) {
 
 // Decimation in frequency: natural order in, bit-reversed order out (Gentleman and Sande 1966), two
 // stages at a time.
-ACOUSTICS_VECTORISED void forward(Number* data, std::size_t length,
-                                  const std::complex<float>* turns) {
+MAPPERD_VECTORISED void forward(Number* data, std::size_t length,
+                                const std::complex<float>* turns) {
   std::size_t size = length;
   for (; size >= 4; size /= 4) {
     const std::size_t q = size / 4;
@@ -62,8 +62,8 @@ ACOUSTICS_VECTORISED void forward(Number* data, std::size_t length,
 }
 
 // Its reverse, stage by stage, times the length.
-ACOUSTICS_VECTORISED void backward(Number* data, std::size_t length,
-                                   const std::complex<float>* turns) {
+MAPPERD_VECTORISED void backward(Number* data, std::size_t length,
+                                 const std::complex<float>* turns) {
   std::size_t size = 1;
   while (4 * size <= length) size *= 4;
   const bool left_over = size != length;
@@ -88,8 +88,7 @@ ACOUSTICS_VECTORISED void backward(Number* data, std::size_t length,
   }
 }
 
-ACOUSTICS_VECTORISED void multiply(Number* data, std::size_t length,
-                                   const std::complex<float>* by) {
+MAPPERD_VECTORISED void multiply(Number* data, std::size_t length, const std::complex<float>* by) {
   for (std::size_t k = 0; k < length; ++k) data[k] = turned(data[k], by[k]);
 }
 
@@ -172,4 +171,4 @@ void Convolution::Rows::write() const {
   }
 }
 
-}  // namespace acoustics
+}  // namespace mapperd::acoustics

@@ -5,7 +5,7 @@
 #include <cstddef>
 #include <vector>
 
-namespace acoustics {
+namespace mapperd::acoustics {
 
 class Convolution {
  public:
@@ -49,4 +49,4 @@ class Convolution {
   std::vector<std::complex<float>> spectrum_;  // of the taps, in the transform's own order
 };
 
-}  // namespace acoustics
+}  // namespace mapperd::acoustics

@@ -1,17 +1,17 @@
-#include "acoustics/deposit.hpp"
+#include "mapperd/acoustics/deposit.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <cstring>
 
-#include "acoustics/fast_math.hpp"
+#include "mapperd/common/fast_math.hpp"
 
-namespace acoustics {
+namespace mapperd::acoustics {
 
 namespace {
 
 // sin(2 pi y) for |y| <= 1/4: Taylor's series with the last term fitted; within 4e-7.
-ACOUSTICS_INLINE float sine_turns(float y) {
+MAPPERD_INLINE float sine_turns(float y) {
   const float z = y * y;
   float sum = 39.6F;
   sum = sum * z - 76.7028F;
@@ -22,7 +22,7 @@ ACOUSTICS_INLINE float sine_turns(float y) {
 }
 
 // -ln of a number in (0, 1): exponent and a series of the mantissa's atanh; within 2e-6.
-ACOUSTICS_INLINE float minus_log(float x) {
+MAPPERD_INLINE float minus_log(float x) {
   std::int32_t bits;
   std::memcpy(&bits, &x, sizeof bits);
   const std::int32_t exponent = (bits - 0x3F3504F3) >> 23;
@@ -36,9 +36,9 @@ ACOUSTICS_INLINE float minus_log(float x) {
 }
 
 // Circular complex Gaussian numbers of the given rms, turned by a phase.
-ACOUSTICS_VECTORISED void drawn(const float* rms, const float* phase, const std::uint32_t* bits,
-                                std::size_t count, float* __restrict real,
-                                float* __restrict imaginary) {
+MAPPERD_VECTORISED void drawn(const float* rms, const float* phase, const std::uint32_t* bits,
+                              std::size_t count, float* __restrict real,
+                              float* __restrict imaginary) {
   for (std::size_t i = 0; i < count; ++i) {
     const auto low = static_cast<std::int32_t>(bits[i] & 0xFFFFU);
     const auto high = static_cast<std::int32_t>(bits[i] >> 16);
@@ -59,9 +59,9 @@ struct Frame {
 };
 
 // Where echoes begin in the field; what lies outside goes silently to its first cell.
-ACOUSTICS_VECTORISED void aimed(const Scatterers& nodes, const Frame& frame,
-                                std::int32_t* __restrict cell, std::int32_t* __restrict fraction,
-                                float* __restrict pressure) {
+MAPPERD_VECTORISED void aimed(const Scatterers& nodes, const Frame& frame,
+                              std::int32_t* __restrict cell, std::int32_t* __restrict fraction,
+                              float* __restrict pressure) {
   const std::int32_t before = frame.taps / 2 - 1 + frame.first_column;
   const std::int32_t last = frame.columns - frame.taps;
   const auto fractions = static_cast<float>(frame.fractions);
@@ -127,4 +127,4 @@ void Deposit::spread(std::size_t count) {
   }
 }
 
-}  // namespace acoustics
+}  // namespace mapperd::acoustics

@@ -1,10 +1,10 @@
-#include "acoustics/footprint.hpp"
+#include "mapperd/acoustics/footprint.hpp"
 
 #include <algorithm>
 
-#include "acoustics/fast_math.hpp"
+#include "mapperd/common/fast_math.hpp"
 
-namespace acoustics {
+namespace mapperd::acoustics {
 
 namespace {
 
@@ -12,8 +12,8 @@ constexpr double kPi = 3.14159265358979323846;
 
 // Where the cell's four edges meet the plane, and how far that is; `sign` is the side that it
 // shows.
-ACOUSTICS_VECTORISED void follow(const Leg& leg, const float* cell, double sign, Footprint& patch,
-                                 std::array<double, 4>& range_m) {
+MAPPERD_VECTORISED void follow(const Leg& leg, const float* cell, double sign, Footprint& patch,
+                               std::array<double, 4>& range_m) {
   const double s[4] = {cell[0], cell[1], cell[1], cell[0]};
   const double w[4] = {cell[2], cell[2], cell[3], cell[3]};
   const auto& m = leg.rotation;
@@ -76,7 +76,7 @@ bool footprint_of(const Echoes& echoes, std::size_t hit, Footprint& patch) {
   return true;
 }
 
-Strength::Strength(const Laws& laws, const Material& material, double step_rad)
+Strength::Strength(const ScatterModel& laws, const Material& material, double step_rad)
     : mu_(material.mu), lambert_(laws.lambert) {
   if (!laws.specular || material.reflection_power <= 0.0) {
     return;
@@ -114,4 +114,4 @@ Vector bent_normal(const double* bent, const Vector& point_m) {
   return {normal[0] / length, normal[1] / length, normal[2] / length};
 }
 
-}  // namespace acoustics
+}  // namespace mapperd::acoustics

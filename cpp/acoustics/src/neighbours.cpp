@@ -1,9 +1,9 @@
-#include "acoustics/neighbours.hpp"
+#include "mapperd/acoustics/neighbours.hpp"
 
 #include <algorithm>
 #include <cmath>
 
-namespace acoustics {
+namespace mapperd::acoustics {
 
 namespace {
 
@@ -136,4 +136,4 @@ void spans(const Traced& rays, const float* up, const std::int32_t* surface, con
   spans.widen(size_m);
 }
 
-}  // namespace acoustics
+}  // namespace mapperd::acoustics

@@ -3,13 +3,13 @@
 #include <algorithm>
 #include <cmath>
 
-#include "acoustics/fast_math.hpp"
+#include "mapperd/common/fast_math.hpp"
 
-namespace acoustics {
+namespace mapperd::acoustics {
 
 namespace {
 
-ACOUSTICS_VECTORISED void look(const Leg& leg, const Nodes& nodes, std::size_t count, Sights& to) {
+MAPPERD_VECTORISED void look(const Leg& leg, const Nodes& nodes, std::size_t count, Sights& to) {
   const double o[3] = {leg.origin_m[0], leg.origin_m[1], leg.origin_m[2]};
   const double m1 = leg.rotation[1], m4 = leg.rotation[4], m7 = leg.rotation[7];
   const double m2 = leg.rotation[2], m5 = leg.rotation[5], m8 = leg.rotation[8];
@@ -32,16 +32,16 @@ ACOUSTICS_VECTORISED void look(const Leg& leg, const Nodes& nodes, std::size_t c
 }
 
 // Cosines of incidence on a plane.
-ACOUSTICS_VECTORISED void flat_cosines(const float* height_m, const Sights& from, std::size_t count,
-                                       float* cosine) {
+MAPPERD_VECTORISED void flat_cosines(const float* height_m, const Sights& from, std::size_t count,
+                                     float* cosine) {
   for (std::size_t i = 0; i < count; ++i) {
     cosine[i] = height_m[i] / static_cast<float>(from.range_m[i]);
   }
 }
 
 // Cosines on the round surface that the plane stands for, and the area seen over the plane's.
-ACOUSTICS_VECTORISED void round_cosines(const Nodes& nodes, const Sights& out, const Sights& back,
-                                        Each<float>* cosine, float* area) {
+MAPPERD_VECTORISED void round_cosines(const Nodes& nodes, const Sights& out, const Sights& back,
+                                      Each<float>* cosine, float* area) {
   for (std::size_t i = 0; i < nodes.count; ++i) {
     const double nx = nodes.normal[0][i];
     const double ny = nodes.normal[1][i];
@@ -58,8 +58,8 @@ ACOUSTICS_VECTORISED void round_cosines(const Nodes& nodes, const Sights& out, c
 }
 
 // Cosine of the half-way direction with the surface's normal.
-ACOUSTICS_VECTORISED void half_cosines(const Nodes& nodes, const Sights& out, const Sights& back,
-                                       float* cosine) {
+MAPPERD_VECTORISED void half_cosines(const Nodes& nodes, const Sights& out, const Sights& back,
+                                     float* cosine) {
   for (std::size_t i = 0; i < nodes.count; ++i) {
     const double nx = nodes.normal[0][i];
     const double ny = nodes.normal[1][i];
@@ -74,15 +74,15 @@ ACOUSTICS_VECTORISED void half_cosines(const Nodes& nodes, const Sights& out, co
 }
 
 // Diffuse part of the cross-section.
-ACOUSTICS_VECTORISED void diffuse(const Nodes& nodes, bool lambert, const float* transmit,
-                                  const float* receive, float* section) {
+MAPPERD_VECTORISED void diffuse(const Nodes& nodes, bool lambert, const float* transmit,
+                                const float* receive, float* section) {
   for (std::size_t i = 0; i < nodes.count; ++i) {
     section[i] = lambert ? nodes.mu[i] * transmit[i] * receive[i] : nodes.mu[i];
   }
 }
 
 // The lobe about the mirror's direction, see `Strength`.
-ACOUSTICS_VECTORISED void add_lobe(const Nodes& nodes, const float* half, float* section) {
+MAPPERD_VECTORISED void add_lobe(const Nodes& nodes, const float* half, float* section) {
   constexpr float kPerOctave = 1.44269504F;
   for (std::size_t i = 0; i < nodes.count; ++i) {
     const float square = half[i] * half[i];
@@ -93,16 +93,16 @@ ACOUSTICS_VECTORISED void add_lobe(const Nodes& nodes, const float* half, float*
   }
 }
 
-ACOUSTICS_VECTORISED void times(const float* by, std::size_t count, float* section) {
+MAPPERD_VECTORISED void times(const float* by, std::size_t count, float* section) {
   for (std::size_t i = 0; i < count; ++i) {
     section[i] *= by[i];
   }
 }
 
 // Phase, row, column, and the pressure that is left by spreading.
-ACOUSTICS_VECTORISED void hear(const Echoes& e, const Leg& receive, const Sights& out,
-                               const Sights& back, const Nodes& nodes, const float* section,
-                               HeardNodes& to) {
+MAPPERD_VECTORISED void hear(const Echoes& e, const Leg& receive, const Sights& out,
+                             const Sights& back, const Nodes& nodes, const float* section,
+                             HeardNodes& to) {
   const std::size_t count = nodes.count;
   const EchoGrid& grid = e.grid;
   const double scale = 0.5 * grid.range_scale / grid.row_m;
@@ -132,8 +132,8 @@ ACOUSTICS_VECTORISED void hear(const Echoes& e, const Leg& receive, const Sights
 }
 
 // One-way pressure of the vertical pattern.
-ACOUSTICS_VECTORISED void pattern(const Hearing& response, const float* __restrict w,
-                                  std::size_t count, float* __restrict to) {
+MAPPERD_VECTORISED void pattern(const Hearing& response, const float* __restrict w,
+                                std::size_t count, float* __restrict to) {
   const float* __restrict vertical = response.vertical;
   const auto last = static_cast<float>(response.vertical_count - 1);
   const auto below_last = static_cast<std::int32_t>(response.vertical_count - 2);
@@ -146,9 +146,9 @@ ACOUSTICS_VECTORISED void pattern(const Hearing& response, const float* __restri
   }
 }
 
-ACOUSTICS_VECTORISED void weigh(const float* __restrict there, const float* __restrict here,
-                                const float* __restrict loss, const std::int32_t* __restrict row,
-                                std::int32_t rows, std::size_t count, float* __restrict pressure) {
+MAPPERD_VECTORISED void weigh(const float* __restrict there, const float* __restrict here,
+                              const float* __restrict loss, const std::int32_t* __restrict row,
+                              std::int32_t rows, std::size_t count, float* __restrict pressure) {
   for (std::size_t i = 0; i < count; ++i) {
     const std::int32_t from = row[i] > 0 ? row[i] : 0;
     pressure[i] *= there[i] * here[i] * loss[from < rows ? from : rows - 1];
@@ -157,7 +157,7 @@ ACOUSTICS_VECTORISED void weigh(const float* __restrict there, const float* __re
 
 }  // namespace
 
-void NodeWorks::strengths(const Company& company, const Nodes& nodes, const Sights& back) {
+void ScattererKernel::strengths(const Company& company, const Nodes& nodes, const Sights& back) {
   const float* receive = cosine_[1];
   if (company.round) {
     round_cosines(nodes, out_, back, cosine_, area_);
@@ -183,7 +183,7 @@ void NodeWorks::strengths(const Company& company, const Nodes& nodes, const Sigh
   }
 }
 
-const HeardNodes& NodeWorks::heard(const Company& company, const Nodes& nodes) {
+const HeardNodes& ScattererKernel::heard(const Company& company, const Nodes& nodes) {
   look(*company.transmit, nodes, nodes.count, out_);
   const bool same = company.same_leg();
   if (!same) {
@@ -201,4 +201,4 @@ const HeardNodes& NodeWorks::heard(const Company& company, const Nodes& nodes) {
   return heard_;
 }
 
-}  // namespace acoustics
+}  // namespace mapperd::acoustics

@@ -5,11 +5,11 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "acoustics/footprint.hpp"
-#include "acoustics/lattice.hpp"
-#include "acoustics/scatter.hpp"
+#include "mapperd/acoustics/footprint.hpp"
+#include "mapperd/acoustics/lattice.hpp"
+#include "mapperd/acoustics/scatter.hpp"
 
-namespace acoustics {
+namespace mapperd::acoustics {
 
 // Nodes worked on at once, and how many a vector loop may write beyond them.
 constexpr std::size_t kNodes = 512;
@@ -31,7 +31,7 @@ inline bool operator==(const Company& a, const Company& b) {
 }
 
 // What the nodes of a patch share.
-struct PatchLaws {
+struct PatchModel {
   Axes axes;
   Vector normal;
   double offset;  // of the plane n.p
@@ -83,7 +83,7 @@ struct Lines {
 void scan(const Outline& outline, std::size_t from, Lines& lines);
 
 // Works out what belongs to a patch for its nodes, those from `first` on.
-void place(const PatchLaws& patch, const Company& company, std::size_t first, Nodes& nodes);
+void place(const PatchModel& patch, const Company& company, std::size_t first, Nodes& nodes);
 
 // The nodes as a leg has them.
 struct Sights {
@@ -101,9 +101,9 @@ struct HeardNodes {
 };
 
 // Works nodes out.
-class NodeWorks {
+class ScattererKernel {
  public:
-  explicit NodeWorks(const Echoes& echoes) : e_(echoes) {}
+  explicit ScattererKernel(const Echoes& echoes) : e_(echoes) {}
   const HeardNodes& heard(const Company& company, const Nodes& nodes);
 
  private:
@@ -118,4 +118,4 @@ class NodeWorks {
   Each<float> there_, here_;  // the vertical pattern
 };
 
-}  // namespace acoustics
+}  // namespace mapperd::acoustics

@@ -1,16 +1,16 @@
 #include <algorithm>
 
-#include "acoustics/fast_math.hpp"
+#include "mapperd/common/fast_math.hpp"
 #include "nodes.hpp"
 
-namespace acoustics {
+namespace mapperd::acoustics {
 
 namespace {
 
 // From nodes to points of the patch's plane. Loops run to a multiple of the vectors' length, over
 // what nobody reads.
-ACOUSTICS_VECTORISED void points(const PatchLaws& patch, std::size_t first, std::size_t count,
-                                 Nodes& nodes) {
+MAPPERD_VECTORISED void points(const PatchModel& patch, std::size_t first, std::size_t count,
+                               Nodes& nodes) {
   const Lattice& lattice = patch.lattice;
   const double u_shift = patch.first_i + lattice.i0 - 0.5;
   const double v_shift = patch.first_j + lattice.j0 - 0.5;
@@ -58,8 +58,8 @@ ACOUSTICS_VECTORISED void points(const PatchLaws& patch, std::size_t first, std:
   }
 }
 
-ACOUSTICS_VECTORISED void round_normals(const double* bent, std::size_t first, std::size_t count,
-                                        Nodes& nodes) {
+MAPPERD_VECTORISED void round_normals(const double* bent, std::size_t first, std::size_t count,
+                                      Nodes& nodes) {
   const double* __restrict x = nodes.point_m[0] + first;
   const double* __restrict y = nodes.point_m[1] + first;
   const double* __restrict z = nodes.point_m[2] + first;
@@ -76,7 +76,7 @@ ACOUSTICS_VECTORISED void round_normals(const double* bent, std::size_t first, s
 }
 
 template <typename Number>
-ACOUSTICS_INLINE void repeat(Number value, std::size_t count, Number* to) {
+MAPPERD_INLINE void repeat(Number value, std::size_t count, Number* to) {
   for (std::size_t start = 0; start < count; start += kLanes) {
     std::fill_n(to + start, kLanes, value);
   }
@@ -84,7 +84,7 @@ ACOUSTICS_INLINE void repeat(Number value, std::size_t count, Number* to) {
 
 }  // namespace
 
-void place(const PatchLaws& patch, const Company& company, std::size_t first, Nodes& nodes) {
+void place(const PatchModel& patch, const Company& company, std::size_t first, Nodes& nodes) {
   const std::size_t count = nodes.count - first;
   points(patch, first, count, nodes);
   repeat(static_cast<float>(patch.transmit_height_m), count, nodes.height_m[0] + first);
@@ -107,4 +107,4 @@ void place(const PatchLaws& patch, const Company& company, std::size_t first, No
   }
 }
 
-}  // namespace acoustics
+}  // namespace mapperd::acoustics

@@ -1,24 +1,24 @@
-#include "acoustics/receiver.hpp"
+#include "mapperd/acoustics/receiver.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
 
-#include "acoustics/fast_math.hpp"
-#include "acoustics/row_bands.hpp"
+#include "mapperd/acoustics/row_bands.hpp"
+#include "mapperd/common/fast_math.hpp"
 
-namespace acoustics {
+namespace mapperd::acoustics {
 
 namespace {
 
 constexpr float kLargest = 1e18F;  // its square is still a float
 
-ACOUSTICS_INLINE float tame(float value) {
+MAPPERD_INLINE float tame(float value) {
   // A comparison with what is not a number fails.
   return value > 0.0F ? (value < kLargest ? value : kLargest) : 0.0F;
 }
 
-ACOUSTICS_VECTORISED void complex_row(const float* from, std::size_t count, float gain, float* to) {
+MAPPERD_VECTORISED void complex_row(const float* from, std::size_t count, float gain, float* to) {
   for (std::size_t i = 0; i < count; ++i) {
     const float re = from[2 * i];
     const float im = from[2 * i + 1];
@@ -26,22 +26,21 @@ ACOUSTICS_VECTORISED void complex_row(const float* from, std::size_t count, floa
   }
 }
 
-ACOUSTICS_VECTORISED void power_row(const float* from, std::size_t count, float gain, float* to) {
+MAPPERD_VECTORISED void power_row(const float* from, std::size_t count, float gain, float* to) {
   // Powers may be as large as the square of what an amplitude may be.
   for (std::size_t i = 0; i < count; ++i) {
     to[i] = tame(std::sqrt(from[i] > 0.0F ? from[i] : 0.0F) * gain);
   }
 }
 
-ACOUSTICS_VECTORISED void curve(const float* from, std::size_t count, float gamma, float top,
-                                float* to) {
+MAPPERD_VECTORISED void curve(const float* from, std::size_t count, float gamma, float top,
+                              float* to) {
   for (std::size_t i = 0; i < count; ++i) to[i] = from[i] < top ? from[i] : top;
   if (gamma == 1.0F) return;
   for (std::size_t i = 0; i < count; ++i) to[i] = fast_power(to[i], gamma);
 }
 
-ACOUSTICS_VECTORISED void rounded(const float* from, std::size_t count, float end,
-                                  std::int32_t* to) {
+MAPPERD_VECTORISED void rounded(const float* from, std::size_t count, float end, std::int32_t* to) {
   for (std::size_t i = 0; i < count; ++i) to[i] = static_cast<std::int32_t>(from[i] * end + 0.5F);
 }
 
@@ -117,4 +116,4 @@ void quantised(const float* amplitude, std::size_t count, const Receiver& receiv
   quantise(amplitude, count, receiver, out, threads);
 }
 
-}  // namespace acoustics
+}  // namespace mapperd::acoustics

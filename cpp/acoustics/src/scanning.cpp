@@ -1,10 +1,10 @@
 #include <algorithm>
 #include <cmath>
 
-#include "acoustics/fast_math.hpp"
+#include "mapperd/common/fast_math.hpp"
 #include "nodes.hpp"
 
-namespace acoustics {
+namespace mapperd::acoustics {
 
 namespace {
 
@@ -12,8 +12,8 @@ double least_of(const double* x) { return std::min(std::min(x[0], x[1]), std::mi
 double most_of(const double* x) { return std::max(std::max(x[0], x[1]), std::max(x[2], x[3])); }
 
 // Where a line crosses the sides. Loops run to a multiple of the vectors' length.
-ACOUSTICS_VECTORISED void cross(const Outline& o, double row, std::size_t count,
-                                std::int32_t* __restrict first, std::int32_t* __restrict nodes) {
+MAPPERD_VECTORISED void cross(const Outline& o, double row, std::size_t count,
+                              std::int32_t* __restrict first, std::int32_t* __restrict nodes) {
   for (std::size_t start = 0; start < count; start += kLanes) {
     for (std::size_t i = start; i < start + kLanes; ++i) {
       const double at = row + static_cast<double>(static_cast<std::int32_t>(i));
@@ -74,4 +74,4 @@ void scan(const Outline& outline, std::size_t from, Lines& lines) {
         lines.count);
 }
 
-}  // namespace acoustics
+}  // namespace mapperd::acoustics

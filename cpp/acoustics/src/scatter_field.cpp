@@ -2,14 +2,14 @@
 #include <memory>
 #include <vector>
 
-#include "acoustics/bands.hpp"
-#include "acoustics/deposit.hpp"
-#include "acoustics/hearing.hpp"
-#include "acoustics/lattice.hpp"
-#include "acoustics/scatter.hpp"
+#include "mapperd/acoustics/bands.hpp"
+#include "mapperd/acoustics/deposit.hpp"
+#include "mapperd/acoustics/hearing.hpp"
+#include "mapperd/acoustics/lattice.hpp"
+#include "mapperd/acoustics/scatter.hpp"
 #include "nodes.hpp"
 
-namespace acoustics {
+namespace mapperd::acoustics {
 
 namespace {
 
@@ -166,9 +166,10 @@ class Speckler {
 
   const Echoes& e_;
   Deposit deposit_;
-  NodeWorks works_;
+  ScattererKernel works_;
   Footprint footprint_{};
-  PatchLaws patch_{{}, {}, 0.0, {}, 0.0, 0.0, nullptr, 0.0, 0.0, 0.0F, {Laws{}, Material{}, 0.0}};
+  PatchModel patch_{
+      {}, {}, 0.0, {}, 0.0, 0.0, nullptr, 0.0, 0.0, 0.0F, {ScatterModel{}, Material{}, 0.0}};
   Company company_{};  // of the nodes
   Nodes nodes_{};
   Lines lines_{};
@@ -228,4 +229,4 @@ void scatter_field(const Echoes& echoes, std::complex<float>* field, int threads
   });
 }
 
-}  // namespace acoustics
+}  // namespace mapperd::acoustics

@@ -3,11 +3,11 @@
 #include <memory>
 #include <vector>
 
-#include "acoustics/bands.hpp"
-#include "acoustics/hearing.hpp"
-#include "acoustics/scatter.hpp"
+#include "mapperd/acoustics/bands.hpp"
+#include "mapperd/acoustics/hearing.hpp"
+#include "mapperd/acoustics/scatter.hpp"
 
-namespace acoustics {
+namespace mapperd::acoustics {
 
 namespace {
 
@@ -180,7 +180,7 @@ class Averager {
   const Band& band_;
   float* power_;
   Footprint patch_{};
-  Strength strength_{Laws{}, Material{}, 0.0};
+  Strength strength_{ScatterModel{}, Material{}, 0.0};
   const Leg* seen_ = nullptr;
   const Leg* transmit_ = nullptr;
   const Leg* receive_ = nullptr;
@@ -215,4 +215,4 @@ void scatter_power(const Echoes& echoes, float* power, int threads) {
   }
 }
 
-}  // namespace acoustics
+}  // namespace mapperd::acoustics

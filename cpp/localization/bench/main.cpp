@@ -9,13 +9,14 @@
 #include <string>
 #include <utility>
 
-#include "localization/elementary.hpp"
-#include "localization/gaussian.hpp"
-#include "localization/particle_filter.hpp"
+#include "mapperd/common/fast_math.hpp"
+#include "mapperd/localization/gaussian.hpp"
+#include "mapperd/localization/particle_filter.hpp"
 #include "plain.hpp"
 
 namespace {
 
+using namespace mapperd;
 using namespace mapperd::localization;
 
 constexpr std::size_t kSide = 1000;
@@ -147,7 +148,7 @@ struct Bench {
     plain::Cloud other = plain::cloud_of(particles);
     std::vector<double> logs(count);
     const auto none = [] {};
-    const auto ours = [&](Aggregation aggregation) {
+    const auto ours = [&](BeamAggregation aggregation) {
       return [&, aggregation] {
         field_log_likelihoods(field, ends, aggregation, 1.0, particles, 0, count, logs.data());
       };
@@ -157,9 +158,9 @@ struct Bench {
     };
     const auto restore = [&] { std::fill(other.weight.begin(), other.weight.end(), 1.0); };
     time_all("field weighting", count, repetitions,
-             {{"plain", restore, theirs}, {"mapperd", none, ours(Aggregation::kCubeSum)}});
+             {{"plain", restore, theirs}, {"mapperd", none, ours(BeamAggregation::kCubeSum)}});
     time_all("product weighting", count, repetitions,
-             {{"mapperd", none, ours(Aggregation::kProduct)}});
+             {{"mapperd", none, ours(BeamAggregation::kProduct)}});
   }
 
   void beam_weighting(std::size_t count, int repetitions) const {
@@ -171,8 +172,8 @@ struct Bench {
                [&] { plain::weigh_beams(other, grid, mixture, ends.x_m, ends.y_m); }},
               {"mapperd", [] {},
                [&] {
-                 beam_log_likelihoods(ranges, beams, mixture, Aggregation::kCubeSum, 1.0, particles,
-                                      0, count, logs.data());
+                 beam_log_likelihoods(ranges, beams, mixture, BeamAggregation::kCubeSum, 1.0,
+                                      particles, 0, count, logs.data());
                }}});
   }
 
@@ -190,7 +191,7 @@ struct Bench {
       return [&] {
         f.predict({0, 0, 0}, {0.28, 0.1, 0.12}, MotionModel::kDifferential,
                   {0.2, 0.2, 0.2, 0.2, 0.2}, {});
-        f.weigh(field, ends, Aggregation::kCubeSum, 1.0);
+        f.weigh(field, ends, BeamAggregation::kCubeSum, 1.0);
         f.resample(nullptr);
       };
     };

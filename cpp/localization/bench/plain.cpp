@@ -6,7 +6,7 @@
 #include <queue>
 #include <unordered_set>
 
-#include "localization/elementary.hpp"
+#include "mapperd/common/fast_math.hpp"
 
 namespace plain {
 namespace {

@@ -4,12 +4,13 @@
 #include <random>
 #include <vector>
 
-#include "localization/beam_weight.hpp"
-#include "localization/field_weight.hpp"
-#include "localization/motion.hpp"
+#include "mapperd/localization/beam_weight.hpp"
+#include "mapperd/localization/field_weight.hpp"
+#include "mapperd/localization/motion.hpp"
 
 namespace plain {
 
+using namespace mapperd;
 using namespace mapperd::localization;
 
 // A particle as the reference keeps it: translation and unit complex number.

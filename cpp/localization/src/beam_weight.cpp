@@ -1,11 +1,11 @@
-#include "localization/beam_weight.hpp"
+#include "mapperd/localization/beam_weight.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
 
-#include "localization/block_poses.hpp"
-#include "localization/product.hpp"
+#include "mapperd/localization/block_poses.hpp"
+#include "mapperd/localization/product.hpp"
 
 namespace mapperd::localization {
 namespace {
@@ -45,13 +45,13 @@ Reading reading_of(const BeamModel& m, double range_m, double quality) {
           range < m.max_range_m ? m.z_rand / m.max_range_m : m.z_max};
 }
 
-LOCALIZATION_VECTORISED void mix(const Reading& reading, const double* expected,
+MAPPERD_VECTORISED_WIDE void mix(const Reading& reading, const double* expected,
                                  const double* norms, double* out) {
   const Reading r = reading;
   for (std::size_t i = 0; i < kBlock; ++i) {
     const double off = r.range - expected[i];
-    const double hit = r.hit * norms[i] * exp_of(r.per_m2 * off * off);
-    const double cut = 1.0 - exp_of(-r.lambda * expected[i]);
+    const double hit = r.hit * norms[i] * fast_exp(r.per_m2 * off * off);
+    const double cut = 1.0 - fast_exp(-r.lambda * expected[i]);
     const double early = off < -kShorter_m ? r.short_now / cut : 0.0;
     const double p = (hit + early) + r.always;
     const double known = expected[i] >= 0.0 ? p : r.background;
@@ -59,7 +59,7 @@ LOCALIZATION_VECTORISED void mix(const Reading& reading, const double* expected,
   }
 }
 
-LOCALIZATION_VECTORISED void aim(const BlockPoses& poses, double cosine, double sine,
+MAPPERD_VECTORISED_WIDE void aim(const BlockPoses& poses, double cosine, double sine,
                                  double* along_u, double* along_v) {
   for (std::size_t i = 0; i < kBlock; ++i) {
     along_u[i] = poses.cosine[i] * cosine - poses.sine[i] * sine;
@@ -208,7 +208,7 @@ void check_beams(const Beams& beams) {
 }
 
 void beam_log_likelihoods(const RangeMap& map, const Beams& beams, const BeamModel& model,
-                          Aggregation aggregation, double kappa, const Particles& particles,
+                          BeamAggregation aggregation, double kappa, const Particles& particles,
                           std::size_t first, std::size_t last, double* out) {
   const double peak = model.z_hit / (model.sigma_hit_m * std::sqrt(2.0 * kPi));
   const double floor = std::max(1e-12 * peak, 1e-27);
@@ -221,7 +221,7 @@ void beam_log_likelihoods(const RangeMap& map, const Beams& beams, const BeamMod
     pose_block(&particles.x[start], &particles.y[start], &particles.yaw[start], count, lattice,
                poses);
     block.place(poses);
-    if (aggregation == Aggregation::kCubeSum) {
+    if (aggregation == BeamAggregation::kCubeSum) {
       cube_sums(block, beams.size(), logs);
     } else {
       products(block, beams.size(), floor, kappa, logs);

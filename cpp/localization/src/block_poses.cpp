@@ -1,15 +1,15 @@
-#include "localization/block_poses.hpp"
+#include "mapperd/localization/block_poses.hpp"
 
 namespace mapperd::localization {
 
-LOCALIZATION_VECTORISED void pose_block(const double* x, const double* y, const double* yaw,
+MAPPERD_VECTORISED_WIDE void pose_block(const double* x, const double* y, const double* yaw,
                                         std::size_t count, const Lattice& lattice,
                                         BlockPoses& out) {
   const Lattice l = lattice;
   for (std::size_t i = 0; i < count; ++i) {
     const double dx = x[i] - l.origin_x;
     const double dy = y[i] - l.origin_y;
-    const SineCosine turn = sine_cosine(yaw[i] - l.yaw);
+    const SineCosine turn = fast_sine_cosine(yaw[i] - l.yaw);
     out.u[i] = (l.cosine * dx + l.sine * dy) + 1.0;
     out.v[i] = (l.cosine * dy - l.sine * dx) + 1.0;
     out.cosine[i] = turn.cosine;

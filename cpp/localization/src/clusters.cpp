@@ -1,4 +1,4 @@
-#include "localization/clusters.hpp"
+#include "mapperd/localization/clusters.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -6,8 +6,8 @@
 #include <stdexcept>
 #include <unordered_map>
 
-#include "localization/elementary.hpp"
-#include "localization/kld.hpp"
+#include "mapperd/common/fast_math.hpp"
+#include "mapperd/localization/kld.hpp"
 
 namespace mapperd::localization {
 namespace {

@@ -1,9 +1,9 @@
-#include "localization/distance_transform.hpp"
+#include "mapperd/localization/distance_transform.hpp"
 
 #include <algorithm>
 
-#include "localization/vectorised.hpp"
 #include "mapperd/common/parallel.hpp"
+#include "mapperd/common/simd.hpp"
 
 namespace mapperd::localization {
 namespace {
@@ -12,12 +12,12 @@ constexpr std::int32_t kFarCells = 1 << 20;
 constexpr std::size_t kRowsATask = 64;
 
 // One row of distances along columns: one more than the row before's, 0 where marked.
-LOCALIZATION_VECTORISED void count_on(const std::uint8_t* marked, const std::int32_t* before,
+MAPPERD_VECTORISED_WIDE void count_on(const std::uint8_t* marked, const std::int32_t* before,
                                       std::int32_t* here, std::size_t columns) {
   for (std::size_t c = 0; c < columns; ++c) here[c] = marked[c] != 0 ? 0 : before[c] + 1;
 }
 
-LOCALIZATION_VECTORISED void count_back(const std::int32_t* after, std::int32_t* here,
+MAPPERD_VECTORISED_WIDE void count_back(const std::int32_t* after, std::int32_t* here,
                                         std::size_t columns) {
   for (std::size_t c = 0; c < columns; ++c) here[c] = std::min(here[c], after[c] + 1);
 }

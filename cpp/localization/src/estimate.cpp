@@ -1,11 +1,11 @@
-#include "localization/estimate.hpp"
+#include "mapperd/localization/estimate.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <numeric>
 
-#include "localization/elementary.hpp"
+#include "mapperd/common/fast_math.hpp"
 
 namespace mapperd::localization {
 namespace {
@@ -24,7 +24,7 @@ Means means_of(const Particles& p, const std::vector<double>& w,
   const double x0 = p.x[chosen.front()];  // sums stay small far from the origin
   const double y0 = p.y[chosen.front()];
   for (const std::size_t i : chosen) {
-    const SineCosine heading = sine_cosine(p.yaw[i]);
+    const SineCosine heading = fast_sine_cosine(p.yaw[i]);
     m.mass += w[i];
     m.squares += w[i] * w[i];
     x += w[i] * (p.x[i] - x0);

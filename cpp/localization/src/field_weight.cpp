@@ -1,11 +1,11 @@
-#include "localization/field_weight.hpp"
+#include "mapperd/localization/field_weight.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
 
-#include "localization/block_poses.hpp"
-#include "localization/product.hpp"
+#include "mapperd/localization/block_poses.hpp"
+#include "mapperd/localization/product.hpp"
 
 namespace mapperd::localization {
 namespace {
@@ -17,8 +17,8 @@ struct End {
 };
 
 // The field's values at one end of a beam, for a block; what is no number lies outside.
-LOCALIZATION_INLINE void look_up(const BlockPoses& p, const End& end, double last_u, double last_v,
-                                 std::int32_t stride, float* out) {
+MAPPERD_INLINE void look_up(const BlockPoses& p, const End& end, double last_u, double last_v,
+                            std::int32_t stride, float* out) {
   for (std::size_t i = 0; i < kBlock; ++i) {
     double u = p.u[i] + (p.cosine[i] * end.x - p.sine[i] * end.y);
     double v = p.v[i] + (p.sine[i] * end.x + p.cosine[i] * end.y);
@@ -40,8 +40,8 @@ struct Task {
   std::int32_t stride;
 };
 
-LOCALIZATION_INLINE void likeliest(const BlockPoses& poses, const Task& task, std::size_t beam,
-                                   float* best) {
+MAPPERD_INLINE void likeliest(const BlockPoses& poses, const Task& task, std::size_t beam,
+                              float* best) {
   const End* ends = &task.ends[beam * task.fan];
   look_up(poses, ends[0], task.last_u, task.last_v, task.stride, best);
   float other[kBlock];
@@ -51,7 +51,7 @@ LOCALIZATION_INLINE void likeliest(const BlockPoses& poses, const Task& task, st
   }
 }
 
-LOCALIZATION_VECTORISED void cube_sums(const BlockPoses& poses, const Task& task, double* out) {
+MAPPERD_VECTORISED_WIDE void cube_sums(const BlockPoses& poses, const Task& task, double* out) {
   double sum[kBlock] = {};
   float p[kBlock];
   for (std::size_t beam = 0; beam < task.quality.size(); ++beam) {
@@ -63,10 +63,10 @@ LOCALIZATION_VECTORISED void cube_sums(const BlockPoses& poses, const Task& task
       sum[i] += mixed * mixed * mixed;
     }
   }
-  for (std::size_t i = 0; i < kBlock; ++i) out[i] = log_of(1.0 + sum[i]);
+  for (std::size_t i = 0; i < kBlock; ++i) out[i] = fast_log(1.0 + sum[i]);
 }
 
-LOCALIZATION_VECTORISED void products(const BlockPoses& poses, const Task& task, double kappa,
+MAPPERD_VECTORISED_WIDE void products(const BlockPoses& poses, const Task& task, double kappa,
                                       double* out) {
   Products product;
   product.start();
@@ -121,7 +121,7 @@ void check_endpoints(const Endpoints& ends) {
 }
 
 void field_log_likelihoods(const LikelihoodField& field, const Endpoints& ends,
-                           Aggregation aggregation, double kappa, const Particles& particles,
+                           BeamAggregation aggregation, double kappa, const Particles& particles,
                            std::size_t first, std::size_t last, double* out) {
   if (!field.is_flat() && ends.z_m.empty() && ends.beams() > 0) {
     throw std::invalid_argument("a field with layers needs the heights of the ends of beams");
@@ -134,7 +134,7 @@ void field_log_likelihoods(const LikelihoodField& field, const Endpoints& ends,
     const std::size_t count = std::min(kBlock, last - start);
     pose_block(&particles.x[start], &particles.y[start], &particles.yaw[start], count, lattice,
                poses);
-    if (aggregation == Aggregation::kCubeSum) {
+    if (aggregation == BeamAggregation::kCubeSum) {
       cube_sums(poses, task, logs);
     } else {
       products(poses, task, kappa, logs);

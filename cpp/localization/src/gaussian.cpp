@@ -1,10 +1,10 @@
-#include "localization/gaussian.hpp"
+#include "mapperd/localization/gaussian.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
 
-#include "localization/elementary.hpp"
+#include "mapperd/common/fast_math.hpp"
 
 namespace mapperd::localization {
 namespace {

@@ -1,9 +1,9 @@
-#include "localization/grid.hpp"
+#include "mapperd/localization/grid.hpp"
 
 #include <cmath>
 #include <stdexcept>
 
-#include "localization/elementary.hpp"
+#include "mapperd/common/fast_math.hpp"
 
 namespace mapperd::localization {
 

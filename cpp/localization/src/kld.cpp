@@ -1,11 +1,11 @@
-#include "localization/kld.hpp"
+#include "mapperd/localization/kld.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
 
-#include "localization/elementary.hpp"
+#include "mapperd/common/fast_math.hpp"
 
 namespace mapperd::localization {
 namespace {

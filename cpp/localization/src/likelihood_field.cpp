@@ -1,11 +1,11 @@
-#include "localization/likelihood_field.hpp"
+#include "mapperd/localization/likelihood_field.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
 
-#include "localization/distance_transform.hpp"
-#include "localization/elementary.hpp"
+#include "mapperd/common/fast_math.hpp"
+#include "mapperd/localization/distance_transform.hpp"
 
 namespace mapperd::localization {
 namespace {
@@ -33,7 +33,7 @@ std::vector<std::uint8_t> obstacles(const OccupancyGrid& grid, bool only_boundar
 }
 
 // p of squared distances in cells; kBeyond is at the truncation.
-LOCALIZATION_VECTORISED void densities(const std::int32_t* squared, std::size_t count,
+MAPPERD_VECTORISED_WIDE void densities(const std::int32_t* squared, std::size_t count,
                                        const double* factors, float* out) {
   const double per_cell = factors[0];  // exponent of one squared cell
   const double least = factors[1];     // exponent at the truncation
@@ -41,7 +41,7 @@ LOCALIZATION_VECTORISED void densities(const std::int32_t* squared, std::size_t 
   const double rest = factors[3];
   for (std::size_t i = 0; i < count; ++i) {
     const double power = per_cell * static_cast<double>(squared[i]);
-    out[i] = static_cast<float>(peak * exp_of(power > least ? power : least) + rest);
+    out[i] = static_cast<float>(peak * fast_exp(power > least ? power : least) + rest);
   }
 }
 

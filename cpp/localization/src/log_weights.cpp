@@ -1,21 +1,21 @@
-#include "localization/log_weights.hpp"
+#include "mapperd/localization/log_weights.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <limits>
 
-#include "localization/elementary.hpp"
+#include "mapperd/common/fast_math.hpp"
 
 namespace mapperd::localization {
 namespace {
 
 constexpr double kNever = -std::numeric_limits<double>::infinity();
 
-LOCALIZATION_VECTORISED void exponentials(const double* powers, std::size_t count, double largest,
+MAPPERD_VECTORISED_WIDE void exponentials(const double* powers, std::size_t count, double largest,
                                           double* out) {
   for (std::size_t i = 0; i < count; ++i) {
     const double power = powers[i] - largest;
-    out[i] = power > -700.0 ? exp_of(power) : 0.0;
+    out[i] = power > -700.0 ? fast_exp(power) : 0.0;
   }
 }
 

@@ -1,10 +1,10 @@
-#include "localization/motion.hpp"
+#include "mapperd/localization/motion.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
 
-#include "localization/elementary.hpp"
+#include "mapperd/common/fast_math.hpp"
 
 namespace mapperd::localization {
 namespace {
@@ -56,39 +56,39 @@ struct Scaled {
   double bearing;
 };
 
-LOCALIZATION_VECTORISED void turn_go_turn(Block b, const Scaled& s, const NormalBlock& n) {
+MAPPERD_VECTORISED_WIDE void turn_go_turn(Block b, const Scaled& s, const NormalBlock& n) {
   const Scaled d = s;
   for (std::size_t i = 0; i < b.count; ++i) {
     const double first = d.mean[0] + d.sigma[0] * n.number[0][i];
     const double distance = d.mean[1] + d.sigma[1] * n.number[1][i];
     const double second = d.mean[2] + d.sigma[2] * n.number[2][i];
     const double heading = b.yaw[i] + first;
-    const SineCosine along = sine_cosine(heading);
+    const SineCosine along = fast_sine_cosine(heading);
     b.x[i] += distance * along.cosine;
     b.y[i] += distance * along.sine;
     b.yaw[i] = wrapped(heading + second);
   }
 }
 
-LOCALIZATION_VECTORISED void go_and_turn(Block b, const Scaled& s, const NormalBlock& n) {
+MAPPERD_VECTORISED_WIDE void go_and_turn(Block b, const Scaled& s, const NormalBlock& n) {
   const Scaled d = s;
   for (std::size_t i = 0; i < b.count; ++i) {
     const double distance = d.mean[0] + d.sigma[0] * n.number[0][i];
     const double turn = d.mean[1] + d.sigma[1] * n.number[1][i];
     const double sideways = d.mean[2] + d.sigma[2] * n.number[2][i];
-    const SineCosine along = sine_cosine(b.yaw[i] + d.bearing);
+    const SineCosine along = fast_sine_cosine(b.yaw[i] + d.bearing);
     b.x[i] += distance * along.cosine + sideways * along.sine;
     b.y[i] += distance * along.sine - sideways * along.cosine;
     b.yaw[i] = wrapped(b.yaw[i] + turn);
   }
 }
 
-LOCALIZATION_VECTORISED void shake(Block b, const Scaled& s, const NormalBlock& n) {
+MAPPERD_VECTORISED_WIDE void shake(Block b, const Scaled& s, const NormalBlock& n) {
   const Scaled d = s;
   for (std::size_t i = 0; i < b.count; ++i) {
     const double ahead = d.sigma[0] * n.number[0][i];
     const double port = d.sigma[1] * n.number[1][i];
-    const SineCosine along = sine_cosine(b.yaw[i]);
+    const SineCosine along = fast_sine_cosine(b.yaw[i]);
     b.x[i] += ahead * along.cosine - port * along.sine;
     b.y[i] += ahead * along.sine + port * along.cosine;
     b.yaw[i] = wrapped(b.yaw[i] + d.sigma[2] * n.number[2][i]);

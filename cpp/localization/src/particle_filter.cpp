@@ -1,13 +1,13 @@
-#include "localization/particle_filter.hpp"
+#include "mapperd/localization/particle_filter.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <numeric>
 #include <stdexcept>
 
-#include "localization/elementary.hpp"
-#include "localization/gaussian.hpp"
+#include "mapperd/common/fast_math.hpp"
 #include "mapperd/common/parallel.hpp"
+#include "mapperd/localization/gaussian.hpp"
 
 namespace mapperd::localization {
 namespace {
@@ -176,19 +176,19 @@ bool ParticleFilter::predict(const Pose2& before, const Pose2& now, MotionModel 
 }
 
 Weighed ParticleFilter::weigh(const LikelihoodField& field, const Endpoints& ends,
-                              Aggregation aggregation, double kappa) {
+                              BeamAggregation aggregation, double kappa) {
   check_endpoints(ends);
   check_kappa(kappa);
   std::vector<double> logs(particles_.size());
   in_blocks([&](std::size_t first, std::size_t last) {
     field_log_likelihoods(field, ends, aggregation, kappa, particles_, first, last, logs.data());
   });
-  const bool product = aggregation == Aggregation::kProduct;
+  const bool product = aggregation == BeamAggregation::kProduct;
   return weigh(logs, ends.beams(), product ? FitKind::kProduct : FitKind::kCubeSumFromOne, kappa);
 }
 
 Weighed ParticleFilter::weigh(const RangeMap& map, const Beams& beams, const BeamModel& model,
-                              Aggregation aggregation, double kappa) {
+                              BeamAggregation aggregation, double kappa) {
   check_beams(beams);
   check_beam_model(model);
   check_kappa(kappa);
@@ -197,7 +197,7 @@ Weighed ParticleFilter::weigh(const RangeMap& map, const Beams& beams, const Bea
     beam_log_likelihoods(map, beams, model, aggregation, kappa, particles_, first, last,
                          logs.data());
   });
-  const bool product = aggregation == Aggregation::kProduct;
+  const bool product = aggregation == BeamAggregation::kProduct;
   return weigh(logs, beams.size(), product ? FitKind::kProduct : FitKind::kCubeSum, kappa);
 }
 

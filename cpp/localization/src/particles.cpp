@@ -1,4 +1,4 @@
-#include "localization/particles.hpp"
+#include "mapperd/localization/particles.hpp"
 
 #include <cmath>
 

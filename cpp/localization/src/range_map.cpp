@@ -1,12 +1,12 @@
-#include "localization/range_map.hpp"
+#include "mapperd/localization/range_map.hpp"
 
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <stdexcept>
 
-#include "localization/block_poses.hpp"
 #include "mapperd/common/parallel.hpp"
+#include "mapperd/localization/block_poses.hpp"
 
 namespace mapperd::localization {
 namespace {
@@ -85,7 +85,7 @@ struct Steps {
 constexpr std::uint64_t kWhole = 0x4330000000000000ULL;  // a double whose lowest bits count ones
 
 // One step of all rays; how many went on.
-LOCALIZATION_VECTORISED double step_on(const Steps& steps, March& march) {
+MAPPERD_VECTORISED_WIDE double step_on(const Steps& steps, March& march) {
   const Steps s = steps;
   double went_on = 0.0;
   for (std::size_t i = 0; i < march.count; ++i) {

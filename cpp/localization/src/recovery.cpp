@@ -1,4 +1,4 @@
-#include "localization/recovery.hpp"
+#include "mapperd/localization/recovery.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "localization/resample.hpp"
+#include "mapperd/localization/resample.hpp"
 
 #include <algorithm>
 #include <cmath>

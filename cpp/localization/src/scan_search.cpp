@@ -1,13 +1,13 @@
-#include "localization/scan_search.hpp"
+#include "mapperd/localization/scan_search.hpp"
 
 #include <algorithm>
 #include <stdexcept>
 #include <vector>
 
-#include "localization/elementary.hpp"
-#include "localization/log_weights.hpp"
-#include "localization/resample.hpp"
+#include "mapperd/common/fast_math.hpp"
 #include "mapperd/common/parallel.hpp"
+#include "mapperd/localization/log_weights.hpp"
+#include "mapperd/localization/resample.hpp"
 
 namespace mapperd::localization {
 namespace {
@@ -52,8 +52,8 @@ Particles drawn_by_scan(const FreeSpace& free, const LikelihoodField& field, con
     for (std::size_t i = first; i < last; ++i) {
       anywhere.set(i, free.draw_pose(stream, Purpose::kStart, static_cast<std::uint32_t>(i)));
     }
-    field_log_likelihoods(field, ends, Aggregation::kProduct, search.kappa, anywhere, first, last,
-                          logs.data());
+    field_log_likelihoods(field, ends, BeamAggregation::kProduct, search.kappa, anywhere, first,
+                          last, logs.data());
   });
   // The cloud's particles are to come from about as many poses.
   const double share = static_cast<double>(count) / static_cast<double>(search.poses);

@@ -6,11 +6,11 @@ namespace mapperd::map {
 namespace {
 
 enum class Form : std::uint8_t {
-  old_alike = 1,
-  old_one_by_one = 2,
-  alike = 3,
-  cells = 4,
-  cells_wide = 5,
+  kOldAlike = 1,
+  kOldOneByOne = 2,
+  kAlike = 3,
+  kCells = 4,
+  kCellsWide = 5,
 };
 
 constexpr std::size_t kMaskBytes = kBlockVoxels / 8;
@@ -115,13 +115,13 @@ void encode_block(const VoxelMap& map, const Block& block, std::string& out) {
     if (known) (same ? alike : mixed) |= cell_bit(cell);
   }
   if (all_alike) {
-    put_form(Form::alike);
+    put_form(Form::kAlike);
     put(out, voxels.units[0]);
     put(out, voxels.count[0]);
     return;
   }
   const bool wide = rule.count_bytes() == 2;
-  put_form(wide ? Form::cells_wide : Form::cells);
+  put_form(wide ? Form::kCellsWide : Form::kCells);
   put(out, alike);
   put(out, mixed);
   for (int cell = 0; cell < kBlockCells; ++cell) {
@@ -148,21 +148,21 @@ void encode_block(const VoxelMap& map, const Block& block, std::string& out) {
 void decode_block(ByteReader& bytes, const IwloRule& rule, BlockStates& states) {
   states.fill({});
   switch (static_cast<Form>(bytes.get<std::uint8_t>())) {
-    case Form::old_alike: {
+    case Form::kOldAlike: {
       const std::int64_t units = rule.units_of_file(bytes.get<std::int32_t>());
       states.fill(checked(bytes, rule, units, bytes.get<std::uint16_t>()));
       return;
     }
-    case Form::old_one_by_one:
+    case Form::kOldOneByOne:
       return decode_old(bytes, rule, states);
-    case Form::alike: {
+    case Form::kAlike: {
       const std::int64_t units = Units(bytes, rule).next(bytes);
       states.fill(checked(bytes, rule, units, bytes.get<std::uint16_t>()));
       return;
     }
-    case Form::cells:
+    case Form::kCells:
       return decode_cells(bytes, rule, false, states);
-    case Form::cells_wide:
+    case Form::kCellsWide:
       return decode_cells(bytes, rule, true, states);
   }
   bytes.refuse("a block in a form that this version does not know");

@@ -71,7 +71,7 @@ struct EvidenceGrid::Sums {
   std::size_t end_row = 0;  // behind the last return
 };
 
-EvidenceGrid::EvidenceGrid(GridMemory& memory, const PingImage& image, const PingSettings& settings,
+EvidenceGrid::EvidenceGrid(GridMemory& memory, const PingImage& image, const PingParams& settings,
                            const IwloRule& rule, double edge_m)
     : memory_(memory),
       edge_m_(edge_m),
@@ -99,7 +99,7 @@ EvidenceGrid::EvidenceGrid(GridMemory& memory, const PingImage& image, const Pin
   tile_rows_ = rows_ / kTileRows;
   tile_columns_ = stride_ / kTileColumns;
   const auto size = static_cast<std::size_t>(rows_ * stride_);
-  averages_ = settings.aggregation == Aggregation::mean;
+  averages_ = settings.aggregation == Aggregation::kMean;
   memory.codes.resize(size);  // every row is written
   if (averages_) memory.shares.resize(size);
   memory.classes.resize(static_cast<std::size_t>(tile_rows_ * tile_columns_));

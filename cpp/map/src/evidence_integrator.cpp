@@ -18,8 +18,8 @@ constexpr int kCubeBlocks = 4;
 
 // Nearer than this many voxels range and bearing bend too much within a cell: each voxel is placed
 // on its own. Beyond, the linear functions put some voxels into a neighbouring grid cell, at any
-// detail: of test_evidence.cpp's voxels 2.9, 2.1, 1.7 and 1.5 % are of another class at detail 1, 2,
-// 4 and 8.
+// detail: of test_evidence.cpp's voxels 2.9, 2.1, 1.7 and 1.5 % are of another class at detail 1,
+// 2, 4 and 8.
 constexpr float kNearVoxels = 24.0F;
 
 // By how much, in voxels, what a moving sonar sees of a block may depart from a linear function of
@@ -51,7 +51,7 @@ struct BlockView {
 class PingUpdate {
  public:
   PingUpdate(VoxelMap& map, const PingImage& image, const Transform& map_T_sonar,
-             const PingSettings& settings, const PingMotion& motion)
+             const PingParams& settings, const PingMotion& motion)
       : map_(map),
         rule_(map.rule()),
         threads_(settings.threads),
@@ -105,9 +105,9 @@ class PingUpdate {
     double radius = 0.8661 * cube.blocks * block_m_;
     Vec3 seen = centre;
     if (view_) {
-      const Widening widening = view_->widening(centre, radius);
+      const MotionBound bound = view_->motion_bound(centre, radius);
       seen = view_->seen(centre);
-      radius += 2 * widening.stretch * radius;
+      radius += 2 * bound.stretch * radius;
     }
     const Vec3 v = to_sonar(seen);
     const double reach = radius + edge_m_;  // of footprints, and beyond the aperture's faces
@@ -169,7 +169,8 @@ class PingUpdate {
       const Seen apparent = view_->look(view.centre);
       seen = apparent.at;
       axes = apparent.axes;
-      view.is_linear = view_->widening(view.centre, 0.8661 * block_m_).bend <= kMaxBend * edge_m_;
+      view.is_linear =
+          view_->motion_bound(view.centre, 0.8661 * block_m_).bend <= kMaxBend * edge_m_;
     }
     view.seen = (1.0 / edge_m_) * to_sonar(seen);
     view.step = {to_sonar(axes.x), to_sonar(axes.y), to_sonar(axes.z)};
@@ -366,7 +367,7 @@ class PingUpdate {
 }  // namespace
 
 PingStats integrate_evidence_grid(VoxelMap& map, const PingImage& image,
-                                  const Transform& map_T_sonar, const PingSettings& settings,
+                                  const Transform& map_T_sonar, const PingParams& settings,
                                   const PingMotion& motion) {
   check_ping(image, settings);
   check_reach(map, map_T_sonar, image.max_range_m(), motion);

@@ -23,10 +23,10 @@ struct Leaf {
   int depth;  // of a voxel, or of a whole block
 };
 
-enum class Kind : unsigned char { unknown = 0, leaf, inner };
+enum class Kind : unsigned char { kUnknown = 0, kLeaf, kInner };
 
 struct Node {
-  Kind kind = Kind::unknown;
+  Kind kind = Kind::kUnknown;
   float value = 0.0F;  // of a leaf; the maximum of the leaves below an inner node
 };
 
@@ -101,8 +101,8 @@ struct BtRecord {
 
  private:
   static unsigned bits_of(const Node& child) {
-    if (child.kind == Kind::unknown) return 0;
-    if (child.kind == Kind::inner) return 3;
+    if (child.kind == Kind::kUnknown) return 0;
+    if (child.kind == Kind::kInner) return 3;
     return child.value == kOccupied ? 2 : 1;
   }
 };
@@ -118,7 +118,7 @@ struct OtRecord {
 
   static void inner(char* record, const Children& children, float value) {
     unsigned mask = 0;
-    for (unsigned i = 0; i < 8; ++i) mask |= (children[i].kind != Kind::unknown ? 1U : 0U) << i;
+    for (unsigned i = 0; i < 8; ++i) mask |= (children[i].kind != Kind::kUnknown ? 1U : 0U) << i;
     put(record, value, mask);
   }
 
@@ -133,7 +133,7 @@ struct OtRecord {
 
 bool all_equal_leaves(const Children& children) {
   return std::all_of(children.begin(), children.end(), [&](const Node& child) {
-    return child.kind == Kind::leaf && child.value == children[0].value;
+    return child.kind == Kind::kLeaf && child.value == children[0].value;
   });
 }
 
@@ -141,7 +141,7 @@ float maximum(const Children& children) {
   float value = 0.0F;
   bool any = false;
   for (const Node& child : children) {
-    if (child.kind == Kind::unknown) continue;
+    if (child.kind == Kind::kUnknown) continue;
     value = any ? std::max(value, child.value) : child.value;
     any = true;
   }
@@ -179,13 +179,13 @@ class TreeWriter {
     }
     const float value = maximum(children);
     Record::inner(&data_[record], children, value);
-    return {Kind::inner, value};
+    return {Kind::kInner, value};
   }
 
   Node write_leaf(float value) {
     ++nodes_;
     Record::leaf(data_, value);
-    return {Kind::leaf, value};
+    return {Kind::kLeaf, value};
   }
 
   std::size_t end_of(std::size_t begin, std::size_t end, int depth, unsigned child) const {

@@ -22,7 +22,7 @@ void require(bool ok, const char* what) {
 
 }  // namespace
 
-void check_ping(const PingImage& image, const PingSettings& settings) {
+void check_ping(const PingImage& image, const PingParams& settings) {
   require(image.rows >= 1 && image.beams >= 2,
           "intensity must have at least one row and two beams");
   require(static_cast<double>(image.rows) * static_cast<double>(image.beams) <= kMaxCells,

@@ -11,7 +11,7 @@ constexpr int kBearings = 16;
 constexpr int kElevations = 4;
 
 // How far the ping says anything: to the end of its last return, unless it carves beyond.
-double said_range_m(const PingImage& image, const PingSettings& settings, const IwloRule& rule) {
+double said_range_m(const PingImage& image, const PingParams& settings, const IwloRule& rule) {
   if (settings.carve_no_return) return image.max_range_m();
   for (std::size_t row = image.rows; row > 0; --row) {
     const float* const first = image.intensity + (row - 1) * image.beams;
@@ -34,7 +34,7 @@ double moved_m(const PingMotion& motion, double range_m) {
 }  // namespace
 
 std::optional<BlockBox> blocks_of_ping(const VoxelMap& map, const PingImage& image,
-                                       const Transform& map_T_sonar, const PingSettings& settings,
+                                       const Transform& map_T_sonar, const PingParams& settings,
                                        const PingMotion& motion) {
   check_ping(image, settings);
   check_reach(map, map_T_sonar, image.max_range_m(), motion);

@@ -141,7 +141,7 @@ Vec3 MovingView::place_of(const Vec3& seen) const {
 // With b the speed over that of sound, k the turn a metre of range and t = k r, first derivatives
 // depart from the identity by 6 b + 2 t and second ones are at most 8 b / distance + 3 k, to first
 // order; the rest is room for the limits of `check_motion`.
-Widening MovingView::widening(const Vec3& place, double radius_m) const {
+MotionBound MovingView::motion_bound(const Vec3& place, double radius_m) const {
   const double distance = norm(place);
   const double turned = turn_ * (distance + radius_m) / (1 - speed_);
   const double stretch = 7 * speed_ + 2.2 * turned;

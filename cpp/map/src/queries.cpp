@@ -54,7 +54,7 @@ std::vector<Occupancy> classify_box(const VoxelMap& map, const VoxelBox& box,
                                     const Thresholds& thresholds) {
   check_thresholds(thresholds);
   check_dense(box);
-  std::vector<Occupancy> answers(box.count(), Occupancy::unknown);
+  std::vector<Occupancy> answers(box.count(), Occupancy::kUnknown);
   const ReadLock lock(map);
   for_each_known_in(map, box, [&](const VoxelIndex& voxel, const VoxelState& state) {
     answers[box.place_of(voxel)] = thresholds.of(state);

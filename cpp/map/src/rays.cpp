@@ -41,7 +41,7 @@ struct Sample {
 class RaySampler {
  public:
   RaySampler(VoxelMap& map, const PingImage& image, const Transform& map_T_sonar,
-             const RaysSettings& settings, const PingMotion& motion)
+             const RaysParams& settings, const PingMotion& motion)
       : map_(map),
         image_(image),
         settings_(settings),
@@ -201,7 +201,7 @@ class RaySampler {
   Transform block_T_sonar_;  // at transmission, in the sonar's block
   std::optional<MovingView> view_;
   VoxelIndex origin_;  // that block's first voxel
-  const RaysSettings& settings_;
+  const RaysParams& settings_;
   std::size_t stride_;
   double shadow_tolerance_ = 0.0;
   std::vector<FirstHit> first_hits_;  // by bearing
@@ -212,8 +212,8 @@ class RaySampler {
 }  // namespace
 
 PingStats integrate_rays(VoxelMap& map, const PingImage& image, const Transform& map_T_sonar,
-                         const RaysSettings& settings, const PingMotion& motion) {
-  PingSettings fan;
+                         const RaysParams& settings, const PingMotion& motion) {
+  PingParams fan;
   fan.vertical_aperture_rad = settings.vertical_aperture_rad;
   fan.min_range_m = settings.min_range_m;
   check_ping(image, fan);

@@ -35,13 +35,13 @@ ClassCounts count_classes(const VoxelMap& map, const Thresholds& thresholds) {
   ClassCounts counts;
   map.for_each_known([&](const VoxelIndex&, const VoxelState& state) {
     switch (thresholds.of(state)) {
-      case Occupancy::occupied:
+      case Occupancy::kOccupied:
         ++counts.occupied;
         break;
-      case Occupancy::free:
+      case Occupancy::kFree:
         ++counts.free;
         break;
-      case Occupancy::unknown:
+      case Occupancy::kUnknown:
         ++counts.uncertain;
         break;
     }

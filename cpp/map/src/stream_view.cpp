@@ -95,7 +95,7 @@ class Extractor {
     if (!any_) return 0;
     std::uint64_t hash = 0x9e3779b97f4a7c15ULL;
     mix(hash, cells_.data());
-    if (view_.detail == StreamDetail::counts) mix(hash, bits_.data());
+    if (view_.detail == StreamDetail::kCounts) mix(hash, bits_.data());
     hash ^= hash >> 32U;
     hash *= 0xd6e8feb86659fd93ULL;
     hash ^= hash >> 32U;
@@ -187,7 +187,7 @@ class Extractor {
 
   void tell() {
     for (std::size_t i = 0; i < kStreamCells; ++i) bits_[i] = told_bits(counts_[i]);
-    if (view_.detail == StreamDetail::classes) return tell_classes();
+    if (view_.detail == StreamDetail::kClasses) return tell_classes();
     for (std::size_t i = 0; i < kStreamCells; ++i) {
       const double steps = rounded(map_.rule().log_odds(static_cast<std::int16_t>(highest_[i])) /
                                    view_.log_odds_step);
@@ -201,13 +201,13 @@ class Extractor {
     int least = -127, most = 127;
     switch (view_.thresholds.of(
         map_.state_of({static_cast<std::int16_t>(highest_[cell]), counts_[cell]}))) {
-      case Occupancy::occupied:
+      case Occupancy::kOccupied:
         least = lowest_occupied_;
         break;
-      case Occupancy::free:
+      case Occupancy::kFree:
         most = highest_free_;
         break;
-      case Occupancy::unknown:
+      case Occupancy::kUnknown:
         least = highest_free_ + 1;
         most = lowest_occupied_ - 1;
         break;
@@ -221,13 +221,13 @@ class Extractor {
       if (counts_[i] == 0) continue;
       const VoxelState state = map_.state_of({static_cast<std::int16_t>(highest_[i]), counts_[i]});
       switch (view_.thresholds.of(state)) {
-        case Occupancy::occupied:
+        case Occupancy::kOccupied:
           cells_[i] = 1;
           break;
-        case Occupancy::free:
+        case Occupancy::kFree:
           cells_[i] = -1;
           break;
-        case Occupancy::unknown:
+        case Occupancy::kUnknown:
           cells_[i] = 0;
           break;
       }

@@ -20,8 +20,8 @@ double overlap(double a_low, double a_high, double b_low, double b_high) {
 }  // namespace
 
 Class class_of(const Evidence& evidence) {
-  if (evidence.returns >= 0.02) return Class::occupied;
-  return evidence.free > 0.5 ? Class::free : Class::nothing;
+  if (evidence.returns >= 0.02) return Class::kOccupied;
+  return evidence.free > 0.5 ? Class::kFree : Class::kNothing;
 }
 
 double distance_to_limit(const Evidence& evidence) {
@@ -95,7 +95,7 @@ double PingOracle::half_width(double range_m, double sine) const {
 
 Evidence PingOracle::at(double range_m, double sine) const {
   const double a = 0.54 * settings_.edge_m;
-  const bool by_sine = measure_ == Measure::sine;
+  const bool by_sine = measure_ == Measure::kSine;
   const double b = by_sine ? a * cosine(sine) / range_m : half_width(range_m, sine);
   const double middle = by_sine ? sine : place_of(sine);
   const double near = std::max(range_m - a, settings_.ping.min_range_m), far = range_m + a;
@@ -132,7 +132,7 @@ Evidence PingOracle::at(const Vec3& v) const {
   const double inside = inside_aperture(v);
   if (!(v.x > 0) || inside <= -0.5) return {};
   const Evidence evidence = at(norm(v), sine_of(v));
-  return inside <= 0 && class_of(evidence) != Class::occupied ? Evidence{} : evidence;
+  return inside <= 0 && class_of(evidence) != Class::kOccupied ? Evidence{} : evidence;
 }
 
 Evidence PingOracle::volume(const Vec3& centre, const Transform& map_T_sonar, int n,
@@ -165,7 +165,7 @@ Evidence PingOracle::volume(const Vec3& centre, const Transform& map_T_sonar, in
 
 void update(State& state, const Evidence& evidence, const Settings& settings) {
   const Class now = class_of(evidence);
-  if (now == Class::nothing) return;
+  if (now == Class::kNothing) return;
   const mapperd::map::IwloParams& p = settings.iwlo;
   const double probability = 1.0 / (1.0 + std::exp(-state.log_odds));
   const double alpha = std::max(p.min_alpha, 1.0 / (1.0 + p.decay_rate * state.count));
@@ -181,9 +181,9 @@ void update(State& state, const Evidence& evidence, const Settings& settings) {
   }
   const double free_step = p.L_free * alpha * free_scale;
   double step = free_step;
-  if (now == Class::occupied) {
+  if (now == Class::kOccupied) {
     step = p.L_occ * evidence.weight() * occupied_rate;
-    if (settings.ping.aggregation == mapperd::map::Aggregation::mean) {
+    if (settings.ping.aggregation == mapperd::map::Aggregation::kMean) {
       step = (evidence.returns * step + evidence.free * free_step) /
              (evidence.returns + evidence.free);
     }

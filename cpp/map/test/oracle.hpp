@@ -17,7 +17,7 @@ namespace oracle {
 
 struct Settings {
   double edge_m = 0.1;  // of a voxel
-  mapperd::map::PingSettings ping;
+  mapperd::map::PingParams ping;
   mapperd::map::IwloParams iwlo;
 };
 
@@ -29,7 +29,7 @@ struct Evidence {
   double weight() const { return weighted / returns; }
 };
 
-enum class Class { nothing, free, occupied };
+enum class Class { kNothing, kFree, kOccupied };
 
 Class class_of(const Evidence& evidence);
 
@@ -40,12 +40,12 @@ double weight_of(double intensity, const mapperd::map::IwloParams& params);
 
 // What the footprint's width is measured in. Where all beams are as wide in sine both are the same;
 // elsewhere the grid, whose columns are parts of beams, counts beams within a footprint alike.
-enum class Measure { sine, beams };
+enum class Measure { kSine, kBeams };
 
 class PingOracle {
  public:
   PingOracle(const mapperd::map::PingImage& image, const Settings& settings,
-             Measure measure = Measure::sine);
+             Measure measure = Measure::kSine);
 
   Evidence at(double range_m, double sine) const;
   // The same at a point of the sonar's frame, if the aperture lets it be.

@@ -135,7 +135,7 @@ inline Ping ragged_ping(const Ragged& want, Random& random) {
 // aperture's cones, the fan's sides; or just anywhere in the fan.
 class Borders {
  public:
-  Borders(const Ping& ping, const mapperd::map::PingSettings& settings, double edge_m)
+  Borders(const Ping& ping, const mapperd::map::PingParams& settings, double edge_m)
       : ping_(ping),
         half_aperture_(settings.vertical_aperture_rad / 2),
         edge_m_(edge_m),

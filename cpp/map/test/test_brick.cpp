@@ -96,13 +96,13 @@ void check_paged(const Integrate& integrate) {
 }
 
 TEST_CASE("a map that fits into memory tile by tile only is the same, to the bit") {
-  mapperd::map::PingSettings settings;
+  mapperd::map::PingParams settings;
   settings.vertical_aperture_rad = 0.5;
   check_paged([&](VoxelMap& map, const Shot& shot) {
     integrate_evidence_grid(map, shot.ping.image(), shot.pose, settings);
   });
   check_paged([](VoxelMap& map, const Shot& shot) {
-    mapperd::map::RaysSettings rays;
+    mapperd::map::RaysParams rays;
     rays.vertical_aperture_rad = 0.5;
     integrate_rays(map, shot.ping.image(), shot.pose, rays);
   });
@@ -116,7 +116,7 @@ TEST_CASE("a ping whose tiles cannot be fetched leaves the map alone") {
                         asked = static_cast<int>(tiles.size());
                         throw std::runtime_error("the disk is gone");
                       }});
-  mapperd::map::PingSettings settings;
+  mapperd::map::PingParams settings;
   settings.vertical_aperture_rad = 0.5;
   CHECK_THROWS(integrate_evidence_grid(map, shot.ping.image(), shot.pose, settings),
                std::runtime_error);

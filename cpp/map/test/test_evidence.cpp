@@ -29,27 +29,27 @@ using oracle::Evidence;
 using oracle::Measure;
 using oracle::PingOracle;
 
-enum class Table { even_sine, even_angle, irregular };
+enum class Table { kEvenSine, kEvenAngle, kIrregular };
 
 struct Scene {
   std::string name;
-  Table table = Table::even_sine;
+  Table table = Table::kEvenSine;
   scenes::Ping ping;
   oracle::Settings settings;
   Transform pose;
   PingMotion motion;
   mapperd::map::BlockBox limit;
 
-  Measure measure() const { return table == Table::even_sine ? Measure::sine : Measure::beams; }
+  Measure measure() const { return table == Table::kEvenSine ? Measure::kSine : Measure::kBeams; }
 };
 
 void lay_bearings(Table table, double half_fan, scenes::Random& random, std::vector<double>& b) {
   const auto beams = static_cast<double>(b.size());
   for (std::size_t j = 0; j < b.size(); ++j) {
     const double place = 2 * (static_cast<double>(j) + 0.5) / beams - 1;
-    if (table == Table::even_sine) b[j] = std::asin(std::sin(half_fan) * place);
-    if (table == Table::even_angle) b[j] = half_fan * place;
-    if (table == Table::irregular) b[j] = half_fan * (place + random.uniform(-0.6, 0.6) / beams);
+    if (table == Table::kEvenSine) b[j] = std::asin(std::sin(half_fan) * place);
+    if (table == Table::kEvenAngle) b[j] = half_fan * place;
+    if (table == Table::kIrregular) b[j] = half_fan * (place + random.uniform(-0.6, 0.6) / beams);
   }
 }
 
@@ -78,7 +78,7 @@ Scene scene_of(std::uint64_t seed) {
   settings.ping.min_range_m = seed % 5 == 0 ? 0.0 : random.uniform(0, 0.4) * want.max_range_m;
   if (seed % 5 == 1) settings.ping.min_range_m = 0.5 * row_m;
   settings.ping.carve_no_return = random.integer(0, 2) == 0;
-  if (seed % 6 == 5) settings.ping.aggregation = Aggregation::mean;
+  if (seed % 6 == 5) settings.ping.aggregation = Aggregation::kMean;
   settings.ping.detail = seed % 7 == 0 ? 0.5 : seed % 7 == 1 ? 2.0 : 1.0;
   settings.iwlo.sharpness = random.uniform(0.1, 5.0);
   settings.ping.threads = seed % 4 == 3 ? 2 : 1;
@@ -167,7 +167,7 @@ class Nodes {
     const double L_occ = scene_.settings.iwlo.L_occ;
     const double range_of_weights = rule_.largest_weight() - rule_.least_weight();
     double off = L_occ * (0.5 / 253 * range_of_weights + 2 * tolerance / e.returns) + 3 * unit;
-    if (scene_.settings.ping.aggregation == Aggregation::mean) {
+    if (scene_.settings.ping.aggregation == Aggregation::kMean) {
       // Half a share of 255.
       const double all = L_occ - scene_.settings.iwlo.L_free;
       off += all * (0.5 / 255 + 2 * tolerance / (e.returns + e.free)) + unit;
@@ -306,20 +306,20 @@ class Comparison {
       if (++wrong <= 3 && !quiet) tell(v, state);
     }
     const Evidence own = nodes_.oracle.at(v);
-    const Class is = state.count == 0 ? Class::nothing
-                     : is_free(state) ? Class::free
-                                      : Class::occupied;
-    Class volume = Class::nothing;
+    const Class is = state.count == 0 ? Class::kNothing
+                     : is_free(state) ? Class::kFree
+                                      : Class::kOccupied;
+    Class volume = Class::kNothing;
     if (by_volume) {
       volume = oracle::class_of(nodes_.oracle.volume(v, start_, 12, 5));
       if (volume != oracle::class_of(own)) ++other_volume;
     }
-    if (is == Class::nothing && oracle::class_of(own) == Class::nothing &&
-        volume == Class::nothing) {
+    if (is == Class::kNothing && oracle::class_of(own) == Class::kNothing &&
+        volume == Class::kNothing) {
       return;
     }
     ++compared;
-    occupied += is == Class::occupied ? 1 : 0;
+    occupied += is == Class::kOccupied ? 1 : 0;
     if (is != oracle::class_of(own)) ++other_class;
   }
 
@@ -338,7 +338,7 @@ class Comparison {
     const double along = (range > 20 ? 3.4 / range : 0.0) + moved;
     double across = (range > 20 ? 6.8 / flat : 0.0) + moved;
     // Neighbouring beams of such cells may differ in width by 15 %.
-    if (scene_.table != Table::even_sine && range > 20) across += 0.15 * 2.6;
+    if (scene_.table != Table::kEvenSine && range > 20) across += 0.15 * 2.6;
     const double face =
         1e-4 + moved + std::sin(scene_.settings.ping.vertical_aperture_rad / 2) * 3.4 / flat;
     const double sine = PingOracle::sine_of(v);

@@ -14,7 +14,7 @@
 
 namespace {
 
-using mapperd::map::PingSettings;
+using mapperd::map::PingParams;
 using mapperd::map::PingStats;
 using mapperd::map::VoxelIndex;
 using mapperd::map::VoxelMap;
@@ -55,7 +55,7 @@ TEST_CASE("a bad ping or pose is refused and leaves the map alone") {
     refuses(bad, {});
   }
   for (const double detail : {not_a_number, 0.0, 100.0, -1.0}) {
-    PingSettings settings;
+    PingParams settings;
     settings.detail = detail;
     CHECK_THROWS(integrate_evidence_grid(map, ping.image(), {}, settings), std::invalid_argument);
   }
@@ -79,8 +79,8 @@ TEST_CASE("no intensity brings a NaN into the map") {
                           200.0F,
                           0.0F};
   for (std::size_t i = 0; i < ping.intensity.size(); ++i) ping.intensity[i] = values[i % 6];
-  PingSettings mean;
-  mean.aggregation = mapperd::map::Aggregation::mean;
+  PingParams mean;
+  mean.aggregation = mapperd::map::Aggregation::kMean;
   for (int i = 0; i < 5; ++i) {
     integrate_evidence_grid(map, ping.image(), {}, {});
     integrate_evidence_grid(map, ping.image(), {}, mean);
@@ -93,7 +93,7 @@ TEST_CASE("no intensity brings a NaN into the map") {
 TEST_CASE("what is settled does not change any more, nor does its revision") {
   scenes::Random random(91);
   const scenes::Ping ping = scenes::empty_ping(40, 32, 0.6, 4.0);
-  PingSettings settings;
+  PingParams settings;
   settings.carve_no_return = true;
   const mapperd::Transform pose = scenes::random_pose(random);
   VoxelMap map(0.05, {});
@@ -121,7 +121,7 @@ TEST_CASE("looking at nothing creates no block") {
   const scenes::Ping ping = scenes::empty_ping(20, 16, 0.5, 2.0);
   CHECK(integrate_evidence_grid(map, ping.image(), {}, {}).free == 0);
   CHECK(map.block_count() == 0);
-  PingSettings carve;
+  PingParams carve;
   carve.carve_no_return = true;
   CHECK(integrate_evidence_grid(map, ping.image(), {}, carve).free > 100);
 }
@@ -130,7 +130,7 @@ TEST_CASE("the numbers returned are those of the voxels changed") {
   scenes::Random random(17);
   for (int i = 0; i < 12; ++i) {
     const scenes::Ping ping = scenes::random_ping(random);
-    PingSettings settings;
+    PingParams settings;
     settings.vertical_aperture_rad = random.uniform(0.1, 0.9);
     settings.carve_no_return = i % 2 == 0;
     settings.threads = 1 + i % 3;
@@ -155,15 +155,15 @@ TEST_CASE("a ping does not depend on those before it, but for the voxels") {
   scenes::Random random(18);
   for (int i = 0; i < 8; ++i) {
     VoxelMap alone(0.05, {}), after(0.05, {});
-    PingSettings mean;
-    mean.aggregation = mapperd::map::Aggregation::mean;
+    PingParams mean;
+    mean.aggregation = mapperd::map::Aggregation::kMean;
     const scenes::Ping other = scenes::random_ping(random);
     integrate_evidence_grid(after, other.image(), scenes::random_pose(random),
-                            i % 2 == 0 ? mean : PingSettings{});
+                            i % 2 == 0 ? mean : PingParams{});
     clear(after);
     const scenes::Ping ping = scenes::random_ping(random);
     const mapperd::Transform pose = scenes::random_pose(random);
-    const PingSettings settings = i % 3 == 0 ? mean : PingSettings{};
+    const PingParams settings = i % 3 == 0 ? mean : PingParams{};
     integrate_evidence_grid(after, ping.image(), pose, settings);
     // A thread of its own has memory of its own.
     std::thread([&] { integrate_evidence_grid(alone, ping.image(), pose, settings); }).join();

@@ -16,7 +16,7 @@
 namespace {
 
 using mapperd::map::PingMotion;
-using mapperd::map::PingSettings;
+using mapperd::map::PingParams;
 using mapperd::map::VoxelMap;
 
 // A linear congruential generator (Knuth's MMIX): whole numbers alone.
@@ -79,7 +79,7 @@ mapperd::Transform pose_of(int seed) {
   return pose;
 }
 
-std::uint32_t checksum_of(const PingSettings& settings, const PingMotion& motion, double edge_m,
+std::uint32_t checksum_of(const PingParams& settings, const PingMotion& motion, double edge_m,
                           const mapperd::map::IwloParams& params) {
   VoxelMap map(edge_m, params);
   for (int seed = 0; seed < 12; ++seed) {
@@ -91,7 +91,7 @@ std::uint32_t checksum_of(const PingSettings& settings, const PingMotion& motion
   return mapperd::map::crc32(file.substr(0, file.size() - 4));  // it ends with its own
 }
 
-void check_golden(const char* what, std::uint32_t expected, const PingSettings& settings,
+void check_golden(const char* what, std::uint32_t expected, const PingParams& settings,
                   const PingMotion& motion = {}, double edge_m = 0.0625,
                   const mapperd::map::IwloParams& params = {}) {
   const std::uint32_t found = checksum_of(settings, motion, edge_m, params);
@@ -101,14 +101,14 @@ void check_golden(const char* what, std::uint32_t expected, const PingSettings& 
 
 TEST_CASE("golden maps, to the bit on every machine") {
   check_golden("usual settings", 0xBE51A2F9U, {});
-  PingSettings wide;
+  PingParams wide;
   wide.vertical_aperture_rad = 0.75;
   wide.carve_no_return = true;
   wide.min_range_m = 0.25;
   wide.threads = 2;
   check_golden("a wide aperture, no return carved", 0xFB896DD8U, wide);
-  PingSettings mean;
-  mean.aggregation = mapperd::map::Aggregation::mean;
+  PingParams mean;
+  mean.aggregation = mapperd::map::Aggregation::kMean;
   mean.detail = 2.0;
   check_golden("averaged, twice the detail", 0x5FE7C0C4U, mean);
   mapperd::map::IwloParams slow;

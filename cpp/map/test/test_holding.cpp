@@ -28,8 +28,8 @@ struct Shot {
   Transform pose;
 };
 
-mapperd::map::PingSettings wide() {
-  mapperd::map::PingSettings settings;
+mapperd::map::PingParams wide() {
+  mapperd::map::PingParams settings;
   settings.vertical_aperture_rad = 1.2;
   return settings;
 }
@@ -57,8 +57,7 @@ std::vector<Shot> shots() {
   return all;
 }
 
-void integrate(VoxelMap& map, const Shot& shot,
-               const mapperd::map::PingSettings& settings = wide()) {
+void integrate(VoxelMap& map, const Shot& shot, const mapperd::map::PingParams& settings = wide()) {
   integrate_evidence_grid(map, shot.ping.image(), shot.pose, settings);
 }
 
@@ -80,7 +79,7 @@ void ask_everything(const VoxelMap& map) {
 
 bool equal(const VoxelMap& a, const VoxelMap& b) { return encode_map(a) == encode_map(b); }
 
-void check_pending(const mapperd::map::PingSettings& settings) {
+void check_pending(const mapperd::map::PingParams& settings) {
   VoxelMap pending(kResolution, {}), opened(kResolution, {}), asked(kResolution, {});
   for (const Shot& shot : shots()) {
     for (VoxelMap* map : {&pending, &opened, &asked}) integrate(*map, shot, settings);
@@ -99,8 +98,8 @@ TEST_CASE("pending cells are the cells that are opened after every ping, to the 
 }
 
 TEST_CASE("so are those of averaged evidence, written by two threads") {
-  mapperd::map::PingSettings settings = wide();
-  settings.aggregation = mapperd::map::Aggregation::mean;
+  mapperd::map::PingParams settings = wide();
+  settings.aggregation = mapperd::map::Aggregation::kMean;
   settings.threads = 2;
   check_pending(settings);
 }

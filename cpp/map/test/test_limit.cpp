@@ -13,7 +13,7 @@ namespace {
 using mapperd::map::BlockBox;
 using mapperd::map::BlockKey;
 using mapperd::map::PingMotion;
-using mapperd::map::PingSettings;
+using mapperd::map::PingParams;
 using mapperd::map::VoxelMap;
 
 constexpr double kResolution = 0.06;
@@ -108,7 +108,7 @@ void check_still_and_moving(const Integrate& integrate) {
 }
 
 TEST_CASE("maps of boxes side by side are the map of all, to the bit") {
-  PingSettings settings;
+  PingParams settings;
   settings.vertical_aperture_rad = 0.9;
   settings.carve_no_return = true;
   check_still_and_moving(

@@ -134,7 +134,7 @@ TEST_CASE("pings take the memory that is reported, and leave none behind") {
   scenes::Random random(6);
   for (int i = 0; i < 6; ++i) {
     const scenes::Ping ping = scenes::random_ping(random);
-    mapperd::map::PingSettings settings;
+    mapperd::map::PingParams settings;
     settings.threads = 1 + i % 3;
     integrate_evidence_grid(*map, ping.image(), scenes::random_pose(random), settings);
   }

@@ -19,7 +19,7 @@ namespace {
 using mapperd::Transform;
 using mapperd::Vec3;
 using mapperd::map::PingMotion;
-using mapperd::map::PingSettings;
+using mapperd::map::PingParams;
 using mapperd::map::VoxelMap;
 using scenes::Ragged;
 
@@ -50,7 +50,7 @@ Shot shot_of(std::uint64_t seed) {
 }
 
 // Of a ping with motion, all settings.
-VoxelMap mapped(const Shot& shot, const PingSettings& settings, const PingMotion& motion) {
+VoxelMap mapped(const Shot& shot, const PingParams& settings, const PingMotion& motion) {
   VoxelMap map(shot.settings.edge_m, {});
   integrate_evidence_grid(map, shot.ping.image(), shot.pose, settings, motion);
   return map;
@@ -140,7 +140,7 @@ TEST_CASE("rays: each return lies where its row's own pose puts it") {
     const Transform pose = scenes::random_pose(random);
     const PingMotion motion = scenes::motion_of(3.0, 1.5, random);
     VoxelMap map(0.02, {});
-    mapperd::map::RaysSettings settings;
+    mapperd::map::RaysParams settings;
     settings.vertical_aperture_rad = 0.01;
     integrate_rays(map, ping.image(), pose, settings, motion);
     const oracle::Track track(pose, motion);

@@ -9,7 +9,7 @@ namespace {
 
 using mapperd::map::BlockBox;
 using mapperd::map::PingMotion;
-using mapperd::map::PingSettings;
+using mapperd::map::PingParams;
 using mapperd::map::VoxelMap;
 
 constexpr double kResolution = 0.05;
@@ -29,7 +29,7 @@ void check_pings(double speed_mps, double rate_radps, bool carve) {
     const mapperd::Transform pose = scenes::random_pose(random);
     const PingMotion motion =
         speed_mps > 0 ? scenes::motion_of(speed_mps, rate_radps, random) : PingMotion{};
-    PingSettings settings;
+    PingParams settings;
     settings.vertical_aperture_rad = random.uniform(0.05, 1.5);
     settings.min_range_m = 0.2;
     settings.carve_no_return = carve;
@@ -37,7 +37,7 @@ void check_pings(double speed_mps, double rate_radps, bool carve) {
     const auto box = mapperd::map::blocks_of_ping(map, ping.image(), pose, settings, motion);
     mapperd::map::integrate_evidence_grid(map, ping.image(), pose, settings, motion);
     VoxelMap sampled(kResolution, {});
-    mapperd::map::RaysSettings rays;
+    mapperd::map::RaysParams rays;
     rays.vertical_aperture_rad = settings.vertical_aperture_rad;
     rays.min_range_m = settings.min_range_m;
     mapperd::map::integrate_rays(sampled, ping.image(), pose, rays, motion);
@@ -66,7 +66,7 @@ TEST_CASE("so it does where the sonar moves") {
 TEST_CASE("the box ends where the last return does") {
   scenes::Ping ping = scenes::empty_ping(100, 32, 0.5, 10.0);
   const VoxelMap map(kResolution, {});
-  PingSettings settings;
+  PingParams settings;
   CHECK(!mapperd::map::blocks_of_ping(map, ping.image(), {}, settings));
   ping.intensity[20 * 32 + 16] = 200.0F;
   const auto near = mapperd::map::blocks_of_ping(map, ping.image(), {}, settings);

@@ -13,10 +13,10 @@ namespace {
 
 using mapperd::Transform;
 using mapperd::Vec3;
+using mapperd::map::MotionBound;
 using mapperd::map::MovingView;
 using mapperd::map::PingMotion;
 using mapperd::map::Seen;
-using mapperd::map::Widening;
 
 struct Scene {
   PingMotion motion;
@@ -88,7 +88,7 @@ TEST_CASE("without motion a place is seen where it is") {
   for (int i = 0; i < 100; ++i) {
     const Vec3 place = random.uniform(0.1, 50) * scenes::random_direction(random);
     check_near(still.seen(place), place, 1e-13);
-    const Widening none = still.widening(place, 0.5);
+    const MotionBound none = still.motion_bound(place, 0.5);
     CHECK(none.stretch == 0 && none.bend == 0);
   }
   check_near(still.seen({}), {}, 0.0);
@@ -112,7 +112,7 @@ TEST_CASE("axes are the slopes of what is seen, and the bounds hold") {
     check_near((1 / h) * towards(scene.view, place, {0, h, 0}), seen.axes.y, 1e-7);
     check_near((1 / h) * towards(scene.view, place, {0, 0, h}), seen.axes.z, 1e-7);
     const double radius = distance * random.uniform(0.01, 1.2);
-    const Widening bound = scene.view.widening(place, radius);
+    const MotionBound bound = scene.view.motion_bound(place, radius);
     for (int k = 0; k < 20; ++k) {
       const Vec3 shift = radius * random.uniform(0, 1) * scenes::random_direction(random);
       const Vec3 moved = scene.view.seen(place + shift) - seen.at;

@@ -11,7 +11,7 @@
 namespace {
 
 using mapperd::map::Aggregation;
-using mapperd::map::PingSettings;
+using mapperd::map::PingParams;
 using mapperd::map::VoxelMap;
 
 constexpr double kResolution = 0.06;
@@ -39,7 +39,7 @@ std::vector<Shot> moving_pings() {
   return all;
 }
 
-VoxelMap mapped(const std::vector<Shot>& shots, const PingSettings& settings) {
+VoxelMap mapped(const std::vector<Shot>& shots, const PingParams& settings) {
   VoxelMap map(kResolution, {});
   for (const Shot& shot : shots) {
     integrate_evidence_grid(map, shot.ping.image(), shot.pose, settings);
@@ -60,18 +60,18 @@ void check_equal(const VoxelMap& a, const VoxelMap& b) {
   CHECK(revisions(a) == revisions(b) && a.revision() == b.revision());
 }
 
-std::vector<PingSettings> all_settings() {
-  std::vector<PingSettings> all(3);
-  all[1].aggregation = Aggregation::mean;
+std::vector<PingParams> all_settings() {
+  std::vector<PingParams> all(3);
+  all[1].aggregation = Aggregation::kMean;
   all[2].detail = 2.0;
   all[2].carve_no_return = true;
-  for (PingSettings& settings : all) settings.vertical_aperture_rad = 0.9;
+  for (PingParams& settings : all) settings.vertical_aperture_rad = 0.9;
   return all;
 }
 
 TEST_CASE("one, two, three or five threads make the same map, to the bit") {
   const std::vector<Shot> shots = moving_pings();
-  for (PingSettings settings : all_settings()) {
+  for (PingParams settings : all_settings()) {
     const VoxelMap alone = mapped(shots, settings);
     CHECK(alone.known_count() > 10000);
     for (const int threads : {2, 3, 5}) {

@@ -77,9 +77,9 @@ TEST_CASE("points and boxes are classified as their voxels are") {
         const Vec3 centre = map.centre_of(voxel);
         xyz.insert(xyz.end(), {centre.x, centre.y, centre.z});
         const mapperd::map::VoxelState state = map.at(voxel);
-        Occupancy is = Occupancy::unknown;
-        if (state.count > 0 && state.log_odds > 0.8F) is = Occupancy::occupied;
-        if (state.count > 0 && state.log_odds < 0.0F) is = Occupancy::free;
+        Occupancy is = Occupancy::kUnknown;
+        if (state.count > 0 && state.log_odds > 0.8F) is = Occupancy::kOccupied;
+        if (state.count > 0 && state.log_odds < 0.0F) is = Occupancy::kFree;
         expected.push_back(is);
         ++seen[static_cast<int>(is) + 1];
         CHECK(grid[box.place_of(voxel)] == is);
@@ -94,7 +94,7 @@ TEST_CASE("points and boxes are classified as their voxels are") {
 TEST_CASE("points beyond the reach are unknown, points that are no numbers are refused") {
   const VoxelMap map = maps::random_map(3, 10, 2);
   const double far[] = {1e30, 0, 0};
-  CHECK(classify(map, {far, 1}, kThresholds)[0] == Occupancy::unknown);
+  CHECK(classify(map, {far, 1}, kThresholds)[0] == Occupancy::kUnknown);
   const double bad[] = {0, 0, 0, 0, kNaN, 0};
   CHECK_THROWS(classify(map, {bad, 2}, kThresholds), std::invalid_argument);
   CHECK_THROWS(classify(map, {far, 1}, {0.0, 0.1}), std::invalid_argument);

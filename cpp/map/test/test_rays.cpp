@@ -81,7 +81,7 @@ TEST_CASE("the shadow test fires only with a cone wider than the beam spacing") 
   for (std::size_t k = 0; k < 100; ++k) ping.intensity[k * 64 + 32] = k == 20 ? 145.0F : 0.0F;
   const auto free_voxels = [&](double width) {
     VoxelMap map(0.1, {});
-    mapperd::map::RaysSettings settings;
+    mapperd::map::RaysParams settings;
     settings.angular_cone_width = width;
     return integrate_rays(map, ping.image(), {}, settings).free;
   };
@@ -94,7 +94,7 @@ TEST_CASE("the shadow test measures horizontally, so that looking down nothing i
   for (std::size_t k = 0; k < 100; ++k) ping.intensity[k * 64 + 32] = k == 20 ? 145.0F : 0.0F;
   const auto free_voxels = [&](double pitch, double width) {
     VoxelMap map(0.1, {});
-    mapperd::map::RaysSettings settings;
+    mapperd::map::RaysParams settings;
     settings.angular_cone_width = width;
     return integrate_rays(map, ping.image(), scenes::rotation_zyx(0, pitch, 0), settings).free;
   };

@@ -38,10 +38,10 @@ struct Told {
 using Content = std::map<BlockKey, Told>;
 
 std::int8_t told_of(const VoxelState& state, const StreamView& view) {
-  if (view.detail == StreamDetail::classes) {
+  if (view.detail == StreamDetail::kClasses) {
     const auto occupancy = kThresholds.of(state);
-    if (occupancy == mapperd::map::Occupancy::occupied) return 1;
-    return occupancy == mapperd::map::Occupancy::free ? -1 : 0;
+    if (occupancy == mapperd::map::Occupancy::kOccupied) return 1;
+    return occupancy == mapperd::map::Occupancy::kFree ? -1 : 0;
   }
   // The nearest step of those that the thresholds sort as they do the log-odds.
   const double exact = static_cast<double>(state.log_odds) / view.log_odds_step;
@@ -49,8 +49,8 @@ std::int8_t told_of(const VoxelState& state, const StreamView& view) {
     const double log_odds = steps * view.log_odds_step;
     const auto occupancy = kThresholds.of(state);
     return (log_odds > kThresholds.occupied_log_odds) ==
-               (occupancy == mapperd::map::Occupancy::occupied) &&
-           (log_odds < kThresholds.free_log_odds) == (occupancy == mapperd::map::Occupancy::free);
+               (occupancy == mapperd::map::Occupancy::kOccupied) &&
+           (log_odds < kThresholds.free_log_odds) == (occupancy == mapperd::map::Occupancy::kFree);
   };
   const int nearest = static_cast<int>(std::clamp(std::nearbyint(exact), -127.0, 127.0));
   for (int away = 0; away < 255; ++away) {
@@ -108,7 +108,7 @@ TEST_CASE("cells and counts are those of all voxels, at every level and detail")
   const VoxelMap map = maps::random_map(5, check::sanitized() ? 1500 : 6000, 70);
   for (int level = 0; level <= 3; ++level) {
     for (const auto detail :
-         {StreamDetail::classes, StreamDetail::log_odds, StreamDetail::counts}) {
+         {StreamDetail::kClasses, StreamDetail::kLogOdds, StreamDetail::kCounts}) {
       for (const double step : {0.25, 0.1, 3.7, 0.001})
         CHECK(agree(map, view_of(level, detail, step)));
     }
@@ -128,13 +128,13 @@ TEST_CASE("blocks all alike, and free pings that are only counted, are told as t
     count = 60;
   });
   map.get_or_create({9, 9, 10});  // as a brick that was forgotten leaves it
-  for (int level = 0; level <= 3; ++level) CHECK(agree(map, view_of(level, StreamDetail::counts)));
+  for (int level = 0; level <= 3; ++level) CHECK(agree(map, view_of(level, StreamDetail::kCounts)));
 
   VoxelMap pending(0.1, {});
   pending.set({1, 2, 3}, {-1.0F, 4});
   CHECK(maps::see_free(pending, {}) && pending.find({})->held() != 0);
   for (int level = 0; level <= 3; ++level)
-    CHECK(agree(pending, view_of(level, StreamDetail::counts)));
+    CHECK(agree(pending, view_of(level, StreamDetail::kCounts)));
 }
 
 TEST_CASE("halves of a step go to the even one") {
@@ -144,7 +144,7 @@ TEST_CASE("halves of a step go to the even one") {
   for (std::size_t i = 0; i < cases.size(); ++i) {
     map.set({static_cast<std::int64_t>(i), 0, 0}, {cases[i].first, 1});
   }
-  const auto told = stream_blocks(map, view_of(0, StreamDetail::log_odds, 1.0), {{0, 0, 0}});
+  const auto told = stream_blocks(map, view_of(0, StreamDetail::kLogOdds, 1.0), {{0, 0, 0}});
   for (std::size_t i = 0; i < cases.size(); ++i) CHECK(told.cells[i] == cases[i].second);
   CHECK(told.cells[7] == -128);
 }
@@ -155,27 +155,27 @@ TEST_CASE("a digest changes with what is told, and with nothing else") {
   const auto digest = [&](StreamDetail detail) {
     return stream_digests(map, view_of(0, detail), key).digests[0];
   };
-  CHECK(digest(StreamDetail::counts) == 0);
+  CHECK(digest(StreamDetail::kCounts) == 0);
   map.set({3, 0, 0}, {2.0F, 4});
-  const auto classes = digest(StreamDetail::classes);
-  const auto log_odds = digest(StreamDetail::log_odds);
-  const auto counts = digest(StreamDetail::counts);
+  const auto classes = digest(StreamDetail::kClasses);
+  const auto log_odds = digest(StreamDetail::kLogOdds);
+  const auto counts = digest(StreamDetail::kCounts);
   CHECK(classes != 0 && log_odds != 0 && counts != 0);
   map.set({3, 0, 0}, {2.1F, 5});  // the same step, as many bits
-  CHECK(digest(StreamDetail::counts) == counts);
+  CHECK(digest(StreamDetail::kCounts) == counts);
   map.set({3, 0, 0}, {2.1F, 9});
-  CHECK(digest(StreamDetail::counts) != counts && digest(StreamDetail::log_odds) == log_odds);
+  CHECK(digest(StreamDetail::kCounts) != counts && digest(StreamDetail::kLogOdds) == log_odds);
   map.set({3, 0, 0}, {2.6F, 9});
-  CHECK(digest(StreamDetail::log_odds) != log_odds && digest(StreamDetail::classes) == classes);
+  CHECK(digest(StreamDetail::kLogOdds) != log_odds && digest(StreamDetail::kClasses) == classes);
   map.set({3, 0, 0}, {-2.6F, 9});
-  CHECK(digest(StreamDetail::classes) != classes);
-  CHECK(stream_digests(map, view_of(0, StreamDetail::counts), key).revisions[0] == map.revision());
+  CHECK(digest(StreamDetail::kClasses) != classes);
+  CHECK(stream_digests(map, view_of(0, StreamDetail::kCounts), key).revisions[0] == map.revision());
 
   std::set<std::uint64_t> seen;
   for (int x = 0; x < 512; ++x) {  // one voxel, everywhere in turn
     VoxelMap one(0.1, {});
     one.set({x & 7, x >> 3 & 7, x >> 6}, {2.0F, 1});
-    seen.insert(stream_digests(one, view_of(0, StreamDetail::log_odds), key).digests[0]);
+    seen.insert(stream_digests(one, view_of(0, StreamDetail::kLogOdds), key).digests[0]);
   }
   CHECK(seen.size() == 512);
 }
@@ -202,7 +202,7 @@ TEST_CASE("what is not in memory is unknown, and said to be elsewhere") {
   CHECK(
       (changed_blocks(map, 0, {{0, 0, 0}, {1, 0, 0}}).resident == std::vector<std::uint8_t>{1, 0}));
   for (int level = 0; level <= 3; ++level) {
-    const StreamView view = view_of(level, StreamDetail::log_odds);
+    const StreamView view = view_of(level, StreamDetail::kLogOdds);
     const int across = 64 >> (3 + level);  // stream blocks in a brick
     const std::vector<BlockKey> keys{{0, 0, 0}, {across - 1, 0, 0}, {across, 0, 0}, {-1, 0, 0}};
     const auto told = stream_digests(map, view, keys);
@@ -217,13 +217,13 @@ TEST_CASE("keys at the map's end are unknown, and bad views refused") {
   map.set({0, 0, 0}, {3.0F, 5});  // which multiples of 2^32 are in 32 bits
   const std::int32_t far = 2147483647;
   for (int level = 0; level <= 3; ++level) {
-    const auto told = stream_digests(map, view_of(level, StreamDetail::log_odds),
+    const auto told = stream_digests(map, view_of(level, StreamDetail::kLogOdds),
                                      {{far, far, far}, {-far - 1, 0, 0}});
     CHECK(told.digests[0] == 0 && told.digests[1] == 0);
   }
-  CHECK_THROWS(stream_digests(map, view_of(4, StreamDetail::log_odds), {}), std::invalid_argument);
-  CHECK_THROWS(stream_blocks(map, view_of(-1, StreamDetail::log_odds), {}), std::invalid_argument);
-  CHECK_THROWS(stream_blocks(map, view_of(0, StreamDetail::log_odds, 0.0), {}),
+  CHECK_THROWS(stream_digests(map, view_of(4, StreamDetail::kLogOdds), {}), std::invalid_argument);
+  CHECK_THROWS(stream_blocks(map, view_of(-1, StreamDetail::kLogOdds), {}), std::invalid_argument);
+  CHECK_THROWS(stream_blocks(map, view_of(0, StreamDetail::kLogOdds, 0.0), {}),
                std::invalid_argument);
 }
 

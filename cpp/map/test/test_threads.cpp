@@ -95,7 +95,7 @@ std::vector<std::function<bool()>> all_reads(const VoxelMap& map) {
         return blocks <= 4000;
       },
       [&map] {  // the twins, as the map stream tells them
-        const mapperd::map::StreamView view{1, mapperd::map::StreamDetail::counts, 0.25,
+        const mapperd::map::StreamView view{1, mapperd::map::StreamDetail::kCounts, 0.25,
                                             kThresholds};
         const auto told = stream_blocks(map, view, {{18, 0, 0}, {-19, 0, 0}});
         const auto first = told.cells.begin(), second = first + mapperd::map::kStreamCells;
@@ -131,7 +131,7 @@ class Writes {
     return {
         [this](VoxelMap& map) { integrate_evidence_grid(map, next_ping().image(), pose_, {}); },
         [this](VoxelMap& map) {
-          mapperd::map::PingSettings shared;
+          mapperd::map::PingParams shared;
           shared.threads = 2;
           shared.carve_no_return = true;
           integrate_evidence_grid(map, next_ping().image(), pose_, shared);

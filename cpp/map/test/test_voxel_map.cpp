@@ -62,7 +62,7 @@ TEST_CASE("a block's revision tells when it last changed, and it stops with the 
   VoxelMap map(0.1, quick);
   // Free water, and far from it a wall that goes away after two pings.
   const scenes::Ping water = scenes::empty_ping(30, 8, 1.0, 6.0);
-  mapperd::map::PingSettings settings;
+  mapperd::map::PingParams settings;
   settings.vertical_aperture_rad = 1.2;
   settings.carve_no_return = true;
   mapperd::Transform here, there;
@@ -106,7 +106,7 @@ TEST_CASE("a resolution that is no length is refused") {
 TEST_CASE("another threshold changes later pings as if the map had always had it") {
   scenes::Ping ping = scenes::empty_ping(30, 8, 1.0, 6.0);
   for (std::size_t j = 0; j < 8; ++j) ping.intensity[15 * 8 + j] = 50.0F;
-  mapperd::map::PingSettings settings;
+  mapperd::map::PingParams settings;
   settings.vertical_aperture_rad = 1.2;
   const mapperd::Transform here;
   mapperd::map::IwloParams above, below;

@@ -54,7 +54,7 @@ struct GridMemory {
 class EvidenceGrid {
  public:
   // Uses `memory` as long as it lives.
-  EvidenceGrid(GridMemory& memory, const PingImage& image, const PingSettings& settings,
+  EvidenceGrid(GridMemory& memory, const PingImage& image, const PingParams& settings,
                const IwloRule& rule, double edge_m);
   EvidenceGrid(const EvidenceGrid&) = delete;
   EvidenceGrid& operator=(const EvidenceGrid&) = delete;

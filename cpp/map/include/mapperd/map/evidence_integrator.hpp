@@ -10,7 +10,7 @@ namespace mapperd::map {
 // Throws std::invalid_argument for a bad ping, pose or motion, std::out_of_range for a pose so far
 // away that the ping would leave the map's reach. The map is unchanged then.
 PingStats integrate_evidence_grid(VoxelMap& map, const PingImage& image,
-                                  const Transform& map_T_sonar, const PingSettings& settings,
+                                  const Transform& map_T_sonar, const PingParams& settings,
                                   const PingMotion& motion = {});
 
 }  // namespace mapperd::map

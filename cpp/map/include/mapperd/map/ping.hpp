@@ -14,8 +14,8 @@
 namespace mapperd::map {
 
 enum class Aggregation {
-  occupied_first,  // occupied evidence beats free evidence inside one ping
-  mean,            // both kinds by their shares, as the published rule averages them
+  kOccupiedFirst,  // occupied evidence beats free evidence inside one ping
+  kMean,           // both kinds by their shares, as the published rule averages them
 };
 
 // A view of a ping image: row-major, row 0 nearest, column 0 the most negative bearing.
@@ -30,11 +30,11 @@ struct PingImage {
   double max_range_m() const { return static_cast<double>(rows) * range_resolution_m; }
 };
 
-struct PingSettings {
+struct PingParams {
   double vertical_aperture_rad = 0.349065850398866;  // 20 degrees
   double min_range_m = 0.5;
   bool carve_no_return = false;
-  Aggregation aggregation = Aggregation::occupied_first;
+  Aggregation aggregation = Aggregation::kOccupiedFirst;
   double detail = 1.0;  // of the evidence grid; its pitch shrinks as this grows
   int threads = 1;      // the map does not depend on it
 };
@@ -47,7 +47,7 @@ struct PingStats {
 };
 
 // Throws std::invalid_argument, naming the argument, for a ping that cannot be projected.
-void check_ping(const PingImage& image, const PingSettings& settings);
+void check_ping(const PingImage& image, const PingParams& settings);
 
 // Throws std::invalid_argument for a bad pose or motion, std::out_of_range for a pose so far away
 // that the ping would leave the map's reach.

@@ -12,7 +12,7 @@ namespace mapperd::map {
 // A box that holds every block that the ping can change, by either integrator; nothing for a ping
 // that says nothing. Throws as the integrators do, for the same pings.
 std::optional<BlockBox> blocks_of_ping(const VoxelMap& map, const PingImage& image,
-                                       const Transform& map_T_sonar, const PingSettings& settings,
+                                       const Transform& map_T_sonar, const PingParams& settings,
                                        const PingMotion& motion = {});
 
 }  // namespace mapperd::map

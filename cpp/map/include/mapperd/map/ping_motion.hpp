@@ -50,7 +50,7 @@ struct Seen {
 };
 
 // By how much what is seen of a ball departs from the ball.
-struct Widening {
+struct MotionBound {
   double stretch = 0.0;  // largest change of a length, relative to it
   double bend = 0.0;     // m, from what `SeenAxes` of its centre make of it
 };
@@ -66,7 +66,7 @@ class MovingView {
   Vec3 place_of(const Vec3& seen) const;
 
   // Bounds for the ball of a radius around a place.
-  Widening widening(const Vec3& place, double radius_m) const;
+  MotionBound motion_bound(const Vec3& place, double radius_m) const;
   // No place farther away is seen nearer than `range_m`.
   double reach_m(double range_m) const { return range_m * (1 + speed_); }
 

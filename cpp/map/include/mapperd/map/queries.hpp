@@ -11,7 +11,7 @@
 
 namespace mapperd::map {
 
-enum class Occupancy : std::int8_t { unknown = -1, free = 0, occupied = 1 };
+enum class Occupancy : std::int8_t { kUnknown = -1, kFree = 0, kOccupied = 1 };
 
 // Occupied above the one, free below the other; observed voxels between them are as unknown as
 // those never observed.
@@ -20,9 +20,9 @@ struct Thresholds {
   double free_log_odds = 0.0;
 
   Occupancy of(const VoxelState& state) const {
-    if (state.count == 0) return Occupancy::unknown;
-    if (state.log_odds > occupied_log_odds) return Occupancy::occupied;
-    return state.log_odds < free_log_odds ? Occupancy::free : Occupancy::unknown;
+    if (state.count == 0) return Occupancy::kUnknown;
+    if (state.log_odds > occupied_log_odds) return Occupancy::kOccupied;
+    return state.log_odds < free_log_odds ? Occupancy::kFree : Occupancy::kUnknown;
   }
 };
 

@@ -21,7 +21,7 @@
 
 namespace mapperd::map {
 
-struct RaysSettings {
+struct RaysParams {
   double vertical_aperture_rad = 0.349065850398866;
   double min_range_m = 0.5;
   double angular_cone_width = 0.5;  // a factor of the beam spacing, not an angle
@@ -29,6 +29,6 @@ struct RaysSettings {
 
 // Throws as integrate_evidence_grid().
 PingStats integrate_rays(VoxelMap& map, const PingImage& image, const Transform& map_T_sonar,
-                         const RaysSettings& settings, const PingMotion& motion = {});
+                         const RaysParams& settings, const PingMotion& motion = {});
 
 }  // namespace mapperd::map

@@ -17,14 +17,14 @@ inline constexpr int kStreamCells = kStreamEdge * kStreamEdge * kStreamEdge;
 inline constexpr int kMaxStreamLevel = 3;
 inline constexpr std::int8_t kStreamUnknown = -128;
 
-enum class StreamDetail { classes, log_odds, counts };
+enum class StreamDetail { kClasses, kLogOdds, kCounts };
 
 // How cells are told: -128 unknown; else, of the highest log-odds of the cell's known voxels, the
 // class, or the log-odds in whole steps (halves to even) within +-127, and on the same side of both
 // thresholds: whoever is told of steps must find the classes that the map has.
 struct StreamView {
   int level = 0;
-  StreamDetail detail = StreamDetail::log_odds;
+  StreamDetail detail = StreamDetail::kLogOdds;
   double log_odds_step = 0.25;
   Thresholds thresholds;
 };

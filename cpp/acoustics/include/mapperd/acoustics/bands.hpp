@@ -1,0 +1,26 @@
+// Work shared among threads in parts that do not depend on their number, summed in a fixed order.
+#pragma once
+
+#include <cstddef>
+#include <functional>
+#include <vector>
+
+#include "mapperd/acoustics/scatter.hpp"
+
+namespace mapperd::acoustics {
+
+// Runs task(0) .. task(count - 1), each once, on at most so many threads.
+void share(std::size_t count, int threads, const std::function<void(std::size_t)>& task);
+
+// Hits first .. last and the columns that their echoes can reach.
+struct Band {
+  std::size_t first, last;
+  std::ptrdiff_t column, columns;
+};
+
+std::vector<Band> bands_of(const Echoes& echoes, int threads);
+
+// Column of a direction cosine s, counted from the grid's first.
+double column_of(const EchoGrid& grid, double s);
+
+}  // namespace mapperd::acoustics

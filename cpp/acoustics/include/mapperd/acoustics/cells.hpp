@@ -1,0 +1,19 @@
+// What fills the grid of cells besides the echoes of surfaces: reverberation and noise.
+// Fields are complex, (rows, columns), real and imaginary parts in turn.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+namespace mapperd::acoustics {
+
+// Adds to each cell a complex Gaussian number of its own, of rms amplitude row_rms[row] times
+// column_rms[column].
+void add_gaussian(float* field, std::size_t rows, std::size_t columns, const float* row_rms,
+                  const float* column_rms, std::uint64_t key, unsigned threads);
+
+// The same, of mean power power[row][column].
+void add_gaussian_power(float* field, std::size_t rows, std::size_t columns, const float* power,
+                        std::uint64_t key, unsigned threads);
+
+}  // namespace mapperd::acoustics

@@ -1,0 +1,102 @@
+// The patch of a face's plane that a ray's cell of directions covers, and how strongly it echoes.
+#pragma once
+
+#include <array>
+#include <cmath>
+#include <cstddef>
+
+#include "mapperd/acoustics/scatter.hpp"
+
+namespace mapperd::acoustics {
+
+using Vector = std::array<double, 3>;
+
+inline double dot(const Vector& a, const Vector& b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+// A unit vector's direction cosines s (starboard) and w (up) turned into the object's frame.
+inline Vector direction(const Leg& leg, double s, double w) {
+  const double x = std::sqrt(std::fmax(1.0 - s * s - w * w, 1e-9));
+  const auto& m = leg.rotation;
+  return {m[0] * x - m[1] * s + m[2] * w, m[3] * x - m[4] * s + m[5] * w,
+          m[6] * x - m[7] * s + m[8] * w};
+}
+
+// The part of a cell's width in s that belongs to directions: s² + w² is no more than 1.
+struct Reals {
+  double most_s, from_s, to_s;
+};
+
+inline Reals reals_of(double from_s, double to_s, double w) {
+  const double most = std::sqrt(std::fmax(1.0 - w * w, 1e-12));
+  return {most, std::fmin(std::fmax(from_s, -most), most), std::fmin(std::fmax(to_s, -most), most)};
+}
+
+// Four points, axis by axis.
+using Corners = std::array<std::array<double, 4>, 3>;
+
+struct Footprint {
+  Vector normal;
+  double height_m;           // of the plane over the seeing origin, along the normal
+  double transmit_height_m;  // over the transmitting one
+  double receive_height_m;   // over the receiving one
+  double least_facing;       // smallest |n.d| that still counts as this patch
+  Corners corner_m;          // object's frame, around the patch
+  double least_m, most_m;    // ranges between which the plane is followed
+  double near_m, far_m;      // ranges of the corners from the seeing origin
+};
+
+// A grazing plane is followed out to this many times the range at which it was met.
+constexpr double kFarthest = 1.6;
+
+// A round surface leans away no more than this.
+constexpr double kLeastCosine = 0.05;
+
+// False where there is none: the plane is seen from behind by one of the legs, or not at all.
+bool footprint_of(const Echoes& echoes, std::size_t hit, Footprint& patch);
+
+// A lobe weaker by exp of this is none.
+constexpr double kFaintest = 25.0;
+
+// Back scattering cross-section of a unit of area.
+class Strength {
+ public:
+  // `step_rad`: how far apart the directions are that will be asked for.
+  Strength(const ScatterModel& laws, const Material& material, double step_rad);
+  [[nodiscard]] bool has_lobe() const { return lobe_ > 0.0; }
+
+  // Of the cosines to the transmitter, to the receiver, and of the half-way direction.
+  [[nodiscard]] double at(double transmit, double receive, double half) const {
+    const double diffuse = lambert_ ? mu_ * transmit * receive : mu_;
+    return lobe_ > 0.0 ? diffuse + lobe(half) : diffuse;
+  }
+
+  // Its numbers, for those who work out many at once.
+  [[nodiscard]] float mu() const { return static_cast<float>(mu_); }
+  [[nodiscard]] float lobe_height() const { return static_cast<float>(lobe_); }
+  [[nodiscard]] float steepness() const { return static_cast<float>(steepness_); }
+  [[nodiscard]] float smoothness() const { return static_cast<float>(smoothness_); }
+
+ private:
+  [[nodiscard]] double lobe(double half) const;
+  double mu_;
+  bool lambert_;
+  double lobe_ = 0.0;        // |reflection|² / (8 pi slope²)
+  double steepness_ = 0.0;   // 1 / (2 slope²)
+  double smoothness_ = 0.0;  // 4 k² roughness²
+};
+
+// Cosine of the half-way direction of two unit vectors with a normal.
+inline double half_cosine(const Vector& normal, const Vector& a, const Vector& b) {
+  const Vector sum{a[0] + b[0], a[1] + b[1], a[2] + b[2]};
+  return std::fabs(dot(normal, sum)) / std::sqrt(std::fmax(dot(sum, sum), 1e-12));
+}
+
+// How much a round surface's normal turns per metre, at most.
+double turn_per_m(const double* bent);
+
+// The normal of a round surface at a point of one of its faces.
+Vector bent_normal(const double* bent, const Vector& point_m);
+
+}  // namespace mapperd::acoustics

@@ -1,0 +1,56 @@
+// From a point of a surface to its row, column and loss.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+
+#include "mapperd/acoustics/bands.hpp"
+#include "mapperd/acoustics/footprint.hpp"
+
+namespace mapperd::acoustics {
+
+// One-way pressure of the vertical pattern.
+inline float vertical_at(const Hearing& response, double w) {
+  const auto last = static_cast<double>(response.vertical_count - 1);
+  const double at = std::min(std::fabs(w), 1.0) * last;
+  const auto below = std::min(static_cast<std::size_t>(at), response.vertical_count - 2);
+  const auto part = static_cast<float>(at - static_cast<double>(below));
+  return response.vertical[below] +
+         part * (response.vertical[below + 1] - response.vertical[below]);
+}
+
+// A point as a leg has it.
+struct Sight {
+  double range_m, s, w;
+  Vector direction;  // object's frame
+};
+
+inline Sight sight_of(const Leg& leg, const Vector& point_m) {
+  const Vector d{point_m[0] - leg.origin_m[0], point_m[1] - leg.origin_m[1],
+                 point_m[2] - leg.origin_m[2]};
+  const double range_m = std::sqrt(std::max(dot(d, d), 1e-12));
+  const double part = 1.0 / range_m;
+  const auto& m = leg.rotation;
+  return {range_m,
+          -(m[1] * d[0] + m[4] * d[1] + m[7] * d[2]) * part,
+          (m[2] * d[0] + m[5] * d[1] + m[8] * d[2]) * part,
+          {d[0] * part, d[1] * part, d[2] * part}};
+}
+
+// Columns over which an echo between columns spreads.
+struct Spread {
+  std::ptrdiff_t column;
+  std::size_t fraction;
+};
+
+inline Spread spread_at(const Hearing& response, double column) {
+  const double whole = std::floor(column);
+  const auto fractions = static_cast<double>(response.fractions);
+  const auto fraction =
+      std::min(static_cast<std::size_t>((column - whole) * fractions), response.fractions - 1);
+  const auto before = static_cast<std::ptrdiff_t>(response.tap_count / 2) - 1;
+  return {static_cast<std::ptrdiff_t>(whole) - before, fraction};
+}
+
+}  // namespace mapperd::acoustics

@@ -1,0 +1,44 @@
+#include <cmath>
+
+#include "check.hpp"
+#include "mapperd/acoustics/hearing.hpp"
+
+namespace acoustics = mapperd::acoustics;
+
+namespace {
+
+const float kVertical[] = {1.0F, 0.5F, 0.0F};
+const acoustics::Hearing kHearing{nullptr, kVertical, 3, nullptr, 8, 4};
+
+TEST_CASE("a beam is heard alike above and below its axis, and no farther than its pattern goes") {
+  for (const double w : {0.0, 0.25, 0.5, 0.75, 1.0}) {
+    CHECK_NEAR(static_cast<double>(acoustics::vertical_at(kHearing, w)), 1.0 - w, 1e-6);
+    CHECK(acoustics::vertical_at(kHearing, -w) == acoustics::vertical_at(kHearing, w));
+  }
+  for (const double w : {1.0 + 1e-15, -1.5, 40.0}) {
+    CHECK(acoustics::vertical_at(kHearing, w) == 0.0F);
+  }
+}
+
+TEST_CASE("a point where the sonar is has a direction of numbers") {
+  const acoustics::Leg leg{{4, 5, 6}, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1.0};
+  const acoustics::Sight at = acoustics::sight_of(leg, {4, 5, 6});
+  CHECK(at.range_m > 0.0 && at.s == 0.0 && at.w == 0.0);
+  for (const double part : at.direction) CHECK(part == 0.0);
+  const acoustics::Sight beside = acoustics::sight_of(leg, {4, 2, 10});
+  CHECK_NEAR(beside.range_m, 5.0, 1e-12);
+  CHECK_NEAR(beside.s, 0.6, 1e-12);
+  CHECK_NEAR(beside.w, 0.8, 1e-12);
+}
+
+TEST_CASE("an echo between columns has taps of its own fraction, beside the first column too") {
+  for (const double column : {-2.9, -0.3, 0.0, 0.49, 7.999999}) {
+    const acoustics::Spread at = acoustics::spread_at(kHearing, column);
+    CHECK(at.column == static_cast<std::ptrdiff_t>(std::floor(column)) - 1);
+    CHECK(at.fraction == static_cast<std::size_t>(8.0 * (column - std::floor(column))));
+  }
+  // Rounded, a place just before a column lies a whole one behind the last.
+  CHECK(acoustics::spread_at(kHearing, -1e-20).fraction == 7);
+}
+
+}  // namespace

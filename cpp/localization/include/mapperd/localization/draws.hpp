@@ -1,0 +1,38 @@
+// The particle filter's random numbers: the same whatever the order or the thread that asks.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "mapperd/common/random.hpp"
+
+namespace mapperd::localization {
+
+// What a draw is for; a part of its key.
+enum class Purpose : std::uint32_t { kMotion, kFloor, kStart, kInjection, kResampling };
+
+// The draws of one step of one filter.
+struct Stream {
+  std::uint64_t seed = 0;
+  std::uint64_t step = 0;
+};
+
+// Four words of a particle.
+MAPPERD_INLINE Words draw(const Stream& stream, Purpose purpose, std::uint32_t particle) {
+  return philox(
+      {{particle, static_cast<std::uint32_t>(purpose), static_cast<std::uint32_t>(stream.step),
+        static_cast<std::uint32_t>(stream.step >> 32)}},
+      stream.seed);
+}
+
+inline constexpr std::size_t kBlock = 64;  // particles worked on at once
+
+// Four standard normal numbers a particle, of particles first ... first + count - 1 (count at most
+// kBlock): Box and Muller (1958). Beyond 6.7 none come.
+struct NormalBlock {
+  double number[4][kBlock];
+};
+void draw_normals(const Stream& stream, Purpose purpose, std::size_t first, std::size_t count,
+                  NormalBlock& out);
+
+}  // namespace mapperd::localization

@@ -1,0 +1,192 @@
+// Cells, beams and receiver as Python sees them: shapes are checked here.
+#include "receiving.hpp"
+
+#include <pybind11/numpy.h>
+
+#include <complex>
+#include <cstdint>
+#include <stdexcept>
+#include <vector>
+
+#include "mapperd/acoustics/beams.hpp"
+#include "mapperd/acoustics/cells.hpp"
+#include "mapperd/acoustics/complex_gaussian.hpp"
+#include "mapperd/acoustics/receiver.hpp"
+
+namespace acoustics = mapperd::acoustics;
+
+namespace py = pybind11;
+
+namespace {
+
+using Complex = std::complex<float>;
+using Floats = py::array_t<float, py::array::c_style | py::array::forcecast>;
+using Firsts = py::array_t<std::int64_t, py::array::c_style | py::array::forcecast>;
+
+std::size_t size_of(const py::array& array, int axis) {
+  return static_cast<std::size_t>(array.shape(axis));
+}
+
+void demand(bool holds, const char* what) {
+  if (!holds) throw std::invalid_argument(what);
+}
+
+py::array_t<Complex> complex_gaussian(std::uint64_t key, std::size_t count) {
+  py::array_t<Complex> numbers(static_cast<py::ssize_t>(count));
+  auto* out = reinterpret_cast<float*>(numbers.mutable_data());
+  const py::gil_scoped_release unlocked;
+  acoustics::complex_gaussians(key, 0, count, out);
+  return numbers;
+}
+
+// A field that is written in place must be the caller's own memory.
+float* writable(py::array_t<Complex>& field) {
+  demand(field.ndim() == 2 && (field.flags() & py::array::c_style) != 0,
+         "a field is a C-contiguous array (rows, columns)");
+  return reinterpret_cast<float*>(field.mutable_data());
+}
+
+void add_gaussian(py::array_t<Complex>& field, const Floats& row_rms, const Floats& column_rms,
+                  std::uint64_t key, unsigned threads) {
+  float* cells = writable(field);
+  const std::size_t rows = size_of(field, 0);
+  const std::size_t columns = size_of(field, 1);
+  demand(row_rms.ndim() == 1 && size_of(row_rms, 0) == rows, "one row_rms a row");
+  demand(column_rms.ndim() == 1 && size_of(column_rms, 0) == columns, "one column_rms a column");
+  const float* of_row = row_rms.data();
+  const float* of_column = column_rms.data();
+  const py::gil_scoped_release unlocked;
+  acoustics::add_gaussian(cells, rows, columns, of_row, of_column, key, threads);
+}
+
+void add_gaussian_power(py::array_t<Complex>& field, const Floats& power, std::uint64_t key,
+                        unsigned threads) {
+  float* cells = writable(field);
+  const std::size_t rows = size_of(field, 0);
+  const std::size_t columns = size_of(field, 1);
+  demand(power.ndim() == 2 && size_of(power, 0) == rows && size_of(power, 1) == columns,
+         "power has the field's shape");
+  const float* of_cell = power.data();
+  const py::gil_scoped_release unlocked;
+  acoustics::add_gaussian_power(cells, rows, columns, of_cell, key, threads);
+}
+
+// The array as floats, and how many of them a cell has.
+struct Cells {
+  explicit Cells(const py::array& array)
+      : is_complex(array.dtype().kind() == 'c'),
+        held(is_complex ? py::array(py::array_t<Complex, py::array::c_style>::ensure(array))
+                        : py::array(Floats::ensure(array))) {
+    demand(held.ndim() == 2, "cells and beams are two-dimensional");
+    grid = {static_cast<const float*>(held.data()), size_of(held, 0), size_of(held, 1),
+            is_complex ? std::size_t{2} : std::size_t{1}};
+  }
+
+  py::array like(std::size_t rows, std::size_t columns) const {
+    const std::vector<std::size_t> shape{rows, columns};
+    return is_complex ? py::array(py::array_t<Complex>(shape))
+                      : py::array(py::array_t<float>(shape));
+  }
+
+  bool is_complex;
+  py::array held;
+  acoustics::Grid grid;
+};
+
+void demand_odd(const Floats& taps, const char* what) {
+  demand(taps.ndim() == 1 && size_of(taps, 0) % 2 == 1, what);
+}
+
+py::array form_beams(const py::array& cells, const Floats& taps, std::size_t first,
+                     std::size_t beams, const Floats& range_taps, unsigned threads) {
+  const Cells from(cells);
+  demand_odd(taps, "taps are an odd number");
+  demand_odd(range_taps, "range_taps are an odd number");
+  py::array formed = from.like(from.grid.rows, beams);
+  auto* out = static_cast<float*>(formed.mutable_data());
+  const acoustics::Response response{taps.data(), size_of(taps, 0), range_taps.data(),
+                                     size_of(range_taps, 0)};
+  const py::gil_scoped_release unlocked;
+  acoustics::form_beams(from.grid, response, first, beams, out, threads);
+  return formed;
+}
+
+py::array form_beams_at(const py::array& cells, const Floats& taps, const Firsts& firsts,
+                        const Floats& range_taps, unsigned threads) {
+  const Cells from(cells);
+  demand(taps.ndim() == 2 && firsts.ndim() == 1 && size_of(firsts, 0) == size_of(taps, 0),
+         "taps are (beams, count) and firsts (beams,)");
+  demand_odd(range_taps, "range_taps are an odd number");
+  const std::size_t beams = size_of(taps, 0);
+  py::array formed = from.like(from.grid.rows, beams);
+  auto* out = static_cast<float*>(formed.mutable_data());
+  const acoustics::Response response{taps.data(), size_of(taps, 1), range_taps.data(),
+                                     size_of(range_taps, 0)};
+  const std::int64_t* at = firsts.data();
+  const py::gil_scoped_release unlocked;
+  acoustics::form_beams_at(from.grid, response, at, beams, out, threads);
+  return formed;
+}
+
+py::array_t<float> amplitudes(const py::array& beams, const Floats& gain, unsigned threads) {
+  const Cells from(beams);
+  demand(gain.ndim() == 1 && size_of(gain, 0) == from.grid.rows, "one gain a row");
+  py::array_t<float> shown(std::vector<std::size_t>{from.grid.rows, from.grid.columns});
+  float* out = shown.mutable_data();
+  const acoustics::Receiver receiver{gain.data(), 1.0F, false};
+  const py::gil_scoped_release unlocked;
+  acoustics::amplitudes(from.grid.cells, from.grid.parts, from.grid.rows, from.grid.columns,
+                        receiver, out, threads);
+  return shown;
+}
+
+template <typename Pixel>
+py::array quantised(const Floats& amplitude, const acoustics::Receiver& receiver,
+                    unsigned threads) {
+  py::array_t<Pixel> image(
+      std::vector<py::ssize_t>(amplitude.shape(), amplitude.shape() + amplitude.ndim()));
+  Pixel* out = image.mutable_data();
+  const py::gil_scoped_release unlocked;
+  const auto count = static_cast<std::size_t>(amplitude.size());
+  if constexpr (std::is_same_v<Pixel, float>) {
+    acoustics::curved(amplitude.data(), count, receiver, out, threads);
+  } else {
+    acoustics::quantised(amplitude.data(), count, receiver, out, threads);
+  }
+  return image;
+}
+
+py::array pixels(const Floats& amplitude, float gamma, int bits, bool clip, unsigned threads) {
+  demand(gamma > 0.0F && gamma <= 2.0F, "gamma lies in (0, 2]");
+  const acoustics::Receiver receiver{nullptr, gamma, clip};
+  switch (bits) {
+    case 0:
+      return quantised<float>(amplitude, receiver, threads);
+    case 8:
+      return quantised<std::uint8_t>(amplitude, receiver, threads);
+    case 16:
+      return quantised<std::uint16_t>(amplitude, receiver, threads);
+    case 32:
+      return quantised<std::uint32_t>(amplitude, receiver, threads);
+    default:
+      throw std::invalid_argument("bits are 0 (floats), 8, 16 or 32");
+  }
+}
+
+}  // namespace
+
+void bind_receiving(py::module_& module) {
+  using py::arg;
+  module.def("complex_gaussian", &complex_gaussian, arg("key"), arg("count"));
+  module.def("add_gaussian", &add_gaussian, arg("field").noconvert(), arg("row_rms"),
+             arg("column_rms"), arg("key"), arg("threads") = 2);
+  module.def("add_gaussian_power", &add_gaussian_power, arg("field").noconvert(), arg("power"),
+             arg("key"), arg("threads") = 2);
+  module.def("form_beams", &form_beams, arg("cells"), arg("taps"), arg("first"), arg("beams"),
+             arg("range_taps"), arg("threads") = 2);
+  module.def("form_beams_at", &form_beams_at, arg("cells"), arg("taps"), arg("firsts"),
+             arg("range_taps"), arg("threads") = 2);
+  module.def("amplitudes", &amplitudes, arg("beams"), arg("gain"), arg("threads") = 2);
+  module.def("pixels", &pixels, arg("amplitude"), arg("gamma"), arg("bits"), arg("clip"),
+             arg("threads") = 2);
+}

@@ -1,0 +1,156 @@
+#include "scatter.hpp"
+
+#include <pybind11/numpy.h>
+
+#include <complex>
+#include <string>
+
+#include "checked_array.hpp"
+#include "mapperd/acoustics/scatter.hpp"
+
+namespace acoustics = mapperd::acoustics;
+
+namespace py = pybind11;
+
+namespace {
+
+// Keeps the arrays that its view points into.
+struct FaceTable {
+  Array<double> planes, bent, table;
+  Array<std::uint32_t> objects;
+  Array<std::int32_t> materials, smooth;
+
+  [[nodiscard]] acoustics::Faces view() const {
+    return {static_cast<std::size_t>(planes.shape(0)),
+            planes.data(),
+            objects.data(),
+            materials.data(),
+            smooth.data(),
+            bent.data(),
+            reinterpret_cast<const acoustics::Material*>(table.data())};
+  }
+};
+
+FaceTable face_table(Array<double> planes, Array<std::uint32_t> objects,
+                     Array<std::int32_t> materials, Array<std::int32_t> smooth, Array<double> bent,
+                     Array<double> table) {
+  require(planes.ndim() == 2 && planes.shape(1) == 4, "planes must be (F, 4)");
+  const py::ssize_t count = planes.shape(0);
+  require(objects.size() == count && materials.size() == count && smooth.size() == count,
+          "objects, materials and smooth must be (F,)");
+  require(bent.ndim() == 2 && bent.shape(1) == 12, "bent must be (S, 12)");
+  require(table.ndim() == 2 && table.shape(1) == 4, "table must be (M, 4)");
+  for (py::ssize_t i = 0; i < count; ++i) {
+    require(materials.data()[i] >= 0 && materials.data()[i] < table.shape(0),
+            "materials out of the table");
+    require(smooth.data()[i] < bent.shape(0), "smooth beyond bent");
+  }
+  return {planes, bent, table, objects, materials, smooth};
+}
+
+struct Setting {
+  Array<float> loss, vertical, taps;
+  acoustics::EchoGrid grid{};
+  acoustics::ScatterModel laws{};
+};
+
+Setting setting(Array<float> loss, Array<float> vertical, Array<float> taps, py::ssize_t columns,
+                double row_m, double first_sine, double sine_pitch, double range_scale,
+                bool lambert, bool specular, bool spreading, double turns_per_m,
+                double nodes_per_cell, std::uint64_t key) {
+  require(loss.ndim() == 1 && vertical.size() >= 2, "loss must be (rows,), vertical (2 or more,)");
+  require(taps.ndim() == 2 && taps.shape(1) % 2 == 0 && taps.size() > 0, "taps must be (F, even)");
+  return {loss,
+          vertical,
+          taps,
+          {loss.shape(0), columns, row_m, first_sine, sine_pitch, range_scale},
+          {lambert, specular, spreading, turns_per_m, nodes_per_cell, key}};
+}
+
+struct Rays {
+  Array<std::int32_t> face, seen, transmit, receive;
+  Array<float> cell, span_m, gain;
+  Array<double> legs;
+};
+
+void check(const FaceTable& faces, const Rays& rays) {
+  static_assert(sizeof(acoustics::Leg) == 16 * sizeof(double));
+  const py::ssize_t count = rays.face.size();
+  require(rays.seen.size() == count && rays.transmit.size() == count &&
+              rays.receive.size() == count && rays.gain.size() == count &&
+              rays.cell.size() == 4 * count && rays.span_m.size() == 2 * count,
+          "face, seen, transmit, receive, gain must be (H,), cell (H, 4), span_m (H, 2)");
+  require(rays.legs.ndim() == 2 && rays.legs.shape(1) == 16, "legs must be (L, 16)");
+  const auto legs = static_cast<std::int32_t>(rays.legs.shape(0));
+  const auto all = static_cast<std::int32_t>(faces.planes.shape(0));
+  for (py::ssize_t i = 0; i < count; ++i) {
+    require(rays.face.data()[i] < all, "face out of the table");
+    require(rays.seen.data()[i] >= 0 && rays.seen.data()[i] < legs &&
+                rays.transmit.data()[i] >= 0 && rays.transmit.data()[i] < legs &&
+                rays.receive.data()[i] >= 0 && rays.receive.data()[i] < legs,
+            "leg out of the table");
+  }
+}
+
+acoustics::Echoes echoes_of(const FaceTable& faces, const Rays& rays, const Setting& s) {
+  check(faces, rays);
+  return {
+      faces.view(),
+      {static_cast<std::size_t>(rays.face.size()), rays.face.data(), rays.seen.data(),
+       rays.transmit.data(), rays.receive.data(), rays.cell.data(), rays.span_m.data(),
+       rays.gain.data(), reinterpret_cast<const acoustics::Leg*>(rays.legs.data())},
+      s.grid,
+      {s.loss.data(), s.vertical.data(), static_cast<std::size_t>(s.vertical.size()), s.taps.data(),
+       static_cast<std::size_t>(s.taps.shape(0)), static_cast<std::size_t>(s.taps.shape(1))},
+      s.laws};
+}
+
+template <typename T>
+T* cells_of(Array<T>& grid, const Setting& s) {
+  require(grid.ndim() == 2 && grid.shape(0) == s.grid.rows && grid.shape(1) == s.grid.columns,
+          "the grid must be (rows, columns)");
+  return grid.mutable_data();
+}
+
+void scatter_field(Array<std::complex<float>> field, const FaceTable& faces, const Rays& rays,
+                   const Setting& s, int threads) {
+  const acoustics::Echoes echoes = echoes_of(faces, rays, s);
+  auto* cells = cells_of(field, s);
+  const py::gil_scoped_release unlocked;
+  acoustics::scatter_field(echoes, cells, threads);
+}
+
+void scatter_power(Array<float> power, const FaceTable& faces, const Rays& rays, const Setting& s,
+                   int threads) {
+  const acoustics::Echoes echoes = echoes_of(faces, rays, s);
+  auto* cells = cells_of(power, s);
+  const py::gil_scoped_release unlocked;
+  acoustics::scatter_power(echoes, cells, threads);
+}
+
+Rays rays_of(Array<std::int32_t> face, Array<std::int32_t> seen, Array<std::int32_t> transmit,
+             Array<std::int32_t> receive, Array<float> cell, Array<float> span_m, Array<float> gain,
+             Array<double> legs) {
+  return {face, seen, transmit, receive, cell, span_m, gain, legs};
+}
+
+}  // namespace
+
+void bind_scatter(py::module_& module) {
+  using py::arg;
+  py::class_<FaceTable>(module, "FaceTable")
+      .def(py::init(&face_table), arg("planes"), arg("objects"), arg("materials"), arg("smooth"),
+           arg("bent"), arg("table"));
+  py::class_<Rays>(module, "Rays")
+      .def(py::init(&rays_of), arg("face"), arg("seen"), arg("transmit"), arg("receive"),
+           arg("cell"), arg("span_m"), arg("gain"), arg("legs"));
+  py::class_<Setting>(module, "Setting")
+      .def(py::init(&setting), arg("loss"), arg("vertical"), arg("taps"), arg("columns"),
+           arg("row_m"), arg("first_sine"), arg("sine_pitch"), arg("range_scale"), arg("lambert"),
+           arg("specular"), arg("spreading"), arg("turns_per_m"), arg("nodes_per_cell"),
+           arg("key"));
+  module.def("scatter_field", &scatter_field, arg("field").noconvert(), arg("faces"), arg("rays"),
+             arg("setting"), arg("threads"));
+  module.def("scatter_power", &scatter_power, arg("power").noconvert(), arg("faces"), arg("rays"),
+             arg("setting"), arg("threads"));
+}
