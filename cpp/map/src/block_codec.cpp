@@ -89,6 +89,22 @@ void decode_cells(ByteReader& bytes, const IwloRule& rule, bool wide, BlockState
   }
 }
 
+// Units and counts of a cell, voxel by voxel. The bytes are made room for at once: there are many.
+template <typename Count>
+void put_mixed(const DenseVoxels& voxels, std::size_t first, std::string& out) {
+  const std::size_t begin = out.size();
+  out.resize(begin + kCellVoxels * (sizeof(std::int16_t) + sizeof(Count)));
+  char* units = &out[begin];
+  char* counts = units + kCellVoxels * sizeof(std::int16_t);
+  for (int v = 0; v < kCellVoxels; ++v) {
+    const std::size_t at = first + static_cast<std::size_t>(offset_in_cell(v));
+    write_number(units, voxels.units[at]);
+    write_number(counts, static_cast<Count>(voxels.count[at]));
+    units += sizeof(std::int16_t);
+    counts += sizeof(Count);
+  }
+}
+
 }  // namespace
 
 void encode_block(const VoxelMap& map, const Block& block, std::string& out) {
@@ -131,16 +147,10 @@ void encode_block(const VoxelMap& map, const Block& block, std::string& out) {
       put(out, voxels.count[first]);
     }
     if ((mixed & cell_bit(cell)) == 0) continue;
-    for (int v = 0; v < kCellVoxels; ++v) {
-      put(out, voxels.units[first + static_cast<std::size_t>(offset_in_cell(v))]);
-    }
-    for (int v = 0; v < kCellVoxels; ++v) {
-      const std::uint16_t count = voxels.count[first + static_cast<std::size_t>(offset_in_cell(v))];
-      if (wide) {
-        put(out, count);
-      } else {
-        put(out, static_cast<std::uint8_t>(count));
-      }
+    if (wide) {
+      put_mixed<std::uint16_t>(voxels, first, out);
+    } else {
+      put_mixed<std::uint8_t>(voxels, first, out);
     }
   }
 }
