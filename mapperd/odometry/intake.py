@@ -1,6 +1,7 @@
 """What comes in: each quantity of a record goes to its track, or is refused with a reason."""
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -354,4 +355,12 @@ def _known(covariance: Floats | None, part: slice, own_std: float) -> Floats:
         variances = block.diagonal().tolist()
         if min(variances) > 0.0 and max(variances) < UNKNOWN_VARIANCE:
             return block
-    return own_std**2 * np.eye(3)
+    return _alike(own_std)
+
+
+@lru_cache(maxsize=8)
+def _alike(std: float) -> Floats:
+    """The covariance (3, 3) of three quantities of one deviation, read-only."""
+    covariance = std**2 * np.eye(3)
+    covariance.setflags(write=False)
+    return covariance
