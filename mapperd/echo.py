@@ -20,6 +20,8 @@ __all__ = ["Echo", "beams_in_view", "display_units", "echo_of"]
 EDGE_RAD = math.radians(0.01)
 """Resolution of the sonar's bearing table: a beam on the edge of the fan belongs to it."""
 
+DISPLAY_FULL_SCALE = 255
+
 EXACT_BYTES = 2
 """Samples of up to this many bytes are exact in float32."""
 
@@ -76,6 +78,8 @@ def beams_in_view(bearings_rad: NDArray[np.float64], sonar: Sonar) -> slice:
 
 def display_units(samples: NDArray[np.unsignedinteger], full_scale: int) -> NDArray[np.float32]:
     """Samples as 0..255; a division, so that multiples of the step come out whole."""
+    if full_scale == DISPLAY_FULL_SCALE:
+        return np.ascontiguousarray(samples, dtype=np.float32)
     wide = np.float32 if samples.itemsize <= EXACT_BYTES else np.float64
-    intensity = np.divide(samples, wide(full_scale / 255), dtype=wide)
+    intensity = np.divide(samples, wide(full_scale / DISPLAY_FULL_SCALE), dtype=wide)
     return np.ascontiguousarray(intensity, dtype=np.float32)

@@ -91,7 +91,7 @@ def quaternion_product(left: ArrayLike, right: ArrayLike) -> Floats:
 
 def quaternion_to_matrix(quaternion: ArrayLike) -> Floats:
     """Rotation matrix (3, 3) of a unit quaternion (w, x, y, z)."""
-    w, x, y, z = np.asarray(quaternion, dtype=np.float64)
+    w, x, y, z = np.asarray(quaternion, dtype=np.float64).tolist()
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

@@ -57,7 +57,7 @@ class BaseMotion:
             speed_of_sound_mps: in the water.
         """
         velocity, rate = _vector(self.velocity_map_mps), _vector(self.rate_radps)
-        swing_base_mps = np.cross(rate, base_T_sonar[:3, 3])
+        swing_base_mps = _cross(rate, base_T_sonar[:3, 3])
         return PingMotion(
             linear_mps=velocity + pose.map_T_base[:3, :3] @ swing_base_mps,
             angular_radps=base_T_sonar[:3, :3].T @ rate,
@@ -68,3 +68,10 @@ class BaseMotion:
 
 def _vector(values: ArrayLike | None) -> Floats:
     return np.zeros(3) if values is None else np.asarray(values, dtype=np.float64)
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """As `np.cross`, which takes ten times as long on two vectors."""
+    ax, ay, az = a.tolist()
+    bx, by, bz = b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])

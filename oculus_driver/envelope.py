@@ -13,7 +13,12 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Final
+from itertools import pairwise, takewhile
+from operator import itemgetter
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 __all__ = ["LowerEnvelope"]
 
@@ -38,6 +43,9 @@ MAX_RATE_ERROR: Final = 0.01
 JUMP_NS: Final = 1_000_000_000
 """A stamp further than this ahead of its arrival is no drift: the clock has jumped."""
 
+MAX_POINTS: Final = 2 * WINDOW_NS // BUCKET_NS
+"""Bound of the memory where arrivals jump to and fro."""
+
 _Point = tuple[int, int]  # arrival, arrival minus stamp
 
 
@@ -52,11 +60,78 @@ class _Line:
         return self.offset_ns + round(self.slope * (arrival_ns - self.arrival_ns))
 
 
+class _Points:
+    """The points that count, in the order in which they came, and their lower convex hull.
+
+    As long as arrivals rise, the hull of all points but the last is carried on with each point that
+    comes or goes; the last may still be replaced.
+    """
+
+    def __init__(self) -> None:
+        self._points: deque[_Point] = deque()
+        self._hull: list[_Point] | None = []  # of all but the last; None: to be made anew
+
+    def __len__(self) -> int:
+        return len(self._points)
+
+    @property
+    def first(self) -> _Point:
+        return self._points[0]
+
+    @property
+    def last(self) -> _Point:
+        return self._points[-1]
+
+    def clear(self) -> None:
+        self._points.clear()
+        self._hull = []
+
+    def add(self, point: _Point) -> None:
+        if len(self) == MAX_POINTS:
+            self.drop_first()
+        if self._points and self._hull is not None:
+            rises = self.last[0] < point[0]
+            self._hull = _joined(self._hull, (self.last,)) if rises else None
+        self._points.append(point)
+
+    def replace_last(self, point: _Point) -> None:
+        del self._points[-1]
+        if self._points and not self.last[0] < point[0]:
+            self._hull = None
+        self._points.append(point)
+
+    def drop_first(self) -> None:
+        dropped = self._points.popleft()
+        if not self._hull:
+            return
+        # What lies behind the hull's next corner stays as it is.
+        corners = self._hull[1:]
+        if corners:
+            end = corners[0][0]
+            before = takewhile(lambda point: point[0] < end, self._points)
+            corners = _joined(_joined([], before), corners[:1]) + corners[1:]
+        self._hull = corners if dropped == self._hull[0] else None
+
+    def hull(self) -> list[_Point]:
+        """Left to right, of at least one point."""
+        if self._hull is None:
+            points = list(self._points)
+            if not all(before[0] < after[0] for before, after in pairwise(points)):
+                return _joined([], sorted(points))
+            self._hull = _joined([], points[:-1])
+        return _joined(list(self._hull), (self.last,))
+
+    def spread(self) -> tuple[int, int]:
+        """Time between the first and the last arrival, and the mean of all."""
+        arrivals = list(map(itemgetter(0), self._points))
+        return max(arrivals) - min(arrivals), sum(arrivals) // len(arrivals)
+
+
 class LowerEnvelope:
     """Offset and drift of one sender's clock, learnt from its stamps as they arrive."""
 
     def __init__(self) -> None:
-        self._points: deque[_Point] = deque(maxlen=2 * WINDOW_NS // BUCKET_NS)
+        self._points = _Points()
         self._line: _Line | None = None
         self._last_stamp_ns: int | None = None
         self._suspect: tuple[int, int] | None = None  # (stamp, arrival)
@@ -108,35 +183,31 @@ class LowerEnvelope:
     def _fitted(self, point: _Point) -> _Line:
         """Take a point, forget old ones, and return the line below all."""
         news = self._keep(point)
-        while abs(point[0] - self._points[0][0]) > WINDOW_NS:
-            self._points.popleft()
+        while abs(point[0] - self._points.first[0]) > WINDOW_NS:
+            self._points.drop_first()
             news = True
         if news or self._line is None:
-            self._line = _line_below(sorted(self._points))
+            self._line = _line_below(self._points)
         return self._line
 
     def _keep(self, point: _Point) -> bool:
         """Keep the point unless another of its time is lower; return whether it was kept."""
-        if self._points and self._points[-1][0] // BUCKET_NS == point[0] // BUCKET_NS:
-            if self._points[-1][1] <= point[1]:
+        points = self._points
+        if len(points) and points.last[0] // BUCKET_NS == point[0] // BUCKET_NS:
+            if points.last[1] <= point[1]:
                 return False
-            self._points[-1] = point
+            points.replace_last(point)
         else:
-            self._points.append(point)
+            points.add(point)
         return True
 
 
-def _line_below(points: list[_Point]) -> _Line:
-    """Return the line that is below all points and closest to them on average.
-
-    Args:
-        points: in order of arrival, at least one.
-    """
-    hull = _lower_hull(points)
+def _line_below(points: _Points) -> _Line:
+    """Return the line that is below all points, of which there is one, and closest on average."""
+    hull = points.hull()
     rate_error = 0.0
-    if len(points) >= MIN_POINTS and points[-1][0] - points[0][0] >= MIN_SPAN_NS:
-        first = points[0][0]
-        middle = first + sum(arrival - first for arrival, _ in points) // len(points)
+    span, middle = points.spread()
+    if len(points) >= MIN_POINTS and span >= MIN_SPAN_NS:
         rate_error = _slope_over(hull, middle)
     slope = max(-MAX_DRIFT, min(MAX_DRIFT, rate_error))
     origin = hull[0][0]
@@ -144,12 +215,18 @@ def _line_below(points: list[_Point]) -> _Line:
     return _Line(arrival, offset, slope, rate_error)
 
 
-def _lower_hull(points: list[_Point]) -> list[_Point]:
-    """Return the lower convex hull, left to right (Andrew's monotone chain), exact in integers."""
-    hull: list[_Point] = []
-    for x, y in points:
+def _joined(hull: list[_Point], points: Iterable[_Point]) -> list[_Point]:
+    """Carry a lower convex hull on (Andrew's monotone chain), exact in integers.
+
+    Args:
+        hull: left to right; it is changed.
+        points: left to right, none left of the hull's last.
+    """
+    for point in points:
+        x, y = point
         while len(hull) > 1:
-            (x0, y0), (x1, y1) = hull[-2:]
+            x0, y0 = hull[-2]
+            x1, y1 = hull[-1]
             if (x1 - x0) * (y - y0) > (y1 - y0) * (x - x0):
                 break
             hull.pop()
@@ -157,7 +234,7 @@ def _lower_hull(points: list[_Point]) -> list[_Point]:
             if hull[-1][1] <= y:
                 continue
             hull.pop()
-        hull.append((x, y))
+        hull.append(point)
     return hull
 
 

@@ -166,7 +166,12 @@ MapSize size_without_gil(const VoxelMap& map) {
   return size_of(map);
 }
 
-// Asked with every ping: the size is counted voxel by voxel, this is not.
+// Asked with every ping, as the revision is: `size_of` counts voxel by voxel.
+std::size_t memory_without_gil(const VoxelMap& map) {
+  const py::gil_scoped_release release;
+  return memory_bytes(map);
+}
+
 std::uint64_t revision_without_gil(const VoxelMap& map) {
   const py::gil_scoped_release release;
   const ReadLock lock(map);
@@ -193,8 +198,7 @@ void bind_map(py::module_& module) {
       .def_property_readonly("revision", &revision_without_gil)
       .def_property_readonly("block_count",
                              [](const VoxelMap& map) { return size_without_gil(map).blocks; })
-      .def_property_readonly("memory_bytes",
-                             [](const VoxelMap& map) { return size_without_gil(map).memory_bytes; })
+      .def_property_readonly("memory_bytes", &memory_without_gil)
       .def_property_readonly("held_voxels",
                              [](const VoxelMap& map) { return size_without_gil(map).held_voxels; })
       .def("integrate_evidence_grid", &evidence_grid, "intensity"_a, "bearings_rad"_a,

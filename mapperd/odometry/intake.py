@@ -1,6 +1,7 @@
 """What comes in: each quantity of a record goes to its track, or is refused with a reason."""
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -280,22 +281,22 @@ class Intake:
         before, after = self.attitude.series.around(t_ns)
         if before is None or t_ns - before.t_ns > self.reckoning.max_gap_ns:
             return None
-        carried = carry_attitude(before.value, (t_ns - before.t_ns) / 1e9)
         if after is not None and after.segment == before.segment:
             fraction = (t_ns - before.t_ns) / (after.t_ns - before.t_ns)
-            carried = blend_attitude(before.value, after.value, fraction)
-        return quaternion_to_matrix((carried or before.value).map_q_base)
+            turned: Attitude | None = blend_attitude(before.value, after.value, fraction)
+        else:
+            turned = carry_attitude(before.value, (t_ns - before.t_ns) / 1e9)
+        return quaternion_to_matrix((turned or before.value).map_q_base)
 
     def _attitude_until_ns(self) -> int | None:
         newest = self.attitude.series.newest
         return None if newest is None else newest.t_ns
 
     def _position_covariance(self, odometry: Odometry) -> Floats:
-        own = self._settings.position_std**2 * np.eye(3)
-        return _known(odometry.pose_covariance, slice(0, 3), own)
+        return _known(odometry.pose_covariance, slice(0, 3), self._settings.position_std)
 
     def _attitude_covariance(self, odometry: Odometry) -> Floats:
-        own = math.radians(self._settings.attitude_std) ** 2 * np.eye(3)
+        own = math.radians(self._settings.attitude_std)
         return _known(odometry.pose_covariance, slice(3, 6), own)
 
 
@@ -347,12 +348,19 @@ def _velocity_noise(odometry: Odometry) -> float | None:
     return math.sqrt(worst) if 0.0 < worst < UNKNOWN_VARIANCE else None
 
 
-def _known(covariance: Floats | None, part: slice, own: Floats) -> Floats:
+def _known(covariance: Floats | None, part: slice, own_std: float) -> Floats:
     """A block (3, 3) of the source's covariance, or our own figure where it says nothing."""
-    if covariance is None:
-        return own
-    block = covariance[part, part]
-    diagonal = np.diag(block)
-    return (
-        block if float(diagonal.min()) > 0.0 and float(diagonal.max()) < UNKNOWN_VARIANCE else own
-    )
+    if covariance is not None:
+        block = covariance[part, part]
+        variances = block.diagonal().tolist()
+        if min(variances) > 0.0 and max(variances) < UNKNOWN_VARIANCE:
+            return block
+    return _alike(own_std)
+
+
+@lru_cache(maxsize=8)
+def _alike(std: float) -> Floats:
+    """The covariance (3, 3) of three quantities of one deviation, read-only."""
+    covariance = std**2 * np.eye(3)
+    covariance.setflags(write=False)
+    return covariance

@@ -85,7 +85,20 @@ class Odometry:
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
-        for name in self.__slots__:
+        for name in _ARRAYS:
             value = getattr(self, name)
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
+
+
+_ARRAYS = (
+    "position_m",
+    "map_q_base",
+    "velocity_mps",
+    "rate_radps",
+    "pose_covariance",
+    "twist_covariance",
+    "velocity_map_mps",
+    "velocity_east_north_mps",
+    "specific_force_mps2",
+)

@@ -124,8 +124,9 @@ def turn_between(start: Floats, end: Floats) -> Floats:
 def _rotation(vector_rad: Floats) -> Floats:
     """Quaternion (4,) of a rotation vector (3,)."""
     angle = length(vector_rad)
-    # sin(angle/2)/angle without 0/0: np.sinc(x) is sin(pi x)/(pi x).
-    scale = 0.5 * float(np.sinc(angle / (2.0 * math.pi)))
+    # sin(angle/2)/angle without 0/0; numpy's sine, as `np.sinc` has it, but none of its arrays.
+    half = math.pi * (angle / (2.0 * math.pi))
+    scale = 0.5 * (float(np.sin(half)) / half if half else 1.0)
     return np.array([math.cos(angle / 2.0), *(scale * vector_rad)])
 
 

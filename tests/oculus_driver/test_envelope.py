@@ -15,6 +15,7 @@ from oculus_driver.envelope import (
     WINDOW_NS,
     LowerEnvelope,
     _line_below,
+    _Points,
 )
 
 MS = 1_000_000
@@ -134,9 +135,43 @@ points = st.lists(
 ).map(lambda some: sorted((10**18 + x * BUCKET_NS // 2, y * 1000) for x, y in some))
 
 
+def points_of(some: list[tuple[int, int]]) -> _Points:
+    made = _Points()
+    for point in some:
+        made.add(point)
+    return made
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["add", "add", "add", "replace", "drop"]),
+            st.integers(-3, 30),  # on from the last arrival; seldom back
+            st.integers(-50, 50),
+        ),
+        max_size=60,
+    )
+)
+def test_the_hull_is_the_same_however_the_points_came(steps: list[tuple[str, int, int]]) -> None:
+    carried, plain, x = _Points(), list[tuple[int, int]](), 0
+    for step, on, y in steps:
+        x += on
+        if step == "drop" and len(plain) > 1:
+            carried.drop_first()
+            del plain[0]
+        elif step == "replace" and plain:
+            carried.replace_last((x, y))
+            plain[-1] = (x, y)
+        elif step == "add":
+            carried.add((x, y))
+            plain.append((x, y))
+        if plain:
+            assert carried.hull() == points_of(sorted(plain)).hull()
+
+
 @given(points)
 def test_no_line_below_all_points_is_closer_to_them(some: list[tuple[int, int]]) -> None:
-    line = _line_below(some)
+    line = _line_below(points_of(some))
     above = [offset - line.at(arrival) for arrival, offset in some]
     assert min(above) >= -1  # whole nanoseconds
     if line.rate_error != line.slope or len(some) < 10 or some[-1][0] - some[0][0] < 10 * S:

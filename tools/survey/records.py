@@ -28,7 +28,9 @@ HEAD = struct.Struct("<BBHIId16d8d")
 CRC = struct.Struct("<I")
 """Before the rest, of which it is."""
 
-LEVEL = 1
+LEVEL = -1
+"""Of zstd: 1 makes the records smaller by a tenth and takes twice as long."""
+
 STILL = (0.0,) * 8
 
 

@@ -209,7 +209,6 @@ Voxel Block::voxel(const IwloRule& rule, const CellPool& pool, int offset) const
 
 void Block::copy_voxels(const IwloRule& rule, const CellPool& pool, DenseVoxels& out) const {
   for (int cell = 0; cell < kBlockCells; ++cell) {
-    const auto i = static_cast<std::size_t>(cell);
     const auto begin = static_cast<std::size_t>(offset_of_cell(cell));
     if (!is_held(cell)) {
       const Voxel voxel = alike(rule, cell);
@@ -220,13 +219,23 @@ void Block::copy_voxels(const IwloRule& rule, const CellPool& pool, DenseVoxels&
       }
       continue;
     }
-    const CellVoxels voxels = pool[state_[i]];
-    for (int v = 0; v < kCellVoxels; ++v) {
-      const auto at = begin + static_cast<std::size_t>(offset_in_cell(v));
-      out.units[at] = voxels.units()[v];
-      out.count[at] = voxels.count(v);
-      if (pending_[i] > 0) rule.add_unscaled_free(out.units[at], out.count[at], pending_[i]);
+    DenseCell voxels;
+    copy_held(rule, pool, cell, voxels);
+    for (std::size_t v = 0; v < kCellVoxels; ++v) {
+      const auto at = begin + static_cast<std::size_t>(offset_in_cell(static_cast<int>(v)));
+      out.units[at] = voxels.units[v];
+      out.count[at] = voxels.count[v];
     }
+  }
+}
+
+void Block::copy_held(const IwloRule& rule, const CellPool& pool, int cell, DenseCell& out) const {
+  const auto i = static_cast<std::size_t>(cell);
+  const CellVoxels voxels = pool[state_[i]];
+  for (std::size_t v = 0; v < kCellVoxels; ++v) {
+    out.units[v] = voxels.units()[v];
+    out.count[v] = voxels.count(static_cast<int>(v));
+    if (pending_[i] > 0) rule.add_unscaled_free(out.units[v], out.count[v], pending_[i]);
   }
 }
 

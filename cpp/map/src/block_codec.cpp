@@ -89,6 +89,59 @@ void decode_cells(ByteReader& bytes, const IwloRule& rule, bool wide, BlockState
   }
 }
 
+// Units and counts of a cell, voxel by voxel. The bytes are made room for at once: there are many.
+template <typename Count>
+void put_mixed(const DenseCell& voxels, std::string& out) {
+  const std::size_t begin = out.size();
+  out.resize(begin + kCellVoxels * (sizeof(std::int16_t) + sizeof(Count)));
+  char* units = &out[begin];
+  char* counts = units + kCellVoxels * sizeof(std::int16_t);
+  for (std::size_t v = 0; v < kCellVoxels; ++v) {
+    write_number(units, voxels.units[v]);
+    write_number(counts, static_cast<Count>(voxels.count[v]));
+    units += sizeof(std::int16_t);
+    counts += sizeof(Count);
+  }
+}
+
+template <typename Array>
+bool is_one_value(const Array& values) {
+  return std::all_of(values.begin(), values.end(),
+                     [&](const auto& value) { return value == values.front(); });
+}
+
+// A block's cells by their voxels, however they are held.
+class Cells {
+ public:
+  Cells(const VoxelMap& map, const Block& block) {
+    for (int cell = 0; cell < kBlockCells; ++cell) {
+      const auto i = static_cast<std::size_t>(cell);
+      if (!block.is_held(cell)) {
+        one_[i] = block.alike(map.rule(), cell);
+        if (one_[i].count != 0) alike |= cell_bit(cell);
+        continue;
+      }
+      DenseCell& voxels = each_[i];
+      block.copy_held(map.rule(), map.pool(), cell, voxels);
+      one_[i] = {voxels.units[0], voxels.count[0]};
+      const bool equally_often = is_one_value(voxels.count);
+      if (equally_often && voxels.count[0] == 0) continue;
+      (equally_often && is_one_value(voxels.units) ? alike : mixed) |= cell_bit(cell);
+    }
+  }
+
+  CellSet alike = 0;  // and observed
+  CellSet mixed = 0;
+
+  bool is_one() const { return mixed == 0 && is_one_value(one_); }
+  const Voxel& one(int cell) const { return one_[static_cast<std::size_t>(cell)]; }
+  const DenseCell& each(int cell) const { return each_[static_cast<std::size_t>(cell)]; }
+
+ private:
+  std::array<Voxel, kBlockCells> one_;
+  std::array<DenseCell, kBlockCells> each_;  // of those that are held
+};
+
 }  // namespace
 
 void encode_block(const VoxelMap& map, const Block& block, std::string& out) {
@@ -97,50 +150,27 @@ void encode_block(const VoxelMap& map, const Block& block, std::string& out) {
     put(out, static_cast<std::uint8_t>(form));
     put(out, static_cast<std::uint8_t>(rule.shift()));
   };
-  DenseVoxels voxels;
-  block.copy_voxels(rule, map.pool(), voxels);
-  CellSet alike = 0, mixed = 0;
-  bool all_alike = true;
-  for (int cell = 0; cell < kBlockCells; ++cell) {
-    const auto first = static_cast<std::size_t>(offset_of_cell(cell));
-    bool known = false, same = true;
-    for (int v = 0; v < kCellVoxels; ++v) {
-      const std::size_t at = first + static_cast<std::size_t>(offset_in_cell(v));
-      known = known || voxels.count[at] != 0;
-      same = same && voxels.count[at] == voxels.count[first] &&
-             voxels.units[at] == voxels.units[first];
-    }
-    all_alike = all_alike && same && voxels.count[first] == voxels.count[0] &&
-                voxels.units[first] == voxels.units[0];
-    if (known) (same ? alike : mixed) |= cell_bit(cell);
-  }
-  if (all_alike) {
+  const auto put_one = [&](const Voxel& voxel) {
+    put(out, voxel.units);
+    put(out, voxel.count);
+  };
+  const Cells cells(map, block);
+  if (cells.is_one()) {
     put_form(Form::kAlike);
-    put(out, voxels.units[0]);
-    put(out, voxels.count[0]);
+    put_one(cells.one(0));
     return;
   }
   const bool wide = rule.count_bytes() == 2;
   put_form(wide ? Form::kCellsWide : Form::kCells);
-  put(out, alike);
-  put(out, mixed);
+  put(out, cells.alike);
+  put(out, cells.mixed);
   for (int cell = 0; cell < kBlockCells; ++cell) {
-    const auto first = static_cast<std::size_t>(offset_of_cell(cell));
-    if ((alike & cell_bit(cell)) != 0) {
-      put(out, voxels.units[first]);
-      put(out, voxels.count[first]);
-    }
-    if ((mixed & cell_bit(cell)) == 0) continue;
-    for (int v = 0; v < kCellVoxels; ++v) {
-      put(out, voxels.units[first + static_cast<std::size_t>(offset_in_cell(v))]);
-    }
-    for (int v = 0; v < kCellVoxels; ++v) {
-      const std::uint16_t count = voxels.count[first + static_cast<std::size_t>(offset_in_cell(v))];
-      if (wide) {
-        put(out, count);
-      } else {
-        put(out, static_cast<std::uint8_t>(count));
-      }
+    if ((cells.alike & cell_bit(cell)) != 0) put_one(cells.one(cell));
+    if ((cells.mixed & cell_bit(cell)) == 0) continue;
+    if (wide) {
+      put_mixed<std::uint16_t>(cells.each(cell), out);
+    } else {
+      put_mixed<std::uint8_t>(cells.each(cell), out);
     }
   }
 }

@@ -1,6 +1,7 @@
 #include "mapperd/map/evidence_grid.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <stdexcept>
@@ -130,11 +131,15 @@ void EvidenceGrid::index_bearings() {
   const std::size_t bins = kBinsPerBeam * (edge_sines_.size() - 1);
   bin_column_.resize(bins);
   bin_slope_.resize(bins);
+  bins_per_sine_ = static_cast<double>(bins) / (high_sine() - low_sine());
+  double low = bin_sine(0), low_column = column_of(low);
   for (std::size_t i = 0; i < bins; ++i) {
-    const double low = bin_sine(i), high = bin_sine(i + 1);
-    const double slope = (column_of(high) - column_of(low)) / (high - low);
+    const double high = bin_sine(i + 1), high_column = column_of(high);
+    const double slope = (high_column - low_column) / (high - low);
     bin_slope_[i] = static_cast<float>(slope);
-    bin_column_[i] = static_cast<float>(column_of(low) - slope * low);
+    bin_column_[i] = static_cast<float>(low_column - slope * low);
+    low = high;
+    low_column = high_column;
   }
 }
 
@@ -303,7 +308,7 @@ CellsTask EvidenceGrid::cells_task() const {
   task.rows_per_voxel = static_cast<float>(edge_m_ / row_pitch_);
   task.sine_low = static_cast<float>(low_sine());
   const auto bins = static_cast<double>(bin_column_.size());
-  task.bins_per_sine = static_cast<float>(bins / (high_sine() - low_sine()));
+  task.bins_per_sine = static_cast<float>(bins_per_sine_);
   task.last_bin = static_cast<float>(bins - 0.5);
   task.bin_column = bin_column_.data();
   task.bin_slope = bin_slope_.data();
@@ -313,20 +318,45 @@ CellsTask EvidenceGrid::cells_task() const {
 
 double EvidenceGrid::binned_column_of(double sine) const {
   const auto bins = static_cast<double>(bin_column_.size());
-  const double bin = (sine - low_sine()) * (bins / (high_sine() - low_sine()));
+  const double bin = (sine - low_sine()) * bins_per_sine_;
   const auto i = static_cast<std::size_t>(std::clamp(bin, 0.0, bins - 0.5));
   return static_cast<double>(bin_column_[i]) + sine * static_cast<double>(bin_slope_[i]);
 }
 
-EvidenceGrid::Evidence EvidenceGrid::at(const Vec3& v) const {
+inline EvidenceGrid::Place EvidenceGrid::place_of(const Vec3& v) const {
   const double horizontal = std::sqrt(v.x * v.x + v.y * v.y);
-  const double inside = (horizontal * sin_half_ - std::abs(v.z) * cos_half_) / edge_m_;
+  return {(horizontal * sin_half_ - std::abs(v.z) * cos_half_) / edge_m_,
+          std::sqrt(horizontal * horizontal + v.z * v.z) / row_pitch_, -v.y / horizontal};
+}
+
+EvidenceGrid::Evidence EvidenceGrid::at(const Vec3& v) const { return at(v, place_of(v)); }
+
+CodeCounts EvidenceGrid::at(const CellPoints& points, std::uint8_t* codes,
+                            std::uint8_t* shares) const {
+  std::array<double, CellPoints::kCount> inside, row, sine;
+  for (std::size_t i = 0; i < CellPoints::kCount; ++i) {
+    const Place place = place_of(points.at(i));
+    inside[i] = place.inside;
+    row[i] = place.row;
+    sine[i] = place.sine;
+  }
+  CodeCounts found{0, 0};
+  for (std::size_t i = 0; i < CellPoints::kCount; ++i) {
+    const Evidence evidence = at(points.at(i), {inside[i], row[i], sine[i]});
+    codes[i] = evidence.code;
+    shares[i] = evidence.share;
+    found.occupied += evidence.code >= kCodeOccupied ? 1 : 0;
+    found.free += evidence.code == kCodeFree ? 1 : 0;
+  }
+  return found;
+}
+
+inline EvidenceGrid::Evidence EvidenceGrid::at(const Vec3& v, const Place& at) const {
+  const auto& [inside, row, sine] = at;
   if (!(v.x > 0) || inside <= -kOccupiedSlack) return {};
-  const double row = std::sqrt(horizontal * horizontal + v.z * v.z) / row_pitch_;
-  const double sine = -v.y / horizontal;
   const double column = irregular_ ? column_of(sine) : binned_column_of(sine);
-  const auto place = [](double at, std::ptrdiff_t count) {
-    return static_cast<std::ptrdiff_t>(std::clamp(at, 0.0, static_cast<double>(count) - 0.5));
+  const auto place = [](double where, std::ptrdiff_t count) {
+    return static_cast<std::ptrdiff_t>(std::clamp(where, 0.0, static_cast<double>(count) - 0.5));
   };
   const std::ptrdiff_t index = place(row, rows_) * stride_ + place(column, columns_);
   const std::uint8_t code = memory_.codes[static_cast<std::size_t>(index)];

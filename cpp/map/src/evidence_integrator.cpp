@@ -321,22 +321,22 @@ class PingUpdate {
     }
 
     CodeCounts look_up_each(int cell, std::uint8_t* codes, std::uint8_t* shares) const {
-      CodeCounts found{0, 0};
+      CellPoints points;
+      static_assert(CellPoints::kCount == kCellVoxels);
       const int corner = offset_of_cell(cell);
       for (int v = 0; v < kCellVoxels; ++v) {
         const int offset = corner + offset_in_cell(v);
         const auto from_middle = [](int at) { return at - (kBlockEdge - 1) / 2.0; };
-        const Vec3 place = view_.centre + ping_.edge_m_ * Vec3{from_middle(offset & 15),
-                                                               from_middle(offset >> 4 & 15),
-                                                               from_middle(offset >> 8)};
-        const Vec3 seen = ping_.view_ ? ping_.view_->seen(place) : place;
-        const EvidenceGrid::Evidence evidence = ping_.grid_.at(ping_.to_sonar(seen));
-        codes[v] = evidence.code;
-        shares[v] = evidence.share;
-        found.occupied += evidence.code >= kCodeOccupied ? 1 : 0;
-        found.free += evidence.code == kCodeFree ? 1 : 0;
+        points.set(static_cast<std::size_t>(v),
+                   view_.centre + ping_.edge_m_ * Vec3{from_middle(offset & 15),
+                                                       from_middle(offset >> 4 & 15),
+                                                       from_middle(offset >> 8)});
       }
-      return found;
+      if (ping_.view_) ping_.view_->see(points);
+      for (std::size_t v = 0; v < CellPoints::kCount; ++v) {
+        points.set(v, ping_.to_sonar(points.at(v)));
+      }
+      return ping_.grid_.at(points, codes, shares);
     }
 
     const PingUpdate& ping_;

@@ -40,9 +40,15 @@ class Turn {
     return v + (sine_ * across + cosine_ * cross(angle_, across));
   }
 
+  // Squares of angles below this take fewer terms.
+  static constexpr double kSmall = 1e-3;  // nearly every ping turns less than two degrees
+
+ protected:
+  struct Small {};
+  Turn(const Vec3& angle, Small /*tag*/) : angle_(angle) { sum<kTermsOfSmall>(dot(angle, angle)); }
+
  private:
   // What follows the last term is less than s^terms / (2 terms + 1)!, below half a last digit.
-  static constexpr double kSmall = 1e-3;  // nearly every ping turns less than two degrees
   static constexpr int kTermsOfSmall = 4;
   static constexpr int kTerms = 9;
 
@@ -63,6 +69,12 @@ class Turn {
   Vec3 angle_;
   double sine_ = 0.0;
   double cosine_ = 0.0;
+};
+
+// The same by an angle that is known to be small: without branches.
+class SmallTurn : public Turn {
+ public:
+  explicit SmallTurn(const Vec3& angle) : Turn(angle, Small{}) {}
 };
 
 }  // namespace
@@ -98,12 +110,31 @@ MovingView::MovingView(const PingMotion& motion, const Transform& map_R_sonar)
       scale_(1.0 / (1.0 - dot(linear_, linear_))) {}
 
 // The range r solves |place| + |place - 2 r v / c| = 2 r, which is linear in r once it is squared.
-Vec3 MovingView::seen(const Vec3& place) const {
+template <typename Turned>
+inline Vec3 MovingView::seen_by(const Vec3& place) const {
   const double distance = norm(place);
-  if (!(distance > 0)) return {};
   const double range = range_of(place, distance);
   const Vec3 back = place - 2 * range * linear_;  // from where the sonar is at reception
-  return Turn(-range * angular_)((range / (2 * range - distance)) * back);
+  const Vec3 at = Turned(-range * angular_)((range / (2 * range - distance)) * back);
+  const bool known = distance > 0;
+  return {known ? at.x : 0.0, known ? at.y : 0.0, known ? at.z : 0.0};
+}
+
+Vec3 MovingView::seen(const Vec3& place) const { return seen_by<Turn>(place); }
+
+void MovingView::see(CellPoints& places) const {
+  double farthest = 0.0;  // squared
+  for (std::size_t i = 0; i < CellPoints::kCount; ++i) {
+    farthest = std::max(farthest, dot(places.at(i), places.at(i)));
+  }
+  // The range is less than 1.03 times the distance, as no sonar exceeds `kMostSpeed`.
+  if (!(1.1 * farthest * turn_ * turn_ < Turn::kSmall)) {
+    for (std::size_t i = 0; i < CellPoints::kCount; ++i) places.set(i, seen(places.at(i)));
+    return;
+  }
+  for (std::size_t i = 0; i < CellPoints::kCount; ++i) {
+    places.set(i, seen_by<SmallTurn>(places.at(i)));
+  }
 }
 
 Seen MovingView::look(const Vec3& place) const {

@@ -29,6 +29,11 @@ MapSize size_of(const VoxelMap& map) {
           map.revision()};
 }
 
+std::size_t memory_bytes(const VoxelMap& map) {
+  const ReadLock lock(map);
+  return map.memory_bytes();
+}
+
 ClassCounts count_classes(const VoxelMap& map, const Thresholds& thresholds) {
   check_thresholds(thresholds);
   const ReadLock lock(map);

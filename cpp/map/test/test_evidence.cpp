@@ -1,5 +1,6 @@
 // The evidence grid and its integrator against the oracle.
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <cstdio>
@@ -19,6 +20,7 @@ namespace {
 using mapperd::Transform;
 using mapperd::Vec3;
 using mapperd::map::Aggregation;
+using mapperd::map::CellPoints;
 using mapperd::map::EvidenceGrid;
 using mapperd::map::PingMotion;
 using mapperd::map::VoxelIndex;
@@ -238,6 +240,37 @@ TEST_CASE("the grid holds the definition's values at its nodes") {
   }
   std::printf("  %d nodes, %d occupied, %d free, %d off\n", compared, occupied, free, off);
   CHECK(check::sanitized() || (occupied > 10000 && free > 10000));
+}
+
+TEST_CASE("points that are looked up together say what each says alone") {
+  int said = 0;
+  for (int seed = 0; seed < scene_count(60); ++seed) {
+    const Scene scene = scene_of(static_cast<std::uint64_t>(seed));
+    const Nodes nodes(scene);
+    const EvidenceGrid& grid = nodes.grid();
+    if (grid.says_nothing()) continue;
+    scenes::Random random(static_cast<std::uint64_t>(seed) + 9500);
+    const double reach_m = 1.1 * grid.reach_m();
+    CellPoints points;
+    for (std::size_t i = 0; i < CellPoints::kCount; ++i) {
+      points.set(i, random.uniform(0, 1) * reach_m * scenes::random_direction(random));
+      points.x[i] = std::abs(points.x[i]) - 0.1 * grid.edge_m();
+      points.z[i] *= random.uniform(0, grid.sin_half_aperture());
+    }
+    points.set(7, {});
+    std::array<std::uint8_t, CellPoints::kCount> codes, shares;
+    const mapperd::map::CodeCounts found = grid.at(points, codes.data(), shares.data());
+    int occupied = 0, free = 0;
+    for (std::size_t i = 0; i < CellPoints::kCount; ++i) {
+      const EvidenceGrid::Evidence alone = grid.at(points.at(i));
+      CHECK(codes[i] == alone.code && shares[i] == alone.share);
+      occupied += alone.code >= mapperd::map::kCodeOccupied ? 1 : 0;
+      free += alone.code == mapperd::map::kCodeFree ? 1 : 0;
+    }
+    CHECK(found.occupied == occupied && found.free == free);
+    said += occupied + free;
+  }
+  CHECK(check::sanitized() || said > 500);
 }
 
 // One ping into an empty map, voxel by voxel.

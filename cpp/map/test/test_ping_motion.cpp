@@ -13,6 +13,7 @@ namespace {
 
 using mapperd::Transform;
 using mapperd::Vec3;
+using mapperd::map::CellPoints;
 using mapperd::map::MotionBound;
 using mapperd::map::MovingView;
 using mapperd::map::PingMotion;
@@ -92,6 +93,25 @@ TEST_CASE("without motion a place is seen where it is") {
     CHECK(none.stretch == 0 && none.bend == 0);
   }
   check_near(still.seen({}), {}, 0.0);
+}
+
+TEST_CASE("places that are seen together are seen as each alone, to the bit") {
+  scenes::Random random(904);
+  for (int i = 0; i < 500; ++i) {
+    const Scene scene = scene_of(random);
+    const double far = 50 * std::pow(random.uniform(0, 1), 3);  // a small turn near, a large one
+    CellPoints together;
+    for (std::size_t k = 0; k < CellPoints::kCount; ++k) {
+      together.set(k, far * random.uniform(0, 1) * scenes::random_direction(random));
+    }
+    together.set(5, {});
+    const CellPoints places = together;
+    scene.view.see(together);
+    for (std::size_t k = 0; k < CellPoints::kCount; ++k) {
+      const Vec3 alone = scene.view.seen(places.at(k));
+      CHECK(together.x[k] == alone.x && together.y[k] == alone.y && together.z[k] == alone.z);
+    }
+  }
 }
 
 Vec3 towards(const MovingView& view, const Vec3& place, const Vec3& step) {

@@ -71,6 +71,12 @@ struct DenseVoxels {
   std::array<std::uint16_t, kBlockVoxels> count;
 };
 
+// Every voxel of a cell, x fastest.
+struct DenseCell {
+  std::array<std::int16_t, kCellVoxels> units;
+  std::array<std::uint16_t, kCellVoxels> count;
+};
+
 // A set of a block's cells, a bit each.
 using CellSet = std::uint64_t;
 inline constexpr CellSet kAllCells = ~CellSet{0};
@@ -113,6 +119,8 @@ class Block {
 
   Voxel voxel(const IwloRule& rule, const CellPool& pool, int offset) const;
   void copy_voxels(const IwloRule& rule, const CellPool& pool, DenseVoxels& out) const;
+  // Those of a cell that is held, x fastest.
+  void copy_held(const IwloRule& rule, const CellPool& pool, int cell, DenseCell& out) const;
 
   // The one state of a cell's voxels, if it is held as one.
   bool is_held(int cell) const { return (held_ & cell_bit(cell)) != 0; }

@@ -26,6 +26,7 @@
 #include "mapperd/map/iwlo.hpp"
 #include "mapperd/map/kernels.hpp"
 #include "mapperd/map/ping.hpp"
+#include "mapperd/map/ping_motion.hpp"
 
 namespace mapperd::map {
 
@@ -83,6 +84,8 @@ class EvidenceGrid {
     std::uint8_t share = 0;
   };
   Evidence at(const Vec3& in_sonar) const;
+  // The same of each of a cell's points, to the bit.
+  CodeCounts at(const CellPoints& in_sonar, std::uint8_t* codes, std::uint8_t* shares) const;
 
   // Classes of all that a block with its centre there may hold, within the aperture.
   std::uint8_t classes_of_block(double range_m, double sine) const;
@@ -92,6 +95,13 @@ class EvidenceGrid {
 
  private:
   struct Sums;  // of returns along range
+
+  // Of a point: how far, in voxels, it lies inside the aperture's faces, and its place in the grid.
+  struct Place {
+    double inside, row, sine;
+  };
+  Place place_of(const Vec3& in_sonar) const;
+  Evidence at(const Vec3& in_sonar, const Place& place) const;
 
   void choose_pitch(const PingImage& image, double detail);
   void index_bearings();
@@ -114,6 +124,7 @@ class EvidenceGrid {
   bool irregular_ = false;
   bool averages_ = false;
   std::vector<double> edge_sines_;
+  double bins_per_sine_ = 0.0;
   std::vector<float> bin_column_;
   std::vector<float> bin_slope_;
   std::ptrdiff_t rows_ = 0;

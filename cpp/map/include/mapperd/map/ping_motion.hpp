@@ -10,6 +10,9 @@
 // at r / c, directions as at 2 r / c.
 #pragma once
 
+#include <array>
+#include <cstddef>
+
 #include "mapperd/common/vec.hpp"
 
 namespace mapperd::map {
@@ -49,6 +52,19 @@ struct Seen {
   SeenAxes axes;
 };
 
+// The points of a cell's voxels, coordinate by coordinate: compilers take several at once.
+struct CellPoints {
+  static constexpr std::size_t kCount = 64;
+  std::array<double, kCount> x, y, z;
+
+  Vec3 at(std::size_t i) const { return {x[i], y[i], z[i]}; }
+  void set(std::size_t i, const Vec3& v) {
+    x[i] = v.x;
+    y[i] = v.y;
+    z[i] = v.z;
+  }
+};
+
 // By how much what is seen of a ball departs from the ball.
 struct MotionBound {
   double stretch = 0.0;  // largest change of a length, relative to it
@@ -61,6 +77,8 @@ class MovingView {
   MovingView(const PingMotion& motion, const Transform& map_R_sonar);
 
   Vec3 seen(const Vec3& place) const;
+  // `seen` of each of some places, to the bit.
+  void see(CellPoints& places) const;
   Seen look(const Vec3& place) const;
   // The way back: where a point of the fan is in the map.
   Vec3 place_of(const Vec3& seen) const;
@@ -74,6 +92,8 @@ class MovingView {
   double range_of(const Vec3& place, double distance) const {
     return (distance - dot(place, linear_)) * scale_;
   }
+  template <typename Turned>
+  Vec3 seen_by(const Vec3& place) const;
 
   Vec3 linear_;   // velocity over the speed of sound
   Vec3 angular_;  // turn between transmission and reception, a metre of range, in the map's axes

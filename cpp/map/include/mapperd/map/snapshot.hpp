@@ -21,6 +21,9 @@ struct MapSize {
 
 MapSize size_of(const VoxelMap& map);
 
+// The same without counting voxels: it takes no longer with a larger map.
+std::size_t memory_bytes(const VoxelMap& map);
+
 // Observed voxels by class.
 struct ClassCounts {
   std::size_t occupied = 0;
