@@ -7,8 +7,7 @@ import importlib
 from typing import TYPE_CHECKING
 
 from oculus_driver.clock import PingTime, SonarClock, row_times_ns
-from oculus_driver.confirmation import Confirmation, Difference
-from oculus_driver.diagnosis import (
+from oculus_driver.discovery.diagnosis import (
     Finding,
     bind_finding,
     connection_finding,
@@ -17,6 +16,8 @@ from oculus_driver.diagnosis import (
     status_findings,
     subnet_finding,
 )
+from oculus_driver.discovery.own_addresses import addresses_towards
+from oculus_driver.discovery.state import Sighting, SonarWatch
 from oculus_driver.encode import (
     bearing_table_cdeg,
     encode_dummy,
@@ -35,14 +36,13 @@ from oculus_driver.errors import (
     RecordingError,
     SettingsError,
 )
-from oculus_driver.link_state import LinkState, LinkStatus, LinkTimes
+from oculus_driver.link.confirmation import Confirmation, Difference
+from oculus_driver.link.sonar_counters import SonarCounters
+from oculus_driver.link.state import LinkState, LinkStatus, LinkTimes
 from oculus_driver.models import Model, model_of
-from oculus_driver.own_addresses import addresses_towards
 from oculus_driver.ping import Ping, Reject, decode_ping
 from oculus_driver.sequence import PingSequence
 from oculus_driver.settings import FireSettings, Mode
-from oculus_driver.sighting import Sighting, SonarWatch
-from oculus_driver.sonar_counters import SonarCounters
 from oculus_driver.sound_speed import (
     pressure_bar_at,
     speed_of_sound_at_depth_mps,
@@ -53,10 +53,10 @@ from oculus_driver.stream import Message, StreamCounters, StreamParser
 from oculus_driver.wire import PingRate
 
 if TYPE_CHECKING:
-    from oculus_driver.discovery import Discovery, Sightings
-    from oculus_driver.ping_queue import PingQueue
-    from oculus_driver.play import Faults, Identity, PlayCounters, PlayedSonar
+    from oculus_driver.discovery.listener import Discovery, Sightings
+    from oculus_driver.link.ping_queue import PingQueue
     from oculus_driver.sonar import OculusSonar
+    from oculus_driver.virtual_sonar.play import Faults, Identity, PlayCounters, PlayedSonar
 
 __all__ = [
     "Confirmation",
@@ -122,13 +122,13 @@ __all__ = [
 
 def __getattr__(name: str) -> object:
     if name in {"Discovery", "Sightings"}:
-        return getattr(importlib.import_module("oculus_driver.discovery"), name)
+        return getattr(importlib.import_module("oculus_driver.discovery.listener"), name)
     if name in {"Faults", "Identity", "PlayCounters", "PlayedSonar"}:
-        return getattr(importlib.import_module("oculus_driver.play"), name)
+        return getattr(importlib.import_module("oculus_driver.virtual_sonar.play"), name)
     if name == "OculusSonar":
         return importlib.import_module("oculus_driver.sonar").OculusSonar
     if name == "PingQueue":
-        return importlib.import_module("oculus_driver.ping_queue").PingQueue
+        return importlib.import_module("oculus_driver.link.ping_queue").PingQueue
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

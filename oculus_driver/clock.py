@@ -2,7 +2,7 @@
 
 A ping arrives late: by the way of its sound, and by what sonar, network and host take. The first
 is known. The second differs from ping to ping and only ever adds, so the sonar's own clock,
-carried over by `oculus_driver.envelope`, tells the time of a ping better than its arrival does.
+carried over by `oculus_driver.clock_fit`, tells the time of a ping better than its arrival does.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
-from oculus_driver.envelope import LowerEnvelope
+from oculus_driver.clock_fit import LowerEnvelope
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -9,15 +9,15 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from oculus_driver.confirmation import CONFIRM_NS, Confirmation, ConfirmationWatch, differences
+from oculus_driver.discovery.search import Search
 from oculus_driver.errors import LinkError, SettingsError
-from oculus_driver.heat import HeatGuard
-from oculus_driver.link import Link
-from oculus_driver.link_driver import LinkDriver
-from oculus_driver.link_state import SECOND_NS, LinkState, LinkStatus, LinkTimes
+from oculus_driver.link.confirmation import CONFIRM_NS, Confirmation, ConfirmationWatch, differences
+from oculus_driver.link.driver import LinkDriver
+from oculus_driver.link.machine import Link
+from oculus_driver.link.ping_queue import MAX_PINGS, PingQueue
+from oculus_driver.link.state import SECOND_NS, LinkState, LinkStatus, LinkTimes
+from oculus_driver.link.thermal import HeatGuard
 from oculus_driver.models import UNKNOWN, model_of
-from oculus_driver.ping_queue import MAX_PINGS, PingQueue
-from oculus_driver.search import Search
 from oculus_driver.settings import FireSettings
 from oculus_driver.wire import TCP_PORT, MessageId, PingRate
 
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
     from types import TracebackType
 
-    from oculus_driver.confirmation import Difference
+    from oculus_driver.discovery.search import MakeDiscovery, Sighting
+    from oculus_driver.link.confirmation import Difference
+    from oculus_driver.link.receiver import Received
+    from oculus_driver.link.sonar_counters import SonarCounters
     from oculus_driver.models import Model
     from oculus_driver.ping import Ping
-    from oculus_driver.receiver import Received
-    from oculus_driver.search import MakeDiscovery, Sighting
-    from oculus_driver.sonar_counters import SonarCounters
     from oculus_driver.status import Status
 
 _LOG: Final = logging.getLogger(__name__)
@@ -61,7 +61,7 @@ class OculusSonar:
         keep_pinging: leave the sonar pinging at the end.
         on_bytes: called with all bytes before they are parsed, and their arrival time.
         on_state: called whenever the link enters a state or has another reason.
-        discovery: where statuses come from, None for `oculus_driver.discovery`.
+        discovery: where statuses come from, None for `oculus_driver.discovery.listener`.
         clock: host monotonic time, nanoseconds.
         chance: random numbers from 0 to 1.
     """

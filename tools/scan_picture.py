@@ -18,7 +18,7 @@ from mapperd.errors import MapError
 from mapperd.localization.extraction import Surroundings, scan_of
 from mapperd.localization.scan import Scan
 from oculus_driver import Ping, StreamParser, decode_ping
-from oculus_driver.picture import fan_of, laid_out
+from oculus_driver.render import fan_of, laid_out
 
 SIZE_PX = (1200, 760)
 MARGINS_PX = (10, 10, 10, 10)

@@ -4,7 +4,7 @@ from collections import deque
 
 from mapperd.odometry.records import Odometry
 from mapperd.reject import Reject
-from oculus_driver.envelope import LowerEnvelope
+from oculus_driver.clock_fit import LowerEnvelope
 
 __all__ = ["OdometryClock"]
 

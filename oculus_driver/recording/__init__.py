@@ -12,9 +12,9 @@ from oculus_driver.recording.formats import (
     VIEWPOINT_LOG,
 )
 from oculus_driver.recording.info import PingInfo, RecordingInfo, describe
-from oculus_driver.recording.logger import LogCounters, LogPlace, SonarLog
+from oculus_driver.recording.log_files import LogPolicy
 from oculus_driver.recording.recording import Recording, open_recording
-from oculus_driver.recording.retention import LogPolicy
+from oculus_driver.recording.sonar_log import LogCounters, LogPlace, SonarLog
 from oculus_driver.recording.writer import RecordingWriter
 
 __all__ = [

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
 
-    from oculus_driver.recording.logger import LogPlace, SonarLog
+    from oculus_driver.recording.sonar_log import LogPlace, SonarLog
 
 MAX_WAITING_BYTES: Final = 64 << 20
 _TICK_S: Final = 1.0

@@ -10,7 +10,7 @@ from oculus_driver.recording.mcap_records import MAGIC
 from oculus_driver.recording.network_capture import read_network_capture
 from oculus_driver.recording.oculus_log import is_encrypted, read_oculus_log
 from oculus_driver.recording.oculus_log_records import CONVERTED_MAGIC, FILE_MAGIC
-from oculus_driver.recording.pcap_packets import PCAP_MAGICS
+from oculus_driver.recording.pcap_files import PCAP_MAGICS
 from oculus_driver.recording.pcapng_packets import PCAPNG_MAGIC
 from oculus_driver.recording.raw import is_raw_stream, read_raw
 from oculus_driver.recording.viewpoint_log import read_viewpoint_log

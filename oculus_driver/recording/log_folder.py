@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from oculus_driver.errors import RecordingError
-from oculus_driver.recording.retention import LogFile
+from oculus_driver.recording.log_files import LogFile
 
 _NAME: Final = re.compile(r"[A-Za-z0-9-]{1,64}")
 _NS_PER_S: Final = 1_000_000_000

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, BinaryIO, Final
 from oculus_driver.framing import header_fault, read_header
 from oculus_driver.recording.chunk import OCULUS, OCULUS_STATUS, Chunk, Progress
 from oculus_driver.recording.packet_layers import SYN, UDP, Flow, Segment, segment_of
-from oculus_driver.recording.pcap_packets import read_pcap_packets
+from oculus_driver.recording.pcap_files import read_pcap_packets
 from oculus_driver.recording.pcapng_packets import PCAPNG_MAGIC, read_pcapng_packets
 from oculus_driver.recording.reassembly import Piece, TcpStream
 from oculus_driver.wire import HEADER, MAGIC, STATUS, STATUS_PORT, TCP_PORT, MessageId

@@ -13,7 +13,7 @@ from mapperd.odometry.records import Odometry
 from mapperd.odometry.stamps import OdometryClock
 from mapperd.odometry.utc import DAY_NS, UtcDay
 from mapperd.reject import Reject
-from oculus_driver.envelope import MAX_DRIFT, WINDOW_NS, LowerEnvelope
+from oculus_driver.clock_fit import MAX_DRIFT, WINDOW_NS, LowerEnvelope
 
 MS = 1_000_000
 S = 1_000_000_000

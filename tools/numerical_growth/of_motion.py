@@ -11,7 +11,7 @@ from mapperd.frames import quaternion_product
 from mapperd.odometry.reckoning import DeadReckoning
 from mapperd.odometry.states import Attitude, carry_attitude
 from numerical_growth.panel import Curve, Panel, checkpoints
-from oculus_driver.envelope import LowerEnvelope
+from oculus_driver.clock_fit import LowerEnvelope
 
 __all__ = ["clock", "turns", "way"]
 

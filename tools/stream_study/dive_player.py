@@ -12,8 +12,8 @@ from pathlib import Path
 
 import msgpack
 
-from oculus_driver.play import PlayedSonar
 from oculus_driver.recording import OCULUS, ODOMETRY_NATIVE, open_recording
+from oculus_driver.virtual_sonar.play import PlayedSonar
 
 __all__ = ["DivePlayer", "Record", "read_odometry"]
 

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from oculus_driver import FireSettings
-from oculus_driver.link import Link
-from oculus_driver.link_state import Action, Connect, Disconnect, LinkState, Send
+from oculus_driver.link.machine import Link
+from oculus_driver.link.state import Action, Connect, Disconnect, LinkState, Send
 from oculus_driver.wire import FIRE_V1, FIRE_V2, MessageId
 
 HERE, VIEWER = "192.168.2.3", "192.168.2.10"

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from oculus_driver import FireSettings
-from oculus_driver.link_state import Connect, Disconnect, LinkState, Send
+from oculus_driver.link.state import Connect, Disconnect, LinkState, Send
 
 if TYPE_CHECKING:
     from tests.oculus_driver.link.conftest import Bench, MakeBench

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oculus_driver import FireSettings, PingRate
-from oculus_driver.link_state import LinkState, LinkTimes
+from oculus_driver.link.state import LinkState, LinkTimes
 
 if TYPE_CHECKING:
     from tests.oculus_driver.link.conftest import MakeBench

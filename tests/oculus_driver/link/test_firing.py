@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from oculus_driver import FireSettings, PingRate
-from oculus_driver.link_state import LinkState, LinkTimes
+from oculus_driver.link.state import LinkState, LinkTimes
 
 if TYPE_CHECKING:
     from tests.oculus_driver.link.conftest import MakeBench

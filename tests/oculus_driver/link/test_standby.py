@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from oculus_driver import FireSettings, PingRate
-from oculus_driver.link_state import LinkState
+from oculus_driver.link.state import LinkState
 
 if TYPE_CHECKING:
     from tests.oculus_driver.link.conftest import MakeBench

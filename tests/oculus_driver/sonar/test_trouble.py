@@ -193,7 +193,7 @@ def test_silence_is_named_and_ends_in_a_new_connection(
 def test_a_message_that_stops_in_the_middle_costs_the_connection_not_the_program(
     fake: MakeSonar, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("oculus_driver.receiver.STALL_NS", 50_000_000)
+    monkeypatch.setattr("oculus_driver.link.receiver.STALL_NS", 50_000_000)
 
     async def main() -> None:
         told: list[LinkStatus] = []
@@ -246,7 +246,7 @@ def test_big_pings_come_through_slow_and_fast_networks(
 def test_noise_without_end_costs_the_connection(
     fake: MakeSonar, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("oculus_driver.receiver.LOST_BYTES", 100_000)
+    monkeypatch.setattr("oculus_driver.link.receiver.LOST_BYTES", 100_000)
 
     async def main() -> None:
         async with fake() as device, OculusSonar(HOST, FREE, port=device.port) as sonar:

@@ -31,7 +31,7 @@ from oculus_driver import (
     decode_status,
     encode_fire,
 )
-from tests.oculus_driver.play_client import Client
+from tests.oculus_driver.virtual_sonar.client import Client
 
 MakeScenario = Callable[..., Scenario]
 LIMIT_S = 30.0

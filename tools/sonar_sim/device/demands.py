@@ -4,8 +4,8 @@ import math
 from dataclasses import replace
 
 from oculus_driver.models import FAMILIES, MAX_RATE_HZ, MODELS
-from oculus_driver.played.commands import FireDemand
-from oculus_driver.played.remake import bits_of, range_m_of
+from oculus_driver.virtual_sonar.commands import FireDemand
+from oculus_driver.virtual_sonar.resample import bits_of, range_m_of
 from oculus_driver.wire import FireFlags, PingRate
 from sonar_sim.errors import SceneError
 from sonar_sim.sonar import SonarSettings, sonar_preset

@@ -9,10 +9,10 @@ from types import TracebackType
 from typing import Self
 
 from oculus_driver.errors import OculusError
-from oculus_driver.play import told_address
-from oculus_driver.played.faults import Faults
-from oculus_driver.played.obedient import Identity
-from oculus_driver.serve import ServedSonar
+from oculus_driver.virtual_sonar.device import Identity
+from oculus_driver.virtual_sonar.faults import Faults
+from oculus_driver.virtual_sonar.play import told_address
+from oculus_driver.virtual_sonar.server import ServedSonar
 from sonar_sim.device.route import Ends, Route
 from sonar_sim.device.simulated import SimulatedDevice
 from sonar_sim.effects.plan import AUTO, Wish

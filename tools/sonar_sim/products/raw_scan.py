@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from oculus_driver.picture import fan_of, laid_out
+from oculus_driver.render import fan_of, laid_out
 from sonar_sim.sonar import SonarSettings
 
 

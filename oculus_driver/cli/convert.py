@@ -1,0 +1,52 @@
+"""`oculus convert`: a recording in another format."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from oculus_driver.cli.output import Exit, Say
+
+if TYPE_CHECKING:
+    import argparse
+
+NAME = "convert"
+HELP = "write a recording in another format"
+
+FORMATS: Final = {
+    ".mcap": "mcap",
+    ".raw": "oculus-raw",
+    ".dat": "oculus-raw",
+    ".oculus": "oculus-log",
+    ".pcap": "pcap",
+}
+"""Format by the suffix of the file to write."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what may be said."""
+    add = parser.add_argument
+    add("file", metavar="FILE", type=Path, help="a recording of any kind")
+    add("out", metavar="OUT", type=Path, help=f"ends in {', '.join(FORMATS)}, or see --format")
+    add("--format", choices=sorted({*FORMATS.values()}), help="whatever the name says")
+    add("--overwrite", action="store_true", help="replace OUT if it exists")
+
+
+def run(said: argparse.Namespace, say: Say) -> Exit:
+    """Convert, and tell what the new format could not hold."""
+    from oculus_driver.recording.convert import convert  # noqa: PLC0415 - more than numpy
+
+    target_format = said.format or FORMATS.get(said.out.suffix.lower())
+    if target_format is None:
+        text = f"{said.out}: which format? End the name in one of {', '.join(FORMATS)}"
+        return say.failure(text, Exit.USAGE)
+    done = convert(said.file, said.out, target_format, overwrite=said.overwrite)
+    lines = [f"{said.out}: {done.target_format}, {done.size_bytes} bytes, {done.chunks} chunks"]
+    lines += [f"left out: {count} bytes, {reason}" for reason, count in done.left_out.items()]
+    if done.stamps_lost:
+        lines.append(f"left out: {done.stamps_lost} arrival stamps, which the format cannot hold")
+    if done.damage is not None:
+        lines.append(f"the source is damaged: {done.damage}")
+    say.report({"file": said.file, "out": said.out, **asdict(done)}, "\n".join(lines))
+    return Exit.OK

@@ -1,0 +1,66 @@
+"""`oculus doctor`: the first thing between a sonar and its pings that fails."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Final
+
+from oculus_driver.cli.arguments import address, port, positive
+from oculus_driver.cli.discover import add_status_arguments
+from oculus_driver.cli.output import Exit, Say
+from oculus_driver.discovery.checkup import Layer, first_failure, judge
+from oculus_driver.discovery.probe import Examination, examine
+from oculus_driver.wire import TCP_PORT
+
+if TYPE_CHECKING:
+    import argparse
+
+
+NAME = "doctor"
+HELP = "check address, port, bytes, frames and pings; name the first that fails and what to do"
+
+_MARKS: Final = {"ok": "ok  ", "doubtful": "?   ", "failed": "FAIL", "not tested": "-   "}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what may be said."""
+    add = parser.add_argument
+    add("host", metavar="ADDRESS", nargs="?", type=address, help="(default: the first one heard)")
+    add("--port", type=port, default=TCP_PORT, help="TCP port (default: %(default)s)")
+    add("--seconds", metavar="S", type=positive, default=4.0, help="for each step (default: 4)")
+    add("--ping", action="store_true", help="ask for pings, then for standby: only under water")
+    add("--version", type=int, choices=(1, 2), default=2, help="of fire messages")
+    add_status_arguments(parser)
+
+
+def run(said: argparse.Namespace, say: Say) -> Exit:
+    """Look, judge, tell."""
+    evidence = asyncio.run(examine(_examination(said)))
+    layers = judge(evidence)
+    failure = first_failure(layers)
+    facts = {
+        "address": evidence.address,
+        "layers": [asdict(layer) for layer in layers],
+        "first_failure": None if failure is None else failure.name,
+        "findings": [asdict(finding) for finding in evidence.findings],
+    }
+    notes = [f"note: {finding.text}" for finding in evidence.findings]
+    say.report(facts, "\n".join([*map(_line, layers), *notes]))
+    return Exit.OK if failure is None else Exit.FAULT
+
+
+def _line(layer: Layer) -> str:
+    return f"{_MARKS[layer.verdict]} {layer.name:<8} {layer.text}"
+
+
+def _examination(said: argparse.Namespace) -> Examination:
+    return Examination(
+        said.host,
+        said.port,
+        said.seconds,
+        said.ping,
+        said.version,
+        said.status_port,
+        said.listen,
+    )

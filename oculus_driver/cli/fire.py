@@ -1,0 +1,110 @@
+"""`oculus fire`: one shot with given settings, and what the sonar made of them."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from oculus_driver.cli.arguments import positive
+from oculus_driver.cli.output import Exit, Say
+from oculus_driver.cli.sonar_arguments import (
+    add_settings_arguments,
+    add_sonar_arguments,
+    settings_of,
+)
+from oculus_driver.errors import LinkError, OculusError
+from oculus_driver.labels import caption_of
+from oculus_driver.link.confirmation import differences
+from oculus_driver.link.state import LinkState
+
+if TYPE_CHECKING:
+    import argparse
+
+    from oculus_driver.link.confirmation import Confirmation, Difference
+    from oculus_driver.ping import Ping
+    from oculus_driver.settings import FireSettings
+
+NAME = "fire"
+HELP = "take one ping with given settings and tell what the sonar made of them: only under water"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what may be said."""
+    add_sonar_arguments(parser)
+    add = parser.add_argument
+    add("--trigger", action="store_true", help="by network trigger, which some sonars take badly")
+    add("--picture", metavar="PNG", type=Path, help="draw the ping")
+    add("--patience", metavar="S", type=positive, default=8.0, help="(default: 8)")
+    add("--keep-pinging", action="store_true", help="do not end with standby")
+    add_settings_arguments(parser, rate="lowest")
+
+
+def run(said: argparse.Namespace, say: Say) -> Exit:
+    """Fire, tell, and leave the sonar in standby."""
+    settings = settings_of(said, triggered=said.trigger)
+    ping, confirmation = asyncio.run(_shoot(said, settings))
+    if said.picture is not None:
+        _draw(said.picture, ping)
+    changed = [asdict(difference) for difference in confirmation.changed]
+    facts = {
+        "ping_id": ping.ping_id,
+        "rows": ping.rows,
+        "beams": ping.beams,
+        "bits_per_sample": ping.bits_per_sample,
+        "range_m": ping.max_range_m,
+        "frequency_hz": ping.frequency_hz,
+        "speed_of_sound_mps": ping.speed_of_sound_mps,
+        "gain_percent": ping.gain_percent,
+        "version": ping.version,
+        "warnings": ping.warnings,
+        "confirmed": confirmation.confirmed,
+        "reason": confirmation.reason,
+        "changed": changed,
+        "picture": said.picture,
+    }
+    verdict = "confirmed" if confirmation.confirmed else f"not confirmed: {confirmation.reason}"
+    lines = [*caption_of(ping)[:2], f"settings {verdict}", *map(str, confirmation.changed)]
+    say.report(facts, "\n".join(lines))
+    return Exit.OK if confirmation.confirmed else Exit.FAULT
+
+
+async def _shoot(said: argparse.Namespace, settings: FireSettings) -> tuple[Ping, Confirmation]:
+    from oculus_driver.cli.sonar_link import sonar_of  # noqa: PLC0415 - of this command alone
+
+    async with sonar_of(said, settings.in_standby(), keep_pinging=said.keep_pinging) as sonar:
+        try:
+            async with asyncio.timeout(said.patience):
+                await sonar.wait_for(LinkState.STANDBY, LinkState.PINGING)
+        except TimeoutError:
+            link = sonar.link
+            raise LinkError(
+                f"{link.state} for {said.patience:g} s: {link.reason}; see `oculus doctor`"
+            ) from None
+        confirmation = await sonar.apply(settings, said.patience)
+        if said.trigger:
+            ping = await sonar.fire(said.patience)
+            return ping, _judged(confirmation, differences(settings, ping))
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(said.patience):
+                async for ping in sonar.pings():
+                    return ping, confirmation
+    raise LinkError(f"no ping within {said.patience:g} s; see `oculus doctor`")
+
+
+def _judged(asked: Confirmation, changed: tuple[Difference, ...]) -> Confirmation:
+    """Return the confirmation of a triggered ping: there was none to look at before it."""
+    decisive = ", ".join(str(one) for one in changed if one.decisive)
+    reason = decisive or "the triggered ping shows them"
+    return replace(asked, confirmed=not decisive, reason=reason, pings=1, changed=changed)
+
+
+def _draw(path: Path, ping: Ping) -> None:
+    try:
+        from oculus_driver.render import Painter  # noqa: PLC0415 - an extra
+        from oculus_driver.render.files import write_png  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise OculusError("pictures need OpenCV: pip install 'mapperd[render]'") from error
+    write_png(path, Painter().paint(ping))

@@ -1,0 +1,85 @@
+"""`oculus info`: what a recording holds."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from oculus_driver.cli.output import Exit, Say
+from oculus_driver.labels import time_of
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterator, Mapping
+
+    from oculus_driver.recording import PingInfo, RecordingInfo
+
+NAME = "info"
+HELP = "tell what a recording holds, and what in it is damaged"
+
+_BAR: Final = 40
+_MOST_KINDS: Final = 8
+_MEGABYTE: Final = 1e6
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what may be said."""
+    parser.add_argument("file", metavar="FILE", type=Path, help="a recording of any kind")
+    parser.add_argument("--pings", action="store_true", help="list every ping (JSON always does)")
+
+
+def run(said: argparse.Namespace, say: Say) -> Exit:
+    """Read the recording from front to back and tell."""
+    from oculus_driver.recording import describe, open_recording  # noqa: PLC0415 - more than numpy
+
+    with open_recording(said.file) as recording:
+        info = describe(recording)
+    text = "\n".join(_lines(str(said.file), info, listed=said.pings))
+    say.report({"file": said.file, **info.as_json()}, text)
+    return Exit.OK
+
+
+def _lines(name: str, info: RecordingInfo, *, listed: bool) -> Iterator[str]:
+    yield f"{name}: {info.format}, {info.size_bytes / _MEGABYTE:.3f} MB"
+    if info.start_ns is not None and info.end_ns is not None:
+        seconds = (info.end_ns - info.start_ns) / 1e9
+        yield f"recorded {time_of(info.start_ns)} to {time_of(info.end_ns)}, {seconds:.3f} s"
+    if info.damage is not None:
+        yield f"damage: {info.damage} ({info.faults} in all)"
+    yield f"messages: {info.messages}, of these sound pings: {info.pings}"
+    if info.statuses:
+        yield f"statuses: {info.statuses}"
+    for kind, count in _kinds(info.ping_list).most_common(_MOST_KINDS):
+        yield f"  {count} x {kind}"
+    yield (
+        f"ids: {info.lost_pings} lost, {info.duplicates} twice, {info.restarts} restarts; "
+        f"bytes that belong to no message: {info.bytes_rejected} of {info.bytes_total}"
+    )
+    yield from _histogram("rejects", info.rejects)
+    yield from _histogram("warnings", info.warnings)
+    if listed:
+        yield from (f"{ping.id:>10}  {_kind(ping)}" for ping in info.ping_list)
+
+
+def _kinds(pings: list[PingInfo]) -> Counter[str]:
+    return Counter(_kind(ping) for ping in pings)
+
+
+def _kind(ping: PingInfo) -> str:
+    frequency = "?" if ping.frequency_hz is None else f"{ping.frequency_hz / 1e6:.3f}"
+    shape = f"{ping.rows} rows x {ping.beams} beams, {ping.bits_per_sample} bit"
+    return f"{shape}, {ping.range_m:.2f} m, {frequency} MHz"
+
+
+def _histogram(title: str, counts: Mapping[str, int]) -> Iterator[str]:
+    """Yield a line for each reason, the most frequent first, with a bar as long as its share."""
+    if not counts:
+        yield f"{title}: none"
+        return
+    yield f"{title}:"
+    width = max(len(reason) for reason in counts)
+    most = max(counts.values())
+    for reason, count in Counter(counts).most_common():
+        bar = "#" * max(1, round(_BAR * count / most))
+        yield f"  {reason:<{width}}  {count:>8}  {bar}"

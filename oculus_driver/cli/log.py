@@ -1,0 +1,150 @@
+"""`oculus log`: record a sonar, and nothing else, within the limits of a disk."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from oculus_driver.cli.arguments import not_negative, positive
+from oculus_driver.cli.output import Exit, Say
+from oculus_driver.cli.sonar_arguments import (
+    add_settings_arguments,
+    add_sonar_arguments,
+    settings_of,
+)
+from oculus_driver.cli.until_stopped import run_until_stopped
+from oculus_driver.link.state import LinkState
+
+if TYPE_CHECKING:
+    import argparse
+
+    from oculus_driver.link.state import LinkStatus
+    from oculus_driver.recording import BackgroundLog, LogPolicy, SonarLog
+    from oculus_driver.settings import FireSettings
+    from oculus_driver.sonar import OculusSonar
+
+NAME = "log"
+HELP = "let a sonar ping and record it: only under water"
+
+_MEGABYTE = 1_000_000
+_SECOND_NS = 1_000_000_000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what may be said."""
+    add_sonar_arguments(parser)
+    add = parser.add_argument
+    add("--out", metavar="DIR", type=Path, default=Path("sonar-log"), help="(default: %(default)s)")
+    add("--prefix", default="sonar", help="of the files' names (default: %(default)s)")
+    add("--duration", metavar="S", type=positive, help="stop after S seconds")
+    add("--every", metavar="S", type=positive, default=10.0, help="a line every S seconds")
+    add("--keep-pinging", action="store_true", help="leave the sonar pinging at the end")
+    limits = parser.add_argument_group("limits").add_argument
+    limits("--file-mb", metavar="MB", type=positive, default=500.0, help="then a new file")
+    limits("--file-s", metavar="S", type=positive, help="then a new file (default: no limit)")
+    limits("--budget-mb", metavar="MB", type=positive, help="of all files; the oldest are deleted")
+    limits("--free-mb", metavar="MB", type=not_negative, default=1000.0, help="to stay free")
+    limits("--sync-s", metavar="S", type=not_negative, default=5.0, help="may be lost with power")
+    add_settings_arguments(parser)
+
+
+def run(said: argparse.Namespace, say: Say) -> Exit:
+    """Record until somebody stops it; nothing recorded at all is a fault."""
+    say.must_go_on = True
+    settings = settings_of(said)
+    from oculus_driver.recording import SonarLog  # noqa: PLC0415 - more than numpy
+
+    log = SonarLog(
+        said.out,
+        _policy(said),
+        prefix=said.prefix,
+        monotonic_to_unix_ns=time.time_ns() - time.monotonic_ns(),
+    )
+    run_until_stopped(_log(said, say, settings, log))
+    if not log.counters.bytes_written:
+        return say.failure("nothing was recorded; see `oculus doctor`", Exit.FAULT)
+    return Exit.OK
+
+
+async def _log(said: argparse.Namespace, say: Say, settings: FireSettings, log: SonarLog) -> None:
+    from oculus_driver.cli.sonar_link import sonar_of  # noqa: PLC0415 - of this command alone
+    from oculus_driver.recording import BackgroundLog  # noqa: PLC0415 - more than numpy
+
+    async with BackgroundLog(log) as writer:
+        tap = _Tap(writer, say)
+        sonar = sonar_of(
+            said,
+            settings,
+            keep_pinging=said.keep_pinging,
+            on_bytes=tap.take,
+            on_state=tap.link_changed,
+        )
+        try:
+            async with asyncio.timeout(said.duration), sonar, asyncio.TaskGroup() as tasks:
+                tasks.create_task(_tell_regularly(said.every, say, sonar, log))
+                async for _ in sonar.pings():
+                    pass  # the bytes are recorded before they become pings
+        except TimeoutError:
+            pass
+        finally:
+            _tell(say, sonar, log, "end")
+
+
+class _Tap:
+    """Hands the sonar's bytes to the log; those of a new connection do not join the old ones."""
+
+    def __init__(self, writer: BackgroundLog, say: Say) -> None:
+        self._writer = writer
+        self._say = say
+        self._fresh = False
+
+    def take(self, data: bytes, arrival_ns: int) -> None:
+        """Record bytes."""
+        self._writer.write(data, arrival_ns, gap_before=self._fresh)
+        self._fresh = False
+
+    def link_changed(self, link: LinkStatus) -> None:
+        """Tell of the link."""
+        if link.state == LinkState.CONNECTING:
+            self._fresh = True
+        facts = {"event": "state", "state": str(link.state), "reason": link.reason}
+        self._say.report(facts | {"address": link.address}, f"{link.state}: {link.reason}")
+
+
+async def _tell_regularly(every_s: float, say: Say, sonar: OculusSonar, log: SonarLog) -> None:
+    while True:
+        await asyncio.sleep(every_s)
+        _tell(say, sonar, log, "log")
+
+
+def _tell(say: Say, sonar: OculusSonar, log: SonarLog, event: str) -> None:
+    from oculus_driver.cli.sonar_link import facts_of, line_of  # noqa: PLC0415 - as above
+
+    counters = log.counters
+    facts: dict[str, Any] = {
+        "event": event,
+        "log_state": log.state,
+        "log_reason": log.reason,
+        "file": log.path,
+    }
+    facts |= {name: getattr(counters, name) for name in counters.__slots__}
+    facts |= {"sonar": facts_of(sonar.counters)}
+    words = [f"{log.state}: {counters.bytes_written / _MEGABYTE:.1f} MB"]
+    words.append(f"{counters.files_opened} files")
+    if counters.bytes_dropped:
+        words.append(f"{counters.bytes_dropped} bytes not recorded ({log.reason})")
+    say.report(facts, f"{line_of(sonar)}; {', '.join(words)}")
+
+
+def _policy(said: argparse.Namespace) -> LogPolicy:
+    from oculus_driver.recording import LogPolicy  # noqa: PLC0415 - more than numpy
+
+    return LogPolicy(
+        max_file_bytes=round(said.file_mb * _MEGABYTE),
+        max_file_ns=None if said.file_s is None else round(said.file_s * _SECOND_NS),
+        budget_bytes=None if said.budget_mb is None else round(said.budget_mb * _MEGABYTE),
+        free_floor_bytes=round(said.free_mb * _MEGABYTE),
+        sync_interval_ns=round(said.sync_s * _SECOND_NS),
+    )

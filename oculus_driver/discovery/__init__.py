@@ -1,0 +1,1 @@
+"""Which sonars are on the network, and what is wrong with one."""

@@ -1,0 +1,219 @@
+"""Listens for sonars on the network, beside whatever else listens on this host."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import socket
+import time
+from collections import Counter
+from typing import TYPE_CHECKING, Final
+from weakref import WeakSet
+
+from oculus_driver.discovery.diagnosis import bind_finding, status_findings
+from oculus_driver.discovery.state import Sighting, SonarKey, SonarWatch
+from oculus_driver.errors import DiscoveryError
+from oculus_driver.wire import STATUS_PORT
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import TracebackType
+    from typing import Self
+
+__all__ = ["Discovery", "Sighting", "Sightings", "SonarWatch"]
+
+ANY_HOST: Final = "0.0.0.0"  # noqa: S104 - broadcasts come to every address, this is how to hear them
+
+_LOG: Final = logging.getLogger(__name__)
+
+
+class Discovery:
+    """Hears the status broadcasts of all sonars while it is entered.
+
+    Other programs may listen on the same port of this host at the same time, provided that they
+    share it too. A sonar that appears, and each condition of it that needs somebody, is logged
+    once.
+
+    Attributes:
+        watch: the sonars heard, and what was refused.
+        dropped: what never reached an iterator, by reason: superseded (a newer status of the
+            same sonar came before the reader asked), socket_error.
+
+    Args:
+        port: UDP port, 0 for any free one (see `port` then).
+        host: own address to listen on.
+        clock_ns: the host's monotonic clock.
+    """
+
+    def __init__(
+        self,
+        port: int = STATUS_PORT,
+        host: str = ANY_HOST,
+        *,
+        clock_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self.watch = SonarWatch()
+        self.dropped: Counter[str] = Counter()
+        self._port = port
+        self._host = host
+        self._clock_ns = clock_ns
+        self._transport: asyncio.DatagramTransport | None = None
+        self._closed: asyncio.Future[None] | None = None
+        self._readers: WeakSet[Sightings] = WeakSet()
+        self._told: dict[SonarKey, frozenset[str]] = {}
+
+    @property
+    def port(self) -> int:
+        """UDP port that is listened on."""
+        return self._port
+
+    async def __aenter__(self) -> Self:
+        """Start listening.
+
+        Raises:
+            DiscoveryError: the port cannot be had; the text says why and what to do.
+        """
+        loop = asyncio.get_running_loop()
+        listening = _listening_socket(self._host, self._port)
+        self._port = listening.getsockname()[1]
+        self._closed = loop.create_future()
+        receiver = _Receiver(self._take, self._fail, self._closed)
+        try:
+            self._transport, _ = await loop.create_datagram_endpoint(
+                lambda: receiver, sock=listening
+            )
+        except BaseException:
+            listening.close()
+            raise
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Stop listening; iterators end."""
+        for reader in self._readers:
+            reader.finish()
+        if self._transport is not None and self._closed is not None:
+            self._transport.close()
+            self._transport = None
+            await self._closed
+
+    def present(self) -> list[Sighting]:
+        """Return the sonars that are there now, in order of their first status."""
+        return self.watch.present(self._clock_ns())
+
+    def sightings(self) -> Sightings:
+        """Return an iterator over statuses as they come, first those of sonars known already.
+
+        A reader that is slower than the sonars gets the newest status of each, and no other.
+        Every iterator gets all sonars. It ends when the discovery is left.
+        """
+        reader = Sightings(self.dropped)
+        for sighting in self.present():
+            reader.offer(sighting)
+        if self._transport is None:
+            reader.finish()
+        self._readers.add(reader)
+        return reader
+
+    def _take(self, datagram: bytes, source_address: str) -> None:
+        sighting = self.watch.feed(datagram, source_address, self._clock_ns())
+        if isinstance(sighting, Sighting):
+            self._tell(sighting)
+            for reader in self._readers:
+                reader.offer(sighting)
+
+    def _fail(self, error: OSError) -> None:
+        self.dropped["socket_error"] += 1
+        _LOG.debug("status port %d: %s", self._port, error)
+
+    def _tell(self, sighting: Sighting) -> None:
+        """Log the sonar's appearance and what is new in its condition."""
+        if sighting.count == 1:
+            model, serial = sighting.model.name, sighting.status.device_id
+            _LOG.info("%s, serial number %d, at %s", model, serial, sighting.address)
+            self._told = {key: self._told[key] for key in self.watch.sightings if key in self._told}
+        findings = status_findings(sighting.status)
+        before = self._told.get(sighting.key, frozenset())
+        self._told[sighting.key] = frozenset(finding.code for finding in findings)
+        for finding in findings:
+            if finding.code not in before and finding.severity != "note":
+                _LOG.warning("%s", finding.text)
+
+
+class Sightings:
+    """Statuses as they come: the newest of each sonar, in the order in which they were heard."""
+
+    def __init__(self, dropped: Counter[str]) -> None:
+        self._waiting: dict[SonarKey, Sighting] = {}
+        self._dropped = dropped
+        self._wake = asyncio.Event()
+        self._finished = False
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> Sighting:
+        while not self._waiting:
+            if self._finished:
+                raise StopAsyncIteration
+            self._wake.clear()
+            await self._wake.wait()
+        return self._waiting.pop(next(iter(self._waiting)))
+
+    def offer(self, sighting: Sighting) -> None:
+        """Keep a sighting for the reader, in place of an older one of the same sonar."""
+        if self._waiting.pop(sighting.key, None) is not None:
+            self._dropped["superseded"] += 1
+        self._waiting[sighting.key] = sighting
+        self._wake.set()
+
+    def finish(self) -> None:
+        """End the iteration after what is waiting."""
+        self._finished = True
+        self._wake.set()
+
+
+class _Receiver(asyncio.DatagramProtocol):
+    """Hands on what the socket says."""
+
+    def __init__(
+        self,
+        take: Callable[[bytes, str], None],
+        fail: Callable[[OSError], None],
+        closed: asyncio.Future[None],
+    ) -> None:
+        self._take = take
+        self._fail = fail
+        self._closed = closed
+
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+        self._take(data, addr[0])
+
+    def error_received(self, exc: Exception) -> None:
+        if isinstance(exc, OSError):
+            self._fail(exc)
+
+    def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002 - the base's name
+        if not self._closed.done():
+            self._closed.set_result(None)
+
+
+def _listening_socket(host: str, port: int) -> socket.socket:
+    """Return a bound socket that shares its port with all others that share it."""
+    listening = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        listening.settimeout(0)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if hasattr(socket, "SO_REUSEPORT"):
+            with contextlib.suppress(OSError):  # some kernels know the name and not the option
+                listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+        listening.bind((host, port))
+    except OSError as error:
+        listening.close()
+        raise DiscoveryError(bind_finding(error, host, port).text) from error
+    return listening

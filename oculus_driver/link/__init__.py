@@ -1,0 +1,1 @@
+"""The link to one sonar: connection, state machine, received pings."""

@@ -1,0 +1,245 @@
+"""Does what the link decides: sockets, timers, and the bytes that come in."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING
+
+from oculus_driver.link.connection import Connection, open_connection, reason_of
+from oculus_driver.link.receiver import PingReceiver
+from oculus_driver.link.sonar_counters import SonarCounters
+from oculus_driver.link.state import SECOND_NS, Action, Connect, Disconnect, LinkState, Send
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from oculus_driver.link.machine import Link
+    from oculus_driver.link.receiver import Received
+    from oculus_driver.link.state import LinkStatus
+
+
+class LinkDriver:
+    """Owns the connection of one link.
+
+    Everything happens in callbacks of the event loop; the one task is the attempt to connect.
+
+    Args:
+        link: decides.
+        port: of the data connection.
+        clock: host monotonic time, nanoseconds.
+        on_bytes: gets all bytes before they are parsed, and their arrival time.
+        on_received: gets each message with a ping in it, if there is a good one.
+        on_status: gets the link's status when its state or reason changed.
+        on_failure: gets what was raised in one of these.
+
+    Attributes:
+        link: as given.
+        failure: what ended it, None while all is well.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        *,
+        port: int,
+        clock: Callable[[], int],
+        on_bytes: Callable[[bytes, int], None] | None,
+        on_received: Callable[[Received, int], None],
+        on_status: Callable[[LinkStatus], None],
+        on_failure: Callable[[BaseException], None],
+    ) -> None:
+        self.link = link
+        self.failure: BaseException | None = None
+        self._port = port
+        self._clock = clock
+        self._on_bytes = on_bytes
+        self._on_received = on_received
+        self._on_status = on_status
+        self._on_failure = on_failure
+        self._receiver = PingReceiver()
+        self._connection: Connection | None = None
+        self._attempt: asyncio.Task[None] | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._told: tuple[LinkState, str] | None = None
+        self._connections = 0
+        self._losses = 0
+        self._sent = 0
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether a connection stands."""
+        return self._connection is not None and self._connection.stands
+
+    @property
+    def connection_closed(self) -> asyncio.Future[None]:
+        """Done when the connection that stands has ended."""
+        if self._connection is None:
+            done: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+            done.set_result(None)
+            return done
+        return self._connection.closed
+
+    def counted(self, *, taken: int, dropped: int, queued: int) -> SonarCounters:
+        """Return all counts, with those of the queue that the pings went to."""
+        stream, sequence = self._receiver.stream, self._receiver.sequence
+        return SonarCounters(
+            connections=self._connections,
+            losses=self._losses,
+            bytes_received=stream.bytes_total,
+            bytes_rejected=stream.bytes_rejected,
+            resyncs=stream.resyncs,
+            messages=dict(stream.messages),
+            rejects=dict(stream.rejects + self._receiver.rejects),
+            pings=self._receiver.pings,
+            taken=taken,
+            dropped=dropped,
+            queued=queued,
+            duplicates=sequence.duplicates,
+            lost_pings=sequence.lost_pings,
+            restarts=sequence.restarts,
+            sent=self._sent,
+        )
+
+    def start(self) -> None:
+        """Begin."""
+        self.do(self.link.start(self._clock()))
+
+    def do(self, actions: list[Action]) -> None:
+        """Do what the link decided, then see that it is asked again in time."""
+        if self.failure is not None:
+            return
+        try:
+            for action in actions:
+                self._do_one(action)
+            self._tell()
+        except Exception as error:  # noqa: BLE001 - a caller's function may raise anything
+            self._on_failure(error)
+        else:
+            self._arm()
+
+    def fail(self, error: BaseException) -> None:
+        """Stop for good."""
+        self.failure = self.failure or error
+        self._stop()
+        self.link.close(f"failed: {error}", self._clock())
+
+    async def close(self, reason: str) -> None:
+        """End the connection and wait until nothing is left of it."""
+        connection, attempt = self._connection, self._attempt
+        self.link.close(reason, self._clock())
+        self._stop()
+        if attempt is not None and not attempt.done():
+            await asyncio.wait((attempt,))
+        if connection is not None:
+            await connection.closed
+        if self.failure is None:
+            self._tell()
+
+    def _do_one(self, action: Action) -> None:
+        match action:
+            case Connect(address):
+                connection = Connection(self._made, self._data, self._lost)
+                self._connection = connection
+                self._attempt = asyncio.create_task(self._connect(connection, address))
+            case Disconnect():
+                self._losses += 1
+                self._stop()
+            case Send(data):
+                self._sent += 1
+                if self._connection is not None:
+                    self._connection.send(data)
+
+    async def _connect(self, connection: Connection, address: str) -> None:
+        try:
+            await open_connection(connection, address, self._port)
+        except OSError as error:
+            if connection is self._connection:
+                self._lost(reason_of(error))
+        except Exception as error:  # noqa: BLE001 - such as a host name that cannot be one
+            self._on_failure(error)
+
+    def _made(self, connection: Connection) -> None:
+        self._connections += 1
+        self.do(self.link.connected(self._clock(), connection.own_address))
+
+    def _data(self, data: bytes) -> None:
+        now_ns = self._clock()
+        try:
+            if self._on_bytes is not None:
+                self._on_bytes(data, now_ns)
+            for received in self._receiver.feed(data, now_ns):
+                self._take(received, now_ns)
+        except Exception as error:  # noqa: BLE001 - a caller's function may raise anything
+            self._on_failure(error)
+            return
+        self._look(now_ns)
+
+    def _take(self, received: Received, now_ns: int) -> None:
+        self.link.heard(received.message_id, now_ns)
+        if received.ping is not None:
+            self.link.pinged(now_ns)
+        self._on_received(received, now_ns)
+
+    def _lost(self, reason: str) -> None:
+        self._losses += 1
+        self._connection = None
+        self._flush()
+        self.do(self.link.lost(reason, self._clock()))
+
+    def _stop(self) -> None:
+        """Drop connection, attempt and timer."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        if self._attempt is not None:
+            self._attempt.cancel()
+        if self._connection is not None:
+            self._connection.drop()
+            self._connection = None
+            self._flush()
+
+    def _flush(self) -> None:
+        """Hand on what the connection that ended still had in it."""
+        now_ns = self._clock()
+        received = self._receiver.finish()
+        if self.failure is not None:
+            return
+        try:
+            for one in received:
+                self._on_received(one, now_ns)
+        except Exception as error:  # noqa: BLE001 - a caller's function may raise anything
+            self._on_failure(error)
+
+    def _look(self, now_ns: int) -> None:
+        """Do what is due, and give up a connection whose bytes make no sense."""
+        trouble = self._receiver.trouble(now_ns) if self.is_connected else None
+        if trouble is not None:
+            self.do(self.link.break_off(trouble, now_ns))
+        else:
+            self.do(self.link.tick(now_ns))
+
+    def _tell(self) -> None:
+        status = self.link.status
+        if (status.state, status.reason) != self._told:
+            self._told = status.state, status.reason
+            self._on_status(status)
+
+    def _arm(self) -> None:
+        """See that `_look` runs at the next deadline; a timer that is early may stand."""
+        deadlines = [self.link.deadline_ns]
+        if self.is_connected:
+            deadlines.append(self._receiver.deadline_ns)
+        due_ns = min((one for one in deadlines if one is not None), default=None)
+        if due_ns is None:
+            return
+        loop = asyncio.get_running_loop()
+        when = loop.time() + max(0.0, (due_ns - self._clock()) / SECOND_NS)
+        if self._timer is not None:
+            if self._timer.when() <= when and not self._timer.cancelled():
+                return
+            self._timer.cancel()
+        self._timer = loop.call_at(when, self._due)
+
+    def _due(self) -> None:
+        self._timer = None
+        self._look(self._clock())

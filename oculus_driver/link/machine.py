@@ -1,0 +1,371 @@
+"""The link to one sonar as a state machine: events and the time in, actions out.
+
+searching ─▶ connecting ─▶ configuring ─▶ pinging ⇄ silent     standby: as long as it is asked for
+    ▲             │             │            └─────────┤
+    └─────────────┴─ backing off ◀─────────────────────┘  (connection lost, or nothing heard)
+
+No socket and no clock is in here. "Pinging" is said only while pings arrive.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from oculus_driver.encode import encode_dummy
+from oculus_driver.link.state import (
+    SECOND_NS,
+    Action,
+    Connect,
+    Disconnect,
+    LinkState,
+    LinkStatus,
+    LinkTimes,
+    Send,
+)
+from oculus_driver.wire import TCP_PORT, MessageId
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from oculus_driver.settings import FireSettings
+
+    Timer = tuple[int, Callable[[int], list[Action]]]
+
+_PREFERRED_VERSION: Final = 2
+_FALLBACK: Final = {2: 1, 1: 2}
+_CONNECTED: Final = frozenset(
+    {LinkState.CONFIGURING, LinkState.PINGING, LinkState.STANDBY, LinkState.SILENT}
+)
+
+
+class Link:
+    """Decides what to do next. Whoever owns the socket does it and reports what happened.
+
+    Every method takes the host's monotonic time in nanoseconds and returns the actions to do
+    now, in order. `tick` is to be called at `deadline_ns`, earlier does no harm.
+
+    Args:
+        settings: what the sonar is to do.
+        address: where the sonar is, None to wait for its status (`sighted`).
+        version: of the fire messages, None for 2 with fallback to 1.
+        times: how long to wait for what.
+        chance: source of random numbers from 0 to 1, for the pauses between attempts.
+    """
+
+    def __init__(
+        self,
+        settings: FireSettings,
+        *,
+        chance: Callable[[], float],
+        address: str | None = None,
+        version: int | None = None,
+        times: LinkTimes | None = None,
+    ) -> None:
+        self._settings = settings
+        self._times = times or LinkTimes()
+        self._chance = chance
+        self._searches = address is None
+        self._target = address  # where the sonar is said to be
+        self._address: str | None = None  # where we connect to
+        self._holder: str | None = None
+        self._sighted_ns = 0
+        self._own_addresses: set[str] = set()
+        self._asked_version = version
+        self._version = version or _PREFERRED_VERSION
+        self._proven = False  # a ping came on this connection: the version is understood
+        self._fell_back = False
+        self._held: str | None = None
+        self._state = LinkState.CLOSED
+        self._since_ns = 0
+        self._reason = "not started"
+        self._failures = 0
+        self._retry_ns = 0
+        self._expected_since_ns: int | None = None  # None: no ping is expected
+        self._heard_ns = 0
+        self._dummies = 0  # since the last ping or question
+        self._triggered = False  # since the last question
+        self._sent_ns: int | None = None
+        self._pending: bytes | None = None
+
+    @property
+    def status(self) -> LinkStatus:
+        """The link as it is now."""
+        address = self._address or self._target
+        return LinkStatus(
+            self._state, self._since_ns, self._reason, address, self._version, self._failures
+        )
+
+    @property
+    def deadline_ns(self) -> int | None:
+        """When `tick` has something to do, None if only an event can change anything."""
+        return min((due_ns for due_ns, _ in self._timers()), default=None)
+
+    def tick(self, now_ns: int) -> list[Action]:
+        """Do what is due by now."""
+        actions: list[Action] = []
+        while True:
+            due = [timer for timer in self._timers() if timer[0] <= now_ns]
+            if not due:
+                return actions
+            _, handler = min(due, key=lambda timer: timer[0])
+            actions += handler(now_ns)
+
+    def start(self, now_ns: int) -> list[Action]:
+        """Begin to look for the sonar, or to connect where its address is given."""
+        if self._target is not None:
+            return self._connect("the address is given", now_ns)
+        self._enter(LinkState.SEARCHING, "no status of a sonar heard yet", now_ns)
+        return []
+
+    def sighted(self, address: str, now_ns: int, *, holder: str | None = None) -> list[Action]:
+        """Take a status of our sonar: where it is, and which client holds it (None: nobody).
+
+        Without effect on the address where that was given.
+        """
+        if not self._searches:
+            return []
+        self._target, self._holder, self._sighted_ns = address, holder, now_ns
+        if self._state is LinkState.SEARCHING:
+            return self._connect_if_free("its status was heard", now_ns)
+        if address == self._address or self._state in (LinkState.CLOSED, LinkState.PINGING):
+            return []
+        return self._follow(now_ns)
+
+    def connected(self, now_ns: int, own_address: str | None = None) -> list[Action]:
+        """Go on after the connection was made; `own_address` is this host's end of it."""
+        if own_address is not None:
+            self._own_addresses.add(own_address)
+        self._heard_ns = now_ns
+        self._sent_ns = self._pending = None
+        self._proven = self._fell_back = False
+        self._enter(LinkState.CONFIGURING, f"connected to {self._address}", now_ns)
+        return self._ask(now_ns)
+
+    def lost(self, reason: str, now_ns: int) -> list[Action]:
+        """Take the end of the connection, or of the attempt at one."""
+        if self._state is LinkState.CLOSED:
+            return []
+        self._failures += 1
+        if not self._proven:
+            self._version = self._asked_version or _PREFERRED_VERSION
+        self._retry_ns = now_ns + self._times.pause_ns(self._failures, self._chance())
+        self._enter(LinkState.BACKING_OFF, reason, now_ns)
+        return []
+
+    def heard(self, message_id: int, now_ns: int) -> None:
+        """Take a whole message of any kind: a sign of life."""
+        self._heard_ns = now_ns
+        self._failures = 0
+        self._dummies += message_id == MessageId.DUMMY
+
+    def pinged(self, now_ns: int) -> None:
+        """Take a good ping, the only thing that makes the link "pinging"."""
+        self._proven = True
+        self._dummies = 0
+        self._expected_since_ns = None if self._settings.network_trigger else now_ns
+        if self._state in (LinkState.CONFIGURING, LinkState.SILENT):
+            self._enter(LinkState.PINGING, "pings arrive", now_ns)
+
+    def apply(self, settings: FireSettings, now_ns: int) -> list[Action]:
+        """Ask for other settings from now on."""
+        self._settings = settings
+        return self._ask(now_ns) if self._state in _CONNECTED else []
+
+    def hold(self, reason: str | None, now_ns: int) -> list[Action]:
+        """Keep the sonar in standby for a reason, whatever the settings say; None lets go."""
+        if reason == self._held:
+            return []
+        self._held = reason
+        return self._ask(now_ns) if self._state in _CONNECTED else []
+
+    @property
+    def has_unsent(self) -> bool:
+        """Whether a message waits for the least time between two of them; `tick` sends it."""
+        return self._pending is not None
+
+    @property
+    def can_trigger(self) -> bool:
+        """Whether `trigger` would fire: in triggered mode, connected, not held, none waiting."""
+        free = self._held is None and self._pending is None
+        return free and self._state in _CONNECTED and self._settings.network_trigger
+
+    def trigger(self, now_ns: int) -> list[Action]:
+        """Fire once in triggered mode; nothing where that cannot be done (`can_trigger`)."""
+        if not self.can_trigger:
+            return []
+        if self._state is LinkState.STANDBY:
+            self._enter(LinkState.CONFIGURING, "first trigger sent, no ping yet", now_ns)
+            self._expected_since_ns = now_ns
+        elif self._expected_since_ns is None:
+            self._expected_since_ns = now_ns
+        self._triggered = True
+        return self._send(self._encoded(self._settings), now_ns)
+
+    def close(self, reason: str, now_ns: int) -> list[Action]:
+        """End it. A sonar that shall be quiet afterwards is held before."""
+        active = self._state in _CONNECTED or self._state is LinkState.CONNECTING
+        self._enter(LinkState.CLOSED, reason, now_ns)
+        return [Disconnect(reason)] if active else []
+
+    def break_off(self, reason: str, now_ns: int) -> list[Action]:
+        """Give up this connection, for what was read from it, and come back after a pause."""
+        return [Disconnect(reason), *self.lost(reason, now_ns)]
+
+    # What is due when.
+
+    def _timers(self) -> Iterator[Timer]:
+        yield from self._waiting_timers()
+        if self._state in _CONNECTED and self._sent_ns is not None:
+            yield from self._sending_timers(self._sent_ns)
+        if self._searches and self._state in (LinkState.SILENT, LinkState.STANDBY):
+            last_ns = max(self._sighted_ns, self._heard_ns)
+            if self._state is LinkState.STANDBY:  # it gets the time to answer that question
+                last_ns = max(last_ns, self._since_ns)
+            yield last_ns + self._times.status_gone_ns, self._gone
+
+    def _waiting_timers(self) -> Iterator[Timer]:
+        times, expected_since_ns = self._times, self._expected_since_ns
+        match self._state:
+            case LinkState.CONNECTING:
+                yield self._since_ns + times.connect_ns, self._no_answer
+            case LinkState.BACKING_OFF:
+                yield self._retry_ns, self._retry
+            case LinkState.CONFIGURING if expected_since_ns is not None:
+                yield expected_since_ns + times.fallback_ns + self._period_ns, self._no_first_ping
+            case LinkState.PINGING if expected_since_ns is not None:
+                yield expected_since_ns + times.silence_ns + self._period_ns, self._fell_silent
+            case LinkState.SILENT:
+                yield self._heard_ns + times.reconnect_ns + self._period_ns, self._hangs
+            case LinkState.STANDBY if self._dummies:
+                yield self._heard_ns + times.reconnect_ns, self._hangs
+
+    def _sending_timers(self, sent_ns: int) -> Iterator[Timer]:
+        if self._pending is not None:
+            yield sent_ns + self._times.send_gap_ns, self._send_pending
+        elif self._times.keep_alive_ns is not None:
+            yield sent_ns + self._times.keep_alive_ns, self._repeat
+
+    @property
+    def _period_ns(self) -> int:
+        """How long one ping may take: over a slow network many seconds."""
+        return 0 if self._settings.standby else round(self._settings.longest_period_s * SECOND_NS)
+
+    def _no_answer(self, now_ns: int) -> list[Action]:
+        seconds = self._times.connect_ns / SECOND_NS
+        return self.break_off(
+            f"{self._address}:{TCP_PORT} did not answer within {seconds:g} s: check its power, "
+            "the cable, and that this host has an address in its subnet",
+            now_ns,
+        )
+
+    def _retry(self, now_ns: int) -> list[Action]:
+        if self._target is None:  # pragma: no cover - backing off needs an address
+            return self.start(now_ns)
+        if not self._searches:
+            return self._connect("trying again", now_ns)
+        if now_ns - self._sighted_ns <= self._times.status_gone_ns:
+            return self._connect_if_free("trying again", now_ns)
+        return self._gone(now_ns)
+
+    def _no_first_ping(self, now_ns: int) -> list[Action]:
+        seconds = self._times.fallback_ns / SECOND_NS
+        fixed = self._asked_version is not None or self._settings.needs_version_2
+        if self._proven or self._fell_back or fixed:
+            reason = f"no ping within {seconds:g} s of fire messages of version {self._version}"
+            self._enter(LinkState.SILENT, reason, now_ns)
+            return []
+        self._fell_back = True
+        self._version = _FALLBACK[self._version]
+        self._reason = f"no ping within {seconds:g} s: fire version {self._version} tried instead"
+        self._expected_since_ns = now_ns
+        return self._send(self._encoded(self._settings), now_ns)
+
+    def _fell_silent(self, now_ns: int) -> list[Action]:
+        if self._searches and self._target != self._address:
+            return self._follow(now_ns)
+        seconds = (now_ns - (self._expected_since_ns or now_ns)) / SECOND_NS
+        why = "the sonar says that it is in standby" if self._dummies else "nothing else either"
+        self._enter(LinkState.SILENT, f"no ping for {seconds:.1f} s, {why}", now_ns)
+        return []
+
+    def _hangs(self, now_ns: int) -> list[Action]:
+        seconds = (now_ns - self._heard_ns) / SECOND_NS
+        return self.break_off(f"no message from {self._address} for {seconds:.1f} s", now_ns)
+
+    def _gone(self, now_ns: int) -> list[Action]:
+        connected = self._state in _CONNECTED
+        seconds = (now_ns - self._sighted_ns) / SECOND_NS
+        reason = f"no status from {self._target} for {seconds:.1f} s: is the sonar powered?"
+        self._enter(LinkState.SEARCHING, reason, now_ns)
+        return [Disconnect(reason)] if connected else []
+
+    # Steps that several events share.
+
+    def _enter(self, state: LinkState, reason: str, now_ns: int) -> None:
+        self._state, self._since_ns, self._reason = state, now_ns, reason
+
+    def _connect_if_free(self, reason: str, now_ns: int) -> list[Action]:
+        if self._holder is None or self._holder in self._own_addresses:
+            return self._connect(reason, now_ns)
+        held = (
+            f"the sonar at {self._target} is held by {self._holder}: it serves one client at a "
+            "time, close that one"
+        )
+        since_ns = self._since_ns if self._state is LinkState.SEARCHING else now_ns
+        self._enter(LinkState.SEARCHING, held, since_ns)
+        return []
+
+    def _connect(self, reason: str, now_ns: int) -> list[Action]:
+        assert self._target is not None  # noqa: S101 - who calls has looked
+        self._address = self._target
+        self._enter(LinkState.CONNECTING, reason, now_ns)
+        return [Connect(self._target)]
+
+    def _follow(self, now_ns: int) -> list[Action]:
+        """Go after a sonar that has another address now."""
+        reason = f"the sonar moved from {self._address} to {self._target}"
+        waits = self._state is LinkState.BACKING_OFF
+        dropped: list[Action] = [] if waits else [Disconnect(reason)]
+        return dropped + self._connect_if_free(reason, now_ns)
+
+    def _ask(self, now_ns: int) -> list[Action]:
+        """Send the settings anew and expect what they promise."""
+        self._expected_since_ns = now_ns
+        self._dummies = 0
+        self._triggered = False
+        quiet = self._quiet_reason()
+        if quiet is not None:
+            self._enter(LinkState.STANDBY, quiet, now_ns)
+        elif self._state is not LinkState.PINGING:
+            self._enter(LinkState.CONFIGURING, "settings sent, no ping yet", now_ns)
+        return self._send(self._encoded(self._wanted()), now_ns)
+
+    def _quiet_reason(self) -> str | None:
+        if self._held is not None:
+            return self._held
+        if self._settings.standby:
+            return "standby was asked for"
+        return "waits for a trigger" if self._settings.network_trigger else None
+
+    def _wanted(self) -> FireSettings:
+        """What to send without a trigger: a sonar in triggered mode is quiet until the first."""
+        quiet = self._quiet_reason() is not None
+        return self._settings.in_standby() if quiet else self._settings
+
+    def _repeat(self, now_ns: int) -> list[Action]:
+        """Keep the connection alive: a fire message again, but none that would be a trigger."""
+        data = encode_dummy() if self._triggered else self._encoded(self._wanted())
+        return self._send(data, now_ns)
+
+    def _encoded(self, settings: FireSettings) -> bytes:
+        return settings.encode(2 if settings.needs_version_2 else self._version)
+
+    def _send(self, data: bytes, now_ns: int) -> list[Action]:
+        if self._sent_ns is not None and now_ns - self._sent_ns < self._times.send_gap_ns:
+            self._pending = data
+            return []
+        self._sent_ns, self._pending = now_ns, None
+        return [Send(data)]
+
+    def _send_pending(self, now_ns: int) -> list[Action]:
+        return [] if self._pending is None else self._send(self._pending, now_ns)

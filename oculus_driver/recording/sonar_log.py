@@ -1,0 +1,374 @@
+"""Record one sonar, and links beside it, for as long as it takes, within a disk's limits."""
+
+from __future__ import annotations
+
+from collections import Counter
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, NamedTuple, Self
+
+from oculus_driver.errors import RecordingError
+from oculus_driver.recording.chunk import OCULUS, OCULUS_STATUS
+from oculus_driver.recording.log_files import MIB, LogPolicy, make_room
+from oculus_driver.recording.log_folder import LogFolder, free_bytes_of
+from oculus_driver.recording.writer import RecordingWriter
+from oculus_driver.stream import StreamParser
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+    from types import TracebackType
+
+    from oculus_driver.stream import Message
+
+_SONAR: Final = "sonar"
+_STATUS: Final = "status"
+
+_MARGIN: Final = MIB
+"""Bytes beyond the data themselves that a file may grow by: heads of records and the index."""
+
+_FREE_CHECK_NS: Final = 1_000_000_000
+
+
+@dataclass(slots=True)
+class LogCounters:
+    """What a log has done.
+
+    Attributes:
+        bytes_written, bytes_dropped: of the data given to it.
+        drops: pieces not recorded, by reason: budget, free_space, disk (it failed; see
+            `SonarLog.reason`), resuming (the rest of a message whose beginning was dropped).
+        files_opened: files begun.
+        rotations: files closed, by reason: size, time, failure.
+        files_deleted, bytes_deleted: old files that made room.
+        deletes_failed: old files that should have gone, but could not.
+        syncs: times that data were brought to the disk.
+    """
+
+    bytes_written: int = 0
+    bytes_dropped: int = 0
+    drops: Counter[str] = field(default_factory=Counter)
+    files_opened: int = 0
+    rotations: Counter[str] = field(default_factory=Counter)
+    files_deleted: int = 0
+    bytes_deleted: int = 0
+    deletes_failed: int = 0
+    syncs: int = 0
+
+
+class LogPlace(NamedTuple):
+    """How far a log has come.
+
+    Attributes:
+        file: number of the newest file; 0 before the first.
+        messages: in that file.
+    """
+
+    file: int
+    messages: int
+
+
+class _Piece(NamedTuple):
+    link: str
+    data: bytes
+    arrival_ns: int
+    gap_before: bool
+
+
+class SonarLog:
+    """A row of MCAP files with one sonar's bytes as they came. Blocking, not thread-safe.
+
+    Each file begins with a message and, where nothing fails, ends with one, so that no ping is
+    torn apart between files. What the disk does is never raised: it is counted, `state` and
+    `reason` say it, and recording goes on when there is room again. What was written survives a
+    kill at any time.
+
+    Args:
+        folder: for the files; is made if needed.
+        policy: the limits.
+        prefix: of the files' names.
+        monotonic_to_unix_ns: added to every stamp; 0 if stamps are nanoseconds since 1970.
+        metadata: free words that go into each file.
+        others: name to encoding of links that are recorded beside the sonar, such as odometry.
+        free_bytes: tells what is free on the folder's disk.
+        hold: a piece that the disk does not take now is not dropped: it stays, `holding` says so,
+            and nothing else may be written until `retry` has brought it to the disk.
+
+    Raises:
+        RecordingError: the folder cannot be made or read.
+    """
+
+    def __init__(
+        self,
+        folder: str | os.PathLike[str],
+        policy: LogPolicy | None = None,
+        *,
+        prefix: str = "sonar",
+        monotonic_to_unix_ns: int = 0,
+        metadata: Mapping[str, str] | None = None,
+        others: Mapping[str, str] | None = None,
+        free_bytes: Callable[[Path], int] = free_bytes_of,
+        hold: bool = False,
+    ) -> None:
+        self.policy = policy or LogPolicy()
+        self.counters = LogCounters()
+        self.reason: str | None = None
+        self._folder = LogFolder(folder, prefix)
+        self._offset_ns = monotonic_to_unix_ns
+        self._metadata = dict(metadata or {})
+        self._links = {_SONAR: OCULUS, _STATUS: OCULUS_STATUS, **(others or {})}
+        self._numbers: dict[str, int] = {}
+        self._free_bytes = free_bytes
+        self._free: int | None = None
+        self._free_checked_ns = 0
+        self._parser = StreamParser()
+        self._writer: RecordingWriter | None = None
+        self._messages = 0
+        self._began_ns = 0
+        self._synced_ns = 0
+        self._retry_at_ns: int | None = None
+        self._paused_for = ""
+        self._torn = False  # a part of the message under way was dropped
+        self._gap = False  # and so bytes are missing before the next ones
+        self._hold = hold
+        self._held: _Piece | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @property
+    def state(self) -> str:
+        """One of waiting (for the first bytes), logging, paused (see `reason`)."""
+        if self._retry_at_ns is not None:
+            return "paused"
+        return "waiting" if self._writer is None else "logging"
+
+    @property
+    def place(self) -> LogPlace:
+        """Up to where all that was written lies with the operating system."""
+        return LogPlace(self._folder.number, self._messages)
+
+    @property
+    def holding(self) -> bool:
+        """Whether a piece waits for the disk to take it."""
+        return self._held is not None
+
+    @property
+    def path(self) -> Path | None:
+        """The file being written, None between files."""
+        return None if self._writer is None else self._writer.path
+
+    def write(self, data: bytes, arrival_ns: int, *, gap_before: bool = False) -> bool:
+        """Record the next bytes of the sonar's stream; True if all of them are recorded.
+
+        Args:
+            data: as they came.
+            arrival_ns: when they came.
+            gap_before: bytes before these were lost, or this is a new connection.
+        """
+        messages = self._parser.feed(data, arrival_ns, gap_before=gap_before)
+        if self._torn:
+            start = self._begin(messages, len(data))
+            self._torn = self._parser.pending_bytes > len(data)
+            if start:
+                self._drop("resuming", start)
+            return self._put(_SONAR, data[start:], arrival_ns) and not start
+        whole = max(0, len(data) - self._parser.pending_bytes)  # up to the last message's end
+        full = self._full(arrival_ns)
+        if full is None or not whole:
+            return self._put(_SONAR, data, arrival_ns, gap_before=gap_before)
+        done = self._put(_SONAR, data[:whole], arrival_ns, gap_before=gap_before)
+        if self._held is not None:
+            self._held = self._held._replace(data=data)
+            return False
+        self._finish(full)
+        return self._put(_SONAR, data[whole:], arrival_ns) and done
+
+    def write_status(self, datagram: bytes, arrival_ns: int) -> bool:
+        """Record a status datagram; True if it is recorded."""
+        return self._put(_STATUS, datagram, arrival_ns)
+
+    def write_other(
+        self, link: str, data: bytes, arrival_ns: int, *, gap_before: bool = False
+    ) -> bool:
+        """Record bytes of another link, named in `others`; True if they are recorded."""
+        return self._put(link, data, arrival_ns, gap_before=gap_before)
+
+    def retry(self, now_ns: int) -> bool:
+        """Try again to write what is held; True if nothing is held any more."""
+        held, self._held = self._held, None
+        if held is None:
+            return True
+        return self._put(
+            held.link, held.data, held.arrival_ns, gap_before=held.gap_before, now_ns=now_ns
+        )
+
+    def give_up(self) -> None:
+        """Drop what is held, and count it."""
+        held, self._held = self._held, None
+        if held is not None:
+            self._refuse(held.link, self._paused_for, len(held.data))
+
+    def tick(self, now_ns: int) -> None:
+        """Do what time asks for while nothing comes: close an old file, bring data to the disk."""
+        full = self._full(now_ns)
+        if full is not None and not self._parser.pending_bytes:
+            self._finish(full)
+        self._sync(now_ns)
+
+    def close(self) -> None:
+        """Close the file being written. Safe to call again; writing opens another one."""
+        self.give_up()
+        self._finish(None)
+
+    def _begin(self, messages: list[Message], size: int) -> int:
+        """Return where in the last `size` bytes fed the first message begins; `size` if none."""
+        start = self._parser.counters.bytes_total - size
+        for message in messages:
+            if message.offset >= start:
+                return message.offset - start
+        pending = self._parser.pending_bytes
+        return size if pending > size else size - pending
+
+    def _full(self, now_ns: int) -> str | None:
+        if self._writer is None:
+            return None
+        return self.policy.full(self._writer.size_bytes, now_ns - self._began_ns)
+
+    def _put(
+        self,
+        link: str,
+        data: bytes,
+        arrival_ns: int,
+        *,
+        gap_before: bool = False,
+        now_ns: int | None = None,
+    ) -> bool:
+        if not data:
+            return True
+        now_ns = arrival_ns if now_ns is None else now_ns
+        piece = _Piece(link, data, arrival_ns, gap_before)
+        if self._retry_at_ns is not None and now_ns < self._retry_at_ns:
+            return self._not_now(piece, self._paused_for)
+        try:
+            shortage = self._room(len(data), now_ns)
+            if shortage is not None:
+                self._pause(shortage, shortage, now_ns)
+                return self._not_now(piece, shortage)
+            self._write(piece, now_ns)
+        except (RecordingError, OSError) as error:
+            self._fail(error, now_ns)
+            return self._not_now(piece, "disk")
+        self._retry_at_ns, self.reason = None, None
+        self._gap = self._gap and link != _SONAR
+        self.counters.bytes_written += len(data)
+        try:
+            self._sync(now_ns)
+        except OSError as error:  # the data are written all the same
+            self._fail(error, now_ns)
+        return True
+
+    def _write(self, piece: _Piece, now_ns: int) -> None:
+        writer = self._writer or self._open(now_ns)
+        gap = piece.gap_before or (piece.link == _SONAR and self._gap)
+        writer.write(self._numbers[piece.link], piece.data, piece.arrival_ns, gap_before=gap)
+        self._messages = writer.messages
+
+    def _fail(self, error: Exception, now_ns: int) -> None:
+        self._finish("failure")
+        self._pause("disk", str(error), now_ns)
+
+    def _not_now(self, piece: _Piece, reason: str) -> bool:
+        if not self._hold:
+            return self._refuse(piece.link, reason, len(piece.data))
+        self._held = piece
+        return False
+
+    def _pause(self, kind: str, reason: str, now_ns: int) -> None:
+        self._paused_for = kind
+        self.reason = reason
+        self._retry_at_ns = now_ns + self.policy.retry_ns
+
+    def _refuse(self, link: str, reason: str, size: int) -> bool:
+        self._drop(reason, size)
+        if link == _SONAR:
+            self._torn = self._parser.pending_bytes > 0
+            self._gap = True
+        return False
+
+    def _drop(self, reason: str, size: int) -> None:
+        self.counters.drops[reason] += 1
+        self.counters.bytes_dropped += size
+
+    def _room(self, size: int, now_ns: int) -> str | None:
+        """Delete what must go; return why there is no room all the same, or None."""
+        needed = size + _MARGIN
+        open_bytes = 0 if self._writer is None else self._writer.size_bytes
+        room = make_room(
+            self.policy, self._folder.closed, open_bytes, needed, self._free_now(size, now_ns)
+        )
+        for file in room.delete:
+            self._free = None
+            if self._folder.delete(file):
+                self.counters.files_deleted += 1
+                self.counters.bytes_deleted += file.size_bytes
+            else:
+                self.counters.deletes_failed += 1
+        return room.shortage
+
+    def _free_now(self, size: int, now_ns: int) -> int:
+        """Return what is free; asks the disk once a second, and counts in between."""
+        age_ns = now_ns - self._free_checked_ns
+        if self._free is None or not 0 <= age_ns < _FREE_CHECK_NS:
+            self._free = self._free_bytes(self._folder.path)
+            self._free_checked_ns = now_ns
+        free = self._free
+        self._free -= size
+        return free
+
+    def _open(self, now_ns: int) -> RecordingWriter:
+        path = self._folder.next_path(now_ns + self._offset_ns)
+        writer = RecordingWriter(
+            path, monotonic_to_unix_ns=self._offset_ns, metadata=self._metadata
+        )
+        self._writer = writer
+        self._messages = 0
+        self._began_ns = self._synced_ns = now_ns
+        self.counters.files_opened += 1
+        self._numbers = {
+            name: writer.add_link(name, encoding) for name, encoding in self._links.items()
+        }
+        if self.policy.sync_interval_ns is not None:
+            self._folder.sync()
+        return writer
+
+    def _sync(self, now_ns: int) -> None:
+        interval_ns = self.policy.sync_interval_ns
+        if self._writer is None or interval_ns is None or now_ns - self._synced_ns < interval_ns:
+            return
+        self._writer.sync()
+        self._synced_ns = now_ns
+        self.counters.syncs += 1
+
+    def _finish(self, why: str | None) -> None:
+        """Close the file; one whose index does not fit any more is readable all the same."""
+        writer, self._writer = self._writer, None
+        if writer is None:
+            return
+        with suppress(RecordingError, OSError):
+            if self.policy.sync_interval_ns is not None and why != "failure":
+                writer.sync()
+        with suppress(RecordingError, OSError):
+            writer.close()
+        self._folder.add(writer.path)
+        if why is not None:
+            self.counters.rotations[why] += 1

@@ -1,0 +1,1 @@
+"""A virtual sonar that serves recordings."""

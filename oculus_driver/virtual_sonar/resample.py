@@ -1,0 +1,134 @@
+"""A recorded ping as the sonar would have sent it with other settings.
+
+What was recorded stays what was heard: rows are cut, padded with silence or taken together, beams
+and samples are repeated or thinned. The number of rows follows the law that was measured on real
+sonars: the spacing is a base step times a power of two, so that there are at most 720 rows.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from oculus_driver.bearings import CENTIDEGREE_RAD, bearing_table_cdeg
+from oculus_driver.encode import encode_ping
+from oculus_driver.models import model_of
+from oculus_driver.wire import EXTENDED_32_BIT, FIRE_V1, FIRE_V2, FireFlags
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from oculus_driver.ping import Ping
+    from oculus_driver.virtual_sonar.commands import FireDemand
+
+MAX_ROWS: Final = 720
+_SMALLEST_RANGE_M: Final = 0.1
+_VERSION_2: Final = 2
+_U32: Final = struct.Struct("<I")
+
+GARBAGE_PING_RATE: Final = 195
+"""Real firmware echoes rubbish here; captures hold this value."""
+
+GARBAGE_NETWORK_SPEED: Final = 25
+"""Echoed by real firmware whatever was asked for."""
+
+
+def remake(ping: Ping, demand: FireDemand, part_number: int) -> bytes:
+    """Return the ping as a message with the range, beams, samples and version asked for."""
+    range_m = range_m_of(demand, part_number)
+    image, step_m, gains = _rows(ping, range_m)
+    bearings_cdeg, image = _beams(ping, image, 512 if demand.flags & FireFlags.FULL_BEAMS else 256)
+    data = encode_ping(
+        version=demand.version,
+        ping_id=ping.ping_id,
+        mode=demand.mode,
+        frequency_hz=ping.frequency_hz,
+        range_m=demand.range_demand,
+        gain_percent=demand.gain_percent,
+        speed_of_sound_mps=demand.speed_of_sound_demand_mps or ping.speed_of_sound_mps,
+        salinity_ppt=demand.salinity_ppt,
+        start_time=_start_time(ping, demand.version),
+        range_resolution_m=step_m,
+        bearings_cdeg=bearings_cdeg,
+        image=_samples(image, ping.bits_per_sample, bits_of(demand)),
+        gains=gains if demand.flags & FireFlags.SEND_GAIN else None,
+        source_id=ping.source_id,
+        part_number=ping.part_number,
+        flags=demand.flags,
+        gamma=demand.gamma,
+        temperature_c=ping.temperature_c or 0.0,
+        pressure_bar=ping.pressure_bar or 0.0,
+    )
+    return with_echo(data, demand)
+
+
+def range_m_of(demand: FireDemand, part_number: int) -> float:
+    """Return the range in metres, cut at what the model can do."""
+    wide, narrow = model_of(part_number).family.max_range_m
+    largest = wide if demand.mode == 1 or narrow is None else narrow
+    asked = demand.range_demand
+    if not demand.flags & FireFlags.RANGE_IN_METRES:
+        asked *= largest / 100.0
+    return min(max(_SMALLEST_RANGE_M, asked), largest)  # in this order NaN is the smallest
+
+
+def _rows(ping: Ping, range_m: float) -> tuple[NDArray[Any], float, NDArray[np.uint32]]:
+    together = 1
+    while range_m / (ping.range_resolution_m * together) > MAX_ROWS:
+        together *= 2
+    step_m = ping.range_resolution_m * together
+    rows = max(1, round(range_m / step_m))
+    kept = ping.image[: rows * together]
+    image = np.zeros((rows * together, ping.beams), dtype=kept.dtype)
+    image[: len(kept)] = kept
+    gains = np.ones(rows, dtype=np.uint32)
+    if ping.gains is not None:
+        known = ping.gains[: rows * together : together]
+        gains[: len(known)] = known
+    return image.reshape(rows, together, ping.beams).max(axis=1), step_m, gains
+
+
+def _beams(ping: Ping, image: NDArray[Any], beams: int) -> tuple[NDArray[np.int16], NDArray[Any]]:
+    if beams == ping.beams:
+        return np.rint(ping.bearings_rad / CENTIDEGREE_RAD).astype(np.int16), image
+    nearest = np.rint(np.linspace(0, ping.beams - 1, beams)).astype(np.intp)
+    half_rad = float(np.clip(np.abs(ping.bearings_rad).max(), 1e-3, np.pi / 2))
+    return bearing_table_cdeg(beams, half_rad), image[:, nearest]
+
+
+def bits_of(demand: FireDemand) -> int:
+    """Return the bits per sample asked for."""
+    if demand.version == _VERSION_2 and demand.extended_flags & EXTENDED_32_BIT:
+        return 32
+    return 16 if demand.flags & FireFlags.SIXTEEN_BIT else 8
+
+
+def _samples(image: NDArray[Any], have: int, want: int) -> NDArray[Any]:
+    whole = image.astype(np.uint64)
+    if want < have:
+        whole >>= np.uint64(have - want)
+    else:
+        whole *= np.uint64(((1 << want) - 1) // ((1 << have) - 1))
+    return whole.astype(f"u{want // 8}")
+
+
+def _start_time(ping: Ping, version: int) -> float:
+    """Return seconds (version 2) or ticks of 8 ns (version 1), whichever clock was recorded."""
+    if version == _VERSION_2:
+        known = ping.start_time_s
+        return known if known is not None else (ping.start_ticks or 0) * 8e-9
+    if ping.start_ticks is not None:
+        return float(ping.start_ticks)
+    return float(round((ping.start_time_s or 0.0) / 8e-9))
+
+
+def with_echo(data: bytes, demand: FireDemand) -> bytes:
+    """Return a ping with what real firmware echoes of a fire message, the rubbish included."""
+    changed = bytearray(data)
+    changed[FIRE_V1.offset_of("ping_rate")] = GARBAGE_PING_RATE
+    changed[FIRE_V1.offset_of("network_speed_mbps")] = GARBAGE_NETWORK_SPEED
+    if demand.version == _VERSION_2:
+        _U32.pack_into(changed, FIRE_V2.offset_of("extended_flags"), demand.extended_flags)
+    return bytes(changed)

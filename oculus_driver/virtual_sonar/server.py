@@ -1,0 +1,369 @@
+"""A pretended sonar on the network: statuses on UDP, pings on TCP, fire messages obeyed."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from ipaddress import IPv4Address
+from typing import TYPE_CHECKING, Final, Generic, Protocol, Self, TypeVar
+
+from oculus_driver.encode import encode_dummy
+from oculus_driver.errors import OculusError
+from oculus_driver.virtual_sonar.broadcast import broadcast
+from oculus_driver.virtual_sonar.commands import CommandReader
+from oculus_driver.virtual_sonar.counters import PlayCounters
+from oculus_driver.virtual_sonar.faults import Deed, Dice, Faults
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Coroutine, Sequence
+    from types import TracebackType
+
+__all__ = ["ANY", "Device", "ServedSonar"]
+
+_LARGEST_READ: Final = 1 << 16
+_FLUSH_S: Final = 1.0
+"""How long a client that is let go may take to read what was sent."""
+
+_LATE_S: Final = 0.5
+"""A ping this late is not caught up: a sonar sends fewer pings through a slow link."""
+
+ANY: Final = IPv4Address("0.0.0.0")  # noqa: S104 - compared, not bound
+
+
+class Device(Protocol):
+    """What a served sonar is inside: it hears fire messages and makes what is sent.
+
+    `virtual_sonar.playback.PlayedDevice` takes it from a recording; a simulator makes it.
+    """
+
+    @property
+    def pinging(self) -> bool:
+        """Whether it transmits by itself or on triggers."""
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more will come."""
+
+    @property
+    def source_id(self) -> int:
+        """What the headers of its own messages carry."""
+
+    @property
+    def triggered(self) -> bool:
+        """Whether each ping needs a fire message of its own."""
+
+    @property
+    def triggers(self) -> int:
+        """Fire messages that have not had their ping yet, in triggered mode."""
+
+    @property
+    def next_is_ping(self) -> bool:
+        """Whether the next message is a ping."""
+
+    def hear(self, reader: CommandReader, data: bytes) -> list[bytes]:
+        """Take bytes of a client and return the messages that answer them."""
+
+    async def prepare(self) -> None:
+        """Get the next message ready, however long that takes; may be cancelled and repeated."""
+
+    def wait_ns(self) -> int:
+        """Return the time between the last message and the one that is ready."""
+
+    def take(self) -> tuple[bytes, int | None]:
+        """Return the message that is ready and, of a ping, its id."""
+
+    def restart(self) -> None:
+        """Begin ids and device time anew; settings stay."""
+
+    def status(self, client: IPv4Address | None) -> bytes:
+        """Return a status datagram; `client` is who holds the data port."""
+
+    def close(self) -> None:
+        """Let go of what it holds."""
+
+
+DeviceT = TypeVar("DeviceT", bound=Device)
+
+
+class ServedSonar(Generic[DeviceT]):
+    """A sonar on this computer, `async with`; it serves one client at a time, others wait.
+
+    Args:
+        device: what the sonar is inside.
+        host: address to listen on.
+        port: TCP port, 0 for any free one, see `port`.
+        speed: of the device's time; None sends as fast as the client takes it.
+        status_to: where statuses go, such as `(broadcast_of(host), STATUS_PORT)`.
+        status_period_s, dummy_period_s: between statuses; between signs of life in standby.
+        faults: how it misbehaves.
+        on_ping: called with the id of each ping that is sent, and whether it goes out whole.
+
+    Raises:
+        OculusError: the address cannot be listened on; raised on entering.
+    """
+
+    def __init__(
+        self,
+        device: DeviceT,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        speed: float | None = 1.0,
+        status_to: Sequence[tuple[str, int]] = (),
+        status_period_s: float = 1.0,
+        dummy_period_s: float = 1.0,
+        faults: Faults | None = None,
+        on_ping: Callable[[int, bool], None] | None = None,
+    ) -> None:
+        self.host = host
+        self.port = port
+        self.counters = PlayCounters()
+        self.finished = asyncio.Event()
+        self.faults = faults or Faults()
+        self.device = device
+        self._speed = speed
+        self._status_to = tuple(status_to)
+        self._status_period_s = status_period_s
+        self._dummy_period_s = dummy_period_s
+        self._on_ping = on_ping
+        self._dice = Dice(self.faults)
+        self._tasks = asyncio.TaskGroup()
+        self._running: set[asyncio.Task[None]] = set()
+        self._writers: set[asyncio.StreamWriter] = set()
+        self._server: asyncio.Server | None = None
+        self._turn = asyncio.Lock()
+        self._changed = asyncio.Event()
+        self._client: IPv4Address | None = None
+        self._heard_s = 0.0
+        self._due_s = 0.0
+        self._alive_s = 0.0
+
+    async def __aenter__(self) -> Self:
+        try:
+            self._server = await asyncio.start_server(self._connected, self.host, self.port)
+        except OSError as error:
+            raise OculusError(_cannot_listen(self.host, self.port, error)) from error
+        self.port = int(self._server.sockets[0].getsockname()[1])
+        await self._tasks.__aenter__()
+        if self._status_to:
+            self._start(self._statuses())
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._server is not None:
+            self._server.close()
+        for task in self._running:
+            task.cancel()
+        for writer in self._writers:
+            writer.transport.abort()
+        try:
+            cancelled = kind is not None and issubclass(kind, asyncio.CancelledError)
+            told = (kind, error, trace) if cancelled else (None, None, None)
+            await self._tasks.__aexit__(*told)  # what the body raises stays as it is
+        finally:
+            self.device.close()
+            if self._server is not None:
+                await self._server.wait_closed()
+
+    def _start(self, work: Coroutine[None, None, None]) -> None:
+        task = self._tasks.create_task(work)
+        self._running.add(task)
+        task.add_done_callback(self._running.discard)
+
+    def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._writers.add(writer)
+        self._start(self._serve(reader, writer))
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            if self.faults.refuse_second and self._turn.locked():
+                self.counters.refused += 1
+                return
+            async with self._turn:
+                self.counters.clients += 1
+                peer = writer.get_extra_info("peername")  # None if it has left already
+                self._client = IPv4Address(peer[0]) if peer else None
+                await _first_of(self._hear(reader, writer), self._send(writer))
+                await _say_goodbye(reader, writer)
+        except OSError:
+            pass  # the client is gone, which is its right; "not connected" is no ConnectionError
+        finally:
+            if not self._turn.locked():
+                self._client = None
+            self._writers.discard(writer)
+            await _let_go(writer)
+            if self.device.ended:
+                self.finished.set()
+
+    async def _hear(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Obey the client until it leaves."""
+        commands = CommandReader()
+        self._heard_s = _now_s()
+        while data := await reader.read(_LARGEST_READ):
+            for reply in self.device.hear(commands, data):
+                writer.write(reply)
+                self.counters.other_messages += 1
+            self._heard_s = _now_s()
+            self._changed.set()
+
+    async def _send(self, writer: asyncio.StreamWriter) -> None:
+        """Send what is due until the connection is cut on purpose."""
+        self._due_s = self._alive_s = _now_s()
+        writer.transport.set_write_buffer_limits(high=0)  # what is drained is with the kernel
+        while True:
+            if self.device.ended:
+                self.finished.set()
+            if not self.device.pinging or self._given_up():
+                await self._give_sign_of_life(writer)
+            elif not await self._is_due():
+                continue
+            elif self.device.next_is_ping:
+                if not await self._send_ping(writer):
+                    return
+            else:
+                data, _ = self.device.take()
+                self.counters.other_messages += 1
+                await self._write(writer, data)
+
+    async def _is_due(self) -> bool:
+        """Wait for the next message; False if something has changed before."""
+        if self.device.triggered and self.device.next_is_ping and not self.device.triggers:
+            await self._wait_for_change(None)
+            return False
+        await self.device.prepare()
+        if self._speed is None:
+            await asyncio.sleep(0)
+            return True
+        due_s = max(self._due_s + self.device.wait_ns() / 1e9 / self._speed, _now_s() - _LATE_S)
+        if await self._wait_for_change(due_s - _now_s()):
+            return False
+        self._due_s = due_s
+        return True
+
+    async def _send_ping(self, writer: asyncio.StreamWriter) -> bool:
+        """Send the next ping, or what the faults make of it; False if the connection ends."""
+        match self._dice.before_ping():
+            case "restart":
+                self.counters.restarts += 1
+                self.device.restart()
+                return False
+            case "restart_ids":
+                self.device.restart()
+                await self.device.prepare()
+            case "stall":
+                self.counters.stalls += 1
+                await asyncio.sleep(self.faults.stall_s)
+        data, ping_id = self.device.take()
+        deed = self._dice.deed(data)
+        self._note(deed, ping_id)
+        await self._write(writer, deed.noise + deed.data)
+        return not deed.cut
+
+    def _note(self, deed: Deed, ping_id: int | None) -> None:
+        self.counters.pings += not deed.damaged
+        self.counters.pings_damaged += deed.damaged
+        self.counters.cuts += deed.cut
+        if self._on_ping is not None and ping_id is not None:
+            self._on_ping(ping_id, not deed.damaged)
+
+    async def _write(self, writer: asyncio.StreamWriter, data: bytes) -> None:
+        piece = self.faults.piece_bytes or max(1, len(data))
+        for start in range(0, len(data), piece):
+            writer.write(data[start : start + piece])
+            await writer.drain()
+            if piece < len(data):
+                await asyncio.sleep(0)
+        self.counters.bytes_sent += len(data)
+
+    async def _give_sign_of_life(self, writer: asyncio.StreamWriter) -> None:
+        """In standby: a dummy once in a while. The time of the recording stands still."""
+        next_s = self._alive_s + self._dummy_period_s
+        if not await self._wait_for_change(next_s - _now_s()):
+            self._alive_s = _now_s()
+            if not self._given_up():
+                self.counters.other_messages += 1
+                await self._write(writer, encode_dummy(source_id=self.device.source_id))
+        self._due_s = _now_s()
+
+    def _given_up(self) -> bool:
+        """Whether the client has not fired for too long."""
+        limit_s = self.faults.silent_after_s
+        return limit_s is not None and _now_s() - self._heard_s > limit_s
+
+    async def _wait_for_change(self, limit_s: float | None) -> bool:
+        """Wait until the client has said something, at most `limit_s`; tell whether it has."""
+        if limit_s is not None and limit_s <= 0.0:
+            await asyncio.sleep(0)
+        else:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(limit_s):
+                    await self._changed.wait()
+        changed = self._changed.is_set()
+        self._changed.clear()
+        return changed
+
+    async def _statuses(self) -> None:
+        await broadcast(
+            lambda: self.device.status(self._client),
+            self.host,
+            self._status_to,
+            self._status_period_s,
+            dice=self._dice,
+            counters=self.counters,
+        )
+
+
+async def _say_goodbye(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """End the stream and read on until the client has seen it.
+
+    To close with commands unread would reset the connection, and the client would lose pings that
+    were sent whole.
+    """
+    writer.write_eof()
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(_FLUSH_S):
+            while await reader.read(_LARGEST_READ):
+                pass
+
+
+async def _let_go(writer: asyncio.StreamWriter) -> None:
+    """Close a connection, whether its client reads what is left or not."""
+    writer.close()
+    try:
+        async with asyncio.timeout(_FLUSH_S):
+            await writer.wait_closed()
+    except TimeoutError:
+        writer.transport.abort()
+    except asyncio.CancelledError:
+        writer.transport.abort()
+        raise
+    except OSError:
+        pass  # the client was first
+
+
+def _now_s() -> float:
+    return asyncio.get_running_loop().time()
+
+
+async def _first_of(*works: Coroutine[None, None, None]) -> None:
+    """Run until one of these ends, cancel the others, and raise what one of them raised."""
+    tasks = [asyncio.ensure_future(work) for work in works]
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        outcomes = await asyncio.gather(*tasks, return_exceptions=True)
+    for outcome in outcomes:
+        if isinstance(outcome, Exception):
+            raise outcome
+
+
+def _cannot_listen(host: str, port: int, error: OSError) -> str:
+    reason = error.strerror or str(error)
+    return f"cannot listen on {host}:{port}: {reason}; choose another address or port"
