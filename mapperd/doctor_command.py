@@ -21,8 +21,7 @@ from mapperd.links.link import Link
 from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.formats import make_decoder
 from mapperd.reject import Reject
-from oculus_driver.discovery.checkup import Layer, judge
-from oculus_driver.discovery.probe import Examination, examine
+from oculus_driver.discovery.probe import Examination, Layer, examine, judge
 
 __all__ = ["doctor"]
 

@@ -4,7 +4,7 @@ What needs asyncio is imported when first asked for, so that importing this pack
 """
 
 import importlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from oculus_driver.clock import PingTime, SonarClock, row_times_ns
 from oculus_driver.discovery.diagnosis import (
@@ -16,7 +16,6 @@ from oculus_driver.discovery.diagnosis import (
     status_findings,
     subnet_finding,
 )
-from oculus_driver.discovery.own_addresses import addresses_towards
 from oculus_driver.discovery.state import Sighting, SonarWatch
 from oculus_driver.encode import (
     bearing_table_cdeg,
@@ -34,14 +33,13 @@ from oculus_driver.errors import (
     OutsideLimitsError,
     ProtocolError,
     RecordingError,
+    Reject,
     SettingsError,
 )
 from oculus_driver.link.confirmation import Confirmation, Difference
-from oculus_driver.link.sonar_counters import SonarCounters
-from oculus_driver.link.state import LinkState, LinkStatus, LinkTimes
+from oculus_driver.link.state import LinkState, LinkStatus, LinkTimes, SonarCounters
 from oculus_driver.models import Model, model_of
-from oculus_driver.ping import Ping, Reject, decode_ping
-from oculus_driver.sequence import PingSequence
+from oculus_driver.ping import Ping, PingSequence, decode_ping
 from oculus_driver.settings import FireSettings, Mode
 from oculus_driver.sound_speed import (
     pressure_bar_at,
@@ -53,10 +51,13 @@ from oculus_driver.stream import Message, StreamCounters, StreamParser
 from oculus_driver.wire import PingRate
 
 if TYPE_CHECKING:
-    from oculus_driver.discovery.listener import Discovery, Sightings
+    from oculus_driver.discovery.listener import Discovery, Sightings, addresses_towards
     from oculus_driver.link.ping_queue import PingQueue
     from oculus_driver.sonar import OculusSonar
-    from oculus_driver.virtual_sonar.play import Faults, Identity, PlayCounters, PlayedSonar
+    from oculus_driver.virtual_sonar.device import Identity
+    from oculus_driver.virtual_sonar.faults import Faults
+    from oculus_driver.virtual_sonar.playback import PlayedSonar
+    from oculus_driver.virtual_sonar.server import PlayCounters
 
 __all__ = [
     "Confirmation",
@@ -120,15 +121,23 @@ __all__ = [
 ]
 
 
+# Modules that need asyncio, or import one that does.
+_LAZY: Final = {
+    "Discovery": lambda: importlib.import_module("oculus_driver.discovery.listener"),
+    "Faults": lambda: importlib.import_module("oculus_driver.virtual_sonar.faults"),
+    "Identity": lambda: importlib.import_module("oculus_driver.virtual_sonar.device"),
+    "OculusSonar": lambda: importlib.import_module("oculus_driver.sonar"),
+    "PingQueue": lambda: importlib.import_module("oculus_driver.link.ping_queue"),
+    "PlayCounters": lambda: importlib.import_module("oculus_driver.virtual_sonar.server"),
+    "PlayedSonar": lambda: importlib.import_module("oculus_driver.virtual_sonar.playback"),
+    "Sightings": lambda: importlib.import_module("oculus_driver.discovery.listener"),
+    "addresses_towards": lambda: importlib.import_module("oculus_driver.discovery.listener"),
+}
+
+
 def __getattr__(name: str) -> object:
-    if name in {"Discovery", "Sightings"}:
-        return getattr(importlib.import_module("oculus_driver.discovery.listener"), name)
-    if name in {"Faults", "Identity", "PlayCounters", "PlayedSonar"}:
-        return getattr(importlib.import_module("oculus_driver.virtual_sonar.play"), name)
-    if name == "OculusSonar":
-        return importlib.import_module("oculus_driver.sonar").OculusSonar
-    if name == "PingQueue":
-        return importlib.import_module("oculus_driver.link.ping_queue").PingQueue
+    if name in _LAZY:
+        return getattr(_LAZY[name](), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from oculus_driver.layout import Layout
+    from oculus_driver.wire import Layout
 
 __all__ = [
     "bearing_table_cdeg",

@@ -15,6 +15,8 @@ Parsers never raise these on bytes from outside: bad bytes are data, counted and
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 
 class OculusError(Exception):
     """Root of everything that this package raises on purpose."""
@@ -52,3 +54,21 @@ class DiscoveryError(OculusError):
 
 class OutsideLimitsError(OculusError, ValueError):
     """A value for which a formula does not hold. The text names the value and its limits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reject:
+    """A message that was not decoded.
+
+    Attributes:
+        reason: a name to count by: not_a_ping, unknown_version, short_message, empty,
+            out_of_bounds, size_mismatch, bad_resolution, bad_data_size.
+        detail: a sentence for a person.
+        offset: position of the message in its stream.
+        ping_id: of the ping, None where it cannot be read. Such a ping came; it is not lost.
+    """
+
+    reason: str
+    detail: str
+    offset: int
+    ping_id: int | None = None

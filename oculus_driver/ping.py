@@ -5,22 +5,22 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from oculus_driver.bearings import CENTIDEGREE_RAD, edges_rad
+from oculus_driver.errors import Reject
 from oculus_driver.ping_layout import GAIN_WORD, Shape, shape_of
-from oculus_driver.reject import Reject
 from oculus_driver.wire import FireFlags, MessageId, ping_layout
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from oculus_driver.layout import Layout
     from oculus_driver.stream import Message
+    from oculus_driver.wire import Layout
 
-__all__ = ["Ping", "Reject", "decode_ping"]
 
 NOMINAL_SPEED_OF_SOUND_MPS: Final = 1500.0
 _SPEEDS_MPS: Final = (1300.0, 1700.0)
@@ -318,3 +318,73 @@ def _reading(value: float | None, limits: tuple[float, float]) -> float | None:
 def _angle_rad(value: float | None, limits: tuple[float, float]) -> float | None:
     degrees = _reading(value, limits)
     return None if degrees is None else math.radians(degrees)
+
+
+_WRAP = 1 << 32
+
+
+@dataclass(slots=True)
+class PingSequence:
+    """Counts what the ids of one sonar's pings say.
+
+    Attributes:
+        lost_pings: ids that never came.
+        duplicates: ids that came twice in a row.
+        restarts: steps back, as after power-up.
+    """
+
+    lost_pings: int = 0
+    duplicates: int = 0
+    restarts: int = 0
+    _last: int | None = None
+
+    def accept(self, ping_id: int) -> bool:
+        """Take the next id; return False if the ping was delivered already."""
+        last, self._last = self._last, ping_id
+        if last is None:
+            return True
+        step = (ping_id - last) % _WRAP
+        if step == 0:
+            self.duplicates += 1
+            return False
+        if step < _WRAP // 2:
+            self.lost_pings += step - 1
+        else:
+            self.restarts += 1
+        return True
+
+    def restart(self) -> None:
+        """Count a restart that something else shows; the next id follows none."""
+        self.restarts += 1
+        self._last = None
+
+
+_YEAR_2000_NS: Final = 946_684_800_000_000_000
+
+
+def caption_of(ping: Ping) -> list[str]:
+    """Return lines of ASCII: which ping, how it was made, and when, if its stamp is a date.
+
+    Stamps of a live sonar count from the start of the host, which was less than thirty years ago.
+    """
+    what = [f"ping {ping.ping_id}", f"{ping.rows} rows x {ping.beams} beams"]
+    what.append(f"{ping.bits_per_sample} bit")
+    how = [f"range {ping.max_range_m:.2f} m", f"mode {ping.mode}"]
+    if not math.isnan(ping.frequency_hz):
+        how.append(f"{ping.frequency_hz / 1e6:.3f} MHz")
+    if not math.isnan(ping.gain_percent):
+        how.append(f"gain {ping.gain_percent:.0f} %")
+    how.append(f"sound {ping.speed_of_sound_mps:.1f} m/s")
+    lines = ["   ".join(what), "   ".join(how)]
+    if ping.arrival_ns is not None and ping.arrival_ns >= _YEAR_2000_NS:
+        lines.append(time_of(ping.arrival_ns))
+    return lines
+
+
+def time_of(unix_ns: int) -> str:
+    """Return the time as text, UTC, to the millisecond; a plain number where no date has it."""
+    try:
+        moment = datetime.fromtimestamp(unix_ns // 1_000_000_000, UTC)
+    except (OverflowError, ValueError, OSError):
+        return f"{unix_ns} ns"
+    return f"{moment:%Y-%m-%d %H:%M:%S}.{unix_ns // 1_000_000 % 1000:03d} UTC"

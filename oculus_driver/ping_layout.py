@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from oculus_driver.reject import Reject
+from oculus_driver.errors import Reject
 from oculus_driver.wire import BYTES_PER_SAMPLE, HEADER, FireFlags
 
 if TYPE_CHECKING:
-    from oculus_driver.layout import Layout
     from oculus_driver.stream import Message
+    from oculus_driver.wire import Layout
 
 GAIN_WORD: Final = 4
 

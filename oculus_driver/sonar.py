@@ -9,7 +9,7 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from oculus_driver.discovery.search import Search
+from oculus_driver.discovery.listener import Search
 from oculus_driver.errors import LinkError, SettingsError
 from oculus_driver.link.confirmation import CONFIRM_NS, Confirmation, ConfirmationWatch, differences
 from oculus_driver.link.driver import LinkDriver
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
     from types import TracebackType
 
-    from oculus_driver.discovery.search import MakeDiscovery, Sighting
+    from oculus_driver.discovery.listener import Announcement, DiscoveryFactory
     from oculus_driver.link.confirmation import Difference
     from oculus_driver.link.receiver import Received
-    from oculus_driver.link.sonar_counters import SonarCounters
+    from oculus_driver.link.state import SonarCounters
     from oculus_driver.models import Model
     from oculus_driver.ping import Ping
     from oculus_driver.status import Status
@@ -81,7 +81,7 @@ class OculusSonar:
         keep_pinging: bool = False,
         on_bytes: Callable[[bytes, int], None] | None = None,
         on_state: Callable[[LinkStatus], None] | None = None,
-        discovery: MakeDiscovery | None = None,
+        discovery: DiscoveryFactory | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
         chance: Callable[[], float] = random.random,
     ) -> None:
@@ -293,7 +293,7 @@ class OculusSonar:
             if confirmation is not None and not future.done():
                 future.set_result(confirmation)
 
-    def _sighted(self, sighting: Sighting) -> None:
+    def _sighted(self, sighting: Announcement) -> None:
         status = sighting.status
         if self._model is None:
             self._learn(status.model)

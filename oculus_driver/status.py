@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from ipaddress import IPv4Address
 from typing import Final
 
+from oculus_driver.errors import Reject
 from oculus_driver.models import Model, model_of
-from oculus_driver.reject import Reject
 from oculus_driver.wire import MAGIC, STATUS
 
 _TEMPERATURES_C: Final = (-40.0, 120.0)

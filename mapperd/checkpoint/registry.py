@@ -69,7 +69,6 @@ MODULES = (
     "oculus_driver.clock",
     "oculus_driver.clock_fit",
     "oculus_driver.ping",
-    "oculus_driver.sequence",
     "oculus_driver.stream",
 )
 

@@ -6,13 +6,10 @@ import asyncio
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from oculus_driver.cli.arguments import address, port, positive
-from oculus_driver.cli.output import Exit, Say
-from oculus_driver.cli.until_stopped import run_until_stopped
+from oculus_driver.cli.arguments import add_status_arguments, positive
+from oculus_driver.cli.output import Exit, Say, run_until_stopped
 from oculus_driver.discovery.diagnosis import sighting_findings, silence_finding
-from oculus_driver.discovery.listener import ANY_HOST, Discovery
-from oculus_driver.discovery.own_addresses import addresses_towards
-from oculus_driver.wire import STATUS_PORT
+from oculus_driver.discovery.listener import Discovery, addresses_towards
 
 if TYPE_CHECKING:
     import argparse
@@ -30,13 +27,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--seconds", metavar="S", type=positive, default=3.0, help="how long (default: 3)")
     add("--first", action="store_true", help="stop at the first sonar")
     add_status_arguments(parser)
-
-
-def add_status_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare where statuses are listened for."""
-    add = parser.add_argument
-    add("--status-port", metavar="PORT", type=port, default=STATUS_PORT)
-    add("--listen", metavar="ADDRESS", type=address, default=ANY_HOST, help="own address")
 
 
 def run(said: argparse.Namespace, say: Say) -> Exit:

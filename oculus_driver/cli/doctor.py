@@ -6,11 +6,9 @@ import asyncio
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Final
 
-from oculus_driver.cli.arguments import address, port, positive
-from oculus_driver.cli.discover import add_status_arguments
+from oculus_driver.cli.arguments import add_status_arguments, address, port, positive
 from oculus_driver.cli.output import Exit, Say
-from oculus_driver.discovery.checkup import Layer, first_failure, judge
-from oculus_driver.discovery.probe import Examination, examine
+from oculus_driver.discovery.probe import Examination, Layer, examine, first_failure, judge
 from oculus_driver.wire import TCP_PORT
 
 if TYPE_CHECKING:

@@ -8,17 +8,18 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from oculus_driver.cli.arguments import positive
-from oculus_driver.cli.output import Exit, Say
-from oculus_driver.cli.sonar_arguments import (
+from oculus_driver.cli.arguments import (
     add_settings_arguments,
     add_sonar_arguments,
+    positive,
     settings_of,
+    sonar_of,
 )
+from oculus_driver.cli.output import Exit, Say
 from oculus_driver.errors import LinkError, OculusError
-from oculus_driver.labels import caption_of
 from oculus_driver.link.confirmation import differences
 from oculus_driver.link.state import LinkState
+from oculus_driver.ping import caption_of
 
 if TYPE_CHECKING:
     import argparse
@@ -72,8 +73,6 @@ def run(said: argparse.Namespace, say: Say) -> Exit:
 
 
 async def _shoot(said: argparse.Namespace, settings: FireSettings) -> tuple[Ping, Confirmation]:
-    from oculus_driver.cli.sonar_link import sonar_of  # noqa: PLC0415 - of this command alone
-
     async with sonar_of(said, settings.in_standby(), keep_pinging=said.keep_pinging) as sonar:
         try:
             async with asyncio.timeout(said.patience):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from oculus_driver.cli.output import Exit, Say
-from oculus_driver.labels import time_of
+from oculus_driver.ping import time_of
 
 if TYPE_CHECKING:
     import argparse

@@ -7,14 +7,17 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from oculus_driver.cli.arguments import not_negative, positive
-from oculus_driver.cli.output import Exit, Say
-from oculus_driver.cli.sonar_arguments import (
+from oculus_driver.cli.arguments import (
     add_settings_arguments,
     add_sonar_arguments,
+    facts_of,
+    line_of,
+    not_negative,
+    positive,
     settings_of,
+    sonar_of,
 )
-from oculus_driver.cli.until_stopped import run_until_stopped
+from oculus_driver.cli.output import Exit, Say, run_until_stopped
 from oculus_driver.link.state import LinkState
 
 if TYPE_CHECKING:
@@ -69,7 +72,6 @@ def run(said: argparse.Namespace, say: Say) -> Exit:
 
 
 async def _log(said: argparse.Namespace, say: Say, settings: FireSettings, log: SonarLog) -> None:
-    from oculus_driver.cli.sonar_link import sonar_of  # noqa: PLC0415 - of this command alone
     from oculus_driver.recording import BackgroundLog  # noqa: PLC0415 - more than numpy
 
     async with BackgroundLog(log) as writer:
@@ -120,8 +122,6 @@ async def _tell_regularly(every_s: float, say: Say, sonar: OculusSonar, log: Son
 
 
 def _tell(say: Say, sonar: OculusSonar, log: SonarLog, event: str) -> None:
-    from oculus_driver.cli.sonar_link import facts_of, line_of  # noqa: PLC0415 - as above
-
     counters = log.counters
     facts: dict[str, Any] = {
         "event": event,

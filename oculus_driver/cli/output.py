@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import math
 import os
+import signal
 import sys
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Coroutine, Mapping
 
 
 class Exit(IntEnum):
@@ -80,3 +82,36 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever facts hold
     if value is None or isinstance(value, (bool, int)):
         return value
     return str(value)
+
+
+STOPS = (signal.SIGINT, signal.SIGTERM)
+
+
+def run_until_stopped(work: Coroutine[None, None, None], limit_s: float | None = None) -> None:
+    """Run to the end, to the time limit, or to SIGINT or SIGTERM; all of them are a good end."""
+
+    async def limited() -> None:
+        task = asyncio.current_task()
+        stopped = False
+
+        def stop() -> None:
+            nonlocal stopped
+            stopped = True
+            if task is not None:
+                task.cancel()
+
+        loop = asyncio.get_running_loop()
+        for number in STOPS:
+            loop.add_signal_handler(number, stop)
+        try:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(limit_s):
+                    await work
+        except asyncio.CancelledError:
+            if not stopped:
+                raise
+        finally:
+            for number in STOPS:
+                loop.remove_signal_handler(number)
+
+    asyncio.run(limited())

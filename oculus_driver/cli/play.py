@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from oculus_driver.cli.arguments import address, count, port, positive, share
-from oculus_driver.cli.output import Exit, Say
-from oculus_driver.cli.until_stopped import run_until_stopped
-from oculus_driver.virtual_sonar.faults import SHARES
-from oculus_driver.virtual_sonar.play import Faults, Identity, PlayedSonar, broadcast_of
+from oculus_driver.cli.output import Exit, Say, run_until_stopped
+from oculus_driver.virtual_sonar.device import Identity
+from oculus_driver.virtual_sonar.faults import SHARES, Faults
+from oculus_driver.virtual_sonar.playback import PlayedSonar
+from oculus_driver.virtual_sonar.server import broadcast_of
 from oculus_driver.wire import STATUS_PORT, TCP_PORT
 
 if TYPE_CHECKING:

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from oculus_driver.cli.arguments import count, positive, whole
 from oculus_driver.cli.output import Exit, Say
-from oculus_driver.cli.pings import Choice
 from oculus_driver.errors import OculusError
+from oculus_driver.ping import Ping, decode_ping
+from oculus_driver.recording.chunk import messages_of
+from oculus_driver.wire import MessageId
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Iterable, Iterator
 
     from oculus_driver.recording import Recording
     from oculus_driver.render import Painter
     from oculus_driver.render.files import Sink
+    from oculus_driver.stream import Message
+
 
 NAME = "render"
 HELP = "draw the pings of a recording as fan pictures (PNG) or a film (MP4)"
@@ -106,3 +114,39 @@ def _rate_hz(recording: Recording, every: int) -> float:
         return USUAL_RATE_HZ
     rate_hz = (len(times) - 1) * 1e9 / (times[-1] - times[0]) / every
     return min(max(rate_hz, _RATES_HZ[0]), _RATES_HZ[1])
+
+
+@dataclass(slots=True)
+class Choice:
+    """Which pings of a recording are wanted, and what was met on the way.
+
+    Attributes:
+        first: ping to begin with, counted from 0.
+        step: every how many pings.
+        limit: at most so many, None for all.
+        ping_id: only pings of this id.
+        rejects: why pings could not be decoded, counted.
+    """
+
+    first: int = 0
+    step: int = 1
+    limit: int | None = None
+    ping_id: int | None = None
+    rejects: Counter[str] = field(default_factory=Counter)
+
+    def of(self, recording: Recording) -> Iterator[Ping]:
+        """Yield the chosen pings of an open recording."""
+        pings = self._decoded(messages_of(recording))
+        if self.ping_id is not None:
+            pings = (ping for ping in pings if ping.ping_id == self.ping_id)
+        return islice(islice(pings, self.first, None, self.step), self.limit)
+
+    def _decoded(self, messages: Iterable[Message]) -> Iterator[Ping]:
+        for message in messages:
+            if message.message_id != MessageId.PING_RESULT:
+                continue
+            ping = decode_ping(message)
+            if isinstance(ping, Ping):
+                yield ping
+            else:
+                self.rejects[ping.reason] += 1

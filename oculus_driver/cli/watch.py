@@ -5,16 +5,18 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING
 
-from oculus_driver.cli.arguments import positive
-from oculus_driver.cli.discover import findings_of
-from oculus_driver.cli.discover import line_of as sighting_line
-from oculus_driver.cli.output import Exit, Say
-from oculus_driver.cli.sonar_arguments import (
+from oculus_driver.cli.arguments import (
     add_settings_arguments,
     add_sonar_arguments,
+    facts_of,
+    line_of,
+    positive,
     settings_of,
+    sonar_of,
 )
-from oculus_driver.cli.until_stopped import run_until_stopped
+from oculus_driver.cli.discover import findings_of
+from oculus_driver.cli.discover import line_of as sighting_line
+from oculus_driver.cli.output import Exit, Say, run_until_stopped
 from oculus_driver.discovery.listener import Discovery
 
 if TYPE_CHECKING:
@@ -71,8 +73,6 @@ def _meant(said: argparse.Namespace, sighting: Sighting) -> bool:
 
 
 async def _watch_pings(said: argparse.Namespace, say: Say, watch: _PingWatch) -> None:
-    from oculus_driver.cli.sonar_link import sonar_of  # noqa: PLC0415 - of this way alone
-
     def tell_state(link: LinkStatus) -> None:
         facts = {"event": "state", "state": str(link.state), "reason": link.reason}
         say.report(facts | {"address": link.address}, f"{link.state}: {link.reason}")
@@ -104,8 +104,6 @@ class _PingWatch:
             before = pings
 
     def _tell(self, sonar: OculusSonar, rate_hz: float) -> None:
-        from oculus_driver.cli.sonar_link import facts_of, line_of  # noqa: PLC0415 - as above
-
         facts = {"event": "pings", "state": str(sonar.state), "rate_hz": rate_hz}
         facts |= facts_of(sonar.counters)
         text = f"{line_of(sonar)}, {rate_hz:.1f} Hz"

@@ -8,20 +8,24 @@ import logging
 import socket
 import time
 from collections import Counter
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
+from ipaddress import IPv4Address
+from typing import TYPE_CHECKING, Final, Protocol
 from weakref import WeakSet
 
 from oculus_driver.discovery.diagnosis import bind_finding, status_findings
 from oculus_driver.discovery.state import Sighting, SonarKey, SonarWatch
 from oculus_driver.errors import DiscoveryError
-from oculus_driver.wire import STATUS_PORT
+from oculus_driver.wire import STATUS_PORT, TCP_PORT
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import AsyncIterator
     from types import TracebackType
     from typing import Self
 
-__all__ = ["Discovery", "Sighting", "Sightings", "SonarWatch"]
+    from oculus_driver.status import Status
+
 
 ANY_HOST: Final = "0.0.0.0"  # noqa: S104 - broadcasts come to every address, this is how to hear them
 
@@ -217,3 +221,105 @@ def _listening_socket(host: str, port: int) -> socket.socket:
         listening.close()
         raise DiscoveryError(bind_finding(error, host, port).text) from error
     return listening
+
+
+class Announcement(Protocol):
+    """One status broadcast of a sonar: where to connect, and its status."""
+
+    @property
+    def address(self) -> str:
+        """Where to connect."""
+        ...
+
+    @property
+    def status(self) -> Status:
+        """Its last status."""
+        ...
+
+
+class AnnouncementSource(Protocol):
+    """A source of announcements, such as `Discovery`."""
+
+    def sightings(self) -> AsyncIterator[Announcement]:
+        """Return what is heard, as it is heard."""
+        ...
+
+
+DiscoveryFactory = Callable[[], AbstractAsyncContextManager[AnnouncementSource]]
+
+
+class Search:
+    """Listens for one sonar, as a task.
+
+    Args:
+        serial: its device id, None for the first that is heard.
+        discovery: makes what hears sonars, None for `oculus_driver.discovery.listener.Discovery`.
+
+    Attributes:
+        status: its last status, None before the first.
+    """
+
+    def __init__(self, serial: int | None, discovery: DiscoveryFactory | None) -> None:
+        self.status: Status | None = None
+        self._serial = serial
+        self._discovery = discovery or Discovery
+        self._others: set[int] = set()
+        self._task: asyncio.Task[None] | None = None
+
+    def start(
+        self,
+        on_sighted: Callable[[Announcement], None],
+        on_failure: Callable[[BaseException], None],
+    ) -> None:
+        """Begin; what goes wrong is given to `on_failure`."""
+        self._task = asyncio.create_task(self._listen(on_sighted, on_failure))
+
+    async def stop(self) -> None:
+        """End the task and wait for it."""
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.wait((self._task,))
+
+    async def _listen(
+        self,
+        on_sighted: Callable[[Announcement], None],
+        on_failure: Callable[[BaseException], None],
+    ) -> None:
+        try:
+            async with self._discovery() as discovery:
+                async for sighting in discovery.sightings():
+                    if self._is_ours(sighting):
+                        on_sighted(sighting)
+        except Exception as error:  # noqa: BLE001 - handed to whoever waits for pings
+            on_failure(error)
+
+    def _is_ours(self, sighting: Announcement) -> bool:
+        serial = sighting.status.device_id
+        if self._serial is None:
+            self._serial = serial
+        if serial == self._serial:
+            self.status = sighting.status
+            return True
+        if serial not in self._others and len(self._others) < _OTHERS_NAMED:
+            self._others.add(serial)
+            words = "sonar %d at %s is not ours, which is %d: give a serial to choose"
+            _LOG.warning(words, serial, sighting.address, self._serial)
+        return False
+
+
+_OTHERS_NAMED: Final = 16
+
+
+def addresses_towards(address: str) -> list[IPv4Address]:
+    """Return the address that this host would speak to `address` from; empty: it has no way.
+
+    `address` is dotted: a name would have to be looked up, which can take seconds.
+    Asks the system's routes and sends nothing. A way through a router counts as one: compare
+    with the sonar's mask (`oculus_driver.discovery.diagnosis.subnet_finding`).
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect((address, TCP_PORT))
+        except OSError:
+            return []
+        return [IPv4Address(probe.getsockname()[0])]

@@ -9,7 +9,7 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
-from oculus_driver.reject import Reject
+from oculus_driver.errors import Reject
 from oculus_driver.status import Status, decode_status
 
 if TYPE_CHECKING:

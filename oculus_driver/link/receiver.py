@@ -6,9 +6,8 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Final
 
-from oculus_driver.ping import Ping, decode_ping
-from oculus_driver.reject import Reject
-from oculus_driver.sequence import PingSequence
+from oculus_driver.errors import Reject
+from oculus_driver.ping import Ping, PingSequence, decode_ping
 from oculus_driver.stream import Message, StreamCounters, StreamParser
 from oculus_driver.wire import MIB, MessageId
 

@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+from oculus_driver.stream import Message, StreamParser
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
 
 OCULUS: Final = "oculus"
 """Encoding of a link that carries an Oculus TCP stream, in any fragmentation."""
@@ -74,3 +80,21 @@ class Progress:
             return
         self.first_ns = stamp_ns if self.first_ns is None else min(self.first_ns, stamp_ns)
         self.last_ns = stamp_ns if self.last_ns is None else max(self.last_ns, stamp_ns)
+
+
+_MAX_LINKS: Final = 64
+
+
+def messages_of(chunks: Iterable[Chunk]) -> Iterator[Message]:
+    """Yield the messages of all sonars in a recording; links beyond the 64th are passed over."""
+    parsers: dict[str, StreamParser] = {}
+    for chunk in chunks:
+        if chunk.encoding != OCULUS:
+            continue
+        if chunk.link not in parsers and len(parsers) < _MAX_LINKS:
+            parsers[chunk.link] = StreamParser(confirm=True)
+        parser = parsers.get(chunk.link)
+        if parser is not None:
+            yield from parser.feed(chunk.data, chunk.arrival_ns, gap_before=chunk.gap_before)
+    for parser in parsers.values():
+        yield from parser.finish()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 from collections import Counter
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -10,17 +11,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Final, Protocol
 
 from oculus_driver.errors import RecordingError
-from oculus_driver.recording.formats import MCAP, OCULUS_LOG, OCULUS_RAW, PCAP
-from oculus_driver.recording.message_sinks import LogFormat, MessageSink, RawFormat
-from oculus_driver.recording.pcap_sink import PcapSink
-from oculus_driver.recording.recording import open_recording
+from oculus_driver.recording.chunk import OCULUS, OCULUS_STATUS, Chunk
+from oculus_driver.recording.network_capture import SYN, TCP, UDP
+from oculus_driver.recording.oculus_log import (
+    FILE_HEADER,
+    ITEM_HEADER,
+    MESSAGE_ITEM,
+    NS_PER_S,
+    STAMP,
+    STAMP_ITEM,
+)
+from oculus_driver.recording.recording import MCAP, OCULUS_LOG, OCULUS_RAW, PCAP, open_recording
 from oculus_driver.recording.writer import RecordingWriter
+from oculus_driver.stream import Message, StreamParser
+from oculus_driver.wire import STATUS_PORT, TCP_PORT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from oculus_driver.recording.chunk import Chunk
     from oculus_driver.recording.recording import Recording
+
 
 WRITABLE: Final = (MCAP, OCULUS_LOG, OCULUS_RAW, PCAP)
 """Formats that `convert` can write."""
@@ -31,7 +42,7 @@ class Conversion:
     """What a conversion did.
 
     Attributes:
-        source_format, target_format: see `oculus_driver.recording.formats`.
+        source_format, target_format: see `oculus_driver.recording.recording`.
         chunks: read from the source.
         size_bytes: of the file written.
         left_out: bytes that the target does not hold, by reason: other_link (a link that the
@@ -153,6 +164,211 @@ class _McapSink:
 
     def finish(self) -> None:
         """Nothing is held back."""
+
+
+_SONAR_ITEM_VERSION: Final = 0
+_OTHER_ITEM_VERSION: Final = 2
+
+
+class MessageFormat(Protocol):
+    """How one message is written."""
+
+    def write(self, file: BinaryIO, message: Message) -> None:
+        """Write a message behind those before it."""
+        ...
+
+    def finish(self, file: BinaryIO) -> None:
+        """Write what belongs to a file without any message."""
+        ...
+
+
+class MessageSink:
+    """Takes the chunks of a recording and writes the messages of its first sonar.
+
+    Bytes that belong to no message are left out, and so are all other links.
+
+    Attributes:
+        messages: written so far.
+    """
+
+    def __init__(self, file: BinaryIO, left_out: Counter[str], form: MessageFormat) -> None:
+        self.messages = 0
+        self._file = file
+        self._left_out = left_out
+        self._form = form
+        self._parser = StreamParser(confirm=True)
+        self._link: str | None = None
+
+    def put(self, chunk: Chunk) -> None:
+        """Write the messages that a chunk completes."""
+        if chunk.encoding == OCULUS and self._link in (None, chunk.link):
+            self._link = chunk.link
+            gap = chunk.gap_before
+            self._write(self._parser.feed(chunk.data, chunk.arrival_ns, gap_before=gap))
+        else:
+            self._left_out["other_link"] += len(chunk.data)
+
+    def finish(self) -> None:
+        """Write the last message."""
+        self._write(self._parser.finish())
+        self._form.finish(self._file)
+        if self._parser.counters.bytes_rejected:
+            self._left_out["no_message"] += self._parser.counters.bytes_rejected
+
+    def _write(self, messages: list[Message]) -> None:
+        for message in messages:
+            self._form.write(self._file, message)
+        self.messages += len(messages)
+
+
+class RawFormat:
+    """Messages back to back, without stamps."""
+
+    def write(self, file: BinaryIO, message: Message) -> None:
+        """Write the message's bytes."""
+        file.write(message.data)
+
+    def finish(self, file: BinaryIO) -> None:
+        """Write nothing: an empty stream is an empty file."""
+
+
+class LogFormat:
+    """An `.oculus` log of version 1: vendor's items, each with ENSTA's stamp item behind it.
+
+    The stamp items keep nanoseconds; readers that do not know them skip them by their size.
+    """
+
+    def __init__(self) -> None:
+        self._begun = False
+
+    def write(self, file: BinaryIO, message: Message) -> None:
+        """Write the message and, if it has one, its stamp."""
+        stamp_ns = message.arrival_ns or 0
+        self._begin(file, stamp_ns)
+        self._item(file, MESSAGE_ITEM, _SONAR_ITEM_VERSION, stamp_ns, message.data)
+        if stamp_ns:
+            seconds, rest_ns = divmod(stamp_ns, NS_PER_S)
+            stamp = STAMP.pack({"s": seconds, "ns": rest_ns})
+            self._item(file, STAMP_ITEM, _OTHER_ITEM_VERSION, stamp_ns, stamp)
+
+    def finish(self, file: BinaryIO) -> None:
+        """Write the header if no message did."""
+        self._begin(file, 0)
+
+    def _begin(self, file: BinaryIO, stamp_ns: int) -> None:
+        if not self._begun:
+            self._begun = True
+            created_s = round(stamp_ns / NS_PER_S, 3)
+            file.write(FILE_HEADER.pack({"created_unix_s": created_s}))
+
+    def _item(self, file: BinaryIO, kind: int, version: int, stamp_ns: int, payload: bytes) -> None:
+        head = ITEM_HEADER.pack(
+            {
+                "kind": kind,
+                "version": version,
+                "unix_s": stamp_ns / NS_PER_S,
+                "original_size": len(payload),
+                "payload_size": len(payload),
+            }
+        )
+        file.write(head + payload)
+
+
+_FILE_HEAD: Final = struct.Struct("<IHHiIII")
+_RECORD_HEAD: Final = struct.Struct("<IIII")
+_MAGIC_NS: Final = 0xA1B23C4D
+_RAW_IP: Final = 101
+_SNAP_LENGTH: Final = 1 << 18
+_SEGMENT: Final = 32 << 10
+_MAX_DATAGRAM: Final = 65_507
+_HOST: Final = bytes((198, 51, 100, 1))
+_BROADCAST: Final = b"\xff\xff\xff\xff"
+_CLIENT_PORT: Final = 40_000
+_PUSH_ACK: Final = 0x18
+_ACK: Final = 0x10
+_WINDOW: Final = 0xFFFF
+_MAX_SONARS: Final = 64
+_NEXT_CONNECTION: Final = 1 << 28
+_NS_PER_S: Final = 1_000_000_000
+_LAST_NS: Final = (1 << 32) * _NS_PER_S - 1
+"""The format counts seconds in 32 bits: until the year 2106."""
+
+
+class PcapSink:
+    """Takes the chunks of a recording; other links than sonars' and statuses are left out."""
+
+    def __init__(self, file: BinaryIO, left_out: Counter[str]) -> None:
+        self._file = file
+        self._left_out = left_out
+        self._sequences: dict[str, int] = {}
+        self._numbers: dict[str, int] = {}
+        self._last_ns = 0
+        self._file.write(_FILE_HEAD.pack(_MAGIC_NS, 2, 4, 0, 0, _SNAP_LENGTH, _RAW_IP))
+
+    def put(self, chunk: Chunk) -> None:
+        """Write a chunk as packets; one without a stamp takes the one before it."""
+        if chunk.arrival_ns is not None:
+            self._last_ns = min(chunk.arrival_ns, _LAST_NS)
+        if chunk.encoding == OCULUS_STATUS and len(chunk.data) <= _MAX_DATAGRAM:
+            self._status(chunk.data)
+        elif chunk.encoding == OCULUS and self._number(chunk.link):
+            self._stream(chunk)
+        else:
+            self._left_out["other_link"] += len(chunk.data)
+
+    def finish(self) -> None:
+        """Nothing is left to write: each packet stands for itself."""
+
+    def _number(self, link: str) -> int:
+        """Return the last octet of a sonar's address, 0 beyond the number of sonars."""
+        if link not in self._numbers and len(self._numbers) < _MAX_SONARS:
+            self._numbers[link] = len(self._numbers) + 1
+        return self._numbers.get(link, 0)
+
+    def _status(self, datagram: bytes) -> None:
+        head = struct.pack(">HHHH", STATUS_PORT, STATUS_PORT, 8 + len(datagram), 0)
+        self._packet(UDP, head + datagram, _sonar(1), _BROADCAST)
+
+    def _stream(self, chunk: Chunk) -> None:
+        number = self._number(chunk.link)
+        sequence = self._sequences.get(chunk.link)
+        if sequence is None or chunk.gap_before:
+            sequence = (sequence or 0) + _NEXT_CONNECTION
+            self._segment(number, sequence, b"", SYN | _ACK)
+            sequence += 1
+        for start in range(0, len(chunk.data), _SEGMENT):
+            part = chunk.data[start : start + _SEGMENT]
+            self._segment(number, sequence + start, part, _PUSH_ACK)
+        self._sequences[chunk.link] = sequence + len(chunk.data)
+
+    def _segment(self, number: int, sequence: int, data: bytes, flags: int) -> None:
+        ports = (TCP_PORT, _CLIENT_PORT + number)
+        words = 5 << 4
+        place = sequence & 0xFFFFFFFF
+        head = struct.pack(">HHIIBBHHH", *ports, place, 1, words, flags, _WINDOW, 0, 0)
+        self._packet(TCP, head + data, _sonar(number), _HOST)
+
+    def _packet(self, protocol: int, body: bytes, source: bytes, destination: bytes) -> None:
+        size = 20 + len(body)
+        head = bytearray(
+            struct.pack(
+                ">BBHHHBBH4s4s", 0x45, 0, size, 0, 0x4000, 64, protocol, 0, source, destination
+            )
+        )
+        struct.pack_into(">H", head, 10, _checksum(head))
+        seconds, rest_ns = divmod(self._last_ns, _NS_PER_S)
+        self._file.write(_RECORD_HEAD.pack(seconds, rest_ns, size, size) + head + body)
+
+
+def _sonar(number: int) -> bytes:
+    return bytes((192, 0, 2, number))
+
+
+def _checksum(head: bytearray) -> int:
+    """Return the checksum of an IP header (RFC 791)."""
+    total = sum(int(word) for word in struct.unpack(">10H", head))
+    total = (total & 0xFFFF) + (total >> 16)
+    return ~(total + (total >> 16)) & 0xFFFF
 
 
 _SINKS: Final[dict[str, Callable[[BinaryIO, Counter[str]], _Sink]]] = {

@@ -7,9 +7,8 @@ from collections import Counter
 from dataclasses import asdict, dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Final
 
-from oculus_driver.ping import Ping, decode_ping
+from oculus_driver.ping import Ping, PingSequence, decode_ping
 from oculus_driver.recording.chunk import OCULUS, OCULUS_STATUS, Chunk
-from oculus_driver.sequence import PingSequence
 from oculus_driver.status import Status, decode_status
 from oculus_driver.stream import Message, StreamParser
 from oculus_driver.wire import MessageId
@@ -61,7 +60,7 @@ class RecordingInfo:
     """What a recording holds.
 
     Attributes:
-        format: see `oculus_driver.recording.formats`.
+        format: see `oculus_driver.recording.recording`.
         size_bytes: of the file.
         truncated, damage, faults: what is wrong with the file, see `Recording`.
         start_ns, end_ns: earliest and latest stamp, None where there is none.
@@ -73,7 +72,7 @@ class RecordingInfo:
         bytes_total: of the sonars' streams.
         bytes_rejected: of these, bytes that belong to no message.
         rejects: why messages or pings were refused, and how often: reasons of
-            `oculus_driver.stream.StreamCounters` and `oculus_driver.reject.Reject`, and
+            `oculus_driver.stream.StreamCounters` and `oculus_driver.errors.Reject`, and
             too_many_links (a chunk of a 65th sonar).
         warnings: doubts about messages and pings that were taken all the same.
         resyncs: times that the start of the next message was lost.

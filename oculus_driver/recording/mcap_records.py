@@ -7,11 +7,13 @@ again. All numbers are little-endian; strings and maps carry a u32 length in byt
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, BinaryIO, Final
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
+
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 
@@ -158,3 +160,64 @@ def strings(content: bytes, offset: int) -> Iterable[str]:
             return
         yield content[offset : offset + size].decode(errors="replace")
         offset += size
+
+
+_TAIL: Final = HEAD.size + FOOTER.size + len(MAGIC)
+_MAX_RECORDS: Final = 1 << 16
+"""Records of a summary that are looked at; what is wanted stands near its beginning."""
+
+_MAX_LENGTH: Final = 1 << 16
+
+
+@dataclass(slots=True)
+class Summary:
+    """The part of a summary that reading needs.
+
+    Attributes:
+        span_ns: earliest and latest log time, None where not told.
+        channels: topic and encoding by number.
+    """
+
+    span_ns: tuple[int, int] | None = None
+    channels: dict[int, tuple[str, str]] = field(default_factory=dict)
+
+
+def channel_of(content: bytes) -> tuple[int, str, str] | None:
+    """Return number, topic and encoding from a channel record's content, None if damaged."""
+    texts = tuple(strings(content, 2 * U16.size))
+    if len(texts) < 2:  # noqa: PLR2004 - topic and encoding
+        return None
+    (number,) = U16.unpack_from(content)
+    return number, texts[0], texts[1]
+
+
+def read_summary(file: BinaryIO, size: int) -> Summary:
+    """Return what the summary says; nothing where the file has no sound one. Moves the file."""
+    summary = Summary()
+    if size < _TAIL:
+        return summary
+    file.seek(size - _TAIL)
+    tail = file.read(_TAIL)
+    if not tail.endswith(MAGIC) or tail[0] != Opcode.FOOTER:
+        return summary
+    position, _, _ = FOOTER.unpack_from(tail, HEAD.size)
+    for _ in range(_MAX_RECORDS if position else 0):
+        if position + HEAD.size > size - _TAIL:
+            break
+        file.seek(position)
+        opcode, length = HEAD.unpack(file.read(HEAD.size))
+        position += HEAD.size + length
+        if opcode in (Opcode.CHANNEL, Opcode.STATISTICS) and length <= _MAX_LENGTH:
+            _take(summary, opcode, file.read(length))
+    return summary
+
+
+def _take(summary: Summary, opcode: int, content: bytes) -> None:
+    if opcode == Opcode.CHANNEL:
+        channel = channel_of(content)
+        if channel is not None:
+            summary.channels[channel[0]] = channel[1:]
+    elif len(content) >= STATISTICS.size:
+        messages, *_, first_ns, last_ns = STATISTICS.unpack_from(content)
+        if messages and first_ns:
+            summary.span_ns = (first_ns, last_ns)

@@ -3,17 +3,103 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Self
+from typing import TYPE_CHECKING, BinaryIO, Final, Self
 
 from oculus_driver.errors import RecordingError
-from oculus_driver.recording.chunk import Chunk, Progress
-from oculus_driver.recording.formats import MCAP, OCULUS_RAW, READERS, kind_of
-from oculus_driver.recording.summary import read_summary
+from oculus_driver.framing import header_fault, read_header
+from oculus_driver.recording.chunk import OCULUS, Chunk, Progress
+from oculus_driver.recording.mcap_reader import read_mcap
+from oculus_driver.recording.mcap_records import MAGIC, read_summary
+from oculus_driver.recording.network_capture import read_network_capture
+from oculus_driver.recording.oculus_log import (
+    CONVERTED_MAGIC,
+    FILE_MAGIC,
+    is_encrypted,
+    read_oculus_log,
+)
+from oculus_driver.recording.pcap_files import PCAP_MAGICS, PCAPNG_MAGIC
+from oculus_driver.recording.viewpoint_log import read_viewpoint_log
+from oculus_driver.stream import StreamParser
+from oculus_driver.wire import HEADER, MAX_MESSAGE_SIZE, PAYLOAD_LIMITS
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from types import TracebackType
+
+
+MCAP: Final = "mcap"
+OCULUS_RAW: Final = "oculus-raw"
+OCULUS_LOG: Final = "oculus-log"
+VIEWPOINT_LOG: Final = "viewpoint-log"
+PCAP: Final = "pcap"
+PCAPNG: Final = "pcapng"
+
+READERS: Final[dict[str, Callable[[BinaryIO, int, Progress], Iterator[Chunk]]]] = {
+    MCAP: read_mcap,
+    OCULUS_RAW: lambda file, _, progress: read_raw(file, progress),
+    OCULUS_LOG: read_oculus_log,
+    VIEWPOINT_LOG: read_viewpoint_log,
+    PCAP: read_network_capture,
+    PCAPNG: read_network_capture,
+}
+"""What yields the chunks of an open file of a size, and fills in what it finds wrong with it."""
+
+_PROBE: Final = 1 << 16
+_LEAST_MAGIC: Final = 6
+
+_MAGICS: Final = {
+    FILE_MAGIC.to_bytes(4, "little"): OCULUS_LOG,
+    CONVERTED_MAGIC.to_bytes(4, "little"): OCULUS_LOG,
+    b"SQLite format 3\0": VIEWPOINT_LOG,
+    **dict.fromkeys(PCAP_MAGICS, PCAP),
+    PCAPNG_MAGIC: PCAPNG,
+}
+
+_FOREIGN: Final = {
+    b"#ROSBAG": "a ROS 1 bag",
+    b"\x1f\x8b": "compressed with gzip",
+    b"\x28\xb5\x2f\xfd": "compressed with zstd",
+    b"PK\x03\x04": "a zip archive",
+}
+
+
+def kind_of(path: Path, file: BinaryIO, size: int) -> str:
+    """Return the format of an open file, told by content. Moves the file.
+
+    Raises:
+        RecordingError: it holds no recording, or an encrypted one.
+    """
+    if size == 0:
+        raise RecordingError(f"{path}: is empty; nothing was recorded")
+    file.seek(0)
+    probe = file.read(_PROBE)
+    alike = sum(a == b for a, b in zip(probe, MAGIC, strict=False))
+    if alike >= min(_LEAST_MAGIC, size):
+        return MCAP
+    for magic, kind in _MAGICS.items():
+        if probe.startswith(magic):
+            if kind == OCULUS_LOG and is_encrypted(probe):
+                raise RecordingError(f"{path}: is encrypted; export it without encryption")
+            return kind
+    if is_raw_stream(file):
+        return OCULUS_RAW
+    raise RecordingError(
+        f"{path}: {_description(probe)}; expected MCAP, a raw Oculus stream, an .oculus log, "
+        "or a pcap or pcapng capture"
+    )
+
+
+def _description(probe: bytes) -> str:
+    for magic, name in _FOREIGN.items():
+        if probe.startswith(magic):
+            return f"is {name}, which cannot be read"
+    if not any(probe):
+        return "holds only zeros"
+    printable = sum(byte >= 0x20 or byte in b"\t\n\r\f" for byte in probe)  # noqa: PLR2004 - space
+    if printable == len(probe):
+        return "is a text file"
+    return "holds no sonar messages"
 
 
 class Recording:
@@ -24,7 +110,7 @@ class Recording:
 
     Attributes:
         path: of the file.
-        format: see `oculus_driver.recording.formats`.
+        format: see `oculus_driver.recording.recording`.
         size_bytes: of the file.
         has_time: whether chunks carry arrival stamps.
     """
@@ -149,3 +235,46 @@ def _open(path: Path) -> BinaryIO:
         raise RecordingError(f"{path}: may not be read; check its access rights") from error
     except (OSError, ValueError) as error:
         raise RecordingError(f"{path}: cannot be opened: {error}") from error
+
+
+RAW_LINK: Final = "sonar"
+BLOCK: Final = 1 << 16
+_SEARCHED: Final = 2 * MAX_MESSAGE_SIZE
+"""Bytes at the start of a file among which a message must be: two of the largest."""
+
+
+def is_raw_stream(file: BinaryIO) -> bool:
+    """Tell whether a file holds an Oculus stream, also one whose beginning is cut or garbage."""
+    file.seek(0)
+    parser = StreamParser()
+    first = file.read(BLOCK)
+    if len(first) >= HEADER.size and header_fault(read_header(first, 0), strict=True) is None:
+        return True
+    block = first
+    while block and parser.counters.bytes_total < _SEARCHED:
+        parser.feed(block)
+        if _has_known(parser):
+            return True
+        block = file.read(BLOCK)
+    parser.finish()
+    return _has_known(parser)
+
+
+def _has_known(parser: StreamParser) -> bool:
+    return any(number in PAYLOAD_LIMITS for number in parser.counters.messages)
+
+
+def read_raw(file: BinaryIO, progress: Progress) -> Iterator[Chunk]:
+    """Yield the bytes of a raw stream in blocks; tell in `progress` what belongs to no message."""
+    file.seek(0)
+    parser = StreamParser(confirm=True)
+    while block := file.read(BLOCK):
+        progress.bytes_read += len(block)
+        parser.feed(block)
+        yield Chunk(RAW_LINK, OCULUS, None, block)
+    parser.finish()
+    rejected = parser.counters.bytes_rejected
+    if parser.counters.rejects["truncated"]:
+        progress.cut(f"the file ends inside a message; {rejected} bytes belong to no message")
+    elif rejected:
+        progress.report(f"{rejected} bytes belong to no message")

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, BinaryIO, Final
 
 from oculus_driver.recording import mcap_records as mcap
 from oculus_driver.recording.mcap_records import Opcode
 
 if TYPE_CHECKING:
-    from collections.abc import Container
+    from collections.abc import Container, Iterator
     from typing import BinaryIO
+
 
 MAX_RECORD: Final = 1 << 26
 """Largest record, in bytes, that is read into memory. Larger ones are passed over."""
@@ -87,3 +88,28 @@ def _message(
         return False
     likely = near_ns is not None and abs(stamp - near_ns) <= _NEAR_NS
     return likely and mcap.HEAD.size + length <= room
+
+
+_FIRST: Final = 1 << 10
+_LARGEST: Final = 1 << 20
+
+
+def windows(file: BinaryIO, start: int, size: int, overlap: int) -> Iterator[tuple[int, bytes]]:
+    """Yield the offsets and bytes of pieces of a file from `start` to its end.
+
+    Pieces double in size up to 1 MiB, so that many short searches cost little. Moves the file;
+    the caller may move it too.
+
+    Args:
+        file: of `size` bytes.
+        start: offset of the first piece.
+        size: of the file.
+        overlap: bytes of the next piece that are at the end of each piece too: what is searched
+            and begins in one piece is whole in it.
+    """
+    length = _FIRST
+    while start < size:
+        file.seek(start)
+        yield start, file.read(length + overlap)
+        start += length
+        length = min(2 * length, _LARGEST)

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Self
 
 from oculus_driver.errors import RecordingError
 from oculus_driver.recording.chunk import OCULUS, OCULUS_STATUS
-from oculus_driver.recording.log_files import MIB, LogPolicy, make_room
-from oculus_driver.recording.log_folder import LogFolder, free_bytes_of
+from oculus_driver.recording.log_files import MIB, LogFolder, LogPolicy, free_bytes_of, make_room
 from oculus_driver.recording.writer import RecordingWriter
 from oculus_driver.stream import StreamParser
 

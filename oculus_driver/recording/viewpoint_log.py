@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 from oculus_driver.recording.chunk import OCULUS, Chunk, Progress
-from oculus_driver.recording.oculus_log_records import stamp_ns
-from oculus_driver.recording.qt_compression import message_bytes
+from oculus_driver.recording.oculus_log import message_bytes, stamp_ns
 from oculus_driver.wire import MAX_MESSAGE_SIZE
 
 if TYPE_CHECKING:

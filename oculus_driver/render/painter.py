@@ -11,14 +11,14 @@ import numpy as np
 
 from oculus_driver.bearings import edges_rad
 from oculus_driver.errors import OculusError
-from oculus_driver.labels import caption_of
+from oculus_driver.ping import caption_of
 from oculus_driver.render.fan import Fan, fan_of
-from oculus_driver.render.scale import ring_ranges_m, spoke_bearings_deg
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from oculus_driver.ping import Ping
+
 
 COLOURS: Final = {
     "inferno": cv2.COLORMAP_INFERNO,
@@ -213,3 +213,32 @@ def laid_out(level: NDArray[np.float32], fan: Fan) -> NDArray[np.float32]:
 def _draw_line(frame: NDArray[np.uint8], points: NDArray[np.float64]) -> None:
     fixed = np.rint(points * 16.0).astype(np.int32).reshape(1, -1, 2)
     cv2.polylines(frame, [fixed[0]], False, LINE, 1, cv2.LINE_AA, 4)  # noqa: FBT003 - OpenCV's
+
+
+_MOST_RINGS: Final = 6
+_SLACK: Final = 2e-3
+"""Images end a little before the range that was asked for: 1.998 m are shown with a ring at 2 m."""
+
+_SPOKE_STEPS_DEG: Final = (5, 10, 15, 30, 45)
+_MOST_SPOKES: Final = 9
+
+
+def ring_ranges_m(max_range_m: float) -> list[float]:
+    """Return at most six ranges, multiples of 1, 2 or 5 times a power of ten."""
+    step = 10.0 ** math.floor(math.log10(max_range_m / _MOST_RINGS))
+    factor = next(f for f in (1, 2, 5, 10, 20) if max_range_m / (f * step) <= _MOST_RINGS + 1e-9)
+    step *= factor
+    count = math.floor(max_range_m / step * (1.0 + _SLACK))
+    return [round(step * index, 9) for index in range(1, count + 1)]
+
+
+def spoke_bearings_deg(bearings_rad: NDArray[np.float64]) -> list[int]:
+    """Return at most nine whole bearings within the aperture, 0 among them if it is inside."""
+    low, high = np.degrees(bearings_rad[[0, -1]])
+    slack = 0.5
+    for step in _SPOKE_STEPS_DEG:
+        first = math.ceil((low - slack) / step)
+        last = math.floor((high + slack) / step)
+        if last - first < _MOST_SPOKES:
+            return [step * index for index in range(first, last + 1)]
+    return [0]

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from ipaddress import IPv4Address
 from typing import TYPE_CHECKING, Final
 
 from oculus_driver.ping import Ping, decode_ping
-from oculus_driver.stream import StreamParser
-from oculus_driver.virtual_sonar.device import M750D_PART, Identity, ObedientDevice
-from oculus_driver.virtual_sonar.numbering import Numbering
+from oculus_driver.recording.chunk import messages_of
+from oculus_driver.stream import Message, StreamParser
+from oculus_driver.virtual_sonar.device import LOCAL, M750D_PART, Identity, ObedientDevice
 from oculus_driver.virtual_sonar.resample import remake
-from oculus_driver.virtual_sonar.track import USUAL_WAIT_NS
-from oculus_driver.wire import MessageId, PingRate
+from oculus_driver.virtual_sonar.server import ANY, ServedSonar
+from oculus_driver.wire import MessageId, PingRate, ping_layout
 
 if TYPE_CHECKING:
-    from collections.abc import Generator
+    import os
+    from collections.abc import Callable, Generator, Iterable, Iterator
 
-    from oculus_driver.virtual_sonar.commands import FireDemand
-    from oculus_driver.virtual_sonar.track import Step, Track
+    from oculus_driver.virtual_sonar.device import FireDemand
+    from oculus_driver.virtual_sonar.faults import Faults
+
 
 RATES_HZ: Final = {
     PingRate.NORMAL: 10.0,
@@ -149,3 +155,217 @@ class PlayedDevice(ObedientDevice):
         self._steps = iter(self._track)
         self._upcoming = next(self._steps, None)
         self._numbering.join()
+
+
+_U32: Final = struct.Struct("<I")
+_F64: Final = struct.Struct("<d")
+_WRAP: Final = 1 << 32
+
+_FIRST_ID: Final = 1
+_STEP_S: Final = 0.1
+_STEP_TICKS: Final = 12_500_000
+"""A tenth of a second, at 8 ns a tick."""
+
+
+class Numbering:
+    """Shifts ids and times by what `join` and `restart` ask for; by nothing in a first pass."""
+
+    def __init__(self) -> None:
+        self._anchor: str | None = None  # what the next ping shall do: join or restart
+        self._id_shift = 0
+        self._time_shift = 0.0
+        self._boots = 0
+        self._last: tuple[int, float] | None = None  # id and time
+
+    def join(self) -> None:
+        """Let the next ping follow the last one, if there was one."""
+        if self._last is not None and self._anchor is None:
+            self._anchor = "join"
+
+    def restart(self) -> None:
+        """Let the next ping be the first after power-up."""
+        self._anchor = "restart"
+
+    def apply(self, message: Message) -> tuple[bytes, int | None]:
+        """Return the message as it is sent, and its ping id where it is a ping."""
+        layout = ping_layout(message.version)
+        if message.message_id != MessageId.PING_RESULT or layout is None:
+            return message.data, None
+        fields = layout.unpack(message.data)
+        ticks = "start_ticks" in fields
+        name = "start_ticks" if ticks else "start_time_s"
+        self._settle_shift(fields["ping_id"], fields[name], _STEP_TICKS if ticks else _STEP_S)
+        ping_id = (fields["ping_id"] + self._id_shift) % _WRAP
+        time = fields[name] + self._time_shift
+        self._last = ping_id, time
+        if not self._id_shift and not self._time_shift:
+            return message.data, ping_id
+        data = bytearray(message.data)
+        _U32.pack_into(data, layout.offset_of("ping_id"), ping_id)
+        if ticks:
+            _U32.pack_into(data, layout.offset_of(name), int(time) % _WRAP)
+        else:
+            _F64.pack_into(data, layout.offset_of(name), time)
+        return bytes(data), ping_id
+
+    def _settle_shift(self, ping_id: int, time: float, step: float) -> None:
+        if self._anchor == "join" and self._last is not None:
+            self._id_shift = self._last[0] + 1 - ping_id
+            self._time_shift = self._last[1] + step - time
+        elif self._anchor == "restart":
+            # No two boots take the same time: their first pings are not one ping twice.
+            self._boots += 1
+            self._id_shift = _FIRST_ID - ping_id
+            self._time_shift = step * (1 + self._boots / 1024) - time
+        self._anchor = None
+
+
+TICK_NS: Final = 8
+"""Length of a version-1 clock tick, inferred from captures at a known ping rate."""
+
+LONGEST_WAIT_NS: Final = 10_000_000_000
+"""Longer pauses of a recording are shortened to this."""
+
+USUAL_WAIT_NS: Final = 100_000_000
+"""Between pings whose times nobody knows: the sonar's own normal rate."""
+
+_TICKS_WRAP: Final = 1 << 32
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One message and the wait since the message before it; 0 before the first."""
+
+    message: Message
+    wait_ns: int
+
+
+class Track:
+    """The messages that a sonar sent, in order; can be iterated again and again.
+
+    Args:
+        source: path of a recording of any kind, or whole messages.
+    """
+
+    def __init__(self, source: str | os.PathLike[str] | Sequence[bytes]) -> None:
+        self._source = source
+
+    def __iter__(self) -> Generator[Step, None, None]:
+        last: Message | None = None
+        for message in self._messages():
+            if message.message_id == MessageId.FIRE:  # said by a client
+                continue
+            yield Step(message, 0 if last is None else _wait_ns(last, message))
+            last = message
+
+    def _messages(self) -> Iterator[Message]:
+        if not isinstance(self._source, Sequence) or isinstance(self._source, str):
+            return _recorded(self._source)
+        return _parsed(self._source)
+
+
+def _recorded(path: str | os.PathLike[str]) -> Iterator[Message]:
+    from oculus_driver.recording import open_recording  # noqa: PLC0415 - needs more than numpy
+
+    with open_recording(path) as recording:
+        yield from messages_of(recording)
+
+
+def _parsed(pieces: Iterable[bytes]) -> Iterator[Message]:
+    parser = StreamParser(confirm=True)
+    for data in pieces:
+        yield from parser.feed(data)
+    yield from parser.finish()
+
+
+def _wait_ns(before: Message, after: Message) -> int:
+    """Return the time between two messages: by arrival, else by the sonar's clock."""
+    if before.arrival_ns is not None and after.arrival_ns is not None:
+        wait_ns = after.arrival_ns - before.arrival_ns
+    else:
+        wait_ns = _device_wait_ns(before, after)
+    return min(max(wait_ns, 0), LONGEST_WAIT_NS)
+
+
+def _device_wait_ns(before: Message, after: Message) -> int:
+    first, second = _device_time_ns(before), _device_time_ns(after)
+    if after.message_id != MessageId.PING_RESULT:
+        return 0
+    if first is None or second is None or first[1] != second[1]:
+        return USUAL_WAIT_NS
+    wrap_ns = first[1]
+    wait_ns = (second[0] - first[0]) % wrap_ns if wrap_ns else second[0] - first[0]
+    return wait_ns if 0 <= wait_ns <= LONGEST_WAIT_NS else USUAL_WAIT_NS
+
+
+def _device_time_ns(message: Message) -> tuple[int, int] | None:
+    """Return the sonar's own time and after how long it wraps, 0 for never."""
+    layout = ping_layout(message.version)
+    if message.message_id != MessageId.PING_RESULT or layout is None:
+        return None
+    fields = layout.unpack(message.data)
+    if "start_ticks" in fields:
+        return fields["start_ticks"] * TICK_NS, _TICKS_WRAP * TICK_NS
+    seconds = fields["start_time_s"]
+    return (round(seconds * 1e9), 0) if 0.0 <= seconds < 1e9 else None  # noqa: PLR2004 - 30 years
+
+
+class PlayedSonar(ServedSonar[PlayedDevice]):
+    """A recording as a sonar on this computer; `async with`.
+
+    Args:
+        source: path of a recording of any kind, or whole messages.
+        speed: of the recorded time; None sends as fast as the client takes it.
+        loops: how often the source is played, None for ever; then only signs of life follow.
+        identity: who the sonar says it is; its address None means `host`.
+        remade, standby: see `oculus_driver.virtual_sonar.playback.PlayedDevice`.
+        host, port, status_to, status_period_s, dummy_period_s, faults, on_ping: see
+            `oculus_driver.virtual_sonar.server.ServedSonar`.
+
+    Raises:
+        RecordingError: the source is no recording.
+        OculusError: the address cannot be listened on; raised on entering.
+    """
+
+    def __init__(
+        self,
+        source: str | os.PathLike[str] | Sequence[bytes],
+        *,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        speed: float | None = 1.0,
+        loops: int | None = 1,
+        status_to: Sequence[tuple[str, int]] = (),
+        status_period_s: float = 1.0,
+        dummy_period_s: float = 1.0,
+        identity: Identity | None = None,
+        remade: bool = False,
+        standby: bool = False,
+        faults: Faults | None = None,
+        on_ping: Callable[[int, bool], None] | None = None,
+    ) -> None:
+        device = PlayedDevice(
+            Track(source),
+            identity or Identity(address=told_address(host)),
+            remade=remade,
+            standby=standby,
+            loops=loops,
+            deaf_to_version=None if faults is None else faults.deaf_to_version,
+        )
+        super().__init__(
+            device,
+            host=host,
+            port=port,
+            speed=speed,
+            status_to=status_to,
+            status_period_s=status_period_s,
+            dummy_period_s=dummy_period_s,
+            faults=faults,
+            on_ping=on_ping,
+        )
+
+
+def told_address(host: str) -> IPv4Address:
+    """Return the address that statuses tell of a sonar that listens at `host`."""
+    address = IPv4Address(host)
+    return LOCAL if address == ANY else address

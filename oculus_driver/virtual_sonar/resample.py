@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from oculus_driver.ping import Ping
-    from oculus_driver.virtual_sonar.commands import FireDemand
+    from oculus_driver.virtual_sonar.device import FireDemand
 
 MAX_ROWS: Final = 720
 _SMALLEST_RANGE_M: Final = 0.1

@@ -4,21 +4,45 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from dataclasses import dataclass
 from ipaddress import IPv4Address
 from typing import TYPE_CHECKING, Final, Generic, Protocol, Self, TypeVar
 
 from oculus_driver.encode import encode_dummy
 from oculus_driver.errors import OculusError
-from oculus_driver.virtual_sonar.broadcast import broadcast
-from oculus_driver.virtual_sonar.commands import CommandReader
-from oculus_driver.virtual_sonar.counters import PlayCounters
+from oculus_driver.virtual_sonar.device import CommandReader
 from oculus_driver.virtual_sonar.faults import Deed, Dice, Faults
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Sequence
     from types import TracebackType
 
-__all__ = ["ANY", "Device", "ServedSonar"]
+
+@dataclass(slots=True)
+class PlayCounters:
+    """What a played sonar has done.
+
+    Attributes:
+        clients: connections served; refused: closed at once.
+        pings: sent whole; pings_damaged: flipped, cut or lost on purpose.
+        other_messages: dummies, answers and whatever else was recorded.
+        bytes_sent: of the data port.
+        stalls, restarts, cuts: that happened.
+        statuses: datagrams sent; statuses_unsent: refused by the network.
+    """
+
+    clients: int = 0
+    refused: int = 0
+    pings: int = 0
+    pings_damaged: int = 0
+    other_messages: int = 0
+    bytes_sent: int = 0
+    stalls: int = 0
+    restarts: int = 0
+    cuts: int = 0
+    statuses: int = 0
+    statuses_unsent: int = 0
+
 
 _LARGEST_READ: Final = 1 << 16
 _FLUSH_S: Final = 1.0
@@ -367,3 +391,58 @@ async def _first_of(*works: Coroutine[None, None, None]) -> None:
 def _cannot_listen(host: str, port: int, error: OSError) -> str:
     reason = error.strerror or str(error)
     return f"cannot listen on {host}:{port}: {reason}; choose another address or port"
+
+
+def broadcast_of(host: str) -> str:
+    """Return where a sonar at this address broadcasts to: loopback stays on loopback."""
+    return "127.255.255.255" if IPv4Address(host).is_loopback else "255.255.255.255"
+
+
+class _Sender(asyncio.DatagramProtocol):
+    """Counts what the network refuses; asyncio reports it after the call."""
+
+    def __init__(self, counters: PlayCounters) -> None:
+        self._counters = counters
+
+    def error_received(self, _: Exception) -> None:
+        self._counters.statuses_unsent += 1
+
+
+async def broadcast(
+    status: Callable[[], bytes],
+    host: str,
+    targets: Sequence[tuple[str, int]],
+    period_s: float,
+    *,
+    dice: Dice,
+    counters: PlayCounters,
+) -> None:
+    """Send statuses until cancelled, some of them late and the next one twice if the dice say so.
+
+    Args:
+        status: makes the datagram of this moment.
+        host: address to send from.
+        targets: addresses and ports.
+        period_s: between statuses.
+        dice: decide which statuses wait for the one after them.
+        counters: get `statuses` and `statuses_unsent`.
+    """
+    transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
+        lambda: _Sender(counters), local_addr=(host, 0), allow_broadcast=True
+    )
+    held: bytes | None = None
+    try:
+        while True:
+            now = status()
+            if held is None and dice.holds_status():
+                held = now
+            else:
+                datagrams = (now,) if held is None else (now, held, now)
+                held = None
+                for target in targets:
+                    for datagram in datagrams:
+                        transport.sendto(datagram, target)
+                        counters.statuses += 1
+            await asyncio.sleep(period_s)
+    finally:
+        transport.close()

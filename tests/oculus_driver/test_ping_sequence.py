@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from oculus_driver.sequence import PingSequence
+from oculus_driver.ping import PingSequence
 
 
 def taken(*ids: int) -> tuple[list[bool], int, int, int]:

@@ -16,16 +16,21 @@ from oculus_driver.encode import (
     encode_user_config,
 )
 from oculus_driver.errors import EncodeError, ProtocolError
-from oculus_driver.layout import F64, U8, U16, U32, Field, Layout
 from oculus_driver.wire import (
     DUMMY,
+    F64,
     FIRE_V1,
     FIRE_V2,
     HEADER,
     PING_RESULT_V1,
     PING_RESULT_V2,
     STATUS,
+    U8,
+    U16,
+    U32,
     USER_CONFIG,
+    Field,
+    Layout,
     ping_layout,
 )
 

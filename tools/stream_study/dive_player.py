@@ -13,7 +13,7 @@ from pathlib import Path
 import msgpack
 
 from oculus_driver.recording import OCULUS, ODOMETRY_NATIVE, open_recording
-from oculus_driver.virtual_sonar.play import PlayedSonar
+from oculus_driver.virtual_sonar.playback import PlayedSonar
 
 __all__ = ["DivePlayer", "Record", "read_odometry"]
 

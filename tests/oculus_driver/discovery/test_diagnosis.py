@@ -17,7 +17,7 @@ from oculus_driver.discovery.diagnosis import (
     status_findings,
     subnet_finding,
 )
-from oculus_driver.discovery.own_addresses import addresses_towards
+from oculus_driver.discovery.listener import addresses_towards
 from oculus_driver.discovery.state import Sighting, SonarWatch
 from oculus_driver.encode import encode_status
 from oculus_driver.status import PAUSE_REASONS, Status

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from oculus_driver.discovery.checkup import LAYERS, Evidence, first_failure, judge
+from oculus_driver.discovery.probe import LAYERS, Evidence, first_failure, judge
 from oculus_driver.discovery.state import Sighting, SonarWatch
 from oculus_driver.encode import encode_status
 

@@ -18,7 +18,7 @@ from oculus_driver.discovery.state import (
     version_text,
 )
 from oculus_driver.encode import encode_status
-from oculus_driver.reject import Reject
+from oculus_driver.errors import Reject
 
 S = 1_000_000_000
 HOME = {"address": "192.168.2.3"}

@@ -26,7 +26,7 @@ from oculus_driver.recording import (
     describe,
     open_recording,
 )
-from oculus_driver.recording.pcap_sink import PcapSink
+from oculus_driver.recording.convert import PcapSink
 from tests.oculus_driver.recording.foreign_files import Wire, log_header, log_item, pcap
 from tests.oculus_driver.recording.test_viewpoint_log import TABLES
 

@@ -12,8 +12,7 @@ import pytest
 from oculus_driver.encode import encode_dummy, encode_fire, encode_status
 from oculus_driver.recording import OCULUS_STATUS, PCAP, PCAPNG, describe, open_recording
 from oculus_driver.recording.chunk import Progress
-from oculus_driver.recording.network_capture import _Sorter
-from oculus_driver.recording.packet_layers import TCP, Flow, Segment, segment_of
+from oculus_driver.recording.network_capture import TCP, Flow, Segment, _Sorter, segment_of
 from tests.oculus_driver.recording.foreign_files import (
     HOST,
     SONAR,

@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oculus_driver import OculusError, Ping, bearing_table_cdeg, decode_ping
-from oculus_driver.labels import caption_of, time_of
+from oculus_driver.ping import caption_of, time_of
 from oculus_driver.render import Painter, Style, fan_of, laid_out
 from oculus_driver.render.files import Film, PngFolder
-from oculus_driver.render.scale import ring_ranges_m, spoke_bearings_deg
+from oculus_driver.render.painter import ring_ranges_m, spoke_bearings_deg
 
 if TYPE_CHECKING:
     from collections.abc import Callable

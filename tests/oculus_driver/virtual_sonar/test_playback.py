@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 
 from oculus_driver import Ping, StreamParser, decode_ping, encode_dummy, encode_fire
 from oculus_driver.recording import OCULUS, RecordingWriter
-from oculus_driver.virtual_sonar.commands import CommandReader, FireDemand
+from oculus_driver.virtual_sonar.device import CommandReader, FireDemand
 from oculus_driver.virtual_sonar.faults import SHARES, Dice, Faults
-from oculus_driver.virtual_sonar.playback import PlayedDevice
+from oculus_driver.virtual_sonar.playback import PlayedDevice, Track
 from oculus_driver.virtual_sonar.resample import range_m_of
-from oculus_driver.virtual_sonar.track import Track
 
 if TYPE_CHECKING:
     from collections.abc import Callable

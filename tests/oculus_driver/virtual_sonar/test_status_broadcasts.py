@@ -14,8 +14,8 @@ from oculus_driver import (
     encode_status,
 )
 from oculus_driver.status import Status
-from oculus_driver.virtual_sonar.broadcast import broadcast
 from oculus_driver.virtual_sonar.faults import Dice
+from oculus_driver.virtual_sonar.server import broadcast
 from oculus_driver.wire import MessageId
 from tests.oculus_driver.virtual_sonar.client import Client, run
 

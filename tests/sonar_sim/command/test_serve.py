@@ -13,7 +13,7 @@ from mapperd.odometry.native import decode_native
 from mapperd.odometry.records import Odometry
 from oculus_driver import Ping, decode_ping
 from oculus_driver.recording import ODOMETRY_NATIVE, open_recording
-from oculus_driver.recording.messages import messages_of
+from oculus_driver.recording.chunk import messages_of
 from tests.oculus_driver.virtual_sonar.client import FIRE, Client
 
 SCENE = """

@@ -21,7 +21,7 @@ from sonar_sim.trajectory import Motion, Trajectory, Waypoint
 from sonar_sim.water import Water
 
 from oculus_driver.models import model_of
-from oculus_driver.virtual_sonar.commands import FireDemand
+from oculus_driver.virtual_sonar.device import FireDemand
 from oculus_driver.wire import FireFlags, PingRate
 
 METRES = FireFlags.RANGE_IN_METRES | FireFlags.SIMPLE_RETURN

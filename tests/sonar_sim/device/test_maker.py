@@ -10,7 +10,7 @@ from sonar_sim.device.maker import PingMaker, When
 from sonar_sim.scenario import Scenario
 
 from oculus_driver import Ping, StreamParser, decode_ping
-from oculus_driver.virtual_sonar.commands import FireDemand
+from oculus_driver.virtual_sonar.device import FireDemand
 from oculus_driver.wire import FireFlags
 
 MakeScenario = Callable[..., Scenario]

@@ -6,10 +6,10 @@ from dataclasses import replace
 from typing import Any
 
 from oculus_driver.cli.arguments import address, count, port, positive, share
-from oculus_driver.cli.until_stopped import run_until_stopped
+from oculus_driver.cli.output import run_until_stopped
 from oculus_driver.models import model_of
-from oculus_driver.virtual_sonar.broadcast import broadcast_of
 from oculus_driver.virtual_sonar.faults import SHARES, Faults
+from oculus_driver.virtual_sonar.server import broadcast_of
 from oculus_driver.wire import STATUS_PORT, TCP_PORT
 from sonar_sim.command.exit import OK
 from sonar_sim.command.values import seed

@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 from oculus_driver.models import FAMILIES, MAX_RATE_HZ, MODELS
-from oculus_driver.virtual_sonar.commands import FireDemand
+from oculus_driver.virtual_sonar.device import FireDemand
 from oculus_driver.virtual_sonar.resample import bits_of, range_m_of
 from oculus_driver.wire import FireFlags, PingRate
 from sonar_sim.errors import SceneError

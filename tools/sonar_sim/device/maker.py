@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from oculus_driver.encode import bearing_table_cdeg, encode_ping
 from oculus_driver.sound_speed import pressure_bar_at
-from oculus_driver.virtual_sonar.commands import FireDemand
+from oculus_driver.virtual_sonar.device import FireDemand
 from oculus_driver.virtual_sonar.resample import with_echo
 from oculus_driver.wire import FireFlags
 from sonar_sim.device.demands import BITS_32, part_number_of, settings_for

@@ -11,7 +11,7 @@ from typing import Self
 from oculus_driver.errors import OculusError
 from oculus_driver.virtual_sonar.device import Identity
 from oculus_driver.virtual_sonar.faults import Faults
-from oculus_driver.virtual_sonar.play import told_address
+from oculus_driver.virtual_sonar.playback import told_address
 from oculus_driver.virtual_sonar.server import ServedSonar
 from sonar_sim.device.route import Ends, Route
 from sonar_sim.device.simulated import SimulatedDevice

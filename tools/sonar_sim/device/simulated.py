@@ -6,8 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from oculus_driver.sound_speed import pressure_bar_at
-from oculus_driver.virtual_sonar.commands import FireDemand
-from oculus_driver.virtual_sonar.device import Identity, ObedientDevice
+from oculus_driver.virtual_sonar.device import FireDemand, Identity, ObedientDevice
 from sonar_sim.capture import POWER_UP_S
 from sonar_sim.device.demands import PROCESSING_S, first_demand, listening_s, period_s
 from sonar_sim.device.maker import PingMaker, When
