@@ -11,12 +11,12 @@ from oculus_driver.discovery.diagnosis import (
     Finding,
     bind_finding,
     connection_finding,
-    sighting_findings,
+    discovery_findings,
     silence_finding,
     status_findings,
     subnet_finding,
 )
-from oculus_driver.discovery.state import Sighting, SonarWatch
+from oculus_driver.discovery.state import DiscoveredSonar, DiscoveryState
 from oculus_driver.encode import (
     bearing_table_cdeg,
     encode_dummy,
@@ -37,7 +37,7 @@ from oculus_driver.errors import (
     SettingsError,
 )
 from oculus_driver.link.confirmation import Confirmation, Difference
-from oculus_driver.link.state import LinkState, LinkStatus, LinkTimes, SonarCounters
+from oculus_driver.link.state import LinkState, LinkStatus, LinkTimeouts, SonarCounters
 from oculus_driver.models import Model, model_of
 from oculus_driver.ping import Ping, PingSequence, decode_ping
 from oculus_driver.settings import FireSettings, Mode
@@ -51,19 +51,22 @@ from oculus_driver.stream import Message, StreamCounters, StreamParser
 from oculus_driver.wire import PingRate
 
 if TYPE_CHECKING:
-    from oculus_driver.discovery.listener import Discovery, Sightings, addresses_towards
+    from oculus_driver.discovery.listener import Discovery, DiscoveryUpdates, addresses_towards
     from oculus_driver.link.ping_queue import PingQueue
     from oculus_driver.sonar import OculusSonar
     from oculus_driver.virtual_sonar.device import Identity
     from oculus_driver.virtual_sonar.faults import Faults
-    from oculus_driver.virtual_sonar.playback import PlayedSonar
-    from oculus_driver.virtual_sonar.server import PlayCounters
+    from oculus_driver.virtual_sonar.playback import PlaybackSonar
+    from oculus_driver.virtual_sonar.server import VirtualSonarCounters
 
 __all__ = [
     "Confirmation",
     "Difference",
+    "DiscoveredSonar",
     "Discovery",
     "DiscoveryError",
+    "DiscoveryState",
+    "DiscoveryUpdates",
     "EncodeError",
     "Faults",
     "Finding",
@@ -72,7 +75,7 @@ __all__ = [
     "LinkError",
     "LinkState",
     "LinkStatus",
-    "LinkTimes",
+    "LinkTimeouts",
     "Message",
     "Mode",
     "Model",
@@ -84,26 +87,24 @@ __all__ = [
     "PingRate",
     "PingSequence",
     "PingTime",
-    "PlayCounters",
-    "PlayedSonar",
+    "PlaybackSonar",
     "ProtocolError",
     "RecordingError",
     "Reject",
     "SettingsError",
-    "Sighting",
-    "Sightings",
     "SonarClock",
     "SonarCounters",
-    "SonarWatch",
     "Status",
     "StreamCounters",
     "StreamParser",
+    "VirtualSonarCounters",
     "addresses_towards",
     "bearing_table_cdeg",
     "bind_finding",
     "connection_finding",
     "decode_ping",
     "decode_status",
+    "discovery_findings",
     "encode_dummy",
     "encode_fire",
     "encode_ping",
@@ -112,7 +113,6 @@ __all__ = [
     "model_of",
     "pressure_bar_at",
     "row_times_ns",
-    "sighting_findings",
     "silence_finding",
     "speed_of_sound_at_depth_mps",
     "speed_of_sound_mps",
@@ -128,9 +128,9 @@ _LAZY: Final = {
     "Identity": lambda: importlib.import_module("oculus_driver.virtual_sonar.device"),
     "OculusSonar": lambda: importlib.import_module("oculus_driver.sonar"),
     "PingQueue": lambda: importlib.import_module("oculus_driver.link.ping_queue"),
-    "PlayCounters": lambda: importlib.import_module("oculus_driver.virtual_sonar.server"),
-    "PlayedSonar": lambda: importlib.import_module("oculus_driver.virtual_sonar.playback"),
-    "Sightings": lambda: importlib.import_module("oculus_driver.discovery.listener"),
+    "VirtualSonarCounters": lambda: importlib.import_module("oculus_driver.virtual_sonar.server"),
+    "PlaybackSonar": lambda: importlib.import_module("oculus_driver.virtual_sonar.playback"),
+    "DiscoveryUpdates": lambda: importlib.import_module("oculus_driver.discovery.listener"),
     "addresses_towards": lambda: importlib.import_module("oculus_driver.discovery.listener"),
 }
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
-from oculus_driver.clock_fit import LowerEnvelope
+from oculus_driver.clock_fit import ClockFit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -73,7 +73,7 @@ class SonarClock:
         self.restarts = 0
         self._latency_ns = latency_ns
         self._ticks = None if tick_ns is None else _Ticks(tick_ns)
-        self._envelope = LowerEnvelope()
+        self._envelope = ClockFit()
         self._periods_ns: deque[float] = deque(maxlen=_PERIODS)
         self._last: tuple[int, int | None, int] | None = None  # id, device time, arrival
 
@@ -96,7 +96,7 @@ class SonarClock:
         if ping.arrival_ns is None:
             return None
         device_ns = self._device_ns(ping, ping.arrival_ns)
-        self._notice(ping, device_ns, ping.arrival_ns)
+        self._learn(ping, device_ns, ping.arrival_ns)
         flight_ns = ping.flight_ns(2.0 * ping.max_range_m)
         prompt_ns = self._prompt_arrival_ns(device_ns, flight_ns, ping.arrival_ns)
         method: Literal["device", "arrival"] = "arrival" if prompt_ns is None else "device"
@@ -116,7 +116,7 @@ class SonarClock:
             self._ticks.restart()
         return self._ticks.unwrapped_ns(ping.start_ticks, arrival_ns)
 
-    def _notice(self, ping: Ping, device_ns: int | None, arrival_ns: int) -> None:
+    def _learn(self, ping: Ping, device_ns: int | None, arrival_ns: int) -> None:
         """Learn restart and period from this ping and the one before."""
         before, self._last = self._last, (ping.ping_id, device_ns, arrival_ns)
         if before is None:
@@ -148,7 +148,7 @@ class SonarClock:
         if device_ns is None:
             return None
         prompt_ns = self._envelope.to_host_ns(device_ns + flight_ns, arrival_ns)
-        return prompt_ns if self._envelope.believable else None
+        return prompt_ns if self._envelope.is_valid else None
 
 
 def row_times_ns(ping: Ping, transmit_ns: int) -> NDArray[np.int64]:

@@ -15,7 +15,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Final
 
-__all__ = ["LowerEnvelope"]
+__all__ = ["ClockFit"]
 
 WINDOW_NS: Final = 30_000_000_000
 """How long a point counts: long enough to see a drift, short enough for it to be constant."""
@@ -52,7 +52,7 @@ class _Line:
         return self.offset_ns + round(self.slope * (arrival_ns - self.arrival_ns))
 
 
-class LowerEnvelope:
+class ClockFit:
     """Offset and drift of one sender's clock, learnt from its stamps as they arrive."""
 
     def __init__(self) -> None:
@@ -67,7 +67,7 @@ class LowerEnvelope:
         return 0.0 if self._line is None else self._line.slope
 
     @property
-    def believable(self) -> bool:
+    def is_valid(self) -> bool:
         """False where the stamps do not run like a clock; then their host times are of no use."""
         return self._line is None or abs(self._line.rate_error) <= MAX_RATE_ERROR
 
@@ -87,13 +87,15 @@ class LowerEnvelope:
             arrival_ns: when it arrived, on the host's clock.
         """
         if self._jumped(stamp_ns, arrival_ns):
-            confirmed = self._suspect is not None and _agree(self._suspect, (stamp_ns, arrival_ns))
+            confirmed = self._suspect is not None and _elapsed_agree(
+                self._suspect, (stamp_ns, arrival_ns)
+            )
             if not confirmed:
                 self._suspect = (stamp_ns, arrival_ns)
                 return None
             self.restart()
         self._last_stamp_ns, self._suspect = stamp_ns, None
-        line = self._fitted((arrival_ns, arrival_ns - stamp_ns))
+        line = self._fit((arrival_ns, arrival_ns - stamp_ns))
         on_time_ns = stamp_ns + line.at(arrival_ns)
         # Of the line at the moment itself, not at the arrival. A point that was not kept can lie
         # below the line by the drift over one bucket; nothing happens after it has arrived.
@@ -105,7 +107,7 @@ class LowerEnvelope:
         ahead_ns = stamp_ns + self._line.at(arrival_ns) - arrival_ns
         return stamp_ns < self._last_stamp_ns or ahead_ns > JUMP_NS
 
-    def _fitted(self, point: _Point) -> _Line:
+    def _fit(self, point: _Point) -> _Line:
         """Take a point, forget old ones, and return the line below all."""
         news = self._keep(point)
         while abs(point[0] - self._points[0][0]) > WINDOW_NS:
@@ -137,7 +139,7 @@ def _line_below(points: list[_Point]) -> _Line:
     if len(points) >= MIN_POINTS and points[-1][0] - points[0][0] >= MIN_SPAN_NS:
         first = points[0][0]
         middle = first + sum(arrival - first for arrival, _ in points) // len(points)
-        rate_error = _slope_over(hull, middle)
+        rate_error = _slope_at(hull, middle)
     slope = max(-MAX_DRIFT, min(MAX_DRIFT, rate_error))
     origin = hull[0][0]
     arrival, offset = min(hull, key=lambda point: point[1] - slope * (point[0] - origin))
@@ -161,14 +163,14 @@ def _lower_hull(points: list[_Point]) -> list[_Point]:
     return hull
 
 
-def _slope_over(hull: list[_Point], x: int) -> float:
+def _slope_at(hull: list[_Point], x: int) -> float:
     """Return the slope of the hull's edge above `x`, which lies between its ends."""
     right = next(index for index, point in enumerate(hull) if point[0] >= x)
     (x0, y0), (x1, y1) = hull[max(right, 1) - 1], hull[max(right, 1)]
     return (y1 - y0) / (x1 - x0)
 
 
-def _agree(before: tuple[int, int], now: tuple[int, int]) -> bool:
+def _elapsed_agree(before: tuple[int, int], now: tuple[int, int]) -> bool:
     """Whether both clocks say the same about the time between two records."""
     stamps, arrivals = now[0] - before[0], now[1] - before[1]
     return stamps >= 0 and abs(stamps - arrivals) <= JUMP_NS

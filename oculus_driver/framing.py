@@ -28,7 +28,7 @@ from oculus_driver.wire import (
     PING_RESULT_V2,
     UNKNOWN_PAYLOAD_LIMIT,
     MessageId,
-    ping_layout,
+    ping_result_layout,
 )
 
 _HEADER: Final = struct.Struct("<HHHHHIH")
@@ -50,16 +50,16 @@ CANDIDATE: Final = re.compile(
 
 CANDIDATE_SIZE: Final = 14
 
-_ID_AT: Final = 6
+_ID_OFFSET: Final = 6
 _PING_ID: Final = int(MessageId.PING_RESULT)
 
 _MARK_SIZE: Final = 4
 """Magic and source id: how all messages of one sonar begin."""
 
-_STEADY: Final = 10
+_STABLE_SIZE: Final = 10
 """Bytes of a header that seldom differ from one message to the next: all before the size."""
 
-_MAX_CHANGED: Final = 2
+_MAX_CHANGED_BYTES: Final = 2
 """Of these, how many may be changed in a header that is still known as one."""
 
 
@@ -98,7 +98,7 @@ class Accept:
 
 
 @dataclass(frozen=True, slots=True)
-class Refuse:
+class Skip:
     """No message starts here, or none that can be told from noise; go on `skip` bytes later."""
 
     reason: str
@@ -106,13 +106,13 @@ class Refuse:
 
 
 @dataclass(frozen=True, slots=True)
-class Wait:
-    """No verdict before `size` bytes from here have come."""
+class NeedMore:
+    """No check before `size` bytes from here have come."""
 
     size: int
 
 
-Verdict = Accept | Refuse | Wait
+FrameResult = Accept | Skip | NeedMore
 
 
 def read_header(buffer: bytes | bytearray, position: int) -> Header:
@@ -146,7 +146,7 @@ def header_fault(header: Header, *, strict: bool) -> str | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Judge:
+class FrameChecker:
     """What is known when a place in the stream is judged.
 
     Attributes:
@@ -161,77 +161,81 @@ class Judge:
     final: bool
     confirm: bool = False
 
-    def verdict(self, buffer: bytes | bytearray, position: int) -> Verdict:
+    def check(self, buffer: bytes | bytearray, position: int) -> FrameResult:
         """Return what stands at `position`.
 
         Takes constant time, whatever the sizes claimed; but for a ping whose sizes agree and
-        whose bytes are there, time in proportion to the bytes that its verdict settles.
+        whose bytes are there, time in proportion to the bytes that its check settles.
         """
         left = len(buffer) - position
         if left < HEADER.size:
-            return self._need(HEADER.size) if _magic_prefix(buffer, position) else _BAD_MAGIC
+            return self._need_more(HEADER.size) if _magic_prefix(buffer, position) else _BAD_MAGIC
         header = read_header(buffer, position)
         fault = header_fault(header, strict=not self.synchronised)
         if fault is not None:
-            return Refuse(fault)
+            return Skip(fault)
         if header.message_id == MessageId.PING_RESULT:
-            return self._ping(buffer, position, header)
+            return self._check_ping(buffer, position, header)
         if self.synchronised and header.message_id in _PLAIN_IDS:
-            return self._plain(buffer, position, header)
+            return self._check_plain(buffer, position, header)
         reason = "truncated" if header.message_id in PAYLOAD_LIMITS else "unknown_id"
-        return self._followed(buffer, position, header, (header.size,), reason)
+        return self._check_follower(buffer, position, header, (header.size,), reason)
 
-    def _need(self, size: int) -> Verdict:
-        return Refuse("truncated") if self.final else Wait(size)
+    def _need_more(self, size: int) -> FrameResult:
+        return Skip("truncated") if self.final else NeedMore(size)
 
-    def _plain(self, buffer: bytes | bytearray, position: int, header: Header) -> Verdict:
+    def _check_plain(self, buffer: bytes | bytearray, position: int, header: Header) -> FrameResult:
         if len(buffer) - position < header.size:
-            return self._need(header.size)
+            return self._need_more(header.size)
         return Accept(header, header.size, proven=False)
 
-    def _ping(self, buffer: bytes | bytearray, position: int, header: Header) -> Verdict:
-        layout = ping_layout(header.version)
+    def _check_ping(self, buffer: bytes | bytearray, position: int, header: Header) -> FrameResult:
+        layout = ping_result_layout(header.version)
         if layout is None:
-            return self._followed(buffer, position, header, (header.size,), "unknown_version")
+            return self._check_follower(buffer, position, header, (header.size,), "unknown_version")
         reason = "short_message" if header.size < layout.size else "size_mismatch"
         if len(buffer) - position < layout.size:
             if not self.final:
-                return Wait(layout.size)
-            return self._followed(buffer, position, header, (header.size,), reason)
+                return NeedMore(layout.size)
+            return self._check_follower(buffer, position, header, (header.size,), reason)
         known_source = self.synchronised or self.source_id in (None, header.source_id)
-        own = _own_size(buffer, position, header.version)
+        own = _body_size(buffer, position, header.version)
         if own == header.size and known_source:
-            return self._proven(buffer, position, header)
+            return self._check_proven(buffer, position, header)
         sizes = (header.size,) if own is None else tuple(sorted({own, header.size}))
-        return self._followed(buffer, position, header, sizes, reason)
+        return self._check_follower(buffer, position, header, sizes, reason)
 
-    def _proven(self, buffer: bytes | bytearray, position: int, header: Header) -> Verdict:
-        """Judge a ping whose sizes agree; one that may hold another is not believed at once."""
+    def _check_proven(
+        self, buffer: bytes | bytearray, position: int, header: Header
+    ) -> FrameResult:
+        """Check a ping whose sizes agree; one that may hold another is not believed at once."""
         size, left = header.size, len(buffer) - position
         if left < size:
-            return self._need(size)
-        if not self.confirm and self._inside(buffer, position, size) is None:
+            return self._need_more(size)
+        if not self.confirm and self._find_inner_ping(buffer, position, size) is None:
             return Accept(header, size, proven=True)
         if left < size + HEADER.size and not self.final:
-            return Wait(size + HEADER.size)
-        if left > size and _ends_well(buffer, position, position + size):
+            return NeedMore(size + HEADER.size)
+        if left > size and _followed_by_header(buffer, position, position + size):
             return Accept(header, size, proven=True)
-        return self._doubtful(buffer, position, header)
+        return self._check_unconfirmed(buffer, position, header)
 
-    def _doubtful(self, buffer: bytes | bytearray, position: int, header: Header) -> Verdict:
-        """Judge a ping whose sizes agree, but behind which nothing or no message stands."""
+    def _check_unconfirmed(
+        self, buffer: bytes | bytearray, position: int, header: Header
+    ) -> FrameResult:
+        """Check a ping whose sizes agree, but behind which nothing or no message stands."""
         size = header.size
         last = len(buffer) - position == size
-        inside = self._inside(buffer, position, size)
+        inside = self._find_inner_ping(buffer, position, size)
         if inside is None:
             return Accept(header, size, proven=True, confirmed=last or not self.confirm)
         if inside < 0:
-            return Wait(size + PING_RESULT_V2.size)
+            return NeedMore(size + PING_RESULT_V2.size)
         if last:
             return Accept(header, size, proven=True, confirmed=False)
-        return Refuse("bytes_missing", inside - position)
+        return Skip("bytes_missing", inside - position)
 
-    def _inside(self, buffer: bytes | bytearray, position: int, size: int) -> int | None:
+    def _find_inner_ping(self, buffer: bytes | bytearray, position: int, size: int) -> int | None:
         """Return where another ping of this sonar starts in a ping, or None; -1 if yet unknown.
 
         A last byte alone that could start one tells nothing. It counts only while confirming, as
@@ -242,7 +246,7 @@ class Judge:
         last = position + size - least
         at = buffer.find(mark, position + 1, last + _MARK_SIZE)
         while at >= 0:
-            starts = _ping_starts(buffer, at)
+            starts = _ping_starts_at(buffer, at)
             if starts or (starts is None and not self.final):
                 return at if starts else -1
             at = buffer.find(mark, at + 1, last + _MARK_SIZE)
@@ -251,35 +255,35 @@ class Judge:
                 return -1
         return None
 
-    def _followed(
+    def _check_follower(
         self,
         buffer: bytes | bytearray,
         position: int,
         header: Header,
         sizes: tuple[int, ...],
         reason: str,
-    ) -> Verdict:
+    ) -> FrameResult:
         """Accept the first of `sizes` (ascending) behind which a good header stands."""
         left = len(buffer) - position
         for size in sizes:
             if left >= size + HEADER.size:
-                if self._good(read_header(buffer, position + size), header.source_id):
+                if self._is_good_header(read_header(buffer, position + size), header.source_id):
                     return Accept(header, size, proven=False)
             elif not self.final:
-                return Wait(size + HEADER.size)
+                return NeedMore(size + HEADER.size)
             elif left >= size and _magic_prefix(buffer, position + size):
                 return Accept(header, size, proven=False)
             elif left < size:
                 reason = "truncated"
-        return Refuse(reason)
+        return Skip(reason)
 
-    def _good(self, follower: Header, source_id: int) -> bool:
+    def _is_good_header(self, follower: Header, source_id: int) -> bool:
         if self.synchronised:
             return header_fault(follower, strict=False) is None
         return header_fault(follower, strict=True) is None and follower.source_id == source_id
 
 
-_BAD_MAGIC: Final = Refuse("bad_magic")
+_BAD_MAGIC: Final = Skip("bad_magic")
 
 
 def _magic_prefix(buffer: bytes | bytearray, position: int) -> bool:
@@ -287,7 +291,7 @@ def _magic_prefix(buffer: bytes | bytearray, position: int) -> bool:
     return MAGIC_BYTES.startswith(bytes(buffer[position : position + len(MAGIC_BYTES)]))
 
 
-def _ends_well(buffer: bytes | bytearray, start: int, end: int) -> bool:
+def _followed_by_header(buffer: bytes | bytearray, start: int, end: int) -> bool:
     """Tell whether the bytes behind a message can begin another one, be it damaged.
 
     A header that resembles the message's own confirms the end too: so a changed byte in a header
@@ -297,19 +301,21 @@ def _ends_well(buffer: bytes | bytearray, start: int, end: int) -> bool:
         return _magic_prefix(buffer, end)
     if header_fault(read_header(buffer, end), strict=False) is None:
         return True
-    own, follower = buffer[start : start + _STEADY], buffer[end : end + _STEADY]
-    return sum(a == b for a, b in zip(own, follower, strict=True)) >= _STEADY - _MAX_CHANGED
+    own, follower = buffer[start : start + _STABLE_SIZE], buffer[end : end + _STABLE_SIZE]
+    return (
+        sum(a == b for a, b in zip(own, follower, strict=True)) >= _STABLE_SIZE - _MAX_CHANGED_BYTES
+    )
 
 
-def _ping_starts(buffer: bytes | bytearray, position: int) -> bool | None:
+def _ping_starts_at(buffer: bytes | bytearray, position: int) -> bool | None:
     """Tell whether a ping with a strictly good head starts here; None if too few bytes are here."""
     left = len(buffer) - position
     if left < HEADER.size:
         return None
-    if buffer[position + _ID_AT] != _PING_ID:  # most often so, and quickly seen
+    if buffer[position + _ID_OFFSET] != _PING_ID:  # most often so, and quickly seen
         return False
     header = read_header(buffer, position)
-    layout = ping_layout(header.version)
+    layout = ping_result_layout(header.version)
     if (
         layout is None
         or header.message_id != _PING_ID
@@ -318,21 +324,21 @@ def _ping_starts(buffer: bytes | bytearray, position: int) -> bool | None:
         return False
     if left < layout.size:
         return None
-    return _own_size(buffer, position, header.version) == header.size
+    return _body_size(buffer, position, header.version) == header.size
 
 
-_PLACES: Final = {
+_SIZE_OFFSETS: Final = {
     version: (layout.size, layout.offset_of("beams"), layout.offset_of("image_offset"))
     for version, layout in ((0, PING_RESULT_V1), (1, PING_RESULT_V1), (2, PING_RESULT_V2))
 }
 
 
-def _own_size(buffer: bytes | bytearray, position: int, version: int) -> int | None:
+def _body_size(buffer: bytes | bytearray, position: int, version: int) -> int | None:
     """Return the size that a ping's body states, if table, image and size agree with each other.
 
     Together with equality to the header's size these are the three size identities.
     """
-    fixed, beams_at, sizes_at = _PLACES[version]
+    fixed, beams_at, sizes_at = _SIZE_OFFSETS[version]
     (beams,) = _U16.unpack_from(buffer, position + beams_at)
     image_offset, image_size, message_size = _SIZES.unpack_from(buffer, position + sizes_at)
     if image_offset + image_size != message_size or image_offset < fixed + 2 * beams:

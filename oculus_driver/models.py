@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Mode:
+class ModeSpec:
     """One master mode of a family. None = not known.
 
     Attributes:
@@ -46,7 +46,7 @@ class Family:
     """
 
     name: str
-    modes: tuple[Mode, ...]
+    modes: tuple[ModeSpec, ...]
 
     @property
     def max_range_m(self) -> tuple[float, float | None]:
@@ -76,21 +76,21 @@ MAX_RATE_HZ: Final[Mapping[PingRate, float]] = {
 }
 """Most pings per second that a setting allows."""
 
-M370S: Final = Family("M370s", (Mode(200.0, 375e3, elevation_deg=(20.0,)),))
-C550D: Final = Family("C550d", (Mode(100.0, 550e3), Mode(30.0, 820e3)))
+M370S: Final = Family("M370s", (ModeSpec(200.0, 375e3, elevation_deg=(20.0,)),))
+C550D: Final = Family("C550d", (ModeSpec(100.0, 550e3), ModeSpec(30.0, 820e3)))
 M750D: Final = Family(
     "M750d",
-    (Mode(120.0, 750e3, 130.0, (20.0,), 1.0), Mode(40.0, 1.2e6, 70.0, (12.0, 20.0), 0.6)),
+    (ModeSpec(120.0, 750e3, 130.0, (20.0,), 1.0), ModeSpec(40.0, 1.2e6, 70.0, (12.0, 20.0), 0.6)),
 )
 M1200D: Final = Family(
     "M1200d",
-    (Mode(40.0, 1.2e6, 130.0, (20.0,), 0.6), Mode(10.0, 2.1e6, 60.0, (12.0,), 0.4)),
+    (ModeSpec(40.0, 1.2e6, 130.0, (20.0,), 0.6), ModeSpec(10.0, 2.1e6, 60.0, (12.0,), 0.4)),
 )
 M3000D: Final = Family(
     "M3000d",
-    (Mode(30.0, 1.2e6, 130.0, (20.0,), 0.6), Mode(5.0, 3.0e6, 40.0, (20.0,), 0.4)),
+    (ModeSpec(30.0, 1.2e6, 130.0, (20.0,), 0.6), ModeSpec(5.0, 3.0e6, 40.0, (20.0,), 0.4)),
 )
-UNKNOWN: Final = Family("unknown", (Mode(120.0), Mode(40.0)))
+UNKNOWN: Final = Family("unknown", (ModeSpec(120.0), ModeSpec(40.0)))
 
 FAMILIES: Final = (M750D, M1200D, M3000D, M370S, C550D, UNKNOWN)
 
@@ -148,9 +148,7 @@ def model_of(part_number: int) -> Model:
     return MODELS.get(part_number) or Model(part_number, f"part {part_number}", UNKNOWN)
 
 
-def fastest_rate_hz(
-    ping_rate: PingRate, range_m: float, speed_of_sound_mps: float = 1500.0
-) -> float:
+def max_rate_hz(ping_rate: PingRate, range_m: float, speed_of_sound_mps: float = 1500.0) -> float:
     """Return the most pings per second that setting and sound allow; network and sonar allow less.
 
     Args:

@@ -12,8 +12,8 @@ import numpy as np
 
 from oculus_driver.bearings import CENTIDEGREE_RAD, edges_rad
 from oculus_driver.errors import Reject
-from oculus_driver.ping_layout import GAIN_WORD, Shape, shape_of
-from oculus_driver.wire import FireFlags, MessageId, ping_layout
+from oculus_driver.ping_layout import GAIN_WORD, PingLayout, resolve_layout
+from oculus_driver.wire import FireFlags, MessageId, ping_result_layout
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 
 
 NOMINAL_SPEED_OF_SOUND_MPS: Final = 1500.0
-_SPEEDS_MPS: Final = (1300.0, 1700.0)
-_TEMPERATURES_C: Final = (-40.0, 120.0)
-_PRESSURES_BAR: Final = (-5.0, 1000.0)
-_HEADINGS_DEG: Final = (-360.0, 360.0)
-_TILTS_DEG: Final = (-180.0, 180.0)
-_USUAL_BEAMS: Final = (256, 512)
+_SPEED_LIMITS_MPS: Final = (1300.0, 1700.0)
+_TEMPERATURE_LIMITS_C: Final = (-40.0, 120.0)
+_PRESSURE_LIMITS_BAR: Final = (-5.0, 1000.0)
+_HEADING_LIMITS_DEG: Final = (-360.0, 360.0)
+_TILT_LIMITS_DEG: Final = (-180.0, 180.0)
+_COMMON_BEAMS: Final = (256, 512)
 _TABLE_END_RAD: Final = math.pi / 2
 
-_SMALLEST_READING: Final = 1e-30
+_MIN_READING: Final = 1e-30
 """Sensors read 0 or something far above this; left-over memory seen in captures lies below."""
 
 _BITS_24: Final = 3
@@ -183,8 +183,8 @@ class Ping:
 
         There it is 1500 m/s: at most 15 % wrong.
         """
-        speed = self.speed_of_sound_mps
-        return speed if _SPEEDS_MPS[0] <= speed <= _SPEEDS_MPS[1] else NOMINAL_SPEED_OF_SOUND_MPS
+        speed, (low, high) = self.speed_of_sound_mps, _SPEED_LIMITS_MPS
+        return speed if low <= speed <= high else NOMINAL_SPEED_OF_SOUND_MPS
 
 
 def decode_ping(message: Message, *, deliver_mismatched: bool = False) -> Ping | Reject:
@@ -197,17 +197,17 @@ def decode_ping(message: Message, *, deliver_mismatched: bool = False) -> Ping |
     """
     if message.message_id != MessageId.PING_RESULT:
         return Reject("not_a_ping", f"message id {message.message_id:#x}", message.offset)
-    layout = ping_layout(message.version)
+    layout = ping_result_layout(message.version)
     if layout is None:
         return Reject("unknown_version", f"ping result version {message.version}", message.offset)
     if len(message.data) < layout.size:
         detail = f"{len(message.data)} bytes, a {layout.name} has {layout.size}"
         return Reject("short_message", detail, message.offset, _ping_id(message.data, layout))
     fields = layout.unpack(message.data)
-    shape = shape_of(message, layout, fields, deliver_mismatched=deliver_mismatched)
-    if isinstance(shape, Reject):
-        return shape
-    bearings_rad = _bearings_rad(message.data, shape)
+    parts = resolve_layout(message, layout, fields, deliver_mismatched=deliver_mismatched)
+    if isinstance(parts, Reject):
+        return parts
+    bearings_rad = _bearings_rad(message.data, parts)
     in_metres = fields["flags"] & FireFlags.RANGE_IN_METRES
     return Ping(
         ping_id=fields["ping_id"],
@@ -227,17 +227,17 @@ def decode_ping(message: Message, *, deliver_mismatched: bool = False) -> Ping |
         salinity_ppt=_finite_or_nan(fields["salinity_ppt"]),
         range_resolution_m=fields["range_resolution_m"],
         bearings_rad=bearings_rad,
-        image=_image(message.data, shape),
-        bits_per_sample=8 * shape.width,
-        gains=_gains(message.data, shape),
+        image=_image(message.data, parts),
+        bits_per_sample=8 * parts.width,
+        gains=_gains(message.data, parts),
         start_time_s=_within(fields.get("start_time_s"), 0.0, math.inf),
         start_ticks=fields.get("start_ticks"),
-        temperature_c=_reading(fields["temperature_c"], _TEMPERATURES_C),
-        pressure_bar=_reading(fields["pressure_bar"], _PRESSURES_BAR),
-        heading_rad=_angle_rad(fields.get("heading_deg"), _HEADINGS_DEG),
-        pitch_rad=_angle_rad(fields.get("pitch_deg"), _TILTS_DEG),
-        roll_rad=_angle_rad(fields.get("roll_deg"), _TILTS_DEG),
-        warnings=message.warnings | shape.warnings | _warnings(fields, bearings_rad),
+        temperature_c=_reading(fields["temperature_c"], _TEMPERATURE_LIMITS_C),
+        pressure_bar=_reading(fields["pressure_bar"], _PRESSURE_LIMITS_BAR),
+        heading_rad=_angle_rad(fields.get("heading_deg"), _HEADING_LIMITS_DEG),
+        pitch_rad=_angle_rad(fields.get("pitch_deg"), _TILT_LIMITS_DEG),
+        roll_rad=_angle_rad(fields.get("roll_deg"), _TILT_LIMITS_DEG),
+        warnings=message.warnings | parts.warnings | _warnings(fields, bearings_rad),
     )
 
 
@@ -249,32 +249,32 @@ def _ping_id(data: bytes, layout: Layout) -> int | None:
     return int(_U32.unpack_from(data, place)[0])
 
 
-def _bearings_rad(data: bytes, shape: Shape) -> NDArray[np.float64]:
-    table = np.frombuffer(data, dtype="<i2", count=shape.beams, offset=shape.table_offset)
+def _bearings_rad(data: bytes, parts: PingLayout) -> NDArray[np.float64]:
+    table = np.frombuffer(data, dtype="<i2", count=parts.beams, offset=parts.table_offset)
     bearings: NDArray[np.float64] = table * CENTIDEGREE_RAD
     bearings.flags.writeable = False
     return bearings
 
 
-def _image(data: bytes, shape: Shape) -> NDArray[Any]:
+def _image(data: bytes, parts: PingLayout) -> NDArray[Any]:
     """Return the samples: a view over the gain words, or a copy where samples have 24 bit."""
-    offset = shape.image_offset + (GAIN_WORD if shape.gain_words else 0)
-    size = (shape.rows, shape.beams)
-    if shape.width != _BITS_24:
-        strides = (shape.stride, shape.width)
-        return np.ndarray(size, f"<u{shape.width}", buffer=data, offset=offset, strides=strides)
-    low = np.ndarray(size, "<u2", data, offset, (shape.stride, 3))
-    high = np.ndarray(size, np.uint8, data, offset + 2, (shape.stride, 3))
+    offset = parts.image_offset + (GAIN_WORD if parts.gain_words else 0)
+    size = (parts.rows, parts.beams)
+    if parts.width != _BITS_24:
+        strides = (parts.stride, parts.width)
+        return np.ndarray(size, f"<u{parts.width}", buffer=data, offset=offset, strides=strides)
+    low = np.ndarray(size, "<u2", data, offset, (parts.stride, 3))
+    high = np.ndarray(size, np.uint8, data, offset + 2, (parts.stride, 3))
     samples = low.astype(np.uint32)
     samples |= high.astype(np.uint32) << 16
     samples.flags.writeable = False
     return samples
 
 
-def _gains(data: bytes, shape: Shape) -> NDArray[np.uint32] | None:
-    if not shape.gain_words:
+def _gains(data: bytes, parts: PingLayout) -> NDArray[np.uint32] | None:
+    if not parts.gain_words:
         return None
-    words = np.ndarray((shape.rows,), "<u4", data, shape.image_offset, (shape.stride,))
+    words = np.ndarray((parts.rows,), "<u4", data, parts.image_offset, (parts.stride,))
     gains = words.astype(np.uint32)
     gains.flags.writeable = False
     return gains
@@ -285,9 +285,9 @@ def _warnings(fields: dict[str, Any], bearings_rad: NDArray[np.float64]) -> froz
     outside = bool((np.abs(bearings_rad) > _TABLE_END_RAD + CENTIDEGREE_RAD / 2).any())
     speed = fields["speed_of_sound_mps"]
     doubts = {
-        "odd_beams": fields["beams"] not in _USUAL_BEAMS,
+        "odd_beams": fields["beams"] not in _COMMON_BEAMS,
         "bad_bearings": steps_back or outside,
-        "odd_sound_speed": not _SPEEDS_MPS[0] <= speed <= _SPEEDS_MPS[1],
+        "odd_sound_speed": not _SPEED_LIMITS_MPS[0] <= speed <= _SPEED_LIMITS_MPS[1],
         "bad_frequency": not _is_frequency(fields["frequency_hz"]),
     }
     return frozenset(name for name, doubtful in doubts.items() if doubtful)
@@ -310,7 +310,7 @@ def _within(value: float | None, low: float, high: float) -> float | None:
 
 def _reading(value: float | None, limits: tuple[float, float]) -> float | None:
     """Return a sensor's value if a sensor can have sent it, else None."""
-    if value is not None and 0.0 < abs(value) < _SMALLEST_READING:
+    if value is not None and 0.0 < abs(value) < _MIN_READING:
         return None
     return _within(value, *limits)
 
@@ -362,7 +362,7 @@ class PingSequence:
 _YEAR_2000_NS: Final = 946_684_800_000_000_000
 
 
-def caption_of(ping: Ping) -> list[str]:
+def caption_lines(ping: Ping) -> list[str]:
     """Return lines of ASCII: which ping, how it was made, and when, if its stamp is a date.
 
     Stamps of a live sonar count from the start of the host, which was less than thirty years ago.
@@ -377,11 +377,11 @@ def caption_of(ping: Ping) -> list[str]:
     how.append(f"sound {ping.speed_of_sound_mps:.1f} m/s")
     lines = ["   ".join(what), "   ".join(how)]
     if ping.arrival_ns is not None and ping.arrival_ns >= _YEAR_2000_NS:
-        lines.append(time_of(ping.arrival_ns))
+        lines.append(format_time(ping.arrival_ns))
     return lines
 
 
-def time_of(unix_ns: int) -> str:
+def format_time(unix_ns: int) -> str:
     """Return the time as text, UTC, to the millisecond; a plain number where no date has it."""
     try:
         moment = datetime.fromtimestamp(unix_ns // 1_000_000_000, UTC)

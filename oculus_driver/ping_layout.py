@@ -22,7 +22,7 @@ MIN_RESOLUTION_M: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class PingLayout:
     """Places inside a ping message, all within its bytes.
 
     Attributes:
@@ -45,9 +45,9 @@ class Shape:
     warnings: frozenset[str]
 
 
-def shape_of(
+def resolve_layout(
     message: Message, layout: Layout, fields: dict[str, Any], *, deliver_mismatched: bool
-) -> Shape | Reject:
+) -> PingLayout | Reject:
     """Return where the parts of a ping lie, or why it cannot be used.
 
     Args:
@@ -73,7 +73,7 @@ def shape_of(
         "bad_data_size": odd_width,
         "gain_flag": gain_words != bool(fields["flags"] & FireFlags.SEND_GAIN),
     }
-    return Shape(
+    return PingLayout(
         rows=rows,
         beams=beams,
         table_offset=layout.size,

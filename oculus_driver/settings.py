@@ -31,15 +31,18 @@ HALF_BEAMS: Final = 256
 LINK_SPEED: Final = 255
 """Network-speed byte: no limit below the link's own speed, 100 Mbit/s or 1 Gbit/s alike."""
 
-_RANGES_M: Final = (0.1, 200.0)  # of all models; the sonar's own limit is known with its model
-_SPEEDS_MPS: Final = (1300.0, 1700.0)
-_SALINITIES_PPT: Final = (0.0, 42.0)  # where practical salinity is defined
+_RANGE_LIMITS_M: Final = (
+    0.1,
+    200.0,
+)  # of all models; the sonar's own limit is known with its model
+_SPEED_LIMITS_MPS: Final = (1300.0, 1700.0)
+_SALINITY_LIMITS_PPT: Final = (0.0, 42.0)  # where practical salinity is defined
 _BITS: Final = (8, 16, 32)
 _BITS_32: Final = 32
-_SLOWEST_SOUND_MPS: Final = 1400.0
-_MOST_ROWS: Final = 800
-_FIXED_BYTES: Final = 4096
-_SLOWEST_LINK_MBPS: Final = 100
+_MIN_SOUND_MPS: Final = 1400.0
+_MAX_ROWS: Final = 800
+_HEADER_BYTES: Final = 4096
+_MIN_LINK_MBPS: Final = 100
 
 
 class Mode(IntEnum):
@@ -92,25 +95,25 @@ class FireSettings:
     network_limit_mbps: int | None = None
 
     def __post_init__(self) -> None:
-        _choice("mode", self.mode, tuple(Mode))
-        _choice("ping_rate", self.ping_rate, tuple(PingRate))
-        _choice("beams", self.beams, (HALF_BEAMS, FULL_BEAMS))
-        _choice("bits_per_sample", self.bits_per_sample, _BITS)
+        _check_choice("mode", self.mode, tuple(Mode))
+        _check_choice("ping_rate", self.ping_rate, tuple(PingRate))
+        _check_choice("beams", self.beams, (HALF_BEAMS, FULL_BEAMS))
+        _check_choice("bits_per_sample", self.bits_per_sample, _BITS)
         if (self.range_m is None) == (self.range_percent is None):
             raise SettingsError("give either range_m or range_percent, and None for the other")
         if self.range_m is not None:
-            _between("range_m", self.range_m, *_RANGES_M)
+            _check_range("range_m", self.range_m, *_RANGE_LIMITS_M)
         if self.range_percent is not None:
-            _between("range_percent", self.range_percent, 0.0, 100.0)
+            _check_range("range_percent", self.range_percent, 0.0, 100.0)
             if self.range_percent == 0.0:
                 raise SettingsError("range_percent is 0: it must be more than 0 to 100")
-        _between("gain_percent", self.gain_percent, 0.0, 100.0)
-        _whole("gamma", self.gamma, 0, 255)
+        _check_range("gain_percent", self.gain_percent, 0.0, 100.0)
+        _check_int("gamma", self.gamma, 0, 255)
         if self.speed_of_sound_mps is not None:
-            _between("speed_of_sound_mps", self.speed_of_sound_mps, *_SPEEDS_MPS)
-        _between("salinity_ppt", self.salinity_ppt, *_SALINITIES_PPT)
+            _check_range("speed_of_sound_mps", self.speed_of_sound_mps, *_SPEED_LIMITS_MPS)
+        _check_range("salinity_ppt", self.salinity_ppt, *_SALINITY_LIMITS_PPT)
         if self.network_limit_mbps is not None:
-            _whole("network_limit_mbps", self.network_limit_mbps, 1, LINK_SPEED - 1)
+            _check_int("network_limit_mbps", self.network_limit_mbps, 1, LINK_SPEED - 1)
 
     @property
     def standby(self) -> bool:
@@ -139,7 +142,7 @@ class FireSettings:
         return flags
 
     @property
-    def longest_period_s(self) -> float:
+    def max_period_s(self) -> float:
         """Time that one ping may take by rate, way of the sound and network, seconds.
 
         Infinite in standby. An upper estimate to judge silence by, not a promise: it counts
@@ -147,18 +150,18 @@ class FireSettings:
         """
         if self.standby:
             return math.inf
-        far_m = _RANGES_M[1] * (self.range_percent or 0.0) / 100.0
-        two_way_s = 2.0 * (self.range_m or far_m) / _SLOWEST_SOUND_MPS
+        far_m = _RANGE_LIMITS_M[1] * (self.range_percent or 0.0) / 100.0
+        two_way_s = 2.0 * (self.range_m or far_m) / _MIN_SOUND_MPS
         row_bytes = self.beams * self.bits_per_sample // 8 + 4
-        speed_bps = 1e6 * (self.network_limit_mbps or _SLOWEST_LINK_MBPS)
-        transfer_s = 8.0 * (_FIXED_BYTES + _MOST_ROWS * row_bytes) / speed_bps
+        speed_bps = 1e6 * (self.network_limit_mbps or _MIN_LINK_MBPS)
+        transfer_s = 8.0 * (_HEADER_BYTES + _MAX_ROWS * row_bytes) / speed_bps
         return max(1.0 / MAX_RATE_HZ[self.ping_rate], two_way_s, transfer_s)
 
     def in_standby(self) -> FireSettings:
         """Return the same settings with the sonar quiet: no pings, triggered ones neither."""
         return replace(self, ping_rate=PingRate.STANDBY, network_trigger=False)
 
-    def fitted_to(self, model: Model) -> FireSettings:
+    def limited_to(self, model: Model) -> FireSettings:
         """Return the settings with the range that the model has at most in this mode.
 
         What firmware makes of a longer range is not documented, so it is never asked. Models
@@ -202,18 +205,18 @@ class FireSettings:
         )
 
 
-def _choice(name: str, value: int, allowed: tuple[int, ...]) -> None:
+def _check_choice(name: str, value: int, allowed: tuple[int, ...]) -> None:
     if value not in allowed:
         names = ", ".join(str(int(one)) for one in allowed)
         raise SettingsError(f"{name} is {value}: it must be one of {names}")
 
 
-def _between(name: str, value: float, low: float, high: float) -> None:
+def _check_range(name: str, value: float, low: float, high: float) -> None:
     if not low <= value <= high:  # NaN is not
         raise SettingsError(f"{name} is {value}: it must be from {low:g} to {high:g}")
 
 
-def _whole(name: str, value: int, low: int, high: int) -> None:
+def _check_int(name: str, value: int, low: int, high: int) -> None:
     if not isinstance(value, int):
         raise SettingsError(f"{name} is {value}: it must be a whole number")
-    _between(name, value, low, high)
+    _check_range(name, value, low, high)

@@ -11,8 +11,8 @@ from oculus_driver.errors import Reject
 from oculus_driver.models import Model, model_of
 from oculus_driver.wire import MAGIC, STATUS
 
-_TEMPERATURES_C: Final = (-40.0, 120.0)
-_PRESSURES_BAR: Final = (-5.0, 1000.0)
+_TEMPERATURE_LIMITS_C: Final = (-40.0, 120.0)
+_PRESSURE_LIMITS_BAR: Final = (-5.0, 1000.0)
 
 MASTER_STATES: Final = ("boot loader booting", "boot loader halted", "booting", "running")
 PAUSE_REASONS: Final = (
@@ -106,8 +106,10 @@ def decode_status(datagram: bytes) -> Status | Reject:
         client_address=client if int(client) else None,
         mac=fields["mac"],
         firmware=(fields["arm0_version"], fields["arm1_version"], fields["fpga_version"]),
-        temperatures_c=tuple(_available(t, _TEMPERATURES_C) for t in fields["temperatures_c"]),
-        pressure_bar=_available(fields["pressure_bar"], _PRESSURES_BAR),
+        temperatures_c=tuple(
+            _available(t, _TEMPERATURE_LIMITS_C) for t in fields["temperatures_c"]
+        ),
+        pressure_bar=_available(fields["pressure_bar"], _PRESSURE_LIMITS_BAR),
     )
 
 

@@ -10,9 +10,9 @@ from oculus_driver.framing import (
     CANDIDATE,
     CANDIDATE_SIZE,
     Accept,
-    Judge,
-    Refuse,
-    Wait,
+    FrameChecker,
+    NeedMore,
+    Skip,
 )
 from oculus_driver.wire import PAYLOAD_LIMITS
 
@@ -142,13 +142,13 @@ class StreamParser:
             gap_before: bytes are known to be missing before these. What is pending is settled as
                 at an end, a message cut by the gap is truncated, and the next one is searched.
         """
-        messages = self._jump() if gap_before else []
+        messages = self._parse_before_gap() if gap_before else []
         before = len(self._buffer)
         self._stamp(self._base + before, arrival_ns)
         self._buffer += data
         self.counters.bytes_total += len(self._buffer) - before
         if len(self._buffer) >= self._needed:
-            messages += self._settle(final=False)
+            messages += self._parse(final=False)
         return messages
 
     def finish(self) -> list[Message]:
@@ -156,36 +156,36 @@ class StreamParser:
 
         The parser can be fed again afterwards: a new stream whose offsets go on.
         """
-        messages = self._settle(final=True)
+        messages = self._parse(final=True)
         self._synchronised = True
         return messages
 
-    def _jump(self) -> list[Message]:
+    def _parse_before_gap(self) -> list[Message]:
         """Settle what came before a gap, then look for the start of a message."""
         before = self._synchronised, self.counters.resyncs
-        messages = self._settle(final=True)
+        messages = self._parse(final=True)
         if self._synchronised or before == (True, self.counters.resyncs):
             self._synchronised = False
             self._lost_at = self._base
             self.counters.resyncs += 1
         return messages
 
-    def _settle(self, *, final: bool) -> list[Message]:
+    def _parse(self, *, final: bool) -> list[Message]:
         messages: list[Message] = []
         self._needed = 0
         while self._synchronised or self._find_candidate(final=final):
             if self._position == len(self._buffer):
                 break
-            judge = Judge(self._synchronised, self._source_id, final, self._confirm)
-            match judge.verdict(self._buffer, self._position):
+            checker = FrameChecker(self._synchronised, self._source_id, final, self._confirm)
+            match checker.check(self._buffer, self._position):
                 case Accept() as accepted:
-                    messages.append(self._take(accepted))
-                case Refuse(reason, skip):
-                    self._lose(reason, skip)
-                case Wait(size):
+                    messages.append(self._emit(accepted))
+                case Skip(reason, skip):
+                    self._skip(reason, skip)
+                case NeedMore(size):
                     self._needed = self._position + size
                     break
-        self._forget_settled()
+        self._discard_parsed()
         return messages
 
     def _find_candidate(self, *, final: bool) -> bool:
@@ -198,7 +198,7 @@ class StreamParser:
         self._reject(left if final else max(0, left - CANDIDATE_SIZE + 1))
         return False
 
-    def _take(self, accepted: Accept) -> Message:
+    def _emit(self, accepted: Accept) -> Message:
         header, size, start = accepted.header, accepted.size, self._position
         offset = self._base + start
         with memoryview(self._buffer) as view:
@@ -221,11 +221,11 @@ class StreamParser:
             header.part_number,
             data,
             offset,
-            self._stamp_of(offset),
+            self._stamp_at(offset),
             warnings,
         )
 
-    def _lose(self, reason: str, skip: int) -> None:
+    def _skip(self, reason: str, skip: int) -> None:
         """No message starts here: go on `skip` bytes later. Noise is counted once, pings each."""
         if self._synchronised or reason == "bytes_missing":
             self.counters.rejects[reason] += 1
@@ -250,10 +250,10 @@ class StreamParser:
         if len(self._stamps) > _MAX_STAMPS:
             del self._stamp_offsets[1::2], self._stamps[1::2]
 
-    def _stamp_of(self, offset: int) -> int | None:
+    def _stamp_at(self, offset: int) -> int | None:
         return self._stamps[bisect_right(self._stamp_offsets, offset) - 1]
 
-    def _forget_settled(self) -> None:
+    def _discard_parsed(self) -> None:
         del self._buffer[: self._position]
         self._base += self._position
         self._needed = max(0, self._needed - self._position)

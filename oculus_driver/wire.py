@@ -308,7 +308,7 @@ MAX_MESSAGE_SIZE: Final = HEADER.size + 16 * MIB
 MIN_PING_PAYLOAD: Final = PING_RESULT_V1.size - HEADER.size + 2
 
 
-def ping_layout(version: int) -> Layout | None:
+def ping_result_layout(version: int) -> Layout | None:
     """Return the layout of a ping result with this header version, or None where unknown."""
     if version in (0, 1):  # firmware that writes 0 means 1
         return PING_RESULT_V1

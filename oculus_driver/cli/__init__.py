@@ -17,7 +17,7 @@ from oculus_driver.cli import (
     render,
     watch,
 )
-from oculus_driver.cli.output import Exit, Say, silence_stdout
+from oculus_driver.cli.output import Exit, Output, discard_stdout
 from oculus_driver.errors import OculusError, RecordingError, SettingsError
 
 if TYPE_CHECKING:
@@ -42,30 +42,30 @@ class _Parser(argparse.ArgumentParser):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; every failure that input can cause is one line and an exit code."""
-    said = _parser().parse_args(argv)
-    say = Say(as_json=said.json)
+    args = _parser().parse_args(argv)
+    output = Output(as_json=args.json)
     try:
-        return int(said.run(said, say))
+        return int(args.run(args, output))
     except SettingsError as error:
-        return say.failure(error, Exit.USAGE)
+        return output.failure(error, Exit.USAGE)
     except RecordingError as error:
-        return say.failure(error, Exit.BAD_DATA)
+        return output.failure(error, Exit.BAD_DATA)
     except OculusError as error:
-        return say.failure(error, Exit.FAULT)
+        return output.failure(error, Exit.FAULT)
     except OSError as error:
-        return _end_of_output(error, say)
+        return _end_of_output(error, output)
     except KeyboardInterrupt:
         return Exit.INTERRUPTED
 
 
-def _end_of_output(error: OSError, say: Say) -> Exit:
+def _end_of_output(error: OSError, output: Output) -> Exit:
     """Whoever read our output has had enough, or there is no room for it."""
     if not isinstance(error, BrokenPipeError) and error.errno != errno.ENOSPC:
         raise error
-    silence_stdout()
+    discard_stdout()
     if isinstance(error, BrokenPipeError):
         return Exit.OK
-    return say.failure(f"standard output: {error}", Exit.FAULT)
+    return output.failure(f"standard output: {error}", Exit.FAULT)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -29,7 +29,7 @@ def positive(text: str) -> float:
     return value
 
 
-def not_negative(text: str) -> float:
+def non_negative(text: str) -> float:
     """Return a number of at least 0."""
     value = _number(text)
     if not value >= 0.0:
@@ -52,7 +52,7 @@ def count(text: str) -> int:
     return int(text)
 
 
-def whole(text: str) -> int:
+def non_negative_int(text: str) -> int:
     """Return a whole number of at least 0."""
     if not text.isascii() or not text.isdigit():
         raise argparse.ArgumentTypeError(f"{text} is no whole number")
@@ -112,7 +112,7 @@ def add_sonar_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_settings_arguments(parser: argparse.ArgumentParser, *, rate: str = "normal") -> None:
-    """Declare what a fire message can say; values are checked by `FireSettings`."""
+    """Declare what a fire message can carry; values are checked by `FireSettings`."""
     group = parser.add_argument_group("settings of the sonar")
     add = group.add_argument
     add("--mode", type=int, choices=[int(mode) for mode in Mode], default=1)
@@ -131,32 +131,32 @@ def add_settings_arguments(parser: argparse.ArgumentParser, *, rate: str = "norm
     add("--network-limit", metavar="MBPS", type=int, help="(default: none)")
 
 
-def settings_of(said: argparse.Namespace, *, triggered: bool = False) -> FireSettings:
-    """Return the settings that were said.
+def settings_of(args: argparse.Namespace, *, triggered: bool = False) -> FireSettings:
+    """Return the settings of the arguments.
 
     Raises:
         SettingsError: a value outside its limits.
     """
     return FireSettings(
-        mode=Mode(said.mode),
-        ping_rate=RATES[said.rate],
-        range_m=None if said.range_percent is not None else said.range_m,
-        range_percent=said.range_percent,
-        gain_percent=said.gain_percent,
-        gamma=said.gamma,
-        speed_of_sound_mps=said.speed_of_sound,
-        salinity_ppt=said.salinity,
-        beams=said.beams,
-        bits_per_sample=said.bits,
-        gain_words=not said.no_gain_words,
-        gain_assist=said.gain_assist,
+        mode=Mode(args.mode),
+        ping_rate=RATES[args.rate],
+        range_m=None if args.range_percent is not None else args.range_m,
+        range_percent=args.range_percent,
+        gain_percent=args.gain_percent,
+        gamma=args.gamma,
+        speed_of_sound_mps=args.speed_of_sound,
+        salinity_ppt=args.salinity,
+        beams=args.beams,
+        bits_per_sample=args.bits,
+        gain_words=not args.no_gain_words,
+        gain_assist=args.gain_assist,
         network_trigger=triggered,
-        network_limit_mbps=said.network_limit,
+        network_limit_mbps=args.network_limit,
     )
 
 
-def sonar_of(
-    said: argparse.Namespace,
+def open_sonar(
+    args: argparse.Namespace,
     settings: FireSettings,
     *,
     keep_pinging: bool = False,
@@ -167,15 +167,15 @@ def sonar_of(
     from oculus_driver.sonar import OculusSonar  # noqa: PLC0415 - imports the whole driver
 
     return OculusSonar(
-        said.host,
+        args.host,
         settings,
-        serial=said.serial,
-        port=said.port,
-        version=said.version,
+        serial=args.serial,
+        port=args.port,
+        version=args.version,
         keep_pinging=keep_pinging,
         on_bytes=on_bytes,
         on_state=on_state,
-        discovery=lambda: Discovery(said.status_port, said.listen),
+        discovery=lambda: Discovery(args.status_port, args.listen),
     )
 
 
@@ -196,9 +196,9 @@ def line_of(sonar: OculusSonar) -> str:
     return ", ".join(words)
 
 
-def facts_of(counters: SonarCounters) -> dict[str, object]:
+def counter_fields(counters: SonarCounters) -> dict[str, object]:
     """Return what was counted, as JSON knows it."""
-    facts = {name: getattr(counters, name) for name in counters.__slots__}
-    facts["messages"] = {str(number): count for number, count in counters.messages.items()}
-    facts["rejects"] = dict(counters.rejects)
-    return facts
+    fields = {name: getattr(counters, name) for name in counters.__slots__}
+    fields["messages"] = {str(number): count for number, count in counters.messages.items()}
+    fields["rejects"] = dict(counters.rejects)
+    return fields

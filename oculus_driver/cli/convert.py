@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from oculus_driver.cli.output import Exit, Say
+from oculus_driver.cli.output import Exit, Output
 
 if TYPE_CHECKING:
     import argparse
@@ -25,7 +25,7 @@ FORMATS: Final = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what may be said."""
+    """Declare the arguments."""
     add = parser.add_argument
     add("file", metavar="FILE", type=Path, help="a recording of any kind")
     add("out", metavar="OUT", type=Path, help=f"ends in {', '.join(FORMATS)}, or see --format")
@@ -33,20 +33,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--overwrite", action="store_true", help="replace OUT if it exists")
 
 
-def run(said: argparse.Namespace, say: Say) -> Exit:
+def run(args: argparse.Namespace, output: Output) -> Exit:
     """Convert, and tell what the new format could not hold."""
     from oculus_driver.recording.convert import convert  # noqa: PLC0415 - more than numpy
 
-    target_format = said.format or FORMATS.get(said.out.suffix.lower())
+    target_format = args.format or FORMATS.get(args.out.suffix.lower())
     if target_format is None:
-        text = f"{said.out}: which format? End the name in one of {', '.join(FORMATS)}"
-        return say.failure(text, Exit.USAGE)
-    done = convert(said.file, said.out, target_format, overwrite=said.overwrite)
-    lines = [f"{said.out}: {done.target_format}, {done.size_bytes} bytes, {done.chunks} chunks"]
+        text = f"{args.out}: which format? End the name in one of {', '.join(FORMATS)}"
+        return output.failure(text, Exit.USAGE)
+    done = convert(args.file, args.out, target_format, overwrite=args.overwrite)
+    lines = [f"{args.out}: {done.target_format}, {done.size_bytes} bytes, {done.chunks} chunks"]
     lines += [f"left out: {count} bytes, {reason}" for reason, count in done.left_out.items()]
     if done.stamps_lost:
         lines.append(f"left out: {done.stamps_lost} arrival stamps, which the format cannot hold")
     if done.damage is not None:
         lines.append(f"the source is damaged: {done.damage}")
-    say.report({"file": said.file, "out": said.out, **asdict(done)}, "\n".join(lines))
+    output.report({"file": args.file, "out": args.out, **asdict(done)}, "\n".join(lines))
     return Exit.OK

@@ -7,8 +7,8 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Final
 
 from oculus_driver.cli.arguments import add_status_arguments, address, port, positive
-from oculus_driver.cli.output import Exit, Say
-from oculus_driver.discovery.probe import Examination, Layer, examine, first_failure, judge
+from oculus_driver.cli.output import Exit, Output
+from oculus_driver.discovery.probe import Layer, ProbeOptions, evaluate, first_failure, probe
 from oculus_driver.wire import TCP_PORT
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ _MARKS: Final = {"ok": "ok  ", "doubtful": "?   ", "failed": "FAIL", "not tested
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what may be said."""
+    """Declare the arguments."""
     add = parser.add_argument
     add("host", metavar="ADDRESS", nargs="?", type=address, help="(default: the first one heard)")
     add("--port", type=port, default=TCP_PORT, help="TCP port (default: %(default)s)")
@@ -32,19 +32,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_status_arguments(parser)
 
 
-def run(said: argparse.Namespace, say: Say) -> Exit:
-    """Look, judge, tell."""
-    evidence = asyncio.run(examine(_examination(said)))
-    layers = judge(evidence)
+def run(args: argparse.Namespace, output: Output) -> Exit:
+    """Look, evaluate, tell."""
+    result = asyncio.run(probe(_options(args)))
+    layers = evaluate(result)
     failure = first_failure(layers)
-    facts = {
-        "address": evidence.address,
+    fields = {
+        "address": result.address,
         "layers": [asdict(layer) for layer in layers],
         "first_failure": None if failure is None else failure.name,
-        "findings": [asdict(finding) for finding in evidence.findings],
+        "findings": [asdict(finding) for finding in result.findings],
     }
-    notes = [f"note: {finding.text}" for finding in evidence.findings]
-    say.report(facts, "\n".join([*map(_line, layers), *notes]))
+    notes = [f"note: {finding.text}" for finding in result.findings]
+    output.report(fields, "\n".join([*map(_line, layers), *notes]))
     return Exit.OK if failure is None else Exit.FAULT
 
 
@@ -52,13 +52,13 @@ def _line(layer: Layer) -> str:
     return f"{_MARKS[layer.verdict]} {layer.name:<8} {layer.text}"
 
 
-def _examination(said: argparse.Namespace) -> Examination:
-    return Examination(
-        said.host,
-        said.port,
-        said.seconds,
-        said.ping,
-        said.version,
-        said.status_port,
-        said.listen,
+def _options(args: argparse.Namespace) -> ProbeOptions:
+    return ProbeOptions(
+        args.host,
+        args.port,
+        args.seconds,
+        args.ping,
+        args.version,
+        args.status_port,
+        args.listen,
     )

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING
 from oculus_driver.cli.arguments import (
     add_settings_arguments,
     add_sonar_arguments,
+    open_sonar,
     positive,
     settings_of,
-    sonar_of,
 )
-from oculus_driver.cli.output import Exit, Say
+from oculus_driver.cli.output import Exit, Output
 from oculus_driver.errors import LinkError, OculusError
 from oculus_driver.link.confirmation import differences
 from oculus_driver.link.state import LinkState
-from oculus_driver.ping import caption_of
+from oculus_driver.ping import caption_lines
 
 if TYPE_CHECKING:
     import argparse
@@ -33,7 +33,7 @@ HELP = "take one ping with given settings and tell what the sonar made of them: 
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what may be said."""
+    """Declare the arguments."""
     add_sonar_arguments(parser)
     add = parser.add_argument
     add("--trigger", action="store_true", help="by network trigger, which some sonars take badly")
@@ -43,14 +43,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_settings_arguments(parser, rate="lowest")
 
 
-def run(said: argparse.Namespace, say: Say) -> Exit:
+def run(args: argparse.Namespace, output: Output) -> Exit:
     """Fire, tell, and leave the sonar in standby."""
-    settings = settings_of(said, triggered=said.trigger)
-    ping, confirmation = asyncio.run(_shoot(said, settings))
-    if said.picture is not None:
-        _draw(said.picture, ping)
+    settings = settings_of(args, triggered=args.trigger)
+    ping, confirmation = asyncio.run(_take_ping(args, settings))
+    if args.picture is not None:
+        _draw(args.picture, ping)
     changed = [asdict(difference) for difference in confirmation.changed]
-    facts = {
+    fields = {
         "ping_id": ping.ping_id,
         "rows": ping.rows,
         "beams": ping.beams,
@@ -64,33 +64,33 @@ def run(said: argparse.Namespace, say: Say) -> Exit:
         "confirmed": confirmation.confirmed,
         "reason": confirmation.reason,
         "changed": changed,
-        "picture": said.picture,
+        "picture": args.picture,
     }
     verdict = "confirmed" if confirmation.confirmed else f"not confirmed: {confirmation.reason}"
-    lines = [*caption_of(ping)[:2], f"settings {verdict}", *map(str, confirmation.changed)]
-    say.report(facts, "\n".join(lines))
+    lines = [*caption_lines(ping)[:2], f"settings {verdict}", *map(str, confirmation.changed)]
+    output.report(fields, "\n".join(lines))
     return Exit.OK if confirmation.confirmed else Exit.FAULT
 
 
-async def _shoot(said: argparse.Namespace, settings: FireSettings) -> tuple[Ping, Confirmation]:
-    async with sonar_of(said, settings.in_standby(), keep_pinging=said.keep_pinging) as sonar:
+async def _take_ping(args: argparse.Namespace, settings: FireSettings) -> tuple[Ping, Confirmation]:
+    async with open_sonar(args, settings.in_standby(), keep_pinging=args.keep_pinging) as sonar:
         try:
-            async with asyncio.timeout(said.patience):
+            async with asyncio.timeout(args.patience):
                 await sonar.wait_for(LinkState.STANDBY, LinkState.PINGING)
         except TimeoutError:
             link = sonar.link
             raise LinkError(
-                f"{link.state} for {said.patience:g} s: {link.reason}; see `oculus doctor`"
+                f"{link.state} for {args.patience:g} s: {link.reason}; see `oculus doctor`"
             ) from None
-        confirmation = await sonar.apply(settings, said.patience)
-        if said.trigger:
-            ping = await sonar.fire(said.patience)
+        confirmation = await sonar.apply(settings, args.patience)
+        if args.trigger:
+            ping = await sonar.fire(args.patience)
             return ping, _judged(confirmation, differences(settings, ping))
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(said.patience):
+            async with asyncio.timeout(args.patience):
                 async for ping in sonar.pings():
                     return ping, confirmation
-    raise LinkError(f"no ping within {said.patience:g} s; see `oculus doctor`")
+    raise LinkError(f"no ping within {args.patience:g} s; see `oculus doctor`")
 
 
 def _judged(asked: Confirmation, changed: tuple[Difference, ...]) -> Confirmation:

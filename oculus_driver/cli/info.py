@@ -6,8 +6,8 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from oculus_driver.cli.output import Exit, Say
-from oculus_driver.ping import time_of
+from oculus_driver.cli.output import Exit, Output
+from oculus_driver.ping import format_time
 
 if TYPE_CHECKING:
     import argparse
@@ -19,24 +19,24 @@ NAME = "info"
 HELP = "tell what a recording holds, and what in it is damaged"
 
 _BAR: Final = 40
-_MOST_KINDS: Final = 8
+_MAX_KINDS: Final = 8
 _MEGABYTE: Final = 1e6
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what may be said."""
+    """Declare the arguments."""
     parser.add_argument("file", metavar="FILE", type=Path, help="a recording of any kind")
     parser.add_argument("--pings", action="store_true", help="list every ping (JSON always does)")
 
 
-def run(said: argparse.Namespace, say: Say) -> Exit:
+def run(args: argparse.Namespace, output: Output) -> Exit:
     """Read the recording from front to back and tell."""
     from oculus_driver.recording import describe, open_recording  # noqa: PLC0415 - more than numpy
 
-    with open_recording(said.file) as recording:
+    with open_recording(args.file) as recording:
         info = describe(recording)
-    text = "\n".join(_lines(str(said.file), info, listed=said.pings))
-    say.report({"file": said.file, **info.as_json()}, text)
+    text = "\n".join(_lines(str(args.file), info, listed=args.pings))
+    output.report({"file": args.file, **info.as_json()}, text)
     return Exit.OK
 
 
@@ -44,13 +44,14 @@ def _lines(name: str, info: RecordingInfo, *, listed: bool) -> Iterator[str]:
     yield f"{name}: {info.format}, {info.size_bytes / _MEGABYTE:.3f} MB"
     if info.start_ns is not None and info.end_ns is not None:
         seconds = (info.end_ns - info.start_ns) / 1e9
-        yield f"recorded {time_of(info.start_ns)} to {time_of(info.end_ns)}, {seconds:.3f} s"
+        start, end = format_time(info.start_ns), format_time(info.end_ns)
+        yield f"recorded {start} to {end}, {seconds:.3f} s"
     if info.damage is not None:
         yield f"damage: {info.damage} ({info.faults} in all)"
     yield f"messages: {info.messages}, of these sound pings: {info.pings}"
     if info.statuses:
         yield f"statuses: {info.statuses}"
-    for kind, count in _kinds(info.ping_list).most_common(_MOST_KINDS):
+    for kind, count in _kinds(info.ping_list).most_common(_MAX_KINDS):
         yield f"  {count} x {kind}"
     yield (
         f"ids: {info.lost_pings} lost, {info.duplicates} twice, {info.restarts} restarts; "

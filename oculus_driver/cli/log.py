@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 from oculus_driver.cli.arguments import (
     add_settings_arguments,
     add_sonar_arguments,
-    facts_of,
+    counter_fields,
     line_of,
-    not_negative,
+    non_negative,
+    open_sonar,
     positive,
     settings_of,
-    sonar_of,
 )
-from oculus_driver.cli.output import Exit, Say, run_until_stopped
+from oculus_driver.cli.output import Exit, Output, run_until_stopped
 from oculus_driver.link.state import LinkState
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ _SECOND_NS = 1_000_000_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what may be said."""
+    """Declare the arguments."""
     add_sonar_arguments(parser)
     add = parser.add_argument
     add("--out", metavar="DIR", type=Path, default=Path("sonar-log"), help="(default: %(default)s)")
@@ -48,58 +48,60 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     limits("--file-mb", metavar="MB", type=positive, default=500.0, help="then a new file")
     limits("--file-s", metavar="S", type=positive, help="then a new file (default: no limit)")
     limits("--budget-mb", metavar="MB", type=positive, help="of all files; the oldest are deleted")
-    limits("--free-mb", metavar="MB", type=not_negative, default=1000.0, help="to stay free")
-    limits("--sync-s", metavar="S", type=not_negative, default=5.0, help="may be lost with power")
+    limits("--free-mb", metavar="MB", type=non_negative, default=1000.0, help="to stay free")
+    limits("--sync-s", metavar="S", type=non_negative, default=5.0, help="may be lost with power")
     add_settings_arguments(parser)
 
 
-def run(said: argparse.Namespace, say: Say) -> Exit:
+def run(args: argparse.Namespace, output: Output) -> Exit:
     """Record until somebody stops it; nothing recorded at all is a fault."""
-    say.must_go_on = True
-    settings = settings_of(said)
+    output.keep_running = True
+    settings = settings_of(args)
     from oculus_driver.recording import SonarLog  # noqa: PLC0415 - more than numpy
 
     log = SonarLog(
-        said.out,
-        _policy(said),
-        prefix=said.prefix,
+        args.out,
+        _policy(args),
+        prefix=args.prefix,
         monotonic_to_unix_ns=time.time_ns() - time.monotonic_ns(),
     )
-    run_until_stopped(_log(said, say, settings, log))
+    run_until_stopped(_log(args, output, settings, log))
     if not log.counters.bytes_written:
-        return say.failure("nothing was recorded; see `oculus doctor`", Exit.FAULT)
+        return output.failure("nothing was recorded; see `oculus doctor`", Exit.FAULT)
     return Exit.OK
 
 
-async def _log(said: argparse.Namespace, say: Say, settings: FireSettings, log: SonarLog) -> None:
+async def _log(
+    args: argparse.Namespace, output: Output, settings: FireSettings, log: SonarLog
+) -> None:
     from oculus_driver.recording import BackgroundLog  # noqa: PLC0415 - more than numpy
 
     async with BackgroundLog(log) as writer:
-        tap = _Tap(writer, say)
-        sonar = sonar_of(
-            said,
+        tap = _Tap(writer, output)
+        sonar = open_sonar(
+            args,
             settings,
-            keep_pinging=said.keep_pinging,
+            keep_pinging=args.keep_pinging,
             on_bytes=tap.take,
             on_state=tap.link_changed,
         )
         try:
-            async with asyncio.timeout(said.duration), sonar, asyncio.TaskGroup() as tasks:
-                tasks.create_task(_tell_regularly(said.every, say, sonar, log))
+            async with asyncio.timeout(args.duration), sonar, asyncio.TaskGroup() as tasks:
+                tasks.create_task(_report_periodically(args.every, output, sonar, log))
                 async for _ in sonar.pings():
                     pass  # the bytes are recorded before they become pings
         except TimeoutError:
             pass
         finally:
-            _tell(say, sonar, log, "end")
+            _report(output, sonar, log, "end")
 
 
 class _Tap:
     """Hands the sonar's bytes to the log; those of a new connection do not join the old ones."""
 
-    def __init__(self, writer: BackgroundLog, say: Say) -> None:
+    def __init__(self, writer: BackgroundLog, output: Output) -> None:
         self._writer = writer
-        self._say = say
+        self._output = output
         self._fresh = False
 
     def take(self, data: bytes, arrival_ns: int) -> None:
@@ -111,40 +113,42 @@ class _Tap:
         """Tell of the link."""
         if link.state == LinkState.CONNECTING:
             self._fresh = True
-        facts = {"event": "state", "state": str(link.state), "reason": link.reason}
-        self._say.report(facts | {"address": link.address}, f"{link.state}: {link.reason}")
+        fields = {"event": "state", "state": str(link.state), "reason": link.reason}
+        self._output.report(fields | {"address": link.address}, f"{link.state}: {link.reason}")
 
 
-async def _tell_regularly(every_s: float, say: Say, sonar: OculusSonar, log: SonarLog) -> None:
+async def _report_periodically(
+    every_s: float, output: Output, sonar: OculusSonar, log: SonarLog
+) -> None:
     while True:
         await asyncio.sleep(every_s)
-        _tell(say, sonar, log, "log")
+        _report(output, sonar, log, "log")
 
 
-def _tell(say: Say, sonar: OculusSonar, log: SonarLog, event: str) -> None:
+def _report(output: Output, sonar: OculusSonar, log: SonarLog, event: str) -> None:
     counters = log.counters
-    facts: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "event": event,
         "log_state": log.state,
         "log_reason": log.reason,
         "file": log.path,
     }
-    facts |= {name: getattr(counters, name) for name in counters.__slots__}
-    facts |= {"sonar": facts_of(sonar.counters)}
+    fields |= {name: getattr(counters, name) for name in counters.__slots__}
+    fields |= {"sonar": counter_fields(sonar.counters)}
     words = [f"{log.state}: {counters.bytes_written / _MEGABYTE:.1f} MB"]
     words.append(f"{counters.files_opened} files")
     if counters.bytes_dropped:
         words.append(f"{counters.bytes_dropped} bytes not recorded ({log.reason})")
-    say.report(facts, f"{line_of(sonar)}; {', '.join(words)}")
+    output.report(fields, f"{line_of(sonar)}; {', '.join(words)}")
 
 
-def _policy(said: argparse.Namespace) -> LogPolicy:
+def _policy(args: argparse.Namespace) -> LogPolicy:
     from oculus_driver.recording import LogPolicy  # noqa: PLC0415 - more than numpy
 
     return LogPolicy(
-        max_file_bytes=round(said.file_mb * _MEGABYTE),
-        max_file_ns=None if said.file_s is None else round(said.file_s * _SECOND_NS),
-        budget_bytes=None if said.budget_mb is None else round(said.budget_mb * _MEGABYTE),
-        free_floor_bytes=round(said.free_mb * _MEGABYTE),
-        sync_interval_ns=round(said.sync_s * _SECOND_NS),
+        max_file_bytes=round(args.file_mb * _MEGABYTE),
+        max_file_ns=None if args.file_s is None else round(args.file_s * _SECOND_NS),
+        budget_bytes=None if args.budget_mb is None else round(args.budget_mb * _MEGABYTE),
+        free_floor_bytes=round(args.free_mb * _MEGABYTE),
+        sync_interval_ns=round(args.sync_s * _SECOND_NS),
     )

@@ -1,4 +1,4 @@
-"""What a command says: text for a person, or the same facts as JSON lines."""
+"""What a command says: text for a person, or the same fields as JSON lines."""
 
 from __future__ import annotations
 
@@ -26,51 +26,51 @@ class Exit(IntEnum):
     INTERRUPTED = 130
 
 
-def silence_stdout() -> None:
-    """Let what is still said, and what is still buffered, go nowhere."""
+def discard_stdout() -> None:
+    """Let what is still printed, and what is still buffered, go nowhere."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-class Say:
+class Output:
     """Writes to standard output, and failures to standard error.
 
     Attributes:
-        as_json: write facts instead of text.
-        must_go_on: go on in silence when nobody can be told any more: a recording is worth more
+        as_json: write fields instead of text.
+        keep_running: go on in silence when nobody can be told any more: a recording is worth more
             than words about it.
     """
 
     def __init__(self, *, as_json: bool) -> None:
         self.as_json = as_json
-        self.must_go_on = False
+        self.keep_running = False
 
-    def report(self, facts: Mapping[str, Any], text: str) -> None:
-        """Say one thing: `facts` as one line of JSON, or `text`, which may have many lines."""
-        said = json.dumps(_plain(facts), allow_nan=False) if self.as_json else text
+    def report(self, fields: Mapping[str, Any], text: str) -> None:
+        """Output one thing: `fields` as one line of JSON, or `text`, which may have many lines."""
+        args = json.dumps(_plain(fields), allow_nan=False) if self.as_json else text
         try:
-            sys.stdout.write(said + "\n")
+            sys.stdout.write(args + "\n")
             sys.stdout.flush()
         except OSError as error:
-            if not self.must_go_on:
+            if not self.keep_running:
                 raise
-            silence_stdout()
+            discard_stdout()
             self.note(f"oculus: standard output is gone ({error}): going on without it")
 
     def note(self, text: str) -> None:
-        """Tell a person what goes on; never mixed with the facts."""
+        """Tell a person what goes on; never mixed with the fields."""
         with contextlib.suppress(OSError):
             sys.stderr.write(text + "\n")
             sys.stderr.flush()
 
     def failure(self, error: object, code: Exit) -> Exit:
-        """Say why the command ends, and return its exit code."""
+        """Output why the command ends, and return its exit code."""
         if self.as_json:
             self.report({"error": str(error)}, "")
         self.note(f"oculus: {error}")
         return code
 
 
-def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever facts hold
+def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever fields hold
     """Return the value in JSON's own types; what is not a number is null."""
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}

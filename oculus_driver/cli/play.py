@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from oculus_driver.cli.arguments import address, count, port, positive, share
-from oculus_driver.cli.output import Exit, Say, run_until_stopped
+from oculus_driver.cli.output import Exit, Output, run_until_stopped
 from oculus_driver.virtual_sonar.device import Identity
 from oculus_driver.virtual_sonar.faults import SHARES, Faults
-from oculus_driver.virtual_sonar.playback import PlayedSonar
+from oculus_driver.virtual_sonar.playback import PlaybackSonar
 from oculus_driver.virtual_sonar.server import broadcast_of
 from oculus_driver.wire import STATUS_PORT, TCP_PORT
 
@@ -35,7 +35,7 @@ _FAULT_HELP = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what may be said."""
+    """Declare the arguments."""
     add = parser.add_argument
     add("file", metavar="FILE", type=Path, help="a recording of any kind")
     add("--listen", metavar="ADDRESS", type=address, default="127.0.0.1")
@@ -70,55 +70,55 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     faults.add_argument("--dice", metavar="N", type=int, default=0, help="another N, other faults")
 
 
-def run(said: argparse.Namespace, say: Say) -> Exit:
+def run(args: argparse.Namespace, output: Output) -> Exit:
     """Play until everything was played or somebody stops it."""
-    run_until_stopped(_play(said, say), said.duration)
+    run_until_stopped(_play(args, output), args.duration)
     return Exit.OK
 
 
-async def _play(said: argparse.Namespace, say: Say) -> None:
-    target = said.status_to or broadcast_of(said.listen)
-    sonar = PlayedSonar(
-        said.file,
-        host=said.listen,
-        port=said.port,
-        speed=None if said.unthrottled else said.speed,
-        loops=None if said.loop else said.loops,
-        status_to=[(target, said.status_port)],
-        identity=Identity(said.serial, said.part, IPv4Address(_told_address(said))),
-        remade=said.remade,
-        standby=said.standby,
-        faults=_faults(said),
+async def _play(args: argparse.Namespace, output: Output) -> None:
+    target = args.status_to or broadcast_of(args.listen)
+    sonar = PlaybackSonar(
+        args.file,
+        host=args.listen,
+        port=args.port,
+        speed=None if args.unthrottled else args.speed,
+        loops=None if args.loop else args.loops,
+        status_to=[(target, args.status_port)],
+        identity=Identity(args.serial, args.part, IPv4Address(_told_address(args))),
+        resampled=args.remade,
+        standby=args.standby,
+        faults=_faults(args),
     )
     try:
         async with sonar:
-            facts = {"event": "listening", "address": sonar.host, "port": sonar.port}
-            facts |= {"status_to": target, "status_port": said.status_port}
-            say.report(
-                facts,
-                f"a sonar at {sonar.host}:{sonar.port}, statuses to {target}:{said.status_port}",
+            fields = {"event": "listening", "address": sonar.host, "port": sonar.port}
+            fields |= {"status_to": target, "status_port": args.status_port}
+            output.report(
+                fields,
+                f"a sonar at {sonar.host}:{sonar.port}, statuses to {target}:{args.status_port}",
             )
             await sonar.finished.wait()
-            if said.stay:
+            if args.stay:
                 await asyncio.Event().wait()
     finally:
         counters = asdict(sonar.counters)
         words = ", ".join(f"{name} {value}" for name, value in counters.items() if value)
-        say.report({"event": "played", **counters}, f"played: {words or 'nothing'}")
+        output.report({"event": "played", **counters}, f"played: {words or 'nothing'}")
 
 
-def _told_address(said: argparse.Namespace) -> str:
-    if said.address is not None:
-        return str(said.address)
-    return "127.0.0.1" if IPv4Address(said.listen).is_unspecified else str(said.listen)
+def _told_address(args: argparse.Namespace) -> str:
+    if args.address is not None:
+        return str(args.address)
+    return "127.0.0.1" if IPv4Address(args.listen).is_unspecified else str(args.listen)
 
 
-def _faults(said: argparse.Namespace) -> Faults:
+def _faults(args: argparse.Namespace) -> Faults:
     return Faults(
-        **{name: getattr(said, name) for name in SHARES},
-        stall_s=said.stall_s,
-        refuse_second=said.refuse_second,
-        silent_after_s=said.silent_after,
-        deaf_to_version=said.deaf_to_version,
-        number=said.dice,
+        **{name: getattr(args, name) for name in SHARES},
+        stall_s=args.stall_s,
+        refuse_second=args.refuse_second,
+        silent_after_s=args.silent_after,
+        ignored_fire_version=args.deaf_to_version,
+        number=args.dice,
     )

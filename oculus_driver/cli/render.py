@@ -8,8 +8,8 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from oculus_driver.cli.arguments import count, positive, whole
-from oculus_driver.cli.output import Exit, Say
+from oculus_driver.cli.arguments import count, non_negative_int, positive
+from oculus_driver.cli.output import Exit, Output
 from oculus_driver.errors import OculusError
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.recording.chunk import messages_of
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
 
     from oculus_driver.recording import Recording
     from oculus_driver.render import Painter
-    from oculus_driver.render.files import Sink
+    from oculus_driver.render.files import FrameSink
     from oculus_driver.stream import Message
 
 
 NAME = "render"
 HELP = "draw the pings of a recording as fan pictures (PNG) or a film (MP4)"
 
-USUAL_RATE_HZ = 10.0
-_RATES_HZ = (1.0, 60.0)
+DEFAULT_RATE_HZ = 10.0
+_RATE_LIMITS_HZ = (1.0, 60.0)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what may be said."""
+    """Declare the arguments."""
     add = parser.add_argument
     add("file", metavar="FILE", type=Path, help="a recording of any kind")
     add(
@@ -42,10 +42,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="NAME.mp4 for a film, NAME.png for one ping, else a folder for PNG files",
     )
-    add("--first", metavar="N", type=whole, default=0, help="begin with ping N, counted from 0")
+    add(
+        "--first",
+        metavar="N",
+        type=non_negative_int,
+        default=0,
+        help="begin with ping N, counted from 0",
+    )
     add("--every", metavar="N", type=count, default=1, help="draw every Nth ping")
     add("--limit", metavar="N", type=count, help="draw at most N pings")
-    add("--ping", metavar="ID", type=whole, help="only pings of this id")
+    add("--ping", metavar="ID", type=non_negative_int, help="only pings of this id")
     add("--height", metavar="PX", type=count, default=900)
     add("--colours", choices=("inferno", "viridis", "grey"), default="inferno")
     add("--gamma", type=positive, default=0.7, help="of the display (default: %(default)s)")
@@ -54,31 +60,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--fps", metavar="HZ", type=positive, help="of a film (default: as recorded, else 10)")
 
 
-def run(said: argparse.Namespace, say: Say) -> Exit:
+def run(args: argparse.Namespace, output: Output) -> Exit:
     """Draw, and tell which files were written."""
     from oculus_driver.recording import open_recording  # noqa: PLC0415 - needs more than numpy
 
-    painter = _painter(said)
-    single = said.out.suffix.lower() == ".png"
-    choice = Choice(said.first, said.every, 1 if single else said.limit, said.ping)
-    with open_recording(said.file) as recording:
-        rate_hz = said.fps or _rate_hz(recording, said.every)
-        files, drawn = _draw(said.out, painter, choice, recording, rate_hz)
+    painter = _painter(args)
+    single = args.out.suffix.lower() == ".png"
+    choice = Choice(args.first, args.every, 1 if single else args.limit, args.ping)
+    with open_recording(args.file) as recording:
+        rate_hz = args.fps or _rate_hz(recording, args.every)
+        files, drawn = _draw(args.out, painter, choice, recording, rate_hz)
     if not drawn:
-        raise OculusError(f"{said.file}: no ping to draw; see `oculus info {said.file}`")
-    facts = {"files": files, "pings": drawn, "rejects": dict(choice.rejects)}
-    where = files[0] if len(files) == 1 else said.out
-    say.report(facts, f"{drawn} pings drawn: {where}")
+        raise OculusError(f"{args.file}: no ping to draw; see `oculus info {args.file}`")
+    fields = {"files": files, "pings": drawn, "rejects": dict(choice.rejects)}
+    where = files[0] if len(files) == 1 else args.out
+    output.report(fields, f"{drawn} pings drawn: {where}")
     return Exit.OK
 
 
-def _painter(said: argparse.Namespace) -> Painter:
+def _painter(args: argparse.Namespace) -> Painter:
     try:
         from oculus_driver.render import Painter, Style  # noqa: PLC0415 - an extra
     except ImportError as error:
         raise OculusError("pictures need OpenCV: pip install 'mapperd[render]'") from error
     return Painter(
-        Style(said.height, said.colours, said.gamma, not said.keep_gains, labels=not said.bare)
+        Style(args.height, args.colours, args.gamma, not args.keep_gains, labels=not args.bare)
     )
 
 
@@ -94,12 +100,12 @@ def _draw(
     return (sink.files if drawn else []), drawn
 
 
-def _sink(out: Path, rate_hz: float) -> Sink:
-    from oculus_driver.render.files import Film, PngFile, PngFolder  # noqa: PLC0415 - an extra
+def _sink(out: Path, rate_hz: float) -> FrameSink:
+    from oculus_driver.render.files import PngFile, PngFolder, VideoFile  # noqa: PLC0415 - an extra
 
     match out.suffix.lower():
         case ".mp4":
-            return Film(out, rate_hz)
+            return VideoFile(out, rate_hz)
         case ".png":
             return PngFile(out)
     return PngFolder(out)
@@ -111,9 +117,9 @@ def _rate_hz(recording: Recording, every: int) -> float:
     for ping in Choice(limit=50).of(recording):
         times += [] if ping.arrival_ns is None else [ping.arrival_ns]
     if len(times) < 2 or times[-1] <= times[0]:  # noqa: PLR2004 - an interval has two ends
-        return USUAL_RATE_HZ
+        return DEFAULT_RATE_HZ
     rate_hz = (len(times) - 1) * 1e9 / (times[-1] - times[0]) / every
-    return min(max(rate_hz, _RATES_HZ[0]), _RATES_HZ[1])
+    return min(max(rate_hz, _RATE_LIMITS_HZ[0]), _RATE_LIMITS_HZ[1])
 
 
 @dataclass(slots=True)

@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING
 from oculus_driver.cli.arguments import (
     add_settings_arguments,
     add_sonar_arguments,
-    facts_of,
+    counter_fields,
     line_of,
+    open_sonar,
     positive,
     settings_of,
-    sonar_of,
 )
-from oculus_driver.cli.discover import findings_of
 from oculus_driver.cli.discover import line_of as sighting_line
-from oculus_driver.cli.output import Exit, Say, run_until_stopped
+from oculus_driver.cli.discover import sonar_findings
+from oculus_driver.cli.output import Exit, Output, run_until_stopped
 from oculus_driver.discovery.listener import Discovery
 
 if TYPE_CHECKING:
     import argparse
 
-    from oculus_driver.discovery.state import Sighting
+    from oculus_driver.discovery.state import DiscoveredSonar
     from oculus_driver.link.state import LinkStatus
     from oculus_driver.ping import Ping
     from oculus_driver.sonar import OculusSonar
@@ -32,7 +32,7 @@ HELP = "tell what sonars do: their statuses, or with --ping the link and the pin
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what may be said."""
+    """Declare the arguments."""
     add_sonar_arguments(parser)
     add = parser.add_argument
     add("--ping", action="store_true", help="connect and let it ping: only under water")
@@ -41,47 +41,47 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_settings_arguments(parser)
 
 
-def run(said: argparse.Namespace, say: Say) -> Exit:
+def run(args: argparse.Namespace, output: Output) -> Exit:
     """Watch until somebody stops it."""
-    if said.ping:
-        watch = _PingWatch(said.every, say)
-        run_until_stopped(_watch_pings(said, say, watch), said.duration)
-        return Exit.OK if watch.last is not None else say.failure("no ping came", Exit.FAULT)
-    told: dict[tuple[int, int], frozenset[str]] = {}
-    run_until_stopped(_watch_statuses(said, say, told), said.duration)
-    return Exit.OK if told else say.failure("no sonar was heard", Exit.FAULT)
+    if args.ping:
+        watch = _PingWatch(args.every, output)
+        run_until_stopped(_watch_pings(args, output, watch), args.duration)
+        return Exit.OK if watch.last is not None else output.failure("no ping came", Exit.FAULT)
+    reported: dict[tuple[int, int], frozenset[str]] = {}
+    run_until_stopped(_watch_statuses(args, output, reported), args.duration)
+    return Exit.OK if reported else output.failure("no sonar was heard", Exit.FAULT)
 
 
 async def _watch_statuses(
-    said: argparse.Namespace, say: Say, told: dict[tuple[int, int], frozenset[str]]
+    args: argparse.Namespace, output: Output, reported: dict[tuple[int, int], frozenset[str]]
 ) -> None:
     """Tell of each status; what is wrong only when it is new."""
-    async with Discovery(said.status_port, said.listen) as discovery:
-        async for sighting in discovery.sightings():
-            if _meant(said, sighting):
-                findings = findings_of(sighting)
-                before = told.get(sighting.key, frozenset())
-                told[sighting.key] = frozenset(finding.code for finding in findings)
+    async with Discovery(args.status_port, args.listen) as discovery:
+        async for sonar in discovery.updates():
+            if _is_selected(args, sonar):
+                findings = sonar_findings(sonar)
+                before = reported.get(sonar.key, frozenset())
+                reported[sonar.key] = frozenset(finding.code for finding in findings)
                 new = [finding.text for finding in findings if finding.code not in before]
-                facts = sighting.facts() | {"findings": sorted(told[sighting.key])}
-                say.report(facts, "\n".join([sighting_line(sighting), *(f"  {t}" for t in new)]))
+                fields = sonar.snapshot() | {"findings": sorted(reported[sonar.key])}
+                output.report(fields, "\n".join([sighting_line(sonar), *(f"  {t}" for t in new)]))
 
 
-def _meant(said: argparse.Namespace, sighting: Sighting) -> bool:
-    by_address = said.host in (None, sighting.address)
-    return by_address and said.serial in (None, sighting.status.device_id)
+def _is_selected(args: argparse.Namespace, sonar: DiscoveredSonar) -> bool:
+    by_address = args.host in (None, sonar.address)
+    return by_address and args.serial in (None, sonar.status.device_id)
 
 
-async def _watch_pings(said: argparse.Namespace, say: Say, watch: _PingWatch) -> None:
-    def tell_state(link: LinkStatus) -> None:
-        facts = {"event": "state", "state": str(link.state), "reason": link.reason}
-        say.report(facts | {"address": link.address}, f"{link.state}: {link.reason}")
+async def _watch_pings(args: argparse.Namespace, output: Output, watch: _PingWatch) -> None:
+    def report_state(link: LinkStatus) -> None:
+        fields = {"event": "state", "state": str(link.state), "reason": link.reason}
+        output.report(fields | {"address": link.address}, f"{link.state}: {link.reason}")
 
     async with (
-        sonar_of(said, settings_of(said), on_state=tell_state) as sonar,
+        open_sonar(args, settings_of(args), on_state=report_state) as sonar,
         asyncio.TaskGroup() as tasks,
     ):
-        tasks.create_task(watch.tell_regularly(sonar))
+        tasks.create_task(watch.report_periodically(sonar))
         async for ping in sonar.pings():
             watch.last = ping
 
@@ -89,28 +89,28 @@ async def _watch_pings(said: argparse.Namespace, say: Say, watch: _PingWatch) ->
 class _PingWatch:
     """Says every so often how the pings come."""
 
-    def __init__(self, every_s: float, say: Say) -> None:
+    def __init__(self, every_s: float, output: Output) -> None:
         self.last: Ping | None = None
         self._every_s = every_s
-        self._say = say
+        self._output = output
 
-    async def tell_regularly(self, sonar: OculusSonar) -> None:
+    async def report_periodically(self, sonar: OculusSonar) -> None:
         """Go on until cancelled."""
         before = 0
         while True:
             await asyncio.sleep(self._every_s)
             pings = sonar.counters.pings
-            self._tell(sonar, (pings - before) / self._every_s)
+            self._report(sonar, (pings - before) / self._every_s)
             before = pings
 
-    def _tell(self, sonar: OculusSonar, rate_hz: float) -> None:
-        facts = {"event": "pings", "state": str(sonar.state), "rate_hz": rate_hz}
-        facts |= facts_of(sonar.counters)
+    def _report(self, sonar: OculusSonar, rate_hz: float) -> None:
+        fields = {"event": "pings", "state": str(sonar.state), "rate_hz": rate_hz}
+        fields |= counter_fields(sonar.counters)
         text = f"{line_of(sonar)}, {rate_hz:.1f} Hz"
         ping = self.last
         if ping is not None:
-            facts |= {"ping_id": ping.ping_id, "rows": ping.rows, "beams": ping.beams}
-            facts |= {"range_m": ping.max_range_m, "temperature_c": ping.temperature_c}
+            fields |= {"ping_id": ping.ping_id, "rows": ping.rows, "beams": ping.beams}
+            fields |= {"range_m": ping.max_range_m, "temperature_c": ping.temperature_c}
             text += f", {ping.rows} x {ping.beams} to {ping.max_range_m:.2f} m"
         text += "".join(f"\n  {difference}" for difference in sonar.changed)
-        self._say.report(facts, text)
+        self._output.report(fields, text)

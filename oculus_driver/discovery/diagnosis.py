@@ -16,7 +16,7 @@ from oculus_driver.wire import STATUS_PORT, TCP_PORT
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from oculus_driver.discovery.state import Sighting
+    from oculus_driver.discovery.state import DiscoveredSonar
     from oculus_driver.status import Status
 
 Severity = Literal["note", "warning", "error"]
@@ -50,9 +50,9 @@ def status_findings(
         own_addresses: of this host, to tell an own client from another's.
         connected: we hold the sonar ourselves: that it is held is no finding.
     """
-    found = [*_state(status), *_health(status)]
+    found = [*_state_findings(status), *_health_findings(status)]
     if status.busy and not connected:
-        found.append(_held(status, frozenset(own_addresses)))
+        found.append(_in_use_finding(status, frozenset(own_addresses)))
     if status.model.family is UNKNOWN:
         text = f"model not known ({status.model.name}): settings go to it unchecked"
         found.append(_finding("unknown_model", "warning", status, text))
@@ -80,27 +80,27 @@ def subnet_finding(status: Status, own_addresses: Iterable[IPv4Address]) -> Find
     here = "no address that leads there" if not own else ", ".join(map(str, own))
     text = (
         f"in another subnet: it has {status.address} with mask {status.netmask}, this host has "
-        f"{here}. Give this host an address in the sonar's subnet{_example(status)}, "
+        f"{here}. Give this host an address in the sonar's subnet{_example_address(status)}, "
         f"or the sonar one in this host's"
     )
     return _finding("wrong_subnet", "error", status, text)
 
 
-def sighting_findings(
-    sighting: Sighting, own_addresses: Iterable[IPv4Address], *, connected: bool = False
+def discovery_findings(
+    sonar: DiscoveredSonar, own_addresses: Iterable[IPv4Address], *, connected: bool = False
 ) -> list[Finding]:
     """Return all findings about a sonar that was heard, the worst first.
 
     Codes: those of `status_findings`, wrong_subnet and address_differs.
     """
-    own, status = list(own_addresses), sighting.status
+    own, status = list(own_addresses), sonar.status
     subnet = subnet_finding(status, own)
     found = [] if subnet is None else [subnet]
     found += status_findings(status, own, connected=connected)
-    if sighting.source_address not in (None, str(status.address)):
+    if sonar.source_address not in (None, str(status.address)):
         text = (
-            f"speaks from {sighting.source_address} and calls itself {status.address}: "
-            f"connecting to {sighting.address}. If that fails, look for a router in between"
+            f"speaks from {sonar.source_address} and calls itself {status.address}: "
+            f"connecting to {sonar.address}. If that fails, look for a router in between"
         )
         found.append(_finding("address_differs", "warning", status, text))
     return found
@@ -122,7 +122,7 @@ def bind_finding(error: OSError, host: str, port: int = STATUS_PORT) -> Finding:
         case errno.EADDRNOTAVAIL:
             text = f"{host} is no address of this host: listen on 0.0.0.0 or an own address"
             return Finding("no_such_address", "error", text)
-    text = f"{where} cannot be listened on: {_words(error)}"
+    text = f"{where} cannot be listened on: {_error_text(error)}"
     return Finding("socket_error", "error", text)
 
 
@@ -154,7 +154,7 @@ def connection_finding(error: OSError, address: str, port: int = TCP_PORT) -> Fi
         case errno.EACCES | errno.EPERM:
             text = f"{where} is blocked on this host: check its firewall"
             return Finding("no_permission", "error", text)
-    return Finding("socket_error", "error", f"{where}: {_words(error)}")
+    return Finding("socket_error", "error", f"{where}: {_error_text(error)}")
 
 
 def silence_finding(port: int = STATUS_PORT) -> Finding:
@@ -168,19 +168,19 @@ def silence_finding(port: int = STATUS_PORT) -> Finding:
     return Finding("no_status", "error", text)
 
 
-def _state(status: Status) -> Iterator[Finding]:
+def _state_findings(status: Status) -> Iterator[Finding]:
     reason = status.pause_reason
     if reason is not None:
-        cure = _PAUSE_CURES.get(reason, _POWER)
-        text = f"halted in its boot loader ({reason}) and sends no pings: {cure}"
+        remedy = _PAUSE_REMEDIES.get(reason, _POWER_CYCLE)
+        text = f"halted in its boot loader ({reason}) and sends no pings: {remedy}"
         yield _finding("boot_loader", "error", status, text)
     elif status.master_state != "running":
         text = f"{status.master_state}: wait up to 20 s after power-up"
         yield _finding("booting", "warning", status, text)
 
 
-_POWER: Final = "switch it off and on, check the supply's voltage, use the maker's cable"
-_PAUSE_CURES: Final = {
+_POWER_CYCLE: Final = "switch it off and on, check the supply's voltage, use the maker's cable"
+_PAUSE_REMEDIES: Final = {
     "magnetic switch": "take the magnet away from the switch, then switch it off and on",
     "flash error": "update its firmware with the maker's software",
     "firmware error": "update its firmware with the maker's software",
@@ -188,19 +188,22 @@ _PAUSE_CURES: Final = {
 }
 
 
-def _health(status: Status) -> Iterator[Finding]:
+def _health_findings(status: Status) -> Iterator[Finding]:
     if status.temperature_state == "shut down":
-        text = f"overheated{_warmest(status)} and has stopped its pings: put it under water"
+        text = f"overheated{_max_temperature(status)} and has stopped its pings: put it under water"
         yield _finding("overheated", "error", status, text)
     elif status.temperature_state == "high":
-        text = f"hot{_warmest(status)} and pings at a lower rate: put it under water or in standby"
+        text = (
+            f"hot{_max_temperature(status)} and pings at a lower rate: "
+            "put it under water or in standby"
+        )
         yield _finding("hot", "warning", status, text)
     if status.transmitter_failed:
         text = "its transmit circuit has failed: pictures will be dark, the maker must repair it"
         yield _finding("transmitter_failed", "error", status, text)
 
 
-def _held(status: Status, own_addresses: frozenset[IPv4Address]) -> Finding:
+def _in_use_finding(status: Status, own_addresses: frozenset[IPv4Address]) -> Finding:
     client = status.client_address
     if client is None:
         who = "a client that it does not name"
@@ -217,12 +220,12 @@ def _finding(code: str, severity: Severity, status: Status, text: str) -> Findin
     return Finding(code, severity, f"{name}: {text}")
 
 
-def _warmest(status: Status) -> str:
+def _max_temperature(status: Status) -> str:
     known = [temperature for temperature in status.temperatures_c if temperature is not None]
     return f" ({max(known):.1f} °C inside)" if known else ""
 
 
-def _example(status: Status) -> str:
+def _example_address(status: Status) -> str:
     """Return another address of the sonar's subnet, as a hint, where its mask leaves one."""
     try:
         network = IPv4Network((int(status.address), str(status.netmask)), strict=False)
@@ -235,5 +238,5 @@ def _example(status: Status) -> str:
     return ""
 
 
-def _words(error: OSError) -> str:
+def _error_text(error: OSError) -> str:
     return error.strerror or str(error) or type(error).__name__

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 from weakref import WeakSet
 
 from oculus_driver.discovery.diagnosis import bind_finding, status_findings
-from oculus_driver.discovery.state import Sighting, SonarKey, SonarWatch
+from oculus_driver.discovery.state import DiscoveredSonar, DiscoveryState, SonarKey
 from oculus_driver.errors import DiscoveryError
 from oculus_driver.wire import STATUS_PORT, TCP_PORT
 
@@ -57,15 +57,15 @@ class Discovery:
         *,
         clock_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        self.watch = SonarWatch()
+        self.state = DiscoveryState()
         self.dropped: Counter[str] = Counter()
         self._port = port
         self._host = host
         self._clock_ns = clock_ns
         self._transport: asyncio.DatagramTransport | None = None
         self._closed: asyncio.Future[None] | None = None
-        self._readers: WeakSet[Sightings] = WeakSet()
-        self._told: dict[SonarKey, frozenset[str]] = {}
+        self._readers: WeakSet[DiscoveryUpdates] = WeakSet()
+        self._reported: dict[SonarKey, frozenset[str]] = {}
 
     @property
     def port(self) -> int:
@@ -106,54 +106,56 @@ class Discovery:
             self._transport = None
             await self._closed
 
-    def present(self) -> list[Sighting]:
+    def present(self) -> list[DiscoveredSonar]:
         """Return the sonars that are there now, in order of their first status."""
-        return self.watch.present(self._clock_ns())
+        return self.state.present(self._clock_ns())
 
-    def sightings(self) -> Sightings:
+    def updates(self) -> DiscoveryUpdates:
         """Return an iterator over statuses as they come, first those of sonars known already.
 
         A reader that is slower than the sonars gets the newest status of each, and no other.
         Every iterator gets all sonars. It ends when the discovery is left.
         """
-        reader = Sightings(self.dropped)
-        for sighting in self.present():
-            reader.offer(sighting)
+        reader = DiscoveryUpdates(self.dropped)
+        for found in self.present():
+            reader.offer(found)
         if self._transport is None:
             reader.finish()
         self._readers.add(reader)
         return reader
 
     def _take(self, datagram: bytes, source_address: str) -> None:
-        sighting = self.watch.feed(datagram, source_address, self._clock_ns())
-        if isinstance(sighting, Sighting):
-            self._tell(sighting)
+        found = self.state.feed(datagram, source_address, self._clock_ns())
+        if isinstance(found, DiscoveredSonar):
+            self._report(found)
             for reader in self._readers:
-                reader.offer(sighting)
+                reader.offer(found)
 
     def _fail(self, error: OSError) -> None:
         self.dropped["socket_error"] += 1
         _LOG.debug("status port %d: %s", self._port, error)
 
-    def _tell(self, sighting: Sighting) -> None:
+    def _report(self, found: DiscoveredSonar) -> None:
         """Log the sonar's appearance and what is new in its condition."""
-        if sighting.count == 1:
-            model, serial = sighting.model.name, sighting.status.device_id
-            _LOG.info("%s, serial number %d, at %s", model, serial, sighting.address)
-            self._told = {key: self._told[key] for key in self.watch.sightings if key in self._told}
-        findings = status_findings(sighting.status)
-        before = self._told.get(sighting.key, frozenset())
-        self._told[sighting.key] = frozenset(finding.code for finding in findings)
+        if found.count == 1:
+            model, serial = found.model.name, found.status.device_id
+            _LOG.info("%s, serial number %d, at %s", model, serial, found.address)
+            self._reported = {
+                key: self._reported[key] for key in self.state.sonars if key in self._reported
+            }
+        findings = status_findings(found.status)
+        before = self._reported.get(found.key, frozenset())
+        self._reported[found.key] = frozenset(finding.code for finding in findings)
         for finding in findings:
             if finding.code not in before and finding.severity != "note":
                 _LOG.warning("%s", finding.text)
 
 
-class Sightings:
+class DiscoveryUpdates:
     """Statuses as they come: the newest of each sonar, in the order in which they were heard."""
 
     def __init__(self, dropped: Counter[str]) -> None:
-        self._waiting: dict[SonarKey, Sighting] = {}
+        self._waiting: dict[SonarKey, DiscoveredSonar] = {}
         self._dropped = dropped
         self._wake = asyncio.Event()
         self._finished = False
@@ -161,7 +163,7 @@ class Sightings:
     def __aiter__(self) -> Self:
         return self
 
-    async def __anext__(self) -> Sighting:
+    async def __anext__(self) -> DiscoveredSonar:
         while not self._waiting:
             if self._finished:
                 raise StopAsyncIteration
@@ -169,11 +171,11 @@ class Sightings:
             await self._wake.wait()
         return self._waiting.pop(next(iter(self._waiting)))
 
-    def offer(self, sighting: Sighting) -> None:
-        """Keep a sighting for the reader, in place of an older one of the same sonar."""
-        if self._waiting.pop(sighting.key, None) is not None:
+    def offer(self, found: DiscoveredSonar) -> None:
+        """Keep a sonar for the reader, in place of an older one of the same sonar."""
+        if self._waiting.pop(found.key, None) is not None:
             self._dropped["superseded"] += 1
-        self._waiting[sighting.key] = sighting
+        self._waiting[found.key] = found
         self._wake.set()
 
     def finish(self) -> None:
@@ -240,7 +242,7 @@ class Announcement(Protocol):
 class AnnouncementSource(Protocol):
     """A source of announcements, such as `Discovery`."""
 
-    def sightings(self) -> AsyncIterator[Announcement]:
+    def updates(self) -> AsyncIterator[Announcement]:
         """Return what is heard, as it is heard."""
         ...
 
@@ -263,16 +265,16 @@ class Search:
         self.status: Status | None = None
         self._serial = serial
         self._discovery = discovery or Discovery
-        self._others: set[int] = set()
+        self._ignored: set[int] = set()
         self._task: asyncio.Task[None] | None = None
 
     def start(
         self,
-        on_sighted: Callable[[Announcement], None],
+        on_found: Callable[[Announcement], None],
         on_failure: Callable[[BaseException], None],
     ) -> None:
         """Begin; what goes wrong is given to `on_failure`."""
-        self._task = asyncio.create_task(self._listen(on_sighted, on_failure))
+        self._task = asyncio.create_task(self._listen(on_found, on_failure))
 
     async def stop(self) -> None:
         """End the task and wait for it."""
@@ -282,32 +284,32 @@ class Search:
 
     async def _listen(
         self,
-        on_sighted: Callable[[Announcement], None],
+        on_found: Callable[[Announcement], None],
         on_failure: Callable[[BaseException], None],
     ) -> None:
         try:
             async with self._discovery() as discovery:
-                async for sighting in discovery.sightings():
-                    if self._is_ours(sighting):
-                        on_sighted(sighting)
+                async for found in discovery.updates():
+                    if self._is_selected(found):
+                        on_found(found)
         except Exception as error:  # noqa: BLE001 - handed to whoever waits for pings
             on_failure(error)
 
-    def _is_ours(self, sighting: Announcement) -> bool:
-        serial = sighting.status.device_id
+    def _is_selected(self, found: Announcement) -> bool:
+        serial = found.status.device_id
         if self._serial is None:
             self._serial = serial
         if serial == self._serial:
-            self.status = sighting.status
+            self.status = found.status
             return True
-        if serial not in self._others and len(self._others) < _OTHERS_NAMED:
-            self._others.add(serial)
+        if serial not in self._ignored and len(self._ignored) < MAX_OTHERS_LOGGED:
+            self._ignored.add(serial)
             words = "sonar %d at %s is not ours, which is %d: give a serial to choose"
-            _LOG.warning(words, serial, sighting.address, self._serial)
+            _LOG.warning(words, serial, found.address, self._serial)
         return False
 
 
-_OTHERS_NAMED: Final = 16
+MAX_OTHERS_LOGGED: Final = 16
 
 
 def addresses_towards(address: str) -> list[IPv4Address]:

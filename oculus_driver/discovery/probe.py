@@ -7,7 +7,11 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Literal
 
-from oculus_driver.discovery.diagnosis import connection_finding, sighting_findings, silence_finding
+from oculus_driver.discovery.diagnosis import (
+    connection_finding,
+    discovery_findings,
+    silence_finding,
+)
 from oculus_driver.discovery.listener import ANY_HOST, Discovery, addresses_towards
 from oculus_driver.errors import DiscoveryError
 from oculus_driver.ping import Ping, PingSequence, decode_ping
@@ -19,7 +23,7 @@ if TYPE_CHECKING:
     from ipaddress import IPv4Address
 
     from oculus_driver.discovery.diagnosis import Finding
-    from oculus_driver.discovery.state import Sighting
+    from oculus_driver.discovery.state import DiscoveredSonar
     from oculus_driver.stream import Message
 
 
@@ -28,7 +32,7 @@ Verdict = Literal["ok", "doubtful", "failed", "not tested"]
 LAYERS: Final = ("address", "port", "bytes", "frames", "pings")
 
 _UNREACHABLE: Final = ("wrong_subnet",)
-_TAKEN: Final = ("held",)
+_IN_USE: Final = ("held",)
 _NO_PINGS: Final = ("boot_loader", "booting", "overheated", "transmitter_failed")
 
 
@@ -42,15 +46,15 @@ class Layer:
 
 
 @dataclass(slots=True)
-class Evidence:
+class ProbeResult:
     """What was seen of one sonar.
 
     Attributes:
         address: of the sonar, None where none is known.
-        sighting: its status before we connected, None where none was heard.
+        sonar: its status before we connected, None where none was heard.
         own_addresses: of this host, towards the sonar.
         status_port, port: that were used.
-        listening_fault: why statuses could not be listened for, or None.
+        listen_error: why statuses could not be listened for, or None.
         connect_error: why the connection failed, None where it stands or was not tried.
         connected: whether it stood.
         ended: whether the sonar ended it.
@@ -63,11 +67,11 @@ class Evidence:
     """
 
     address: str | None = None
-    sighting: Sighting | None = None
+    sonar: DiscoveredSonar | None = None
     own_addresses: tuple[IPv4Address, ...] = ()
     status_port: int = 0
     port: int = TCP_PORT
-    listening_fault: str | None = None
+    listen_error: str | None = None
     connect_error: OSError | None = None
     connected: bool = False
     ended: bool = False
@@ -83,19 +87,19 @@ class Evidence:
     @property
     def findings(self) -> list[Finding]:
         """What the sonar's status says, the worst first."""
-        if self.sighting is None:
+        if self.sonar is None:
             return []
-        return sighting_findings(self.sighting, self.own_addresses)
+        return discovery_findings(self.sonar, self.own_addresses)
 
 
-def judge(evidence: Evidence) -> list[Layer]:
+def evaluate(result: ProbeResult) -> list[Layer]:
     """Return all five layers; those behind the first that fails are not tested."""
     layers: list[Layer] = []
     for name, look in zip(LAYERS, (_address, _port, _bytes, _frames, _pings), strict=True):
         if any(layer.verdict == "failed" for layer in layers):
             layers.append(Layer(name, "not tested", f"needs {layers[-1].name}"))
         else:
-            layers.append(Layer(name, *look(evidence)))
+            layers.append(Layer(name, *look(result)))
     return layers
 
 
@@ -104,97 +108,97 @@ def first_failure(layers: list[Layer]) -> Layer | None:
     return next((layer for layer in layers if layer.verdict == "failed"), None)
 
 
-def _finding(evidence: Evidence, codes: tuple[str, ...]) -> str | None:
-    return next((one.text for one in evidence.findings if one.code in codes), None)
+def _finding(result: ProbeResult, codes: tuple[str, ...]) -> str | None:
+    return next((one.text for one in result.findings if one.code in codes), None)
 
 
-def _address(evidence: Evidence) -> tuple[Verdict, str]:
-    if evidence.address is None:
-        return "failed", evidence.listening_fault or silence_finding(evidence.status_port).text
-    astray = _finding(evidence, _UNREACHABLE)
-    if astray is not None and not evidence.connected:
-        return "failed", astray
-    if evidence.sighting is None:
-        why = evidence.listening_fault or f"no status on UDP port {evidence.status_port}"
-        return "doubtful", f"{evidence.address} as given; {why}"
-    status = evidence.sighting.status
+def _address(result: ProbeResult) -> tuple[Verdict, str]:
+    if result.address is None:
+        return "failed", result.listen_error or silence_finding(result.status_port).text
+    unreachable = _finding(result, _UNREACHABLE)
+    if unreachable is not None and not result.connected:
+        return "failed", unreachable
+    if result.sonar is None:
+        why = result.listen_error or f"no status on UDP port {result.status_port}"
+        return "doubtful", f"{result.address} as given; {why}"
+    status = result.sonar.status
     who = f"{status.model.name}, serial number {status.device_id}, {status.master_state}"
-    return "ok", f"{evidence.address}: {who}"
+    return "ok", f"{result.address}: {who}"
 
 
-def _port(evidence: Evidence) -> tuple[Verdict, str]:
-    where = f"TCP port {evidence.port} of {evidence.address}"
-    if evidence.connected:
+def _port(result: ProbeResult) -> tuple[Verdict, str]:
+    where = f"TCP port {result.port} of {result.address}"
+    if result.connected:
         return "ok", f"{where} takes the connection"
-    taken = _finding(evidence, _TAKEN)
-    if taken is not None:
-        return "failed", taken
-    if evidence.connect_error is None:
+    in_use = _finding(result, _IN_USE)
+    if in_use is not None:
+        return "failed", in_use
+    if result.connect_error is None:
         return "failed", f"{where} was not tried"
-    finding = connection_finding(evidence.connect_error, str(evidence.address), evidence.port)
+    finding = connection_finding(result.connect_error, str(result.address), result.port)
     return "failed", finding.text
 
 
-def _bytes(evidence: Evidence) -> tuple[Verdict, str]:
-    if evidence.bytes_received:
-        return "ok", f"{evidence.bytes_received} bytes in {evidence.listened_s:.1f} s"
-    taken = _finding(evidence, _TAKEN)
-    if evidence.ended:
-        why = taken or "another client holds the sonar; close it"
+def _bytes(result: ProbeResult) -> tuple[Verdict, str]:
+    if result.bytes_received:
+        return "ok", f"{result.bytes_received} bytes in {result.listened_s:.1f} s"
+    in_use = _finding(result, _IN_USE)
+    if result.ended:
+        why = in_use or "another client holds the sonar; close it"
         return "failed", f"the connection is closed at once: {why}"
     reason = (
-        taken
-        or _finding(evidence, _NO_PINGS)
+        in_use
+        or _finding(result, _NO_PINGS)
         or (
             "another client may hold the sonar, or it hangs: close other programs, then switch its "
             "power off for ten seconds"
         )
     )
-    return "failed", f"connected, and nothing comes for {evidence.listened_s:.1f} s: {reason}"
+    return "failed", f"connected, and nothing comes for {result.listened_s:.1f} s: {reason}"
 
 
-def _frames(evidence: Evidence) -> tuple[Verdict, str]:
-    total, rejected = evidence.bytes_received, evidence.bytes_rejected
-    if not evidence.messages:
-        if total - rejected > 0 and not evidence.ended:
-            text = f"no whole message in {evidence.listened_s:.1f} s: a slow link? Wait longer"
+def _frames(result: ProbeResult) -> tuple[Verdict, str]:
+    total, rejected = result.bytes_received, result.bytes_rejected
+    if not result.messages:
+        if total - rejected > 0 and not result.ended:
+            text = f"no whole message in {result.listened_s:.1f} s: a slow link? Wait longer"
             return "doubtful", text
-        text = f"{total} bytes hold no message of an Oculus sonar: is {evidence.address} one?"
+        text = f"{total} bytes hold no message of an Oculus sonar: is {result.address} one?"
         return "failed", text
-    count = evidence.messages.total()
+    count = result.messages.total()
     if rejected:
         text = f"{count} messages; {rejected} of {total} bytes belong to none: check the cable"
         return "doubtful", text
     return "ok", f"{count} messages, no byte lost"
 
 
-def _pings(evidence: Evidence) -> tuple[Verdict, str]:
-    rejects = ", ".join(f"{reason} {count}" for reason, count in evidence.ping_rejects.items())
-    if evidence.pings:
-        text = f"{evidence.pings} pings"
-        if not rejects and not evidence.lost_pings:
+def _pings(result: ProbeResult) -> tuple[Verdict, str]:
+    rejects = ", ".join(f"{reason} {count}" for reason, count in result.ping_rejects.items())
+    if result.pings:
+        text = f"{result.pings} pings"
+        if not rejects and not result.lost_pings:
             return "ok", text
-        return "doubtful", f"{text}; refused: {rejects or 'none'}; lost: {evidence.lost_pings}"
+        return "doubtful", f"{text}; refused: {rejects or 'none'}; lost: {result.lost_pings}"
     if rejects:
         text = f"pings come and none can be used ({rejects}): record them with `oculus log`"
         return "failed", f"{text} and send us the file"
-    reason = _finding(evidence, _NO_PINGS)
+    reason = _finding(result, _NO_PINGS)
     if reason is not None:
         return "failed", reason
-    if not evidence.asked_for_pings:
-        standby = evidence.messages[MessageId.DUMMY] > 0
+    if not result.asked_for_pings:
+        standby = result.messages[MessageId.DUMMY] > 0
         state = "the sonar is in standby" if standby else "no ping came by itself"
         return "not tested", f"{state}: put it under water and use --ping"
     return "failed", "asked for pings, and none came: try --version 1, then look at its supply"
 
 
 _CONNECT_S: Final = 3.0
-_LARGEST_READ: Final = 1 << 16
+_MAX_READ: Final = 1 << 16
 _KEEP_ALIVE_S: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Examination:
+class ProbeOptions:
     """How to look.
 
     Attributes:
@@ -215,105 +219,110 @@ class Examination:
     listen: str = ANY_HOST
 
 
-async def examine(how: Examination) -> Evidence:
+async def probe(options: ProbeOptions) -> ProbeResult:
     """Listen for the sonar, connect to it, and take what comes for a while."""
-    evidence = Evidence(how.host, status_port=how.status_port, port=how.port)
-    await _listen(how, evidence)
-    if evidence.address is None:
-        return evidence
-    evidence.own_addresses = tuple(addresses_towards(evidence.address))
+    result = ProbeResult(options.host, status_port=options.status_port, port=options.port)
+    await _listen(options, result)
+    if result.address is None:
+        return result
+    result.own_addresses = tuple(addresses_towards(result.address))
     try:
         async with asyncio.timeout(_CONNECT_S):
-            reader, writer = await asyncio.open_connection(evidence.address, how.port)
+            reader, writer = await asyncio.open_connection(result.address, options.port)
     except OSError as error:
-        evidence.connect_error = error
-        return evidence
-    evidence.connected = True
+        result.connect_error = error
+        return result
+    result.connected = True
     try:
-        await _converse(how, evidence, reader, writer)
+        await _exchange(options, result, reader, writer)
     except ConnectionError:
-        evidence.ended = True
+        result.ended = True
     finally:
         writer.close()
-    return evidence
+    return result
 
 
-async def _listen(how: Examination, evidence: Evidence) -> None:
+async def _listen(options: ProbeOptions, result: ProbeResult) -> None:
     """Wait for a status of the sonar that is meant."""
     try:
-        async with asyncio.timeout(how.seconds), Discovery(how.status_port, how.listen) as ears:
-            async for sighting in ears.sightings():
-                if how.host in (None, sighting.address):
-                    evidence.address = sighting.address
-                    evidence.sighting = sighting
+        async with (
+            asyncio.timeout(options.seconds),
+            Discovery(options.status_port, options.listen) as ears,
+        ):
+            async for sonar in ears.updates():
+                if options.host in (None, sonar.address):
+                    result.address = sonar.address
+                    result.sonar = sonar
                     return
     except DiscoveryError as error:
-        evidence.listening_fault = str(error)
+        result.listen_error = str(error)
     except TimeoutError:
         pass
 
 
-async def _converse(
-    how: Examination,
-    evidence: Evidence,
+async def _exchange(
+    options: ProbeOptions,
+    result: ProbeResult,
     reader: asyncio.StreamReader,
     writer: asyncio.StreamWriter,
 ) -> None:
     """Take what comes, and keep asking for pings or, where nothing comes, for a sign of life."""
-    quiet = FireSettings(ping_rate=PingRate.STANDBY).encode(how.version)
-    asked = FireSettings(ping_rate=PingRate.LOWEST).encode(how.version) if how.ping else quiet
-    evidence.asked_for_pings = how.ping
-    listener = _Listener(evidence)
+    quiet = FireSettings(ping_rate=PingRate.STANDBY).encode(options.version)
+    asked = (
+        FireSettings(ping_rate=PingRate.LOWEST).encode(options.version) if options.ping else quiet
+    )
+    result.asked_for_pings = options.ping
+    counter = _StreamCounter(result)
     loop = asyncio.get_running_loop()
     began_s = asked_s = loop.time()
-    if how.ping:
+    if options.ping:
         writer.write(asked)
-    while (now_s := loop.time()) < began_s + how.seconds and not evidence.ended:
-        if now_s >= asked_s + _KEEP_ALIVE_S and (how.ping or not evidence.bytes_received):
+    while (now_s := loop.time()) < began_s + options.seconds and not result.ended:
+        if now_s >= asked_s + _KEEP_ALIVE_S and (options.ping or not result.bytes_received):
             writer.write(asked)
             asked_s = now_s
-        data = await _next(reader, min(_KEEP_ALIVE_S, began_s + how.seconds - now_s))
+        data = await _read(reader, min(_KEEP_ALIVE_S, began_s + options.seconds - now_s))
         if data is not None:
-            evidence.ended = not data
-            listener.feed(data)
-    evidence.listened_s = loop.time() - began_s
-    if how.ping and not evidence.ended:
+            result.ended = not data
+            counter.feed(data)
+    result.listened_s = loop.time() - began_s
+    if options.ping and not result.ended:
         writer.write(quiet)
-        await _until_quiet(reader, listener)
-    listener.finish()
+        await _read_until_standby(reader, counter)
+    counter.finish()
 
 
-async def _until_quiet(reader: asyncio.StreamReader, listener: _Listener) -> None:
+async def _read_until_standby(reader: asyncio.StreamReader, counter: _StreamCounter) -> None:
     """Read on until the sonar is in standby; to close before that could lose the request."""
     loop = asyncio.get_running_loop()
     end_s = loop.time() + _KEEP_ALIVE_S
-    before = listener.signs_of_life
-    while listener.signs_of_life == before and (left_s := end_s - loop.time()) > 0.0:
-        data = await _next(reader, left_s)
+    before = counter.dummies
+    while counter.dummies == before and (left_s := end_s - loop.time()) > 0.0:
+        data = await _read(reader, left_s)
         if not data:
             break
-        listener.feed(data)
+        counter.feed(data)
 
 
-async def _next(reader: asyncio.StreamReader, limit_s: float) -> bytes | None:
+async def _read(reader: asyncio.StreamReader, limit_s: float) -> bytes | None:
     """Return the next bytes, none at the end of the stream, None where none come in time."""
     try:
         async with asyncio.timeout(limit_s):
-            return await reader.read(_LARGEST_READ)
+            return await reader.read(_MAX_READ)
     except TimeoutError:
         return None
 
 
-class _Listener:
+class _StreamCounter:
     """Counts what a stream holds."""
 
-    def __init__(self, evidence: Evidence) -> None:
-        self._evidence = evidence
+    def __init__(self, result: ProbeResult) -> None:
+        self._evidence = result
         self._parser = StreamParser()
         self._sequence = PingSequence()
 
     @property
-    def signs_of_life(self) -> int:
+    def dummies(self) -> int:
         """Dummies so far."""
         return self._parser.counters.messages[MessageId.DUMMY]
 

@@ -1,4 +1,4 @@
-"""Which sonars are there: status datagrams in, one `Sighting` per sonar out. No sockets, no clock.
+"""Which sonars are present: status datagrams in, one `DiscoveredSonar` per sonar out. Pure.
 
 A sonar says who it is about once a second, to whoever listens, even from another subnet.
 """
@@ -38,7 +38,7 @@ SonarKey = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Sighting:
+class DiscoveredSonar:
     """A sonar as it was last heard.
 
     Attributes:
@@ -79,7 +79,7 @@ class Sighting:
         exact = (self.address, str(self.status.device_id))
         return wanted in exact or wanted.casefold() in (name.casefold() for name in names)
 
-    def facts(self) -> dict[str, Any]:
+    def snapshot(self) -> dict[str, Any]:
         """Return all that the status says, as JSON knows it; None = not available."""
         status = self.status
         return {
@@ -113,7 +113,7 @@ def version_text(raw: int) -> str:
     return f"{raw >> 24 & 0xFF}.{raw >> 16 & 0xFF}.{raw & 0xFFFF}"
 
 
-class SonarWatch:
+class DiscoveryState:
     """Keeps the newest status of every sonar heard. Total: any datagram is taken.
 
     Memory is bounded by `max_sonars`: while that many are there, others are refused.
@@ -127,22 +127,22 @@ class SonarWatch:
         self.statuses = 0
         self.rejects: Counter[str] = Counter()
         self._max_sonars = max_sonars
-        self._sightings: dict[SonarKey, Sighting] = {}
+        self._sonars: dict[SonarKey, DiscoveredSonar] = {}
 
     @property
-    def sightings(self) -> Mapping[SonarKey, Sighting]:
+    def sonars(self) -> Mapping[SonarKey, DiscoveredSonar]:
         """Every sonar that is remembered, also those that are gone."""
-        return self._sightings
+        return self._sonars
 
-    def present(self, now_ns: int) -> list[Sighting]:
+    def present(self, now_ns: int) -> list[DiscoveredSonar]:
         """Return the sonars that are not gone, in order of their first status."""
-        there = (seen for seen in self._sightings.values() if not seen.gone(now_ns))
+        there = (seen for seen in self._sonars.values() if not seen.gone(now_ns))
         return sorted(there, key=lambda seen: seen.first_seen_ns)
 
     def feed(
         self, datagram: bytes, source_address: str | None, arrival_ns: int
-    ) -> Sighting | Reject:
-        """Take a datagram of the status port and return the sonar's new sighting.
+    ) -> DiscoveredSonar | Reject:
+        """Take a datagram of the status port and return the sonar's new sonar.
 
         Args:
             datagram: of any size and content.
@@ -150,47 +150,47 @@ class SonarWatch:
             arrival_ns: when, on the host's monotonic clock.
 
         Returns:
-            The sighting, or the reason why there is no news in the datagram.
+            The sonar, or the reason why there is no news in the datagram.
         """
         status = decode_status(datagram)
         if isinstance(status, Reject):
             return self._refuse(status)
         key = status.model.part_number, status.device_id
-        before = self._sightings.get(key)
+        before = self._sonars.get(key)
         if before is not None and _is_copy(before, status, arrival_ns):
             return self._refuse(Reject("duplicate", f"status of {status.device_id} again", 0))
         if before is None and not self._has_room(arrival_ns):
             detail = f"{self._max_sonars} sonars are there already"
             return self._refuse(Reject("too_many_sonars", detail, 0))
         self.statuses += 1
-        seen = _sighting(status, source_address, arrival_ns)
+        seen = _discovered(status, source_address, arrival_ns)
         if before is not None and not before.gone(arrival_ns):
             seen = replace(seen, first_seen_ns=before.first_seen_ns, count=before.count + 1)
-        self._sightings[key] = seen
+        self._sonars[key] = seen
         return seen
 
     def _has_room(self, now_ns: int) -> bool:
-        if len(self._sightings) < self._max_sonars:
+        if len(self._sonars) < self._max_sonars:
             return True
-        for key in [key for key, seen in self._sightings.items() if seen.gone(now_ns)]:
-            del self._sightings[key]
-        return len(self._sightings) < self._max_sonars
+        for key in [key for key, seen in self._sonars.items() if seen.gone(now_ns)]:
+            del self._sonars[key]
+        return len(self._sonars) < self._max_sonars
 
     def _refuse(self, reject: Reject) -> Reject:
         self.rejects[reject.reason] += 1
         return reject
 
 
-def _is_copy(before: Sighting, status: Status, arrival_ns: int) -> bool:
+def _is_copy(before: DiscoveredSonar, status: Status, arrival_ns: int) -> bool:
     return status == before.status and arrival_ns - before.last_seen_ns <= DUPLICATE_NS
 
 
-def _sighting(status: Status, source_address: str | None, arrival_ns: int) -> Sighting:
+def _discovered(status: Status, source_address: str | None, arrival_ns: int) -> DiscoveredSonar:
     address = str(status.address)
-    if source_address is not None and not _is_a_host(status.address):
+    if source_address is not None and not _is_host_address(status.address):
         address = source_address
-    return Sighting(address, status, status.model, arrival_ns, arrival_ns, 1, source_address)
+    return DiscoveredSonar(address, status, status.model, arrival_ns, arrival_ns, 1, source_address)
 
 
-def _is_a_host(address: IPv4Address) -> bool:
+def _is_host_address(address: IPv4Address) -> bool:
     return not (address.is_unspecified or address.is_multicast or address.is_reserved)

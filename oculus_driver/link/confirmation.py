@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from oculus_driver.ping import Ping
     from oculus_driver.settings import FireSettings
 
-CONFIRM_NS: Final = 8_000_000_000
+CONFIRM_TIMEOUT_NS: Final = 8_000_000_000
 """Speed of sound and salinity may take 6 s and more to show; the rest shows sooner."""
 
 _DECISIVE_FLAGS: Final = {
@@ -21,10 +21,10 @@ _DECISIVE_FLAGS: Final = {
     "16-bit flag": FireFlags.SIXTEEN_BIT,
     "512-beam flag": FireFlags.FULL_BEAMS,
 }
-_RANGE_ROUNDING_M: Final = 1e-3
-_GAIN_ROUNDING: Final = 0.1
-_SPEED_ROUNDING_MPS: Final = 0.5
-_SALINITY_ROUNDING_PPT: Final = 1e-3
+_RANGE_TOLERANCE_M: Final = 1e-3
+_GAIN_TOLERANCE: Final = 0.1
+_SPEED_TOLERANCE_MPS: Final = 0.5
+_SALINITY_TOLERANCE_PPT: Final = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,12 +75,12 @@ def differences(settings: FireSettings, ping: Ping) -> tuple[Difference, ...]:
     """
     return tuple(
         Difference(name, asked, shown, decisive)
-        for name, asked, shown, rounding, decisive in _compared(settings, ping)
-        if not abs(asked - shown) <= rounding
+        for name, asked, shown, tolerance, decisive in _comparisons(settings, ping)
+        if not abs(asked - shown) <= tolerance
     )
 
 
-def _compared(
+def _comparisons(
     settings: FireSettings, ping: Ping
 ) -> Iterator[tuple[str, float, float, float, bool]]:
     """Yield name, what was asked, what is shown, how far they may be apart, and if decisive."""
@@ -89,32 +89,32 @@ def _compared(
     for name, flag in _DECISIVE_FLAGS.items():
         yield name, bool(settings.flags & flag), bool(ping.flags & flag), 0.0, True
     if settings.range_m is not None and ping.range_setting_m is not None:
-        yield "range, m", settings.range_m, ping.range_setting_m, _RANGE_ROUNDING_M, True
+        yield "range, m", settings.range_m, ping.range_setting_m, _RANGE_TOLERANCE_M, True
     yield "beams", settings.beams, ping.beams, 0.0, False
     yield "bits per sample", settings.bits_per_sample, ping.bits_per_sample, 0.0, False
     yield "gain words", settings.gain_words, ping.gains is not None, 0.0, False
-    yield "gain, percent", _gain_percent(settings, ping), ping.gain_percent, _GAIN_ROUNDING, False
-    yield "salinity, ppt", settings.salinity_ppt, ping.salinity_ppt, _SALINITY_ROUNDING_PPT, False
+    yield "gain, percent", _gain_percent(settings, ping), ping.gain_percent, _GAIN_TOLERANCE, False
+    yield "salinity, ppt", settings.salinity_ppt, ping.salinity_ppt, _SALINITY_TOLERANCE_PPT, False
     if settings.speed_of_sound_mps is not None:
         asked, shown = settings.speed_of_sound_mps, ping.speed_of_sound_mps
-        yield "speed of sound, m/s", asked, shown, _SPEED_ROUNDING_MPS, False
+        yield "speed of sound, m/s", asked, shown, _SPEED_TOLERANCE_MPS, False
 
 
 def _gain_percent(settings: FireSettings, ping: Ping) -> float:
     """Return the gain to expect: older firmware maps it to 40 to 100 % in mode 2."""
     mapped = 40.0 + 0.6 * settings.gain_percent
-    older = settings.mode == 2 and abs(ping.gain_percent - mapped) <= _GAIN_ROUNDING  # noqa: PLR2004 - the mode's own number
+    older = settings.mode == 2 and abs(ping.gain_percent - mapped) <= _GAIN_TOLERANCE  # noqa: PLR2004 - the mode's own number
     return mapped if older else settings.gain_percent
 
 
-class ConfirmationWatch:
+class PendingConfirmation:
     """Looks at pings until they show settings in force, or time is up.
 
     Args:
         settings: that were asked for; the report compares with these.
         asked_ns: when, host monotonic.
         sent: what was sent for them, where that is not the same.
-        patience_ns: how long to wait. Standby is confirmed by a sign that the sonar is quiet.
+        timeout_ns: how long to wait. Standby is confirmed by a sign that the sonar is quiet.
     """
 
     def __init__(
@@ -122,14 +122,14 @@ class ConfirmationWatch:
         settings: FireSettings,
         asked_ns: int,
         sent: FireSettings | None = None,
-        patience_ns: int = CONFIRM_NS,
+        timeout_ns: int = CONFIRM_TIMEOUT_NS,
     ) -> None:
         self._settings = settings
         self._sent = sent or settings
         self._asked_ns = asked_ns
         self._pings = 0
         self._last: tuple[Difference, ...] = ()
-        self.deadline_ns = asked_ns + patience_ns
+        self.deadline_ns = asked_ns + timeout_ns
 
     def ping(self, ping: Ping, now_ns: int) -> Confirmation | None:
         """Take a ping; return the answer if it gives one."""

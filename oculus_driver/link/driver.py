@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from oculus_driver.link.machine import Link
-    from oculus_driver.link.receiver import Received
+    from oculus_driver.link.receiver import ReceivedMessage
     from oculus_driver.link.state import LinkStatus
 
 
 RECEIVE_BUFFER: Final = 2 * MIB
-_MOST_UNSENT_BYTES: Final = 4096
+_MAX_UNSENT_BYTES: Final = 4096
 
 _ADVICE: Final = {
     errno.ECONNREFUSED: "refused: another client may hold the sonar, or this is no sonar",
@@ -40,7 +40,7 @@ _ADVICE: Final = {
 }
 
 
-def reason_of(error: BaseException | None) -> str:
+def describe_error(error: BaseException | None) -> str:
     """Return why a connection ended, None being the sonar's own regular end."""
     if error is None:
         return "connection closed by the sonar"
@@ -55,32 +55,32 @@ class Connection(asyncio.Protocol):
     runs before bytes that came in time.
 
     Args:
-        on_made: called with the connection when it stands.
+        on_connected: called with the connection when it is open.
         on_data: called with the bytes of each read.
         on_lost: called with the reason when it ended without our doing.
     """
 
     def __init__(
         self,
-        on_made: Callable[[Connection], None],
+        on_connected: Callable[[Connection], None],
         on_data: Callable[[bytes], None],
         on_lost: Callable[[str], None],
     ) -> None:
-        self._on_made = on_made
+        self._on_connected = on_connected
         self._on_data = on_data
         self._on_lost = on_lost
         self._transport: asyncio.Transport | None = None
         self._dropped = False
-        self._deaf = False
+        self._unresponsive = False
         self.closed = asyncio.get_running_loop().create_future()
 
     @property
-    def stands(self) -> bool:
+    def is_open(self) -> bool:
         """Whether it was made and has not ended."""
         return self._transport is not None and not self._dropped
 
     @property
-    def own_address(self) -> str | None:
+    def local_address(self) -> str | None:
         """This host's address on the connection."""
         name = None if self._transport is None else self._transport.get_extra_info("sockname")
         return str(name[0]) if name else None
@@ -90,8 +90,8 @@ class Connection(asyncio.Protocol):
         if self._transport is None or self._transport.is_closing():
             return
         self._transport.write(data)
-        if self._transport.get_write_buffer_size() > _MOST_UNSENT_BYTES:
-            self._deaf = True
+        if self._transport.get_write_buffer_size() > _MAX_UNSENT_BYTES:
+            self._unresponsive = True
             self._transport.abort()
 
     def drop(self) -> None:
@@ -108,7 +108,7 @@ class Connection(asyncio.Protocol):
         if self._dropped:
             self._transport.abort()
         else:
-            self._on_made(self)
+            self._on_connected(self)
 
     def data_received(self, data: bytes) -> None:
         """Hand bytes on, from the event loop."""
@@ -119,7 +119,9 @@ class Connection(asyncio.Protocol):
         self._close()
         if not self._dropped:
             self._dropped = True
-            self._on_lost("the sonar takes no more commands" if self._deaf else reason_of(exc))
+            self._on_lost(
+                "the sonar takes no more commands" if self._unresponsive else describe_error(exc)
+            )
 
     def _close(self) -> None:
         if not self.closed.done():
@@ -130,7 +132,7 @@ async def open_connection(connection: Connection, address: str, port: int) -> No
     """Connect to a sonar's data port.
 
     Raises:
-        OSError: it cannot be reached; `reason_of` tells why in words.
+        OSError: it cannot be reached; `describe_error` tells why in words.
     """
     loop = asyncio.get_running_loop()
     endpoint = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -184,7 +186,7 @@ class LinkDriver:
         port: int,
         clock: Callable[[], int],
         on_bytes: Callable[[bytes, int], None] | None,
-        on_received: Callable[[Received, int], None],
+        on_received: Callable[[ReceivedMessage, int], None],
         on_status: Callable[[LinkStatus], None],
         on_failure: Callable[[BaseException], None],
     ) -> None:
@@ -200,26 +202,26 @@ class LinkDriver:
         self._connection: Connection | None = None
         self._attempt: asyncio.Task[None] | None = None
         self._timer: asyncio.TimerHandle | None = None
-        self._told: tuple[LinkState, str] | None = None
+        self._reported: tuple[LinkState, str] | None = None
         self._connections = 0
         self._losses = 0
         self._sent = 0
 
     @property
     def is_connected(self) -> bool:
-        """Whether a connection stands."""
-        return self._connection is not None and self._connection.stands
+        """Whether a connection is open."""
+        return self._connection is not None and self._connection.is_open
 
     @property
     def connection_closed(self) -> asyncio.Future[None]:
-        """Done when the connection that stands has ended."""
+        """Done when the connection that is open has ended."""
         if self._connection is None:
             done: asyncio.Future[None] = asyncio.get_running_loop().create_future()
             done.set_result(None)
             return done
         return self._connection.closed
 
-    def counted(self, *, taken: int, dropped: int, queued: int) -> SonarCounters:
+    def counters(self, *, taken: int, dropped: int, queued: int) -> SonarCounters:
         """Return all counts, with those of the queue that the pings went to."""
         stream, sequence = self._receiver.stream, self._receiver.sequence
         return SonarCounters(
@@ -251,11 +253,11 @@ class LinkDriver:
         try:
             for action in actions:
                 self._do_one(action)
-            self._tell()
+            self._report()
         except Exception as error:  # noqa: BLE001 - a caller's function may raise anything
             self._on_failure(error)
         else:
-            self._arm()
+            self._schedule_check()
 
     def fail(self, error: BaseException) -> None:
         """Stop for good."""
@@ -273,12 +275,12 @@ class LinkDriver:
         if connection is not None:
             await connection.closed
         if self.failure is None:
-            self._tell()
+            self._report()
 
     def _do_one(self, action: Action) -> None:
         match action:
             case Connect(address):
-                connection = Connection(self._made, self._data, self._lost)
+                connection = Connection(self._connected, self._data, self._lost)
                 self._connection = connection
                 self._attempt = asyncio.create_task(self._connect(connection, address))
             case Disconnect():
@@ -294,13 +296,13 @@ class LinkDriver:
             await open_connection(connection, address, self._port)
         except OSError as error:
             if connection is self._connection:
-                self._lost(reason_of(error))
+                self._lost(describe_error(error))
         except Exception as error:  # noqa: BLE001 - such as a host name that cannot be one
             self._on_failure(error)
 
-    def _made(self, connection: Connection) -> None:
+    def _connected(self, connection: Connection) -> None:
         self._connections += 1
-        self.do(self.link.connected(self._clock(), connection.own_address))
+        self.do(self.link.connected(self._clock(), connection.local_address))
 
     def _data(self, data: bytes) -> None:
         now_ns = self._clock()
@@ -308,16 +310,16 @@ class LinkDriver:
             if self._on_bytes is not None:
                 self._on_bytes(data, now_ns)
             for received in self._receiver.feed(data, now_ns):
-                self._take(received, now_ns)
+                self._handle(received, now_ns)
         except Exception as error:  # noqa: BLE001 - a caller's function may raise anything
             self._on_failure(error)
             return
-        self._look(now_ns)
+        self._check(now_ns)
 
-    def _take(self, received: Received, now_ns: int) -> None:
-        self.link.heard(received.message_id, now_ns)
+    def _handle(self, received: ReceivedMessage, now_ns: int) -> None:
+        self.link.message_received(received.message_id, now_ns)
         if received.ping is not None:
-            self.link.pinged(now_ns)
+            self.link.ping_received(now_ns)
         self._on_received(received, now_ns)
 
     def _lost(self, reason: str) -> None:
@@ -350,22 +352,22 @@ class LinkDriver:
         except Exception as error:  # noqa: BLE001 - a caller's function may raise anything
             self._on_failure(error)
 
-    def _look(self, now_ns: int) -> None:
+    def _check(self, now_ns: int) -> None:
         """Do what is due, and give up a connection whose bytes make no sense."""
-        trouble = self._receiver.trouble(now_ns) if self.is_connected else None
-        if trouble is not None:
-            self.do(self.link.break_off(trouble, now_ns))
+        fault = self._receiver.fault(now_ns) if self.is_connected else None
+        if fault is not None:
+            self.do(self.link.abort_connection(fault, now_ns))
         else:
             self.do(self.link.tick(now_ns))
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         status = self.link.status
-        if (status.state, status.reason) != self._told:
-            self._told = status.state, status.reason
+        if (status.state, status.reason) != self._reported:
+            self._reported = status.state, status.reason
             self._on_status(status)
 
-    def _arm(self) -> None:
-        """See that `_look` runs at the next deadline; a timer that is early may stand."""
+    def _schedule_check(self) -> None:
+        """See that `_check` runs at the next deadline; a timer that is early may stand."""
         deadlines = [self.link.deadline_ns]
         if self.is_connected:
             deadlines.append(self._receiver.deadline_ns)
@@ -382,4 +384,4 @@ class LinkDriver:
 
     def _due(self) -> None:
         self._timer = None
-        self._look(self._clock())
+        self._check(self._clock())

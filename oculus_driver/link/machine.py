@@ -19,7 +19,7 @@ from oculus_driver.link.state import (
     Disconnect,
     LinkState,
     LinkStatus,
-    LinkTimes,
+    LinkTimeouts,
     Send,
 )
 from oculus_driver.wire import TCP_PORT, MessageId
@@ -46,31 +46,31 @@ class Link:
 
     Args:
         settings: what the sonar is to do.
-        address: where the sonar is, None to wait for its status (`sighted`).
+        address: where the sonar is, None to wait for its status (`discovered`).
         version: of the fire messages, None for 2 with fallback to 1.
         times: how long to wait for what.
-        chance: source of random numbers from 0 to 1, for the pauses between attempts.
+        rng: source of random numbers from 0 to 1, for the pauses between attempts.
     """
 
     def __init__(
         self,
         settings: FireSettings,
         *,
-        chance: Callable[[], float],
+        rng: Callable[[], float],
         address: str | None = None,
         version: int | None = None,
-        times: LinkTimes | None = None,
+        times: LinkTimeouts | None = None,
     ) -> None:
         self._settings = settings
-        self._times = times or LinkTimes()
-        self._chance = chance
-        self._searches = address is None
+        self._times = times or LinkTimeouts()
+        self._rng = rng
+        self._discovers = address is None
         self._target = address  # where the sonar is said to be
         self._address: str | None = None  # where we connect to
         self._holder: str | None = None
-        self._sighted_ns = 0
-        self._own_addresses: set[str] = set()
-        self._asked_version = version
+        self._discovered_ns = 0
+        self._local_addresses: set[str] = set()
+        self._requested_version = version
         self._version = version or _PREFERRED_VERSION
         self._proven = False  # a ping came on this connection: the version is understood
         self._fell_back = False
@@ -81,7 +81,7 @@ class Link:
         self._failures = 0
         self._retry_ns = 0
         self._expected_since_ns: int | None = None  # None: no ping is expected
-        self._heard_ns = 0
+        self._received_ns = 0
         self._dummies = 0  # since the last ping or question
         self._triggered = False  # since the last question
         self._sent_ns: int | None = None
@@ -117,29 +117,29 @@ class Link:
         self._enter(LinkState.SEARCHING, "no status of a sonar heard yet", now_ns)
         return []
 
-    def sighted(self, address: str, now_ns: int, *, holder: str | None = None) -> list[Action]:
+    def discovered(self, address: str, now_ns: int, *, holder: str | None = None) -> list[Action]:
         """Take a status of our sonar: where it is, and which client holds it (None: nobody).
 
         Without effect on the address where that was given.
         """
-        if not self._searches:
+        if not self._discovers:
             return []
-        self._target, self._holder, self._sighted_ns = address, holder, now_ns
+        self._target, self._holder, self._discovered_ns = address, holder, now_ns
         if self._state is LinkState.SEARCHING:
             return self._connect_if_free("its status was heard", now_ns)
         if address == self._address or self._state in (LinkState.CLOSED, LinkState.PINGING):
             return []
         return self._follow(now_ns)
 
-    def connected(self, now_ns: int, own_address: str | None = None) -> list[Action]:
-        """Go on after the connection was made; `own_address` is this host's end of it."""
-        if own_address is not None:
-            self._own_addresses.add(own_address)
-        self._heard_ns = now_ns
+    def connected(self, now_ns: int, local_address: str | None = None) -> list[Action]:
+        """Go on after the connection was made; `local_address` is this host's end of it."""
+        if local_address is not None:
+            self._local_addresses.add(local_address)
+        self._received_ns = now_ns
         self._sent_ns = self._pending = None
         self._proven = self._fell_back = False
         self._enter(LinkState.CONFIGURING, f"connected to {self._address}", now_ns)
-        return self._ask(now_ns)
+        return self._send_settings(now_ns)
 
     def lost(self, reason: str, now_ns: int) -> list[Action]:
         """Take the end of the connection, or of the attempt at one."""
@@ -147,18 +147,18 @@ class Link:
             return []
         self._failures += 1
         if not self._proven:
-            self._version = self._asked_version or _PREFERRED_VERSION
-        self._retry_ns = now_ns + self._times.pause_ns(self._failures, self._chance())
+            self._version = self._requested_version or _PREFERRED_VERSION
+        self._retry_ns = now_ns + self._times.retry_delay_ns(self._failures, self._rng())
         self._enter(LinkState.BACKING_OFF, reason, now_ns)
         return []
 
-    def heard(self, message_id: int, now_ns: int) -> None:
+    def message_received(self, message_id: int, now_ns: int) -> None:
         """Take a whole message of any kind: a sign of life."""
-        self._heard_ns = now_ns
+        self._received_ns = now_ns
         self._failures = 0
         self._dummies += message_id == MessageId.DUMMY
 
-    def pinged(self, now_ns: int) -> None:
+    def ping_received(self, now_ns: int) -> None:
         """Take a good ping, the only thing that makes the link "pinging"."""
         self._proven = True
         self._dummies = 0
@@ -169,14 +169,14 @@ class Link:
     def apply(self, settings: FireSettings, now_ns: int) -> list[Action]:
         """Ask for other settings from now on."""
         self._settings = settings
-        return self._ask(now_ns) if self._state in _CONNECTED else []
+        return self._send_settings(now_ns) if self._state in _CONNECTED else []
 
     def hold(self, reason: str | None, now_ns: int) -> list[Action]:
         """Keep the sonar in standby for a reason, whatever the settings say; None lets go."""
         if reason == self._held:
             return []
         self._held = reason
-        return self._ask(now_ns) if self._state in _CONNECTED else []
+        return self._send_settings(now_ns) if self._state in _CONNECTED else []
 
     @property
     def has_unsent(self) -> bool:
@@ -207,52 +207,52 @@ class Link:
         self._enter(LinkState.CLOSED, reason, now_ns)
         return [Disconnect(reason)] if active else []
 
-    def break_off(self, reason: str, now_ns: int) -> list[Action]:
+    def abort_connection(self, reason: str, now_ns: int) -> list[Action]:
         """Give up this connection, for what was read from it, and come back after a pause."""
         return [Disconnect(reason), *self.lost(reason, now_ns)]
 
     # What is due when.
 
     def _timers(self) -> Iterator[Timer]:
-        yield from self._waiting_timers()
+        yield from self._state_timers()
         if self._state in _CONNECTED and self._sent_ns is not None:
             yield from self._sending_timers(self._sent_ns)
-        if self._searches and self._state in (LinkState.SILENT, LinkState.STANDBY):
-            last_ns = max(self._sighted_ns, self._heard_ns)
+        if self._discovers and self._state in (LinkState.SILENT, LinkState.STANDBY):
+            last_ns = max(self._discovered_ns, self._received_ns)
             if self._state is LinkState.STANDBY:  # it gets the time to answer that question
                 last_ns = max(last_ns, self._since_ns)
-            yield last_ns + self._times.status_gone_ns, self._gone
+            yield last_ns + self._times.status_gone_ns, self._sonar_gone
 
-    def _waiting_timers(self) -> Iterator[Timer]:
+    def _state_timers(self) -> Iterator[Timer]:
         times, expected_since_ns = self._times, self._expected_since_ns
         match self._state:
             case LinkState.CONNECTING:
-                yield self._since_ns + times.connect_ns, self._no_answer
+                yield self._since_ns + times.connect_ns, self._connect_timed_out
             case LinkState.BACKING_OFF:
                 yield self._retry_ns, self._retry
             case LinkState.CONFIGURING if expected_since_ns is not None:
                 yield expected_since_ns + times.fallback_ns + self._period_ns, self._no_first_ping
             case LinkState.PINGING if expected_since_ns is not None:
-                yield expected_since_ns + times.silence_ns + self._period_ns, self._fell_silent
+                yield expected_since_ns + times.silence_ns + self._period_ns, self._pings_stopped
             case LinkState.SILENT:
-                yield self._heard_ns + times.reconnect_ns + self._period_ns, self._hangs
+                yield self._received_ns + times.reconnect_ns + self._period_ns, self._reconnect
             case LinkState.STANDBY if self._dummies:
-                yield self._heard_ns + times.reconnect_ns, self._hangs
+                yield self._received_ns + times.reconnect_ns, self._reconnect
 
     def _sending_timers(self, sent_ns: int) -> Iterator[Timer]:
         if self._pending is not None:
             yield sent_ns + self._times.send_gap_ns, self._send_pending
         elif self._times.keep_alive_ns is not None:
-            yield sent_ns + self._times.keep_alive_ns, self._repeat
+            yield sent_ns + self._times.keep_alive_ns, self._keep_alive
 
     @property
     def _period_ns(self) -> int:
         """How long one ping may take: over a slow network many seconds."""
-        return 0 if self._settings.standby else round(self._settings.longest_period_s * SECOND_NS)
+        return 0 if self._settings.standby else round(self._settings.max_period_s * SECOND_NS)
 
-    def _no_answer(self, now_ns: int) -> list[Action]:
+    def _connect_timed_out(self, now_ns: int) -> list[Action]:
         seconds = self._times.connect_ns / SECOND_NS
-        return self.break_off(
+        return self.abort_connection(
             f"{self._address}:{TCP_PORT} did not answer within {seconds:g} s: check its power, "
             "the cable, and that this host has an address in its subnet",
             now_ns,
@@ -261,15 +261,15 @@ class Link:
     def _retry(self, now_ns: int) -> list[Action]:
         if self._target is None:  # pragma: no cover - backing off needs an address
             return self.start(now_ns)
-        if not self._searches:
+        if not self._discovers:
             return self._connect("trying again", now_ns)
-        if now_ns - self._sighted_ns <= self._times.status_gone_ns:
+        if now_ns - self._discovered_ns <= self._times.status_gone_ns:
             return self._connect_if_free("trying again", now_ns)
-        return self._gone(now_ns)
+        return self._sonar_gone(now_ns)
 
     def _no_first_ping(self, now_ns: int) -> list[Action]:
         seconds = self._times.fallback_ns / SECOND_NS
-        fixed = self._asked_version is not None or self._settings.needs_version_2
+        fixed = self._requested_version is not None or self._settings.needs_version_2
         if self._proven or self._fell_back or fixed:
             reason = f"no ping within {seconds:g} s of fire messages of version {self._version}"
             self._enter(LinkState.SILENT, reason, now_ns)
@@ -280,21 +280,21 @@ class Link:
         self._expected_since_ns = now_ns
         return self._send(self._encoded(self._settings), now_ns)
 
-    def _fell_silent(self, now_ns: int) -> list[Action]:
-        if self._searches and self._target != self._address:
+    def _pings_stopped(self, now_ns: int) -> list[Action]:
+        if self._discovers and self._target != self._address:
             return self._follow(now_ns)
         seconds = (now_ns - (self._expected_since_ns or now_ns)) / SECOND_NS
         why = "the sonar says that it is in standby" if self._dummies else "nothing else either"
         self._enter(LinkState.SILENT, f"no ping for {seconds:.1f} s, {why}", now_ns)
         return []
 
-    def _hangs(self, now_ns: int) -> list[Action]:
-        seconds = (now_ns - self._heard_ns) / SECOND_NS
-        return self.break_off(f"no message from {self._address} for {seconds:.1f} s", now_ns)
+    def _reconnect(self, now_ns: int) -> list[Action]:
+        seconds = (now_ns - self._received_ns) / SECOND_NS
+        return self.abort_connection(f"no message from {self._address} for {seconds:.1f} s", now_ns)
 
-    def _gone(self, now_ns: int) -> list[Action]:
+    def _sonar_gone(self, now_ns: int) -> list[Action]:
         connected = self._state in _CONNECTED
-        seconds = (now_ns - self._sighted_ns) / SECOND_NS
+        seconds = (now_ns - self._discovered_ns) / SECOND_NS
         reason = f"no status from {self._target} for {seconds:.1f} s: is the sonar powered?"
         self._enter(LinkState.SEARCHING, reason, now_ns)
         return [Disconnect(reason)] if connected else []
@@ -305,7 +305,7 @@ class Link:
         self._state, self._since_ns, self._reason = state, now_ns, reason
 
     def _connect_if_free(self, reason: str, now_ns: int) -> list[Action]:
-        if self._holder is None or self._holder in self._own_addresses:
+        if self._holder is None or self._holder in self._local_addresses:
             return self._connect(reason, now_ns)
         held = (
             f"the sonar at {self._target} is held by {self._holder}: it serves one client at a "
@@ -328,33 +328,33 @@ class Link:
         dropped: list[Action] = [] if waits else [Disconnect(reason)]
         return dropped + self._connect_if_free(reason, now_ns)
 
-    def _ask(self, now_ns: int) -> list[Action]:
+    def _send_settings(self, now_ns: int) -> list[Action]:
         """Send the settings anew and expect what they promise."""
         self._expected_since_ns = now_ns
         self._dummies = 0
         self._triggered = False
-        quiet = self._quiet_reason()
+        quiet = self._standby_reason()
         if quiet is not None:
             self._enter(LinkState.STANDBY, quiet, now_ns)
         elif self._state is not LinkState.PINGING:
             self._enter(LinkState.CONFIGURING, "settings sent, no ping yet", now_ns)
-        return self._send(self._encoded(self._wanted()), now_ns)
+        return self._send(self._encoded(self._settings_to_send()), now_ns)
 
-    def _quiet_reason(self) -> str | None:
+    def _standby_reason(self) -> str | None:
         if self._held is not None:
             return self._held
         if self._settings.standby:
             return "standby was asked for"
         return "waits for a trigger" if self._settings.network_trigger else None
 
-    def _wanted(self) -> FireSettings:
+    def _settings_to_send(self) -> FireSettings:
         """What to send without a trigger: a sonar in triggered mode is quiet until the first."""
-        quiet = self._quiet_reason() is not None
+        quiet = self._standby_reason() is not None
         return self._settings.in_standby() if quiet else self._settings
 
-    def _repeat(self, now_ns: int) -> list[Action]:
+    def _keep_alive(self, now_ns: int) -> list[Action]:
         """Keep the connection alive: a fire message again, but none that would be a trigger."""
-        data = encode_dummy() if self._triggered else self._encoded(self._wanted())
+        data = encode_dummy() if self._triggered else self._encoded(self._settings_to_send())
         return self._send(data, now_ns)
 
     def _encoded(self, settings: FireSettings) -> bytes:

@@ -11,13 +11,13 @@ from oculus_driver.ping import Ping, PingSequence, decode_ping
 from oculus_driver.stream import Message, StreamCounters, StreamParser
 from oculus_driver.wire import MIB, MessageId
 
-LOST_BYTES: Final = 16 * MIB
-LOST_NS: Final = 5_000_000_000
-STALL_NS: Final = 2_000_000_000
+MAX_RESYNC_BYTES: Final = 16 * MIB
+RESYNC_TIMEOUT_NS: Final = 5_000_000_000
+STALL_TIMEOUT_NS: Final = 2_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Received:
+class ReceivedMessage:
     """A whole message, and the ping in it if it is a good and new one."""
 
     message_id: int
@@ -41,8 +41,8 @@ class PingReceiver:
         self._parser = StreamParser()
         self._last: tuple[int, float | None, int | None] | None = None
         self._same_connection = True
-        self._heard_ns = 0
-        self._lost_since_ns: int | None = None
+        self._received_ns = 0
+        self._resync_since_ns: int | None = None
 
     @property
     def stream(self) -> StreamCounters:
@@ -51,55 +51,55 @@ class PingReceiver:
 
     @property
     def deadline_ns(self) -> int | None:
-        """When `trouble` has to be asked, if no bytes come until then."""
-        if self._lost_since_ns is not None:
-            return self._lost_since_ns + LOST_NS
-        return self._heard_ns + STALL_NS if self._parser.pending_bytes else None
+        """When `fault` has to be asked, if no bytes come until then."""
+        if self._resync_since_ns is not None:
+            return self._resync_since_ns + RESYNC_TIMEOUT_NS
+        return self._received_ns + STALL_TIMEOUT_NS if self._parser.pending_bytes else None
 
-    def feed(self, data: bytes, arrival_ns: int) -> list[Received]:
+    def feed(self, data: bytes, arrival_ns: int) -> list[ReceivedMessage]:
         """Take the next bytes; return the messages that they complete."""
-        self._heard_ns = arrival_ns
+        self._received_ns = arrival_ns
         received = [self._received(one) for one in self._parser.feed(data, arrival_ns)]
         if self._parser.synchronised:
-            self._lost_since_ns = None
-        elif self._lost_since_ns is None:
-            self._lost_since_ns = arrival_ns
+            self._resync_since_ns = None
+        elif self._resync_since_ns is None:
+            self._resync_since_ns = arrival_ns
         return received
 
-    def finish(self) -> list[Received]:
+    def finish(self) -> list[ReceivedMessage]:
         """Settle what is left of a connection that ended; the next one starts afresh."""
-        self._lost_since_ns = None
+        self._resync_since_ns = None
         received = [self._received(one) for one in self._parser.finish()]
         self._same_connection = False
         return received
 
-    def trouble(self, now_ns: int) -> str | None:
+    def fault(self, now_ns: int) -> str | None:
         """Return why only a new connection can help, or None.
 
         A message that stops coming in the middle is one reason. It is judged by the last bytes,
         not by its beginning: over a slow network a big message may well take seconds.
         """
-        if self._lost_since_ns is None:
-            if not self._parser.pending_bytes or now_ns - self._heard_ns < STALL_NS:
+        if self._resync_since_ns is None:
+            if not self._parser.pending_bytes or now_ns - self._received_ns < STALL_TIMEOUT_NS:
                 return None
             return f"a message stopped after {self._parser.pending_bytes} bytes"
         lost_bytes = self._parser.bytes_since_lost
-        if lost_bytes < LOST_BYTES and now_ns - self._lost_since_ns < LOST_NS:
+        if lost_bytes < MAX_RESYNC_BYTES and now_ns - self._resync_since_ns < RESYNC_TIMEOUT_NS:
             return None
         return f"no message found in {lost_bytes} bytes"
 
-    def _received(self, message: Message) -> Received:
+    def _received(self, message: Message) -> ReceivedMessage:
         if message.message_id != MessageId.PING_RESULT:
-            return Received(message.message_id, None)
+            return ReceivedMessage(message.message_id, None)
         ping = decode_ping(message)
         if isinstance(ping, Reject):
             self.rejects[ping.reason] += 1
             if ping.ping_id is not None:
                 self.sequence.accept(ping.ping_id)
-            return Received(message.message_id, None)
+            return ReceivedMessage(message.message_id, None)
         fresh = self._is_new(ping)
         self.pings += fresh
-        return Received(message.message_id, ping if fresh else None)
+        return ReceivedMessage(message.message_id, ping if fresh else None)
 
     def _is_new(self, ping: Ping) -> bool:
         """Return whether it is no repetition: the same id of another time is a restart.

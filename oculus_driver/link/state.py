@@ -28,7 +28,7 @@ class LinkState(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class LinkTimes:
+class LinkTimeouts:
     """How long the link waits for what, nanoseconds.
 
     Silence, reconnection and fallback count beyond the time that one ping may take.
@@ -53,7 +53,7 @@ class LinkTimes:
     status_gone_ns: int = 5 * SECOND_NS
     back_off_ns: tuple[int, ...] = (SECOND_NS // 2, *(s * SECOND_NS for s in (1, 2, 4, 5)))
 
-    def pause_ns(self, failures: int, chance: float) -> int:
+    def retry_delay_ns(self, failures: int, rng: float) -> int:
         """Return the pause after the `failures`-th failure in a row, failures ≥ 1.
 
         Between half and all of the step, so that hosts that lost the sonar together do not
@@ -61,10 +61,10 @@ class LinkTimes:
 
         Args:
             failures: attempts in a row that came to nothing.
-            chance: a random number from 0 to 1.
+            rng: a random number from 0 to 1.
         """
         step_ns = self.back_off_ns[min(failures, len(self.back_off_ns)) - 1]
-        return round(step_ns * (1.0 - 0.5 * chance))
+        return round(step_ns * (1.0 - 0.5 * rng))
 
 
 @dataclass(frozen=True, slots=True)

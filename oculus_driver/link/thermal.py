@@ -8,14 +8,14 @@ if TYPE_CHECKING:
     from oculus_driver.ping import Ping
     from oculus_driver.status import Status
 
-COOLED_BY_C: Final = 3.0
+HYSTERESIS_C: Final = 3.0
 """How far below the limit a sonar must be before it may ping again."""
 
-_MAIN_SENSOR: Final = 6
+_MAIN_TEMPERATURE: Final = 6
 """Which of the eight sensors of a status others take for "the" temperature."""
 
 
-class HeatGuard:
+class ThermalGuard:
     """Says why the sonar has to be quiet, from its own word and an optional limit.
 
     A quiet sonar sends no pings: only its status can tell that it has cooled.
@@ -43,7 +43,7 @@ class HeatGuard:
         elif self._limit_c is None:
             self.reason = None
         else:
-            self._reading(status.temperatures_c[_MAIN_SENSOR])
+            self._reading(status.temperatures_c[_MAIN_TEMPERATURE])
 
     def _reading(self, temperature_c: float | None) -> None:
         if temperature_c is None or self._limit_c is None:
@@ -51,5 +51,5 @@ class HeatGuard:
         if temperature_c >= self._limit_c:
             limit = f"the limit is {self._limit_c:g}"
             self.reason = f"{temperature_c:.1f} °C, {limit}: is the sonar under water?"
-        elif temperature_c <= self._limit_c - COOLED_BY_C:
+        elif temperature_c <= self._limit_c - HYSTERESIS_C:
             self.reason = None

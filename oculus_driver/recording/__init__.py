@@ -15,7 +15,7 @@ from oculus_driver.recording.recording import (
     Recording,
     open_recording,
 )
-from oculus_driver.recording.sonar_log import LogCounters, LogPlace, SonarLog
+from oculus_driver.recording.sonar_log import LogCounters, LogPosition, SonarLog
 from oculus_driver.recording.writer import RecordingWriter
 
 __all__ = [
@@ -33,8 +33,8 @@ __all__ = [
     "Chunk",
     "Conversion",
     "LogCounters",
-    "LogPlace",
     "LogPolicy",
+    "LogPosition",
     "PingInfo",
     "Recording",
     "RecordingInfo",

@@ -11,12 +11,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
 
-    from oculus_driver.recording.sonar_log import LogPlace, SonarLog
+    from oculus_driver.recording.sonar_log import LogPosition, SonarLog
 
 MAX_WAITING_BYTES: Final = 64 << 20
 _TICK_S: Final = 1.0
 _RETRY_S: Final = 0.2
-_LEAST_SIZE: Final = 256
+_MIN_SIZE: Final = 256
 """What an entry counts at least: its own memory."""
 
 
@@ -33,10 +33,10 @@ class _Run(NamedTuple):
 
     first: int
     last: int
-    place: LogPlace  # behind the last
+    position: LogPosition  # behind the last
 
 
-_MOST_RUNS: Final = 1000
+_MAX_RUNS: Final = 1000
 """Whose places are remembered: a run ends with a file, with a loss, and where a piece is cut."""
 
 
@@ -47,7 +47,7 @@ class BackgroundLog:
     and the log notes the gap. A log that holds (see `SonarLog`) may be stuck for as long as its
     disk is full: what comes meanwhile waits too, within the same bound.
 
-    Every piece that is offered has a number, from 1, and a place in the files once it is written.
+    Every piece that is offered has a number, from 1, and a position once it is written.
 
     Args:
         log: is used by the thread alone until the block is left, then closed.
@@ -71,7 +71,7 @@ class BackgroundLog:
         self.bytes_dropped = 0
         self.offered = 0
         self.written = 0
-        self._runs: deque[_Run] = deque(maxlen=_MOST_RUNS)
+        self._runs: deque[_Run] = deque(maxlen=_MAX_RUNS)
         self._log = log
         self._limit = max_waiting_bytes
         self._clock = clock
@@ -133,7 +133,7 @@ class BackgroundLog:
         """Take bytes of a link beside the sonar at once; False if there is no room for them."""
         return self._offer(_Entry(data, arrival_ns, gap_before, link))
 
-    def place_of(self, number: int) -> LogPlace | None:
+    def position_of(self, number: int) -> LogPosition | None:
         """Where the files go on behind a piece; None while it is not written, or long after.
 
         Of a piece that was dropped: behind the one before it.
@@ -141,10 +141,10 @@ class BackgroundLog:
         with self._changed:
             if number > self.written:
                 return None
-            for first, last, place in reversed(self._runs):
+            for first, last, position in reversed(self._runs):
                 if first <= number:
                     behind = max(0, last - number)
-                    return place._replace(messages=place.messages - behind)
+                    return position._replace(messages=position.messages - behind)
         return None
 
     def wait_for(self, number: int, timeout_s: float) -> bool:
@@ -153,7 +153,7 @@ class BackgroundLog:
             return self._changed.wait_for(lambda: self.written >= number, timeout_s)
 
     def _offer(self, entry: _Entry) -> bool:
-        size = max(len(entry.data), _LEAST_SIZE)
+        size = max(len(entry.data), _MIN_SIZE)
         with self._changed:
             self.offered += 1
             gap = entry.gap_before or entry.link in self._gaps
@@ -172,8 +172,8 @@ class BackgroundLog:
         try:
             while (entry := self._next()) is not None:
                 self._record(entry)
-                self._hold_on()
-                self._note(entry.number)
+                self._retry_held()
+                self._remember_position(entry.number)
             self._log.close()
         except BaseException as error:  # noqa: BLE001 - raised where the block is left
             self._error = error
@@ -186,7 +186,7 @@ class BackgroundLog:
                     self._changed.wait(_TICK_S)
                 if self._entries:
                     entry = self._entries.popleft()
-                    self._waiting -= max(len(entry.data), _LEAST_SIZE)
+                    self._waiting -= max(len(entry.data), _MIN_SIZE)
                     return entry
                 if self._closing:
                     return None
@@ -200,27 +200,27 @@ class BackgroundLog:
                 entry.link, entry.data, entry.arrival_ns, gap_before=entry.gap_before
             )
 
-    def _hold_on(self) -> None:
+    def _retry_held(self) -> None:
         """Wait until the log has what it holds on the disk, or the block was left."""
         while self._log.holding and not self._log.retry(self._clock()):
             with self._changed:
                 if self._closing:
-                    self._log.give_up()
+                    self._log.drop_held()
                 else:
                     self._changed.wait_for(lambda: self._closing, _RETRY_S)
 
-    def _note(self, number: int) -> None:
+    def _remember_position(self, number: int) -> None:
         """Remember where a piece is."""
-        place = self._log.place
+        position = self._log.position
         with self._changed:
             last = self._runs[-1] if self._runs else None
             if (
                 last is not None
                 and number == last.last + 1
-                and place == last.place._replace(messages=last.place.messages + 1)
+                and position == last.position._replace(messages=last.position.messages + 1)
             ):
-                self._runs[-1] = last._replace(last=number, place=place)
+                self._runs[-1] = last._replace(last=number, position=position)
             else:
-                self._runs.append(_Run(number, number, place))
+                self._runs.append(_Run(number, number, position))
             self.written = number
             self._changed.notify_all()

@@ -69,12 +69,12 @@ class Progress:
         if self.damage is None:
             self.damage = text
 
-    def cut(self, text: str) -> None:
+    def report_truncation(self, text: str) -> None:
         """Note that the file ends too early."""
         self.truncated = True
         self.report(text)
 
-    def saw(self, stamp_ns: int | None) -> None:
+    def note_stamp(self, stamp_ns: int | None) -> None:
         """Note a stamp."""
         if stamp_ns is None:
             return

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 MIB: Final = 1 << 20
-_LEAST_FILE: Final = MIB
+_MIN_FILE: Final = MIB
 _NS_PER_S: Final = 1_000_000_000
 
 
@@ -47,7 +47,7 @@ class LogPolicy:
     retry_ns: int = _NS_PER_S
 
     def __post_init__(self) -> None:
-        if self.max_file_bytes < _LEAST_FILE:
+        if self.max_file_bytes < _MIN_FILE:
             raise RecordingError(f"max_file_bytes {self.max_file_bytes}: give at least 1 MiB")
         if self.max_file_ns is not None and self.max_file_ns < _NS_PER_S:
             raise RecordingError(f"max_file_ns {self.max_file_ns}: give at least one second")
@@ -77,7 +77,7 @@ class LogFile:
 
 
 @dataclass(frozen=True, slots=True)
-class Room:
+class RetentionPlan:
     """What must happen before bytes can be written.
 
     Attributes:
@@ -91,7 +91,7 @@ class Room:
 
 def make_room(
     policy: LogPolicy, closed: Iterable[LogFile], open_bytes: int, needed: int, free_bytes: int
-) -> Room:
+) -> RetentionPlan:
     """Decide how to get room for more bytes.
 
     Args:
@@ -113,8 +113,8 @@ def make_room(
         used -= file.size_bytes
         free += file.size_bytes
     if free < policy.free_floor_bytes:
-        return Room(tuple(delete), "free_space")
-    return Room(tuple(delete), "budget" if budget is not None and used > budget else None)
+        return RetentionPlan(tuple(delete), "free_space")
+    return RetentionPlan(tuple(delete), "budget" if budget is not None and used > budget else None)
 
 
 _NAME: Final = re.compile(r"[A-Za-z0-9-]{1,64}")

@@ -185,7 +185,7 @@ class _Reader:
         link, encoding = self.channels[number]
         if fault is None or (data and encoding in _STREAMS):
             self.stamp_ns = log_time_ns or None
-            self.progress.saw(self.stamp_ns)
+            self.progress.note_stamp(self.stamp_ns)
             gap = self._gap_before(number, sequence, broken=fault is not None)
             yield Chunk(link, encoding, self.stamp_ns, data, gap)
         if fault is not None:
@@ -262,7 +262,7 @@ class _Reader:
         """Read the records of a compressed chunk, then go to its end."""
         start = self.position
         compressed = _Limited(self, size)
-        source = Inflated(compression, compressed)
+        source = ChunkDecompressor(compression, compressed)
         try:
             while source.size < inflated_size:
                 opcode, length = self._head(source)
@@ -336,7 +336,7 @@ class _Reader:
         self.checksum = None
         found = self._next_record(start, self.size)
         if found is None:
-            self.progress.cut(end)
+            self.progress.report_truncation(end)
             self.finished = True
             return
         self.losses += 1
@@ -385,7 +385,7 @@ class ByteSource(Protocol):
         ...
 
 
-class Inflated:
+class ChunkDecompressor:
     """The decompressed bytes of one chunk; ends early, and says why, where the data do.
 
     Attributes:

@@ -34,7 +34,7 @@ def read_network_capture(file: BinaryIO, size: int, progress: Progress) -> Itera
     file.seek(0)
     is_new = file.read(len(PCAPNG_MAGIC)) == PCAPNG_MAGIC
     read_packets = read_pcapng_packets if is_new else read_pcap_packets
-    sorter = _Sorter(progress)
+    sorter = _FlowSorter(progress)
     for packet in read_packets(file, size, progress):
         segment = segment_of(packet.link_type, packet.data)
         if segment is not None:
@@ -43,7 +43,7 @@ def read_network_capture(file: BinaryIO, size: int, progress: Progress) -> Itera
 
 
 @dataclass(slots=True)
-class _Sorter:
+class _FlowSorter:
     """Flows of a capture; the longest silent ones are let go when there are too many."""
 
     progress: Progress
@@ -56,7 +56,7 @@ class _Sorter:
         """Yield what one segment makes readable."""
         if segment.protocol == UDP:
             if _is_status(segment):
-                self.progress.saw(arrival_ns)
+                self.progress.note_stamp(arrival_ns)
                 yield Chunk(STATUS_LINK, OCULUS_STATUS, arrival_ns, segment.payload)
             return
         flow = segment.flow
@@ -95,7 +95,7 @@ class _Sorter:
                 self.progress.report(f"{piece.lost} bytes of link {link!r} were not captured")
             changed = self.current.get(source, flow) != flow
             self.current[source] = flow
-            self.progress.saw(piece.arrival_ns)
+            self.progress.note_stamp(piece.arrival_ns)
             gap = piece.gap_before or changed
             yield Chunk(link, OCULUS, piece.arrival_ns, piece.data, gap)
 
@@ -142,7 +142,7 @@ _IPV6_HEAD: Final = struct.Struct(">4xHBx16s16s")
 _TCP_HEAD: Final = struct.Struct(">HHI4xBB")
 _UDP_HEAD: Final = struct.Struct(">HHH2x")
 _U16: Final = struct.Struct(">H")
-_TCP_LEAST: Final = 20
+_MIN_TCP_HEADER: Final = 20
 _ETHERNET: Final = 1
 _COOKED: Final = 113
 _COOKED_2: Final = 276
@@ -226,7 +226,7 @@ def _ip(data: bytes, at: int) -> Segment | None:
 def _tcp(data: bytes, start: int, end: int, source: bytes, destination: bytes) -> Segment | None:
     source_port, destination_port, sequence, words, flags = _TCP_HEAD.unpack_from(data, start)
     size = 4 * (words >> 4)
-    if size < _TCP_LEAST:
+    if size < _MIN_TCP_HEADER:
         return None
     flow = Flow(source, source_port, destination, destination_port)
     return Segment(TCP, flow, sequence, flags, data[start + size : end])

@@ -105,11 +105,11 @@ def read_oculus_log(file: BinaryIO, size: int, progress: Progress) -> Iterator[C
                 held = replace(held, arrival_ns=_stamp(item.data) or held.arrival_ns)
             continue
         if held is not None:
-            progress.saw(held.arrival_ns)
+            progress.note_stamp(held.arrival_ns)
             yield held
         held = Chunk(LINK, OCULUS, item.arrival_ns, item.data, item.gap_before)
     if held is not None:
-        progress.saw(held.arrival_ns)
+        progress.note_stamp(held.arrival_ns)
         yield held
 
 
@@ -150,7 +150,7 @@ class _Items:
     def _open(self) -> None:
         head = self._bytes(FILE_HEADER.size)
         if len(head) < FILE_HEADER.size:
-            self.progress.cut("the file ends inside its header")
+            self.progress.report_truncation("the file ends inside its header")
             return
         fields = FILE_HEADER.unpack(head)
         if fields["magic"] == CONVERTED_MAGIC:
@@ -211,7 +211,7 @@ class _Items:
             self._lost(f"damaged at byte {start}: an item claims more than there is")
             return None
         if missing > 0:
-            self.progress.cut(f"ends inside an item, at byte {self.size}")
+            self.progress.report_truncation(f"ends inside an item, at byte {self.size}")
         data: bytes | None = self._bytes(size)
         if head["compression"] == QT_COMPRESSED and data is not None:
             data = uncompress(data)
@@ -229,7 +229,7 @@ class _Items:
             if self._find(start):
                 self._lost(f"damaged at byte {start}: an item claims more than there is")
             else:
-                self.progress.cut(f"ends inside an item, at byte {self.size}")
+                self.progress.report_truncation(f"ends inside an item, at byte {self.size}")
                 self._go(self.size)
             return
         self._go(start + size)
@@ -246,7 +246,7 @@ class _Items:
         if self._find(max(0, start - ITEM_HEADER.size) + 1):
             self._lost(f"damaged at byte {start}: no item here")
             return True
-        self.progress.cut(f"ends inside an item, at byte {self.size}")
+        self.progress.report_truncation(f"ends inside an item, at byte {self.size}")
         return False
 
     def _find(self, start: int) -> bool:

@@ -58,7 +58,7 @@ def read_pcap_packets(file: BinaryIO, size: int, progress: Progress) -> Iterator
     head = file.read(_FILE_HEAD)
     progress.bytes_read = len(head)
     if len(head) < _FILE_HEAD:
-        progress.cut("the file ends inside its header")
+        progress.report_truncation("the file ends inside its header")
         return
     order, unit_ns = PCAP_MAGICS[head[:4]]
     (link_type,) = struct.unpack_from(order + "I", head, _LINK_TYPE_AT)
@@ -85,13 +85,15 @@ class _Records:
         at, before = _FILE_HEAD, _FILE_HEAD
         while raw := self.file.read(_RECORD_HEAD):
             if len(raw) < _RECORD_HEAD:
-                self.progress.cut(f"ends inside a packet's head, at byte {self.size}")
+                self.progress.report_truncation(f"ends inside a packet's head, at byte {self.size}")
                 return
             head = self.head.unpack(raw)
             if not self._sound(head):
                 found = self._search(before + 1)
                 if found is None:
-                    self.progress.cut(f"damaged at byte {at}: no packet here or behind")
+                    self.progress.report_truncation(
+                        f"damaged at byte {at}: no packet here or behind"
+                    )
                     return
                 self.progress.report(f"damaged at byte {at}: no packet here")
                 at = before = found
@@ -103,7 +105,7 @@ class _Records:
             self.last_s = seconds
             self.progress.bytes_read = at
             if len(data) < length:
-                self.progress.cut(f"ends inside a packet, at byte {self.size}")
+                self.progress.report_truncation(f"ends inside a packet, at byte {self.size}")
             stamp_ns = seconds * NS_PER_S + fraction * self.unit_ns
             yield Packet(stamp_ns or None, self.link_type, data)
 
@@ -204,7 +206,7 @@ class _Blocks:
             except _DamagedError as damage:
                 found = self._search(at + 1) if self.interfaces else None
                 if found is None:
-                    self.progress.cut(str(damage))
+                    self.progress.report_truncation(str(damage))
                     return
                 self.progress.report(str(damage))
                 at = found

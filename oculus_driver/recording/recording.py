@@ -46,7 +46,7 @@ READERS: Final[dict[str, Callable[[BinaryIO, int, Progress], Iterator[Chunk]]]] 
 """What yields the chunks of an open file of a size, and fills in what it finds wrong with it."""
 
 _PROBE: Final = 1 << 16
-_LEAST_MAGIC: Final = 6
+_MIN_MAGIC: Final = 6
 
 _MAGICS: Final = {
     FILE_MAGIC.to_bytes(4, "little"): OCULUS_LOG,
@@ -64,7 +64,7 @@ _FOREIGN: Final = {
 }
 
 
-def kind_of(path: Path, file: BinaryIO, size: int) -> str:
+def detect_format(path: Path, file: BinaryIO, size: int) -> str:
     """Return the format of an open file, told by content. Moves the file.
 
     Raises:
@@ -75,7 +75,7 @@ def kind_of(path: Path, file: BinaryIO, size: int) -> str:
     file.seek(0)
     probe = file.read(_PROBE)
     alike = sum(a == b for a, b in zip(probe, MAGIC, strict=False))
-    if alike >= min(_LEAST_MAGIC, size):
+    if alike >= min(_MIN_MAGIC, size):
         return MCAP
     for magic, kind in _MAGICS.items():
         if probe.startswith(magic):
@@ -191,7 +191,7 @@ class Recording:
             yield from READERS[self.format](self._file, self.size_bytes, progress)
         except OSError as error:
             progress.read_error = error
-            progress.cut(f"cannot be read on: {error.strerror or error}")
+            progress.report_truncation(f"cannot be read on: {error.strerror or error}")
 
     def _look_ahead(self) -> None:
         """Learn the time span: from the index if there is one, else from the first chunk."""
@@ -213,7 +213,7 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
     file = _open(where)
     try:
         size = file.seek(0, 2)
-        return Recording(where, kind_of(where, file, size), file, size)
+        return Recording(where, detect_format(where, file, size), file, size)
     except OSError as error:
         file.close()
         raise RecordingError(f"{where}: cannot be read: {error.strerror or error}") from error
@@ -275,6 +275,8 @@ def read_raw(file: BinaryIO, progress: Progress) -> Iterator[Chunk]:
     parser.finish()
     rejected = parser.counters.bytes_rejected
     if parser.counters.rejects["truncated"]:
-        progress.cut(f"the file ends inside a message; {rejected} bytes belong to no message")
+        progress.report_truncation(
+            f"the file ends inside a message; {rejected} bytes belong to no message"
+        )
     elif rejected:
         progress.report(f"{rejected} bytes belong to no message")

@@ -21,7 +21,7 @@ _NEAR_NS: Final = 3_600_000_000_000
 """Messages behind a damaged place are at most this far in time from those before it."""
 
 _HEADS: Final = re.compile(rb"\x05(?=.{3}[\x00-\x04]\x00{4})|\x06(?=.{5}\x00{3})", re.DOTALL)
-_LONGEST: Final = mcap.HEAD.size + mcap.CHUNK_HEAD.size + 4 + mcap.U64.size
+_MAX_HEAD: Final = mcap.HEAD.size + mcap.CHUNK_HEAD.size + 4 + mcap.U64.size
 _COMPRESSIONS: Final = {0: b"", 3: b"lz4", 4: b"zstd"}
 
 
@@ -48,7 +48,7 @@ def find_record(
     while start < stop:
         file.seek(start)
         span = min(_WINDOW, stop - start)
-        window = file.read(span + _LONGEST)
+        window = file.read(span + _MAX_HEAD)
         for found in _HEADS.finditer(window):
             at = found.start()
             if at >= span:
@@ -62,7 +62,7 @@ def find_record(
 
 def _chunk(window: bytes, at: int, room: int) -> bool:
     """Tell whether a whole chunk stands here: its three sizes must agree."""
-    if window[at] != Opcode.CHUNK or len(window) - at < _LONGEST:
+    if window[at] != Opcode.CHUNK or len(window) - at < _MAX_HEAD:
         return False
     _, length = mcap.HEAD.unpack_from(window, at)
     at += mcap.HEAD.size
@@ -90,8 +90,8 @@ def _message(
     return likely and mcap.HEAD.size + length <= room
 
 
-_FIRST: Final = 1 << 10
-_LARGEST: Final = 1 << 20
+_FIRST_WINDOW: Final = 1 << 10
+_MAX_WINDOW: Final = 1 << 20
 
 
 def windows(file: BinaryIO, start: int, size: int, overlap: int) -> Iterator[tuple[int, bytes]]:
@@ -107,9 +107,9 @@ def windows(file: BinaryIO, start: int, size: int, overlap: int) -> Iterator[tup
         overlap: bytes of the next piece that are at the end of each piece too: what is searched
             and begins in one piece is whole in it.
     """
-    length = _FIRST
+    length = _FIRST_WINDOW
     while start < size:
         file.seek(start)
         yield start, file.read(length + overlap)
         start += length
-        length = min(2 * length, _LARGEST)
+        length = min(2 * length, _MAX_WINDOW)

@@ -56,7 +56,7 @@ class LogCounters:
     syncs: int = 0
 
 
-class LogPlace(NamedTuple):
+class LogPosition(NamedTuple):
     """How far a log has come.
 
     Attributes:
@@ -152,9 +152,9 @@ class SonarLog:
         return "waiting" if self._writer is None else "logging"
 
     @property
-    def place(self) -> LogPlace:
+    def position(self) -> LogPosition:
         """Up to where all that was written lies with the operating system."""
-        return LogPlace(self._folder.number, self._messages)
+        return LogPosition(self._folder.number, self._messages)
 
     @property
     def holding(self) -> bool:
@@ -211,7 +211,7 @@ class SonarLog:
             held.link, held.data, held.arrival_ns, gap_before=held.gap_before, now_ns=now_ns
         )
 
-    def give_up(self) -> None:
+    def drop_held(self) -> None:
         """Drop what is held, and count it."""
         held, self._held = self._held, None
         if held is not None:
@@ -226,7 +226,7 @@ class SonarLog:
 
     def close(self) -> None:
         """Close the file being written. Safe to call again; writing opens another one."""
-        self.give_up()
+        self.drop_held()
         self._finish(None)
 
     def _begin(self, messages: list[Message], size: int) -> int:
@@ -257,16 +257,16 @@ class SonarLog:
         now_ns = arrival_ns if now_ns is None else now_ns
         piece = _Piece(link, data, arrival_ns, gap_before)
         if self._retry_at_ns is not None and now_ns < self._retry_at_ns:
-            return self._not_now(piece, self._paused_for)
+            return self._defer(piece, self._paused_for)
         try:
             shortage = self._room(len(data), now_ns)
             if shortage is not None:
                 self._pause(shortage, shortage, now_ns)
-                return self._not_now(piece, shortage)
+                return self._defer(piece, shortage)
             self._write(piece, now_ns)
         except (RecordingError, OSError) as error:
             self._fail(error, now_ns)
-            return self._not_now(piece, "disk")
+            return self._defer(piece, "disk")
         self._retry_at_ns, self.reason = None, None
         self._gap = self._gap and link != _SONAR
         self.counters.bytes_written += len(data)
@@ -286,7 +286,7 @@ class SonarLog:
         self._finish("failure")
         self._pause("disk", str(error), now_ns)
 
-    def _not_now(self, piece: _Piece, reason: str) -> bool:
+    def _defer(self, piece: _Piece, reason: str) -> bool:
         if not self._hold:
             return self._refuse(piece.link, reason, len(piece.data))
         self._held = piece

@@ -61,7 +61,7 @@ def read_viewpoint_log(file: BinaryIO, size: int, progress: Progress) -> Iterato
         # The last is of SQLite's own words, where they quote what is no text in the file.
         if _is_refused(error):
             raise OSError(errno.EIO, str(error), file.name) from error
-        progress.cut(f"cannot be read on: {error}")
+        progress.report_truncation(f"cannot be read on: {error}")
     progress.bytes_read = size
 
 
@@ -115,7 +115,7 @@ def _chunks(connection: sqlite3.Connection, progress: Progress) -> Iterator[Chun
             progress.report(f"entry {number}: {length} bytes that hold no Oculus message")
             continue
         arrival_ns = stamp_ns(time_ms, _MS_PER_S) if isinstance(time_ms, int | float) else None
-        progress.saw(arrival_ns)
+        progress.note_stamp(arrival_ns)
         yield Chunk(link, OCULUS, arrival_ns, data, gap)
         gap = False
 

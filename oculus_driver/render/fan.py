@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fan:
+class FanGeometry:
     """A fan laid into a frame.
 
     Attributes:
@@ -41,12 +41,12 @@ class Fan:
         return x + away_px * float(np.sin(bearing_rad)), y - away_px * float(np.cos(bearing_rad))
 
 
-def fan_of(
+def fit_fan(
     bearings_rad: NDArray[np.float64],
     max_range_m: float,
     size_px: tuple[int, int],
     margins_px: tuple[int, int, int, int],
-) -> Fan:
+) -> FanGeometry:
     """Return the largest fan that fits between the margins.
 
     Args:
@@ -71,7 +71,7 @@ def fan_of(
     bearing = np.arctan2(across_m[np.newaxis, :], ahead_m[:, np.newaxis])
     places = np.interp(np.sin(bearing), np.sin(bearings_rad), np.arange(bearings_rad.size))
     outside = (share > 1.0) | (bearing < edges[0]) | (bearing > edges[-1])
-    return Fan(
+    return FanGeometry(
         width_px,
         height_px,
         apex_px,

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-class Sink(Protocol):
+class FrameSink(Protocol):
     """Takes frames, uint8 (height, width, 3), blue first, all of one size.
 
     Attributes:
@@ -82,7 +82,7 @@ class PngFile:
         pass
 
 
-class Film:
+class VideoFile:
     """An MP4 file.
 
     Raises:

@@ -11,8 +11,8 @@ import numpy as np
 
 from oculus_driver.bearings import edges_rad
 from oculus_driver.errors import OculusError
-from oculus_driver.ping import caption_of
-from oculus_driver.render.fan import Fan, fan_of
+from oculus_driver.ping import caption_lines
+from oculus_driver.render.fan import FanGeometry, fit_fan
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,10 +29,10 @@ BACKGROUND: Final = (34, 26, 20)  # blue, green, red
 INK: Final = (222, 222, 214)
 LINE: Final = (150, 140, 128)
 _LINE_SHARE: Final = 0.35
-_MOST_BEAMS: Final = 4096
+_MAX_BEAMS: Final = 4096
 _BRIGHT_PERCENT: Final = 99.8
-_SMALLEST_PX: Final = 120
-_LARGEST_PX: Final = 8192
+_MIN_PX: Final = 120
+_MAX_PX: Final = 8192
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,20 +67,20 @@ class Painter:
         self.style = style or Style()
         if self.style.colours not in COLOURS or not self.style.gamma > 0.0:
             raise OculusError(f"no picture in {self.style.colours} with gamma {self.style.gamma}")
-        if not _SMALLEST_PX <= self.style.height_px <= _LARGEST_PX:
+        if not _MIN_PX <= self.style.height_px <= _MAX_PX:
             raise OculusError(
-                f"no picture of {self.style.height_px} px; choose {_SMALLEST_PX} to {_LARGEST_PX}"
+                f"no picture of {self.style.height_px} px; choose {_MIN_PX} to {_MAX_PX}"
             )
         self._size_px: tuple[int, int] | None = None
         self._key: tuple[object, ...] = ()
-        self._fan: Fan | None = None
+        self._fan: FanGeometry | None = None
 
     def paint(self, ping: Ping) -> NDArray[np.uint8]:
         """Return the picture, uint8 (height, width, 3), blue first as OpenCV has it."""
-        order = np.argsort(ping.bearings_rad, kind="stable")[:: -(-ping.beams // _MOST_BEAMS)]
+        order = np.argsort(ping.bearings_rad, kind="stable")[:: -(-ping.beams // _MAX_BEAMS)]
         fan = self._fan_for(ping, ping.bearings_rad[order])
         level = self._level(ping)[:, order]
-        frame = self._coloured(laid_out(level, fan), fan.outside)
+        frame = self._coloured(warp_to_fan(level, fan), fan.outside)
         if self.style.labels:
             self._draw_rings(frame, fan, ping)
             self._draw_spokes(frame, fan, ping)
@@ -92,7 +92,7 @@ class Painter:
         """Size of lettering: 1 in a frame of 900 pixels."""
         return self.style.height_px / 900.0
 
-    def _fan_for(self, ping: Ping, bearings_rad: NDArray[np.float64]) -> Fan:
+    def _fan_for(self, ping: Ping, bearings_rad: NDArray[np.float64]) -> FanGeometry:
         key = (bearings_rad.tobytes(), ping.rows, ping.range_resolution_m)
         if self._fan is None or key != self._key:
             unit = self._unit_px
@@ -101,7 +101,7 @@ class Painter:
                 margins = (round(66 * unit), round(110 * unit), round(66 * unit), round(24 * unit))
             if self._size_px is None:
                 self._size_px = _size_px(bearings_rad, self.style.height_px, margins)
-            self._fan = fan_of(bearings_rad, ping.max_range_m, self._size_px, margins)
+            self._fan = fit_fan(bearings_rad, ping.max_range_m, self._size_px, margins)
             self._key = key
         return self._fan
 
@@ -131,7 +131,7 @@ class Painter:
         frame[outside] = BACKGROUND
         return frame
 
-    def _draw_rings(self, frame: NDArray[np.uint8], fan: Fan, ping: Ping) -> None:
+    def _draw_rings(self, frame: NDArray[np.uint8], fan: FanGeometry, ping: Ping) -> None:
         first, last = ping.beam_edges_rad()[[0, -1]]
         edges = np.linspace(float(first), float(last), 181)
         veil = frame.copy()
@@ -144,7 +144,7 @@ class Painter:
                 self._write(picture, f"{range_m:g} m", place)
         frame[:] = cv2.addWeighted(veil, _LINE_SHARE, frame, 1.0 - _LINE_SHARE, 0.0)
 
-    def _draw_spokes(self, frame: NDArray[np.uint8], fan: Fan, ping: Ping) -> None:
+    def _draw_spokes(self, frame: NDArray[np.uint8], fan: FanGeometry, ping: Ping) -> None:
         veil = frame.copy()
         bearings_deg = spoke_bearings_deg(ping.bearings_rad)
         for bearing_deg in bearings_deg:
@@ -158,7 +158,7 @@ class Painter:
             self._write(frame, f"{bearing_deg:+d}" if bearing_deg else "0", (x, y), centred=True)
 
     def _draw_caption(self, frame: NDArray[np.uint8], ping: Ping) -> None:
-        for index, line in enumerate(caption_of(ping)):
+        for index, line in enumerate(caption_lines(ping)):
             place = (16 * self._unit_px, (28 + 24 * index) * self._unit_px)
             self._write(frame, line, place)
 
@@ -189,7 +189,7 @@ def _size_px(
     return 2 * -(-max(width, least) // 2), 2 * (height_px // 2)
 
 
-def laid_out(level: NDArray[np.float32], fan: Fan) -> NDArray[np.float32]:
+def warp_to_fan(level: NDArray[np.float32], fan: FanGeometry) -> NDArray[np.float32]:
     """Lay samples into a fan, bilinear; rows too many for the picture are averaged.
 
     Args:
@@ -215,18 +215,18 @@ def _draw_line(frame: NDArray[np.uint8], points: NDArray[np.float64]) -> None:
     cv2.polylines(frame, [fixed[0]], False, LINE, 1, cv2.LINE_AA, 4)  # noqa: FBT003 - OpenCV's
 
 
-_MOST_RINGS: Final = 6
+_MAX_RINGS: Final = 6
 _SLACK: Final = 2e-3
 """Images end a little before the range that was asked for: 1.998 m are shown with a ring at 2 m."""
 
 _SPOKE_STEPS_DEG: Final = (5, 10, 15, 30, 45)
-_MOST_SPOKES: Final = 9
+_MAX_SPOKES: Final = 9
 
 
 def ring_ranges_m(max_range_m: float) -> list[float]:
     """Return at most six ranges, multiples of 1, 2 or 5 times a power of ten."""
-    step = 10.0 ** math.floor(math.log10(max_range_m / _MOST_RINGS))
-    factor = next(f for f in (1, 2, 5, 10, 20) if max_range_m / (f * step) <= _MOST_RINGS + 1e-9)
+    step = 10.0 ** math.floor(math.log10(max_range_m / _MAX_RINGS))
+    factor = next(f for f in (1, 2, 5, 10, 20) if max_range_m / (f * step) <= _MAX_RINGS + 1e-9)
     step *= factor
     count = math.floor(max_range_m / step * (1.0 + _SLACK))
     return [round(step * index, 9) for index in range(1, count + 1)]
@@ -239,6 +239,6 @@ def spoke_bearings_deg(bearings_rad: NDArray[np.float64]) -> list[int]:
     for step in _SPOKE_STEPS_DEG:
         first = math.ceil((low - slack) / step)
         last = math.floor((high + slack) / step)
-        if last - first < _MOST_SPOKES:
+        if last - first < _MAX_SPOKES:
             return [step * index for index in range(first, last + 1)]
     return [0]

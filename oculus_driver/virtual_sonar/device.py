@@ -25,7 +25,7 @@ _VERSION_2: Final = 2
 
 
 @dataclass(frozen=True, slots=True)
-class FireDemand:
+class FireRequest:
     """A fire message as it was received; field by field in `oculus_driver.wire`."""
 
     version: int = 2
@@ -52,7 +52,7 @@ class FireDemand:
 
 
 @dataclass(frozen=True, slots=True)
-class ConfigDemand:
+class ConfigRequest:
     """A user configuration message: without an address it asks, else it sets."""
 
     address: IPv4Address
@@ -60,12 +60,12 @@ class ConfigDemand:
     dhcp: bool
 
     @property
-    def asks(self) -> bool:
+    def is_query(self) -> bool:
         """Whether the present configuration is asked for."""
         return not int(self.address)
 
 
-Command = FireDemand | ConfigDemand
+Command = FireRequest | ConfigRequest
 
 
 class CommandReader:
@@ -119,19 +119,19 @@ def _command(data: bytes, message_id: int) -> Command | None:
         return _fire(data)
     if message_id == MessageId.USER_CONFIG and len(data) >= USER_CONFIG.size:
         fields = USER_CONFIG.unpack(data)
-        return ConfigDemand(
+        return ConfigRequest(
             IPv4Address(fields["address"]), IPv4Address(fields["netmask"]), bool(fields["dhcp"])
         )
     return None
 
 
-def _fire(data: bytes) -> FireDemand | None:
+def _fire(data: bytes) -> FireRequest | None:
     version_2 = HEADER.unpack(data)["version"] == _VERSION_2
     layout = FIRE_V2 if version_2 else FIRE_V1
     if len(data) < layout.size:
         return None
     fields = layout.unpack(data)
-    return FireDemand(
+    return FireRequest(
         version=_VERSION_2 if version_2 else 1,
         mode=fields["mode"],
         ping_rate=fields["ping_rate"],
@@ -174,15 +174,15 @@ class Identity:
     netmask: IPv4Address = LOCAL_MASK
 
 
-class ObedientDevice:
+class VirtualDevice:
     """Hears fire messages and says who it is. No sockets, no clock.
 
     Args:
         identity: of the sonar, complete.
-        deaf_to_version: version of fire messages that are not understood.
+        ignored_fire_version: version of fire messages that are not understood.
 
     Attributes:
-        demand: the last fire message obeyed, or None.
+        request: the last fire message obeyed, or None.
         status_bits: as in statuses; change them to overheat the sonar or halt it.
         temperature_c, pressure_bar: told in statuses.
         fires: fire messages obeyed.
@@ -191,10 +191,10 @@ class ObedientDevice:
     """
 
     def __init__(
-        self, identity: Identity, device_id: int, part_number: int, deaf_to_version: int | None
+        self, identity: Identity, device_id: int, part_number: int, ignored_fire_version: int | None
     ) -> None:
         self.identity = identity
-        self.demand: FireDemand | None = None
+        self.request: FireRequest | None = None
         self.status_bits = RUNNING
         self.temperature_c = 20.0
         self.pressure_bar = 1.0
@@ -203,7 +203,7 @@ class ObedientDevice:
         self.triggers = 0
         self._device_id = device_id
         self._part_number = part_number
-        self._deaf_to_version = deaf_to_version
+        self._ignored_fire_version = ignored_fire_version
 
     @property
     def source_id(self) -> int:
@@ -216,7 +216,7 @@ class ObedientDevice:
         return self._part_number
 
     @property
-    def able(self) -> bool:
+    def can_ping(self) -> bool:
         """Whether its status bits allow it to ping."""
         halted = self.status_bits & _MASTER_STATE != RUNNING
         return not halted and self.status_bits & _SHUT_DOWN != _SHUT_DOWN
@@ -224,11 +224,11 @@ class ObedientDevice:
     @property
     def triggered(self) -> bool:
         """Whether each ping needs a fire message of its own."""
-        return self.demand is not None and self.demand.triggered
+        return self.request is not None and self.request.triggered
 
-    def hear(self, reader: CommandReader, data: bytes) -> list[bytes]:
+    def receive(self, reader: CommandReader, data: bytes) -> list[bytes]:
         """Take bytes of a client and return the messages that answer them."""
-        return [reply for command in reader.feed(data) if (reply := self._obey(command))]
+        return [reply for command in reader.feed(data) if (reply := self._apply(command))]
 
     def status(self, client: IPv4Address | None) -> bytes:
         """Return a status datagram; `client` is who holds the data port."""
@@ -243,14 +243,14 @@ class ObedientDevice:
             pressure_bar=self.pressure_bar,
         )
 
-    def _obey(self, command: Command) -> bytes | None:
-        if isinstance(command, ConfigDemand):
-            return self._configuration() if command.asks else None
-        if command.version == self._deaf_to_version:
+    def _apply(self, command: Command) -> bytes | None:
+        if isinstance(command, ConfigRequest):
+            return self._configuration() if command.is_query else None
+        if command.version == self._ignored_fire_version:
             self.fires_ignored += 1
             return None
         self.fires += 1
-        self.demand = command
+        self.request = command
         self.triggers = self.triggers + 1 if command.triggered else 0
         return None
 

@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-_MOST_FLIPS: Final = 8
-_MOST_GARBAGE: Final = 4096
+_MAX_FLIPS: Final = 8
+_MAX_GARBAGE: Final = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,7 @@ class Faults:
         reorder_statuses: share of statuses that are sent after the next one, and that one twice.
         refuse_second: close the connection of a second client at once instead of letting it wait.
         silent_after_s: send nothing more to a client that has not fired for so long; None never.
-        deaf_to_version: version of fire messages that are not understood, None for none.
+        ignored_fire_version: version of fire messages that are not understood, None for none.
         piece_bytes: largest piece of a message that is handed to the network at once.
         number: of the dice.
     """
@@ -44,7 +44,7 @@ class Faults:
     reorder_statuses: float = 0.0
     refuse_second: bool = False
     silent_after_s: float | None = None
-    deaf_to_version: int | None = None
+    ignored_fire_version: int | None = None
     piece_bytes: int | None = None
     number: int = 0
 
@@ -56,7 +56,7 @@ SHARES: Final = tuple(
 
 
 @dataclass(frozen=True, slots=True)
-class Deed:
+class FaultedPing:
     """What is done with one ping.
 
     Attributes:
@@ -72,7 +72,7 @@ class Deed:
     cut: bool = False
 
 
-class Dice:
+class FaultInjector:
     """Decides what happens to each ping and status."""
 
     def __init__(self, faults: Faults) -> None:
@@ -82,34 +82,34 @@ class Dice:
     def before_ping(self) -> str | None:
         """Return what happens before the next ping: restart, restart_ids, stall or None."""
         for name in ("restart", "restart_ids", "stall"):
-            if self._falls(getattr(self._faults, name)):
+            if self._happens(getattr(self._faults, name)):
                 return name
         return None
 
-    def deed(self, data: bytes) -> Deed:
+    def apply(self, data: bytes) -> FaultedPing:
         """Return what is sent for a ping that would be these bytes."""
         noise = b""
-        if self._falls(self._faults.garbage):
-            noise = self._rng.bytes(int(self._rng.integers(1, _MOST_GARBAGE + 1)))
-        if self._falls(self._faults.lose):
-            return Deed(noise=noise, damaged=True)
-        if self._falls(self._faults.cut):
+        if self._happens(self._faults.garbage):
+            noise = self._rng.bytes(int(self._rng.integers(1, _MAX_GARBAGE + 1)))
+        if self._happens(self._faults.lose):
+            return FaultedPing(noise=noise, damaged=True)
+        if self._happens(self._faults.cut):
             end = int(self._rng.integers(0, len(data)))
-            return Deed(noise=noise, data=data[:end], damaged=True, cut=True)
-        if self._falls(self._faults.flip):
-            return Deed(noise=noise, data=self._flipped(data), damaged=True)
-        return Deed(noise=noise, data=data)
+            return FaultedPing(noise=noise, data=data[:end], damaged=True, cut=True)
+        if self._happens(self._faults.flip):
+            return FaultedPing(noise=noise, data=self._flipped(data), damaged=True)
+        return FaultedPing(noise=noise, data=data)
 
     def holds_status(self) -> bool:
         """Tell whether the next status waits for the one after it."""
-        return self._falls(self._faults.reorder_statuses)
+        return self._happens(self._faults.reorder_statuses)
 
-    def _falls(self, share: float) -> bool:
+    def _happens(self, share: float) -> bool:
         return share > 0.0 and float(self._rng.random()) < share
 
     def _flipped(self, data: bytes) -> bytes:
         changed = bytearray(data)
-        count = int(self._rng.integers(1, _MOST_FLIPS + 1))
+        count = int(self._rng.integers(1, _MAX_FLIPS + 1))
         for bit in self._rng.choice(8 * len(data), size=count, replace=False):
             changed[int(bit) // 8] ^= 1 << (int(bit) % 8)
         return bytes(changed)

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Final
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.recording.chunk import messages_of
 from oculus_driver.stream import Message, StreamParser
-from oculus_driver.virtual_sonar.device import LOCAL, M750D_PART, Identity, ObedientDevice
-from oculus_driver.virtual_sonar.resample import remake
-from oculus_driver.virtual_sonar.server import ANY, ServedSonar
-from oculus_driver.wire import MessageId, PingRate, ping_layout
+from oculus_driver.virtual_sonar.device import LOCAL, M750D_PART, Identity, VirtualDevice
+from oculus_driver.virtual_sonar.resample import resample_ping
+from oculus_driver.virtual_sonar.server import ANY, VirtualSonar
+from oculus_driver.wire import MessageId, PingRate, ping_result_layout
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Callable, Generator, Iterable, Iterator
 
-    from oculus_driver.virtual_sonar.device import FireDemand
+    from oculus_driver.virtual_sonar.device import FireRequest
     from oculus_driver.virtual_sonar.faults import Faults
 
 
@@ -33,55 +33,55 @@ RATES_HZ: Final = {
 }
 
 
-class PlayedDevice(ObedientDevice):
+class PlaybackDevice(VirtualDevice):
     """Obeys fire messages and deals out what was recorded. No sockets, no clock.
 
     Until a fire message comes it pings as recorded, or is in standby: real sonars keep their last
     settings over power cycles. Of a fire message it obeys standby, ping rate (never faster than
-    recorded) and network trigger; with `remade` also range, beams, samples, gain words, mode and
+    recorded) and network trigger; with `resampled` also range, beams, samples, gain words, mode and
     version of the results, see `oculus_driver.virtual_sonar.resample`.
 
     Args:
         track: what is played.
         identity: of the sonar.
-        remade: make pings anew as asked for, instead of sending them as recorded.
+        resampled: make pings anew as asked for, instead of sending them as recorded.
         standby: be silent until a fire message asks for pings.
         loops: how often the track is played, None for ever.
-        deaf_to_version: version of fire messages that are not understood.
+        ignored_fire_version: version of fire messages that are not understood.
     """
 
     def __init__(
         self,
-        track: Track,
+        track: MessageSource,
         identity: Identity | None = None,
         *,
-        remade: bool = False,
+        resampled: bool = False,
         standby: bool = False,
         loops: int | None = 1,
-        deaf_to_version: int | None = None,
+        ignored_fire_version: int | None = None,
     ) -> None:
         identity = identity or Identity()
         self._track = track
-        self._remade = remade
+        self._resampled = resampled
         self._standby = standby
         self._loops_left = loops
-        self._numbering = Numbering()
+        self._renumbering = Renumbering()
         self._join_wait_ns = 0  # between the end of the track and its beginning
-        self._steps: Generator[Step, None, None] | None = None
-        self._upcoming: Step | None = None
+        self._steps: Generator[TimedMessage, None, None] | None = None
+        self._upcoming: TimedMessage | None = None
         self._load()
         first = None if self._upcoming is None else self._upcoming.message
         device_id = identity.device_id or (first.source_id if first else 0) or 1
         known_part = first.part_number if first else 0
         part_number = identity.part_number or known_part or M750D_PART
-        super().__init__(identity, device_id, part_number, deaf_to_version)
+        super().__init__(identity, device_id, part_number, ignored_fire_version)
 
     @property
     def pinging(self) -> bool:
         """Whether it transmits by itself or on triggers."""
-        if not self.able or self._upcoming is None:
+        if not self.can_ping or self._upcoming is None:
             return False
-        return not (self._standby if self.demand is None else self.demand.standby)
+        return not (self._standby if self.request is None else self.request.standby)
 
     @property
     def ended(self) -> bool:
@@ -102,9 +102,9 @@ class PlayedDevice(ObedientDevice):
         if self._upcoming is None or (self.triggered and self.next_is_ping):
             return 0
         recorded_ns = self._join_wait_ns or self._upcoming.wait_ns
-        if self.demand is None or not self.next_is_ping:
+        if self.request is None or not self.next_is_ping:
             return recorded_ns
-        rate_hz = RATES_HZ.get(PingRate(self.demand.ping_rate)) if self._rate_known() else None
+        rate_hz = RATES_HZ.get(PingRate(self.request.ping_rate)) if self._rate_known() else None
         return max(recorded_ns, round(1e9 / rate_hz) if rate_hz else 0)
 
     def take(self) -> tuple[bytes, int | None]:
@@ -116,17 +116,17 @@ class PlayedDevice(ObedientDevice):
         if self._upcoming is None:
             raise LookupError("everything was played")
         message = self._upcoming.message
-        data, ping_id = self._numbering.apply(message)
+        data, ping_id = self._renumbering.apply(message)
         if ping_id is not None:
             self.triggers = max(0, self.triggers - 1)
-            if self._remade and self.demand is not None:
-                data = self._remake(data, self.demand)
+            if self._resampled and self.request is not None:
+                data = self._resample(data, self.request)
         self._load()
         return data, ping_id
 
     def restart(self) -> None:
         """Begin ids and device time anew; settings stay."""
-        self._numbering.restart()
+        self._renumbering.restart()
 
     def close(self) -> None:
         """Close the recording."""
@@ -134,16 +134,16 @@ class PlayedDevice(ObedientDevice):
             self._steps.close()
 
     def _rate_known(self) -> bool:
-        return self.demand is not None and self.demand.ping_rate in RATES_HZ
+        return self.request is not None and self.request.ping_rate in RATES_HZ
 
-    def _remake(self, data: bytes, demand: FireDemand) -> bytes:
+    def _resample(self, data: bytes, request: FireRequest) -> bytes:
         messages = StreamParser().feed(data)
         ping = decode_ping(messages[0]) if messages else None
-        return remake(ping, demand, self._part_number) if isinstance(ping, Ping) else data
+        return resample_ping(ping, request, self._part_number) if isinstance(ping, Ping) else data
 
     def _load(self) -> None:
         """Fetch the next step; at the end of the track begin it again while loops are left."""
-        last_wait_ns = USUAL_WAIT_NS if self._upcoming is None else self._upcoming.wait_ns
+        last_wait_ns = DEFAULT_WAIT_NS if self._upcoming is None else self._upcoming.wait_ns
         self._join_wait_ns = 0
         self._upcoming = None if self._steps is None else next(self._steps, None)
         if self._upcoming is not None or self._loops_left == 0:
@@ -151,10 +151,10 @@ class PlayedDevice(ObedientDevice):
         if self._loops_left is not None:
             self._loops_left -= 1
         if self._steps is not None:
-            self._join_wait_ns = last_wait_ns or USUAL_WAIT_NS
+            self._join_wait_ns = last_wait_ns or DEFAULT_WAIT_NS
         self._steps = iter(self._track)
         self._upcoming = next(self._steps, None)
-        self._numbering.join()
+        self._renumbering.join()
 
 
 _U32: Final = struct.Struct("<I")
@@ -167,7 +167,7 @@ _STEP_TICKS: Final = 12_500_000
 """A tenth of a second, at 8 ns a tick."""
 
 
-class Numbering:
+class Renumbering:
     """Shifts ids and times by what `join` and `restart` ask for; by nothing in a first pass."""
 
     def __init__(self) -> None:
@@ -188,7 +188,7 @@ class Numbering:
 
     def apply(self, message: Message) -> tuple[bytes, int | None]:
         """Return the message as it is sent, and its ping id where it is a ping."""
-        layout = ping_layout(message.version)
+        layout = ping_result_layout(message.version)
         if message.message_id != MessageId.PING_RESULT or layout is None:
             return message.data, None
         fields = layout.unpack(message.data)
@@ -223,24 +223,24 @@ class Numbering:
 TICK_NS: Final = 8
 """Length of a version-1 clock tick, inferred from captures at a known ping rate."""
 
-LONGEST_WAIT_NS: Final = 10_000_000_000
+MAX_WAIT_NS: Final = 10_000_000_000
 """Longer pauses of a recording are shortened to this."""
 
-USUAL_WAIT_NS: Final = 100_000_000
+DEFAULT_WAIT_NS: Final = 100_000_000
 """Between pings whose times nobody knows: the sonar's own normal rate."""
 
 _TICKS_WRAP: Final = 1 << 32
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class TimedMessage:
     """One message and the wait since the message before it; 0 before the first."""
 
     message: Message
     wait_ns: int
 
 
-class Track:
+class MessageSource:
     """The messages that a sonar sent, in order; can be iterated again and again.
 
     Args:
@@ -250,12 +250,12 @@ class Track:
     def __init__(self, source: str | os.PathLike[str] | Sequence[bytes]) -> None:
         self._source = source
 
-    def __iter__(self) -> Generator[Step, None, None]:
+    def __iter__(self) -> Generator[TimedMessage, None, None]:
         last: Message | None = None
         for message in self._messages():
             if message.message_id == MessageId.FIRE:  # said by a client
                 continue
-            yield Step(message, 0 if last is None else _wait_ns(last, message))
+            yield TimedMessage(message, 0 if last is None else _wait_ns(last, message))
             last = message
 
     def _messages(self) -> Iterator[Message]:
@@ -284,7 +284,7 @@ def _wait_ns(before: Message, after: Message) -> int:
         wait_ns = after.arrival_ns - before.arrival_ns
     else:
         wait_ns = _device_wait_ns(before, after)
-    return min(max(wait_ns, 0), LONGEST_WAIT_NS)
+    return min(max(wait_ns, 0), MAX_WAIT_NS)
 
 
 def _device_wait_ns(before: Message, after: Message) -> int:
@@ -292,15 +292,15 @@ def _device_wait_ns(before: Message, after: Message) -> int:
     if after.message_id != MessageId.PING_RESULT:
         return 0
     if first is None or second is None or first[1] != second[1]:
-        return USUAL_WAIT_NS
+        return DEFAULT_WAIT_NS
     wrap_ns = first[1]
     wait_ns = (second[0] - first[0]) % wrap_ns if wrap_ns else second[0] - first[0]
-    return wait_ns if 0 <= wait_ns <= LONGEST_WAIT_NS else USUAL_WAIT_NS
+    return wait_ns if 0 <= wait_ns <= MAX_WAIT_NS else DEFAULT_WAIT_NS
 
 
 def _device_time_ns(message: Message) -> tuple[int, int] | None:
     """Return the sonar's own time and after how long it wraps, 0 for never."""
-    layout = ping_layout(message.version)
+    layout = ping_result_layout(message.version)
     if message.message_id != MessageId.PING_RESULT or layout is None:
         return None
     fields = layout.unpack(message.data)
@@ -310,7 +310,7 @@ def _device_time_ns(message: Message) -> tuple[int, int] | None:
     return (round(seconds * 1e9), 0) if 0.0 <= seconds < 1e9 else None  # noqa: PLR2004 - 30 years
 
 
-class PlayedSonar(ServedSonar[PlayedDevice]):
+class PlaybackSonar(VirtualSonar[PlaybackDevice]):
     """A recording as a sonar on this computer; `async with`.
 
     Args:
@@ -318,9 +318,9 @@ class PlayedSonar(ServedSonar[PlayedDevice]):
         speed: of the recorded time; None sends as fast as the client takes it.
         loops: how often the source is played, None for ever; then only signs of life follow.
         identity: who the sonar says it is; its address None means `host`.
-        remade, standby: see `oculus_driver.virtual_sonar.playback.PlayedDevice`.
+        resampled, standby: see `oculus_driver.virtual_sonar.playback.PlaybackDevice`.
         host, port, status_to, status_period_s, dummy_period_s, faults, on_ping: see
-            `oculus_driver.virtual_sonar.server.ServedSonar`.
+            `oculus_driver.virtual_sonar.server.VirtualSonar`.
 
     Raises:
         RecordingError: the source is no recording.
@@ -339,18 +339,18 @@ class PlayedSonar(ServedSonar[PlayedDevice]):
         status_period_s: float = 1.0,
         dummy_period_s: float = 1.0,
         identity: Identity | None = None,
-        remade: bool = False,
+        resampled: bool = False,
         standby: bool = False,
         faults: Faults | None = None,
         on_ping: Callable[[int, bool], None] | None = None,
     ) -> None:
-        device = PlayedDevice(
-            Track(source),
-            identity or Identity(address=told_address(host)),
-            remade=remade,
+        device = PlaybackDevice(
+            MessageSource(source),
+            identity or Identity(address=advertised_address(host)),
+            resampled=resampled,
             standby=standby,
             loops=loops,
-            deaf_to_version=None if faults is None else faults.deaf_to_version,
+            ignored_fire_version=None if faults is None else faults.ignored_fire_version,
         )
         super().__init__(
             device,
@@ -365,7 +365,7 @@ class PlayedSonar(ServedSonar[PlayedDevice]):
         )
 
 
-def told_address(host: str) -> IPv4Address:
+def advertised_address(host: str) -> IPv4Address:
     """Return the address that statuses tell of a sonar that listens at `host`."""
     address = IPv4Address(host)
     return LOCAL if address == ANY else address

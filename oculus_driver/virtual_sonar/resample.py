@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from oculus_driver.ping import Ping
-    from oculus_driver.virtual_sonar.device import FireDemand
+    from oculus_driver.virtual_sonar.device import FireRequest
 
 MAX_ROWS: Final = 720
-_SMALLEST_RANGE_M: Final = 0.1
+_MIN_RANGE_M: Final = 0.1
 _VERSION_2: Final = 2
 _U32: Final = struct.Struct("<I")
 
@@ -35,43 +35,43 @@ GARBAGE_NETWORK_SPEED: Final = 25
 """Echoed by real firmware whatever was asked for."""
 
 
-def remake(ping: Ping, demand: FireDemand, part_number: int) -> bytes:
+def resample_ping(ping: Ping, request: FireRequest, part_number: int) -> bytes:
     """Return the ping as a message with the range, beams, samples and version asked for."""
-    range_m = range_m_of(demand, part_number)
+    range_m = requested_range_m(request, part_number)
     image, step_m, gains = _rows(ping, range_m)
-    bearings_cdeg, image = _beams(ping, image, 512 if demand.flags & FireFlags.FULL_BEAMS else 256)
+    bearings_cdeg, image = _beams(ping, image, 512 if request.flags & FireFlags.FULL_BEAMS else 256)
     data = encode_ping(
-        version=demand.version,
+        version=request.version,
         ping_id=ping.ping_id,
-        mode=demand.mode,
+        mode=request.mode,
         frequency_hz=ping.frequency_hz,
-        range_m=demand.range_demand,
-        gain_percent=demand.gain_percent,
-        speed_of_sound_mps=demand.speed_of_sound_demand_mps or ping.speed_of_sound_mps,
-        salinity_ppt=demand.salinity_ppt,
-        start_time=_start_time(ping, demand.version),
+        range_m=request.range_demand,
+        gain_percent=request.gain_percent,
+        speed_of_sound_mps=request.speed_of_sound_demand_mps or ping.speed_of_sound_mps,
+        salinity_ppt=request.salinity_ppt,
+        start_time=_start_time(ping, request.version),
         range_resolution_m=step_m,
         bearings_cdeg=bearings_cdeg,
-        image=_samples(image, ping.bits_per_sample, bits_of(demand)),
-        gains=gains if demand.flags & FireFlags.SEND_GAIN else None,
+        image=_samples(image, ping.bits_per_sample, requested_bits(request)),
+        gains=gains if request.flags & FireFlags.SEND_GAIN else None,
         source_id=ping.source_id,
         part_number=ping.part_number,
-        flags=demand.flags,
-        gamma=demand.gamma,
+        flags=request.flags,
+        gamma=request.gamma,
         temperature_c=ping.temperature_c or 0.0,
         pressure_bar=ping.pressure_bar or 0.0,
     )
-    return with_echo(data, demand)
+    return with_settings_echo(data, request)
 
 
-def range_m_of(demand: FireDemand, part_number: int) -> float:
+def requested_range_m(request: FireRequest, part_number: int) -> float:
     """Return the range in metres, cut at what the model can do."""
     wide, narrow = model_of(part_number).family.max_range_m
-    largest = wide if demand.mode == 1 or narrow is None else narrow
-    asked = demand.range_demand
-    if not demand.flags & FireFlags.RANGE_IN_METRES:
+    largest = wide if request.mode == 1 or narrow is None else narrow
+    asked = request.range_demand
+    if not request.flags & FireFlags.RANGE_IN_METRES:
         asked *= largest / 100.0
-    return min(max(_SMALLEST_RANGE_M, asked), largest)  # in this order NaN is the smallest
+    return min(max(_MIN_RANGE_M, asked), largest)  # in this order NaN is the smallest
 
 
 def _rows(ping: Ping, range_m: float) -> tuple[NDArray[Any], float, NDArray[np.uint32]]:
@@ -98,11 +98,11 @@ def _beams(ping: Ping, image: NDArray[Any], beams: int) -> tuple[NDArray[np.int1
     return bearing_table_cdeg(beams, half_rad), image[:, nearest]
 
 
-def bits_of(demand: FireDemand) -> int:
+def requested_bits(request: FireRequest) -> int:
     """Return the bits per sample asked for."""
-    if demand.version == _VERSION_2 and demand.extended_flags & EXTENDED_32_BIT:
+    if request.version == _VERSION_2 and request.extended_flags & EXTENDED_32_BIT:
         return 32
-    return 16 if demand.flags & FireFlags.SIXTEEN_BIT else 8
+    return 16 if request.flags & FireFlags.SIXTEEN_BIT else 8
 
 
 def _samples(image: NDArray[Any], have: int, want: int) -> NDArray[Any]:
@@ -124,11 +124,11 @@ def _start_time(ping: Ping, version: int) -> float:
     return float(round((ping.start_time_s or 0.0) / 8e-9))
 
 
-def with_echo(data: bytes, demand: FireDemand) -> bytes:
+def with_settings_echo(data: bytes, request: FireRequest) -> bytes:
     """Return a ping with what real firmware echoes of a fire message, the rubbish included."""
     changed = bytearray(data)
     changed[FIRE_V1.offset_of("ping_rate")] = GARBAGE_PING_RATE
     changed[FIRE_V1.offset_of("network_speed_mbps")] = GARBAGE_NETWORK_SPEED
-    if demand.version == _VERSION_2:
-        _U32.pack_into(changed, FIRE_V2.offset_of("extended_flags"), demand.extended_flags)
+    if request.version == _VERSION_2:
+        _U32.pack_into(changed, FIRE_V2.offset_of("extended_flags"), request.extended_flags)
     return bytes(changed)

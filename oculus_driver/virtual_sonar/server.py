@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, Generic, Protocol, Self, TypeVar
 from oculus_driver.encode import encode_dummy
 from oculus_driver.errors import OculusError
 from oculus_driver.virtual_sonar.device import CommandReader
-from oculus_driver.virtual_sonar.faults import Deed, Dice, Faults
+from oculus_driver.virtual_sonar.faults import FaultedPing, FaultInjector, Faults
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine, Sequence
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(slots=True)
-class PlayCounters:
+class VirtualSonarCounters:
     """What a played sonar has done.
 
     Attributes:
@@ -44,7 +44,7 @@ class PlayCounters:
     statuses_unsent: int = 0
 
 
-_LARGEST_READ: Final = 1 << 16
+_MAX_READ: Final = 1 << 16
 _FLUSH_S: Final = 1.0
 """How long a client that is let go may take to read what was sent."""
 
@@ -57,7 +57,7 @@ ANY: Final = IPv4Address("0.0.0.0")  # noqa: S104 - compared, not bound
 class Device(Protocol):
     """What a served sonar is inside: it hears fire messages and makes what is sent.
 
-    `virtual_sonar.playback.PlayedDevice` takes it from a recording; a simulator makes it.
+    `virtual_sonar.playback.PlaybackDevice` takes it from a recording; a simulator makes it.
     """
 
     @property
@@ -84,7 +84,7 @@ class Device(Protocol):
     def next_is_ping(self) -> bool:
         """Whether the next message is a ping."""
 
-    def hear(self, reader: CommandReader, data: bytes) -> list[bytes]:
+    def receive(self, reader: CommandReader, data: bytes) -> list[bytes]:
         """Take bytes of a client and return the messages that answer them."""
 
     async def prepare(self) -> None:
@@ -109,7 +109,7 @@ class Device(Protocol):
 DeviceT = TypeVar("DeviceT", bound=Device)
 
 
-class ServedSonar(Generic[DeviceT]):
+class VirtualSonar(Generic[DeviceT]):
     """A sonar on this computer, `async with`; it serves one client at a time, others wait.
 
     Args:
@@ -141,7 +141,7 @@ class ServedSonar(Generic[DeviceT]):
     ) -> None:
         self.host = host
         self.port = port
-        self.counters = PlayCounters()
+        self.counters = VirtualSonarCounters()
         self.finished = asyncio.Event()
         self.faults = faults or Faults()
         self.device = device
@@ -150,12 +150,12 @@ class ServedSonar(Generic[DeviceT]):
         self._status_period_s = status_period_s
         self._dummy_period_s = dummy_period_s
         self._on_ping = on_ping
-        self._dice = Dice(self.faults)
+        self._injector = FaultInjector(self.faults)
         self._tasks = asyncio.TaskGroup()
         self._running: set[asyncio.Task[None]] = set()
         self._writers: set[asyncio.StreamWriter] = set()
         self._server: asyncio.Server | None = None
-        self._turn = asyncio.Lock()
+        self._serving = asyncio.Lock()
         self._changed = asyncio.Event()
         self._client: IPv4Address | None = None
         self._heard_s = 0.0
@@ -166,7 +166,7 @@ class ServedSonar(Generic[DeviceT]):
         try:
             self._server = await asyncio.start_server(self._connected, self.host, self.port)
         except OSError as error:
-            raise OculusError(_cannot_listen(self.host, self.port, error)) from error
+            raise OculusError(_listen_error(self.host, self.port, error)) from error
         self.port = int(self._server.sockets[0].getsockname()[1])
         await self._tasks.__aenter__()
         if self._status_to:
@@ -205,31 +205,31 @@ class ServedSonar(Generic[DeviceT]):
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
-            if self.faults.refuse_second and self._turn.locked():
+            if self.faults.refuse_second and self._serving.locked():
                 self.counters.refused += 1
                 return
-            async with self._turn:
+            async with self._serving:
                 self.counters.clients += 1
                 peer = writer.get_extra_info("peername")  # None if it has left already
                 self._client = IPv4Address(peer[0]) if peer else None
-                await _first_of(self._hear(reader, writer), self._send(writer))
-                await _say_goodbye(reader, writer)
+                await _run_until_first(self._receive(reader, writer), self._send(writer))
+                await _flush_and_close(reader, writer)
         except OSError:
             pass  # the client is gone, which is its right; "not connected" is no ConnectionError
         finally:
-            if not self._turn.locked():
+            if not self._serving.locked():
                 self._client = None
             self._writers.discard(writer)
-            await _let_go(writer)
+            await _close(writer)
             if self.device.ended:
                 self.finished.set()
 
-    async def _hear(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _receive(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Obey the client until it leaves."""
         commands = CommandReader()
         self._heard_s = _now_s()
-        while data := await reader.read(_LARGEST_READ):
-            for reply in self.device.hear(commands, data):
+        while data := await reader.read(_MAX_READ):
+            for reply in self.device.receive(commands, data):
                 writer.write(reply)
                 self.counters.other_messages += 1
             self._heard_s = _now_s()
@@ -242,8 +242,8 @@ class ServedSonar(Generic[DeviceT]):
         while True:
             if self.device.ended:
                 self.finished.set()
-            if not self.device.pinging or self._given_up():
-                await self._give_sign_of_life(writer)
+            if not self.device.pinging or self._client_timed_out():
+                await self._send_dummy(writer)
             elif not await self._is_due():
                 continue
             elif self.device.next_is_ping:
@@ -271,7 +271,7 @@ class ServedSonar(Generic[DeviceT]):
 
     async def _send_ping(self, writer: asyncio.StreamWriter) -> bool:
         """Send the next ping, or what the faults make of it; False if the connection ends."""
-        match self._dice.before_ping():
+        match self._injector.before_ping():
             case "restart":
                 self.counters.restarts += 1
                 self.device.restart()
@@ -283,17 +283,17 @@ class ServedSonar(Generic[DeviceT]):
                 self.counters.stalls += 1
                 await asyncio.sleep(self.faults.stall_s)
         data, ping_id = self.device.take()
-        deed = self._dice.deed(data)
-        self._note(deed, ping_id)
-        await self._write(writer, deed.noise + deed.data)
-        return not deed.cut
+        faulted = self._injector.apply(data)
+        self._count(faulted, ping_id)
+        await self._write(writer, faulted.noise + faulted.data)
+        return not faulted.cut
 
-    def _note(self, deed: Deed, ping_id: int | None) -> None:
-        self.counters.pings += not deed.damaged
-        self.counters.pings_damaged += deed.damaged
-        self.counters.cuts += deed.cut
+    def _count(self, faulted: FaultedPing, ping_id: int | None) -> None:
+        self.counters.pings += not faulted.damaged
+        self.counters.pings_damaged += faulted.damaged
+        self.counters.cuts += faulted.cut
         if self._on_ping is not None and ping_id is not None:
-            self._on_ping(ping_id, not deed.damaged)
+            self._on_ping(ping_id, not faulted.damaged)
 
     async def _write(self, writer: asyncio.StreamWriter, data: bytes) -> None:
         piece = self.faults.piece_bytes or max(1, len(data))
@@ -304,17 +304,17 @@ class ServedSonar(Generic[DeviceT]):
                 await asyncio.sleep(0)
         self.counters.bytes_sent += len(data)
 
-    async def _give_sign_of_life(self, writer: asyncio.StreamWriter) -> None:
+    async def _send_dummy(self, writer: asyncio.StreamWriter) -> None:
         """In standby: a dummy once in a while. The time of the recording stands still."""
         next_s = self._alive_s + self._dummy_period_s
         if not await self._wait_for_change(next_s - _now_s()):
             self._alive_s = _now_s()
-            if not self._given_up():
+            if not self._client_timed_out():
                 self.counters.other_messages += 1
                 await self._write(writer, encode_dummy(source_id=self.device.source_id))
         self._due_s = _now_s()
 
-    def _given_up(self) -> bool:
+    def _client_timed_out(self) -> bool:
         """Whether the client has not fired for too long."""
         limit_s = self.faults.silent_after_s
         return limit_s is not None and _now_s() - self._heard_s > limit_s
@@ -337,12 +337,12 @@ class ServedSonar(Generic[DeviceT]):
             self.host,
             self._status_to,
             self._status_period_s,
-            dice=self._dice,
+            faults=self._injector,
             counters=self.counters,
         )
 
 
-async def _say_goodbye(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+async def _flush_and_close(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
     """End the stream and read on until the client has seen it.
 
     To close with commands unread would reset the connection, and the client would lose pings that
@@ -351,11 +351,11 @@ async def _say_goodbye(reader: asyncio.StreamReader, writer: asyncio.StreamWrite
     writer.write_eof()
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(_FLUSH_S):
-            while await reader.read(_LARGEST_READ):
+            while await reader.read(_MAX_READ):
                 pass
 
 
-async def _let_go(writer: asyncio.StreamWriter) -> None:
+async def _close(writer: asyncio.StreamWriter) -> None:
     """Close a connection, whether its client reads what is left or not."""
     writer.close()
     try:
@@ -374,7 +374,7 @@ def _now_s() -> float:
     return asyncio.get_running_loop().time()
 
 
-async def _first_of(*works: Coroutine[None, None, None]) -> None:
+async def _run_until_first(*works: Coroutine[None, None, None]) -> None:
     """Run until one of these ends, cancel the others, and raise what one of them raised."""
     tasks = [asyncio.ensure_future(work) for work in works]
     try:
@@ -388,7 +388,7 @@ async def _first_of(*works: Coroutine[None, None, None]) -> None:
             raise outcome
 
 
-def _cannot_listen(host: str, port: int, error: OSError) -> str:
+def _listen_error(host: str, port: int, error: OSError) -> str:
     reason = error.strerror or str(error)
     return f"cannot listen on {host}:{port}: {reason}; choose another address or port"
 
@@ -398,10 +398,10 @@ def broadcast_of(host: str) -> str:
     return "127.255.255.255" if IPv4Address(host).is_loopback else "255.255.255.255"
 
 
-class _Sender(asyncio.DatagramProtocol):
+class _StatusSender(asyncio.DatagramProtocol):
     """Counts what the network refuses; asyncio reports it after the call."""
 
-    def __init__(self, counters: PlayCounters) -> None:
+    def __init__(self, counters: VirtualSonarCounters) -> None:
         self._counters = counters
 
     def error_received(self, _: Exception) -> None:
@@ -414,27 +414,27 @@ async def broadcast(
     targets: Sequence[tuple[str, int]],
     period_s: float,
     *,
-    dice: Dice,
-    counters: PlayCounters,
+    faults: FaultInjector,
+    counters: VirtualSonarCounters,
 ) -> None:
-    """Send statuses until cancelled, some of them late and the next one twice if the dice say so.
+    """Send statuses until cancelled, some of them late and the next one twice if the faults say so.
 
     Args:
         status: makes the datagram of this moment.
         host: address to send from.
         targets: addresses and ports.
         period_s: between statuses.
-        dice: decide which statuses wait for the one after them.
+        faults: decide which statuses wait for the one after them.
         counters: get `statuses` and `statuses_unsent`.
     """
     transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
-        lambda: _Sender(counters), local_addr=(host, 0), allow_broadcast=True
+        lambda: _StatusSender(counters), local_addr=(host, 0), allow_broadcast=True
     )
     held: bytes | None = None
     try:
         while True:
             now = status()
-            if held is None and dice.holds_status():
+            if held is None and faults.holds_status():
                 held = now
             else:
                 datagrams = (now,) if held is None else (now, held, now)

@@ -13,7 +13,7 @@ from oculus_driver.clock_fit import (
     BUCKET_NS,
     MAX_DRIFT,
     WINDOW_NS,
-    LowerEnvelope,
+    ClockFit,
     _line_below,
 )
 
@@ -22,20 +22,20 @@ S = 1_000_000_000
 
 
 def test_constant_delay_gives_arrival() -> None:
-    clock = LowerEnvelope()
+    clock = ClockFit()
     for k in range(10):
         assert clock.to_host_ns(k * S, 500 * S + k * S) == 500 * S + k * S
 
 
 def test_late_records_keep_their_own_time() -> None:
-    clock = LowerEnvelope()
+    clock = ClockFit()
     assert clock.to_host_ns(0, 100 * S) == 100 * S
     assert clock.to_host_ns(S, 101 * S + 200 * MS) == 101 * S
 
 
 def test_noise_of_delay_is_taken_out() -> None:
     rng = random.Random(1)  # noqa: S311 a test
-    clock, errors = LowerEnvelope(), []
+    clock, errors = ClockFit(), []
     for k in range(600):
         stamp = k * 100 * MS
         delay = 2 * MS + round(rng.expovariate(1 / (6 * MS)))
@@ -48,7 +48,7 @@ def test_noise_of_delay_is_taken_out() -> None:
 @pytest.mark.parametrize("drift_ppm", [-100, -20, 0, 20, 100])
 def test_drift_is_measured_and_taken_out(drift_ppm: int) -> None:
     rng = random.Random(2)  # noqa: S311 a test
-    clock, errors = LowerEnvelope(), []
+    clock, errors = ClockFit(), []
     for k in range(1200):
         true_ns = 1000 * S + k * 100 * MS
         stamp_ns = 5 * S + round(k * 100 * MS * (1 - drift_ppm * 1e-6))
@@ -56,18 +56,18 @@ def test_drift_is_measured_and_taken_out(drift_ppm: int) -> None:
         errors.append((clock.to_host_ns(stamp_ns, true_ns + delay_ns) or 0) - true_ns)
     assert clock.drift == pytest.approx(drift_ppm * 1e-6, abs=5e-6)
     assert max(map(abs, errors[200:])) < 100_000  # 0.1 ms; without the drift it is 0.4 ms
-    assert clock.believable
+    assert clock.is_valid
 
 
 def test_drift_is_not_guessed_from_a_few_late_records() -> None:
-    clock = LowerEnvelope()
+    clock = ClockFit()
     for k in range(4):
         assert clock.to_host_ns(k * 5 * S, 100 * S + k * 5 * S + k * 200 * MS) == (100 + 5 * k) * S
-    assert clock.believable
+    assert clock.is_valid
 
 
 def test_a_late_record_gets_the_offset_of_its_own_time() -> None:
-    clock = LowerEnvelope()
+    clock = ClockFit()
     for k in range(200):
         stamp_ns = round(k * 100 * MS * (1 - 200e-6))
         late_ns = 900 * MS if k == 199 else 0
@@ -76,23 +76,23 @@ def test_a_late_record_gets_the_offset_of_its_own_time() -> None:
 
 
 def test_a_prompt_record_counts_for_the_window_and_no_longer() -> None:
-    for pause_ns, lateness_ns in ((WINDOW_NS, 200 * MS), (WINDOW_NS + S, 0)):
-        clock = LowerEnvelope()
+    for retry_delay_ns, lateness_ns in ((WINDOW_NS, 200 * MS), (WINDOW_NS + S, 0)):
+        clock = ClockFit()
         clock.to_host_ns(0, 100 * S)
-        arrival_ns = 100 * S + pause_ns
-        host_ns = clock.to_host_ns(pause_ns - 200 * MS, arrival_ns)
-        assert host_ns == pytest.approx(arrival_ns - lateness_ns, abs=pause_ns * MAX_DRIFT)
+        arrival_ns = 100 * S + retry_delay_ns
+        host_ns = clock.to_host_ns(retry_delay_ns - 200 * MS, arrival_ns)
+        assert host_ns == pytest.approx(arrival_ns - lateness_ns, abs=retry_delay_ns * MAX_DRIFT)
 
 
 def test_drift_is_not_guessed_from_a_short_time() -> None:
-    clock = LowerEnvelope()
+    clock = ClockFit()
     for k in range(20):
         clock.to_host_ns(k * 500 * MS, 100 * S + k * 501 * MS)
     assert clock.drift == 0.0
 
 
 def test_a_lasting_change_of_delay_is_taken_up_within_the_window() -> None:
-    clock, lateness_ns = LowerEnvelope(), []
+    clock, lateness_ns = ClockFit(), []
     for k in range(1200):
         arrival_ns = 1000 * S + k * 100 * MS + (5 * MS if k >= 600 else 0)
         lateness_ns.append(arrival_ns - (clock.to_host_ns(k * 100 * MS, arrival_ns) or 0))
@@ -104,14 +104,14 @@ def test_a_lasting_change_of_delay_is_taken_up_within_the_window() -> None:
 
 @pytest.mark.parametrize("rate", [0.0, 0.5, 0.98, 1.02])
 def test_stamps_that_do_not_run_like_a_clock_are_not_believed(rate: float) -> None:
-    clock = LowerEnvelope()
+    clock = ClockFit()
     for k in range(120):
         clock.to_host_ns(round(k * 100 * MS * rate), 1000 * S + k * 100 * MS)
-    assert not clock.believable
+    assert not clock.is_valid
 
 
 def test_a_restart_that_is_known_costs_no_record() -> None:
-    clock = LowerEnvelope()
+    clock = ClockFit()
     for k in range(50, 55):
         clock.to_host_ns(k * S, (100 + k) * S)
     clock.restart()
@@ -120,7 +120,7 @@ def test_a_restart_that_is_known_costs_no_record() -> None:
 
 def test_memory_and_fit_are_bounded_at_any_rate_and_order() -> None:
     rng = random.Random(3)  # noqa: S311 a test
-    clock = LowerEnvelope()
+    clock = ClockFit()
     for k in range(2_000):
         clock.to_host_ns(k, 10**18 + rng.randrange(-WINDOW_NS, WINDOW_NS))
     assert len(clock._points) <= 2 * WINDOW_NS // BUCKET_NS
@@ -147,7 +147,7 @@ def test_no_line_below_all_points_is_closer_to_them(some: list[tuple[int, int]])
 
 
 def test_one_stray_stamp_changes_nothing() -> None:
-    clock = LowerEnvelope()
+    clock = ClockFit()
     for k in range(5):
         clock.to_host_ns(k * S, (100 + k) * S)
     assert clock.to_host_ns(10**18, 105 * S) is None
@@ -157,7 +157,7 @@ def test_one_stray_stamp_changes_nothing() -> None:
 
 
 def test_restart_of_the_sender_is_believed_at_its_second_record() -> None:
-    clock = LowerEnvelope()
+    clock = ClockFit()
     for k in range(50, 55):
         clock.to_host_ns(k * S, (100 + k) * S)
     assert clock.to_host_ns(0, 160 * S) is None
@@ -165,7 +165,7 @@ def test_restart_of_the_sender_is_believed_at_its_second_record() -> None:
 
 
 def test_stall_does_not_move_the_clock() -> None:
-    clock = LowerEnvelope()
+    clock = ClockFit()
     for k in range(5):
         clock.to_host_ns(k * S, (100 + k) * S)
     assert clock.to_host_ns(5 * S, 108 * S) == 105 * S

@@ -31,7 +31,7 @@ from oculus_driver.wire import (
     USER_CONFIG,
     Field,
     Layout,
-    ping_layout,
+    ping_result_layout,
 )
 
 LAYOUTS = (HEADER, FIRE_V1, FIRE_V2, PING_RESULT_V1, PING_RESULT_V2, STATUS, USER_CONFIG, DUMMY)
@@ -158,9 +158,9 @@ def test_dummy_is_a_bare_header() -> None:
 
 
 def test_version_0_has_the_layout_of_version_1() -> None:
-    assert ping_layout(0) is ping_layout(1) is PING_RESULT_V1
-    assert ping_layout(2) is PING_RESULT_V2
-    assert ping_layout(3) is None
+    assert ping_result_layout(0) is ping_result_layout(1) is PING_RESULT_V1
+    assert ping_result_layout(2) is PING_RESULT_V2
+    assert ping_result_layout(3) is None
 
 
 def test_a_wrong_offset_is_found_when_the_layout_is_made() -> None:

@@ -8,7 +8,7 @@ import threading
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from oculus_driver import PlayedSonar
+from oculus_driver import PlaybackSonar
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,15 +23,15 @@ def free_udp_port() -> int:
 
 
 @contextmanager
-def played(path: Path, **values: Any) -> Iterator[tuple[PlayedSonar, int]]:
+def played(path: Path, **values: Any) -> Iterator[tuple[PlaybackSonar, int]]:
     """A sonar in a thread of its own, and the port that it sends statuses to."""
     status_port = free_udp_port()
     ready, stop = threading.Event(), asyncio.Event()
-    made: list[tuple[PlayedSonar, asyncio.AbstractEventLoop]] = []
+    made: list[tuple[PlaybackSonar, asyncio.AbstractEventLoop]] = []
 
     async def work() -> None:
         options = {"loops": None, "status_period_s": 0.05, "dummy_period_s": 0.05} | values
-        async with PlayedSonar(path, status_to=[("127.0.0.1", status_port)], **options) as sonar:
+        async with PlaybackSonar(path, status_to=[("127.0.0.1", status_port)], **options) as sonar:
             made.append((sonar, asyncio.get_running_loop()))
             ready.set()
             await stop.wait()

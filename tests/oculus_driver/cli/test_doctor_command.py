@@ -40,8 +40,8 @@ def test_a_sonar_in_standby_pings_only_when_it_is_asked_to(
         assert verdicts(oculus, *words) == (0, WELL | {"pings": "not tested"})
         assert sonar.counters.pings == 0
         assert verdicts(oculus, *words, "--ping") == (0, WELL)
-        assert sonar.device.demand is not None
-        assert sonar.device.demand.standby
+        assert sonar.device.request is not None
+        assert sonar.device.request.standby
 
 
 def test_a_closed_port_is_the_first_that_fails(oculus: Oculus, capture_path: Path) -> None:

@@ -15,13 +15,13 @@ from oculus_driver.recording import open_recording
 from tests.oculus_driver.cli.sonar_thread import free_udp_port, played
 
 if TYPE_CHECKING:
-    from oculus_driver import PlayedSonar
+    from oculus_driver import PlaybackSonar
     from tests.oculus_driver.cli.conftest import Oculus
 
 NEAR = ("--range", "2", "--mode", "2")
 
 
-def where(sonar: PlayedSonar, status_port: int) -> tuple[Any, ...]:
+def where(sonar: PlaybackSonar, status_port: int) -> tuple[Any, ...]:
     return ("--port", sonar.port, "--status-port", status_port, "--listen", "127.0.0.1")
 
 
@@ -29,10 +29,10 @@ def test_fire_takes_one_ping_with_the_settings_asked_for_and_leaves_standby(
     oculus: Oculus, capture_path: Path, tmp_path: Path
 ) -> None:
     picture = tmp_path / "ping.png"
-    with played(capture_path, speed=20.0, standby=True, remade=True) as (sonar, status_port):
+    with played(capture_path, speed=20.0, standby=True, resampled=True) as (sonar, status_port):
         words = (*NEAR, "--bits", "16", "--beams", "256", "--picture", picture, "--json")
         said = oculus("fire", *where(sonar, status_port), *words)
-        demand = sonar.device.demand
+        demand = sonar.device.request
     (facts,) = said.facts
     assert said.code == 0
     assert (facts["rows"], facts["beams"], facts["bits_per_sample"]) == (704, 256, 16)
@@ -54,7 +54,7 @@ def test_fire_tells_what_the_sonar_did_otherwise(oculus: Oculus, capture_path: P
 
 
 def test_a_shot_can_be_triggered(oculus: Oculus, capture_path: Path) -> None:  # quirk 9
-    with played(capture_path, standby=True, remade=True) as (sonar, status_port):
+    with played(capture_path, standby=True, resampled=True) as (sonar, status_port):
         said = oculus("fire", *where(sonar, status_port), *NEAR, "--trigger")
         pings = sonar.counters.pings
     assert (said.code, pings) == (0, 1)
@@ -113,7 +113,7 @@ def test_watch_tells_of_statuses_without_connecting(oculus: Oculus, capture_path
 
 
 def test_watch_tells_of_pings_on_request(oculus: Oculus, capture_path: Path) -> None:
-    with played(capture_path, speed=20.0, remade=True) as (sonar, status_port):
+    with played(capture_path, speed=20.0, resampled=True) as (sonar, status_port):
         words = ("--ping", "--duration", "1.5", "--every", "0.2", "--json", *NEAR)
         said = oculus("watch", *where(sonar, status_port), *words)
     pings = [facts for facts in said.facts if facts["event"] == "pings"]

@@ -12,23 +12,23 @@ from oculus_driver.discovery.diagnosis import (
     Finding,
     bind_finding,
     connection_finding,
-    sighting_findings,
+    discovery_findings,
     silence_finding,
     status_findings,
     subnet_finding,
 )
 from oculus_driver.discovery.listener import addresses_towards
-from oculus_driver.discovery.state import Sighting, SonarWatch
+from oculus_driver.discovery.state import DiscoveredSonar, DiscoveryState
 from oculus_driver.encode import encode_status
 from oculus_driver.status import PAUSE_REASONS, Status
 
 RUNNING = 3
 
 
-def sighting(source: str | None = None, **values: Any) -> Sighting:
+def sighting(source: str | None = None, **values: Any) -> DiscoveredSonar:
     given: dict[str, Any] = {"device_id": 7892, "address": "192.168.2.3", "status_bits": RUNNING}
-    seen = SonarWatch().feed(encode_status(**(given | values)), source, 0)
-    assert isinstance(seen, Sighting)
+    seen = DiscoveryState().feed(encode_status(**(given | values)), source, 0)
+    assert isinstance(seen, DiscoveredSonar)
     return seen
 
 
@@ -46,7 +46,7 @@ def own(*addresses: str) -> list[IPv4Address]:
 
 def test_a_sound_free_sonar_has_no_findings() -> None:
     assert status_findings(status()) == []
-    assert sighting_findings(sighting("192.168.2.3"), own("192.168.2.9")) == []
+    assert discovery_findings(sighting("192.168.2.3"), own("192.168.2.9")) == []
 
 
 @pytest.mark.parametrize("reason", range(8))
@@ -150,7 +150,7 @@ def test_no_way_at_all_is_another_subnet_too() -> None:
 
 def test_the_subnet_comes_first_of_all_findings() -> None:
     seen = sighting("10.0.0.7", client_address="192.168.2.10", part_number=9999)
-    found = codes(sighting_findings(seen, own("10.0.0.1")))
+    found = codes(discovery_findings(seen, own("10.0.0.1")))
     assert found == ["wrong_subnet", "held", "unknown_model", "address_differs"]
 
 
@@ -196,7 +196,7 @@ def test_silence_names_the_port_and_the_firewall() -> None:
 
 def test_every_finding_is_one_line() -> None:
     seen = sighting("10.0.0.7", status_bits=0b110_001 | 3 << 14 | 1 << 16, part_number=9999)
-    found = [*sighting_findings(seen, []), silence_finding(), bind_finding(OSError(), "a")]
+    found = [*discovery_findings(seen, []), silence_finding(), bind_finding(OSError(), "a")]
     assert all(finding.text and "\n" not in finding.text for finding in found)
 
 

@@ -43,7 +43,7 @@ def test_two_listeners_on_one_host_hear_the_same_sonar() -> None:
             with speaking() as sonar:
                 sonar.sendto(encode_status(device_id=7), (EVERYBODY_HERE, first.port))
             for discovery in (first, second):
-                seen = await anext(discovery.sightings())
+                seen = await anext(discovery.updates())
                 assert (seen.status.device_id, seen.address, seen.count) == (7, "127.0.0.1", 1)
                 assert seen.source_address == "127.0.0.1"
                 assert discovery.present() == [seen]
@@ -88,15 +88,15 @@ def test_junk_is_counted_and_the_next_status_heard() -> None:
             with speaking() as sonar:
                 for datagram in (b"", b"00", bytes(2000), encode_status(device_id=7)):
                     sonar.sendto(datagram, ("127.0.0.1", discovery.port))
-            assert (await anext(discovery.sightings())).status.device_id == 7
-            assert discovery.watch.rejects == {"short_message": 2, "bad_magic": 1}
+            assert (await anext(discovery.updates())).status.device_id == 7
+            assert discovery.state.rejects == {"short_message": 2, "bad_magic": 1}
 
     run(work())
 
 
 def test_every_iterator_gets_every_sonar_and_ends_with_the_discovery() -> None:
     async def serials(discovery: Discovery) -> list[int]:
-        return [seen.status.device_id async for seen in discovery.sightings()]
+        return [seen.status.device_id async for seen in discovery.updates()]
 
     async def work() -> None:
         async with Discovery(port=0, host="127.0.0.1") as discovery, asyncio.TaskGroup() as group:
@@ -104,12 +104,12 @@ def test_every_iterator_gets_every_sonar_and_ends_with_the_discovery() -> None:
             with speaking() as sonar:
                 for serial in (1, 2, 3):
                     sonar.sendto(encode_status(device_id=serial), ("127.0.0.1", discovery.port))
-            async for seen in discovery.sightings():
+            async for seen in discovery.updates():
                 if seen.status.device_id == 3:
                     break
             await discovery.__aexit__(None, None, None)
         assert [await reader for reader in readers] == [[1, 2, 3]] * 2
-        assert [seen async for seen in discovery.sightings()] == discovery.present()
+        assert [seen async for seen in discovery.updates()] == discovery.present()
 
     run(work())
 
@@ -119,7 +119,7 @@ def test_a_slow_reader_gets_the_newest_status_of_each_sonar() -> None:
         seconds = itertools.count()
         clock_ns = lambda: next(seconds) * 500_000_000  # noqa: E731 - a manual clock
         async with Discovery(port=0, host="127.0.0.1", clock_ns=clock_ns) as discovery:
-            slow = discovery.sightings()
+            slow = discovery.updates()
             for _ in range(5):
                 for serial in (1, 2):
                     discovery._take(encode_status(device_id=serial), "127.0.0.1")
@@ -150,7 +150,7 @@ def test_what_needs_somebody_is_logged_once(caplog: pytest.LogCaptureFixture) ->
 def test_leaving_while_a_reader_waits_leaks_nothing(recwarn: pytest.WarningsRecorder) -> None:
     async def work() -> None:
         async with Discovery(port=0, host="127.0.0.1") as discovery:
-            waiting = asyncio.ensure_future(anext(discovery.sightings()))
+            waiting = asyncio.ensure_future(anext(discovery.updates()))
             await asyncio.sleep(0)
         with pytest.raises(StopAsyncIteration):
             await waiting
@@ -174,7 +174,7 @@ def test_the_port_is_free_when_the_discovery_is_left() -> None:
 def test_a_cancelled_reader_loses_no_sighting() -> None:
     async def work() -> None:
         async with Discovery(port=0, host="127.0.0.1") as discovery:
-            reader = discovery.sightings()
+            reader = discovery.updates()
             waiting = asyncio.ensure_future(anext(reader))
             await asyncio.sleep(0)
             discovery._take(encode_status(device_id=7), "127.0.0.1")

@@ -8,29 +8,29 @@ from typing import Any
 
 import pytest
 
-from oculus_driver.discovery.probe import LAYERS, Evidence, first_failure, judge
-from oculus_driver.discovery.state import Sighting, SonarWatch
+from oculus_driver.discovery.probe import LAYERS, ProbeResult, evaluate, first_failure
+from oculus_driver.discovery.state import DiscoveredSonar, DiscoveryState
 from oculus_driver.encode import encode_status
 
 OWN = (IPv4Address("192.168.2.10"),)
 
 
-def seen(**values: Any) -> Sighting:
+def seen(**values: Any) -> DiscoveredSonar:
     status: dict[str, Any] = {
         "device_id": 9,
         "address": "192.168.2.3",
         "netmask": "255.255.255.0",
     } | values
-    sighting = SonarWatch().feed(encode_status(**status), None, 0)
-    assert isinstance(sighting, Sighting)
-    return sighting
+    sonar = DiscoveryState().feed(encode_status(**status), None, 0)
+    assert isinstance(sonar, DiscoveredSonar)
+    return sonar
 
 
-def evidence(**values: Any) -> Evidence:
+def evidence(**values: Any) -> ProbeResult:
     """Of a sonar that is well, unless told otherwise."""
     good: dict[str, Any] = {
         "address": "192.168.2.3",
-        "sighting": seen(),
+        "sonar": seen(),
         "own_addresses": OWN,
         "status_port": 52102,
         "connected": True,
@@ -39,11 +39,11 @@ def evidence(**values: Any) -> Evidence:
         "messages": Counter({0x23: 3}),
         "pings": 3,
     }
-    return Evidence(**(good | values))
+    return ProbeResult(**(good | values))
 
 
 def test_a_sonar_that_is_well_passes_every_layer() -> None:
-    layers = judge(evidence())
+    layers = evaluate(evidence())
     assert [(layer.name, layer.verdict) for layer in layers] == [(name, "ok") for name in LAYERS]
     assert first_failure(layers) is None
 
@@ -61,9 +61,9 @@ SILENT = NOTHING | {"connected": True}
 @pytest.mark.parametrize(
     ("values", "layer", "words"),
     [
-        (NOTHING | {"address": None, "sighting": None}, "address", "check power and cable"),
+        (NOTHING | {"address": None, "sonar": None}, "address", "check power and cable"),
         (
-            NOTHING | {"address": None, "sighting": None, "listening_fault": "port is held"},
+            NOTHING | {"address": None, "sonar": None, "listen_error": "port is held"},
             "address",
             "port is held",
         ),
@@ -75,13 +75,13 @@ SILENT = NOTHING | {"connected": True}
         (NOTHING | {"connect_error": REFUSED}, "port", "refuses"),
         (NOTHING | {"connect_error": TimeoutError()}, "port", "does not answer"),
         (
-            NOTHING | {"connect_error": REFUSED, "sighting": seen(client_address="192.168.2.77")},
+            NOTHING | {"connect_error": REFUSED, "sonar": seen(client_address="192.168.2.77")},
             "port",
             "192.168.2.77",
         ),  # quirk 20
         (SILENT, "bytes", "switch its power off"),  # quirk 23
         (SILENT | {"ended": True}, "bytes", "another client"),  # quirk 20
-        (SILENT | {"sighting": seen(client_address="192.168.2.77")}, "bytes", "192.168.2.77"),
+        (SILENT | {"sonar": seen(client_address="192.168.2.77")}, "bytes", "192.168.2.77"),
         (
             SILENT | {"bytes_received": 500, "bytes_rejected": 500},
             "frames",
@@ -93,12 +93,12 @@ SILENT = NOTHING | {"connected": True}
             "size_mismatch 4",
         ),
         (
-            {"pings": 0, "messages": Counter({0xFF: 3}), "sighting": seen(status_bits=0xC003)},
+            {"pings": 0, "messages": Counter({0xFF: 3}), "sonar": seen(status_bits=0xC003)},
             "pings",
             "under water",
         ),  # quirk 17
         (
-            {"pings": 0, "messages": Counter({0xFF: 3}), "sighting": seen(status_bits=0x31)},
+            {"pings": 0, "messages": Counter({0xFF: 3}), "sonar": seen(status_bits=0x31)},
             "pings",
             "brown-out",
         ),  # quirk 18
@@ -108,7 +108,7 @@ SILENT = NOTHING | {"connected": True}
 def test_the_first_layer_that_fails_is_named(
     values: dict[str, Any], layer: str, words: str
 ) -> None:
-    layers = judge(evidence(**values))
+    layers = evaluate(evidence(**values))
     failure = first_failure(layers)
     assert failure is not None
     assert failure.name == layer
@@ -120,7 +120,7 @@ def test_the_first_layer_that_fails_is_named(
 @pytest.mark.parametrize(
     ("values", "layer", "words"),
     [
-        ({"sighting": None}, "address", "no status on UDP port 52102"),
+        ({"sonar": None}, "address", "no status on UDP port 52102"),
         ({"bytes_rejected": 10}, "frames", "10 of 1000 bytes"),
         ({"messages": Counter()}, "frames", "no whole message"),
         ({"lost_pings": 2}, "pings", "lost: 2"),
@@ -128,7 +128,7 @@ def test_the_first_layer_that_fails_is_named(
     ],
 )
 def test_what_is_doubtful_fails_nothing(values: dict[str, Any], layer: str, words: str) -> None:
-    layers = judge(evidence(**values))
+    layers = evaluate(evidence(**values))
     assert first_failure(layers) is None
     found = layers[LAYERS.index(layer)]
     assert found.verdict == "doubtful"
@@ -136,5 +136,5 @@ def test_what_is_doubtful_fails_nothing(values: dict[str, Any], layer: str, word
 
 
 def test_standby_is_no_failure_as_long_as_nobody_asked_for_pings() -> None:  # quirk 16
-    last = judge(evidence(pings=0, messages=Counter({0xFF: 3})))[-1]
+    last = evaluate(evidence(pings=0, messages=Counter({0xFF: 3})))[-1]
     assert (last.verdict, "in standby" in last.text) == ("not tested", True)

@@ -13,8 +13,8 @@ from oculus_driver.discovery.state import (
     DUPLICATE_NS,
     GONE_NS,
     STALE_NS,
-    Sighting,
-    SonarWatch,
+    DiscoveredSonar,
+    DiscoveryState,
     version_text,
 )
 from oculus_driver.encode import encode_status
@@ -24,73 +24,75 @@ S = 1_000_000_000
 HOME = {"address": "192.168.2.3"}
 
 
-def heard(watch: SonarWatch, arrival_ns: int, source: str | None = None, **values: Any) -> Sighting:
-    seen = watch.feed(encode_status(**({"device_id": 7892} | HOME | values)), source, arrival_ns)
-    assert isinstance(seen, Sighting)
+def heard(
+    state: DiscoveryState, arrival_ns: int, source: str | None = None, **values: Any
+) -> DiscoveredSonar:
+    seen = state.feed(encode_status(**({"device_id": 7892} | HOME | values)), source, arrival_ns)
+    assert isinstance(seen, DiscoveredSonar)
     return seen
 
 
-def refused(watch: SonarWatch, datagram: bytes, arrival_ns: int = 0) -> str:
-    reject = watch.feed(datagram, None, arrival_ns)
+def refused(state: DiscoveryState, datagram: bytes, arrival_ns: int = 0) -> str:
+    reject = state.feed(datagram, None, arrival_ns)
     assert isinstance(reject, Reject)
     return reject.reason
 
 
 def test_a_sonar_is_followed_over_its_statuses() -> None:
-    watch = SonarWatch()
-    heard(watch, 10 * S)
-    heard(watch, 11 * S)
-    seen = heard(watch, 12 * S, pressure_bar=2.5)
+    state = DiscoveryState()
+    heard(state, 10 * S)
+    heard(state, 11 * S)
+    seen = heard(state, 12 * S, pressure_bar=2.5)
     assert (seen.first_seen_ns, seen.last_seen_ns, seen.count) == (10 * S, 12 * S, 3)
     assert (seen.address, seen.model.name, seen.status.pressure_bar) == (
         "192.168.2.3",
         "M750d",
         2.5,
     )
-    assert list(watch.sightings.values()) == [seen]
+    assert list(state.sonars.values()) == [seen]
 
 
 def test_several_sonars_are_told_apart_by_serial_and_by_part_number() -> None:
-    watch = SonarWatch()
+    state = DiscoveryState()
     for serial, part in ((7892, 1032), (7893, 1032), (7892, 1042)):
-        heard(watch, serial * S, device_id=serial, part_number=part)
-    assert set(watch.sightings) == {(1032, 7892), (1032, 7893), (1042, 7892)}
+        heard(state, serial * S, device_id=serial, part_number=part)
+    assert set(state.sonars) == {(1032, 7892), (1032, 7893), (1042, 7892)}
 
 
 def test_a_copy_from_another_network_port_is_no_news() -> None:
     # quirk 21: a host with two ports on one net hears every status twice
-    watch = SonarWatch()
-    heard(watch, S)
+    state = DiscoveryState()
+    heard(state, S)
     status = encode_status(device_id=7892, **HOME)  # type: ignore[arg-type]
-    assert refused(watch, status, S + DUPLICATE_NS) == "duplicate"
-    assert heard(watch, S + DUPLICATE_NS + 1).count == 2
-    assert (watch.statuses, watch.rejects) == (2, {"duplicate": 1})
+    assert refused(state, status, S + DUPLICATE_NS) == "duplicate"
+    assert heard(state, S + DUPLICATE_NS + 1).count == 2
+    assert (state.statuses, state.rejects) == (2, {"duplicate": 1})
 
 
 def test_a_status_with_news_is_never_a_copy() -> None:
-    watch = SonarWatch()
-    heard(watch, S)
-    assert heard(watch, S + 1, status_bits=0x83).status.busy
+    state = DiscoveryState()
+    heard(state, S)
+    assert heard(state, S + 1, status_bits=0x83).status.busy
 
 
 def test_another_size_of_datagram_does_not_deafen() -> None:
     # quirk 28: one driver stops listening for ever after one
-    watch = SonarWatch()
+    state = DiscoveryState()
     status = encode_status(device_id=7892)
     for datagram in (b"", b"SO", status[:-1], b"x" * 142):
-        refused(watch, datagram)
-    assert watch.rejects == {"short_message": 3, "bad_magic": 1}
-    assert isinstance(watch.feed(status + b"newer firmware", None, 0), Sighting)
+        refused(state, datagram)
+    assert state.rejects == {"short_message": 3, "bad_magic": 1}
+    assert isinstance(state.feed(status + b"newer firmware", None, 0), DiscoveredSonar)
 
 
 def test_an_unknown_model_is_a_sonar_all_the_same() -> None:
     # quirk 24: other drivers refuse models that they do not know
-    seen = heard(SonarWatch(), 0, part_number=9999)
+    seen = heard(DiscoveryState(), 0, part_number=9999)
     assert (seen.model.name, seen.model.family.max_range_m) == ("part 9999", (120.0, 40.0))
 
 
 def test_the_sonars_own_address_is_where_to_connect() -> None:
-    seen = heard(SonarWatch(), 0, source="10.0.0.9")
+    seen = heard(DiscoveryState(), 0, source="10.0.0.9")
     assert (seen.address, seen.source_address) == ("192.168.2.3", "10.0.0.9")
 
 
@@ -103,64 +105,64 @@ def test_the_sonars_own_address_is_where_to_connect() -> None:
     ],
 )
 def test_a_sonar_without_an_address_of_its_own_is_where_it_speaks_from(claimed: str) -> None:
-    assert heard(SonarWatch(), 0, source="10.0.0.9", address=claimed).address == "10.0.0.9"
+    assert heard(DiscoveryState(), 0, source="10.0.0.9", address=claimed).address == "10.0.0.9"
 
 
 def test_a_new_address_shows_at_once() -> None:
-    watch = SonarWatch()
-    heard(watch, S)
-    moved = heard(watch, 2 * S, address="192.168.2.77")
-    assert (moved.address, moved.count, len(watch.sightings)) == ("192.168.2.77", 2, 1)
+    state = DiscoveryState()
+    heard(state, S)
+    moved = heard(state, 2 * S, address="192.168.2.77")
+    assert (moved.address, moved.count, len(state.sonars)) == ("192.168.2.77", 2, 1)
 
 
 def test_a_silent_sonar_is_stale_and_then_gone() -> None:
-    watch = SonarWatch()
-    seen = heard(watch, S)
+    state = DiscoveryState()
+    seen = heard(state, S)
     assert not seen.stale(S + STALE_NS)
     assert seen.stale(S + STALE_NS + 1)
-    assert watch.present(S + GONE_NS) == [seen]
-    assert watch.present(S + GONE_NS + 1) == []
+    assert state.present(S + GONE_NS) == [seen]
+    assert state.present(S + GONE_NS + 1) == []
 
 
 def test_a_sonar_that_comes_back_has_just_appeared() -> None:
-    watch = SonarWatch()
-    heard(watch, S)
-    back = heard(watch, S + GONE_NS + 1)
+    state = DiscoveryState()
+    heard(state, S)
+    back = heard(state, S + GONE_NS + 1)
     assert (back.first_seen_ns, back.count) == (S + GONE_NS + 1, 1)
 
 
 def test_a_flood_of_invented_sonars_is_refused_and_the_real_one_kept() -> None:
-    watch = SonarWatch(max_sonars=4)
-    heard(watch, 0)
+    state = DiscoveryState(max_sonars=4)
+    heard(state, 0)
     for serial in range(100):
-        watch.feed(encode_status(device_id=serial), None, serial)
-    assert len(watch.sightings) == 4
-    assert watch.rejects == {"too_many_sonars": 97}
-    assert heard(watch, S).count == 2
+        state.feed(encode_status(device_id=serial), None, serial)
+    assert len(state.sonars) == 4
+    assert state.rejects == {"too_many_sonars": 97}
+    assert heard(state, S).count == 2
 
 
 def test_sonars_that_are_gone_make_room() -> None:
-    watch = SonarWatch(max_sonars=2)
+    state = DiscoveryState(max_sonars=2)
     for serial in range(3):
-        heard(watch, serial * (GONE_NS + 1), device_id=serial)
-    assert len(watch.sightings) <= 2
-    assert (1032, 2) in watch.sightings
+        heard(state, serial * (GONE_NS + 1), device_id=serial)
+    assert len(state.sonars) <= 2
+    assert (1032, 2) in state.sonars
 
 
 @pytest.mark.parametrize("wanted", ["7892", "192.168.2.3", "M750d", "m750D", "MT750d"])
 def test_a_sonar_is_chosen_by_serial_address_or_model(wanted: str) -> None:
-    seen = heard(SonarWatch(), 0, part_number=2419)
+    seen = heard(DiscoveryState(), 0, part_number=2419)
     assert seen.matches(wanted)
 
 
 @pytest.mark.parametrize("wanted", ["789", "192.168.2.30", "M1200d", ""])
 def test_no_other_sonar_is_chosen(wanted: str) -> None:
-    assert not heard(SonarWatch(), 0).matches(wanted)
+    assert not heard(DiscoveryState(), 0).matches(wanted)
 
 
 def test_the_facts_are_all_that_the_status_says() -> None:
     seen = heard(
-        SonarWatch(),
+        DiscoveryState(),
         0,
         source="192.168.2.3",
         status_bits=0x83,
@@ -170,7 +172,7 @@ def test_the_facts_are_all_that_the_status_says() -> None:
         temperatures_c=(20.0, 20.5, 21.0, 21.5, 22.0, 22.5, 23.0, float("nan")),
         pressure_bar=1.25,  # quirk 30: bar, not pascal
     )
-    facts = json.loads(json.dumps(seen.facts(), allow_nan=False))
+    facts = json.loads(json.dumps(seen.snapshot(), allow_nan=False))
     assert facts["firmware"] == {"arm0": "1.2.3", "arm1": "0.0.0", "fpga": "0.0.0"}
     assert (facts["address"], facts["netmask"]) == ("192.168.2.3", "255.255.255.0")
     assert (facts["busy"], facts["held_by"]) == (True, "192.168.2.10")
@@ -185,7 +187,7 @@ def test_a_version_has_three_parts() -> None:
 
 @given(st.lists(st.binary(max_size=160).map(lambda tail: b"SO" + tail), max_size=8))
 def test_any_datagram_is_a_sighting_or_a_reject(datagrams: list[bytes]) -> None:
-    watch = SonarWatch()
+    state = DiscoveryState()
     for arrival_ns, datagram in enumerate(datagrams):
-        assert isinstance(watch.feed(datagram, None, arrival_ns), Sighting | Reject)
-    assert watch.statuses + watch.rejects.total() == len(datagrams)
+        assert isinstance(state.feed(datagram, None, arrival_ns), DiscoveredSonar | Reject)
+    assert state.statuses + state.rejects.total() == len(datagrams)

@@ -38,7 +38,7 @@ class Witness:
             self.open = False
             bench.lose()
         elif name == "break" and self.open:
-            bench.actions += link.break_off("stream lost", bench.now_ns)
+            bench.actions += link.abort_connection("stream lost", bench.now_ns)
         elif name in ("ping", "dummy") and self.open:
             getattr(bench, name)()
         elif name in ("standby", "go"):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from oculus_driver import FireSettings, Mode, Ping, PingRate, decode_ping
-from oculus_driver.link.confirmation import CONFIRM_NS, ConfirmationWatch, differences
+from oculus_driver.link.confirmation import CONFIRM_TIMEOUT_NS, PendingConfirmation, differences
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -130,7 +130,7 @@ def test_a_difference_reads_as_words(show: Callable[..., Ping]) -> None:
 
 
 def test_the_first_ping_with_the_settings_confirms_them(show: Callable[..., Ping]) -> None:
-    watch = ConfirmationWatch(ASKED, 5 * S)
+    watch = PendingConfirmation(ASKED, 5 * S)
     assert watch.ping(show(range_m=3.0), 6 * S) is None  # one that was under way
     answer = watch.ping(show(gain_percent=10.0), 7 * S)
     assert answer is not None
@@ -140,9 +140,9 @@ def test_the_first_ping_with_the_settings_confirms_them(show: Callable[..., Ping
 
 def test_pings_that_show_otherwise_are_named_in_the_end(show: Callable[..., Ping]) -> None:
     # quirk 6: eight seconds, because speed of sound and salinity take six and more.
-    watch = ConfirmationWatch(ASKED, 0)
+    watch = PendingConfirmation(ASKED, 0)
     watch.ping(show(range_m=3.0, gamma=1, gain_percent=10.0), S)
-    assert watch.deadline_ns == CONFIRM_NS == 8 * S
+    assert watch.deadline_ns == CONFIRM_TIMEOUT_NS == 8 * S
     answer = watch.expire(8 * S)
     assert not answer.confirmed
     assert answer.reason == (
@@ -151,28 +151,28 @@ def test_pings_that_show_otherwise_are_named_in_the_end(show: Callable[..., Ping
 
 
 def test_without_pings_nothing_is_confirmed() -> None:
-    answer = ConfirmationWatch(ASKED, 0).expire(8 * S)
+    answer = PendingConfirmation(ASKED, 0).expire(8 * S)
     assert (answer.confirmed, answer.reason) == (False, "no ping came")
 
 
 def test_standby_is_confirmed_by_a_dummy_and_not_by_pings(show: Callable[..., Ping]) -> None:
     quiet = ASKED.in_standby()
-    watch = ConfirmationWatch(quiet, 0)
+    watch = PendingConfirmation(quiet, 0)
     assert watch.ping(show(), S) is None
     answer = watch.dummy(2 * S)
     assert answer is not None
     assert (answer.confirmed, answer.pings) == (True, 1)
-    loud = ConfirmationWatch(quiet, 0)
+    loud = PendingConfirmation(quiet, 0)
     loud.ping(show(), S)
     assert loud.expire(8 * S).reason == "pings came, no word of standby"
-    assert ConfirmationWatch(ASKED, 0).dummy(S) is None
+    assert PendingConfirmation(ASKED, 0).dummy(S) is None
 
 
 def test_what_was_sent_decides_and_what_was_asked_for_is_reported(
     show: Callable[..., Ping],
 ) -> None:
     asked = replace(ASKED, range_m=100.0)
-    answer = ConfirmationWatch(asked, 0, ASKED).ping(show(), S)
+    answer = PendingConfirmation(asked, 0, ASKED).ping(show(), S)
     assert answer is not None
     assert answer.confirmed
     assert [(one.name, one.asked, one.shown) for one in answer.changed] == [("range, m", 100, 10)]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from oculus_driver import FireSettings, PingRate
-from oculus_driver.link.state import LinkState, LinkTimes
+from oculus_driver.link.state import LinkState, LinkTimeouts
 
 if TYPE_CHECKING:
     from tests.oculus_driver.link.conftest import MakeBench
@@ -69,7 +69,7 @@ def test_the_fire_message_is_repeated_every_second_in_every_state(
 def test_the_keep_alive_can_be_slower_or_off(start: MakeBench) -> None:
     for period_ns, count in ((2 * S, 3), (None, 1)):
         bench = start(
-            FireSettings(ping_rate=PingRate.STANDBY), times=LinkTimes(keep_alive_ns=period_ns)
+            FireSettings(ping_rate=PingRate.STANDBY), times=LinkTimeouts(keep_alive_ns=period_ns)
         )
         bench.connect()
         bench.wait(4.05)
@@ -177,7 +177,7 @@ def test_a_slow_network_is_given_its_time(start: MakeBench) -> None:
     assert {fire["version"] for fire in bench.sent} == {2}
     for _ in range(5):
         bench.ping()
-        bench.wait(slow.longest_period_s + 1.9)
+        bench.wait(slow.max_period_s + 1.9)
         assert bench.state is LinkState.PINGING
     bench.wait(0.2)
     assert bench.reason.startswith("no ping for 5.3 s")

@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING
 import pytest
 
 from oculus_driver import encode_dummy
-from oculus_driver.link.receiver import LOST_BYTES, LOST_NS, STALL_NS, PingReceiver, Received
+from oculus_driver.link.receiver import (
+    MAX_RESYNC_BYTES,
+    RESYNC_TIMEOUT_NS,
+    STALL_TIMEOUT_NS,
+    PingReceiver,
+    ReceivedMessage,
+)
 from oculus_driver.wire import MessageId
 
 if TYPE_CHECKING:
@@ -16,7 +22,7 @@ if TYPE_CHECKING:
 S = 1_000_000_000
 
 
-def ids(received: list[Received]) -> list[int]:
+def ids(received: list[ReceivedMessage]) -> list[int]:
     return [one.ping.ping_id for one in received if one.ping is not None]
 
 
@@ -86,7 +92,7 @@ def test_the_noise_of_one_connection_is_no_trouble_for_the_next() -> None:
     receiver.feed(bytes(1000), 0)
     receiver.finish()
     assert deadline_ns(receiver) is None
-    assert receiver.trouble(60 * S) is None
+    assert receiver.fault(60 * S) is None
 
 
 def test_a_message_that_stops_is_trouble_after_two_seconds(make_ping: MakePing) -> None:
@@ -94,11 +100,11 @@ def test_a_message_that_stops_is_trouble_after_two_seconds(make_ping: MakePing) 
     receiver = PingReceiver()
     receiver.feed(message[:100], S)
     receiver.feed(message[100:200], 2 * S)
-    assert receiver.deadline_ns == 2 * S + STALL_NS
-    assert receiver.trouble(2 * S + STALL_NS - 1) is None
-    assert receiver.trouble(2 * S + STALL_NS) == "a message stopped after 200 bytes"
+    assert receiver.deadline_ns == 2 * S + STALL_TIMEOUT_NS
+    assert receiver.fault(2 * S + STALL_TIMEOUT_NS - 1) is None
+    assert receiver.fault(2 * S + STALL_TIMEOUT_NS) == "a message stopped after 200 bytes"
     receiver.feed(message[200:], 3 * S)
-    assert receiver.trouble(60 * S) is None
+    assert receiver.fault(60 * S) is None
     assert deadline_ns(receiver) is None
 
 
@@ -106,23 +112,23 @@ def test_a_message_that_stops_is_trouble_after_two_seconds(make_ping: MakePing) 
 def test_noise_is_trouble_after_16_mib_or_five_seconds(chunk: int) -> None:
     receiver = PingReceiver()
     fed, now_ns = 0, 0
-    while receiver.trouble(now_ns) is None:
+    while receiver.fault(now_ns) is None:
         now_ns += S // 10
         receiver.feed(bytes(chunk), now_ns)
         fed += chunk
     if chunk == 1000:
-        assert now_ns == S // 10 + LOST_NS
+        assert now_ns == S // 10 + RESYNC_TIMEOUT_NS
     else:
-        assert fed == LOST_BYTES
-    assert (receiver.trouble(now_ns) or "").startswith("no message found in ")
+        assert fed == MAX_RESYNC_BYTES
+    assert (receiver.fault(now_ns) or "").startswith("no message found in ")
 
 
 def test_trouble_is_over_when_a_message_is_found(make_ping: MakePing) -> None:
     receiver = PingReceiver()
     receiver.feed(bytes(1000), 0)
-    assert receiver.deadline_ns == LOST_NS
+    assert receiver.deadline_ns == RESYNC_TIMEOUT_NS
     assert ids(receiver.feed(make_ping() + encode_dummy(source_id=7892), S)) == [7]
-    assert receiver.trouble(60 * S) is None
+    assert receiver.fault(60 * S) is None
     assert deadline_ns(receiver) is None
 
 

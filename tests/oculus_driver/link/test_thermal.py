@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from oculus_driver import Ping, Status, decode_ping, decode_status, encode_status
-from oculus_driver.link.thermal import HeatGuard
+from oculus_driver.link.thermal import ThermalGuard
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -40,7 +40,7 @@ def ping_at(make_ping: MakePing, parse: Callable[[bytes], Message]) -> Callable[
 
 def test_a_sonar_that_has_shut_down_may_ping_when_it_says_so() -> None:
     # quirk 17
-    guard = HeatGuard(None)
+    guard = ThermalGuard(None)
     guard.status(status(bits=SHUT_DOWN))
     assert guard.reason is not None
     assert "too hot" in guard.reason
@@ -50,7 +50,7 @@ def test_a_sonar_that_has_shut_down_may_ping_when_it_says_so() -> None:
 
 def test_a_limit_counts_for_pings_and_statuses(ping_at: Callable[[float], Ping]) -> None:
     # quirk 16
-    guard = HeatGuard(35.0)
+    guard = ThermalGuard(35.0)
     guard.ping(ping_at(34.9))
     assert guard.reason is None
     guard.ping(ping_at(35.0))
@@ -64,7 +64,7 @@ def test_a_limit_counts_for_pings_and_statuses(ping_at: Callable[[float], Ping])
 
 
 def test_without_a_limit_readings_decide_nothing(ping_at: Callable[[float], Ping]) -> None:
-    guard = HeatGuard(None)
+    guard = ThermalGuard(None)
     guard.ping(ping_at(90.0))
     guard.status(status(90.0))
     assert guard.reason is None
@@ -72,7 +72,7 @@ def test_without_a_limit_readings_decide_nothing(ping_at: Callable[[float], Ping
 
 def test_a_reading_that_is_not_there_changes_nothing(ping_at: Callable[[float], Ping]) -> None:
     # quirk 5: sensors that are not there read as nonsense.
-    guard = HeatGuard(35.0)
+    guard = ThermalGuard(35.0)
     guard.ping(ping_at(2.6e-76))
     guard.ping(ping_at(1e194))
     guard.status(status(math.nan))

@@ -1,4 +1,4 @@
-"""Fan pictures: what the sonar heard stands where it was heard."""
+"""FanGeometry pictures: what the sonar heard stands where it was heard."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oculus_driver import OculusError, Ping, bearing_table_cdeg, decode_ping
-from oculus_driver.ping import caption_of, time_of
-from oculus_driver.render import Painter, Style, fan_of, laid_out
-from oculus_driver.render.files import Film, PngFolder
+from oculus_driver.ping import caption_lines, format_time
+from oculus_driver.render import Painter, Style, fit_fan, warp_to_fan
+from oculus_driver.render.files import PngFolder, VideoFile
 from oculus_driver.render.painter import ring_ranges_m, spoke_bearings_deg
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def test_the_real_ping_is_laid_out_sample_by_sample(captured: list[Message]) -> 
     ping = decode_ping(captured[0])
     assert isinstance(ping, Ping)
     frame = Painter(Style(height_px=1600, colours="grey", gamma=1.0, labels=False)).paint(ping)
-    fan = fan_of(ping.bearings_rad, ping.max_range_m, frame.shape[1::-1], (0, 0, 0, 0))
+    fan = fit_fan(ping.bearings_rad, ping.max_range_m, frame.shape[1::-1], (0, 0, 0, 0))
     drawn, heard = [], []
     for row in range(200, 700, 20):
         for beam in range(5, 250, 10):
@@ -135,9 +135,9 @@ def test_what_is_brighter_than_white_is_white_and_a_black_ping_is_black(
 
 
 def test_samples_stand_at_the_middles_of_their_rows() -> None:
-    fan = fan_of(np.radians(np.linspace(-30, 30, 8)), 10.0, (400, 400), (0, 0, 0, 0))
+    fan = fit_fan(np.radians(np.linspace(-30, 30, 8)), 10.0, (400, 400), (0, 0, 0, 0))
     level = np.repeat(np.arange(4, dtype=np.float32)[:, np.newaxis], 8, axis=1)
-    laid = laid_out(level, fan)
+    laid = warp_to_fan(level, fan)
     expected = np.clip(4.0 * fan.row_share - 0.5, 0.0, 3.0)
     assert laid[~fan.outside] == pytest.approx(expected[~fan.outside], abs=0.05)
 
@@ -175,12 +175,12 @@ def test_spokes_are_whole_degrees_of_the_aperture() -> None:
 def test_the_caption_says_what_the_ping_is(captured: list[Message]) -> None:
     ping = decode_ping(captured[0])
     assert isinstance(ping, Ping)
-    assert caption_of(ping) == [
+    assert caption_lines(ping) == [
         "ping 415323   703 rows x 256 beams   8 bit",
         "range 2.00 m   mode 2   2.099 MHz   gain 50 %   sound 1490.7 m/s",
         "2001-09-09 01:46:40.000 UTC",
     ]
-    assert time_of(1 << 90) == f"{1 << 90} ns"
+    assert format_time(1 << 90) == f"{1 << 90} ns"
 
 
 @pytest.mark.parametrize(
@@ -217,7 +217,7 @@ def test_a_style_that_cannot_be_is_refused(style: Style) -> None:
 
 def test_a_film_has_all_frames(tmp_path: Path) -> None:
     path = tmp_path / "dive.mp4"
-    with Film(path, 5.0) as film:
+    with VideoFile(path, 5.0) as film:
         for level in (20, 120, 220):
             film.add(np.full((120, 160, 3), level, dtype=np.uint8), "")
     reader = cv2.VideoCapture(str(path))
@@ -233,5 +233,8 @@ def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(OculusError, match="cannot be written"):
         PngFolder(tmp_path / "file")
-    with pytest.raises(OculusError, match="cannot be written"), Film(tmp_path / "no" / "a.mp4", 5):
-        Film(tmp_path / "no" / "a.mp4", 5).add(np.zeros((120, 160, 3), dtype=np.uint8), "")
+    with (
+        pytest.raises(OculusError, match="cannot be written"),
+        VideoFile(tmp_path / "no" / "a.mp4", 5),
+    ):
+        VideoFile(tmp_path / "no" / "a.mp4", 5).add(np.zeros((120, 160, 3), dtype=np.uint8), "")

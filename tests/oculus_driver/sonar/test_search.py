@@ -22,7 +22,7 @@ from oculus_driver import (
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
-    from oculus_driver import LinkTimes
+    from oculus_driver import LinkTimeouts
     from tests.oculus_driver.sonar.conftest import MakeSonar, Run
 
 FREE = FireSettings(range_m=5.0)
@@ -53,7 +53,7 @@ class Ether:
     async def __aexit__(self, *_: object) -> None:
         self.open = False
 
-    async def sightings(self) -> AsyncIterator[Heard]:
+    async def updates(self) -> AsyncIterator[Heard]:
         while True:
             heard = await self.waiting.get()
             if isinstance(heard, Exception):
@@ -131,7 +131,7 @@ def test_a_sonar_that_is_held_is_waited_for(fake: MakeSonar, run: Run) -> None:
 
 
 def test_a_sonar_with_another_address_is_followed(
-    fake: MakeSonar, run: Run, quick: LinkTimes
+    fake: MakeSonar, run: Run, quick: LinkTimeouts
 ) -> None:
     async def main() -> None:
         ether = Ether()

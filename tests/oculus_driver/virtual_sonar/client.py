@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from oculus_driver import (
     Ping,
-    PlayedSonar,
+    PlaybackSonar,
     StreamParser,
     decode_ping,
     encode_fire,
@@ -41,7 +41,7 @@ class Client:
         self.ready: list[Message] = []
 
     @classmethod
-    async def of(cls, sonar: PlayedSonar) -> Client:
+    async def of(cls, sonar: PlaybackSonar) -> Client:
         return await cls.of_address(sonar.host, sonar.port)
 
     @classmethod

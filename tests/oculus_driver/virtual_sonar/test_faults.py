@@ -11,7 +11,7 @@ import pytest
 from oculus_driver import (
     Faults,
     Ping,
-    PlayedSonar,
+    PlaybackSonar,
     decode_ping,
     encode_fire,
 )
@@ -28,7 +28,7 @@ def test_a_cut_ends_the_connection_inside_a_ping(pings: list[bytes]) -> None:
 
         faults = Faults(cut=0.5, number=3)
         whole: list[int] = []
-        async with PlayedSonar(
+        async with PlaybackSonar(
             pings, loops=10, speed=None, faults=faults, on_ping=note, dummy_period_s=0.01
         ) as sonar:
             while not sonar.device.ended:
@@ -48,7 +48,7 @@ def test_a_cut_takes_nothing_that_was_sent_before_it(pings: list[bytes]) -> None
     async def work() -> None:
         loop, gone = asyncio.get_running_loop(), asyncio.Event()
         faults = Faults(cut=1.0, number=2)
-        async with PlayedSonar(
+        async with PlaybackSonar(
             pings, speed=None, faults=faults, on_ping=lambda *_: gone.set()
         ) as sonar:
             with socket.create_connection((sonar.host, sonar.port)) as link:
@@ -71,7 +71,7 @@ def test_flipped_and_lost_pings_are_told_and_the_others_arrive(pings: list[bytes
         sent: dict[int, bool] = {}
         faults = Faults(flip=0.3, lose=0.2, garbage=0.2, number=1)
         async with (
-            PlayedSonar(
+            PlaybackSonar(
                 pings,
                 loops=25,
                 speed=None,
@@ -99,7 +99,7 @@ def test_ids_start_again_on_request(pings: list[bytes]) -> None:
     async def work() -> None:
         faults = Faults(restart_ids=0.3, number=5)
         async with (
-            PlayedSonar(pings, loops=5, speed=None, faults=faults) as sonar,
+            PlaybackSonar(pings, loops=5, speed=None, faults=faults) as sonar,
             await Client.of(sonar) as client,
         ):
             ids = await client.ids(20)
@@ -112,7 +112,7 @@ def test_ids_start_again_on_request(pings: list[bytes]) -> None:
 def test_a_restart_ends_the_connection_between_two_pings(pings: list[bytes]) -> None:
     async def work() -> None:
         faults = Faults(restart=0.3, number=5)
-        async with PlayedSonar(pings, loops=None, speed=None, faults=faults) as sonar:
+        async with PlaybackSonar(pings, loops=None, speed=None, faults=faults) as sonar:
             for _ in range(5):
                 async with await Client.of(sonar) as client:
                     await client.to_the_end()
@@ -126,7 +126,7 @@ def test_a_stall_delays_and_loses_nothing(pings: list[bytes]) -> None:
     async def work() -> None:
         faults = Faults(stall=0.5, stall_s=0.01)
         async with (
-            PlayedSonar(pings, loops=5, speed=None, faults=faults) as sonar,
+            PlaybackSonar(pings, loops=5, speed=None, faults=faults) as sonar,
             await Client.of(sonar) as client,
         ):
             assert await client.ids(20) == [*range(40, 60)]
@@ -141,7 +141,7 @@ def test_a_client_that_does_not_fire_gets_no_more_pings_on_request(
     async def work() -> None:
         faults = Faults(silent_after_s=1000.0)
         async with (
-            PlayedSonar(pings, loops=None, speed=None, faults=faults) as sonar,
+            PlaybackSonar(pings, loops=None, speed=None, faults=faults) as sonar,
             await Client.of(sonar) as client,
         ):
             await client.ids(1)
@@ -160,9 +160,9 @@ def test_a_client_that_does_not_fire_gets_no_more_pings_on_request(
 @pytest.mark.parametrize("deaf_to", [1, 2])
 def test_a_sonar_may_understand_one_version_only(pings: list[bytes], deaf_to: int) -> None:
     async def work() -> None:  # quirk 14
-        faults = Faults(deaf_to_version=deaf_to)
+        faults = Faults(ignored_fire_version=deaf_to)
         async with (
-            PlayedSonar(
+            PlaybackSonar(
                 pings, standby=True, speed=None, dummy_period_s=0.01, faults=faults
             ) as sonar,
             await Client.of(sonar) as client,

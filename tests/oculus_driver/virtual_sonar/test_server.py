@@ -13,7 +13,7 @@ from oculus_driver import (
     Faults,
     OculusError,
     Ping,
-    PlayedSonar,
+    PlaybackSonar,
     decode_ping,
     encode_dummy,
     encode_fire,
@@ -31,7 +31,10 @@ if TYPE_CHECKING:
 
 def test_the_real_capture_comes_out_byte_for_byte(capture_path: Path, capture: bytes) -> None:
     async def work() -> None:
-        async with PlayedSonar(capture_path, speed=None) as sonar, await Client.of(sonar) as client:
+        async with (
+            PlaybackSonar(capture_path, speed=None) as sonar,
+            await Client.of(sonar) as client,
+        ):
             assert len(await client.messages(3)) == 3
             assert client.data == capture
             await sonar.finished.wait()
@@ -43,7 +46,7 @@ def test_the_real_capture_comes_out_byte_for_byte(capture_path: Path, capture: b
 def test_ids_and_device_time_go_on_where_the_recording_begins_again(pings: list[bytes]) -> None:
     async def work() -> None:
         async with (
-            PlayedSonar(pings, speed=None, loops=3) as sonar,
+            PlaybackSonar(pings, speed=None, loops=3) as sonar,
             await Client.of(sonar) as client,
         ):
             decoded = [decode_ping(message) for message in await client.messages(12)]
@@ -59,7 +62,7 @@ def test_standby_stops_the_pings_and_sends_dummies_until_pings_are_asked_for(
 ) -> None:
     async def work() -> None:
         async with (
-            PlayedSonar(pings, speed=None, standby=True, dummy_period_s=0.01) as sonar,
+            PlaybackSonar(pings, speed=None, standby=True, dummy_period_s=0.01) as sonar,
             await Client.of(sonar) as client,
         ):
             silent = await client.messages(3)
@@ -68,15 +71,15 @@ def test_standby_stops_the_pings_and_sends_dummies_until_pings_are_asked_for(
             assert await client.ids(1) == [40]
             client.writer.write(STANDBY)
             await client.until(MessageId.DUMMY)
-            assert sonar.device.demand is not None
-            assert sonar.device.demand.standby
+            assert sonar.device.request is not None
+            assert sonar.device.request.standby
 
     run(work())
 
 
 def test_settings_stay_when_the_client_leaves(pings: list[bytes]) -> None:  # quirk 16
     async def work() -> None:
-        async with PlayedSonar(pings, standby=True, loops=None, speed=None) as sonar:
+        async with PlaybackSonar(pings, standby=True, loops=None, speed=None) as sonar:
             async with await Client.of(sonar) as first:
                 first.writer.write(encode_fire(ping_rate=2))
                 assert await first.ids(1) == [40]
@@ -89,7 +92,7 @@ def test_settings_stay_when_the_client_leaves(pings: list[bytes]) -> None:  # qu
 def test_dummies_come_however_often_the_client_fires(pings: list[bytes]) -> None:
     async def work() -> None:
         async with (
-            PlayedSonar(pings, standby=True, dummy_period_s=0.1) as sonar,
+            PlaybackSonar(pings, standby=True, dummy_period_s=0.1) as sonar,
             await Client.of(sonar) as client,
         ):
             waiting = asyncio.create_task(client.until(MessageId.DUMMY))
@@ -104,7 +107,7 @@ def test_dummies_come_however_often_the_client_fires(pings: list[bytes]) -> None
 def test_a_triggered_sonar_sends_one_ping_for_each_fire_message(pings: list[bytes]) -> None:
     async def work() -> None:
         async with (
-            PlayedSonar(pings, standby=True, dummy_period_s=60.0) as sonar,
+            PlaybackSonar(pings, standby=True, dummy_period_s=60.0) as sonar,
             await Client.of(sonar) as client,
         ):
             for ping_id in (40, 41, 42):
@@ -117,7 +120,7 @@ def test_a_triggered_sonar_sends_one_ping_for_each_fire_message(pings: list[byte
 
 def test_a_second_client_waits_until_the_first_leaves(pings: list[bytes]) -> None:  # quirk 20
     async def work() -> None:
-        async with PlayedSonar(pings, loops=None, speed=None) as sonar:
+        async with PlaybackSonar(pings, loops=None, speed=None) as sonar:
             async with await Client.of(sonar) as first:
                 await first.ids(1)
                 second = await Client.of(sonar)
@@ -134,7 +137,7 @@ def test_a_second_client_is_refused_on_request(pings: list[bytes]) -> None:  # q
     async def work() -> None:
         faults = Faults(refuse_second=True)
         async with (
-            PlayedSonar(pings, loops=None, speed=None, faults=faults) as sonar,
+            PlaybackSonar(pings, loops=None, speed=None, faults=faults) as sonar,
             await Client.of(sonar) as first,
         ):
             await first.ids(1)
@@ -149,7 +152,7 @@ def test_a_second_client_is_refused_on_request(pings: list[bytes]) -> None:  # q
 def test_the_configuration_can_be_asked_for(pings: list[bytes]) -> None:
     async def work() -> None:
         async with (
-            PlayedSonar(pings, standby=True, dummy_period_s=60.0) as sonar,
+            PlaybackSonar(pings, standby=True, dummy_period_s=60.0) as sonar,
             await Client.of(sonar) as client,
         ):
             client.writer.write(encode_dummy() + encode_user_config())
@@ -163,7 +166,7 @@ def test_messages_handed_over_in_pieces_are_the_same_messages(pings: list[bytes]
     async def work() -> None:
         faults = Faults(piece_bytes=7)
         async with (
-            PlayedSonar(pings, speed=None, faults=faults) as sonar,
+            PlaybackSonar(pings, speed=None, faults=faults) as sonar,
             await Client.of(sonar) as client,
         ):
             await client.messages(4)
@@ -181,7 +184,7 @@ def test_clients_may_come_and_go_at_any_moment(make_ping: Callable[..., bytes]) 
         rng = np.random.default_rng(1)
         faults = Faults(cut=0.3, restart=0.2, number=1)
         large = make_ping(rows=700)
-        async with PlayedSonar([large], loops=None, speed=None, faults=faults) as sonar:
+        async with PlaybackSonar([large], loops=None, speed=None, faults=faults) as sonar:
             for _ in range(400):
                 with socket.socket() as link:
                     link.settimeout(0)
@@ -202,7 +205,7 @@ def test_clients_may_come_and_go_at_any_moment(make_ping: Callable[..., bytes]) 
 
 def test_leaving_does_not_wait_for_a_client_that_does_not_read(capture: bytes) -> None:
     async def work() -> None:
-        async with PlayedSonar([capture[:182016]], loops=None, speed=None) as sonar:
+        async with PlaybackSonar([capture[:182016]], loops=None, speed=None) as sonar:
             client = await Client.of(sonar)
             await asyncio.sleep(0.2)
             assert sonar.counters.bytes_sent
@@ -214,9 +217,9 @@ def test_leaving_does_not_wait_for_a_client_that_does_not_read(capture: bytes) -
 
 def test_an_address_that_is_taken_is_told(pings: list[bytes]) -> None:
     async def work() -> None:
-        async with PlayedSonar(pings) as sonar:
+        async with PlaybackSonar(pings) as sonar:
             with pytest.raises(OculusError, match=f"listen on 127.0.0.1:{sonar.port}: .*in use"):
-                async with PlayedSonar(pings, port=sonar.port):
+                async with PlaybackSonar(pings, port=sonar.port):
                     pass
 
     run(work())

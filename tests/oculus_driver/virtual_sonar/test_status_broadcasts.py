@@ -8,13 +8,13 @@ import socket
 from oculus_driver import (
     Faults,
     Identity,
-    PlayCounters,
-    PlayedSonar,
+    PlaybackSonar,
+    VirtualSonarCounters,
     decode_status,
     encode_status,
 )
 from oculus_driver.status import Status
-from oculus_driver.virtual_sonar.faults import Dice
+from oculus_driver.virtual_sonar.faults import FaultInjector
 from oculus_driver.virtual_sonar.server import broadcast
 from oculus_driver.wire import MessageId
 from tests.oculus_driver.virtual_sonar.client import Client, run
@@ -43,7 +43,7 @@ def test_the_status_says_who_it_is_and_who_holds_it(pings: list[bytes]) -> None:
     async def work() -> None:
         ears, transport, port = await listener()
         identity = Identity(device_id=70_007, part_number=1042)
-        async with PlayedSonar(
+        async with PlaybackSonar(
             pings, identity=identity, status_to=[("127.0.0.1", port)], status_period_s=0.01
         ) as sonar:
             status = await ears.heard.get()
@@ -64,7 +64,7 @@ def test_an_overheated_sonar_says_so_and_stops(pings: list[bytes]) -> None:  # q
     async def work() -> None:
         ears, transport, port = await listener()
         async with (
-            PlayedSonar(
+            PlaybackSonar(
                 pings,
                 loops=None,
                 speed=None,
@@ -94,8 +94,8 @@ def test_statuses_come_late_and_twice_on_request() -> None:  # quirk 21
                 "127.0.0.1",
                 [("127.0.0.1", port)],
                 0.001,
-                dice=Dice(Faults(reorder_statuses=1.0)),
-                counters=PlayCounters(),
+                faults=FaultInjector(Faults(reorder_statuses=1.0)),
+                counters=VirtualSonarCounters(),
             )
         )
         heard = [(await ears.heard.get()).device_id for _ in range(6)]

@@ -139,7 +139,7 @@ def _faults(said: argparse.Namespace) -> Faults:
         stall_s=said.stall_s,
         refuse_second=said.refuse_second,
         silent_after_s=said.silent_after,
-        deaf_to_version=said.deaf_to_version,
+        ignored_fire_version=said.deaf_to_version,
         number=said.seed,
     )
 
