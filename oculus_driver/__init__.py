@@ -1,6 +1,6 @@
-"""A driver of Blueprint Subsea Oculus multibeam imaging sonars, useful alone.
+"""Driver for Blueprint Subsea Oculus multibeam imaging sonars. It can be used alone.
 
-What needs asyncio is imported when first asked for, so that importing this package stays quick.
+Names that need asyncio are imported on first use, so that importing this package is fast.
 """
 
 import importlib

@@ -1,12 +1,11 @@
-"""A sender's clock carried over to ours: the lower envelope of arrival minus stamp.
+"""Fit of a remote clock to the host's: the lower envelope of arrival minus stamp.
 
-Delay only ever adds. So all points (arrival, arrival minus stamp) lie above the line that is the
-true offset between the clocks, offset and drift, and the line closest to them from below is its
-best estimate. That line is an edge of the points' lower convex hull: S. Moon, P. Skelly and
-D. Towsley, "Estimation and removal of clock skew from network delay measurements", INFOCOM 1999;
-L. Zhang, Z. Liu and C. Xia, "Clock synchronization algorithms for network measurements", INFOCOM
-2002. Without the drift: E. Olson, "A passive solution to the sensor synchronization problem",
-IROS 2010.
+Delays only add. So all points (arrival, arrival minus stamp) lie above the line of the true
+offset and drift between the clocks, and the line closest to them from below is the best estimate.
+That line is an edge of the lower convex hull of the points: S. Moon, P. Skelly and D. Towsley,
+"Estimation and removal of clock skew from network delay measurements", INFOCOM 1999; L. Zhang,
+Z. Liu and C. Xia, "Clock synchronization algorithms for network measurements", INFOCOM 2002.
+Without drift: E. Olson, "A passive solution to the sensor synchronization problem", IROS 2010.
 """
 
 from __future__ import annotations
@@ -18,25 +17,25 @@ from typing import Final
 __all__ = ["ClockFit"]
 
 WINDOW_NS: Final = 30_000_000_000
-"""How long a point counts: long enough to see a drift, short enough for it to be constant."""
+"""Lifetime of a point: long enough to measure a drift, short enough for a constant drift."""
 
 BUCKET_NS: Final = 250_000_000
-"""Of the points in such a time only the lowest is kept: bounds memory and work at any rate."""
+"""Only the lowest point of a bucket is kept, which bounds memory and work at any rate."""
 
 MIN_SPAN_NS: Final = 10_000_000_000
-"""Points over less time say nothing about drift: 1 ms of delay would look like 100 ppm and more."""
+"""Points over a shorter time do not determine the drift: 1 ms of delay would look like 100 ppm."""
 
 MIN_POINTS: Final = 10
-"""Of fewer points each can be late."""
+"""With fewer points all of them may be late."""
 
 MAX_DRIFT: Final = 200e-6
 """No crystal drifts more. A steeper edge is a change of delay; the line follows it at this rate."""
 
 MAX_RATE_ERROR: Final = 0.01
-"""A steeper edge than this is no clock at all, such as a stamp that stands still."""
+"""A steeper edge than this is not a clock, for example a constant stamp."""
 
 JUMP_NS: Final = 1_000_000_000
-"""A stamp further than this ahead of its arrival is no drift: the clock has jumped."""
+"""A stamp further ahead of its arrival than this is a clock jump, not drift."""
 
 _Point = tuple[int, int]  # arrival, arrival minus stamp
 
@@ -53,7 +52,7 @@ class _Line:
 
 
 class ClockFit:
-    """Offset and drift of one sender's clock, learnt from its stamps as they arrive."""
+    """Offset and drift of one remote clock, estimated from arriving stamps."""
 
     def __init__(self) -> None:
         self._points: deque[_Point] = deque(maxlen=2 * WINDOW_NS // BUCKET_NS)
@@ -63,28 +62,28 @@ class ClockFit:
 
     @property
     def drift(self) -> float:
-        """Seconds that the host's clock gains per second on the sender's; 0 until it is known."""
+        """Seconds that the host's clock gains per second on the remote one; 0 until it is known."""
         return 0.0 if self._line is None else self._line.slope
 
     @property
     def is_valid(self) -> bool:
-        """False where the stamps do not run like a clock; then their host times are of no use."""
+        """False if the stamps do not advance like a clock; then their host times are useless."""
         return self._line is None or abs(self._line.rate_error) <= MAX_RATE_ERROR
 
     def restart(self) -> None:
-        """Forget everything: the sender is known to have restarted its clock."""
+        """Forget everything, after a known restart of the remote clock."""
         self._points.clear()
         self._line = self._last_stamp_ns = self._suspect = None
 
     def to_host_ns(self, stamp_ns: int, arrival_ns: int) -> int | None:
-        """Host time of a stamp, or None while the clock looks as if it had jumped.
+        """Return the host time of a stamp, or None while the clock seems to have jumped.
 
-        A late record is only late. One stray stamp is left out; two in a row that agree with
-        each other start the fit anew.
+        A late record does not matter. A single outlier is skipped; two consecutive outliers that
+        agree with each other restart the fit.
 
         Args:
-            stamp_ns: on the sender's clock.
-            arrival_ns: when it arrived, on the host's clock.
+            stamp_ns: on the remote clock.
+            arrival_ns: its arrival on the host's clock.
         """
         if self._jumped(stamp_ns, arrival_ns):
             confirmed = self._suspect is not None and _elapsed_agree(
@@ -97,8 +96,8 @@ class ClockFit:
         self._last_stamp_ns, self._suspect = stamp_ns, None
         line = self._fit((arrival_ns, arrival_ns - stamp_ns))
         on_time_ns = stamp_ns + line.at(arrival_ns)
-        # Of the line at the moment itself, not at the arrival. A point that was not kept can lie
-        # below the line by the drift over one bucket; nothing happens after it has arrived.
+        # Evaluate the line at the time itself, not at the arrival. A point that was not kept can
+        # be below the line by the drift over one bucket, but no event follows its own arrival.
         return min(arrival_ns, stamp_ns + line.at(on_time_ns))
 
     def _jumped(self, stamp_ns: int, arrival_ns: int) -> bool:
@@ -108,7 +107,7 @@ class ClockFit:
         return stamp_ns < self._last_stamp_ns or ahead_ns > JUMP_NS
 
     def _fit(self, point: _Point) -> _Line:
-        """Take a point, forget old ones, and return the line below all."""
+        """Add the point, drop expired ones, and return the line below all points."""
         news = self._keep(point)
         while abs(point[0] - self._points[0][0]) > WINDOW_NS:
             self._points.popleft()
@@ -118,7 +117,7 @@ class ClockFit:
         return self._line
 
     def _keep(self, point: _Point) -> bool:
-        """Keep the point unless another of its time is lower; return whether it was kept."""
+        """Keep the point unless its bucket has a lower one. Return whether it was kept."""
         if self._points and self._points[-1][0] // BUCKET_NS == point[0] // BUCKET_NS:
             if self._points[-1][1] <= point[1]:
                 return False
@@ -129,7 +128,7 @@ class ClockFit:
 
 
 def _line_below(points: list[_Point]) -> _Line:
-    """Return the line that is below all points and closest to them on average.
+    """Return the line below all points that is closest to them on average.
 
     Args:
         points: in order of arrival, at least one.
@@ -164,13 +163,13 @@ def _lower_hull(points: list[_Point]) -> list[_Point]:
 
 
 def _slope_at(hull: list[_Point], x: int) -> float:
-    """Return the slope of the hull's edge above `x`, which lies between its ends."""
+    """Return the slope of the hull's edge above `x`. `x` must be between the ends of the hull."""
     right = next(index for index, point in enumerate(hull) if point[0] >= x)
     (x0, y0), (x1, y1) = hull[max(right, 1) - 1], hull[max(right, 1)]
     return (y1 - y0) / (x1 - x0)
 
 
 def _elapsed_agree(before: tuple[int, int], now: tuple[int, int]) -> bool:
-    """Whether both clocks say the same about the time between two records."""
+    """Return whether both clocks measured the same time between two records."""
     stamps, arrivals = now[0] - before[0], now[1] - before[1]
     return stamps >= 0 and abs(stamps - arrivals) <= JUMP_NS

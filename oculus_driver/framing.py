@@ -1,13 +1,13 @@
-"""Is this a message, and where does it end? Pure verdicts on one place of a byte stream.
+"""Message framing: does a message start at a position of the stream, and where does it end? Pure.
 
-A ping says its size three times: in the header, as message size in the body, and as end of the
-image. Where the three agree it is believed. Where they do not, and for ids that nobody
-knows, the bytes after it decide: a message is one that is followed by another good header. With
-two sizes to choose from (header and body) the one that leads to a good header wins, so a
-damaged size costs one ping and never the pings behind it.
+A ping states its size three times: in the header, as the message size in the body, and as the end
+of the image. If the three agree, the ping is accepted. If they do not agree, or if the message id
+is unknown, the bytes after the message decide: a message must be followed by another valid
+header. If header and body state different sizes, the size that leads to a valid header wins. So a
+damaged size field costs one ping and never the pings after it.
 
-Sizes agree also where bytes are missing inside: then the ping reaches into the next one. So a
-ping is refused if no header follows it and another ping, of the same sonar, begins inside it.
+The sizes also agree if bytes are missing inside a ping; then it extends into the next ping. So a
+ping is rejected if no header follows it and another ping of the same sonar starts inside it.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _U16: Final = struct.Struct("<H")
 MAX_STRICT_VERSION: Final = 2
 MAX_VERSION: Final = 255
 
-# Small and frequent: believed at once while synchronised, so that a sign of life is not held back.
+# Small and frequent: accepted at once while synchronised, so that no sign of life is delayed.
 _PLAIN_IDS: Final = frozenset(
     {MessageId.FIRE, MessageId.USER_CONFIG, MessageId.LOG, MessageId.DUMMY}
 )
@@ -46,7 +46,7 @@ _PLAIN_IDS: Final = frozenset(
 CANDIDATE: Final = re.compile(
     rb"SO.{4}[\x15\x22\x23\x55\x80\xff]\x00[\x00-\x02]\x00.{3}[\x00\x01]", re.DOTALL
 )
-"""Start of a header with a known id, version and a payload below 32 MiB, found at C speed."""
+"""Start of a header with a known id and version and a payload below 32 MiB; searched at C speed."""
 
 CANDIDATE_SIZE: Final = 14
 
@@ -54,13 +54,13 @@ _ID_OFFSET: Final = 6
 _PING_ID: Final = int(MessageId.PING_RESULT)
 
 _MARK_SIZE: Final = 4
-"""Magic and source id: how all messages of one sonar begin."""
+"""Bytes of magic and source id: all messages of one sonar start with them."""
 
 _STABLE_SIZE: Final = 10
-"""Bytes of a header that seldom differ from one message to the next: all before the size."""
+"""Header bytes in front of the payload size; they rarely change between messages."""
 
 _MAX_CHANGED_BYTES: Final = 2
-"""Of these, how many may be changed in a header that is still known as one."""
+"""Maximum number of changed bytes among these in a header that still counts as similar."""
 
 
 class Header(NamedTuple):
@@ -76,7 +76,7 @@ class Header(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Bytes of the whole message, as the header claims."""
+        """Size of the whole message according to the header, bytes."""
         return HEADER.size + self.payload_size
 
 
@@ -85,10 +85,10 @@ class Accept:
     """A message of `size` bytes starts here.
 
     Attributes:
-        header: of the message.
-        size: of the message.
-        proven: its own sizes agree.
-        confirmed: nothing behind it speaks against its end, or nobody asked.
+        header: header of the message.
+        size: size of the message.
+        proven: the sizes inside the message agree.
+        confirmed: nothing after the message contradicts its end, or no confirmation was requested.
     """
 
     header: Header
@@ -99,7 +99,7 @@ class Accept:
 
 @dataclass(frozen=True, slots=True)
 class Skip:
-    """No message starts here, or none that can be told from noise; go on `skip` bytes later."""
+    """No recognisable message starts here; continue `skip` bytes later."""
 
     reason: str
     skip: int = 1
@@ -107,7 +107,7 @@ class Skip:
 
 @dataclass(frozen=True, slots=True)
 class NeedMore:
-    """No check before `size` bytes from here have come."""
+    """The decision needs `size` bytes from here."""
 
     size: int
 
@@ -116,7 +116,7 @@ FrameResult = Accept | Skip | NeedMore
 
 
 def read_header(buffer: bytes | bytearray, position: int) -> Header:
-    """Return the header at `position`; 16 bytes must be there."""
+    """Return the header at `position`. The buffer must hold 16 bytes from there."""
     return Header._make(_HEADER.unpack_from(buffer, position))
 
 
@@ -124,8 +124,8 @@ def header_fault(header: Header, *, strict: bool) -> str | None:
     """Return why the header is not plausible, or None.
 
     Args:
-        header: what stands there.
-        strict: only known ids, versions and sizes, as demanded while resynchronising.
+        header: the header to check.
+        strict: accept only known ids, versions and sizes, as during resynchronisation.
     """
     if header.magic != MAGIC:
         return "bad_magic"
@@ -147,13 +147,13 @@ def header_fault(header: Header, *, strict: bool) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class FrameChecker:
-    """What is known when a place in the stream is judged.
+    """Decides what starts at a position of the stream.
 
     Attributes:
-        synchronised: the place is where the last message ended.
-        source_id: the sonar's id, or None before the first good ping.
-        final: no more bytes will come.
-        confirm: wait for the header behind a ping whose sizes agree.
+        synchronised: the position is the end of the previous message.
+        source_id: the sonar's id, None before the first accepted ping.
+        final: no more bytes will arrive.
+        confirm: wait for the header after a ping whose sizes agree.
     """
 
     synchronised: bool
@@ -162,10 +162,10 @@ class FrameChecker:
     confirm: bool = False
 
     def check(self, buffer: bytes | bytearray, position: int) -> FrameResult:
-        """Return what stands at `position`.
+        """Return what starts at `position`.
 
-        Takes constant time, whatever the sizes claimed; but for a ping whose sizes agree and
-        whose bytes are there, time in proportion to the bytes that its check settles.
+        Takes constant time for any claimed size, except for a complete ping whose sizes agree: then
+        the time is proportional to the bytes of the ping.
         """
         left = len(buffer) - position
         if left < HEADER.size:
@@ -208,7 +208,7 @@ class FrameChecker:
     def _check_proven(
         self, buffer: bytes | bytearray, position: int, header: Header
     ) -> FrameResult:
-        """Check a ping whose sizes agree; one that may hold another is not believed at once."""
+        """Check a ping whose sizes agree. It must wait if it may contain another ping."""
         size, left = header.size, len(buffer) - position
         if left < size:
             return self._need_more(size)
@@ -223,7 +223,7 @@ class FrameChecker:
     def _check_unconfirmed(
         self, buffer: bytes | bytearray, position: int, header: Header
     ) -> FrameResult:
-        """Check a ping whose sizes agree, but behind which nothing or no message stands."""
+        """Check a ping whose sizes agree but which no message follows."""
         size = header.size
         last = len(buffer) - position == size
         inside = self._find_inner_ping(buffer, position, size)
@@ -236,10 +236,10 @@ class FrameChecker:
         return Skip("bytes_missing", inside - position)
 
     def _find_inner_ping(self, buffer: bytes | bytearray, position: int, size: int) -> int | None:
-        """Return where another ping of this sonar starts in a ping, or None; -1 if yet unknown.
+        """Return where another ping of this sonar starts inside a ping, None if nowhere.
 
-        A last byte alone that could start one tells nothing. It counts only while confirming, as
-        otherwise one ping in 256 would have to wait.
+        Returns -1 if more bytes are needed to decide. A single last byte that could start a ping
+        counts only while confirming; otherwise one ping in 256 would have to wait.
         """
         mark = bytes(buffer[position : position + _MARK_SIZE])
         least = 1 if self.confirm else len(MAGIC_BYTES)
@@ -263,7 +263,7 @@ class FrameChecker:
         sizes: tuple[int, ...],
         reason: str,
     ) -> FrameResult:
-        """Accept the first of `sizes` (ascending) behind which a good header stands."""
+        """Accept the first of `sizes` (ascending) that leads to a valid header."""
         left = len(buffer) - position
         for size in sizes:
             if left >= size + HEADER.size:
@@ -287,15 +287,15 @@ _BAD_MAGIC: Final = Skip("bad_magic")
 
 
 def _magic_prefix(buffer: bytes | bytearray, position: int) -> bool:
-    """Tell whether what is there of the next header (perhaps nothing) can begin a message."""
+    """Return whether the available bytes of the next header (maybe none) can start a message."""
     return MAGIC_BYTES.startswith(bytes(buffer[position : position + len(MAGIC_BYTES)]))
 
 
 def _followed_by_header(buffer: bytes | bytearray, start: int, end: int) -> bool:
-    """Tell whether the bytes behind a message can begin another one, be it damaged.
+    """Return whether the bytes after a message can start another message, even a damaged one.
 
-    A header that resembles the message's own confirms the end too: so a changed byte in a header
-    casts no doubt on the message before.
+    A header similar to the message's own header also confirms the end. So a changed byte in a
+    header does not make the preceding message unconfirmed.
     """
     if len(buffer) - end < HEADER.size:
         return _magic_prefix(buffer, end)
@@ -308,11 +308,11 @@ def _followed_by_header(buffer: bytes | bytearray, start: int, end: int) -> bool
 
 
 def _ping_starts_at(buffer: bytes | bytearray, position: int) -> bool | None:
-    """Tell whether a ping with a strictly good head starts here; None if too few bytes are here."""
+    """Return whether a ping with a valid header starts here; None if there are too few bytes."""
     left = len(buffer) - position
     if left < HEADER.size:
         return None
-    if buffer[position + _ID_OFFSET] != _PING_ID:  # most often so, and quickly seen
+    if buffer[position + _ID_OFFSET] != _PING_ID:  # the common case, tested first
         return False
     header = read_header(buffer, position)
     layout = ping_result_layout(header.version)
@@ -334,9 +334,9 @@ _SIZE_OFFSETS: Final = {
 
 
 def _body_size(buffer: bytes | bytearray, position: int, version: int) -> int | None:
-    """Return the size that a ping's body states, if table, image and size agree with each other.
+    """Return the size stated in a ping's body, None if table, image and message size contradict.
 
-    Together with equality to the header's size these are the three size identities.
+    The body size is consistent and equal to the header's size if all three sizes agree.
     """
     fixed, beams_at, sizes_at = _SIZE_OFFSETS[version]
     (beams,) = _U16.unpack_from(buffer, position + beams_at)

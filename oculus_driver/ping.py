@@ -1,4 +1,4 @@
-"""A ping: what the sonar heard, where from, and what of it can be believed."""
+"""Pings: decoded sonar images with their geometry, times and warnings; sequence of ping ids."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _COMMON_BEAMS: Final = (256, 512)
 _TABLE_END_RAD: Final = math.pi / 2
 
 _MIN_READING: Final = 1e-30
-"""Sensors read 0 or something far above this; left-over memory seen in captures lies below."""
+"""Sensors report 0 or a much larger value. Uninitialised memory in captures is below this."""
 
 _BITS_24: Final = 3
 _U32: Final = struct.Struct("<I")
@@ -40,36 +40,36 @@ _U32: Final = struct.Struct("<I")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ping:
-    """One ping. Arrays are read-only; the image is a view of the message's own bytes.
+    """One ping. Arrays are read-only; the image is a view of the message's bytes.
 
     Attributes:
-        ping_id: counts up by one per ping, wraps at 2³², restarts at power-up.
-        arrival_ns: when the first byte of the message came, on the clock of the stream, or None.
-        offset: position of the message in its stream.
-        version: 1 or 2, the message's layout.
+        ping_id: increases by one per ping, wraps at 2³², restarts at power-up.
+        arrival_ns: arrival time of the first byte of the message on the stream's clock, or None.
+        offset: offset of the message in its stream.
+        version: 1 or 2, layout of the message.
         source_id: low 16 bits of the sonar's device id.
         part_number: see `oculus_driver.models`; 0 from older firmware.
         mode: 1 low frequency, wide; 2 high frequency, narrow.
         flags: echo of the fire flags, see `oculus_driver.wire.FireFlags`.
         status: raw status word, meaning unknown.
-        frequency_hz: acoustic frequency, NaN where it is not a positive number.
-        range_setting_m: the range asked for, None where it was asked for in percent.
-            The image ends at `max_range_m`, not here.
-        gain_percent: gain in use, NaN where not finite.
+        frequency_hz: acoustic frequency, NaN if it is not a positive number.
+        range_setting_m: requested range, None if it was requested in percent. The image ends at
+            `max_range_m`, not here.
+        gain_percent: gain in use, NaN if not finite.
         gamma: exponent gamma/255 was applied to the image; 0 and 255 mean linear.
-        speed_of_sound_mps: the one that the sonar used, as sent.
-        salinity_ppt: as sent, NaN where not finite.
+        speed_of_sound_mps: speed of sound used by the sonar, as sent.
+        salinity_ppt: as sent, NaN if not finite.
         range_resolution_m: depth of one row.
         bearings_rad: float64 (beams,), positive to starboard.
-        image: (rows, beams) of uint8, uint16 or uint32, row 0 nearest; perhaps unaligned.
+        image: (rows, beams) of uint8, uint16 or uint32, nearest row first; may be unaligned.
         bits_per_sample: 8, 16, 24 or 32.
-        gains: uint32 (rows,) gain words, or None. 0 means that the row has no gain.
+        gains: uint32 (rows,) gain words, or None. 0 means that the gain of the row is unknown.
         start_time_s: seconds since power-up (version 2), else None.
         start_ticks: clock ticks of undocumented length, modulo 2³² (version 1), else None.
         temperature_c, pressure_bar: of the water; None = not available.
-        heading_rad, pitch_rad, roll_rad: of the sonar, conventions undocumented; None = not
-            available (always in version 1).
-        warnings: of odd_beams, bad_bearings, odd_sound_speed, bad_frequency, gain_flag,
+        heading_rad, pitch_rad, roll_rad: attitude of the sonar, conventions undocumented; None =
+            not available (always in version 1).
+        warnings: any of odd_beams, bad_bearings, odd_sound_speed, bad_frequency, gain_flag,
             bad_data_size, size_mismatch, unconfirmed_end (from the stream, see
             `oculus_driver.stream.Message`).
     """
@@ -122,25 +122,26 @@ class Ping:
     def ranges_m(self) -> NDArray[np.float64]:
         """Centres of the rows, float64 (rows,): (k + ½)·resolution.
 
-        The true offset of row 0 is not documented; others take k or k + 1.
+        The true offset of row 0 is not documented; other programs use k or k + 1.
         """
         centres: NDArray[np.float64] = np.arange(0.5, self.rows) * self.range_resolution_m
         return centres
 
     @property
     def full_scale(self) -> int:
-        """Largest value that a sample can have."""
+        """Largest possible sample value."""
         return (1 << self.bits_per_sample) - 1
 
     @property
     def row_valid(self) -> NDArray[np.bool_]:
-        """Bool (rows,): False where the gain word is 0 and the row's level is not known."""
+        """Bool (rows,): False if the gain word is 0 and the level of the row is unknown."""
         return np.ones(self.rows, dtype=np.bool_) if self.gains is None else self.gains != 0
 
     def amplitude(self) -> NDArray[np.float32]:
         """Return the echo level, float32 (rows, beams): sample / sqrt(gain of the row).
 
-        Always finite. Rows without a gain (`row_valid` False) are 0: no level, not silence.
+        All values are finite. Rows without a gain (`row_valid` is False) are 0: unknown, not
+        silent.
         """
         samples = self.image.astype(np.float32)
         if self.gains is None:
@@ -152,14 +153,14 @@ class Ping:
         return samples
 
     def beam_edges_rad(self) -> NDArray[np.float64]:
-        """Return the borders between beams, float64 (beams + 1,), half way in sine."""
+        """Return the edges between beams, float64 (beams + 1,), halfway in sine."""
         return edges_rad(self.bearings_rad)
 
     def transmit_time_ns(self, latency_ns: int = 0) -> int | None:
-        """Return when the ping left the sonar, on the clock of `arrival_ns`.
+        """Return the transmit time of the ping on the clock of `arrival_ns`.
 
-        Arrival minus the time of flight to the end of the image and back: from this ping alone.
-        `oculus_driver.clock` does better where the sonar says when it pinged.
+        Computed from this ping alone: arrival minus two-way travel time to the end of the image. If
+        the sonar reports its start time, `oculus_driver.clock` is more accurate.
 
         Args:
             latency_ns: processing and network time between the last echo and the first byte.
@@ -169,31 +170,31 @@ class Ping:
         return self.arrival_ns - latency_ns - self.flight_ns(2.0 * self.max_range_m)
 
     def echo_time_ns(self, range_m: float, latency_ns: int = 0) -> int | None:
-        """Return when sound met a target at `range_m`: the pose that the echo belongs to."""
+        """Return when the sound met a target at `range_m`, the time of the pose to use."""
         start = self.transmit_time_ns(latency_ns)
         return None if start is None else start + self.flight_ns(range_m)
 
     def flight_ns(self, distance_m: float) -> int:
-        """Return how long sound needs for a distance, at `credible_speed_of_sound_mps`."""
+        """Return the travel time of sound over a distance, at `credible_speed_of_sound_mps`."""
         return round(distance_m / self.credible_speed_of_sound_mps * 1e9)
 
     @property
     def credible_speed_of_sound_mps(self) -> float:
-        """The speed of sound for times: as sent, but where it cannot be true (odd_sound_speed).
+        """Speed of sound for travel times: as sent, or 1500 m/s if that is implausible.
 
-        There it is 1500 m/s: at most 15 % wrong.
+        The replacement (warning odd_sound_speed) is at most 15 % off.
         """
         speed, (low, high) = self.speed_of_sound_mps, _SPEED_LIMITS_MPS
         return speed if low <= speed <= high else NOMINAL_SPEED_OF_SOUND_MPS
 
 
 def decode_ping(message: Message, *, deliver_mismatched: bool = False) -> Ping | Reject:
-    """Return the ping in a message, or why there is none. Total: never raises on bytes.
+    """Return the ping in a message, or why there is none. Never raises on any bytes.
 
     Args:
-        message: of any id.
-        deliver_mismatched: deliver a ping whose sizes contradict each other, with the warning
-            size_mismatch, if table and image lie inside it all the same.
+        message: message of any id.
+        deliver_mismatched: return a ping with contradicting sizes, with the warning
+            size_mismatch, if its table and image lie inside the message.
     """
     if message.message_id != MessageId.PING_RESULT:
         return Reject("not_a_ping", f"message id {message.message_id:#x}", message.offset)
@@ -242,11 +243,11 @@ def decode_ping(message: Message, *, deliver_mismatched: bool = False) -> Ping |
 
 
 def _ping_id(data: bytes, layout: Layout) -> int | None:
-    """Return the id of a ping that ends within its fixed part, if its id is still there."""
-    place = layout.offset_of("ping_id")
-    if len(data) < place + _U32.size:
+    """Return the id of a ping that is cut inside its fixed part, None if the id is missing, too."""
+    offset = layout.offset_of("ping_id")
+    if len(data) < offset + _U32.size:
         return None
-    return int(_U32.unpack_from(data, place)[0])
+    return int(_U32.unpack_from(data, offset)[0])
 
 
 def _bearings_rad(data: bytes, parts: PingLayout) -> NDArray[np.float64]:
@@ -257,7 +258,7 @@ def _bearings_rad(data: bytes, parts: PingLayout) -> NDArray[np.float64]:
 
 
 def _image(data: bytes, parts: PingLayout) -> NDArray[Any]:
-    """Return the samples: a view over the gain words, or a copy where samples have 24 bit."""
+    """Return the samples: a view of the message, or a copy of 24-bit samples."""
     offset = parts.image_offset + (GAIN_WORD if parts.gain_words else 0)
     size = (parts.rows, parts.beams)
     if parts.width != _BITS_24:
@@ -284,13 +285,13 @@ def _warnings(fields: dict[str, Any], bearings_rad: NDArray[np.float64]) -> froz
     steps_back = bool((np.diff(bearings_rad) <= 0.0).any())
     outside = bool((np.abs(bearings_rad) > _TABLE_END_RAD + CENTIDEGREE_RAD / 2).any())
     speed = fields["speed_of_sound_mps"]
-    doubts = {
+    warnings = {
         "odd_beams": fields["beams"] not in _COMMON_BEAMS,
         "bad_bearings": steps_back or outside,
         "odd_sound_speed": not _SPEED_LIMITS_MPS[0] <= speed <= _SPEED_LIMITS_MPS[1],
         "bad_frequency": not _is_frequency(fields["frequency_hz"]),
     }
-    return frozenset(name for name, doubtful in doubts.items() if doubtful)
+    return frozenset(name for name, active in warnings.items() if active)
 
 
 def _is_frequency(value: float) -> bool:
@@ -302,14 +303,14 @@ def _finite_or_nan(value: float) -> float:
 
 
 def _within(value: float | None, low: float, high: float) -> float | None:
-    """Return the value if it is finite and within the limits, else None: not available."""
+    """Return the value if it is finite and within the limits, else None."""
     if value is None or not math.isfinite(value) or not low <= value <= high:
         return None
     return value
 
 
 def _reading(value: float | None, limits: tuple[float, float]) -> float | None:
-    """Return a sensor's value if a sensor can have sent it, else None."""
+    """Return a plausible sensor value, else None."""
     if value is not None and 0.0 < abs(value) < _MIN_READING:
         return None
     return _within(value, *limits)
@@ -325,11 +326,11 @@ _WRAP = 1 << 32
 
 @dataclass(slots=True)
 class PingSequence:
-    """Counts what the ids of one sonar's pings say.
+    """Counts lost, duplicate and restarted pings of one sonar by their ids.
 
     Attributes:
-        lost_pings: ids that never came.
-        duplicates: ids that came twice in a row.
+        lost_pings: missing ids.
+        duplicates: ids received twice in a row.
         restarts: steps back, as after power-up.
     """
 
@@ -339,7 +340,7 @@ class PingSequence:
     _last: int | None = None
 
     def accept(self, ping_id: int) -> bool:
-        """Take the next id; return False if the ping was delivered already."""
+        """Add the next id. Return False if it repeats the previous one."""
         last, self._last = self._last, ping_id
         if last is None:
             return True
@@ -354,7 +355,7 @@ class PingSequence:
         return True
 
     def restart(self) -> None:
-        """Count a restart that something else shows; the next id follows none."""
+        """Count a restart detected by other means; the next id does not continue the sequence."""
         self.restarts += 1
         self._last = None
 
@@ -363,9 +364,10 @@ _YEAR_2000_NS: Final = 946_684_800_000_000_000
 
 
 def caption_lines(ping: Ping) -> list[str]:
-    """Return lines of ASCII: which ping, how it was made, and when, if its stamp is a date.
+    """Return ASCII lines for a picture: the ping, its settings, and its arrival time.
 
-    Stamps of a live sonar count from the start of the host, which was less than thirty years ago.
+    The time is omitted if the arrival stamp is not a date: stamps of a live sonar count from the
+    start of the host.
     """
     what = [f"ping {ping.ping_id}", f"{ping.rows} rows x {ping.beams} beams"]
     what.append(f"{ping.bits_per_sample} bit")
@@ -382,7 +384,7 @@ def caption_lines(ping: Ping) -> list[str]:
 
 
 def format_time(unix_ns: int) -> str:
-    """Return the time as text, UTC, to the millisecond; a plain number where no date has it."""
+    """Return the time as UTC text with milliseconds, or as a number if it is not a valid date."""
     try:
         moment = datetime.fromtimestamp(unix_ns // 1_000_000_000, UTC)
     except (OverflowError, ValueError, OSError):

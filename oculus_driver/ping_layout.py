@@ -1,4 +1,4 @@
-"""Where table, gain words and samples of a ping lie, decided from its sizes."""
+"""Layout of a ping: offsets of bearing table, gain words and samples, derived from its sizes."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ if TYPE_CHECKING:
 GAIN_WORD: Final = 4
 
 MAX_DEPTH_M: Final = 1000.0
-"""No Oculus sees farther than 200 m; an image that claims more than this is noise."""
+"""No Oculus has more than 200 m of range; an image that claims more than this is noise."""
 
 MIN_RESOLUTION_M: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class PingLayout:
-    """Places inside a ping message, all within its bytes.
+    """Offsets inside a ping message, all within its bytes.
 
     Attributes:
         rows, beams: of the image, both at least 1.
         table_offset: of the bearing table.
-        image_offset: of the first row, gain word included.
+        image_offset: of the first row, including its gain word.
         stride: bytes from row to row.
         width: bytes per sample.
-        gain_words: whether each row starts with one.
+        gain_words: whether each row starts with a gain word.
         warnings: size_mismatch, bad_data_size, gain_flag.
     """
 
@@ -48,13 +48,13 @@ class PingLayout:
 def resolve_layout(
     message: Message, layout: Layout, fields: dict[str, Any], *, deliver_mismatched: bool
 ) -> PingLayout | Reject:
-    """Return where the parts of a ping lie, or why it cannot be used.
+    """Return the layout of a ping, or why the ping is unusable.
 
     Args:
-        message: a ping result, at least as long as its layout.
-        layout: of its version.
-        fields: its fixed part.
-        deliver_mismatched: accept sizes that contradict each other, with a warning.
+        message: a ping result, at least as long as its fixed part.
+        layout: wire layout of its version.
+        fields: the unpacked fixed part.
+        deliver_mismatched: accept contradicting sizes, with a warning.
     """
     mismatched = not _sizes_agree(message, layout, fields)
     fault = _bounds_fault(message, layout, fields) or _resolution_fault(fields)
@@ -68,7 +68,7 @@ def resolve_layout(
             fault or ("bad_data_size" if odd_width else "size_mismatch"), message, fields
         )
     width, gain_words = samples
-    doubts = {
+    warnings = {
         "size_mismatch": mismatched,
         "bad_data_size": odd_width,
         "gain_flag": gain_words != bool(fields["flags"] & FireFlags.SEND_GAIN),
@@ -81,12 +81,12 @@ def resolve_layout(
         stride=image_size // rows,
         width=width,
         gain_words=gain_words,
-        warnings=frozenset(name for name, doubtful in doubts.items() if doubtful),
+        warnings=frozenset(name for name, active in warnings.items() if active),
     )
 
 
 def _sizes_agree(message: Message, layout: Layout, fields: dict[str, Any]) -> bool:
-    """Tell whether the three size identities hold."""
+    """Return whether the three stated sizes agree."""
     stated = HEADER.size + fields["payload_size"]
     image_end = fields["image_offset"] + fields["image_size"]
     agree = fields["message_size"] == stated == image_end == len(message.data)
@@ -119,10 +119,10 @@ def _reject(reason: str, message: Message, fields: dict[str, Any]) -> Reject:
 
 
 def _samples(data_size: int, image_size: int, rows: int, beams: int) -> tuple[int, bool] | None:
-    """Return bytes per sample and whether there are gain words, told by the size alone.
+    """Return bytes per sample and whether there are gain words, derived from the size alone.
 
-    The flag bit is not asked: it is wrong in version-2 echoes. Where the data size is not one of
-    the four known ones, a combination is believed if it is the only one that fits.
+    The flag bit is ignored: it is wrong in version-2 echoes. If the data size is unknown, a
+    combination is accepted if it is the only one that fits.
     """
     stride, remainder = divmod(image_size, rows)
     if remainder:

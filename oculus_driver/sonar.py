@@ -1,4 +1,4 @@
-"""A sonar on the network: its link kept up, its pings handed on, its settings asked for."""
+"""The driver's main class: one sonar on the network."""
 
 from __future__ import annotations
 
@@ -41,32 +41,32 @@ if TYPE_CHECKING:
 _LOG: Final = logging.getLogger(__name__)
 STANDBY_TIMEOUT_S: Final = 1.0
 _POLL_INTERVAL_S: Final = 0.01
-"""Between looks at whether settings have gone out: a fraction of the gap between two messages."""
+"""Interval of checks whether settings were sent: a fraction of the gap between two messages."""
 
 
 class OculusSonar:
-    """One Oculus sonar, for the time of an `async with` block.
+    """One Oculus sonar within an `async with` block.
 
-    The link is kept up whatever happens: `state` and `link` say what it does. Pings are taken
-    from `pings`; a reader that is slow loses old ones, never the link. When the block ends the
-    sonar is put into standby. One sonar serves one client at a time.
+    The driver keeps the link up; `state` and `link` report its state. `pings` delivers the pings; a
+    slow reader loses old pings, never the link. At the end of the block the sonar is put into
+    standby. A sonar serves one client at a time.
 
     Args:
-        host: the sonar's address, None to find it by its status.
-        settings: what it shall do; None: standby, until `apply` says otherwise. A sonar that
-            pings in air gets hot.
-        serial: the sonar's device id, to choose among several; without it the first one heard.
-        model: where it is known and `host` is given; else it is learned from what is received.
+        host: address of the sonar; None: discover it by its status.
+        settings: initial settings; None: standby until `apply`. A sonar that pings in air
+            overheats.
+        serial: serial number (device id) of the sonar to use; None: the first one discovered.
+        model: if it is known and `host` is given; otherwise it is learned from received messages.
         port: of the data connection.
-        version: of the fire messages, None for 2 with fallback to 1.
-        times: how long the link waits for what.
-        max_pings: held for readers at most.
-        max_temperature_c: the sonar is held in standby above, and until its status shows 3 °C
-            less; where its address was given, until `release`. None: by its own limit alone.
+        version: of the fire messages; None: 2 with fallback to 1.
+        times: timeouts of the link.
+        max_pings: maximum number of queued pings.
+        max_temperature_c: above this the sonar is held in standby until its status shows 3 °C less
+            or, if its address was given, until `release`. None: only the sonar's own limit.
         keep_pinging: leave the sonar pinging at the end.
-        on_bytes: called with all bytes before they are parsed, and their arrival time.
-        on_state: called whenever the link enters a state or has another reason.
-        discovery: where statuses come from, None for `oculus_driver.discovery.listener`.
+        on_bytes: called with all received bytes before they are parsed, and their arrival time.
+        on_state: called with each change of the link's state or reason.
+        discovery: source of statuses; None: `oculus_driver.discovery.listener.Discovery`.
         clock: host monotonic time, nanoseconds.
         rng: random numbers from 0 to 1.
     """
@@ -118,46 +118,46 @@ class OculusSonar:
 
     @property
     def state(self) -> LinkState:
-        """What the link does now."""
+        """State of the link."""
         return self._driver.link.status.state
 
     @property
     def link(self) -> LinkStatus:
-        """The link's state with its reason, since when, address and fire version."""
+        """State of the link with reason, start time, address and fire version."""
         return self._driver.link.status
 
     @property
     def settings(self) -> FireSettings:
-        """What was asked for last."""
+        """The last requested settings."""
         return self._requested
 
     @property
     def status(self) -> Status | None:
-        """The sonar's last status; none where its address was given."""
+        """The sonar's last status, None if its address was given."""
         return None if self._search is None else self._search.status
 
     @property
     def model(self) -> Model | None:
-        """Which sonar it is, once known."""
+        """Model of the sonar, None until it is known."""
         return self._model
 
     @property
     def changed(self) -> tuple[Difference, ...]:
-        """What the last ping shows otherwise than asked for."""
+        """Differences between the last ping and the requested settings."""
         ping = self._last_ping
         return () if ping is None or self._requested.standby else differences(self._requested, ping)
 
     @property
     def counters(self) -> SonarCounters:
-        """All counts so far."""
+        """All counters."""
         return self._driver.counters(
             taken=self._queue.taken, dropped=self._queue.dropped, queued=len(self._queue)
         )
 
     def pings(self) -> AsyncIterator[Ping]:
-        """Return the pings as they come, until the sonar is closed.
+        """Return an iterator over pings that ends when the sonar is closed.
 
-        Several readers share them. What goes wrong in `on_bytes`, `on_state` or the search is
+        Several readers share the pings. Exceptions of `on_bytes`, `on_state` and the discovery are
         raised here, and at the end of the `async with` block.
         """
         return self._queue
@@ -165,13 +165,13 @@ class OculusSonar:
     async def apply(
         self, settings: FireSettings, timeout_s: float = CONFIRM_TIMEOUT_NS / SECOND_NS
     ) -> Confirmation:
-        """Ask for settings, now and after every reconnection, and wait for what pings show.
+        """Request settings, now and after every reconnection, and wait for their confirmation.
 
-        Not confirmed is an answer, not an error: the link stays and keeps asking.
+        A missing confirmation is not an error: the link keeps requesting the settings.
 
         Raises:
-            SettingsError: the model has not got the mode.
-            LinkError: the sonar was closed meanwhile.
+            SettingsError: the model does not have the mode.
+            LinkError: the sonar was closed in the meantime.
         """
         limited = self._limit(settings)
         self._requested = settings
@@ -190,28 +190,28 @@ class OculusSonar:
             del self._confirmations[future]
 
     async def standby(self) -> Confirmation:
-        """Make the sonar quiet and wait for a sign that it is."""
+        """Put the sonar into standby and wait for the confirmation."""
         return await self.apply(replace(self._requested, ping_rate=PingRate.STANDBY))
 
     async def fire(self, timeout_s: float = 3.0) -> Ping:
         """Trigger one ping (`FireSettings.network_trigger`) and return it.
 
-        The ping goes to readers of `pings` as well.
+        The readers of `pings` get the ping, too.
 
         Raises:
             SettingsError: the sonar is not in triggered mode.
-            LinkError: it cannot be fired now, or no ping came in time.
+            LinkError: the sonar cannot fire now, or no ping arrived in time.
         """
         if not self._requested.network_trigger:
-            raise SettingsError("fire() needs settings with network_trigger=True: apply them first")
+            raise SettingsError("fire() needs network_trigger=True: apply such settings first")
         link = self._driver.link
         future: asyncio.Future[Ping] = asyncio.get_running_loop().create_future()
         try:
             async with asyncio.timeout(timeout_s):
-                while link.has_unsent:  # noqa: ASYNC110 right-before settings; nobody tells when they went
+                while link.has_unsent:  # noqa: ASYNC110 - the link has no event for sent settings
                     await asyncio.sleep(_POLL_INTERVAL_S)
                 if not link.can_trigger:
-                    raise LinkError(f"the sonar cannot be fired now: {link.status.reason}")
+                    raise LinkError(f"the sonar cannot fire now: {link.status.reason}")
                 self._ping_waiters.add(future)
                 self._driver.do(link.trigger(self._clock()))
                 return await future
@@ -221,20 +221,20 @@ class OculusSonar:
             self._ping_waiters.discard(future)
 
     def hold(self, reason: str) -> None:
-        """Keep the sonar quiet, whatever is asked for, until `release`: out of the water, say."""
+        """Keep the sonar in standby until `release`, for example out of the water."""
         self._hold("user", reason)
 
     def release(self) -> None:
-        """End the `hold`, and one for heat: it comes back where the sonar is still hot."""
+        """End the `hold`, and a thermal one; the latter returns if the sonar is still hot."""
         self._thermal.reason = None
         self._hold("thermal", None)
         self._hold("user", None)
 
     async def wait_for(self, *states: LinkState) -> LinkState:
-        """Wait until the link is, or was for a moment, in one of the states; return which.
+        """Wait until the link is, or was for a moment, in one of the states; return that state.
 
         Raises:
-            LinkError: the sonar was closed meanwhile.
+            LinkError: the sonar was closed in the meantime.
         """
         if self.state in states:
             return self.state
@@ -247,7 +247,7 @@ class OculusSonar:
 
     async def __aenter__(self) -> Self:
         if self._entered:
-            raise LinkError("a sonar can be opened once: make another OculusSonar")
+            raise LinkError("a sonar can be opened only once: create another OculusSonar")
         self._entered = True
         self._driver.start()
         if self._search is not None:
@@ -271,7 +271,7 @@ class OculusSonar:
         if error is None and self._driver.failure is not None:
             raise self._driver.failure
 
-    # What the link, the search and the bytes bring.
+    # Callbacks of the link and the search.
 
     def _received(self, received: ReceivedMessage, now_ns: int) -> None:
         if received.message_id == MessageId.DUMMY:
@@ -314,7 +314,7 @@ class OculusSonar:
     def _set_model(self, model: Model) -> None:
         self._model = model
         if model.family == UNKNOWN:
-            _LOG.warning("%s is not known: its limits are not checked", model.name)
+            _LOG.warning("unknown model %s: its limits are not checked", model.name)
         limited = self._limited_settings()
         if limited != self._requested:
             self._driver.do(self._driver.link.apply(limited, self._clock()))
@@ -325,7 +325,7 @@ class OculusSonar:
     def _limit(self, settings: FireSettings) -> FireSettings:
         limited = settings if self._model is None else settings.limited_to(self._model)
         if limited != settings and self._model is not None:
-            words = "range %s m is cut to %s m, the farthest of %s in mode %d"
+            words = "range %s m is limited to %s m, the maximum of %s in mode %d"
             name = self._model.name
             _LOG.warning(words, settings.range_m, limited.range_m, name, settings.mode)
         return limited
@@ -349,15 +349,15 @@ class OculusSonar:
             self._on_state(status)
 
     def _failed(self, error: BaseException) -> None:
-        """End after an error that is not the sonar's: readers and the block get it."""
+        """Close after an error of this program: readers and the block get it."""
         self._driver.fail(error)
         self._queue.close(error)
         self._fail_waiters(error)
 
-    # The end.
+    # Closing.
 
     async def _enter_standby(self) -> None:
-        """Ask for standby, and give the sonar a moment to say that it is quiet."""
+        """Request standby and wait a moment for the sonar's confirmation."""
         if self._keep_pinging or not self._driver.is_connected:
             return
         self._standby_seen = asyncio.get_running_loop().create_future()

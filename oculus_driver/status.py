@@ -1,4 +1,4 @@
-"""The status datagram: who the sonar is, where it is, and how it is."""
+"""Status datagrams: identity, addresses and condition of a sonar."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ class Status:
 
     Attributes:
         device_id: serial number.
-        model: from the part number; unknown ones have a model too.
+        model: from the part number; an unknown part number gives a model, too.
         status_bits: raw.
         address, netmask: of the sonar.
-        client_address: who holds the sonar, None where nobody does.
+        client_address: the connected client, None if there is none.
         mac: six bytes.
         firmware: versions of ARM 0, ARM 1 and FPGA, raw.
-        temperatures_c: eight places inside; None = not available.
+        temperatures_c: eight internal temperatures; None = not available.
         pressure_bar: None = not available.
     """
 
@@ -57,7 +57,7 @@ class Status:
 
     @property
     def source_id(self) -> int:
-        """What the headers of this sonar's messages carry."""
+        """Source id in the headers of this sonar's messages."""
         return self.device_id & 0xFFFF
 
     @property
@@ -68,7 +68,7 @@ class Status:
 
     @property
     def pause_reason(self) -> str | None:
-        """Why the sonar is halted in its boot loader, None where it is not."""
+        """Why the sonar is halted in its boot loader, None if it is not."""
         if self.status_bits & 0b111 > 1:
             return None
         return PAUSE_REASONS[self.status_bits >> 3 & 0b111]
@@ -80,7 +80,7 @@ class Status:
 
     @property
     def temperature_state(self) -> str:
-        """One of `TEMPERATURE_STATES`; at "shut down" the pings have stopped."""
+        """One of `TEMPERATURE_STATES`; in state "shut down" the sonar has stopped pinging."""
         return TEMPERATURE_STATES[self.status_bits >> 14 & 0b11]
 
     @property
@@ -90,7 +90,7 @@ class Status:
 
 
 def decode_status(datagram: bytes) -> Status | Reject:
-    """Return the status in a datagram of at least 142 bytes; what follows them is ignored."""
+    """Return the status in a datagram of at least 142 bytes; further bytes are ignored."""
     if len(datagram) < STATUS.size:
         return Reject("short_message", f"{len(datagram)} bytes, a status has {STATUS.size}", 0)
     fields = STATUS.unpack(datagram)

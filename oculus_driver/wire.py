@@ -1,7 +1,8 @@
-"""The messages of the Oculus protocol: layouts, ids, bits and limits.
+"""Messages of the Oculus protocol: layouts, ids, flags and limits.
 
-Every layout starts with the 16-byte header and its offsets count from the message's first byte.
-Little-endian, packed. The simulator writes with the same declarations the driver reads with.
+Every layout starts with the 16-byte header. Offsets count from the first byte of the message.
+All structures are little-endian and packed. The simulator encodes with the declarations that the
+driver decodes with.
 """
 
 from __future__ import annotations
@@ -25,14 +26,14 @@ F64 = "d"
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One field: where it lies and what it holds.
+    """One field of a layout.
 
     Attributes:
-        name: unique inside its layout, with the unit where there is one.
-        offset: bytes from the start of the message; checked against the fields before it.
+        name: unique within the layout; ends with the unit, if there is one.
+        offset: bytes from the start of the message; checked against the preceding fields.
         code: `struct` code of one value, such as "H" or "6s".
-        count: number of values; more than one is read as a tuple.
-        default: what is packed where no value is given.
+        count: number of values; more than one value is unpacked as a tuple.
+        default: packed if no value is given.
     """
 
     name: str
@@ -47,8 +48,8 @@ class Layout:
     """A packed little-endian structure without gaps.
 
     Raises:
-        ProtocolError: on construction, if a field's offset or the size is not what the fields
-            before it add up to: a slip of the pen in a declaration is found at import.
+        ProtocolError: on construction, if the offset of a field or the total size does not equal
+            the sum of the preceding fields. A typing error in a declaration fails at import.
     """
 
     name: str
@@ -73,14 +74,14 @@ class Layout:
         object.__setattr__(self, "_offsets", offsets)
 
     def offset_of(self, name: str) -> int:
-        """Return the offset in bytes of the field `name`."""
+        """Return the offset of the field `name`, bytes."""
         return self._offsets[name]
 
     def pack(self, values: Mapping[str, Any]) -> bytes:
-        """Return the structure's bytes; fields not in `values` take their defaults.
+        """Return the bytes of the structure. Fields missing from `values` get their defaults.
 
         Raises:
-            EncodeError: a name that the layout does not have, or a value outside its type.
+            EncodeError: the layout has no such field, or a value is outside its type.
         """
         unknown = values.keys() - self._offsets.keys()
         if unknown:
@@ -98,10 +99,10 @@ class Layout:
             raise EncodeError(f"{self.name}: {error}") from error
 
     def unpack(self, data: bytes | bytearray | memoryview, offset: int = 0) -> dict[str, Any]:
-        """Return the fields of the structure that starts at `offset`.
+        """Return the fields of the structure at `offset`.
 
         Raises:
-            ProtocolError: fewer bytes than the structure needs.
+            ProtocolError: there are fewer bytes than the structure needs.
         """
         if offset < 0 or len(data) - offset < self.size:
             raise ProtocolError(f"{self.name} needs {self.size} bytes, {len(data) - offset} given")
@@ -122,7 +123,7 @@ MAGIC_BYTES: Final = b"SO"
 
 
 class MessageId(IntEnum):
-    """Message ids that are documented or were seen."""
+    """Known message ids, from the documentation or from captures."""
 
     STATUS = 0x01
     FIRE = 0x15
@@ -134,7 +135,7 @@ class MessageId(IntEnum):
 
 
 class PingRate(IntEnum):
-    """Ping rate of a fire message: an enumeration, not Hz. The echo in results is garbage."""
+    """Ping rate of a fire message: an enumeration, not Hz. Its echo in results is undefined."""
 
     NORMAL = 0  # up to 10 Hz
     HIGH = 1  # 15 Hz
@@ -151,7 +152,7 @@ class FireFlags(IntFlag):
     SIXTEEN_BIT = 0x02
     SEND_GAIN = 0x04
     SIMPLE_RETURN = 0x08
-    GAIN_ASSIST = 0x10  # sources disagree on the meaning of 1; taken as "on"
+    GAIN_ASSIST = 0x10  # sources disagree about the meaning of 1; interpreted as "on"
     LOW_POWER = 0x20
     FULL_BEAMS = 0x40  # 512 beams instead of 256
     NETWORK_TRIGGER = 0x80
@@ -161,7 +162,7 @@ EXTENDED_32_BIT: Final = 0x200
 """Extended flag of a version-2 fire message: 32-bit "scientific" samples."""
 
 BYTES_PER_SAMPLE: Final = {0: 1, 1: 2, 2: 3, 3: 4}
-"""Data-size field of a ping result to bytes per sample."""
+"""Bytes per sample by the data-size field of a ping result."""
 
 HEADER: Final = Layout(
     "header",
@@ -187,7 +188,7 @@ FIRE_V1: Final = Layout(
         Field("network_speed_mbps", 18, U8),
         Field("gamma", 19, U8),
         Field("flags", 20, U8),
-        Field("range_demand", 21, F64, default=0.0),  # metres or percent, see flags
+        Field("range_demand", 21, F64, default=0.0),  # metres or percent, depending on the flags
         Field("gain_percent", 29, F64, default=0.0),
         Field("speed_of_sound_demand_mps", 37, F64, default=0.0),  # 0: the sonar computes it
         Field("salinity_ppt", 45, F64, default=0.0),
@@ -301,7 +302,7 @@ PAYLOAD_LIMITS: Final[Mapping[int, int]] = {
     MessageId.LOG: 64 << 10,
     MessageId.DUMMY: 4096,
 }
-"""Largest payload, in bytes, that is believed, by message id of the TCP stream."""
+"""Largest accepted payload in bytes, by message id, in the TCP stream."""
 
 UNKNOWN_PAYLOAD_LIMIT: Final = MIB
 MAX_MESSAGE_SIZE: Final = HEADER.size + 16 * MIB
@@ -309,7 +310,7 @@ MIN_PING_PAYLOAD: Final = PING_RESULT_V1.size - HEADER.size + 2
 
 
 def ping_result_layout(version: int) -> Layout | None:
-    """Return the layout of a ping result with this header version, or None where unknown."""
-    if version in (0, 1):  # firmware that writes 0 means 1
+    """Return the layout of a ping result with this header version, or None if it is unknown."""
+    if version in (0, 1):  # some firmware writes 0 for version 1
         return PING_RESULT_V1
     return PING_RESULT_V2 if version == 2 else None  # noqa: PLR2004 - the version's own number

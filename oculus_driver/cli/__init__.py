@@ -1,4 +1,4 @@
-"""The command `oculus`: one file for each of its subcommands."""
+"""The command `oculus`: one module per subcommand."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ __all__ = ["main"]
 SUBCOMMANDS = (discover, watch, log, info, play, convert, render, fire, doctor)
 
 EPILOG = """\
-exit codes: 0 done; 1 something is wrong with the sonar or the link, as told; 2 the command cannot
-be done as given; 65 the file is no recording; 130 interrupted"""
+exit codes: 0 success; 1 the sonar or the link failed, see the message; 2 invalid arguments;
+65 the file is not a recording; 130 interrupted"""
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line."""
+    """Reports errors in one line."""
 
     def error(self, message: str) -> NoReturn:
         """Exit with code 2."""
@@ -41,7 +41,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; every failure that input can cause is one line and an exit code."""
+    """Run the command. Every failure caused by input is one line and an exit code."""
     args = _parser().parse_args(argv)
     output = Output(as_json=args.json)
     try:
@@ -59,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _end_of_output(error: OSError, output: Output) -> Exit:
-    """Whoever read our output has had enough, or there is no room for it."""
+    """Handle a closed or full standard output."""
     if not isinstance(error, BrokenPipeError) and error.errno != errno.ENOSPC:
         raise error
     discard_stdout()
@@ -71,7 +71,7 @@ def _end_of_output(error: OSError, output: Output) -> Exit:
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="oculus",
-        description="Find, watch, log, play and check Oculus multibeam sonars.",
+        description="Discover, watch, log, play back and check Oculus multibeam sonars.",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
@@ -82,7 +82,7 @@ def _parser() -> argparse.ArgumentParser:
             module.NAME, help=module.HELP, description=module.HELP, allow_abbrev=False
         )
         command.add_argument(
-            "--json", action="store_true", help="write JSON, one object a line, to standard output"
+            "--json", action="store_true", help="write JSON to standard output, one object per line"
         )
         command.set_defaults(run=module.run)
         module.add_arguments(command)

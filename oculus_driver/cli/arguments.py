@@ -1,4 +1,4 @@
-"""Values on the command line, checked while it is read."""
+"""Command-line arguments: value types, arguments shared by subcommands, and the selected sonar."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _LAST_PORT = 65_535
 
 
 def positive(text: str) -> float:
-    """Return a number above 0."""
+    """Return a number greater than 0."""
     value = _number(text)
     if not value > 0.0:
-        raise argparse.ArgumentTypeError(f"{text} is not above 0")
+        raise argparse.ArgumentTypeError(f"{text} is not greater than 0")
     return value
 
 
@@ -33,7 +33,7 @@ def non_negative(text: str) -> float:
     """Return a number of at least 0."""
     value = _number(text)
     if not value >= 0.0:
-        raise argparse.ArgumentTypeError(f"{text} is below 0")
+        raise argparse.ArgumentTypeError(f"{text} is less than 0")
     return value
 
 
@@ -46,36 +46,36 @@ def share(text: str) -> float:
 
 
 def count(text: str) -> int:
-    """Return a whole number above 0."""
+    """Return an integer greater than 0."""
     if not text.isascii() or not text.isdigit() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"{text} is no whole number above 0")
+        raise argparse.ArgumentTypeError(f"{text} is not a positive integer")
     return int(text)
 
 
 def non_negative_int(text: str) -> int:
-    """Return a whole number of at least 0."""
+    """Return an integer of at least 0."""
     if not text.isascii() or not text.isdigit():
-        raise argparse.ArgumentTypeError(f"{text} is no whole number")
+        raise argparse.ArgumentTypeError(f"{text} is not a non-negative integer")
     return int(text)
 
 
 def port(text: str) -> int:
     """Return a port; 0 stands for any free one."""
     if not text.isascii() or not text.isdigit() or int(text) > _LAST_PORT:
-        raise argparse.ArgumentTypeError(f"{text} is no port (0 to {_LAST_PORT})")
+        raise argparse.ArgumentTypeError(f"{text} is not a port (0 to {_LAST_PORT})")
     return int(text)
 
 
 def address(text: str) -> str:
-    """Return an IPv4 address, as sonars have."""
+    """Return an IPv4 address."""
     try:
         return str(IPv4Address(text))
     except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text} is no IPv4 address") from error
+        raise argparse.ArgumentTypeError(f"{text} is not an IPv4 address") from error
 
 
 def endpoint(text: str) -> tuple[str, int | None]:
-    """Return an address and, where it is given, a port: `192.168.2.3` or `127.0.0.1:52100`."""
+    """Return an address and an optional port: `192.168.2.3` or `127.0.0.1:52100`."""
     host, colon, number = text.partition(":")
     return address(host), port(number) if colon else None
 
@@ -84,58 +84,89 @@ def _number(text: str) -> float:
     try:
         value = float(text)
     except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text} is no number") from error
+        raise argparse.ArgumentTypeError(f"{text} is not a number") from error
     if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text} is no finite number")
+        raise argparse.ArgumentTypeError(f"{text} is not a finite number")
     return value
 
 
 RATES: Final = {rate.name.lower(): rate for rate in PingRate}
-_RATE_HELP: Final = "highest 40, high 15, normal 10, low 5, lowest 2 Hz at most, or standby"
+_RATE_HELP: Final = (
+    "maximum ping rate: highest 40, high 15, normal 10, low 5, lowest 2 Hz, or standby"
+)
 
 
 def add_status_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare where statuses are listened for."""
+    """Add the arguments for receiving statuses."""
     add = parser.add_argument
-    add("--status-port", metavar="PORT", type=port, default=STATUS_PORT)
-    add("--listen", metavar="ADDRESS", type=address, default=ANY_HOST, help="own address")
+    add(
+        "--status-port",
+        metavar="PORT",
+        type=port,
+        default=STATUS_PORT,
+        help="UDP port of the status broadcasts (default: %(default)s)",
+    )
+    add(
+        "--listen",
+        metavar="ADDRESS",
+        type=address,
+        default=ANY_HOST,
+        help="local address to listen on",
+    )
 
 
 def add_sonar_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare which sonar is meant."""
+    """Add the arguments that select the sonar."""
     add = parser.add_argument
-    add("host", metavar="ADDRESS", nargs="?", type=address, help="(default: by its status)")
-    add("--serial", metavar="ID", type=count, help="serial number, to choose among several")
+    add(
+        "host",
+        metavar="ADDRESS",
+        nargs="?",
+        type=address,
+        help="of the sonar (default: discover it)",
+    )
+    add("--serial", metavar="ID", type=count, help="serial number of the sonar to use")
     add("--port", type=port, default=TCP_PORT, help="TCP port (default: %(default)s)")
-    add("--version", type=int, choices=(1, 2), help="of fire messages (default: 2, else 1)")
+    add(
+        "--version",
+        type=int,
+        choices=(1, 2),
+        help="of fire messages (default: 2 with fallback to 1)",
+    )
     add_status_arguments(parser)
 
 
 def add_settings_arguments(parser: argparse.ArgumentParser, *, rate: str = "normal") -> None:
-    """Declare what a fire message can carry; values are checked by `FireSettings`."""
+    """Add the settings of a fire message; `FireSettings` checks the values."""
     group = parser.add_argument_group("settings of the sonar")
     add = group.add_argument
-    add("--mode", type=int, choices=[int(mode) for mode in Mode], default=1)
+    add(
+        "--mode", type=int, choices=[int(mode) for mode in Mode], default=1, help="1 wide, 2 narrow"
+    )
     add("--rate", choices=RATES, default=rate, help=f"{_RATE_HELP} (default: {rate})")
     reach = group.add_mutually_exclusive_group()
-    reach.add_argument("--range", metavar="M", type=float, dest="range_m", default=10.0)
-    reach.add_argument("--range-percent", metavar="P", type=float, help="of the mode's farthest")
-    add("--gain", metavar="P", type=float, dest="gain_percent", default=50.0)
-    add("--gamma", type=int, default=255, help="0 to 255 (default: linear)")
-    add("--speed-of-sound", metavar="MPS", type=float, help="(default: by the sonar)")
-    add("--salinity", metavar="PPT", type=float, default=35.0)
+    reach.add_argument(
+        "--range", metavar="M", type=float, dest="range_m", default=10.0, help="metres"
+    )
+    reach.add_argument(
+        "--range-percent", metavar="P", type=float, help="percent of the mode's maximum range"
+    )
+    add("--gain", metavar="P", type=float, dest="gain_percent", default=50.0, help="percent")
+    add("--gamma", type=int, default=255, help="0 to 255 (default: 255, linear)")
+    add("--speed-of-sound", metavar="MPS", type=float, help="m/s (default: computed by the sonar)")
+    add("--salinity", metavar="PPT", type=float, default=35.0, help="0 fresh water, 35 sea")
     add("--beams", type=int, choices=(256, 512), default=512)
     add("--bits", type=int, choices=(8, 16, 32), default=8)
-    add("--no-gain-words", action="store_true")
-    add("--gain-assist", action="store_true")
-    add("--network-limit", metavar="MBPS", type=int, help="(default: none)")
+    add("--no-gain-words", action="store_true", help="do not request the gain of each row")
+    add("--gain-assist", action="store_true", help="let the sonar select the gain")
+    add("--network-limit", metavar="MBPS", type=int, help="Mbit/s (default: link speed)")
 
 
 def settings_of(args: argparse.Namespace, *, triggered: bool = False) -> FireSettings:
-    """Return the settings of the arguments.
+    """Return the settings in the arguments.
 
     Raises:
-        SettingsError: a value outside its limits.
+        SettingsError: a value is outside its limits.
     """
     return FireSettings(
         mode=Mode(args.mode),
@@ -163,7 +194,7 @@ def open_sonar(
     on_bytes: Callable[[bytes, int], None] | None = None,
     on_state: Callable[[LinkStatus], None] | None = None,
 ) -> OculusSonar:
-    """Return the sonar that the arguments name, for `async with`."""
+    """Return the sonar selected by the arguments, for `async with`."""
     from oculus_driver.sonar import OculusSonar  # noqa: PLC0415 - imports the whole driver
 
     return OculusSonar(
@@ -180,7 +211,7 @@ def open_sonar(
 
 
 def line_of(sonar: OculusSonar) -> str:
-    """Return state and counts in one line."""
+    """Return state and counters in one line."""
     counters, link = sonar.counters, sonar.link
     words = [
         f"{link.address or 'no sonar'}: {link.state} ({link.reason})",
@@ -197,7 +228,7 @@ def line_of(sonar: OculusSonar) -> str:
 
 
 def counter_fields(counters: SonarCounters) -> dict[str, object]:
-    """Return what was counted, as JSON knows it."""
+    """Return the counters for JSON."""
     fields = {name: getattr(counters, name) for name in counters.__slots__}
     fields["messages"] = {str(number): count for number, count in counters.messages.items()}
     fields["rejects"] = dict(counters.rejects)

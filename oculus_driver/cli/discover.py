@@ -1,4 +1,4 @@
-"""`oculus discover`: which sonars are on the network, and what is wrong with them."""
+"""`oculus discover`: list the sonars on the network and their problems."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ if TYPE_CHECKING:
     from oculus_driver.discovery.state import DiscoveredSonar
 
 NAME = "discover"
-HELP = "list the sonars on the network by their status broadcasts"
+HELP = "list the sonars on the network"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments."""
     add = parser.add_argument
-    add("--seconds", metavar="S", type=positive, default=3.0, help="how long (default: 3)")
-    add("--first", action="store_true", help="stop at the first sonar")
+    add("--seconds", metavar="S", type=positive, default=3.0, help="time to wait (default: 3)")
+    add("--first", action="store_true", help="stop after the first sonar")
     add_status_arguments(parser)
 
 
 def run(args: argparse.Namespace, output: Output) -> Exit:
-    """Listen, then tell of every sonar; none at all is a fault."""
+    """Listen, then report every sonar; none at all is a failure."""
     found: list[DiscoveredSonar] = []
     run_until_stopped(_listen(args, found))
     for sonar in found:
@@ -55,7 +55,7 @@ async def _listen(args: argparse.Namespace, found: list[DiscoveredSonar]) -> Non
 
 
 def sonar_findings(sonar: DiscoveredSonar) -> list[Finding]:
-    """Return what is wrong with a sonar, seen from this host."""
+    """Return the problems of a sonar, seen from this host."""
     return discovery_findings(sonar, addresses_towards(sonar.address))
 
 
@@ -72,5 +72,5 @@ def line_of(sonar: DiscoveredSonar) -> str:
     ]
     if fields["temperature_c"] is not None:
         words.append(f"{fields['temperature_c']:.1f} °C")
-    words.append(f"held by {fields['held_by']}" if status.busy else "free")
+    words.append(f"in use by {fields['held_by']}" if status.busy else "free")
     return "  ".join(words)

@@ -1,4 +1,4 @@
-"""`oculus doctor`: the first thing between a sonar and its pings that fails."""
+"""`oculus doctor`: find the first layer between this host and a sonar's pings that fails."""
 
 from __future__ import annotations
 
@@ -16,24 +16,36 @@ if TYPE_CHECKING:
 
 
 NAME = "doctor"
-HELP = "check address, port, bytes, frames and pings; name the first that fails and what to do"
+HELP = "check address, port, bytes, frames and pings; report the first failure and its remedy"
 
 _MARKS: Final = {"ok": "ok  ", "doubtful": "?   ", "failed": "FAIL", "not tested": "-   "}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments."""
     add = parser.add_argument
-    add("host", metavar="ADDRESS", nargs="?", type=address, help="(default: the first one heard)")
+    add(
+        "host",
+        metavar="ADDRESS",
+        nargs="?",
+        type=address,
+        help="of the sonar (default: the first one discovered)",
+    )
     add("--port", type=port, default=TCP_PORT, help="TCP port (default: %(default)s)")
-    add("--seconds", metavar="S", type=positive, default=4.0, help="for each step (default: 4)")
-    add("--ping", action="store_true", help="ask for pings, then for standby: only under water")
-    add("--version", type=int, choices=(1, 2), default=2, help="of fire messages")
+    add(
+        "--seconds",
+        metavar="S",
+        type=positive,
+        default=4.0,
+        help="duration of each step (default: 4)",
+    )
+    add("--ping", action="store_true", help="request pings, then standby: only under water")
+    add("--version", type=int, choices=(1, 2), default=2, help="of fire messages (default: 2)")
     add_status_arguments(parser)
 
 
 def run(args: argparse.Namespace, output: Output) -> Exit:
-    """Look, evaluate, tell."""
+    """Probe, evaluate, report."""
     result = asyncio.run(probe(_options(args)))
     layers = evaluate(result)
     failure = first_failure(layers)

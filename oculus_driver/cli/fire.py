@@ -1,4 +1,4 @@
-"""`oculus fire`: one shot with given settings, and what the sonar made of them."""
+"""`oculus fire`: take one ping with given settings and compare it with them."""
 
 from __future__ import annotations
 
@@ -29,22 +29,26 @@ if TYPE_CHECKING:
     from oculus_driver.settings import FireSettings
 
 NAME = "fire"
-HELP = "take one ping with given settings and tell what the sonar made of them: only under water"
+HELP = "take one ping with given settings and compare it with them: only under water"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments."""
     add_sonar_arguments(parser)
     add = parser.add_argument
-    add("--trigger", action="store_true", help="by network trigger, which some sonars take badly")
-    add("--picture", metavar="PNG", type=Path, help="draw the ping")
-    add("--patience", metavar="S", type=positive, default=8.0, help="(default: 8)")
-    add("--keep-pinging", action="store_true", help="do not end with standby")
+    add(
+        "--trigger",
+        action="store_true",
+        help="use the network trigger, which corrupts the stream of some sonars",
+    )
+    add("--picture", metavar="PNG", type=Path, help="save an image of the ping")
+    add("--patience", metavar="S", type=positive, default=8.0, help="timeout (default: 8)")
+    add("--keep-pinging", action="store_true", help="do not put the sonar into standby at the end")
     add_settings_arguments(parser, rate="lowest")
 
 
 def run(args: argparse.Namespace, output: Output) -> Exit:
-    """Fire, tell, and leave the sonar in standby."""
+    """Take a ping, report, and leave the sonar in standby."""
     settings = settings_of(args, triggered=args.trigger)
     ping, confirmation = asyncio.run(_take_ping(args, settings))
     if args.picture is not None:
@@ -80,7 +84,7 @@ async def _take_ping(args: argparse.Namespace, settings: FireSettings) -> tuple[
         except TimeoutError:
             link = sonar.link
             raise LinkError(
-                f"{link.state} for {args.patience:g} s: {link.reason}; see `oculus doctor`"
+                f"{link.state} for {args.patience:g} s: {link.reason}; run `oculus doctor`"
             ) from None
         confirmation = await sonar.apply(settings, args.patience)
         if args.trigger:
@@ -90,13 +94,13 @@ async def _take_ping(args: argparse.Namespace, settings: FireSettings) -> tuple[
             async with asyncio.timeout(args.patience):
                 async for ping in sonar.pings():
                     return ping, confirmation
-    raise LinkError(f"no ping within {args.patience:g} s; see `oculus doctor`")
+    raise LinkError(f"no ping within {args.patience:g} s; run `oculus doctor`")
 
 
 def _judged(asked: Confirmation, changed: tuple[Difference, ...]) -> Confirmation:
-    """Return the confirmation of a triggered ping: there was none to look at before it."""
+    """Return the confirmation of a triggered ping: no earlier ping could confirm the settings."""
     decisive = ", ".join(str(one) for one in changed if one.decisive)
-    reason = decisive or "the triggered ping shows them"
+    reason = decisive or "the triggered ping shows the settings"
     return replace(asked, confirmed=not decisive, reason=reason, pings=1, changed=changed)
 
 
@@ -105,5 +109,5 @@ def _draw(path: Path, ping: Ping) -> None:
         from oculus_driver.render import Painter  # noqa: PLC0415 - an extra
         from oculus_driver.render.files import write_png  # noqa: PLC0415 - an extra
     except ImportError as error:
-        raise OculusError("pictures need OpenCV: pip install 'mapperd[render]'") from error
+        raise OculusError("images need OpenCV: pip install opencv-python-headless") from error
     write_png(path, Painter().paint(ping))

@@ -1,4 +1,4 @@
-"""`oculus info`: what a recording holds."""
+"""`oculus info`: show the content of a recording."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from oculus_driver.recording import PingInfo, RecordingInfo
 
 NAME = "info"
-HELP = "tell what a recording holds, and what in it is damaged"
+HELP = "show the content and the damage of a recording"
 
 _BAR: Final = 40
 _MAX_KINDS: Final = 8
@@ -24,14 +24,14 @@ _MEGABYTE: Final = 1e6
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    parser.add_argument("file", metavar="FILE", type=Path, help="a recording of any kind")
-    parser.add_argument("--pings", action="store_true", help="list every ping (JSON always does)")
+    """Add the arguments."""
+    parser.add_argument("file", metavar="FILE", type=Path, help="recording of any format")
+    parser.add_argument("--pings", action="store_true", help="list every ping (always with --json)")
 
 
 def run(args: argparse.Namespace, output: Output) -> Exit:
-    """Read the recording from front to back and tell."""
-    from oculus_driver.recording import describe, open_recording  # noqa: PLC0415 - more than numpy
+    """Read the recording from front to back and report."""
+    from oculus_driver.recording import describe, open_recording  # noqa: PLC0415 - slow to import
 
     with open_recording(args.file) as recording:
         info = describe(recording)
@@ -47,15 +47,15 @@ def _lines(name: str, info: RecordingInfo, *, listed: bool) -> Iterator[str]:
         start, end = format_time(info.start_ns), format_time(info.end_ns)
         yield f"recorded {start} to {end}, {seconds:.3f} s"
     if info.damage is not None:
-        yield f"damage: {info.damage} ({info.faults} in all)"
-    yield f"messages: {info.messages}, of these sound pings: {info.pings}"
+        yield f"damage: {info.damage} ({info.faults} in total)"
+    yield f"messages: {info.messages}, valid pings: {info.pings}"
     if info.statuses:
         yield f"statuses: {info.statuses}"
     for kind, count in _kinds(info.ping_list).most_common(_MAX_KINDS):
         yield f"  {count} x {kind}"
     yield (
-        f"ids: {info.lost_pings} lost, {info.duplicates} twice, {info.restarts} restarts; "
-        f"bytes that belong to no message: {info.bytes_rejected} of {info.bytes_total}"
+        f"ids: {info.lost_pings} lost, {info.duplicates} duplicates, {info.restarts} restarts; "
+        f"bytes outside messages: {info.bytes_rejected} of {info.bytes_total}"
     )
     yield from _histogram("rejects", info.rejects)
     yield from _histogram("warnings", info.warnings)
@@ -74,7 +74,7 @@ def _kind(ping: PingInfo) -> str:
 
 
 def _histogram(title: str, counts: Mapping[str, int]) -> Iterator[str]:
-    """Yield a line for each reason, the most frequent first, with a bar as long as its share."""
+    """Yield a line per reason, most frequent first, with a bar in proportion to its share."""
     if not counts:
         yield f"{title}: none"
         return

@@ -1,4 +1,4 @@
-"""`oculus log`: record a sonar, and nothing else, within the limits of a disk."""
+"""`oculus log`: record a sonar within the limits of a disk."""
 
 from __future__ import annotations
 
@@ -36,28 +36,60 @@ _SECOND_NS = 1_000_000_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments."""
     add_sonar_arguments(parser)
     add = parser.add_argument
-    add("--out", metavar="DIR", type=Path, default=Path("sonar-log"), help="(default: %(default)s)")
-    add("--prefix", default="sonar", help="of the files' names (default: %(default)s)")
+    add(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        default=Path("sonar-log"),
+        help="folder (default: %(default)s)",
+    )
+    add("--prefix", default="sonar", help="of the file names (default: %(default)s)")
     add("--duration", metavar="S", type=positive, help="stop after S seconds")
-    add("--every", metavar="S", type=positive, default=10.0, help="a line every S seconds")
+    add(
+        "--every",
+        metavar="S",
+        type=positive,
+        default=10.0,
+        help="report every S seconds (default: 10)",
+    )
     add("--keep-pinging", action="store_true", help="leave the sonar pinging at the end")
     limits = parser.add_argument_group("limits").add_argument
-    limits("--file-mb", metavar="MB", type=positive, default=500.0, help="then a new file")
-    limits("--file-s", metavar="S", type=positive, help="then a new file (default: no limit)")
-    limits("--budget-mb", metavar="MB", type=positive, help="of all files; the oldest are deleted")
-    limits("--free-mb", metavar="MB", type=non_negative, default=1000.0, help="to stay free")
-    limits("--sync-s", metavar="S", type=non_negative, default=5.0, help="may be lost with power")
+    limits(
+        "--file-mb",
+        metavar="MB",
+        type=positive,
+        default=500.0,
+        help="size of a file (default: 500)",
+    )
+    limits("--file-s", metavar="S", type=positive, help="duration of a file (default: no limit)")
+    limits(
+        "--budget-mb", metavar="MB", type=positive, help="total size; the oldest files are deleted"
+    )
+    limits(
+        "--free-mb",
+        metavar="MB",
+        type=non_negative,
+        default=1000.0,
+        help="minimum free space (default: 1000)",
+    )
+    limits(
+        "--sync-s",
+        metavar="S",
+        type=non_negative,
+        default=5.0,
+        help="maximum loss in a power failure (default: 5)",
+    )
     add_settings_arguments(parser)
 
 
 def run(args: argparse.Namespace, output: Output) -> Exit:
-    """Record until somebody stops it; nothing recorded at all is a fault."""
+    """Record until stopped; an empty recording is a failure."""
     output.keep_running = True
     settings = settings_of(args)
-    from oculus_driver.recording import SonarLog  # noqa: PLC0415 - more than numpy
+    from oculus_driver.recording import SonarLog  # noqa: PLC0415 - slow to import
 
     log = SonarLog(
         args.out,
@@ -67,14 +99,14 @@ def run(args: argparse.Namespace, output: Output) -> Exit:
     )
     run_until_stopped(_log(args, output, settings, log))
     if not log.counters.bytes_written:
-        return output.failure("nothing was recorded; see `oculus doctor`", Exit.FAULT)
+        return output.failure("nothing was recorded; run `oculus doctor`", Exit.FAULT)
     return Exit.OK
 
 
 async def _log(
     args: argparse.Namespace, output: Output, settings: FireSettings, log: SonarLog
 ) -> None:
-    from oculus_driver.recording import BackgroundLog  # noqa: PLC0415 - more than numpy
+    from oculus_driver.recording import BackgroundLog  # noqa: PLC0415 - slow to import
 
     async with BackgroundLog(log) as writer:
         tap = _Tap(writer, output)
@@ -89,7 +121,7 @@ async def _log(
             async with asyncio.timeout(args.duration), sonar, asyncio.TaskGroup() as tasks:
                 tasks.create_task(_report_periodically(args.every, output, sonar, log))
                 async for _ in sonar.pings():
-                    pass  # the bytes are recorded before they become pings
+                    pass  # `tap` has recorded the bytes
         except TimeoutError:
             pass
         finally:
@@ -97,7 +129,7 @@ async def _log(
 
 
 class _Tap:
-    """Hands the sonar's bytes to the log; those of a new connection do not join the old ones."""
+    """Records the sonar's bytes; a new connection starts with a gap."""
 
     def __init__(self, writer: BackgroundLog, output: Output) -> None:
         self._writer = writer
@@ -110,7 +142,7 @@ class _Tap:
         self._fresh = False
 
     def link_changed(self, link: LinkStatus) -> None:
-        """Tell of the link."""
+        """Report the link's state."""
         if link.state == LinkState.CONNECTING:
             self._fresh = True
         fields = {"event": "state", "state": str(link.state), "reason": link.reason}
@@ -143,7 +175,7 @@ def _report(output: Output, sonar: OculusSonar, log: SonarLog, event: str) -> No
 
 
 def _policy(args: argparse.Namespace) -> LogPolicy:
-    from oculus_driver.recording import LogPolicy  # noqa: PLC0415 - more than numpy
+    from oculus_driver.recording import LogPolicy  # noqa: PLC0415 - slow to import
 
     return LogPolicy(
         max_file_bytes=round(args.file_mb * _MEGABYTE),

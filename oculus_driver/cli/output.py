@@ -1,4 +1,4 @@
-"""What a command says: text for a person, or the same fields as JSON lines."""
+"""Output of commands, as text or as JSON lines, and running until a signal."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Exit(IntEnum):
-    """Exit codes; those above 64 are of sysexits.h."""
+    """Exit codes; 64 and above are from sysexits.h."""
 
     OK = 0
     FAULT = 1
@@ -27,17 +27,17 @@ class Exit(IntEnum):
 
 
 def discard_stdout() -> None:
-    """Let what is still printed, and what is still buffered, go nowhere."""
+    """Discard all further and buffered output."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 class Output:
-    """Writes to standard output, and failures to standard error.
+    """Writes results to standard output and failures to standard error.
 
     Attributes:
         as_json: write fields instead of text.
-        keep_running: go on in silence when nobody can be told any more: a recording is worth more
-            than words about it.
+        keep_running: continue without output if standard output is closed: a recording is more
+            important than its output.
     """
 
     def __init__(self, *, as_json: bool) -> None:
@@ -45,33 +45,33 @@ class Output:
         self.keep_running = False
 
     def report(self, fields: Mapping[str, Any], text: str) -> None:
-        """Output one thing: `fields` as one line of JSON, or `text`, which may have many lines."""
-        args = json.dumps(_plain(fields), allow_nan=False) if self.as_json else text
+        """Write one result: `fields` as a line of JSON, or `text`, which may have several lines."""
+        line = json.dumps(_plain(fields), allow_nan=False) if self.as_json else text
         try:
-            sys.stdout.write(args + "\n")
+            sys.stdout.write(line + "\n")
             sys.stdout.flush()
         except OSError as error:
             if not self.keep_running:
                 raise
             discard_stdout()
-            self.note(f"oculus: standard output is gone ({error}): going on without it")
+            self.note(f"oculus: standard output failed ({error}): continuing without it")
 
     def note(self, text: str) -> None:
-        """Tell a person what goes on; never mixed with the fields."""
+        """Write a message for the user; never mixed with results."""
         with contextlib.suppress(OSError):
             sys.stderr.write(text + "\n")
             sys.stderr.flush()
 
     def failure(self, error: object, code: Exit) -> Exit:
-        """Output why the command ends, and return its exit code."""
+        """Report why the command ends, and return its exit code."""
         if self.as_json:
             self.report({"error": str(error)}, "")
         self.note(f"oculus: {error}")
         return code
 
 
-def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever fields hold
-    """Return the value in JSON's own types; what is not a number is null."""
+def _plain(value: Any) -> Any:  # noqa: ANN401 - values of any type
+    """Convert to types of JSON; NaN and infinities become null."""
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple, set, frozenset)):
@@ -88,7 +88,7 @@ STOPS = (signal.SIGINT, signal.SIGTERM)
 
 
 def run_until_stopped(work: Coroutine[None, None, None], limit_s: float | None = None) -> None:
-    """Run to the end, to the time limit, or to SIGINT or SIGTERM; all of them are a good end."""
+    """Run to the end, the time limit, SIGINT or SIGTERM; none of these is a failure."""
 
     async def limited() -> None:
         task = asyncio.current_task()

@@ -1,4 +1,4 @@
-"""`oculus render`: pings of a recording as fan pictures or a film."""
+"""`oculus render`: draw pings of a recording as fan images or a video."""
 
 from __future__ import annotations
 
@@ -26,43 +26,48 @@ if TYPE_CHECKING:
 
 
 NAME = "render"
-HELP = "draw the pings of a recording as fan pictures (PNG) or a film (MP4)"
+HELP = "draw the pings of a recording as fan images (PNG) or a video (MP4)"
 
 DEFAULT_RATE_HZ = 10.0
 _RATE_LIMITS_HZ = (1.0, 60.0)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments."""
     add = parser.add_argument
-    add("file", metavar="FILE", type=Path, help="a recording of any kind")
+    add("file", metavar="FILE", type=Path, help="recording of any format")
     add(
         "out",
         metavar="OUT",
         type=Path,
-        help="NAME.mp4 for a film, NAME.png for one ping, else a folder for PNG files",
+        help="NAME.mp4 for a video, NAME.png for one ping, else a folder for PNG files",
     )
     add(
         "--first",
         metavar="N",
         type=non_negative_int,
         default=0,
-        help="begin with ping N, counted from 0",
+        help="start with ping N, counted from 0",
     )
     add("--every", metavar="N", type=count, default=1, help="draw every Nth ping")
     add("--limit", metavar="N", type=count, help="draw at most N pings")
-    add("--ping", metavar="ID", type=non_negative_int, help="only pings of this id")
-    add("--height", metavar="PX", type=count, default=900)
+    add("--ping", metavar="ID", type=non_negative_int, help="only pings with this id")
+    add("--height", metavar="PX", type=count, default=900, help="of the image (default: 900)")
     add("--colours", choices=("inferno", "viridis", "grey"), default="inferno")
-    add("--gamma", type=positive, default=0.7, help="of the display (default: %(default)s)")
+    add("--gamma", type=positive, default=0.7, help="display exponent (default: %(default)s)")
     add("--keep-gains", action="store_true", help="do not divide by the rows' gain words")
     add("--bare", action="store_true", help="without rings, spokes and labels")
-    add("--fps", metavar="HZ", type=positive, help="of a film (default: as recorded, else 10)")
+    add(
+        "--fps",
+        metavar="HZ",
+        type=positive,
+        help="frame rate of a video (default: as recorded, else 10)",
+    )
 
 
 def run(args: argparse.Namespace, output: Output) -> Exit:
-    """Draw, and tell which files were written."""
-    from oculus_driver.recording import open_recording  # noqa: PLC0415 - needs more than numpy
+    """Draw, and report the written files."""
+    from oculus_driver.recording import open_recording  # noqa: PLC0415 - slow to import
 
     painter = _painter(args)
     single = args.out.suffix.lower() == ".png"
@@ -71,7 +76,7 @@ def run(args: argparse.Namespace, output: Output) -> Exit:
         rate_hz = args.fps or _rate_hz(recording, args.every)
         files, drawn = _draw(args.out, painter, choice, recording, rate_hz)
     if not drawn:
-        raise OculusError(f"{args.file}: no ping to draw; see `oculus info {args.file}`")
+        raise OculusError(f"{args.file}: no ping to draw; run `oculus info {args.file}`")
     fields = {"files": files, "pings": drawn, "rejects": dict(choice.rejects)}
     where = files[0] if len(files) == 1 else args.out
     output.report(fields, f"{drawn} pings drawn: {where}")
@@ -82,7 +87,7 @@ def _painter(args: argparse.Namespace) -> Painter:
     try:
         from oculus_driver.render import Painter, Style  # noqa: PLC0415 - an extra
     except ImportError as error:
-        raise OculusError("pictures need OpenCV: pip install 'mapperd[render]'") from error
+        raise OculusError("images need OpenCV: pip install opencv-python-headless") from error
     return Painter(
         Style(args.height, args.colours, args.gamma, not args.keep_gains, labels=not args.bare)
     )
@@ -91,7 +96,7 @@ def _painter(args: argparse.Namespace) -> Painter:
 def _draw(
     out: Path, painter: Painter, choice: Choice, recording: Recording, rate_hz: float
 ) -> tuple[list[Path], int]:
-    """Return the files written and the number of pings in them."""
+    """Return the written files and the number of pings in them."""
     drawn = 0
     with _sink(out, rate_hz) as sink:
         for ping in choice.of(recording):
@@ -112,7 +117,7 @@ def _sink(out: Path, rate_hz: float) -> FrameSink:
 
 
 def _rate_hz(recording: Recording, every: int) -> float:
-    """Return how many of the frames a second were recorded, within what films have."""
+    """Return the frame rate of the recording, limited to useful rates of a video."""
     times: list[int] = []
     for ping in Choice(limit=50).of(recording):
         times += [] if ping.arrival_ns is None else [ping.arrival_ns]
@@ -124,14 +129,14 @@ def _rate_hz(recording: Recording, every: int) -> float:
 
 @dataclass(slots=True)
 class Choice:
-    """Which pings of a recording are wanted, and what was met on the way.
+    """Selection of pings of a recording, and counters of unusable ones.
 
     Attributes:
-        first: ping to begin with, counted from 0.
+        first: first ping, counted from 0.
         step: every how many pings.
-        limit: at most so many, None for all.
-        ping_id: only pings of this id.
-        rejects: why pings could not be decoded, counted.
+        limit: maximum number of pings, None: all.
+        ping_id: only pings with this id.
+        rejects: unusable pings by reason.
     """
 
     first: int = 0
@@ -141,7 +146,7 @@ class Choice:
     rejects: Counter[str] = field(default_factory=Counter)
 
     def of(self, recording: Recording) -> Iterator[Ping]:
-        """Yield the chosen pings of an open recording."""
+        """Yield the selected pings of an open recording."""
         pings = self._decoded(messages_of(recording))
         if self.ping_id is not None:
             pings = (ping for ping in pings if ping.ping_id == self.ping_id)

@@ -1,4 +1,4 @@
-"""`oculus watch`: what sonars on the network do, line by line; with --ping their pings too."""
+"""`oculus watch`: report what sonars on the network do; with --ping their pings, too."""
 
 from __future__ import annotations
 
@@ -28,34 +28,40 @@ if TYPE_CHECKING:
     from oculus_driver.sonar import OculusSonar
 
 NAME = "watch"
-HELP = "tell what sonars do: their statuses, or with --ping the link and the pings of one"
+HELP = "report the statuses of sonars, or with --ping the link and the pings of one"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
+    """Add the arguments."""
     add_sonar_arguments(parser)
     add = parser.add_argument
-    add("--ping", action="store_true", help="connect and let it ping: only under water")
-    add("--every", metavar="S", type=positive, default=1.0, help="a line every S seconds")
+    add("--ping", action="store_true", help="connect and request pings: only under water")
+    add(
+        "--every",
+        metavar="S",
+        type=positive,
+        default=1.0,
+        help="report every S seconds (default: 1)",
+    )
     add("--duration", metavar="S", type=positive, help="stop after S seconds")
     add_settings_arguments(parser)
 
 
 def run(args: argparse.Namespace, output: Output) -> Exit:
-    """Watch until somebody stops it."""
+    """Watch until stopped."""
     if args.ping:
         watch = _PingWatch(args.every, output)
         run_until_stopped(_watch_pings(args, output, watch), args.duration)
-        return Exit.OK if watch.last is not None else output.failure("no ping came", Exit.FAULT)
+        return Exit.OK if watch.last is not None else output.failure("no ping arrived", Exit.FAULT)
     reported: dict[tuple[int, int], frozenset[str]] = {}
     run_until_stopped(_watch_statuses(args, output, reported), args.duration)
-    return Exit.OK if reported else output.failure("no sonar was heard", Exit.FAULT)
+    return Exit.OK if reported else output.failure("no sonar was discovered", Exit.FAULT)
 
 
 async def _watch_statuses(
     args: argparse.Namespace, output: Output, reported: dict[tuple[int, int], frozenset[str]]
 ) -> None:
-    """Tell of each status; what is wrong only when it is new."""
+    """Report each status, and its problems when they are new."""
     async with Discovery(args.status_port, args.listen) as discovery:
         async for sonar in discovery.updates():
             if _is_selected(args, sonar):
@@ -87,7 +93,7 @@ async def _watch_pings(args: argparse.Namespace, output: Output, watch: _PingWat
 
 
 class _PingWatch:
-    """Says every so often how the pings come."""
+    """Reports the pings periodically."""
 
     def __init__(self, every_s: float, output: Output) -> None:
         self.last: Ping | None = None
@@ -95,7 +101,7 @@ class _PingWatch:
         self._output = output
 
     async def report_periodically(self, sonar: OculusSonar) -> None:
-        """Go on until cancelled."""
+        """Report until cancelled."""
         before = 0
         while True:
             await asyncio.sleep(self._every_s)

@@ -1,1 +1,1 @@
-"""Which sonars are on the network, and what is wrong with one."""
+"""Discovery of sonars by their status broadcasts, and diagnosis of what is wrong with one."""

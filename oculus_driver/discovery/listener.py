@@ -1,4 +1,4 @@
-"""Listens for sonars on the network, beside whatever else listens on this host."""
+"""Listens for status broadcasts. Other programs may listen on the same port of this host."""
 
 from __future__ import annotations
 
@@ -27,26 +27,25 @@ if TYPE_CHECKING:
     from oculus_driver.status import Status
 
 
-ANY_HOST: Final = "0.0.0.0"  # noqa: S104 - broadcasts come to every address, this is how to hear them
+ANY_HOST: Final = "0.0.0.0"  # noqa: S104 - needed to receive broadcasts
 
 _LOG: Final = logging.getLogger(__name__)
 
 
 class Discovery:
-    """Hears the status broadcasts of all sonars while it is entered.
+    """Receives the status broadcasts of all sonars within an `async with` block.
 
-    Other programs may listen on the same port of this host at the same time, provided that they
-    share it too. A sonar that appears, and each condition of it that needs somebody, is logged
-    once.
+    Other programs can listen on the same port at the same time if they share it, too. New sonars
+    and each new problem of a sonar are logged once.
 
     Attributes:
-        watch: the sonars heard, and what was refused.
-        dropped: what never reached an iterator, by reason: superseded (a newer status of the
-            same sonar came before the reader asked), socket_error.
+        state: the discovered sonars, and counters of rejected datagrams.
+        dropped: updates that reached no iterator, by reason: superseded (a newer status of the
+            same sonar arrived before the reader took it), socket_error.
 
     Args:
-        port: UDP port, 0 for any free one (see `port` then).
-        host: own address to listen on.
+        port: UDP port; 0 for any free one, see attribute `port`.
+        host: local address to listen on.
         clock_ns: the host's monotonic clock.
     """
 
@@ -69,14 +68,14 @@ class Discovery:
 
     @property
     def port(self) -> int:
-        """UDP port that is listened on."""
+        """The UDP port in use."""
         return self._port
 
     async def __aenter__(self) -> Self:
         """Start listening.
 
         Raises:
-            DiscoveryError: the port cannot be had; the text says why and what to do.
+            DiscoveryError: the port cannot be opened; the message contains reason and remedy.
         """
         loop = asyncio.get_running_loop()
         listening = _listening_socket(self._host, self._port)
@@ -107,14 +106,14 @@ class Discovery:
             await self._closed
 
     def present(self) -> list[DiscoveredSonar]:
-        """Return the sonars that are there now, in order of their first status."""
+        """Return the sonars that are present now, in order of their first status."""
         return self.state.present(self._clock_ns())
 
     def updates(self) -> DiscoveryUpdates:
-        """Return an iterator over statuses as they come, first those of sonars known already.
+        """Return an iterator over statuses as they arrive, starting with the known sonars.
 
-        A reader that is slower than the sonars gets the newest status of each, and no other.
-        Every iterator gets all sonars. It ends when the discovery is left.
+        A slow reader gets only the newest status of each sonar. Every iterator gets all sonars. It
+        ends at the end of the `async with` block.
         """
         reader = DiscoveryUpdates(self.dropped)
         for found in self.present():
@@ -136,7 +135,7 @@ class Discovery:
         _LOG.debug("status port %d: %s", self._port, error)
 
     def _report(self, found: DiscoveredSonar) -> None:
-        """Log the sonar's appearance and what is new in its condition."""
+        """Log a new sonar and its new problems."""
         if found.count == 1:
             model, serial = found.model.name, found.status.device_id
             _LOG.info("%s, serial number %d, at %s", model, serial, found.address)
@@ -152,7 +151,7 @@ class Discovery:
 
 
 class DiscoveryUpdates:
-    """Statuses as they come: the newest of each sonar, in the order in which they were heard."""
+    """Statuses as they arrive: the newest of each sonar, in order of arrival."""
 
     def __init__(self, dropped: Counter[str]) -> None:
         self._waiting: dict[SonarKey, DiscoveredSonar] = {}
@@ -172,20 +171,20 @@ class DiscoveryUpdates:
         return self._waiting.pop(next(iter(self._waiting)))
 
     def offer(self, found: DiscoveredSonar) -> None:
-        """Keep a sonar for the reader, in place of an older one of the same sonar."""
+        """Queue a sonar for the reader; replaces an older status of the same sonar."""
         if self._waiting.pop(found.key, None) is not None:
             self._dropped["superseded"] += 1
         self._waiting[found.key] = found
         self._wake.set()
 
     def finish(self) -> None:
-        """End the iteration after what is waiting."""
+        """End the iteration after the queued sonars."""
         self._finished = True
         self._wake.set()
 
 
 class _Receiver(asyncio.DatagramProtocol):
-    """Hands on what the socket says."""
+    """Passes datagrams and errors of the socket on."""
 
     def __init__(
         self,
@@ -204,19 +203,19 @@ class _Receiver(asyncio.DatagramProtocol):
         if isinstance(exc, OSError):
             self._fail(exc)
 
-    def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002 - the base's name
+    def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002 - name of the base class
         if not self._closed.done():
             self._closed.set_result(None)
 
 
 def _listening_socket(host: str, port: int) -> socket.socket:
-    """Return a bound socket that shares its port with all others that share it."""
+    """Return a bound socket that shares its port."""
     listening = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         listening.settimeout(0)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         if hasattr(socket, "SO_REUSEPORT"):
-            with contextlib.suppress(OSError):  # some kernels know the name and not the option
+            with contextlib.suppress(OSError):  # some kernels define the name but lack the option
                 listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
         listening.bind((host, port))
     except OSError as error:
@@ -235,7 +234,7 @@ class Announcement(Protocol):
 
     @property
     def status(self) -> Status:
-        """Its last status."""
+        """The last status."""
         ...
 
 
@@ -243,7 +242,7 @@ class AnnouncementSource(Protocol):
     """A source of announcements, such as `Discovery`."""
 
     def updates(self) -> AsyncIterator[Announcement]:
-        """Return what is heard, as it is heard."""
+        """Return an iterator over announcements as they arrive."""
         ...
 
 
@@ -251,14 +250,14 @@ DiscoveryFactory = Callable[[], AbstractAsyncContextManager[AnnouncementSource]]
 
 
 class Search:
-    """Listens for one sonar, as a task.
+    """Searches for one sonar, in a task.
 
     Args:
-        serial: its device id, None for the first that is heard.
-        discovery: makes what hears sonars, None for `oculus_driver.discovery.listener.Discovery`.
+        serial: its device id; None: the first sonar discovered.
+        discovery: makes the source of announcements; None: `Discovery`.
 
     Attributes:
-        status: its last status, None before the first.
+        status: last status of the sonar, None before the first one.
     """
 
     def __init__(self, serial: int | None, discovery: DiscoveryFactory | None) -> None:
@@ -273,11 +272,11 @@ class Search:
         on_found: Callable[[Announcement], None],
         on_failure: Callable[[BaseException], None],
     ) -> None:
-        """Begin; what goes wrong is given to `on_failure`."""
+        """Start the task; exceptions are passed to `on_failure`."""
         self._task = asyncio.create_task(self._listen(on_found, on_failure))
 
     async def stop(self) -> None:
-        """End the task and wait for it."""
+        """Cancel the task and wait for its end."""
         if self._task is not None:
             self._task.cancel()
             await asyncio.wait((self._task,))
@@ -292,7 +291,7 @@ class Search:
                 async for found in discovery.updates():
                     if self._is_selected(found):
                         on_found(found)
-        except Exception as error:  # noqa: BLE001 - handed to whoever waits for pings
+        except Exception as error:  # noqa: BLE001 - passed to the readers of pings
             on_failure(error)
 
     def _is_selected(self, found: Announcement) -> bool:
@@ -304,7 +303,7 @@ class Search:
             return True
         if serial not in self._ignored and len(self._ignored) < MAX_OTHERS_LOGGED:
             self._ignored.add(serial)
-            words = "sonar %d at %s is not ours, which is %d: give a serial to choose"
+            words = "ignoring sonar %d at %s, using sonar %d: set a serial number to choose"
             _LOG.warning(words, serial, found.address, self._serial)
         return False
 
@@ -313,11 +312,11 @@ MAX_OTHERS_LOGGED: Final = 16
 
 
 def addresses_towards(address: str) -> list[IPv4Address]:
-    """Return the address that this host would speak to `address` from; empty: it has no way.
+    """Return the local address from which this host would connect to `address`, or an empty list.
 
-    `address` is dotted: a name would have to be looked up, which can take seconds.
-    Asks the system's routes and sends nothing. A way through a router counts as one: compare
-    with the sonar's mask (`oculus_driver.discovery.diagnosis.subnet_finding`).
+    Queries the routing table and sends nothing. `address` must be dotted: a name lookup can take
+    seconds. A route through a gateway counts, too: compare with the sonar's netmask
+    (`oculus_driver.discovery.diagnosis.subnet_finding`).
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:

@@ -1,4 +1,7 @@
-"""Observe one sonar for a while; `oculus_driver.discovery.probe` evaluates the result."""
+"""Probe of one sonar: observe it for a while, then find the first layer that fails.
+
+Each layer needs the ones before it: address, port, bytes, frames, pings.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,7 @@ _NO_PINGS: Final = ("boot_loader", "booting", "overheated", "transmitter_failed"
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """One layer: what is known of it, and what to do where it fails."""
+    """One layer: its verdict, and the remedy if it failed."""
 
     name: str
     verdict: Verdict
@@ -47,23 +50,23 @@ class Layer:
 
 @dataclass(slots=True)
 class ProbeResult:
-    """What was seen of one sonar.
+    """Observations of one sonar.
 
     Attributes:
-        address: of the sonar, None where none is known.
-        sonar: its status before we connected, None where none was heard.
-        own_addresses: of this host, towards the sonar.
-        status_port, port: that were used.
-        listen_error: why statuses could not be listened for, or None.
-        connect_error: why the connection failed, None where it stands or was not tried.
-        connected: whether it stood.
-        ended: whether the sonar ended it.
-        listened_s: how long bytes were waited for.
-        bytes_received, bytes_rejected: from the sonar; of these, that belong to no message.
-        messages: whole messages by id.
-        pings: good ones; ping_rejects: the others, by reason.
-        lost_pings: what the ids say.
-        asked_for_pings: whether the sonar was asked to ping.
+        address: of the sonar, None if unknown.
+        sonar: its status before the connection, None if none was received.
+        own_addresses: addresses of this host towards the sonar.
+        status_port, port: the ports in use.
+        listen_error: why the status port could not be opened, or None.
+        connect_error: why the connection failed, None if it did not fail or was not tried.
+        connected: whether the connection was established.
+        ended: whether the sonar closed the connection.
+        listened_s: time spent waiting for bytes.
+        bytes_received, bytes_rejected: from the sonar; those outside messages.
+        messages: complete messages by id.
+        pings: valid pings; ping_rejects: unusable pings by reason.
+        lost_pings: by the ping ids.
+        asked_for_pings: whether pings were requested.
     """
 
     address: str | None = None
@@ -86,25 +89,25 @@ class ProbeResult:
 
     @property
     def findings(self) -> list[Finding]:
-        """What the sonar's status says, the worst first."""
+        """Problems in the sonar's status, most severe first."""
         if self.sonar is None:
             return []
         return discovery_findings(self.sonar, self.own_addresses)
 
 
 def evaluate(result: ProbeResult) -> list[Layer]:
-    """Return all five layers; those behind the first that fails are not tested."""
+    """Return all five layers; those after the first failure are not tested."""
     layers: list[Layer] = []
-    for name, look in zip(LAYERS, (_address, _port, _bytes, _frames, _pings), strict=True):
+    for name, check in zip(LAYERS, (_address, _port, _bytes, _frames, _pings), strict=True):
         if any(layer.verdict == "failed" for layer in layers):
             layers.append(Layer(name, "not tested", f"needs {layers[-1].name}"))
         else:
-            layers.append(Layer(name, *look(result)))
+            layers.append(Layer(name, *check(result)))
     return layers
 
 
 def first_failure(layers: list[Layer]) -> Layer | None:
-    """Return the layer to look at first, None where none failed."""
+    """Return the first layer that failed, None if there is none."""
     return next((layer for layer in layers if layer.verdict == "failed"), None)
 
 
@@ -120,7 +123,7 @@ def _address(result: ProbeResult) -> tuple[Verdict, str]:
         return "failed", unreachable
     if result.sonar is None:
         why = result.listen_error or f"no status on UDP port {result.status_port}"
-        return "doubtful", f"{result.address} as given; {why}"
+        return "doubtful", f"{result.address} (given); {why}"
     status = result.sonar.status
     who = f"{status.model.name}, serial number {status.device_id}, {status.master_state}"
     return "ok", f"{result.address}: {who}"
@@ -129,7 +132,7 @@ def _address(result: ProbeResult) -> tuple[Verdict, str]:
 def _port(result: ProbeResult) -> tuple[Verdict, str]:
     where = f"TCP port {result.port} of {result.address}"
     if result.connected:
-        return "ok", f"{where} takes the connection"
+        return "ok", f"{where} accepts connections"
     in_use = _finding(result, _IN_USE)
     if in_use is not None:
         return "failed", in_use
@@ -144,32 +147,32 @@ def _bytes(result: ProbeResult) -> tuple[Verdict, str]:
         return "ok", f"{result.bytes_received} bytes in {result.listened_s:.1f} s"
     in_use = _finding(result, _IN_USE)
     if result.ended:
-        why = in_use or "another client holds the sonar; close it"
-        return "failed", f"the connection is closed at once: {why}"
+        why = in_use or "another client uses the sonar; close it"
+        return "failed", f"the sonar closed the connection at once: {why}"
     reason = (
         in_use
         or _finding(result, _NO_PINGS)
         or (
-            "another client may hold the sonar, or it hangs: close other programs, then switch its "
+            "another client may use the sonar, or it hangs: close other programs, then switch its "
             "power off for ten seconds"
         )
     )
-    return "failed", f"connected, and nothing comes for {result.listened_s:.1f} s: {reason}"
+    return "failed", f"connected, but nothing received for {result.listened_s:.1f} s: {reason}"
 
 
 def _frames(result: ProbeResult) -> tuple[Verdict, str]:
     total, rejected = result.bytes_received, result.bytes_rejected
     if not result.messages:
         if total - rejected > 0 and not result.ended:
-            text = f"no whole message in {result.listened_s:.1f} s: a slow link? Wait longer"
+            text = f"no complete message in {result.listened_s:.1f} s: allow a slow link more time"
             return "doubtful", text
-        text = f"{total} bytes hold no message of an Oculus sonar: is {result.address} one?"
+        text = f"{total} bytes contain no Oculus message: check that {result.address} is a sonar"
         return "failed", text
     count = result.messages.total()
     if rejected:
-        text = f"{count} messages; {rejected} of {total} bytes belong to none: check the cable"
+        text = f"{count} messages; {rejected} of {total} bytes outside messages: check the cable"
         return "doubtful", text
-    return "ok", f"{count} messages, no byte lost"
+    return "ok", f"{count} messages, no invalid bytes"
 
 
 def _pings(result: ProbeResult) -> tuple[Verdict, str]:
@@ -178,18 +181,18 @@ def _pings(result: ProbeResult) -> tuple[Verdict, str]:
         text = f"{result.pings} pings"
         if not rejects and not result.lost_pings:
             return "ok", text
-        return "doubtful", f"{text}; refused: {rejects or 'none'}; lost: {result.lost_pings}"
+        return "doubtful", f"{text}; rejected: {rejects or 'none'}; lost: {result.lost_pings}"
     if rejects:
-        text = f"pings come and none can be used ({rejects}): record them with `oculus log`"
+        text = f"pings arrive, but all are unusable ({rejects}): record them with `oculus log`"
         return "failed", f"{text} and send us the file"
     reason = _finding(result, _NO_PINGS)
     if reason is not None:
         return "failed", reason
     if not result.asked_for_pings:
         standby = result.messages[MessageId.DUMMY] > 0
-        state = "the sonar is in standby" if standby else "no ping came by itself"
+        state = "the sonar is in standby" if standby else "no ping without a request"
         return "not tested", f"{state}: put it under water and use --ping"
-    return "failed", "asked for pings, and none came: try --version 1, then look at its supply"
+    return "failed", "no ping after a request: try --version 1, then check the power supply"
 
 
 _CONNECT_S: Final = 3.0
@@ -199,15 +202,15 @@ _KEEP_ALIVE_S: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class ProbeOptions:
-    """How to look.
+    """Options of a probe.
 
     Attributes:
-        host: of the sonar, None for the first one heard.
+        host: of the sonar, None for the first one discovered.
         port: of its data connection.
-        seconds: for each step.
-        ping: ask for pings, then for standby: only under water.
+        seconds: duration of each step.
+        ping: request pings, then standby: only under water.
         version: of fire messages.
-        status_port, listen: where statuses are listened for.
+        status_port, listen: where to listen for statuses.
     """
 
     host: str | None = None
@@ -220,7 +223,7 @@ class ProbeOptions:
 
 
 async def probe(options: ProbeOptions) -> ProbeResult:
-    """Listen for the sonar, connect to it, and take what comes for a while."""
+    """Wait for a status, connect to the sonar, and receive for a while."""
     result = ProbeResult(options.host, status_port=options.status_port, port=options.port)
     await _listen(options, result)
     if result.address is None:
@@ -243,7 +246,7 @@ async def probe(options: ProbeOptions) -> ProbeResult:
 
 
 async def _listen(options: ProbeOptions, result: ProbeResult) -> None:
-    """Wait for a status of the sonar that is meant."""
+    """Wait for a status of the selected sonar."""
     try:
         async with (
             asyncio.timeout(options.seconds),
@@ -266,7 +269,7 @@ async def _exchange(
     reader: asyncio.StreamReader,
     writer: asyncio.StreamWriter,
 ) -> None:
-    """Take what comes, and keep asking for pings or, where nothing comes, for a sign of life."""
+    """Receive, and keep requesting pings or, while nothing arrives, a sign of life."""
     quiet = FireSettings(ping_rate=PingRate.STANDBY).encode(options.version)
     asked = (
         FireSettings(ping_rate=PingRate.LOWEST).encode(options.version) if options.ping else quiet
@@ -293,7 +296,7 @@ async def _exchange(
 
 
 async def _read_until_standby(reader: asyncio.StreamReader, counter: _StreamCounter) -> None:
-    """Read on until the sonar is in standby; to close before that could lose the request."""
+    """Read on until the sonar is in standby; closing earlier could lose the request."""
     loop = asyncio.get_running_loop()
     end_s = loop.time() + _KEEP_ALIVE_S
     before = counter.dummies
@@ -305,7 +308,7 @@ async def _read_until_standby(reader: asyncio.StreamReader, counter: _StreamCoun
 
 
 async def _read(reader: asyncio.StreamReader, limit_s: float) -> bytes | None:
-    """Return the next bytes, none at the end of the stream, None where none come in time."""
+    """Return the next bytes, empty at the end of the stream, None on a timeout."""
     try:
         async with asyncio.timeout(limit_s):
             return await reader.read(_MAX_READ)
@@ -314,7 +317,7 @@ async def _read(reader: asyncio.StreamReader, limit_s: float) -> bytes | None:
 
 
 class _StreamCounter:
-    """Counts what a stream holds."""
+    """Counts the content of a stream."""
 
     def __init__(self, result: ProbeResult) -> None:
         self._evidence = result
@@ -323,16 +326,16 @@ class _StreamCounter:
 
     @property
     def dummies(self) -> int:
-        """Dummies so far."""
+        """Number of dummy messages."""
         return self._parser.counters.messages[MessageId.DUMMY]
 
     def feed(self, data: bytes) -> None:
-        """Take bytes as they came."""
+        """Add received bytes."""
         self._evidence.bytes_received += len(data)
         self._count(self._parser.feed(data))
 
     def finish(self) -> None:
-        """Bring the counts to the end; a message that was still under way is no fault."""
+        """Store the final counts; an incomplete message at the end is not an error."""
         counters = self._parser.counters
         self._evidence.bytes_rejected = counters.bytes_rejected
         self._evidence.messages = counters.messages

@@ -1,6 +1,6 @@
 """Which sonars are present: status datagrams in, one `DiscoveredSonar` per sonar out. Pure.
 
-A sonar says who it is about once a second, to whoever listens, even from another subnet.
+A sonar broadcasts its status about once per second; it is received even in another subnet.
 """
 
 from __future__ import annotations
@@ -19,37 +19,37 @@ if TYPE_CHECKING:
     from oculus_driver.models import Model
 
 STALE_NS: Final = 2_000_000_000
-"""Without a status for longer: doubtful. The maker's viewer drops the sonar then."""
+"""After this time without a status a sonar is stale. The vendor's viewer drops it then."""
 
 GONE_NS: Final = 5_000_000_000
-"""Without a status for longer: not there any more."""
+"""After this time without a status a sonar is gone."""
 
 DUPLICATE_NS: Final = 20_000_000
-"""The same status again within this time is the copy of another network port, not news."""
+"""The same status within this time is a copy through another network port, not an update."""
 
 MAX_SONARS: Final = 64
-"""More than anybody owns; a flood of invented serial numbers shall not fill the memory."""
+"""More than anybody owns; bounds memory against a flood of invented serial numbers."""
 
 MAIN_TEMPERATURE: Final = 6
-"""The place among the eight that other drivers take for the temperature of the sonar."""
+"""Index of the sensor that other drivers use as the temperature, of eight."""
 
 SonarKey = tuple[int, int]
-"""Part number and serial number: one sonar."""
+"""Part number and serial number identify a sonar."""
 
 
 @dataclass(frozen=True, slots=True)
 class DiscoveredSonar:
-    """A sonar as it was last heard.
+    """A sonar and its last status.
 
     Attributes:
-        address: where to connect, dotted. What the sonar says of itself; the datagram's source
-            only where that is no address of a host.
-        status: the newest.
-        model: from the part number; unknown ones have a model too.
+        address: where to connect, dotted: from the status, or the source of the datagram if the
+            status has no valid host address.
+        status: the newest status.
+        model: from the part number; an unknown part number gives a model, too.
         first_seen_ns: arrival of the first status since the sonar was last gone.
-        last_seen_ns: arrival of the newest; both on the host's monotonic clock.
+        last_seen_ns: arrival of the newest status; both on the host's monotonic clock.
         count: statuses since `first_seen_ns`; 1 means that the sonar has just appeared.
-        source_address: where the newest datagram came from, None where not known.
+        source_address: source of the newest datagram, None if unknown.
     """
 
     address: str
@@ -66,21 +66,21 @@ class DiscoveredSonar:
         return self.model.part_number, self.status.device_id
 
     def stale(self, now_ns: int) -> bool:
-        """Whether the sonar was not heard for so long that it is doubtful."""
+        """Return whether the last status is old."""
         return now_ns - self.last_seen_ns > STALE_NS
 
     def gone(self, now_ns: int) -> bool:
-        """Whether the sonar was not heard for so long that it is not there any more."""
+        """Return whether the last status is so old that the sonar counts as gone."""
         return now_ns - self.last_seen_ns > GONE_NS
 
     def matches(self, wanted: str) -> bool:
-        """Whether this sonar is meant by a serial number, an address, a model or a family."""
+        """Return whether a serial number, address, model or family selects this sonar."""
         names = (self.model.name, self.model.family.name)
         exact = (self.address, str(self.status.device_id))
         return wanted in exact or wanted.casefold() in (name.casefold() for name in names)
 
     def snapshot(self) -> dict[str, Any]:
-        """Return all that the status says, as JSON knows it; None = not available."""
+        """Return the content of the status for JSON; None = not available."""
         status = self.status
         return {
             "address": self.address,
@@ -109,18 +109,18 @@ class DiscoveredSonar:
 
 
 def version_text(raw: int) -> str:
-    """Return a firmware version as major.minor.build: 8, 8 and 16 bits from the top."""
+    """Return a firmware version as major.minor.build: 8, 8 and 16 bits, most significant first."""
     return f"{raw >> 24 & 0xFF}.{raw >> 16 & 0xFF}.{raw & 0xFFFF}"
 
 
 class DiscoveryState:
-    """Keeps the newest status of every sonar heard. Total: any datagram is taken.
+    """Keeps the newest status of every sonar. Accepts any datagram.
 
-    Memory is bounded by `max_sonars`: while that many are there, others are refused.
+    Memory is bounded by `max_sonars`: while that many are present, others are rejected.
 
     Attributes:
-        statuses: datagrams that were news.
-        rejects: the others by reason: short_message, bad_magic, duplicate, too_many_sonars.
+        statuses: accepted datagrams.
+        rejects: rejected datagrams by reason: short_message, bad_magic, duplicate, too_many_sonars.
     """
 
     def __init__(self, max_sonars: int = MAX_SONARS) -> None:
@@ -131,7 +131,7 @@ class DiscoveryState:
 
     @property
     def sonars(self) -> Mapping[SonarKey, DiscoveredSonar]:
-        """Every sonar that is remembered, also those that are gone."""
+        """All remembered sonars, including those that are gone."""
         return self._sonars
 
     def present(self, now_ns: int) -> list[DiscoveredSonar]:
@@ -142,15 +142,15 @@ class DiscoveryState:
     def feed(
         self, datagram: bytes, source_address: str | None, arrival_ns: int
     ) -> DiscoveredSonar | Reject:
-        """Take a datagram of the status port and return the sonar's new sonar.
+        """Process a datagram of the status port and return the updated sonar.
 
         Args:
-            datagram: of any size and content.
-            source_address: where it came from, dotted.
-            arrival_ns: when, on the host's monotonic clock.
+            datagram: any size and content.
+            source_address: of the datagram, dotted.
+            arrival_ns: on the host's monotonic clock.
 
         Returns:
-            The sonar, or the reason why there is no news in the datagram.
+            The sonar, or the reason why the datagram is no update.
         """
         status = decode_status(datagram)
         if isinstance(status, Reject):
@@ -158,9 +158,11 @@ class DiscoveryState:
         key = status.model.part_number, status.device_id
         before = self._sonars.get(key)
         if before is not None and _is_copy(before, status, arrival_ns):
-            return self._refuse(Reject("duplicate", f"status of {status.device_id} again", 0))
+            return self._refuse(
+                Reject("duplicate", f"copy of the last status of {status.device_id}", 0)
+            )
         if before is None and not self._has_room(arrival_ns):
-            detail = f"{self._max_sonars} sonars are there already"
+            detail = f"{self._max_sonars} sonars are already present"
             return self._refuse(Reject("too_many_sonars", detail, 0))
         self.statuses += 1
         seen = _discovered(status, source_address, arrival_ns)

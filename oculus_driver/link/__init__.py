@@ -1,1 +1,1 @@
-"""The link to one sonar: connection, state machine, received pings."""
+"""The link to one sonar: state machine, connection, received pings, confirmation of settings."""

@@ -1,4 +1,4 @@
-"""What pings show against what was asked for: there is no other answer to a fire message."""
+"""Comparison of pings with the requested settings: the only acknowledgement of a fire message."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from oculus_driver.settings import FireSettings
 
 CONFIRM_TIMEOUT_NS: Final = 8_000_000_000
-"""Speed of sound and salinity may take 6 s and more to show; the rest shows sooner."""
+"""Speed of sound and salinity may take more than 6 s to take effect; the rest is faster."""
 
 _DECISIVE_FLAGS: Final = {
     "range unit": FireFlags.RANGE_IN_METRES,
@@ -29,14 +29,14 @@ _SALINITY_TOLERANCE_PPT: Final = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One thing that a ping shows otherwise than asked.
+    """One difference between a ping and the request.
 
     Attributes:
-        name: what it is.
-        asked: for what.
-        shown: by the ping.
-        decisive: whether the settings are not in force while this differs. The other
-            differences may be slow to settle, or are the sonar's own choice.
+        name: of the setting.
+        asked: requested value.
+        shown: value in the ping.
+        decisive: whether the settings are not in force while this differs. Other differences may
+            settle slowly or be the sonar's own choice.
     """
 
     name: str
@@ -45,19 +45,19 @@ class Difference:
     decisive: bool
 
     def __str__(self) -> str:
-        return f"{self.name}: asked {self.asked:g}, got {self.shown:g}"
+        return f"{self.name}: requested {self.asked:g}, got {self.shown:g}"
 
 
 @dataclass(frozen=True, slots=True)
 class Confirmation:
-    """What became of settings.
+    """Result of a settings request.
 
     Attributes:
-        confirmed: whether a ping showed them in force, or standby was kept.
-        reason: in words for a person.
-        waited_ns: from asking to this answer.
-        pings: that were looked at.
-        changed: what the sonar did otherwise, by the last of them.
+        confirmed: whether a ping showed the settings in force, or the sonar is in standby.
+        reason: human-readable.
+        waited_ns: time from the request to this result.
+        pings: number of examined pings.
+        changed: differences between the last of them and the request.
     """
 
     confirmed: bool
@@ -68,10 +68,10 @@ class Confirmation:
 
 
 def differences(settings: FireSettings, ping: Ping) -> tuple[Difference, ...]:
-    """Return what a ping shows otherwise than asked, as far as its echo can be trusted.
+    """Return the differences between a ping and the request, as far as the echo is reliable.
 
-    Never compared: ping rate and network speed, whose echo is left-over memory, and the speed
-    of sound where the sonar was to compute it. A range in percent has no echo in metres.
+    Not compared: ping rate and network speed, whose echo is uninitialised memory, and the speed of
+    sound if the sonar computes it. A range in percent has no echo in metres.
     """
     return tuple(
         Difference(name, asked, shown, decisive)
@@ -83,7 +83,7 @@ def differences(settings: FireSettings, ping: Ping) -> tuple[Difference, ...]:
 def _comparisons(
     settings: FireSettings, ping: Ping
 ) -> Iterator[tuple[str, float, float, float, bool]]:
-    """Yield name, what was asked, what is shown, how far they may be apart, and if decisive."""
+    """Yield name, requested value, value in the ping, tolerance, and whether it is decisive."""
     yield "mode", settings.mode, ping.mode, 0.0, True
     yield "gamma", settings.gamma, ping.gamma, 0.0, True
     for name, flag in _DECISIVE_FLAGS.items():
@@ -101,20 +101,20 @@ def _comparisons(
 
 
 def _gain_percent(settings: FireSettings, ping: Ping) -> float:
-    """Return the gain to expect: older firmware maps it to 40 to 100 % in mode 2."""
+    """Return the expected gain: older firmware maps it to 40 to 100 % in mode 2."""
     mapped = 40.0 + 0.6 * settings.gain_percent
-    older = settings.mode == 2 and abs(ping.gain_percent - mapped) <= _GAIN_TOLERANCE  # noqa: PLR2004 - the mode's own number
+    older = settings.mode == 2 and abs(ping.gain_percent - mapped) <= _GAIN_TOLERANCE  # noqa: PLR2004 - mode 2
     return mapped if older else settings.gain_percent
 
 
 class PendingConfirmation:
-    """Looks at pings until they show settings in force, or time is up.
+    """Compares pings until one shows the settings in force, or the time is up.
 
     Args:
-        settings: that were asked for; the report compares with these.
-        asked_ns: when, host monotonic.
-        sent: what was sent for them, where that is not the same.
-        timeout_ns: how long to wait. Standby is confirmed by a sign that the sonar is quiet.
+        settings: the requested settings, compared in the report.
+        asked_ns: time of the request, host monotonic.
+        sent: the settings that were sent, if they differ.
+        timeout_ns: maximum wait. Standby is confirmed by a dummy message.
     """
 
     def __init__(
@@ -132,7 +132,7 @@ class PendingConfirmation:
         self.deadline_ns = asked_ns + timeout_ns
 
     def ping(self, ping: Ping, now_ns: int) -> Confirmation | None:
-        """Take a ping; return the answer if it gives one."""
+        """Add a ping; return the result if it is final."""
         self._pings += 1
         if self._sent.standby:
             return None
@@ -142,19 +142,19 @@ class PendingConfirmation:
         return self._answer("a ping shows the settings", now_ns, confirmed=True)
 
     def dummy(self, now_ns: int) -> Confirmation | None:
-        """Take a dummy message, which a sonar in standby sends."""
+        """Add a dummy message, which a sonar in standby sends."""
         if not self._sent.standby:
             return None
-        return self._answer("the sonar says that it is in standby", now_ns, confirmed=True)
+        return self._answer("the sonar reports standby", now_ns, confirmed=True)
 
     def expire(self, now_ns: int) -> Confirmation:
-        """Return the answer when time is up."""
+        """Return the result at the timeout."""
         if self._pings == 0:
-            return self._answer("no ping came", now_ns, confirmed=False)
+            return self._answer("no ping arrived", now_ns, confirmed=False)
         if self._sent.standby:
-            return self._answer("pings came, no word of standby", now_ns, confirmed=False)
+            return self._answer("pings arrived, but no sign of standby", now_ns, confirmed=False)
         shown = "; ".join(str(one) for one in self._last if one.decisive)
-        return self._answer(f"the pings show otherwise: {shown}", now_ns, confirmed=False)
+        return self._answer(f"the pings differ: {shown}", now_ns, confirmed=False)
 
     def _answer(self, reason: str, now_ns: int, *, confirmed: bool) -> Confirmation:
         waited_ns = now_ns - self._asked_ns

@@ -1,4 +1,4 @@
-"""Does what the link decides: sockets, timers, and the bytes that come in."""
+"""Executes the actions of the link on sockets and timers, and feeds received bytes to it."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ RECEIVE_BUFFER: Final = 2 * MIB
 _MAX_UNSENT_BYTES: Final = 4096
 
 _ADVICE: Final = {
-    errno.ECONNREFUSED: "refused: another client may hold the sonar, or this is no sonar",
-    errno.EHOSTUNREACH: "not reachable: check power, cable and address",
-    errno.ENETUNREACH: "not in a network of this host: give the host an address in its subnet",
+    errno.ECONNREFUSED: "refused: another client may use the sonar, or the address is not a sonar",
+    errno.EHOSTUNREACH: "failed, host unreachable: check power, cable and address",
+    errno.ENETUNREACH: "failed, network unreachable: give this host an address in its subnet",
     errno.ECONNRESET: "reset by the sonar",
     errno.EPIPE: "closed by the sonar",
     errno.ETIMEDOUT: "timed out: check power and cable",
@@ -41,7 +41,7 @@ _ADVICE: Final = {
 
 
 def describe_error(error: BaseException | None) -> str:
-    """Return why a connection ended, None being the sonar's own regular end."""
+    """Return why a connection ended; None stands for a regular end by the sonar."""
     if error is None:
         return "connection closed by the sonar"
     advice = _ADVICE.get(getattr(error, "errno", None) or 0)
@@ -49,15 +49,15 @@ def describe_error(error: BaseException | None) -> str:
 
 
 class Connection(asyncio.Protocol):
-    """One connection. After `drop` nobody hears of it any more.
+    """One TCP connection. After `drop` it calls no callback any more.
 
-    Bytes are handed on from the event loop's read, not by a task, so that a late timer never
-    runs before bytes that came in time.
+    Bytes are passed on directly from the event loop's read, not by a task. So a late timer never
+    runs before bytes that arrived in time.
 
     Args:
-        on_connected: called with the connection when it is open.
+        on_connected: called with the connection once it is open.
         on_data: called with the bytes of each read.
-        on_lost: called with the reason when it ended without our doing.
+        on_lost: called with the reason if the connection ends and `drop` was not called.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class Connection(asyncio.Protocol):
 
     @property
     def is_open(self) -> bool:
-        """Whether it was made and has not ended."""
+        """Whether the connection was established and has not ended."""
         return self._transport is not None and not self._dropped
 
     @property
@@ -86,7 +86,7 @@ class Connection(asyncio.Protocol):
         return str(name[0]) if name else None
 
     def send(self, data: bytes) -> None:
-        """Write one message as a whole."""
+        """Send one message in one write."""
         if self._transport is None or self._transport.is_closing():
             return
         self._transport.write(data)
@@ -95,7 +95,7 @@ class Connection(asyncio.Protocol):
             self._transport.abort()
 
     def drop(self) -> None:
-        """End it at once."""
+        """Abort the connection."""
         self._dropped = True
         if self._transport is None:
             self._close()
@@ -103,7 +103,7 @@ class Connection(asyncio.Protocol):
             self._transport.abort()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Take the transport, from the event loop."""
+        """Store the transport; called by the event loop."""
         self._transport = cast("asyncio.Transport", transport)
         if self._dropped:
             self._transport.abort()
@@ -111,16 +111,16 @@ class Connection(asyncio.Protocol):
             self._on_connected(self)
 
     def data_received(self, data: bytes) -> None:
-        """Hand bytes on, from the event loop."""
+        """Pass bytes on; called by the event loop."""
         self._on_data(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Tell the end, from the event loop."""
+        """Report the end; called by the event loop."""
         self._close()
         if not self._dropped:
             self._dropped = True
             self._on_lost(
-                "the sonar takes no more commands" if self._unresponsive else describe_error(exc)
+                "the sonar stopped reading commands" if self._unresponsive else describe_error(exc)
             )
 
     def _close(self) -> None:
@@ -132,7 +132,7 @@ async def open_connection(connection: Connection, address: str, port: int) -> No
     """Connect to a sonar's data port.
 
     Raises:
-        OSError: it cannot be reached; `describe_error` tells why in words.
+        OSError: the sonar is unreachable; see `describe_error`.
     """
     loop = asyncio.get_running_loop()
     endpoint = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -150,10 +150,10 @@ async def open_connection(connection: Connection, address: str, port: int) -> No
 
 
 def _allows_receive_buffer(size: int) -> bool:
-    """Return whether this host gives a socket as much as it is asked for.
+    """Return whether this host grants the requested size of a receive buffer.
 
-    A host that does not, gives more to sockets that never ask: asking ends the automatic growth
-    of the buffer.
+    On a host that does not, a request gives less than the automatic size: it ends the automatic
+    growth of the buffer.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size)
@@ -163,20 +163,20 @@ def _allows_receive_buffer(size: int) -> bool:
 class LinkDriver:
     """Owns the connection of one link.
 
-    Everything happens in callbacks of the event loop; the one task is the attempt to connect.
+    Everything runs in callbacks of the event loop; the only task is the connection attempt.
 
     Args:
-        link: decides.
+        link: the state machine.
         port: of the data connection.
         clock: host monotonic time, nanoseconds.
-        on_bytes: gets all bytes before they are parsed, and their arrival time.
-        on_received: gets each message with a ping in it, if there is a good one.
-        on_status: gets the link's status when its state or reason changed.
-        on_failure: gets what was raised in one of these.
+        on_bytes: called with all received bytes before they are parsed, and their arrival time.
+        on_received: called with each message, and with its ping if it is valid.
+        on_status: called with the link's status after a change of state or reason.
+        on_failure: called with an exception raised by one of these callbacks.
 
     Attributes:
         link: as given.
-        failure: what ended it, None while all is well.
+        failure: the exception that ended the link, None if there is none.
     """
 
     def __init__(
@@ -214,7 +214,7 @@ class LinkDriver:
 
     @property
     def connection_closed(self) -> asyncio.Future[None]:
-        """Done when the connection that is open has ended."""
+        """Done when the open connection has ended."""
         if self._connection is None:
             done: asyncio.Future[None] = asyncio.get_running_loop().create_future()
             done.set_result(None)
@@ -222,7 +222,7 @@ class LinkDriver:
         return self._connection.closed
 
     def counters(self, *, taken: int, dropped: int, queued: int) -> SonarCounters:
-        """Return all counts, with those of the queue that the pings went to."""
+        """Return all counters, including those of the ping queue."""
         stream, sequence = self._receiver.stream, self._receiver.sequence
         return SonarCounters(
             connections=self._connections,
@@ -243,30 +243,30 @@ class LinkDriver:
         )
 
     def start(self) -> None:
-        """Begin."""
+        """Start the link."""
         self.do(self.link.start(self._clock()))
 
     def do(self, actions: list[Action]) -> None:
-        """Do what the link decided, then see that it is asked again in time."""
+        """Execute the actions of the link and schedule its next deadline."""
         if self.failure is not None:
             return
         try:
             for action in actions:
                 self._do_one(action)
             self._report()
-        except Exception as error:  # noqa: BLE001 - a caller's function may raise anything
+        except Exception as error:  # noqa: BLE001 - a callback may raise anything
             self._on_failure(error)
         else:
             self._schedule_check()
 
     def fail(self, error: BaseException) -> None:
-        """Stop for good."""
+        """Stop permanently."""
         self.failure = self.failure or error
         self._stop()
         self.link.close(f"failed: {error}", self._clock())
 
     async def close(self, reason: str) -> None:
-        """End the connection and wait until nothing is left of it."""
+        """Close the connection and wait until it has ended."""
         connection, attempt = self._connection, self._attempt
         self.link.close(reason, self._clock())
         self._stop()
@@ -297,7 +297,7 @@ class LinkDriver:
         except OSError as error:
             if connection is self._connection:
                 self._lost(describe_error(error))
-        except Exception as error:  # noqa: BLE001 - such as a host name that cannot be one
+        except Exception as error:  # noqa: BLE001 - such as an invalid host name
             self._on_failure(error)
 
     def _connected(self, connection: Connection) -> None:
@@ -311,7 +311,7 @@ class LinkDriver:
                 self._on_bytes(data, now_ns)
             for received in self._receiver.feed(data, now_ns):
                 self._handle(received, now_ns)
-        except Exception as error:  # noqa: BLE001 - a caller's function may raise anything
+        except Exception as error:  # noqa: BLE001 - a callback may raise anything
             self._on_failure(error)
             return
         self._check(now_ns)
@@ -329,7 +329,7 @@ class LinkDriver:
         self.do(self.link.lost(reason, self._clock()))
 
     def _stop(self) -> None:
-        """Drop connection, attempt and timer."""
+        """Drop connection, connection attempt and timer."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -341,7 +341,7 @@ class LinkDriver:
             self._flush()
 
     def _flush(self) -> None:
-        """Hand on what the connection that ended still had in it."""
+        """Process what the ended connection had received."""
         now_ns = self._clock()
         received = self._receiver.finish()
         if self.failure is not None:
@@ -349,11 +349,11 @@ class LinkDriver:
         try:
             for one in received:
                 self._on_received(one, now_ns)
-        except Exception as error:  # noqa: BLE001 - a caller's function may raise anything
+        except Exception as error:  # noqa: BLE001 - a callback may raise anything
             self._on_failure(error)
 
     def _check(self, now_ns: int) -> None:
-        """Do what is due, and give up a connection whose bytes make no sense."""
+        """Run due timers, and abort a connection whose bytes make no sense."""
         fault = self._receiver.fault(now_ns) if self.is_connected else None
         if fault is not None:
             self.do(self.link.abort_connection(fault, now_ns))
@@ -367,7 +367,7 @@ class LinkDriver:
             self._on_status(status)
 
     def _schedule_check(self) -> None:
-        """See that `_check` runs at the next deadline; a timer that is early may stand."""
+        """Schedule `_check` at the next deadline; an earlier timer stays."""
         deadlines = [self.link.deadline_ns]
         if self.is_connected:
             deadlines.append(self._receiver.deadline_ns)

@@ -1,10 +1,10 @@
-"""The link to one sonar as a state machine: events and the time in, actions out.
+"""State machine of the link to one sonar: events and times in, actions out.
 
-searching ─▶ connecting ─▶ configuring ─▶ pinging ⇄ silent     standby: as long as it is asked for
+searching ─▶ connecting ─▶ configuring ─▶ pinging ⇄ silent     standby: while requested
     ▲             │             │            └─────────┤
-    └─────────────┴─ backing off ◀─────────────────────┘  (connection lost, or nothing heard)
+    └─────────────┴─ backing off ◀─────────────────────┘  (connection lost, or nothing received)
 
-No socket and no clock is in here. "Pinging" is said only while pings arrive.
+The module has no socket and reads no clock. The state is "pinging" only while pings arrive.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ _CONNECTED: Final = frozenset(
 
 
 class Link:
-    """Decides what to do next. Whoever owns the socket does it and reports what happened.
+    """Decides what to do next. The owner of the socket executes the actions and reports events.
 
-    Every method takes the host's monotonic time in nanoseconds and returns the actions to do
-    now, in order. `tick` is to be called at `deadline_ns`, earlier does no harm.
+    Every method takes the host's monotonic time in nanoseconds and returns the actions to execute
+    now, in order. Call `tick` at `deadline_ns`; an earlier call does no harm.
 
     Args:
-        settings: what the sonar is to do.
-        address: where the sonar is, None to wait for its status (`discovered`).
-        version: of the fire messages, None for 2 with fallback to 1.
-        times: how long to wait for what.
-        rng: source of random numbers from 0 to 1, for the pauses between attempts.
+        settings: requested settings of the sonar.
+        address: of the sonar; None: wait for its status (`discovered`).
+        version: of the fire messages; None: 2 with fallback to 1.
+        times: timeouts.
+        rng: source of random numbers from 0 to 1, for the retry delays.
     """
 
     def __init__(
@@ -65,14 +65,14 @@ class Link:
         self._times = times or LinkTimeouts()
         self._rng = rng
         self._discovers = address is None
-        self._target = address  # where the sonar is said to be
-        self._address: str | None = None  # where we connect to
+        self._target = address  # last known address of the sonar
+        self._address: str | None = None  # address of the connection
         self._holder: str | None = None
         self._discovered_ns = 0
         self._local_addresses: set[str] = set()
         self._requested_version = version
         self._version = version or _PREFERRED_VERSION
-        self._proven = False  # a ping came on this connection: the version is understood
+        self._proven = False  # a ping arrived on this connection: the fire version works
         self._fell_back = False
         self._held: str | None = None
         self._state = LinkState.CLOSED
@@ -80,16 +80,16 @@ class Link:
         self._reason = "not started"
         self._failures = 0
         self._retry_ns = 0
-        self._expected_since_ns: int | None = None  # None: no ping is expected
+        self._expected_since_ns: int | None = None  # None: no ping expected
         self._received_ns = 0
-        self._dummies = 0  # since the last ping or question
-        self._triggered = False  # since the last question
+        self._dummies = 0  # since the last ping or fire message
+        self._triggered = False  # since the last settings
         self._sent_ns: int | None = None
         self._pending: bytes | None = None
 
     @property
     def status(self) -> LinkStatus:
-        """The link as it is now."""
+        """The present status of the link."""
         address = self._address or self._target
         return LinkStatus(
             self._state, self._since_ns, self._reason, address, self._version, self._failures
@@ -97,11 +97,11 @@ class Link:
 
     @property
     def deadline_ns(self) -> int | None:
-        """When `tick` has something to do, None if only an event can change anything."""
+        """When to call `tick`, None if only an event can change anything."""
         return min((due_ns for due_ns, _ in self._timers()), default=None)
 
     def tick(self, now_ns: int) -> list[Action]:
-        """Do what is due by now."""
+        """Execute all timers that are due."""
         actions: list[Action] = []
         while True:
             due = [timer for timer in self._timers() if timer[0] <= now_ns]
@@ -111,28 +111,28 @@ class Link:
             actions += handler(now_ns)
 
     def start(self, now_ns: int) -> list[Action]:
-        """Begin to look for the sonar, or to connect where its address is given."""
+        """Start to search for the sonar, or to connect if its address is given."""
         if self._target is not None:
-            return self._connect("the address is given", now_ns)
-        self._enter(LinkState.SEARCHING, "no status of a sonar heard yet", now_ns)
+            return self._connect("address given", now_ns)
+        self._enter(LinkState.SEARCHING, "no status received yet", now_ns)
         return []
 
     def discovered(self, address: str, now_ns: int, *, holder: str | None = None) -> list[Action]:
-        """Take a status of our sonar: where it is, and which client holds it (None: nobody).
+        """Handle a status of the sonar: its address and the connected client (None: nobody).
 
-        Without effect on the address where that was given.
+        Has no effect on a given address.
         """
         if not self._discovers:
             return []
         self._target, self._holder, self._discovered_ns = address, holder, now_ns
         if self._state is LinkState.SEARCHING:
-            return self._connect_if_free("its status was heard", now_ns)
+            return self._connect_if_free("status received", now_ns)
         if address == self._address or self._state in (LinkState.CLOSED, LinkState.PINGING):
             return []
         return self._follow(now_ns)
 
     def connected(self, now_ns: int, local_address: str | None = None) -> list[Action]:
-        """Go on after the connection was made; `local_address` is this host's end of it."""
+        """Continue after the connection was established; `local_address` is this host's address."""
         if local_address is not None:
             self._local_addresses.add(local_address)
         self._received_ns = now_ns
@@ -142,7 +142,7 @@ class Link:
         return self._send_settings(now_ns)
 
     def lost(self, reason: str, now_ns: int) -> list[Action]:
-        """Take the end of the connection, or of the attempt at one."""
+        """Handle the end of the connection, or of a connection attempt."""
         if self._state is LinkState.CLOSED:
             return []
         self._failures += 1
@@ -153,13 +153,13 @@ class Link:
         return []
 
     def message_received(self, message_id: int, now_ns: int) -> None:
-        """Take a whole message of any kind: a sign of life."""
+        """Handle a complete message of any kind: a sign of life."""
         self._received_ns = now_ns
         self._failures = 0
         self._dummies += message_id == MessageId.DUMMY
 
     def ping_received(self, now_ns: int) -> None:
-        """Take a good ping, the only thing that makes the link "pinging"."""
+        """Handle a valid ping, the only event that leads to state "pinging"."""
         self._proven = True
         self._dummies = 0
         self._expected_since_ns = None if self._settings.network_trigger else now_ns
@@ -167,12 +167,12 @@ class Link:
             self._enter(LinkState.PINGING, "pings arrive", now_ns)
 
     def apply(self, settings: FireSettings, now_ns: int) -> list[Action]:
-        """Ask for other settings from now on."""
+        """Request other settings from now on."""
         self._settings = settings
         return self._send_settings(now_ns) if self._state in _CONNECTED else []
 
     def hold(self, reason: str | None, now_ns: int) -> list[Action]:
-        """Keep the sonar in standby for a reason, whatever the settings say; None lets go."""
+        """Keep the sonar in standby for a reason, regardless of the settings; None ends it."""
         if reason == self._held:
             return []
         self._held = reason
@@ -180,17 +180,17 @@ class Link:
 
     @property
     def has_unsent(self) -> bool:
-        """Whether a message waits for the least time between two of them; `tick` sends it."""
+        """Whether a message waits for the minimum gap between two messages; `tick` sends it."""
         return self._pending is not None
 
     @property
     def can_trigger(self) -> bool:
-        """Whether `trigger` would fire: in triggered mode, connected, not held, none waiting."""
+        """Whether `trigger` would fire: triggered mode, connected, not held, nothing unsent."""
         free = self._held is None and self._pending is None
         return free and self._state in _CONNECTED and self._settings.network_trigger
 
     def trigger(self, now_ns: int) -> list[Action]:
-        """Fire once in triggered mode; nothing where that cannot be done (`can_trigger`)."""
+        """Fire once in triggered mode; does nothing unless `can_trigger`."""
         if not self.can_trigger:
             return []
         if self._state is LinkState.STANDBY:
@@ -202,16 +202,16 @@ class Link:
         return self._send(self._encoded(self._settings), now_ns)
 
     def close(self, reason: str, now_ns: int) -> list[Action]:
-        """End it. A sonar that shall be quiet afterwards is held before."""
+        """Close the link. To leave the sonar in standby, `hold` it first."""
         active = self._state in _CONNECTED or self._state is LinkState.CONNECTING
         self._enter(LinkState.CLOSED, reason, now_ns)
         return [Disconnect(reason)] if active else []
 
     def abort_connection(self, reason: str, now_ns: int) -> list[Action]:
-        """Give up this connection, for what was read from it, and come back after a pause."""
+        """Abort the connection because of its content, and reconnect after a delay."""
         return [Disconnect(reason), *self.lost(reason, now_ns)]
 
-    # What is due when.
+    # Timers.
 
     def _timers(self) -> Iterator[Timer]:
         yield from self._state_timers()
@@ -219,7 +219,7 @@ class Link:
             yield from self._sending_timers(self._sent_ns)
         if self._discovers and self._state in (LinkState.SILENT, LinkState.STANDBY):
             last_ns = max(self._discovered_ns, self._received_ns)
-            if self._state is LinkState.STANDBY:  # it gets the time to answer that question
+            if self._state is LinkState.STANDBY:  # leave time to answer the request
                 last_ns = max(last_ns, self._since_ns)
             yield last_ns + self._times.status_gone_ns, self._sonar_gone
 
@@ -247,24 +247,24 @@ class Link:
 
     @property
     def _period_ns(self) -> int:
-        """How long one ping may take: over a slow network many seconds."""
+        """Maximum time of one ping; many seconds over a slow network."""
         return 0 if self._settings.standby else round(self._settings.max_period_s * SECOND_NS)
 
     def _connect_timed_out(self, now_ns: int) -> list[Action]:
         seconds = self._times.connect_ns / SECOND_NS
         return self.abort_connection(
-            f"{self._address}:{TCP_PORT} did not answer within {seconds:g} s: check its power, "
-            "the cable, and that this host has an address in its subnet",
+            f"{self._address}:{TCP_PORT} did not answer within {seconds:g} s: check power and "
+            "cable, and that this host has an address in the sonar's subnet",
             now_ns,
         )
 
     def _retry(self, now_ns: int) -> list[Action]:
-        if self._target is None:  # pragma: no cover - backing off needs an address
+        if self._target is None:  # pragma: no cover - "backing off" implies an address
             return self.start(now_ns)
         if not self._discovers:
-            return self._connect("trying again", now_ns)
+            return self._connect("retry", now_ns)
         if now_ns - self._discovered_ns <= self._times.status_gone_ns:
-            return self._connect_if_free("trying again", now_ns)
+            return self._connect_if_free("retry", now_ns)
         return self._sonar_gone(now_ns)
 
     def _no_first_ping(self, now_ns: int) -> list[Action]:
@@ -276,7 +276,7 @@ class Link:
             return []
         self._fell_back = True
         self._version = _FALLBACK[self._version]
-        self._reason = f"no ping within {seconds:g} s: fire version {self._version} tried instead"
+        self._reason = f"no ping within {seconds:g} s: trying fire version {self._version}"
         self._expected_since_ns = now_ns
         return self._send(self._encoded(self._settings), now_ns)
 
@@ -284,7 +284,7 @@ class Link:
         if self._discovers and self._target != self._address:
             return self._follow(now_ns)
         seconds = (now_ns - (self._expected_since_ns or now_ns)) / SECOND_NS
-        why = "the sonar says that it is in standby" if self._dummies else "nothing else either"
+        why = "the sonar reports standby" if self._dummies else "and no other message"
         self._enter(LinkState.SILENT, f"no ping for {seconds:.1f} s, {why}", now_ns)
         return []
 
@@ -299,7 +299,7 @@ class Link:
         self._enter(LinkState.SEARCHING, reason, now_ns)
         return [Disconnect(reason)] if connected else []
 
-    # Steps that several events share.
+    # Steps shared by several events.
 
     def _enter(self, state: LinkState, reason: str, now_ns: int) -> None:
         self._state, self._since_ns, self._reason = state, now_ns, reason
@@ -308,28 +308,28 @@ class Link:
         if self._holder is None or self._holder in self._local_addresses:
             return self._connect(reason, now_ns)
         held = (
-            f"the sonar at {self._target} is held by {self._holder}: it serves one client at a "
-            "time, close that one"
+            f"the sonar at {self._target} is in use by {self._holder}: it serves one client at a "
+            "time, close the other one"
         )
         since_ns = self._since_ns if self._state is LinkState.SEARCHING else now_ns
         self._enter(LinkState.SEARCHING, held, since_ns)
         return []
 
     def _connect(self, reason: str, now_ns: int) -> list[Action]:
-        assert self._target is not None  # noqa: S101 - who calls has looked
+        assert self._target is not None  # noqa: S101 - the callers have checked it
         self._address = self._target
         self._enter(LinkState.CONNECTING, reason, now_ns)
         return [Connect(self._target)]
 
     def _follow(self, now_ns: int) -> list[Action]:
-        """Go after a sonar that has another address now."""
+        """Connect to the new address of the sonar."""
         reason = f"the sonar moved from {self._address} to {self._target}"
         waits = self._state is LinkState.BACKING_OFF
         dropped: list[Action] = [] if waits else [Disconnect(reason)]
         return dropped + self._connect_if_free(reason, now_ns)
 
     def _send_settings(self, now_ns: int) -> list[Action]:
-        """Send the settings anew and expect what they promise."""
+        """Send the settings and expect their effect."""
         self._expected_since_ns = now_ns
         self._dummies = 0
         self._triggered = False
@@ -344,16 +344,16 @@ class Link:
         if self._held is not None:
             return self._held
         if self._settings.standby:
-            return "standby was asked for"
-        return "waits for a trigger" if self._settings.network_trigger else None
+            return "standby requested"
+        return "waiting for a trigger" if self._settings.network_trigger else None
 
     def _settings_to_send(self) -> FireSettings:
-        """What to send without a trigger: a sonar in triggered mode is quiet until the first."""
+        """Return the settings to send without a trigger: standby until the first trigger."""
         quiet = self._standby_reason() is not None
         return self._settings.in_standby() if quiet else self._settings
 
     def _keep_alive(self, now_ns: int) -> list[Action]:
-        """Keep the connection alive: a fire message again, but none that would be a trigger."""
+        """Repeat the fire message to keep the connection alive, or a dummy if it would trigger."""
         data = encode_dummy() if self._triggered else self._encoded(self._settings_to_send())
         return self._send(data, now_ns)
 

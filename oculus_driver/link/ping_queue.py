@@ -1,4 +1,4 @@
-"""Pings between the link and whoever uses them: the newest are kept, the rest is counted."""
+"""Queue of pings between the link and its readers. It keeps the newest pings."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ MAX_BYTES: Final = 64 << 20
 
 
 class PingQueue:
-    """Holds pings until they are taken; when full, the oldest go.
+    """Holds pings until a reader takes them. When full, it drops the oldest.
 
-    Several readers share the pings: each goes to one of them. Iterating ends when the queue is
+    Several readers share the queue: each ping goes to one of them. Iteration ends when the queue is
     closed and empty.
 
     Args:
-        max_pings: at most this many are held, ≥ 1.
-        max_bytes: at most this many bytes of samples are held, but always the newest ping.
+        max_pings: maximum number of pings, ≥ 1.
+        max_bytes: maximum number of sample bytes; the newest ping is always kept.
 
     Attributes:
-        taken: pings that a reader got.
-        dropped: pings that went because the queue was full.
+        taken: pings delivered to a reader.
+        dropped: pings dropped because the queue was full.
     """
 
     def __init__(self, max_pings: int = MAX_PINGS, max_bytes: int = MAX_BYTES) -> None:
         if max_pings < 1:
-            raise ValueError(f"a queue of {max_pings} pings: at least one must have room")
+            raise ValueError(f"max_pings is {max_pings}: it must be at least 1")
         self.taken = 0
         self.dropped = 0
         self._max_pings = max_pings
@@ -60,7 +60,7 @@ class PingQueue:
         return self._pop()
 
     def put(self, ping: Ping) -> None:
-        """Add a ping; never waits. After `close` it counts as dropped."""
+        """Add a ping without waiting. After `close` it counts as dropped."""
         if self._closed:
             self.dropped += 1
             return
@@ -72,7 +72,7 @@ class PingQueue:
         self._wake(1)
 
     def close(self, error: BaseException | None = None) -> None:
-        """Let readers have what is left, then end, with the error if there is one."""
+        """Let readers take the remaining pings, then end, with the error if there is one."""
         self._closed = True
         self._error = self._error or error
         self._wake(len(self._waiting))
@@ -92,7 +92,7 @@ class PingQueue:
             await future
         except asyncio.CancelledError:
             if future.done() and not future.cancelled() and self._pings:
-                self._wake(1)  # the ping that this reader was woken for is the next one's
+                self._wake(1)  # the next reader gets the ping of the cancelled one
             raise
         finally:
             if future in self._waiting:

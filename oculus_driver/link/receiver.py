@@ -1,4 +1,4 @@
-"""From the bytes of a connection to pings, each once; everything else is counted."""
+"""Turns the bytes of a connection into pings, each once, and counts everything else."""
 
 from __future__ import annotations
 
@@ -18,20 +18,19 @@ STALL_TIMEOUT_NS: Final = 2_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class ReceivedMessage:
-    """A whole message, and the ping in it if it is a good and new one."""
+    """A complete message, and its ping if it is valid and new."""
 
     message_id: int
     ping: Ping | None
 
 
 class PingReceiver:
-    """Parses one sonar's connections, one after the other, and judges whether to go on.
+    """Parses one sonar's consecutive connections and decides whether to continue.
 
     Attributes:
         sequence: lost, duplicate and restarted ids.
-        pings: good pings, each counted once.
-        rejects: ping messages that could not be used, by reason; bytes that are no message at
-            all are counted in `stream`.
+        pings: valid pings, each counted once.
+        rejects: unusable ping messages by reason; bytes outside messages count in `stream`.
     """
 
     def __init__(self) -> None:
@@ -46,18 +45,18 @@ class PingReceiver:
 
     @property
     def stream(self) -> StreamCounters:
-        """What the parser counted."""
+        """Counters of the parser."""
         return self._parser.counters
 
     @property
     def deadline_ns(self) -> int | None:
-        """When `fault` has to be asked, if no bytes come until then."""
+        """When to call `fault` if no bytes arrive until then."""
         if self._resync_since_ns is not None:
             return self._resync_since_ns + RESYNC_TIMEOUT_NS
         return self._received_ns + STALL_TIMEOUT_NS if self._parser.pending_bytes else None
 
     def feed(self, data: bytes, arrival_ns: int) -> list[ReceivedMessage]:
-        """Take the next bytes; return the messages that they complete."""
+        """Feed the next bytes and return the messages that they complete."""
         self._received_ns = arrival_ns
         received = [self._received(one) for one in self._parser.feed(data, arrival_ns)]
         if self._parser.synchronised:
@@ -67,26 +66,26 @@ class PingReceiver:
         return received
 
     def finish(self) -> list[ReceivedMessage]:
-        """Settle what is left of a connection that ended; the next one starts afresh."""
+        """Parse the rest of a connection that has ended; the next connection starts afresh."""
         self._resync_since_ns = None
         received = [self._received(one) for one in self._parser.finish()]
         self._same_connection = False
         return received
 
     def fault(self, now_ns: int) -> str | None:
-        """Return why only a new connection can help, or None.
+        """Return why the connection must be replaced, or None.
 
-        A message that stops coming in the middle is one reason. It is judged by the last bytes,
-        not by its beginning: over a slow network a big message may well take seconds.
+        One reason is a message that stops in the middle. The last bytes count, not its beginning:
+        over a slow network a large message may take seconds.
         """
         if self._resync_since_ns is None:
             if not self._parser.pending_bytes or now_ns - self._received_ns < STALL_TIMEOUT_NS:
                 return None
-            return f"a message stopped after {self._parser.pending_bytes} bytes"
+            return f"message stalled after {self._parser.pending_bytes} bytes"
         lost_bytes = self._parser.bytes_since_lost
         if lost_bytes < MAX_RESYNC_BYTES and now_ns - self._resync_since_ns < RESYNC_TIMEOUT_NS:
             return None
-        return f"no message found in {lost_bytes} bytes"
+        return f"no message in {lost_bytes} bytes"
 
     def _received(self, message: Message) -> ReceivedMessage:
         if message.message_id != MessageId.PING_RESULT:
@@ -102,9 +101,9 @@ class PingReceiver:
         return ReceivedMessage(message.message_id, ping if fresh else None)
 
     def _is_new(self, ping: Ping) -> bool:
-        """Return whether it is no repetition: the same id of another time is a restart.
+        """Return whether the ping is no repetition. The same id at another time is a restart.
 
-        So is the same ping over another connection: nothing there is sent twice.
+        The same ping over another connection is a restart, too: nothing is sent twice.
         """
         identity = ping.ping_id, ping.start_time_s, ping.start_ticks
         last, self._last = self._last, identity

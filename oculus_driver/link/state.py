@@ -1,4 +1,4 @@
-"""Names for what the link to a sonar is doing, and what it may be told to do next."""
+"""States, timeouts, actions, status and counters of a link."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MILLISECOND_NS: Final = 1_000_000
 
 
 class LinkState(StrEnum):
-    """What the link does now."""
+    """What the link is doing."""
 
     CLOSED = "closed"
     SEARCHING = "searching"
@@ -29,19 +29,19 @@ class LinkState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LinkTimeouts:
-    """How long the link waits for what, nanoseconds.
+    """Timeouts of the link, nanoseconds.
 
-    Silence, reconnection and fallback count beyond the time that one ping may take.
+    Silence, reconnection and fallback count in addition to the time of one ping.
 
     Attributes:
         connect_ns: for the sonar to accept the connection.
-        keep_alive_ns: between repeated fire messages, 0.2 to 10 s; None repeats none.
-        send_gap_ns: least time between two messages to the sonar.
-        silence_ns: without a ping, before the link is called silent.
-        reconnect_ns: of no message at all, before the connection is made anew.
-        fallback_ns: for the first ping, before the other fire version is tried.
-        status_gone_ns: after which a sonar that sends no status is gone.
-        back_off_ns: between attempts to connect; the last one repeats.
+        keep_alive_ns: interval of repeated fire messages, 0.2 to 10 s; None: no repetition.
+        send_gap_ns: minimum gap between two messages to the sonar.
+        silence_ns: without a ping, until the link is "silent".
+        reconnect_ns: without any message, until the link reconnects.
+        fallback_ns: for the first ping, until the other fire version is tried.
+        status_gone_ns: without a status, until the sonar counts as gone.
+        back_off_ns: delays between connection attempts; the last one repeats.
     """
 
     connect_ns: int = 3 * SECOND_NS
@@ -54,13 +54,13 @@ class LinkTimeouts:
     back_off_ns: tuple[int, ...] = (SECOND_NS // 2, *(s * SECOND_NS for s in (1, 2, 4, 5)))
 
     def retry_delay_ns(self, failures: int, rng: float) -> int:
-        """Return the pause after the `failures`-th failure in a row, failures ≥ 1.
+        """Return the delay after a number of consecutive failures.
 
-        Between half and all of the step, so that hosts that lost the sonar together do not
-        come back together.
+        Random between half of the step and the whole step, so that hosts that lost the sonar at the
+        same time do not reconnect at the same time.
 
         Args:
-            failures: attempts in a row that came to nothing.
+            failures: consecutive failed attempts, at least 1.
             rng: a random number from 0 to 1.
         """
         step_ns = self.back_off_ns[min(failures, len(self.back_off_ns)) - 1]
@@ -76,7 +76,7 @@ class Connect:
 
 @dataclass(frozen=True, slots=True)
 class Disconnect:
-    """Drop the connection, or the attempt at one."""
+    """Drop the connection or the connection attempt."""
 
     reason: str
 
@@ -93,15 +93,15 @@ Action = Connect | Disconnect | Send
 
 @dataclass(frozen=True, slots=True)
 class LinkStatus:
-    """The link at one moment.
+    """Status of the link at one moment.
 
     Attributes:
-        state: what it does.
-        since_ns: when that began, host monotonic.
-        reason: why, in words for a person.
-        address: of the sonar, None where none is known.
+        state: what the link is doing.
+        since_ns: start of the state, host monotonic.
+        reason: human-readable reason.
+        address: of the sonar, None if unknown.
         fire_version: of the fire messages, 1 or 2.
-        failures: attempts in a row that brought no message.
+        failures: consecutive attempts without any message.
     """
 
     state: LinkState
@@ -112,28 +112,28 @@ class LinkStatus:
     failures: int
 
     def time_in_state_s(self, now_ns: int) -> float:
-        """Return how long the link has been in this state."""
+        """Return the time in the present state, seconds."""
         return (now_ns - self.since_ns) / SECOND_NS
 
 
 @dataclass(frozen=True, slots=True)
 class SonarCounters:
-    """Counts since the sonar was opened, over all connections.
+    """Counters since the sonar was opened, over all connections.
 
-    `pings` are the good ones, each id once: pings = taken + dropped + queued.
+    `pings` counts each valid ping once: pings = taken + dropped + queued.
 
     Attributes:
-        connections: that stood.
-        losses: connections and attempts that ended without our wish, or that were given up.
+        connections: established connections.
+        losses: connections and attempts that failed, ended unexpectedly or were aborted.
         bytes_received: from the sonar.
-        bytes_rejected: of these, that belong to no message.
-        resyncs: times that the start of the next message was lost.
-        messages: whole messages by id.
-        rejects: messages that could not be used, by reason.
-        pings, taken, dropped, queued: good pings; handed to a reader; dropped because readers
-            were slow; waiting for one.
-        duplicates, lost_pings, restarts: what the ping ids say.
-        sent: messages to the sonar.
+        bytes_rejected: bytes among these outside messages.
+        resyncs: how often synchronisation was lost.
+        messages: complete messages by id.
+        rejects: unusable messages by reason.
+        pings, taken, dropped, queued: valid pings; delivered to a reader; dropped because the
+            readers were too slow; waiting for a reader.
+        duplicates, lost_pings, restarts: by the ping ids.
+        sent: messages sent to the sonar.
     """
 
     connections: int

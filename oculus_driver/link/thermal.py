@@ -1,4 +1,4 @@
-"""When a sonar is too hot to ping: out of the water it heats up within minutes."""
+"""Overheating protection: out of the water a sonar heats up within minutes."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ if TYPE_CHECKING:
     from oculus_driver.status import Status
 
 HYSTERESIS_C: Final = 3.0
-"""How far below the limit a sonar must be before it may ping again."""
+"""A hot sonar may ping again this far below the limit."""
 
 _MAIN_TEMPERATURE: Final = 6
-"""Which of the eight sensors of a status others take for "the" temperature."""
+"""Index of the sensor that other drivers use as the temperature, of eight."""
 
 
 class ThermalGuard:
-    """Says why the sonar has to be quiet, from its own word and an optional limit.
+    """Decides whether the sonar is too hot to ping, by its own status and an optional limit.
 
-    A quiet sonar sends no pings: only its status can tell that it has cooled.
+    In standby there are no pings: only the status shows that the sonar has cooled down.
 
     Args:
-        limit_c: highest temperature to ping at, of the water by the pings or of the sonar by
-            its status, None for the sonar's own limit alone.
+        limit_c: maximum temperature while pinging, of the water (pings) or of the sonar (status).
+            None: only the sonar's own limit.
 
     Attributes:
-        reason: in words for a person, None while the sonar may ping.
+        reason: human-readable, None while the sonar may ping.
     """
 
     def __init__(self, limit_c: float | None) -> None:
@@ -33,11 +33,11 @@ class ThermalGuard:
         self._limit_c = limit_c
 
     def ping(self, ping: Ping) -> None:
-        """Take the temperature that a ping shows, if it does."""
+        """Update with the temperature of a ping, if it has one."""
         self._reading(ping.temperature_c)
 
     def status(self, status: Status) -> None:
-        """Take what a status says."""
+        """Update with a status."""
         if status.temperature_state == "shut down":
             self.reason = "the sonar is too hot and has stopped pinging: is it under water?"
         elif self._limit_c is None:

@@ -1,4 +1,4 @@
-"""Recordings: bytes as they came, with arrival stamps, in files that survive a kill."""
+"""Recordings: received bytes with arrival times, in files that survive a crash."""
 
 from oculus_driver.recording.background_log import BackgroundLog
 from oculus_driver.recording.chunk import OCULUS, OCULUS_STATUS, ODOMETRY_NATIVE, Chunk

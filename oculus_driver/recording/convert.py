@@ -1,4 +1,4 @@
-"""Write a recording in another format, and say what that format could not hold."""
+"""Converts recordings to other formats and reports what the target cannot represent."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ if TYPE_CHECKING:
 
 
 WRITABLE: Final = (MCAP, OCULUS_LOG, OCULUS_RAW, PCAP)
-"""Formats that `convert` can write."""
+"""Target formats of `convert`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """What a conversion did.
+    """Result of a conversion.
 
     Attributes:
         source_format, target_format: see `oculus_driver.recording.recording`.
         chunks: read from the source.
-        size_bytes: of the file written.
-        left_out: bytes that the target does not hold, by reason: other_link (a link that the
-            format has no place for), no_message (bytes between messages).
-        stamps_lost: chunks that had a stamp, where the target has no place for stamps.
-        damage: the first thing that is wrong with the source, or None.
+        size_bytes: of the target file.
+        left_out: bytes missing in the target, by reason: other_link (the format cannot represent
+            the link), no_message (bytes outside messages).
+        stamps_lost: chunks with a stamp, if the target has no stamps.
+        damage: the first problem of the source, or None.
     """
 
     source_format: str
@@ -73,15 +73,15 @@ def convert(
     *,
     overwrite: bool = False,
 ) -> Conversion:
-    """Write the recording in `source` to `target`; the target appears when it is complete.
+    """Write the recording in `source` to `target`. The target appears once it is complete.
 
-    MCAP holds everything. The others hold what sonars sent: pcap any number of sonars and their
-    statuses; `.oculus` logs and raw streams the whole messages of the first sonar, raw streams
-    without stamps.
+    MCAP represents everything. Other formats contain the data of sonars: pcap any number of sonars
+    and their statuses; `.oculus` logs and raw streams the complete messages of the first sonar, raw
+    streams without stamps.
 
     Raises:
-        RecordingError: the source cannot be read, the target not written, exists and `overwrite`
-            is not given, is the source, or the format is not one of `WRITABLE`.
+        RecordingError: the source cannot be read, the target cannot be written, exists without
+            `overwrite`, or is the source, or the format is not one of `WRITABLE`.
     """
     if target_format not in WRITABLE:
         raise RecordingError(f"cannot write {target_format!r}; choose {', '.join(WRITABLE)}")
@@ -110,11 +110,11 @@ def convert(
 
 def _check(source: Path, target: Path, *, overwrite: bool) -> None:
     if target.exists() and source.samefile(target):
-        raise RecordingError(f"{target}: is the recording itself; choose another name")
+        raise RecordingError(f"{target}: source and target are the same file; choose another name")
     if target.is_dir():
-        raise RecordingError(f"{target}: is a directory; name a file in it")
+        raise RecordingError(f"{target}: path is a directory; name a file in it")
     if target.exists() and not overwrite:
-        raise RecordingError(f"{target}: exists already; choose another name")
+        raise RecordingError(f"{target}: file exists; choose another name")
 
 
 @contextmanager
@@ -129,7 +129,7 @@ def _writing(path: Path) -> Iterator[None]:
 def _copy(
     recording: Recording, path: Path, target_format: str, left_out: Counter[str]
 ) -> tuple[int, int]:
-    """Write all chunks; return how many there were, and how many of them had stamps."""
+    """Write all chunks; return their number and the number of stamped ones."""
     if target_format == MCAP:
         metadata = recording.metadata | {"converted_from": recording.format}
         with RecordingWriter(path, metadata=metadata, overwrite=True) as writer:
@@ -149,7 +149,7 @@ def _drain(recording: Recording, sink: _Sink) -> tuple[int, int]:
 
 
 class _McapSink:
-    """Keeps links, stamps and gaps as they are."""
+    """Keeps links, stamps and gaps."""
 
     def __init__(self, writer: RecordingWriter) -> None:
         self._writer = writer
@@ -163,7 +163,7 @@ class _McapSink:
         self._writer.write(self._links[key], chunk.data, chunk.arrival_ns, gap_before=gap)
 
     def finish(self) -> None:
-        """Nothing is held back."""
+        """Do nothing: no data are held back."""
 
 
 _SONAR_ITEM_VERSION: Final = 0
@@ -171,21 +171,21 @@ _OTHER_ITEM_VERSION: Final = 2
 
 
 class MessageFormat(Protocol):
-    """How one message is written."""
+    """A format of consecutive messages."""
 
     def write(self, file: BinaryIO, message: Message) -> None:
-        """Write a message behind those before it."""
+        """Append a message."""
         ...
 
     def finish(self, file: BinaryIO) -> None:
-        """Write what belongs to a file without any message."""
+        """Write what a file without messages needs."""
         ...
 
 
 class MessageSink:
-    """Takes the chunks of a recording and writes the messages of its first sonar.
+    """Writes the messages of a recording's first sonar.
 
-    Bytes that belong to no message are left out, and so are all other links.
+    Bytes outside messages and all other links are left out.
 
     Attributes:
         messages: written so far.
@@ -222,18 +222,18 @@ class MessageSink:
 
 
 class RawFormat:
-    """Messages back to back, without stamps."""
+    """Consecutive messages without stamps."""
 
     def write(self, file: BinaryIO, message: Message) -> None:
         """Write the message's bytes."""
         file.write(message.data)
 
     def finish(self, file: BinaryIO) -> None:
-        """Write nothing: an empty stream is an empty file."""
+        """Do nothing: an empty stream is an empty file."""
 
 
 class LogFormat:
-    """An `.oculus` log of version 1: vendor's items, each with ENSTA's stamp item behind it.
+    """An `.oculus` log of version 1: items of the vendor, each followed by ENSTA's stamp item.
 
     The stamp items keep nanoseconds; readers that do not know them skip them by their size.
     """
@@ -252,7 +252,7 @@ class LogFormat:
             self._item(file, STAMP_ITEM, _OTHER_ITEM_VERSION, stamp_ns, stamp)
 
     def finish(self, file: BinaryIO) -> None:
-        """Write the header if no message did."""
+        """Write the header if there was no message."""
         self._begin(file, 0)
 
     def _begin(self, file: BinaryIO, stamp_ns: int) -> None:
@@ -291,11 +291,15 @@ _MAX_SONARS: Final = 64
 _NEXT_CONNECTION: Final = 1 << 28
 _NS_PER_S: Final = 1_000_000_000
 _LAST_NS: Final = (1 << 32) * _NS_PER_S - 1
-"""The format counts seconds in 32 bits: until the year 2106."""
+"""The format stores seconds in 32 bits: until the year 2106."""
 
 
 class PcapSink:
-    """Takes the chunks of a recording; other links than sonars' and statuses are left out."""
+    """Writes sonars and statuses as a network capture; other links are left out.
+
+    Nanosecond pcap of bare IPv4 packets. A gap in a stream, or its beginning, is a new connection.
+    Addresses are from RFC 5737: 192.0.2.1 is the first sonar, 198.51.100.1 the host.
+    """
 
     def __init__(self, file: BinaryIO, left_out: Counter[str]) -> None:
         self._file = file
@@ -306,7 +310,7 @@ class PcapSink:
         self._file.write(_FILE_HEAD.pack(_MAGIC_NS, 2, 4, 0, 0, _SNAP_LENGTH, _RAW_IP))
 
     def put(self, chunk: Chunk) -> None:
-        """Write a chunk as packets; one without a stamp takes the one before it."""
+        """Write a chunk as packets; a chunk without a stamp gets the previous stamp."""
         if chunk.arrival_ns is not None:
             self._last_ns = min(chunk.arrival_ns, _LAST_NS)
         if chunk.encoding == OCULUS_STATUS and len(chunk.data) <= _MAX_DATAGRAM:
@@ -317,10 +321,10 @@ class PcapSink:
             self._left_out["other_link"] += len(chunk.data)
 
     def finish(self) -> None:
-        """Nothing is left to write: each packet stands for itself."""
+        """Do nothing: packets are independent."""
 
     def _number(self, link: str) -> int:
-        """Return the last octet of a sonar's address, 0 beyond the number of sonars."""
+        """Return the last octet of a sonar's address, 0 beyond the maximum number of sonars."""
         if link not in self._numbers and len(self._numbers) < _MAX_SONARS:
             self._numbers[link] = len(self._numbers) + 1
         return self._numbers.get(link, 0)

@@ -1,4 +1,4 @@
-"""When a log file is full, and which old ones must go: decisions only, no files touched."""
+"""Files of a log: retention policy, names and deletion."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ class LogPolicy:
     """Limits of a log.
 
     Attributes:
-        max_file_bytes: a file is closed at the first end of a message beyond; at least 1 MiB.
-        max_file_ns: the same for the time since its first bytes; None = no limit.
-        budget_bytes: what all files of the log may take together, None = no limit. The oldest
-            are deleted first. At least two files' worth.
-        free_floor_bytes: what must stay free on the disk. Old files are deleted for it; when
-            none is left, nothing more is recorded until there is room.
-        sync_interval_ns: how much may be lost with the power: data are brought to the disk this
-            often. 0 = with every write; None = whenever the operating system likes.
-        retry_ns: how long nothing is recorded after the disk failed or was full.
+        max_file_bytes: a file is closed at the first end of a message beyond this; at least 1 MiB.
+        max_file_ns: the same for the time since its first bytes; None: no limit.
+        budget_bytes: maximum size of all files of the log, None: no limit. The oldest are deleted
+            first. At least two files' worth.
+        free_floor_bytes: minimum free space on the disk. Old files are deleted for it; when none is
+            left, recording pauses until there is room.
+        sync_interval_ns: interval of flushing to the disk, the maximum loss in a power failure.
+            0: with every write; None: left to the operating system.
+        retry_ns: pause after a disk error or a full disk.
 
     Raises:
-        RecordingError: a limit outside its range, or limits that contradict each other.
+        RecordingError: a limit is outside its range, or limits contradict each other.
     """
 
     max_file_bytes: int = 512 * MIB
@@ -53,14 +53,14 @@ class LogPolicy:
             raise RecordingError(f"max_file_ns {self.max_file_ns}: give at least one second")
         if self.budget_bytes is not None and self.budget_bytes < 2 * self.max_file_bytes:
             raise RecordingError(
-                f"budget_bytes {self.budget_bytes}: holds no two files of {self.max_file_bytes} "
-                "bytes; raise it or lower max_file_bytes"
+                f"budget_bytes {self.budget_bytes}: too small for two files of "
+                f"{self.max_file_bytes} bytes; raise it or lower max_file_bytes"
             )
         if min(self.free_floor_bytes, self.sync_interval_ns or 0, self.retry_ns) < 0:
             raise RecordingError("a limit of a log is negative")
 
     def full(self, size_bytes: int, age_ns: int) -> str | None:
-        """Return why a file of this size and age is to be closed, "size" or "time", or None."""
+        """Return why a file of this size and age must be closed, "size" or "time", or None."""
         if size_bytes >= self.max_file_bytes:
             return "size"
         too_old = self.max_file_ns is not None and age_ns >= self.max_file_ns
@@ -69,7 +69,7 @@ class LogPolicy:
 
 @dataclass(frozen=True, slots=True, order=True)
 class LogFile:
-    """A closed file of a log: they are ordered by number, the oldest first."""
+    """A closed file of a log, ordered by number, oldest first."""
 
     number: int
     name: str
@@ -78,11 +78,11 @@ class LogFile:
 
 @dataclass(frozen=True, slots=True)
 class RetentionPlan:
-    """What must happen before bytes can be written.
+    """What to do before bytes can be written.
 
     Attributes:
-        delete: closed files, oldest first.
-        shortage: why the bytes cannot be written all the same: "budget", "free_space", or None.
+        delete: closed files to delete, oldest first.
+        shortage: why the bytes still cannot be written: "budget", "free_space", or None.
     """
 
     delete: tuple[LogFile, ...]
@@ -92,14 +92,14 @@ class RetentionPlan:
 def make_room(
     policy: LogPolicy, closed: Iterable[LogFile], open_bytes: int, needed: int, free_bytes: int
 ) -> RetentionPlan:
-    """Decide how to get room for more bytes.
+    """Plan the deletions that make room for more bytes.
 
     Args:
         policy: the limits.
         closed: all closed files of the log.
-        open_bytes: size of the file being written, which is never deleted.
-        needed: bytes that are to be written.
-        free_bytes: on the disk now.
+        open_bytes: size of the current file, which is never deleted.
+        needed: bytes to write.
+        free_bytes: free space of the disk.
     """
     files = sorted(closed)
     used = sum(file.size_bytes for file in files) + open_bytes + needed
@@ -119,31 +119,31 @@ def make_room(
 
 _NAME: Final = re.compile(r"[A-Za-z0-9-]{1,64}")
 _LAST_SECOND: Final = 253_402_300_799
-"""End of the year 9999, the last that a name can hold."""
+"""End of the year 9999, the last one that a name can represent."""
 
 
 def free_bytes_of(folder: Path) -> int:
-    """Return what an ordinary user may still write to the folder's disk."""
+    """Return the space that an ordinary user may still use on the folder's disk."""
     facts = os.statvfs(folder)
     return facts.f_bavail * facts.f_frsize
 
 
 class LogFolder:
-    """Files named `PREFIX_NUMBER_UTC.mcap`; numbers go up, whatever the clock does.
+    """Files named `PREFIX_NUMBER_UTC.mcap`; numbers increase regardless of the clock.
 
     Only files with exactly such names are counted or deleted.
 
     Args:
-        path: is made if it does not exist.
+        path: created if it does not exist.
         prefix: of the names: letters, digits, hyphens.
 
     Raises:
-        RecordingError: the folder cannot be made or listed, or the prefix is no such word.
+        RecordingError: the folder cannot be created or listed, or the prefix is invalid.
     """
 
     def __init__(self, path: str | os.PathLike[str], prefix: str) -> None:
         if not _NAME.fullmatch(prefix):
-            raise RecordingError(f"{prefix!r}: use letters, digits and hyphens for a log's name")
+            raise RecordingError(f"prefix {prefix!r}: use letters, digits and hyphens only")
         self.path = Path(path)
         self.closed: list[LogFile] = []
         self._prefix = prefix
@@ -157,30 +157,30 @@ class LogFolder:
                     self.closed.append(LogFile(int(match[1]), entry.name, size))
         except OSError as error:
             reason = error.strerror or str(error)
-            raise RecordingError(f"{path}: no folder for a log: {reason}") from error
+            raise RecordingError(f"{path}: cannot use the folder for a log: {reason}") from error
         self._number = max((file.number for file in self.closed), default=0)
 
     @property
     def number(self) -> int:
-        """Of the newest file; 0 before the first."""
+        """Number of the newest file; 0 before the first."""
         return self._number
 
     def next_path(self, unix_ns: int) -> Path:
-        """Return the path of a new file that begins at this time."""
+        """Return the path of a new file that starts at this time."""
         self._number += 1
         start = datetime.fromtimestamp(min(max(unix_ns, 0) // _NS_PER_S, _LAST_SECOND), UTC)
         return self.path / f"{self._prefix}_{self._number:06d}_{start:%Y%m%dT%H%M%SZ}.mcap"
 
     def add(self, path: Path) -> None:
-        """Count the newest file as closed."""
+        """Add the newest file to the closed ones."""
         try:
             size = path.stat().st_size
-        except OSError:  # somebody took it away
+        except OSError:  # deleted by another program
             return
         self.closed.append(LogFile(self._number, path.name, size))
 
     def delete(self, file: LogFile) -> bool:
-        """Delete a closed file and forget it; False if it stays on the disk."""
+        """Delete a closed file and forget it; return False if the deletion failed."""
         self.closed.remove(file)
         try:
             (self.path / file.name).unlink(missing_ok=True)
@@ -189,7 +189,7 @@ class LogFolder:
         return True
 
     def sync(self) -> None:
-        """Bring the names of new files to the disk."""
+        """Flush the names of new files to the disk."""
         number = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
             os.fsync(number)

@@ -1,8 +1,11 @@
-"""Read network captures (pcap, pcapng): the streams and status broadcasts of sonars in them.
+"""Reads the streams and status broadcasts of sonars from network captures (pcap, pcapng).
 
 A TCP flow is a sonar's if it comes from the sonar's port, or if its first bytes are the header of
 a message that sonars send. Each sonar is a link: "sonar", "sonar-2" and so on by appearance; all
-connections to it follow each other in it. What hosts send to sonars is left out.
+its connections follow each other in the link. Traffic to sonars is ignored.
+
+Link types are those of the tcpdump.org list. IP fragments are ignored: neither a sonar's stream
+nor its status needs them.
 """
 
 from __future__ import annotations
@@ -30,7 +33,7 @@ Source = tuple[bytes, int]
 
 
 def read_network_capture(file: BinaryIO, size: int, progress: Progress) -> Iterator[Chunk]:
-    """Yield what sonars sent in a capture of `size` bytes, in order; fill in `progress`."""
+    """Yield the data sent by sonars in a capture of `size` bytes, in order; update `progress`."""
     file.seek(0)
     is_new = file.read(len(PCAPNG_MAGIC)) == PCAPNG_MAGIC
     read_packets = read_pcapng_packets if is_new else read_pcap_packets
@@ -44,7 +47,7 @@ def read_network_capture(file: BinaryIO, size: int, progress: Progress) -> Itera
 
 @dataclass(slots=True)
 class _FlowSorter:
-    """Flows of a capture; the longest silent ones are let go when there are too many."""
+    """The flows of a capture. Too many flows close the one that was silent for the longest time."""
 
     progress: Progress
     flows: dict[Flow, TcpStream | None] = field(default_factory=dict)
@@ -53,7 +56,7 @@ class _FlowSorter:
     current: dict[Source, Flow] = field(default_factory=dict)
 
     def take(self, segment: Segment, arrival_ns: int | None) -> Iterator[Chunk]:
-        """Yield what one segment makes readable."""
+        """Yield the data completed by one segment."""
         if segment.protocol == UDP:
             if _is_status(segment):
                 self.progress.note_stamp(arrival_ns)
@@ -67,7 +70,7 @@ class _FlowSorter:
             if _may_be_sonar(segment):
                 stream = TcpStream()
             elif not segment.payload:
-                return  # the first bytes will tell
+                return  # the first payload decides
         self.flows[flow] = stream
         if stream is not None:
             pieces = stream.feed(segment.sequence, segment.payload, arrival_ns, syn=syn)
@@ -76,7 +79,7 @@ class _FlowSorter:
             yield from self._close(next(iter(self.flows)))
 
     def finish(self) -> Iterator[Chunk]:
-        """Yield what still waits for missing segments."""
+        """Yield the data that still wait for missing segments."""
         for flow in list(self.flows):
             yield from self._close(flow)
 
@@ -102,14 +105,14 @@ class _FlowSorter:
     def _link(self, source: Source) -> str | None:
         if source not in self.links:
             if len(self.links) == _MAX_SONARS:
-                self.progress.report(f"more than {_MAX_SONARS} sonars; the others are left out")
+                self.progress.report(f"more than {_MAX_SONARS} sonars; the others are ignored")
                 return None
             self.links[source] = f"{LINK}-{len(self.links) + 1}" if self.links else LINK
         return self.links[source]
 
 
 def _is_status(segment: Segment) -> bool:
-    """Tell whether a datagram is a sonar's status, by its size, its header or its port."""
+    """Return whether a datagram is a sonar's status, by size, header and port."""
     if len(segment.payload) < STATUS.size:
         return False
     header = read_header(segment.payload, 0)
@@ -118,7 +121,7 @@ def _is_status(segment: Segment) -> bool:
 
 
 def _may_be_sonar(segment: Segment) -> bool:
-    """Tell whether a flow that begins with this segment is a sonar's."""
+    """Return whether a flow that starts with this segment is a sonar's."""
     if segment.flow.source_port == TCP_PORT:
         return True
     if len(segment.payload) < HEADER.size:
@@ -135,7 +138,7 @@ _IPV4: Final = 0x0800
 _IPV6: Final = 0x86DD
 _VLANS: Final = (0x8100, 0x88A8, 0x9100)
 _LINK_HEADERS: Final = {0: 4, 108: 4, 12: 0, 14: 0, 101: 0, 228: 0, 229: 0}
-"""Bytes before the IP header, of links that say no protocol."""
+"""Bytes before the IP header, for link types without a protocol field."""
 
 _IPV4_HEAD: Final = struct.Struct(">BxHxxHxBxx4s4s")
 _IPV6_HEAD: Final = struct.Struct(">4xHBx16s16s")
@@ -153,7 +156,7 @@ _FRAGMENT: Final = 0x3FFF
 
 
 class Flow(NamedTuple):
-    """One direction between two ends; addresses are packed, 4 or 16 bytes."""
+    """One direction between two endpoints; addresses are packed, 4 or 16 bytes."""
 
     source: bytes
     source_port: int
@@ -162,14 +165,14 @@ class Flow(NamedTuple):
 
 
 class Segment(NamedTuple):
-    """What one packet carried.
+    """Payload of one packet.
 
     Attributes:
         protocol: TCP or UDP.
-        flow: from where to where.
+        flow: source and destination.
         sequence: number of the first byte (TCP), else 0.
         flags: of TCP, else 0.
-        payload: the bytes that were captured of it.
+        payload: the captured bytes.
     """
 
     protocol: int
@@ -180,16 +183,16 @@ class Segment(NamedTuple):
 
 
 def segment_of(link_type: int, data: bytes) -> Segment | None:
-    """Return what a packet carried over TCP or UDP, None if it is anything else or too short."""
+    """Return the TCP or UDP payload of a packet, None for other or truncated packets."""
     try:
         at = _ip_offset(link_type, data)
         return None if at is None else _ip(data, at)
-    except (struct.error, IndexError):  # the packet ends inside a header
+    except (struct.error, IndexError):  # truncated inside a header
         return None
 
 
 def _ip_offset(link_type: int, data: bytes) -> int | None:
-    """Return where the IP header starts, None if there is none."""
+    """Return the offset of the IP header, None if there is none."""
     known = _LINK_HEADERS.get(link_type)
     if known is not None:
         return known
@@ -209,7 +212,7 @@ def _ip(data: bytes, at: int) -> Segment | None:
     if version == _VERSION_4:
         words, total, fragment, protocol, source, destination = _IPV4_HEAD.unpack_from(data, at)
         start = at + 4 * (words & 15)
-        # Offloaded segments are captured with a total of 0: then all that is there counts.
+        # Offloaded segments are captured with a total of 0: use all captured bytes.
         end = at + total if total else len(data)
         if fragment & _FRAGMENT:
             return None

@@ -1,7 +1,10 @@
-"""Read Oculus Viewer logs (`.oculus`, version 1) as the vendor and as ENSTA's recorder write them.
+"""Reads Oculus Viewer logs (`.oculus`, version 1) of the vendor and of ENSTA's recorder.
 
-Each item of kind 10 holds one message, so chunks begin and end with messages. Where an item's
-head makes no sense the next one that does is searched for; the vendor's own reader stops there.
+Each item of type 10 contains one message, so chunks start and end with messages. At an invalid item
+head the reader searches for the next valid one; the vendor's own reader stops there. The layouts
+are little-endian and serve both directions; the padding of the vendor's structures is declared as
+fields. Payloads may be compressed by Qt: the uncompressed size, 4 bytes big-endian, then a zlib
+stream.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ if TYPE_CHECKING:
 FILE_MAGIC: Final = 0x11223344
 ITEM_MAGIC: Final = 0xAABBCCDD
 CONVERTED_MAGIC: Final = 2037
-"""Both magics of the files that one converter of ROS bags left behind; sizes in them are 0."""
+"""Both magics of files written by a certain converter of ROS bags; their sizes are 0."""
 
 FILE_HEADER: Final = Layout(
     "log header",
@@ -60,13 +63,13 @@ ITEM_HEADER: Final = Layout(
 )
 
 STAMP: Final = Layout("stamp", 16, (Field("s", 0, "Q"), Field("ns", 8, "Q")))
-"""Payload of an ENSTA stamp item: when the message before it came."""
+"""Payload of an ENSTA stamp item: arrival of the preceding message."""
 
 MESSAGE_ITEM: Final = 10
-"""Kind of an item that holds one Oculus message, header included."""
+"""Type of an item with one Oculus message, including the header."""
 
 STAMP_ITEM: Final = 1010
-"""Kind of the item with which ENSTA's recorder stamps the message before it."""
+"""Type of the item in which ENSTA's recorder stamps the preceding message."""
 
 PLAIN: Final = 0
 QT_COMPRESSED: Final = 1
@@ -76,9 +79,9 @@ _LATEST_NS: Final = 1 << 63
 
 
 def stamp_ns(value: float, units_per_s: int = 1) -> int | None:
-    """Return a time since 1970 in nanoseconds, None where it is no time: not positive, too late.
+    """Return a time since 1970 in nanoseconds, None if it is not positive or too late.
 
-    Seconds as 64-bit floats resolve about 0.2 µs today; whole numbers are kept exactly.
+    Seconds as 64-bit floats resolve about 0.2 µs today; integers are converted exactly.
     """
     if not math.isfinite(value) or not 0 < value < _LATEST_NS // NS_PER_S * units_per_s:
         return None
@@ -92,13 +95,13 @@ _MAX_FILE_HEADER: Final = 4096
 
 
 def is_encrypted(head: bytes) -> bool:
-    """Tell whether a log whose first bytes are `head` says that its content is encrypted."""
+    """Return whether a log that starts with `head` is marked as encrypted."""
     return len(head) >= FILE_HEADER.size and FILE_HEADER.unpack(head)["encryption"] != 0
 
 
 def read_oculus_log(file: BinaryIO, size: int, progress: Progress) -> Iterator[Chunk]:
-    """Yield the messages of a log of `size` bytes in recorded order; fill in `progress`."""
-    held: Chunk | None = None  # until it is known whether a stamp follows
+    """Yield the messages of a log of `size` bytes in recorded order; update `progress`."""
+    held: Chunk | None = None  # until the next item: a stamp may follow
     for item in _Items(file, size, progress).read():
         if item.kind == STAMP_ITEM:
             if held is not None:
@@ -115,7 +118,7 @@ def read_oculus_log(file: BinaryIO, size: int, progress: Progress) -> Iterator[C
 
 @dataclass(frozen=True, slots=True)
 class _Item:
-    """A message or the stamp of one, its payload unpacked; perhaps less than all of it."""
+    """A message or its stamp, decompressed; may be truncated."""
 
     kind: int
     arrival_ns: int | None
@@ -133,7 +136,7 @@ class _Items:
     gap: bool = False
 
     def read(self) -> Iterator[_Item]:
-        """Yield the items that matter, from front to back."""
+        """Yield the relevant items, from front to back."""
         self._open()
         while self.position < self.size:
             head = self._head()
@@ -159,7 +162,7 @@ class _Items:
             self._go(fields["header_size"])
 
     def _head(self) -> dict[str, Any] | None:
-        """Return the head of the item here with its true payload size, None if there is none."""
+        """Return the item head with its true payload size, None if it is invalid."""
         data = self._bytes(ITEM_HEADER.size)
         if len(data) < ITEM_HEADER.size:
             return None
@@ -171,7 +174,7 @@ class _Items:
         return fields
 
     def _converted(self, fields: dict[str, Any]) -> dict[str, Any] | None:
-        """Give an item of a broken conversion its size, which only the message in it knows."""
+        """Set the size of an item in a converted file from the message in it."""
         if fields["kind"] == STAMP_ITEM:
             return fields | {"payload_size": STAMP.size, "compression": PLAIN}
         data = self._bytes(HEADER.size)
@@ -188,7 +191,7 @@ class _Items:
         }
 
     def _believable(self, header: Header) -> bool:
-        """Tell whether a message starts here; one of an unknown id only if an item follows it."""
+        """Return whether a message starts here. An unknown id must be followed by an item."""
         if header_fault(header, strict=True) is None:
             return True
         start, end = self.position, self.position + header.size
@@ -200,7 +203,7 @@ class _Items:
         return not follower or follower == self.magic.to_bytes(4, "little")
 
     def _item(self, head: dict[str, Any]) -> _Item | None:
-        """Return the item behind `head`, None if it is of no interest or of no use."""
+        """Return the item after `head`, None if it is irrelevant or unusable."""
         start, size = self.position, head["payload_size"]
         missing = start + size - self.size
         kind = head["kind"]
@@ -208,7 +211,7 @@ class _Items:
             self._skip(head)
             return None
         if missing > 0 and self._find(start):
-            self._lost(f"damaged at byte {start}: an item claims more than there is")
+            self._lost(f"damaged at byte {start}: an item is longer than the file")
             return None
         if missing > 0:
             self.progress.report_truncation(f"ends inside an item, at byte {self.size}")
@@ -218,7 +221,7 @@ class _Items:
         elif head["compression"] != PLAIN:
             data = None
         if data is None:
-            self._lost(f"damaged at byte {start}: a message that cannot be unpacked")
+            self._lost(f"damaged at byte {start}: cannot decompress a message")
             return None
         gap, self.gap = self.gap and kind == MESSAGE_ITEM, self.gap and kind != MESSAGE_ITEM
         return _Item(kind, stamp_ns(head["unix_s"]), data, gap)
@@ -227,7 +230,7 @@ class _Items:
         start, size = self.position, head["payload_size"]
         if start + size > self.size:
             if self._find(start):
-                self._lost(f"damaged at byte {start}: an item claims more than there is")
+                self._lost(f"damaged at byte {start}: an item is longer than the file")
             else:
                 self.progress.report_truncation(f"ends inside an item, at byte {self.size}")
                 self._go(self.size)
@@ -241,16 +244,16 @@ class _Items:
         self.progress.report(text)
 
     def _search(self) -> bool:
-        """Go to the next head behind a place without one; False if there is none."""
+        """Go to the next item head; return False if there is none."""
         start = self.position
         if self._find(max(0, start - ITEM_HEADER.size) + 1):
-            self._lost(f"damaged at byte {start}: no item here")
+            self._lost(f"damaged at byte {start}: no valid item")
             return True
         self.progress.report_truncation(f"ends inside an item, at byte {self.size}")
         return False
 
     def _find(self, start: int) -> bool:
-        """Go to the first plausible item head at or behind `start`; stay if there is none."""
+        """Go to the first plausible item head at or after `start`; stay if there is none."""
         wanted = ITEM_HEADER.pack({"magic": self.magic})[:8]
         for place, window in windows(self.file, start, self.size, ITEM_HEADER.size):
             at = window.find(wanted)
@@ -289,12 +292,12 @@ _SIZE: Final = struct.Struct(">I")
 
 
 def uncompress(data: bytes) -> bytes | None:
-    """Return what was compressed, None if that cannot be told or is larger than any message."""
+    """Return the decompressed data, None if they are damaged or larger than any message."""
     return inflate(data[_SIZE.size :])
 
 
 def inflate(data: bytes) -> bytes | None:
-    """Return the content of one whole zlib stream; at most one message's worth is unpacked."""
+    """Return the content of one complete zlib stream, None if it exceeds the largest message."""
     stream = zlib.decompressobj()
     try:
         content = stream.decompress(data, MAX_MESSAGE_SIZE)
@@ -304,7 +307,7 @@ def inflate(data: bytes) -> bytes | None:
 
 
 def message_bytes(payload: bytes) -> bytes | None:
-    """Return the Oculus message in a payload that may be compressed in either way, else None."""
+    """Return the Oculus message in a payload with either compression or none, else None."""
     if payload.startswith(MAGIC_BYTES):
         return payload
     for content in (inflate(payload), uncompress(payload)):

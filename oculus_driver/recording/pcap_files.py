@@ -1,7 +1,9 @@
-"""The packets of pcap files, of either byte order (draft-ietf-opsawg-pcap).
+"""Packets of pcap and pcapng files, of either byte order, even damaged ones.
 
-A record's head that makes no sense is damage: the next place is searched where two heads follow
-each other that do, near in time to the last good one.
+Formats: draft-ietf-opsawg-pcap and draft-ietf-opsawg-pcapng. In a damaged pcap file the reader
+continues where two consecutive valid record heads follow, close in time to the last valid one. In
+pcapng each block states its length twice; if the two differ, the reader continues at the next
+packet block whose lengths agree.
 """
 
 from __future__ import annotations
@@ -26,9 +28,9 @@ class Packet(NamedTuple):
     """One captured packet.
 
     Attributes:
-        arrival_ns: when it was captured, nanoseconds since 1970; None where not recorded.
-        link_type: how its first header is to be read, a number of the tcpdump.org list.
-        data: its bytes, perhaps not all.
+        arrival_ns: capture time, nanoseconds since 1970; None if not recorded.
+        link_type: type of its first header, a number of the tcpdump.org list.
+        data: its bytes, maybe truncated.
     """
 
     arrival_ns: int | None
@@ -42,7 +44,7 @@ PCAP_MAGICS: Final = {
     b"\x4d\x3c\xb2\xa1": ("<", 1),
     b"\xa1\xb2\x3c\x4d": (">", 1),
 }
-"""Byte order, and nanoseconds in one unit of the fraction, by the first four bytes."""
+"""Byte order, and nanoseconds per unit of the fraction, by the first four bytes."""
 
 _FILE_HEAD: Final = 24
 _LINK_TYPE_AT: Final = 20
@@ -53,7 +55,7 @@ Head = tuple[int, int, int, int]
 
 
 def read_pcap_packets(file: BinaryIO, size: int, progress: Progress) -> Iterator[Packet]:
-    """Yield the packets of a pcap file of `size` bytes; fill in `progress`."""
+    """Yield the packets of a pcap file of `size` bytes; update `progress`."""
     file.seek(0)
     head = file.read(_FILE_HEAD)
     progress.bytes_read = len(head)
@@ -62,7 +64,7 @@ def read_pcap_packets(file: BinaryIO, size: int, progress: Progress) -> Iterator
         return
     order, unit_ns = PCAP_MAGICS[head[:4]]
     (link_type,) = struct.unpack_from(order + "I", head, _LINK_TYPE_AT)
-    # The upper half of the link type tells of checksums.
+    # The upper half of the link type describes frame checksums.
     yield from _Records(file, size, progress, order, unit_ns, link_type & 0xFFFF).read()
 
 
@@ -92,10 +94,10 @@ class _Records:
                 found = self._search(before + 1)
                 if found is None:
                     self.progress.report_truncation(
-                        f"damaged at byte {at}: no packet here or behind"
+                        f"damaged at byte {at}: no valid packet from here on"
                     )
                     return
-                self.progress.report(f"damaged at byte {at}: no packet here")
+                self.progress.report(f"damaged at byte {at}: no valid packet")
                 at = before = found
                 self.file.seek(at)
                 continue
@@ -114,9 +116,9 @@ class _Records:
         return length <= MAX_PACKET and length <= original and fraction * self.unit_ns < NS_PER_S
 
     def _search(self, start: int) -> int | None:
-        """Return where the next two sound heads in a row begin, None if nowhere.
+        """Return the position of the next two consecutive valid heads, None if there is none.
 
-        Candidates share the upper half of the last good head's seconds.
+        Candidates share the upper half of the last valid head's seconds.
         """
         if self.last_s is None:
             return None
@@ -160,7 +162,7 @@ _OF_NO_INTEREST: Final = -1
 
 _ORDERS: Final = {b"\x4d\x3c\x2b\x1a": "<", b"\x1a\x2b\x3c\x4d": ">"}
 _FRAME: Final = 12
-"""Kind and length before a block's body, length behind it."""
+"""Type and length before a block's body, length after it."""
 
 _PACKET_HEAD: Final = 20
 _SIMPLE_HEAD: Final = 4
@@ -172,12 +174,12 @@ _BINARY_RESOLUTION: Final = 0x80
 
 
 def read_pcapng_packets(file: BinaryIO, size: int, progress: Progress) -> Iterator[Packet]:
-    """Yield the packets of a pcapng file of `size` bytes; fill in `progress`."""
+    """Yield the packets of a pcapng file of `size` bytes; update `progress`."""
     return _Blocks(file, size, progress).read()
 
 
 class _DamagedError(Exception):
-    """No sound block stands here; carries what to tell a person."""
+    """No valid block starts here; the message describes the damage."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,7 +222,7 @@ class _Blocks:
                 yield packet
 
     def _block(self, at: int) -> tuple[int, bytes, int]:
-        """Return kind, body and whole length of the block here."""
+        """Return type, body and total length of the block here."""
         head = self.file.read(_FRAME)
         if len(head) < _FRAME:
             raise _DamagedError(f"ends inside a block, at byte {self.size}")
@@ -229,7 +231,7 @@ class _Blocks:
             self.interfaces.clear()
         kind, length = struct.unpack_from(self.order + "II", head)
         if length < _FRAME or length % 4:
-            raise _DamagedError(f"damaged at byte {at}: a block that claims {length} bytes")
+            raise _DamagedError(f"damaged at byte {at}: a block of {length} bytes")
         if at + length > self.size:
             raise _DamagedError(f"ends inside a block, at byte {self.size}")
         if length > _MAX_BLOCK:
@@ -240,7 +242,7 @@ class _Blocks:
         return kind, rest[:-4], length
 
     def _search(self, start: int) -> int | None:
-        """Return where the next packet block with agreeing lengths begins, None if nowhere."""
+        """Return the position of the next packet block with agreeing lengths, or None."""
         kind = struct.pack(self.order + "I", _PACKET)
         for place, window in windows(self.file, start, self.size, _FRAME):
             found = window.find(kind)
@@ -270,7 +272,7 @@ class _Blocks:
         head = struct.unpack_from(self.order + number_code + "IIII", body)
         number, high, low, length, _ = head
         if number >= len(self.interfaces):
-            self.progress.report(f"a packet of interface {number}, which was not declared")
+            self.progress.report(f"a packet of undeclared interface {number}")
             return None
         interface = self.interfaces[number]
         stamp_ns = (high << 32 | low) * NS_PER_S // interface.units_per_s
@@ -280,7 +282,7 @@ class _Blocks:
 
 
 def _interface(body: bytes, order: str) -> _Interface:
-    """Read an interface description and those of its options that concern time."""
+    """Parse an interface description and its time options."""
     if len(body) < _INTERFACE_HEAD:
         return _Interface(-1, 0)
     link_type, snap_length = struct.unpack_from(order + "H2xI", body)

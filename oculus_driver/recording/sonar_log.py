@@ -1,4 +1,4 @@
-"""Record one sonar, and links beside it, for as long as it takes, within a disk's limits."""
+"""Records one sonar and other links indefinitely, within the limits of a disk."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ _SONAR: Final = "sonar"
 _STATUS: Final = "status"
 
 _MARGIN: Final = MIB
-"""Bytes beyond the data themselves that a file may grow by: heads of records and the index."""
+"""Growth of a file beyond the data: record heads and index, bytes."""
 
 _FREE_CHECK_NS: Final = 1_000_000_000
 
 
 @dataclass(slots=True)
 class LogCounters:
-    """What a log has done.
+    """Counters of a log.
 
     Attributes:
         bytes_written, bytes_dropped: of the data given to it.
-        drops: pieces not recorded, by reason: budget, free_space, disk (it failed; see
-            `SonarLog.reason`), resuming (the rest of a message whose beginning was dropped).
-        files_opened: files begun.
-        rotations: files closed, by reason: size, time, failure.
-        files_deleted, bytes_deleted: old files that made room.
-        deletes_failed: old files that should have gone, but could not.
-        syncs: times that data were brought to the disk.
+        drops: dropped pieces by reason: budget, free_space, disk (error, see `SonarLog.reason`),
+            resuming (the rest of a message whose beginning was dropped).
+        files_opened: created files.
+        rotations: closed files by reason: size, time, failure.
+        files_deleted, bytes_deleted: old files deleted for room.
+        deletes_failed: old files that could not be deleted.
+        syncs: how often data were flushed to the disk.
     """
 
     bytes_written: int = 0
@@ -57,7 +57,7 @@ class LogCounters:
 
 
 class LogPosition(NamedTuple):
-    """How far a log has come.
+    """Position of a log.
 
     Attributes:
         file: number of the newest file; 0 before the first.
@@ -76,26 +76,26 @@ class _Piece(NamedTuple):
 
 
 class SonarLog:
-    """A row of MCAP files with one sonar's bytes as they came. Blocking, not thread-safe.
+    """A series of MCAP files with one sonar's received bytes. Blocking, not thread-safe.
 
-    Each file begins with a message and, where nothing fails, ends with one, so that no ping is
-    torn apart between files. What the disk does is never raised: it is counted, `state` and
-    `reason` say it, and recording goes on when there is room again. What was written survives a
-    kill at any time.
+    Each file starts with a message and, without failures, ends with one, so that no ping is split
+    between files. Disk errors are never raised: they are counted and reported in `state` and
+    `reason`, and recording continues when there is room again. Written data survive a crash of the
+    program at any time.
 
     Args:
-        folder: for the files; is made if needed.
+        folder: for the files; created if needed.
         policy: the limits.
-        prefix: of the files' names.
+        prefix: of the file names.
         monotonic_to_unix_ns: added to every stamp; 0 if stamps are nanoseconds since 1970.
-        metadata: free words that go into each file.
-        others: name to encoding of links that are recorded beside the sonar, such as odometry.
-        free_bytes: tells what is free on the folder's disk.
-        hold: a piece that the disk does not take now is not dropped: it stays, `holding` says so,
-            and nothing else may be written until `retry` has brought it to the disk.
+        metadata: free text for each file.
+        others: encodings of links recorded beside the sonar, such as odometry, by name.
+        free_bytes: returns the free space of the folder's disk.
+        hold: keep a piece that cannot be written now instead of dropping it: `holding` is True, and
+            nothing else may be written until `retry` has written it.
 
     Raises:
-        RecordingError: the folder cannot be made or read.
+        RecordingError: the folder cannot be created or read.
     """
 
     def __init__(
@@ -128,8 +128,8 @@ class SonarLog:
         self._synced_ns = 0
         self._retry_at_ns: int | None = None
         self._paused_for = ""
-        self._torn = False  # a part of the message under way was dropped
-        self._gap = False  # and so bytes are missing before the next ones
+        self._torn = False  # a part of the current message was dropped
+        self._gap = False  # so bytes are missing before the next ones
         self._hold = hold
         self._held: _Piece | None = None
 
@@ -153,12 +153,12 @@ class SonarLog:
 
     @property
     def position(self) -> LogPosition:
-        """Up to where all that was written lies with the operating system."""
+        """Position up to which all data are with the operating system."""
         return LogPosition(self._folder.number, self._messages)
 
     @property
     def holding(self) -> bool:
-        """Whether a piece waits for the disk to take it."""
+        """Whether a piece waits to be written."""
         return self._held is not None
 
     @property
@@ -167,11 +167,11 @@ class SonarLog:
         return None if self._writer is None else self._writer.path
 
     def write(self, data: bytes, arrival_ns: int, *, gap_before: bool = False) -> bool:
-        """Record the next bytes of the sonar's stream; True if all of them are recorded.
+        """Record the next bytes of the sonar's stream; return True if all of them are recorded.
 
         Args:
-            data: as they came.
-            arrival_ns: when they came.
+            data: received bytes.
+            arrival_ns: arrival time.
             gap_before: bytes before these were lost, or this is a new connection.
         """
         messages = self._parser.feed(data, arrival_ns, gap_before=gap_before)
@@ -181,7 +181,7 @@ class SonarLog:
             if start:
                 self._drop("resuming", start)
             return self._put(_SONAR, data[start:], arrival_ns) and not start
-        whole = max(0, len(data) - self._parser.pending_bytes)  # up to the last message's end
+        whole = max(0, len(data) - self._parser.pending_bytes)  # up to the end of the last message
         full = self._full(arrival_ns)
         if full is None or not whole:
             return self._put(_SONAR, data, arrival_ns, gap_before=gap_before)
@@ -193,17 +193,17 @@ class SonarLog:
         return self._put(_SONAR, data[whole:], arrival_ns) and done
 
     def write_status(self, datagram: bytes, arrival_ns: int) -> bool:
-        """Record a status datagram; True if it is recorded."""
+        """Record a status datagram; return True if it is recorded."""
         return self._put(_STATUS, datagram, arrival_ns)
 
     def write_other(
         self, link: str, data: bytes, arrival_ns: int, *, gap_before: bool = False
     ) -> bool:
-        """Record bytes of another link, named in `others`; True if they are recorded."""
+        """Record bytes of another link of `others`; return True if they are recorded."""
         return self._put(link, data, arrival_ns, gap_before=gap_before)
 
     def retry(self, now_ns: int) -> bool:
-        """Try again to write what is held; True if nothing is held any more."""
+        """Retry the held piece; return True if nothing is held any more."""
         held, self._held = self._held, None
         if held is None:
             return True
@@ -212,25 +212,25 @@ class SonarLog:
         )
 
     def drop_held(self) -> None:
-        """Drop what is held, and count it."""
+        """Drop the held piece and count it."""
         held, self._held = self._held, None
         if held is not None:
             self._refuse(held.link, self._paused_for, len(held.data))
 
     def tick(self, now_ns: int) -> None:
-        """Do what time asks for while nothing comes: close an old file, bring data to the disk."""
+        """Perform timed work while no data arrive: close an old file, flush data to the disk."""
         full = self._full(now_ns)
         if full is not None and not self._parser.pending_bytes:
             self._finish(full)
         self._sync(now_ns)
 
     def close(self) -> None:
-        """Close the file being written. Safe to call again; writing opens another one."""
+        """Close the current file. May be called again; writing opens another file."""
         self.drop_held()
         self._finish(None)
 
     def _begin(self, messages: list[Message], size: int) -> int:
-        """Return where in the last `size` bytes fed the first message begins; `size` if none."""
+        """Return where in the last `size` bytes the first message starts; `size` if nowhere."""
         start = self._parser.counters.bytes_total - size
         for message in messages:
             if message.offset >= start:
@@ -272,7 +272,7 @@ class SonarLog:
         self.counters.bytes_written += len(data)
         try:
             self._sync(now_ns)
-        except OSError as error:  # the data are written all the same
+        except OSError as error:  # the data have been written
             self._fail(error, now_ns)
         return True
 
@@ -309,7 +309,7 @@ class SonarLog:
         self.counters.bytes_dropped += size
 
     def _room(self, size: int, now_ns: int) -> str | None:
-        """Delete what must go; return why there is no room all the same, or None."""
+        """Delete old files as needed; return why there still is no room, or None."""
         needed = size + _MARGIN
         open_bytes = 0 if self._writer is None else self._writer.size_bytes
         room = make_room(
@@ -325,7 +325,7 @@ class SonarLog:
         return room.shortage
 
     def _free_now(self, size: int, now_ns: int) -> int:
-        """Return what is free; asks the disk once a second, and counts in between."""
+        """Return the free space; queries the disk once per second and counts in between."""
         age_ns = now_ns - self._free_checked_ns
         if self._free is None or not 0 <= age_ns < _FREE_CHECK_NS:
             self._free = self._free_bytes(self._folder.path)
@@ -359,7 +359,7 @@ class SonarLog:
         self.counters.syncs += 1
 
     def _finish(self, why: str | None) -> None:
-        """Close the file; one whose index does not fit any more is readable all the same."""
+        """Close the file. A file without room for its index is still readable."""
         writer, self._writer = self._writer, None
         if writer is None:
             return

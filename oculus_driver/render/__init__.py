@@ -1,4 +1,4 @@
-"""Pings as pictures. Needs OpenCV: the extra `render`."""
+"""Pings as images. Needs OpenCV: the extra `render`."""
 
 from oculus_driver.render.fan import FanGeometry, fit_fan
 from oculus_driver.render.painter import COLOURS, Painter, Style, warp_to_fan

@@ -1,4 +1,4 @@
-"""Where each pixel of a fan picture lies in a ping. Forward is up, starboard is right."""
+"""Geometry of a fan image: the ping coordinates of each pixel. Ahead is up, starboard is right."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FanGeometry:
-    """A fan laid into a frame.
+    """A fan inside a frame.
 
     Attributes:
         width_px, height_px: of the frame.
-        apex_px: the sonar, (x, y), x to the right and y down.
+        apex_px: position of the sonar, (x, y), x to the right and y down.
         metres_per_px: of range.
-        row_share: float32 (height_px, width_px), range over the end of the image, 0 to 1.
-        beam: float32 (height_px, width_px), place in the bearing table, fractional between beams.
-        outside: bool (height_px, width_px), True where the sonar did not look.
+        row_share: float32 (height_px, width_px), range divided by the maximum range, 0 to 1.
+        beam: float32 (height_px, width_px), index in the bearing table, fractional between beams.
+        outside: bool (height_px, width_px), True outside the field of view.
     """
 
     width_px: int
@@ -35,7 +35,7 @@ class FanGeometry:
     outside: NDArray[np.bool_] = field(repr=False)
 
     def pixel(self, range_m: float, bearing_rad: float) -> tuple[float, float]:
-        """Return the place (x, y) of a target."""
+        """Return the pixel (x, y) of a target."""
         away_px = range_m / self.metres_per_px
         x, y = self.apex_px
         return x + away_px * float(np.sin(bearing_rad)), y - away_px * float(np.cos(bearing_rad))
@@ -50,9 +50,8 @@ def fit_fan(
     """Return the largest fan that fits between the margins.
 
     Args:
-        bearings_rad: float64 (beams,), strictly increasing, within ±π/2; taken as they are, since
-            they are not uniform in angle.
-        max_range_m: end of the image.
+        bearings_rad: float64 (beams,), strictly increasing, within ±π/2; not uniform in angle.
+        max_range_m: maximum range of the image.
         size_px: width and height of the frame.
         margins_px: left, top, right and bottom, kept free for labels.
     """
@@ -69,7 +68,7 @@ def fit_fan(
     ahead_m = (apex_px[1] - np.arange(height_px) - 0.5) * metres_per_px
     share = np.hypot(across_m[np.newaxis, :], ahead_m[:, np.newaxis]) / max_range_m
     bearing = np.arctan2(across_m[np.newaxis, :], ahead_m[:, np.newaxis])
-    places = np.interp(np.sin(bearing), np.sin(bearings_rad), np.arange(bearings_rad.size))
+    positions = np.interp(np.sin(bearing), np.sin(bearings_rad), np.arange(bearings_rad.size))
     outside = (share > 1.0) | (bearing < edges[0]) | (bearing > edges[-1])
     return FanGeometry(
         width_px,
@@ -77,6 +76,6 @@ def fit_fan(
         apex_px,
         metres_per_px,
         share.astype(np.float32),
-        places.astype(np.float32),
+        positions.astype(np.float32),
         outside,
     )

@@ -1,4 +1,4 @@
-"""Frames into files: PNG pictures or an MP4 film."""
+"""Writes frames to PNG images or an MP4 video."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
 
 
 class FrameSink(Protocol):
-    """Takes frames, uint8 (height, width, 3), blue first, all of one size.
+    """Accepts frames, uint8 (height, width, 3), BGR, all of one size.
 
     Attributes:
-        files: what is written.
+        files: the written files.
     """
 
     files: list[Path]
 
     def add(self, frame: NDArray[np.uint8], name: str) -> None:
-        """Take the next frame."""
+        """Add the next frame."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -34,7 +34,7 @@ class FrameSink(Protocol):
 
 
 class PngFolder:
-    """A folder of PNG files, one for each frame, numbered in order.
+    """A folder of PNG files, one per frame, numbered in order.
 
     Raises:
         OculusError: a file or the folder cannot be written.
@@ -62,16 +62,16 @@ class PngFolder:
 
 
 class PngFile:
-    """One PNG file; a later frame takes the place of an earlier one.
+    """One PNG file; each frame replaces the previous one.
 
     Raises:
-        OculusError: it cannot be written.
+        OculusError: the file cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
         self.files = [path]
 
-    def add(self, frame: NDArray[np.uint8], name: str) -> None:  # noqa: ARG002 - of the protocol
+    def add(self, frame: NDArray[np.uint8], name: str) -> None:  # noqa: ARG002 - part of the protocol
         """Write the frame."""
         write_png(self.files[0], frame)
 
@@ -86,7 +86,7 @@ class VideoFile:
     """An MP4 file.
 
     Raises:
-        OculusError: it cannot be written, or OpenCV has no encoder for it.
+        OculusError: the file cannot be written, or OpenCV has no encoder for it.
     """
 
     def __init__(self, path: Path, frames_per_s: float) -> None:
@@ -95,7 +95,7 @@ class VideoFile:
         self._frames_per_s = frames_per_s
         self._writer: cv2.VideoWriter | None = None
 
-    def add(self, frame: NDArray[np.uint8], name: str) -> None:  # noqa: ARG002 - of the protocol
+    def add(self, frame: NDArray[np.uint8], name: str) -> None:  # noqa: ARG002 - part of the protocol
         """Append the next frame."""
         if self._writer is None:
             size = (frame.shape[1], frame.shape[0])
@@ -114,10 +114,10 @@ class VideoFile:
 
 
 def write_png(path: Path, frame: NDArray[np.uint8]) -> None:
-    """Write one picture.
+    """Write one image.
 
     Raises:
-        OculusError: it cannot be written.
+        OculusError: the file cannot be written.
     """
     done, data = cv2.imencode(".png", frame)
     try:
@@ -129,4 +129,4 @@ def write_png(path: Path, frame: NDArray[np.uint8]) -> None:
 
 
 def _cannot_write(path: Path) -> OculusError:
-    return OculusError(f"{path}: cannot be written; check folder, rights and space")
+    return OculusError(f"{path}: cannot be written; check folder, permissions and free space")

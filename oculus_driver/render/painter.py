@@ -1,4 +1,4 @@
-"""Paint a ping as a fan with range rings, bearing spokes and labels."""
+"""Paints a ping as a fan with range rings, bearing spokes and labels."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ _MAX_PX: Final = 8192
 
 @dataclass(frozen=True, slots=True)
 class Style:
-    """How pictures look.
+    """Style of images.
 
     Attributes:
         height_px: of the frame, even.
         colours: one of `COLOURS`.
-        gamma: exponent of the level on display; below 1 lifts the dark.
-        gains_removed: show sample / sqrt(gain word) where rows have gain words.
+        gamma: display exponent; below 1 brightens dark areas.
+        gains_removed: show sample / sqrt(gain word) if rows have gain words.
         labels: draw rings, spokes and captions.
     """
 
@@ -55,28 +55,30 @@ class Style:
 
 
 class Painter:
-    """Paints pings into frames of one size, which the first ping settles.
+    """Paints pings into frames of one size, set by the first ping.
 
-    The map from pixels to samples is kept until bearings, rows or resolution change.
+    The mapping from pixels to samples is reused until bearings, rows or resolution change.
 
     Raises:
-        OculusError: a style that cannot be.
+        OculusError: the style is invalid.
     """
 
     def __init__(self, style: Style | None = None) -> None:
         self.style = style or Style()
         if self.style.colours not in COLOURS or not self.style.gamma > 0.0:
-            raise OculusError(f"no picture in {self.style.colours} with gamma {self.style.gamma}")
+            raise OculusError(
+                f"invalid style: colours {self.style.colours}, gamma {self.style.gamma}"
+            )
         if not _MIN_PX <= self.style.height_px <= _MAX_PX:
             raise OculusError(
-                f"no picture of {self.style.height_px} px; choose {_MIN_PX} to {_MAX_PX}"
+                f"height {self.style.height_px} px: it must be from {_MIN_PX} to {_MAX_PX}"
             )
         self._size_px: tuple[int, int] | None = None
         self._key: tuple[object, ...] = ()
         self._fan: FanGeometry | None = None
 
     def paint(self, ping: Ping) -> NDArray[np.uint8]:
-        """Return the picture, uint8 (height, width, 3), blue first as OpenCV has it."""
+        """Return the image, uint8 (height, width, 3), BGR as in OpenCV."""
         order = np.argsort(ping.bearings_rad, kind="stable")[:: -(-ping.beams // _MAX_BEAMS)]
         fan = self._fan_for(ping, ping.bearings_rad[order])
         level = self._level(ping)[:, order]
@@ -89,7 +91,7 @@ class Painter:
 
     @property
     def _unit_px(self) -> float:
-        """Size of lettering: 1 in a frame of 900 pixels."""
+        """Scale of lettering: 1 in a frame of 900 pixels."""
         return self.style.height_px / 900.0
 
     def _fan_for(self, ping: Ping, bearings_rad: NDArray[np.float64]) -> FanGeometry:
@@ -106,14 +108,14 @@ class Painter:
         return self._fan
 
     def _level(self, ping: Ping) -> NDArray[np.float32]:
-        """Return float32 (rows, beams), 0 to 1 where nothing is too bright."""
+        """Return float32 (rows, beams), normalised to 0 to 1 and clipped."""
         if self.style.gains_removed and ping.gains is not None:
             level = ping.amplitude()
             white = float(np.percentile(level, _BRIGHT_PERCENT)) or 1.0
         else:
             level = ping.image.astype(np.float32)
             white = float(ping.full_scale)
-            if ping.bits_per_sample > 16:  # noqa: PLR2004 - far more depth than a picture has
+            if ping.bits_per_sample > 16:  # noqa: PLR2004 - far more depth than an image has
                 white = float(np.percentile(level, _BRIGHT_PERCENT)) or 1.0
         share: NDArray[np.float32] = np.clip(level / np.float32(white), 0.0, 1.0)
         return share ** np.float32(self.style.gamma)
@@ -139,9 +141,9 @@ class Painter:
             arc = np.array([fan.pixel(range_m, float(bearing)) for bearing in edges])
             _draw_line(veil, arc)
             x, y = fan.pixel(range_m, float(edges[-1]))
-            place = (x + 6 * self._unit_px, y + 18 * self._unit_px)
+            position = (x + 6 * self._unit_px, y + 18 * self._unit_px)
             for picture in (frame, veil):
-                self._write(picture, f"{range_m:g} m", place)
+                self._write(picture, f"{range_m:g} m", position)
         frame[:] = cv2.addWeighted(veil, _LINE_SHARE, frame, 1.0 - _LINE_SHARE, 0.0)
 
     def _draw_spokes(self, frame: NDArray[np.uint8], fan: FanGeometry, ping: Ping) -> None:
@@ -159,19 +161,19 @@ class Painter:
 
     def _draw_caption(self, frame: NDArray[np.uint8], ping: Ping) -> None:
         for index, line in enumerate(caption_lines(ping)):
-            place = (16 * self._unit_px, (28 + 24 * index) * self._unit_px)
-            self._write(frame, line, place)
+            position = (16 * self._unit_px, (28 + 24 * index) * self._unit_px)
+            self._write(frame, line, position)
 
     def _write(
         self,
         frame: NDArray[np.uint8],
         text: str,
-        place: tuple[float, float],
+        position: tuple[float, float],
         *,
         centred: bool = False,
     ) -> None:
         font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.55 * self._unit_px
-        x, y = place
+        x, y = position
         if centred:
             (width, height), _ = cv2.getTextSize(text, font, size, 1)
             x, y = x - width / 2, y + height / 2
@@ -181,7 +183,7 @@ class Painter:
 def _size_px(
     bearings_rad: NDArray[np.float64], height_px: int, margins: tuple[int, int, int, int]
 ) -> tuple[int, int]:
-    """Return width and height, even as video wants them, in which the fan is as high as can be."""
+    """Return width and height, even as video codecs require, with the largest possible fan."""
     left, top, right, bottom = margins
     half = float(np.abs(np.sin(edges_rad(bearings_rad))).max())
     width = math.ceil(2.0 * (height_px - top - bottom) * half + left + right)
@@ -190,14 +192,14 @@ def _size_px(
 
 
 def warp_to_fan(level: NDArray[np.float32], fan: FanGeometry) -> NDArray[np.float32]:
-    """Lay samples into a fan, bilinear; rows too many for the picture are averaged.
+    """Resample samples into a fan, bilinear. Rows too many for the image are averaged.
 
     Args:
-        level: float32 (rows, beams), beams in the order of their bearings.
-        fan: where the pixels lie.
+        level: float32 (rows, beams), beams in order of bearing.
+        fan: geometry of the image.
 
     Returns:
-        float32 (fan.height_px, fan.width_px); outside the fan, what is nearest.
+        float32 (fan.height_px, fan.width_px); outside the fan, the nearest sample.
     """
     rows, beams = level.shape
     most = max(1, 2 * fan.height_px)
@@ -217,7 +219,7 @@ def _draw_line(frame: NDArray[np.uint8], points: NDArray[np.float64]) -> None:
 
 _MAX_RINGS: Final = 6
 _SLACK: Final = 2e-3
-"""Images end a little before the range that was asked for: 1.998 m are shown with a ring at 2 m."""
+"""Images end slightly before the requested range: 1.998 m get a ring at 2 m."""
 
 _SPOKE_STEPS_DEG: Final = (5, 10, 15, 30, 45)
 _MAX_SPOKES: Final = 9
@@ -233,7 +235,7 @@ def ring_ranges_m(max_range_m: float) -> list[float]:
 
 
 def spoke_bearings_deg(bearings_rad: NDArray[np.float64]) -> list[int]:
-    """Return at most nine whole bearings within the aperture, 0 among them if it is inside."""
+    """Return at most nine integer bearings within the field of view, 0 among them if inside."""
     low, high = np.degrees(bearings_rad[[0, -1]])
     slack = 0.5
     for step in _SPOKE_STEPS_DEG:

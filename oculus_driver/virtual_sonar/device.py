@@ -1,4 +1,4 @@
-"""What every pretended sonar has in common: who it is, what it was told, what it says of itself."""
+"""Common behaviour of virtual sonars: identity, requests of clients, statuses."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _VERSION_2: Final = 2
 
 @dataclass(frozen=True, slots=True)
 class FireRequest:
-    """A fire message as it was received; field by field in `oculus_driver.wire`."""
+    """A received fire message; fields as in `oculus_driver.wire`."""
 
     version: int = 2
     mode: int = 1
@@ -42,18 +42,18 @@ class FireRequest:
 
     @property
     def standby(self) -> bool:
-        """Whether it asks for silence."""
+        """Whether it requests standby."""
         return self.ping_rate == PingRate.STANDBY
 
     @property
     def triggered(self) -> bool:
-        """Whether it asks for one ping for each fire message."""
+        """Whether it requests one ping per fire message."""
         return bool(self.flags & FireFlags.NETWORK_TRIGGER)
 
 
 @dataclass(frozen=True, slots=True)
 class ConfigRequest:
-    """A user configuration message: without an address it asks, else it sets."""
+    """A user configuration message; without an address it is a query."""
 
     address: IPv4Address
     netmask: IPv4Address
@@ -61,7 +61,7 @@ class ConfigRequest:
 
     @property
     def is_query(self) -> bool:
-        """Whether the present configuration is asked for."""
+        """Whether the present configuration is queried."""
         return not int(self.address)
 
 
@@ -69,10 +69,10 @@ Command = FireRequest | ConfigRequest
 
 
 class CommandReader:
-    """Cuts the bytes of one client into commands. Total; holds at most one command.
+    """Splits the bytes of one client into commands. Never raises; buffers at most one command.
 
     Attributes:
-        ignored_bytes: bytes that belong to no command.
+        ignored_bytes: bytes outside commands.
     """
 
     def __init__(self) -> None:
@@ -80,7 +80,7 @@ class CommandReader:
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[Command]:
-        """Return the commands that these bytes complete, dummies left out."""
+        """Return the commands that these bytes complete, without dummies."""
         self._buffer += data
         commands: list[Command] = []
         while len(self._buffer) >= HEADER.size:
@@ -106,7 +106,7 @@ class CommandReader:
 
 
 def _size(message_id: int, version: int, payload_size: int) -> int:
-    """Return the bytes of a command. Some programs leave the payload size of theirs at 0."""
+    """Return the size of a command. Some programs leave the payload size at 0."""
     if payload_size:
         return HEADER.size + payload_size
     if message_id == MessageId.FIRE:
@@ -147,7 +147,7 @@ def _fire(data: bytes) -> FireRequest | None:
 
 
 RUNNING: Final = 0x03
-"""Status bits of a sonar that is well: its main application runs."""
+"""Status bits of a sonar in order: its main application is running."""
 
 DATA_PORT_IN_USE: Final = 1 << 7
 
@@ -160,12 +160,12 @@ _SHUT_DOWN: Final = 0b11 << 14
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who the sonar says it is; None takes it from the recording.
+    """Identity of the sonar; None: from the recording.
 
     Attributes:
         device_id: serial number.
-        part_number: see `oculus_driver.models`; M750d where the recording does not know either.
-        address, netmask: told in statuses.
+        part_number: see `oculus_driver.models`; M750d if the recording has none.
+        address, netmask: as in statuses.
     """
 
     device_id: int | None = None
@@ -175,19 +175,21 @@ class Identity:
 
 
 class VirtualDevice:
-    """Hears fire messages and says who it is. No sockets, no clock.
+    """Processes fire messages and reports a status. No sockets, no clock.
 
     Args:
-        identity: of the sonar, complete.
-        ignored_fire_version: version of fire messages that are not understood.
+        identity: of the sonar.
+        device_id: serial number.
+        part_number: of the model.
+        ignored_fire_version: version of fire messages to ignore.
 
     Attributes:
-        request: the last fire message obeyed, or None.
-        status_bits: as in statuses; change them to overheat the sonar or halt it.
-        temperature_c, pressure_bar: told in statuses.
-        fires: fire messages obeyed.
-        fires_ignored: fire messages not understood.
-        triggers: fire messages that have not had their ping yet, in triggered mode.
+        request: the last accepted fire message, or None.
+        status_bits: as in statuses; set them to simulate overheating or a halted boot loader.
+        temperature_c, pressure_bar: as in statuses.
+        fires: accepted fire messages.
+        fires_ignored: ignored fire messages.
+        triggers: number of fire messages without a ping yet, in triggered mode.
     """
 
     def __init__(
@@ -207,31 +209,31 @@ class VirtualDevice:
 
     @property
     def source_id(self) -> int:
-        """What the headers of its own messages carry."""
+        """Source id in the headers of its own messages."""
         return self._device_id & 0xFFFF
 
     @property
     def part_number(self) -> int:
-        """Which model it is, see `oculus_driver.models`."""
+        """Part number, see `oculus_driver.models`."""
         return self._part_number
 
     @property
     def can_ping(self) -> bool:
-        """Whether its status bits allow it to ping."""
+        """Whether its status bits allow pings."""
         halted = self.status_bits & _MASTER_STATE != RUNNING
         return not halted and self.status_bits & _SHUT_DOWN != _SHUT_DOWN
 
     @property
     def triggered(self) -> bool:
-        """Whether each ping needs a fire message of its own."""
+        """Whether each ping needs its own fire message."""
         return self.request is not None and self.request.triggered
 
     def receive(self, reader: CommandReader, data: bytes) -> list[bytes]:
-        """Take bytes of a client and return the messages that answer them."""
+        """Process bytes of a client and return the replies."""
         return [reply for command in reader.feed(data) if (reply := self._apply(command))]
 
     def status(self, client: IPv4Address | None) -> bytes:
-        """Return a status datagram; `client` is who holds the data port."""
+        """Return a status datagram; `client` is the connected client."""
         return encode_status(
             device_id=self._device_id,
             part_number=self._part_number,

@@ -1,4 +1,4 @@
-"""How a played sonar misbehaves: decided by dice that fall the same way for the same number."""
+"""Injected faults of a virtual sonar, reproducible by seed."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ _MAX_GARBAGE: Final = 4096
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """What goes wrong, and how often. Shares are of pings, 0 to 1; the default is no fault.
+    """Types and frequencies of faults. Shares are of all pings, 0 to 1; the default is no fault.
 
     Attributes:
-        cut: share of pings that end in the middle, with the connection.
-        flip: share of pings in which one to eight bits are flipped.
-        stall: share of pings before which nothing is sent for `stall_s`.
-        stall_s: seconds of a stall.
-        lose: share of pings that are never sent, though their ids count.
-        garbage: share of pings before which up to 4096 bytes of noise are sent.
-        restart: share of pings before which the sonar restarts: the connection ends, ids and
-            device time begin anew.
-        restart_ids: share of pings before which only ids and device time begin anew.
-        reorder_statuses: share of statuses that are sent after the next one, and that one twice.
-        refuse_second: close the connection of a second client at once instead of letting it wait.
-        silent_after_s: send nothing more to a client that has not fired for so long; None never.
-        ignored_fire_version: version of fire messages that are not understood, None for none.
-        piece_bytes: largest piece of a message that is handed to the network at once.
-        number: of the dice.
+        cut: share of pings cut in the middle; the connection ends, too.
+        flip: share of pings with one to eight flipped bits.
+        stall: share of pings preceded by a pause of `stall_s`.
+        stall_s: duration of a stall, seconds.
+        lose: share of pings that are not sent; their ids are skipped.
+        garbage: share of pings preceded by up to 4096 bytes of noise.
+        restart: share of pings preceded by a restart: the connection ends, ids and device time
+            start anew.
+        restart_ids: share of pings at which only ids and device time start anew.
+        reorder_statuses: share of statuses sent after the next one, which is sent twice.
+        refuse_second: reject a second client at once instead of letting it wait.
+        silent_after_s: stop sending to a client without a fire message for so long; None: never.
+        ignored_fire_version: version of fire messages to ignore; None: none.
+        piece_bytes: maximum size of a single write; None: whole messages.
+        seed: of the random numbers.
     """
 
     cut: float = 0.0
@@ -46,24 +46,24 @@ class Faults:
     silent_after_s: float | None = None
     ignored_fire_version: int | None = None
     piece_bytes: int | None = None
-    number: int = 0
+    seed: int = 0
 
 
 SHARES: Final = tuple(
     item.name for item in fields(Faults) if item.type == "float" and item.name != "stall_s"
 )
-"""Names of the faults that are given as shares."""
+"""Names of the faults given as shares."""
 
 
 @dataclass(frozen=True, slots=True)
 class FaultedPing:
-    """What is done with one ping.
+    """What is sent for one ping.
 
     Attributes:
         noise: bytes sent in front of it.
-        data: what is sent of it; empty where it is lost.
-        damaged: whether that is not the whole, unchanged ping.
-        cut: whether the connection ends with it.
+        data: the bytes of the ping; empty if it is lost.
+        damaged: whether `data` is not the complete, unchanged ping.
+        cut: whether the connection ends.
     """
 
     noise: bytes = field(default=b"", repr=False)
@@ -73,21 +73,21 @@ class FaultedPing:
 
 
 class FaultInjector:
-    """Decides what happens to each ping and status."""
+    """Selects the faults of each ping and status."""
 
     def __init__(self, faults: Faults) -> None:
         self._faults = faults
-        self._rng = np.random.default_rng(faults.number)
+        self._rng = np.random.default_rng(faults.seed)
 
     def before_ping(self) -> str | None:
-        """Return what happens before the next ping: restart, restart_ids, stall or None."""
+        """Return the event before the next ping: restart, restart_ids, stall or None."""
         for name in ("restart", "restart_ids", "stall"):
             if self._happens(getattr(self._faults, name)):
                 return name
         return None
 
     def apply(self, data: bytes) -> FaultedPing:
-        """Return what is sent for a ping that would be these bytes."""
+        """Return what is sent for a ping of these bytes."""
         noise = b""
         if self._happens(self._faults.garbage):
             noise = self._rng.bytes(int(self._rng.integers(1, _MAX_GARBAGE + 1)))
@@ -100,8 +100,8 @@ class FaultInjector:
             return FaultedPing(noise=noise, data=self._flipped(data), damaged=True)
         return FaultedPing(noise=noise, data=data)
 
-    def holds_status(self) -> bool:
-        """Tell whether the next status waits for the one after it."""
+    def delays_status(self) -> bool:
+        """Return whether the next status is delayed until after the one after it."""
         return self._happens(self._faults.reorder_statuses)
 
     def _happens(self, share: float) -> bool:

@@ -1,4 +1,4 @@
-"""The sonar that a recording pretends to be: what it was told, and what it sends next."""
+"""Playback of a recording as a virtual sonar."""
 
 from __future__ import annotations
 
@@ -34,25 +34,25 @@ RATES_HZ: Final = {
 
 
 class PlaybackDevice(VirtualDevice):
-    """Obeys fire messages and deals out what was recorded. No sockets, no clock.
+    """Plays recorded messages and follows fire messages. No sockets, no clock.
 
-    Until a fire message comes it pings as recorded, or is in standby: real sonars keep their last
-    settings over power cycles. Of a fire message it obeys standby, ping rate (never faster than
-    recorded) and network trigger; with `resampled` also range, beams, samples, gain words, mode and
-    version of the results, see `oculus_driver.virtual_sonar.resample`.
+    Before the first fire message it pings as recorded, or is in standby: real sonars keep their
+    last settings over power cycles. It follows standby, ping rate (never faster than recorded) and
+    network trigger; with `resampled` also range, beams, samples, gain words, mode and version of
+    the results, see `oculus_driver.virtual_sonar.resample`.
 
     Args:
-        track: what is played.
+        source: the messages to play.
         identity: of the sonar.
-        resampled: make pings anew as asked for, instead of sending them as recorded.
-        standby: be silent until a fire message asks for pings.
-        loops: how often the track is played, None for ever.
-        ignored_fire_version: version of fire messages that are not understood.
+        resampled: convert pings to the requested settings instead of sending them as recorded.
+        standby: start in standby.
+        loops: number of repetitions, None: endless.
+        ignored_fire_version: version of fire messages to ignore.
     """
 
     def __init__(
         self,
-        track: MessageSource,
+        source: MessageSource,
         identity: Identity | None = None,
         *,
         resampled: bool = False,
@@ -61,12 +61,12 @@ class PlaybackDevice(VirtualDevice):
         ignored_fire_version: int | None = None,
     ) -> None:
         identity = identity or Identity()
-        self._track = track
+        self._source = source
         self._resampled = resampled
         self._standby = standby
         self._loops_left = loops
         self._renumbering = Renumbering()
-        self._join_wait_ns = 0  # between the end of the track and its beginning
+        self._join_wait_ns = 0  # between the end of the recording and its repetition
         self._steps: Generator[TimedMessage, None, None] | None = None
         self._upcoming: TimedMessage | None = None
         self._load()
@@ -78,14 +78,14 @@ class PlaybackDevice(VirtualDevice):
 
     @property
     def pinging(self) -> bool:
-        """Whether it transmits by itself or on triggers."""
+        """Whether it transmits, continuously or on triggers."""
         if not self.can_ping or self._upcoming is None:
             return False
         return not (self._standby if self.request is None else self.request.standby)
 
     @property
     def ended(self) -> bool:
-        """Whether everything was played."""
+        """Whether all messages were played."""
         return self._upcoming is None
 
     @property
@@ -95,10 +95,10 @@ class PlaybackDevice(VirtualDevice):
         return step is not None and step.message.message_id == MessageId.PING_RESULT
 
     async def prepare(self) -> None:
-        """Do nothing: what was recorded is ready."""
+        """Do nothing: recorded messages are always prepared."""
 
     def wait_ns(self) -> int:
-        """Return the time between the last message and the next one."""
+        """Return the time between the previous message and the next one."""
         if self._upcoming is None or (self.triggered and self.next_is_ping):
             return 0
         recorded_ns = self._join_wait_ns or self._upcoming.wait_ns
@@ -111,10 +111,10 @@ class PlaybackDevice(VirtualDevice):
         """Return the next message and, of a ping, its id.
 
         Raises:
-            LookupError: everything was played.
+            LookupError: all messages were played.
         """
         if self._upcoming is None:
-            raise LookupError("everything was played")
+            raise LookupError("all messages were played")
         message = self._upcoming.message
         data, ping_id = self._renumbering.apply(message)
         if ping_id is not None:
@@ -125,7 +125,7 @@ class PlaybackDevice(VirtualDevice):
         return data, ping_id
 
     def restart(self) -> None:
-        """Begin ids and device time anew; settings stay."""
+        """Restart ids and device time; the settings stay."""
         self._renumbering.restart()
 
     def close(self) -> None:
@@ -142,7 +142,7 @@ class PlaybackDevice(VirtualDevice):
         return resample_ping(ping, request, self._part_number) if isinstance(ping, Ping) else data
 
     def _load(self) -> None:
-        """Fetch the next step; at the end of the track begin it again while loops are left."""
+        """Load the next message; at the end of the recording start over while loops are left."""
         last_wait_ns = DEFAULT_WAIT_NS if self._upcoming is None else self._upcoming.wait_ns
         self._join_wait_ns = 0
         self._upcoming = None if self._steps is None else next(self._steps, None)
@@ -152,7 +152,7 @@ class PlaybackDevice(VirtualDevice):
             self._loops_left -= 1
         if self._steps is not None:
             self._join_wait_ns = last_wait_ns or DEFAULT_WAIT_NS
-        self._steps = iter(self._track)
+        self._steps = iter(self._source)
         self._upcoming = next(self._steps, None)
         self._renumbering.join()
 
@@ -164,30 +164,30 @@ _WRAP: Final = 1 << 32
 _FIRST_ID: Final = 1
 _STEP_S: Final = 0.1
 _STEP_TICKS: Final = 12_500_000
-"""A tenth of a second, at 8 ns a tick."""
+"""0.1 s at 8 ns per tick."""
 
 
 class Renumbering:
-    """Shifts ids and times by what `join` and `restart` ask for; by nothing in a first pass."""
+    """Shifts ids and times so that they continue when a recording is repeated."""
 
     def __init__(self) -> None:
-        self._anchor: str | None = None  # what the next ping shall do: join or restart
+        self._anchor: str | None = None  # pending shift for the next ping: join or restart
         self._id_shift = 0
         self._time_shift = 0.0
         self._boots = 0
         self._last: tuple[int, float] | None = None  # id and time
 
     def join(self) -> None:
-        """Let the next ping follow the last one, if there was one."""
+        """Let the next ping continue the sequence of the last one, if there is one."""
         if self._last is not None and self._anchor is None:
             self._anchor = "join"
 
     def restart(self) -> None:
-        """Let the next ping be the first after power-up."""
+        """Let the next ping be the first one after power-up."""
         self._anchor = "restart"
 
     def apply(self, message: Message) -> tuple[bytes, int | None]:
-        """Return the message as it is sent, and its ping id where it is a ping."""
+        """Return the shifted message and, of a ping, its id."""
         layout = ping_result_layout(message.version)
         if message.message_id != MessageId.PING_RESULT or layout is None:
             return message.data, None
@@ -213,7 +213,7 @@ class Renumbering:
             self._id_shift = self._last[0] + 1 - ping_id
             self._time_shift = self._last[1] + step - time
         elif self._anchor == "restart":
-            # No two boots take the same time: their first pings are not one ping twice.
+            # Boot times differ, so that the first pings of two boots are not duplicates.
             self._boots += 1
             self._id_shift = _FIRST_ID - ping_id
             self._time_shift = step * (1 + self._boots / 1024) - time
@@ -221,30 +221,30 @@ class Renumbering:
 
 
 TICK_NS: Final = 8
-"""Length of a version-1 clock tick, inferred from captures at a known ping rate."""
+"""Length of a version-1 clock tick, derived from captures with a known ping rate."""
 
 MAX_WAIT_NS: Final = 10_000_000_000
 """Longer pauses of a recording are shortened to this."""
 
 DEFAULT_WAIT_NS: Final = 100_000_000
-"""Between pings whose times nobody knows: the sonar's own normal rate."""
+"""Wait between pings without times: the sonar's normal rate."""
 
 _TICKS_WRAP: Final = 1 << 32
 
 
 @dataclass(frozen=True, slots=True)
 class TimedMessage:
-    """One message and the wait since the message before it; 0 before the first."""
+    """One message and the wait since the previous one; 0 before the first."""
 
     message: Message
     wait_ns: int
 
 
 class MessageSource:
-    """The messages that a sonar sent, in order; can be iterated again and again.
+    """The messages sent by a sonar, in order; can be iterated repeatedly.
 
     Args:
-        source: path of a recording of any kind, or whole messages.
+        source: path of a recording of any format, or complete messages.
     """
 
     def __init__(self, source: str | os.PathLike[str] | Sequence[bytes]) -> None:
@@ -253,7 +253,7 @@ class MessageSource:
     def __iter__(self) -> Generator[TimedMessage, None, None]:
         last: Message | None = None
         for message in self._messages():
-            if message.message_id == MessageId.FIRE:  # said by a client
+            if message.message_id == MessageId.FIRE:  # sent by a client
                 continue
             yield TimedMessage(message, 0 if last is None else _wait_ns(last, message))
             last = message
@@ -279,7 +279,7 @@ def _parsed(pieces: Iterable[bytes]) -> Iterator[Message]:
 
 
 def _wait_ns(before: Message, after: Message) -> int:
-    """Return the time between two messages: by arrival, else by the sonar's clock."""
+    """Return the time between two messages, by arrival or else by the sonar's clock."""
     if before.arrival_ns is not None and after.arrival_ns is not None:
         wait_ns = after.arrival_ns - before.arrival_ns
     else:
@@ -299,7 +299,7 @@ def _device_wait_ns(before: Message, after: Message) -> int:
 
 
 def _device_time_ns(message: Message) -> tuple[int, int] | None:
-    """Return the sonar's own time and after how long it wraps, 0 for never."""
+    """Return the sonar's own time and the period after which it wraps, 0 for never."""
     layout = ping_result_layout(message.version)
     if message.message_id != MessageId.PING_RESULT or layout is None:
         return None
@@ -311,20 +311,20 @@ def _device_time_ns(message: Message) -> tuple[int, int] | None:
 
 
 class PlaybackSonar(VirtualSonar[PlaybackDevice]):
-    """A recording as a sonar on this computer; `async with`.
+    """A recording served as a sonar on this computer, within an `async with` block.
 
     Args:
-        source: path of a recording of any kind, or whole messages.
-        speed: of the recorded time; None sends as fast as the client takes it.
-        loops: how often the source is played, None for ever; then only signs of life follow.
-        identity: who the sonar says it is; its address None means `host`.
-        resampled, standby: see `oculus_driver.virtual_sonar.playback.PlaybackDevice`.
+        source: path of a recording of any format, or complete messages.
+        speed: factor on the recorded time; None: as fast as the client reads.
+        loops: number of repetitions, None: endless. At the end only dummies follow.
+        identity: of the sonar; None: address of `host`, the rest from the recording.
+        resampled, standby: see `PlaybackDevice`.
         host, port, status_to, status_period_s, dummy_period_s, faults, on_ping: see
             `oculus_driver.virtual_sonar.server.VirtualSonar`.
 
     Raises:
-        RecordingError: the source is no recording.
-        OculusError: the address cannot be listened on; raised on entering.
+        RecordingError: the source is not a recording.
+        OculusError: the address cannot be opened; raised on entering.
     """
 
     def __init__(
@@ -366,6 +366,6 @@ class PlaybackSonar(VirtualSonar[PlaybackDevice]):
 
 
 def advertised_address(host: str) -> IPv4Address:
-    """Return the address that statuses tell of a sonar that listens at `host`."""
+    """Return the address in the statuses of a sonar that listens at `host`."""
     address = IPv4Address(host)
     return LOCAL if address == ANY else address

@@ -1,8 +1,9 @@
-"""A recorded ping as the sonar would have sent it with other settings.
+"""Converts a recorded ping to other settings.
 
-What was recorded stays what was heard: rows are cut, padded with silence or taken together, beams
-and samples are repeated or thinned. The number of rows follows the law that was measured on real
-sonars: the spacing is a base step times a power of two, so that there are at most 720 rows.
+The recorded echoes stay: rows are cut, padded with zeros or combined, beams and samples are
+    repeated
+or thinned. The number of rows follows measurements on real sonars: the row spacing is a base step
+times a power of two, so that there are at most 720 rows.
 """
 
 from __future__ import annotations
@@ -29,14 +30,14 @@ _VERSION_2: Final = 2
 _U32: Final = struct.Struct("<I")
 
 GARBAGE_PING_RATE: Final = 195
-"""Real firmware echoes rubbish here; captures hold this value."""
+"""Real firmware echoes an undefined value here; captures contain this one."""
 
 GARBAGE_NETWORK_SPEED: Final = 25
-"""Echoed by real firmware whatever was asked for."""
+"""Real firmware echoes this value for any request."""
 
 
 def resample_ping(ping: Ping, request: FireRequest, part_number: int) -> bytes:
-    """Return the ping as a message with the range, beams, samples and version asked for."""
+    """Return the ping as a message with the requested range, beams, samples and version."""
     range_m = requested_range_m(request, part_number)
     image, step_m, gains = _rows(ping, range_m)
     bearings_cdeg, image = _beams(ping, image, 512 if request.flags & FireFlags.FULL_BEAMS else 256)
@@ -65,13 +66,13 @@ def resample_ping(ping: Ping, request: FireRequest, part_number: int) -> bytes:
 
 
 def requested_range_m(request: FireRequest, part_number: int) -> float:
-    """Return the range in metres, cut at what the model can do."""
+    """Return the range in metres, limited to the model's range."""
     wide, narrow = model_of(part_number).family.max_range_m
     largest = wide if request.mode == 1 or narrow is None else narrow
     asked = request.range_demand
     if not request.flags & FireFlags.RANGE_IN_METRES:
         asked *= largest / 100.0
-    return min(max(_MIN_RANGE_M, asked), largest)  # in this order NaN is the smallest
+    return min(max(_MIN_RANGE_M, asked), largest)  # in this order NaN gives the minimum
 
 
 def _rows(ping: Ping, range_m: float) -> tuple[NDArray[Any], float, NDArray[np.uint32]]:
@@ -99,7 +100,7 @@ def _beams(ping: Ping, image: NDArray[Any], beams: int) -> tuple[NDArray[np.int1
 
 
 def requested_bits(request: FireRequest) -> int:
-    """Return the bits per sample asked for."""
+    """Return the requested bits per sample."""
     if request.version == _VERSION_2 and request.extended_flags & EXTENDED_32_BIT:
         return 32
     return 16 if request.flags & FireFlags.SIXTEEN_BIT else 8
@@ -125,7 +126,7 @@ def _start_time(ping: Ping, version: int) -> float:
 
 
 def with_settings_echo(data: bytes, request: FireRequest) -> bytes:
-    """Return a ping with what real firmware echoes of a fire message, the rubbish included."""
+    """Return a ping with the firmware's echo of a fire message, including its undefined values."""
     changed = bytearray(data)
     changed[FIRE_V1.offset_of("ping_rate")] = GARBAGE_PING_RATE
     changed[FIRE_V1.offset_of("network_speed_mbps")] = GARBAGE_NETWORK_SPEED

@@ -1,4 +1,4 @@
-"""A pretended sonar on the network: statuses on UDP, pings on TCP, fire messages obeyed."""
+"""Serves a virtual sonar on the network: statuses on UDP, pings on TCP, fire messages."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class VirtualSonarCounters:
-    """What a played sonar has done.
+    """Counters of a virtual sonar.
 
     Attributes:
-        clients: connections served; refused: closed at once.
-        pings: sent whole; pings_damaged: flipped, cut or lost on purpose.
-        other_messages: dummies, answers and whatever else was recorded.
-        bytes_sent: of the data port.
-        stalls, restarts, cuts: that happened.
+        clients: clients served; refused: clients rejected at once.
+        pings: complete pings; pings_damaged: pings with injected faults.
+        other_messages: dummies, replies and other recorded messages.
+        bytes_sent: on the data port.
+        stalls, restarts, cuts: injected faults.
         statuses: datagrams sent; statuses_unsent: refused by the network.
     """
 
@@ -46,84 +46,84 @@ class VirtualSonarCounters:
 
 _MAX_READ: Final = 1 << 16
 _FLUSH_S: Final = 1.0
-"""How long a client that is let go may take to read what was sent."""
+"""Time for a disconnected client to read what was sent."""
 
 _LATE_S: Final = 0.5
-"""A ping this late is not caught up: a sonar sends fewer pings through a slow link."""
+"""A ping later than this is not caught up: over a slow link a sonar sends fewer pings, too."""
 
 ANY: Final = IPv4Address("0.0.0.0")  # noqa: S104 - compared, not bound
 
 
 class Device(Protocol):
-    """What a served sonar is inside: it hears fire messages and makes what is sent.
+    """The inside of a virtual sonar: processes fire messages and produces messages.
 
-    `virtual_sonar.playback.PlaybackDevice` takes it from a recording; a simulator makes it.
+    `virtual_sonar.playback.PlaybackDevice` takes them from a recording; a simulator computes them.
     """
 
     @property
     def pinging(self) -> bool:
-        """Whether it transmits by itself or on triggers."""
+        """Whether it transmits, continuously or on triggers."""
 
     @property
     def ended(self) -> bool:
-        """Whether nothing more will come."""
+        """Whether there are no more messages."""
 
     @property
     def source_id(self) -> int:
-        """What the headers of its own messages carry."""
+        """Source id in the headers of its own messages."""
 
     @property
     def triggered(self) -> bool:
-        """Whether each ping needs a fire message of its own."""
+        """Whether each ping needs its own fire message."""
 
     @property
     def triggers(self) -> int:
-        """Fire messages that have not had their ping yet, in triggered mode."""
+        """Number of fire messages without a ping yet, in triggered mode."""
 
     @property
     def next_is_ping(self) -> bool:
         """Whether the next message is a ping."""
 
     def receive(self, reader: CommandReader, data: bytes) -> list[bytes]:
-        """Take bytes of a client and return the messages that answer them."""
+        """Process bytes of a client and return the replies."""
 
     async def prepare(self) -> None:
-        """Get the next message ready, however long that takes; may be cancelled and repeated."""
+        """Prepare the next message; may take any time, be cancelled, and be repeated."""
 
     def wait_ns(self) -> int:
-        """Return the time between the last message and the one that is ready."""
+        """Return the time between the previous message and the prepared one."""
 
     def take(self) -> tuple[bytes, int | None]:
-        """Return the message that is ready and, of a ping, its id."""
+        """Return the prepared message and, of a ping, its id."""
 
     def restart(self) -> None:
-        """Begin ids and device time anew; settings stay."""
+        """Restart ids and device time; the settings stay."""
 
     def status(self, client: IPv4Address | None) -> bytes:
-        """Return a status datagram; `client` is who holds the data port."""
+        """Return a status datagram; `client` is the connected client."""
 
     def close(self) -> None:
-        """Let go of what it holds."""
+        """Release resources."""
 
 
 DeviceT = TypeVar("DeviceT", bound=Device)
 
 
 class VirtualSonar(Generic[DeviceT]):
-    """A sonar on this computer, `async with`; it serves one client at a time, others wait.
+    """A sonar on this computer within an `async with` block. It serves one client at a time.
 
     Args:
-        device: what the sonar is inside.
+        device: the inside of the sonar.
         host: address to listen on.
-        port: TCP port, 0 for any free one, see `port`.
-        speed: of the device's time; None sends as fast as the client takes it.
-        status_to: where statuses go, such as `(broadcast_of(host), STATUS_PORT)`.
-        status_period_s, dummy_period_s: between statuses; between signs of life in standby.
-        faults: how it misbehaves.
-        on_ping: called with the id of each ping that is sent, and whether it goes out whole.
+        port: TCP port; 0 for any free one, see attribute `port`.
+        speed: factor on the device's time; None: as fast as the client reads.
+        status_to: destinations of statuses, such as `(broadcast_of(host), STATUS_PORT)`.
+        status_period_s, dummy_period_s: interval of statuses; interval of dummies in standby.
+        faults: injected faults.
+        on_ping: called with the id of each sent ping, and whether it is complete.
 
     Raises:
-        OculusError: the address cannot be listened on; raised on entering.
+        OculusError: the address cannot be opened; raised on entering.
     """
 
     def __init__(
@@ -187,8 +187,8 @@ class VirtualSonar(Generic[DeviceT]):
             writer.transport.abort()
         try:
             cancelled = kind is not None and issubclass(kind, asyncio.CancelledError)
-            told = (kind, error, trace) if cancelled else (None, None, None)
-            await self._tasks.__aexit__(*told)  # what the body raises stays as it is
+            passed = (kind, error, trace) if cancelled else (None, None, None)
+            await self._tasks.__aexit__(*passed)  # do not wrap exceptions of the body
         finally:
             self.device.close()
             if self._server is not None:
@@ -210,12 +210,12 @@ class VirtualSonar(Generic[DeviceT]):
                 return
             async with self._serving:
                 self.counters.clients += 1
-                peer = writer.get_extra_info("peername")  # None if it has left already
+                peer = writer.get_extra_info("peername")  # None if the client has disconnected
                 self._client = IPv4Address(peer[0]) if peer else None
                 await _run_until_first(self._receive(reader, writer), self._send(writer))
                 await _flush_and_close(reader, writer)
         except OSError:
-            pass  # the client is gone, which is its right; "not connected" is no ConnectionError
+            pass  # the client has disconnected; "not connected" is not a ConnectionError
         finally:
             if not self._serving.locked():
                 self._client = None
@@ -225,7 +225,7 @@ class VirtualSonar(Generic[DeviceT]):
                 self.finished.set()
 
     async def _receive(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Obey the client until it leaves."""
+        """Process the client's messages until it disconnects."""
         commands = CommandReader()
         self._heard_s = _now_s()
         while data := await reader.read(_MAX_READ):
@@ -236,9 +236,9 @@ class VirtualSonar(Generic[DeviceT]):
             self._changed.set()
 
     async def _send(self, writer: asyncio.StreamWriter) -> None:
-        """Send what is due until the connection is cut on purpose."""
+        """Send messages when they are due, until a fault closes the connection."""
         self._due_s = self._alive_s = _now_s()
-        writer.transport.set_write_buffer_limits(high=0)  # what is drained is with the kernel
+        writer.transport.set_write_buffer_limits(high=0)  # drained bytes are in the kernel
         while True:
             if self.device.ended:
                 self.finished.set()
@@ -255,7 +255,7 @@ class VirtualSonar(Generic[DeviceT]):
                 await self._write(writer, data)
 
     async def _is_due(self) -> bool:
-        """Wait for the next message; False if something has changed before."""
+        """Wait for the next message; return False if the settings changed first."""
         if self.device.triggered and self.device.next_is_ping and not self.device.triggers:
             await self._wait_for_change(None)
             return False
@@ -270,7 +270,7 @@ class VirtualSonar(Generic[DeviceT]):
         return True
 
     async def _send_ping(self, writer: asyncio.StreamWriter) -> bool:
-        """Send the next ping, or what the faults make of it; False if the connection ends."""
+        """Send the next ping with its faults; return False if the connection ends."""
         match self._injector.before_ping():
             case "restart":
                 self.counters.restarts += 1
@@ -305,7 +305,7 @@ class VirtualSonar(Generic[DeviceT]):
         self.counters.bytes_sent += len(data)
 
     async def _send_dummy(self, writer: asyncio.StreamWriter) -> None:
-        """In standby: a dummy once in a while. The time of the recording stands still."""
+        """Send a dummy at intervals in standby. The time of the recording stands still."""
         next_s = self._alive_s + self._dummy_period_s
         if not await self._wait_for_change(next_s - _now_s()):
             self._alive_s = _now_s()
@@ -315,12 +315,12 @@ class VirtualSonar(Generic[DeviceT]):
         self._due_s = _now_s()
 
     def _client_timed_out(self) -> bool:
-        """Whether the client has not fired for too long."""
+        """Return whether the client has not sent a fire message for too long."""
         limit_s = self.faults.silent_after_s
         return limit_s is not None and _now_s() - self._heard_s > limit_s
 
     async def _wait_for_change(self, limit_s: float | None) -> bool:
-        """Wait until the client has said something, at most `limit_s`; tell whether it has."""
+        """Wait for a message of the client, at most `limit_s`; return whether there was one."""
         if limit_s is not None and limit_s <= 0.0:
             await asyncio.sleep(0)
         else:
@@ -343,10 +343,10 @@ class VirtualSonar(Generic[DeviceT]):
 
 
 async def _flush_and_close(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """End the stream and read on until the client has seen it.
+    """End the stream and read until the client has received everything.
 
-    To close with commands unread would reset the connection, and the client would lose pings that
-    were sent whole.
+    Closing with unread commands would reset the connection, and the client would lose complete
+    pings.
     """
     writer.write_eof()
     with contextlib.suppress(TimeoutError):
@@ -356,7 +356,7 @@ async def _flush_and_close(reader: asyncio.StreamReader, writer: asyncio.StreamW
 
 
 async def _close(writer: asyncio.StreamWriter) -> None:
-    """Close a connection, whether its client reads what is left or not."""
+    """Close a connection, whether or not its client reads the rest."""
     writer.close()
     try:
         async with asyncio.timeout(_FLUSH_S):
@@ -367,7 +367,7 @@ async def _close(writer: asyncio.StreamWriter) -> None:
         writer.transport.abort()
         raise
     except OSError:
-        pass  # the client was first
+        pass  # the client closed first
 
 
 def _now_s() -> float:
@@ -375,7 +375,7 @@ def _now_s() -> float:
 
 
 async def _run_until_first(*works: Coroutine[None, None, None]) -> None:
-    """Run until one of these ends, cancel the others, and raise what one of them raised."""
+    """Run until the first one ends, cancel the others, and raise their exceptions."""
     tasks = [asyncio.ensure_future(work) for work in works]
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -390,16 +390,16 @@ async def _run_until_first(*works: Coroutine[None, None, None]) -> None:
 
 def _listen_error(host: str, port: int, error: OSError) -> str:
     reason = error.strerror or str(error)
-    return f"cannot listen on {host}:{port}: {reason}; choose another address or port"
+    return f"cannot listen on {host}:{port}: {reason}; use another address or port"
 
 
 def broadcast_of(host: str) -> str:
-    """Return where a sonar at this address broadcasts to: loopback stays on loopback."""
+    """Return the broadcast address for a sonar at this address; loopback stays on loopback."""
     return "127.255.255.255" if IPv4Address(host).is_loopback else "255.255.255.255"
 
 
 class _StatusSender(asyncio.DatagramProtocol):
-    """Counts what the network refuses; asyncio reports it after the call."""
+    """Counts send errors; asyncio reports them after the call."""
 
     def __init__(self, counters: VirtualSonarCounters) -> None:
         self._counters = counters
@@ -417,15 +417,15 @@ async def broadcast(
     faults: FaultInjector,
     counters: VirtualSonarCounters,
 ) -> None:
-    """Send statuses until cancelled, some of them late and the next one twice if the faults say so.
+    """Send statuses until cancelled. A fault swaps a status with the next one and repeats that.
 
     Args:
-        status: makes the datagram of this moment.
+        status: makes the present datagram.
         host: address to send from.
         targets: addresses and ports.
-        period_s: between statuses.
-        faults: decide which statuses wait for the one after them.
-        counters: get `statuses` and `statuses_unsent`.
+        period_s: interval of statuses.
+        faults: decide which statuses are delayed.
+        counters: `statuses` and `statuses_unsent` are incremented.
     """
     transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
         lambda: _StatusSender(counters), local_addr=(host, 0), allow_broadcast=True
@@ -434,7 +434,7 @@ async def broadcast(
     try:
         while True:
             now = status()
-            if held is None and faults.holds_status():
+            if held is None and faults.delays_status():
                 held = now
             else:
                 datagrams = (now,) if held is None else (now, held, now)

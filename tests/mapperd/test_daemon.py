@@ -282,7 +282,7 @@ def test_reset_empties_the_map(tmp_path: Path, pings: list[bytes]) -> None:
 def test_recording_of_a_troubled_dive_gives_the_map_again(
     tmp_path: Path, pings: list[bytes], odometry_bytes: MakeBytes
 ) -> None:
-    faults = Faults(cut=0.05, lose=0.05, flip=0.05, restart_ids=0.05, garbage=0.05, number=1)
+    faults = Faults(cut=0.05, lose=0.05, flip=0.05, restart_ids=0.05, garbage=0.05, seed=1)
     bench_: list[Bench] = []
 
     async def work() -> None:

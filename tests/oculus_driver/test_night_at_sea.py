@@ -32,7 +32,7 @@ FAULTS = Faults(
     stall_s=0.02,
     restart=0.004,
     restart_ids=0.002,
-    number=7,
+    seed=7,
 )
 
 

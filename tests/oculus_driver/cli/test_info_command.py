@@ -25,7 +25,7 @@ def test_text_has_a_histogram_of_rejects(oculus: Oculus, capture: bytes, tmp_pat
     said = oculus("info", path, "--pings")
     assert said.code == 0
     lines = said.out.splitlines()
-    assert "messages: 3, of these sound pings: 3" in lines
+    assert "messages: 3, valid pings: 3" in lines
     assert "  3 x 703 rows x 256 beams, 8 bit, 2.00 m, 2.099 MHz" in lines
     assert any(line.split()[:2] == ["truncated", "1"] and line.endswith("#") for line in lines)
     assert lines[-1].split()[0] == "415325"

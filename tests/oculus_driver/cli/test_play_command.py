@@ -91,4 +91,4 @@ def test_a_port_that_is_taken_is_one_line(oculus: Oculus, capture_path: Path) ->
     with socket.create_server(("127.0.0.1", 0)) as taken:
         said = oculus("play", capture_path, "--port", taken.getsockname()[1])
     assert said.code == 1
-    assert "choose another address or port" in said.err
+    assert "another address or port" in said.err

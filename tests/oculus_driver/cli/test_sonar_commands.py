@@ -83,7 +83,7 @@ def test_log_records_all_that_comes_and_starts_new_files(
 def test_a_log_goes_on_after_the_link_was_cut(
     oculus: Oculus, capture_path: Path, tmp_path: Path
 ) -> None:  # quirk 22
-    faults = Faults(restart=0.2, number=4)
+    faults = Faults(restart=0.2, seed=4)
     with played(capture_path, speed=50.0, faults=faults) as (sonar, status_port):
         words = ("--out", tmp_path, "--duration", "3", "--free-mb", "0", "--json")
         said = oculus("log", *where(sonar, status_port), *words)
@@ -135,10 +135,10 @@ def test_settings_that_cannot_be_are_one_line(oculus: Oculus, command: str) -> N
 def test_watching_nothing_is_a_fault(oculus: Oculus) -> None:
     said = oculus("watch", "--duration", 0.3, "--status-port", free_udp_port())
     assert (said.code, said.out) == (1, "")
-    assert "no sonar was heard" in said.err
+    assert "no sonar" in said.err
     said = oculus("watch", "127.0.0.1", "--ping", "--port", 9, "--duration", 0.3)
     assert said.code == 1
-    assert "no ping came" in said.err
+    assert "no ping" in said.err
 
 
 def test_a_log_goes_on_when_its_words_have_nowhere_to_go(
@@ -154,7 +154,7 @@ def test_a_log_goes_on_when_its_words_have_nowhere_to_go(
         done = subprocess.run(  # noqa: S603 - our own words
             command, stdout=full, stderr=subprocess.PIPE, text=True, check=False, timeout=60
         )
-    assert "going on without it" in done.stderr
+    assert "continuing without it" in done.stderr
     assert "Traceback" not in done.stderr
     assert sum(file.stat().st_size for file in tmp_path.iterdir()) > 100_000
     assert done.returncode == 0

@@ -75,7 +75,7 @@ def test_a_port_that_is_not_shared_is_named() -> None:
 
 def test_an_address_of_another_host_is_named() -> None:
     async def work() -> None:
-        with pytest.raises(DiscoveryError, match=r"192\.0\.2\.1 is no address of this host"):
+        with pytest.raises(DiscoveryError, match=r"192\.0\.2\.1 is not an address of this host"):
             await Discovery(port=0, host="192.0.2.1").__aenter__()
 
     run(work())
@@ -142,7 +142,7 @@ def test_what_needs_somebody_is_logged_once(caplog: pytest.LogCaptureFixture) ->
         run(work())
     said = [record.getMessage() for record in caplog.records]
     assert sum("serial number 7" in line for line in said) == 1
-    assert sum("model not known" in line for line in said) == 1  # quirk 24: warn once, go on
+    assert sum("unknown model" in line for line in said) == 1  # quirk 24: warn once, go on
     assert sum("overheated" in line for line in said) == 2  # quirk 17: each time that it begins
     assert len(said) == 4
 

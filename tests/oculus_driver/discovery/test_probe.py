@@ -85,7 +85,7 @@ SILENT = NOTHING | {"connected": True}
         (
             SILENT | {"bytes_received": 500, "bytes_rejected": 500},
             "frames",
-            "no message of an Oculus",
+            "500 bytes",
         ),
         (
             {"pings": 0, "ping_rejects": Counter(size_mismatch=4)},
@@ -102,7 +102,7 @@ SILENT = NOTHING | {"connected": True}
             "pings",
             "brown-out",
         ),  # quirk 18
-        ({"pings": 0, "messages": Counter({0xFF: 3}), "asked_for_pings": True}, "pings", "none"),
+        ({"pings": 0, "messages": Counter({0xFF: 3}), "asked_for_pings": True}, "pings", "request"),
     ],
 )
 def test_the_first_layer_that_fails_is_named(
@@ -122,7 +122,7 @@ def test_the_first_layer_that_fails_is_named(
     [
         ({"sonar": None}, "address", "no status on UDP port 52102"),
         ({"bytes_rejected": 10}, "frames", "10 of 1000 bytes"),
-        ({"messages": Counter()}, "frames", "no whole message"),
+        ({"messages": Counter()}, "frames", "no complete message"),
         ({"lost_pings": 2}, "pings", "lost: 2"),
         ({"ping_rejects": Counter(empty=1)}, "pings", "empty 1"),
     ],

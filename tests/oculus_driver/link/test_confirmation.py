@@ -126,7 +126,7 @@ def test_a_range_in_percent_is_judged_by_its_unit(show: Callable[..., Ping]) -> 
 
 def test_a_difference_reads_as_words(show: Callable[..., Ping]) -> None:
     (difference,) = differences(ASKED, show(range_m=9.5))
-    assert str(difference) == "range, m: asked 10, got 9.5"
+    assert all(word in str(difference) for word in ("range", "10", "9.5"))
 
 
 def test_the_first_ping_with_the_settings_confirms_them(show: Callable[..., Ping]) -> None:
@@ -139,20 +139,21 @@ def test_the_first_ping_with_the_settings_confirms_them(show: Callable[..., Ping
 
 
 def test_pings_that_show_otherwise_are_named_in_the_end(show: Callable[..., Ping]) -> None:
-    # quirk 6: eight seconds, because speed of sound and salinity take six and more.
+    # quirk 6: speed of sound and salinity take six seconds and more.
     watch = PendingConfirmation(ASKED, 0)
     watch.ping(show(range_m=3.0, gamma=1, gain_percent=10.0), S)
-    assert watch.deadline_ns == CONFIRM_TIMEOUT_NS == 8 * S
-    answer = watch.expire(8 * S)
+    assert watch.deadline_ns == CONFIRM_TIMEOUT_NS > 6 * S
+    answer = watch.expire(watch.deadline_ns)
     assert not answer.confirmed
-    assert answer.reason == (
-        "the pings show otherwise: gamma: asked 255, got 1; range, m: asked 10, got 3"
-    )
+    assert "gamma" in answer.reason
+    assert "range" in answer.reason
+    assert "gain" not in answer.reason  # not decisive
 
 
 def test_without_pings_nothing_is_confirmed() -> None:
     answer = PendingConfirmation(ASKED, 0).expire(8 * S)
-    assert (answer.confirmed, answer.reason) == (False, "no ping came")
+    assert (answer.confirmed, answer.pings) == (False, 0)
+    assert "no ping" in answer.reason
 
 
 def test_standby_is_confirmed_by_a_dummy_and_not_by_pings(show: Callable[..., Ping]) -> None:
@@ -164,7 +165,9 @@ def test_standby_is_confirmed_by_a_dummy_and_not_by_pings(show: Callable[..., Pi
     assert (answer.confirmed, answer.pings) == (True, 1)
     loud = PendingConfirmation(quiet, 0)
     loud.ping(show(), S)
-    assert loud.expire(8 * S).reason == "pings came, no word of standby"
+    answer = loud.expire(8 * S)
+    assert (answer.confirmed, answer.pings) == (False, 1)
+    assert "standby" in answer.reason
     assert PendingConfirmation(ASKED, 0).dummy(S) is None
 
 

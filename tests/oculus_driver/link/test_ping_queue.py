@@ -139,5 +139,5 @@ def test_closing_lets_all_readers_go() -> None:
 
 
 def test_a_queue_without_room_is_refused() -> None:
-    with pytest.raises(ValueError, match="at least one"):
+    with pytest.raises(ValueError, match="at least 1"):
         PingQueue(0)

@@ -102,7 +102,7 @@ def test_a_message_that_stops_is_trouble_after_two_seconds(make_ping: MakePing) 
     receiver.feed(message[100:200], 2 * S)
     assert receiver.deadline_ns == 2 * S + STALL_TIMEOUT_NS
     assert receiver.fault(2 * S + STALL_TIMEOUT_NS - 1) is None
-    assert receiver.fault(2 * S + STALL_TIMEOUT_NS) == "a message stopped after 200 bytes"
+    assert "200 bytes" in (receiver.fault(2 * S + STALL_TIMEOUT_NS) or "")
     receiver.feed(message[200:], 3 * S)
     assert receiver.fault(60 * S) is None
     assert deadline_ns(receiver) is None
@@ -120,7 +120,7 @@ def test_noise_is_trouble_after_16_mib_or_five_seconds(chunk: int) -> None:
         assert now_ns == S // 10 + RESYNC_TIMEOUT_NS
     else:
         assert fed == MAX_RESYNC_BYTES
-    assert (receiver.fault(now_ns) or "").startswith("no message found in ")
+    assert str(fed) in (receiver.fault(now_ns) or "")
 
 
 def test_trouble_is_over_when_a_message_is_found(make_ping: MakePing) -> None:

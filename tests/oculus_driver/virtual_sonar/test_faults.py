@@ -26,7 +26,7 @@ def test_a_cut_ends_the_connection_inside_a_ping(pings: list[bytes]) -> None:
         def note(ping_id: int, whole: bool) -> None:  # noqa: FBT001 - the callback's form
             sent.append((ping_id, whole))
 
-        faults = Faults(cut=0.5, number=3)
+        faults = Faults(cut=0.5, seed=3)
         whole: list[int] = []
         async with PlaybackSonar(
             pings, loops=10, speed=None, faults=faults, on_ping=note, dummy_period_s=0.01
@@ -47,7 +47,7 @@ def test_a_cut_ends_the_connection_inside_a_ping(pings: list[bytes]) -> None:
 def test_a_cut_takes_nothing_that_was_sent_before_it(pings: list[bytes]) -> None:
     async def work() -> None:
         loop, gone = asyncio.get_running_loop(), asyncio.Event()
-        faults = Faults(cut=1.0, number=2)
+        faults = Faults(cut=1.0, seed=2)
         async with PlaybackSonar(
             pings, speed=None, faults=faults, on_ping=lambda *_: gone.set()
         ) as sonar:
@@ -69,7 +69,7 @@ def test_a_cut_takes_nothing_that_was_sent_before_it(pings: list[bytes]) -> None
 def test_flipped_and_lost_pings_are_told_and_the_others_arrive(pings: list[bytes]) -> None:
     async def work() -> None:
         sent: dict[int, bool] = {}
-        faults = Faults(flip=0.3, lose=0.2, garbage=0.2, number=1)
+        faults = Faults(flip=0.3, lose=0.2, garbage=0.2, seed=1)
         async with (
             PlaybackSonar(
                 pings,
@@ -97,7 +97,7 @@ def test_flipped_and_lost_pings_are_told_and_the_others_arrive(pings: list[bytes
 
 def test_ids_start_again_on_request(pings: list[bytes]) -> None:
     async def work() -> None:
-        faults = Faults(restart_ids=0.3, number=5)
+        faults = Faults(restart_ids=0.3, seed=5)
         async with (
             PlaybackSonar(pings, loops=5, speed=None, faults=faults) as sonar,
             await Client.of(sonar) as client,
@@ -111,7 +111,7 @@ def test_ids_start_again_on_request(pings: list[bytes]) -> None:
 
 def test_a_restart_ends_the_connection_between_two_pings(pings: list[bytes]) -> None:
     async def work() -> None:
-        faults = Faults(restart=0.3, number=5)
+        faults = Faults(restart=0.3, seed=5)
         async with PlaybackSonar(pings, loops=None, speed=None, faults=faults) as sonar:
             for _ in range(5):
                 async with await Client.of(sonar) as client:

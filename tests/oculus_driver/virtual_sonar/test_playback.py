@@ -186,7 +186,7 @@ def test_the_echo_is_as_doubtful_as_real_ones(capture: bytes) -> None:
 
 
 def test_the_same_number_gives_the_same_faults(make_ping: Callable[..., bytes]) -> None:
-    faults = Faults(cut=0.2, flip=0.3, lose=0.1, garbage=0.2, stall=0.1, number=7)
+    faults = Faults(cut=0.2, flip=0.3, lose=0.1, garbage=0.2, stall=0.1, seed=7)
     data = make_ping()
     runs = [
         [(dice.before_ping(), dice.apply(data)) for _ in range(200)]

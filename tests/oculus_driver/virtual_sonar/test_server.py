@@ -182,7 +182,7 @@ def test_clients_may_come_and_go_at_any_moment(make_ping: Callable[..., bytes]) 
     async def work() -> None:
         loop = asyncio.get_running_loop()
         rng = np.random.default_rng(1)
-        faults = Faults(cut=0.3, restart=0.2, number=1)
+        faults = Faults(cut=0.3, restart=0.2, seed=1)
         large = make_ping(rows=700)
         async with PlaybackSonar([large], loops=None, speed=None, faults=faults) as sonar:
             for _ in range(400):

@@ -202,7 +202,7 @@ def test_the_driver_falls_back_to_the_version_that_is_understood(
 
 def test_the_driver_comes_back_after_a_restart_and_asks_again(floor_scenario: MakeScenario) -> None:
     async def work() -> None:
-        settings = ServeSettings(standby=True, faults=Faults(restart=0.2, number=2))
+        settings = ServeSettings(standby=True, faults=Faults(restart=0.2, seed=2))
         times = LinkTimeouts(back_off_ns=(10_000_000,))
         async with (
             ServedScenario(floor_scenario(), settings) as served,
@@ -244,7 +244,7 @@ def test_a_restart_begins_ids_and_time_anew(floor_scenario: MakeScenario) -> Non
 
 def test_the_link_outlives_cuts_and_noise(floor_scenario: MakeScenario) -> None:
     async def work() -> None:
-        faults = Faults(cut=0.05, flip=0.1, garbage=0.2, lose=0.1, number=3)
+        faults = Faults(cut=0.05, flip=0.1, garbage=0.2, lose=0.1, seed=3)
         async with (
             ServedScenario(floor_scenario(), ServeSettings(faults=faults)) as served,
             OculusSonar("127.0.0.1", QUICK, port=served.sonar.port) as sonar,

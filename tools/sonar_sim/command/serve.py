@@ -140,7 +140,7 @@ def _faults(said: argparse.Namespace) -> Faults:
         refuse_second=said.refuse_second,
         silent_after_s=said.silent_after,
         ignored_fire_version=said.deaf_to_version,
-        number=said.seed,
+        seed=said.seed,
     )
 
 
