@@ -9,22 +9,13 @@ from typing import TYPE_CHECKING, Final
 
 from oculus_driver.encode import encode_fire
 from oculus_driver.errors import SettingsError
-from oculus_driver.models import UNKNOWN
+from oculus_driver.models import MAX_RATE_HZ, UNKNOWN
 from oculus_driver.wire import EXTENDED_32_BIT, FireFlags, PingRate
 
 if TYPE_CHECKING:
     from oculus_driver.models import Model
 
 __all__ = ["FireSettings", "Mode", "PingRate"]
-
-MAX_RATE_HZ: Final = {
-    PingRate.NORMAL: 10.0,
-    PingRate.HIGH: 15.0,
-    PingRate.HIGHEST: 40.0,
-    PingRate.LOW: 5.0,
-    PingRate.LOWEST: 2.0,
-}
-"""Most pings a second that a rate allows; the range and the network may allow fewer."""
 
 FULL_BEAMS: Final = 512
 HALF_BEAMS: Final = 256

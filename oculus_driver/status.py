@@ -27,6 +27,9 @@ PAUSE_REASONS: Final = (
 )
 TEMPERATURE_STATES: Final = ("good", "high", "reserved", "shut down")
 
+MAIN_TEMPERATURE: Final = 6
+"""Index of the sensor that other drivers use as the temperature, of eight."""
+
 
 @dataclass(frozen=True, slots=True)
 class Status:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from oculus_driver.errors import Reject
-from oculus_driver.status import Status, decode_status
+from oculus_driver.status import MAIN_TEMPERATURE, Status, decode_status
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -29,9 +29,6 @@ DUPLICATE_NS: Final = 20_000_000
 
 MAX_SONARS: Final = 64
 """More than anybody owns; bounds memory against a flood of invented serial numbers."""
-
-MAIN_TEMPERATURE: Final = 6
-"""Index of the sensor that other drivers use as the temperature, of eight."""
 
 SonarKey = tuple[int, int]
 """Part number and serial number identify a sonar."""

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from oculus_driver.status import MAIN_TEMPERATURE
+
 if TYPE_CHECKING:
     from oculus_driver.ping import Ping
     from oculus_driver.status import Status
 
 HYSTERESIS_C: Final = 3.0
 """A hot sonar may ping again this far below the limit."""
-
-_MAIN_TEMPERATURE: Final = 6
-"""Index of the sensor that other drivers use as the temperature, of eight."""
 
 
 class ThermalGuard:
@@ -43,7 +42,7 @@ class ThermalGuard:
         elif self._limit_c is None:
             self.reason = None
         else:
-            self._reading(status.temperatures_c[_MAIN_TEMPERATURE])
+            self._reading(status.temperatures_c[MAIN_TEMPERATURE])
 
     def _reading(self, temperature_c: float | None) -> None:
         if temperature_c is None or self._limit_c is None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from ipaddress import IPv4Address
 from typing import TYPE_CHECKING, Final
 
+from oculus_driver.models import MAX_RATE_HZ
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.recording.chunk import messages_of
 from oculus_driver.stream import Message, StreamParser
@@ -22,15 +23,6 @@ if TYPE_CHECKING:
 
     from oculus_driver.virtual_sonar.device import FireRequest
     from oculus_driver.virtual_sonar.faults import Faults
-
-
-RATES_HZ: Final = {
-    PingRate.NORMAL: 10.0,
-    PingRate.HIGH: 15.0,
-    PingRate.HIGHEST: 40.0,
-    PingRate.LOW: 5.0,
-    PingRate.LOWEST: 2.0,
-}
 
 
 class PlaybackDevice(VirtualDevice):
@@ -104,7 +96,7 @@ class PlaybackDevice(VirtualDevice):
         recorded_ns = self._join_wait_ns or self._upcoming.wait_ns
         if self.request is None or not self.next_is_ping:
             return recorded_ns
-        rate_hz = RATES_HZ.get(PingRate(self.request.ping_rate)) if self._rate_known() else None
+        rate_hz = MAX_RATE_HZ.get(PingRate(self.request.ping_rate)) if self._rate_known() else None
         return max(recorded_ns, round(1e9 / rate_hz) if rate_hz else 0)
 
     def take(self) -> tuple[bytes, int | None]:
@@ -134,7 +126,7 @@ class PlaybackDevice(VirtualDevice):
             self._steps.close()
 
     def _rate_known(self) -> bool:
-        return self.request is not None and self.request.ping_rate in RATES_HZ
+        return self.request is not None and self.request.ping_rate in MAX_RATE_HZ
 
     def _resample(self, data: bytes, request: FireRequest) -> bytes:
         messages = StreamParser().feed(data)
