@@ -12,7 +12,6 @@ from oculus_driver.cli.arguments import count, non_negative_int, positive
 from oculus_driver.cli.output import Exit, Output
 from oculus_driver.errors import OculusError
 from oculus_driver.ping import Ping, decode_ping
-from oculus_driver.recording.chunk import messages_of
 from oculus_driver.wire import MessageId
 
 if TYPE_CHECKING:
@@ -147,6 +146,8 @@ class Choice:
 
     def of(self, recording: Recording) -> Iterator[Ping]:
         """Yield the selected pings of an open recording."""
+        from oculus_driver.recording.chunk import messages_of  # noqa: PLC0415 - slow to import
+
         pings = self._decoded(messages_of(recording))
         if self.ping_id is not None:
             pings = (ping for ping in pings if ping.ping_id == self.ping_id)

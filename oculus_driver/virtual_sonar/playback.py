@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Final
 
 from oculus_driver.models import MAX_RATE_HZ
 from oculus_driver.ping import Ping, decode_ping
-from oculus_driver.recording.chunk import messages_of
 from oculus_driver.stream import Message, StreamParser
 from oculus_driver.virtual_sonar.device import LOCAL, M750D_PART, Identity, VirtualDevice
 from oculus_driver.virtual_sonar.resample import resample_ping
@@ -257,7 +256,8 @@ class MessageSource:
 
 
 def _recorded(path: str | os.PathLike[str]) -> Iterator[Message]:
-    from oculus_driver.recording import open_recording  # noqa: PLC0415 - needs more than numpy
+    from oculus_driver.recording import open_recording  # noqa: PLC0415 - slow to import
+    from oculus_driver.recording.chunk import messages_of  # noqa: PLC0415 - as above
 
     with open_recording(path) as recording:
         yield from messages_of(recording)
