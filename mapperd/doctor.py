@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from mapperd.links.address import LinkAddress
 from mapperd.links.state import LinkPhase, LinkStatus
 from mapperd.odometry.decoder import DecoderCounters
-from oculus_driver.checkup import Layer, Verdict
+from oculus_driver.discovery.probe import Layer, Verdict
 
 __all__ = ["LAYERS", "LinkEvidence", "judge_link"]
 

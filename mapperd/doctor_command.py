@@ -21,8 +21,7 @@ from mapperd.links.link import Link
 from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.formats import make_decoder
 from mapperd.reject import Reject
-from oculus_driver.checkup import Layer, judge
-from oculus_driver.examine import Examination, examine
+from oculus_driver.discovery.probe import Layer, ProbeOptions, evaluate, probe
 
 __all__ = ["doctor"]
 
@@ -91,10 +90,10 @@ async def _examined(config: Config, seconds: float, *, ping: bool) -> dict[str, 
     """Watch the sonar and the odometry at the same time."""
     device = config.device
     sonar, links = await asyncio.gather(
-        examine(Examination(device.address or None, device.port, seconds, ping)),
+        probe(ProbeOptions(device.address or None, device.port, seconds, ping)),
         _watched(config, seconds),
     )
-    return {"sonar": judge(sonar), **{one.name: judge_link(one) for one in links}}
+    return {"sonar": evaluate(sonar), **{one.name: judge_link(one) for one in links}}
 
 
 async def _watched(config: Config, seconds: float) -> list[LinkEvidence]:

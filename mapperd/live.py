@@ -38,7 +38,7 @@ from mapperd.requests import Requests
 from mapperd.setting_changes import changes_between
 from mapperd.stepping import Stepping
 from mapperd.version import version
-from oculus_driver.link_state import LinkState, LinkStatus
+from oculus_driver.link.state import LinkState, LinkStatus
 from oculus_driver.settings import FireSettings, Mode, PingRate
 from oculus_driver.sonar import OculusSonar
 

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 from mapperd.counters import ReplayCounters
 from mapperd.reject import Reject
-from oculus_driver.ping import Ping, decode_ping
-from oculus_driver.sequence import PingSequence
+from oculus_driver.ping import Ping, PingSequence, decode_ping
 from oculus_driver.stream import Message, StreamParser
 from oculus_driver.wire import MessageId
 

@@ -84,7 +84,7 @@ class Recorder:
         """Where the recording goes on behind a piece; None while that is not written."""
         if self._log is None or number == 0:
             return Place()
-        place = self._log.place_of(number)
+        place = self._log.position_of(number)
         return None if place is None else Place(place.file, place.messages)
 
     def wait_for(self, number: int, timeout_s: float) -> bool:

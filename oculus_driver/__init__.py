@@ -1,22 +1,22 @@
-"""A driver of Blueprint Subsea Oculus multibeam imaging sonars, useful alone.
+"""Driver for Blueprint Subsea Oculus multibeam imaging sonars. It can be used alone.
 
-What needs asyncio is imported when first asked for, so that importing this package stays quick.
+Names that need asyncio are imported on first use, so that importing this package is fast.
 """
 
 import importlib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from oculus_driver.clock import PingTime, SonarClock, row_times_ns
-from oculus_driver.confirmation import Confirmation, Difference
-from oculus_driver.diagnosis import (
+from oculus_driver.discovery.diagnosis import (
     Finding,
     bind_finding,
     connection_finding,
-    sighting_findings,
+    discovery_findings,
     silence_finding,
     status_findings,
     subnet_finding,
 )
+from oculus_driver.discovery.state import DiscoveredSonar, DiscoveryState
 from oculus_driver.encode import (
     bearing_table_cdeg,
     encode_dummy,
@@ -33,16 +33,14 @@ from oculus_driver.errors import (
     OutsideLimitsError,
     ProtocolError,
     RecordingError,
+    Reject,
     SettingsError,
 )
-from oculus_driver.link_state import LinkState, LinkStatus, LinkTimes
+from oculus_driver.link.confirmation import Confirmation, Difference
+from oculus_driver.link.state import LinkState, LinkStatus, LinkTimeouts, SonarCounters
 from oculus_driver.models import Model, model_of
-from oculus_driver.own_addresses import addresses_towards
-from oculus_driver.ping import Ping, Reject, decode_ping
-from oculus_driver.sequence import PingSequence
+from oculus_driver.ping import Ping, PingSequence, decode_ping
 from oculus_driver.settings import FireSettings, Mode
-from oculus_driver.sighting import Sighting, SonarWatch
-from oculus_driver.sonar_counters import SonarCounters
 from oculus_driver.sound_speed import (
     pressure_bar_at,
     speed_of_sound_at_depth_mps,
@@ -53,16 +51,22 @@ from oculus_driver.stream import Message, StreamCounters, StreamParser
 from oculus_driver.wire import PingRate
 
 if TYPE_CHECKING:
-    from oculus_driver.discovery import Discovery, Sightings
-    from oculus_driver.ping_queue import PingQueue
-    from oculus_driver.play import Faults, Identity, PlayCounters, PlayedSonar
+    from oculus_driver.discovery.listener import Discovery, DiscoveryUpdates, addresses_towards
+    from oculus_driver.link.ping_queue import PingQueue
     from oculus_driver.sonar import OculusSonar
+    from oculus_driver.virtual_sonar.device import Identity
+    from oculus_driver.virtual_sonar.faults import Faults
+    from oculus_driver.virtual_sonar.playback import PlaybackSonar
+    from oculus_driver.virtual_sonar.server import VirtualSonarCounters
 
 __all__ = [
     "Confirmation",
     "Difference",
+    "DiscoveredSonar",
     "Discovery",
     "DiscoveryError",
+    "DiscoveryState",
+    "DiscoveryUpdates",
     "EncodeError",
     "Faults",
     "Finding",
@@ -71,7 +75,7 @@ __all__ = [
     "LinkError",
     "LinkState",
     "LinkStatus",
-    "LinkTimes",
+    "LinkTimeouts",
     "Message",
     "Mode",
     "Model",
@@ -83,26 +87,24 @@ __all__ = [
     "PingRate",
     "PingSequence",
     "PingTime",
-    "PlayCounters",
-    "PlayedSonar",
+    "PlaybackSonar",
     "ProtocolError",
     "RecordingError",
     "Reject",
     "SettingsError",
-    "Sighting",
-    "Sightings",
     "SonarClock",
     "SonarCounters",
-    "SonarWatch",
     "Status",
     "StreamCounters",
     "StreamParser",
+    "VirtualSonarCounters",
     "addresses_towards",
     "bearing_table_cdeg",
     "bind_finding",
     "connection_finding",
     "decode_ping",
     "decode_status",
+    "discovery_findings",
     "encode_dummy",
     "encode_fire",
     "encode_ping",
@@ -111,7 +113,6 @@ __all__ = [
     "model_of",
     "pressure_bar_at",
     "row_times_ns",
-    "sighting_findings",
     "silence_finding",
     "speed_of_sound_at_depth_mps",
     "speed_of_sound_mps",
@@ -120,15 +121,23 @@ __all__ = [
 ]
 
 
+# Modules that need asyncio, or import one that does.
+_LAZY: Final = {
+    "Discovery": lambda: importlib.import_module("oculus_driver.discovery.listener"),
+    "Faults": lambda: importlib.import_module("oculus_driver.virtual_sonar.faults"),
+    "Identity": lambda: importlib.import_module("oculus_driver.virtual_sonar.device"),
+    "OculusSonar": lambda: importlib.import_module("oculus_driver.sonar"),
+    "PingQueue": lambda: importlib.import_module("oculus_driver.link.ping_queue"),
+    "VirtualSonarCounters": lambda: importlib.import_module("oculus_driver.virtual_sonar.server"),
+    "PlaybackSonar": lambda: importlib.import_module("oculus_driver.virtual_sonar.playback"),
+    "DiscoveryUpdates": lambda: importlib.import_module("oculus_driver.discovery.listener"),
+    "addresses_towards": lambda: importlib.import_module("oculus_driver.discovery.listener"),
+}
+
+
 def __getattr__(name: str) -> object:
-    if name in {"Discovery", "Sightings"}:
-        return getattr(importlib.import_module("oculus_driver.discovery"), name)
-    if name in {"Faults", "Identity", "PlayCounters", "PlayedSonar"}:
-        return getattr(importlib.import_module("oculus_driver.play"), name)
-    if name == "OculusSonar":
-        return importlib.import_module("oculus_driver.sonar").OculusSonar
-    if name == "PingQueue":
-        return importlib.import_module("oculus_driver.ping_queue").PingQueue
+    if name in _LAZY:
+        return getattr(_LAZY[name](), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -1,4 +1,4 @@
-"""The bearing table: hundredths of a degree on the wire, uniform in sine."""
+"""Bearing tables: hundredths of a degree on the wire, uniform in sine."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ if TYPE_CHECKING:
 CENTIDEGREE_RAD: Final = math.pi / 18000.0
 
 _ROUNDING_GUARD_CDEG: Final = 1e-9
-"""Far above the rounding of asin(sin(A)), far below the table's step: 30 degrees stay 3000."""
+"""Larger than the rounding error of asin(sin(A)), smaller than the table's step: 30° stays 3000."""
 
 
 def bearing_table_cdeg(beams: int, half_aperture_rad: float) -> NDArray[np.int16]:
-    """Return the table that a sonar sends: uniform in sine, truncated toward zero.
+    """Return the bearing table of a sonar: uniform in sine, truncated toward zero.
 
-    `b_j = trunc(100 * deg(asin(sin A * (2j/(N-1) - 1))))`, which gives all 256 values of the
-    known captures exactly for A = 30°.
+    `b_j = trunc(100 * deg(asin(sin A * (2j/(N-1) - 1))))`. With A = 30° this reproduces all 256
+    values of the known captures exactly.
 
     Args:
-        beams: number of beams, N ≥ 1. A single beam looks straight ahead.
-        half_aperture_rad: A, more than 0 and at most π/2.
+        beams: number of beams, N ≥ 1. A single beam points straight ahead.
+        half_aperture_rad: A, greater than 0 and at most π/2.
 
     Returns:
         int16 (beams,), strictly increasing, positive to starboard.
 
     Raises:
-        EncodeError: `beams` or `half_aperture_rad` outside these limits.
+        EncodeError: `beams` or `half_aperture_rad` is outside these limits.
     """
     if beams < 1 or not 0.0 < half_aperture_rad <= math.pi / 2:
         raise EncodeError(f"no bearing table of {beams} beams over ±{half_aperture_rad} rad")
@@ -44,10 +44,10 @@ def bearing_table_cdeg(beams: int, half_aperture_rad: float) -> NDArray[np.int16
 
 
 def edges_rad(bearings_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the borders between beams, half way in sine, the outermost by extrapolation.
+    """Return the edges between beams, halfway in sine; the outermost edges are extrapolated.
 
     Args:
-        bearings_rad: float64 (beams,), beams ≥ 1. A single beam is given ±0.5°.
+        bearings_rad: float64 (beams,), beams ≥ 1. A single beam gets ±0.5°.
 
     Returns:
         float64 (beams + 1,), within ±π/2.

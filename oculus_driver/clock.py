@@ -1,8 +1,9 @@
-"""When a ping left the sonar and when its sound met what each row shows, on the host's clock.
+"""Transmit times of pings, and valid times of their rows, on the host's clock.
 
-A ping arrives late: by the way of its sound, and by what sonar, network and host take. The first
-is known. The second differs from ping to ping and only ever adds, so the sonar's own clock,
-carried over by `oculus_driver.envelope`, tells the time of a ping better than its arrival does.
+A ping arrives late by the travel time of its sound and by the latency of sonar, network and host.
+The travel time is known. The latency differs from ping to ping and only ever adds. So the sonar's
+own clock, converted to host time by `oculus_driver.clock_fit`, gives the time of a ping better
+than its arrival does.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
-from oculus_driver.envelope import LowerEnvelope
+from oculus_driver.clock_fit import ClockFit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,25 +24,25 @@ if TYPE_CHECKING:
 
 _WRAP: Final = 1 << 32
 _MAX_START_S: Final = 1e9
-"""Thirty years without a power cycle: no start time but left-over memory."""
+"""Thirty years without a power cycle: a larger start time is uninitialised memory."""
 
 _PERIODS: Final = 15
-"""Ping periods of which the median counts: outlives single hiccups, follows new settings."""
+"""Number of ping periods in the median: robust to single delays, quick to follow new settings."""
 
 _MAX_LOST: Final = 1000
-"""Over a longer gap the period of the pings is not known to have been one and the same."""
+"""Over a longer gap the ping period may have changed."""
 
 
 @dataclass(frozen=True, slots=True)
 class PingTime:
-    """When a ping was, on the clock of its arrival.
+    """Times of a ping on the clock of its arrival.
 
     Attributes:
-        ping_id: of the ping.
-        transmit_ns: when it left the sonar.
-        end_ns: when the echo of its last row came back. The image is of the time in between.
-        lateness_ns: by how much it arrived later than the promptest pings do; 0 by "arrival".
-        method: "device", from the sonar's clock, or "arrival", from that of this ping alone.
+        ping_id: id of the ping.
+        transmit_ns: transmit time.
+        end_ns: arrival of the echo of its last row at the sonar. The image covers the time between.
+        lateness_ns: delay in addition to that of the fastest pings; 0 for method "arrival".
+        method: "device", from the sonar's clock, or "arrival", from the arrival of this ping alone.
     """
 
     ping_id: int
@@ -52,20 +53,20 @@ class PingTime:
 
 
 class SonarClock:
-    """Carries the times of one sonar's pings over to the host's clock. Pure: it asks no clock.
+    """Converts the times of one sonar's pings to the host's clock. Pure: it reads no clock.
 
-    Version-2 pings say when they started. Version-1 pings carry ticks of undocumented length
-    (8 ns in the known captures): they are used only where `tick_ns` is given. Where the sonar's
-    time is missing, jumps, or does not run like a clock, a ping's own arrival is used.
+    Version-2 pings contain their start time. Version-1 pings contain ticks of undocumented length
+    (8 ns in the known captures), which are used only if `tick_ns` is given. If the sonar's time is
+    missing, jumps, or does not advance like a clock, the ping's own arrival is used.
 
     Attributes:
         placed: pings by method.
-        restarts: times that the sonar began anew, as after power-up.
+        restarts: how often the sonar restarted, as after power-up.
 
     Args:
-        latency_ns: the least time that sonar, network and host need between the last echo and the
-            first byte; nothing in the stream tells it. 0: pings are placed that much late.
-        tick_ns: length of a version-1 tick, None where not known.
+        latency_ns: minimum latency of sonar, network and host between the last echo and the first
+            byte; it cannot be derived from the stream. With 0, times are late by that much.
+        tick_ns: length of a version-1 tick, None if unknown.
     """
 
     def __init__(self, *, latency_ns: int = 0, tick_ns: float | None = None) -> None:
@@ -73,7 +74,7 @@ class SonarClock:
         self.restarts = 0
         self._latency_ns = latency_ns
         self._ticks = None if tick_ns is None else _Ticks(tick_ns)
-        self._envelope = LowerEnvelope()
+        self._envelope = ClockFit()
         self._periods_ns: deque[float] = deque(maxlen=_PERIODS)
         self._last: tuple[int, int | None, int] | None = None  # id, device time, arrival
 
@@ -84,19 +85,19 @@ class SonarClock:
 
     @property
     def period_s(self) -> float | None:
-        """Time between pings, lost ones counted, the median of the last few; None before two."""
+        """Median time between the last pings, lost ones included; None before the second ping."""
         return median(self._periods_ns) * 1e-9 if self._periods_ns else None
 
     def place(self, ping: Ping) -> PingTime | None:
-        """Return when the ping was; None where its arrival is not known.
+        """Return the times of the ping; None if its arrival is unknown.
 
         Args:
-            ping: of one sonar, in order of arrival.
+            ping: a ping of one sonar, in order of arrival.
         """
         if ping.arrival_ns is None:
             return None
         device_ns = self._device_ns(ping, ping.arrival_ns)
-        self._notice(ping, device_ns, ping.arrival_ns)
+        self._learn(ping, device_ns, ping.arrival_ns)
         flight_ns = ping.flight_ns(2.0 * ping.max_range_m)
         prompt_ns = self._prompt_arrival_ns(device_ns, flight_ns, ping.arrival_ns)
         method: Literal["device", "arrival"] = "arrival" if prompt_ns is None else "device"
@@ -106,9 +107,9 @@ class SonarClock:
         return PingTime(ping.ping_id, end_ns - flight_ns, end_ns, lateness_ns, method)
 
     def _device_ns(self, ping: Ping, arrival_ns: int) -> int | None:
-        """Return when the ping started on the sonar's own clock, None where it does not say."""
+        """Return the start of the ping on the sonar's own clock, None if it is not reported."""
         if ping.start_time_s is not None:
-            # No sonar pings at power-up: 0 is a field that was never filled.
+            # No sonar pings at power-up: 0 is a field that was never set.
             return round(ping.start_time_s * 1e9) if 0 < ping.start_time_s < _MAX_START_S else None
         if ping.start_ticks is None or self._ticks is None:
             return None
@@ -116,8 +117,8 @@ class SonarClock:
             self._ticks.restart()
         return self._ticks.unwrapped_ns(ping.start_ticks, arrival_ns)
 
-    def _notice(self, ping: Ping, device_ns: int | None, arrival_ns: int) -> None:
-        """Learn restart and period from this ping and the one before."""
+    def _learn(self, ping: Ping, device_ns: int | None, arrival_ns: int) -> None:
+        """Detect restarts and update the period from this ping and the previous one."""
         before, self._last = self._last, (ping.ping_id, device_ns, arrival_ns)
         if before is None:
             return
@@ -141,27 +142,27 @@ class SonarClock:
     def _prompt_arrival_ns(
         self, device_ns: int | None, flight_ns: int, arrival_ns: int
     ) -> int | None:
-        """Return when the ping would have arrived without any delay, by the sonar's clock.
+        """Return the arrival time without delay according to the sonar's clock.
 
-        The end of the echoes is fitted, not the start: a change of range is no change of delay.
+        The end of the echoes is fitted, not the start: a change of range is not a change of delay.
         """
         if device_ns is None:
             return None
         prompt_ns = self._envelope.to_host_ns(device_ns + flight_ns, arrival_ns)
-        return prompt_ns if self._envelope.believable else None
+        return prompt_ns if self._envelope.is_valid else None
 
 
 def row_times_ns(ping: Ping, transmit_ns: int) -> NDArray[np.int64]:
-    """Return when sound met what each row shows: the poses that the echoes belong to.
+    """Return when the sound met the content of each row: the times of the poses to use.
 
-    The middle of the row, one way; the echo is back at the sonar as much later again.
+    The time is one-way, to the middle of the row.
 
     Args:
-        ping: for its rows and the speed of sound.
-        transmit_ns: when it left the sonar, see `PingTime`.
+        ping: gives the rows and the speed of sound.
+        transmit_ns: transmit time, see `PingTime`.
 
     Returns:
-        int64 (rows,), on the clock of `transmit_ns`, rising.
+        int64 (rows,), on the clock of `transmit_ns`, increasing.
     """
     one_way_ns = (np.arange(ping.rows) + 0.5) * (ping.flight_ns(ping.max_range_m) / ping.rows)
     times: NDArray[np.int64] = transmit_ns + np.rint(one_way_ns).astype(np.int64)
@@ -173,7 +174,7 @@ def _stepped_back(last_id: int, ping_id: int) -> bool:
 
 
 class _Ticks:
-    """A counter of 32 bit made to run on: how often it wrapped is told by the arrivals."""
+    """Unwraps a 32-bit counter; arrival times give the number of wraps."""
 
     def __init__(self, tick_ns: float) -> None:
         self._tick_ns = tick_ns

@@ -1,4 +1,4 @@
-"""Messages as bytes, from the declarations that the parser reads with."""
+"""Encode messages with the layouts that the parser decodes with."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from oculus_driver.layout import Layout
+    from oculus_driver.wire import Layout
 
 __all__ = [
     "bearing_table_cdeg",
@@ -40,7 +40,7 @@ __all__ = [
 ]
 
 IMAGE_OFFSET: Final = 2048
-"""Where real version-1 sonars put the image; moved back only if the table needs the room."""
+"""Image offset of real version-1 sonars. A longer bearing table moves the image back."""
 
 _GAIN_WORD: Final = 4
 _VERSION_2: Final = 2
@@ -66,11 +66,11 @@ def encode_fire(
 ) -> bytes:
     """Return a simple fire message, 53 bytes (version 0 or 1) or 89 bytes (version 2).
 
-    `range_demand` is metres while `flags` has bit 0, else percent of the mode's maximum;
-    a speed of sound of 0 lets the sonar compute it.
+    If bit 0 of `flags` is set, `range_demand` is in metres, otherwise in percent of the mode's
+    maximum. With a speed of sound of 0 the sonar computes it.
 
     Raises:
-        EncodeError: a value outside its field, or extended flags in version 1.
+        EncodeError: a value does not fit its field, or version 1 is given extended flags.
     """
     layout = FIRE_V2 if version == _VERSION_2 else FIRE_V1
     values: dict[str, Any] = {
@@ -92,7 +92,7 @@ def encode_fire(
 
 
 def encode_dummy(*, source_id: int = 0, destination_id: int = 0, version: int = 0) -> bytes:
-    """Return a dummy message: what a sonar in standby sends instead of pings. 16 bytes."""
+    """Return a dummy message, 16 bytes. A sonar in standby sends it instead of pings."""
     return _message(
         DUMMY, MessageId.DUMMY, version, {}, source_id=source_id, destination_id=destination_id
     )
@@ -105,7 +105,7 @@ def encode_user_config(
     dhcp: bool = False,
     source_id: int = 0,
 ) -> bytes:
-    """Return a user configuration message, 28 bytes; without an address it asks, else it sets."""
+    """Return a user configuration message, 28 bytes. Without an address it is a query."""
     values = {
         "address": int(IPv4Address(address or 0)),
         "netmask": int(IPv4Address(netmask or 0)),
@@ -132,10 +132,10 @@ def encode_status(
     temperatures_c: Sequence[float] = (0.0,) * 8,
     pressure_bar: float = 0.0,
 ) -> bytes:
-    """Return a status datagram, 142 bytes, as a sonar broadcasts it about once a second.
+    """Return a status datagram, 142 bytes. A sonar broadcasts one about once per second.
 
     Raises:
-        EncodeError: a value outside its field, or not eight temperatures.
+        EncodeError: a value does not fit its field, or there are not eight temperatures.
     """
     values = {
         "device_id": device_id,
@@ -188,18 +188,36 @@ def encode_ping(
     roll_deg: float = 0.0,
     status: int = 0,
 ) -> bytes:
-    """Return a simple ping result as a sonar sends it.
+    """Return a simple ping result, as a sonar sends it.
 
-    `version` is 2, or 0 or 1 for the version-1 layout, which has no attitude. `start_time` is
-    seconds since power-up (version 2) or clock ticks (version 1). `bearings_cdeg`, int16
-    (beams,), is in hundredths of a degree, positive to starboard. `image`, (rows, beams) and
-    unsigned, has the nearest row first. `data_size` is bytes per sample, 1 to 4, None for those
-    of the image; 3 packs uint32 into 24 bit. `gains`, uint32 (rows,), are written in front of
-    the rows. `flags` None makes the echo that fits the image. All other values go into the field
-    of `oculus_driver.wire` with that name.
+    Args:
+        version: 2, or 0 or 1 for the version-1 layout, which has no attitude.
+        ping_id: see `oculus_driver.wire`, as for all arguments without a description here.
+        mode: master mode.
+        frequency_hz: acoustic frequency.
+        range_m: requested range.
+        gain_percent: gain.
+        speed_of_sound_mps: speed of sound used by the sonar.
+        salinity_ppt: salinity.
+        start_time: seconds since power-up (version 2) or clock ticks (version 1).
+        range_resolution_m: depth of one row.
+        bearings_cdeg: int16 (beams,), hundredths of a degree, positive to starboard.
+        image: unsigned (rows, beams), nearest row first.
+        data_size: bytes per sample, 1 to 4; None: as in the image. 3 packs uint32 into 24 bits.
+        gains: uint32 (rows,), written in front of the rows; None: no gain words.
+        source_id: low 16 bits of the device id.
+        part_number: of the sonar.
+        flags: echo of the fire flags; None: the flags that match the image.
+        gamma: exponent gamma/255 of the image.
+        temperature_c: of the water.
+        pressure_bar: of the water.
+        heading_deg: of the sonar.
+        pitch_deg: of the sonar.
+        roll_deg: of the sonar.
+        status: raw status word.
 
     Raises:
-        EncodeError: arrays that do not belong together, or a value outside its field.
+        EncodeError: the shapes of the arrays do not match, or a value does not fit its field.
     """
     width = image.dtype.itemsize if data_size is None else data_size
     beams = _check_arrays(bearings_cdeg, image, width, gains)
@@ -251,7 +269,7 @@ def _message(
     destination_id: int = 0,
 ) -> bytes:
     if not 0 <= version <= _VERSION_2:
-        raise EncodeError(f"no layout of version {version}")
+        raise EncodeError(f"there is no message layout of version {version}")
     header = {
         "message_id": int(message_id),
         "version": version,
@@ -279,12 +297,12 @@ def _check_arrays(
     width: int,
     gains: NDArray[np.uint32] | None,
 ) -> int:
-    """Return the number of beams of arrays that belong together."""
+    """Return the number of beams. Raise EncodeError if the arrays do not match."""
     rows, beams = image.shape
     if bearings_cdeg.shape != (beams,):
         raise EncodeError(f"{beams} beams, but bearings of shape {bearings_cdeg.shape}")
     if image.dtype.kind != "u" or width not in (1, 2, 3, 4):
-        raise EncodeError(f"no samples of {width} bytes from {image.dtype}")
+        raise EncodeError(f"cannot encode {image.dtype} as samples of {width} bytes")
     if gains is not None and gains.shape != (rows,):
         raise EncodeError(f"{rows} rows, but gains of shape {gains.shape}")
     if image.dtype.itemsize > width and image.size and int(image.max()) >> (8 * width):

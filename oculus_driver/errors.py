@@ -1,23 +1,24 @@
-"""What can go wrong, as a tree that says who is at fault.
+"""Exceptions of the driver, and `Reject`, the record of a message that was not decoded.
 
 OculusError
-├── ProtocolError    bytes or values that do not fit the wire format
-│   └── EncodeError  a value that has no place in the message it was given for
-├── RecordingError   a file that cannot be opened, read or written as a recording
-├── DiscoveryError   the port of the status broadcasts cannot be listened on
-└── OutsideLimitsError  a value for which a formula does not hold
-├── SettingsError    the sonar is asked for something that it cannot be asked for
-├── LinkError        the sonar cannot be reached, or does not answer: may be better later
-└── RecordingError   a file that cannot be opened, read or written as a recording
+├── ProtocolError    bytes or values do not fit the wire format
+│   └── EncodeError  a value does not fit the message
+├── RecordingError   a file cannot be opened, read or written as a recording
+├── DiscoveryError   the port of the status broadcasts cannot be opened
+├── OutsideLimitsError  a value is outside the validity of a formula
+├── SettingsError    the settings are invalid
+└── LinkError        the sonar is unreachable or does not answer; a retry may help
 
-Parsers never raise these on bytes from outside: bad bytes are data, counted and reported.
+Parsers never raise these for received bytes: malformed bytes are counted and reported.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 
 class OculusError(Exception):
-    """Root of everything that this package raises on purpose."""
+    """Base class of all exceptions that this package raises on purpose."""
 
 
 class ProtocolError(OculusError):
@@ -25,30 +26,49 @@ class ProtocolError(OculusError):
 
 
 class EncodeError(ProtocolError, ValueError):
-    """A value has no place in the message that it was given for."""
+    """A value does not fit the message."""
 
 
 class SettingsError(OculusError, ValueError):
-    """The sonar is asked for something that it cannot be asked for: the caller's to correct."""
+    """The settings are invalid or not supported by the sonar. The caller must correct them."""
 
 
 class LinkError(OculusError):
-    """The sonar cannot be reached or does not answer; trying again later may help."""
+    """The sonar is unreachable or does not answer. A retry may help."""
 
 
 class RecordingError(OculusError):
     """A file cannot be opened, read or written as a recording.
 
-    The text is one line: what is wrong, with which file, and what to do.
+    The message is one line: the file, the problem, and what to do.
     """
 
 
 class DiscoveryError(OculusError):
-    """The port of the status broadcasts cannot be listened on.
+    """The port of the status broadcasts cannot be opened.
 
-    The text is one line: which port, why not, and what to do.
+    The message is one line: the port, the problem, and what to do.
     """
 
 
 class OutsideLimitsError(OculusError, ValueError):
-    """A value for which a formula does not hold. The text names the value and its limits."""
+    """A value is outside the validity of a formula. The message names the value and its limits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reject:
+    """A message that was not decoded.
+
+    Attributes:
+        reason: machine-readable reason: not_a_ping, unknown_version, short_message, empty,
+            out_of_bounds, size_mismatch, bad_resolution, bad_data_size.
+        detail: one sentence for the user.
+        offset: offset of the message in its stream, bytes.
+        ping_id: id of the ping, None if it cannot be read. A ping with an id was received, so it
+            does not count as lost.
+    """
+
+    reason: str
+    detail: str
+    offset: int
+    ping_id: int | None = None

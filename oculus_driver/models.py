@@ -1,8 +1,8 @@
-"""Which sonar a part number is, and how far, how wide and how fast it sees.
+"""Sonar models by part number, with range, field of view and ping rate.
 
-Ranges and frequencies are those of the maker's published viewer; angles are from data sheets and
-other drivers. They are labels and limits: the bearings of a ping say its aperture, its own field
-the frequency.
+Ranges and frequencies are from the vendor's published viewer, angles from data sheets and other
+drivers. They are labels and limits. The field of view of a ping follows from its bearings, its
+frequency from its own field.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Mode:
-    """One master mode of a family. None = not known.
+class ModeSpec:
+    """One master mode of a family. None = unknown.
 
     Attributes:
-        max_range_m: largest range that may be asked for.
+        max_range_m: largest range that can be requested.
         frequency_hz: nominal.
-        aperture_deg: horizontal, edge to edge.
-        elevation_deg: vertical beam width; two values where older and newer units differ, the
-            part number does not tell which.
-        resolution_deg: horizontal beam width. Beams lie closer than this.
+        aperture_deg: horizontal field of view, edge to edge.
+        elevation_deg: vertical beam width; two values if older and newer units differ, because the
+            part number does not distinguish them.
+        resolution_deg: horizontal beam width. Beams are spaced more densely.
     """
 
     max_range_m: float
@@ -38,19 +38,19 @@ class Mode:
 
 @dataclass(frozen=True, slots=True)
 class Family:
-    """What sonars of one kind have in common.
+    """Common properties of one type of sonar.
 
     Attributes:
-        name: as the maker writes it.
-        modes: mode 1 (low frequency, wide) and, where it exists, mode 2 (high, narrow).
+        name: as the vendor writes it.
+        modes: mode 1 (low frequency, wide) and, if it exists, mode 2 (high frequency, narrow).
     """
 
     name: str
-    modes: tuple[Mode, ...]
+    modes: tuple[ModeSpec, ...]
 
     @property
     def max_range_m(self) -> tuple[float, float | None]:
-        """Largest range of modes 1 and 2; None where the mode does not exist."""
+        """Largest range of modes 1 and 2; None if the mode does not exist."""
         return self.modes[0].max_range_m, self.modes[1].max_range_m if len(self.modes) > 1 else None
 
 
@@ -64,7 +64,7 @@ class Model:
 
 
 BEAMS: Final = (256, 512)
-"""Of every model, in both modes."""
+"""Numbers of beams of every model, in both modes."""
 
 MAX_RATE_HZ: Final[Mapping[PingRate, float]] = {
     PingRate.LOWEST: 2.0,
@@ -74,23 +74,23 @@ MAX_RATE_HZ: Final[Mapping[PingRate, float]] = {
     PingRate.HIGHEST: 40.0,
     PingRate.STANDBY: 0.0,
 }
-"""Most pings per second that a setting allows."""
+"""Maximum pings per second of a rate setting."""
 
-M370S: Final = Family("M370s", (Mode(200.0, 375e3, elevation_deg=(20.0,)),))
-C550D: Final = Family("C550d", (Mode(100.0, 550e3), Mode(30.0, 820e3)))
+M370S: Final = Family("M370s", (ModeSpec(200.0, 375e3, elevation_deg=(20.0,)),))
+C550D: Final = Family("C550d", (ModeSpec(100.0, 550e3), ModeSpec(30.0, 820e3)))
 M750D: Final = Family(
     "M750d",
-    (Mode(120.0, 750e3, 130.0, (20.0,), 1.0), Mode(40.0, 1.2e6, 70.0, (12.0, 20.0), 0.6)),
+    (ModeSpec(120.0, 750e3, 130.0, (20.0,), 1.0), ModeSpec(40.0, 1.2e6, 70.0, (12.0, 20.0), 0.6)),
 )
 M1200D: Final = Family(
     "M1200d",
-    (Mode(40.0, 1.2e6, 130.0, (20.0,), 0.6), Mode(10.0, 2.1e6, 60.0, (12.0,), 0.4)),
+    (ModeSpec(40.0, 1.2e6, 130.0, (20.0,), 0.6), ModeSpec(10.0, 2.1e6, 60.0, (12.0,), 0.4)),
 )
 M3000D: Final = Family(
     "M3000d",
-    (Mode(30.0, 1.2e6, 130.0, (20.0,), 0.6), Mode(5.0, 3.0e6, 40.0, (20.0,), 0.4)),
+    (ModeSpec(30.0, 1.2e6, 130.0, (20.0,), 0.6), ModeSpec(5.0, 3.0e6, 40.0, (20.0,), 0.4)),
 )
-UNKNOWN: Final = Family("unknown", (Mode(120.0), Mode(40.0)))
+UNKNOWN: Final = Family("unknown", (ModeSpec(120.0), ModeSpec(40.0)))
 
 FAMILIES: Final = (M750D, M1200D, M3000D, M370S, C550D, UNKNOWN)
 
@@ -144,18 +144,18 @@ MODELS: Final[Mapping[int, Model]] = {
 
 
 def model_of(part_number: int) -> Model:
-    """Return the model; an unknown part number is a model of family `UNKNOWN`, never an error."""
+    """Return the model; an unknown part number gives a model of family `UNKNOWN`, not an error."""
     return MODELS.get(part_number) or Model(part_number, f"part {part_number}", UNKNOWN)
 
 
-def fastest_rate_hz(
-    ping_rate: PingRate, range_m: float, speed_of_sound_mps: float = 1500.0
-) -> float:
-    """Return the most pings per second that setting and sound allow; network and sonar allow less.
+def max_rate_hz(ping_rate: PingRate, range_m: float, speed_of_sound_mps: float = 1500.0) -> float:
+    """Return the maximum pings per second by rate setting and travel time.
+
+    Network and sonar may be slower.
 
     Args:
         ping_rate: the setting.
-        range_m: more than 0. The next ping waits for the last echo of the one before.
-        speed_of_sound_mps: more than 0.
+        range_m: greater than 0. The next ping waits for the last echo of the previous one.
+        speed_of_sound_mps: greater than 0.
     """
     return min(MAX_RATE_HZ[ping_rate], speed_of_sound_mps / (2.0 * range_m))

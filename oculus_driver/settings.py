@@ -1,4 +1,4 @@
-"""What a sonar is asked to do: settings that are checked before anything is sent."""
+"""Settings of a sonar, validated before they are sent."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from oculus_driver.encode import encode_fire
 from oculus_driver.errors import SettingsError
-from oculus_driver.models import UNKNOWN
+from oculus_driver.models import MAX_RATE_HZ, UNKNOWN
 from oculus_driver.wire import EXTENDED_32_BIT, FireFlags, PingRate
 
 if TYPE_CHECKING:
@@ -17,63 +17,57 @@ if TYPE_CHECKING:
 
 __all__ = ["FireSettings", "Mode", "PingRate"]
 
-MAX_RATE_HZ: Final = {
-    PingRate.NORMAL: 10.0,
-    PingRate.HIGH: 15.0,
-    PingRate.HIGHEST: 40.0,
-    PingRate.LOW: 5.0,
-    PingRate.LOWEST: 2.0,
-}
-"""Most pings a second that a rate allows; the range and the network may allow fewer."""
-
 FULL_BEAMS: Final = 512
 HALF_BEAMS: Final = 256
 LINK_SPEED: Final = 255
-"""Network-speed byte: no limit below the link's own speed, 100 Mbit/s or 1 Gbit/s alike."""
+"""Network-speed byte: no limit below the link's own speed, 100 Mbit/s and 1 Gbit/s alike."""
 
-_RANGES_M: Final = (0.1, 200.0)  # of all models; the sonar's own limit is known with its model
-_SPEEDS_MPS: Final = (1300.0, 1700.0)
-_SALINITIES_PPT: Final = (0.0, 42.0)  # where practical salinity is defined
+_RANGE_LIMITS_M: Final = (
+    0.1,
+    200.0,
+)  # over all models; the limit of a sonar is known once its model is known
+_SPEED_LIMITS_MPS: Final = (1300.0, 1700.0)
+_SALINITY_LIMITS_PPT: Final = (0.0, 42.0)  # where practical salinity is defined
 _BITS: Final = (8, 16, 32)
 _BITS_32: Final = 32
-_SLOWEST_SOUND_MPS: Final = 1400.0
-_MOST_ROWS: Final = 800
-_FIXED_BYTES: Final = 4096
-_SLOWEST_LINK_MBPS: Final = 100
+_MIN_SOUND_MPS: Final = 1400.0
+_MAX_ROWS: Final = 800
+_HEADER_BYTES: Final = 4096
+_MIN_LINK_MBPS: Final = 100
 
 
 class Mode(IntEnum):
-    """Master mode. How many hertz and degrees these are depends on the model."""
+    """Master mode. Frequency and field of view depend on the model."""
 
-    LOW_FREQUENCY = 1  # wide fan, long range
-    HIGH_FREQUENCY = 2  # narrow fan, short range
+    LOW_FREQUENCY = 1  # wide field of view, long range
+    HIGH_FREQUENCY = 2  # narrow field of view, short range
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FireSettings:
-    """The content of a fire message.
+    """Content of a fire message.
 
     Attributes:
-        mode: frequency and fan.
-        ping_rate: an upper limit; see `MAX_RATE_HZ`.
-        range_m: how far to look, 0.1 to 200 m, or None where `range_percent` is given.
-        range_percent: how far to look as a part of the mode's farthest, more than 0 to 100.
-        gain_percent: 0 to 100. Little effect while `gain_assist` is on.
-        gamma: 0 to 255; the image is shown with the exponent gamma/255; 0 and 255 mean linear.
-        speed_of_sound_mps: 1300 to 1700, or None: the sonar computes it with `salinity_ppt`.
-        salinity_ppt: 0 (fresh) to 42; the sea has 35.
+        mode: frequency and field of view.
+        ping_rate: upper limit; see `oculus_driver.models.MAX_RATE_HZ`.
+        range_m: range, 0.1 to 200 m; None if `range_percent` is set.
+        range_percent: range as a fraction of the mode's maximum, greater than 0 to 100.
+        gain_percent: 0 to 100. Has little effect while `gain_assist` is on.
+        gamma: 0 to 255. The image is displayed with the exponent gamma/255; 0 and 255 mean linear.
+        speed_of_sound_mps: 1300 to 1700; None: the sonar computes it from `salinity_ppt`.
+        salinity_ppt: 0 (fresh water) to 42; the sea has 35.
         beams: 256 or 512.
-        bits_per_sample: 8, 16, or 32: the "scientific" data without time-varying gain, which
-            only version 2 of the fire message can ask for.
-        gain_words: send the gain of each row, so that levels can be compared.
-        gain_assist: let the sonar choose the gain. Sources disagree on what this bit means
-            (taken as 1 = on), and one finds it without effect in mode 2.
-        network_trigger: ping only when a fire message comes. Some sonars broke their stream
-            with it and had to be restarted.
-        network_limit_mbps: 1 to 254 Mbit/s, or None: as fast as the link.
+        bits_per_sample: 8, 16, or 32. 32 selects "scientific" data without time-varying gain, which
+            needs version 2 of the fire message.
+        gain_words: send the gain of each row, so that levels are comparable.
+        gain_assist: let the sonar select the gain. Sources disagree about the meaning of this bit
+            (interpreted as 1 = on); according to one it has no effect in mode 2.
+        network_trigger: ping only on a fire message. Some sonars corrupted their stream with it and
+            had to be restarted.
+        network_limit_mbps: 1 to 254 Mbit/s; None: link speed.
 
     Raises:
-        SettingsError: a value outside these limits; the text names it and the limits.
+        SettingsError: a value is outside these limits; the message names the value and the limits.
     """
 
     mode: Mode = Mode.LOW_FREQUENCY
@@ -92,39 +86,39 @@ class FireSettings:
     network_limit_mbps: int | None = None
 
     def __post_init__(self) -> None:
-        _choice("mode", self.mode, tuple(Mode))
-        _choice("ping_rate", self.ping_rate, tuple(PingRate))
-        _choice("beams", self.beams, (HALF_BEAMS, FULL_BEAMS))
-        _choice("bits_per_sample", self.bits_per_sample, _BITS)
+        _check_choice("mode", self.mode, tuple(Mode))
+        _check_choice("ping_rate", self.ping_rate, tuple(PingRate))
+        _check_choice("beams", self.beams, (HALF_BEAMS, FULL_BEAMS))
+        _check_choice("bits_per_sample", self.bits_per_sample, _BITS)
         if (self.range_m is None) == (self.range_percent is None):
-            raise SettingsError("give either range_m or range_percent, and None for the other")
+            raise SettingsError("set either range_m or range_percent, and None for the other")
         if self.range_m is not None:
-            _between("range_m", self.range_m, *_RANGES_M)
+            _check_range("range_m", self.range_m, *_RANGE_LIMITS_M)
         if self.range_percent is not None:
-            _between("range_percent", self.range_percent, 0.0, 100.0)
+            _check_range("range_percent", self.range_percent, 0.0, 100.0)
             if self.range_percent == 0.0:
                 raise SettingsError("range_percent is 0: it must be more than 0 to 100")
-        _between("gain_percent", self.gain_percent, 0.0, 100.0)
-        _whole("gamma", self.gamma, 0, 255)
+        _check_range("gain_percent", self.gain_percent, 0.0, 100.0)
+        _check_int("gamma", self.gamma, 0, 255)
         if self.speed_of_sound_mps is not None:
-            _between("speed_of_sound_mps", self.speed_of_sound_mps, *_SPEEDS_MPS)
-        _between("salinity_ppt", self.salinity_ppt, *_SALINITIES_PPT)
+            _check_range("speed_of_sound_mps", self.speed_of_sound_mps, *_SPEED_LIMITS_MPS)
+        _check_range("salinity_ppt", self.salinity_ppt, *_SALINITY_LIMITS_PPT)
         if self.network_limit_mbps is not None:
-            _whole("network_limit_mbps", self.network_limit_mbps, 1, LINK_SPEED - 1)
+            _check_int("network_limit_mbps", self.network_limit_mbps, 1, LINK_SPEED - 1)
 
     @property
     def standby(self) -> bool:
-        """Whether these settings ask the sonar to be quiet."""
+        """Whether these settings put the sonar into standby."""
         return self.ping_rate == PingRate.STANDBY
 
     @property
     def needs_version_2(self) -> bool:
-        """Whether a version-1 fire message cannot say this."""
+        """Whether these settings cannot be encoded as version 1."""
         return self.bits_per_sample == _BITS_32
 
     @property
     def flags(self) -> FireFlags:
-        """The flags byte. `SIMPLE_RETURN` is always set: other results are closed to us."""
+        """The flags byte. `SIMPLE_RETURN` is always set: the other format is undocumented."""
         flags = FireFlags.SIMPLE_RETURN
         for bit, wanted in (
             (FireFlags.RANGE_IN_METRES, self.range_m is not None),
@@ -139,30 +133,30 @@ class FireSettings:
         return flags
 
     @property
-    def longest_period_s(self) -> float:
-        """Time that one ping may take by rate, way of the sound and network, seconds.
+    def max_period_s(self) -> float:
+        """Upper estimate of the time of one ping by rate, travel time and network, seconds.
 
-        Infinite in standby. An upper estimate to judge silence by, not a promise: it counts
-        with cold fresh water, the most rows that were seen, and no better than 100 Mbit/s.
+        Infinite in standby. For the detection of silence, not a guarantee: it assumes cold fresh
+        water, the largest number of rows seen, and a link of at most 100 Mbit/s.
         """
         if self.standby:
             return math.inf
-        far_m = _RANGES_M[1] * (self.range_percent or 0.0) / 100.0
-        two_way_s = 2.0 * (self.range_m or far_m) / _SLOWEST_SOUND_MPS
+        far_m = _RANGE_LIMITS_M[1] * (self.range_percent or 0.0) / 100.0
+        two_way_s = 2.0 * (self.range_m or far_m) / _MIN_SOUND_MPS
         row_bytes = self.beams * self.bits_per_sample // 8 + 4
-        speed_bps = 1e6 * (self.network_limit_mbps or _SLOWEST_LINK_MBPS)
-        transfer_s = 8.0 * (_FIXED_BYTES + _MOST_ROWS * row_bytes) / speed_bps
+        speed_bps = 1e6 * (self.network_limit_mbps or _MIN_LINK_MBPS)
+        transfer_s = 8.0 * (_HEADER_BYTES + _MAX_ROWS * row_bytes) / speed_bps
         return max(1.0 / MAX_RATE_HZ[self.ping_rate], two_way_s, transfer_s)
 
     def in_standby(self) -> FireSettings:
-        """Return the same settings with the sonar quiet: no pings, triggered ones neither."""
+        """Return the same settings in standby: no pings, not even triggered ones."""
         return replace(self, ping_rate=PingRate.STANDBY, network_trigger=False)
 
-    def fitted_to(self, model: Model) -> FireSettings:
-        """Return the settings with the range that the model has at most in this mode.
+    def limited_to(self, model: Model) -> FireSettings:
+        """Return the settings with the range limited to the model's maximum in this mode.
 
-        What firmware makes of a longer range is not documented, so it is never asked. Models
-        that are not known get what was asked for.
+        The firmware's reaction to a longer range is undocumented, so it is never requested. For an
+        unknown model the settings are returned unchanged.
 
         Raises:
             SettingsError: the model does not have the mode.
@@ -180,12 +174,12 @@ class FireSettings:
         """Return the fire message, 89 bytes (version 2) or 53 bytes (version 1).
 
         Raises:
-            SettingsError: version 1 cannot say this, or there is no such version.
+            SettingsError: version 1 cannot encode these settings, or the version does not exist.
         """
         if version not in (1, 2):
             raise SettingsError(f"there is no fire message of version {version}: use 1 or 2")
         if version == 1 and self.needs_version_2:
-            raise SettingsError("32 bit per sample need a fire message of version 2")
+            raise SettingsError("32 bits per sample need version 2 of the fire message")
         limit = self.network_limit_mbps
         return encode_fire(
             version=version,
@@ -202,18 +196,18 @@ class FireSettings:
         )
 
 
-def _choice(name: str, value: int, allowed: tuple[int, ...]) -> None:
+def _check_choice(name: str, value: int, allowed: tuple[int, ...]) -> None:
     if value not in allowed:
-        names = ", ".join(str(int(one)) for one in allowed)
+        names = ", ".join(str(int(choice)) for choice in allowed)
         raise SettingsError(f"{name} is {value}: it must be one of {names}")
 
 
-def _between(name: str, value: float, low: float, high: float) -> None:
-    if not low <= value <= high:  # NaN is not
+def _check_range(name: str, value: float, low: float, high: float) -> None:
+    if not low <= value <= high:  # also rejects NaN
         raise SettingsError(f"{name} is {value}: it must be from {low:g} to {high:g}")
 
 
-def _whole(name: str, value: int, low: int, high: int) -> None:
+def _check_int(name: str, value: int, low: int, high: int) -> None:
     if not isinstance(value, int):
         raise SettingsError(f"{name} is {value}: it must be a whole number")
-    _between(name, value, low, high)
+    _check_range(name, value, low, high)

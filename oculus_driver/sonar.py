@@ -1,4 +1,4 @@
-"""A sonar on the network: its link kept up, its pings handed on, its settings asked for."""
+"""The driver's main class: one sonar on the network."""
 
 from __future__ import annotations
 
@@ -9,15 +9,20 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from oculus_driver.confirmation import CONFIRM_NS, Confirmation, ConfirmationWatch, differences
+from oculus_driver.discovery.listener import Search
 from oculus_driver.errors import LinkError, SettingsError
-from oculus_driver.heat import HeatGuard
-from oculus_driver.link import Link
-from oculus_driver.link_driver import LinkDriver
-from oculus_driver.link_state import SECOND_NS, LinkState, LinkStatus, LinkTimes
+from oculus_driver.link.confirmation import (
+    CONFIRM_TIMEOUT_NS,
+    Confirmation,
+    PendingConfirmation,
+    differences,
+)
+from oculus_driver.link.driver import LinkDriver
+from oculus_driver.link.machine import Link
+from oculus_driver.link.ping_queue import MAX_PINGS, PingQueue
+from oculus_driver.link.state import SECOND_NS, LinkState, LinkStatus, LinkTimeouts
+from oculus_driver.link.thermal import ThermalGuard
 from oculus_driver.models import UNKNOWN, model_of
-from oculus_driver.ping_queue import MAX_PINGS, PingQueue
-from oculus_driver.search import Search
 from oculus_driver.settings import FireSettings
 from oculus_driver.wire import TCP_PORT, MessageId, PingRate
 
@@ -25,45 +30,45 @@ if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable
     from types import TracebackType
 
-    from oculus_driver.confirmation import Difference
+    from oculus_driver.discovery.listener import Announcement, DiscoveryFactory
+    from oculus_driver.link.confirmation import Difference
+    from oculus_driver.link.receiver import ReceivedMessage
+    from oculus_driver.link.state import SonarCounters
     from oculus_driver.models import Model
     from oculus_driver.ping import Ping
-    from oculus_driver.receiver import Received
-    from oculus_driver.search import MakeDiscovery, Sighting
-    from oculus_driver.sonar_counters import SonarCounters
     from oculus_driver.status import Status
 
 _LOG: Final = logging.getLogger(__name__)
-_QUIET_S: Final = 1.0
-_UNSENT_LOOK_S: Final = 0.01
-"""Between looks at whether settings have gone out: a fraction of the gap between two messages."""
+STANDBY_TIMEOUT_S: Final = 1.0
+_POLL_INTERVAL_S: Final = 0.01
+"""Interval of checks whether settings were sent: a fraction of the gap between two messages."""
 
 
 class OculusSonar:
-    """One Oculus sonar, for the time of an `async with` block.
+    """One Oculus sonar within an `async with` block.
 
-    The link is kept up whatever happens: `state` and `link` say what it does. Pings are taken
-    from `pings`; a reader that is slow loses old ones, never the link. When the block ends the
-    sonar is put into standby. One sonar serves one client at a time.
+    The driver keeps the link up; `state` and `link` report its state. `pings` delivers the pings; a
+    slow reader loses old pings, never the link. At the end of the block the sonar is put into
+    standby. A sonar serves one client at a time.
 
     Args:
-        host: the sonar's address, None to find it by its status.
-        settings: what it shall do; None: standby, until `apply` says otherwise. A sonar that
-            pings in air gets hot.
-        serial: the sonar's device id, to choose among several; without it the first one heard.
-        model: where it is known and `host` is given; else it is learned from what is received.
+        host: address of the sonar; None: discover it by its status.
+        settings: initial settings; None: standby until `apply`. A sonar that pings in air
+            overheats.
+        serial: serial number (device id) of the sonar to use; None: the first one discovered.
+        model: if it is known and `host` is given; otherwise it is learned from received messages.
         port: of the data connection.
-        version: of the fire messages, None for 2 with fallback to 1.
-        times: how long the link waits for what.
-        max_pings: held for readers at most.
-        max_temperature_c: the sonar is held in standby above, and until its status shows 3 °C
-            less; where its address was given, until `release`. None: by its own limit alone.
+        version: of the fire messages; None: 2 with fallback to 1.
+        times: timeouts of the link.
+        max_pings: maximum number of queued pings.
+        max_temperature_c: above this the sonar is held in standby until its status shows 3 °C less
+            or, if its address was given, until `release`. None: only the sonar's own limit.
         keep_pinging: leave the sonar pinging at the end.
-        on_bytes: called with all bytes before they are parsed, and their arrival time.
-        on_state: called whenever the link enters a state or has another reason.
-        discovery: where statuses come from, None for `oculus_driver.discovery`.
+        on_bytes: called with all received bytes before they are parsed, and their arrival time.
+        on_state: called with each change of the link's state or reason.
+        discovery: source of statuses; None: `oculus_driver.discovery.listener.Discovery`.
         clock: host monotonic time, nanoseconds.
-        chance: random numbers from 0 to 1.
+        rng: random numbers from 0 to 1.
     """
 
     def __init__(
@@ -75,32 +80,32 @@ class OculusSonar:
         model: Model | None = None,
         port: int = TCP_PORT,
         version: int | None = None,
-        times: LinkTimes | None = None,
+        times: LinkTimeouts | None = None,
         max_pings: int = MAX_PINGS,
         max_temperature_c: float | None = None,
         keep_pinging: bool = False,
         on_bytes: Callable[[bytes, int], None] | None = None,
         on_state: Callable[[LinkStatus], None] | None = None,
-        discovery: MakeDiscovery | None = None,
+        discovery: DiscoveryFactory | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
-        chance: Callable[[], float] = random.random,
+        rng: Callable[[], float] = random.random,
     ) -> None:
-        self._asked = settings or FireSettings(ping_rate=PingRate.STANDBY)
+        self._requested = settings or FireSettings(ping_rate=PingRate.STANDBY)
         self._model = model
         self._clock = clock
         self._keep_pinging = keep_pinging
         self._on_state = on_state
         self._queue = PingQueue(max_pings)
         self._search = Search(serial, discovery) if host is None else None
-        self._heat = HeatGuard(max_temperature_c)
+        self._thermal = ThermalGuard(max_temperature_c)
         self._holds: dict[str, str] = {}
         self._last_ping: Ping | None = None
-        self._next_pings: set[asyncio.Future[Ping]] = set()
-        self._watches: dict[asyncio.Future[Confirmation], ConfirmationWatch] = {}
-        self._awaited_states: dict[asyncio.Future[LinkState], tuple[LinkState, ...]] = {}
-        self._quiet: asyncio.Future[None] | None = None
+        self._ping_waiters: set[asyncio.Future[Ping]] = set()
+        self._confirmations: dict[asyncio.Future[Confirmation], PendingConfirmation] = {}
+        self._state_waiters: dict[asyncio.Future[LinkState], tuple[LinkState, ...]] = {}
+        self._standby_seen: asyncio.Future[None] | None = None
         self._entered = False
-        link = Link(self._fitted(), address=host, version=version, times=times, chance=chance)
+        link = Link(self._limited_settings(), address=host, version=version, times=times, rng=rng)
         self._driver = LinkDriver(
             link,
             port=port,
@@ -113,140 +118,140 @@ class OculusSonar:
 
     @property
     def state(self) -> LinkState:
-        """What the link does now."""
+        """State of the link."""
         return self._driver.link.status.state
 
     @property
     def link(self) -> LinkStatus:
-        """The link's state with its reason, since when, address and fire version."""
+        """State of the link with reason, start time, address and fire version."""
         return self._driver.link.status
 
     @property
     def settings(self) -> FireSettings:
-        """What was asked for last."""
-        return self._asked
+        """The last requested settings."""
+        return self._requested
 
     @property
     def status(self) -> Status | None:
-        """The sonar's last status; none where its address was given."""
+        """The sonar's last status, None if its address was given."""
         return None if self._search is None else self._search.status
 
     @property
     def model(self) -> Model | None:
-        """Which sonar it is, once known."""
+        """Model of the sonar, None until it is known."""
         return self._model
 
     @property
     def changed(self) -> tuple[Difference, ...]:
-        """What the last ping shows otherwise than asked for."""
+        """Differences between the last ping and the requested settings."""
         ping = self._last_ping
-        return () if ping is None or self._asked.standby else differences(self._asked, ping)
+        return () if ping is None or self._requested.standby else differences(self._requested, ping)
 
     @property
     def counters(self) -> SonarCounters:
-        """Everything counted so far."""
-        return self._driver.counted(
+        """All counters."""
+        return self._driver.counters(
             taken=self._queue.taken, dropped=self._queue.dropped, queued=len(self._queue)
         )
 
     def pings(self) -> AsyncIterator[Ping]:
-        """Return the pings as they come, until the sonar is closed.
+        """Return an iterator over pings that ends when the sonar is closed.
 
-        Several readers share them. What goes wrong in `on_bytes`, `on_state` or the search is
+        Several readers share the pings. Exceptions of `on_bytes`, `on_state` and the discovery are
         raised here, and at the end of the `async with` block.
         """
         return self._queue
 
     async def apply(
-        self, settings: FireSettings, patience_s: float = CONFIRM_NS / SECOND_NS
+        self, settings: FireSettings, timeout_s: float = CONFIRM_TIMEOUT_NS / SECOND_NS
     ) -> Confirmation:
-        """Ask for settings, now and after every reconnection, and wait for what pings show.
+        """Request settings, now and after every reconnection, and wait for their confirmation.
 
-        Not confirmed is an answer, not an error: the link stays and keeps asking.
+        A missing confirmation is not an error: the link keeps requesting the settings.
 
         Raises:
-            SettingsError: the model has not got the mode.
-            LinkError: the sonar was closed meanwhile.
+            SettingsError: the model does not have the mode.
+            LinkError: the sonar was closed in the meantime.
         """
-        fitted = self._fit(settings)
-        self._asked = settings
+        limited = self._limit(settings)
+        self._requested = settings
         now_ns = self._clock()
-        self._driver.do(self._driver.link.apply(fitted, now_ns))
-        sent = fitted.in_standby() if fitted.network_trigger else fitted
-        watch = ConfirmationWatch(settings, now_ns, sent)
+        self._driver.do(self._driver.link.apply(limited, now_ns))
+        sent = limited.in_standby() if limited.network_trigger else limited
+        pending = PendingConfirmation(settings, now_ns, sent)
         future: asyncio.Future[Confirmation] = asyncio.get_running_loop().create_future()
-        self._watches[future] = watch
+        self._confirmations[future] = pending
         try:
-            async with asyncio.timeout(patience_s):
+            async with asyncio.timeout(timeout_s):
                 return await future
         except TimeoutError:
-            return watch.expire(self._clock())
+            return pending.expire(self._clock())
         finally:
-            del self._watches[future]
+            del self._confirmations[future]
 
     async def standby(self) -> Confirmation:
-        """Make the sonar quiet and wait for a sign that it is."""
-        return await self.apply(replace(self._asked, ping_rate=PingRate.STANDBY))
+        """Put the sonar into standby and wait for the confirmation."""
+        return await self.apply(replace(self._requested, ping_rate=PingRate.STANDBY))
 
-    async def fire(self, patience_s: float = 3.0) -> Ping:
+    async def fire(self, timeout_s: float = 3.0) -> Ping:
         """Trigger one ping (`FireSettings.network_trigger`) and return it.
 
-        The ping goes to readers of `pings` as well.
+        The readers of `pings` get the ping, too.
 
         Raises:
             SettingsError: the sonar is not in triggered mode.
-            LinkError: it cannot be fired now, or no ping came in time.
+            LinkError: the sonar cannot fire now, or no ping arrived in time.
         """
-        if not self._asked.network_trigger:
-            raise SettingsError("fire() needs settings with network_trigger=True: apply them first")
+        if not self._requested.network_trigger:
+            raise SettingsError("fire() needs network_trigger=True: apply such settings first")
         link = self._driver.link
         future: asyncio.Future[Ping] = asyncio.get_running_loop().create_future()
         try:
-            async with asyncio.timeout(patience_s):
-                while link.has_unsent:  # noqa: ASYNC110 right-before settings; nobody tells when they went
-                    await asyncio.sleep(_UNSENT_LOOK_S)
+            async with asyncio.timeout(timeout_s):
+                while link.has_unsent:  # noqa: ASYNC110 - the link has no event for sent settings
+                    await asyncio.sleep(_POLL_INTERVAL_S)
                 if not link.can_trigger:
-                    raise LinkError(f"the sonar cannot be fired now: {link.status.reason}")
-                self._next_pings.add(future)
+                    raise LinkError(f"the sonar cannot fire now: {link.status.reason}")
+                self._ping_waiters.add(future)
                 self._driver.do(link.trigger(self._clock()))
                 return await future
         except TimeoutError:
-            raise LinkError(f"no ping within {patience_s:g} s of the trigger") from None
+            raise LinkError(f"no ping within {timeout_s:g} s of the trigger") from None
         finally:
-            self._next_pings.discard(future)
+            self._ping_waiters.discard(future)
 
     def hold(self, reason: str) -> None:
-        """Keep the sonar quiet, whatever is asked for, until `release`: out of the water, say."""
+        """Keep the sonar in standby until `release`, for example out of the water."""
         self._hold("user", reason)
 
     def release(self) -> None:
-        """End the `hold`, and one for heat: it comes back where the sonar is still hot."""
-        self._heat.reason = None
-        self._hold("heat", None)
+        """End the `hold`, and a thermal one; the latter returns if the sonar is still hot."""
+        self._thermal.reason = None
+        self._hold("thermal", None)
         self._hold("user", None)
 
     async def wait_for(self, *states: LinkState) -> LinkState:
-        """Wait until the link is, or was for a moment, in one of the states; return which.
+        """Wait until the link is, or was for a moment, in one of the states; return that state.
 
         Raises:
-            LinkError: the sonar was closed meanwhile.
+            LinkError: the sonar was closed in the meantime.
         """
         if self.state in states:
             return self.state
         future: asyncio.Future[LinkState] = asyncio.get_running_loop().create_future()
-        self._awaited_states[future] = states
+        self._state_waiters[future] = states
         try:
             return await future
         finally:
-            del self._awaited_states[future]
+            del self._state_waiters[future]
 
     async def __aenter__(self) -> Self:
         if self._entered:
-            raise LinkError("a sonar can be opened once: make another OculusSonar")
+            raise LinkError("a sonar can be opened only once: create another OculusSonar")
         self._entered = True
         self._driver.start()
         if self._search is not None:
-            self._search.start(self._sighted, self._failed)
+            self._search.start(self._sonar_found, self._failed)
         return self
 
     async def __aexit__(
@@ -258,70 +263,72 @@ class OculusSonar:
         try:
             if self._search is not None:
                 await self._search.stop()
-            await self._silence()
+            await self._enter_standby()
         finally:
-            self._end_waiting(LinkError("the sonar was closed"))
+            self._fail_waiters(LinkError("the sonar was closed"))
             self._queue.close()
             await self._driver.close("closed by the caller")
         if error is None and self._driver.failure is not None:
             raise self._driver.failure
 
-    # What the link, the search and the bytes bring.
+    # Callbacks of the link and the search.
 
-    def _received(self, received: Received, now_ns: int) -> None:
+    def _received(self, received: ReceivedMessage, now_ns: int) -> None:
         if received.message_id == MessageId.DUMMY:
-            if self._quiet is not None and not self._quiet.done():
-                self._quiet.set_result(None)
-            self._answer(lambda watch: watch.dummy(now_ns))
+            if self._standby_seen is not None and not self._standby_seen.done():
+                self._standby_seen.set_result(None)
+            self._resolve_confirmations(lambda pending: pending.dummy(now_ns))
         ping = received.ping
         if ping is None:
             return
         if self._model is None and ping.part_number:
-            self._learn(model_of(ping.part_number))
-        self._heat.ping(ping)
-        self._hold("heat", self._heat.reason)
+            self._set_model(model_of(ping.part_number))
+        self._thermal.ping(ping)
+        self._hold("thermal", self._thermal.reason)
         self._last_ping = ping
         self._queue.put(ping)
-        self._answer(lambda watch: watch.ping(ping, now_ns))
-        for future in self._next_pings:
+        self._resolve_confirmations(lambda pending: pending.ping(ping, now_ns))
+        for future in self._ping_waiters:
             if not future.done():
                 future.set_result(ping)
 
-    def _answer(self, ask: Callable[[ConfirmationWatch], Confirmation | None]) -> None:
-        for future, watch in self._watches.items():
-            confirmation = ask(watch)
+    def _resolve_confirmations(
+        self, ask: Callable[[PendingConfirmation], Confirmation | None]
+    ) -> None:
+        for future, pending in self._confirmations.items():
+            confirmation = ask(pending)
             if confirmation is not None and not future.done():
                 future.set_result(confirmation)
 
-    def _sighted(self, sighting: Sighting) -> None:
-        status = sighting.status
+    def _sonar_found(self, found: Announcement) -> None:
+        status = found.status
         if self._model is None:
-            self._learn(status.model)
-        self._heat.status(status)
-        self._hold("heat", self._heat.reason)
+            self._set_model(status.model)
+        self._thermal.status(status)
+        self._hold("thermal", self._thermal.reason)
         client = status.client_address
         holder = str(client) if client else "another client" if status.busy else None
         now_ns = self._clock()
-        self._driver.do(self._driver.link.sighted(sighting.address, now_ns, holder=holder))
+        self._driver.do(self._driver.link.discovered(found.address, now_ns, holder=holder))
 
-    def _learn(self, model: Model) -> None:
+    def _set_model(self, model: Model) -> None:
         self._model = model
         if model.family == UNKNOWN:
-            _LOG.warning("%s is not known: its limits are not checked", model.name)
-        fitted = self._fitted()
-        if fitted != self._asked:
-            self._driver.do(self._driver.link.apply(fitted, self._clock()))
+            _LOG.warning("unknown model %s: its limits are not checked", model.name)
+        limited = self._limited_settings()
+        if limited != self._requested:
+            self._driver.do(self._driver.link.apply(limited, self._clock()))
 
-    def _fitted(self) -> FireSettings:
-        return self._fit(self._asked)
+    def _limited_settings(self) -> FireSettings:
+        return self._limit(self._requested)
 
-    def _fit(self, settings: FireSettings) -> FireSettings:
-        fitted = settings if self._model is None else settings.fitted_to(self._model)
-        if fitted != settings and self._model is not None:
-            words = "range %s m is cut to %s m, the farthest of %s in mode %d"
+    def _limit(self, settings: FireSettings) -> FireSettings:
+        limited = settings if self._model is None else settings.limited_to(self._model)
+        if limited != settings and self._model is not None:
+            words = "range %s m is limited to %s m, the maximum of %s in mode %d"
             name = self._model.name
-            _LOG.warning(words, settings.range_m, fitted.range_m, name, settings.mode)
-        return fitted
+            _LOG.warning(words, settings.range_m, limited.range_m, name, settings.mode)
+        return limited
 
     def _hold(self, who: str, reason: str | None) -> None:
         if reason == self._holds.get(who):
@@ -335,33 +342,35 @@ class OculusSonar:
 
     def _link_changed(self, status: LinkStatus) -> None:
         _LOG.info("%s: %s (%s)", status.address or "sonar", status.state, status.reason)
-        for future, states in self._awaited_states.items():
+        for future, states in self._state_waiters.items():
             if status.state in states and not future.done():
                 future.set_result(status.state)
         if self._on_state is not None:
             self._on_state(status)
 
     def _failed(self, error: BaseException) -> None:
-        """End after an error that is not the sonar's: readers and the block get it."""
+        """Close after an error of this program: readers and the block get it."""
         self._driver.fail(error)
         self._queue.close(error)
-        self._end_waiting(error)
+        self._fail_waiters(error)
 
-    # The end.
+    # Closing.
 
-    async def _silence(self) -> None:
-        """Ask for standby, and give the sonar a moment to say that it is quiet."""
+    async def _enter_standby(self) -> None:
+        """Request standby and wait a moment for the sonar's confirmation."""
         if self._keep_pinging or not self._driver.is_connected:
             return
-        self._quiet = asyncio.get_running_loop().create_future()
+        self._standby_seen = asyncio.get_running_loop().create_future()
         self._hold("close", "closing")
         closed = self._driver.connection_closed
         await asyncio.wait(
-            (self._quiet, closed), timeout=_QUIET_S, return_when=asyncio.FIRST_COMPLETED
+            (self._standby_seen, closed),
+            timeout=STANDBY_TIMEOUT_S,
+            return_when=asyncio.FIRST_COMPLETED,
         )
 
-    def _end_waiting(self, error: BaseException) -> None:
-        waiting: list[asyncio.Future[Any]] = [*self._next_pings, *self._watches]
-        for future in (*waiting, *self._awaited_states):
+    def _fail_waiters(self, error: BaseException) -> None:
+        waiting: list[asyncio.Future[Any]] = [*self._ping_waiters, *self._confirmations]
+        for future in (*waiting, *self._state_waiters):
             if not future.done():
                 future.set_exception(error)

@@ -1,9 +1,9 @@
-"""Speed of sound in water, from temperature, salinity and depth.
+"""Speed of sound in water from temperature, salinity and depth.
 
 C. Chen and F. Millero, "Speed of sound in seawater at high pressures", J. Acoust. Soc. Am. 62
 (1977), the UNESCO equation, with the coefficients of G. Wong and S. Zhu, J. Acoust. Soc. Am. 97
-(1995), for temperatures on ITS-90. It covers fresh water, unlike Mackenzie's. The formula inside
-the sonar is not documented.
+(1995), for temperatures on ITS-90. Unlike Mackenzie's equation it covers fresh water. The formula
+inside the sonar is not documented.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ def speed_of_sound_mps(
     Args:
         temperature_c: 0 to 40 °C (ITS-90).
         salinity_ppt: practical salinity, 0 to 40, about parts per thousand; 0 is fresh water.
-        pressure_bar: of the water alone, without the air above it, 0 to 1000 bar.
+        pressure_bar: gauge pressure of the water, without the atmosphere, 0 to 1000 bar.
 
     Raises:
-        OutsideLimitsError: a value for which the equation does not hold.
+        OutsideLimitsError: a value is outside the validity of the equation.
     """
     _check("temperature", temperature_c, TEMPERATURE_LIMITS_C, "°C")
     _check("salinity", salinity_ppt, SALINITY_LIMITS_PPT, "ppt")
@@ -69,21 +69,22 @@ def speed_of_sound_at_depth_mps(temperature_c: float, salinity_ppt: float, depth
         depth_m: below the surface, not negative; see `pressure_bar_at`.
 
     Raises:
-        OutsideLimitsError: a value for which the equation does not hold.
+        OutsideLimitsError: a value is outside the validity of the equation.
     """
     pressure_bar = pressure_bar_at(depth_m, salinity_ppt)
     return speed_of_sound_mps(temperature_c, salinity_ppt, pressure_bar)
 
 
 def pressure_bar_at(depth_m: float, salinity_ppt: float) -> float:
-    """Return the pressure of the water alone at a depth, bar.
+    """Return the gauge pressure of the water at a depth, bar.
 
-    Linear in depth and salinity: 0.0979 bar/m in fresh water, 0.1008 in the sea (35 ppt). Water
-    is pressed together a little: at 1000 m the sea's pressure is 0.3 bar higher, which is
-    0.05 m/s of sound; at 4000 m 3.9 bar, 0.7 m/s (by P. Saunders, J. Phys. Oceanogr. 11, 1981).
+    Linear in depth and salinity: 0.0979 bar/m in fresh water, 0.1008 bar/m in the sea (35 ppt). The
+    compressibility of water is neglected: the true pressure of the sea is 0.3 bar higher at 1000 m,
+    equivalent to 0.05 m/s of sound speed, and 3.9 bar or 0.7 m/s at 4000 m (P. Saunders, J. Phys.
+    Oceanogr. 11, 1981).
 
     Raises:
-        OutsideLimitsError: a salinity outside 0 to 40, or a depth below 0 or not finite.
+        OutsideLimitsError: the salinity is outside 0 to 40, or the depth is negative or not finite.
     """
     _check("salinity", salinity_ppt, SALINITY_LIMITS_PPT, "ppt")
     deepest_m = PRESSURE_LIMITS_BAR[1] / _FRESH_BAR_PER_M
@@ -105,6 +106,6 @@ def _polynomial(table: _Table, temperature_c: float, pressure_bar: float) -> flo
 def _check(name: str, value: float, limits: tuple[float, float], unit: str) -> None:
     if not limits[0] <= value <= limits[1]:
         raise OutsideLimitsError(
-            f"{name} {value:g} {unit}: the speed of sound is known from {limits[0]:g} to "
-            f"{limits[1]:g} {unit} only"
+            f"{name} {value:g} {unit}: the equation is valid only from {limits[0]:g} to "
+            f"{limits[1]:g} {unit}"
         )

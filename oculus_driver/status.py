@@ -1,4 +1,4 @@
-"""The status datagram: who the sonar is, where it is, and how it is."""
+"""Status datagrams: identity, addresses and condition of a sonar."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from ipaddress import IPv4Address
 from typing import Final
 
+from oculus_driver.errors import Reject
 from oculus_driver.models import Model, model_of
-from oculus_driver.reject import Reject
 from oculus_driver.wire import MAGIC, STATUS
 
-_TEMPERATURES_C: Final = (-40.0, 120.0)
-_PRESSURES_BAR: Final = (-5.0, 1000.0)
+_TEMPERATURE_LIMITS_C: Final = (-40.0, 120.0)
+_PRESSURE_LIMITS_BAR: Final = (-5.0, 1000.0)
 
 MASTER_STATES: Final = ("boot loader booting", "boot loader halted", "booting", "running")
 PAUSE_REASONS: Final = (
@@ -27,6 +27,9 @@ PAUSE_REASONS: Final = (
 )
 TEMPERATURE_STATES: Final = ("good", "high", "reserved", "shut down")
 
+MAIN_TEMPERATURE: Final = 6
+"""Index of the sensor that other drivers use as the temperature, of eight."""
+
 
 @dataclass(frozen=True, slots=True)
 class Status:
@@ -34,13 +37,13 @@ class Status:
 
     Attributes:
         device_id: serial number.
-        model: from the part number; unknown ones have a model too.
+        model: from the part number; an unknown part number gives a model, too.
         status_bits: raw.
         address, netmask: of the sonar.
-        client_address: who holds the sonar, None where nobody does.
+        client_address: the connected client, None if there is none.
         mac: six bytes.
         firmware: versions of ARM 0, ARM 1 and FPGA, raw.
-        temperatures_c: eight places inside; None = not available.
+        temperatures_c: eight internal temperatures; None = not available.
         pressure_bar: None = not available.
     """
 
@@ -57,7 +60,7 @@ class Status:
 
     @property
     def source_id(self) -> int:
-        """What the headers of this sonar's messages carry."""
+        """Source id in the headers of this sonar's messages."""
         return self.device_id & 0xFFFF
 
     @property
@@ -68,7 +71,7 @@ class Status:
 
     @property
     def pause_reason(self) -> str | None:
-        """Why the sonar is halted in its boot loader, None where it is not."""
+        """Why the sonar is halted in its boot loader, None if it is not."""
         if self.status_bits & 0b111 > 1:
             return None
         return PAUSE_REASONS[self.status_bits >> 3 & 0b111]
@@ -80,7 +83,7 @@ class Status:
 
     @property
     def temperature_state(self) -> str:
-        """One of `TEMPERATURE_STATES`; at "shut down" the pings have stopped."""
+        """One of `TEMPERATURE_STATES`; in state "shut down" the sonar has stopped pinging."""
         return TEMPERATURE_STATES[self.status_bits >> 14 & 0b11]
 
     @property
@@ -90,7 +93,7 @@ class Status:
 
 
 def decode_status(datagram: bytes) -> Status | Reject:
-    """Return the status in a datagram of at least 142 bytes; what follows them is ignored."""
+    """Return the status in a datagram of at least 142 bytes; further bytes are ignored."""
     if len(datagram) < STATUS.size:
         return Reject("short_message", f"{len(datagram)} bytes, a status has {STATUS.size}", 0)
     fields = STATUS.unpack(datagram)
@@ -106,8 +109,10 @@ def decode_status(datagram: bytes) -> Status | Reject:
         client_address=client if int(client) else None,
         mac=fields["mac"],
         firmware=(fields["arm0_version"], fields["arm1_version"], fields["fpga_version"]),
-        temperatures_c=tuple(_available(t, _TEMPERATURES_C) for t in fields["temperatures_c"]),
-        pressure_bar=_available(fields["pressure_bar"], _PRESSURES_BAR),
+        temperatures_c=tuple(
+            _available(t, _TEMPERATURE_LIMITS_C) for t in fields["temperatures_c"]
+        ),
+        pressure_bar=_available(fields["pressure_bar"], _PRESSURE_LIMITS_BAR),
     )
 
 

@@ -1,4 +1,4 @@
-"""Any bytes in, messages and counted rejects out."""
+"""Split a byte stream into messages and count everything else."""
 
 from __future__ import annotations
 
@@ -10,33 +10,33 @@ from oculus_driver.framing import (
     CANDIDATE,
     CANDIDATE_SIZE,
     Accept,
-    Judge,
-    Refuse,
-    Wait,
+    FrameChecker,
+    NeedMore,
+    Skip,
 )
 from oculus_driver.wire import PAYLOAD_LIMITS
 
 _MAX_STAMPS = 1 << 16
-"""Chunks of one unfinished message whose stamps are kept apart; beyond, every second one goes."""
+"""Arrival times kept for one unfinished message; beyond this every second one is dropped."""
 
 _UNCONFIRMED = frozenset({"unconfirmed_end"})
 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One whole message, cut out of the stream.
+    """One complete message of the stream.
 
     Attributes:
         message_id: see `oculus_driver.wire.MessageId`; other ids occur.
-        version: the header's version; 0 means 1.
+        version: version of the header; 0 means 1.
         source_id: low 16 bits of the sonar's device id.
         part_number: of the sender; 0 from older firmware.
-        data: all bytes, header included, owned by the message.
-        offset: position of the first byte in the stream.
-        arrival_ns: stamp of the chunk that held the first byte, None where it had none.
-        warnings: unconfirmed_end: what follows is no message, or another ping may start inside.
-            Either the message is whole and something foreign follows it, or bytes are missing
-            or too many inside it. Nothing in the stream can tell these apart.
+        data: all bytes including the header, owned by the message.
+        offset: offset of the first byte in the stream.
+        arrival_ns: arrival time of the chunk that contained the first byte, None if it had none.
+        warnings: unconfirmed_end: no message follows, or another ping may start inside. Either the
+            message is complete and foreign bytes follow it, or bytes inside it are missing or
+            surplus. The stream does not contain enough information to distinguish these cases.
     """
 
     message_id: int
@@ -51,17 +51,17 @@ class Message:
 
 @dataclass(slots=True)
 class StreamCounters:
-    """What a parser has seen. After `finish`, total = bytes in messages + rejected.
+    """Counters of a parser. After `finish`, total bytes = message bytes + rejected bytes.
 
     Attributes:
         bytes_total: bytes fed.
-        bytes_rejected: bytes that belong to no message.
-        resyncs: times that the start of the next message was lost.
+        bytes_rejected: bytes outside messages.
+        resyncs: how often synchronisation was lost.
         messages: messages by id.
         rejects: by reason: bad_magic, oversize, unknown_id, unknown_version, short_message,
-            size_mismatch, truncated, bytes_missing (a ping that another one begins in). An
-            unknown id that was skipped in step counts here too.
-        warnings: by reason: source_mismatch (another source id than the message before),
+            size_mismatch, truncated, bytes_missing (another ping starts inside the ping). A
+            skipped message with an unknown id counts here, too.
+        warnings: by reason: source_mismatch (the source id differs from the previous message's),
             unconfirmed_end (see `Message`).
     """
 
@@ -74,24 +74,23 @@ class StreamCounters:
 
 
 class StreamParser:
-    """Cuts a TCP stream, or a recording of one, into messages. Total: never raises on bytes.
+    """Splits a TCP stream, or a recording of one, into messages. Never raises on any bytes.
 
-    Messages do not depend on how the stream is split into chunks. Time is linear in the number
-    of bytes, whatever they are; memory is bounded by the largest message (16 MiB) and the chunk
-    in hand. The start of the stream is taken for the start of a message, as it is on a fresh
-    connection; anything else costs one resynchronisation.
+    The messages do not depend on how the stream is split into chunks. Time is linear in the number
+    of bytes for any content. Memory is bounded by the largest message (16 MiB) plus one chunk. The
+    start of the stream is assumed to be the start of a message, as on a new connection; otherwise
+    one resynchronisation is counted.
 
-    A ping inside which bytes are missing reaches into the next one. It is refused
-    (bytes_missing), and the next one is found, with and without `confirm`. Not noticed by either:
-    missing bytes after which all sizes fit, such as exactly one ping's length.
+    If bytes are missing inside a ping, the ping extends into the next one. It is rejected
+    (bytes_missing) and the next ping is found, with and without `confirm`. Missing bytes after
+    which all sizes fit, such as exactly one ping, are not detected.
 
     Args:
-        source_id: the sonar's id where it is known (low 16 bits of its device id), else it is
-            learned from the pings.
-        confirm: hold each ping back until the header behind it has come, and warn
-            (unconfirmed_end) if there is none. For recordings. Otherwise a ping comes out with
-            its last byte, unless another seems to start inside it; then it too waits. Only where
-            exactly one byte is missing does the next ping get lost without `confirm`.
+        source_id: the sonar's id (low 16 bits of its device id). None: learn it from the pings.
+        confirm: hold each ping back until the next header has arrived, and warn (unconfirmed_end)
+            if there is none. For recordings. Without it a ping is returned with its last byte,
+            unless another ping seems to start inside it. Without it the next ping is lost if
+            exactly one byte is missing.
     """
 
     def __init__(self, source_id: int | None = None, *, confirm: bool = False) -> None:
@@ -99,9 +98,9 @@ class StreamParser:
         self._source_id = source_id
         self._confirm = confirm
         self._buffer = bytearray()
-        self._position = 0  # in the buffer; what is before it is settled
+        self._position = 0  # in the buffer; the bytes before it are parsed
         self._base = 0  # stream offset of the buffer's first byte
-        self._needed = 0  # buffer length before which nothing can be decided
+        self._needed = 0  # buffer length needed for the next decision
         self._synchronised = True
         self._lost_at = 0
         self._stamp_offsets: list[int] = []
@@ -109,17 +108,17 @@ class StreamParser:
 
     @property
     def synchronised(self) -> bool:
-        """False while looking for the start of a message."""
+        """False while searching for the start of a message."""
         return self._synchronised
 
     @property
     def source_id(self) -> int | None:
-        """The sonar's id, once known."""
+        """The sonar's id, None until it is known."""
         return self._source_id
 
     @property
     def pending_bytes(self) -> int:
-        """Bytes fed that are not settled yet: the part of a message that has come so far."""
+        """Bytes fed but not parsed yet: the received part of an incomplete message."""
         return len(self._buffer) - self._position
 
     @property
@@ -134,62 +133,63 @@ class StreamParser:
         *,
         gap_before: bool = False,
     ) -> list[Message]:
-        """Take the next bytes of the stream and return the messages that they complete.
+        """Feed the next bytes of the stream and return the messages that they complete.
 
         Args:
-            data: any number of bytes; they are copied.
-            arrival_ns: when the bytes came, on any clock, or None.
-            gap_before: bytes are known to be missing before these. What is pending is settled as
-                at an end, a message cut by the gap is truncated, and the next one is searched.
+            data: any number of bytes; copied.
+            arrival_ns: arrival time of the bytes on any clock, or None.
+            gap_before: bytes are missing in front of these. Pending bytes are parsed as at the end
+                of the stream, an incomplete message counts as truncated, and the parser
+                resynchronises.
         """
-        messages = self._jump() if gap_before else []
+        messages = self._parse_before_gap() if gap_before else []
         before = len(self._buffer)
         self._stamp(self._base + before, arrival_ns)
         self._buffer += data
         self.counters.bytes_total += len(self._buffer) - before
         if len(self._buffer) >= self._needed:
-            messages += self._settle(final=False)
+            messages += self._parse(final=False)
         return messages
 
     def finish(self) -> list[Message]:
-        """Settle what is pending at the end of the stream; the rest counts as truncated.
+        """Parse the pending bytes at the end of the stream; the rest counts as truncated.
 
-        The parser can be fed again afterwards: a new stream whose offsets go on.
+        Feeding more bytes afterwards starts a new stream. Its offsets continue.
         """
-        messages = self._settle(final=True)
+        messages = self._parse(final=True)
         self._synchronised = True
         return messages
 
-    def _jump(self) -> list[Message]:
-        """Settle what came before a gap, then look for the start of a message."""
+    def _parse_before_gap(self) -> list[Message]:
+        """Parse the bytes in front of a gap, then resynchronise."""
         before = self._synchronised, self.counters.resyncs
-        messages = self._settle(final=True)
+        messages = self._parse(final=True)
         if self._synchronised or before == (True, self.counters.resyncs):
             self._synchronised = False
             self._lost_at = self._base
             self.counters.resyncs += 1
         return messages
 
-    def _settle(self, *, final: bool) -> list[Message]:
+    def _parse(self, *, final: bool) -> list[Message]:
         messages: list[Message] = []
         self._needed = 0
         while self._synchronised or self._find_candidate(final=final):
             if self._position == len(self._buffer):
                 break
-            judge = Judge(self._synchronised, self._source_id, final, self._confirm)
-            match judge.verdict(self._buffer, self._position):
+            checker = FrameChecker(self._synchronised, self._source_id, final, self._confirm)
+            match checker.check(self._buffer, self._position):
                 case Accept() as accepted:
-                    messages.append(self._take(accepted))
-                case Refuse(reason, skip):
-                    self._lose(reason, skip)
-                case Wait(size):
+                    messages.append(self._emit(accepted))
+                case Skip(reason, skip):
+                    self._skip(reason, skip)
+                case NeedMore(size):
                     self._needed = self._position + size
                     break
-        self._forget_settled()
+        self._discard_parsed()
         return messages
 
     def _find_candidate(self, *, final: bool) -> bool:
-        """Move to the next place that could be a header; count what is passed over."""
+        """Move to the next possible header and count the skipped bytes."""
         found = CANDIDATE.search(self._buffer, self._position)
         if found is not None:
             self._reject(found.start() - self._position)
@@ -198,7 +198,7 @@ class StreamParser:
         self._reject(left if final else max(0, left - CANDIDATE_SIZE + 1))
         return False
 
-    def _take(self, accepted: Accept) -> Message:
+    def _emit(self, accepted: Accept) -> Message:
         header, size, start = accepted.header, accepted.size, self._position
         offset = self._base + start
         with memoryview(self._buffer) as view:
@@ -221,12 +221,12 @@ class StreamParser:
             header.part_number,
             data,
             offset,
-            self._stamp_of(offset),
+            self._stamp_at(offset),
             warnings,
         )
 
-    def _lose(self, reason: str, skip: int) -> None:
-        """No message starts here: go on `skip` bytes later. Noise is counted once, pings each."""
+    def _skip(self, reason: str, skip: int) -> None:
+        """Skip bytes at which no message starts. Noise counts once, each rejected ping once."""
         if self._synchronised or reason == "bytes_missing":
             self.counters.rejects[reason] += 1
         if self._synchronised:
@@ -242,7 +242,7 @@ class StreamParser:
     def _stamp(self, offset: int, arrival_ns: int | None) -> None:
         if self._stamps and self._stamps[-1] == arrival_ns:
             return
-        if self._stamp_offsets and self._stamp_offsets[-1] == offset:  # the chunk before was empty
+        if self._stamp_offsets and self._stamp_offsets[-1] == offset:  # after an empty chunk
             self._stamps[-1] = arrival_ns
             return
         self._stamp_offsets.append(offset)
@@ -250,10 +250,10 @@ class StreamParser:
         if len(self._stamps) > _MAX_STAMPS:
             del self._stamp_offsets[1::2], self._stamps[1::2]
 
-    def _stamp_of(self, offset: int) -> int | None:
+    def _stamp_at(self, offset: int) -> int | None:
         return self._stamps[bisect_right(self._stamp_offsets, offset) - 1]
 
-    def _forget_settled(self) -> None:
+    def _discard_parsed(self) -> None:
         del self._buffer[: self._position]
         self._base += self._position
         self._needed = max(0, self._needed - self._position)

@@ -1,18 +1,119 @@
-"""The messages of the Oculus protocol: layouts, ids, bits and limits.
+"""Messages of the Oculus protocol: layouts, ids, flags and limits.
 
-Every layout starts with the 16-byte header and its offsets count from the message's first byte.
-Little-endian, packed. The simulator writes with the same declarations the driver reads with.
+Every layout starts with the 16-byte header. Offsets count from the first byte of the message.
+All structures are little-endian and packed. The simulator encodes with the declarations that the
+driver decodes with.
 """
 
 from __future__ import annotations
 
+import struct
+from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from oculus_driver.layout import F64, U8, U16, U32, Field, Layout
+from oculus_driver.errors import EncodeError, ProtocolError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+
+U8 = "B"
+U16 = "H"
+U32 = "I"
+F64 = "d"
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One field of a layout.
+
+    Attributes:
+        name: unique within the layout; ends with the unit, if there is one.
+        offset: bytes from the start of the message; checked against the preceding fields.
+        code: `struct` code of one value, such as "H" or "6s".
+        count: number of values; more than one value is unpacked as a tuple.
+        default: packed if no value is given.
+    """
+
+    name: str
+    offset: int
+    code: str
+    count: int = 1
+    default: Any = 0
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A packed little-endian structure without gaps.
+
+    Raises:
+        ProtocolError: on construction, if the offset of a field or the total size does not equal
+            the sum of the preceding fields. A typing error in a declaration fails at import.
+    """
+
+    name: str
+    size: int
+    fields: tuple[Field, ...]
+    _struct: struct.Struct = field(init=False, repr=False, compare=False)
+    _offsets: dict[str, int] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        end = 0
+        for item in self.fields:
+            if item.offset != end:
+                raise ProtocolError(f"{self.name}.{item.name} declared at {item.offset}, is {end}")
+            end += struct.calcsize("<" + item.code) * item.count
+        if end != self.size:
+            raise ProtocolError(f"{self.name} declared with {self.size} bytes, has {end}")
+        codes = "<" + "".join(item.code * item.count for item in self.fields)
+        offsets = {item.name: item.offset for item in self.fields}
+        if len(offsets) != len(self.fields):
+            raise ProtocolError(f"{self.name} names a field twice")
+        object.__setattr__(self, "_struct", struct.Struct(codes))
+        object.__setattr__(self, "_offsets", offsets)
+
+    def offset_of(self, name: str) -> int:
+        """Return the offset of the field `name`, bytes."""
+        return self._offsets[name]
+
+    def pack(self, values: Mapping[str, Any]) -> bytes:
+        """Return the bytes of the structure. Fields missing from `values` get their defaults.
+
+        Raises:
+            EncodeError: the layout has no such field, or a value is outside its type.
+        """
+        unknown = values.keys() - self._offsets.keys()
+        if unknown:
+            raise EncodeError(f"{self.name} has no field {', '.join(sorted(unknown))}")
+        flat: list[Any] = []
+        for item in self.fields:
+            value = values.get(item.name, item.default)
+            if item.count == 1:
+                flat.append(value)
+            else:
+                flat.extend(value if item.name in values else (item.default,) * item.count)
+        try:
+            return self._struct.pack(*flat)
+        except (struct.error, OverflowError, TypeError) as error:
+            raise EncodeError(f"{self.name}: {error}") from error
+
+    def unpack(self, data: bytes | bytearray | memoryview, offset: int = 0) -> dict[str, Any]:
+        """Return the fields of the structure at `offset`.
+
+        Raises:
+            ProtocolError: there are fewer bytes than the structure needs.
+        """
+        if offset < 0 or len(data) - offset < self.size:
+            raise ProtocolError(f"{self.name} needs {self.size} bytes, {len(data) - offset} given")
+        flat = iter(self._struct.unpack_from(data, offset))
+        return {
+            item.name: next(flat)
+            if item.count == 1
+            else tuple(next(flat) for _ in range(item.count))
+            for item in self.fields
+        }
+
 
 TCP_PORT: Final = 52100
 STATUS_PORT: Final = 52102
@@ -22,7 +123,7 @@ MAGIC_BYTES: Final = b"SO"
 
 
 class MessageId(IntEnum):
-    """Message ids that are documented or were seen."""
+    """Known message ids, from the documentation or from captures."""
 
     STATUS = 0x01
     FIRE = 0x15
@@ -34,7 +135,7 @@ class MessageId(IntEnum):
 
 
 class PingRate(IntEnum):
-    """Ping rate of a fire message: an enumeration, not Hz. The echo in results is garbage."""
+    """Ping rate of a fire message: an enumeration, not Hz. Its echo in results is undefined."""
 
     NORMAL = 0  # up to 10 Hz
     HIGH = 1  # 15 Hz
@@ -51,7 +152,7 @@ class FireFlags(IntFlag):
     SIXTEEN_BIT = 0x02
     SEND_GAIN = 0x04
     SIMPLE_RETURN = 0x08
-    GAIN_ASSIST = 0x10  # sources disagree on the meaning of 1; taken as "on"
+    GAIN_ASSIST = 0x10  # sources disagree about the meaning of 1; interpreted as "on"
     LOW_POWER = 0x20
     FULL_BEAMS = 0x40  # 512 beams instead of 256
     NETWORK_TRIGGER = 0x80
@@ -61,7 +162,7 @@ EXTENDED_32_BIT: Final = 0x200
 """Extended flag of a version-2 fire message: 32-bit "scientific" samples."""
 
 BYTES_PER_SAMPLE: Final = {0: 1, 1: 2, 2: 3, 3: 4}
-"""Data-size field of a ping result to bytes per sample."""
+"""Bytes per sample by the data-size field of a ping result."""
 
 HEADER: Final = Layout(
     "header",
@@ -87,7 +188,7 @@ FIRE_V1: Final = Layout(
         Field("network_speed_mbps", 18, U8),
         Field("gamma", 19, U8),
         Field("flags", 20, U8),
-        Field("range_demand", 21, F64, default=0.0),  # metres or percent, see flags
+        Field("range_demand", 21, F64, default=0.0),  # metres or percent, depending on the flags
         Field("gain_percent", 29, F64, default=0.0),
         Field("speed_of_sound_demand_mps", 37, F64, default=0.0),  # 0: the sonar computes it
         Field("salinity_ppt", 45, F64, default=0.0),
@@ -201,15 +302,15 @@ PAYLOAD_LIMITS: Final[Mapping[int, int]] = {
     MessageId.LOG: 64 << 10,
     MessageId.DUMMY: 4096,
 }
-"""Largest payload, in bytes, that is believed, by message id of the TCP stream."""
+"""Largest accepted payload in bytes, by message id, in the TCP stream."""
 
 UNKNOWN_PAYLOAD_LIMIT: Final = MIB
 MAX_MESSAGE_SIZE: Final = HEADER.size + 16 * MIB
 MIN_PING_PAYLOAD: Final = PING_RESULT_V1.size - HEADER.size + 2
 
 
-def ping_layout(version: int) -> Layout | None:
-    """Return the layout of a ping result with this header version, or None where unknown."""
-    if version in (0, 1):  # firmware that writes 0 means 1
+def ping_result_layout(version: int) -> Layout | None:
+    """Return the layout of a ping result with this header version, or None if it is unknown."""
+    if version in (0, 1):  # some firmware writes 0 for version 1
         return PING_RESULT_V1
     return PING_RESULT_V2 if version == 2 else None  # noqa: PLR2004 - the version's own number

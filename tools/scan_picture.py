@@ -18,7 +18,7 @@ from mapperd.errors import MapError
 from mapperd.localization.extraction import Surroundings, scan_of
 from mapperd.localization.scan import Scan
 from oculus_driver import Ping, StreamParser, decode_ping
-from oculus_driver.picture import fan_of, laid_out
+from oculus_driver.render import fit_fan, warp_to_fan
 
 SIZE_PX = (1200, 760)
 MARGINS_PX = (10, 10, 10, 10)
@@ -37,9 +37,9 @@ def draw_scan(echo: Echo, scan: Scan, true: NDArray[np.bool_] | None = None) -> 
         scan: taken out of it.
         true: (N,) which returns are true, where it is known: others are red.
     """
-    fan = fan_of(echo.bearings_rad, echo.max_range_m, SIZE_PX, MARGINS_PX)
+    fan = fit_fan(echo.bearings_rad, echo.max_range_m, SIZE_PX, MARGINS_PX)
     level = (echo.intensity / np.float32(255)) ** np.float32(CONTRAST_GAMMA)
-    grey = np.rint(np.clip(laid_out(level, fan), 0, 1) * 255).astype(np.uint8)
+    grey = np.rint(np.clip(warp_to_fan(level, fan), 0, 1) * 255).astype(np.uint8)
     grey[fan.outside] = 0
     frame: NDArray[np.uint8] = np.repeat(grey[:, :, None], 3, axis=2)
     good = np.ones(len(scan), dtype=np.bool_) if true is None else true

@@ -26,7 +26,7 @@ from sonar_sim.scene_file import load_scenario, scene_names
 from sonar_sim.sonar_motion import sonar_pose
 from sonar_sim.validation import tank, v20_tank
 
-from oculus_driver.picture import Style
+from oculus_driver.render import Style
 
 Picture = tuple[str, NDArray[Any]]
 LOOKING_AHEAD = Pose(np.array([1.5, -10.5, -3.6]), rotation_of(0.0, 0.16, np.pi / 2.0))

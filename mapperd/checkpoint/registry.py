@@ -67,9 +67,8 @@ MODULES = (
     "mapperd.ping_stream",
     "mapperd.reject",
     "oculus_driver.clock",
-    "oculus_driver.envelope",
+    "oculus_driver.clock_fit",
     "oculus_driver.ping",
-    "oculus_driver.sequence",
     "oculus_driver.stream",
 )
 

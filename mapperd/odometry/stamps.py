@@ -4,7 +4,7 @@ from collections import deque
 
 from mapperd.odometry.records import Odometry
 from mapperd.reject import Reject
-from oculus_driver.envelope import LowerEnvelope
+from oculus_driver.clock_fit import ClockFit
 
 __all__ = ["OdometryClock"]
 
@@ -36,7 +36,7 @@ class OdometryClock:
     def __init__(self, max_age_ns: int, latency_ns: int = 0) -> None:
         self.max_age_ns = max_age_ns
         self._latency_ns = latency_ns
-        self._fit = LowerEnvelope()
+        self._fit = ClockFit()
         self._off = 0  # records in a row
         self._distrusted = False
         self._delays: deque[int] = deque(maxlen=DISTRUST_AFTER)

@@ -1,20 +1,21 @@
-"""Recordings: bytes as they came, with arrival stamps, in files that survive a kill."""
+"""Recordings: received bytes with arrival times, in files that survive a crash."""
 
 from oculus_driver.recording.background_log import BackgroundLog
 from oculus_driver.recording.chunk import OCULUS, OCULUS_STATUS, ODOMETRY_NATIVE, Chunk
 from oculus_driver.recording.convert import WRITABLE, Conversion, convert
-from oculus_driver.recording.formats import (
+from oculus_driver.recording.info import PingInfo, RecordingInfo, describe
+from oculus_driver.recording.log_files import LogPolicy
+from oculus_driver.recording.recording import (
     MCAP,
     OCULUS_LOG,
     OCULUS_RAW,
     PCAP,
     PCAPNG,
     VIEWPOINT_LOG,
+    Recording,
+    open_recording,
 )
-from oculus_driver.recording.info import PingInfo, RecordingInfo, describe
-from oculus_driver.recording.logger import LogCounters, LogPlace, SonarLog
-from oculus_driver.recording.recording import Recording, open_recording
-from oculus_driver.recording.retention import LogPolicy
+from oculus_driver.recording.sonar_log import LogCounters, LogPosition, SonarLog
 from oculus_driver.recording.writer import RecordingWriter
 
 __all__ = [
@@ -32,8 +33,8 @@ __all__ = [
     "Chunk",
     "Conversion",
     "LogCounters",
-    "LogPlace",
     "LogPolicy",
+    "LogPosition",
     "PingInfo",
     "Recording",
     "RecordingInfo",

@@ -1,4 +1,4 @@
-"""A log beside an event loop: the loop never waits for the disk."""
+"""Writes a log in a thread, so that the event loop never waits for the disk."""
 
 from __future__ import annotations
 
@@ -11,54 +11,54 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import TracebackType
 
-    from oculus_driver.recording.logger import LogPlace, SonarLog
+    from oculus_driver.recording.sonar_log import LogPosition, SonarLog
 
 MAX_WAITING_BYTES: Final = 64 << 20
 _TICK_S: Final = 1.0
 _RETRY_S: Final = 0.2
-_LEAST_SIZE: Final = 256
-"""What an entry counts at least: its own memory."""
+_MIN_SIZE: Final = 256
+"""Minimum accounted size of an entry: its own memory."""
 
 
 class _Entry(NamedTuple):
     data: bytes
     arrival_ns: int
     gap_before: bool
-    link: str | None  # None is the sonar's stream
+    link: str | None  # None: the sonar's stream
     number: int = 0
 
 
 class _Run(NamedTuple):
-    """Pieces that follow each other in one file, one message each."""
+    """Consecutive pieces in one file, one message each."""
 
     first: int
     last: int
-    place: LogPlace  # behind the last
+    position: LogPosition  # after the last piece
 
 
-_MOST_RUNS: Final = 1000
-"""Whose places are remembered: a run ends with a file, with a loss, and where a piece is cut."""
+_MAX_RUNS: Final = 1000
+"""Number of runs with known positions. A run ends with a file, at a loss, or at a split piece."""
 
 
 class BackgroundLog:
-    """Hands bytes to a `SonarLog` in a thread of its own. Leaving the block writes what waits.
+    """Passes bytes to a `SonarLog` in a thread. The end of the block writes all waiting data.
 
-    Where the disk is slower than the sonar for long, the newest bytes are dropped and counted,
-    and the log notes the gap. A log that holds (see `SonarLog`) may be stuck for as long as its
-    disk is full: what comes meanwhile waits too, within the same bound.
+    If the disk is slower than the sonar for long, the newest bytes are dropped and counted, and the
+    log contains a gap. A log that holds (see `SonarLog`) may be blocked for as long as its disk is
+    full; data wait meanwhile within the same bound.
 
-    Every piece that is offered has a number, from 1, and a place in the files once it is written.
+    Every offered piece has a number, starting with 1, and a position once it is written.
 
     Args:
-        log: is used by the thread alone until the block is left, then closed.
-        max_waiting_bytes: that may wait for the disk.
-        clock: the host's, in the nanoseconds of `arrival_ns`.
+        log: used only by the thread until the end of the block, then closed.
+        max_waiting_bytes: maximum size of the waiting data.
+        clock: the host's clock, in the nanoseconds of `arrival_ns`.
 
     Attributes:
-        bytes_dropped: because too many waited.
-        offered: pieces so far: the number of the newest.
-        written: number of the last piece that is with the operating system; those before it are
-            too, or dropped.
+        bytes_dropped: because too many were waiting.
+        offered: number of the newest piece.
+        written: number of the last piece that is with the operating system; earlier pieces are
+            written, or dropped.
     """
 
     def __init__(
@@ -71,14 +71,14 @@ class BackgroundLog:
         self.bytes_dropped = 0
         self.offered = 0
         self.written = 0
-        self._runs: deque[_Run] = deque(maxlen=_MOST_RUNS)
+        self._runs: deque[_Run] = deque(maxlen=_MAX_RUNS)
         self._log = log
         self._limit = max_waiting_bytes
         self._clock = clock
         self._changed = Condition()
         self._entries: deque[_Entry] = deque()
         self._waiting = 0
-        self._gaps: set[str | None] = set()  # links of which the last piece was dropped
+        self._gaps: set[str | None] = set()  # links whose last piece was dropped
         self._closing = False
         self._error: BaseException | None = None
         self._thread = Thread(target=self._run, name="sonar log", daemon=True)
@@ -93,7 +93,7 @@ class BackgroundLog:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        import asyncio  # noqa: PLC0415 - there already where this runs, and slow to import
+        import asyncio  # noqa: PLC0415 - slow to import, and always loaded when this runs
 
         with self._changed:
             self._closing = True
@@ -114,46 +114,46 @@ class BackgroundLog:
         *,
         gap_before: bool = False,
     ) -> bool:
-        """Take the next bytes of the sonar's stream at once; False if there is no room for them.
+        """Queue the next bytes of the sonar's stream; return False if there is no room for them.
 
         Args:
-            data: as they came; copied unless they cannot change.
-            arrival_ns: when they came.
+            data: received bytes; copied unless immutable.
+            arrival_ns: arrival time.
             gap_before: bytes before these were lost, or this is a new connection.
         """
         return self._offer(_Entry(bytes(data), arrival_ns, gap_before, None))
 
     def write_status(self, datagram: bytes, arrival_ns: int) -> bool:
-        """Take a status datagram at once; False if there is no room for it."""
+        """Queue a status datagram; return False if there is no room for it."""
         return self._offer(_Entry(datagram, arrival_ns, gap_before=False, link="status"))
 
     def write_other(
         self, link: str, data: bytes, arrival_ns: int, *, gap_before: bool = False
     ) -> bool:
-        """Take bytes of a link beside the sonar at once; False if there is no room for them."""
+        """Queue bytes of a link other than the sonar; return False if there is no room for them."""
         return self._offer(_Entry(data, arrival_ns, gap_before, link))
 
-    def place_of(self, number: int) -> LogPlace | None:
-        """Where the files go on behind a piece; None while it is not written, or long after.
+    def position_of(self, number: int) -> LogPosition | None:
+        """Return the position after a piece; None while it is not written, or long after.
 
-        Of a piece that was dropped: behind the one before it.
+        For a dropped piece: the position after the preceding one.
         """
         with self._changed:
             if number > self.written:
                 return None
-            for first, last, place in reversed(self._runs):
+            for first, last, position in reversed(self._runs):
                 if first <= number:
-                    behind = max(0, last - number)
-                    return place._replace(messages=place.messages - behind)
+                    later = max(0, last - number)
+                    return position._replace(messages=position.messages - later)
         return None
 
     def wait_for(self, number: int, timeout_s: float) -> bool:
-        """Wait until a piece is written; False if it takes longer. Not in the event loop."""
+        """Wait until a piece is written; return False on a timeout. Not for the event loop."""
         with self._changed:
             return self._changed.wait_for(lambda: self.written >= number, timeout_s)
 
     def _offer(self, entry: _Entry) -> bool:
-        size = max(len(entry.data), _LEAST_SIZE)
+        size = max(len(entry.data), _MIN_SIZE)
         with self._changed:
             self.offered += 1
             gap = entry.gap_before or entry.link in self._gaps
@@ -172,21 +172,21 @@ class BackgroundLog:
         try:
             while (entry := self._next()) is not None:
                 self._record(entry)
-                self._hold_on()
-                self._note(entry.number)
+                self._retry_held()
+                self._remember_position(entry.number)
             self._log.close()
-        except BaseException as error:  # noqa: BLE001 - raised where the block is left
+        except BaseException as error:  # noqa: BLE001 - raised at the end of the block
             self._error = error
 
     def _next(self) -> _Entry | None:
-        """Wait for an entry; None once nothing is left and the block was left."""
+        """Wait for an entry; return None at the end of the block when all are written."""
         while True:
             with self._changed:
                 if not self._entries and not self._closing:
                     self._changed.wait(_TICK_S)
                 if self._entries:
                     entry = self._entries.popleft()
-                    self._waiting -= max(len(entry.data), _LEAST_SIZE)
+                    self._waiting -= max(len(entry.data), _MIN_SIZE)
                     return entry
                 if self._closing:
                     return None
@@ -200,27 +200,27 @@ class BackgroundLog:
                 entry.link, entry.data, entry.arrival_ns, gap_before=entry.gap_before
             )
 
-    def _hold_on(self) -> None:
-        """Wait until the log has what it holds on the disk, or the block was left."""
+    def _retry_held(self) -> None:
+        """Retry until the log has written what it holds, or the block ends."""
         while self._log.holding and not self._log.retry(self._clock()):
             with self._changed:
                 if self._closing:
-                    self._log.give_up()
+                    self._log.drop_held()
                 else:
                     self._changed.wait_for(lambda: self._closing, _RETRY_S)
 
-    def _note(self, number: int) -> None:
-        """Remember where a piece is."""
-        place = self._log.place
+    def _remember_position(self, number: int) -> None:
+        """Remember the position of a piece."""
+        position = self._log.position
         with self._changed:
             last = self._runs[-1] if self._runs else None
             if (
                 last is not None
                 and number == last.last + 1
-                and place == last.place._replace(messages=last.place.messages + 1)
+                and position == last.position._replace(messages=last.position.messages + 1)
             ):
-                self._runs[-1] = last._replace(last=number, place=place)
+                self._runs[-1] = last._replace(last=number, position=position)
             else:
-                self._runs.append(_Run(number, number, place))
+                self._runs.append(_Run(number, number, position))
             self.written = number
             self._changed.notify_all()

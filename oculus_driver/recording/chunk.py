@@ -1,30 +1,36 @@
-"""What a recording yields, and what is known about a file while it is read."""
+"""Chunks of a recording, the progress of reading a file, and the messages in chunks."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+from oculus_driver.stream import Message, StreamParser
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
 
 OCULUS: Final = "oculus"
-"""Encoding of a link that carries an Oculus TCP stream, in any fragmentation."""
+"""Encoding of a link with an Oculus TCP stream, in any fragmentation."""
 
 OCULUS_STATUS: Final = "oculus-status"
-"""Encoding of a link that carries one status datagram of a sonar in each chunk."""
+"""Encoding of a link with one status datagram of a sonar per chunk."""
 
 ODOMETRY_NATIVE: Final = "odometry-native"
-"""Encoding of a link that carries one msgpack odometry record in each chunk."""
+"""Encoding of a link with one msgpack odometry record per chunk."""
 
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Bytes that came in together.
+    """Bytes received together.
 
     Attributes:
-        link: where they came from, such as "sonar".
-        encoding: what they are: "oculus", "oculus-status", "odometry-native", or another name.
-        arrival_ns: when they came, nanoseconds since 1970 UTC, or None where not recorded.
-        data: the bytes as they came.
-        gap_before: bytes of this link are known to be missing between these and those before.
+        link: name of their source, such as "sonar".
+        encoding: "oculus", "oculus-status", "odometry-native", or another name.
+        arrival_ns: arrival, nanoseconds since 1970 UTC, or None if not recorded.
+        data: the received bytes.
+        gap_before: bytes of this link are missing between the previous chunk and this one.
     """
 
     link: str
@@ -36,14 +42,14 @@ class Chunk:
 
 @dataclass(slots=True)
 class Progress:
-    """What reading a file has shown so far.
+    """Progress and problems of reading a file.
 
     Attributes:
         bytes_read: of the file.
         truncated: the file ends before its content does.
-        damage: the first thing that is wrong with the file, for a person, or None.
-        faults: how many things were wrong.
-        read_error: what the disk said, where it did not let the file be read to its end.
+        damage: the first problem, human-readable, or None.
+        faults: number of problems.
+        read_error: error of the disk if the file could not be read to its end.
         first_ns, last_ns: earliest and latest stamp.
         metadata: of the recording, by key.
     """
@@ -58,19 +64,37 @@ class Progress:
     metadata: dict[str, str] = field(default_factory=dict)
 
     def report(self, text: str) -> None:
-        """Note that something is wrong; the first text is kept, all are counted."""
+        """Count a problem; only the first text is kept."""
         self.faults += 1
         if self.damage is None:
             self.damage = text
 
-    def cut(self, text: str) -> None:
-        """Note that the file ends too early."""
+    def report_truncation(self, text: str) -> None:
+        """Count a premature end of the file."""
         self.truncated = True
         self.report(text)
 
-    def saw(self, stamp_ns: int | None) -> None:
-        """Note a stamp."""
+    def note_stamp(self, stamp_ns: int | None) -> None:
+        """Update the time span with a stamp."""
         if stamp_ns is None:
             return
         self.first_ns = stamp_ns if self.first_ns is None else min(self.first_ns, stamp_ns)
         self.last_ns = stamp_ns if self.last_ns is None else max(self.last_ns, stamp_ns)
+
+
+_MAX_LINKS: Final = 64
+
+
+def messages_of(chunks: Iterable[Chunk]) -> Iterator[Message]:
+    """Yield the messages of all sonars in a recording; links beyond the 64th are skipped."""
+    parsers: dict[str, StreamParser] = {}
+    for chunk in chunks:
+        if chunk.encoding != OCULUS:
+            continue
+        if chunk.link not in parsers and len(parsers) < _MAX_LINKS:
+            parsers[chunk.link] = StreamParser(confirm=True)
+        parser = parsers.get(chunk.link)
+        if parser is not None:
+            yield from parser.feed(chunk.data, chunk.arrival_ns, gap_before=chunk.gap_before)
+    for parser in parsers.values():
+        yield from parser.finish()

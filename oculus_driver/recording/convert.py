@@ -1,8 +1,9 @@
-"""Write a recording in another format, and say what that format could not hold."""
+"""Converts recordings to other formats and reports what the target cannot represent."""
 
 from __future__ import annotations
 
 import os
+import struct
 from collections import Counter
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -10,11 +11,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Final, Protocol
 
 from oculus_driver.errors import RecordingError
-from oculus_driver.recording.formats import MCAP, OCULUS_LOG, OCULUS_RAW, PCAP
-from oculus_driver.recording.message_sinks import LogFormat, MessageSink, RawFormat
-from oculus_driver.recording.pcap_sink import PcapSink
-from oculus_driver.recording.recording import open_recording
+from oculus_driver.recording.chunk import OCULUS, OCULUS_STATUS, Chunk
+from oculus_driver.recording.network_capture import SYN, TCP, UDP
+from oculus_driver.recording.oculus_log import (
+    FILE_HEADER,
+    ITEM_HEADER,
+    MESSAGE_ITEM,
+    NS_PER_S,
+    STAMP,
+    STAMP_ITEM,
+)
+from oculus_driver.recording.recording import MCAP, OCULUS_LOG, OCULUS_RAW, PCAP, open_recording
 from oculus_driver.recording.writer import RecordingWriter
+from oculus_driver.stream import Message, StreamParser
+from oculus_driver.wire import STATUS_PORT, TCP_PORT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -22,22 +32,23 @@ if TYPE_CHECKING:
     from oculus_driver.recording.chunk import Chunk
     from oculus_driver.recording.recording import Recording
 
+
 WRITABLE: Final = (MCAP, OCULUS_LOG, OCULUS_RAW, PCAP)
-"""Formats that `convert` can write."""
+"""Target formats of `convert`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """What a conversion did.
+    """Result of a conversion.
 
     Attributes:
-        source_format, target_format: see `oculus_driver.recording.formats`.
+        source_format, target_format: see `oculus_driver.recording.recording`.
         chunks: read from the source.
-        size_bytes: of the file written.
-        left_out: bytes that the target does not hold, by reason: other_link (a link that the
-            format has no place for), no_message (bytes between messages).
-        stamps_lost: chunks that had a stamp, where the target has no place for stamps.
-        damage: the first thing that is wrong with the source, or None.
+        size_bytes: of the target file.
+        left_out: bytes missing in the target, by reason: other_link (the format cannot represent
+            the link), no_message (bytes outside messages).
+        stamps_lost: chunks with a stamp, if the target has no stamps.
+        damage: the first problem of the source, or None.
     """
 
     source_format: str
@@ -62,15 +73,15 @@ def convert(
     *,
     overwrite: bool = False,
 ) -> Conversion:
-    """Write the recording in `source` to `target`; the target appears when it is complete.
+    """Write the recording in `source` to `target`. The target appears once it is complete.
 
-    MCAP holds everything. The others hold what sonars sent: pcap any number of sonars and their
-    statuses; `.oculus` logs and raw streams the whole messages of the first sonar, raw streams
-    without stamps.
+    MCAP represents everything. Other formats contain the data of sonars: pcap any number of sonars
+    and their statuses; `.oculus` logs and raw streams the complete messages of the first sonar, raw
+    streams without stamps.
 
     Raises:
-        RecordingError: the source cannot be read, the target not written, exists and `overwrite`
-            is not given, is the source, or the format is not one of `WRITABLE`.
+        RecordingError: the source cannot be read, the target cannot be written, exists without
+            `overwrite`, or is the source, or the format is not one of `WRITABLE`.
     """
     if target_format not in WRITABLE:
         raise RecordingError(f"cannot write {target_format!r}; choose {', '.join(WRITABLE)}")
@@ -99,11 +110,11 @@ def convert(
 
 def _check(source: Path, target: Path, *, overwrite: bool) -> None:
     if target.exists() and source.samefile(target):
-        raise RecordingError(f"{target}: is the recording itself; choose another name")
+        raise RecordingError(f"{target}: source and target are the same file; choose another name")
     if target.is_dir():
-        raise RecordingError(f"{target}: is a directory; name a file in it")
+        raise RecordingError(f"{target}: path is a directory; name a file in it")
     if target.exists() and not overwrite:
-        raise RecordingError(f"{target}: exists already; choose another name")
+        raise RecordingError(f"{target}: file exists; choose another name")
 
 
 @contextmanager
@@ -118,7 +129,7 @@ def _writing(path: Path) -> Iterator[None]:
 def _copy(
     recording: Recording, path: Path, target_format: str, left_out: Counter[str]
 ) -> tuple[int, int]:
-    """Write all chunks; return how many there were, and how many of them had stamps."""
+    """Write all chunks; return their number and the number of stamped ones."""
     if target_format == MCAP:
         metadata = recording.metadata | {"converted_from": recording.format}
         with RecordingWriter(path, metadata=metadata, overwrite=True) as writer:
@@ -138,7 +149,7 @@ def _drain(recording: Recording, sink: _Sink) -> tuple[int, int]:
 
 
 class _McapSink:
-    """Keeps links, stamps and gaps as they are."""
+    """Keeps links, stamps and gaps."""
 
     def __init__(self, writer: RecordingWriter) -> None:
         self._writer = writer
@@ -152,7 +163,216 @@ class _McapSink:
         self._writer.write(self._links[key], chunk.data, chunk.arrival_ns, gap_before=gap)
 
     def finish(self) -> None:
-        """Nothing is held back."""
+        """Do nothing: no data are held back."""
+
+
+_SONAR_ITEM_VERSION: Final = 0
+_OTHER_ITEM_VERSION: Final = 2
+
+
+class MessageFormat(Protocol):
+    """A format of consecutive messages."""
+
+    def write(self, file: BinaryIO, message: Message) -> None:
+        """Append a message."""
+        ...
+
+    def finish(self, file: BinaryIO) -> None:
+        """Write what a file without messages needs."""
+        ...
+
+
+class MessageSink:
+    """Writes the messages of a recording's first sonar.
+
+    Bytes outside messages and all other links are left out.
+
+    Attributes:
+        messages: written so far.
+    """
+
+    def __init__(self, file: BinaryIO, left_out: Counter[str], form: MessageFormat) -> None:
+        self.messages = 0
+        self._file = file
+        self._left_out = left_out
+        self._form = form
+        self._parser = StreamParser(confirm=True)
+        self._link: str | None = None
+
+    def put(self, chunk: Chunk) -> None:
+        """Write the messages that a chunk completes."""
+        if chunk.encoding == OCULUS and self._link in (None, chunk.link):
+            self._link = chunk.link
+            gap = chunk.gap_before
+            self._write(self._parser.feed(chunk.data, chunk.arrival_ns, gap_before=gap))
+        else:
+            self._left_out["other_link"] += len(chunk.data)
+
+    def finish(self) -> None:
+        """Write the last message."""
+        self._write(self._parser.finish())
+        self._form.finish(self._file)
+        if self._parser.counters.bytes_rejected:
+            self._left_out["no_message"] += self._parser.counters.bytes_rejected
+
+    def _write(self, messages: list[Message]) -> None:
+        for message in messages:
+            self._form.write(self._file, message)
+        self.messages += len(messages)
+
+
+class RawFormat:
+    """Consecutive messages without stamps."""
+
+    def write(self, file: BinaryIO, message: Message) -> None:
+        """Write the message's bytes."""
+        file.write(message.data)
+
+    def finish(self, file: BinaryIO) -> None:
+        """Do nothing: an empty stream is an empty file."""
+
+
+class LogFormat:
+    """An `.oculus` log of version 1: items of the vendor, each followed by ENSTA's stamp item.
+
+    The stamp items keep nanoseconds; readers that do not know them skip them by their size.
+    """
+
+    def __init__(self) -> None:
+        self._begun = False
+
+    def write(self, file: BinaryIO, message: Message) -> None:
+        """Write the message and, if it has one, its stamp."""
+        stamp_ns = message.arrival_ns or 0
+        self._begin(file, stamp_ns)
+        self._item(file, MESSAGE_ITEM, _SONAR_ITEM_VERSION, stamp_ns, message.data)
+        if stamp_ns:
+            seconds, rest_ns = divmod(stamp_ns, NS_PER_S)
+            stamp = STAMP.pack({"s": seconds, "ns": rest_ns})
+            self._item(file, STAMP_ITEM, _OTHER_ITEM_VERSION, stamp_ns, stamp)
+
+    def finish(self, file: BinaryIO) -> None:
+        """Write the header if there was no message."""
+        self._begin(file, 0)
+
+    def _begin(self, file: BinaryIO, stamp_ns: int) -> None:
+        if not self._begun:
+            self._begun = True
+            created_s = round(stamp_ns / NS_PER_S, 3)
+            file.write(FILE_HEADER.pack({"created_unix_s": created_s}))
+
+    def _item(self, file: BinaryIO, kind: int, version: int, stamp_ns: int, payload: bytes) -> None:
+        head = ITEM_HEADER.pack(
+            {
+                "kind": kind,
+                "version": version,
+                "unix_s": stamp_ns / NS_PER_S,
+                "original_size": len(payload),
+                "payload_size": len(payload),
+            }
+        )
+        file.write(head + payload)
+
+
+_FILE_HEAD: Final = struct.Struct("<IHHiIII")
+_RECORD_HEAD: Final = struct.Struct("<IIII")
+_MAGIC_NS: Final = 0xA1B23C4D
+_RAW_IP: Final = 101
+_SNAP_LENGTH: Final = 1 << 18
+_SEGMENT: Final = 32 << 10
+_MAX_DATAGRAM: Final = 65_507
+_HOST: Final = bytes((198, 51, 100, 1))
+_BROADCAST: Final = b"\xff\xff\xff\xff"
+_CLIENT_PORT: Final = 40_000
+_PUSH_ACK: Final = 0x18
+_ACK: Final = 0x10
+_WINDOW: Final = 0xFFFF
+_MAX_SONARS: Final = 64
+_NEXT_CONNECTION: Final = 1 << 28
+_NS_PER_S: Final = 1_000_000_000
+_LAST_NS: Final = (1 << 32) * _NS_PER_S - 1
+"""The format stores seconds in 32 bits: until the year 2106."""
+
+
+class PcapSink:
+    """Writes sonars and statuses as a network capture; other links are left out.
+
+    Nanosecond pcap of bare IPv4 packets. A gap in a stream, or its beginning, is a new connection.
+    Addresses are from RFC 5737: 192.0.2.1 is the first sonar, 198.51.100.1 the host.
+    """
+
+    def __init__(self, file: BinaryIO, left_out: Counter[str]) -> None:
+        self._file = file
+        self._left_out = left_out
+        self._sequences: dict[str, int] = {}
+        self._numbers: dict[str, int] = {}
+        self._last_ns = 0
+        self._file.write(_FILE_HEAD.pack(_MAGIC_NS, 2, 4, 0, 0, _SNAP_LENGTH, _RAW_IP))
+
+    def put(self, chunk: Chunk) -> None:
+        """Write a chunk as packets; a chunk without a stamp gets the previous stamp."""
+        if chunk.arrival_ns is not None:
+            self._last_ns = min(chunk.arrival_ns, _LAST_NS)
+        if chunk.encoding == OCULUS_STATUS and len(chunk.data) <= _MAX_DATAGRAM:
+            self._status(chunk.data)
+        elif chunk.encoding == OCULUS and self._number(chunk.link):
+            self._stream(chunk)
+        else:
+            self._left_out["other_link"] += len(chunk.data)
+
+    def finish(self) -> None:
+        """Do nothing: packets are independent."""
+
+    def _number(self, link: str) -> int:
+        """Return the last octet of a sonar's address, 0 beyond the maximum number of sonars."""
+        if link not in self._numbers and len(self._numbers) < _MAX_SONARS:
+            self._numbers[link] = len(self._numbers) + 1
+        return self._numbers.get(link, 0)
+
+    def _status(self, datagram: bytes) -> None:
+        head = struct.pack(">HHHH", STATUS_PORT, STATUS_PORT, 8 + len(datagram), 0)
+        self._packet(UDP, head + datagram, _sonar(1), _BROADCAST)
+
+    def _stream(self, chunk: Chunk) -> None:
+        number = self._number(chunk.link)
+        sequence = self._sequences.get(chunk.link)
+        if sequence is None or chunk.gap_before:
+            sequence = (sequence or 0) + _NEXT_CONNECTION
+            self._segment(number, sequence, b"", SYN | _ACK)
+            sequence += 1
+        for start in range(0, len(chunk.data), _SEGMENT):
+            part = chunk.data[start : start + _SEGMENT]
+            self._segment(number, sequence + start, part, _PUSH_ACK)
+        self._sequences[chunk.link] = sequence + len(chunk.data)
+
+    def _segment(self, number: int, sequence: int, data: bytes, flags: int) -> None:
+        ports = (TCP_PORT, _CLIENT_PORT + number)
+        words = 5 << 4
+        place = sequence & 0xFFFFFFFF
+        head = struct.pack(">HHIIBBHHH", *ports, place, 1, words, flags, _WINDOW, 0, 0)
+        self._packet(TCP, head + data, _sonar(number), _HOST)
+
+    def _packet(self, protocol: int, body: bytes, source: bytes, destination: bytes) -> None:
+        size = 20 + len(body)
+        head = bytearray(
+            struct.pack(
+                ">BBHHHBBH4s4s", 0x45, 0, size, 0, 0x4000, 64, protocol, 0, source, destination
+            )
+        )
+        struct.pack_into(">H", head, 10, _checksum(head))
+        seconds, rest_ns = divmod(self._last_ns, _NS_PER_S)
+        self._file.write(_RECORD_HEAD.pack(seconds, rest_ns, size, size) + head + body)
+
+
+def _sonar(number: int) -> bytes:
+    return bytes((192, 0, 2, number))
+
+
+def _checksum(head: bytearray) -> int:
+    """Return the checksum of an IP header (RFC 791)."""
+    total = sum(int(word) for word in struct.unpack(">10H", head))
+    total = (total & 0xFFFF) + (total >> 16)
+    return ~(total + (total >> 16)) & 0xFFFF
 
 
 _SINKS: Final[dict[str, Callable[[BinaryIO, Counter[str]], _Sink]]] = {

@@ -1,4 +1,4 @@
-"""What a recording holds, counted by the rules that the driver reads streams with."""
+"""Content of a recording, counted with the rules of the live driver."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from collections import Counter
 from dataclasses import asdict, dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Final
 
-from oculus_driver.ping import Ping, decode_ping
+from oculus_driver.ping import Ping, PingSequence, decode_ping
 from oculus_driver.recording.chunk import OCULUS, OCULUS_STATUS, Chunk
-from oculus_driver.sequence import PingSequence
 from oculus_driver.status import Status, decode_status
 from oculus_driver.stream import Message, StreamParser
 from oculus_driver.wire import MessageId
@@ -27,13 +26,13 @@ class PingInfo:
     """One ping of a recording.
 
     Attributes:
-        id: as the sonar counts.
+        id: ping id.
         link: of the recording.
         offset: of its message in the bytes of the link.
-        arrival_ns: nanoseconds since 1970, None where not recorded.
+        arrival_ns: nanoseconds since 1970, None if not recorded.
         rows, beams, bits_per_sample: of its image.
         range_m: far end of the image.
-        frequency_hz: None where it is not a positive number.
+        frequency_hz: None if it is not a positive number.
     """
 
     id: int
@@ -49,7 +48,7 @@ class PingInfo:
 
 @dataclass(slots=True)
 class LinkInfo:
-    """One link of a recording: what its bytes are, how many, in how many chunks."""
+    """One link of a recording: encoding, number of chunks and bytes."""
 
     encoding: str
     chunks: int = 0
@@ -58,27 +57,27 @@ class LinkInfo:
 
 @dataclass(slots=True)
 class RecordingInfo:
-    """What a recording holds.
+    """Content of a recording.
 
     Attributes:
-        format: see `oculus_driver.recording.formats`.
+        format: see `oculus_driver.recording.recording`.
         size_bytes: of the file.
-        truncated, damage, faults: what is wrong with the file, see `Recording`.
-        start_ns, end_ns: earliest and latest stamp, None where there is none.
+        truncated, damage, faults: problems of the file, see `Recording`.
+        start_ns, end_ns: earliest and latest stamp, None if there is none.
         metadata: of the recording.
         links: by name.
-        messages: whole messages of all sonars' streams.
+        messages: complete messages of all sonars.
         messages_by_id: the same by message id.
-        pings: messages that are sound pings.
+        pings: valid pings.
         bytes_total: of the sonars' streams.
-        bytes_rejected: of these, bytes that belong to no message.
-        rejects: why messages or pings were refused, and how often: reasons of
-            `oculus_driver.stream.StreamCounters` and `oculus_driver.reject.Reject`, and
+        bytes_rejected: bytes among these outside messages.
+        rejects: rejected messages and pings by reason: reasons of
+            `oculus_driver.stream.StreamCounters` and `oculus_driver.errors.Reject`, and
             too_many_links (a chunk of a 65th sonar).
-        warnings: doubts about messages and pings that were taken all the same.
-        resyncs: times that the start of the next message was lost.
-        lost_pings, duplicates, restarts: what the ids of the pings say.
-        statuses: status datagrams that could be read; others are rejects.
+        warnings: warnings of accepted messages and pings.
+        resyncs: how often synchronisation was lost.
+        lost_pings, duplicates, restarts: by the ping ids.
+        statuses: valid status datagrams; invalid ones are rejects.
         ping_list: the first million pings, in order; `pings` counts all.
     """
 
@@ -106,7 +105,7 @@ class RecordingInfo:
     ping_list: list[PingInfo] = field(default_factory=list)
 
     def as_json(self) -> dict[str, Any]:
-        """Return it as what `json` can write: without NaN, all keys texts."""
+        """Return it for `json`: without NaN, all keys strings."""
         return {item.name: _plain(getattr(self, item.name)) for item in fields(self)}
 
 
@@ -122,16 +121,16 @@ def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever the fields hold
 
 @dataclass(slots=True)
 class _Stream:
-    """One sonar's stream while it is read."""
+    """State of reading one sonar's stream."""
 
     parser: StreamParser = field(default_factory=lambda: StreamParser(confirm=True))
     sequence: PingSequence = field(default_factory=PingSequence)
 
 
 def describe(recording: Recording) -> RecordingInfo:
-    """Read a recording from front to back and return what it holds.
+    """Read a recording from front to back and return its content.
 
-    A million pings are listed at most, which take about 200 MB; everything else is small.
+    At most a million pings are listed, which takes about 200 MB; everything else is small.
     """
     info = RecordingInfo(recording.format, recording.size_bytes)
     streams: dict[str, _Stream] = {}
@@ -163,7 +162,7 @@ def describe(recording: Recording) -> RecordingInfo:
 
 
 def _stream(streams: dict[str, _Stream], link: str) -> _Stream | None:
-    """Return the stream of a link, None beyond the number that is read."""
+    """Return the stream of a link, None beyond the maximum number of streams."""
     if link not in streams and len(streams) < _MAX_STREAMS:
         streams[link] = _Stream()
     return streams.get(link)
@@ -224,7 +223,7 @@ def _add_up(info: RecordingInfo, stream: _Stream) -> None:
     info.bytes_rejected += counters.bytes_rejected
     info.rejects += counters.rejects
     info.warnings["source_mismatch"] += counters.warnings["source_mismatch"]
-    info.warnings += Counter()  # drops what is zero
+    info.warnings += Counter()  # drops zero counts
     info.resyncs += counters.resyncs
     info.lost_pings += sequence.lost_pings
     info.duplicates += sequence.duplicates

@@ -1,38 +1,38 @@
-"""Read MCAP files from front to back, whole, cut or damaged, and never raise on what they hold.
+"""Reads MCAP files from front to back, even truncated or damaged ones. The content never raises.
 
-The index at the end is not needed. An uncompressed chunk is transparent: its head is read and
-passed, and the messages in it are read like messages of the file, so a chunk that was cut
-yields everything up to the cut. Compressed chunks are inflated piece by piece.
-Of a message that is cut itself the bytes that are there are yielded if its link is a byte
-stream. No size that the file claims is believed before the bytes are there.
+The index at the end is not needed. An uncompressed chunk is transparent: its head is skipped, and
+its messages are read like messages of the file. So a truncated chunk yields everything up to the
+cut. Compressed chunks are decompressed piece by piece. If a message itself is truncated, its
+available bytes are yielded if the link is a byte stream. No claimed size allocates memory before
+the bytes are read.
 
-Where bytes of a link are missing its next piece says so. In recordings that `RecordingWriter`
-made, the messages of a link are numbered, so damage elsewhere leaves no gap in a link and a chunk
-that is missing with all its records is noticed. In other files any damage is a gap in all links.
+If bytes of a link are missing, its next chunk reports a gap. `RecordingWriter` numbers the messages
+of a link, so damage elsewhere does not cause a gap and a completely missing chunk is detected. In
+other files any damage is a gap in all links.
 """
 
 from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, BinaryIO, Final
+from importlib import import_module
+from typing import TYPE_CHECKING, BinaryIO, Final, Protocol
 
 from oculus_driver.recording import mcap_records as mcap
 from oculus_driver.recording.chunk import OCULUS, Chunk, Progress
-from oculus_driver.recording.inflate import ByteSource, Inflated
-from oculus_driver.recording.mcap_records import Opcode
+from oculus_driver.recording.mcap_records import Opcode, channel_of, read_summary
 from oculus_driver.recording.salvage import MAX_RECORD, find_record
-from oculus_driver.recording.summary import channel_of, read_summary
 from oculus_driver.recording.writer import METADATA_NAME
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator
+    from collections.abc import Callable, Generator, Iterator
+
 
 _STREAMS: Final = frozenset({OCULUS})
-"""Encodings of which a part of a chunk is worth as much as its bytes."""
+"""Encodings of byte streams, in which a part of a chunk is useful, too."""
 
 _NUMBERED: Final = "format_version"
-"""Metadata key of our writer, which numbers the messages of each link without a gap."""
+"""Metadata key of `RecordingWriter`, which numbers the messages of each link without gaps."""
 
 _SMALL_RECORD: Final = 1 << 20
 _MAX_NAME: Final = 64
@@ -42,14 +42,14 @@ _OPCODES: Final = frozenset(int(opcode) for opcode in Opcode)
 
 
 class _DamagedError(Exception):
-    """The bytes here are no records; carries what to tell a person."""
+    """The bytes here are not valid records; the message describes the damage."""
 
 
 class _CutError(Exception):
     """The source ended inside a record.
 
     Attributes:
-        resume: offset behind which other records may lie, None for right behind the damage.
+        resume: offset from which to search for records, None: directly after the damage.
     """
 
     def __init__(self, resume: int | None = None) -> None:
@@ -58,13 +58,13 @@ class _CutError(Exception):
 
 
 def read_mcap(file: BinaryIO, size: int, progress: Progress) -> Iterator[Chunk]:
-    """Yield what an MCAP file of `size` bytes holds, in recorded order; fill in `progress`."""
+    """Yield the chunks of an MCAP file of `size` bytes in recorded order; update `progress`."""
     return iter(_Reader(file, size, progress))
 
 
 @dataclass(slots=True)
 class _Checksum:
-    """The rest of an uncompressed chunk whose bytes are being summed."""
+    """The rest of an uncompressed chunk whose checksum is being computed."""
 
     offset: int
     left: int
@@ -74,11 +74,11 @@ class _Checksum:
 
 @dataclass(slots=True)
 class _Last:
-    """What was read last of a link.
+    """The last message of a link.
 
     Attributes:
-        sequence: number that its next message should have.
-        losses: of the file, so far.
+        sequence: expected number of its next message.
+        losses: losses of the file at that time.
         broken: a part of the message is missing.
     """
 
@@ -115,7 +115,7 @@ class _Reader:
     finished: bool = False
 
     def read(self, size: int, /) -> bytes:
-        """Return up to `size` bytes of the file; fewer only at its end."""
+        """Return up to `size` bytes of the file, fewer only at its end."""
         data = self.file.read(min(size, self.size - self.position))
         self.position += len(data)
         self.progress.bytes_read = max(self.progress.bytes_read, self.position)
@@ -134,7 +134,7 @@ class _Reader:
                 end = f"ends inside a record, at byte {self.size}"
                 self._lose(
                     start + 1 if cut.resume is None else cut.resume,
-                    f"damaged at byte {start}: a record claims more than there is",
+                    f"damaged at byte {start}: a record is longer than the file",
                     "the recording was not closed" if start == self.size else end,
                 )
             except _DamagedError as damage:
@@ -156,7 +156,7 @@ class _Reader:
 
     def _footer(self, length: int) -> None:
         if length != mcap.FOOTER.size:
-            raise _DamagedError(f"a footer that claims {length} bytes")
+            raise _DamagedError(f"a footer of {length} bytes")
         _exactly(self, length)
         if _exactly(self, len(mcap.MAGIC)) != mcap.MAGIC:
             raise _DamagedError("no end mark")
@@ -168,31 +168,31 @@ class _Reader:
             raise _CutError
         opcode, length = mcap.HEAD.unpack(head)
         if opcode not in _OPCODES and opcode < _PRIVATE:
-            raise _DamagedError(f"no record of kind {opcode:#04x}")
+            raise _DamagedError(f"invalid record type {opcode:#04x}")
         return opcode, length
 
     def _message(self, source: ByteSource, length: int) -> Generator[Chunk]:
         if not mcap.MESSAGE_HEAD.size <= length <= MAX_RECORD:
-            raise _DamagedError(f"a message that claims {length} bytes")
+            raise _DamagedError(f"a message of {length} bytes")
         head = source.read(mcap.MESSAGE_HEAD.size)
         if len(head) < mcap.MESSAGE_HEAD.size:
             raise _CutError
         number, sequence, log_time_ns, _ = mcap.MESSAGE_HEAD.unpack(head)
         if not self._declared(number):
-            raise _DamagedError(f"a message of a link {number} that was not declared")
+            raise _DamagedError(f"a message of undeclared link {number}")
         self.stamp_ns = self.stamp_ns or log_time_ns or None
         data, fault = self._content(source, length - mcap.MESSAGE_HEAD.size)
         link, encoding = self.channels[number]
         if fault is None or (data and encoding in _STREAMS):
             self.stamp_ns = log_time_ns or None
-            self.progress.saw(self.stamp_ns)
+            self.progress.note_stamp(self.stamp_ns)
             gap = self._gap_before(number, sequence, broken=fault is not None)
             yield Chunk(link, encoding, self.stamp_ns, data, gap)
         if fault is not None:
             raise fault
 
     def _gap_before(self, number: int, sequence: int, *, broken: bool) -> bool:
-        """Tell whether something of a link is missing before this message; note the message."""
+        """Return whether data of a link are missing before this message; remember the message."""
         last = self.last.get(number) or _Last(0 if self.losses else sequence, 0)
         self.last[number] = _Last(sequence + 1, self.losses, broken)
         lost = self.losses != last.losses
@@ -207,7 +207,7 @@ class _Reader:
         return missing > 0 or last.broken
 
     def _declared(self, number: int) -> bool:
-        """Tell whether a link is known; if its record was lost, from the summary."""
+        """Return whether a link is declared; if its record was lost, look in the summary."""
         if number not in self.channels and not self.summary_read:
             self.summary_read = True
             self.channels = read_summary(self.file, self.size).channels | self.channels
@@ -217,10 +217,10 @@ class _Reader:
     def _content(
         self, source: ByteSource, size: int
     ) -> tuple[bytes, _CutError | _DamagedError | None]:
-        """Return the data of a message and, if they are not all of it, why.
+        """Return the data of a message and, if they are incomplete, why.
 
-        A message that no record follows is suspect: its length may be damaged. If a record
-        stands inside what it claims, its data end there.
+        If no record follows a message, its length may be damaged. If a record starts inside the
+        claimed length, the data end there.
         """
         start = self.position
         data = source.read(size)
@@ -228,11 +228,11 @@ class _Reader:
         if source is self and (cut or not self._record_follows()):
             found = self._next_record(start, self.position)
             if found is not None:
-                return data[: found - start], _DamagedError(f"a message claims {size} bytes")
+                return data[: found - start], _DamagedError(f"a message of {size} bytes")
         return data, _CutError() if cut else None
 
     def _record_follows(self) -> bool:
-        """Tell whether the next bytes can begin a record; at the end of the file they can."""
+        """Return whether the next bytes can start a record; the end of the file counts as yes."""
         head = self.file.read(mcap.HEAD.size)
         self.file.seek(self.position)
         if len(head) < mcap.HEAD.size:
@@ -247,11 +247,11 @@ class _Reader:
         head = _exactly(self, mcap.CHUNK_HEAD.size)
         _, _, inflated_size, crc, name_size = mcap.CHUNK_HEAD.unpack(head)
         if name_size > _MAX_NAME:
-            raise _DamagedError("a chunk head that makes no sense")
+            raise _DamagedError("an invalid chunk head")
         compression = _exactly(self, name_size).decode(errors="replace")
         (size,) = mcap.U64.unpack(_exactly(self, mcap.U64.size))
         if self.position - start + size != length:
-            raise _DamagedError("a chunk whose sizes contradict each other")
+            raise _DamagedError("a chunk with contradicting sizes")
         if compression == "":
             if crc:
                 self.checksum = _Checksum(self.position, size, crc)
@@ -259,10 +259,10 @@ class _Reader:
         yield from self._inflated(compression, size, inflated_size)
 
     def _inflated(self, compression: str, size: int, inflated_size: int) -> Generator[Chunk]:
-        """Read the records of a compressed chunk, then go to its end."""
+        """Read the records of a compressed chunk, then skip to its end."""
         start = self.position
         compressed = _Limited(self, size)
-        source = Inflated(compression, compressed)
+        source = ChunkDecompressor(compression, compressed)
         try:
             while source.size < inflated_size:
                 opcode, length = self._head(source)
@@ -272,18 +272,18 @@ class _Reader:
                     self._other(source, opcode, length)
         except _CutError:
             if source.fault is None and start + size <= self.size:
-                source.fault = "it ends too early"
+                source.fault = "premature end"
         except _DamagedError as damage:
             source.fault = str(damage)
         if source.fault is not None and start + size <= self.size:
             self.losses += 1
             self.progress.report(f"damaged chunk at byte {start}: {source.fault}")
         if start + size > self.size:
-            raise _CutError(self.size)  # stored bytes of this chunk could look like messages
+            raise _CutError(self.size)  # compressed bytes could look like messages
         self._skip(start + size - self.position)
 
     def _other(self, source: ByteSource, opcode: int, length: int) -> None:
-        """Read a record that is no message."""
+        """Read a record that is not a message."""
         if opcode in (Opcode.CHANNEL, Opcode.METADATA) and length <= _SMALL_RECORD:
             content = _exactly(source, length)
             if opcode == Opcode.CHANNEL:
@@ -310,15 +310,15 @@ class _Reader:
         self.progress.metadata = dict(zip(texts, texts, strict=False))
 
     def _pass_over(self, opcode: int, length: int) -> None:
-        """Skip a record that is not needed, unless it is a chunk or message in disguise.
+        """Skip an unneeded record, unless it contains messages.
 
-        A changed opcode byte would otherwise hide a whole chunk. Attachments may hold anything.
+        Otherwise a changed opcode byte would hide a whole chunk. Attachments may contain anything.
         """
         end = self.position + length
         if opcode != Opcode.ATTACHMENT and end <= self.size:
             found = self._next_record(self.position, end)
             if found is not None:
-                raise _DamagedError(f"a record of kind {opcode:#04x} with messages in it")
+                raise _DamagedError(f"a record of type {opcode:#04x} with messages in it")
         self._skip(length)
 
     def _skip(self, length: int) -> None:
@@ -332,11 +332,11 @@ class _Reader:
         self.file.seek(self.position)
 
     def _lose(self, start: int, damage: str, end: str) -> None:
-        """Go on with the record found at or behind `start` (`damage`), or stop (`end`)."""
+        """Continue with the next record at or after `start` (`damage`), or stop (`end`)."""
         self.checksum = None
         found = self._next_record(start, self.size)
         if found is None:
-            self.progress.cut(end)
+            self.progress.report_truncation(end)
             self.finished = True
             return
         self.losses += 1
@@ -345,13 +345,13 @@ class _Reader:
         self.file.seek(found)
 
     def _next_record(self, start: int, stop: int) -> int | None:
-        """Return the offset of a record that starts in between; the file's position is kept."""
+        """Return the offset of the next record in between; the file position is kept."""
         found = find_record(self.file, (start, stop), self.size, self.channels, self.stamp_ns)
         self.file.seek(self.position)
         return found
 
     def _sum(self, data: bytes) -> None:
-        """Sum the bytes of a chunk; at its end compare."""
+        """Add bytes to the checksum of a chunk; compare at its end."""
         check = self.checksum
         if check is None:
             return
@@ -370,3 +370,86 @@ def _exactly(source: ByteSource, size: int) -> bytes:
     if len(data) < size:
         raise _CutError
     return data
+
+
+_PIECE: Final = 1 << 16
+_MAX_WINDOW: Final = 1 << 26
+"""Maximum memory of a zstd frame."""
+
+
+class ByteSource(Protocol):
+    """A sequential source of bytes."""
+
+    def read(self, size: int, /) -> bytes:
+        """Return up to `size` bytes, fewer only at the end."""
+        ...
+
+
+class ChunkDecompressor:
+    """Decompresses one chunk. Ends early at damaged data and records the reason.
+
+    Attributes:
+        fault: what is wrong with the compressed data, or None.
+        size: decompressed bytes so far.
+    """
+
+    def __init__(self, compression: str, source: ByteSource) -> None:
+        self.fault: str | None = None
+        self.size = 0
+        try:
+            self._some: Callable[[int], bytes] = _OPENERS[compression](source)
+        except KeyError:
+            self._fail(f"unknown compression {compression[:16]!r}")
+        except ImportError as error:
+            self._fail(f"compression {compression} needs the Python package {error.name}")
+
+    def read(self, size: int, /) -> bytes:
+        """Return `size` bytes, fewer only at the end or at damaged data."""
+        parts: list[bytes] = []
+        left = size
+        while left and self.fault is None:
+            try:
+                part = self._some(min(left, _PIECE))
+            except Exception as error:  # noqa: BLE001 - each decompressor raises its own exceptions
+                self._fail(f"cannot decompress: {error}")
+                break
+            if not part:
+                break
+            parts.append(part)
+            left -= len(part)
+        self.size += size - left
+        return b"".join(parts)
+
+    def _fail(self, text: str) -> None:
+        self.fault = text
+
+
+def _open_zstd(source: ByteSource) -> Callable[[int], bytes]:
+    decompressor = import_module("zstandard").ZstdDecompressor(max_window_size=_MAX_WINDOW)
+    stream = decompressor.stream_reader(source, read_size=_PIECE, read_across_frames=True)
+
+    def some(size: int) -> bytes:
+        return bytes(stream.read(size))
+
+    return some
+
+
+def _open_lz4(source: ByteSource) -> Callable[[int], bytes]:
+    decompressor = import_module("lz4.frame").LZ4FrameDecompressor()
+
+    def some(size: int) -> bytes:
+        part = b""
+        while not part and not decompressor.eof:
+            piece = source.read(_PIECE) if decompressor.needs_input else b""
+            part = decompressor.decompress(piece, max_length=size)
+            if not part and not piece:
+                break
+        return bytes(part)
+
+    return some
+
+
+_OPENERS: Final[dict[str, Callable[[ByteSource], Callable[[int], bytes]]]] = {
+    "zstd": _open_zstd,
+    "lz4": _open_lz4,
+}

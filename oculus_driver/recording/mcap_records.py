@@ -1,23 +1,25 @@
-"""The records of an MCAP file, as far as recordings need them: ids, heads and packing.
+"""Records of MCAP files, as far as recordings need them: opcodes, layouts, packing, summary.
 
-An MCAP file is 8 magic bytes, records of opcode (u8), length (u64) and content, and the magic
-again. All numbers are little-endian; strings and maps carry a u32 length in bytes.
+An MCAP file consists of 8 magic bytes, records of opcode (u8), length (u64) and content, and the
+magic again. All numbers are little-endian; strings and maps are preceded by a u32 length in bytes.
 """
 
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, BinaryIO, Final
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
+
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 
 
 class Opcode(IntEnum):
-    """Kinds of records."""
+    """Types of records."""
 
     HEADER = 0x01
     FOOTER = 0x02
@@ -43,8 +45,10 @@ MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
 """Channel, sequence, log time, publish time; the data follow."""
 
 CHUNK_HEAD: Final = struct.Struct("<QQQII")
-"""First and last log time, uncompressed size and checksum, length of the compression's name;
-the name, the u64 size of the records and the records follow."""
+"""First and last log time, uncompressed size and checksum, length of the compression's name.
+
+The name, the u64 size of the records and the records follow.
+"""
 
 FOOTER: Final = struct.Struct("<QQI")
 STATISTICS: Final = struct.Struct("<QHIIIIQQ")
@@ -56,7 +60,7 @@ U64: Final = struct.Struct("<Q")
 
 
 def record(opcode: Opcode, *content: bytes) -> bytes:
-    """Return a record with this content."""
+    """Return a record."""
     return b"".join((HEAD.pack(opcode, sum(map(len, content))), *content))
 
 
@@ -78,7 +82,7 @@ def header(library: str) -> bytes:
 
 
 def channel(number: int, topic: str, encoding: str) -> bytes:
-    """Return the record that names a channel; it has no schema."""
+    """Return the record of a channel without a schema."""
     return record(
         Opcode.CHANNEL, struct.pack("<HH", number, 0), string(topic), string(encoding), U32.pack(0)
     )
@@ -90,19 +94,19 @@ def metadata(name: str, values: Mapping[str, str]) -> bytes:
 
 
 def metadata_index(offset: int, length: int, name: str) -> bytes:
-    """Return where a metadata record lies."""
+    """Return the index record of a metadata record."""
     return record(Opcode.METADATA_INDEX, struct.pack("<QQ", offset, length), string(name))
 
 
 def message_head(number: int, sequence: int, log_time_ns: int, size: int) -> bytes:
-    """Return what stands before the `size` data bytes of a message, record head included."""
+    """Return the bytes before the `size` data bytes of a message, including the record head."""
     stamp = log_time_ns
     head = HEAD.pack(Opcode.MESSAGE, MESSAGE_HEAD.size + size)
     return head + MESSAGE_HEAD.pack(number, sequence & 0xFFFFFFFF, stamp, stamp)
 
 
 def chunk_head(first_ns: int, last_ns: int, size: int, crc: int) -> bytes:
-    """Return what stands before the `size` record bytes of an uncompressed chunk."""
+    """Return the bytes before the `size` record bytes of an uncompressed chunk."""
     content = CHUNK_HEAD.size + U64.size
     return (
         HEAD.pack(Opcode.CHUNK, content + size)
@@ -115,14 +119,14 @@ CHUNK_HEAD_SIZE: Final = len(chunk_head(0, 0, 0, 0))
 
 
 def message_index(number: int, entries: bytes) -> bytes:
-    """Return the index of one channel in the chunk before: u64 pairs of log time and offset."""
+    """Return the index of one channel in the preceding chunk: u64 pairs of log time and offset."""
     return record(Opcode.MESSAGE_INDEX, U16.pack(number), U32.pack(len(entries)), entries)
 
 
 def chunk_index(
     span_ns: tuple[int, int], place: tuple[int, int], indexes: Mapping[int, int], index_size: int
 ) -> bytes:
-    """Return where an uncompressed chunk (`place` = offset, length) and its indexes lie."""
+    """Return the index record of an uncompressed chunk at `place` (offset, length)."""
     offset, length = place
     size = length - CHUNK_HEAD_SIZE
     offsets = b"".join(struct.pack("<HQ", number, at) for number, at in indexes.items())
@@ -145,12 +149,12 @@ def statistics(span_ns: tuple[int, int], counts: Mapping[int, int], chunks: int)
 
 
 def summary_offset(opcode: Opcode, start: int, length: int) -> bytes:
-    """Return where the records of one kind lie in the summary."""
+    """Return the position of one type of records in the summary."""
     return record(Opcode.SUMMARY_OFFSET, struct.pack("<BQQ", opcode, start, length))
 
 
 def strings(content: bytes, offset: int) -> Iterable[str]:
-    """Yield the strings that follow each other from `offset`; stops at what is no string."""
+    """Yield consecutive strings from `offset`; stop at invalid data."""
     while offset + U32.size <= len(content):
         (size,) = U32.unpack_from(content, offset)
         offset += U32.size
@@ -158,3 +162,64 @@ def strings(content: bytes, offset: int) -> Iterable[str]:
             return
         yield content[offset : offset + size].decode(errors="replace")
         offset += size
+
+
+_TAIL: Final = HEAD.size + FOOTER.size + len(MAGIC)
+_MAX_RECORDS: Final = 1 << 16
+"""Maximum number of summary records to read; the needed ones are near the beginning."""
+
+_MAX_LENGTH: Final = 1 << 16
+
+
+@dataclass(slots=True)
+class Summary:
+    """The needed part of a summary.
+
+    Attributes:
+        span_ns: earliest and latest log time, None if missing.
+        channels: topic and encoding by number.
+    """
+
+    span_ns: tuple[int, int] | None = None
+    channels: dict[int, tuple[str, str]] = field(default_factory=dict)
+
+
+def channel_of(content: bytes) -> tuple[int, str, str] | None:
+    """Return number, topic and encoding from a channel record's content, None if it is damaged."""
+    texts = tuple(strings(content, 2 * U16.size))
+    if len(texts) < 2:  # noqa: PLR2004 - topic and encoding
+        return None
+    (number,) = U16.unpack_from(content)
+    return number, texts[0], texts[1]
+
+
+def read_summary(file: BinaryIO, size: int) -> Summary:
+    """Return the summary, empty if the file has no valid one. Moves the file position."""
+    summary = Summary()
+    if size < _TAIL:
+        return summary
+    file.seek(size - _TAIL)
+    tail = file.read(_TAIL)
+    if not tail.endswith(MAGIC) or tail[0] != Opcode.FOOTER:
+        return summary
+    position, _, _ = FOOTER.unpack_from(tail, HEAD.size)
+    for _ in range(_MAX_RECORDS if position else 0):
+        if position + HEAD.size > size - _TAIL:
+            break
+        file.seek(position)
+        opcode, length = HEAD.unpack(file.read(HEAD.size))
+        position += HEAD.size + length
+        if opcode in (Opcode.CHANNEL, Opcode.STATISTICS) and length <= _MAX_LENGTH:
+            _take(summary, opcode, file.read(length))
+    return summary
+
+
+def _take(summary: Summary, opcode: int, content: bytes) -> None:
+    if opcode == Opcode.CHANNEL:
+        channel = channel_of(content)
+        if channel is not None:
+            summary.channels[channel[0]] = channel[1:]
+    elif len(content) >= STATISTICS.size:
+        messages, *_, first_ns, last_ns = STATISTICS.unpack_from(content)
+        if messages and first_ns:
+            summary.span_ns = (first_ns, last_ns)

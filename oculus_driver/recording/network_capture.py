@@ -1,25 +1,28 @@
-"""Read network captures (pcap, pcapng): the streams and status broadcasts of sonars in them.
+"""Reads the streams and status broadcasts of sonars from network captures (pcap, pcapng).
 
 A TCP flow is a sonar's if it comes from the sonar's port, or if its first bytes are the header of
 a message that sonars send. Each sonar is a link: "sonar", "sonar-2" and so on by appearance; all
-connections to it follow each other in it. What hosts send to sonars is left out.
+its connections follow each other in the link. Traffic to sonars is ignored.
+
+Link types are those of the tcpdump.org list. IP fragments are ignored: neither a sonar's stream
+nor its status needs them.
 """
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, BinaryIO, Final
+from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple
 
 from oculus_driver.framing import header_fault, read_header
 from oculus_driver.recording.chunk import OCULUS, OCULUS_STATUS, Chunk, Progress
-from oculus_driver.recording.packet_layers import SYN, UDP, Flow, Segment, segment_of
-from oculus_driver.recording.pcap_packets import read_pcap_packets
-from oculus_driver.recording.pcapng_packets import PCAPNG_MAGIC, read_pcapng_packets
+from oculus_driver.recording.pcap_files import PCAPNG_MAGIC, read_pcap_packets, read_pcapng_packets
 from oculus_driver.recording.reassembly import Piece, TcpStream
 from oculus_driver.wire import HEADER, MAGIC, STATUS, STATUS_PORT, TCP_PORT, MessageId
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
+
 
 LINK: Final = "sonar"
 STATUS_LINK: Final = "status"
@@ -30,11 +33,11 @@ Source = tuple[bytes, int]
 
 
 def read_network_capture(file: BinaryIO, size: int, progress: Progress) -> Iterator[Chunk]:
-    """Yield what sonars sent in a capture of `size` bytes, in order; fill in `progress`."""
+    """Yield the data sent by sonars in a capture of `size` bytes, in order; update `progress`."""
     file.seek(0)
     is_new = file.read(len(PCAPNG_MAGIC)) == PCAPNG_MAGIC
     read_packets = read_pcapng_packets if is_new else read_pcap_packets
-    sorter = _Sorter(progress)
+    sorter = _FlowSorter(progress)
     for packet in read_packets(file, size, progress):
         segment = segment_of(packet.link_type, packet.data)
         if segment is not None:
@@ -43,8 +46,8 @@ def read_network_capture(file: BinaryIO, size: int, progress: Progress) -> Itera
 
 
 @dataclass(slots=True)
-class _Sorter:
-    """Flows of a capture; the longest silent ones are let go when there are too many."""
+class _FlowSorter:
+    """The flows of a capture. Too many flows close the one that was silent for the longest time."""
 
     progress: Progress
     flows: dict[Flow, TcpStream | None] = field(default_factory=dict)
@@ -53,10 +56,10 @@ class _Sorter:
     current: dict[Source, Flow] = field(default_factory=dict)
 
     def take(self, segment: Segment, arrival_ns: int | None) -> Iterator[Chunk]:
-        """Yield what one segment makes readable."""
+        """Yield the data completed by one segment."""
         if segment.protocol == UDP:
             if _is_status(segment):
-                self.progress.saw(arrival_ns)
+                self.progress.note_stamp(arrival_ns)
                 yield Chunk(STATUS_LINK, OCULUS_STATUS, arrival_ns, segment.payload)
             return
         flow = segment.flow
@@ -67,7 +70,7 @@ class _Sorter:
             if _may_be_sonar(segment):
                 stream = TcpStream()
             elif not segment.payload:
-                return  # the first bytes will tell
+                return  # the first payload decides
         self.flows[flow] = stream
         if stream is not None:
             pieces = stream.feed(segment.sequence, segment.payload, arrival_ns, syn=syn)
@@ -76,7 +79,7 @@ class _Sorter:
             yield from self._close(next(iter(self.flows)))
 
     def finish(self) -> Iterator[Chunk]:
-        """Yield what still waits for missing segments."""
+        """Yield the data that still wait for missing segments."""
         for flow in list(self.flows):
             yield from self._close(flow)
 
@@ -95,21 +98,21 @@ class _Sorter:
                 self.progress.report(f"{piece.lost} bytes of link {link!r} were not captured")
             changed = self.current.get(source, flow) != flow
             self.current[source] = flow
-            self.progress.saw(piece.arrival_ns)
+            self.progress.note_stamp(piece.arrival_ns)
             gap = piece.gap_before or changed
             yield Chunk(link, OCULUS, piece.arrival_ns, piece.data, gap)
 
     def _link(self, source: Source) -> str | None:
         if source not in self.links:
             if len(self.links) == _MAX_SONARS:
-                self.progress.report(f"more than {_MAX_SONARS} sonars; the others are left out")
+                self.progress.report(f"more than {_MAX_SONARS} sonars; the others are ignored")
                 return None
             self.links[source] = f"{LINK}-{len(self.links) + 1}" if self.links else LINK
         return self.links[source]
 
 
 def _is_status(segment: Segment) -> bool:
-    """Tell whether a datagram is a sonar's status, by its size, its header or its port."""
+    """Return whether a datagram is a sonar's status, by size, header and port."""
     if len(segment.payload) < STATUS.size:
         return False
     header = read_header(segment.payload, 0)
@@ -118,10 +121,128 @@ def _is_status(segment: Segment) -> bool:
 
 
 def _may_be_sonar(segment: Segment) -> bool:
-    """Tell whether a flow that begins with this segment is a sonar's."""
+    """Return whether a flow that starts with this segment is a sonar's."""
     if segment.flow.source_port == TCP_PORT:
         return True
     if len(segment.payload) < HEADER.size:
         return False
     header = read_header(segment.payload, 0)
     return header_fault(header, strict=True) is None and header.message_id != MessageId.FIRE
+
+
+TCP: Final = 6
+UDP: Final = 17
+SYN: Final = 0x02
+
+_IPV4: Final = 0x0800
+_IPV6: Final = 0x86DD
+_VLANS: Final = (0x8100, 0x88A8, 0x9100)
+_LINK_HEADERS: Final = {0: 4, 108: 4, 12: 0, 14: 0, 101: 0, 228: 0, 229: 0}
+"""Bytes before the IP header, for link types without a protocol field."""
+
+_IPV4_HEAD: Final = struct.Struct(">BxHxxHxBxx4s4s")
+_IPV6_HEAD: Final = struct.Struct(">4xHBx16s16s")
+_TCP_HEAD: Final = struct.Struct(">HHI4xBB")
+_UDP_HEAD: Final = struct.Struct(">HHH2x")
+_U16: Final = struct.Struct(">H")
+_MIN_TCP_HEADER: Final = 20
+_ETHERNET: Final = 1
+_COOKED: Final = 113
+_COOKED_2: Final = 276
+_VERSION_4: Final = 4
+_VERSION_6: Final = 6
+_FRAGMENT: Final = 0x3FFF
+"""More fragments follow, or the offset is not 0."""
+
+
+class Flow(NamedTuple):
+    """One direction between two endpoints; addresses are packed, 4 or 16 bytes."""
+
+    source: bytes
+    source_port: int
+    destination: bytes
+    destination_port: int
+
+
+class Segment(NamedTuple):
+    """Payload of one packet.
+
+    Attributes:
+        protocol: TCP or UDP.
+        flow: source and destination.
+        sequence: number of the first byte (TCP), else 0.
+        flags: of TCP, else 0.
+        payload: the captured bytes.
+    """
+
+    protocol: int
+    flow: Flow
+    sequence: int
+    flags: int
+    payload: bytes
+
+
+def segment_of(link_type: int, data: bytes) -> Segment | None:
+    """Return the TCP or UDP payload of a packet, None for other or truncated packets."""
+    try:
+        at = _ip_offset(link_type, data)
+        return None if at is None else _ip(data, at)
+    except (struct.error, IndexError):  # truncated inside a header
+        return None
+
+
+def _ip_offset(link_type: int, data: bytes) -> int | None:
+    """Return the offset of the IP header, None if there is none."""
+    known = _LINK_HEADERS.get(link_type)
+    if known is not None:
+        return known
+    place = {_ETHERNET: (12, 14), _COOKED: (14, 16), _COOKED_2: (0, 20)}.get(link_type)
+    if place is None:
+        return None
+    protocol_at, at = place
+    (protocol,) = _U16.unpack_from(data, protocol_at)
+    while protocol in _VLANS:
+        (protocol,) = _U16.unpack_from(data, at + 2)
+        at += 4
+    return at if protocol in (_IPV4, _IPV6) else None
+
+
+def _ip(data: bytes, at: int) -> Segment | None:
+    version = data[at] >> 4
+    if version == _VERSION_4:
+        words, total, fragment, protocol, source, destination = _IPV4_HEAD.unpack_from(data, at)
+        start = at + 4 * (words & 15)
+        # Offloaded segments are captured with a total of 0: use all captured bytes.
+        end = at + total if total else len(data)
+        if fragment & _FRAGMENT:
+            return None
+    elif version == _VERSION_6:
+        length, protocol, source, destination = _IPV6_HEAD.unpack_from(data, at)
+        start = at + _IPV6_HEAD.size
+        end = start + length if length else len(data)
+    else:
+        return None
+    reader = _TRANSPORTS.get(protocol)
+    return None if reader is None else reader(data, start, min(end, len(data)), source, destination)
+
+
+def _tcp(data: bytes, start: int, end: int, source: bytes, destination: bytes) -> Segment | None:
+    source_port, destination_port, sequence, words, flags = _TCP_HEAD.unpack_from(data, start)
+    size = 4 * (words >> 4)
+    if size < _MIN_TCP_HEADER:
+        return None
+    flow = Flow(source, source_port, destination, destination_port)
+    return Segment(TCP, flow, sequence, flags, data[start + size : end])
+
+
+def _udp(data: bytes, start: int, end: int, source: bytes, destination: bytes) -> Segment | None:
+    source_port, destination_port, length = _UDP_HEAD.unpack_from(data, start)
+    flow = Flow(source, source_port, destination, destination_port)
+    end = min(end, start + length)
+    return Segment(UDP, flow, 0, 0, data[start + _UDP_HEAD.size : end])
+
+
+_TRANSPORTS: Final[dict[int, Callable[[bytes, int, int, bytes, bytes], Segment | None]]] = {
+    TCP: _tcp,
+    UDP: _udp,
+}

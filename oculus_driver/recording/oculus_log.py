@@ -1,65 +1,124 @@
-"""Read Oculus Viewer logs (`.oculus`, version 1) as the vendor and as ENSTA's recorder write them.
+"""Reads Oculus Viewer logs (`.oculus`, version 1) of the vendor and of ENSTA's recorder.
 
-Each item of kind 10 holds one message, so chunks begin and end with messages. Where an item's
-head makes no sense the next one that does is searched for; the vendor's own reader stops there.
+Each item of type 10 contains one message, so chunks start and end with messages. At an invalid item
+head the reader searches for the next valid one; the vendor's own reader stops there. The layouts
+are little-endian and serve both directions; the padding of the vendor's structures is declared as
+fields. Payloads may be compressed by Qt: the uncompressed size, 4 bytes big-endian, then a zlib
+stream.
 """
 
 from __future__ import annotations
 
+import math
+import struct
+import zlib
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 from oculus_driver.framing import Header, header_fault, read_header
 from oculus_driver.recording.chunk import OCULUS, Chunk, Progress
-from oculus_driver.recording.oculus_log_records import (
-    CONVERTED_MAGIC,
-    FILE_HEADER,
-    ITEM_HEADER,
-    ITEM_MAGIC,
-    MESSAGE_ITEM,
-    NS_PER_S,
-    PLAIN,
-    QT_COMPRESSED,
-    STAMP,
-    STAMP_ITEM,
-    stamp_ns,
-)
-from oculus_driver.recording.qt_compression import uncompress
-from oculus_driver.recording.windows import windows
-from oculus_driver.wire import HEADER, MAX_MESSAGE_SIZE
+from oculus_driver.recording.salvage import windows
+from oculus_driver.wire import F64, HEADER, MAGIC_BYTES, MAX_MESSAGE_SIZE, U16, U32, Field, Layout
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+
+FILE_MAGIC: Final = 0x11223344
+ITEM_MAGIC: Final = 0xAABBCCDD
+CONVERTED_MAGIC: Final = 2037
+"""Both magics of files written by a certain converter of ROS bags; their sizes are 0."""
+
+FILE_HEADER: Final = Layout(
+    "log header",
+    48,
+    (
+        Field("magic", 0, U32, default=FILE_MAGIC),
+        Field("header_size", 4, U32, default=48),
+        Field("source", 8, "16s", default=b"Oculus"),
+        Field("version", 24, U16, default=1),
+        Field("encryption", 26, U16),
+        Field("padding_28", 28, "4s", default=b""),
+        Field("key", 32, "q"),
+        Field("created_unix_s", 40, F64, default=0.0),
+    ),
+)
+
+ITEM_HEADER: Final = Layout(
+    "log item header",
+    40,
+    (
+        Field("magic", 0, U32, default=ITEM_MAGIC),
+        Field("header_size", 4, U32, default=40),
+        Field("kind", 8, U16),
+        Field("version", 10, U16),
+        Field("padding_12", 12, "4s", default=b""),
+        Field("unix_s", 16, F64, default=0.0),
+        Field("compression", 24, U16),
+        Field("padding_26", 26, "2s", default=b""),
+        Field("original_size", 28, U32),
+        Field("payload_size", 32, U32),
+        Field("padding_36", 36, "4s", default=b""),
+    ),
+)
+
+STAMP: Final = Layout("stamp", 16, (Field("s", 0, "Q"), Field("ns", 8, "Q")))
+"""Payload of an ENSTA stamp item: arrival of the preceding message."""
+
+MESSAGE_ITEM: Final = 10
+"""Type of an item with one Oculus message, including the header."""
+
+STAMP_ITEM: Final = 1010
+"""Type of the item in which ENSTA's recorder stamps the preceding message."""
+
+PLAIN: Final = 0
+QT_COMPRESSED: Final = 1
+
+NS_PER_S: Final = 1_000_000_000
+_LATEST_NS: Final = 1 << 63
+
+
+def stamp_ns(value: float, units_per_s: int = 1) -> int | None:
+    """Return a time since 1970 in nanoseconds, None if it is not positive or too late.
+
+    Seconds as 64-bit floats resolve about 0.2 µs today; integers are converted exactly.
+    """
+    if not math.isfinite(value) or not 0 < value < _LATEST_NS // NS_PER_S * units_per_s:
+        return None
+    whole = int(value)
+    unit_ns = NS_PER_S // units_per_s
+    return whole * unit_ns + round((value - whole) * unit_ns)
+
 
 LINK: Final = "sonar"
 _MAX_FILE_HEADER: Final = 4096
 
 
 def is_encrypted(head: bytes) -> bool:
-    """Tell whether a log whose first bytes are `head` says that its content is encrypted."""
+    """Return whether a log that starts with `head` is marked as encrypted."""
     return len(head) >= FILE_HEADER.size and FILE_HEADER.unpack(head)["encryption"] != 0
 
 
 def read_oculus_log(file: BinaryIO, size: int, progress: Progress) -> Iterator[Chunk]:
-    """Yield the messages of a log of `size` bytes in recorded order; fill in `progress`."""
-    held: Chunk | None = None  # until it is known whether a stamp follows
+    """Yield the messages of a log of `size` bytes in recorded order; update `progress`."""
+    held: Chunk | None = None  # until the next item: a stamp may follow
     for item in _Items(file, size, progress).read():
         if item.kind == STAMP_ITEM:
             if held is not None:
                 held = replace(held, arrival_ns=_stamp(item.data) or held.arrival_ns)
             continue
         if held is not None:
-            progress.saw(held.arrival_ns)
+            progress.note_stamp(held.arrival_ns)
             yield held
         held = Chunk(LINK, OCULUS, item.arrival_ns, item.data, item.gap_before)
     if held is not None:
-        progress.saw(held.arrival_ns)
+        progress.note_stamp(held.arrival_ns)
         yield held
 
 
 @dataclass(frozen=True, slots=True)
 class _Item:
-    """A message or the stamp of one, its payload unpacked; perhaps less than all of it."""
+    """A message or its stamp, decompressed; may be truncated."""
 
     kind: int
     arrival_ns: int | None
@@ -77,7 +136,7 @@ class _Items:
     gap: bool = False
 
     def read(self) -> Iterator[_Item]:
-        """Yield the items that matter, from front to back."""
+        """Yield the relevant items, from front to back."""
         self._open()
         while self.position < self.size:
             head = self._head()
@@ -94,7 +153,7 @@ class _Items:
     def _open(self) -> None:
         head = self._bytes(FILE_HEADER.size)
         if len(head) < FILE_HEADER.size:
-            self.progress.cut("the file ends inside its header")
+            self.progress.report_truncation("the file ends inside its header")
             return
         fields = FILE_HEADER.unpack(head)
         if fields["magic"] == CONVERTED_MAGIC:
@@ -103,7 +162,7 @@ class _Items:
             self._go(fields["header_size"])
 
     def _head(self) -> dict[str, Any] | None:
-        """Return the head of the item here with its true payload size, None if there is none."""
+        """Return the item head with its true payload size, None if it is invalid."""
         data = self._bytes(ITEM_HEADER.size)
         if len(data) < ITEM_HEADER.size:
             return None
@@ -115,7 +174,7 @@ class _Items:
         return fields
 
     def _converted(self, fields: dict[str, Any]) -> dict[str, Any] | None:
-        """Give an item of a broken conversion its size, which only the message in it knows."""
+        """Set the size of an item in a converted file from the message in it."""
         if fields["kind"] == STAMP_ITEM:
             return fields | {"payload_size": STAMP.size, "compression": PLAIN}
         data = self._bytes(HEADER.size)
@@ -132,7 +191,7 @@ class _Items:
         }
 
     def _believable(self, header: Header) -> bool:
-        """Tell whether a message starts here; one of an unknown id only if an item follows it."""
+        """Return whether a message starts here. An unknown id must be followed by an item."""
         if header_fault(header, strict=True) is None:
             return True
         start, end = self.position, self.position + header.size
@@ -144,7 +203,7 @@ class _Items:
         return not follower or follower == self.magic.to_bytes(4, "little")
 
     def _item(self, head: dict[str, Any]) -> _Item | None:
-        """Return the item behind `head`, None if it is of no interest or of no use."""
+        """Return the item after `head`, None if it is irrelevant or unusable."""
         start, size = self.position, head["payload_size"]
         missing = start + size - self.size
         kind = head["kind"]
@@ -152,17 +211,17 @@ class _Items:
             self._skip(head)
             return None
         if missing > 0 and self._find(start):
-            self._lost(f"damaged at byte {start}: an item claims more than there is")
+            self._lost(f"damaged at byte {start}: an item is longer than the file")
             return None
         if missing > 0:
-            self.progress.cut(f"ends inside an item, at byte {self.size}")
+            self.progress.report_truncation(f"ends inside an item, at byte {self.size}")
         data: bytes | None = self._bytes(size)
         if head["compression"] == QT_COMPRESSED and data is not None:
             data = uncompress(data)
         elif head["compression"] != PLAIN:
             data = None
         if data is None:
-            self._lost(f"damaged at byte {start}: a message that cannot be unpacked")
+            self._lost(f"damaged at byte {start}: cannot decompress a message")
             return None
         gap, self.gap = self.gap and kind == MESSAGE_ITEM, self.gap and kind != MESSAGE_ITEM
         return _Item(kind, stamp_ns(head["unix_s"]), data, gap)
@@ -171,9 +230,9 @@ class _Items:
         start, size = self.position, head["payload_size"]
         if start + size > self.size:
             if self._find(start):
-                self._lost(f"damaged at byte {start}: an item claims more than there is")
+                self._lost(f"damaged at byte {start}: an item is longer than the file")
             else:
-                self.progress.cut(f"ends inside an item, at byte {self.size}")
+                self.progress.report_truncation(f"ends inside an item, at byte {self.size}")
                 self._go(self.size)
             return
         self._go(start + size)
@@ -185,16 +244,16 @@ class _Items:
         self.progress.report(text)
 
     def _search(self) -> bool:
-        """Go to the next head behind a place without one; False if there is none."""
+        """Go to the next item head; return False if there is none."""
         start = self.position
         if self._find(max(0, start - ITEM_HEADER.size) + 1):
-            self._lost(f"damaged at byte {start}: no item here")
+            self._lost(f"damaged at byte {start}: no valid item")
             return True
-        self.progress.cut(f"ends inside an item, at byte {self.size}")
+        self.progress.report_truncation(f"ends inside an item, at byte {self.size}")
         return False
 
     def _find(self, start: int) -> bool:
-        """Go to the first plausible item head at or behind `start`; stay if there is none."""
+        """Go to the first plausible item head at or after `start`; stay if there is none."""
         wanted = ITEM_HEADER.pack({"magic": self.magic})[:8]
         for place, window in windows(self.file, start, self.size, ITEM_HEADER.size):
             at = window.find(wanted)
@@ -227,3 +286,31 @@ def _stamp(data: bytes) -> int | None:
     fields = STAMP.unpack(data)
     value = int(fields["s"]) * NS_PER_S + int(fields["ns"])
     return value if 0 < value < 1 << 63 else None
+
+
+_SIZE: Final = struct.Struct(">I")
+
+
+def uncompress(data: bytes) -> bytes | None:
+    """Return the decompressed data, None if they are damaged or larger than any message."""
+    return inflate(data[_SIZE.size :])
+
+
+def inflate(data: bytes) -> bytes | None:
+    """Return the content of one complete zlib stream, None if it exceeds the largest message."""
+    stream = zlib.decompressobj()
+    try:
+        content = stream.decompress(data, MAX_MESSAGE_SIZE)
+    except zlib.error:
+        return None
+    return content if stream.eof else None
+
+
+def message_bytes(payload: bytes) -> bytes | None:
+    """Return the Oculus message in a payload with either compression or none, else None."""
+    if payload.startswith(MAGIC_BYTES):
+        return payload
+    for content in (inflate(payload), uncompress(payload)):
+        if content is not None and content.startswith(MAGIC_BYTES):
+            return content
+    return None

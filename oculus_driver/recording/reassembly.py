@@ -1,4 +1,4 @@
-"""Put the segments of one direction of a TCP connection in order. Total, and bounded."""
+"""Reassembles one direction of a TCP connection. Never raises; memory is bounded."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ MAX_HELD_BYTES: Final = 8 << 20
 MAX_HELD_SEGMENTS: Final = 1 << 13
 _WRAP: Final = 1 << 32
 _NEAR: Final = 64 << 20
-"""Bytes ahead or behind within which a segment is taken to belong to the same connection."""
+"""Maximum distance in bytes between segments of the same connection."""
 
 
 class Piece(NamedTuple):
-    """Bytes that are next in the stream.
+    """The next bytes of the stream.
 
     Attributes:
-        arrival_ns: when they could be read: never before what precedes them. Behind a hole that
-            was given up, when they came: the receiver had what the capture does not hold.
+        arrival_ns: when the bytes became readable: never before the preceding bytes. Behind an
+            abandoned gap, their own arrival: the receiver had the bytes missing in the capture.
         data: one or more bytes.
-        lost: bytes before these that the capture does not hold.
-        gap_before: something is missing before these; how much may not be known.
+        lost: number of missing bytes before these.
+        gap_before: bytes are missing before these; their number may be unknown.
     """
 
     arrival_ns: int | None
@@ -32,10 +32,10 @@ class Piece(NamedTuple):
 
 @dataclass(slots=True)
 class TcpStream:
-    """Segments in any order and number, each byte out once.
+    """Accepts segments in any order and number, and returns each byte once.
 
-    Of bytes that come twice the first ones count. A hole that is not filled while 8 MiB or 8192
-    segments wait behind it is given up, and the next piece says so.
+    Of repeated bytes the first ones count. A gap is abandoned once 8 MiB or 8192 segments wait
+    after it; the next piece reports it.
     """
 
     _next: int | None = None  # not wrapped
@@ -49,13 +49,13 @@ class TcpStream:
     def feed(
         self, sequence: int, payload: bytes, arrival_ns: int | None, *, syn: bool = False
     ) -> list[Piece]:
-        """Take one segment and return what it makes readable, in order.
+        """Add one segment and return the bytes that it makes readable, in order.
 
         Args:
             sequence: number of its first byte, modulo 2³².
-            payload: may be empty, repeat what was there, or end early.
-            arrival_ns: when it was captured.
-            syn: a connection starts here; its own mark counts as one byte.
+            payload: may be empty, truncated or repeated.
+            arrival_ns: capture time.
+            syn: a connection starts here; SYN counts as one byte.
         """
         pieces: list[Piece] = []
         start = self._unwrapped(sequence)
@@ -72,7 +72,7 @@ class TcpStream:
         return pieces
 
     def flush(self) -> list[Piece]:
-        """Give up all holes and return what waits behind them."""
+        """Abandon all gaps and return the bytes after them."""
         pieces: list[Piece] = []
         while self._held:
             pieces += self._jump()
@@ -106,7 +106,7 @@ class TcpStream:
         self._held_bytes += len(payload)
 
     def _jump(self) -> list[Piece]:
-        """Go on behind the first hole."""
+        """Continue after the first gap."""
         start = self._held[0][0]
         self._lost += start - (self._next or start)
         self._next = start
@@ -122,7 +122,7 @@ class TcpStream:
         return pieces
 
     def _take(self, start: int, payload: bytes, arrival_ns: int | None) -> list[Piece]:
-        """Return the part of a segment that is new; it starts no later than what is next."""
+        """Return the new part of a segment that starts no later than the next byte."""
         known = (self._next or start) - start
         data = payload[known:] if known else payload
         if not data:

@@ -1,32 +1,118 @@
-"""Open a recording of any known kind; its content says which, never its name."""
+"""Opens recordings of any known format. The content determines the format, not the file name."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Self
+from typing import TYPE_CHECKING, BinaryIO, Final, Self
 
 from oculus_driver.errors import RecordingError
-from oculus_driver.recording.chunk import Chunk, Progress
-from oculus_driver.recording.formats import MCAP, OCULUS_RAW, READERS, kind_of
-from oculus_driver.recording.summary import read_summary
+from oculus_driver.framing import header_fault, read_header
+from oculus_driver.recording.chunk import OCULUS, Chunk, Progress
+from oculus_driver.recording.mcap_reader import read_mcap
+from oculus_driver.recording.mcap_records import MAGIC, read_summary
+from oculus_driver.recording.network_capture import read_network_capture
+from oculus_driver.recording.oculus_log import (
+    CONVERTED_MAGIC,
+    FILE_MAGIC,
+    is_encrypted,
+    read_oculus_log,
+)
+from oculus_driver.recording.pcap_files import PCAP_MAGICS, PCAPNG_MAGIC
+from oculus_driver.recording.viewpoint_log import read_viewpoint_log
+from oculus_driver.stream import StreamParser
+from oculus_driver.wire import HEADER, MAX_MESSAGE_SIZE, PAYLOAD_LIMITS
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from types import TracebackType
 
 
-class Recording:
-    """A recording that can be read from front to back, again and again, once at a time.
+MCAP: Final = "mcap"
+OCULUS_RAW: Final = "oculus-raw"
+OCULUS_LOG: Final = "oculus-log"
+VIEWPOINT_LOG: Final = "viewpoint-log"
+PCAP: Final = "pcap"
+PCAPNG: Final = "pcapng"
 
-    Iteration yields `Chunk`s in recorded order and never raises because of what the file holds;
-    `truncated` and `damage` say what was wrong, completely so after iteration.
+READERS: Final[dict[str, Callable[[BinaryIO, int, Progress], Iterator[Chunk]]]] = {
+    MCAP: read_mcap,
+    OCULUS_RAW: lambda file, _, progress: read_raw(file, progress),
+    OCULUS_LOG: read_oculus_log,
+    VIEWPOINT_LOG: read_viewpoint_log,
+    PCAP: read_network_capture,
+    PCAPNG: read_network_capture,
+}
+"""Readers by format: yield the chunks of an open file of a given size and update `Progress`."""
+
+_PROBE: Final = 1 << 16
+_MIN_MAGIC: Final = 6
+
+_MAGICS: Final = {
+    FILE_MAGIC.to_bytes(4, "little"): OCULUS_LOG,
+    CONVERTED_MAGIC.to_bytes(4, "little"): OCULUS_LOG,
+    b"SQLite format 3\0": VIEWPOINT_LOG,
+    **dict.fromkeys(PCAP_MAGICS, PCAP),
+    PCAPNG_MAGIC: PCAPNG,
+}
+
+_FOREIGN: Final = {
+    b"#ROSBAG": "a ROS 1 bag",
+    b"\x1f\x8b": "compressed with gzip",
+    b"\x28\xb5\x2f\xfd": "compressed with zstd",
+    b"PK\x03\x04": "a zip archive",
+}
+
+
+def detect_format(path: Path, file: BinaryIO, size: int) -> str:
+    """Return the format of an open file by its content. Moves the file position.
+
+    Raises:
+        RecordingError: the file is not a recording, or it is encrypted.
+    """
+    if size == 0:
+        raise RecordingError(f"{path}: file is empty; nothing was recorded")
+    file.seek(0)
+    probe = file.read(_PROBE)
+    alike = sum(a == b for a, b in zip(probe, MAGIC, strict=False))
+    if alike >= min(_MIN_MAGIC, size):
+        return MCAP
+    for magic, kind in _MAGICS.items():
+        if probe.startswith(magic):
+            if kind == OCULUS_LOG and is_encrypted(probe):
+                raise RecordingError(f"{path}: file is encrypted; export it without encryption")
+            return kind
+    if is_raw_stream(file):
+        return OCULUS_RAW
+    raise RecordingError(
+        f"{path}: {_description(probe)}; expected MCAP, a raw Oculus stream, an .oculus log, "
+        "or a pcap or pcapng capture"
+    )
+
+
+def _description(probe: bytes) -> str:
+    for magic, name in _FOREIGN.items():
+        if probe.startswith(magic):
+            return f"unsupported file: {name}"
+    if not any(probe):
+        return "file contains only zeros"
+    printable = sum(byte >= 0x20 or byte in b"\t\n\r\f" for byte in probe)  # noqa: PLR2004 - space
+    if printable == len(probe):
+        return "file is text"
+    return "file contains no sonar messages"
+
+
+class Recording:
+    """A recording that can be read from front to back, repeatedly, by one reader at a time.
+
+    Iteration yields `Chunk`s in recorded order and never raises because of the file's content.
+    `truncated` and `damage` report problems; they are complete after the iteration.
 
     Attributes:
         path: of the file.
-        format: see `oculus_driver.recording.formats`.
+        format: one of the format names of this module.
         size_bytes: of the file.
-        has_time: whether chunks carry arrival stamps.
+        has_time: whether chunks have arrival stamps.
     """
 
     def __init__(self, path: Path, kind: str, file: BinaryIO, size_bytes: int) -> None:
@@ -57,42 +143,42 @@ class Recording:
 
     @property
     def start_ns(self) -> int | None:
-        """Earliest stamp, nanoseconds since 1970; of a damaged file the first one."""
+        """Earliest stamp, nanoseconds since 1970; in a damaged file the first one."""
         return self._span_ns[0]
 
     @property
     def end_ns(self) -> int | None:
-        """Latest stamp; of a file that was not closed known only after iteration."""
+        """Latest stamp; for a file that was not closed it is known only after the iteration."""
         return self._span_ns[1] if self._span_ns[1] is not None else self._progress.last_ns
 
     @property
     def bytes_read(self) -> int:
-        """How far iteration has come in the file."""
+        """Progress of the iteration in the file."""
         return self._progress.bytes_read
 
     @property
     def truncated(self) -> bool:
-        """Whether the file was found to end before its content does."""
+        """Whether the file ends before its content does."""
         return self._progress.truncated
 
     @property
     def damage(self) -> str | None:
-        """The first thing found wrong with the file, for a person."""
+        """The first problem of the file, human-readable."""
         return self._progress.damage
 
     @property
     def read_error(self) -> OSError | None:
-        """What the disk said, where it did not let the file be read to its end."""
+        """Error of the disk if the file could not be read to its end."""
         return self._progress.read_error
 
     @property
     def faults(self) -> int:
-        """How many things were found wrong with the file."""
+        """Number of problems of the file."""
         return self._progress.faults
 
     @property
     def metadata(self) -> dict[str, str]:
-        """What the recorder noted about the recording, such as format_version."""
+        """Metadata written by the recorder, such as format_version."""
         return dict(self._progress.metadata)
 
     def close(self) -> None:
@@ -105,10 +191,10 @@ class Recording:
             yield from READERS[self.format](self._file, self.size_bytes, progress)
         except OSError as error:
             progress.read_error = error
-            progress.cut(f"cannot be read on: {error.strerror or error}")
+            progress.report_truncation(f"read error: {error.strerror or error}")
 
     def _look_ahead(self) -> None:
-        """Learn the time span: from the index if there is one, else from the first chunk."""
+        """Read the time span from the index if there is one, else from the first chunk."""
         glimpse = Progress()
         first = next(self._chunks(glimpse), None)
         self._progress.metadata = glimpse.metadata
@@ -121,13 +207,13 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
     """Return the recording in a file.
 
     Raises:
-        RecordingError: there is no such file, it cannot be read, or it holds no recording.
+        RecordingError: the file does not exist, cannot be read, or is not a recording.
     """
     where = Path(path)
     file = _open(where)
     try:
         size = file.seek(0, 2)
-        return Recording(where, kind_of(where, file, size), file, size)
+        return Recording(where, detect_format(where, file, size), file, size)
     except OSError as error:
         file.close()
         raise RecordingError(f"{where}: cannot be read: {error.strerror or error}") from error
@@ -140,12 +226,57 @@ def _open(path: Path) -> BinaryIO:
     try:
         if not path.is_file():
             if path.is_dir():
-                raise RecordingError(f"{path}: is a directory; name a file in it")
+                raise RecordingError(f"{path}: path is a directory; name a file in it")
             if path.exists():
-                raise RecordingError(f"{path}: is no plain file; copy the bytes into one")
+                raise RecordingError(f"{path}: not a regular file; copy the bytes into one")
             raise RecordingError(f"{path}: no such file; check the name")
         return path.open("rb")
     except PermissionError as error:
-        raise RecordingError(f"{path}: may not be read; check its access rights") from error
+        raise RecordingError(f"{path}: permission denied; check the file permissions") from error
     except (OSError, ValueError) as error:
         raise RecordingError(f"{path}: cannot be opened: {error}") from error
+
+
+RAW_LINK: Final = "sonar"
+BLOCK: Final = 1 << 16
+_SEARCHED: Final = 2 * MAX_MESSAGE_SIZE
+"""A raw stream must contain a message within this many bytes: two of the largest."""
+
+
+def is_raw_stream(file: BinaryIO) -> bool:
+    """Return whether a file is an Oculus stream, even one with a damaged start."""
+    file.seek(0)
+    parser = StreamParser()
+    first = file.read(BLOCK)
+    if len(first) >= HEADER.size and header_fault(read_header(first, 0), strict=True) is None:
+        return True
+    block = first
+    while block and parser.counters.bytes_total < _SEARCHED:
+        parser.feed(block)
+        if _has_known(parser):
+            return True
+        block = file.read(BLOCK)
+    parser.finish()
+    return _has_known(parser)
+
+
+def _has_known(parser: StreamParser) -> bool:
+    return any(number in PAYLOAD_LIMITS for number in parser.counters.messages)
+
+
+def read_raw(file: BinaryIO, progress: Progress) -> Iterator[Chunk]:
+    """Yield the bytes of a raw stream in blocks; report bytes outside messages in `progress`."""
+    file.seek(0)
+    parser = StreamParser(confirm=True)
+    while block := file.read(BLOCK):
+        progress.bytes_read += len(block)
+        parser.feed(block)
+        yield Chunk(RAW_LINK, OCULUS, None, block)
+    parser.finish()
+    rejected = parser.counters.bytes_rejected
+    if parser.counters.rejects["truncated"]:
+        progress.report_truncation(
+            f"the file ends inside a message; {rejected} bytes outside messages"
+        )
+    elif rejected:
+        progress.report(f"{rejected} bytes outside messages")

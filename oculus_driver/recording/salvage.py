@@ -1,53 +1,54 @@
-"""Find the next record behind a damaged place of an MCAP file."""
+"""Searches damaged files for the next valid record."""
 
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, BinaryIO, Final
 
 from oculus_driver.recording import mcap_records as mcap
 from oculus_driver.recording.mcap_records import Opcode
 
 if TYPE_CHECKING:
-    from collections.abc import Container
+    from collections.abc import Container, Iterator
     from typing import BinaryIO
 
+
 MAX_RECORD: Final = 1 << 26
-"""Largest record, in bytes, that is read into memory. Larger ones are passed over."""
+"""Largest record, in bytes, that is read into memory. Larger ones are skipped."""
 
 _WINDOW: Final = 1 << 20
 _NEAR_NS: Final = 3_600_000_000_000
-"""Messages behind a damaged place are at most this far in time from those before it."""
+"""Maximum time difference between messages after a damaged place and those before it."""
 
 _HEADS: Final = re.compile(rb"\x05(?=.{3}[\x00-\x04]\x00{4})|\x06(?=.{5}\x00{3})", re.DOTALL)
-_LONGEST: Final = mcap.HEAD.size + mcap.CHUNK_HEAD.size + 4 + mcap.U64.size
+_MAX_HEAD: Final = mcap.HEAD.size + mcap.CHUNK_HEAD.size + 4 + mcap.U64.size
 _COMPRESSIONS: Final = {0: b"", 3: b"lz4", 4: b"zstd"}
 
 
 def find_record(
     file: BinaryIO,
-    place: tuple[int, int],
+    search_range: tuple[int, int],
     size: int,
     channels: Container[int],
     near_ns: int | None,
 ) -> int | None:
-    """Return the offset of the first chunk or message that starts in `place`, or None.
+    """Return the offset of the first chunk or message inside `search_range`, or None.
 
-    The two magic opcodes occur in any image, so a place counts only if everything that its head
-    says fits together. Reads each byte once, whatever the file holds.
+    The two opcodes occur in any image, so a position counts only if its whole head is consistent.
+    Reads each byte once, whatever the content.
 
     Args:
-        file: is moved.
-        place: first offset to look at, and the offset to stop at.
+        file: its position is changed.
+        search_range: first offset to examine, and the offset to stop at.
         size: of the file.
-        channels: numbers that messages may have.
+        channels: valid channel numbers of messages.
         near_ns: a stamp before the damage; None if there was none.
     """
-    start, stop = place
+    start, stop = search_range
     while start < stop:
         file.seek(start)
         span = min(_WINDOW, stop - start)
-        window = file.read(span + _LONGEST)
+        window = file.read(span + _MAX_HEAD)
         for found in _HEADS.finditer(window):
             at = found.start()
             if at >= span:
@@ -60,8 +61,8 @@ def find_record(
 
 
 def _chunk(window: bytes, at: int, room: int) -> bool:
-    """Tell whether a whole chunk stands here: its three sizes must agree."""
-    if window[at] != Opcode.CHUNK or len(window) - at < _LONGEST:
+    """Return whether a complete chunk starts here: its three sizes must agree."""
+    if window[at] != Opcode.CHUNK or len(window) - at < _MAX_HEAD:
         return False
     _, length = mcap.HEAD.unpack_from(window, at)
     at += mcap.HEAD.size
@@ -78,7 +79,7 @@ def _chunk(window: bytes, at: int, room: int) -> bool:
 def _message(
     window: bytes, at: int, room: int, channels: Container[int], near_ns: int | None
 ) -> bool:
-    """Tell whether a whole message of a known channel and a likely time stands here."""
+    """Return whether a complete message of a known channel with a plausible time starts here."""
     if window[at] != Opcode.MESSAGE or len(window) - at < mcap.HEAD.size + mcap.MESSAGE_HEAD.size:
         return False
     _, length = mcap.HEAD.unpack_from(window, at)
@@ -87,3 +88,28 @@ def _message(
         return False
     likely = near_ns is not None and abs(stamp - near_ns) <= _NEAR_NS
     return likely and mcap.HEAD.size + length <= room
+
+
+_FIRST_WINDOW: Final = 1 << 10
+_MAX_WINDOW: Final = 1 << 20
+
+
+def windows(file: BinaryIO, start: int, size: int, overlap: int) -> Iterator[tuple[int, bytes]]:
+    """Yield offset and bytes of pieces of a file from `start` to its end.
+
+    Pieces double in size up to 1 MiB: the next valid record is usually near, so that many short
+    searches cost little. Moves the file position; the caller may move it, too.
+
+    Args:
+        file: of `size` bytes.
+        start: offset of the first piece.
+        size: of the file.
+        overlap: number of bytes shared with the next piece, so that a record that starts in a
+            piece is complete in it.
+    """
+    length = _FIRST_WINDOW
+    while start < size:
+        file.seek(start)
+        yield start, file.read(length + overlap)
+        start += length
+        length = min(2 * length, _MAX_WINDOW)

@@ -1,7 +1,7 @@
-"""Read ViewPoint logs (`.oculus`, version 2): SQLite files with one message in each row of `data`.
+"""Reads ViewPoint logs (`.oculus`, version 2): SQLite files with one message per row of `data`.
 
-What such a file holds is not trusted: only a plain table is read, sizes are asked for before
-content, and SQLite runs no code that the file brings along.
+The file is not trusted: only a plain table is read, sizes are queried before content, and SQLite
+runs no code from the file.
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 from oculus_driver.recording.chunk import OCULUS, Chunk, Progress
-from oculus_driver.recording.oculus_log_records import stamp_ns
-from oculus_driver.recording.qt_compression import message_bytes
+from oculus_driver.recording.oculus_log import message_bytes, stamp_ns
 from oculus_driver.wire import MAX_MESSAGE_SIZE
 
 if TYPE_CHECKING:
@@ -26,10 +25,10 @@ _MAX_SOURCES: Final = 64
 _MAX_TEXTS: Final = 256
 _MAX_TEXT: Final = 4096
 _LIMIT: Final = MAX_MESSAGE_SIZE + (1 << 16)
-"""Bytes of one row or value that SQLite may hold."""
+"""Maximum bytes of one row or value in SQLite."""
 
 _PRIMARY: Final = 0xFF
-"""The part of SQLite's result codes that says of which kind they are."""
+"""Mask of the primary part of SQLite's result codes."""
 
 _PLAIN_TABLE: Final = """
     SELECT count(*) FROM sqlite_master
@@ -43,10 +42,10 @@ _ROWS: Final = """
 
 
 def read_viewpoint_log(file: BinaryIO, size: int, progress: Progress) -> Iterator[Chunk]:
-    """Yield the messages of a ViewPoint log of `size` bytes by entry; fill in `progress`.
+    """Yield the messages of a ViewPoint log of `size` bytes by entry; update `progress`.
 
     Raises:
-        OSError: the disk refuses the file; what is in it is not to blame.
+        OSError: the file cannot be read; its content is not the reason.
     """
     import sqlite3  # noqa: PLC0415 - only these files need it
 
@@ -59,19 +58,19 @@ def read_viewpoint_log(file: BinaryIO, size: int, progress: Progress) -> Iterato
         finally:
             connection.close()
     except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:
-        # The last is of SQLite's own words, where they quote what is no text in the file.
+        # UnicodeDecodeError: SQLite's message quotes invalid text of the file.
         if _is_refused(error):
             raise OSError(errno.EIO, str(error), file.name) from error
-        progress.cut(f"cannot be read on: {error}")
+        progress.report_truncation(f"read error: {error}")
     progress.bytes_read = size
 
 
 def _is_refused(error: Exception) -> bool:
-    """Whether SQLite was kept from reading, by a disk, a lock or rights: no damage of the file."""
+    """Return whether a disk, a lock or permissions kept SQLite from reading: not a damaged file."""
     import sqlite3  # noqa: PLC0415 - only these files need it
 
     code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_OK)
-    if code == sqlite3.SQLITE_IOERR_SHORT_READ:  # the file ends where its content does not
+    if code == sqlite3.SQLITE_IOERR_SHORT_READ:  # the file is truncated
         return False
     return code & _PRIMARY in {
         sqlite3.SQLITE_IOERR,
@@ -85,7 +84,7 @@ def _is_refused(error: Exception) -> bool:
 
 
 def _open(path: Path) -> sqlite3.Connection:
-    """Open for reading only; a write-ahead log beside the file belongs to it."""
+    """Open for reading only; a write-ahead log beside the file is read, too."""
     import sqlite3  # noqa: PLC0415 - only these files need it
 
     alone = not path.with_name(path.name + "-wal").exists()
@@ -100,7 +99,7 @@ def _open(path: Path) -> sqlite3.Connection:
 
 def _chunks(connection: sqlite3.Connection, progress: Progress) -> Iterator[Chunk]:
     if not _has(connection, "data"):
-        progress.report("is no ViewPoint log: it has no table named data")
+        progress.report("not a ViewPoint log: it has no table named data")
         return
     progress.metadata = _metadata(connection)
     sources = _sources(connection)
@@ -113,10 +112,10 @@ def _chunks(connection: sqlite3.Connection, progress: Progress) -> Iterator[Chun
         link = _link(links, source)
         if data is None or link is None:
             gap = True
-            progress.report(f"entry {number}: {length} bytes that hold no Oculus message")
+            progress.report(f"entry {number}: no Oculus message in {length} bytes")
             continue
         arrival_ns = stamp_ns(time_ms, _MS_PER_S) if isinstance(time_ms, int | float) else None
-        progress.saw(arrival_ns)
+        progress.note_stamp(arrival_ns)
         yield Chunk(link, OCULUS, arrival_ns, data, gap)
         gap = False
 
@@ -138,7 +137,7 @@ def _text(value: object) -> str:
 
 
 def _sources(connection: sqlite3.Connection) -> dict[Any, Any]:
-    """Return the type of each data source, by its id."""
+    """Return the type of each data source by id."""
     if not _has(connection, "dataSources"):
         return {}
     query = "SELECT dataSourceId, dataSourceType FROM dataSources LIMIT ?"
@@ -146,7 +145,7 @@ def _sources(connection: sqlite3.Connection) -> dict[Any, Any]:
 
 
 def _link(links: dict[Any, str], source: object) -> str | None:
-    """Return the name of a source's link, in order of appearance; None beyond the limit."""
+    """Return the link of a source, numbered by appearance; None beyond the limit."""
     if source not in links:
         if len(links) == _MAX_SOURCES:
             return None

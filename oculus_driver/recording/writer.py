@@ -1,11 +1,11 @@
-"""Write recordings that lose nothing when the program is killed.
+"""Writes recordings that lose nothing in a crash of the program.
 
-The file is MCAP. Each `write` goes to the operating system at once, as a message behind the head
-of an empty chunk; when enough messages stand there the head is changed in place, so that they
-become the chunk's content, and the chunk's index is appended. So a killed program leaves every
-byte that it was given, as messages outside of chunks, which any MCAP reader knows; and a closed
-file is fully indexed. Chunks are not compressed: sonar images hardly shrink (zstd saves a fifth),
-and what is compressed must be held back first.
+The file is MCAP. Each `write` goes to the operating system at once, as a message after the head
+of an empty chunk. When enough messages have been written, the head is updated in place so that
+they become the chunk's content, and the chunk's index is appended. So a killed program leaves
+every byte in the file, as messages outside of chunks, which any MCAP reader accepts; a closed file
+is fully indexed. Chunks are not compressed: sonar images hardly shrink (zstd saves a fifth), and
+compression would have to delay the writes.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _U64_END: Final = 1 << 64
 
 @dataclass(slots=True)
 class _OpenChunk:
-    """A chunk that is being written; its size counts record bytes."""
+    """The chunk being written; its size counts record bytes."""
 
     offset: int
     size: int = 0
@@ -53,16 +53,16 @@ class _OpenChunk:
 
 
 class RecordingWriter:
-    """An MCAP file that holds raw bytes as they came, one channel a link. Not thread-safe.
+    """An MCAP file of received bytes, one channel per link. Not thread-safe.
 
     Args:
-        path: file to make.
+        path: file to create.
         monotonic_to_unix_ns: added to every stamp; 0 if stamps are nanoseconds since 1970.
-        metadata: free words about the recording, such as vehicle or site.
-        overwrite: replace a file that exists.
+        metadata: free text about the recording, such as vehicle or site.
+        overwrite: replace an existing file.
 
     Raises:
-        RecordingError: the file cannot be made, or exists and `overwrite` is not given.
+        RecordingError: the file cannot be created, or exists and `overwrite` is not set.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class RecordingWriter:
             self._append(mcap.MAGIC + mcap.header(LIBRARY))
             self._metadata_index = mcap.metadata_index(self._position, len(note), METADATA_NAME)
             self._append(note)
-        except BaseException:  # no room even for this: nobody is to take it for a recording
+        except BaseException:  # disk full: leave no incomplete file
             with suppress(OSError):
                 os.close(self._file)
             self.path.unlink(missing_ok=True)
@@ -117,11 +117,11 @@ class RecordingWriter:
 
     @property
     def messages(self) -> int:
-        """Chunks of bytes written so far."""
+        """Chunks written so far."""
         return self._counts.total()
 
     def add_link(self, name: str, encoding: str) -> int:
-        """Declare a source of bytes and return its number for `write`."""
+        """Declare a link and return its number for `write`."""
         number = len(self._channels) + 1
         if number > _MAX_LINKS:
             raise RecordingError(f"{self.path}: more than {_MAX_LINKS} links")
@@ -140,23 +140,23 @@ class RecordingWriter:
         *,
         gap_before: bool = False,
     ) -> None:
-        """Record bytes as they came; they are with the operating system when this returns.
+        """Record received bytes. They are with the operating system when this returns.
 
         Args:
             link: from `add_link`.
             data: any number of bytes.
-            arrival_ns: when they came; None where nobody knows.
-            gap_before: bytes of this link are missing before these. A number is left out in the
-                count of the link's messages, so that readers know. Nothing is noted before the
-                first bytes of a link.
+            arrival_ns: arrival time; None if unknown.
+            gap_before: bytes of this link are missing before these. The sequence number of the link
+                skips one value, so that readers detect it. Ignored before the first bytes of a
+                link.
 
         Raises:
-            RecordingError: the disk is full or fails (the file stays as it was before this
-                call), or `link` or `arrival_ns` cannot be.
+            RecordingError: the disk is full or fails (the file stays as before this call), or
+                `link` or `arrival_ns` is invalid.
         """
         stamp_ns = 0 if arrival_ns is None else arrival_ns + self._offset_ns
         if not 1 <= link <= len(self._channels) or not 0 <= stamp_ns < _U64_END:
-            raise RecordingError(f"{self.path}: no link {link}, or no time {stamp_ns} ns")
+            raise RecordingError(f"{self.path}: invalid link {link} or time {stamp_ns} ns")
         whole = bytes(data)
         gaps = self._gaps[link] + (gap_before and self._counts[link] > 0)
         head = mcap.message_head(link, self._counts[link] + gaps, stamp_ns, len(whole))
@@ -170,11 +170,11 @@ class RecordingWriter:
         self._gaps[link] = gaps
 
     def sync(self) -> None:
-        """Ask the operating system to bring everything to the disk; may take a while."""
+        """Flush everything to the disk; may take a while."""
         os.fdatasync(self._file)
 
     def close(self) -> None:
-        """Finish the file with its index. Safe to call again."""
+        """Write the index and close the file. May be called again."""
         if self._file < 0:
             return
         try:
@@ -269,9 +269,9 @@ def _create(path: Path, *, overwrite: bool) -> int:
     try:
         return os.open(path, flags, 0o644)
     except FileExistsError as error:
-        raise RecordingError(f"{path}: exists already; choose another name") from error
+        raise RecordingError(f"{path}: file exists; choose another name") from error
     except OSError as error:
         reason = error.strerror or str(error)
         raise RecordingError(
-            f"{path}: cannot be made: {reason}; check folder and rights"
+            f"{path}: cannot be created: {reason}; check folder and permissions"
         ) from error

@@ -24,7 +24,7 @@ from mapperd.live import Live, host_clock
 from mapperd.mapping import SonarMap
 from mapperd.operations import OperationError, Operations
 from mapperd.pairing import FixedPose, OdometryPoses
-from oculus_driver import Faults, PlayedSonar
+from oculus_driver import Faults, PlaybackSonar
 
 MakeBytes = Callable[..., bytes]
 LIMIT_S = 60.0
@@ -86,7 +86,7 @@ class Keep(InMemory):
 class Bench:
     """A daemon that runs, and its parts."""
 
-    def __init__(self, sonar: PlayedSonar, port: int, folder: Path, *, stands: bool) -> None:
+    def __init__(self, sonar: PlaybackSonar, port: int, folder: Path, *, stands: bool) -> None:
         self.folder = folder
         config = config_from_text(
             "octree: {voxel_resolution: 0.2}\nmounting: {orientation: {pitch: 0}}\n"
@@ -124,7 +124,7 @@ async def bench_of(
     folder: Path, pings: list[bytes], *, faults: Faults | None = None, vehicle: Any = None
 ) -> AsyncIterator[Bench]:
     """A daemon that maps; afterwards it has ended."""
-    async with PlayedSonar(pings, standby=True, loops=None, faults=faults) as sonar:
+    async with PlaybackSonar(pings, standby=True, loops=None, faults=faults) as sonar:
         port = free_port()
         bench = Bench(sonar, port, folder, stands=vehicle is None)
         end = asyncio.Event()
@@ -282,7 +282,7 @@ def test_reset_empties_the_map(tmp_path: Path, pings: list[bytes]) -> None:
 def test_recording_of_a_troubled_dive_gives_the_map_again(
     tmp_path: Path, pings: list[bytes], odometry_bytes: MakeBytes
 ) -> None:
-    faults = Faults(cut=0.05, lose=0.05, flip=0.05, restart_ids=0.05, garbage=0.05, number=1)
+    faults = Faults(cut=0.05, lose=0.05, flip=0.05, restart_ids=0.05, garbage=0.05, seed=1)
     bench_: list[Bench] = []
 
     async def work() -> None:

@@ -23,7 +23,7 @@ from mapperd.mapping import SonarMap
 from mapperd.operations import OperationError
 from mapperd.pairing import OdometryPoses
 from mapperd.pose_request import PoseRequest
-from oculus_driver import PlayedSonar
+from oculus_driver import PlaybackSonar
 from tests.mapperd.test_daemon import drive, free_port, run
 
 MakeBytes = Callable[..., bytes]
@@ -51,7 +51,7 @@ def maps(tmp_path: Path) -> Path:
 async def localizing(
     folder: Path, pings: list[bytes], make: MakeBytes, mode: str = "track"
 ) -> AsyncIterator[Daemon]:
-    async with PlayedSonar(pings, standby=True, loops=None) as sonar:
+    async with PlaybackSonar(pings, standby=True, loops=None) as sonar:
         port = free_port()
         config = config_of(
             {

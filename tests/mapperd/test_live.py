@@ -21,7 +21,7 @@ from mapperd.live import Live, fire_settings, host_clock
 from mapperd.mapping import SonarMap
 from mapperd.pairing import FixedPose, OdometryPoses
 from mapperd.replay import Replay, Window
-from oculus_driver import PlayedSonar
+from oculus_driver import PlaybackSonar
 from oculus_driver.ping import Ping
 from oculus_driver.recording import open_recording
 from oculus_driver.wire import PingRate
@@ -45,7 +45,7 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def config_of(sonar: PlayedSonar, odometry_port: int, more: str = "") -> Config:
+def config_of(sonar: PlaybackSonar, odometry_port: int, more: str = "") -> Config:
     return config_from_text(
         "octree: {voxel_resolution: 0.2}\nmounting: {orientation: {pitch: 0}}\n"
         f"device: {{address: {sonar.host}, port: {sonar.port}, ping_rate: highest}}\n"
@@ -74,7 +74,7 @@ def test_pings_meet_the_poses_of_their_time(
 ) -> None:
     async def work() -> None:
         pings = [ping_bytes(k, start_time=100 + 0.05 * k) for k in range(1, 40)]
-        async with PlayedSonar(pings, standby=True, loops=None) as sonar:
+        async with PlaybackSonar(pings, standby=True, loops=None) as sonar:
             port = free_port()
             sonar_map = SonarMap(config_of(sonar, port))
             poses = OdometryPoses(sonar_map.config)
@@ -91,7 +91,7 @@ def test_pings_meet_the_poses_of_their_time(
             assert live.mapping.facts.clocks["placed"]["device"] > 0
             occupied_x = sonar_map.voxels("occupied").centres_m[:, 0]
             assert 3.0 < np.max(occupied_x) < 4.5  # the wall 3 m ahead went along
-            demand = sonar.device.demand
+            demand = sonar.device.request
             assert demand is not None
             assert demand.standby  # it is not left pinging in air
 
@@ -100,7 +100,7 @@ def test_pings_meet_the_poses_of_their_time(
 
 def test_a_ping_without_odometry_is_dropped_with_its_reason(ping_bytes: PingBytes) -> None:
     async def work() -> None:
-        async with PlayedSonar([ping_bytes(1)], standby=True, loops=None, speed=None) as sonar:
+        async with PlaybackSonar([ping_bytes(1)], standby=True, loops=None, speed=None) as sonar:
             sonar_map = SonarMap(config_of(sonar, free_port()))
             live = Live(sonar_map, OdometryPoses(sonar_map.config))
             await live.run(asyncio.sleep(0.3))
@@ -118,7 +118,7 @@ def test_a_port_that_is_taken_is_told_and_tried_again(ping_bytes: PingBytes) -> 
         events = EventLog(host_clock())
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
             taken.bind(("127.0.0.1", port))
-            async with PlayedSonar([ping_bytes(1)]) as sonar:
+            async with PlaybackSonar([ping_bytes(1)]) as sonar:
                 live = Live(
                     SonarMap(config_of(sonar, port)),
                     FixedPose(pose_at_origin()),
@@ -146,7 +146,7 @@ def test_what_goes_wrong_in_the_step_ends_the_run(
     ping_bytes: PingBytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def work() -> None:
-        async with PlayedSonar([ping_bytes(1)], standby=True, loops=None) as sonar:
+        async with PlaybackSonar([ping_bytes(1)], standby=True, loops=None) as sonar:
             live = Live(SonarMap(config_of(sonar, free_port())), FixedPose(pose_at_origin()))
 
             def fails(ping: Ping, pose: object) -> None:
@@ -176,7 +176,7 @@ def test_the_command_writes_the_same_folder(
     tmp_path: Path, ping_bytes: PingBytes, capsys: pytest.CaptureFixture[str]
 ) -> None:
     async def work() -> int:
-        async with PlayedSonar([ping_bytes(1)], standby=True, loops=None) as sonar:
+        async with PlaybackSonar([ping_bytes(1)], standby=True, loops=None) as sonar:
             path = tmp_path / "live.yaml"
             path.write_text(
                 "octree: {voxel_resolution: 0.2}\nmounting: {orientation: {pitch: 0}}\n"
@@ -221,7 +221,7 @@ def test_what_comes_in_is_recorded_and_can_be_replayed(
 ) -> None:
     async def work() -> SonarMap:
         pings = [ping_bytes(k, start_time=100 + 0.05 * k) for k in range(1, 40)]
-        async with PlayedSonar(pings, standby=True, loops=None) as sonar:
+        async with PlaybackSonar(pings, standby=True, loops=None) as sonar:
             port = free_port()
             more = f"recording: {{folder: {tmp_path}, free_floor: 0}}\n"
             sonar_map = SonarMap(config_of(sonar, port, more))

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from oculus_driver.command import SUBCOMMANDS, _parser
-from tests.oculus_driver.command.sonar_thread import played
+from oculus_driver.cli import SUBCOMMANDS, _parser
+from tests.oculus_driver.cli.sonar_thread import played
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -33,14 +33,14 @@ def test_hostile_streams_take_linear_work(
     pattern: bytes, lead: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls = 0
-    judge = framing.Judge.verdict
+    judge = framing.FrameChecker.check
 
-    def counting(self: framing.Judge, *arguments: Any) -> framing.Verdict:
+    def counting(self: framing.FrameChecker, *arguments: Any) -> framing.FrameResult:
         nonlocal calls
         calls += 1
         return judge(self, *arguments)
 
-    monkeypatch.setattr(framing.Judge, "verdict", counting)
+    monkeypatch.setattr(framing.FrameChecker, "check", counting)
     stream = lead + pattern * (MIB // 2 // len(pattern))
     parser = StreamParser()
     chunks = range(0, len(stream), 4096)

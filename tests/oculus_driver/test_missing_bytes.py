@@ -250,20 +250,20 @@ def test_pings_in_pings_take_linear_work(
     monkeypatch: pytest.MonkeyPatch, tail: bytes, inner: bytes, *, confirm: bool
 ) -> None:
     calls, looked = 0, 0
-    judge, starts = framing.Judge.verdict, framing._ping_starts
+    checker, starts = framing.FrameChecker.check, framing._ping_starts_at
 
-    def judging(self: framing.Judge, *arguments: Any) -> framing.Verdict:
+    def judging(self: framing.FrameChecker, *arguments: Any) -> framing.FrameResult:
         nonlocal calls
         calls += 1
-        return judge(self, *arguments)
+        return checker(self, *arguments)
 
     def looking(*arguments: Any) -> bool | None:
         nonlocal looked
         looked += 1
         return starts(*arguments)
 
-    monkeypatch.setattr(framing.Judge, "verdict", judging)
-    monkeypatch.setattr(framing, "_ping_starts", looking)
+    monkeypatch.setattr(framing.FrameChecker, "check", judging)
+    monkeypatch.setattr(framing, "_ping_starts_at", looking)
     piece = nested(1, MIB // 4 + 1, 122)
     stream = (piece + inner * 50) * (MIB // (len(piece) + 50 * len(inner))) + tail
     parser = StreamParser(confirm=confirm)

@@ -15,7 +15,7 @@ from oculus_driver.models import (
     MODELS,
     UNKNOWN,
     Family,
-    fastest_rate_hz,
+    max_rate_hz,
     model_of,
 )
 from oculus_driver.wire import PingRate
@@ -75,7 +75,7 @@ def test_every_model_has_a_family_that_is_listed() -> None:
 def test_pings_come_as_fast_as_setting_and_sound_allow(
     rate: PingRate, range_m: float, hertz: float
 ) -> None:
-    assert fastest_rate_hz(rate, range_m) == pytest.approx(hertz)
+    assert max_rate_hz(rate, range_m) == pytest.approx(hertz)
 
 
 def test_every_ping_rate_has_a_limit() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from oculus_driver.models import BEAMS, FAMILIES, MAX_RATE_HZ, MODELS, Mode, fastest_rate_hz
+from oculus_driver.models import BEAMS, FAMILIES, MAX_RATE_HZ, MODELS, ModeSpec, max_rate_hz
 from oculus_driver.wire import PingRate
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "models.md").read_text(encoding="utf-8")
@@ -22,7 +22,7 @@ def number(value: float | None) -> str:
     return "not known" if value is None else f"{value:g}"
 
 
-def mode_row(family: str, place: int, mode: Mode) -> tuple[str, ...]:
+def mode_row(family: str, place: int, mode: ModeSpec) -> tuple[str, ...]:
     frequency = None if mode.frequency_hz is None else mode.frequency_hz / 1e3
     elevation = (
         "not known" if mode.elevation_deg is None else " or ".join(map(number, mode.elevation_deg))
@@ -47,7 +47,7 @@ def rate_table() -> list[str]:
 
 
 def range_table() -> list[str]:
-    return rows(*((str(r), f"{fastest_rate_hz(PingRate.HIGHEST, r):.3g}") for r in RANGES_M))
+    return rows(*((str(r), f"{max_rate_hz(PingRate.HIGHEST, r):.3g}") for r in RANGES_M))
 
 
 def part_table() -> list[str]:

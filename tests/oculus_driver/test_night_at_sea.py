@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from oculus_driver import Faults, FireSettings, LinkTimes, OculusSonar, PlayedSonar
+from oculus_driver import Faults, FireSettings, LinkTimeouts, OculusSonar, PlaybackSonar
 from oculus_driver.wire import MessageId
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 PINGS, LOOPS = 500, int(os.environ.get("NIGHT_LOOPS", "8"))
 LIMIT_S = 60.0 + 2.0 * LOOPS
 MS_NS = 1_000_000
-QUICK = LinkTimes(back_off_ns=(5 * MS_NS,), send_gap_ns=MS_NS, keep_alive_ns=200 * MS_NS)
+QUICK = LinkTimeouts(back_off_ns=(5 * MS_NS,), send_gap_ns=MS_NS, keep_alive_ns=200 * MS_NS)
 FAULTS = Faults(
     cut=0.005,
     flip=0.01,
@@ -32,7 +32,7 @@ FAULTS = Faults(
     stall_s=0.02,
     restart=0.004,
     restart_ids=0.002,
-    number=7,
+    seed=7,
 )
 
 
@@ -60,7 +60,7 @@ def test_every_undamaged_ping_arrives_exactly_once(make_ping: Callable[..., byte
 
     async def night() -> None:
         async with asyncio.timeout(LIMIT_S):
-            async with PlayedSonar(
+            async with PlaybackSonar(
                 pings,
                 loops=LOOPS,
                 speed=None,

@@ -13,11 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oculus_driver.encode import encode_dummy
-from oculus_driver.errors import EncodeError
-from oculus_driver.layout import F64, U8, U16, U32, Layout
-from oculus_driver.ping import Ping, Reject, decode_ping
+from oculus_driver.errors import EncodeError, Reject
+from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.stream import Message
-from oculus_driver.wire import PING_RESULT_V1, PING_RESULT_V2
+from oculus_driver.wire import F64, PING_RESULT_V1, PING_RESULT_V2, U8, U16, U32, Layout
 
 MakePing = Callable[..., bytes]
 Parse = Callable[[bytes], Message]

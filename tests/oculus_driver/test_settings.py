@@ -143,12 +143,12 @@ def test_32_bit_need_version_2() -> None:
 
 def test_a_range_beyond_the_model_is_cut_to_what_it_has() -> None:
     far = FireSettings(mode=Mode.HIGH_FREQUENCY, range_m=60.0)
-    assert far.fitted_to(model_of(M750D)).range_m == 40.0
-    assert far.fitted_to(model_of(M1200D)).range_m == 10.0
+    assert far.limited_to(model_of(M750D)).range_m == 40.0
+    assert far.limited_to(model_of(M1200D)).range_m == 10.0
     near = FireSettings(range_m=119.0)
-    assert near.fitted_to(model_of(M750D)) is near
+    assert near.limited_to(model_of(M750D)) is near
     percent = FireSettings(range_m=None, range_percent=100.0)
-    assert percent.fitted_to(model_of(M1200D)) is percent
+    assert percent.limited_to(model_of(M1200D)) is percent
 
 
 def test_no_model_is_refused_for_its_part_number() -> None:
@@ -156,19 +156,19 @@ def test_no_model_is_refused_for_its_part_number() -> None:
     far = FireSettings(range_m=200.0)
     unknown = model_of(9999)
     assert unknown.family == UNKNOWN
-    assert far.fitted_to(unknown) is far
+    assert far.limited_to(unknown) is far
 
 
 def test_a_mode_that_the_model_has_not_is_refused() -> None:
     with pytest.raises(SettingsError, match="M370s has no mode 2: use mode 1"):
-        FireSettings(mode=Mode.HIGH_FREQUENCY).fitted_to(model_of(M370S))
+        FireSettings(mode=Mode.HIGH_FREQUENCY).limited_to(model_of(M370S))
 
 
 def test_standby_is_quiet_whatever_else_is_set() -> None:
     quiet = FireSettings(ping_rate=PingRate.HIGHEST, network_trigger=True).in_standby()
     assert quiet.standby
     assert not quiet.flags & 0x80
-    assert math.isinf(quiet.longest_period_s)
+    assert math.isinf(quiet.max_period_s)
 
 
 @pytest.mark.parametrize(
@@ -185,7 +185,7 @@ def test_standby_is_quiet_whatever_else_is_set() -> None:
 def test_the_slowest_of_rate_way_and_network_is_the_period(
     change: dict[str, Any], period_s: float
 ) -> None:
-    assert FireSettings(**change).longest_period_s == pytest.approx(period_s)
+    assert FireSettings(**change).max_period_s == pytest.approx(period_s)
 
 
 @pytest.mark.parametrize(("limit", "byte"), [(None, 255), (100, 100), (10, 10)])

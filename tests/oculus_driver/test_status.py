@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oculus_driver.encode import encode_status
-from oculus_driver.reject import Reject
+from oculus_driver.errors import Reject
 from oculus_driver.status import Status, decode_status
 
 

@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from oculus_driver.encode import encode_dummy, encode_fire, encode_user_config
+from oculus_driver.errors import Reject
 from oculus_driver.framing import Header, header_fault
-from oculus_driver.ping import Ping, Reject, decode_ping
+from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.stream import Message, StreamCounters, StreamParser
 from oculus_driver.wire import HEADER, MAGIC, MIB, MIN_PING_PAYLOAD, PING_RESULT_V2, MessageId
 

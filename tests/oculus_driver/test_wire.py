@@ -16,17 +16,22 @@ from oculus_driver.encode import (
     encode_user_config,
 )
 from oculus_driver.errors import EncodeError, ProtocolError
-from oculus_driver.layout import F64, U8, U16, U32, Field, Layout
 from oculus_driver.wire import (
     DUMMY,
+    F64,
     FIRE_V1,
     FIRE_V2,
     HEADER,
     PING_RESULT_V1,
     PING_RESULT_V2,
     STATUS,
+    U8,
+    U16,
+    U32,
     USER_CONFIG,
-    ping_layout,
+    Field,
+    Layout,
+    ping_result_layout,
 )
 
 LAYOUTS = (HEADER, FIRE_V1, FIRE_V2, PING_RESULT_V1, PING_RESULT_V2, STATUS, USER_CONFIG, DUMMY)
@@ -153,9 +158,9 @@ def test_dummy_is_a_bare_header() -> None:
 
 
 def test_version_0_has_the_layout_of_version_1() -> None:
-    assert ping_layout(0) is ping_layout(1) is PING_RESULT_V1
-    assert ping_layout(2) is PING_RESULT_V2
-    assert ping_layout(3) is None
+    assert ping_result_layout(0) is ping_result_layout(1) is PING_RESULT_V1
+    assert ping_result_layout(2) is PING_RESULT_V2
+    assert ping_result_layout(3) is None
 
 
 def test_a_wrong_offset_is_found_when_the_layout_is_made() -> None:

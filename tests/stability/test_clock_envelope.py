@@ -13,7 +13,7 @@ from mapperd.odometry.records import Odometry
 from mapperd.odometry.stamps import OdometryClock
 from mapperd.odometry.utc import DAY_NS, UtcDay
 from mapperd.reject import Reject
-from oculus_driver.envelope import MAX_DRIFT, WINDOW_NS, LowerEnvelope
+from oculus_driver.clock_fit import MAX_DRIFT, WINDOW_NS, ClockFit
 
 MS = 1_000_000
 S = 1_000_000_000
@@ -28,9 +28,9 @@ def drifted(true_ns: int, ppm: int) -> int:
 
 def errors_ns(
     ppm: int, hours: float, every_ns: int, delay_ns: int = 0
-) -> tuple[LowerEnvelope, list[int]]:
+) -> tuple[ClockFit, list[int]]:
     """A sender whose records take up to so long, followed for hours."""
-    chance, clock, errors = random.Random(8), LowerEnvelope(), []  # noqa: S311 a test
+    chance, clock, errors = random.Random(8), ClockFit(), []  # noqa: S311 a test
     for k in range(int(hours * 3600 * S / every_ns)):
         true_ns = k * every_ns
         late_ns = round(chance.expovariate(1 / delay_ns)) if delay_ns else 0
@@ -49,7 +49,7 @@ def test_drift_of_a_crystal_for_ten_hours(ppm: int) -> None:
     clock, errors = errors_ns(ppm, 10, 2 * S)
     assert clock.drift == pytest.approx(ppm * 1e-6, rel=1e-6)
     assert max(map(abs, errors[15:])) <= SLACK_NS
-    assert clock.believable
+    assert clock.is_valid
 
 
 @pytest.mark.parametrize("ppm", [-1000, 1000])
@@ -82,7 +82,7 @@ def test_line_at_unix_nanoseconds() -> None:
 
     Naively sums of squares of 1.7e9 s lose all digits of a slope of 1e-4, as 40 digits show.
     """
-    clock, ppm = LowerEnvelope(), 87
+    clock, ppm = ClockFit(), 87
     for k in range(100):
         true_ns = k * 300 * MS
         host = clock.to_host_ns(5 * S + drifted(true_ns, ppm), NOW_NS + true_ns)
@@ -99,7 +99,7 @@ def test_least_squares_at_unix_seconds() -> None:
     Naively the normal equations in doubles, about zero, are singular: their slope is anything.
     """
     points = [(NOW_NS + k * 300 * MS, 5 * S + round(k * 300 * MS * 1e-4)) for k in range(100)]
-    clock = LowerEnvelope()
+    clock = ClockFit()
     for arrival_ns, offset_ns in points:
         clock.to_host_ns(arrival_ns - offset_ns, arrival_ns)
     with mp.workdps(40):
@@ -121,10 +121,10 @@ def test_one_record_alone() -> None:
 
     Naively two unknowns are solved for with one equation.
     """
-    clock = LowerEnvelope()
+    clock = ClockFit()
     assert clock.to_host_ns(123, NOW_NS) == NOW_NS
     assert clock.drift == 0.0
-    assert clock.believable
+    assert clock.is_valid
 
 
 def test_burst_of_records_in_one_nanosecond() -> None:
@@ -132,7 +132,7 @@ def test_burst_of_records_in_one_nanosecond() -> None:
 
     Naively the slope between two of them is divided by 0.
     """
-    clock = LowerEnvelope()
+    clock = ClockFit()
     for k in range(200):
         clock.to_host_ns(k * S // 10, NOW_NS + k * S // 10)
     for k in range(200, 400):
@@ -146,10 +146,10 @@ def test_stamps_all_alike() -> None:
 
     Naively they are fitted with a drift of -1, and all records lie at one moment.
     """
-    clock = LowerEnvelope()
+    clock = ClockFit()
     for k in range(200):
         clock.to_host_ns(5 * S, NOW_NS + k * S // 10)
-    assert not clock.believable
+    assert not clock.is_valid
     assert abs(clock.drift) <= MAX_DRIFT
 
 
@@ -160,7 +160,7 @@ def test_step_of_the_senders_clock(step_ns: int) -> None:
     Naively the step is a drift of 1e4, or an outlier for ever; and both ends of it in one line
     put records half an hour off.
     """
-    clock, missed = LowerEnvelope(), 0
+    clock, missed = ClockFit(), 0
     for k in range(300):
         true_ns = k * S // 5
         stamp = 10**18 + true_ns + (step_ns if k >= 150 else 0)
@@ -176,7 +176,7 @@ def test_step_of_the_hosts_clock() -> None:
 
     Naively points of the other time stay in the window for ever, for they are never 30 s old.
     """
-    clock = LowerEnvelope()
+    clock = ClockFit()
     for k in range(900):
         true_ns = k * S // 5
         set_ns = -3600 * S if 300 <= k < 600 else 0
@@ -184,7 +184,7 @@ def test_step_of_the_hosts_clock() -> None:
         if k % 300 >= 5:
             assert host == NOW_NS + true_ns + set_ns, k
             assert clock.drift == 0.0
-            assert clock.believable
+            assert clock.is_valid
 
 
 def test_outlier_of_a_stamp_that_is_early() -> None:
@@ -192,7 +192,7 @@ def test_outlier_of_a_stamp_that_is_early() -> None:
 
     Naively a minimum since the beginning keeps it, and every record is half a second off for good.
     """
-    clock, errors = LowerEnvelope(), []
+    clock, errors = ClockFit(), []
     for k in range(600):
         true_ns = k * S // 5
         early_ns = S // 2 if k == 100 else 0

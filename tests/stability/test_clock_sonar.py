@@ -18,7 +18,7 @@ from oculus_driver import (
     encode_ping,
     row_times_ns,
 )
-from oculus_driver.sequence import PingSequence
+from oculus_driver.ping import PingSequence
 
 MS = 1_000_000
 S = 1_000_000_000

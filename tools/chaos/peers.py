@@ -62,7 +62,7 @@ class Sonar(Program):
     """A recording that is played for ever, with faults of its own."""
 
     def __init__(self, recording: Path, port: int, status_port: int, log: Path) -> None:
-        words = [sys.executable, "-m", "oculus_driver.command", "play", str(recording), "--loop"]
+        words = [sys.executable, "-m", "oculus_driver.cli", "play", str(recording), "--loop"]
         words += ["--listen", "127.0.0.1", "--port", str(port), "--address", "127.0.0.1"]
         words += ["--status-to", "127.0.0.1", "--status-port", str(status_port)]
         words += ["--cut", "0.005", "--lose", "0.01", "--garbage", "0.005"]

@@ -11,7 +11,7 @@ from mapperd.frames import quaternion_product
 from mapperd.odometry.reckoning import DeadReckoning
 from mapperd.odometry.states import Attitude, carry_attitude
 from numerical_growth.panel import Curve, Panel, checkpoints
-from oculus_driver.envelope import LowerEnvelope
+from oculus_driver.clock_fit import ClockFit
 
 __all__ = ["clock", "turns", "way"]
 
@@ -118,7 +118,7 @@ def clock(updates: int, ppm: int = 87) -> Panel:
     """A sender's clock that drifts, followed by a record every 2 s: a million are 23 days."""
     at = checkpoints(updates)
     wanted = set(at.tolist())
-    fit, slow = LowerEnvelope(), Fraction(1_000_000 - ppm, 1_000_000)
+    fit, slow = ClockFit(), Fraction(1_000_000 - ppm, 1_000_000)
     n = sx = sy = sxx = sxy = 0.0
     errors: list[tuple[float, float]] = []
     for k in range(1, updates + 1):

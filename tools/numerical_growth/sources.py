@@ -57,7 +57,7 @@ MEASURED: dict[str, tuple[str, ...]] = {
         "mapperd/export/geotiff.py",
         *_in("tools/survey/", "coverage.py export.py"),
     ),
-    "pictures of pings": _in("oculus_driver/", "picture/fan.py picture/painter.py ping.py"),
+    "pictures of pings": _in("oculus_driver/", "render/fan.py render/painter.py ping.py"),
     "`meshes`, `tracing` (Embree)": (
         "cpp/python/acoustics/tracing.cpp",
         ACOUSTICS + "neighbours.cpp",

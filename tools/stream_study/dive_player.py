@@ -12,8 +12,8 @@ from pathlib import Path
 
 import msgpack
 
-from oculus_driver.play import PlayedSonar
 from oculus_driver.recording import OCULUS, ODOMETRY_NATIVE, open_recording
+from oculus_driver.virtual_sonar.playback import PlaybackSonar
 
 __all__ = ["DivePlayer", "Record", "read_odometry"]
 
@@ -64,7 +64,7 @@ class DivePlayer:
         self._begun = asyncio.Event()
         self._began_ns: int | None = None
         self._round = 0
-        self._sonar = PlayedSonar(
+        self._sonar = PlaybackSonar(
             str(capture), host=host, port=port, loops=loops, on_ping=self._note
         )
 

@@ -121,15 +121,23 @@ def test_a_program_with_other_attributes_says_so() -> None:
 
 
 def test_damaged_bytes_are_refused_or_change_values_only() -> None:
-    poses = OdometryPoses(Config())
-    good = written(poses)
+    good = written(OdometryPoses(Config()))
+    (_, name, attributes), *_ = msgspec.msgpack.decode(good)[1]
     chance = random.Random(5)  # noqa: S311
+    refused = 0
     for _ in range(2000):
         bad = bytearray(good)
         for _ in range(chance.randint(1, 4)):
             bad[chance.randrange(len(bad))] = chance.randrange(256)
         bad = bad[: chance.randint(1, len(bad))] if chance.random() < 0.2 else bad
+        poses = OdometryPoses(Config())
         try:
-            overlay(bytes(bad), OdometryPoses(Config()))
+            overlay(bytes(bad), poses)
         except CheckpointError:
+            refused += 1
             continue
+        # Only registered classes are inside, or it could not be written, with their attributes.
+        (_, read_name, read_attributes), *_ = msgspec.msgpack.decode(written(poses))[1]
+        assert read_name == name
+        assert read_attributes[::2] == attributes[::2]
+    assert 0 < refused < 2000

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from oculus_driver import PlayedSonar
+from oculus_driver import PlaybackSonar
 from tests.mapperd.conftest import make_odometry, make_ping
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -52,7 +52,7 @@ class World:
         self._loop.close()
 
     async def _go(self) -> None:
-        async with PlayedSonar(self._pings, standby=True, loops=None, speed=3.0) as sonar:
+        async with PlaybackSonar(self._pings, standby=True, loops=None, speed=3.0) as sonar:
             self.sonar_port = sonar.port
             self._ready.set()
             driving = asyncio.create_task(self._drive())

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from oculus_driver import FireSettings
-from oculus_driver.link import Link
-from oculus_driver.link_state import Action, Connect, Disconnect, LinkState, Send
+from oculus_driver.link.machine import Link
+from oculus_driver.link.state import Action, Connect, Disconnect, LinkState, Send
 from oculus_driver.wire import FIRE_V1, FIRE_V2, MessageId
 
 HERE, VIEWER = "192.168.2.3", "192.168.2.10"
@@ -25,12 +25,12 @@ class Bench:
         self,
         settings: FireSettings | None = None,
         *,
-        chance: Callable[[], float] = lambda: 0.0,
+        rng: Callable[[], float] = lambda: 0.0,
         **options: Any,
     ) -> None:
         options.setdefault("address", HERE)
         self.now_ns = 1000 * S
-        self.link = Link(settings or FireSettings(), chance=chance, **options)
+        self.link = Link(settings or FireSettings(), rng=rng, **options)
         self.actions: list[Action] = self.link.start(self.now_ns)
 
     @property
@@ -68,14 +68,14 @@ class Bench:
         self.actions += self.link.connected(self.now_ns, VIEWER)
 
     def ping(self) -> None:
-        self.link.heard(MessageId.PING_RESULT, self.now_ns)
-        self.link.pinged(self.now_ns)
+        self.link.message_received(MessageId.PING_RESULT, self.now_ns)
+        self.link.ping_received(self.now_ns)
 
     def dummy(self) -> None:
-        self.link.heard(MessageId.DUMMY, self.now_ns)
+        self.link.message_received(MessageId.DUMMY, self.now_ns)
 
     def sight(self, address: str = HERE, holder: str | None = None) -> None:
-        self.actions += self.link.sighted(address, self.now_ns, holder=holder)
+        self.actions += self.link.discovered(address, self.now_ns, holder=holder)
 
     def lose(self, reason: str = "connection reset by the sonar") -> None:
         self.actions += self.link.lost(reason, self.now_ns)

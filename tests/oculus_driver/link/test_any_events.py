@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from oculus_driver import FireSettings
-from oculus_driver.link_state import Connect, Disconnect, LinkState, Send
+from oculus_driver.link.state import Connect, Disconnect, LinkState, Send
 
 if TYPE_CHECKING:
     from tests.oculus_driver.link.conftest import Bench, MakeBench
@@ -38,7 +38,7 @@ class Witness:
             self.open = False
             bench.lose()
         elif name == "break" and self.open:
-            bench.actions += link.break_off("stream lost", bench.now_ns)
+            bench.actions += link.abort_connection("stream lost", bench.now_ns)
         elif name in ("ping", "dummy") and self.open:
             getattr(bench, name)()
         elif name in ("standby", "go"):

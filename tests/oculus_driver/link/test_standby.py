@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from oculus_driver import FireSettings, PingRate
-from oculus_driver.link_state import LinkState
+from oculus_driver.link.state import LinkState
 
 if TYPE_CHECKING:
     from tests.oculus_driver.link.conftest import MakeBench
@@ -17,9 +17,9 @@ S = 1_000_000_000
 def test_standby_is_entered_and_left_by_settings(pinging: MakeBench) -> None:
     bench = pinging()
     bench.actions += bench.link.apply(FireSettings(ping_rate=PingRate.STANDBY), bench.now_ns)
-    assert (bench.state, bench.reason) == (LinkState.STANDBY, "standby was asked for")
+    assert (bench.state, bench.reason) == (LinkState.STANDBY, "standby requested")
     bench.ping()  # one that was under way
-    assert bench.reason == "standby was asked for"
+    assert bench.reason == "standby requested"
     bench.wait(60.0)
     assert (bench.state, bench.disconnects) == (LinkState.STANDBY, [])
     bench.actions += bench.link.apply(FireSettings(), bench.now_ns)
@@ -70,7 +70,7 @@ TRIGGERED = FireSettings(network_trigger=True)
 def test_a_triggered_sonar_is_quiet_until_the_first_trigger(start: MakeBench) -> None:
     bench = start(TRIGGERED)
     bench.connect()
-    assert (bench.state, bench.reason) == (LinkState.STANDBY, "waits for a trigger")
+    assert (bench.state, bench.reason) == (LinkState.STANDBY, "waiting for a trigger")
     bench.wait(10.0)
     assert {fire["ping_rate"] for fire in bench.sent} == {5}
     assert not any(fire["flags"] & 0x80 for fire in bench.sent)

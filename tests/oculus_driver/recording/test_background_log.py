@@ -132,10 +132,10 @@ def test_what_comes_while_the_disk_is_full_is_written_when_there_is_room(
                 assert background.write_other("vehicle", b"x", index)
             assert not background.wait_for(1, 0.05)
             assert log.state == "paused"
-            assert background.place_of(1) is None
+            assert background.position_of(1) is None
             disk.free = 1 << 30
             assert await asyncio.to_thread(background.wait_for, 100, 30)
-            assert background.place_of(60) == (1, 60)
+            assert background.position_of(60) == (1, 60)
         assert log.counters.bytes_dropped == background.bytes_dropped == 0
 
     asyncio.run(run())
@@ -192,7 +192,7 @@ def test_places_tell_where_to_read_on(tmp_path: Path, make_ping: MakePing) -> No
                 offered.append(pieces[len(offered) % len(pieces)])
                 log.write(offered[-1], len(offered))
             assert await asyncio.to_thread(log.wait_for, len(offered), 30)
-            places = [log.place_of(number) for number in range(1, len(offered) + 1)]
+            places = [log.position_of(number) for number in range(1, len(offered) + 1)]
             return [place for place in places if place is not None]
 
     places = asyncio.run(run())

@@ -26,7 +26,7 @@ from oculus_driver.recording import (
     describe,
     open_recording,
 )
-from oculus_driver.recording.pcap_sink import PcapSink
+from oculus_driver.recording.convert import PcapSink
 from tests.oculus_driver.recording.foreign_files import Wire, log_header, log_item, pcap
 from tests.oculus_driver.recording.test_viewpoint_log import TABLES
 
@@ -175,11 +175,11 @@ def test_what_cannot_be_converted_is_told_and_nothing_is_left_behind(
     before = dive.read_bytes()
     for source, target, kind, text in (
         (dive, tmp_path / "x", "viewpoint-log", "cannot write"),
-        (dive, other, MCAP, "exists already"),
-        (dive, dive, PCAP, "is the recording itself"),
+        (dive, other, MCAP, "file exists"),
+        (dive, dive, PCAP, "same file"),
         (dive, tmp_path, PCAP, "is a directory"),
         (dive, tmp_path / "no" / "x", PCAP, "cannot be written"),
-        (dive, tmp_path / "no" / "x", MCAP, "cannot be made"),
+        (dive, tmp_path / "no" / "x", MCAP, "cannot be created"),
         (tmp_path / "none", tmp_path / "x", PCAP, "no such file"),
     ):
         with pytest.raises(RecordingError, match=text):

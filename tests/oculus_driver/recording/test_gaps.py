@@ -204,7 +204,7 @@ def test_a_raw_stream_with_missing_bytes_is_told(tmp_path: Path) -> None:
         ids, _ = pings(recording)
         assert ids == [0, 2]
         size = len(ping_of(1)) - 4000
-        assert recording.damage == f"{size} bytes belong to no message"
+        assert (recording.damage or "").startswith(f"{size} bytes")
 
 
 def test_a_gap_that_the_recorder_knows_of_is_in_the_recording(tmp_path: Path) -> None:

@@ -12,8 +12,7 @@ import pytest
 from oculus_driver.encode import encode_dummy, encode_fire, encode_status
 from oculus_driver.recording import OCULUS_STATUS, PCAP, PCAPNG, describe, open_recording
 from oculus_driver.recording.chunk import Progress
-from oculus_driver.recording.network_capture import _Sorter
-from oculus_driver.recording.packet_layers import TCP, Flow, Segment, segment_of
+from oculus_driver.recording.network_capture import TCP, Flow, Segment, _FlowSorter, segment_of
 from tests.oculus_driver.recording.foreign_files import (
     HOST,
     SONAR,
@@ -244,7 +243,7 @@ def test_each_section_of_a_pcapng_file_has_its_own_interfaces(
 
 
 def test_flows_are_bounded_and_the_longest_silent_go_first() -> None:
-    sorter = _Sorter(Progress())
+    sorter = _FlowSorter(Progress())
     data = b""
     for port in range(3000):
         for at in (1, 3):  # what comes last waits for a hole

@@ -96,11 +96,11 @@ def test_a_raw_stream_without_its_beginning_is_known(
     assert kind == OCULUS_RAW
     assert [message.offset + start for message in messages] == found
     assert not truncated
-    assert damage == f"{found[0] - start} bytes belong to no message"
+    assert (damage or "").startswith(f"{found[0] - start} bytes ")
 
 
 def test_a_raw_stream_without_one_whole_message_is_told(capture: bytes, tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="holds no sonar messages"):
+    with pytest.raises(RecordingError, match="no sonar messages"):
         opened(tmp_path / "late", capture[364033:])
 
 
@@ -120,12 +120,12 @@ def test_a_stream_of_a_sonar_in_standby_is_known(tmp_path: Path) -> None:
     ("content", "text"),
     [
         (b"", "is empty; nothing was recorded"),
-        (bytes(1), "holds only zeros"),
-        (bytes(200_000), "holds only zeros"),
-        (b"hello\nworld\n" * 1000, "is a text file"),
-        (b"SO what, says the text", "is a text file"),
-        (np.random.default_rng(5).bytes(200_000), "holds no sonar messages"),
-        (b"SO\0\0\0\0\x23\0\0\0\xff\xff\xff\xff\0\0" + bytes(5000), "holds no sonar messages"),
+        (bytes(1), "only zeros"),
+        (bytes(200_000), "only zeros"),
+        (b"hello\nworld\n" * 1000, "file is text"),
+        (b"SO what, says the text", "file is text"),
+        (np.random.default_rng(5).bytes(200_000), "no sonar messages"),
+        (b"SO\0\0\0\0\x23\0\0\0\xff\xff\xff\xff\0\0" + bytes(5000), "no sonar messages"),
     ],
 )
 def test_what_is_no_recording_is_told_in_one_line(
@@ -147,7 +147,7 @@ def test_what_is_no_file_is_told(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"no such file|cannot be opened"):
         open_recording("a\0b")
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(RecordingError, match="no plain file"):
+    with pytest.raises(RecordingError, match="not a regular file"):
         open_recording(tmp_path / "pipe")
 
 
@@ -156,5 +156,5 @@ def test_what_may_not_be_read_is_told(tmp_path: Path) -> None:
     path = tmp_path / "secret"
     path.write_bytes(b"x")
     path.chmod(0)
-    with pytest.raises(RecordingError, match="may not be read"):
+    with pytest.raises(RecordingError, match="permission denied"):
         open_recording(path)

@@ -130,7 +130,7 @@ def test_a_table_that_is_code_is_not_read(tmp_path: Path) -> None:
         connection.commit()
     chunks, recording = read(path)
     assert chunks == []
-    assert recording.damage == "is no ViewPoint log: it has no table named data"
+    assert "no table named data" in (recording.damage or "")
 
 
 def test_a_log_that_was_not_closed_is_read_with_its_write_ahead_log(

@@ -116,7 +116,7 @@ def test_stamps_become_unix_time(tmp_path: Path) -> None:
 def test_a_recording_is_not_replaced_unless_told(tmp_path: Path) -> None:
     path = tmp_path / "capture"
     path.write_bytes(b"precious")
-    with pytest.raises(RecordingError, match="exists already; choose another name"):
+    with pytest.raises(RecordingError, match="file exists; choose another name"):
         RecordingWriter(path)
     assert path.read_bytes() == b"precious"
     RecordingWriter(path, overwrite=True).close()
@@ -124,7 +124,7 @@ def test_a_recording_is_not_replaced_unless_told(tmp_path: Path) -> None:
 
 
 def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="check folder and rights"):
+    with pytest.raises(RecordingError, match="check folder and permissions"):
         RecordingWriter(tmp_path / "no" / "folder")
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 import pytest
 
-from oculus_driver import LinkTimes, StreamParser, encode_dummy
+from oculus_driver import LinkTimeouts, StreamParser, encode_dummy
 from oculus_driver.wire import FIRE_V1, FIRE_V2, FireFlags, MessageId, PingRate
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ MakeSonar = Callable[..., "FakeSonar"]
 Run = Callable[[Coroutine[Any, Any, None]], None]
 
 MS = 1_000_000
-QUICK = LinkTimes(
+QUICK = LinkTimeouts(
     connect_ns=500 * MS,
     keep_alive_ns=20 * MS,
     send_gap_ns=MS,
@@ -195,7 +195,7 @@ def fake(make_ping: MakePing) -> MakeSonar:
 
 
 @pytest.fixture(scope="session")
-def quick() -> LinkTimes:
+def quick() -> LinkTimeouts:
     return QUICK
 
 

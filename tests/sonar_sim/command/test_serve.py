@@ -12,9 +12,9 @@ from sonar_sim.command import main
 from mapperd.odometry.native import decode_native
 from mapperd.odometry.records import Odometry
 from oculus_driver import Ping, decode_ping
-from oculus_driver.chunk_messages import messages_of
 from oculus_driver.recording import ODOMETRY_NATIVE, open_recording
-from tests.oculus_driver.play_client import FIRE, Client
+from oculus_driver.recording.chunk import messages_of
+from tests.oculus_driver.virtual_sonar.client import FIRE, Client
 
 SCENE = """
 terrain:

@@ -21,7 +21,7 @@ from sonar_sim.trajectory import Motion, Trajectory, Waypoint
 from sonar_sim.water import Water
 
 from oculus_driver.models import model_of
-from oculus_driver.played.commands import FireDemand
+from oculus_driver.virtual_sonar.device import FireRequest
 from oculus_driver.wire import FireFlags, PingRate
 
 METRES = FireFlags.RANGE_IN_METRES | FireFlags.SIMPLE_RETURN
@@ -54,7 +54,7 @@ def test_the_first_ping_rate_is_the_slowest_that_will_do(rate_hz: float, setting
 
 
 def test_mode_range_gain_gamma_beams_and_bits_are_obeyed() -> None:
-    demand = FireDemand(
+    demand = FireRequest(
         mode=2,
         gamma=127,
         flags=METRES | FireFlags.FULL_BEAMS | FireFlags.SIXTEEN_BIT,
@@ -68,25 +68,25 @@ def test_mode_range_gain_gamma_beams_and_bits_are_obeyed() -> None:
 
 
 def test_ranges_are_of_the_mode() -> None:
-    far = settings_for(FireDemand(flags=METRES, range_demand=500.0), sonar_preset(), WATER)
+    far = settings_for(FireRequest(flags=METRES, range_demand=500.0), sonar_preset(), WATER)
     assert far.demanded_range_m == 120.0
-    share = FireDemand(mode=2, flags=FireFlags.SIMPLE_RETURN, range_demand=50.0)
+    share = FireRequest(mode=2, flags=FireFlags.SIMPLE_RETURN, range_demand=50.0)
     assert settings_for(share, sonar_preset(), WATER).demanded_range_m == 20.0
-    near = settings_for(FireDemand(flags=METRES, range_demand=math.nan), sonar_preset(), WATER)
+    near = settings_for(FireRequest(flags=METRES, range_demand=math.nan), sonar_preset(), WATER)
     assert 0.1 <= near.demanded_range_m <= 120.0
 
 
 def test_a_mode_that_the_model_has_not_got_is_its_first() -> None:
-    made = settings_for(FireDemand(mode=2, flags=METRES), sonar_preset("M370s"), WATER)
+    made = settings_for(FireRequest(mode=2, flags=METRES), sonar_preset("M370s"), WATER)
     assert (made.mode, made.demanded_range_m) == (1, 10.0)
 
 
 def test_the_sonar_believes_the_speed_and_salinity_it_is_told() -> None:
     sonar = sonar_preset()
-    assert settings_for(FireDemand(flags=METRES), sonar, WATER).told_speed_mps is None
-    told = FireDemand(flags=METRES, speed_of_sound_demand_mps=1450.0)
+    assert settings_for(FireRequest(flags=METRES), sonar, WATER).told_speed_mps is None
+    told = FireRequest(flags=METRES, speed_of_sound_demand_mps=1450.0)
     assert settings_for(told, sonar, WATER).told_speed_mps == 1450.0
-    fresh = settings_for(FireDemand(flags=METRES, salinity_ppt=0.0), sonar, WATER)
+    fresh = settings_for(FireRequest(flags=METRES, salinity_ppt=0.0), sonar, WATER)
     assert fresh.told_speed_mps is not None
     assert fresh.told_speed_mps < WATER.speed_of_sound_mps - 30.0  # 1.3 m/s per ppt
 
@@ -96,20 +96,20 @@ def test_the_sonar_believes_the_speed_and_salinity_it_is_told() -> None:
 )
 def test_short_ranges_come_at_the_rate(rate: PingRate, range_m: float, hz: float) -> None:
     sonar = sonar_preset(demanded_range_m=range_m)
-    demand = FireDemand(ping_rate=rate, flags=METRES)
+    demand = FireRequest(ping_rate=rate, flags=METRES)
     assert period_s(demand, sonar, WATER, 1000) == pytest.approx(1.0 / hz)
 
 
 def test_long_ranges_take_the_sounds_way_there_and_back() -> None:
     sonar = sonar_preset(demanded_range_m=120.0)
-    demand = FireDemand(ping_rate=PingRate.HIGHEST, flags=METRES)
+    demand = FireRequest(ping_rate=PingRate.HIGHEST, flags=METRES)
     way_s = 2.0 * sonar.range_m / WATER.speed_of_sound_mps
     assert way_s == pytest.approx(0.161, abs=0.001)
     assert period_s(demand, sonar, WATER, 1000) == pytest.approx(way_s + PROCESSING_S)
 
 
 def test_a_network_limit_makes_pings_fewer() -> None:
-    demand = FireDemand(ping_rate=PingRate.HIGHEST, flags=METRES, network_speed_mbps=10)
+    demand = FireRequest(ping_rate=PingRate.HIGHEST, flags=METRES, network_speed_mbps=10)
     sonar = sonar_preset(demanded_range_m=3.0)
     assert period_s(demand, sonar, WATER, 250_000) == pytest.approx(0.2)
 
@@ -136,7 +136,7 @@ def test_a_route_comes_back_stern_first() -> None:
 
 BYTES = st.integers(0, 255)
 ANY_DEMAND = st.builds(
-    FireDemand,
+    FireRequest,
     version=st.sampled_from([1, 2]),
     mode=BYTES,
     ping_rate=BYTES,
@@ -152,7 +152,7 @@ ANY_DEMAND = st.builds(
 
 
 @given(ANY_DEMAND, st.sampled_from(["M370s", "M750d", "M1200d", "M3000d"]))
-def test_no_fire_message_asks_for_what_cannot_be(demand: FireDemand, model: str) -> None:
+def test_no_fire_message_asks_for_what_cannot_be(demand: FireRequest, model: str) -> None:
     sonar = settings_for(demand, sonar_preset(model), WATER)
     assert 0.1 <= sonar.demanded_range_m <= sonar.most_range_m
     assert 1 <= sonar.rows <= 720

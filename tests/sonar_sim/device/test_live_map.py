@@ -85,7 +85,7 @@ def test_the_command_is_stopped_by_a_signal_and_leaves_its_map(
                     await asyncio.sleep(0.05)
                 daemon.send_signal(signal.SIGTERM)
                 code = await daemon.wait()
-            demand = served.sonar.device.demand
+            demand = served.sonar.device.request
             assert demand is not None
             assert demand.standby
             return code

@@ -10,7 +10,7 @@ from sonar_sim.device.maker import PingMaker, When
 from sonar_sim.scenario import Scenario
 
 from oculus_driver import Ping, StreamParser, decode_ping
-from oculus_driver.played.commands import FireDemand
+from oculus_driver.virtual_sonar.device import FireRequest
 from oculus_driver.wire import FireFlags
 
 MakeScenario = Callable[..., Scenario]
@@ -51,7 +51,7 @@ def test_scientific_samples_come_without_varying_gain(
 ) -> None:
     scenario = floor_scenario()
     flags = FireFlags.RANGE_IN_METRES | FireFlags.SIMPLE_RETURN | FireFlags.SEND_GAIN
-    demand = FireDemand(
+    demand = FireRequest(
         flags=flags | (FireFlags.SIXTEEN_BIT if bits > 8 else 0),
         extended_flags=0x200 if bits == 32 else 0,
         range_demand=3.0,
@@ -68,7 +68,7 @@ def test_levels_do_not_depend_on_the_gain_once_it_is_taken_out(
 ) -> None:
     scenario = floor_scenario()
     flags = FireFlags.RANGE_IN_METRES | FireFlags.SIMPLE_RETURN | FireFlags.SEND_GAIN
-    demand = FireDemand(flags=flags | FireFlags.SIXTEEN_BIT, range_demand=3.0, gain_percent=30.0)
+    demand = FireRequest(flags=flags | FireFlags.SIXTEEN_BIT, range_demand=3.0, gain_percent=30.0)
     varied = ping_of(maker_of(scenario).make(demand, when_of(scenario)))
     flat = ping_of(
         maker_of(scenario).make(replace(demand, extended_flags=0x200), when_of(scenario))

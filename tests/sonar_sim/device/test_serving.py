@@ -22,7 +22,7 @@ from oculus_driver import (
     Faults,
     FireSettings,
     LinkState,
-    LinkTimes,
+    LinkTimeouts,
     Mode,
     OculusSonar,
     Ping,
@@ -31,7 +31,7 @@ from oculus_driver import (
     decode_status,
     encode_fire,
 )
-from tests.oculus_driver.play_client import Client
+from tests.oculus_driver.virtual_sonar.client import Client
 
 MakeScenario = Callable[..., Scenario]
 LIMIT_S = 30.0
@@ -178,7 +178,7 @@ def test_the_driver_finds_it_by_its_status(floor_scenario: MakeScenario) -> None
             port = free.getsockname()[1]
         settings = ServeSettings(status_to=[("127.0.0.1", port)], device_id=4711)
         async with ServedScenario(floor_scenario(), settings), Discovery(port=port) as found:
-            sighting = await anext(aiter(found.sightings()))
+            sighting = await anext(aiter(found.updates()))
             assert sighting.status.device_id == 4711
 
     run(work())
@@ -188,8 +188,8 @@ def test_the_driver_falls_back_to_the_version_that_is_understood(
     floor_scenario: MakeScenario,
 ) -> None:
     async def work() -> None:
-        settings = ServeSettings(standby=True, faults=Faults(deaf_to_version=2))
-        times = LinkTimes(fallback_ns=200_000_000, keep_alive_ns=50_000_000)
+        settings = ServeSettings(standby=True, faults=Faults(ignored_fire_version=2))
+        times = LinkTimeouts(fallback_ns=200_000_000, keep_alive_ns=50_000_000)
         async with (
             ServedScenario(floor_scenario(), settings) as served,
             OculusSonar("127.0.0.1", QUICK, port=served.sonar.port, times=times) as sonar,
@@ -202,8 +202,8 @@ def test_the_driver_falls_back_to_the_version_that_is_understood(
 
 def test_the_driver_comes_back_after_a_restart_and_asks_again(floor_scenario: MakeScenario) -> None:
     async def work() -> None:
-        settings = ServeSettings(standby=True, faults=Faults(restart=0.2, number=2))
-        times = LinkTimes(back_off_ns=(10_000_000,))
+        settings = ServeSettings(standby=True, faults=Faults(restart=0.2, seed=2))
+        times = LinkTimeouts(back_off_ns=(10_000_000,))
         async with (
             ServedScenario(floor_scenario(), settings) as served,
             OculusSonar("127.0.0.1", QUICK, port=served.sonar.port, times=times) as sonar,
@@ -244,7 +244,7 @@ def test_a_restart_begins_ids_and_time_anew(floor_scenario: MakeScenario) -> Non
 
 def test_the_link_outlives_cuts_and_noise(floor_scenario: MakeScenario) -> None:
     async def work() -> None:
-        faults = Faults(cut=0.05, flip=0.1, garbage=0.2, lose=0.1, number=3)
+        faults = Faults(cut=0.05, flip=0.1, garbage=0.2, lose=0.1, seed=3)
         async with (
             ServedScenario(floor_scenario(), ServeSettings(faults=faults)) as served,
             OculusSonar("127.0.0.1", QUICK, port=served.sonar.port) as sonar,

@@ -115,7 +115,7 @@ def refused(*_: object, **__: object) -> None:
     "what",
     [
         "oculus_driver.recording.recording._open",
-        "oculus_driver.recording.recording.kind_of",
+        "oculus_driver.recording.recording.detect_format",
         "oculus_driver.recording.mcap_reader._Reader.read",
         "survey.spool.RecordWriter.pack",
     ],

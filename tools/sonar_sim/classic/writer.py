@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from oculus_driver.picture.film import write_png
+from oculus_driver.render.files import write_png
 from sonar_sim.classic.pipeline import CLOUD_FROM_M, classic_images
 from sonar_sim.pinhole import View
 from sonar_sim.products.camera_info import camera_info

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from oculus_driver.picture import COLOURS, Style
+from oculus_driver.render import COLOURS, Style
 from sonar_sim.classic import classic_camera
 from sonar_sim.classic.writer import write_classic
 from sonar_sim.command.exit import OK

@@ -5,11 +5,11 @@ import sys
 from dataclasses import replace
 from typing import Any
 
-from oculus_driver.command.until_stopped import run_until_stopped
-from oculus_driver.command.values import address, count, port, positive, share
+from oculus_driver.cli.arguments import address, count, port, positive, share
+from oculus_driver.cli.output import run_until_stopped
 from oculus_driver.models import model_of
-from oculus_driver.played.broadcast import broadcast_of
-from oculus_driver.played.faults import SHARES, Faults
+from oculus_driver.virtual_sonar.faults import SHARES, Faults
+from oculus_driver.virtual_sonar.server import broadcast_of
 from oculus_driver.wire import STATUS_PORT, TCP_PORT
 from sonar_sim.command.exit import OK
 from sonar_sim.command.values import seed
@@ -139,8 +139,8 @@ def _faults(said: argparse.Namespace) -> Faults:
         stall_s=said.stall_s,
         refuse_second=said.refuse_second,
         silent_after_s=said.silent_after,
-        deaf_to_version=said.deaf_to_version,
-        number=said.seed,
+        ignored_fire_version=said.deaf_to_version,
+        seed=said.seed,
     )
 
 

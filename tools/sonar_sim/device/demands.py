@@ -4,8 +4,8 @@ import math
 from dataclasses import replace
 
 from oculus_driver.models import FAMILIES, MAX_RATE_HZ, MODELS
-from oculus_driver.played.commands import FireDemand
-from oculus_driver.played.remake import bits_of, range_m_of
+from oculus_driver.virtual_sonar.device import FireRequest
+from oculus_driver.virtual_sonar.resample import requested_bits, requested_range_m
 from oculus_driver.wire import FireFlags, PingRate
 from sonar_sim.errors import SceneError
 from sonar_sim.sonar import SonarSettings, sonar_preset
@@ -35,7 +35,7 @@ def part_number_of(model: str) -> int:
     raise SceneError(f"sonar: no part number of {model}; known: {names}")
 
 
-def first_demand(sonar: SonarSettings, ping_rate_hz: float) -> FireDemand:
+def first_demand(sonar: SonarSettings, ping_rate_hz: float) -> FireRequest:
     """What the sonar was told last: the scenario's own settings.
 
     Args:
@@ -46,7 +46,7 @@ def first_demand(sonar: SonarSettings, ping_rate_hz: float) -> FireDemand:
     flags |= FireFlags.FULL_BEAMS if sonar.beams > HALF_BEAMS else 0
     flags |= FireFlags.SIXTEEN_BIT if sonar.bits > 8 else 0  # noqa: PLR2004 bits of a byte
     allowing = [rate for rate, most_hz in MAX_RATE_HZ.items() if most_hz >= ping_rate_hz]
-    return FireDemand(
+    return FireRequest(
         mode=sonar.mode,
         ping_rate=min(allowing, key=MAX_RATE_HZ.__getitem__, default=PingRate.HIGHEST),
         gamma=sonar.gamma_byte,
@@ -57,7 +57,7 @@ def first_demand(sonar: SonarSettings, ping_rate_hz: float) -> FireDemand:
     )
 
 
-def settings_for(demand: FireDemand, sonar: SonarSettings, water: Water) -> SonarSettings:
+def settings_for(demand: FireRequest, sonar: SonarSettings, water: Water) -> SonarSettings:
     """The sonar as a fire message sets it.
 
     Ranges are cut at what the mode can do and a mode that the model has not got is taken for its
@@ -74,18 +74,20 @@ def settings_for(demand: FireDemand, sonar: SonarSettings, water: Water) -> Sona
     gain = demand.gain_percent if math.isfinite(demand.gain_percent) else base.gain_percent
     return replace(
         base,
-        demanded_range_m=min(range_m_of(replace(demand, mode=mode), part), base.most_range_m),
+        demanded_range_m=min(
+            requested_range_m(replace(demand, mode=mode), part), base.most_range_m
+        ),
         beams=FULL_BEAMS if demand.flags & FireFlags.FULL_BEAMS else HALF_BEAMS,
         gain_percent=min(max(gain, 0.0), 100.0),
         gamma_byte=demand.gamma,
-        bits=bits_of(demand),
+        bits=requested_bits(demand),
         told_speed_mps=_told_speed_mps(demand, water),
         source_level_db=sonar.source_level_db,
         noise_excess_db=sonar.noise_excess_db,
     )
 
 
-def period_s(demand: FireDemand, sonar: SonarSettings, water: Water, message_bytes: int) -> float:
+def period_s(demand: FireRequest, sonar: SonarSettings, water: Water, message_bytes: int) -> float:
     """Least time from ping to ping: the rate, the sound's way there and back, the network's limit.
 
     Args:
@@ -116,7 +118,7 @@ def _has_mode(model: str, mode: int) -> bool:
     return True
 
 
-def _told_speed_mps(demand: FireDemand, water: Water) -> float | None:
+def _told_speed_mps(demand: FireRequest, water: Water) -> float | None:
     """What the sonar reckons with: told, or computed for the salinity told; None is the truth."""
     slowest_mps, fastest_mps = SPEEDS_MPS
     if slowest_mps <= demand.speed_of_sound_demand_mps <= fastest_mps:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oculus_driver.encode import bearing_table_cdeg, encode_ping
-from oculus_driver.played.commands import FireDemand
-from oculus_driver.played.remake import with_echo
 from oculus_driver.sound_speed import pressure_bar_at
+from oculus_driver.virtual_sonar.device import FireRequest
+from oculus_driver.virtual_sonar.resample import with_settings_echo
 from oculus_driver.wire import FireFlags
 from sonar_sim.device.demands import BITS_32, part_number_of, settings_for
 from sonar_sim.effects.plan import AUTO, EffectWarning
@@ -86,11 +86,11 @@ class PingMaker:
         self.part_number = part_number_of(sonar.model)
         self._simulators: dict[SonarSettings, Simulator] = {}
 
-    def settings(self, demand: FireDemand) -> SonarSettings:
+    def settings(self, demand: FireRequest) -> SonarSettings:
         """The sonar as the fire message sets it."""
         return settings_for(demand, self._sonar, self._scene.water)
 
-    def make(self, demand: FireDemand, when: When) -> bytes:
+    def make(self, demand: FireRequest, when: When) -> bytes:
         """Simulate a ping and encode it.
 
         Args:
@@ -118,7 +118,7 @@ class PingMaker:
 
     def _encoded(
         self,
-        demand: FireDemand,
+        demand: FireRequest,
         sonar: SonarSettings,
         image: NDArray[Any],
         when: When,
@@ -150,7 +150,7 @@ class PingMaker:
             pitch_deg=pitch_deg,
             roll_deg=roll_deg,
         )
-        return with_echo(data, demand)
+        return with_settings_echo(data, demand)
 
     def _simulator(self, sonar: SonarSettings) -> Simulator:
         """The simulator of these settings; that of the last ones is kept."""

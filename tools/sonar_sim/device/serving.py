@@ -9,10 +9,10 @@ from types import TracebackType
 from typing import Self
 
 from oculus_driver.errors import OculusError
-from oculus_driver.play import told_address
-from oculus_driver.played.faults import Faults
-from oculus_driver.played.obedient import Identity
-from oculus_driver.serve import ServedSonar
+from oculus_driver.virtual_sonar.device import Identity
+from oculus_driver.virtual_sonar.faults import Faults
+from oculus_driver.virtual_sonar.playback import advertised_address
+from oculus_driver.virtual_sonar.server import VirtualSonar
 from sonar_sim.device.route import Ends, Route
 from sonar_sim.device.simulated import SimulatedDevice
 from sonar_sim.effects.plan import AUTO, Wish
@@ -73,13 +73,13 @@ class ServedScenario:
             scenario,
             self.route,
             self.route_s,
-            Identity(settings.device_id, address=told_address(settings.host)),
+            Identity(settings.device_id, address=advertised_address(settings.host)),
             standby=settings.standby,
             seed=settings.seed,
             effects=settings.effects,
-            deaf_to_version=settings.faults.deaf_to_version,
+            ignored_fire_version=settings.faults.ignored_fire_version,
         )
-        self.sonar = ServedSonar(
+        self.sonar = VirtualSonar(
             device,
             host=settings.host,
             port=settings.port,

@@ -5,9 +5,8 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-from oculus_driver.played.commands import FireDemand
-from oculus_driver.played.obedient import Identity, ObedientDevice
 from oculus_driver.sound_speed import pressure_bar_at
+from oculus_driver.virtual_sonar.device import FireRequest, Identity, VirtualDevice
 from sonar_sim.capture import POWER_UP_S
 from sonar_sim.device.demands import PROCESSING_S, first_demand, listening_s, period_s
 from sonar_sim.device.maker import PingMaker, When
@@ -23,13 +22,13 @@ STALE_S = 0.1
 class _Ready:
     """A ping that waits for its last echo: the fire message it obeys, and when it may leave."""
 
-    demand: FireDemand
+    demand: FireRequest
     message: bytes
     ping_id: int
     due_s: float
 
 
-class SimulatedDevice(ObedientDevice):
+class SimulatedDevice(VirtualDevice):
     """Obeys fire messages with simulated pings, each of the pose where it is transmitted.
 
     It transmits as fast as the rate, the sound's way there and back, and this computer allow:
@@ -44,7 +43,7 @@ class SimulatedDevice(ObedientDevice):
         standby: be silent until a fire message asks for pings.
         seed: of speckle and noise.
         effects: as for `sonar_sim.Simulator`.
-        deaf_to_version: version of fire messages that are not understood.
+        ignored_fire_version: version of fire messages that are not understood.
 
     Attributes:
         simulated: pings that were simulated.
@@ -61,7 +60,7 @@ class SimulatedDevice(ObedientDevice):
         standby: bool = False,
         seed: int = 0,
         effects: str = AUTO,
-        deaf_to_version: int | None = None,
+        ignored_fire_version: int | None = None,
     ) -> None:
         device_id = identity.device_id or 1
         self._maker = PingMaker(
@@ -72,7 +71,7 @@ class SimulatedDevice(ObedientDevice):
             source_id=device_id & 0xFFFF,
             effects=effects,
         )
-        super().__init__(identity, device_id, self._maker.part_number, deaf_to_version)
+        super().__init__(identity, device_id, self._maker.part_number, ignored_fire_version)
         self._water = scenario.scene.water
         self._route = route
         self._clock = clock
@@ -90,8 +89,8 @@ class SimulatedDevice(ObedientDevice):
     @property
     def pinging(self) -> bool:
         """Whether it transmits by itself or on triggers."""
-        silent = self._standby if self.demand is None else self.demand.standby
-        return self.able and not silent and not self.ended
+        silent = self._standby if self.request is None else self.request.standby
+        return self.can_ping and not silent and not self.ended
 
     @property
     def ended(self) -> bool:
@@ -110,7 +109,7 @@ class SimulatedDevice(ObedientDevice):
 
     async def prepare(self) -> None:
         """Simulate the next ping, then wait until its last echo would be back."""
-        demand = self.demand or self._first_demand
+        demand = self.request or self._first_demand
         ready = self._ready
         # One that was left when the client went, or standby came, is of long ago.
         if ready is None or ready.demand != demand or self._clock() - ready.due_s > STALE_S:
@@ -144,7 +143,7 @@ class SimulatedDevice(ObedientDevice):
         """Let the ping that is being simulated be the last one."""
         self._thread.shutdown(wait=True, cancel_futures=True)
 
-    async def _simulate(self, demand: FireDemand) -> None:
+    async def _simulate(self, demand: FireRequest) -> None:
         transmit_s = max(self._transmit_s, self._clock())
         sonar = self._maker.settings(demand)
         map_T_base = self._route.pose(transmit_s)  # noqa: N806 frames are named

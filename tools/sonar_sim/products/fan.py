@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oculus_driver.errors import OculusError
-from oculus_driver.picture import Painter, Style
 from oculus_driver.ping import Ping, decode_ping
+from oculus_driver.render import Painter, Style
 from oculus_driver.stream import StreamParser
 from sonar_sim.products.sounding import Sounding
 from sonar_sim.wire import compass_heading_deg, ping_message

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from oculus_driver.picture import COLOURS
+from oculus_driver.render import COLOURS
 from sonar_sim import meshes
 
 DEPTH_UNIT_M = 0.001

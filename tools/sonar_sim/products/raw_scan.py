@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from oculus_driver.picture import fan_of, laid_out
+from oculus_driver.render import fit_fan, warp_to_fan
 from sonar_sim.sonar import SonarSettings
 
 
@@ -22,7 +22,7 @@ def raw_scan(
     """
     sines = (np.arange(sonar.beams) - (sonar.beams - 1) / 2.0) * sonar.sine_pitch
     columns = 2 * int(np.ceil(rows * np.sin(sonar.half_aperture_rad))) + 2
-    fan = fan_of(np.arcsin(sines), sonar.range_m, (columns, rows), (0, 0, 0, 0))
-    scan = laid_out(level.astype(np.float32), fan)
+    fan = fit_fan(np.arcsin(sines), sonar.range_m, (columns, rows), (0, 0, 0, 0))
+    scan = warp_to_fan(level.astype(np.float32), fan)
     scan[fan.outside] = 0.0
     return scan

@@ -10,8 +10,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from oculus_driver.picture import Style
-from oculus_driver.picture.film import write_png
+from oculus_driver.render import Style
+from oculus_driver.render.files import write_png
 from sonar_sim.errors import SonarSimError
 from sonar_sim.products import arrays
 from sonar_sim.products.camera_info import camera_info

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from oculus_driver.picture import Style
+from oculus_driver.render import Style
 from sonar_sim.engine import Engine
 from sonar_sim.physics import Physics
 from sonar_sim.pinhole import pinhole_of

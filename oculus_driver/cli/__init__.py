@@ -1,0 +1,89 @@
+"""The command `oculus`: one module per subcommand."""
+
+from __future__ import annotations
+
+import argparse
+import errno
+from typing import TYPE_CHECKING, NoReturn
+
+from oculus_driver.cli import (
+    convert,
+    discover,
+    doctor,
+    fire,
+    info,
+    log,
+    play,
+    render,
+    watch,
+)
+from oculus_driver.cli.output import Exit, Output, discard_stdout
+from oculus_driver.errors import OculusError, RecordingError, SettingsError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["main"]
+
+SUBCOMMANDS = (discover, watch, log, info, play, convert, render, fire, doctor)
+
+EPILOG = """\
+exit codes: 0 success; 1 the sonar or the link failed, see the message; 2 invalid arguments;
+65 the file is not a recording; 130 interrupted"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """Reports errors in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with code 2."""
+        self.exit(Exit.USAGE, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command. Every failure caused by input is one line and an exit code."""
+    args = _parser().parse_args(argv)
+    output = Output(as_json=args.json)
+    try:
+        return int(args.run(args, output))
+    except SettingsError as error:
+        return output.failure(error, Exit.USAGE)
+    except RecordingError as error:
+        return output.failure(error, Exit.BAD_DATA)
+    except OculusError as error:
+        return output.failure(error, Exit.FAULT)
+    except OSError as error:
+        return _end_of_output(error, output)
+    except KeyboardInterrupt:
+        return Exit.INTERRUPTED
+
+
+def _end_of_output(error: OSError, output: Output) -> Exit:
+    """Handle a closed or full standard output."""
+    if not isinstance(error, BrokenPipeError) and error.errno != errno.ENOSPC:
+        raise error
+    discard_stdout()
+    if isinstance(error, BrokenPipeError):
+        return Exit.OK
+    return output.failure(f"standard output: {error}", Exit.FAULT)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="oculus",
+        description="Discover, watch, log, play back and check Oculus multibeam sonars.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    for module in SUBCOMMANDS:
+        command = commands.add_parser(
+            module.NAME, help=module.HELP, description=module.HELP, allow_abbrev=False
+        )
+        command.add_argument(
+            "--json", action="store_true", help="write JSON to standard output, one object per line"
+        )
+        command.set_defaults(run=module.run)
+        module.add_arguments(command)
+    return parser

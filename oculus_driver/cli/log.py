@@ -1,0 +1,186 @@
+"""`oculus log`: record a sonar within the limits of a disk."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from oculus_driver.cli.arguments import (
+    add_settings_arguments,
+    add_sonar_arguments,
+    counter_fields,
+    line_of,
+    non_negative,
+    open_sonar,
+    positive,
+    settings_of,
+)
+from oculus_driver.cli.output import Exit, Output, run_until_stopped
+from oculus_driver.link.state import LinkState
+
+if TYPE_CHECKING:
+    import argparse
+
+    from oculus_driver.link.state import LinkStatus
+    from oculus_driver.recording import BackgroundLog, LogPolicy, SonarLog
+    from oculus_driver.settings import FireSettings
+    from oculus_driver.sonar import OculusSonar
+
+NAME = "log"
+HELP = "let a sonar ping and record it: only under water"
+
+_MEGABYTE = 1_000_000
+_SECOND_NS = 1_000_000_000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments."""
+    add_sonar_arguments(parser)
+    add = parser.add_argument
+    add(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        default=Path("sonar-log"),
+        help="folder (default: %(default)s)",
+    )
+    add("--prefix", default="sonar", help="of the file names (default: %(default)s)")
+    add("--duration", metavar="S", type=positive, help="stop after S seconds")
+    add(
+        "--every",
+        metavar="S",
+        type=positive,
+        default=10.0,
+        help="report every S seconds (default: 10)",
+    )
+    add("--keep-pinging", action="store_true", help="leave the sonar pinging at the end")
+    limits = parser.add_argument_group("limits").add_argument
+    limits(
+        "--file-mb",
+        metavar="MB",
+        type=positive,
+        default=500.0,
+        help="size of a file (default: 500)",
+    )
+    limits("--file-s", metavar="S", type=positive, help="duration of a file (default: no limit)")
+    limits(
+        "--budget-mb", metavar="MB", type=positive, help="total size; the oldest files are deleted"
+    )
+    limits(
+        "--free-mb",
+        metavar="MB",
+        type=non_negative,
+        default=1000.0,
+        help="minimum free space (default: 1000)",
+    )
+    limits(
+        "--sync-s",
+        metavar="S",
+        type=non_negative,
+        default=5.0,
+        help="maximum loss in a power failure (default: 5)",
+    )
+    add_settings_arguments(parser)
+
+
+def run(args: argparse.Namespace, output: Output) -> Exit:
+    """Record until stopped; an empty recording is a failure."""
+    output.keep_running = True
+    settings = settings_of(args)
+    from oculus_driver.recording import SonarLog  # noqa: PLC0415 - slow to import
+
+    log = SonarLog(
+        args.out,
+        _policy(args),
+        prefix=args.prefix,
+        monotonic_to_unix_ns=time.time_ns() - time.monotonic_ns(),
+    )
+    run_until_stopped(_log(args, output, settings, log))
+    if not log.counters.bytes_written:
+        return output.failure("nothing was recorded; run `oculus doctor`", Exit.FAULT)
+    return Exit.OK
+
+
+async def _log(
+    args: argparse.Namespace, output: Output, settings: FireSettings, log: SonarLog
+) -> None:
+    from oculus_driver.recording import BackgroundLog  # noqa: PLC0415 - slow to import
+
+    async with BackgroundLog(log) as writer:
+        tap = _Tap(writer, output)
+        sonar = open_sonar(
+            args,
+            settings,
+            keep_pinging=args.keep_pinging,
+            on_bytes=tap.take,
+            on_state=tap.link_changed,
+        )
+        try:
+            async with asyncio.timeout(args.duration), sonar, asyncio.TaskGroup() as tasks:
+                tasks.create_task(_report_periodically(args.every, output, sonar, log))
+                async for _ in sonar.pings():
+                    pass  # `tap` has recorded the bytes
+        except TimeoutError:
+            pass
+        finally:
+            _report(output, sonar, log, "end")
+
+
+class _Tap:
+    """Records the sonar's bytes; a new connection starts with a gap."""
+
+    def __init__(self, writer: BackgroundLog, output: Output) -> None:
+        self._writer = writer
+        self._output = output
+        self._fresh = False
+
+    def take(self, data: bytes, arrival_ns: int) -> None:
+        """Record bytes."""
+        self._writer.write(data, arrival_ns, gap_before=self._fresh)
+        self._fresh = False
+
+    def link_changed(self, link: LinkStatus) -> None:
+        """Report the link's state."""
+        if link.state == LinkState.CONNECTING:
+            self._fresh = True
+        fields = {"event": "state", "state": str(link.state), "reason": link.reason}
+        self._output.report(fields | {"address": link.address}, f"{link.state}: {link.reason}")
+
+
+async def _report_periodically(
+    every_s: float, output: Output, sonar: OculusSonar, log: SonarLog
+) -> None:
+    while True:
+        await asyncio.sleep(every_s)
+        _report(output, sonar, log, "log")
+
+
+def _report(output: Output, sonar: OculusSonar, log: SonarLog, event: str) -> None:
+    counters = log.counters
+    fields: dict[str, Any] = {
+        "event": event,
+        "log_state": log.state,
+        "log_reason": log.reason,
+        "file": log.path,
+    }
+    fields |= {name: getattr(counters, name) for name in counters.__slots__}
+    fields |= {"sonar": counter_fields(sonar.counters)}
+    words = [f"{log.state}: {counters.bytes_written / _MEGABYTE:.1f} MB"]
+    words.append(f"{counters.files_opened} files")
+    if counters.bytes_dropped:
+        words.append(f"{counters.bytes_dropped} bytes not recorded ({log.reason})")
+    output.report(fields, f"{line_of(sonar)}; {', '.join(words)}")
+
+
+def _policy(args: argparse.Namespace) -> LogPolicy:
+    from oculus_driver.recording import LogPolicy  # noqa: PLC0415 - slow to import
+
+    return LogPolicy(
+        max_file_bytes=round(args.file_mb * _MEGABYTE),
+        max_file_ns=None if args.file_s is None else round(args.file_s * _SECOND_NS),
+        budget_bytes=None if args.budget_mb is None else round(args.budget_mb * _MEGABYTE),
+        free_floor_bytes=round(args.free_mb * _MEGABYTE),
+        sync_interval_ns=round(args.sync_s * _SECOND_NS),
+    )

@@ -1,0 +1,1 @@
+"""The link to one sonar: state machine, connection, received pings, confirmation of settings."""

@@ -1,0 +1,161 @@
+"""Comparison of pings with the requested settings: the only acknowledgement of a fire message."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from oculus_driver.wire import FireFlags
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from oculus_driver.ping import Ping
+    from oculus_driver.settings import FireSettings
+
+CONFIRM_TIMEOUT_NS: Final = 8_000_000_000
+"""Speed of sound and salinity may take more than 6 s to take effect; the rest is faster."""
+
+_DECISIVE_FLAGS: Final = {
+    "range unit": FireFlags.RANGE_IN_METRES,
+    "16-bit flag": FireFlags.SIXTEEN_BIT,
+    "512-beam flag": FireFlags.FULL_BEAMS,
+}
+_RANGE_TOLERANCE_M: Final = 1e-3
+_GAIN_TOLERANCE: Final = 0.1
+_SPEED_TOLERANCE_MPS: Final = 0.5
+_SALINITY_TOLERANCE_PPT: Final = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One difference between a ping and the request.
+
+    Attributes:
+        name: of the setting.
+        asked: requested value.
+        shown: value in the ping.
+        decisive: whether the settings are not in force while this differs. Other differences may
+            settle slowly or be the sonar's own choice.
+    """
+
+    name: str
+    asked: float
+    shown: float
+    decisive: bool
+
+    def __str__(self) -> str:
+        return f"{self.name}: requested {self.asked:g}, got {self.shown:g}"
+
+
+@dataclass(frozen=True, slots=True)
+class Confirmation:
+    """Result of a settings request.
+
+    Attributes:
+        confirmed: whether a ping showed the settings in force, or the sonar is in standby.
+        reason: human-readable.
+        waited_ns: time from the request to this result.
+        pings: number of examined pings.
+        changed: differences between the last of them and the request.
+    """
+
+    confirmed: bool
+    reason: str
+    waited_ns: int
+    pings: int
+    changed: tuple[Difference, ...]
+
+
+def differences(settings: FireSettings, ping: Ping) -> tuple[Difference, ...]:
+    """Return the differences between a ping and the request, as far as the echo is reliable.
+
+    Not compared: ping rate and network speed, whose echo is uninitialised memory, and the speed of
+    sound if the sonar computes it. A range in percent has no echo in metres.
+    """
+    return tuple(
+        Difference(name, asked, shown, decisive)
+        for name, asked, shown, tolerance, decisive in _comparisons(settings, ping)
+        if not abs(asked - shown) <= tolerance
+    )
+
+
+def _comparisons(
+    settings: FireSettings, ping: Ping
+) -> Iterator[tuple[str, float, float, float, bool]]:
+    """Yield name, requested value, value in the ping, tolerance, and whether it is decisive."""
+    yield "mode", settings.mode, ping.mode, 0.0, True
+    yield "gamma", settings.gamma, ping.gamma, 0.0, True
+    for name, flag in _DECISIVE_FLAGS.items():
+        yield name, bool(settings.flags & flag), bool(ping.flags & flag), 0.0, True
+    if settings.range_m is not None and ping.range_setting_m is not None:
+        yield "range, m", settings.range_m, ping.range_setting_m, _RANGE_TOLERANCE_M, True
+    yield "beams", settings.beams, ping.beams, 0.0, False
+    yield "bits per sample", settings.bits_per_sample, ping.bits_per_sample, 0.0, False
+    yield "gain words", settings.gain_words, ping.gains is not None, 0.0, False
+    yield "gain, percent", _gain_percent(settings, ping), ping.gain_percent, _GAIN_TOLERANCE, False
+    yield "salinity, ppt", settings.salinity_ppt, ping.salinity_ppt, _SALINITY_TOLERANCE_PPT, False
+    if settings.speed_of_sound_mps is not None:
+        asked, shown = settings.speed_of_sound_mps, ping.speed_of_sound_mps
+        yield "speed of sound, m/s", asked, shown, _SPEED_TOLERANCE_MPS, False
+
+
+def _gain_percent(settings: FireSettings, ping: Ping) -> float:
+    """Return the expected gain: older firmware maps it to 40 to 100 % in mode 2."""
+    mapped = 40.0 + 0.6 * settings.gain_percent
+    older = settings.mode == 2 and abs(ping.gain_percent - mapped) <= _GAIN_TOLERANCE  # noqa: PLR2004 - mode 2
+    return mapped if older else settings.gain_percent
+
+
+class PendingConfirmation:
+    """Compares pings until one shows the settings in force, or the time is up.
+
+    Args:
+        settings: the requested settings, compared in the report.
+        asked_ns: time of the request, host monotonic.
+        sent: the settings that were sent, if they differ.
+        timeout_ns: maximum wait. Standby is confirmed by a dummy message.
+    """
+
+    def __init__(
+        self,
+        settings: FireSettings,
+        asked_ns: int,
+        sent: FireSettings | None = None,
+        timeout_ns: int = CONFIRM_TIMEOUT_NS,
+    ) -> None:
+        self._settings = settings
+        self._sent = sent or settings
+        self._asked_ns = asked_ns
+        self._pings = 0
+        self._last: tuple[Difference, ...] = ()
+        self.deadline_ns = asked_ns + timeout_ns
+
+    def ping(self, ping: Ping, now_ns: int) -> Confirmation | None:
+        """Add a ping; return the result if it is final."""
+        self._pings += 1
+        if self._sent.standby:
+            return None
+        self._last = differences(self._settings, ping)
+        if any(difference.decisive for difference in differences(self._sent, ping)):
+            return None
+        return self._answer("a ping shows the settings", now_ns, confirmed=True)
+
+    def dummy(self, now_ns: int) -> Confirmation | None:
+        """Add a dummy message, which a sonar in standby sends."""
+        if not self._sent.standby:
+            return None
+        return self._answer("the sonar reports standby", now_ns, confirmed=True)
+
+    def expire(self, now_ns: int) -> Confirmation:
+        """Return the result at the timeout."""
+        if self._pings == 0:
+            return self._answer("no ping arrived", now_ns, confirmed=False)
+        if self._sent.standby:
+            return self._answer("pings arrived, but no sign of standby", now_ns, confirmed=False)
+        shown = "; ".join(str(one) for one in self._last if one.decisive)
+        return self._answer(f"the pings differ: {shown}", now_ns, confirmed=False)
+
+    def _answer(self, reason: str, now_ns: int, *, confirmed: bool) -> Confirmation:
+        waited_ns = now_ns - self._asked_ns
+        return Confirmation(confirmed, reason, waited_ns, self._pings, self._last)

@@ -1,1 +1,0 @@
-"""The pretended sonar behind `oculus_driver.play`: pure parts, without sockets or clock."""

@@ -1,0 +1,81 @@
+"""Geometry of a fan image: the ping coordinates of each pixel. Ahead is up, starboard is right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from oculus_driver.bearings import edges_rad
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FanGeometry:
+    """A fan inside a frame.
+
+    Attributes:
+        width_px, height_px: of the frame.
+        apex_px: position of the sonar, (x, y), x to the right and y down.
+        metres_per_px: of range.
+        row_share: float32 (height_px, width_px), range divided by the maximum range, 0 to 1.
+        beam: float32 (height_px, width_px), index in the bearing table, fractional between beams.
+        outside: bool (height_px, width_px), True outside the field of view.
+    """
+
+    width_px: int
+    height_px: int
+    apex_px: tuple[float, float]
+    metres_per_px: float
+    row_share: NDArray[np.float32] = field(repr=False)
+    beam: NDArray[np.float32] = field(repr=False)
+    outside: NDArray[np.bool_] = field(repr=False)
+
+    def pixel(self, range_m: float, bearing_rad: float) -> tuple[float, float]:
+        """Return the pixel (x, y) of a target."""
+        away_px = range_m / self.metres_per_px
+        x, y = self.apex_px
+        return x + away_px * float(np.sin(bearing_rad)), y - away_px * float(np.cos(bearing_rad))
+
+
+def fit_fan(
+    bearings_rad: NDArray[np.float64],
+    max_range_m: float,
+    size_px: tuple[int, int],
+    margins_px: tuple[int, int, int, int],
+) -> FanGeometry:
+    """Return the largest fan that fits between the margins.
+
+    Args:
+        bearings_rad: float64 (beams,), strictly increasing, within ±π/2; not uniform in angle.
+        max_range_m: maximum range of the image.
+        size_px: width and height of the frame.
+        margins_px: left, top, right and bottom, kept free for labels.
+    """
+    width_px, height_px = size_px
+    left, top, right, bottom = margins_px
+    edges = edges_rad(bearings_rad)
+    half_m = max_range_m * max(abs(float(np.sin(edges[0]))), abs(float(np.sin(edges[-1]))), 1e-3)
+    metres_per_px = max(
+        max_range_m / max(1, height_px - top - bottom),
+        2.0 * half_m / max(1, width_px - left - right),
+    )
+    apex_px = (0.5 * (left + width_px - right), float(height_px - bottom))
+    across_m = (np.arange(width_px) + 0.5 - apex_px[0]) * metres_per_px
+    ahead_m = (apex_px[1] - np.arange(height_px) - 0.5) * metres_per_px
+    share = np.hypot(across_m[np.newaxis, :], ahead_m[:, np.newaxis]) / max_range_m
+    bearing = np.arctan2(across_m[np.newaxis, :], ahead_m[:, np.newaxis])
+    positions = np.interp(np.sin(bearing), np.sin(bearings_rad), np.arange(bearings_rad.size))
+    outside = (share > 1.0) | (bearing < edges[0]) | (bearing > edges[-1])
+    return FanGeometry(
+        width_px,
+        height_px,
+        apex_px,
+        metres_per_px,
+        share.astype(np.float32),
+        positions.astype(np.float32),
+        outside,
+    )

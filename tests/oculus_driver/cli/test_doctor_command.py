@@ -1,0 +1,106 @@
+"""`oculus doctor` and `oculus discover` against a played sonar on loopback."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from typing import TYPE_CHECKING
+
+from oculus_driver import Faults
+from tests.oculus_driver.cli.sonar_thread import free_udp_port, played
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.oculus_driver.cli.conftest import Oculus
+
+
+def verdicts(oculus: Oculus, *words: object) -> tuple[int, dict[str, str]]:
+    said = oculus("doctor", *words, "--listen", "127.0.0.1", "--json")
+    (facts,) = said.facts
+    return said.code, {layer["name"]: layer["verdict"] for layer in facts["layers"]}
+
+
+WELL = {"address": "ok", "port": "ok", "bytes": "ok", "frames": "ok", "pings": "ok"}
+
+
+def test_a_sonar_that_pings_is_well(oculus: Oculus, capture_path: Path) -> None:
+    with played(capture_path, speed=20.0) as (sonar, status_port):
+        words = ("--port", sonar.port, "--status-port", status_port, "--seconds", "0.5")
+        assert verdicts(oculus, *words) == (0, WELL)
+        text = oculus("doctor", *words, "--listen", "127.0.0.1").out
+    assert text.splitlines()[0] == "ok   address  127.0.0.1: M750d, serial number 7892, running"
+
+
+def test_a_sonar_in_standby_pings_only_when_it_is_asked_to(
+    oculus: Oculus, capture_path: Path
+) -> None:  # quirk 16
+    with played(capture_path, speed=20.0, standby=True) as (sonar, status_port):
+        words = ("--port", sonar.port, "--status-port", status_port, "--seconds", "0.5")
+        assert verdicts(oculus, *words) == (0, WELL | {"pings": "not tested"})
+        assert sonar.counters.pings == 0
+        assert verdicts(oculus, *words, "--ping") == (0, WELL)
+        assert sonar.device.request is not None
+        assert sonar.device.request.standby
+
+
+def test_a_closed_port_is_the_first_that_fails(oculus: Oculus, capture_path: Path) -> None:
+    with played(capture_path) as (_, status_port):
+        words = ("--port", "1", "--status-port", status_port, "--seconds", "1")
+        code, found = verdicts(oculus, *words)
+    assert code == 1
+    assert list(found.values()) == ["ok", "failed", "not tested", "not tested", "not tested"]
+
+
+def test_a_sonar_that_is_held_by_another_client_is_told(
+    oculus: Oculus, capture_path: Path
+) -> None:  # quirk 20
+    with (
+        played(capture_path, faults=Faults(refuse_second=True)) as (sonar, status_port),
+        socket.create_connection(("127.0.0.1", sonar.port)) as other,
+    ):
+        other.recv(1)
+        words = ("--port", sonar.port, "--status-port", status_port, "--seconds", "1")
+        said = oculus("doctor", *words, "--listen", "127.0.0.1", "--json")
+    (facts,) = said.facts
+    assert facts["first_failure"] == "bytes"
+    assert "held" in {finding["code"] for finding in facts["findings"]}
+
+
+def test_no_sonar_at_all_is_told(oculus: Oculus) -> None:
+    words = ("--listen", "127.0.0.1", "--status-port", free_udp_port(), "--seconds", "0.05")
+    said = oculus("doctor", *words)
+    assert said.code == 1
+    assert said.out.startswith("FAIL address")
+    assert oculus("discover", *words).code == 1
+
+
+def test_something_else_on_the_port_is_told(oculus: Oculus) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def greet() -> None:
+            link, _ = server.accept()
+            link.sendall(b"220 mail.example.org ESMTP\r\n" * 9)
+            link.close()
+
+        thread = threading.Thread(target=greet)
+        thread.start()
+        words = ("127.0.0.1", "--port", server.getsockname()[1], "--seconds", "0.2")
+        said = oculus("doctor", *words, "--status-port", free_udp_port(), "--json")
+        thread.join(20.0)
+    assert said.facts[0]["first_failure"] == "frames"
+
+
+def test_discover_lists_every_sonar(oculus: Oculus, capture_path: Path) -> None:
+    with played(capture_path) as (_, status_port):
+        words = ("--first", "--listen", "127.0.0.1", "--status-port", status_port)
+        said = oculus("discover", "--json", *words)
+        text = oculus("discover", *words)
+    (facts,) = said.facts
+    assert (facts["address"], facts["model"], facts["serial_number"]) == (
+        "127.0.0.1",
+        "M750d",
+        7892,
+    )
+    assert (said.code, text.code) == (0, 0)
+    assert text.out.startswith("127.0.0.1")
