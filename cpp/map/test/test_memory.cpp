@@ -7,6 +7,7 @@
 #include "check.hpp"
 #include "mapperd/map/brick.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
+#include "mapperd/map/snapshot.hpp"
 #include "mapperd/map/voxel_map.hpp"
 #include "maps.hpp"
 #include "scenes.hpp"
@@ -109,6 +110,7 @@ void check_memory(const IwloParams& params, int blocks, int one_of, int water) {
   map->clear();
   watch.check(*map);
   CHECK(map->memory_bytes() == VoxelMap(0.1, params).memory_bytes());
+  CHECK(memory_bytes(*map) == map->memory_bytes());
   fill(*map, water % 50, one_of, blocks);
   watch.check(*map);
 }
