@@ -103,7 +103,7 @@ def points_back(room: str, module: str, name: str) -> bool:
         return True
     if target != "mapperd":
         return False
-    if room != "mapperd":  # the core is reached through mapperd.mapping
+    if room != "mapperd":  # the core is reached through mapperd.mapping.sonar_map
         return name.startswith("mapperd._core")
     here, there = place_of(module), place_of(name)
     return here is None or there is None or there >= here  # also: a package imports nothing
@@ -186,7 +186,7 @@ def test_dask_has_one_place() -> None:
 @pytest.mark.parametrize(
     ("file", "found"),
     [
-        ("mapperd/replay.py", True),
+        ("mapperd/session/replay.py", True),
         ("tools/survey/running.py", True),
         ("tools/survey/deep/engine_dask.py", True),
         ("tools/survey/engine_dask.py", False),
@@ -234,27 +234,27 @@ def test_planted_cpp_include_is_found(
     ("file", "line"),
     [
         ("oculus_driver/ping.py", "import mapperd"),
-        ("oculus_driver/ping.py", "from mapperd.config import Config"),
+        ("oculus_driver/ping.py", "from mapperd.config.tree import Config"),
         ("oculus_driver/deep/inside.py", "def f():\n    from mapperd import _core"),
         ("oculus_driver/ping.py", "import sonar_sim.scene"),
         ("oculus_driver/ping.py", "import importlib\nimportlib.import_module('mapperd')"),
-        ("oculus_driver/ping.py", "if TYPE_CHECKING:\n    import mapperd.frames"),
-        ("tools/sonar_sim/scene.py", "from mapperd.frames import Pose"),
+        ("oculus_driver/ping.py", "if TYPE_CHECKING:\n    import mapperd.geometry.frames"),
+        ("tools/sonar_sim/scene.py", "from mapperd.geometry.frames import Pose"),
         ("tools/sonar_sim/scene.py", "from mapperd import _core"),
         ("tools/demo.py", "import mapperd._core"),
         ("tools/bench/run.py", "from mapperd import _core"),
-        ("mapperd/frames.py", "import sonar_sim"),
-        ("mapperd/frames.py", "import tools.demo"),
-        ("mapperd/replay.py", "import survey.running"),
+        ("mapperd/geometry/frames.py", "import sonar_sim"),
+        ("mapperd/geometry/frames.py", "import tools.demo"),
+        ("mapperd/session/replay.py", "import survey.running"),
         ("tools/sonar_sim/scene.py", "from survey.request import Survey"),
-        ("mapperd/frames.py", "from mapperd import cli"),
-        ("mapperd/frames.py", "from mapperd.mapping import SonarMap"),
-        ("mapperd/mapping.py", "from mapperd.step import process_ping"),
+        ("mapperd/geometry/frames.py", "from mapperd import cli"),
+        ("mapperd/geometry/frames.py", "from mapperd.mapping.sonar_map import SonarMap"),
+        ("mapperd/mapping/sonar_map.py", "from mapperd.pipeline.step import process_ping"),
         ("mapperd/odometry/native.py", "from mapperd.odometry.fusion import Fusion"),
         ("mapperd/odometry/native.py", "from . import buffer"),
         ("mapperd/odometry/native.py", "from ..mapping import SonarMap"),
         ("mapperd/odometry/__init__.py", "from mapperd.odometry.fusion import Fusion"),
-        ("mapperd/step.py", "import mapperd.replay"),
+        ("mapperd/pipeline/step.py", "import mapperd.session.replay"),
         ("mapperd/unheard_of.py", "import mapperd.errors"),
     ],
 )
@@ -270,13 +270,16 @@ def test_planted_back_arrow_is_found(tmp_path: Path, file: str, line: str) -> No
     [
         ("oculus_driver/ping.py", "import numpy\nfrom oculus_driver.wire import X"),
         ("oculus_driver/deep/inside.py", "from ..wire import X"),
-        ("mapperd/mapping.py", "from mapperd import _core\nfrom mapperd.frames import Pose"),
-        ("mapperd/cli.py", "import mapperd.replay\nimport oculus_driver.ping"),
+        (
+            "mapperd/mapping/sonar_map.py",
+            "from mapperd import _core\nfrom mapperd.geometry.frames import Pose",
+        ),
+        ("mapperd/cli/mapperd.py", "import mapperd.session.replay\nimport oculus_driver.ping"),
         (
             "tools/sonar_sim/scene.py",
             "from oculus_driver import encode_ping\nimport sonar_sim.path",
         ),
-        ("tools/demo.py", "import mapperd.cli\nimport sonar_sim"),
+        ("tools/demo.py", "import mapperd.cli.mapperd\nimport sonar_sim"),
     ],
 )
 def test_forward_arrow_is_left_alone(tmp_path: Path, file: str, line: str) -> None:

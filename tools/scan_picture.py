@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config
-from mapperd.echo import Echo, echo_of
+from mapperd.config.tree import Config
 from mapperd.errors import MapError
+from mapperd.imaging.ping_image import Echo, echo_of
 from mapperd.localization.extraction import Surroundings, scan_of
 from mapperd.localization.scan import Scan
 from oculus_driver import Ping, StreamParser, decode_ping

@@ -9,8 +9,8 @@ from mapperd.client.client import MapClient
 from mapperd.client.errors import AskError, EndedError
 from mapperd.client.follower import MapFollower
 from mapperd.client.mirror import MapMirror
-from mapperd.stream.framing import StreamError
-from mapperd.stream.messages import (
+from mapperd.wire.framing import StreamError
+from mapperd.wire.messages import (
     Box,
     Event,
     Fan,

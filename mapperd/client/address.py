@@ -51,7 +51,7 @@ def place_of(address: str) -> Place:
 
 def _usual_paths() -> tuple[Path, ...]:
     # Only here: the settings' types take longer to import than all of this package.
-    from mapperd.config import Config  # noqa: PLC0415
-    from mapperd.control.place import map_socket_places  # noqa: PLC0415
+    from mapperd.config.tree import Config  # noqa: PLC0415
+    from mapperd.wire.socket_paths import map_socket_places  # noqa: PLC0415
 
     return tuple(map_socket_places(Config(), os.environ))

@@ -4,7 +4,7 @@ import asyncio
 from typing import Any
 
 from mapperd.client.errors import AskError
-from mapperd.stream.messages import Answer
+from mapperd.wire.messages import Answer
 
 __all__ = ["Asking"]
 

@@ -6,7 +6,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.stream.blocks import CELLS, UNKNOWN, BlockSet
+from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
 
 __all__ = ["BlockTable", "keys_of", "names_of"]
 

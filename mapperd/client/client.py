@@ -11,17 +11,17 @@ from typing import Any, Self
 
 from mapperd.client.address import place_of
 from mapperd.client.asking import Asking
+from mapperd.client.change_queue import Pending
 from mapperd.client.changes import ClientChange, LinkChanged, LinkState, LinkStatus
-from mapperd.client.connecting import Attempts, opened, read, reason_of, send, with_hint
-from mapperd.client.dialogue import Dialogue, Wishes
+from mapperd.client.connect import Attempts, opened, read, reason_of, send, with_hint
 from mapperd.client.errors import AskError, EndedError
-from mapperd.client.knowledge import MOST_BLOCKS, Knowledge
 from mapperd.client.known import Known
-from mapperd.client.pending import Pending
+from mapperd.client.protocol import Dialogue, Wishes
 from mapperd.client.second_dialogue import SecondDialogue
 from mapperd.client.second_line import SecondLine
-from mapperd.stream.framing import StreamError
-from mapperd.stream.messages import Interest, Want
+from mapperd.client.state import MOST_BLOCKS, Knowledge
+from mapperd.wire.framing import StreamError
+from mapperd.wire.messages import Interest, Want
 
 __all__ = ["DEFAULT_WANTS", "MapClient"]
 

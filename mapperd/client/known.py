@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.client.knowledge import Knowledge
 from mapperd.client.mirror import MapMirror
-from mapperd.stream.messages import (
+from mapperd.client.state import Knowledge
+from mapperd.wire.messages import (
     Fan,
     Image,
     Localization,

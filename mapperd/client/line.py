@@ -3,9 +3,9 @@
 from abc import ABC, abstractmethod
 
 from mapperd.client.errors import EndedError
-from mapperd.control.token import proof_of
-from mapperd.stream.framing import StreamError, client_inbox, framed
-from mapperd.stream.messages import (
+from mapperd.wire.auth import proof_of
+from mapperd.wire.framing import StreamError, client_inbox, framed
+from mapperd.wire.messages import (
     VERSION,
     Ack,
     Bye,

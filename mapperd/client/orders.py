@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from mapperd.stream.framing import StreamError
+from mapperd.wire.framing import StreamError
 
 __all__ = ["MOST_FORGOTTEN", "Orders"]
 

@@ -1,9 +1,9 @@
 """What a client hears and says on a second line, beside its first connection."""
 
-from mapperd.client.knowledge import Knowledge
 from mapperd.client.line import Line
-from mapperd.stream.framing import StreamError
-from mapperd.stream.messages import VERSION, Blocks, FromServer, Hello, Status, Welcome
+from mapperd.client.state import Knowledge
+from mapperd.wire.framing import StreamError
+from mapperd.wire.messages import VERSION, Blocks, FromServer, Hello, Status, Welcome
 
 __all__ = ["SecondDialogue"]
 

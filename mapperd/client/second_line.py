@@ -6,10 +6,10 @@ import time
 from collections.abc import Callable
 
 from mapperd.client.address import Place
-from mapperd.client.connecting import Attempts, opened, read, reason_of, send
+from mapperd.client.connect import Attempts, opened, read, reason_of, send
 from mapperd.client.errors import EndedError
 from mapperd.client.second_dialogue import SecondDialogue
-from mapperd.stream.framing import StreamError
+from mapperd.wire.framing import StreamError
 
 __all__ = ["SecondLine"]
 

@@ -6,9 +6,9 @@ import msgspec
 import numpy as np
 
 from mapperd.client.cells import Cells
-from mapperd.config import Config
-from mapperd.mapping import SonarMap
-from mapperd.stream.messages import MapFacts
+from mapperd.config.tree import Config
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.wire.messages import MapFacts
 
 __all__ = ["map_of"]
 

@@ -14,10 +14,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from mapperd.config.yaml_strict import YamlProblem, parse_yaml
 from mapperd.errors import ConfigError
-from mapperd.mapping import Voxels
-from mapperd.probability import probabilities_of
-from mapperd.yaml_strict import YamlProblem, parse_yaml
+from mapperd.mapping.probability import probabilities_of
+from mapperd.mapping.sonar_map import Voxels
 
 __all__ = ["Calibration", "load_calibration"]
 

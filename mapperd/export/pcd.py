@@ -4,7 +4,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from mapperd.mapping import Voxels
+from mapperd.mapping.sonar_map import Voxels
 
 __all__ = ["POINT", "write_pcd"]
 

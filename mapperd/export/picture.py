@@ -9,7 +9,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from mapperd.export.raster import project
-from mapperd.mapping import Voxels
+from mapperd.mapping.sonar_map import Voxels
 
 __all__ = ["MISSING", "can_draw", "write_picture"]
 

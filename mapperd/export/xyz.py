@@ -5,7 +5,7 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.mapping import Voxels
+from mapperd.mapping.sonar_map import Voxels
 
 __all__ = ["write_points", "write_xyz"]
 

@@ -8,7 +8,7 @@ Gauss curve does, of which that is sqrt 2 times as much.
 
 import math
 
-from mapperd.config import Sonar
+from mapperd.config.tree import Sonar
 
 __all__ = ["heard_aperture_rad"]
 

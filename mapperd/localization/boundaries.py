@@ -6,9 +6,9 @@ finds all of the depth alike likely sits by half of it too near.
 
 import numpy as np
 
-from mapperd.map_queries import FREE, MapQueries
-from mapperd.mapping import SonarMap
-from mapperd.probability import log_odds_of
+from mapperd.mapping.probability import log_odds_of
+from mapperd.mapping.queries import FREE, MapQueries
+from mapperd.mapping.sonar_map import SonarMap
 
 __all__ = ["keep_boundaries"]
 

@@ -1,6 +1,6 @@
 """Whether localization can follow settings, before they hold."""
 
-from mapperd.config import Config
+from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
 from mapperd.localization.models import beam_model, filter_rule, hit_model
 

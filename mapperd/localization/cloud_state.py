@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.localization.filter import ParticleFilter
+from mapperd.localization.particle_filter import ParticleFilter
 
 __all__ = ["CloudState", "cloud_state", "restore_cloud"]
 

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 from mapperd._core import mcl_estimate
-from mapperd.localization.estimate import PlanarGaussian
-from mapperd.localization.filter import ParticleFilter, gaussian_of
+from mapperd.geometry.gaussian import PlanarGaussian
+from mapperd.localization.particle_filter import ParticleFilter, gaussian_of
 
 __all__ = ["MOST_CLUSTERS", "Cluster", "clusters_of"]
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from mapperd.errors import MapError
 from mapperd.localization.grid_map import FREE, MAX_CELLS, OCCUPIED, UNKNOWN, GridMap
-from mapperd.map_queries import FREE as VOXEL_FREE
-from mapperd.map_queries import OCCUPIED as VOXEL_OCCUPIED
-from mapperd.map_queries import MapQueries
+from mapperd.mapping.queries import FREE as VOXEL_FREE
+from mapperd.mapping.queries import OCCUPIED as VOXEL_OCCUPIED
+from mapperd.mapping.queries import MapQueries
 
 __all__ = ["beam_band_m", "depth_slice"]
 

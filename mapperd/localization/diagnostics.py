@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from mapperd.config import Amcl
-from mapperd.localization.estimate import PlanarGaussian
+from mapperd.config.tree import Amcl
+from mapperd.geometry.gaussian import PlanarGaussian
 
 __all__ = ["Deviation", "Diagnosis", "diagnose", "weight_warning"]
 

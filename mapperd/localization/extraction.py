@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config
-from mapperd.echo import Echo
+from mapperd.config.tree import Config
+from mapperd.imaging.ping_image import Echo
 from mapperd.localization.aperture import heard_aperture_rad
-from mapperd.localization.burst import BurstWatch
-from mapperd.localization.first_return import FirstReturns, Limits, first_returns
+from mapperd.localization.burst_filter import BurstWatch
+from mapperd.localization.detector import FirstReturns, Limits, first_returns
 from mapperd.localization.floor_gate import floor_gate_m
 from mapperd.localization.levelling import fan_points
 from mapperd.localization.levels import equalised, levels_db

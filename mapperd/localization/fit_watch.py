@@ -8,7 +8,7 @@ fit, which is the mean likelihood of one beam, is hit^h miss^(1 - h).
 import math
 from dataclasses import dataclass, replace
 
-from mapperd.localization.filter import HitModel
+from mapperd.localization.particle_filter import HitModel
 
 __all__ = ["FitWatch", "hit_share"]
 

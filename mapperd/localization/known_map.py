@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from mapperd.localization.grid_map import GridMap
-from mapperd.localization.volume_map import LocalizationMap, VolumeMap
+from mapperd.localization.maps import LocalizationMap, VolumeMap
 
 __all__ = ["KnownMap"]
 

@@ -21,9 +21,9 @@ from typing import Literal
 
 import numpy as np
 
-from mapperd.config import Amcl
-from mapperd.localization.estimate import PlanarGaussian
-from mapperd.localization.volume_map import LocalizationMap
+from mapperd.config.tree import Amcl
+from mapperd.geometry.gaussian import PlanarGaussian
+from mapperd.localization.maps import LocalizationMap
 from mapperd.reject import Reject
 
 __all__ = ["Lifecycle", "Start", "parameter_pose"]

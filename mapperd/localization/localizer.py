@@ -3,16 +3,16 @@
 from collections import Counter
 from dataclasses import dataclass, replace
 
-from mapperd.config import Config
-from mapperd.frames import Pose
-from mapperd.localization.estimate import Belief, PlanarGaussian
+from mapperd.config.tree import Config
+from mapperd.geometry.frames import Pose
+from mapperd.geometry.gaussian import Belief, PlanarGaussian
 from mapperd.localization.levelling import yaw_of
 from mapperd.localization.lifecycle import Lifecycle, Start
-from mapperd.localization.pose import MapFromOdom, map_from_odom
+from mapperd.localization.maps import LocalizationMap
+from mapperd.localization.odom_correction import MapFromOdom, map_from_odom
 from mapperd.localization.pose_filter import PoseFilter
 from mapperd.localization.scan import Scan, decimated
 from mapperd.localization.update_gate import PlanarPose, UpdateGate
-from mapperd.localization.volume_map import LocalizationMap
 from mapperd.reject import Reject
 
 __all__ = ["Localized", "Localizer", "LocalizerState"]

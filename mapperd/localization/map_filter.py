@@ -6,17 +6,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config
+from mapperd.config.tree import Config
+from mapperd.geometry.gaussian import Belief, PlanarGaussian
 from mapperd.localization.cloud_state import CloudState, cloud_state, restore_cloud
-from mapperd.localization.estimate import Belief, PlanarGaussian
-from mapperd.localization.filter import ParticleFilter, Weighed, belief
 from mapperd.localization.fit_watch import FitWatch
-from mapperd.localization.map_weighing import MapWeighing, threads_of
+from mapperd.localization.hypothesis import Rival, same_place, spread_m
+from mapperd.localization.maps import LocalizationMap
 from mapperd.localization.models import filter_rule
-from mapperd.localization.rival import Rival, same_place, spread_m
+from mapperd.localization.particle_filter import ParticleFilter, Weighed, belief
 from mapperd.localization.scan import Scan
 from mapperd.localization.update_gate import PlanarPose
-from mapperd.localization.volume_map import LocalizationMap
+from mapperd.localization.weighting import MapWeighing, threads_of
 
 __all__ = ["FilterState", "MapFilter"]
 

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config
+from mapperd.config.tree import Config
 from mapperd.errors import MapError, StoreError
 from mapperd.localization.boundaries import keep_boundaries
 from mapperd.localization.depth_slice import depth_slice
 from mapperd.localization.grid_map import GridMap
 from mapperd.localization.known_map import KnownMap
-from mapperd.localization.nav2_map import read_nav2_map
-from mapperd.localization.volume_map import LocalizationMap, volume_map
-from mapperd.map_queries import MapQueries
-from mapperd.mapping import SonarMap
+from mapperd.localization.map_io import read_nav2_map
+from mapperd.localization.maps import LocalizationMap, volume_map
+from mapperd.mapping.queries import MapQueries
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import StoreReader
 
 __all__ = ["MAX_FILE_BYTES", "MAX_SIDE", "MAX_VOXELS", "load_known_map"]

@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from mapperd.config import Amcl, Config
-from mapperd.localization.filter import (
+from mapperd.config.tree import Amcl, Config
+from mapperd.localization.grid_map import GridMap
+from mapperd.localization.maps import LocalizationMap, VolumeMap
+from mapperd.localization.particle_filter import (
     BeamModel,
     FilterRule,
     Grid,
     HitModel,
     LikelihoodField,
 )
-from mapperd.localization.grid_map import GridMap
-from mapperd.localization.volume_map import LocalizationMap, VolumeMap
 
 __all__ = ["beam_model", "core_grid", "field_of", "filter_rule", "hit_model"]
 

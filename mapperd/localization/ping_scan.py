@@ -2,15 +2,15 @@
 
 import math
 
-from mapperd.config import Config
-from mapperd.echo import echo_of
+from mapperd.config.tree import Config
 from mapperd.errors import MapError
-from mapperd.filters.stage import filter_echo
-from mapperd.localization.burst import BurstWatch
+from mapperd.imaging.filter_chain import filter_echo
+from mapperd.imaging.ping_image import echo_of
+from mapperd.localization.burst_filter import BurstWatch
 from mapperd.localization.extraction import Surroundings, scan_of
 from mapperd.localization.levelling import level_T_base
 from mapperd.localization.scan import Scan
-from mapperd.mapping import mounting
+from mapperd.mapping.sonar_map import mounting
 from mapperd.odometry.fusion import FusedPose
 from mapperd.reject import Reject
 from oculus_driver.ping import Ping

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.localization.estimate import PlanarGaussian
-from mapperd.localization.pose import MapFromOdom
+from mapperd.geometry.gaussian import PlanarGaussian
+from mapperd.localization.odom_correction import MapFromOdom
 from mapperd.odometry.fusion import FusedPose
 
 __all__ = ["placed"]

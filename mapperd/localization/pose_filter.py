@@ -2,11 +2,11 @@
 
 from typing import Protocol
 
-from mapperd.config import Config
-from mapperd.localization.estimate import Belief, PlanarGaussian
+from mapperd.config.tree import Config
+from mapperd.geometry.gaussian import Belief, PlanarGaussian
+from mapperd.localization.maps import LocalizationMap
 from mapperd.localization.scan import Scan
 from mapperd.localization.update_gate import PlanarPose
-from mapperd.localization.volume_map import LocalizationMap
 
 __all__ = ["PoseFilter"]
 

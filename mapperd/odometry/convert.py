@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapperd.frames import Body, World, orientation_to_map
+from mapperd.geometry.frames import Body, World, orientation_to_map
 from mapperd.odometry.records import UNKNOWN_VARIANCE
 from mapperd.reject import Reject
 

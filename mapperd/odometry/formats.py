@@ -1,8 +1,8 @@
 """Settings become a decoder. Libraries of a format are imported only where it is wanted."""
 
+from mapperd.config.format_settings import FormatSettings
 from mapperd.errors import ConfigError
 from mapperd.odometry.decoder import Decoder
-from mapperd.odometry.format_settings import FormatSettings
 from mapperd.odometry.lines import LineDecoder, ReadLine
 from mapperd.odometry.native import NativeDecoder
 from mapperd.odometry.native_json import MAX_LINE_BYTES as JSON_BYTES

@@ -5,9 +5,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config_odometry import OdometryFusion
-from mapperd.frames import quaternion_to_matrix, rotation_from_rpy
-from mapperd.geodesy import Origin
+from mapperd.config.odometry import OdometryFusion
+from mapperd.geometry.frames import quaternion_to_matrix, rotation_from_rpy
+from mapperd.geometry.geodesy import Origin
 from mapperd.odometry.anchor import Anchor, yaw_between
 from mapperd.odometry.reckoning import DeadReckoning
 from mapperd.odometry.records import UNKNOWN_VARIANCE, Odometry

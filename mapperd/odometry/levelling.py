@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config_odometry import WorldInit
-from mapperd.frames import quaternion_product, quaternion_to_matrix
+from mapperd.config.odometry import WorldInit
+from mapperd.geometry.frames import quaternion_product, quaternion_to_matrix
 from mapperd.reject import Reject
 
 __all__ = ["Levelling"]

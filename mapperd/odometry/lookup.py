@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from mapperd.config_odometry import TimeSync
+from mapperd.config.odometry import TimeSync
 from mapperd.odometry.series import Sample, Series
 from mapperd.reject import Reject
 

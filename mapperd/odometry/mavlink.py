@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 from typing import Any
 
+from mapperd.config.format_settings import FormatSettings
 from mapperd.odometry.decoder import DecoderCounters
-from mapperd.odometry.format_settings import FormatSettings
 from mapperd.odometry.mavlink_frames import MavlinkFrames
 from mapperd.odometry.mavlink_messages import ORDER, READERS
 from mapperd.odometry.mavlink_time import WRAP_MS, BootClock, stamp_of_us

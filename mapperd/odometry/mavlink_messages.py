@@ -12,7 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.frames import BODY_TO_FLU, WORLD_TO_ENU, World, compass_quaternion, compass_to_map
+from mapperd.config.format_settings import FormatSettings
+from mapperd.geometry.frames import (
+    BODY_TO_FLU,
+    WORLD_TO_ENU,
+    World,
+    compass_quaternion,
+    compass_to_map,
+)
 from mapperd.odometry.convert import (
     MAX_COVARIANCE,
     MAX_DEPTH_M,
@@ -28,7 +35,6 @@ from mapperd.odometry.convert import (
     turned,
     turned_covariance,
 )
-from mapperd.odometry.format_settings import FormatSettings
 from mapperd.odometry.records import GeoPoint
 from mapperd.reject import Reject
 

@@ -24,7 +24,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from mapperd.frames import BODY_TO_FLU, WORLD_TO_ENU, Body, World
+from mapperd.geometry.frames import BODY_TO_FLU, WORLD_TO_ENU, Body, World
 from mapperd.odometry.convert import (
     MAX_COVARIANCE,
     MAX_DISTANCE_M,

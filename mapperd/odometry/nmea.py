@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pynmea2.types.proprietary.ash import ASHRATT
 from pynmea2.types.proprietary.rdi import RDID
 
-from mapperd.frames import compass_quaternion, compass_to_map
+from mapperd.geometry.frames import compass_quaternion, compass_to_map
 from mapperd.odometry.convert import MAX_SPEED_MPS
 from mapperd.odometry.decoder import DecoderCounters
 from mapperd.odometry.precedence import Precedence

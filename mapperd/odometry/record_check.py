@@ -5,7 +5,7 @@ by a program that uses the library; one NaN of such a one would stay in the seri
 beside it could not be made.
 """
 
-from mapperd.frames import UNIT_TOLERANCE
+from mapperd.geometry.frames import UNIT_TOLERANCE
 from mapperd.odometry.convert import bad_numbers
 from mapperd.odometry.records import Odometry
 from mapperd.reject import Reject

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.frames import quaternion_between, quaternion_product
+from mapperd.geometry.frames import quaternion_between, quaternion_product
 from mapperd.odometry.lookup import Course
 
 __all__ = [

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.frames import BODY_TO_FLU, WORLD_TO_ENU, rotation_from_rpy
+from mapperd.geometry.frames import BODY_TO_FLU, WORLD_TO_ENU, rotation_from_rpy
 from mapperd.odometry.convert import (
     MAX_COVARIANCE,
     MAX_DISTANCE_M,

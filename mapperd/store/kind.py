@@ -10,9 +10,9 @@ from typing import Any
 
 import msgspec
 
-from mapperd.config import Config
+from mapperd.config.tree import Config
 from mapperd.errors import StoreError
-from mapperd.store.identity import NAME
+from mapperd.store.metadata import NAME
 
 __all__ = ["check_kind", "kind_in", "kind_of", "write_kind"]
 

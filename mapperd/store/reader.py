@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mapperd import _core
 from mapperd.errors import StoreError
-from mapperd.mapping import SonarMap
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.bricks import COLUMNS, BrickRow, DamagedBrickError, Key, rows_of, unpack
 from mapperd.store.database import open_reader, reading, translated
 from mapperd.store.kind import check_kind, kind_in

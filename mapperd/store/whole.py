@@ -6,11 +6,11 @@ from pathlib import Path
 
 import zstandard
 
-from mapperd.config import Config
+from mapperd.config.tree import Config
 from mapperd.store.bricks import COLUMNS, LEVEL, BrickRow, Key, pack
 from mapperd.store.database import transaction, translated
-from mapperd.store.identity import begun
 from mapperd.store.kind import write_kind
+from mapperd.store.metadata import begun
 from mapperd.store.schema import migrate
 
 __all__ = ["packed", "write_whole"]

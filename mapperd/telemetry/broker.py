@@ -10,8 +10,8 @@ import ssl
 from collections.abc import AsyncIterator, Mapping
 from typing import TYPE_CHECKING
 
-from mapperd.config import Config, Mqtt
-from mapperd.credentials import read_secret
+from mapperd.config.credentials import read_secret
+from mapperd.config.tree import Config, Mqtt
 from mapperd.errors import ConfigError
 from mapperd.telemetry.topics import Topics
 

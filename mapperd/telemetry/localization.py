@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from mapperd.operations import Operations
+from mapperd.api import Operations
 from mapperd.telemetry.outbox import Kind, Message, Outbox
 from mapperd.telemetry.pace import Pace
-from mapperd.telemetry.reports import encoded
+from mapperd.telemetry.payloads import encoded
 from mapperd.telemetry.topics import Topics
 
 __all__ = ["SAMPLE", "LocalizationReporter"]

@@ -8,12 +8,12 @@ from typing import Any
 
 import msgspec
 
-from mapperd.config_store import Refused
+from mapperd.api import OperationError, Operations
+from mapperd.config.live import Refused
 from mapperd.errors import MapperdError
-from mapperd.operations import OperationError, Operations
 from mapperd.pose_request import PoseRequest
 from mapperd.telemetry.outbox import Kind, Message
-from mapperd.telemetry.reports import encoded
+from mapperd.telemetry.payloads import encoded
 from mapperd.telemetry.topics import Asked, Topics
 
 __all__ = ["ORIGIN", "Requests"]

@@ -16,13 +16,13 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mapperd.api import Operations
 from mapperd.errors import ConfigError
 from mapperd.events import Severity
-from mapperd.operations import Operations
 from mapperd.telemetry.broker import check_telemetry, connection
 from mapperd.telemetry.outbox import Kind, Message, Outbox
 from mapperd.telemetry.pace import BackOff
-from mapperd.telemetry.reporter import Reporter
+from mapperd.telemetry.publisher import Reporter
 from mapperd.telemetry.requests import Requests
 from mapperd.telemetry.topics import Topics
 from mapperd.telemetry.vitals import Vitals

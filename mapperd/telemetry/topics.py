@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from mapperd.config import Amcl, Mqtt
+from mapperd.config.tree import Amcl, Mqtt
 
 __all__ = ["Asked", "Topics"]
 

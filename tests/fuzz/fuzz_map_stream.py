@@ -14,13 +14,13 @@ import msgspec
 import numpy as np
 import zstandard
 
-from mapperd.client.dialogue import Dialogue, Wishes
-from mapperd.client.knowledge import Knowledge
 from mapperd.client.orders import MOST_FORGOTTEN
+from mapperd.client.protocol import Dialogue, Wishes
 from mapperd.client.second_dialogue import SecondDialogue
-from mapperd.stream.blocks import CELLS, MAX_KEY, decode_blocks
-from mapperd.stream.framing import StreamError, framed, server_inbox
-from mapperd.stream.messages import (
+from mapperd.client.state import Knowledge
+from mapperd.wire.blocks import CELLS, MAX_KEY, decode_blocks
+from mapperd.wire.framing import StreamError, framed, server_inbox
+from mapperd.wire.messages import (
     MAX_BLOCKS,
     MAX_FROM_CLIENT,
     WANTS,

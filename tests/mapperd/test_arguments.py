@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.arguments import parse_arguments
-from mapperd.frames import pose_from_rpy
+from mapperd.cli.arguments import parse_arguments
+from mapperd.geometry.frames import pose_from_rpy
 
 
 def test_only_the_recording_is_needed() -> None:

@@ -11,13 +11,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.cli import Exit, main
-from mapperd.config import Config
-from mapperd.config_file import config_from_text
-from mapperd.config_layers import Layered
-from mapperd.config_store import Applied, ConfigStore
-from mapperd.counters import ReplayCounters
-from mapperd.decisions import (
+from mapperd.cli.mapperd import Exit, main
+from mapperd.config.layers import Layered
+from mapperd.config.live import Applied, ConfigStore
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
+from mapperd.daemon.session import Live
+from mapperd.geometry.frames import Pose, pose_from_rpy
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.odometry.fusion import FusedPose
+from mapperd.pipeline.counters import ReplayCounters
+from mapperd.pipeline.ingest import SONAR
+from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
+from mapperd.pipeline.step import Mapped
+from mapperd.pipeline.stepping import Stepping
+from mapperd.reject import Reject
+from mapperd.session.recordings import files_in, sessions_of
+from mapperd.session_log import (
     DECISIONS,
     SESSION,
     Drop,
@@ -27,16 +37,6 @@ from mapperd.decisions import (
     Skip,
     decision_of,
 )
-from mapperd.frames import Pose, pose_from_rpy
-from mapperd.inlet import SONAR
-from mapperd.live import Live
-from mapperd.mapping import SonarMap
-from mapperd.odometry.fusion import FusedPose
-from mapperd.pairing import FixedPose, OdometryPoses
-from mapperd.recording_files import files_in, sessions_of
-from mapperd.reject import Reject
-from mapperd.step import Mapped
-from mapperd.stepping import Stepping
 from oculus_driver.ping import Ping
 from oculus_driver.recording import RecordingWriter
 

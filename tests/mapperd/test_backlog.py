@@ -3,13 +3,13 @@ from collections.abc import Callable
 
 import pytest
 
-from mapperd.behind import Backlog
-from mapperd.config_service import Behind
-from mapperd.decisions import Reset
-from mapperd.engine import Settled
-from mapperd.frames import pose_from_rpy
-from mapperd.pairing import FixedPose
+from mapperd.config.daemon import Behind
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.pipeline.backlog import Backlog
+from mapperd.pipeline.decoder import Settled
+from mapperd.pipeline.pose_lookup import FixedPose
 from mapperd.reject import Reject
+from mapperd.session_log import Reset
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]
@@ -75,7 +75,7 @@ def test_images_that_wait_are_bounded(
 ) -> None:
     backlog = Backlog(Behind(max_wait=60))
     works = [settled() for _ in range(4)]
-    monkeypatch.setattr("mapperd.behind.MAX_BYTES", works[0].ping.image.nbytes)
+    monkeypatch.setattr("mapperd.pipeline.backlog.MAX_BYTES", works[0].ping.image.nbytes)
     for work in works:
         backlog.put(work, 0)
     assert [backlog.next(0).dropped for _ in range(4)] == [True, True, False, False]

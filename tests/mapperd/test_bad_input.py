@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.cli import Exit, main
-from mapperd.export.ply import VERTEX
+from mapperd.cli.mapperd import Exit, main
+from mapperd.export.clouds import VERTEX
 
 Write = Callable[..., list[int]]
 Survey = Callable[..., list[Any]]

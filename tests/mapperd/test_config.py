@@ -4,10 +4,10 @@ from typing import Any, get_args, get_type_hints
 import msgspec
 import pytest
 
-from mapperd.config import Adaptive, Config, Iwlo, Mapping, Orientation
-from mapperd.config_file import load_config
-from mapperd.config_layers import load_files
-from mapperd.config_parameters import rule_text
+from mapperd.config.catalog import rule_text
+from mapperd.config.layers import load_files
+from mapperd.config.loader import load_config
+from mapperd.config.tree import Adaptive, Config, Iwlo, Mapping, Orientation
 
 ROOT = Path(__file__).resolve().parents[2]
 

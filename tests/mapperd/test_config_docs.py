@@ -9,12 +9,12 @@ import jsonschema
 import msgspec
 import pytest
 import yaml
+from config_page import configuration_page
+from config_schema import json_schema
 
-from mapperd.config import Config
-from mapperd.config_file import config_from_text
-from mapperd.config_page import configuration_page
-from mapperd.config_parameters import Parameter, inner_parameters, parameters
-from mapperd.config_schema import json_schema
+from mapperd.config.catalog import Parameter, inner_parameters, parameters
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "configuration.md"

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapperd.config import Behind, Config, Mapping
-from mapperd.config_file import MAX_FILE_BYTES, config_from_text, load_config
+from mapperd.config.loader import MAX_FILE_BYTES, config_from_text, load_config
+from mapperd.config.tree import Behind, Config, Mapping
 from mapperd.errors import ConfigError
 
 BOMB = "a: &a [x, x]\n" + "\n".join(

@@ -3,8 +3,8 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.config import Config
-from mapperd.config_layers import DEFAULT, load_files, load_settings, settings_files
+from mapperd.config.layers import DEFAULT, load_files, load_settings, settings_files
+from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
 
 

@@ -6,16 +6,16 @@ from typing import Any
 import jsonschema
 import msgspec
 import pytest
+from config_schema import json_schema
 
-from mapperd.config import Amcl, Config
-from mapperd.config_aliases import ALIASES, change_renamed
-from mapperd.config_file import config_from_text
-from mapperd.config_layers import Layered
-from mapperd.config_localization import CORRECTED
-from mapperd.config_parameters import parameters
-from mapperd.config_restore import restored_changes
-from mapperd.config_schema import json_schema
-from mapperd.config_store import Applied, ConfigStore, Refused
+from mapperd.config.aliases import ALIASES, change_renamed
+from mapperd.config.amcl import CORRECTED
+from mapperd.config.catalog import parameters
+from mapperd.config.config_restore import restored_changes
+from mapperd.config.layers import Layered
+from mapperd.config.live import Applied, ConfigStore, Refused
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Amcl, Config
 from mapperd.errors import ConfigError
 
 PUBLISHED = {

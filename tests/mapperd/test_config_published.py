@@ -4,16 +4,16 @@ from typing import Any
 
 import pytest
 
-from mapperd.config_file import config_from_text
-from mapperd.config_layers import Layered
-from mapperd.config_parameters import Parameter, parameters, value_of
-from mapperd.config_store import Applied, ConfigStore, Refused
+from mapperd.config.catalog import Parameter, parameters, value_of
+from mapperd.config.layers import Layered
+from mapperd.config.live import Applied, ConfigStore, Refused
+from mapperd.config.loader import config_from_text
+from mapperd.daemon.map_folder import MapFolder
 from mapperd.errors import ConfigError
-from mapperd.export.map_folder import MapFolder
-from mapperd.filters.stage import check_filters
-from mapperd.mapping import SonarMap
-from mapperd.stepping import Stepping
-from mapperd.stream.map_rounds import MapRounds
+from mapperd.imaging.filter_chain import check_filters
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.stepping import Stepping
+from mapperd.server.map_worker import MapRounds
 from mapperd.telemetry.telemetry import Telemetry
 
 ANY = (None, None)

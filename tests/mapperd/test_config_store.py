@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapperd.config import Config
-from mapperd.config_layers import DEFAULT, Layered, load_files
-from mapperd.config_parameters import parameters, value_of
-from mapperd.config_restore import RESTORE
-from mapperd.config_store import Applied, Change, ConfigStore, Refused
+from mapperd.config.catalog import parameters, value_of
+from mapperd.config.config_restore import RESTORE
+from mapperd.config.layers import DEFAULT, Layered, load_files
+from mapperd.config.live import Applied, Change, ConfigStore, Refused
+from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
 
 THRESHOLD = "filtering.intensity_threshold"

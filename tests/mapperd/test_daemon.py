@@ -10,20 +10,20 @@ from typing import Any
 
 import pytest
 
-from mapperd.cli import Exit, main
-from mapperd.config_file import config_from_text
-from mapperd.config_layers import Layered
-from mapperd.config_store import Applied, ConfigStore, Refused
-from mapperd.daemon import Daemon
-from mapperd.engine import Work
+from mapperd.api import OperationError, Operations
+from mapperd.cli.mapperd import Exit, main
+from mapperd.config.layers import Layered
+from mapperd.config.live import Applied, ConfigStore, Refused
+from mapperd.config.loader import config_from_text
+from mapperd.daemon.daemon import Daemon
+from mapperd.daemon.session import Live, host_clock
 from mapperd.errors import StoreError
 from mapperd.events import EventLog
-from mapperd.frames import pose_from_rpy
-from mapperd.keeping import InMemory
-from mapperd.live import Live, host_clock
-from mapperd.mapping import SonarMap
-from mapperd.operations import OperationError, Operations
-from mapperd.pairing import FixedPose, OdometryPoses
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.decoder import Work
+from mapperd.pipeline.persistence import InMemory
+from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from oculus_driver import Faults, PlayedSonar
 
 MakeBytes = Callable[..., bytes]

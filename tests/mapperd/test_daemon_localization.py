@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.config_file import config_of
-from mapperd.config_layers import Layered
-from mapperd.config_store import ConfigStore
-from mapperd.daemon import Daemon
+from mapperd.api import OperationError
+from mapperd.config.layers import Layered
+from mapperd.config.live import ConfigStore
+from mapperd.config.loader import config_of
+from mapperd.daemon.daemon import Daemon
+from mapperd.daemon.session import Live, host_clock
 from mapperd.events import EventLog
-from mapperd.live import Live, host_clock
 from mapperd.localization.grid_map import FREE, OCCUPIED, GridMap
-from mapperd.localization.nav2_map import write_nav2_map
-from mapperd.localizing import begun
-from mapperd.mapping import SonarMap
-from mapperd.operations import OperationError
-from mapperd.pairing import OdometryPoses
+from mapperd.localization.map_io import write_nav2_map
+from mapperd.localization.session import begun
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.pose_lookup import OdometryPoses
 from mapperd.pose_request import PoseRequest
 from oculus_driver import PlayedSonar
 from tests.mapperd.test_daemon import drive, free_port, run

@@ -8,16 +8,16 @@ import cv2
 import numpy as np
 import pytest
 
-from mapperd import debug_pictures as module
-from mapperd.config import Config
-from mapperd.config_file import config_of
-from mapperd.config_layers import Layered
-from mapperd.config_store import Applied, ConfigStore
-from mapperd.debug_pictures import debug_pictures, draw_pictures, write_debug_pictures
+from mapperd.config.layers import Layered
+from mapperd.config.live import Applied, ConfigStore
+from mapperd.config.loader import config_of
+from mapperd.config.tree import Config
+from mapperd.daemon import debug_pictures as module
+from mapperd.daemon.debug_pictures import debug_pictures, draw_pictures, write_debug_pictures
 from mapperd.events import EventLog
 from mapperd.export.png import png_bytes
-from mapperd.localization.facts import LocalizationFacts
-from mapperd.localization_picture import PATH, WATER
+from mapperd.localization.picture import PATH, WATER
+from mapperd.localization.status import LocalizationFacts
 from oculus_driver.ping import Ping
 from tests.mapperd.localization.believed import facts
 

@@ -4,7 +4,7 @@ from typing import get_args
 import msgspec
 import pytest
 
-from mapperd.decisions import (
+from mapperd.session_log import (
     DECISIONS,
     Decision,
     Drop,

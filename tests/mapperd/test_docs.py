@@ -5,14 +5,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mapperd.cli import Exit
-from mapperd.config import Config
-from mapperd.export.summary import recording_facts, summary_of
-from mapperd.frames import pose_from_rpy
-from mapperd.mapping import SonarMap
-from mapperd.pairing import FixedPose
-from mapperd.recording_files import RecordedSession
-from mapperd.replay import Replay, Window
+from mapperd.cli.mapperd import Exit
+from mapperd.config.tree import Config
+from mapperd.daemon.summary import recording_facts, summary_of
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.pose_lookup import FixedPose
+from mapperd.session.recordings import RecordedSession
+from mapperd.session.replay import Replay, Window
 from oculus_driver.ping import Ping
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "replay.md").read_text(encoding="utf-8")

@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from mapperd.cli import main
-from mapperd.doctor import LAYERS, LinkEvidence, judge_link
-from mapperd.links.address import parse_address
-from mapperd.links.state import LinkPhase, LinkStatus
+from mapperd.cli.mapperd import main
+from mapperd.config.link_address import parse_address
+from mapperd.daemon.doctor import LAYERS, LinkEvidence, judge_link
 from mapperd.odometry.decoder import DecoderCounters
+from mapperd.odometry.state import LinkPhase, LinkStatus
 
 
 def status(

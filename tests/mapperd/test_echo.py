@@ -3,9 +3,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from mapperd.config import Sonar
-from mapperd.echo import echo_of
+from mapperd.config.tree import Sonar
 from mapperd.errors import MapError
+from mapperd.imaging.ping_image import echo_of
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]

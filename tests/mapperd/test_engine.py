@@ -1,13 +1,13 @@
 from collections.abc import Callable
 from typing import Any
 
-from mapperd.config import Config
-from mapperd.config_file import config_from_text
-from mapperd.counters import ReplayCounters
-from mapperd.decisions import Decision, Drop, Gap, Reset, Session, Settings, Skip, chunk_of
-from mapperd.engine import Engine, NewSettings, Settled
-from mapperd.frames import pose_from_rpy
-from mapperd.pairing import FixedPose, OdometryPoses, PoseSource
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.pipeline.counters import ReplayCounters
+from mapperd.pipeline.decoder import Engine, NewSettings, Settled
+from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses, PoseSource
+from mapperd.session_log import Decision, Drop, Gap, Reset, Session, Settings, Skip, chunk_of
 from oculus_driver.ping import Ping
 from oculus_driver.recording import OCULUS, Chunk
 

@@ -4,9 +4,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.config import Config
+from mapperd.compat.flat_config import config_from_flat
+from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
-from mapperd.flat_config import config_from_flat
 
 PUBLISHED: dict[str, Any] = {
     "horizontal_fov": 130.0,

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from mapperd.frames import (
+from mapperd.geometry.frames import (
     BODY_TO_FLU,
     WORLD_TO_ENU,
     Body,

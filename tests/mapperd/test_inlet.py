@@ -1,9 +1,9 @@
 import threading
 from typing import Any
 
-from mapperd.chunk_queue import ChunkQueue
-from mapperd.decisions import Decision, Drop, Gap, Reset, Skip, decision_of
-from mapperd.inlet import SONAR, Inlet
+from mapperd.pipeline.chunk_queue import ChunkQueue
+from mapperd.pipeline.ingest import SONAR, Inlet
+from mapperd.session_log import Decision, Drop, Gap, Reset, Skip, decision_of
 from oculus_driver.recording import Chunk
 
 T0 = 5

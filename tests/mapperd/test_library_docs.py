@@ -8,8 +8,8 @@ import pytest
 
 import mapperd
 from mapperd import Localizer, SonarTo3DMapper
-from mapperd.config import Config
-from mapperd.flat_config import config_from_flat
+from mapperd.compat.flat_config import config_from_flat
+from mapperd.config.tree import Config
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "library.md").read_text(encoding="utf-8")
 

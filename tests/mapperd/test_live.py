@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.cli import Exit, main
-from mapperd.config import Config
-from mapperd.config_file import config_from_text
-from mapperd.decisions import DECISIONS, remarks_in
+from mapperd.cli.mapperd import Exit, main
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
+from mapperd.daemon.session import Live, fire_settings, host_clock
 from mapperd.errors import ConfigError
 from mapperd.events import EventLog
-from mapperd.frames import pose_from_rpy
-from mapperd.live import Live, fire_settings, host_clock
-from mapperd.mapping import SonarMap
-from mapperd.pairing import FixedPose, OdometryPoses
-from mapperd.replay import Replay, Window
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
+from mapperd.session.replay import Replay, Window
+from mapperd.session_log import DECISIONS, remarks_in
 from oculus_driver import PlayedSonar
 from oculus_driver.ping import Ping
 from oculus_driver.recording import open_recording

@@ -8,10 +8,17 @@ from typing import Any
 import msgspec
 import pytest
 
-from mapperd.config_file import config_of
-from mapperd.config_layers import Layered
-from mapperd.config_store import ConfigStore
-from mapperd.decisions import (
+from mapperd.api import OperationError
+from mapperd.config.layers import Layered
+from mapperd.config.live import ConfigStore
+from mapperd.config.loader import config_of
+from mapperd.daemon.localization_service import LocalizationRequests, known_map_path
+from mapperd.errors import MapError
+from mapperd.events import EventLog
+from mapperd.localization.map_io import write_nav2_map
+from mapperd.pose_request import STD_XY_M, STD_YAW_RAD, PoseRequest
+from mapperd.reject import Reject
+from mapperd.session_log import (
     GlobalLocalization,
     InitialPose,
     NewMap,
@@ -19,13 +26,6 @@ from mapperd.decisions import (
     Request,
     SetMap,
 )
-from mapperd.errors import MapError
-from mapperd.events import EventLog
-from mapperd.localization.nav2_map import write_nav2_map
-from mapperd.localization_requests import LocalizationRequests, known_map_path
-from mapperd.operations import OperationError
-from mapperd.pose_request import STD_XY_M, STD_YAW_RAD, PoseRequest
-from mapperd.reject import Reject
 from tests.mapperd.localization.believed import known
 
 POSE = PoseRequest(1.0, -2.0, 0.5)
@@ -247,6 +247,6 @@ def test_one_map_is_set_at_a_time(bench: Bench) -> None:
 def test_request_that_waits_for_too_long_is_busy(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mapperd.localization_requests.ORDER_S", 0.0)
+    monkeypatch.setattr("mapperd.daemon.localization_service.ORDER_S", 0.0)
     bench.go_on.clear()
     assert refused(bench.requests.global_localization("me")).reason == "busy"

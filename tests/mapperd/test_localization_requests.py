@@ -8,12 +8,25 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.cli import Exit, main
-from mapperd.config import Config
-from mapperd.config_file import config_from_text
-from mapperd.config_layers import Layered
-from mapperd.config_store import Applied, ConfigStore
-from mapperd.decisions import (
+from mapperd.cli.mapperd import Exit, main
+from mapperd.config.layers import Layered
+from mapperd.config.live import Applied, ConfigStore
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
+from mapperd.daemon.session import Live
+from mapperd.errors import CheckpointError, MapError
+from mapperd.geometry.gaussian import PlanarGaussian
+from mapperd.localization.checking import check_localization
+from mapperd.localization.grid_map import GridMap
+from mapperd.localization.map_io import write_nav2_map
+from mapperd.localization.session import Localizing, begun
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.ingest import SONAR
+from mapperd.pipeline.pose_lookup import OdometryPoses
+from mapperd.pipeline.stepping import Stepping
+from mapperd.reject import Reject
+from mapperd.session.recordings import files_in, sessions_of
+from mapperd.session_log import (
     DECISIONS,
     GlobalLocalization,
     InitialPose,
@@ -24,19 +37,6 @@ from mapperd.decisions import (
     Settings,
     decision_of,
 )
-from mapperd.errors import CheckpointError, MapError
-from mapperd.inlet import SONAR
-from mapperd.live import Live
-from mapperd.localization.checking import check_localization
-from mapperd.localization.estimate import PlanarGaussian
-from mapperd.localization.grid_map import GridMap
-from mapperd.localization.nav2_map import write_nav2_map
-from mapperd.localizing import Localizing, begun
-from mapperd.mapping import SonarMap
-from mapperd.pairing import OdometryPoses
-from mapperd.recording_files import files_in, sessions_of
-from mapperd.reject import Reject
-from mapperd.stepping import Stepping
 from tests.mapperd.localization.room import dive, events, room, settings, write_room
 
 Asked = Request | dict[str, Any]

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapperd import _core
-from mapperd.config import Config, Iwlo, Mounting, Octree, Orientation
-from mapperd.echo import echo_of
+from mapperd.config.tree import Config, Iwlo, Mounting, Octree, Orientation
 from mapperd.errors import ExportError, MapError
-from mapperd.mapping import SonarMap
+from mapperd.imaging.ping_image import echo_of
+from mapperd.mapping.sonar_map import SonarMap
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]

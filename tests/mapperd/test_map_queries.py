@@ -6,7 +6,7 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 
 from mapperd import _core
-from mapperd.map_queries import FREE, OCCUPIED, UNKNOWN, MapQueries
+from mapperd.mapping.queries import FREE, OCCUPIED, UNKNOWN, MapQueries
 
 SIZE = 0.1
 OCCUPIED_ABOVE = math.log(0.7 / 0.3)

@@ -7,11 +7,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.config import Config, Mounting, Octree, Orientation
-from mapperd.echo import echo_of
-from mapperd.map_queries import MapQueries
-from mapperd.mapping import SonarMap
-from mapperd.memory_stats import memory_stats
+from mapperd.config.tree import Config, Mounting, Octree, Orientation
+from mapperd.imaging.ping_image import echo_of
+from mapperd.mapping.memory_stats import memory_stats
+from mapperd.mapping.queries import MapQueries
+from mapperd.mapping.sonar_map import SonarMap
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]

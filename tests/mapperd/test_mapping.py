@@ -5,10 +5,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.config import Config, Filtering, Iwlo, Mapping, Mounting, Octree, Orientation
-from mapperd.echo import Echo, echo_of
+from mapperd.config.tree import Config, Filtering, Iwlo, Mapping, Mounting, Octree, Orientation
 from mapperd.errors import MapError
-from mapperd.mapping import SonarMap, iwlo_params
+from mapperd.imaging.ping_image import Echo, echo_of
+from mapperd.mapping.sonar_map import SonarMap, iwlo_params
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]

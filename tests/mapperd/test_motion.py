@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.config import Config, Mapping, Mounting, Octree, Orientation, Position, Sonar
-from mapperd.echo import Echo
+from mapperd.config.tree import Config, Mapping, Mounting, Octree, Orientation, Position, Sonar
 from mapperd.errors import MapError
-from mapperd.frames import pose_from_rpy
-from mapperd.mapping import SonarMap
-from mapperd.motion import BaseMotion, PingMotion
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.geometry.motion import BaseMotion, PingMotion
+from mapperd.imaging.ping_image import Echo
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.step import process_ping
 from mapperd.reject import Reject
-from mapperd.step import process_ping
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]

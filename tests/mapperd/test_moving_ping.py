@@ -11,11 +11,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config, Mapping, Mounting, Octree, Orientation, Position, Sonar
-from mapperd.frames import Pose, pose_from_rpy
-from mapperd.mapping import SonarMap
-from mapperd.pairing import OdometryPoses
-from mapperd.stepping import Stepping
+from mapperd.config.tree import Config, Mapping, Mounting, Octree, Orientation, Position, Sonar
+from mapperd.geometry.frames import Pose, pose_from_rpy
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.pose_lookup import OdometryPoses
+from mapperd.pipeline.stepping import Stepping
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from mapperd import _core
-from mapperd.config import Config, Iwlo, Mounting, Octree, Orientation
-from mapperd.echo import echo_of
+from mapperd.config.tree import Config, Iwlo, Mounting, Octree, Orientation
 from mapperd.errors import MapError
-from mapperd.mapping import SonarMap, iwlo_params
+from mapperd.imaging.ping_image import echo_of
+from mapperd.mapping.sonar_map import SonarMap, iwlo_params
 from oculus_driver.ping import Ping
 
 COARSE = Config(

@@ -8,7 +8,7 @@ import pytest
 
 from mapperd import OctreeMapper
 from mapperd.errors import ExportError, MapError
-from mapperd.map_queries import FREE, OCCUPIED
+from mapperd.mapping.queries import FREE, OCCUPIED
 
 HIT = math.log(0.7 / 0.3)
 UNIT = 2.0**-11  # of the log-odds that the map holds; every step is rounded to the nearest one

@@ -2,10 +2,10 @@ from collections.abc import Callable
 
 import pytest
 
-from mapperd.config import Config, TimeSync
-from mapperd.frames import Pose, pose_from_rpy
+from mapperd.config.tree import Config, TimeSync
+from mapperd.geometry.frames import Pose, pose_from_rpy
 from mapperd.odometry.fusion import FusedPose
-from mapperd.pairing import FixedPose, OdometryPoses, ping_time_ns
+from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses, ping_time_ns
 from mapperd.reject import Reject
 from oculus_driver.ping import Ping
 
@@ -85,7 +85,7 @@ def test_ping_without_a_stamp_has_no_pose(ping: MakePing, odometry_bytes: Odomet
 def test_waiting_is_bounded_in_bytes(
     ping: MakePing, odometry_bytes: OdometryBytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mapperd.pairing.MAX_WAITING_BYTES", 3 * 50 * 65)
+    monkeypatch.setattr("mapperd.pipeline.pose_lookup.MAX_WAITING_BYTES", 3 * 50 * 65)
     poses = OdometryPoses(Config())
     poses.add_odometry("odometry", odometry_bytes(), T0)
     settled = []

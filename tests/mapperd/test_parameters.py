@@ -3,12 +3,7 @@ from typing import Any
 
 import pytest
 
-from mapperd.config import Config
-from mapperd.config_layers import Layered
-from mapperd.config_parameters import parameters
-from mapperd.config_store import Applied, ConfigStore, Refused
-from mapperd.errors import ConfigError
-from mapperd.parameters import (
+from mapperd.compat.parameters import (
     CROSSTALK_PARAMS,
     MAPPER_PARAMS,
     ROBOT_DETECTION_PARAMS,
@@ -18,6 +13,11 @@ from mapperd.parameters import (
     ParameterNode,
     SetParametersResult,
 )
+from mapperd.config.catalog import parameters
+from mapperd.config.layers import Layered
+from mapperd.config.live import Applied, ConfigStore, Refused
+from mapperd.config.tree import Config
+from mapperd.errors import ConfigError
 
 MIN_RANGE, THRESHOLD = "filtering.min_range", "filtering.intensity_threshold"
 FILTERING = [one for one in MAPPER_PARAMS if one.name.startswith("filtering.")]

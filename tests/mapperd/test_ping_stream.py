@@ -1,7 +1,7 @@
 from collections.abc import Callable
 
-from mapperd.counters import ReplayCounters
-from mapperd.ping_stream import Arrival, PingStream
+from mapperd.pipeline.counters import ReplayCounters
+from mapperd.pipeline.ping_stream import Arrival, PingStream
 from mapperd.reject import Reject
 from oculus_driver.encode import encode_dummy
 from oculus_driver.ping import Ping

@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from mapperd.config import Amcl
-from mapperd.config_file import config_from_text
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Amcl
+from mapperd.daemon.pose_keeper import PoseKeeper
+from mapperd.daemon.run import _localizing
 from mapperd.errors import ConfigError
 from mapperd.events import EventLog
-from mapperd.live_command import _localizing
-from mapperd.localization.estimate import Belief, PlanarGaussian
+from mapperd.geometry.gaussian import Belief, PlanarGaussian
 from mapperd.localization.saved_pose import load_pose
-from mapperd.localizing import begun
-from mapperd.pose_keeper import PoseKeeper
+from mapperd.localization.session import begun
 from tests.mapperd.localization.room import settings, write_room
 
 if TYPE_CHECKING:
-    from mapperd.localization.facts import LocalizationFacts
+    from mapperd.localization.status import LocalizationFacts
 
 
 class Told:

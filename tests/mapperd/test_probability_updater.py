@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mapperd import ProbabilityUpdater
-from mapperd.map_queries import OCCUPIED, UNKNOWN
+from mapperd.mapping.queries import OCCUPIED, UNKNOWN
 
 HERE = [[0.01, 0.02, 0.03]]
 UNIT = 2.0**-11  # of the log-odds that the map holds; every step is rounded to the nearest one

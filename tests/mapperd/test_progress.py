@@ -1,6 +1,6 @@
 import io
 
-from mapperd.progress import ProgressBar
+from mapperd.cli.progress import ProgressBar
 
 
 class Terminal(io.StringIO):

@@ -7,18 +7,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.config import Config
-from mapperd.config_layers import Layered
-from mapperd.config_store import Applied, ConfigStore, Refused
-from mapperd.counters import ReplayCounters
-from mapperd.engine import Engine, Settled
+from mapperd.config.layers import Layered
+from mapperd.config.live import Applied, ConfigStore, Refused
+from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
-from mapperd.filters.stage import check_filters
-from mapperd.frames import pose_from_rpy
-from mapperd.mapping import SonarMap
-from mapperd.pairing import FixedPose
-from mapperd.step import Mapped, process_ping
-from mapperd.stepping import Stepping
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.imaging.filter_chain import check_filters
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.counters import ReplayCounters
+from mapperd.pipeline.decoder import Engine, Settled
+from mapperd.pipeline.pose_lookup import FixedPose
+from mapperd.pipeline.step import Mapped, process_ping
+from mapperd.pipeline.stepping import Stepping
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]

@@ -1,14 +1,14 @@
 import asyncio
 from pathlib import Path
 
-from mapperd.config_layers import Layered, load_files
-from mapperd.config_store import Applied, ConfigStore
-from mapperd.daemon import Daemon
+from mapperd.config.layers import Layered, load_files
+from mapperd.config.live import Applied, ConfigStore
+from mapperd.daemon.daemon import Daemon
+from mapperd.daemon.session import Live
 from mapperd.events import EventLog
-from mapperd.frames import pose_from_rpy
-from mapperd.live import Live
-from mapperd.mapping import SonarMap
-from mapperd.pairing import FixedPose
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.pose_lookup import FixedPose
 
 
 def daemon_of(layered: Layered, path: Path) -> Daemon:

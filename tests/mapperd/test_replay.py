@@ -6,13 +6,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.config import Config, Mapping, Mounting, Octree, Orientation, Processing
-from mapperd.counters import ReplayCounters
+from mapperd.config.tree import Config, Mapping, Mounting, Octree, Orientation, Processing
 from mapperd.errors import ReplayError
-from mapperd.frames import pose_from_rpy
-from mapperd.mapping import SonarMap
-from mapperd.pairing import FixedPose, OdometryPoses, PoseSource
-from mapperd.replay import Replay, Window
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.counters import ReplayCounters
+from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses, PoseSource
+from mapperd.session.replay import Replay, Window
 from oculus_driver.recording import open_recording
 
 START_NS = 1_700_000_000_000_000_000
@@ -258,7 +258,7 @@ def test_reading_stops_behind_the_chosen_part_and_blames_no_byte(
     ping_bytes: PingBytes,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("mapperd.replay.MAX_LATE_CHUNKS", 10)
+    monkeypatch.setattr("mapperd.session.replay.MAX_LATE_CHUNKS", 10)
     late = ping_bytes(3)
     pieces = [("ping", late[k : k + 100], 9.0) for k in range(0, len(late), 100)]
     write_recording(tmp_path / "a", [*survey(2), *pieces])

@@ -6,19 +6,19 @@ from typing import Any
 
 import pytest
 
-from mapperd.config_file import config_of
-from mapperd.config_layers import Layered
-from mapperd.config_store import Applied, ConfigStore
-from mapperd.daemon import Daemon
+from mapperd.config.layers import Layered
+from mapperd.config.live import Applied, ConfigStore
+from mapperd.config.loader import config_of
+from mapperd.daemon.daemon import Daemon
+from mapperd.daemon.servers import serving
+from mapperd.daemon.session import Live, host_clock
 from mapperd.errors import ConfigError
 from mapperd.events import EventLog
-from mapperd.frames import pose_from_rpy
-from mapperd.live import Live, host_clock
-from mapperd.mapping import SonarMap
-from mapperd.pairing import FixedPose
-from mapperd.servers import serving
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.pose_lookup import FixedPose
 from mapperd.telemetry.outbox import Outbox
-from mapperd.telemetry.reporter import Reporter
+from mapperd.telemetry.publisher import Reporter
 from mapperd.telemetry.topics import Topics
 from tests.mapperd.telemetry.conftest import drained
 from tests.peers.mosquitto import free_port

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mapperd.config import Config
-from mapperd.config_file import config_from_text
-from mapperd.counters import ReplayCounters
-from mapperd.mapping import SonarMap
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.fusion import FusedPose
-from mapperd.pairing import OdometryPoses, ping_time_ns
+from mapperd.pipeline.counters import ReplayCounters
+from mapperd.pipeline.pose_lookup import OdometryPoses, ping_time_ns
 from mapperd.reject import Reject
-from mapperd.replay import Replay, Window
+from mapperd.session.replay import Replay, Window
 from oculus_driver.ping import Ping
 from oculus_driver.recording import RecordingWriter, open_recording
 

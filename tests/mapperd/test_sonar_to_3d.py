@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from mapperd import SonarTo3DMapper
-from mapperd.config import Sonar
-from mapperd.echo import Echo
+from mapperd.config.tree import Sonar
 from mapperd.errors import ConfigError, ExportError, MapError
-from mapperd.frames import Pose
-from mapperd.map_queries import FREE, OCCUPIED
-from mapperd.mapping import SonarMap
-from mapperd.polar_image import echo_of_image, uniform_bearings
+from mapperd.geometry.frames import Pose
+from mapperd.imaging.ping_image import Echo
+from mapperd.imaging.polar_image import echo_of_image, uniform_bearings
+from mapperd.mapping.queries import FREE, OCCUPIED
+from mapperd.mapping.sonar_map import SonarMap
 
 COARSE = {"voxel_resolution": 0.2, "sonar_orientation": [0, 0, 0], "horizontal_fov": 120}
 HOME = ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0])

@@ -5,12 +5,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd import step
-from mapperd.config import Config, Mounting, Octree, Orientation, Position
-from mapperd.frames import pose_from_rpy
-from mapperd.mapping import SonarMap
+from mapperd.config.tree import Config, Mounting, Octree, Orientation, Position
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline import step
+from mapperd.pipeline.step import Mapped, process_ping
 from mapperd.reject import Reject
-from mapperd.step import Mapped, process_ping
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]

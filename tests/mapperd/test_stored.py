@@ -9,21 +9,21 @@ from typing import Any
 
 import pytest
 
-from mapperd.config_file import config_from_text
-from mapperd.counters import ReplayCounters
-from mapperd.decisions import Reset
-from mapperd.engine import Engine
+from mapperd.config.loader import config_from_text
 from mapperd.errors import StoreError
 from mapperd.events import EventLog
-from mapperd.mapping import SonarMap
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.records import GeoPoint, Odometry
-from mapperd.opening import open_map
-from mapperd.pairing import OdometryPoses
-from mapperd.position import Place, Position, position_in
-from mapperd.stepping import Stepping
+from mapperd.pipeline.counters import ReplayCounters
+from mapperd.pipeline.decoder import Engine
+from mapperd.pipeline.pose_lookup import OdometryPoses
+from mapperd.pipeline.stepping import Stepping
+from mapperd.session.startup import open_map
+from mapperd.session.store_session import Stored
+from mapperd.session_log import Reset
+from mapperd.store.position import Place, Position, position_in
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
-from mapperd.stored import Stored
 
 CONFIG = config_from_text("octree: {voxel_resolution: 0.2}")
 WORK = Reset(1)
@@ -144,7 +144,7 @@ def test_anybody_may_ask_for_a_save(session: Session) -> None:
 def test_a_save_does_not_wait_for_ever_for_a_ping(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mapperd.stored.PATIENCE_S", 0.1)
+    monkeypatch.setattr("mapperd.session.store_session.PATIENCE_S", 0.1)
     with pytest.raises(StoreError, match="a ping is being mapped"):
         session.keep.save()
 

@@ -15,13 +15,13 @@ from typing import Any
 
 import pytest
 
-from mapperd.config import Config
-from mapperd.config_odometry import OdometryFusion, OdometrySource
-from mapperd.links.address import parse_address
-from mapperd.links.link import Link
+from mapperd.config.format_settings import FormatName
+from mapperd.config.link_address import parse_address
+from mapperd.config.odometry import OdometryFusion, OdometrySource
+from mapperd.config.tree import Config
 from mapperd.odometry.bridge import OdometryBridge
-from mapperd.odometry.format_settings import FormatName
 from mapperd.odometry.fusion import FusedPose
+from mapperd.odometry.links import Link
 from mapperd.odometry.native import NativeRecord, encode_native
 from mapperd.reject import Reject
 from tests.peers.autopilot import Autopilot
@@ -241,7 +241,7 @@ def to(writer: asyncio.StreamWriter) -> Send:
 def test_dvl_on_a_serial_line_is_unplugged_and_comes_back(
     tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mapperd.links.address.UDEV_FOLDERS", (tmp_path,))
+    monkeypatch.setattr("mapperd.config.link_address.UDEV_FOLDERS", (tmp_path,))
     plug = tmp_path / "usb-DVL"
     bench = Bench("water_linked_serial", "serial:usb-DVL?baud=115200")
 

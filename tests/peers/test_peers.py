@@ -6,8 +6,8 @@ import socket
 
 import pytest
 
+from mapperd.config.format_settings import FormatName, FormatSettings
 from mapperd.odometry.decoder import Decoder
-from mapperd.odometry.format_settings import FormatName, FormatSettings
 from mapperd.odometry.formats import make_decoder
 from mapperd.odometry.records import Odometry
 from tests.peers.autopilot import Autopilot

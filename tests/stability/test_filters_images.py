@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from mapperd.config import Config, Crosstalk, RobotDetection, TerrainDetection
-from mapperd.echo import Echo
-from mapperd.filters.crosstalk import without_stripes
-from mapperd.filters.fft_notch import notched
-from mapperd.filters.robot_bands import find_robots, terrain_of
-from mapperd.filters.sightings import MOST_SIGHTINGS, Sighting, Sightings
-from mapperd.filters.stage import filter_echo
-from mapperd.polar_image import echo_of_image, uniform_bearings
+from mapperd.config.tree import Config, Crosstalk, RobotDetection, TerrainDetection
+from mapperd.imaging.crosstalk import without_stripes
+from mapperd.imaging.fft_notch import notched
+from mapperd.imaging.filter_chain import filter_echo
+from mapperd.imaging.ping_image import Echo
+from mapperd.imaging.polar_image import echo_of_image, uniform_bearings
+from mapperd.imaging.robot_bands import find_robots, terrain_of
+from mapperd.imaging.sightings import MOST_SIGHTINGS, Sighting, Sightings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

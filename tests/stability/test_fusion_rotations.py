@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.config_odometry import WorldInit
-from mapperd.frames import (
+from mapperd.config.odometry import WorldInit
+from mapperd.geometry.frames import (
     compass_to_map,
     quaternion_between,
     quaternion_product,

@@ -9,7 +9,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from mapperd.config_odometry import OdometryFusion, Owners, TimeSync
+from mapperd.config.odometry import OdometryFusion, Owners, TimeSync
 from mapperd.odometry.fusion import FusedPose, Fusion
 from mapperd.odometry.jump import JumpWatch
 from mapperd.odometry.lookup import Course, Reach, value_at

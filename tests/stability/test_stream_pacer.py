@@ -8,11 +8,11 @@ import random
 import numpy as np
 import pytest
 
-from mapperd.stream.budget import LEAST_BURST
-from mapperd.stream.framing import StreamError, server_inbox
-from mapperd.stream.messages import MAX_FROM_CLIENT
-from mapperd.stream.on_its_way import OnItsWay
-from mapperd.stream.pacer import LEAST_WINDOW, MOST_WINDOW, Pacer
+from mapperd.server.budget import LEAST_BURST
+from mapperd.server.on_its_way import OnItsWay
+from mapperd.server.pacer import LEAST_WINDOW, MOST_WINDOW, Pacer
+from mapperd.wire.framing import StreamError, server_inbox
+from mapperd.wire.messages import MAX_FROM_CLIENT
 
 
 def sound(pacer: Pacer, now_s: float) -> None:

@@ -8,14 +8,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.client.checks import check_message, image_of
-from mapperd.client.knowledge import Knowledge
-from mapperd.config import Config
-from mapperd.echo import Echo
-from mapperd.stream.messages import Interest, Path
-from mapperd.stream.pictures import IMAGE_SIZES, first_returns, image_message
-from mapperd.stream.track import Track
-from mapperd.stream.way import path_message
+from mapperd.client.state import Knowledge
+from mapperd.client.validation import check_message, image_of
+from mapperd.config.tree import Config
+from mapperd.imaging.ping_image import Echo
+from mapperd.server.pictures import IMAGE_SIZES, first_returns, image_message
+from mapperd.server.track import Track
+from mapperd.wire.messages import Interest, Path
+from mapperd.wire.way import path_message
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.stream import StreamParser
 from tests.mapperd.conftest import make_ping

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config
-from mapperd.echo import Echo
+from mapperd.config.tree import Config
+from mapperd.imaging.ping_image import Echo
 
 ELEVATIONS = 11
 MAGIC = b"mprays1\0"

@@ -12,8 +12,8 @@ from bench_input import SETTINGS
 from bench_scene import mounting, path
 from our_contender import config_of
 
-from mapperd.echo import Echo
-from mapperd.mapping import SonarMap
+from mapperd.imaging.ping_image import Echo
+from mapperd.mapping.sonar_map import SonarMap
 from oculus_driver.encode import bearing_table_cdeg
 
 RANGES_M = (5.0, 10.0, 20.0, 40.0)

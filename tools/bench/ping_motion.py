@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config, Mapping, Octree, Sonar
-from mapperd.echo import Echo
-from mapperd.mapping import SonarMap
-from mapperd.motion import PingMotion
+from mapperd.config.tree import Config, Mapping, Octree, Sonar
+from mapperd.geometry.motion import PingMotion
+from mapperd.imaging.ping_image import Echo
+from mapperd.mapping.sonar_map import SonarMap
 
 Floats = NDArray[np.float64]
 

@@ -16,11 +16,11 @@ from marked import put_into
 from moving_dive import SOUND_MPS, START_NS, Dive
 from numpy.typing import NDArray
 
-from mapperd.config import Config
-from mapperd.mapping import SonarMap
+from mapperd.config.tree import Config
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.fusion import FusedPose
-from mapperd.pairing import OdometryPoses, ping_time_ns
-from mapperd.stepping import Stepping
+from mapperd.pipeline.pose_lookup import OdometryPoses, ping_time_ns
+from mapperd.pipeline.stepping import Stepping
 from oculus_driver.clock import SonarClock
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.stream import StreamParser

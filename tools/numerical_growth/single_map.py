@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from mapperd.config import Config
-from mapperd.echo import Echo, display_units
-from mapperd.frames import pose_from_rpy
-from mapperd.map_queries import MapQueries
-from mapperd.mapping import BLOCK_VOXELS, SonarMap
+from mapperd.config.tree import Config
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.imaging.ping_image import Echo, display_units
+from mapperd.mapping.queries import MapQueries
+from mapperd.mapping.sonar_map import BLOCK_VOXELS, SonarMap
 from numerical_growth.of_maps import UNIT
 from numerical_growth.place import Measured, Place
 

@@ -6,22 +6,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from mapperd.client.checks import places_of
-from mapperd.config import Config
-from mapperd.config_filters import Crosstalk
-from mapperd.echo import Echo
-from mapperd.filters.fft_notch import notched
-from mapperd.localization.filter import (
+from mapperd.client.validation import places_of
+from mapperd.config.filters import Crosstalk
+from mapperd.config.tree import Config
+from mapperd.imaging.fft_notch import notched
+from mapperd.imaging.ping_image import Echo
+from mapperd.localization.levels import levels_db
+from mapperd.localization.models import filter_rule
+from mapperd.localization.particle_filter import (
     Endpoints,
     Grid,
     HitModel,
     LikelihoodField,
     ParticleFilter,
 )
-from mapperd.localization.levels import levels_db
-from mapperd.localization.models import filter_rule
-from mapperd.stream.pictures import first_returns
-from mapperd.stream.way import path_message
+from mapperd.server.pictures import first_returns
+from mapperd.wire.way import path_message
 from numerical_growth.place import Measured, Place
 
 __all__ = ["PLACES"]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Generator, Sequence
 
 from msgspec import Struct
 
-from mapperd.config import Config
+from mapperd.config.tree import Config
 from mapperd.errors import StoreError
 from mapperd.store.bricks import BrickRow
 from mapperd.store.reader import StoreReader

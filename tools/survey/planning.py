@@ -6,12 +6,12 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from mapperd.config import Config
-from mapperd.counters import ReplayCounters
-from mapperd.engine import Settled
-from mapperd.recording_files import RecordedSession, files_in, sessions_of
-from mapperd.replay import Window
-from mapperd.replay_runs import as_asked
+from mapperd.config.tree import Config
+from mapperd.pipeline.counters import ReplayCounters
+from mapperd.pipeline.decoder import Settled
+from mapperd.session.recordings import RecordedSession, files_in, sessions_of
+from mapperd.session.replay import Window
+from mapperd.session.replay_runs import as_asked
 from oculus_driver.errors import RecordingError
 from survey.errors import SurveyError
 from survey.folder import Folder

@@ -13,9 +13,9 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from mapperd.echo import Echo
 from mapperd.errors import MapperdError
-from mapperd.motion import PingMotion
+from mapperd.geometry.motion import PingMotion
+from mapperd.imaging.ping_image import Echo
 
 __all__ = ["Record", "RecordReader", "RecordWriter"]
 

@@ -7,14 +7,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.checkpoint.reading import overlay
-from mapperd.checkpoint.writing import written
-from mapperd.config import Config
+from mapperd.config.tree import Config
 from mapperd.errors import CheckpointError
 from mapperd.odometry.fusion import Fusion
 from mapperd.odometry.records import Odometry
 from mapperd.odometry.series import Sample, Series
-from mapperd.pairing import OdometryPoses
+from mapperd.pipeline.pose_lookup import OdometryPoses
+from mapperd.store.checkpoint_reader import overlay
+from mapperd.store.checkpoint_writer import written
 
 
 def back(value: object) -> object:
@@ -98,7 +98,7 @@ def test_long_rows_come_back_as_short_ones_do() -> None:
             assert sample.value.geo is None
 
 
-@pytest.mark.parametrize("name", ["os:system", "builtins:eval", "mapperd.config:msgspec", "x"])
+@pytest.mark.parametrize("name", ["os:system", "builtins:eval", "mapperd.config.tree:msgspec", "x"])
 def test_nothing_foreign_is_made(name: str) -> None:
     for parts in (["o", name, []], ["e", name, "x"], ["u", name, {}]):
         with pytest.raises(CheckpointError, match="knows no"):

@@ -6,16 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.checkpoint.reading import overlay
-from mapperd.checkpoint.writing import written
-from mapperd.config import Config
-from mapperd.config_file import config_from_text
-from mapperd.counters import ReplayCounters
-from mapperd.engine import Engine
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
 from mapperd.odometry.bridge import ENCODING_PREFIX, OdometryBridge
 from mapperd.odometry.fusion import FusedPose
-from mapperd.pairing import OdometryPoses, ping_time_ns
-from mapperd.ping_stream import PingStream
+from mapperd.pipeline.counters import ReplayCounters
+from mapperd.pipeline.decoder import Engine
+from mapperd.pipeline.ping_stream import PingStream
+from mapperd.pipeline.pose_lookup import OdometryPoses, ping_time_ns
+from mapperd.store.checkpoint_reader import overlay
+from mapperd.store.checkpoint_writer import written
 from oculus_driver.clock import SonarClock
 from oculus_driver.ping import Ping
 from oculus_driver.recording import Chunk

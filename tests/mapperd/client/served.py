@@ -11,10 +11,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.control.token import is_proof
-from mapperd.stream.blocks import CELLS, UNKNOWN, BlockSet, encode_blocks
-from mapperd.stream.framing import Inbox, framed, server_inbox
-from mapperd.stream.messages import (
+from mapperd.wire.auth import is_proof
+from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet, encode_blocks
+from mapperd.wire.framing import Inbox, framed, server_inbox
+from mapperd.wire.messages import (
     Ack,
     Answer,
     Ask,

@@ -8,8 +8,8 @@ from typing import Self
 import numpy as np
 import pytest
 
-from mapperd.client import MapChanged, MapClient, MapReset, connecting
-from mapperd.stream.server import StreamServer
+from mapperd.client import MapChanged, MapClient, MapReset, connect
+from mapperd.server.stream_server import StreamServer
 from tests.mapperd.client.test_with_server import a_map, go, observe, served, until_equal
 
 RATE = 6_000
@@ -78,8 +78,8 @@ def test_a_link_that_breaks_all_the_time_brings_all_of_the_map(
     grows: bool,  # noqa: FBT001
     tells: bool,  # noqa: FBT001
 ) -> None:
-    monkeypatch.setattr(connecting, "WAIT_S", 0.02)
-    monkeypatch.setattr(connecting, "LONGEST_WAIT_S", 0.02)
+    monkeypatch.setattr(connect, "WAIT_S", 0.02)
+    monkeypatch.setattr(connect, "LONGEST_WAIT_S", 0.02)
     chance = np.random.default_rng(5)
     sonar_map = a_map()
     observe(sonar_map, chance, 1500)

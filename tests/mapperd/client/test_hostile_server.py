@@ -10,11 +10,11 @@ import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapperd.client.dialogue import Dialogue, Wishes
-from mapperd.client.knowledge import Knowledge
-from mapperd.stream.blocks import CELLS, BlockSet, encode_blocks
-from mapperd.stream.framing import StreamError, framed
-from mapperd.stream.messages import (
+from mapperd.client.protocol import Dialogue, Wishes
+from mapperd.client.state import Knowledge
+from mapperd.wire.blocks import CELLS, BlockSet, encode_blocks
+from mapperd.wire.framing import StreamError, framed
+from mapperd.wire.messages import (
     WANTS,
     Blocks,
     Box,

@@ -3,9 +3,9 @@
 import msgspec
 import numpy as np
 
-from mapperd.client.knowledge import Knowledge
-from mapperd.stream.blocks import CELLS, BlockSet, encode_blocks
-from mapperd.stream.messages import Blocks, Box, Interest, Path, Reset, Welcome
+from mapperd.client.state import Knowledge
+from mapperd.wire.blocks import CELLS, BlockSet, encode_blocks
+from mapperd.wire.messages import Blocks, Box, Interest, Path, Reset, Welcome
 from tests.mapperd.client.served import FACTS
 
 WELCOME = Welcome(

@@ -11,13 +11,13 @@ import numpy as np
 
 from mapperd.client import MapClient
 from mapperd.client.changes import ClientChange
-from mapperd.client.checks import floats_of
-from mapperd.control.doors import open_unix_door
+from mapperd.client.validation import floats_of
 from mapperd.events import Severity
-from mapperd.localization.facts import LocalizationFacts
-from mapperd.stream.feed import Feed
-from mapperd.stream.messages import Event, Localization, Robots, Want
-from mapperd.stream.server import StreamServer
+from mapperd.localization.status import LocalizationFacts
+from mapperd.server.listeners import open_unix_door
+from mapperd.server.state_feed import Feed
+from mapperd.server.stream_server import StreamServer
+from mapperd.wire.messages import Event, Localization, Robots, Want
 from tests.mapperd.control.fakes import FakeDaemon
 from tests.mapperd.localization.believed import facts as believed
 from tests.mapperd.stream.watched import PlainSource, run

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapperd.client import EndedError, Interest, MapMirror, StreamError
-from mapperd.client import knowledge as module
-from mapperd.client.knowledge import Knowledge
-from mapperd.stream.blocks import CELLS, UNKNOWN, BlockSet, encode_blocks
-from mapperd.stream.messages import Blocks, Reset, Welcome
+from mapperd.client import state as module
+from mapperd.client.state import Knowledge
+from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet, encode_blocks
+from mapperd.wire.messages import Blocks, Reset, Welcome
 from tests.mapperd.client.served import FACTS
 
 WELCOME = Welcome(

@@ -5,13 +5,13 @@ import pytest
 from numpy.typing import NDArray
 
 from mapperd.client import LinkChanged, LinkStatus, MapChanged, MapReset
-from mapperd.client import pending as module
+from mapperd.client import change_queue as module
+from mapperd.client.change_queue import Pending
 from mapperd.client.changes import ClientChange
-from mapperd.client.checks import places_of
-from mapperd.client.knowledge import Knowledge
-from mapperd.client.pending import Pending
-from mapperd.stream.framing import StreamError
-from mapperd.stream.messages import (
+from mapperd.client.state import Knowledge
+from mapperd.client.validation import places_of
+from mapperd.wire.framing import StreamError
+from mapperd.wire.messages import (
     WANTS,
     Event,
     Interest,
@@ -21,7 +21,7 @@ from mapperd.stream.messages import (
     Status,
     Welcome,
 )
-from mapperd.stream.way import path_message
+from mapperd.wire.way import path_message
 from tests.mapperd.client.served import FACTS, Served, a_block
 
 LINK = LinkChanged(LinkStatus("connected", "here", "", 0.0))

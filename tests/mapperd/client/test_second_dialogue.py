@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapperd.client import EndedError, Interest, StreamError
-from mapperd.client.dialogue import Dialogue, Wishes
-from mapperd.client.knowledge import Knowledge
+from mapperd.client.protocol import Dialogue, Wishes
 from mapperd.client.second_dialogue import SecondDialogue
-from mapperd.control.token import proof_of
-from mapperd.stream.blocks import CELLS, UNKNOWN, encode_blocks
-from mapperd.stream.framing import framed, server_inbox
-from mapperd.stream.messages import (
+from mapperd.client.state import Knowledge
+from mapperd.wire.auth import proof_of
+from mapperd.wire.blocks import CELLS, UNKNOWN, encode_blocks
+from mapperd.wire.framing import framed, server_inbox
+from mapperd.wire.messages import (
     Ack,
     Answer,
     Blocks,

@@ -13,21 +13,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from mapperd.config import Config
-from mapperd.config_layers import Layered
-from mapperd.config_store import ConfigStore
-from mapperd.control.doors import Door, open_tcp_door, open_unix_door
-from mapperd.control.limits import Limits
-from mapperd.control.server import ControlServer
+from mapperd.api import OperationError
+from mapperd.config.layers import Layered
+from mapperd.config.live import ConfigStore
+from mapperd.config.tree import Config
 from mapperd.events import EventLog
-from mapperd.operations import OperationError
 from mapperd.pose_request import PoseRequest
+from mapperd.server.control_server import ControlServer
+from mapperd.server.listeners import Door, open_tcp_door, open_unix_door
+from mapperd.wire.limits import Limits
 
 TOKEN = b"correct-horse-battery-staple"
 
 
 class FakeDaemon:
-    """Obeys `mapperd.operations.Operations`; `fault` is raised by whatever is asked next."""
+    """Obeys `mapperd.api.Operations`; `fault` is raised by whatever is asked next."""
 
     def __init__(self, config: Config | None = None) -> None:
         self.settings = ConfigStore(Layered(config or Config()))

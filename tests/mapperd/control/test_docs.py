@@ -8,16 +8,26 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from mapperd.control.limits import Limits
-from mapperd.control.messages import Answer, Ask, Events, Greeting
-from mapperd.ctl.arguments import EPILOG, parser
-from mapperd.ctl.connection import REASONS
-from mapperd.ctl.errors import Exit
+from mapperd.cli.mapperctl.arguments import EPILOG, parser
+from mapperd.cli.mapperctl.connection import REASONS
+from mapperd.cli.mapperctl.errors import Exit
+from mapperd.wire.control_messages import Answer, Ask, Events, Greeting
+from mapperd.wire.limits import Limits
 from tests.mapperd.control.fakes import Line, served
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = (ROOT / "docs" / "control.md").read_text(encoding="utf-8")
-SOURCES = [*(ROOT / "mapperd/control").glob("*.py"), ROOT / "mapperd/operations.py"]
+SOURCES = [
+    ROOT / "mapperd" / f"{name}.py"
+    for name in (
+        "api",
+        "server/admission",
+        "server/control_server",
+        "server/control_session",
+        "server/dispatch",
+        "wire/control_messages",
+    )
+]
 CODE = "\n".join(path.read_text(encoding="utf-8") for path in SOURCES)
 
 

@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 import trustme
 
-from mapperd.config import Config, Control, Service
-from mapperd.control.doors import address_of, open_tcp_door, open_unix_door, server_tls
-from mapperd.control.place import socket_path, socket_places
-from mapperd.control.setup import control_server
-from mapperd.control.token import CREDENTIAL, read_token, token_file
+from mapperd.config.tree import Config, Control, Service
+from mapperd.daemon.control_setup import control_server
 from mapperd.errors import ConfigError, LiveError
 from mapperd.events import Severity
+from mapperd.server.listeners import address_of, open_tcp_door, open_unix_door, server_tls
+from mapperd.wire.auth import CREDENTIAL, read_token, token_file
+from mapperd.wire.socket_paths import socket_path, socket_places
 from tests.mapperd.control.fakes import TOKEN, FakeDaemon, is_listening
 
 
@@ -39,7 +39,7 @@ def test_socket_of_a_dead_process_is_replaced(short: Path) -> None:
     path = short / "sock"
     code = (
         "import sys, os; from pathlib import Path; "
-        "from mapperd.control.doors import open_unix_door; "
+        "from mapperd.server.listeners import open_unix_door; "
         "open_unix_door(Path(sys.argv[1]), 0o600); os._exit(9)"
     )
     subprocess.run([sys.executable, "-c", code, path], check=False, timeout=60)  # noqa: S603

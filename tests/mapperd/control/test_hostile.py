@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.control.limits import Limits
+from mapperd.wire.limits import Limits
 from tests.mapperd.control.fakes import (
     FREE,
     MALFORMED,
@@ -233,7 +233,7 @@ def test_proof_of_another_connection_is_worth_nothing(short: Path) -> None:
         first, second = await one.raw("tcp"), await one.raw("tcp")
         challenges = [(await line.hear())["challenge"] for line in (first, second)]
         assert len(set(challenges)) == 2
-        from mapperd.control.token import proof_of  # noqa: PLC0415 only here
+        from mapperd.wire.auth import proof_of  # noqa: PLC0415 only here
         from tests.mapperd.control.fakes import TOKEN  # noqa: PLC0415
 
         stolen = proof_of(TOKEN, challenges[0])

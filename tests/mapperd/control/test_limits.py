@@ -4,11 +4,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapperd.control.feed import EventFeed
-from mapperd.control.limits import TokenBucket
-from mapperd.control.lines import LineBuffer, LineTooLongError
-from mapperd.control.token import FailureLimiter, is_proof, proof_of, site_of
 from mapperd.events import EventLog, Severity
+from mapperd.server.control_lines import LineBuffer, LineTooLongError
+from mapperd.server.feed import EventFeed
+from mapperd.wire.auth import FailureLimiter, is_proof, proof_of, site_of
+from mapperd.wire.limits import TokenBucket
 
 
 @given(

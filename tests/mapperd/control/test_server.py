@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.config_parameters import parameters
-from mapperd.control.limits import Limits
+from mapperd.config.catalog import parameters
 from mapperd.events import Severity
+from mapperd.wire.limits import Limits
 from tests.mapperd.control.fakes import Line, Served, refusal, served, until
 
 Contexts = tuple[ssl.SSLContext, ssl.SSLContext]

@@ -11,7 +11,7 @@ import threading
 import traceback
 from typing import IO
 
-from mapperd import cli
+from mapperd.cli import mapperd as cli
 
 
 def work(words: list[str]) -> None:

@@ -15,19 +15,19 @@ from typing import Any
 
 import pytest
 
-from mapperd.config import Config
-from mapperd.config_file import config_from_text
+from mapperd.cli.replay import _mapped
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
 from mapperd.errors import StoreError
 from mapperd.events import EventLog
-from mapperd.mapping import SonarMap
-from mapperd.opening import open_map
-from mapperd.position import position_in
-from mapperd.recording_files import files_in, sessions_of
-from mapperd.replay import Window
-from mapperd.replay_command import _mapped
-from mapperd.replay_runs import Run
-from mapperd.replay_runs import as_recorded as run_as_recorded
-from mapperd.replay_store import map_into_store
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.session.recordings import files_in, sessions_of
+from mapperd.session.replay import Window
+from mapperd.session.replay_runs import Run
+from mapperd.session.replay_runs import as_recorded as run_as_recorded
+from mapperd.session.replay_to_store import map_into_store
+from mapperd.session.startup import open_map
+from mapperd.store.position import position_in
 from mapperd.store.reader import StoreReader
 from tests.mapperd.crash.client import ROOT, Daemons, World
 

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.config_file import config_from_text
-from mapperd.folders import pose_path
+from mapperd.config.loader import config_from_text
+from mapperd.config.paths import pose_path
 from mapperd.localization.saved_pose import load_pose
-from mapperd.recording_files import files_in, sessions_of
+from mapperd.session.recordings import files_in, sessions_of
 from tests.mapperd.crash.client import Daemons, World
 from tests.mapperd.crash.test_crash import (
     as_recorded,

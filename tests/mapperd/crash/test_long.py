@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from mapperd.config_file import config_from_text
-from mapperd.counters import ReplayCounters
-from mapperd.engine import Engine
-from mapperd.mapping import SonarMap
-from mapperd.pairing import OdometryPoses
-from mapperd.position import Place
-from mapperd.recording_tail import Tail
-from mapperd.recovery import Going, go_on
+from mapperd.config.loader import config_from_text
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.counters import ReplayCounters
+from mapperd.pipeline.decoder import Engine
+from mapperd.pipeline.pose_lookup import OdometryPoses
+from mapperd.session.recording_tail import Tail
+from mapperd.session.recovery import Going, go_on
+from mapperd.store.position import Place
 from mapperd.store.tile_store import TileStore
 from oculus_driver.recording import OCULUS, Chunk
 from tests.mapperd.conftest import START_NS, make_odometry, make_ping

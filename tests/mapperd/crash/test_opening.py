@@ -8,11 +8,18 @@ from typing import Any
 import msgspec
 import pytest
 
-from mapperd.checkpoint.writing import written
-from mapperd.config import Config
-from mapperd.config_file import config_from_text
-from mapperd.counters import ReplayCounters
-from mapperd.decisions import (
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
+from mapperd.errors import StoreError
+from mapperd.events import EventLog
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.counters import ReplayCounters
+from mapperd.pipeline.decoder import Engine
+from mapperd.pipeline.pose_lookup import OdometryPoses
+from mapperd.session.recording_tail import Tail, files_of
+from mapperd.session.recovery import Going, go_on, map_sessions_again
+from mapperd.session.startup import open_map
+from mapperd.session_log import (
     DECISIONS,
     LINK,
     SESSION,
@@ -24,15 +31,8 @@ from mapperd.decisions import (
     chunk_of,
     remarks_in,
 )
-from mapperd.engine import Engine
-from mapperd.errors import StoreError
-from mapperd.events import EventLog
-from mapperd.mapping import SonarMap
-from mapperd.opening import open_map
-from mapperd.pairing import OdometryPoses
-from mapperd.position import Place, Position, position_in
-from mapperd.recording_tail import Tail, files_of
-from mapperd.recovery import Going, go_on, map_sessions_again
+from mapperd.store.checkpoint_writer import written
+from mapperd.store.position import Place, Position, position_in
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
 from oculus_driver.recording import OCULUS, RecordingWriter
@@ -268,7 +268,7 @@ def test_mapping_again_that_is_cut_short_is_begun_anew(
             yield
 
     with monkeypatch.context() as patch:
-        patch.setattr("mapperd.recovery.go_on", killed)
+        patch.setattr("mapperd.session.recovery.go_on", killed)
         with pytest.raises(KeyboardInterrupt):
             opened(config)
     assert codes(opened(config)) == ["store_damaged", "map_rebuilt"]

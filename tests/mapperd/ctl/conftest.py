@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import trustme
 
-from mapperd.control.limits import Limits
+from mapperd.wire.limits import Limits
 from tests.mapperd.control.conftest import authority, short, tls
 from tests.mapperd.control.fakes import TOKEN, Served, served
 
@@ -22,8 +22,8 @@ def _no_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         monkeypatch.delenv(name, raising=False)
     for name in ("XDG_CONFIG_HOME", "XDG_RUNTIME_DIR", "XDG_STATE_HOME"):
         monkeypatch.setenv(name, str(tmp_path / "xdg"))
-    monkeypatch.setattr("mapperd.config_layers.load_settings.__defaults__", (tmp_path / "etc",))
-    monkeypatch.setattr("mapperd.control.place.socket_places.__defaults__", (tmp_path / "run",))
+    monkeypatch.setattr("mapperd.config.layers.load_settings.__defaults__", (tmp_path / "etc",))
+    monkeypatch.setattr("mapperd.wire.socket_paths.socket_places.__defaults__", (tmp_path / "run",))
 
 
 class Running:

@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
-from mapperd.config_parameters import parameters
-from mapperd.ctl.command import main
+from mapperd.cli.mapperctl.command import main
+from mapperd.config.catalog import parameters
 from mapperd.events import Severity
 from tests.mapperd.control.fakes import refusal
 from tests.mapperd.ctl.conftest import Running
@@ -154,7 +154,7 @@ def test_certificate_of_somebody_else_is_not_trusted(
 
 
 def test_as_many_as_allowed(call: Call, running: Running) -> None:
-    from mapperd.ctl.connection import Connection, Target  # noqa: PLC0415
+    from mapperd.cli.mapperctl.connection import Connection, Target  # noqa: PLC0415
 
     others = [Connection(Target(running.socket), 30.0) for _ in range(4)]
     code, _, said = call("status")
@@ -239,7 +239,7 @@ class Terminal:
         self.screen, inner = pty.openpty()
         code = (
             "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler);"
-            "from mapperd.ctl.command import main; sys.exit(main(sys.argv[1:]))"
+            "from mapperd.cli.mapperctl.command import main; sys.exit(main(sys.argv[1:]))"
         )
         self.process = subprocess.Popen(  # noqa: S603 our own words
             [sys.executable, "-c", code, *words],

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from mapperd.config_file import config_of
-from mapperd.ctl.command import main
-from mapperd.ctl.localization_view import localization_lines
-from mapperd.ctl.status_view import status_lines
-from mapperd.localization_report import localization_report, localization_summary
+from mapperd.cli.mapperctl.command import main
+from mapperd.cli.mapperctl.localization_view import localization_lines
+from mapperd.cli.mapperctl.views import status_lines
+from mapperd.config.loader import config_of
+from mapperd.localization.report import localization_report, localization_summary
 from mapperd.pose_request import PoseRequest
 from tests.mapperd.control.fakes import refusal
 from tests.mapperd.ctl.conftest import Running

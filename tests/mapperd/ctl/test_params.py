@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.config_parameters import parameters
-from mapperd.ctl.command import main
+from mapperd.cli.mapperctl.command import main
+from mapperd.config.catalog import parameters
 
 
 @pytest.fixture
@@ -88,7 +88,10 @@ def test_unknown_name_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_reader_that_leaves_is_no_fault() -> None:
-    code = "import sys; from mapperd.ctl.command import main; sys.exit(main(['params', '--json']))"
+    code = (
+        "import sys; from mapperd.cli.mapperctl.command import main; "
+        "sys.exit(main(['params', '--json']))"
+    )
     with subprocess.Popen(  # noqa: S603 our own line
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as process:

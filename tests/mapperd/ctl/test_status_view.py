@@ -1,6 +1,6 @@
 import pytest
 
-from mapperd.ctl.status_view import status_lines
+from mapperd.cli.mapperctl.views import status_lines
 
 STATUS = {
     "phase": "mapping",

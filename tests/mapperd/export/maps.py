@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from mapperd.config import Config, Octree
-from mapperd.mapping import SonarMap
+from mapperd.config.tree import Config, Octree
+from mapperd.mapping.sonar_map import SonarMap
 
 COARSE = Config(octree=Octree(voxel_resolution=0.25))
 

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from mapperd.errors import ExportError
-from mapperd.export.atomic import atomic_file, make_folder
+from mapperd.io import atomic_file, make_folder
 
 
 def test_file_appears_whole(tmp_path: Path) -> None:

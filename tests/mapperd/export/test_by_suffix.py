@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from mapperd.errors import ExportError, MapError
-from mapperd.export.by_suffix import FORMATS, write_map
-from mapperd.mapping import SonarMap
+from mapperd.export.formats import FORMATS, write_map
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
 from tests.mapperd.export.maps import COARSE

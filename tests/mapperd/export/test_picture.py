@@ -6,7 +6,7 @@ import pytest
 from mapperd.export import picture
 from mapperd.export.picture import can_draw, write_picture
 from mapperd.export.raster import MAX_PIXELS, project
-from mapperd.mapping import Voxels
+from mapperd.mapping.sonar_map import Voxels
 
 pytestmark = pytest.mark.skipif(not can_draw(), reason="matplotlib (extra topside) is missing")
 

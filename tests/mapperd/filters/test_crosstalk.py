@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from mapperd.config import Crosstalk
-from mapperd.filters.crosstalk import without_stripes
+from mapperd.config.tree import Crosstalk
+from mapperd.imaging.crosstalk import without_stripes
 from tests.mapperd.filters.conftest import BEAMS, Image, fan, flat_floor, speckled, striped
 
 WIDE = fan(130)

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from mapperd.config import Crosstalk
-from mapperd.filters.fft_notch import notched
+from mapperd.config.tree import Crosstalk
+from mapperd.imaging.fft_notch import notched
 from tests.mapperd.filters.conftest import BEAMS, Image, fan, flat_floor, speckled, striped
 
 

@@ -3,10 +3,10 @@ import math
 import numpy as np
 import pytest
 
-from mapperd.config import RobotDetection, TerrainDetection
-from mapperd.filters.robot import Robot
-from mapperd.filters.robot_bands import MOST_ROBOTS, find_robots, terrain_of
-from mapperd.filters.sightings import MOST_SIGHTINGS, Sighting, Sightings
+from mapperd.config.tree import RobotDetection, TerrainDetection
+from mapperd.imaging.robot_bands import MOST_ROBOTS, find_robots, terrain_of
+from mapperd.imaging.robots import Robot
+from mapperd.imaging.sightings import MOST_SIGHTINGS, Sighting, Sightings
 
 BEARINGS = np.linspace(-1.0, 1.0, 101)
 ROBOTS = RobotDetection(enabled=True)

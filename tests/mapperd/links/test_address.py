@@ -2,8 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.config_odometry import OdometryFusion, OdometrySource, Owners
-from mapperd.links.address import LinkAddress, parse_address, serial_path
+from mapperd.config.link_address import LinkAddress, parse_address, serial_path
+from mapperd.config.odometry import OdometryFusion, OdometrySource, Owners
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_what_is_no_link_is_refused_in_one_sentence(text: str) -> None:
 def test_a_name_of_udev_is_looked_up_each_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mapperd.links.address.UDEV_FOLDERS", (tmp_path,))
+    monkeypatch.setattr("mapperd.config.link_address.UDEV_FOLDERS", (tmp_path,))
     with pytest.raises(FileNotFoundError, match="is it plugged in"):
         serial_path("usb-DVL")
     (tmp_path / "usb-DVL").symlink_to("/dev/null")

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.links.address import parse_address
-from mapperd.links.link import Link
-from mapperd.links.state import LinkStatus
+from mapperd.config.link_address import parse_address
+from mapperd.odometry.links import Link
+from mapperd.odometry.state import LinkStatus
 
 Told = list[tuple[str, str]]
 Heard = list[tuple[bytes, bool]]
@@ -108,7 +108,7 @@ def test_a_serial_line_is_unplugged_and_plugged_in_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A pseudo terminal under a name of udev's; the second one is another device."""
-    monkeypatch.setattr("mapperd.links.address.UDEV_FOLDERS", (tmp_path,))
+    monkeypatch.setattr("mapperd.config.link_address.UDEV_FOLDERS", (tmp_path,))
     plug = tmp_path / "usb-DVL"
 
     def plug_in() -> tuple[int, int]:

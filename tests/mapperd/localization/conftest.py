@@ -4,9 +4,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from mapperd.config import Sonar
-from mapperd.echo import Echo
-from mapperd.polar_image import echo_of_image
+from mapperd.config.tree import Sonar
+from mapperd.imaging.ping_image import Echo
+from mapperd.imaging.polar_image import echo_of_image
 
 MakeEcho = Callable[..., Echo]
 

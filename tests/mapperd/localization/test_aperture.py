@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from mapperd.config import Config, Sonar
+from mapperd.config.tree import Config, Sonar
 from mapperd.localization.aperture import heard_aperture_rad
 
 

@@ -3,12 +3,12 @@ import math
 import numpy as np
 import pytest
 
-from mapperd.config import Config
+from mapperd.config.tree import Config
 from mapperd.errors import MapError
 from mapperd.localization import depth_slice as module
 from mapperd.localization.depth_slice import beam_band_m, depth_slice
-from mapperd.map_queries import MapQueries
-from mapperd.mapping import SonarMap
+from mapperd.mapping.queries import MapQueries
+from mapperd.mapping.sonar_map import SonarMap
 
 Point = tuple[float, float, float]
 

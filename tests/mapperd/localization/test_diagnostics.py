@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from mapperd.config import Amcl
+from mapperd.config.tree import Amcl
+from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.diagnostics import Deviation, diagnose, weight_warning
-from mapperd.localization.estimate import PlanarGaussian
 
 
 def estimate(*variances: float) -> PlanarGaussian:

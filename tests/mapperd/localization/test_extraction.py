@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from mapperd.config import Config
-from mapperd.config_file import config_from_text
-from mapperd.echo import Echo, echo_of
-from mapperd.frames import rigid_transform, rotation_from_rpy
-from mapperd.localization.burst import BurstWatch
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
+from mapperd.geometry.frames import rigid_transform, rotation_from_rpy
+from mapperd.imaging.ping_image import Echo, echo_of
+from mapperd.localization.burst_filter import BurstWatch
 from mapperd.localization.extraction import Surroundings, scan_of
 from mapperd.localization.scan import Scan
 from mapperd.reject import Reject

@@ -4,9 +4,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.config import ScanExtraction
-from mapperd.echo import Echo
-from mapperd.localization.first_return import FirstReturns, Limits, first_returns
+from mapperd.config.tree import ScanExtraction
+from mapperd.imaging.ping_image import Echo
+from mapperd.localization.detector import FirstReturns, Limits, first_returns
 from mapperd.localization.levels import equalised, levels_db
 
 ROW_M = 0.02

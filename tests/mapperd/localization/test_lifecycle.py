@@ -3,8 +3,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.config import Amcl
-from mapperd.localization.estimate import PlanarGaussian
+from mapperd.config.tree import Amcl
+from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.grid_map import GridMap
 from mapperd.localization.lifecycle import Lifecycle, Start, parameter_pose
 from mapperd.reject import Reject

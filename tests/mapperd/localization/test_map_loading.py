@@ -5,16 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mapperd.config import Config
-from mapperd.config_file import config_from_text
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
 from mapperd.errors import MapError
 from mapperd.localization import map_loading
 from mapperd.localization.grid_map import FREE, OCCUPIED, GridMap
+from mapperd.localization.map_io import write_nav2_map
 from mapperd.localization.map_loading import MAX_SIDE, load_known_map
-from mapperd.localization.nav2_map import write_nav2_map
-from mapperd.localization.volume_map import VolumeMap
-from mapperd.localizing import begun
-from mapperd.mapping import SonarMap
+from mapperd.localization.maps import VolumeMap
+from mapperd.localization.session import begun
+from mapperd.mapping.sonar_map import SonarMap
 from tests.mapperd.localization.room import room, write_room
 
 VOXEL_M = 0.5

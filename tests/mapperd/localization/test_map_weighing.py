@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from mapperd.config import Sonar
+from mapperd.config.tree import Sonar
 from mapperd.localization.aperture import heard_aperture_rad
-from mapperd.localization.filter import ParticleFilter
-from mapperd.localization.map_weighing import SEARCH_BEAMS, MapWeighing
 from mapperd.localization.models import filter_rule
+from mapperd.localization.particle_filter import ParticleFilter
 from mapperd.localization.scan import decimated
+from mapperd.localization.weighting import SEARCH_BEAMS, MapWeighing
 from tests.mapperd.localization.filter_cases import filter_at
 from tests.mapperd.localization.test_map_filter import room, scan_from, solid
 from tests.mapperd.localization.test_rival import profile
@@ -22,7 +22,7 @@ from tests.mapperd.localization.test_rival import profile
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from mapperd.config import Config
+    from mapperd.config.tree import Config
 
 SCAN = scan_from((4.0, 3.0, 0.2))
 

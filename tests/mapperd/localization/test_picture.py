@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from mapperd.localization.estimate import PlanarGaussian
+from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.grid_map import FREE, OCCUPIED, GridMap
 from mapperd.localization.known_map import KnownMap
-from mapperd.localization_picture import (
+from mapperd.localization.picture import (
     MOST_PIXELS,
     NOWHERE,
     PARTICLE,

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapperd.frames import pose_from_rpy
-from mapperd.localization.estimate import PlanarGaussian, wrapped
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.geometry.gaussian import PlanarGaussian, wrapped
 from mapperd.localization.levelling import yaw_of
-from mapperd.localization.pose import map_from_odom
+from mapperd.localization.odom_correction import map_from_odom
 
 NUMBERS = st.floats(-1e3, 1e3)
 TILTS = st.floats(-80, 80)

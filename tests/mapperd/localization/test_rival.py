@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from mapperd.config import Config
-from mapperd.config_file import config_from_text
-from mapperd.localization.estimate import Belief, PlanarGaussian
-from mapperd.localization.filter import ParticleFilter
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
+from mapperd.geometry.gaussian import Belief, PlanarGaussian
+from mapperd.localization.hypothesis import FADE, LONG_ODDS, Rival, same_place
 from mapperd.localization.map_filter import MapFilter
-from mapperd.localization.rival import FADE, LONG_ODDS, Rival, same_place
+from mapperd.localization.particle_filter import ParticleFilter
 from mapperd.localization.update_gate import PlanarPose
 from tests.mapperd.localization.filter_cases import rule
 from tests.mapperd.localization.test_map_filter import room, scan_from

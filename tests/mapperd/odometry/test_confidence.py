@@ -1,8 +1,8 @@
 import msgspec
 import pytest
 
-from mapperd.config_odometry import SlamQuality
-from mapperd.odometry.confidence import ConfidenceGate
+from mapperd.config.odometry import SlamQuality
+from mapperd.odometry.gate import ConfidenceGate
 
 S = 1_000_000_000
 

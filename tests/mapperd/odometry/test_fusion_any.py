@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapperd.config_odometry import DeadReckoning, OdometryFusion, TimeSync
-from mapperd.frames import rotation_from_rpy
+from mapperd.config.odometry import DeadReckoning, OdometryFusion, TimeSync
+from mapperd.geometry.frames import rotation_from_rpy
 from mapperd.odometry.fusion import FusedPose, Fusion
 from mapperd.odometry.records import GeoPoint, Odometry
 from mapperd.reject import Reject

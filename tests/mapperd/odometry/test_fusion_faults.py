@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.config_odometry import (
+from mapperd.config.odometry import (
     GeoOrigin,
     OdometryFusion,
     OdometrySource,

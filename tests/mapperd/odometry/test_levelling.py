@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.config_odometry import WorldInit
-from mapperd.frames import quaternion_to_matrix, rotation_from_rpy
+from mapperd.config.odometry import WorldInit
+from mapperd.geometry.frames import quaternion_to_matrix, rotation_from_rpy
 from mapperd.odometry.fusion import Fusion
 from mapperd.odometry.levelling import Levelling, levelled
 from mapperd.odometry.native import decode_native

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
-from mapperd.odometry.format_settings import FormatSettings
+from mapperd.config.format_settings import FormatSettings
 from mapperd.odometry.mavlink import MavlinkDecoder
 from mapperd.odometry.mavlink_frames import MAX_FRAME_BYTES
 from mapperd.odometry.records import Odometry

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mapperd.config.format_settings import FormatName, FormatSettings
 from mapperd.odometry.cobs import cobs_decoded, cobs_encoded
 from mapperd.odometry.decoder import Decoder
-from mapperd.odometry.format_settings import FormatName, FormatSettings
 from mapperd.odometry.formats import make_decoder
 from mapperd.odometry.native import NativeRecord, encode_native
 from mapperd.odometry.native_json import MAX_LINE_BYTES, encode_native_json

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapperd.frames import quaternion_to_matrix
+from mapperd.config.format_settings import FormatSettings
+from mapperd.geometry.frames import quaternion_to_matrix
 from mapperd.odometry.decoder import Decoder
-from mapperd.odometry.format_settings import FormatSettings
 from mapperd.odometry.formats import make_decoder
 from mapperd.odometry.records import Odometry
 from mapperd.reject import Reject

@@ -7,11 +7,11 @@ from typing import Any, get_args
 
 import pytest
 
-from mapperd.config import Config
-from mapperd.config_file import config_from_text
-from mapperd.links.state import LinkPhase
+from mapperd.config.format_settings import FormatName, FormatSettings
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
 from mapperd.odometry.bridge import OdometryBridge
-from mapperd.odometry.format_settings import FormatName, FormatSettings
+from mapperd.odometry.state import LinkPhase
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = (ROOT / "docs" / "odometry.md").read_text(encoding="utf-8")
@@ -30,8 +30,8 @@ FUSING = [
         "track",
         "series",
         "lookup",
-        "stamps",
-        "confidence",
+        "clock",
+        "gate",
     )
 ]
 

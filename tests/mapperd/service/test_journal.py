@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
+from mapperd.daemon.journal import Journal, goes_to_journal
 from mapperd.events import Event, EventLog, Severity
-from mapperd.service.journal import Journal, goes_to_journal
 
 
 def event(text: str, severity: Severity = Severity.NOTICE, code: str = "sonar_link") -> Event:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.service.notify import MAX_STATUS, Notifier, watchdog_s
+from mapperd.daemon.systemd import MAX_STATUS, Notifier, watchdog_s
 
 
 @pytest.fixture

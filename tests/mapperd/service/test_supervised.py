@@ -11,17 +11,17 @@ from typing import Any
 
 import pytest
 
-from mapperd.config import Config
-from mapperd.config_layers import Layered
-from mapperd.config_store import ConfigStore
+from mapperd.api import OperationError
+from mapperd.config.layers import Layered
+from mapperd.config.live import ConfigStore
+from mapperd.config.tree import Config
+from mapperd.daemon.status_line import StatusLine
+from mapperd.daemon.supervisor import only_told_to_stop, supervised
+from mapperd.daemon.systemd import Notifier
 from mapperd.errors import ConfigError
 from mapperd.events import EventLog
-from mapperd.operations import OperationError
+from mapperd.pipeline.watchdog import Worker
 from mapperd.pose_request import PoseRequest
-from mapperd.service.notify import Notifier
-from mapperd.service.status_line import StatusLine
-from mapperd.service.supervised import only_told_to_stop, supervised
-from mapperd.service.watchdog import Worker
 
 
 class Daemon:

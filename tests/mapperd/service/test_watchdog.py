@@ -1,4 +1,4 @@
-from mapperd.service.watchdog import Watchdog, Worker
+from mapperd.pipeline.watchdog import Watchdog, Worker
 
 
 def test_idle_is_alive_for_ever() -> None:

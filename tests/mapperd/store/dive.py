@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config, Filtering, Mounting, Octree, Orientation, Sonar
-from mapperd.echo import Echo
-from mapperd.frames import pose_from_rpy
-from mapperd.mapping import SonarMap
+from mapperd.config.tree import Config, Filtering, Mounting, Octree, Orientation, Sonar
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.imaging.ping_image import Echo
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.tile_store import TileStore
 
 CONFIG = Config(

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from mapperd.errors import StoreError
-from mapperd.mapping import SonarMap
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.aside import put_aside
 from mapperd.store.bricks import Key, pack
+from mapperd.store.maintenance import rebuild_lost
 from mapperd.store.reader import StoreReader
-from mapperd.store.rebuild import rebuild_lost
 from tests.mapperd.store import dive
 
 PINGS = 60

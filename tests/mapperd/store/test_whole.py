@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from mapperd.errors import StoreError
-from mapperd.mapping import SonarMap
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.bricks import BrickRow
 from mapperd.store.reader import StoreReader
 from mapperd.store.whole import packed, write_whole

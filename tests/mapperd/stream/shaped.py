@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from mapperd.stream.pacer import Pacer
+from mapperd.server.pacer import Pacer
 
 STEP_S = 0.005
 

@@ -7,7 +7,7 @@ import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapperd.stream.blocks import (
+from mapperd.wire.blocks import (
     CELLS,
     MAX_BODY,
     MAX_KEY,
@@ -16,8 +16,8 @@ from mapperd.stream.blocks import (
     decode_blocks,
     encode_blocks,
 )
-from mapperd.stream.framing import StreamError
-from mapperd.stream.messages import MAX_BLOCKS
+from mapperd.wire.framing import StreamError
+from mapperd.wire.messages import MAX_BLOCKS
 
 KINDS = st.sampled_from(["empty", "uniform", "plane"])
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mapperd.client import Interest, MapClient, connecting
-from mapperd.config import Config
-from mapperd.mapping import SonarMap
-from mapperd.stream import lines as lines_module
-from mapperd.stream.lines import Lines
-from mapperd.stream.source_protocol import FIRST, SECOND, Line
+from mapperd.client import Interest, MapClient, connect
+from mapperd.config.tree import Config
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.server import lines as lines_module
+from mapperd.server.lines import Lines
+from mapperd.server.source_protocol import FIRST, SECOND, Line
 from tests.mapperd.control.fakes import TOKEN
 from tests.mapperd.stream.told import expected, scatter, source_of
 from tests.mapperd.stream.watched import Bed, bed_of, run
@@ -34,7 +34,7 @@ def any_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Lines, "choose", choose)
     monkeypatch.setattr(lines_module, "STALLS", 0)
     monkeypatch.setattr(lines_module, "FAR_S", 0.0)
-    monkeypatch.setattr(connecting, "WAIT_S", 0.01)
+    monkeypatch.setattr(connect, "WAIT_S", 0.01)
 
 
 async def break_one(bed: Bed, dice: random.Random) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.stream.session import Session
+from mapperd.server.session import Session
 from tests.mapperd.control.fakes import TOKEN
 from tests.mapperd.stream.test_server import fill
 from tests.mapperd.stream.watched import as_bytes, bed_of, run

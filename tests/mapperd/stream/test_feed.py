@@ -10,23 +10,23 @@ import numpy as np
 import pytest
 import zstandard
 
-from mapperd.client.checks import check_message
-from mapperd.config import Config
-from mapperd.config_file import config_from_text
-from mapperd.echo import Echo
-from mapperd.engine import Settled
-from mapperd.frames import Pose as Place
-from mapperd.frames import pose_from_rpy, quaternion_to_matrix
-from mapperd.integration import Treated
+from mapperd.client.validation import check_message
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
+from mapperd.geometry.frames import Pose as Place
+from mapperd.geometry.frames import pose_from_rpy, quaternion_to_matrix
+from mapperd.imaging.ping_image import Echo
 from mapperd.odometry.fusion import FusedPose
+from mapperd.pipeline.decoder import Settled
+from mapperd.pipeline.executor import Treated
+from mapperd.pipeline.step import Mapped
 from mapperd.reject import Reject
-from mapperd.step import Mapped
-from mapperd.stream.feed import Feed
-from mapperd.stream.framing import client_inbox
-from mapperd.stream.messages import Fan, Image, Pose, Returns, Robots
-from mapperd.stream.pictures import IMAGE_SIZES, first_returns, image_message
-from mapperd.stream.setting_log import SettingLog
-from mapperd.stream.track import Track
+from mapperd.server.pictures import IMAGE_SIZES, first_returns, image_message
+from mapperd.server.setting_log import SettingLog
+from mapperd.server.state_feed import Feed
+from mapperd.server.track import Track
+from mapperd.wire.framing import client_inbox
+from mapperd.wire.messages import Fan, Image, Pose, Returns, Robots
 from oculus_driver.ping import Ping
 from tests.mapperd.control.fakes import FakeDaemon
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from mapperd.control.limits import Limits
-from mapperd.stream import connection
-from mapperd.stream.framing import framed
-from mapperd.stream.messages import Ack, Ask, Change, Interest
-from mapperd.stream.session import CHANGES_AT_ONCE, CHANGES_PER_S, Session
+from mapperd.server import connection
+from mapperd.server.session import CHANGES_AT_ONCE, CHANGES_PER_S, Session
+from mapperd.wire.framing import framed
+from mapperd.wire.limits import Limits
+from mapperd.wire.messages import Ack, Ask, Change, Interest
 from tests.mapperd.stream.test_session import Told
 from tests.mapperd.stream.watched import bed_of, run
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapperd.stream.framing import StreamError, client_inbox, framed, server_inbox
-from mapperd.stream.messages import (
+from mapperd.wire.framing import StreamError, client_inbox, framed, server_inbox
+from mapperd.wire.messages import (
     MAX_FROM_CLIENT,
     MAX_FROM_SERVER,
     Ack,

@@ -7,9 +7,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from mapperd.control.limits import Limits
-from mapperd.stream.framing import framed
-from mapperd.stream.messages import Ack, Answer, Ask, Box, Change, Hello, Interest
+from mapperd.wire.framing import framed
+from mapperd.wire.limits import Limits
+from mapperd.wire.messages import Ack, Answer, Ask, Box, Change, Hello, Interest
 from tests.mapperd.stream.watched import as_bytes, bed_of, run
 
 NAN = float("nan")

@@ -4,9 +4,9 @@ from math import inf
 
 import pytest
 
-from mapperd.stream.lines import BLOCKED_S, CALM_S, FAR_S, SLACK_S, STALLS, Lines
-from mapperd.stream.pacer import LOSS_S, Pacer
-from mapperd.stream.source_protocol import FIRST, SECOND, Line
+from mapperd.server.lines import BLOCKED_S, CALM_S, FAR_S, SLACK_S, STALLS, Lines
+from mapperd.server.pacer import LOSS_S, Pacer
+from mapperd.server.source_protocol import FIRST, SECOND, Line
 
 TRIP_S = 0.6
 HELD_UP_S = 2 * TRIP_S + SLACK_S + 0.01

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from mapperd.config import Config
-from mapperd.mapping import SonarMap
-from mapperd.stream.blocks import decode_blocks
-from mapperd.stream.messages import Blocks, Interest
-from mapperd.stream.nearest import NEAR_M
-from mapperd.stream.on_its_way import MOST_MESSAGES
-from mapperd.stream.source_protocol import FIRST, SECOND
+from mapperd.config.tree import Config
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.server.on_its_way import MOST_MESSAGES
+from mapperd.server.priority_queue import NEAR_M
+from mapperd.server.source_protocol import FIRST, SECOND
+from mapperd.wire.blocks import decode_blocks
+from mapperd.wire.messages import Blocks, Interest
 from tests.mapperd.stream.told import SECOND_NS, Client, expected, scatter, source_of
 from tests.mapperd.stream.two_lines import AnyLuck, TwoLines
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from mapperd.mapping import SonarMap
-from mapperd.stream.map_rounds import MapRounds, _Order
-from mapperd.stream.messages import Interest
-from mapperd.stream.turns import Rooms
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.server.map_worker import MapRounds, _Order
+from mapperd.server.schedule import Rooms
+from mapperd.wire.messages import Interest
 from tests.mapperd.store.dive import CONFIG
 from tests.mapperd.stream.told import SECOND_NS, scatter, source_of
 

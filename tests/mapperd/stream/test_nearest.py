@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.stream import nearest as nearest_module
-from mapperd.stream.messages import Interest
-from mapperd.stream.nearest import NEAR_M, WAITING, NearestFirst, Part
-from mapperd.stream.region import LEAVE, distances_m, vector_of, within
+from mapperd.server import priority_queue as nearest_module
+from mapperd.server.priority_queue import NEAR_M, WAITING, NearestFirst, Part
+from mapperd.server.region import LEAVE, distances_m, vector_of, within
+from mapperd.wire.messages import Interest
 
 BLOCK_M = 0.8
 ALL = 1 << 14

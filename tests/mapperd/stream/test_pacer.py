@@ -2,8 +2,8 @@
 
 import pytest
 
-from mapperd.stream.budget import LEAST_BURST
-from mapperd.stream.pacer import (
+from mapperd.server.budget import LEAST_BURST
+from mapperd.server.pacer import (
     LEAST_UNSENT,
     LEAST_WINDOW,
     MOST_LEAST,

@@ -3,11 +3,11 @@
 from collections.abc import Callable
 
 from mapperd.events import EventLog
-from mapperd.step import Mapped
-from mapperd.stream.framing import client_inbox
-from mapperd.stream.messages import Image
-from mapperd.stream.pacer import Pacer
-from mapperd.stream.portions import Portions
+from mapperd.pipeline.step import Mapped
+from mapperd.server.outbox import Portions
+from mapperd.server.pacer import Pacer
+from mapperd.wire.framing import client_inbox
+from mapperd.wire.messages import Image
 from oculus_driver.ping import Ping
 from tests.mapperd.stream.test_feed import feed_of, fused, treated
 

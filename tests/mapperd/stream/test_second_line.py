@@ -11,12 +11,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.config import Config
-from mapperd.control.limits import Limits
-from mapperd.mapping import SonarMap
-from mapperd.stream.connection import Connection
-from mapperd.stream.lines import SLACK_S
-from mapperd.stream.messages import Ack, Ask, Bye, Change, FromClient, Interest, Resume, Status
+from mapperd.config.tree import Config
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.server.connection import Connection
+from mapperd.server.lines import SLACK_S
+from mapperd.wire.limits import Limits
+from mapperd.wire.messages import Ack, Ask, Bye, Change, FromClient, Interest, Resume, Status
 from tests.mapperd.stream.told import expected, scatter, source_of
 from tests.mapperd.stream.watched import Bed, Watcher, bed_of, run
 

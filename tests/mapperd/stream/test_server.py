@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from mapperd.control.limits import Limits
 from mapperd.events import Severity
-from mapperd.stream.messages import Change, Event, Hello, Interest, Resume, Settings, Status
-from mapperd.stream.pacer import FIRST_WINDOW
+from mapperd.server.pacer import FIRST_WINDOW
+from mapperd.wire.limits import Limits
+from mapperd.wire.messages import Change, Event, Hello, Interest, Resume, Settings, Status
 from tests.mapperd.control.fakes import TOKEN
 from tests.mapperd.stream.watched import Watcher, as_bytes, bed_of, run
 

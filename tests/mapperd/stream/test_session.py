@@ -8,12 +8,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.control.admission import Newcomer
-from mapperd.control.token import FailureLimiter
 from mapperd.events import EventLog, Severity
-from mapperd.stream.feed import Newest
-from mapperd.stream.framing import client_inbox, framed
-from mapperd.stream.messages import (
+from mapperd.server.admission import Newcomer
+from mapperd.server.outbox import SHARES
+from mapperd.server.pacer import FIRST_RATE, LEAST_UNSENT, UNSENT_S
+from mapperd.server.session import Common, Session
+from mapperd.server.setting_log import SettingLog
+from mapperd.server.state_feed import Newest
+from mapperd.server.track import Track
+from mapperd.server.wishes import Beginning
+from mapperd.wire.auth import FailureLimiter
+from mapperd.wire.framing import client_inbox, framed
+from mapperd.wire.messages import (
     Blocks,
     Change,
     Event,
@@ -28,12 +34,6 @@ from mapperd.stream.messages import (
     Status,
     Welcome,
 )
-from mapperd.stream.pacer import FIRST_RATE, LEAST_UNSENT, UNSENT_S
-from mapperd.stream.portions import SHARES
-from mapperd.stream.session import Common, Session
-from mapperd.stream.setting_log import SettingLog
-from mapperd.stream.track import Track
-from mapperd.stream.wishes import Beginning
 from tests.mapperd.stream.shaped import LEAST_ON_ITS_WAY, STEP_S, Link
 
 FACTS = MapFacts("m1", 0.1, 0.25, 0.8, 0.0)

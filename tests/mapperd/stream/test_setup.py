@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from stream_study.told_steps import told_steps
 
-from mapperd.config_file import config_from_text
-from mapperd.control.place import map_socket_places
+from mapperd.config.loader import config_from_text
+from mapperd.daemon.session import host_clock
+from mapperd.daemon.setup import map_doors, stream_server
 from mapperd.errors import ConfigError
 from mapperd.events import EventLog
-from mapperd.live import host_clock
-from mapperd.mapping import SonarMap
-from mapperd.stream.blocks import UNKNOWN
-from mapperd.stream.messages import Fan, Image, MapFacts, Pose, Returns
-from mapperd.stream.messages import Path as Trace
-from mapperd.stream.setup import map_doors, stream_server
-from mapperd.stream.source import MapSource
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.server.map_source import MapSource
+from mapperd.wire.blocks import UNKNOWN
+from mapperd.wire.messages import Fan, Image, MapFacts, Pose, Returns
+from mapperd.wire.messages import Path as Trace
+from mapperd.wire.socket_paths import map_socket_places
 from tests.mapperd.control.fakes import TOKEN
 from tests.mapperd.stream.watched import Key, Watcher
 from tests.mapperd.test_daemon import bench_of, run

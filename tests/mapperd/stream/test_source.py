@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.mapping import SonarMap
-from mapperd.stream.messages import Interest
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.wire.messages import Interest
 from tests.mapperd.store.dive import CONFIG, integrate, mapped
 from tests.mapperd.stream.told import SECOND_NS, Client, assert_same, scatter, source_of
 

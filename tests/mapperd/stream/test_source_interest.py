@@ -6,11 +6,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.mapping import SonarMap
-from mapperd.stream import source as source_module
-from mapperd.stream.messages import Blocks, Box, Interest
-from mapperd.stream.nearest import NEAR_M
-from mapperd.stream.region import distances_m
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.server import map_source as source_module
+from mapperd.server.priority_queue import NEAR_M
+from mapperd.server.region import distances_m
+from mapperd.wire.messages import Blocks, Box, Interest
 from tests.mapperd.store.dive import CONFIG, mapped
 from tests.mapperd.stream.told import SECOND_NS, Client, assert_same, expected, scatter, source_of
 

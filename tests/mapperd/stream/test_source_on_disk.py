@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from mapperd import _core
 from mapperd.errors import StoreError
-from mapperd.mapping import SonarMap
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.server import map_source as source_module
+from mapperd.server import stored_bricks
+from mapperd.server.map_source import MapSource
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
-from mapperd.stream import source as source_module
-from mapperd.stream import stored_bricks
-from mapperd.stream.messages import Interest
-from mapperd.stream.source import MapSource
+from mapperd.wire.messages import Interest
 from tests.mapperd.store.dive import CONFIG, dive_on, integrate, open_store
 from tests.mapperd.stream.told import SECOND_NS, Client, Told, expected, look_until_indexed
 

@@ -13,9 +13,9 @@ from unittest.mock import Mock
 
 import pytest
 
-from mapperd.control.limits import Limits
-from mapperd.stream.connection import Connection
-from mapperd.stream.tcp import CALM, TCP_CC_INFO, TcpState, fills_buffers, tcp_state, tune
+from mapperd.server.connection import Connection
+from mapperd.server.tcp import CALM, TCP_CC_INFO, TcpState, fills_buffers, tcp_state, tune
+from mapperd.wire.limits import Limits
 from tests.mapperd.control.fakes import TOKEN
 from tests.mapperd.stream.watched import Bed, Watcher, bed_of, run
 

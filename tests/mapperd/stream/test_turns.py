@@ -3,9 +3,18 @@
 import numpy as np
 import pytest
 
-from mapperd.stream.lines import Lines
-from mapperd.stream.pacer import MOST_WINDOW, Pacer
-from mapperd.stream.turns import ASIDE_S, DUTY, EACH, LEAST, LONGEST_REST_S, QUIET_S, Rooms, Turns
+from mapperd.server.lines import Lines
+from mapperd.server.pacer import MOST_WINDOW, Pacer
+from mapperd.server.schedule import (
+    ASIDE_S,
+    DUTY,
+    EACH,
+    LEAST,
+    LONGEST_REST_S,
+    QUIET_S,
+    Rooms,
+    Turns,
+)
 
 RATE = 25_000.0
 

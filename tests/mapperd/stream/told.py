@@ -6,11 +6,11 @@ from stream_study.told_steps import told_steps
 
 from mapperd import _core
 from mapperd.client.mirror import MapMirror
-from mapperd.keeping import InMemory
-from mapperd.mapping import SonarMap
-from mapperd.stream.blocks import CELLS, UNKNOWN, decode_blocks
-from mapperd.stream.messages import BLOCK_EDGE, Blocks, Interest, MapFacts, Reset, Resume
-from mapperd.stream.source import MapSource
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.persistence import InMemory
+from mapperd.server.map_source import MapSource
+from mapperd.wire.blocks import CELLS, UNKNOWN, decode_blocks
+from mapperd.wire.messages import BLOCK_EDGE, Blocks, Interest, MapFacts, Reset, Resume
 
 SECOND_NS = 1_000_000_000
 Told = dict[tuple[int, ...], tuple[bytes, bytes]]

@@ -4,10 +4,10 @@ from collections import deque
 
 import numpy as np
 
-from mapperd.stream.blocks import BlockSet, decode_blocks
-from mapperd.stream.messages import Blocks, Interest, Reset
-from mapperd.stream.source import MapSource
-from mapperd.stream.source_protocol import FIRST, SECOND, Line
+from mapperd.server.map_source import MapSource
+from mapperd.server.source_protocol import FIRST, SECOND, Line
+from mapperd.wire.blocks import BlockSet, decode_blocks
+from mapperd.wire.messages import Blocks, Interest, Reset
 from tests.mapperd.stream.told import SECOND_NS, Client, scatter
 
 Delivery = tuple[Blocks | Reset, int]

@@ -13,13 +13,16 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from mapperd.control.doors import Door, open_tcp_door, open_unix_door
-from mapperd.control.limits import Limits
-from mapperd.control.token import proof_of
-from mapperd.stream.blocks import CELLS, BlockSet, decode_blocks, encode_blocks
-from mapperd.stream.feed import Feed
-from mapperd.stream.framing import client_inbox, framed
-from mapperd.stream.messages import (
+from mapperd.server.listeners import Door, open_tcp_door, open_unix_door
+from mapperd.server.priority_queue import Part
+from mapperd.server.source_protocol import FIRST, Line
+from mapperd.server.state_feed import Feed
+from mapperd.server.stream_server import StreamServer
+from mapperd.wire.auth import proof_of
+from mapperd.wire.blocks import CELLS, BlockSet, decode_blocks, encode_blocks
+from mapperd.wire.framing import client_inbox, framed
+from mapperd.wire.limits import Limits
+from mapperd.wire.messages import (
     Ack,
     Ask,
     Blocks,
@@ -35,9 +38,6 @@ from mapperd.stream.messages import (
     Vector,
     Welcome,
 )
-from mapperd.stream.nearest import Part
-from mapperd.stream.server import StreamServer
-from mapperd.stream.source_protocol import FIRST, Line
 from tests.mapperd.control.fakes import TOKEN, FakeDaemon
 
 if TYPE_CHECKING:

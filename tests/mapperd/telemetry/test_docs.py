@@ -3,12 +3,12 @@
 import re
 from pathlib import Path
 
-from mapperd.config_file import config_from_text
+from mapperd.config.loader import config_from_text
 from mapperd.events import Severity
 from mapperd.telemetry.broker import TIMEOUT_S
 from mapperd.telemetry.outbox import Kind, Outbox
 from mapperd.telemetry.pace import BackOff
-from mapperd.telemetry.reporter import Reporter
+from mapperd.telemetry.publisher import Reporter
 from mapperd.telemetry.requests import MOST_BYTES, MOST_ID, MOST_WAITING, REMEMBERED
 from mapperd.telemetry.topics import MOST_NAME, Topics
 from tests.mapperd.localization.believed import facts

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from mapperd.config import Amcl, Mqtt
+from mapperd.config.tree import Amcl, Mqtt
 from mapperd.telemetry.localization import SAMPLE
 from mapperd.telemetry.topics import Asked, Topics
 from tests.mapperd.localization.believed import STAMP_NS, facts

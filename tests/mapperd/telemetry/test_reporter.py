@@ -3,11 +3,11 @@ from typing import Any
 
 import pytest
 
-from mapperd.config_parameters import parameters, value_of
-from mapperd.config_store import Applied
+from mapperd.config.catalog import parameters, value_of
+from mapperd.config.live import Applied
 from mapperd.events import Severity
 from mapperd.telemetry.outbox import Kind, Outbox
-from mapperd.telemetry.reporter import Reporter
+from mapperd.telemetry.publisher import Reporter
 from mapperd.telemetry.topics import Topics
 from tests.mapperd.telemetry.conftest import POSE, ROBOT, T0_S, FakeDaemon, below, drained
 

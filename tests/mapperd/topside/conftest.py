@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.ctl.command import main
+from mapperd.cli.mapperctl.command import main
 
 Call = Callable[..., tuple[int, list[str], str]]
 
@@ -14,7 +14,7 @@ Call = Callable[..., tuple[int, list[str], str]]
 def _no_settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("MAPPERD_CONFIG", raising=False)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "xdg"))
-    monkeypatch.setattr("mapperd.config_layers.load_settings.__defaults__", (tmp_path / "etc",))
+    monkeypatch.setattr("mapperd.config.layers.load_settings.__defaults__", (tmp_path / "etc",))
 
 
 @pytest.fixture

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from mapperd.client.changes import ClientChange, LinkChanged, LinkStatus, MapChanged, MapReset
 from mapperd.client.errors import AskError
 from mapperd.client.mirror import MapMirror
-from mapperd.stream.blocks import CELLS, UNKNOWN, BlockSet
-from mapperd.stream.messages import (
+from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
+from mapperd.wire.messages import (
     Event,
     Fan,
     Image,
@@ -30,7 +30,7 @@ from mapperd.stream.messages import (
     Status,
     Welcome,
 )
-from mapperd.stream.way import path_message
+from mapperd.wire.way import path_message
 
 T0 = 1_790_000_000_000_000_000
 S = 1_000_000_000

@@ -15,9 +15,9 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 from rosbags.typesys import Stores, get_typestore
 
-from mapperd.cli import main as mapperd
-from mapperd.config import Config, Mounting
-from mapperd.mapping import SonarMap, mounting
+from mapperd.cli.mapperd import main as mapperd
+from mapperd.config.tree import Config, Mounting
+from mapperd.mapping.sonar_map import SonarMap, mounting
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.recording import OCULUS, open_recording
 from oculus_driver.stream import StreamParser

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mapperd.config_file import config_from_text
-from mapperd.frames import Pose, pose_from_rpy
-from mapperd.inlet import SONAR
-from mapperd.live import Live
-from mapperd.mapping import SonarMap
-from mapperd.pairing import FixedPose
-from mapperd.topside.bagging import _map_of_odometry
+from mapperd.cli.mapperctl.bag import _map_of_odometry
+from mapperd.config.loader import config_from_text
+from mapperd.daemon.session import Live
+from mapperd.geometry.frames import Pose, pose_from_rpy
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.ingest import SONAR
+from mapperd.pipeline.pose_lookup import FixedPose
 from tests.mapperd.conftest import SECOND, START_NS, make_ping
 from tests.mapperd.export.maps import FREE, OCCUPIED, map_of
 from tests.mapperd.topside.conftest import Call

@@ -9,12 +9,12 @@ import pytest
 import zstandard
 
 from mapperd.client.cells import Cells
-from mapperd.stream.messages import Image, Robots
-from mapperd.topside.clouds import map_cloud, map_rows
-from mapperd.topside.poses import Frames, transforms
-from mapperd.topside.scenes import PathDrawing, covariance_scene, fan_scene, robots_scene
-from mapperd.topside.sonar_images import FanShape
-from mapperd.topside.state_messages import StateMessages
+from mapperd.foxglove.clouds import map_cloud, map_rows
+from mapperd.foxglove.messages import StateMessages
+from mapperd.foxglove.poses import Frames, transforms
+from mapperd.foxglove.scene import PathDrawing, covariance_scene, fan_scene, robots_scene
+from mapperd.foxglove.sonar_images import FanShape
+from mapperd.wire.messages import Image, Robots
 from tests.mapperd.topside.foxglove_fakes import (
     FAN,
     LOCALIZATION,

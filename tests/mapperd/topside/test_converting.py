@@ -7,11 +7,11 @@ import laspy
 import numpy as np
 import pytest
 
-from mapperd.config import Config, Iwlo, Octree
-from mapperd.ctl.command import main
-from mapperd.export.by_suffix import FORMATS
-from mapperd.mapping import SonarMap
-from mapperd.position import Position
+from mapperd.cli.mapperctl.command import main
+from mapperd.config.tree import Config, Iwlo, Octree
+from mapperd.export.formats import FORMATS
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.store.position import Position
 from mapperd.store.tile_store import TileStore
 from tests.mapperd.export.maps import FREE, OCCUPIED, UNSURE, map_of
 from tests.mapperd.topside.conftest import Call

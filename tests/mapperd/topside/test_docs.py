@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.config import Config
-from mapperd.ctl.arguments import parser
-from mapperd.export.by_suffix import FORMATS
-from mapperd.topside.bag import GRID_TOPIC
-from mapperd.topside.exporting import MCAP
+from mapperd.cli.mapperctl.arguments import parser
+from mapperd.cli.mapperctl.export import MCAP
+from mapperd.config.tree import Config
+from mapperd.export.formats import FORMATS
+from mapperd.export.rosbag import GRID_TOPIC
 
 ROOT = Path(__file__).resolve().parents[3]
 EXPORT, ROS = ((ROOT / "docs" / name).read_text("utf-8") for name in ("export.md", "ros2.md"))

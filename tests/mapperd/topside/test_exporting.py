@@ -13,15 +13,15 @@ import pytest
 from msgspec.structs import replace
 from plyfile import PlyData
 
+from mapperd.cli.mapperctl.arguments import parser
+from mapperd.cli.mapperctl.command import main
+from mapperd.cli.mapperctl.export import _Progress
 from mapperd.client import Box, Interest, MapMirror
-from mapperd.config import Config
-from mapperd.ctl.arguments import parser
-from mapperd.ctl.command import main
-from mapperd.export.by_suffix import FORMATS
-from mapperd.mapping import SonarMap
-from mapperd.stream.blocks import CELLS, BlockSet, encode_blocks
-from mapperd.stream.messages import MAX_LEVEL, Blocks, Bye
-from mapperd.topside.exporting import _Progress
+from mapperd.config.tree import Config
+from mapperd.export.formats import FORMATS
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.wire.blocks import CELLS, BlockSet, encode_blocks
+from mapperd.wire.messages import MAX_LEVEL, Blocks, Bye
 from tests.mapperd.client.conftest import short
 from tests.mapperd.client.served import FACTS, Connection, Served, Server, a_block
 from tests.mapperd.topside.test_recording import read
@@ -72,7 +72,7 @@ def watched(short: Path) -> Iterator[Watched]:
 def export(
     watched: Watched, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> Call:
-    monkeypatch.setattr("mapperd.topside.exporting.LOG_PERIOD_S", 1e9)
+    monkeypatch.setattr("mapperd.cli.mapperctl.export.LOG_PERIOD_S", 1e9)
 
     def run(*words: str | Path) -> tuple[int, list[str], str]:
         code = main(["export", *map(str, words), "--socket", str(watched.path)])
@@ -257,7 +257,7 @@ def test_progress_is_a_line_now_and_then(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = [0.0]
-    monkeypatch.setattr("mapperd.topside.exporting.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("mapperd.cli.mapperctl.export.time.monotonic", lambda: now[0])
     progress = _Progress(sys.stderr)
     assert progress.told() == "nothing came"
     for now[0], came, left in ((4.0, 10, 90), (6.0, 50, 50), (7.0, 99, 1), (12.0, 99, 1)):

@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
-from mapperd.ctl.arguments import parser
-from mapperd.topside.channels import CHANNELS
+from mapperd.cli.mapperctl.arguments import parser
+from mapperd.foxglove.channels import CHANNELS
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "foxglove.md").read_text(encoding="utf-8")
 

@@ -15,10 +15,10 @@ from websockets.exceptions import InvalidStatus
 
 from mapperd.client.changes import LinkChanged, LinkStatus
 from mapperd.errors import LiveError
-from mapperd.stream.messages import Settings, Status
-from mapperd.topside import foxglove_server
-from mapperd.topside.channels import CHANNELS
-from mapperd.topside.foxglove_server import serve
+from mapperd.foxglove import server
+from mapperd.foxglove.channels import CHANNELS
+from mapperd.foxglove.server import serve
+from mapperd.wire.messages import Settings, Status
 from tests.mapperd.topside.foxglove_fakes import (
     POSE,
     T0,
@@ -219,7 +219,7 @@ def test_costly_kinds_are_wanted_only_while_somebody_watches() -> None:
             await until(lambda: "image" in client.wants and "returns" in client.wants)
             assert "localization" not in client.wants
         await until(lambda: "image" not in client.wants)
-        assert set(client.wants) == set(foxglove_server.FIRST_WANTS)
+        assert set(client.wants) == set(server.FIRST_WANTS)
 
     served(told)
 

@@ -8,10 +8,10 @@ import pytest
 
 from mapperd.client.changes import MapChanged
 from mapperd.client.mirror import MapMirror
-from mapperd.stream.messages import Interest
-from mapperd.topside import map_teller
-from mapperd.topside.channels import Said
-from mapperd.topside.map_teller import LIVE, RECORDING, MapTeller, Pace
+from mapperd.foxglove import map_publisher
+from mapperd.foxglove.channels import Said
+from mapperd.foxglove.map_publisher import LIVE, RECORDING, MapTeller, Pace
+from mapperd.wire.messages import Interest
 from tests.mapperd.topside.foxglove_fakes import FACTS, T0, block, points_of_cloud
 from tests.mapperd.topside.test_channel_messages import decoded
 
@@ -92,7 +92,7 @@ def test_a_new_map_and_a_new_listener_are_told_all() -> None:
 def test_a_large_map_is_read_in_slices_and_what_changes_meanwhile_is_told_after(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(map_teller, "SLICE", 2)
+    monkeypatch.setattr(map_publisher, "SLICE", 2)
     told = Told(Pace(bytes_per_s=24 * 2))
     for x in range(5):
         told.change({0: 8, 1: 8}, (x, 0, 0))
@@ -119,7 +119,7 @@ def test_a_large_map_is_read_in_slices_and_what_changes_meanwhile_is_told_after(
 def test_a_map_that_is_half_read_is_left_for_another_and_ended_at_the_end(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(map_teller, "SLICE", 1)
+    monkeypatch.setattr(map_publisher, "SLICE", 1)
     told = Told(LIVE)
     for x in range(3):
         told.change({0: 8}, (x, 0, 0))

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from mapperd.client import LinkStatus
-from mapperd.topside.view_colours import Scale, colours_of
-from mapperd.topside.view_map import POINT_RADIUS
+from mapperd.viewer.colours import Scale, colours_of
+from mapperd.viewer.map_layer import POINT_RADIUS
 from tests.mapperd.topside.view_browser import Serving, chromium, downloads
 from tests.mapperd.topside.view_fakes import FakeClient, mirror_of, pose_at, some_map
 from tests.mapperd.topside.view_pictures import camera_towards, picture_of, quaternion_of

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from mapperd.client import Interest, MapClient, connecting
-from mapperd.config import Config
-from mapperd.control.doors import open_unix_door
-from mapperd.mapping import SonarMap
-from mapperd.stream.feed import Feed
-from mapperd.stream.server import StreamServer
-from mapperd.stream.source import MapSource
-from mapperd.topside.view import VIEW_WANTS
+from mapperd.client import Interest, MapClient, connect
+from mapperd.config.tree import Config
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.server.listeners import open_unix_door
+from mapperd.server.map_source import MapSource
+from mapperd.server.state_feed import Feed
+from mapperd.server.stream_server import StreamServer
+from mapperd.viewer.app import VIEW_WANTS
 from tests.mapperd.control.conftest import short
 from tests.mapperd.control.fakes import FakeDaemon
 from tests.mapperd.topside.view_browser import Serving, chromium
@@ -78,7 +78,7 @@ def browser() -> Iterator["Browser"]:
 def test_the_page_follows_a_daemon_through_a_restart(
     browser: "Browser", short: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connecting, "LONGEST_WAIT_S", 0.2)
+    monkeypatch.setattr(connect, "LONGEST_WAIT_S", 0.2)
     path = short / "map.sock"
     daemon = Daemon(path)
     daemon.build(0.0)

@@ -17,11 +17,11 @@ from mcap.stream_reader import StreamReader
 
 from mapperd.client.changes import LinkChanged, LinkStatus, MapReset
 from mapperd.errors import ExportError
-from mapperd.stream.framing import StreamError
-from mapperd.topside import mcap_file, mcap_recorder
-from mapperd.topside.channels import CHANNELS
-from mapperd.topside.map_teller import Pace
-from mapperd.topside.recording import Recording
+from mapperd.foxglove import mcap_file, mcap_recorder
+from mapperd.foxglove.channels import CHANNELS
+from mapperd.foxglove.map_publisher import Pace
+from mapperd.foxglove.recording import Recording
+from mapperd.wire.framing import StreamError
 from tests.mapperd.topside.foxglove_fakes import (
     FACTS,
     PIXELS,

@@ -14,9 +14,9 @@ import pytest
 from mcap.reader import make_reader
 from websockets.asyncio.client import connect
 
-from mapperd.ctl.command import main
-from mapperd.stream.messages import Bye
-from mapperd.topside import foxglove_server
+from mapperd.cli.mapperctl.command import main
+from mapperd.foxglove import server as foxglove_server
+from mapperd.wire.messages import Bye
 from tests.mapperd.client.conftest import short
 from tests.mapperd.client.served import Served, Server, a_block
 from tests.mapperd.topside.foxglove_fakes import message_class, points_of_cloud, until
@@ -25,7 +25,7 @@ __all__ = ["short"]
 
 
 async def started(*arguments: str) -> asyncio.subprocess.Process:
-    code = "import sys; from mapperd.ctl.command import main; sys.exit(main())"
+    code = "import sys; from mapperd.cli.mapperctl.command import main; sys.exit(main())"
     return await asyncio.create_subprocess_exec(
         sys.executable,
         "-c",
@@ -151,7 +151,7 @@ def test_a_library_that_is_missing_is_named(
 ) -> None:
     for name in [name for name in sys.modules if name.partition(".")[0] == "foxglove"]:
         monkeypatch.delitem(sys.modules, name)
-    for name in [name for name in sys.modules if name.startswith("mapperd.topside.")]:
+    for name in [name for name in sys.modules if name.startswith("mapperd.foxglove.")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "foxglove", None)
     where = ["--socket", str(tmp_path / "none.sock")]

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from mapperd.cli.mapperctl.view_page import open_page
 from mapperd.client import LinkChanged, MapClient
-from mapperd.stream.messages import Fan, Localization, Path, Returns, Robots
-from mapperd.topside.view import View
-from mapperd.topside.view_actors import PATH_PIECE, Actors
-from mapperd.topside.view_page import open_page
-from mapperd.topside.view_shapes import strip
+from mapperd.viewer.actors import PATH_PIECE, Actors
+from mapperd.viewer.app import View
+from mapperd.viewer.shapes import strip
+from mapperd.wire.messages import Fan, Localization, Path, Returns, Robots
 from tests.mapperd.topside.view_fakes import FakeClient, pose_at, some_map
 
 if TYPE_CHECKING:

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.ctl.arguments import parser
-from mapperd.ctl.command import main
-from mapperd.ctl.errors import CtlError, Exit
-from mapperd.topside.view_command import run_view
-from mapperd.topside.view_page import open_page, same_origin
+from mapperd.cli.mapperctl.arguments import parser
+from mapperd.cli.mapperctl.command import main
+from mapperd.cli.mapperctl.errors import CtlError, Exit
+from mapperd.cli.mapperctl.view import run_view
+from mapperd.cli.mapperctl.view_page import open_page, same_origin
 
 
 def test_only_pages_of_our_own_may_connect() -> None:

@@ -3,8 +3,8 @@
 import pytest
 
 from mapperd.client import LinkStatus
-from mapperd.topside.view_colours import Scale, legend_of
-from mapperd.topside.view_health import Health, Rate, banner_html, health_html, legend_html
+from mapperd.viewer.colours import Scale, legend_of
+from mapperd.viewer.health import Health, Rate, banner_html, health_html, legend_html
 
 SECOND = 1_000_000_000
 

@@ -10,15 +10,15 @@ from typing import Any, ClassVar, cast
 import pytest
 from mcap.reader import make_reader
 
+from mapperd.cli.mapperctl import view
 from mapperd.errors import ExportError
-from mapperd.topside import view_command
-from mapperd.topside.recording import Recording
-from mapperd.topside.view_keep import Keep
+from mapperd.foxglove.recording import Recording
+from mapperd.viewer.save import Keep
 from tests.mapperd.topside import foxglove_fakes as fakes
 
 pytest.importorskip("viser", reason="the extra `topside` is not installed")
 
-from mapperd.topside.view_page import open_page
+from mapperd.cli.mapperctl.view_page import open_page
 
 
 class Notes:
@@ -92,7 +92,7 @@ def test_two_presses_make_a_recording(tmp_path: Path) -> None:
 def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [one for one in sys.modules if one.partition(".")[0] == "foxglove"]:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delitem(sys.modules, "mapperd.topside.mcap_recorder", raising=False)
+    monkeypatch.delitem(sys.modules, "mapperd.foxglove.mcap_recorder", raising=False)
     monkeypatch.setitem(sys.modules, "foxglove", None)
 
     async def press(keep: Keep, notes: Notes, _: Any) -> None:
@@ -135,9 +135,9 @@ class NoView:
 
 
 def test_the_command_s_page_can_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(view_command, "View", NoView)
+    monkeypatch.setattr(view, "View", NoView)
     said = argparse.Namespace(
         host="127.0.0.1", port=0, open=False, json=True, level=0, radius=0.0, allow_changes=False
     )
-    list(view_command.run_view(said, str(tmp_path / "none.sock"), None, None))
+    list(view.run_view(said, str(tmp_path / "none.sock"), None, None))
     assert NoView.made == [Recording]

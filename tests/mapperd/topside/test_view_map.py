@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.stream.blocks import CELLS, UNKNOWN, BlockSet
-from mapperd.topside.view_chunks import Chunks
-from mapperd.topside.view_colours import Scale
-from mapperd.topside.view_map import POINT_BYTES, Look, MapView
-from mapperd.topside.view_nodes import STAY
-from mapperd.topside.view_voxels import Filter, drawn_of, points_m
+from mapperd.viewer.chunks import Chunks
+from mapperd.viewer.colours import Scale
+from mapperd.viewer.map_layer import POINT_BYTES, Look, MapView
+from mapperd.viewer.view_nodes import STAY
+from mapperd.viewer.view_voxels import Filter, drawn_of, points_m
+from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
 from tests.mapperd.topside.view_fakes import blocks_of, mirror_of
 
 HEIGHTS = Scale("height", -1.0, 1.0)
@@ -221,7 +221,7 @@ def test_a_clip_opens_the_inside() -> None:
 
 
 def test_many_cells_are_points_and_few_are_cubes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mapperd.topside.view_map.MOST_CUBES", 100)
+    monkeypatch.setattr("mapperd.viewer.map_layer.MOST_CUBES", 100)
     scene = FakeScene()
     mirror = mirror_of(blocks_of([[x, 0, 0] for x in range(90)]))
     view = MapView(scene, Look(Filter(), HEIGHTS))  # type: ignore[arg-type]
@@ -240,7 +240,7 @@ def test_many_cells_are_points_and_few_are_cubes(monkeypatch: pytest.MonkeyPatch
 def test_of_many_cells_far_ones_are_drawn_in_larger_cubes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("mapperd.topside.view_map.MOST_FINE", 100)
+    monkeypatch.setattr("mapperd.viewer.map_layer.MOST_FINE", 100)
     scene = FakeScene()
     plate = np.array([[x, y, 4] for x in range(4) for y in range(4)])
     mirror = mirror_of(

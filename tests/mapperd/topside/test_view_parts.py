@@ -6,16 +6,16 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from mapperd.config import Config
-from mapperd.config_facts import facts_of
-from mapperd.stream.messages import Fan
-from mapperd.topside.view_chunks import Chunks
-from mapperd.topside.view_colours import Scale, colours_of, legend_of, shaded, values_of
-from mapperd.topside.view_measure import Measuring, distance_text, pick
-from mapperd.topside.view_panel import Span
-from mapperd.topside.view_settings import control_of, controls_of, value_from
-from mapperd.topside.view_shapes import cube, ellipse, fan_lines, strip, vehicle_parts
-from mapperd.topside.view_voxels import Filter, drawn_of
+from mapperd.config.config_facts import facts_of
+from mapperd.config.tree import Config
+from mapperd.viewer.chunks import Chunks
+from mapperd.viewer.colours import Scale, colours_of, legend_of, shaded, values_of
+from mapperd.viewer.panel import Span
+from mapperd.viewer.settings import control_of, controls_of, value_from
+from mapperd.viewer.shapes import cube, ellipse, fan_lines, strip, vehicle_parts
+from mapperd.viewer.view_measure import Measuring, distance_text, pick
+from mapperd.viewer.view_voxels import Filter, drawn_of
+from mapperd.wire.messages import Fan
 from tests.mapperd.topside.view_fakes import blocks_of, mirror_of
 
 SECOND = 1_000_000_000

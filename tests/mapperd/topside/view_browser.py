@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import pytest
 
-from mapperd.topside.view import View
-from mapperd.topside.view_page import open_page
+from mapperd.cli.mapperctl.view_page import open_page
+from mapperd.viewer.app import View
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

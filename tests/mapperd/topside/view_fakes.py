@@ -12,10 +12,10 @@ from plyfile import PlyData
 
 from mapperd.client import AskError, ClientChange, LinkChanged, LinkStatus, MapChanged, MapReset
 from mapperd.client.mirror import MapMirror
-from mapperd.config import Config
-from mapperd.config_facts import facts_of
-from mapperd.stream.blocks import CELLS, UNKNOWN, BlockSet
-from mapperd.stream.messages import Interest, MapFacts, Pose, Settings, Welcome
+from mapperd.config.config_facts import facts_of
+from mapperd.config.tree import Config
+from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
+from mapperd.wire.messages import Interest, MapFacts, Pose, Settings, Welcome
 
 ROOT = Path(__file__).resolve().parents[3]
 STEP = 0.25

@@ -5,10 +5,10 @@ import pytest
 from survey.memory import COPIES, edge_within, grid_bytes, ping_bytes, voxel_bytes_of
 from survey.spool import ROW, Rows
 
-from mapperd.config import Config, Mapping
-from mapperd.echo import Echo
-from mapperd.frames import pose_from_rpy
-from mapperd.mapping import BLOCK_VOXELS, SonarMap
+from mapperd.config.tree import Config, Mapping
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.imaging.ping_image import Echo
+from mapperd.mapping.sonar_map import BLOCK_VOXELS, SonarMap
 from tests.tools.survey.maps import CONFIG
 
 POSE = pose_from_rpy((1.3, -2.1, -4.0), (10, 30, 50)).map_T_base

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from survey.records import RecordReader, RecordWriter
 
-from mapperd.config import Config
-from mapperd.echo import Echo
+from mapperd.config.tree import Config
 from mapperd.errors import MapperdError
-from mapperd.frames import pose_from_rpy
-from mapperd.mapping import SonarMap
-from mapperd.motion import PingMotion
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.geometry.motion import PingMotion
+from mapperd.imaging.ping_image import Echo
+from mapperd.mapping.sonar_map import SonarMap
 
 POSE = pose_from_rpy((3.0, -2.0, -4.0), (5, 20, 70)).map_T_base
 MOTION = PingMotion(np.array([1.0, 0.2, 0.0]), np.array([0.0, 0.1, 0.3]), 0.01, 1480.0)

@@ -9,9 +9,9 @@ from survey.export import export_survey
 from survey.products import Options
 from survey.surface import RULES, Rule
 
-from mapperd.echo import Echo
-from mapperd.frames import pose_from_rpy
-from mapperd.mapping import SonarMap
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.imaging.ping_image import Echo
+from mapperd.mapping.sonar_map import SonarMap
 from tests.tools.survey.maps import CONFIG, store_of
 
 FLOORS_M = (-8.0, -8.03, -8.06)

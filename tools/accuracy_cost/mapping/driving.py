@@ -7,13 +7,13 @@ from pathlib import Path
 from accuracy_cost.mapping.dives import Made
 from accuracy_cost.mapping.settings import config_for
 from accuracy_cost.study import Setting
-from mapperd.counters import ReplayCounters
-from mapperd.engine import Engine, Settled
-from mapperd.integration import Integration
-from mapperd.keeping import InMemory
-from mapperd.mapping import SonarMap
-from mapperd.pairing import OdometryPoses
-from mapperd.stepping import Stepping
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.counters import ReplayCounters
+from mapperd.pipeline.decoder import Engine, Settled
+from mapperd.pipeline.executor import Integration
+from mapperd.pipeline.persistence import InMemory
+from mapperd.pipeline.pose_lookup import OdometryPoses
+from mapperd.pipeline.stepping import Stepping
 from oculus_driver.recording import open_recording
 
 __all__ = ["Driven", "drive"]

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accuracy_cost.streaming.truth import UNIT
-from mapperd.keeping import InMemory
-from mapperd.mapping import SonarMap
-from mapperd.stream.map_rounds import next_frames
-from mapperd.stream.messages import Interest, MapFacts
-from mapperd.stream.pacer import Pacer
-from mapperd.stream.source import MapSource
-from mapperd.stream.turns import Turns
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.persistence import InMemory
+from mapperd.server.map_source import MapSource
+from mapperd.server.map_worker import next_frames
+from mapperd.server.pacer import Pacer
+from mapperd.server.schedule import Turns
+from mapperd.wire.messages import Interest, MapFacts
 
 __all__ = ["PLAIN", "Made", "PlainTeller", "StreamTeller", "Teller"]
 

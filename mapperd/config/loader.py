@@ -1,0 +1,199 @@
+"""YAML to settings: total, bounded, and with one line that says what is wrong and what is not."""
+
+import difflib
+import re
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import yaml
+
+from mapperd.config.aliases import tree_renamed, tree_updated
+from mapperd.config.catalog import hint_at, rule_text, section_of
+from mapperd.config.tree import Config
+from mapperd.config.yaml_strict import YamlProblem, parse_yaml
+from mapperd.errors import ConfigError
+
+__all__ = [
+    "MAX_FILE_BYTES",
+    "check_value",
+    "config_from_text",
+    "config_of",
+    "load_config",
+    "read_tree",
+]
+
+MAX_FILE_BYTES = 256 * 1024
+"""A settings file is a few kilobytes; more is a mistake or an attack."""
+
+
+def load_config(path: Path) -> Config:
+    """Read settings from one YAML file.
+
+    Raises:
+        ConfigError: the file cannot be read, or something in it is wrong; one line that names
+            the file, the place, what is wrong and what is allowed.
+    """
+    return config_of(read_tree(path), str(path))
+
+
+def config_from_text(text: str, name: str = "config") -> Config:
+    """Read settings from YAML text; an empty document or section means the defaults.
+
+    Args:
+        text: the document.
+        name: what to call it in messages.
+
+    Raises:
+        ConfigError: as `load_config`.
+    """
+    return config_of(_tree_of(text, name), name)
+
+
+def read_tree(path: Path) -> dict[str, Any]:
+    """Read what a YAML file says, and nothing else: sections, and in them values.
+
+    Settings of earlier versions are in it as they stand: see `tree_updated`.
+
+    Raises:
+        ConfigError: as `load_config`, but for rules about several settings, as long as others may
+            be said elsewhere.
+    """
+    try:
+        if path.exists() and not path.is_file():  # a pipe would keep us waiting
+            kind = "a directory" if path.is_dir() else "no regular file"
+            raise ConfigError(f"{path}: cannot be read: is {kind}")
+        with path.open("rb") as file:
+            data = file.read(MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    if len(data) > MAX_FILE_BYTES:
+        raise ConfigError(f"{path}: larger than {MAX_FILE_BYTES // 1024} KiB, not a settings file")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not UTF-8 text (byte {error.start})") from error
+    return _tree_of(text, str(path))
+
+
+def check_value(value: object, path: str, name: str) -> None:
+    """Check one setting on its own.
+
+    Args:
+        value: plain.
+        path: `$.octree.voxel_resolution`.
+        name: who says so, for messages.
+
+    Raises:
+        ConfigError: it is not allowed.
+    """
+    try:
+        msgspec.convert(value, hint_at(path))
+    except msgspec.ValidationError as error:
+        raise _explained(str(error), value, path, name) from error
+
+
+def _tree_of(text: str, name: str) -> dict[str, Any]:
+    try:
+        tree = parse_yaml(text)
+    except YamlProblem as problem:
+        raise ConfigError(f"{name}: {problem}") from problem
+    if tree is None:
+        return {}
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{name}: $: a mapping of sections was expected")
+    for section in Config.__struct_fields__:
+        if section in tree and tree[section] is None:
+            tree[section] = {}
+    try:
+        tree = tree_renamed(tree)
+    except ConfigError as error:
+        raise ConfigError(f"{name}: {error}", error.path) from error
+    _check_section(tree_updated(tree)[0], Config, "$", name)
+    return tree
+
+
+def config_of(tree: dict[str, Any], name: str) -> Config:
+    """Settings from sections and values, all that is not said at its default.
+
+    Args:
+        tree: as of `read_tree`, or the settings in a recording or a store; those of earlier
+            versions are brought up to date.
+        name: where it comes from, for messages.
+
+    Raises:
+        ConfigError: as `load_config`; here also for rules about several settings.
+    """
+    tree, _ = tree_updated(tree)
+    try:
+        return msgspec.convert(tree, Config)
+    except msgspec.ValidationError as error:
+        raise _explained(str(error), tree, "$", name) from error
+
+
+def _check_section(tree: Any, section: type[Any], path: str, name: str) -> None:  # noqa: ANN401
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{name}: {path}: {_section_problem('Expected `object`', path)}", path)
+    for field, value in tree.items():
+        if not isinstance(field, str):
+            raise ConfigError(f"{name}: {path}: a key is not a name", path)
+        if field not in section.__struct_fields__:
+            raise _unknown_field(field, path, name)
+        here = f"{path}.{field}"
+        if rule_text(here) is None:
+            _check_section(value, hint_at(here), here, name)
+        else:
+            check_value(value, here, name)
+
+
+def _explained(message: str, value: object, at: str, name: str) -> ConfigError:
+    """Turn msgspec's sentence about a value into ours: place, what is wrong, what is allowed."""
+    match = re.fullmatch(r"(.*?)(?: - at (?:`key` in )?`\$([^`]*)`)?", message, re.DOTALL)
+    what, below = (match[1], match[2] or "") if match else (message, "")
+    path = at + below
+    if unknown := re.search(r"unknown field `(.*)`", what, re.DOTALL):
+        return _unknown_field(unknown[1], path, name)
+    allowed = rule_text(path)
+    if allowed is None:
+        return ConfigError(f"{name}: {path}: {_section_problem(what, path)}", path)
+    shown = _shown(_value_at(value, below))
+    return ConfigError(f"{name}: {path}: {shown} is not allowed; allowed: {allowed}", path)
+
+
+def _section_problem(what: str, path: str) -> str:
+    """A rule about several fields as it stands, or ours for a section of the wrong kind."""
+    if not what.startswith("Expected"):
+        return what
+    if what == "Expected `str`":
+        return "a key is not a name"
+    names = ", ".join(_fields_at(path))
+    return f"a section was expected; allowed: {names}"
+
+
+def _fields_at(path: str) -> tuple[str, ...]:
+    section = section_of(hint_at(path))
+    return () if section is None else section.__struct_fields__
+
+
+def _unknown_field(field: str, path: str, name: str) -> ConfigError:
+    known = _fields_at(path)
+    near = difflib.get_close_matches(field, known, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"allowed: {', '.join(known)}"
+    where = f"{path}.{field[:60]}"
+    return ConfigError(f"{name}: {where}: there is no such setting; {hint}", where)
+
+
+def _value_at(tree: Any, below: str) -> Any:  # noqa: ANN401 whatever stands in the file
+    for name, index in re.findall(r"\.([^.\[]+)|\[(\d+)\]", below):
+        if isinstance(tree, dict):
+            tree = tree.get(name)
+        elif isinstance(tree, list) and index:
+            tree = tree[int(index)]
+    return tree
+
+
+def _shown(value: object) -> str:
+    """The value as its writer would know it, in one short line."""
+    text = "nothing" if value is None else " ".join(yaml.safe_dump(value, width=10**6).split())
+    return textwrap.shorten(text.removesuffix("..."), 60, placeholder="...")

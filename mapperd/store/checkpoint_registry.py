@@ -1,0 +1,119 @@
+"""Which objects may stand in a checkpoint: classes of named modules, and what of them is no state.
+
+A checkpoint names a class by its module and name. Only classes that these modules define are found,
+they are made without calling anything of theirs, and get plain attributes: a file cannot make the
+program run what is in it.
+"""
+
+import sys
+from dataclasses import is_dataclass
+from enum import Enum
+from typing import Any
+
+from msgspec import Struct
+
+from mapperd.errors import CheckpointError
+
+__all__ = ["class_named", "is_frozen", "kept_of", "name_of"]
+
+MODULES = (
+    "mapperd.config.tree",
+    "mapperd.config.filters",
+    "mapperd.config.odometry",
+    "mapperd.config.config_outofcore",
+    "mapperd.config.daemon",
+    "mapperd.pipeline.counters",
+    "mapperd.pipeline.decoder",
+    "mapperd.imaging.robots",
+    "mapperd.imaging.sightings",
+    "mapperd.geometry.frames",
+    "mapperd.geometry.geodesy",
+    "mapperd.localization.burst_filter",
+    "mapperd.localization.cloud_state",
+    "mapperd.geometry.gaussian",
+    "mapperd.localization.fit_watch",
+    "mapperd.localization.lifecycle",
+    "mapperd.localization.localizer",
+    "mapperd.localization.map_filter",
+    "mapperd.localization.stage",
+    "mapperd.localization.odom_correction",
+    "mapperd.localization.scan",
+    "mapperd.localization.update_gate",
+    "mapperd.odometry.anchor",
+    "mapperd.odometry.bridge",
+    "mapperd.odometry.gate",
+    "mapperd.odometry.decoder",
+    "mapperd.odometry.fusion",
+    "mapperd.odometry.intake",
+    "mapperd.odometry.jump",
+    "mapperd.odometry.levelling",
+    "mapperd.odometry.lines",
+    "mapperd.odometry.lookup",
+    "mapperd.odometry.mavlink",
+    "mapperd.odometry.mavlink_frames",
+    "mapperd.odometry.mavlink_time",
+    "mapperd.odometry.native",
+    "mapperd.odometry.native_serial",
+    "mapperd.odometry.nmea",
+    "mapperd.odometry.precedence",
+    "mapperd.odometry.reckoning",
+    "mapperd.odometry.records",
+    "mapperd.odometry.series",
+    "mapperd.odometry.clock",
+    "mapperd.odometry.states",
+    "mapperd.odometry.track",
+    "mapperd.odometry.utc",
+    "mapperd.pipeline.pose_lookup",
+    "mapperd.pipeline.ping_stream",
+    "mapperd.reject",
+    "oculus_driver.clock",
+    "oculus_driver.envelope",
+    "oculus_driver.ping",
+    "oculus_driver.sequence",
+    "oculus_driver.stream",
+)
+
+KEPT = {
+    "mapperd.pipeline.decoder:Engine": frozenset({"counters", "_within"}),
+    "mapperd.odometry.mavlink_frames:MavlinkFrames": frozenset({"_codec"}),
+    "mapperd.odometry.nmea:NmeaReader": frozenset({"_readers"}),
+}
+"""Attributes that are as the fresh object has them: tables, libraries, counts for people."""
+
+
+def name_of(kind: type) -> str:
+    """What a checkpoint calls a class.
+
+    Raises:
+        TypeError: it is not meant to stand in one; our own mistake.
+    """
+    if kind.__module__ not in MODULES:
+        raise TypeError(f"{kind.__module__}.{kind.__qualname__} cannot stand in a checkpoint")
+    return f"{kind.__module__}:{kind.__qualname__}"
+
+
+def class_named(name: str) -> type[Any]:
+    """The class that a checkpoint names.
+
+    Raises:
+        CheckpointError: there is none.
+    """
+    module_name, _, qualname = name.partition(":")
+    module = sys.modules.get(module_name)  # the fresh objects have imported all that they need
+    if module is not None and module_name in MODULES:
+        kind = vars(module).get(qualname)
+        if isinstance(kind, type) and kind.__module__ == module_name:
+            return kind
+    raise CheckpointError(f"knows no {name[:100]!r}")
+
+
+def kept_of(name: str) -> frozenset[str]:
+    """Attributes of a class that are no state."""
+    return KEPT.get(name, frozenset())
+
+
+def is_frozen(kind: type) -> bool:
+    """Whether objects never change, so that nobody can tell two equal ones apart."""
+    if is_dataclass(kind):
+        return bool(kind.__dataclass_params__.frozen)  # type: ignore[attr-defined]
+    return issubclass(kind, (Enum, Struct))

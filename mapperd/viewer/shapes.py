@@ -1,0 +1,143 @@
+"""Shapes that are made in code: cubes, a vehicle, a sonar's fan, an ellipse."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mapperd.wire.messages import Fan
+
+__all__ = ["Part", "cube", "ellipse", "fan_lines", "strip", "vehicle_parts"]
+
+Floats = NDArray[np.float32]
+Faces = NDArray[np.uint32]
+
+ARC_STEPS = 32
+ELLIPSE_STEPS = 48
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """A part of a model.
+
+    Attributes:
+        name: of it.
+        vertices: (V, 3) metres, base frame.
+        faces: (F, 3), outside in front.
+        colour: red, green, blue.
+    """
+
+    name: str
+    vertices: Floats
+    faces: Faces
+    colour: tuple[int, int, int]
+
+
+def cube() -> tuple[Floats, Faces]:
+    """A cube of edge 1 around the origin; each side has vertices of its own, so it is flat."""
+    vertices: list[Floats] = []
+    faces: list[int] = []
+    for axis in range(3):
+        for sign in (-1, 1):
+            side = np.zeros((4, 3), np.float32)
+            side[:, axis] = sign * 0.5
+            side[:, (axis + 1) % 3] = (-0.5, 0.5, 0.5, -0.5)
+            side[:, (axis + 2) % 3] = (-0.5, -0.5, 0.5, 0.5)
+            first = 4 * len(vertices)
+            turn = (0, 1, 2, 0, 2, 3) if sign > 0 else (0, 2, 1, 0, 3, 2)
+            faces += [first + one for one in turn]
+            vertices.append(side)
+    return np.concatenate(vertices), np.array(faces, np.uint32).reshape(-1, 3)
+
+
+def vehicle_parts(length_m: float) -> tuple[Part, ...]:
+    """A vehicle that looks where it is going: hull, nose, fin, thrusters; nose along x."""
+    half = length_m / 2
+    wide, high = 0.36 * length_m, 0.22 * length_m
+    hull = _loft([(-half, 0.55), (-0.7 * half, 1.0), (0.45 * half, 1.0)], wide, high, tail=True)
+    nose = _loft([(0.45 * half, 1.0), (0.75 * half, 0.72), (half, 0.0)], wide, high)
+    fin = _box((-0.9 * half, -0.02 * length_m, 0.5 * high), (-0.35 * half, 0.02 * length_m, high))
+    sides = [
+        _box(
+            (-0.75 * half, sign * wide * 0.62 - 0.05 * length_m, -0.05 * length_m),
+            (-0.15 * half, sign * wide * 0.62 + 0.05 * length_m, 0.05 * length_m),
+        )
+        for sign in (-1, 1)
+    ]
+    return (
+        Part("hull", *hull, (250, 204, 21)),
+        Part("nose", *nose, (239, 68, 68)),
+        Part("fin", *fin, (239, 68, 68)),
+        Part("thruster_starboard", *sides[0], (55, 65, 81)),
+        Part("thruster_port", *sides[1], (55, 65, 81)),
+    )
+
+
+def fan_lines(fan: Fan) -> Floats:
+    """The outline of what a sonar sees: line segments (N, 2, 3), metres, sonar frame."""
+    low, high = sorted(fan.bearings_rad)
+    up = fan.vertical_aperture_rad / 2
+    bearings = np.linspace(low, high, ARC_STEPS)
+    lines: list[NDArray[np.floating]] = []
+    for elevation in (-up, up):
+        far = _at(fan.max_range_m, bearings, elevation)
+        near = _at(fan.min_range_m, bearings, elevation)
+        lines += [strip(far), strip(near), np.stack([near[[0, -1]], far[[0, -1]]], axis=1)]
+    for bearing in (low, high):
+        lines.append(strip(_at(fan.max_range_m, bearing, np.linspace(-up, up, 8))))
+        lines.append(strip(_at(fan.min_range_m, bearing, np.linspace(-up, up, 8))))
+    return np.concatenate(lines).astype(np.float32)
+
+
+def ellipse(covariance: ArrayLike, sigmas: float) -> Floats:
+    """The ellipse of a covariance (2, 2) around the origin: line segments (N, 2, 3) at z = 0."""
+    values, vectors = np.linalg.eigh(np.asarray(covariance, np.float64)[:2, :2])
+    angle = np.linspace(0, 2 * np.pi, ELLIPSE_STEPS + 1)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    plane = sigmas * (vectors * np.sqrt(np.maximum(values, 0))) @ circle
+    return strip(np.stack([plane[0], plane[1], np.zeros_like(angle)], axis=1))
+
+
+def strip(points: ArrayLike) -> Floats:
+    """Points (N, 3) as the segments between them, (N - 1, 2, 3)."""
+    line = np.asarray(points, np.float32)
+    return np.stack([line[:-1], line[1:]], axis=1)
+
+
+def _at(range_m: float, bearing: ArrayLike, elevation: ArrayLike) -> NDArray[np.float64]:
+    """Points of the sonar's frame; a bearing is positive to starboard, and y is to port."""
+    turn, tilt = np.broadcast_arrays(np.asarray(bearing, float), np.asarray(elevation, float))
+    return range_m * np.stack(
+        [np.cos(tilt) * np.cos(turn), -np.cos(tilt) * np.sin(turn), np.sin(tilt)], axis=-1
+    )
+
+
+def _loft(
+    rings: list[tuple[float, float]],
+    wide: float,
+    high: float,
+    *,
+    tail: bool = False,
+) -> tuple[Floats, Faces]:
+    """A body along x through eight-sided rings (x, size), closed at its tail or open."""
+    angle = np.arange(8) * np.pi / 4 + np.pi / 8
+    ring = np.stack([np.cos(angle) * wide / 2, np.sin(angle) * high / 2], axis=1) / np.cos(
+        np.pi / 8
+    )
+    vertices = np.concatenate(
+        [np.column_stack([np.full(8, x), ring * size]) for x, size in rings]
+    ).astype(np.float32)
+    faces = []
+    for one in range(len(rings) - 1):
+        for side in range(8):
+            a, b = 8 * one + side, 8 * one + (side + 1) % 8
+            faces += [(a, b, b + 8), (a, b + 8, a + 8)]
+    if tail:
+        faces += [(0, side + 1, side) for side in range(1, 7)]
+    return vertices, np.array(faces, np.uint32)
+
+
+def _box(low: tuple[float, float, float], high: tuple[float, float, float]) -> tuple[Floats, Faces]:
+    vertices, faces = cube()
+    size = np.subtract(high, low)
+    return (vertices * size + np.add(low, high) / 2).astype(np.float32), faces

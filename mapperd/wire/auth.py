@@ -1,0 +1,116 @@
+"""The token of the TCP socket: it is never sent, and guessing it is slow."""
+
+import hashlib
+import hmac
+import ipaddress
+from collections import OrderedDict
+from collections.abc import Mapping
+from pathlib import Path
+
+from mapperd.errors import ConfigError
+from mapperd.wire.limits import TokenBucket
+
+__all__ = ["CREDENTIAL", "FailureLimiter", "is_proof", "proof_of", "read_token", "token_file"]
+
+CREDENTIAL = "control-token"
+"""Name of systemd's credential."""
+
+LEAST_LETTERS, MOST_BYTES = 16, 1024
+PURPOSE = b"mapperd-control-1 "
+IPV6_SITE = 64
+"""Bits: who has one address there has all of these."""
+
+
+def token_file(said: str, environ: Mapping[str, str], credential: str = CREDENTIAL) -> Path | None:
+    """Where the token is: as the settings say, else among systemd's credentials, else nowhere."""
+    if said:
+        return Path(said)
+    credentials = environ.get("CREDENTIALS_DIRECTORY", "")
+    path = Path(credentials, credential)
+    return path if credentials and path.exists() else None
+
+
+def read_token(path: Path, place: str = "$.control.token_file") -> bytes:
+    """Read a token: one word of at least 16 printable letters.
+
+    Args:
+        path: of its file.
+        place: in the settings, for messages.
+
+    Raises:
+        ConfigError: it cannot be read, everybody may read it, or it is no such word.
+    """
+    try:
+        with path.open("rb") as file:
+            mode = path.stat().st_mode
+            token = file.read(MOST_BYTES + 1).strip()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}", place) from error
+    if mode & 0o007:
+        raise ConfigError(f"{path}: everybody may read it or write to it; chmod 600 it", place)
+    if not LEAST_LETTERS <= len(token) <= MOST_BYTES or not all(33 <= c < 127 for c in token):  # noqa: PLR2004 printable ASCII
+        raise ConfigError(
+            f"{path}: a token is one word of {LEAST_LETTERS} or more printable letters; "
+            "`openssl rand -hex 32` makes one",
+            place,
+        )
+    return token
+
+
+def proof_of(token: bytes, challenge: str) -> str:
+    """What only who knows the token can answer to a challenge, HMAC-SHA256 (RFC 2104) in hex."""
+    return hmac.new(token, PURPOSE + challenge.encode(), hashlib.sha256).hexdigest()
+
+
+def is_proof(proof: str, token: bytes, challenge: str) -> bool:
+    """Whether that is the answer; takes as long for any wrong one."""
+    right = proof_of(token, challenge)
+    return hmac.compare_digest(proof.encode(errors="replace"), right.encode())
+
+
+class FailureLimiter:
+    """Makes an address that failed too often wait, whatever it says next.
+
+    Args:
+        per_s: failures forgotten a second.
+        at_once: failures that are allowed after a rest.
+        addresses: that are remembered; the one that failed longest ago is forgotten first.
+    """
+
+    def __init__(self, per_s: float = 0.1, at_once: int = 5, addresses: int = 1024) -> None:
+        self._per_s = per_s
+        self._at_once = at_once
+        self._most = addresses
+        self._failed: OrderedDict[str, TokenBucket] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._failed)
+
+    def wait_s(self, address: str, now_s: float) -> float:
+        """How long an address has to wait before it is listened to again."""
+        bucket = self._failed.get(site_of(address))
+        return 0.0 if bucket is None else bucket.wait_s(now_s)
+
+    def failed(self, address: str, now_s: float) -> None:
+        """Note a failure."""
+        site = site_of(address)
+        bucket = self._failed.pop(site, None)
+        if bucket is None or bucket.is_full(now_s):
+            bucket = TokenBucket(self._per_s, self._at_once)
+        bucket.take(now_s)
+        self._failed[site] = bucket
+        if len(self._failed) > self._most:
+            self._failed.popitem(last=False)
+
+
+def site_of(address: str) -> str:
+    """The address, or of IPv6 the network that one customer has."""
+    try:
+        parsed = ipaddress.ip_address(address.partition("%")[0])
+    except ValueError:
+        return address
+    if isinstance(parsed, ipaddress.IPv4Address):
+        return str(parsed)
+    if parsed.ipv4_mapped is not None:
+        return str(parsed.ipv4_mapped)
+    return str(ipaddress.ip_network((parsed, IPV6_SITE), strict=False))
