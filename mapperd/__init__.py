@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     from mapperd.compat.probability_updater import ProbabilityUpdater
     from mapperd.compat.sonar_to_3d import SonarTo3DMapper
     from mapperd.geometry.gaussian import PlanarGaussian
-    from mapperd.localization.given_scan import scan_of_ranges
     from mapperd.localization.grid_map import GridMap
     from mapperd.localization.localizer import Localizer
     from mapperd.localization.map_filter import MapFilter
+    from mapperd.localization.scan import scan_of_ranges
 
 __all__ = [
     "GridMap",
@@ -33,7 +33,7 @@ _MODULES = {
     "Localizer": "mapperd.localization.localizer",
     "MapFilter": "mapperd.localization.map_filter",
     "PlanarGaussian": "mapperd.geometry.gaussian",
-    "scan_of_ranges": "mapperd.localization.given_scan",
+    "scan_of_ranges": "mapperd.localization.scan",
     "OctreeMapper": "mapperd.compat.octree_mapper",
     "ProbabilityUpdater": "mapperd.compat.probability_updater",
     "SonarTo3DMapper": "mapperd.compat.sonar_to_3d",

@@ -21,13 +21,11 @@ from sonar_sim.poses import quaternion_of, rotation_of
 from sonar_sim.truth import Truth
 
 from mapperd.config.tree import Config
-from mapperd.imaging.ping_image import Echo
-from mapperd.imaging.polar_image import echo_of_image
-from mapperd.localization.extraction import Surroundings, scan_of
-from mapperd.localization.floor_gate import floor_gate_m
+from mapperd.errors import Reject
+from mapperd.imaging.ping_image import Echo, echo_of_image
+from mapperd.localization.extraction import Surroundings, floor_gate_m, scan_of
 from mapperd.localization.levelling import level_T_base
 from mapperd.localization.scan import Scan
-from mapperd.reject import Reject
 
 Floats = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from PIL import Image
 from stream_study.world import World
 
-from mapperd.cli.mapperctl.view_page import open_page
+from mapperd.cli.mapperctl.view import open_page
 from mapperd.client import MapClient
 from mapperd.foxglove.recording import Recording
 from mapperd.viewer.app import VIEW_WANTS, View

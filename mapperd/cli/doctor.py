@@ -16,11 +16,10 @@ from mapperd.config.layers import load_settings
 from mapperd.config.link_address import parse_address
 from mapperd.config.tree import Config
 from mapperd.daemon.doctor import LinkEvidence, judge_link
-from mapperd.errors import ConfigError
+from mapperd.errors import ConfigError, Reject
 from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.formats import make_decoder
 from mapperd.odometry.links import Link
-from mapperd.reject import Reject
 from oculus_driver.checkup import Layer, judge
 from oculus_driver.examine import Examination, examine
 

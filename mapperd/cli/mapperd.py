@@ -18,8 +18,8 @@ from mapperd.cli.replay import map_recordings, unreadable
 from mapperd.config.layers import Layered, load_settings
 from mapperd.config.live import ConfigStore
 from mapperd.config.tree import Config
-from mapperd.daemon.folder import write_results
 from mapperd.daemon.journal import goes_to_journal
+from mapperd.daemon.map_folder import write_results
 from mapperd.daemon.run import LiveRun, map_live
 from mapperd.daemon.supervisor import only_told_to_stop
 from mapperd.daemon.systemd import Notifier

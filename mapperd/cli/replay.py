@@ -12,14 +12,21 @@ import numpy as np
 from mapperd.cli.arguments import Arguments
 from mapperd.cli.progress import ProgressBar
 from mapperd.config.tree import Config
-from mapperd.daemon.summary import localization_summary, recording_facts, summary_of
+from mapperd.daemon.map_folder import localization_summary, recording_facts, summary_of
 from mapperd.errors import ReplayError
 from mapperd.geometry.frames import Pose
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.counters import ReplayCounters
 from mapperd.session.recordings import RecordedSession, files_in, sessions_of
-from mapperd.session.replay import Window, contents, first_range_m
-from mapperd.session.replay_runs import Run, as_asked, as_recorded, not_empty
+from mapperd.session.replay import (
+    Run,
+    Window,
+    as_asked,
+    as_recorded,
+    contents,
+    first_range_m,
+    not_empty,
+)
 from mapperd.session.replay_to_store import map_into_store
 from oculus_driver.errors import RecordingError
 

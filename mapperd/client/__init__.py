@@ -3,7 +3,7 @@
 docs/map-stream.md has an example, and the protocol.
 """
 
-from mapperd.client.cells import Cells
+from mapperd.client.block_table import Cells
 from mapperd.client.changes import ClientChange, LinkChanged, LinkStatus, MapChanged, MapReset
 from mapperd.client.client import MapClient
 from mapperd.client.errors import AskError, EndedError

@@ -11,8 +11,8 @@ from mapperd.client.block_table import keys_of, names_of
 from mapperd.client.changes import ClientChange, LinkChanged, MapChanged, MapReset
 from mapperd.client.state import Knowledge
 from mapperd.client.validation import size_of
+from mapperd.wire.blocks import path_message
 from mapperd.wire.messages import Event, Path, Settings
-from mapperd.wire.way import path_message
 
 __all__ = ["Pending"]
 

@@ -13,7 +13,7 @@ from mapperd.client.change_queue import Pending
 from mapperd.client.changes import ClientChange, LinkStatus
 from mapperd.client.client import MapClient
 from mapperd.client.errors import AskError
-from mapperd.client.known import Known
+from mapperd.client.state import Known
 from mapperd.wire.messages import Interest, Want
 
 __all__ = ["MapFollower"]

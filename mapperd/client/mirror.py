@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapperd.client.block_table import BlockTable, names_of
-from mapperd.client.cells import Cells
-from mapperd.mapping.point_arrays import points_of
-from mapperd.mapping.probability import probabilities_of
+from mapperd.client.block_table import BlockTable, Cells, names_of
+from mapperd.mapping.probability import points_of, probabilities_of
 from mapperd.wire.blocks import CELLS, MAX_KEY, UNKNOWN, BlockSet
 from mapperd.wire.messages import BLOCK_EDGE, Interest, MapFacts
 

@@ -1,6 +1,7 @@
-"""What a client knows: it takes news, and has the newest of everything."""
+"""The state that a client holds: the newest of everything."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -9,7 +10,6 @@ from numpy.typing import NDArray
 from mapperd.client.changes import ClientChange, MapChanged, MapReset
 from mapperd.client.errors import EndedError
 from mapperd.client.mirror import MapMirror
-from mapperd.client.orders import MOST_FORGOTTEN, Orders
 from mapperd.client.validation import check_blocks, check_facts, check_message, places_of, size_of
 from mapperd.wire.blocks import decode_blocks
 from mapperd.wire.framing import StreamError
@@ -35,7 +35,43 @@ from mapperd.wire.messages import (
     Welcome,
 )
 
-__all__ = ["MOST_BLOCKS", "Knowledge"]
+__all__ = ["MOST_BLOCKS", "MOST_FORGOTTEN", "Knowledge", "Known", "Orders"]
+
+MOST_FORGOTTEN = 1 << 16
+"""Blocks that are not there any more, and whose orders are remembered."""
+
+
+@dataclass(slots=True)
+class Orders:
+    """How far the lines of one connection have come.
+
+    Attributes:
+        first: the highest order on the first line, on which none goes down.
+        second: the highest order on all its second lines.
+        floor: what a second line brings of this or a lower order is of before the last reset.
+        is_beside: there is a second line, which may bring something older than what is here.
+    """
+
+    first: int = 0
+    second: int = 0
+    floor: int = -1
+    is_beside: bool = False
+
+    @property
+    def newest(self) -> int:
+        """The highest order of any message."""
+        return max(self.first, self.second)
+
+    def reset(self, order: int) -> None:
+        """The first line says that all blocks up to an order are forgotten.
+
+        Raises:
+            StreamError: of what comes after it something was told before it, and would be lost.
+        """
+        if order < self.second:
+            raise StreamError("a reset that its own blocks overtook", "bad_order")
+        self.floor = order
+
 
 MOST_BLOCKS = 1 << 20
 """That a mirror holds: half a GiB, with counts a whole one."""
@@ -317,3 +353,64 @@ def _grid(facts: MapFacts) -> tuple[str, float, float]:
 def _frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:
     array.flags.writeable = False
     return array
+
+
+class Known:
+    """The newest of everything; it stays while the connection is away. Any thread may read it."""
+
+    _knowledge: Knowledge
+
+    @property
+    def welcome(self) -> Welcome | None:
+        """Of the last connection."""
+        return self._knowledge.welcome
+
+    @property
+    def mirror(self) -> MapMirror | None:
+        """The map, one and the same object for good; None before the first connection."""
+        return self._knowledge.mirror
+
+    @property
+    def path(self) -> NDArray[np.float64]:
+        """(N, 3), metres, map frame; read only."""
+        return self._knowledge.path
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Name to facts, as the answer to `params` of docs/control.md."""
+        return self._knowledge.settings
+
+    @property
+    def pose(self) -> Pose | None:
+        """Where the vehicle is."""
+        return self._knowledge.newest_of(Pose)
+
+    @property
+    def fan(self) -> Fan | None:
+        """What the sonar looks at."""
+        return self._knowledge.newest_of(Fan)
+
+    @property
+    def returns(self) -> Returns | None:
+        """What the last ping met."""
+        return self._knowledge.newest_of(Returns)
+
+    @property
+    def image(self) -> Image | None:
+        """Of the last ping."""
+        return self._knowledge.newest_of(Image)
+
+    @property
+    def robots(self) -> Robots | None:
+        """Others that were seen."""
+        return self._knowledge.newest_of(Robots)
+
+    @property
+    def localization(self) -> Localization | None:
+        """How it goes."""
+        return self._knowledge.newest_of(Localization)
+
+    @property
+    def status(self) -> Status | None:
+        """Of the daemon and of this link; once a second."""
+        return self._knowledge.newest_of(Status)

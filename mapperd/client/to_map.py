@@ -5,7 +5,7 @@ import math
 import msgspec
 import numpy as np
 
-from mapperd.client.cells import Cells
+from mapperd.client.block_table import Cells
 from mapperd.config.tree import Config
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.wire.messages import MapFacts

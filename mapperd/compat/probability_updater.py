@@ -12,10 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from mapperd import _core
 from mapperd.config.tree import Adaptive
-from mapperd.mapping.memory_stats import MemoryStats, memory_stats
-from mapperd.mapping.point_arrays import flags_of, numbers_of, points_of
-from mapperd.mapping.probability import log_odds_of
-from mapperd.mapping.queries import EVEN, MapQueries, voxels_above
+from mapperd.mapping.probability import flags_of, log_odds_of, numbers_of, points_of
+from mapperd.mapping.queries import EVEN, MapQueries, MemoryStats, memory_stats, voxels_above
 
 __all__ = ["ProbabilityUpdater"]
 

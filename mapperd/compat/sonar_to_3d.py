@@ -1,4 +1,4 @@
-"""`SonarTo3DMapper`: images of a sonar and poses of a robot become a 3D map, in a few lines.
+"""`SonarTo3DMapper`: images of a sonar and poses of a robot become a 3D map.
 
 The names are the published mapper's. The map beneath is that of
 `mapperd.mapping.sonar_map.SonarMap`, kept in memory.
@@ -15,18 +15,45 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapperd.compat.flat_config import config_from_flat
-from mapperd.compat.robot_pose import robot_pose
 from mapperd.config.tree import Config
 from mapperd.errors import MapError
 from mapperd.export.clouds import write_ply
+from mapperd.geometry.frames import rigid_transform
 from mapperd.imaging.filter_chain import check_filters, filter_echo
-from mapperd.imaging.polar_image import echo_of_image
+from mapperd.imaging.ping_image import echo_of_image
 from mapperd.io import atomic_file
-from mapperd.mapping.memory_stats import memory_stats
-from mapperd.mapping.queries import MapQueries
+from mapperd.mapping.queries import MapQueries, memory_stats
 from mapperd.mapping.sonar_map import SonarMap
 
-__all__ = ["FrameStats", "PointCloud", "SonarTo3DMapper"]
+__all__ = ["FrameStats", "PointCloud", "SonarTo3DMapper", "robot_pose"]
+
+LENGTH_TOLERANCE = 1e-3
+"""Quaternions come with rounding errors; one further from unit length is a mistake."""
+
+
+def robot_pose(position: ArrayLike, orientation: ArrayLike) -> NDArray[np.float64]:
+    """Transform (4, 4) of a robot; the quaternion is brought to length 1.
+
+    Args:
+        position: (3,) metres.
+        orientation: (4,) [qx, qy, qz, qw], of unit length within a thousandth.
+
+    Raises:
+        MapError: these are no position and no unit quaternion.
+    """
+    try:
+        place = np.asarray(position, dtype=np.float64)
+        turn = np.asarray(orientation, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise MapError(f"a pose is made of numbers: {error}", "bad_pose") from error
+    if place.shape != (3,) or turn.shape != (4,):
+        raise MapError("a pose is a position of 3 and a quaternion of 4 numbers", "bad_pose")
+    length = float(np.linalg.norm(turn))
+    if not (np.isfinite(place).all() and abs(length - 1) <= LENGTH_TOLERANCE):
+        raise MapError("a pose is a finite position and a unit quaternion", "bad_pose")
+    x, y, z, w = turn / length
+    return rigid_transform(place, (w, x, y, z))
+
 
 Floats = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""Other names of settings, and what earlier versions of this program had.
+"""Other names of settings, former settings, and `amcl.restore_defaults`.
 
 A setting has one name. What a file or a caller says under another one (of other releases of the
 published AMCL node, and of Nav2's) is renamed before it is checked. Settings that were removed are
@@ -9,9 +9,21 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
+import msgspec
+
+from mapperd.config.catalog import parameters
+from mapperd.config.tree import Amcl
 from mapperd.errors import ConfigError
 
-__all__ = ["ALIASES", "VALUE_ALIASES", "change_renamed", "tree_renamed", "tree_updated"]
+__all__ = [
+    "ALIASES",
+    "RESTORE",
+    "VALUE_ALIASES",
+    "change_renamed",
+    "restored_changes",
+    "tree_renamed",
+    "tree_updated",
+]
 
 ALIASES = MappingProxyType(
     {
@@ -129,3 +141,32 @@ def tree_updated(tree: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ..
 def _value(name: str, value: object) -> object:
     names = VALUE_ALIASES.get(name)
     return names.get(value, value) if names and isinstance(value, str) else value
+
+
+RESTORE = "amcl.restore_defaults"
+
+
+def restored_changes(changes: Mapping[str, Any], start: Amcl) -> dict[str, Any]:
+    """The changes that a request means.
+
+    Args:
+        changes: plain values by name.
+        start: the section at the program's start.
+
+    Returns:
+        The changes as they are; with `amcl.restore_defaults` true, all settings of `amcl` that may
+        change while running at their values of the start, the request itself taken back.
+
+    Raises:
+        ConfigError: it is asked for together with another change of `amcl`.
+    """
+    if changes.get(RESTORE) is not True:
+        return dict(changes)
+    others = [name for name in changes if name.startswith("amcl.") and name != RESTORE]
+    if others:
+        raise ConfigError(
+            f"$.{RESTORE}: undoes {', '.join(others)}; allowed: alone", f"$.{RESTORE}"
+        )
+    values = {f"amcl.{field}": value for field, value in msgspec.to_builtins(start).items()}
+    live = {name: value for name, value in values.items() if parameters()[name].dynamic}
+    return dict(changes) | live | {RESTORE: False}

@@ -1,4 +1,11 @@
-"""Settings of the daemon itself: where it keeps things, and who may talk to it."""
+"""Settings of the daemon: its service, the map on disk, exports, names of frames.
+
+Sections of the published mapper that tell a ROS node what to call things and what to show.
+
+Here they name frames in telemetry and draw debug pictures. What only a ROS node could do keeps its
+name and its default, so that files written for it load; any other value is refused with what to
+say instead.
+"""
 
 from typing import Annotated
 
@@ -6,7 +13,19 @@ from msgspec import Struct
 
 from mapperd.config.field import rule
 
-__all__ = ["Behind", "Control", "Mqtt", "Recording", "Service", "Stream"]
+__all__ = [
+    "Behind",
+    "Control",
+    "Export",
+    "Frames",
+    "Mqtt",
+    "OutOfCore",
+    "Recording",
+    "Service",
+    "Stream",
+    "Topics",
+    "Visualization",
+]
 
 NAME_PATTERN = "[A-Za-z0-9][A-Za-z0-9_-]{0,63}"
 
@@ -182,3 +201,120 @@ class Mqtt(Struct, frozen=True, forbid_unknown_fields=True):
     commands: Annotated[
         bool, rule("Obey `cmd/...` and `config/.../set`; without it the broker only listens.")
     ] = False
+
+
+class OutOfCore(Struct, frozen=True, forbid_unknown_fields=True):
+    """Tiles in a file, of which only some are in memory."""
+
+    use: Annotated[bool, rule("Keep the map on disk.")] = False
+    map_path: Annotated[
+        str,
+        rule("Of the map's file; without one it lies in the state directory.", "a path or nothing"),
+    ] = ""
+    tile_size: Annotated[
+        float, rule("Edge of a tile; at least eight voxels.", "m", ge=0.01, le=10000)
+    ] = 10.0
+    cache_size: Annotated[int, rule("Tiles in memory at most.", "tiles", ge=1, le=1000000)] = 16
+
+
+class Export(Struct, frozen=True, forbid_unknown_fields=True):
+    """Which heights the flat formats look at: `.asc`, `.tif` and `.pgm`."""
+
+    min_z: Annotated[
+        float, rule("Voxels whose centres lie lower are left out.", "m", live=True, ge=-1e5, le=1e5)
+    ] = -1e5
+    max_z: Annotated[
+        float,
+        rule("Voxels whose centres lie higher are left out.", "m", live=True, ge=-1e5, le=1e5),
+    ] = 1e5
+
+    def __post_init__(self) -> None:
+        """Check what no single field can."""
+        if self.min_z >= self.max_z:
+            raise ValueError(f"min_z {self.min_z:g} is not below max_z {self.max_z:g}")
+
+
+FRAME_PATTERN = "[A-Za-z0-9][A-Za-z0-9_/-]{0,63}"
+
+NO_NODE = "this is no ROS node; the map's files and mapperctl show it"
+
+INSTEAD = {
+    "sonar": ("/sensor/sonar/oculus/m750d/image", "set device.address: the sonar itself"),
+    "odometry": ("/fast_lio/odometry", "set odometry.sources"),
+    "pointcloud": ("/sonar_3d_map", NO_NODE),
+    "marker": ("/sonar_3d_map_markers", NO_NODE),
+}
+"""Topic to its default, and what to do instead of saying another."""
+
+CLOUD_RATE_HZ = 10.0
+
+
+class Frames(Struct, frozen=True, forbid_unknown_fields=True):
+    """What telemetry, and bags of ROS 2, call the frames of reference."""
+
+    sonar: Annotated[str, rule("Frame of the sonar.", "a name", pattern=f"^{FRAME_PATTERN}$")] = (
+        "sonar_link"
+    )
+    base: Annotated[str, rule("Frame of the vehicle.", "a name", pattern=f"^{FRAME_PATTERN}$")] = (
+        "base_link"
+    )
+    map: Annotated[str, rule("Frame of the map.", "a name", pattern=f"^{FRAME_PATTERN}$")] = "map"
+    publish_tf: Annotated[
+        bool, rule("Publish where the sonar sits on the vehicle, and again when that changes.")
+    ] = True
+
+
+class Topics(Struct, frozen=True, forbid_unknown_fields=True):
+    """Topics of ROS, which bags have: their defaults load, and nothing listens there."""
+
+    sonar: Annotated[
+        str, rule("Images of the sonar; instead: `device.address`.", "the default")
+    ] = INSTEAD["sonar"][0]
+    odometry: Annotated[str, rule("Odometry; instead: `odometry.sources`.", "the default")] = (
+        INSTEAD["odometry"][0]
+    )
+    pointcloud: Annotated[str, rule("The map as a cloud of points.", "the default")] = INSTEAD[
+        "pointcloud"
+    ][0]
+    marker: Annotated[str, rule("The map as markers.", "the default")] = INSTEAD["marker"][0]
+
+    def __post_init__(self) -> None:
+        """Refuse what would be waited for in vain."""
+        for name, (default, instead) in INSTEAD.items():
+            if getattr(self, name) != default:
+                raise ValueError(f"{name} can only be {default}: {instead}")
+
+
+class Visualization(Struct, frozen=True, forbid_unknown_fields=True):
+    """What is shown while mapping."""
+
+    show_opencv_visualization: Annotated[
+        bool,
+        rule(
+            "Draw what the filters make of the pings, once a second, into `debug` in the state "
+            "folder; a daemon has no windows.",
+            live=True,
+        ),
+    ] = False
+    pointcloud_publish_rate: Annotated[
+        float,
+        rule(
+            "Of clouds of points, which nothing publishes: only the default.",
+            "Hz",
+            live=True,
+            gt=0,
+            le=1000,
+        ),
+    ] = CLOUD_RATE_HZ
+    tile_save_interval: Annotated[
+        float,
+        rule("Between saves of the map on disk.", "s", live=True, gt=0, le=3600),
+    ] = 5.0
+
+    def __post_init__(self) -> None:
+        """Refuse what would do nothing."""
+        if self.pointcloud_publish_rate != CLOUD_RATE_HZ:
+            raise ValueError(
+                f"pointcloud_publish_rate can only be {CLOUD_RATE_HZ:g}: no cloud is published; "
+                "mqtt.pose_rate is the telemetry's"
+            )

@@ -10,10 +10,9 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from mapperd.config.aliases import change_renamed
+from mapperd.config.aliases import change_renamed, restored_changes
 from mapperd.config.catalog import parameters, value_of
 from mapperd.config.changes import with_values
-from mapperd.config.config_restore import restored_changes
 from mapperd.config.layers import DEFAULT, Layered
 from mapperd.config.loader import check_value
 from mapperd.config.tree import Config

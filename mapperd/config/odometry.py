@@ -1,16 +1,17 @@
-"""Settings of the odometry: who says what, how far it is believed, the pose at a ping's time."""
+"""Settings of the odometry: its sources, its formats, the pose at a ping's time."""
 
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
 from mapperd.config.field import rule
-from mapperd.config.format_settings import FormatSettings
 from mapperd.config.link_address import parse_address
 
 __all__ = [
     "NOBODY",
     "DeadReckoning",
+    "FormatName",
+    "FormatSettings",
     "GeoOrigin",
     "Limits",
     "OdometryFusion",
@@ -19,6 +20,36 @@ __all__ = [
     "TimeSync",
     "WorldInit",
 ]
+
+FormatName = Literal[
+    "native",
+    "native_json",
+    "native_serial",
+    "mavlink",
+    "water_linked_json",
+    "water_linked_serial",
+    "nmea",
+]
+
+
+class FormatSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """One source's format."""
+
+    format: Annotated[FormatName, rule("What the bytes are, see docs/odometry.md.")] = "native"
+    mavlink_system_id: Annotated[
+        int, rule("Only this MAVLink system is heard; 0 hears all.", ge=0, le=255)
+    ] = 1
+    mavlink_component_id: Annotated[
+        int, rule("Only this component of it is heard; 0 hears all.", ge=0, le=255)
+    ] = 1
+    water_density: Annotated[
+        float,
+        rule("Turns pressure into depth: sea 1025, fresh water 998.", "kg/m3", ge=900, le=1300),
+    ] = 1025.0
+    surface_pressure: Annotated[
+        float, rule("Air pressure at the surface.", "hPa", ge=500, le=1100)
+    ] = 1013.25
+
 
 NAME_PATTERN = "[A-Za-z0-9_.-]{1,32}"
 

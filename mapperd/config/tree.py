@@ -12,10 +12,19 @@ from typing import Annotated, Literal
 from msgspec import Struct
 
 from mapperd.config.amcl import Amcl
-from mapperd.config.config_export import Export
-from mapperd.config.config_outofcore import OutOfCore
-from mapperd.config.config_published import Frames, Topics, Visualization
-from mapperd.config.daemon import Behind, Control, Mqtt, Recording, Service, Stream
+from mapperd.config.daemon import (
+    Behind,
+    Control,
+    Export,
+    Frames,
+    Mqtt,
+    OutOfCore,
+    Recording,
+    Service,
+    Stream,
+    Topics,
+    Visualization,
+)
 from mapperd.config.field import rule
 from mapperd.config.filters import Crosstalk, RobotDetection, TerrainDetection
 from mapperd.config.localization import Localization, ScanExtraction

@@ -8,28 +8,25 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from mapperd.api import OperationError
+from mapperd.api import OperationError, PoseRequest
 from mapperd.config.changes import changes_between
 from mapperd.config.layers import Layered
 from mapperd.config.live import Applied, ConfigStore, Refused
 from mapperd.config.tree import Config
-from mapperd.daemon.daemon_events import Watch
 from mapperd.daemon.localization_service import LocalizationRequests
 from mapperd.daemon.map_folder import MapFolder
 from mapperd.daemon.session import Live
-from mapperd.daemon.status import status_of
-from mapperd.errors import ConfigError, MapError, StoreError
+from mapperd.daemon.status import Watch, status_of
+from mapperd.errors import ConfigError, MapError, Reject, StoreError
 from mapperd.events import EventLog, Severity
 from mapperd.geometry.geodesy import Origin
 from mapperd.imaging.filter_chain import check_filters
-from mapperd.localization.checking import check_localization
+from mapperd.localization.models import check_localization
 from mapperd.localization.report import localization_report
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.pose_lookup import origin_of
-from mapperd.pipeline.stepping import Stepping
+from mapperd.pipeline.step import Stepping
 from mapperd.pipeline.watchdog import Worker
-from mapperd.pose_request import PoseRequest
-from mapperd.reject import Reject
 from mapperd.session_log import Request, Reset
 
 __all__ = ["Daemon"]

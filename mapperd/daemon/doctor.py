@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from mapperd.config.link_address import LinkAddress
 from mapperd.odometry.decoder import DecoderCounters
-from mapperd.odometry.state import LinkPhase, LinkStatus
+from mapperd.odometry.links import LinkPhase, LinkStatus
 from oculus_driver.checkup import Layer, Verdict
 
 __all__ = ["LAYERS", "LinkEvidence", "judge_link"]

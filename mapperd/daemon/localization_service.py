@@ -1,19 +1,27 @@
-"""What localization can be asked: checked here, then ordered among the bytes that come in."""
+"""Requests to localization: checked, recorded, answered; the last pose is saved."""
 
 import asyncio
+import contextlib
 import re
+import time
 from collections.abc import Awaitable, Callable
+from itertools import count
 from pathlib import Path
 from typing import Any
 
-from mapperd.api import OperationError
+from msgspec.structs import replace
+
+from mapperd.api import OperationError, PoseRequest
 from mapperd.config.live import ConfigStore
-from mapperd.errors import MapError
+from mapperd.config.tree import Amcl
+from mapperd.errors import ExportError, MapError, Reject
 from mapperd.events import EventLog, Severity
 from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.map_io import image_of
-from mapperd.pose_request import PoseRequest
-from mapperd.reject import Reject
+from mapperd.localization.saved_pose import SavePace, save_pose
+from mapperd.localization.session import KnownMaps
+from mapperd.localization.status import LocalizationFacts
+from mapperd.pipeline.ingest import Inlet
 from mapperd.session_log import (
     Covariance9,
     GlobalLocalization,
@@ -24,7 +32,14 @@ from mapperd.session_log import (
     SetMap,
 )
 
-__all__ = ["MAP_SUFFIXES", "LocalizationRequests", "known_map_path"]
+__all__ = [
+    "CLOSED",
+    "MAP_SUFFIXES",
+    "LocalizationRequests",
+    "PoseKeeper",
+    "Requests",
+    "known_map_path",
+]
 
 MAP_SUFFIXES = (".yaml", ".yml", ".map", ".bt", ".ot")
 """Grids of Nav2's map server; maps of ours; OctoMap's."""
@@ -177,3 +192,129 @@ def _image_beside(path: Path) -> str:
 def _flat(pose: PlanarGaussian) -> tuple[float, float, float, Covariance9]:
     xx, xy, xa, yx, yy, ya, ax, ay, aa = pose.covariance.ravel().tolist()
     return pose.x_m, pose.y_m, pose.yaw_rad, (xx, xy, xa, yx, yy, ya, ax, ay, aa)
+
+
+CLOSED = Reject("closed", "mapping has ended")
+
+
+class Requests:
+    """Of one session; of one event loop, but for `done`.
+
+    Args:
+        inlet: takes them as orders, which are recorded.
+        maps: loads the maps that they name; None where localization is off.
+    """
+
+    def __init__(self, inlet: Inlet, maps: KnownMaps | None) -> None:
+        self._inlet = inlet
+        self._maps = maps
+        self._numbers = count(1)
+        self._waiting: dict[int, asyncio.Future[Reject | None]] = {}
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    def open(self) -> None:
+        """Begin; from the event loop."""
+        self._loop = asyncio.get_running_loop()
+
+    def close(self) -> None:
+        """Nothing more is answered: whoever waits is told."""
+        self._loop = None
+        for answer in self._waiting.values():
+            if not answer.done():
+                answer.set_result(CLOSED)
+
+    async def ask(self, request: Request) -> Reject | None:
+        """As `Live.ask`."""
+        if self._loop is None:
+            return CLOSED
+        request = replace(request, number=next(self._numbers))
+        if isinstance(request, NewMap | SetMap) and self._maps is not None:
+            known = await asyncio.to_thread(self._maps.load, request.path)
+            request = replace(request, path=known.path, sha256=known.sha256)
+            if self._loop is None:  # it has ended meanwhile
+                return CLOSED
+            self._maps.offer(known)
+        answer: asyncio.Future[Reject | None] = asyncio.get_running_loop().create_future()
+        self._waiting[request.number] = answer
+        try:
+            self._inlet.order(request)
+            return await answer
+        finally:
+            self._waiting.pop(request.number)
+
+    def done(self, request: Request, refused: Reject | None) -> None:
+        """A request was carried out, or refused; any thread."""
+        loop = self._loop
+        if loop is not None:
+            with contextlib.suppress(RuntimeError):  # nobody is left to be told
+                loop.call_soon_threadsafe(self._answer, request.number, refused)
+
+    def _answer(self, number: int, refused: Reject | None) -> None:
+        answer = self._waiting.get(number)
+        if answer is not None and not answer.done():
+            answer.set_result(refused)
+
+
+LOOK_S = 0.2
+"""So often facts are told."""
+
+
+class PoseKeeper:
+    """Writes the newest estimate at `amcl.save_pose_rate`, and once at the end.
+
+    An ambiguous one is not written: whoever began there again would hold it for sure.
+
+    Args:
+        path: of the file.
+        facts: the newest.
+        amcl: the settings in force.
+        clock: Unix time, nanoseconds.
+        events: is told when saving begins to fail.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        facts: Callable[[], LocalizationFacts | None],
+        amcl: Callable[[], Amcl],
+        clock: Callable[[], int],
+        events: EventLog | None = None,
+    ) -> None:
+        self._path = path
+        self._facts = facts
+        self._amcl = amcl
+        self._clock = clock
+        self._events = events
+        self._written: int | None = None
+        self._stuck = False
+
+    async def run(self) -> None:
+        """Save until cancelled."""
+        pace = SavePace(self._amcl().save_pose_rate)
+        while True:
+            rate_hz = self._amcl().save_pose_rate
+            await asyncio.sleep(min(LOOK_S, 1 / rate_hz) if rate_hz > 0 else LOOK_S)
+            pace = SavePace(rate_hz, pace.last_s)
+            if pace.is_due(time.monotonic()):
+                await asyncio.to_thread(self.save)
+                pace = pace.saved(time.monotonic())
+
+    def save(self) -> None:
+        """Write the newest estimate, if there is a new one to go on from; not in an event loop."""
+        facts, amcl = self._facts(), self._amcl()
+        if facts is None or facts.belief is None or facts.belief.ambiguous:
+            return
+        if not amcl.save_pose_rate > 0 or facts.stamp_ns == self._written:
+            return
+        try:
+            save_pose(self._path, facts.belief.best, amcl.global_frame_id, self._clock())
+        except ExportError as error:
+            self._say_stuck(str(error))
+        else:
+            self._written, self._stuck = facts.stamp_ns, False
+
+    def _say_stuck(self, problem: str) -> None:
+        if self._events is not None and not self._stuck:
+            text = f"the estimated pose is not saved: {problem}"
+            self._events.add(Severity.WARNING, "pose_not_saved", text)
+        self._stuck = True

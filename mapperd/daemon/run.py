@@ -16,17 +16,14 @@ from mapperd.config.layers import Layered
 from mapperd.config.live import ConfigStore
 from mapperd.config.paths import map_path, pose_path, state_folder
 from mapperd.config.tree import Config
-from mapperd.daemon.control_setup import control_server
 from mapperd.daemon.daemon import Daemon
-from mapperd.daemon.inherited import inherited_sockets
 from mapperd.daemon.journal import Journal, goes_to_journal
-from mapperd.daemon.pose_keeper import PoseKeeper
-from mapperd.daemon.servers import serving
+from mapperd.daemon.localization_service import PoseKeeper
+from mapperd.daemon.map_folder import localization_summary, summary_of
+from mapperd.daemon.servers import control_server, serving, stream_server
 from mapperd.daemon.session import Live, host_clock
-from mapperd.daemon.setup import stream_server
-from mapperd.daemon.summary import localization_summary, summary_of
 from mapperd.daemon.supervisor import supervised
-from mapperd.daemon.systemd import Notifier, watchdog_s
+from mapperd.daemon.systemd import Notifier, inherited_sockets, watchdog_s
 from mapperd.errors import ConfigError, MapError
 from mapperd.events import EventLog, Severity
 from mapperd.geometry.gaussian import PlanarGaussian

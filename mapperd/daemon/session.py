@@ -15,27 +15,25 @@ import msgspec
 from mapperd.config.changes import changes_between
 from mapperd.config.link_address import parse_address
 from mapperd.config.tree import Config, Device
-from mapperd.daemon.requests import Requests
-from mapperd.errors import ConfigError
+from mapperd.daemon.localization_service import Requests
+from mapperd.errors import ConfigError, Reject
 from mapperd.events import EventLog, Severity
 from mapperd.localization.session import Localizing, numbers_of, poses_depend_on
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.bridge import encoding_of
 from mapperd.odometry.links import Link
-from mapperd.odometry.state import LinkStatus as OdometryStatus
+from mapperd.odometry.links import LinkStatus as OdometryStatus
 from mapperd.pipeline.backlog import Backlog
-from mapperd.pipeline.chunk_queue import ChunkQueue
 from mapperd.pipeline.counters import ReplayCounters
 from mapperd.pipeline.decoder import Engine
 from mapperd.pipeline.executor import Integration
-from mapperd.pipeline.ingest import SONAR, Inlet
+from mapperd.pipeline.ingest import SONAR, ChunkQueue, Inlet
 from mapperd.pipeline.persistence import InMemory, Keeping
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.pipeline.recorder import Recorder
 from mapperd.pipeline.snapshot import facts_reader
-from mapperd.pipeline.stepping import Stepping
+from mapperd.pipeline.step import Stepping
 from mapperd.pipeline.worker import MappingThread
-from mapperd.reject import Reject
 from mapperd.session_log import LINK, Request, Session, Settings
 from mapperd.version import version
 from oculus_driver.link_state import LinkState, LinkStatus

@@ -1,22 +1,73 @@
-"""The daemon and its service manager: signals in, readiness and signs of life out."""
+"""The daemon and its service manager: signals, readiness, signs of life."""
 
 import asyncio
 import contextlib
+import io
 import signal
+import sys
 import threading
 import time
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Iterator
+import traceback
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Iterator, Mapping
 from typing import Any
 
 from mapperd.api import Operations
-from mapperd.daemon.stacks import stack_lines
-from mapperd.daemon.status_line import StatusLine
 from mapperd.daemon.systemd import Notifier
 from mapperd.errors import MapperdError
 from mapperd.events import Severity
 from mapperd.pipeline.watchdog import Watchdog, Worker
 
-__all__ = ["only_told_to_stop", "supervised"]
+__all__ = ["StatusLine", "only_told_to_stop", "stack_lines", "supervised"]
+
+MIB = 1 << 20
+
+
+class StatusLine:
+    """Makes the line from the daemon's status; rates are those since the last line."""
+
+    def __init__(self) -> None:
+        self._before: tuple[float, int] | None = None
+
+    def of(self, status: Mapping[str, Any], now_s: float) -> str:
+        """The line.
+
+        Args:
+            status: as `Operations.status` gives it.
+            now_s: a clock that only goes forward.
+        """
+        pings: Mapping[str, Any] = status.get("pings") or {}
+        mapped = int(pings.get("mapped", 0))
+        parts = [str(status.get("phase", "running"))]
+        if self._before is not None and now_s > self._before[0]:
+            rate_hz = max(0, mapped - self._before[1]) / (now_s - self._before[0])
+            parts.append(f"{rate_hz:.1f} pings/s")
+        self._before = (now_s, mapped)
+        parts.append(f"{mapped} mapped")
+        dropped = sum((pings.get("dropped") or {}).values())
+        if dropped:
+            parts.append(f"{dropped} dropped")
+        if link := (status.get("sonar") or {}).get("state"):
+            parts.append(f"sonar {link}")
+        memory_bytes = (status.get("map") or {}).get("memory_bytes")
+        if memory_bytes is not None:
+            parts.append(f"map {memory_bytes / MIB:.0f} MiB")
+        return ", ".join(parts)
+
+
+def stack_lines() -> Iterator[str]:
+    """Lines about the threads, then about the tasks of the running loop."""
+    frames = sys._current_frames()  # noqa: SLF001 the documented way to the other threads
+    for thread in threading.enumerate():
+        frame = frames.get(thread.ident or 0)
+        if frame is not None:
+            yield f"thread {thread.name}"
+            for line in traceback.format_stack(frame):
+                yield from line.rstrip().splitlines()
+    for task in asyncio.all_tasks():
+        text = io.StringIO()
+        task.print_stack(file=text)
+        yield from text.getvalue().rstrip().splitlines()
+
 
 LOOK_S = 2.0
 """Between looks at how it goes; the watchdog's third where that is shorter."""

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config.yaml_strict import YamlProblem, parse_yaml
+from mapperd.config.loader import YamlProblem, parse_yaml
 from mapperd.errors import ConfigError
 from mapperd.mapping.probability import probabilities_of
 from mapperd.mapping.sonar_map import Voxels

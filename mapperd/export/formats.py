@@ -8,15 +8,11 @@ from types import MappingProxyType
 from mapperd.errors import ExportError, MapError
 from mapperd.export.calibration import Calibration
 from mapperd.export.cells import Heights, known_cells, top_cells, top_voxels
-from mapperd.export.clouds import write_ply
+from mapperd.export.clouds import write_pcd, write_ply, write_xyz
 from mapperd.export.geotiff import write_geotiff
-from mapperd.export.grids import write_ascii_grid
+from mapperd.export.grids import nav2_yaml, write_ascii_grid, write_pgm
 from mapperd.export.las import write_las
-from mapperd.export.nav2 import nav2_yaml, write_pgm
-from mapperd.export.pcd import write_pcd
-from mapperd.export.xyz import write_xyz
-from mapperd.geometry.geodesy import Origin
-from mapperd.geometry.projection import local_projection, utm_zone
+from mapperd.geometry.geodesy import Origin, local_projection, utm_zone
 from mapperd.io import atomic_file
 from mapperd.mapping.sonar_map import SonarMap, Voxels
 

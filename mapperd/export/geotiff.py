@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from mapperd.errors import ExportError
 from mapperd.export.cells import Tops
-from mapperd.geometry.geodesy import Origin
-from mapperd.geometry.projection import TransverseMercator, local_projection
+from mapperd.geometry.geodesy import Origin, TransverseMercator, local_projection
 
 __all__ = ["MISSING", "NO_DATA", "Band", "GridPlace", "write_geotiff", "write_tiles"]
 

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.errors import ExportError
-from mapperd.geometry.geodesy import Origin
-from mapperd.geometry.projection import utm_zone
+from mapperd.geometry.geodesy import Origin, utm_zone
 from mapperd.mapping.sonar_map import Voxels
 
 __all__ = ["MISSING", "STEP_M", "las_cloud", "write_las"]

@@ -1,20 +1,170 @@
-"""When the map is told as a whole, and when what changed of it."""
+"""Point clouds of the map for Foxglove: when all of it, and when its changes."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+from foxglove.messages import PointCloud
 from numpy.typing import NDArray
 
-from mapperd.client.block_table import keys_of, names_of
+from mapperd.client.block_table import Cells, keys_of, names_of
 from mapperd.client.changes import MapChanged
 from mapperd.client.mirror import MapMirror
 from mapperd.foxglove.channels import Said
-from mapperd.foxglove.clouds import changes_cloud, map_cloud, map_rows
-from mapperd.foxglove.told_cells import ToldCells
+from mapperd.foxglove.geometry import cloud, pose
+from mapperd.wire.blocks import CELLS
+from mapperd.wire.messages import BLOCK_EDGE, Localization, Returns
 
-__all__ = ["LIVE", "RECORDING", "MapTeller", "Pace"]
+__all__ = [
+    "LIVE",
+    "RECORDING",
+    "MapTeller",
+    "Pace",
+    "ToldCells",
+    "changes_cloud",
+    "map_cloud",
+    "map_rows",
+    "returns_cloud",
+    "scan_cloud",
+]
+
+_NONE = bytes(CELLS // 8)
+_STEPS = np.array([1, BLOCK_EDGE, BLOCK_EDGE**2])
+
+
+class ToldCells:
+    """Occupied cells by block, a bit each."""
+
+    def __init__(self) -> None:
+        self._bits: dict[bytes, bytes] = {}
+
+    def clear(self) -> None:
+        """Nothing was told."""
+        self._bits.clear()
+
+    def replace(self, names: Iterable[bytes], cells: Cells, cell_m: float) -> NDArray[np.float64]:
+        """Tell the cells that are occupied in some blocks now.
+
+        Args:
+            names: of the blocks.
+            cells: all that are occupied in them.
+            cell_m: edge of one.
+
+        Returns:
+            (N, 3) centres of those that were told before, and are not occupied any more.
+        """
+        now = _bits_by_block(cells, cell_m)
+        before = []
+        gone_from = []
+        for name in names:
+            old = self._bits.pop(name, None)
+            new = now.get(name, _NONE)
+            if new != _NONE:
+                self._bits[name] = new
+            if old is not None and old != new:
+                before.append((old, new))
+                gone_from.append(name)
+        if not before:
+            return np.zeros((0, 3))
+        old_bits, new_bits = _unpacked(o for o, _ in before), _unpacked(n for _, n in before)
+        row, offset = np.nonzero(old_bits & ~new_bits)
+        local = offset[:, None] // _STEPS % BLOCK_EDGE
+        index = keys_of(gone_from)[row].astype(np.int64) * BLOCK_EDGE + local
+        return np.asarray((index + 0.5) * cell_m, np.float64)
+
+
+def _bits_by_block(cells: Cells, cell_m: float) -> dict[bytes, bytes]:
+    if not len(cells):
+        return {}
+    index = np.floor(cells.centres_m / cell_m).astype(np.int64)
+    owner = index // BLOCK_EDGE
+    offset = (index % BLOCK_EDGE) @ _STEPS
+    begins = np.r_[True, (owner[1:] != owner[:-1]).any(axis=1)]  # of runs of one block's cells
+    names = names_of(owner[begins].astype(np.int32))
+    row_of: dict[bytes, int] = {}
+    rows = np.array([row_of.setdefault(name, len(row_of)) for name in names])
+    bits = np.zeros((len(row_of), CELLS), bool)
+    bits[rows[np.cumsum(begins) - 1], offset] = True
+    packed = np.packbits(bits, axis=1)
+    return {name: packed[row].tobytes() for name, row in row_of.items()}
+
+
+def _unpacked(packed: Iterable[bytes]) -> NDArray[np.bool_]:
+    rows = np.frombuffer(b"".join(packed), np.uint8).reshape(-1, CELLS // 8)
+    return np.unpackbits(rows, axis=1).astype(bool)
+
+
+NS = 1e9
+
+_CELL = [
+    ("x", "<f4"),
+    ("y", "<f4"),
+    ("z", "<f4"),
+    ("probability", "<f4"),
+    ("age_s", "<f4"),
+    ("count", "<u4"),
+]
+_CHANGED_CELL = [*_CELL, ("occupied", "u1")]
+_RETURN = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "u1")]
+_POINT = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
+
+
+def map_rows(cells: Cells, stamp_ns: int) -> NDArray[np.void]:
+    """Points of cells; `age_s` since their block changed last, `count` 0 where nobody tells it."""
+    return _rows(cells, _CELL, stamp_ns)
+
+
+def map_cloud(rows: NDArray[np.void], frame: str, stamp_ns: int) -> PointCloud:
+    """All of `map_rows` as of one moment."""
+    return cloud(rows, frame, stamp_ns)
+
+
+def changes_cloud(
+    cells: Cells, gone_m: NDArray[np.float64], frame: str, stamp_ns: int
+) -> PointCloud:
+    """Cells that are occupied now, and the centres (N, 3) of those that are not any more."""
+    here = _rows(cells, _CHANGED_CELL, stamp_ns)
+    here["occupied"] = 1
+    gone = np.zeros(len(gone_m), _CHANGED_CELL)
+    _place(gone, gone_m)
+    return cloud(np.concatenate([here, gone]), frame, stamp_ns)
+
+
+def returns_cloud(returns: Returns, map_frame: str, sonar_frame: str) -> PointCloud:
+    """What one ping met, where the sonar was then if that is known."""
+    rows = _points(returns.points, 3, _RETURN)
+    rows["intensity"] = np.frombuffer(returns.intensities, np.uint8)
+    where, how = returns.sonar_position_m, returns.sonar_orientation_xyzw
+    if where is None or how is None:
+        return cloud(rows, sonar_frame, returns.stamp_ns)
+    return cloud(rows, map_frame, returns.stamp_ns, pose(where, how))
+
+
+def scan_cloud(localization: Localization, frame: str, stamp_ns: int) -> PointCloud:
+    """The scan that localization weighed last."""
+    return cloud(_points(localization.scan, 3, _POINT), frame, stamp_ns)
+
+
+def _rows(cells: Cells, kind: list[tuple[str, str]], stamp_ns: int) -> NDArray[np.void]:
+    rows = np.zeros(len(cells), kind)
+    _place(rows, cells.centres_m)
+    rows["probability"] = cells.probability
+    rows["age_s"] = np.maximum(stamp_ns - cells.changed_ns, 0) / NS
+    rows["count"] = cells.count
+    return rows
+
+
+def _points(data: bytes, columns: int, kind: list[tuple[str, str]]) -> NDArray[np.void]:
+    table = np.frombuffer(data, "<f4").reshape(-1, columns)
+    rows = np.zeros(len(table), kind)
+    _place(rows, table)
+    return rows
+
+
+def _place(rows: NDArray[np.void], xyz: NDArray[np.float64] | NDArray[np.float32]) -> None:
+    rows["x"], rows["y"], rows["z"] = xyz.T
+
 
 POINT_BYTES = 24
 SLICE = 4096

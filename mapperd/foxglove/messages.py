@@ -1,26 +1,27 @@
-"""The newest state that a client of the map stream knows, as messages of Foxglove's channels."""
+"""The newest state of the map stream, and the sonar's image, as Foxglove's messages."""
 
 import math
 from collections.abc import Callable, Collection, Mapping
 from typing import Any, Protocol
 
 import numpy as np
+from foxglove.messages import RawImage
 from numpy.typing import NDArray
 
 from mapperd.client.changes import LinkStatus
 from mapperd.client.mirror import MapMirror
 from mapperd.client.validation import image_of
-from mapperd.foxglove.clouds import returns_cloud, scan_cloud
-from mapperd.foxglove.poses import (
+from mapperd.foxglove.geometry import (
     Frames,
     odometry,
     particle_poses,
     planar_fix,
     pose_in_frame,
+    stamp,
     transforms,
 )
+from mapperd.foxglove.map_publisher import returns_cloud, scan_cloud
 from mapperd.foxglove.scene import covariance_scene, fan_scene, robots_scene
-from mapperd.foxglove.sonar_images import FanShape, polar_image
 from mapperd.wire.messages import (
     Fan,
     Image,
@@ -32,7 +33,68 @@ from mapperd.wire.messages import (
     Welcome,
 )
 
-__all__ = ["Follows", "StateMessages", "values_of"]
+__all__ = ["FanShape", "Follows", "StateMessages", "polar_image", "values_of"]
+
+
+def polar_image(pixels: NDArray[np.uint8], frame: str, stamp_ns: int) -> RawImage:
+    """Grey values as an image of its own."""
+    height, width = pixels.shape
+    return RawImage(
+        timestamp=stamp(stamp_ns),
+        frame_id=frame,
+        width=width,
+        height=height,
+        encoding="mono8",
+        step=width,
+        data=pixels.tobytes(),
+    )
+
+
+class FanShape:
+    """Bends images; what it takes for that is kept while their shape stays."""
+
+    def __init__(self) -> None:
+        self._shape: tuple[int, int, bytes] | None = None
+        self._source = np.zeros((0, 0), np.intp)
+
+    def bent(self, image: Image, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Seen from above: the sonar below in the middle, port to the left; black outside.
+
+        Args:
+            image: whose bearings they are.
+            pixels: (rows, beams).
+        """
+        shape = (image.rows, image.beams, image.bearings_rad)
+        if shape != self._shape:
+            self._source = _source(image)
+            self._shape = shape
+        return np.append(pixels.ravel(), np.uint8(0))[self._source]
+
+
+def _source(image: Image) -> NDArray[np.intp]:
+    """Which of the image's values each pixel shows; the one after the last is outside."""
+    rows, beams = image.rows, image.beams
+    bearings = np.frombuffer(image.bearings_rad, "<f4").astype(np.float64)
+    low, high = _edges(bearings)
+    widest = min(max(abs(low), abs(high)), math.pi / 2)
+    half_width = max(math.ceil(rows * math.sin(widest)), 1)
+    across = np.arange(-half_width, half_width) + 0.5
+    ahead = (np.arange(rows) + 0.5)[::-1, None]
+    row = np.floor(np.hypot(across, ahead)).astype(np.intp)
+    bearing = np.arctan2(across, ahead)
+    between = (bearings[1:] + bearings[:-1]) / 2
+    beam = np.searchsorted(between, bearing)
+    seen = (row < rows) & (bearing >= low) & (bearing <= high)
+    return np.where(seen, row * beams + beam, rows * beams)
+
+
+def _edges(bearings: NDArray[np.float64]) -> tuple[float, float]:
+    """The outer beams are as wide as half the way to their neighbours."""
+    if len(bearings) == 1:
+        return float(bearings[0]) - 0.01, float(bearings[0]) + 0.01
+    low = bearings[0] - (bearings[1] - bearings[0]) / 2
+    high = bearings[-1] + (bearings[-1] - bearings[-2]) / 2
+    return float(low), float(high)
 
 
 class Follows(Protocol):

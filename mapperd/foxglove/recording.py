@@ -1,4 +1,4 @@
-"""A recording of what a client of the map stream is told, made beside whatever else it is for."""
+"""A recording of what a client of the map stream receives."""
 
 import asyncio
 import time
@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from mapperd.errors import ExportError
-from mapperd.foxglove.extras import foxglove_missing
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator
@@ -21,7 +20,19 @@ if TYPE_CHECKING:
         def changes(self) -> AsyncIterator[ClientChange]: ...
 
 
-__all__ = ["Recording"]
+__all__ = ["Recording", "foxglove_missing"]
+
+
+def foxglove_missing(error: ModuleNotFoundError) -> str:
+    """For a person: what to install; any other module that is missing is a fault of ours.
+
+    Raises:
+        ModuleNotFoundError: it is another one.
+    """
+    if (error.name or "").partition(".")[0] != "foxglove":
+        raise error
+    return "this needs foxglove-sdk: pip install 'mapperd[foxglove]'"
+
 
 TICK_S = 0.25
 

@@ -22,9 +22,9 @@ from typing import Literal
 import numpy as np
 
 from mapperd.config.tree import Amcl
+from mapperd.errors import Reject
 from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.maps import LocalizationMap
-from mapperd.reject import Reject
 
 __all__ = ["Lifecycle", "Start", "parameter_pose"]
 

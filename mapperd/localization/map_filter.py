@@ -8,12 +8,17 @@ from numpy.typing import NDArray
 
 from mapperd.config.tree import Config
 from mapperd.geometry.gaussian import Belief, PlanarGaussian
-from mapperd.localization.cloud_state import CloudState, cloud_state, restore_cloud
-from mapperd.localization.fit_watch import FitWatch
-from mapperd.localization.hypothesis import Rival, same_place, spread_m
+from mapperd.localization.hypothesis import FitWatch, Rival, same_place, spread_m
 from mapperd.localization.maps import LocalizationMap
 from mapperd.localization.models import filter_rule
-from mapperd.localization.particle_filter import ParticleFilter, Weighed, belief
+from mapperd.localization.particle_filter import (
+    CloudState,
+    ParticleFilter,
+    Weighed,
+    belief,
+    cloud_state,
+    restore_cloud,
+)
 from mapperd.localization.scan import Scan
 from mapperd.localization.update_gate import PlanarPose
 from mapperd.localization.weighting import MapWeighing, threads_of

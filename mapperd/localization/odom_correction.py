@@ -1,4 +1,4 @@
-"""The odometry's frame in the map: what an estimate corrects, and what it leaves.
+"""The odometry's frame in the map, and poses corrected by it.
 
 The filter knows the vehicle's place and heading on the map. Depth, roll and pitch are the sensors'
 business and pass through. So the correction is a shift in x and y and a turn about z:
@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from mapperd.geometry.frames import Pose, quaternion_product
 from mapperd.geometry.gaussian import PlanarGaussian, wrapped
 from mapperd.localization.levelling import yaw_of
+from mapperd.odometry.fusion import FusedPose
 
-__all__ = ["MapFromOdom", "map_from_odom"]
+__all__ = ["MapFromOdom", "map_from_odom", "placed"]
 
 Floats = NDArray[np.float64]
 
@@ -81,4 +82,36 @@ def map_from_odom(
         estimate.x_m - (c * x - s * y),
         estimate.y_m - (s * x + c * y),
         yaw,
+    )
+
+
+PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
+"""x, y and the turn about z, of a pose's six."""
+
+
+def placed(odom: FusedPose, correction: MapFromOdom, estimate: PlanarGaussian) -> FusedPose:
+    """Correct a pose with all that belongs to it.
+
+    Velocity and covariance turn with the frame; rates are about the base's own axes and stay. The
+    covariance of what the estimate knows is the estimate's.
+
+    Args:
+        odom: the base in the odometry's frame.
+        correction: of that frame.
+        estimate: that it was made of.
+    """
+    turn = correction.map_T_odom[:3, :3]
+    velocity = None if odom.velocity_mps is None else turn @ odom.velocity_mps
+    both = np.zeros((6, 6))
+    both[:3, :3] = both[3:, 3:] = turn
+    covariance: Floats = both @ odom.covariance @ both.T
+    covariance[[0, 1, 5], :] = covariance[:, [0, 1, 5]] = 0.0
+    covariance[PLANAR] = estimate.covariance
+    return FusedPose(
+        correction.corrected(odom.pose),
+        velocity,
+        odom.rate_radps,
+        covariance,
+        odom.segment,
+        odom.reckoned_s,
     )

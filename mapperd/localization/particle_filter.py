@@ -1,8 +1,10 @@
-"""The particle filter's public face: the core's parts under plain names, and its belief."""
+"""The particle filter of the core: its cloud, its estimate, its clusters."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mapperd._core import MclBeamModel as BeamModel
 from mapperd._core import MclBeams as Beams
@@ -16,11 +18,15 @@ from mapperd._core import MclHitModel as HitModel
 from mapperd._core import MclRangeMap as RangeMap
 from mapperd._core import MclRule as FilterRule
 from mapperd._core import MclWeighed as Weighed
+from mapperd._core import mcl_estimate
 from mapperd.geometry.gaussian import ELSEWHERE_M, Belief, PlanarGaussian
 
 __all__ = [
+    "MOST_CLUSTERS",
     "BeamModel",
     "Beams",
+    "CloudState",
+    "Cluster",
     "Endpoints",
     "Estimate",
     "FilterRule",
@@ -32,7 +38,10 @@ __all__ = [
     "RangeMap",
     "Weighed",
     "belief",
+    "cloud_state",
+    "clusters_of",
     "gaussian_of",
+    "restore_cloud",
 ]
 
 
@@ -70,3 +79,65 @@ def gaussian_of(estimate: Estimate) -> PlanarGaussian:
     covariance[2, 2] = min(covariance[2, 2] if estimate.heading_known else np.inf, math.pi**2)
     x_m, y_m, yaw_rad = estimate.mean
     return PlanarGaussian(x_m, y_m, yaw_rad, covariance)
+
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CloudState:
+    """All that the core's filter holds, but for its rule.
+
+    Attributes:
+        poses: (N, 3), of the particles.
+        log_weights: (N,).
+        numbers, averages: of the core's filter, its seed among them.
+    """
+
+    poses: Floats
+    log_weights: Floats
+    numbers: tuple[int, ...]
+    averages: tuple[float, float, bool]
+
+
+def cloud_state(particles: ParticleFilter) -> CloudState:
+    """The state of a cloud."""
+    return CloudState(*particles.state())
+
+
+def restore_cloud(particles: ParticleFilter, state: CloudState) -> None:
+    """Make a cloud of the same rule go on as the one that the state is of.
+
+    Raises:
+        ValueError: it is no cloud's state; nothing is changed.
+    """
+    particles.restore(state.poses, state.log_weights, state.numbers, state.averages)
+
+
+MOST_CLUSTERS = 8
+"""The heaviest; a cloud that is spread over a map falls into hundreds."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cluster:
+    """Particles that stand together.
+
+    Attributes:
+        mass: share of the weight.
+        pose: their mean and covariance.
+    """
+
+    mass: float
+    pose: PlanarGaussian
+
+
+def clusters_of(particles: ParticleFilter, most: int = MOST_CLUSTERS) -> tuple[Cluster, ...]:
+    """The heaviest clusters, falling; those without weight are left out."""
+    _, masses, labels = particles.modes()
+    poses, weights = particles.poses, particles.weights
+    found = []
+    for label, mass in enumerate(masses[:most].tolist()):
+        inside = labels == label
+        if mass > 0 and inside.any():
+            found.append(Cluster(mass, gaussian_of(mcl_estimate(poses[inside], weights[inside]))))
+    return tuple(found)

@@ -6,9 +6,8 @@ from typing import Any
 
 from mapperd.config.tree import Config
 from mapperd.geometry.gaussian import Belief, PlanarGaussian
-from mapperd.localization.diagnostics import Diagnosis
 from mapperd.localization.odom_correction import MapFromOdom
-from mapperd.localization.status import LocalizationFacts
+from mapperd.localization.status import Diagnosis, LocalizationFacts
 
 __all__ = ["localization_report", "localization_summary", "map_name_of", "state_of"]
 

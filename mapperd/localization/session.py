@@ -13,8 +13,7 @@ import numpy as np
 from mapperd.config.tree import Config
 from mapperd.errors import CheckpointError, ConfigError, MapError
 from mapperd.geometry.gaussian import PlanarGaussian
-from mapperd.localization.known_map import KnownMap
-from mapperd.localization.map_loading import load_known_map
+from mapperd.localization.known_map import KnownMap, load_known_map
 from mapperd.localization.stage import Onboard, OnboardState
 from mapperd.session_log import Numbers12, Session
 from mapperd.store.checkpoint_reader import overlay

@@ -14,20 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.config.tree import Config
-from mapperd.errors import MapError
+from mapperd.errors import MapError, Reject
 from mapperd.geometry.gaussian import Belief, PlanarGaussian
 from mapperd.localization.burst_filter import BurstWatch
-from mapperd.localization.clusters import Cluster, clusters_of
-from mapperd.localization.diagnostics import diagnose, weight_warning
+from mapperd.localization.extraction import burst_watch, scan_of_ping
 from mapperd.localization.known_map import KnownMap
 from mapperd.localization.localizer import Localized, Localizer, LocalizerState
 from mapperd.localization.map_filter import FilterState, MapFilter
-from mapperd.localization.ping_scan import burst_watch, scan_of_ping
-from mapperd.localization.placing import placed
+from mapperd.localization.odom_correction import placed
+from mapperd.localization.particle_filter import Cluster, clusters_of
 from mapperd.localization.scan import Scan
-from mapperd.localization.status import LocalizationFacts, sample_of
+from mapperd.localization.status import LocalizationFacts, diagnose, sample_of, weight_warning
 from mapperd.odometry.fusion import FusedPose
-from mapperd.reject import Reject
 from mapperd.session_log import (
     GlobalLocalization,
     InitialPose,

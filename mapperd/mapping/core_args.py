@@ -1,8 +1,9 @@
-"""What the core is told of a ping beside its image, and what it says of one that it refuses."""
+"""Arguments of the core, and what its errors mean: pings and map files."""
 
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TypedDict
 
 import numpy as np
@@ -12,8 +13,9 @@ from mapperd.config.tree import Config
 from mapperd.errors import MapError
 from mapperd.geometry.motion import PingMotion
 from mapperd.imaging.ping_image import Echo
+from mapperd.io import atomic_file
 
-__all__ = ["Fan", "check_size", "fan_arguments", "refusals"]
+__all__ = ["Fan", "check_size", "fan_arguments", "load_map", "refusals", "save_map"]
 
 MAX_FAN_VOXELS = 500_000_000
 """A fan with more voxels than this would take gigabytes for a single ping."""
@@ -78,3 +80,35 @@ def _core_motion(motion: PingMotion | None) -> _core.PingMotion:
         valid_s=motion.valid_s,
         speed_of_sound_mps=motion.speed_of_sound_mps,
     )
+
+
+def save_map(core: _core.VoxelMap, path: Path) -> None:
+    """Write a map into a file, whole or not at all. Equal maps give equal files.
+
+    Raises:
+        ExportError: the file cannot be written.
+    """
+    data = core.encode_map()
+    with atomic_file(path) as file:
+        file.write(data)
+
+
+def load_map(core: _core.VoxelMap, path: Path) -> None:
+    """Replace a map's content by that of a file; on any error it is as before.
+
+    Raises:
+        MapError: the file cannot be read (`unreadable`), is not a whole map file, or is one of
+            another resolution, clamps or learning rate (`bad_map_file`).
+    """
+    magic = _core.MAP_FILE_MAGIC
+    try:
+        with path.open("rb") as file:
+            begin = file.read(len(magic))
+            # A device or a huge file of another kind is not read to its end.
+            data = begin + file.read() if begin == magic else begin
+    except OSError as error:
+        raise MapError(f"{path}: cannot be read: {error.strerror}", "unreadable") from error
+    try:
+        core.load_map(data)
+    except ValueError as error:
+        raise MapError(f"{path}: {error}", "bad_map_file") from error

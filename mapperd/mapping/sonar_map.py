@@ -17,8 +17,7 @@ from mapperd.errors import ConfigError, MapError
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.geometry.motion import PingMotion
 from mapperd.imaging.ping_image import Echo
-from mapperd.mapping.core_args import check_size, fan_arguments, refusals
-from mapperd.mapping.map_file import load_map, save_map
+from mapperd.mapping.core_args import check_size, fan_arguments, load_map, refusals, save_map
 
 __all__ = [
     "BLOCK_VOXELS",

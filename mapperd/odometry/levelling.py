@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.config.odometry import WorldInit
+from mapperd.errors import Reject
 from mapperd.geometry.frames import quaternion_product, quaternion_to_matrix
-from mapperd.reject import Reject
 
 __all__ = ["Levelling"]
 

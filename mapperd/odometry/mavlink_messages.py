@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config.format_settings import FormatSettings
+from mapperd.config.odometry import FormatSettings
+from mapperd.errors import Reject
 from mapperd.geometry.frames import (
     BODY_TO_FLU,
     WORLD_TO_ENU,
@@ -20,12 +21,13 @@ from mapperd.geometry.frames import (
     compass_quaternion,
     compass_to_map,
 )
-from mapperd.odometry.convert import (
+from mapperd.odometry.records import (
     MAX_COVARIANCE,
     MAX_DEPTH_M,
     MAX_DISTANCE_M,
     MAX_RATE_RADPS,
     MAX_SPEED_MPS,
+    GeoPoint,
     bad_number,
     bad_numbers,
     bad_quaternion,
@@ -35,8 +37,6 @@ from mapperd.odometry.convert import (
     turned,
     turned_covariance,
 )
-from mapperd.odometry.records import GeoPoint
-from mapperd.reject import Reject
 
 __all__ = ["ORDER", "READERS", "Fields"]
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.geometry.frames import quaternion_between, quaternion_product
-from mapperd.odometry.lookup import Course
+from mapperd.odometry.series import Course
 
 __all__ = [
     "ATTITUDE",

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import TypeGuard
 
 from mapperd.config.daemon import Behind as Settings
+from mapperd.errors import Reject
 from mapperd.pipeline.decoder import Settled, Work
-from mapperd.reject import Reject
 
 __all__ = ["Backlog", "Turn"]
 

@@ -1,12 +1,12 @@
-"""What happened to everything that came in: no byte, record or ping goes uncounted."""
+"""Counters of everything that came in, and the latency of pings."""
 
 from array import array
-from collections import Counter
+from collections import Counter, deque
 from dataclasses import dataclass, field
 
 import numpy as np
 
-__all__ = ["ReplayCounters"]
+__all__ = ["Latency", "ReplayCounters"]
 
 MOST_TIMES = 100_000
 """A daemon runs for months."""
@@ -70,3 +70,28 @@ class ReplayCounters:
         times_ms = 1e3 * np.asarray(self.step_s) if self.step_s else np.zeros(1)
         p50, p95 = np.percentile(times_ms, [50, 95])
         return {"p50": float(p50), "p95": float(p95), "max": 1e3 * self.longest_s}
+
+
+WINDOW_NS = 60_000_000_000
+MOST = 4096
+
+
+class Latency:
+    """Of the pings that were mapped in the last minute."""
+
+    def __init__(self) -> None:
+        self._pings: deque[tuple[int, int]] = deque(maxlen=MOST)
+
+    def add(self, complete_ns: int, mapped_ns: int) -> None:
+        """Note a ping: when its last byte had come, and when it was in the map."""
+        self._pings.append((mapped_ns, mapped_ns - complete_ns))
+
+    def percentiles_ms(self, now_ns: int) -> dict[str, float] | None:
+        """`p50`, `p95`, `p99` in milliseconds; None without a ping."""
+        while self._pings and now_ns - self._pings[0][0] > WINDOW_NS:
+            self._pings.popleft()
+        if not self._pings:
+            return None
+        took_ms = [took_ns / 1e6 for _, took_ns in self._pings]
+        p50, p95, p99 = np.percentile(took_ms, [50, 95, 99])
+        return {"p50": float(p50), "p95": float(p95), "p99": float(p99)}

@@ -4,14 +4,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mapperd.config.tree import Config
-from mapperd.errors import StoreError
+from mapperd.errors import Reject, StoreError
 from mapperd.localization.stage import Onboard
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.decoder import NewSettings, Settled, Work
 from mapperd.pipeline.persistence import Keeping
-from mapperd.pipeline.step import Mapped
-from mapperd.pipeline.stepping import Stepping
-from mapperd.reject import Reject
+from mapperd.pipeline.step import Mapped, Stepping
 from mapperd.session_log import Remarks, Request, Reset
 
 if TYPE_CHECKING:

@@ -7,10 +7,10 @@ from typing import Protocol
 import numpy as np
 
 from mapperd.config.tree import Config, TimeSync
+from mapperd.errors import Reject
 from mapperd.geometry.frames import Pose
 from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.fusion import FusedPose
-from mapperd.reject import Reject
 from oculus_driver.clock import SonarClock
 from oculus_driver.ping import Ping
 

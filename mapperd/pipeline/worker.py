@@ -9,15 +9,15 @@ from mapperd.errors import StoreError
 from mapperd.localization.status import LocalizationFacts
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.backlog import Backlog
-from mapperd.pipeline.chunk_queue import ChunkQueue
+from mapperd.pipeline.counters import Latency
 from mapperd.pipeline.decoder import Engine, NewSettings, Settled, Work
 from mapperd.pipeline.executor import Integration
-from mapperd.pipeline.latency import Latency
+from mapperd.pipeline.ingest import ChunkQueue
 from mapperd.pipeline.persistence import Keeping
 from mapperd.session_log import Decision, Drop, Request, Reset, ResetFailed
 
 if TYPE_CHECKING:
-    from mapperd.reject import Reject
+    from mapperd.errors import Reject
 
 __all__ = ["Facts", "MappingThread"]
 

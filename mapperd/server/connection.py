@@ -1,20 +1,81 @@
-"""One connection of the map stream: moves the bytes that its session makes and understands."""
+"""One connection of the map stream: its bytes, and its control requests."""
 
 import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
+
+import msgspec
 
 from mapperd.api import Operations
-from mapperd.server.asks import answered
+from mapperd.events import Severity
+from mapperd.server.dispatch import EventFeed, operate
 from mapperd.server.resume import Parting
 from mapperd.server.session import Session
 from mapperd.server.tcp import fills_buffers, tcp_state
-from mapperd.wire.control_messages import Fault
+from mapperd.wire.auth import Limits, TokenBucket
+from mapperd.wire.control_messages import (
+    Ask,
+    Events,
+    Fault,
+    Get,
+    Localization,
+    Params,
+    Status,
+    decode_ask,
+)
 from mapperd.wire.framing import StreamError
-from mapperd.wire.limits import Limits, TokenBucket
 from mapperd.wire.messages import MAX_FROM_SERVER
 
-__all__ = ["Around", "Connection"]
+__all__ = ["Around", "Connection", "answered"]
+
+LOOKS = (Status, Params, Get, Localization, Events)
+"""Requests that change nothing."""
+
+
+async def answered(
+    raw: msgspec.Raw, operations: Operations, origin: str, *, may_change: bool
+) -> tuple[int | None, dict[str, Any] | Fault]:
+    """Do what is asked; whatever goes wrong, the client is told and the daemon goes on.
+
+    Args:
+        raw: the request, one value of MessagePack.
+        operations: the daemon.
+        origin: who asks.
+        may_change: more than looking is allowed.
+
+    Returns:
+        The number of the request, where it can be read, and what became of it.
+    """
+    ask, number = _decoded(raw)
+    if isinstance(ask, Fault):
+        return number, ask
+    if not may_change and not isinstance(ask, LOOKS):
+        return number, Fault("needs_token", "changing anything by TCP needs stream.token_file")
+    try:
+        return number, await _done(ask, operations, origin)
+    except Exception as error:  # noqa: BLE001 a fault of ours must not end the daemon
+        what = f"{type(ask).__name__.lower()}: {type(error).__name__}: {error}"
+        operations.events.add(Severity.ERROR, "stream_failed", what)
+        return number, Fault("failed", what)
+
+
+async def _done(ask: Ask, operations: Operations, origin: str) -> dict[str, Any] | Fault:
+    if not isinstance(ask, Events):
+        return await operate(ask, operations, origin)
+    if ask.follow:
+        return Fault("bad_request", "events are followed by wanting them")
+    return EventFeed(operations.events, ask.since).take()
+
+
+def _decoded(raw: msgspec.Raw) -> tuple[Ask | Fault, int | None]:
+    """As JSON, which the requests are written in: what it cannot say is in none of them."""
+    try:
+        line = msgspec.json.encode(msgspec.msgpack.decode(raw))
+    except (msgspec.MsgspecError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        return Fault("bad_request", f"no request: {error}"), None
+    return decode_ask(line)
+
 
 LEAVE_S = 1.0
 """For the last words to arrive."""

@@ -14,8 +14,7 @@ from mapperd.api import Operations
 from mapperd.events import Event, Severity
 from mapperd.server.control_session import Client, CutError, Surroundings
 from mapperd.server.listeners import Door, peer_of
-from mapperd.wire.auth import FailureLimiter
-from mapperd.wire.limits import Limits, TokenBucket
+from mapperd.wire.auth import FailureLimiter, Limits, TokenBucket
 
 __all__ = ["ControlServer"]
 

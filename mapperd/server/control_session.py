@@ -1,4 +1,4 @@
-"""One client's connection: greeted, listened to within limits, answered, cut where it must be."""
+"""One client's connection to the control socket: lines in, answers out."""
 
 import asyncio
 import contextlib
@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from mapperd.api import Operations
 from mapperd.events import Event, Severity
 from mapperd.server.admission import Newcomer, objection
-from mapperd.server.control_lines import LineBuffer, LineTooLongError
-from mapperd.server.dispatch import operate
-from mapperd.server.feed import EventFeed
+from mapperd.server.dispatch import EventFeed, operate
 from mapperd.server.listeners import Door
-from mapperd.wire.auth import FailureLimiter
+from mapperd.wire.auth import FailureLimiter, Limits, TokenBucket
 from mapperd.wire.control_messages import (
     VERSION,
     Ask,
@@ -26,9 +24,50 @@ from mapperd.wire.control_messages import (
     fault_line,
     line_of,
 )
-from mapperd.wire.limits import Limits, TokenBucket
 
-__all__ = ["Client", "CutError", "Surroundings"]
+__all__ = ["Client", "CutError", "LineBuffer", "LineTooLongError", "Surroundings"]
+
+
+class LineTooLongError(ValueError):
+    """A line is longer than allowed; where the next one begins is not known."""
+
+
+class LineBuffer:
+    """Holds what came until it is a line.
+
+    Args:
+        limit: bytes of the longest line, without its end.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._bytes = bytearray()
+        self._searched = 0
+
+    def __len__(self) -> int:
+        return len(self._bytes)
+
+    def feed(self, data: bytes) -> None:
+        """Add what came."""
+        self._bytes += data
+
+    def next_line(self) -> bytes | None:
+        """The next whole line without its end; None where there is none.
+
+        Raises:
+            LineTooLongError: there are more bytes than a line may have.
+        """
+        end = self._bytes.find(b"\n", self._searched)
+        if end > self._limit or (end < 0 and len(self._bytes) > self._limit):
+            raise LineTooLongError(f"a line is longer than {self._limit} bytes")
+        if end < 0:
+            self._searched = len(self._bytes)
+            return None
+        line = bytes(self._bytes[:end])
+        del self._bytes[: end + 1]
+        self._searched = 0
+        return line.removesuffix(b"\r")
+
 
 READ_BYTES = 16384
 LEAVE_S = 1.0

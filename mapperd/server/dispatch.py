@@ -1,12 +1,13 @@
-"""What each request makes the daemon do."""
+"""Carry out control requests, and send events."""
 
 import asyncio
 from typing import Any
 
 from mapperd.api import OperationError, Operations
 from mapperd.config.catalog import value_of
-from mapperd.config.config_facts import chosen, facts_of
+from mapperd.config.changes import chosen, facts_of
 from mapperd.config.live import ConfigStore, Refused
+from mapperd.events import EventLog
 from mapperd.wire.control_messages import (
     Ask,
     Events,
@@ -27,7 +28,7 @@ from mapperd.wire.control_messages import (
     Status,
 )
 
-__all__ = ["operate"]
+__all__ = ["EventFeed", "operate"]
 
 
 async def operate(ask: Ask, operations: Operations, origin: str) -> dict[str, Any] | Fault:
@@ -107,3 +108,36 @@ async def _set(
         said = "; ".join(f"{name}: {reason}" for name, reason in result.reasons.items())
         return Fault("refused", said, {"reasons": dict(result.reasons)})
     return {"changed": {change.name: [change.before, change.after] for change in result.changes}}
+
+
+AT_ONCE = 200
+
+
+class EventFeed:
+    """Where a client is in the log; nothing is kept for it.
+
+    Args:
+        log: what happened.
+        since: number of the last event that the client has.
+    """
+
+    def __init__(self, log: EventLog, since: int) -> None:
+        self._log = log
+        self._since = min(since, log.last)
+
+    def take(self) -> dict[str, Any]:
+        """The next events, at most `AT_ONCE`.
+
+        Returns:
+            `events`; `missed`, before them, because they are not kept any more; `more` if there
+            are more.
+        """
+        found, missed = self._log.since(self._since)
+        taken = found[:AT_ONCE]
+        if taken:
+            self._since = taken[-1].number
+        return {
+            "events": [event.plain() for event in taken],
+            "missed": missed,
+            "more": len(found) > len(taken),
+        }

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd import _core
-from mapperd.server.map_index import View, batches, bricks_of
-from mapperd.server.stored_bricks import StoredBricks
+from mapperd.server.map_index import StoredBricks, View, batches, bricks_of
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet, encode_blocks
 from mapperd.wire.framing import framed
 from mapperd.wire.messages import Blocks

@@ -1,18 +1,210 @@
-"""The blocks of the map as one level and detail tell them, and when each changed last."""
+"""Blocks of the map by level, region and time of change, in memory and on disk."""
 
 import weakref
 from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+import zstandard
+from numpy.typing import ArrayLike, NDArray
 
 from mapperd import _core
-from mapperd.server.region import distances_m
-from mapperd.server.stored_bricks import StoredBricks
-from mapperd.wire.messages import BLOCK_EDGE, Vector
+from mapperd.config.tree import Config
+from mapperd.mapping.sonar_map import iwlo_params
+from mapperd.store.database import open_reader, reading, translated
+from mapperd.store.tiles import COLUMNS, BrickRow, DamagedBrickError, Key, rows_of, unpack
+from mapperd.wire.messages import BLOCK_EDGE, Interest, Vector
 
-__all__ = ["Listener", "View", "batches", "bricks_of"]
+__all__ = [
+    "LEAVE",
+    "ChangedRows",
+    "Listener",
+    "StoredBricks",
+    "View",
+    "batches",
+    "bricks_of",
+    "distances_m",
+    "in_box",
+    "vector_of",
+    "within",
+]
+
+LEAVE = 1.1
+"""A block that was told is forgotten beyond so many times the radius: at its edge none flickers."""
+
+
+def vector_of(position_m: ArrayLike | None) -> Vector | None:
+    """A position as plain numbers."""
+    if position_m is None:
+        return None
+    x, y, z = np.asarray(position_m, float).tolist()
+    return x, y, z
+
+
+def distances_m(keys: NDArray[np.int32], block_m: float, position_m: Vector) -> NDArray[np.float64]:
+    """From a point to the nearest point of each block (N,).
+
+    Args:
+        keys: (N, 3).
+        block_m: edge of a block.
+        position_m: map frame.
+    """
+    away = np.abs((keys + 0.5) * block_m - np.asarray(position_m)) - block_m / 2
+    outside: NDArray[np.float64] = np.linalg.norm(np.maximum(away, 0.0), axis=1)
+    return outside
+
+
+def in_box(keys: NDArray[np.int32], block_m: float, interest: Interest) -> NDArray[np.bool_]:
+    """Which blocks (N,) have a part inside the box of an interest."""
+    if interest.box is None:
+        return np.ones(len(keys), bool)
+    low = keys * float(block_m)
+    touching = (low < interest.box.high_m) & (low + block_m > interest.box.low_m)
+    inside: NDArray[np.bool_] = np.all(touching, axis=1)
+    return inside
+
+
+def within(
+    keys: NDArray[np.int32],
+    block_m: float,
+    interest: Interest,
+    position_m: Vector | None,
+    held: NDArray[np.bool_],
+) -> NDArray[np.bool_]:
+    """Which blocks (N,) a client is to be told of.
+
+    Args:
+        keys: (N, 3).
+        block_m: edge of a block.
+        interest: of the client.
+        position_m: of the vehicle; where nobody knows it, nothing lies in a radius about it.
+        held: (N,), those that it was told of: they go later than they came.
+    """
+    inside = in_box(keys, block_m, interest)
+    if interest.radius_m == 0:
+        return inside
+    if position_m is None:
+        return inside & held
+    limit = np.where(held, LEAVE * interest.radius_m, interest.radius_m)
+    return inside & (distances_m(keys, block_m, position_m) <= limit)
+
+
+FARTHEST_BRICK = 1 << 27
+"""Of a brick of a map: keys beyond are of damaged rows."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChangedRows:
+    """Bricks of the file that changed after a revision.
+
+    Attributes:
+        keys: (N, 3) int32.
+        revisions: (N,) int64, of each.
+        revision: of the map in the file.
+    """
+
+    keys: NDArray[np.int32]
+    revisions: NDArray[np.int64]
+    revision: int
+
+
+class StoredBricks:
+    """Reads bricks; of one thread.
+
+    Args:
+        path: of the file.
+        config: settings of its map.
+
+    Raises:
+        StoreError: it cannot be opened.
+    """
+
+    def __init__(self, path: Path, config: Config) -> None:
+        self._path = path
+        self._unpacker = zstandard.ZstdDecompressor()
+        self._scratch = _core.VoxelMap(config.octree.voxel_resolution, iwlo_params(config))
+        with ExitStack() as opening:
+            self._connection = open_reader(path)
+            opening.callback(self._connection.close)
+            self._open = opening.pop_all()
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._open.close()
+
+    def version(self) -> int:
+        """Another number whenever the file was written to.
+
+        Raises:
+            StoreError: it cannot be read.
+        """
+        with translated(self._path):
+            return int(self._connection.execute("PRAGMA data_version").fetchone()[0])
+
+    def changed_since(self, revision: int) -> ChangedRows:
+        """Bricks whose rows changed after a revision.
+
+        Raises:
+            StoreError: the file cannot be read.
+        """
+        with translated(self._path), reading(self._connection):
+            progress = self._connection.execute("SELECT revision FROM progress").fetchone()
+            found = self._connection.execute(
+                "SELECT x, y, z, revision FROM brick WHERE revision > ?1 AND"
+                " x BETWEEN -?2 AND ?2 AND y BETWEEN -?2 AND ?2 AND z BETWEEN -?2 AND ?2",
+                (revision, FARTHEST_BRICK),
+            ).fetchall()
+        columns = np.array(found, np.int64).reshape(-1, 4)
+        return ChangedRows(
+            columns[:, :3].astype(np.int32),
+            columns[:, 3],
+            int(progress[0]) if progress is not None else 0,
+        )
+
+    def has_losses(self) -> bool:
+        """Something of the map was damaged, and is not there any more.
+
+        Raises:
+            StoreError: the file cannot be read.
+        """
+        with translated(self._path):
+            lost = "SELECT EXISTS (SELECT 1 FROM quarantine WHERE NOT rebuilt)"
+            return bool(self._connection.execute(lost).fetchone()[0])
+
+    def load(self, bricks: NDArray[np.int32]) -> tuple[_core.VoxelMap, dict[Key, int]]:
+        """A map of some bricks alone, good until the next call.
+
+        Args:
+            bricks: keys (N, 3); those that are not in the file, or damaged in it, are unknown.
+
+        Returns:
+            the map; the revision of each brick's row.
+
+        Raises:
+            StoreError: the file cannot be read.
+        """
+        self._scratch.clear()
+        rows: list[BrickRow] = []
+        with translated(self._path), reading(self._connection):
+            for key in bricks.tolist():
+                rows += rows_of(
+                    self._connection.execute(
+                        f"SELECT {COLUMNS} FROM brick WHERE x = ? AND y = ? AND z = ?",  # noqa: S608 our own text
+                        key,
+                    )
+                )
+        revisions = {}
+        for row in rows:
+            try:
+                self._scratch.put_bricks([(row.key, unpack(self._unpacker, row))])
+            except (DamagedBrickError, ValueError):
+                continue  # whoever needs it for mapping says so
+            revisions[row.key] = row.revision
+        return self._scratch, revisions
+
 
 CORE_BLOCKS_AT_ONCE = 256
 """Blocks of the map that are looked at under one lock of it: some milliseconds at most."""

@@ -12,9 +12,9 @@ from mapperd.server.connection import Around, Connection
 from mapperd.server.priority_queue import Part
 from mapperd.server.resume import Parking, Parting
 from mapperd.server.schedule import Rooms
+from mapperd.server.session import Beginning, Wish
 from mapperd.server.source_protocol import FIRST, SECOND, Line, MapView, Source
 from mapperd.server.state_feed import Feed
-from mapperd.server.wishes import Beginning, Wish
 from mapperd.wire.framing import framed
 from mapperd.wire.messages import Interest, Reset, Resume, Vector
 

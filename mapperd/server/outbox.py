@@ -8,11 +8,11 @@ import msgspec
 
 from mapperd.events import EventLog
 from mapperd.server.pacer import Pacer
-from mapperd.server.pictures import IMAGE_SIZES
 from mapperd.server.state_feed import Feed, Newest
+from mapperd.server.state_messages import IMAGE_SIZES
+from mapperd.wire.blocks import path_message
 from mapperd.wire.framing import framed
 from mapperd.wire.messages import WANTS, Resume, Settings
-from mapperd.wire.way import path_message
 
 __all__ = ["Portions"]
 

@@ -1,4 +1,4 @@
-"""How much may be handed to one client's connection, so that what it is told is fresh.
+"""Limits on bytes in flight and bytes per second, so that a client's data is fresh.
 
 Whatever lies in buffers between us and the client is old when it arrives, and everything after it
 waits for it. How fast packets may go, and which to send again, is TCP's business; ours is to give
@@ -16,9 +16,42 @@ it no more than it sends within moments. Two rules do that:
 from collections import deque
 from math import inf
 
-from mapperd.server.budget import Budget
+__all__ = ["FIRST_RATE", "FIRST_WINDOW", "LEAST_WINDOW", "MOST_WINDOW", "Budget", "Pacer"]
 
-__all__ = ["FIRST_RATE", "FIRST_WINDOW", "LEAST_WINDOW", "MOST_WINDOW", "Pacer"]
+BURST_S, LEAST_BURST = 0.2, 2048
+
+
+class Budget:
+    """Fills up as time passes, which whoever calls says in seconds that never go back.
+
+    Args:
+        bytes_per_s: never more, in the long run; 0 has no limit.
+
+    Attributes:
+        bytes_per_s: as given; may be changed.
+    """
+
+    def __init__(self, bytes_per_s: int = 0) -> None:
+        self.bytes_per_s = bytes_per_s
+        self._left = float(LEAST_BURST)
+        self._filled_s: float | None = None
+
+    @property
+    def burst(self) -> float:
+        """Bytes that it holds at most."""
+        return max(BURST_S * self.bytes_per_s, LEAST_BURST)
+
+    def left(self, now_s: float) -> float:
+        """Bytes that may be sent now, if there is a limit; less than 0 are owed."""
+        passed_s = 0.0 if self._filled_s is None else max(0.0, now_s - self._filled_s)
+        self._filled_s = now_s
+        self._left = min(self.burst, self._left + passed_s * self.bytes_per_s)
+        return self._left
+
+    def spend(self, size: int, now_s: float) -> None:
+        """So many were sent."""
+        self._left = self.left(now_s) - (size if self.bytes_per_s else 0)
+
 
 UNSENT_S, LEAST_UNSENT = 0.3, 2048
 """Not sent yet at most, of what the link delivers; more than the time between two rounds."""

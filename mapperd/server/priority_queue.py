@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.server.region import distances_m
+from mapperd.server.map_index import distances_m
 from mapperd.wire.messages import Vector
 
 __all__ = ["NearestFirst", "Part"]

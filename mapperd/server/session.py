@@ -1,4 +1,4 @@
-"""One client of the map stream: what it may be told next, and what it says. No bytes move here.
+"""One client of the map stream, without its bytes.
 
 greeted ─ hello ─▶ admitted ─ the map is ready ─▶ served
 
@@ -12,22 +12,20 @@ from dataclasses import dataclass
 from typing import Literal
 
 import msgspec
+import numpy as np
 
 from mapperd.events import EventLog
 from mapperd.server.admission import Newcomer, doubt
-from mapperd.server.lines import Lines
 from mapperd.server.outbox import Portions
 from mapperd.server.pacer import Pacer
 from mapperd.server.resume import Ends, Parting, is_ticket
-from mapperd.server.schedule import Rooms, Turns
+from mapperd.server.schedule import Lines, Rooms, Turns
 from mapperd.server.source_protocol import FIRST, Line, MapView
 from mapperd.server.state_feed import Feed
-from mapperd.server.wishes import Beginning, Wish, checked
 from mapperd.version import version
-from mapperd.wire.auth import FailureLimiter
+from mapperd.wire.auth import FailureLimiter, TokenBucket
 from mapperd.wire.control_messages import plain
 from mapperd.wire.framing import StreamError, framed, server_inbox
-from mapperd.wire.limits import TokenBucket
 from mapperd.wire.messages import (
     VERSION,
     Ack,
@@ -39,11 +37,45 @@ from mapperd.wire.messages import (
     Greeting,
     Hello,
     Interest,
+    MapFacts,
     Resume,
     Welcome,
 )
 
-__all__ = ["Common", "Session"]
+__all__ = ["Beginning", "Common", "Session", "Wish", "checked"]
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """A part of the map that is to be told; None is no map."""
+
+    interest: Interest | None
+    resume: Resume | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Beginning:
+    """The map when a client begins to be told of it, as `Welcome` says it."""
+
+    facts: MapFacts
+    revision: int
+    session: str
+
+
+def checked(interest: Interest) -> Interest:
+    """The interest, if it is one.
+
+    Raises:
+        StreamError: its numbers are none.
+    """
+    box = interest.box
+    numbers = [interest.radius_m, *(() if box is None else (*box.low_m, *box.high_m))]
+    if not np.isfinite(numbers).all():
+        raise StreamError("an interest with numbers that are none", "bad_interest")
+    if box is not None and any(a > b for a, b in zip(box.low_m, box.high_m, strict=True)):
+        raise StreamError("a box that ends before it begins", "bad_interest")
+    return interest
+
 
 ASKS = 8
 """That may wait for their answers."""

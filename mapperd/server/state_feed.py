@@ -1,7 +1,8 @@
-"""What the daemon knows, made into messages once for all clients; of each kind the newest alone."""
+"""The state of the daemon and its settings as messages, made once for all clients."""
 
+from bisect import bisect_right
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.api import Operations
-from mapperd.config.changes import changes_between
-from mapperd.config.config_facts import facts_of
+from mapperd.config.changes import changes_between, facts_of
 from mapperd.config.tree import Config
 from mapperd.events import Event as Happening
 from mapperd.geometry.frames import Pose as Place
@@ -19,10 +19,16 @@ from mapperd.localization.report import localization_report
 from mapperd.localization.status import LocalizationFacts
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.executor import Treated
-from mapperd.server.pictures import IMAGE_SIZES, image_message, returns_message
-from mapperd.server.setting_log import SettingLog
-from mapperd.server.state_messages import Mounting, fan_message, localized_covariance, pose_message
-from mapperd.server.track import Track
+from mapperd.server.state_messages import (
+    IMAGE_SIZES,
+    Mounting,
+    Track,
+    fan_message,
+    image_message,
+    localized_covariance,
+    pose_message,
+    returns_message,
+)
 from mapperd.wire.control_messages import plain
 from mapperd.wire.framing import framed
 from mapperd.wire.messages import Event, Localization, Robots, Vector
@@ -30,7 +36,52 @@ from mapperd.wire.messages import Event, Localization, Robots, Vector
 if TYPE_CHECKING:
     from mapperd.pipeline.worker import Facts
 
-__all__ = ["Feed", "Newest"]
+__all__ = ["Feed", "Newest", "SettingLog"]
+
+_ENCODER = msgspec.msgpack.Encoder(enc_hook=plain)
+
+
+class SettingLog:
+    """Facts of settings in the order in which they changed last; each stands in it once.
+
+    Args:
+        facts: of all settings, by name.
+
+    Attributes:
+        last: number of the newest change.
+    """
+
+    def __init__(self, facts: Mapping[str, Any]) -> None:
+        self.last = 0
+        self._facts: dict[str, msgspec.Raw] = {}
+        self._numbers: dict[str, int] = {}
+        self._order: list[tuple[int, str]] = []
+        self.put(facts)
+
+    def put(self, facts: Mapping[str, Any]) -> None:
+        """These are others than before."""
+        for name, fact in facts.items():
+            self.last += 1
+            self._facts[name] = msgspec.Raw(_ENCODER.encode(fact))
+            self._numbers[name] = self.last
+        self._order = sorted((number, name) for name, number in self._numbers.items())
+
+    def since(self, number: int, most_bytes: int) -> tuple[int, dict[str, msgspec.Raw]]:
+        """The next facts after a number, about so many bytes of them, at least one.
+
+        Returns:
+            The number up to which all is told then, and the facts by name.
+        """
+        at = bisect_right(self._order, number, key=lambda entry: entry[0])
+        told: dict[str, msgspec.Raw] = {}
+        size = 0
+        while at < len(self._order) and (not told or size < most_bytes):
+            number, name = self._order[at]
+            told[name] = self._facts[name]
+            size += len(name) + len(bytes(self._facts[name]))
+            at += 1
+        return number, told
+
 
 SPACING_M = 0.1
 """Between points of the path, while there is room."""
@@ -255,9 +306,6 @@ class Feed:
             return False
         self._made_s[what] = now_s
         return True
-
-
-_ENCODER = msgspec.msgpack.Encoder(enc_hook=plain)
 
 
 def _plain_event(happening: Happening) -> dict[str, Any]:

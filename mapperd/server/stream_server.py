@@ -25,9 +25,8 @@ from mapperd.server.session import Common, Session
 from mapperd.server.source_protocol import Source
 from mapperd.server.state_feed import Feed
 from mapperd.server.tcp import tune
-from mapperd.wire.auth import FailureLimiter
+from mapperd.wire.auth import FailureLimiter, Limits, TokenBucket
 from mapperd.wire.framing import StreamError
-from mapperd.wire.limits import Limits, TokenBucket
 
 __all__ = ["StreamServer"]
 

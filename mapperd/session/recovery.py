@@ -30,13 +30,12 @@ from mapperd.pipeline.decoder import Engine, Work
 from mapperd.pipeline.executor import Integration
 from mapperd.pipeline.persistence import InMemory
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
-from mapperd.pipeline.stepping import Stepping
-from mapperd.session.recording_tail import Tail, files_of
-from mapperd.session.recordings import RecordedSession, files_in
+from mapperd.pipeline.step import Stepping
+from mapperd.session.recordings import RecordedSession, Tail, files_in, files_of
 from mapperd.session.store_session import Stored
 from mapperd.session_log import SESSION, Remarks, remarks_in, without_skipped
 from mapperd.store.checkpoint_reader import overlay
-from mapperd.store.kind import kind_of
+from mapperd.store.metadata import kind_of
 from mapperd.store.position import Place, Position
 from mapperd.store.tile_store import TileStore
 from oculus_driver.errors import RecordingError

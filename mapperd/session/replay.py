@@ -1,31 +1,47 @@
-"""The offline source of the step: a recording becomes a map.
+"""Replay of recordings: a recording becomes a map.
 
 Bytes become pings, pings wait for their poses, each goes through the step; every one that does
 not is counted with a reason.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain, islice
 from statistics import median_low
 
+import numpy as np
+
+from mapperd.config.loader import config_of
+from mapperd.config.tree import Config
 from mapperd.errors import ReplayError
+from mapperd.geometry.frames import Pose
+from mapperd.localization.session import Localizing, begun, begun_again
 from mapperd.localization.stage import Onboard
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.bridge import ENCODING_PREFIX
 from mapperd.pipeline.counters import ReplayCounters
-from mapperd.pipeline.decoder import Engine, Settled, Work
+from mapperd.pipeline.decoder import Engine, PingStream, Settled, Work
 from mapperd.pipeline.executor import Integration
 from mapperd.pipeline.persistence import InMemory
-from mapperd.pipeline.ping_stream import PingStream
-from mapperd.pipeline.pose_lookup import PoseSource
-from mapperd.pipeline.stepping import Stepping
-from mapperd.session_log import Remarks, without_skipped
+from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses, PoseSource
+from mapperd.pipeline.step import Stepping
+from mapperd.session.recordings import RecordedSession
+from mapperd.session_log import Remarks, Session, remarks_in, without_skipped
 from oculus_driver.ping import Ping
 from oculus_driver.recording import OCULUS, Chunk
 
-__all__ = ["Replay", "Window", "contents", "first_range_m"]
+__all__ = [
+    "Replay",
+    "Run",
+    "Window",
+    "as_asked",
+    "as_recorded",
+    "contents",
+    "first_range_m",
+    "not_empty",
+]
 
 MAX_LATE_CHUNKS = 1000
 """So many chunks in a row after the chosen part are its end; fewer are stamps gone astray."""
@@ -206,3 +222,88 @@ def _first_sonar_ns(recording: Iterable[Chunk]) -> int | None:
         return None
     middle = median_low(stamps)
     return min(stamp for stamp in stamps if abs(stamp - middle) <= FIRST_SPREAD_NS)
+
+
+class Run:
+    """A session that is to be mapped: what with, and what was decided in it.
+
+    Args:
+        session: its recordings.
+        config: the settings at its beginning.
+        pose: of a vehicle that stood still; None takes the odometry.
+        remarks: what was decided, to be decided again; None decides anew.
+        localizing: None where that is off.
+
+    Attributes:
+        session, config, remarks: as given.
+        poses: of its pings.
+        onboard: localizes.
+    """
+
+    def __init__(
+        self,
+        session: RecordedSession,
+        config: Config,
+        pose: Pose | None,
+        remarks: Remarks | None,
+        localizing: Localizing | None = None,
+    ) -> None:
+        self.session = session
+        self.config = config
+        self.poses = OdometryPoses(config) if pose is None else FixedPose(pose)
+        self.remarks = remarks
+        self.onboard = None if localizing is None else localizing.onboard
+
+    def replay(
+        self, sonar_map: SonarMap, window: Window, counters: ReplayCounters | None = None
+    ) -> Replay:
+        """The session on its way into a map, which takes the session's settings now."""
+        sonar_map.reconfigure(self.config)
+        return Replay(
+            sonar_map,
+            self.poses,
+            window,
+            time.perf_counter,
+            confirm=self.session.session is None,
+            remarks=self.remarks,
+            counters=counters,
+            onboard=self.onboard,
+        )
+
+
+def not_empty(sessions: Sequence[RecordedSession]) -> Sequence[RecordedSession]:
+    """Those with anything in them: who was killed before the first piece leaves one without."""
+    return [session for session in sessions if any(True for _ in session)] or sessions
+
+
+def as_asked(session: RecordedSession, pose: Pose | None, config: Config) -> Run:
+    """With settings of today.
+
+    Raises:
+        ConfigError: localization cannot begin with them.
+    """
+    return Run(session, config, pose, None, begun(config))
+
+
+def as_recorded(session: RecordedSession) -> Run:
+    """As it was mapped.
+
+    Raises:
+        ReplayError: nobody knows how that was.
+        ConfigError: its settings are none of this version.
+    """
+    beginning = session.beginning()
+    if beginning is None:
+        raise ReplayError(
+            f"{session.paths[0].name} does not begin a session of the daemon, so nobody knows how "
+            "it was mapped; begin with the session's first file, or leave out --as-recorded"
+        )
+    config = config_of(beginning.settings, f"settings in {session.paths[0].name}")
+    localizing = begun_again(config, beginning)
+    return Run(session, config, _pose_of(beginning), remarks_in(session), localizing)
+
+
+def _pose_of(beginning: Session) -> Pose | None:
+    if beginning.pose is None:
+        return None
+    return Pose(np.array(beginning.pose[:3]), np.array(beginning.pose[3:]))

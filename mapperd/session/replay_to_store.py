@@ -12,7 +12,7 @@ from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.counters import ReplayCounters
 from mapperd.pipeline.decoder import Engine
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
-from mapperd.session.recording_tail import Tail
+from mapperd.session.recordings import Tail
 from mapperd.session.recovery import Going, go_on, restored
 from mapperd.session_log import SESSION
 from mapperd.store.position import Place, Position, position_in

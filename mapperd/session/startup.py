@@ -20,8 +20,7 @@ from mapperd.session.recovery import (
     sessions_for,
 )
 from mapperd.session.store_session import Stored
-from mapperd.store.aside import put_aside
-from mapperd.store.maintenance import rebuild_lost
+from mapperd.store.maintenance import put_aside, rebuild_lost
 from mapperd.store.position import Position, position_in
 from mapperd.store.tile_store import TileStore
 

@@ -14,8 +14,14 @@ import numpy as np
 from mapperd.config.aliases import tree_updated
 from mapperd.config.tree import Config
 from mapperd.errors import CheckpointError
-from mapperd.store.checkpoint_registry import class_named, is_frozen, kept_of
-from mapperd.store.shape import FORMAT, Tag, attributes_of
+from mapperd.store.checkpoint_registry import (
+    FORMAT,
+    Tag,
+    attributes_of,
+    class_named,
+    is_frozen,
+    kept_of,
+)
 
 __all__ = ["overlay"]
 

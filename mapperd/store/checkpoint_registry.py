@@ -1,4 +1,4 @@
-"""Which objects may stand in a checkpoint: classes of named modules, and what of them is no state.
+"""Classes that may stand in a checkpoint, and the tags of its values.
 
 A checkpoint names a class by its module and name. Only classes that these modules define are found,
 they are made without calling anything of theirs, and get plain attributes: a file cannot make the
@@ -6,32 +6,33 @@ program run what is in it.
 """
 
 import sys
+from collections.abc import Iterator
 from dataclasses import is_dataclass
-from enum import Enum
+from enum import Enum, StrEnum
 from typing import Any
 
 from msgspec import Struct
 
 from mapperd.errors import CheckpointError
 
-__all__ = ["class_named", "is_frozen", "kept_of", "name_of"]
+__all__ = ["FORMAT", "Tag", "attributes_of", "class_named", "is_frozen", "kept_of", "name_of"]
 
 MODULES = (
     "mapperd.config.tree",
     "mapperd.config.filters",
     "mapperd.config.odometry",
-    "mapperd.config.config_outofcore",
+    "mapperd.config.daemon",
     "mapperd.config.daemon",
     "mapperd.pipeline.counters",
     "mapperd.pipeline.decoder",
     "mapperd.imaging.robots",
-    "mapperd.imaging.sightings",
+    "mapperd.imaging.robots",
     "mapperd.geometry.frames",
     "mapperd.geometry.geodesy",
     "mapperd.localization.burst_filter",
-    "mapperd.localization.cloud_state",
+    "mapperd.localization.particle_filter",
     "mapperd.geometry.gaussian",
-    "mapperd.localization.fit_watch",
+    "mapperd.localization.hypothesis",
     "mapperd.localization.lifecycle",
     "mapperd.localization.localizer",
     "mapperd.localization.map_filter",
@@ -39,33 +40,33 @@ MODULES = (
     "mapperd.localization.odom_correction",
     "mapperd.localization.scan",
     "mapperd.localization.update_gate",
-    "mapperd.odometry.anchor",
+    "mapperd.odometry.track",
     "mapperd.odometry.bridge",
     "mapperd.odometry.gate",
     "mapperd.odometry.decoder",
     "mapperd.odometry.fusion",
     "mapperd.odometry.intake",
-    "mapperd.odometry.jump",
+    "mapperd.odometry.track",
     "mapperd.odometry.levelling",
-    "mapperd.odometry.lines",
-    "mapperd.odometry.lookup",
+    "mapperd.odometry.decoder",
+    "mapperd.odometry.series",
     "mapperd.odometry.mavlink",
-    "mapperd.odometry.mavlink_frames",
-    "mapperd.odometry.mavlink_time",
+    "mapperd.odometry.mavlink",
+    "mapperd.odometry.mavlink",
     "mapperd.odometry.native",
-    "mapperd.odometry.native_serial",
+    "mapperd.odometry.native",
     "mapperd.odometry.nmea",
-    "mapperd.odometry.precedence",
+    "mapperd.odometry.clock",
     "mapperd.odometry.reckoning",
     "mapperd.odometry.records",
     "mapperd.odometry.series",
     "mapperd.odometry.clock",
     "mapperd.odometry.states",
     "mapperd.odometry.track",
-    "mapperd.odometry.utc",
+    "mapperd.odometry.nmea",
     "mapperd.pipeline.pose_lookup",
-    "mapperd.pipeline.ping_stream",
-    "mapperd.reject",
+    "mapperd.pipeline.decoder",
+    "mapperd.errors",
     "oculus_driver.clock",
     "oculus_driver.envelope",
     "oculus_driver.ping",
@@ -75,7 +76,7 @@ MODULES = (
 
 KEPT = {
     "mapperd.pipeline.decoder:Engine": frozenset({"counters", "_within"}),
-    "mapperd.odometry.mavlink_frames:MavlinkFrames": frozenset({"_codec"}),
+    "mapperd.odometry.mavlink:MavlinkFrames": frozenset({"_codec"}),
     "mapperd.odometry.nmea:NmeaReader": frozenset({"_readers"}),
 }
 """Attributes that are as the fresh object has them: tables, libraries, counts for people."""
@@ -117,3 +118,39 @@ def is_frozen(kind: type) -> bool:
     if is_dataclass(kind):
         return bool(kind.__dataclass_params__.frozen)  # type: ignore[attr-defined]
     return issubclass(kind, (Enum, Struct))
+
+
+FORMAT = 1
+"""Another way of writing, or of reading what is written, is another number."""
+
+
+class Tag(StrEnum):
+    """First element of a list."""
+
+    LIST = "l"
+    TUPLE = "t"
+    SET = "s"
+    FROZENSET = "f"
+    DEQUE = "q"
+    DICT = "d"
+    COUNTER = "c"
+    BYTEARRAY = "y"
+    BIG = "i"
+    ENUM = "e"
+    STRUCT = "u"
+    ARRAY = "a"
+    SCALAR = "n"
+    OBJECT = "o"
+    AGAIN = "r"
+    KEPT = "k"
+    ROWS = "w"
+
+
+def attributes_of(value: object) -> Iterator[tuple[str, Any]]:
+    """Names and values of all that an object holds, in a fixed order."""
+    for kind in type(value).__mro__:
+        slots = kind.__dict__.get("__slots__", ())
+        for name in (slots,) if isinstance(slots, str) else slots:
+            if name not in ("__weakref__", "__dict__") and hasattr(value, name):
+                yield name, getattr(value, name)
+    yield from getattr(value, "__dict__", {}).items()

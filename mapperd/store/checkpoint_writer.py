@@ -11,8 +11,14 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from mapperd.store.checkpoint_registry import is_frozen, kept_of, name_of
-from mapperd.store.shape import FORMAT, Tag, attributes_of
+from mapperd.store.checkpoint_registry import (
+    FORMAT,
+    Tag,
+    attributes_of,
+    is_frozen,
+    kept_of,
+    name_of,
+)
 
 __all__ = ["written"]
 

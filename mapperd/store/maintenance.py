@@ -1,17 +1,25 @@
-"""Lost bricks come back from the recordings that they were made of.
+"""Files of maps: rebuild lost bricks, put damaged files aside, write whole maps.
 
 What a ping says does not depend on the map, and a brick on no other: mapping the same pings again
 while keeping only the lost bricks gives them back as they were, to the bit.
 """
 
+import sqlite3
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 
+import zstandard
+
+from mapperd.config.tree import Config
+from mapperd.errors import StoreError
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.store.bricks import Key
+from mapperd.store.database import migrate, transaction, translated
+from mapperd.store.metadata import begun, write_kind
 from mapperd.store.tile_store import TileStore
+from mapperd.store.tiles import COLUMNS, LEVEL, BrickRow, Key, pack
 
-__all__ = ["rebuild_lost"]
+__all__ = ["packed", "put_aside", "rebuild_lost", "write_whole"]
 
 MapAgain = Callable[[SonarMap], bool]
 """Maps the input again from its beginning up to the store's position; False if any is missing."""
@@ -57,3 +65,75 @@ def _keep_only(scratch: SonarMap, lost: frozenset[Key]) -> None:
         here.update(tiles)
 
     core.cut_into_tiles(1, fetch)
+
+
+BESIDE = ("", "-wal", "-shm")
+"""A file of SQLite and those that belong to it."""
+
+
+def put_aside(path: Path) -> Path:
+    """Rename a store that nobody has open; whoever can, maps its recordings into a new one.
+
+    Returns:
+        its new name.
+
+    Raises:
+        StoreError: it cannot be renamed.
+    """
+    number = 1
+    while (aside := path.with_name(f"{path.name}.damaged-{number}")).exists():
+        number += 1
+    try:
+        for suffix in reversed(BESIDE):  # the file itself last: until then it is found as damaged
+            beside = path.with_name(path.name + suffix)
+            if beside.exists():
+                beside.rename(aside.with_name(aside.name + suffix))
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be put aside: {error.strerror}", "read_only") from error
+    return aside
+
+
+def packed(bricks: Iterable[tuple[Key, int, bytes]]) -> Iterator[BrickRow]:
+    """Rows of bricks: (key, revision, bytes) each."""
+    compressor = zstandard.ZstdCompressor(level=LEVEL)
+    for key, revision, brick in bricks:
+        yield pack(compressor, key, revision, brick)
+
+
+def write_whole(path: Path, config: Config, revision: int, rows: Iterable[BrickRow]) -> int:
+    """Make a map's file that `TileStore` and `StoreReader` open like any other.
+
+    Whoever calls it gives the file its name when it is whole: a stop half way leaves it damaged.
+
+    Args:
+        path: of the file; nothing is there yet.
+        config: the settings that the map came about by.
+        revision: of the map.
+        rows: its bricks, each once.
+
+    Returns:
+        how many there are.
+
+    Raises:
+        StoreError: it cannot be written, or a brick comes twice.
+    """
+    count = 0
+    with translated(path):
+        connection = sqlite3.connect(path, isolation_level=None)
+        try:
+            connection.execute("PRAGMA journal_mode = OFF")
+            connection.execute("PRAGMA synchronous = OFF")
+            migrate(connection, path)
+            with transaction(connection):
+                write_kind(connection, config)
+                connection.execute("INSERT INTO progress VALUES (1, ?, x'')", (revision,))
+                begun(connection, revision)
+                for row in rows:
+                    connection.execute(
+                        f"INSERT INTO brick ({COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?)",  # noqa: S608 our own text
+                        (*row.key, row.revision, row.size, row.crc, row.data),
+                    )
+                    count += 1
+        finally:
+            connection.close()
+    return count

@@ -1,17 +1,38 @@
-"""Which map a file holds, and up to where it holds what sessions before told of it.
+"""Which map a file holds: its identity, its settings, and its progress.
 
 Revisions of a map go on from session to session, but what a session mapped after its last save is
 gone with it, and its revisions are used again. A session's revisions therefore mean something up
 to what the file held when the next one began, and no further.
+
+What a stored map is: the settings that its voxels came about by.
+
+None of them may change while the program runs, so that all voxels of a file follow one rule.
 """
 
+import json
 import secrets
 import sqlite3
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import msgspec
 
-__all__ = ["NAME", "Identity", "begun", "fresh", "renewed"]
+from mapperd.config.tree import Config
+from mapperd.errors import StoreError
+
+__all__ = [
+    "NAME",
+    "Identity",
+    "begun",
+    "check_kind",
+    "fresh",
+    "kind_in",
+    "kind_of",
+    "progress_in",
+    "renewed",
+    "write_kind",
+]
 
 NAME = "map.identity"
 """Of the row in the table `fact`."""
@@ -84,3 +105,74 @@ def _decoded(text: str) -> Identity | None:
 
 def _random() -> str:
     return secrets.token_hex(8)
+
+
+SECTIONS = ("iwlo", "adaptive")
+
+
+def kind_of(config: Config) -> dict[str, str]:
+    """Settings by their full names, as JSON."""
+    facts = {"octree.voxel_resolution": json.dumps(config.octree.voxel_resolution)}
+    for section in SECTIONS:
+        for name, value in msgspec.to_builtins(getattr(config, section)).items():
+            facts[f"{section}.{name}"] = json.dumps(value)
+    return facts
+
+
+def write_kind(connection: sqlite3.Connection, config: Config) -> None:
+    """Say in a new file what its map is."""
+    connection.executemany("INSERT INTO fact VALUES (?, ?)", kind_of(config).items())
+
+
+def kind_in(connection: sqlite3.Connection) -> dict[str, Any]:
+    """What a file's map is: settings by their full names, such as this program knows.
+
+    Raises:
+        ValueError: one of them is not as it was written.
+    """
+    known = kind_of(Config()).keys()
+    told = connection.execute("SELECT name, value FROM fact")
+    return {name: json.loads(value) for name, value in told if name in known}
+
+
+def check_kind(connection: sqlite3.Connection, path: Path, config: Config) -> None:
+    """Refuse settings that are not those of the file; such that it does not know are new.
+
+    Raises:
+        StoreError: with all that differ.
+    """
+    ours = kind_of(config)
+    differ = [
+        f"{name} is {value} in it, {ours.get(name, 'unknown')} in the settings"
+        for name, value in connection.execute(
+            "SELECT name, value FROM fact WHERE name != ? ORDER BY name", (NAME,)
+        )
+        if ours.get(name) != value
+    ]
+    if differ:
+        raise StoreError(
+            f"{path}: holds a map of other settings: {'; '.join(differ)}. Set them back, or give "
+            "another outofcore.map_path",
+            "other_parameters",
+        )
+
+
+MOST_REVISION = 1 << 62
+"""No map changes that often; SQLite's numbers end at twice that."""
+
+
+def progress_in(connection: sqlite3.Connection, path: Path) -> tuple[int, bytes] | None:
+    """Revision and position of the last save; None in a new file.
+
+    Raises:
+        StoreError: they are none, as after a bit of the file has turned.
+    """
+    found = connection.execute("SELECT revision, position FROM progress").fetchone()
+    if found is None:
+        return None
+    revision, position = found
+    if not (isinstance(revision, int) and 0 <= revision < MOST_REVISION):
+        raise StoreError(f"{path}: is damaged: {revision!r} is no revision of a map", "damaged")
+    if not isinstance(position, bytes):
+        raise StoreError(f"{path}: is damaged: its position is no bytes", "damaged")
+    return revision, position

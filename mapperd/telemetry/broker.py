@@ -10,7 +10,7 @@ import ssl
 from collections.abc import AsyncIterator, Mapping
 from typing import TYPE_CHECKING
 
-from mapperd.config.credentials import read_secret
+from mapperd.config.paths import read_secret
 from mapperd.config.tree import Config, Mqtt
 from mapperd.errors import ConfigError
 from mapperd.telemetry.topics import Topics

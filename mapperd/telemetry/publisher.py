@@ -1,6 +1,10 @@
-"""Which messages are due: rates, changes, and what was said already; times are given."""
+"""Choose the messages that are due, and measure processor, memory and disk."""
 
-from collections.abc import Callable, Mapping
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 from mapperd.api import Operations
@@ -8,12 +12,11 @@ from mapperd.config.catalog import parameters, value_of
 from mapperd.config.tree import Config
 from mapperd.events import Severity
 from mapperd.telemetry import payloads
-from mapperd.telemetry.localization import LocalizationReporter
 from mapperd.telemetry.outbox import Kind, Message, Outbox
-from mapperd.telemetry.pace import Pace
+from mapperd.telemetry.payloads import LocalizationReporter, Pace
 from mapperd.telemetry.topics import Topics
 
-__all__ = ["Reporter"]
+__all__ = ["Reporter", "Vitals"]
 
 STATE_S = 30.0
 CHANGE_S = 1.0
@@ -23,7 +26,7 @@ SLOW_S = 5.0
 ROBOTS_S = 0.2
 OFTEN_S = 0.2
 
-Vitals = Callable[[], Mapping[str, Any]]
+VitalsSource = Callable[[], Mapping[str, Any]]
 
 
 class Reporter:
@@ -45,8 +48,8 @@ class Reporter:
         operations: Operations,
         topics: Topics,
         outbox: Outbox,
-        vitals: Vitals,
-        own: Vitals,
+        vitals: VitalsSource,
+        own: VitalsSource,
     ) -> None:
         self._operations = operations
         self._topics = topics
@@ -168,3 +171,44 @@ class Reporter:
     def _put_event(self, said: object) -> None:
         topic, payload = self._topics.of_name("event"), payloads.encoded(said)
         self._outbox.put(Message(topic, payload, Kind.EVENT, qos=1))
+
+
+STATM = Path("/proc/self/statm")
+
+
+class Vitals:
+    """Asked every few seconds; each answer is about the time since the one before.
+
+    Args:
+        folders: whose disks matter.
+    """
+
+    def __init__(self, folders: Iterable[Path]) -> None:
+        self._folders = tuple(folders)
+        self._last = (time.monotonic(), time.process_time())
+
+    def __call__(self) -> dict[str, Any]:
+        """`cpu_percent` (of one core), `memory_bytes` (resident), `disk_free_bytes` by folder."""
+        now = (time.monotonic(), time.process_time())
+        wall_s, cpu_s = (b - a for a, b in zip(self._last, now, strict=True))
+        self._last = now
+        return {
+            "cpu_percent": round(100 * cpu_s / wall_s, 1) if wall_s > 0 else None,
+            "memory_bytes": _resident_bytes(),
+            "disk_free_bytes": {str(folder): _free_bytes(folder) for folder in self._folders},
+        }
+
+
+def _resident_bytes() -> int | None:
+    try:
+        pages = int(STATM.read_text(encoding="ascii").split()[1])
+    except (OSError, ValueError, IndexError):  # not Linux
+        return None
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def _free_bytes(folder: Path) -> int | None:
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return None

@@ -8,10 +8,9 @@ from typing import Any
 
 import msgspec
 
-from mapperd.api import OperationError, Operations
+from mapperd.api import OperationError, Operations, PoseRequest
 from mapperd.config.live import Refused
 from mapperd.errors import MapperdError
-from mapperd.pose_request import PoseRequest
 from mapperd.telemetry.outbox import Kind, Message
 from mapperd.telemetry.payloads import encoded
 from mapperd.telemetry.topics import Asked, Topics

@@ -21,11 +21,10 @@ from mapperd.errors import ConfigError
 from mapperd.events import Severity
 from mapperd.telemetry.broker import check_telemetry, connection
 from mapperd.telemetry.outbox import Kind, Message, Outbox
-from mapperd.telemetry.pace import BackOff
-from mapperd.telemetry.publisher import Reporter
+from mapperd.telemetry.payloads import BackOff
+from mapperd.telemetry.publisher import Reporter, Vitals
 from mapperd.telemetry.requests import Requests
 from mapperd.telemetry.topics import Topics
-from mapperd.telemetry.vitals import Vitals
 
 if TYPE_CHECKING:
     from aiomqtt import Client

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapperd.viewer.shapes import ellipse, fan_lines, strip, vehicle_parts
-from mapperd.viewer.view_nodes import Nodes
+from mapperd.viewer.shapes import Nodes, ellipse, fan_lines, strip, vehicle_parts
 from mapperd.wire.messages import Fan, Localization, Path, Pose, Returns, Robots
 
 if TYPE_CHECKING:

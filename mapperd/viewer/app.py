@@ -17,9 +17,8 @@ from mapperd.viewer.health import Health
 from mapperd.viewer.map_layer import MapView
 from mapperd.viewer.panel import Panel
 from mapperd.viewer.save import Keep, Recorder
-from mapperd.viewer.tools import Tools
-from mapperd.viewer.view_measure import pick
-from mapperd.viewer.view_settings_panel import SettingsPanel
+from mapperd.viewer.settings import SettingsPanel
+from mapperd.viewer.tools import Tools, pick
 from mapperd.wire.messages import Pose, Settings, Status, Want
 
 if TYPE_CHECKING:

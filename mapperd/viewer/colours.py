@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.viewer.view_voxels import Drawn, points_m
+from mapperd.viewer.chunks import Drawn, points_m
 
 __all__ = [
     "MODES",

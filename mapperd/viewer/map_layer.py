@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapperd.client.mirror import MapMirror
-from mapperd.viewer.chunks import Chunk, Chunks
+from mapperd.viewer.chunks import Chunk, Chunks, Drawn, Filter, coarser, drawn_of
 from mapperd.viewer.colours import Scale, colours_of, linear, shaded, values_of
-from mapperd.viewer.shapes import cube
-from mapperd.viewer.view_nodes import Nodes
-from mapperd.viewer.view_voxels import Drawn, Filter, coarser, drawn_of
+from mapperd.viewer.shapes import Nodes, cube
 
 if TYPE_CHECKING:
     from viser import SceneApi

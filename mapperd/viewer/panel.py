@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mapperd.viewer.actors import LAYERS
+from mapperd.viewer.chunks import Filter
 from mapperd.viewer.colours import MODES, Mode, Scale, legend_of
 from mapperd.viewer.health import Health, banner_html, health_html, legend_html
 from mapperd.viewer.map_layer import Look, Shape
-from mapperd.viewer.view_voxels import Filter
 
 if TYPE_CHECKING:
     from viser import GuiTabGroupHandle, GuiTabHandle, ViserServer

@@ -1,4 +1,4 @@
-"""The body of a `Blocks` message: blocks of cells as columns, in one zstd frame.
+"""Bodies of messages as arrays: blocks of cells in one zstd frame, and paths.
 
 A block is a cube of 8 x 8 x 8 cells, a cell a cube of 2**level voxels along an edge. Block (x, y,
 z) begins at 8 * 2**level * (x, y, z) voxels of the map's frame; its cells are told x fastest, z
@@ -16,6 +16,12 @@ A cell is -128 where nothing is known. With detail `classes` it is -1 free, 0 ne
 otherwise its log-odds in units of the map's `log_odds_step`, within +-127: the highest of its known
 voxels. A count is the number of bits of the highest observation count of its voxels: 0 for none, 1
 for 1, 2 for 2 and 3, 3 for 4 to 7, ...
+
+Pieces of the vehicle's way as messages, which hold double precision in two single ones.
+
+Points alone are half a metre off where the map's zero is 4650 km away, as that of a survey's zone.
+They go on being in the map's frame, which whoever knows no more of a path reads; what rounding
+them left goes beside them.
 """
 
 import functools
@@ -26,9 +32,18 @@ import zstandard
 from numpy.typing import NDArray
 
 from mapperd.wire.framing import StreamError
-from mapperd.wire.messages import BLOCK_EDGE, MAX_BLOCKS
+from mapperd.wire.messages import BLOCK_EDGE, MAX_BLOCKS, Path
 
-__all__ = ["CELLS", "MAX_KEY", "UNKNOWN", "BlockSet", "decode_blocks", "encode_blocks"]
+__all__ = [
+    "CELLS",
+    "MAX_KEY",
+    "SEEN_M",
+    "UNKNOWN",
+    "BlockSet",
+    "decode_blocks",
+    "encode_blocks",
+    "path_message",
+]
 
 CELLS = BLOCK_EDGE**3
 UNKNOWN = -128
@@ -157,3 +172,20 @@ def _unpacked(body: bytes) -> bytes:
         return _DECOMPRESSOR.decompress(body, max_output_size=MAX_BODY, allow_extra_data=False)
     except zstandard.ZstdError as error:
         raise StreamError(f"blocks that cannot be unpacked: {error}", "bad_blocks") from error
+
+
+SEEN_M = 1e-3
+"""Rounding is told from here on; within 32 km of the map's zero it is less, and costs no bytes."""
+
+
+def path_message(first: int, points_m: NDArray[np.float64], version: int = 0) -> Path:
+    """A piece of the path, (N, 3) metres, map frame, whose first point has that number."""
+    points = points_m.astype("<f4")
+    rest = points_m - points
+    told = bool((np.abs(rest) >= SEEN_M).any())
+    return Path(
+        first=first,
+        points=points.tobytes(),
+        version=version,
+        rest=rest.astype("<f4").tobytes() if told else b"",
+    )

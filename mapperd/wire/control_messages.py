@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta, Struct, field
 
-from mapperd.pose_request import PoseRequest
+from mapperd.api import PoseRequest
 
 __all__ = [
     "VERSION",

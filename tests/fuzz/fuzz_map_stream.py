@@ -14,10 +14,9 @@ import msgspec
 import numpy as np
 import zstandard
 
-from mapperd.client.orders import MOST_FORGOTTEN
 from mapperd.client.protocol import Dialogue, Wishes
-from mapperd.client.second_dialogue import SecondDialogue
-from mapperd.client.state import Knowledge
+from mapperd.client.second_line import SecondDialogue
+from mapperd.client.state import MOST_FORGOTTEN, Knowledge
 from mapperd.wire.blocks import CELLS, MAX_KEY, decode_blocks
 from mapperd.wire.framing import StreamError, framed, server_inbox
 from mapperd.wire.messages import (

@@ -168,4 +168,4 @@ def run(
 @pytest.fixture
 def no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     """Hundreds of runs: the picture is drawn elsewhere."""
-    monkeypatch.setattr("mapperd.daemon.folder.write_picture", lambda *_: None)
+    monkeypatch.setattr("mapperd.daemon.map_folder.write_picture", lambda *_: None)

@@ -17,15 +17,14 @@ from mapperd.config.live import Applied, ConfigStore
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.daemon.session import Live
+from mapperd.errors import Reject
 from mapperd.geometry.frames import Pose, pose_from_rpy
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.counters import ReplayCounters
 from mapperd.pipeline.ingest import SONAR
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
-from mapperd.pipeline.step import Mapped
-from mapperd.pipeline.stepping import Stepping
-from mapperd.reject import Reject
+from mapperd.pipeline.step import Mapped, Stepping
 from mapperd.session.recordings import files_in, sessions_of
 from mapperd.session_log import (
     DECISIONS,

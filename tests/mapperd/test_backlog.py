@@ -4,11 +4,11 @@ from collections.abc import Callable
 import pytest
 
 from mapperd.config.daemon import Behind
+from mapperd.errors import Reject
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.pipeline.backlog import Backlog
 from mapperd.pipeline.decoder import Settled
 from mapperd.pipeline.pose_lookup import FixedPose
-from mapperd.reject import Reject
 from mapperd.session_log import Reset
 from oculus_driver.ping import Ping
 

@@ -43,7 +43,7 @@ def test_picture_in_the_way_that_cannot_be_removed_is_named(
     ping_bytes: PingBytes,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("mapperd.daemon.folder.can_draw", lambda: False)
+    monkeypatch.setattr("mapperd.daemon.map_folder.can_draw", lambda: False)
     (tmp_path / "raw").write_bytes(ping_bytes(1))
     (tmp_path / "out" / "map.png").mkdir(parents=True)
     ran = run(tmp_path / "raw", STILL)

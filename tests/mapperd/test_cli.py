@@ -184,7 +184,7 @@ def test_interrupt_writes_nothing_and_says_so(
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mapperd.pipeline.stepping.process_ping", interrupt)
+    monkeypatch.setattr("mapperd.pipeline.step.process_ping", interrupt)
     out = tmp_path / "out"
     words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(out)]
     assert main(words) == 130

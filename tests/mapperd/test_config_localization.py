@@ -8,10 +8,9 @@ import msgspec
 import pytest
 from config_schema import json_schema
 
-from mapperd.config.aliases import ALIASES, change_renamed
+from mapperd.config.aliases import ALIASES, change_renamed, restored_changes
 from mapperd.config.amcl import CORRECTED
 from mapperd.config.catalog import parameters
-from mapperd.config.config_restore import restored_changes
 from mapperd.config.layers import Layered
 from mapperd.config.live import Applied, ConfigStore, Refused
 from mapperd.config.loader import config_from_text

@@ -12,7 +12,7 @@ from mapperd.daemon.map_folder import MapFolder
 from mapperd.errors import ConfigError
 from mapperd.imaging.filter_chain import check_filters
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.pipeline.stepping import Stepping
+from mapperd.pipeline.step import Stepping
 from mapperd.server.map_worker import MapRounds
 from mapperd.telemetry.telemetry import Telemetry
 

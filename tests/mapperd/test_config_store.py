@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mapperd.config.aliases import RESTORE
 from mapperd.config.catalog import parameters, value_of
-from mapperd.config.config_restore import RESTORE
 from mapperd.config.layers import DEFAULT, Layered, load_files
 from mapperd.config.live import Applied, Change, ConfigStore, Refused
 from mapperd.config.tree import Config

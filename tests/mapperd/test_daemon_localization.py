@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.api import OperationError
+from mapperd.api import OperationError, PoseRequest
 from mapperd.config.layers import Layered
 from mapperd.config.live import ConfigStore
 from mapperd.config.loader import config_of
@@ -22,7 +22,6 @@ from mapperd.localization.map_io import write_nav2_map
 from mapperd.localization.session import begun
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.pose_lookup import OdometryPoses
-from mapperd.pose_request import PoseRequest
 from oculus_driver import PlayedSonar
 from tests.mapperd.test_daemon import drive, free_port, run
 

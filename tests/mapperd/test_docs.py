@@ -7,7 +7,7 @@ from typing import Any
 
 from mapperd.cli.mapperd import Exit
 from mapperd.config.tree import Config
-from mapperd.daemon.summary import recording_facts, summary_of
+from mapperd.daemon.map_folder import recording_facts, summary_of
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.pose_lookup import FixedPose

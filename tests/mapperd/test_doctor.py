@@ -14,7 +14,7 @@ from mapperd.cli.mapperd import main
 from mapperd.config.link_address import parse_address
 from mapperd.daemon.doctor import LAYERS, LinkEvidence, judge_link
 from mapperd.odometry.decoder import DecoderCounters
-from mapperd.odometry.state import LinkPhase, LinkStatus
+from mapperd.odometry.links import LinkPhase, LinkStatus
 
 
 def status(

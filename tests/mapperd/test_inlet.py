@@ -1,8 +1,7 @@
 import threading
 from typing import Any
 
-from mapperd.pipeline.chunk_queue import ChunkQueue
-from mapperd.pipeline.ingest import SONAR, Inlet
+from mapperd.pipeline.ingest import SONAR, ChunkQueue, Inlet
 from mapperd.session_log import Decision, Drop, Gap, Reset, Skip, decision_of
 from oculus_driver.recording import Chunk
 

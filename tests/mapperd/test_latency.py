@@ -1,6 +1,6 @@
 import pytest
 
-from mapperd.pipeline.latency import Latency
+from mapperd.pipeline.counters import Latency
 
 MS = 1_000_000
 MINUTE = 60_000 * MS

@@ -8,16 +8,14 @@ from typing import Any
 import msgspec
 import pytest
 
-from mapperd.api import OperationError
+from mapperd.api import STD_XY_M, STD_YAW_RAD, OperationError, PoseRequest
 from mapperd.config.layers import Layered
 from mapperd.config.live import ConfigStore
 from mapperd.config.loader import config_of
 from mapperd.daemon.localization_service import LocalizationRequests, known_map_path
-from mapperd.errors import MapError
+from mapperd.errors import MapError, Reject
 from mapperd.events import EventLog
 from mapperd.localization.map_io import write_nav2_map
-from mapperd.pose_request import STD_XY_M, STD_YAW_RAD, PoseRequest
-from mapperd.reject import Reject
 from mapperd.session_log import (
     GlobalLocalization,
     InitialPose,

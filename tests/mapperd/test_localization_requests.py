@@ -14,17 +14,16 @@ from mapperd.config.live import Applied, ConfigStore
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.daemon.session import Live
-from mapperd.errors import CheckpointError, MapError
+from mapperd.errors import CheckpointError, MapError, Reject
 from mapperd.geometry.gaussian import PlanarGaussian
-from mapperd.localization.checking import check_localization
 from mapperd.localization.grid_map import GridMap
 from mapperd.localization.map_io import write_nav2_map
+from mapperd.localization.models import check_localization
 from mapperd.localization.session import Localizing, begun
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.ingest import SONAR
 from mapperd.pipeline.pose_lookup import OdometryPoses
-from mapperd.pipeline.stepping import Stepping
-from mapperd.reject import Reject
+from mapperd.pipeline.step import Stepping
 from mapperd.session.recordings import files_in, sessions_of
 from mapperd.session_log import (
     DECISIONS,

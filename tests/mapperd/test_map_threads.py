@@ -9,8 +9,7 @@ import pytest
 
 from mapperd.config.tree import Config, Mounting, Octree, Orientation
 from mapperd.imaging.ping_image import echo_of
-from mapperd.mapping.memory_stats import memory_stats
-from mapperd.mapping.queries import MapQueries
+from mapperd.mapping.queries import MapQueries, memory_stats
 from mapperd.mapping.sonar_map import SonarMap
 from oculus_driver.ping import Ping
 

@@ -9,13 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 from mapperd.config.tree import Config, Mapping, Mounting, Octree, Orientation, Position, Sonar
-from mapperd.errors import MapError
+from mapperd.errors import MapError, Reject
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.geometry.motion import BaseMotion, PingMotion
 from mapperd.imaging.ping_image import Echo
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.step import process_ping
-from mapperd.reject import Reject
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]

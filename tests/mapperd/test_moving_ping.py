@@ -15,7 +15,7 @@ from mapperd.config.tree import Config, Mapping, Mounting, Octree, Orientation, 
 from mapperd.geometry.frames import Pose, pose_from_rpy
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.pose_lookup import OdometryPoses
-from mapperd.pipeline.stepping import Stepping
+from mapperd.pipeline.step import Stepping
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]

@@ -3,10 +3,10 @@ from collections.abc import Callable
 import pytest
 
 from mapperd.config.tree import Config, TimeSync
+from mapperd.errors import Reject
 from mapperd.geometry.frames import Pose, pose_from_rpy
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses, ping_time_ns
-from mapperd.reject import Reject
 from oculus_driver.ping import Ping
 
 MS = 1_000_000

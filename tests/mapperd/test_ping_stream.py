@@ -1,8 +1,8 @@
 from collections.abc import Callable
 
+from mapperd.errors import Reject
 from mapperd.pipeline.counters import ReplayCounters
-from mapperd.pipeline.ping_stream import Arrival, PingStream
-from mapperd.reject import Reject
+from mapperd.pipeline.decoder import Arrival, PingStream
 from oculus_driver.encode import encode_dummy
 from oculus_driver.ping import Ping
 

@@ -10,7 +10,7 @@ import pytest
 
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Amcl
-from mapperd.daemon.pose_keeper import PoseKeeper
+from mapperd.daemon.localization_service import PoseKeeper
 from mapperd.daemon.run import _localizing
 from mapperd.errors import ConfigError
 from mapperd.events import EventLog

@@ -6,8 +6,7 @@ import numpy as np
 import pyproj
 import pytest
 
-from mapperd.geometry.geodesy import Origin
-from mapperd.geometry.projection import TransverseMercator, local_projection, utm_zone
+from mapperd.geometry.geodesy import Origin, TransverseMercator, local_projection, utm_zone
 
 PLACES = [(53.5, 9.9), (-41.2, 174.9), (0.0, 0.01), (71.0, 179.999), (-0.5, -180.0), (82.9, 5.0)]
 

@@ -17,8 +17,7 @@ from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.counters import ReplayCounters
 from mapperd.pipeline.decoder import Engine, Settled
 from mapperd.pipeline.pose_lookup import FixedPose
-from mapperd.pipeline.step import Mapped, process_ping
-from mapperd.pipeline.stepping import Stepping
+from mapperd.pipeline.step import Mapped, Stepping, process_ping
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]

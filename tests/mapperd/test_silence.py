@@ -10,11 +10,11 @@ import pytest
 
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
+from mapperd.errors import Reject
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.counters import ReplayCounters
 from mapperd.pipeline.pose_lookup import OdometryPoses, ping_time_ns
-from mapperd.reject import Reject
 from mapperd.session.replay import Replay, Window
 from oculus_driver.ping import Ping
 from oculus_driver.recording import RecordingWriter, open_recording

@@ -10,8 +10,7 @@ from mapperd import SonarTo3DMapper
 from mapperd.config.tree import Sonar
 from mapperd.errors import ConfigError, ExportError, MapError
 from mapperd.geometry.frames import Pose
-from mapperd.imaging.ping_image import Echo
-from mapperd.imaging.polar_image import echo_of_image, uniform_bearings
+from mapperd.imaging.ping_image import Echo, echo_of_image, uniform_bearings
 from mapperd.mapping.queries import FREE, OCCUPIED
 from mapperd.mapping.sonar_map import SonarMap
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from mapperd.config.tree import Config, Mounting, Octree, Orientation, Position
+from mapperd.errors import Reject
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline import step
 from mapperd.pipeline.step import Mapped, process_ping
-from mapperd.reject import Reject
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]

@@ -17,7 +17,7 @@ from mapperd.odometry.records import GeoPoint, Odometry
 from mapperd.pipeline.counters import ReplayCounters
 from mapperd.pipeline.decoder import Engine
 from mapperd.pipeline.pose_lookup import OdometryPoses
-from mapperd.pipeline.stepping import Stepping
+from mapperd.pipeline.step import Stepping
 from mapperd.session.startup import open_map
 from mapperd.session.store_session import Stored
 from mapperd.session_log import Reset

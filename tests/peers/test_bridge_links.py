@@ -15,15 +15,14 @@ from typing import Any
 
 import pytest
 
-from mapperd.config.format_settings import FormatName
 from mapperd.config.link_address import parse_address
-from mapperd.config.odometry import OdometryFusion, OdometrySource
+from mapperd.config.odometry import FormatName, OdometryFusion, OdometrySource
 from mapperd.config.tree import Config
+from mapperd.errors import Reject
 from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.fusion import FusedPose
 from mapperd.odometry.links import Link
 from mapperd.odometry.native import NativeRecord, encode_native
-from mapperd.reject import Reject
 from tests.peers.autopilot import Autopilot
 from tests.peers.dvl import Dvl
 from tests.peers.nmea_talker import NmeaTalker

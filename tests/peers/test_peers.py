@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from mapperd.config.format_settings import FormatName, FormatSettings
+from mapperd.config.odometry import FormatName, FormatSettings
 from mapperd.odometry.decoder import Decoder
 from mapperd.odometry.formats import make_decoder
 from mapperd.odometry.records import Odometry

@@ -12,10 +12,9 @@ from mapperd.config.tree import Config, Crosstalk, RobotDetection, TerrainDetect
 from mapperd.imaging.crosstalk import without_stripes
 from mapperd.imaging.fft_notch import notched
 from mapperd.imaging.filter_chain import filter_echo
-from mapperd.imaging.ping_image import Echo
-from mapperd.imaging.polar_image import echo_of_image, uniform_bearings
+from mapperd.imaging.ping_image import Echo, echo_of_image, uniform_bearings
 from mapperd.imaging.robot_bands import find_robots, terrain_of
-from mapperd.imaging.sightings import MOST_SIGHTINGS, Sighting, Sightings
+from mapperd.imaging.robots import MOST_SIGHTINGS, Sighting, Sightings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

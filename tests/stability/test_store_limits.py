@@ -17,9 +17,9 @@ from mapperd import _core
 from mapperd.config.tree import Config, Iwlo, Octree
 from mapperd.errors import StoreError
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.store.bricks import MAX_BYTES, DamagedBrickError, pack, unpack
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore, tile_bricks
+from mapperd.store.tiles import MAX_BYTES, DamagedBrickError, pack, unpack
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,8 +11,7 @@ from mpmath import mpf
 
 from mapperd import _core
 from mapperd.client.mirror import MapMirror
-from mapperd.server.map_index import View
-from mapperd.server.region import distances_m, within
+from mapperd.server.map_index import View, distances_m, within
 from mapperd.wire.blocks import CELLS, MAX_KEY, UNKNOWN, BlockSet, decode_blocks, encode_blocks
 from mapperd.wire.framing import StreamError
 from mapperd.wire.messages import Interest, MapFacts

@@ -8,9 +8,8 @@ import random
 import numpy as np
 import pytest
 
-from mapperd.server.budget import LEAST_BURST
-from mapperd.server.on_its_way import OnItsWay
-from mapperd.server.pacer import LEAST_WINDOW, MOST_WINDOW, Pacer
+from mapperd.server.pacer import LEAST_BURST, LEAST_WINDOW, MOST_WINDOW, Pacer
+from mapperd.server.subscription import OnItsWay
 from mapperd.wire.framing import StreamError, server_inbox
 from mapperd.wire.messages import MAX_FROM_CLIENT
 

@@ -12,10 +12,9 @@ from mapperd.client.state import Knowledge
 from mapperd.client.validation import check_message, image_of
 from mapperd.config.tree import Config
 from mapperd.imaging.ping_image import Echo
-from mapperd.server.pictures import IMAGE_SIZES, first_returns, image_message
-from mapperd.server.track import Track
+from mapperd.server.state_messages import IMAGE_SIZES, Track, first_returns, image_message
+from mapperd.wire.blocks import path_message
 from mapperd.wire.messages import Interest, Path
-from mapperd.wire.way import path_message
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.stream import StreamParser
 from tests.mapperd.conftest import make_ping

@@ -10,11 +10,11 @@ from sonar_sim import Pose, Simulator
 from sonar_sim.poses import quaternion_of, rotation_of
 
 from mapperd.config.tree import Config
-from mapperd.imaging.polar_image import echo_of_image
+from mapperd.errors import Reject
+from mapperd.imaging.ping_image import echo_of_image
 from mapperd.localization.extraction import Surroundings, scan_of
 from mapperd.localization.levelling import level_T_base
 from mapperd.localization.scan import Scan
-from mapperd.reject import Reject
 
 __all__ = ["ping_scans"]
 

@@ -20,7 +20,7 @@ from mapperd.config.tree import Config
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.pose_lookup import OdometryPoses, ping_time_ns
-from mapperd.pipeline.stepping import Stepping
+from mapperd.pipeline.step import Stepping
 from oculus_driver.clock import SonarClock
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.stream import StreamParser

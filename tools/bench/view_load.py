@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.cli.mapperctl.view_page import open_page
+from mapperd.cli.mapperctl.view import open_page
 from mapperd.client.mirror import MapMirror
+from mapperd.viewer.chunks import Filter
 from mapperd.viewer.colours import Scale
 from mapperd.viewer.map_layer import Look, MapView
-from mapperd.viewer.view_voxels import Filter
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
 from mapperd.wire.messages import Interest, MapFacts
 

@@ -11,7 +11,7 @@ from mapperd.config.filters import Crosstalk
 from mapperd.config.tree import Config
 from mapperd.imaging.fft_notch import notched
 from mapperd.imaging.ping_image import Echo
-from mapperd.localization.levels import levels_db
+from mapperd.localization.detector import levels_db
 from mapperd.localization.models import filter_rule
 from mapperd.localization.particle_filter import (
     Endpoints,
@@ -20,8 +20,8 @@ from mapperd.localization.particle_filter import (
     LikelihoodField,
     ParticleFilter,
 )
-from mapperd.server.pictures import first_returns
-from mapperd.wire.way import path_message
+from mapperd.server.state_messages import first_returns
+from mapperd.wire.blocks import path_message
 from numerical_growth.place import Measured, Place
 
 __all__ = ["PLACES"]

@@ -18,11 +18,11 @@ MEASURED: dict[str, tuple[str, ...]] = {
     ),
     "`mapping.Voxels`, `map_queries`, the client's mirror, LAS": _in(
         "mapperd/",
-        "client/cells.py client/mirror.py compat/sonar_to_3d.py export/calibration.py "
-        "export/clouds.py export/las.py export/pcd.py mapping/queries.py "
+        "client/block_table.py client/mirror.py compat/sonar_to_3d.py "
+        "export/calibration.py export/clouds.py export/las.py mapping/queries.py "
         "mapping/sonar_map.py",
     ),
-    "`echo`": _in("mapperd/", "imaging/ping_image.py imaging/polar_image.py"),
+    "`echo`": _in("mapperd/", "imaging/ping_image.py"),
     "`evidence_grid`, `kernels`, `iwlo`": (
         *_in("cpp/map/include/mapperd/map/", "evidence_grid.hpp kernels.hpp ping.hpp"),
         *_in(
@@ -44,15 +44,16 @@ MEASURED: dict[str, tuple[str, ...]] = {
         "localization/src/likelihood_field.cpp bind/localization_maps.cpp",
     ),
     "`field_weight`": ("cpp/localization/src/field_weight.cpp",),
-    "`levels`, `first_return`": _in("mapperd/", "localization/detector.py localization/levels.py"),
+    "`levels`, `first_return`": _in("mapperd/", "localization/detector.py"),
     "`fft_notch`, `crosstalk`, `robot_bands`": _in(
         "mapperd/", "imaging/crosstalk.py imaging/fft_notch.py imaging/robot_bands.py"
     ),
     "`stream.way`, particles, `topside`": _in(
         "mapperd/",
-        "client/validation.py server/state_feed.py viewer/actors.py viewer/shapes.py wire/way.py",
+        "client/validation.py server/state_feed.py viewer/actors.py viewer/shapes.py "
+        "wire/blocks.py",
     ),
-    "`stream.pictures`": ("mapperd/server/pictures.py",),
+    "`stream.pictures`": ("mapperd/server/state_messages.py",),
     "GeoTIFF": (
         "mapperd/export/geotiff.py",
         *_in("tools/survey/", "coverage.py export.py"),
@@ -99,8 +100,8 @@ NOT_MEASURED: dict[str, tuple[str, ...]] = {
     "writes any array in its own width": ("mapperd/store/checkpoint_writer.py",),
     "drawn by a browser or a viewer, whose own width it is": _in(
         "mapperd/",
-        "foxglove/clouds.py foxglove/poses.py foxglove/sonar_images.py viewer/colours.py "
-        "viewer/map_layer.py viewer/tools.py viewer/view_voxels.py",
+        "foxglove/geometry.py foxglove/map_publisher.py foxglove/messages.py "
+        "viewer/chunks.py viewer/colours.py viewer/map_layer.py viewer/tools.py",
     ),
     "serves the rules that decide on effects, to tenths of a decibel": _in(
         SIMULATOR,

@@ -8,9 +8,9 @@ from msgspec import Struct
 
 from mapperd.config.tree import Config
 from mapperd.errors import StoreError
-from mapperd.store.bricks import BrickRow
+from mapperd.store.maintenance import write_whole
 from mapperd.store.reader import StoreReader
-from mapperd.store.whole import write_whole
+from mapperd.store.tiles import BrickRow
 from survey.errors import SurveyError
 from survey.folder import Folder
 from survey.marks import crc_of

@@ -10,8 +10,7 @@ from mapperd.config.tree import Config
 from mapperd.pipeline.counters import ReplayCounters
 from mapperd.pipeline.decoder import Settled
 from mapperd.session.recordings import RecordedSession, files_in, sessions_of
-from mapperd.session.replay import Window
-from mapperd.session.replay_runs import as_asked
+from mapperd.session.replay import Window, as_asked
 from oculus_driver.errors import RecordingError
 from survey.errors import SurveyError
 from survey.folder import Folder

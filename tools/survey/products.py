@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 
 from mapperd.config.tree import Config
 from mapperd.export.cells import Heights
-from mapperd.geometry.geodesy import Origin
-from mapperd.geometry.projection import local_projection, utm_zone
+from mapperd.geometry.geodesy import Origin, local_projection, utm_zone
 from survey.errors import SurveyError
 from survey.surface import CELL_VOXELS, RULES, Rule
 from survey.windows import WINDOW_BRICKS

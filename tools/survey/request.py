@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from mapperd.config.catalog import parameters
 from mapperd.config.changes import with_values
 from mapperd.config.layers import load_files
-from mapperd.config.loader import MAX_FILE_BYTES
+from mapperd.config.loader import MAX_FILE_BYTES, YamlProblem, parse_yaml
 from mapperd.config.tree import Config
-from mapperd.config.yaml_strict import YamlProblem, parse_yaml
 from mapperd.errors import ConfigError
 from survey.errors import SurveyError
 from survey.products import check_products

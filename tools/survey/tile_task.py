@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mapperd.config.tree import Config
 from mapperd.errors import MapperdError
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.store.whole import packed, write_whole
+from mapperd.store.maintenance import packed, write_whole
 from survey.errors import SurveyError
 from survey.folder import Folder
 from survey.order import PLACE, Key

@@ -9,8 +9,7 @@ import msgspec
 from mapperd.config.tree import Config
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.session.recordings import sessions_of
-from mapperd.session.replay import Window
-from mapperd.session.replay_runs import as_asked
+from mapperd.session.replay import Window, as_asked
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
 

@@ -11,8 +11,7 @@ import numpy as np
 from mapperd.cli.progress import ProgressBar
 from mapperd.config.changes import with_values
 from mapperd.config.tree import Config
-from mapperd.export.ros_messages import Turned
-from mapperd.export.rosbag import Bag, Storage, open_bag
+from mapperd.export.rosbag import Bag, Storage, Turned, open_bag
 from mapperd.geometry.frames import (
     Pose,
     quaternion_product,
@@ -25,8 +24,7 @@ from mapperd.pipeline.counters import ReplayCounters
 from mapperd.pipeline.decoder import Settled
 from mapperd.pipeline.executor import Treated
 from mapperd.session.recordings import RecordedSession, files_in, sessions_of
-from mapperd.session.replay import Window
-from mapperd.session.replay_runs import Run, as_asked, as_recorded, not_empty
+from mapperd.session.replay import Run, Window, as_asked, as_recorded, not_empty
 from mapperd.store.map_files import map_in
 from oculus_driver.errors import RecordingError
 

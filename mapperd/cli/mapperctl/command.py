@@ -12,9 +12,9 @@ from pathlib import Path
 from mapperd.cli.mapperctl.arguments import parser
 from mapperd.cli.mapperctl.connection import Target
 from mapperd.cli.mapperctl.errors import CtlError, Exit
-from mapperd.cli.mapperctl.params import params_lines
 from mapperd.cli.mapperctl.remote import run
-from mapperd.config.config_facts import facts_of
+from mapperd.cli.mapperctl.views import params_lines
+from mapperd.config.changes import facts_of
 from mapperd.config.layers import Layered, load_settings
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError

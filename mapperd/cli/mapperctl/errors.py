@@ -1,10 +1,11 @@
-"""What goes wrong for `mapperctl`, with the exit code that says so."""
+"""Errors of `mapperctl`, with their exit codes."""
 
 from enum import IntEnum
 
 from mapperd.errors import MapperdError
+from mapperd.wire.framing import StreamError
 
-__all__ = ["CtlError", "Exit", "plain"]
+__all__ = ["CtlError", "Exit", "plain", "refused"]
 
 
 class Exit(IntEnum):
@@ -37,3 +38,12 @@ class CtlError(MapperdError):
 def plain(text: object) -> str:
     """Text of a daemon without anything that would move a terminal's cursor."""
     return "".join(letter if letter.isprintable() else "?" for letter in str(text))
+
+
+NO_PERMISSION = frozenset({"wrong_token", "needs_token", "no_permission", "not_trusted"})
+
+
+def refused(error: StreamError) -> CtlError:
+    """What the command says, and ends with."""
+    code = Exit.NO_PERMISSION if error.reason in NO_PERMISSION else Exit.PROTOCOL
+    return CtlError(str(error), code)

@@ -11,9 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
-from mapperd.cli.mapperctl.errors import CtlError, Exit, plain
+from mapperd.cli.mapperctl.errors import CtlError, Exit, plain, refused
 from mapperd.cli.mapperctl.map_output import Made, check_suffix, make_files, origin_among
-from mapperd.cli.mapperctl.refusals import refused
 from mapperd.client import (
     Box,
     Interest,

@@ -5,12 +5,11 @@ import asyncio
 import json
 import ssl
 
-from mapperd.cli.mapperctl.errors import CtlError, Exit
-from mapperd.cli.mapperctl.refusals import refused
-from mapperd.cli.mapperctl.stopping import told_to_stop
+from mapperd.cli.mapperctl.errors import CtlError, Exit, refused
+from mapperd.cli.mapperctl.record import told_to_stop
 from mapperd.client import Interest, MapClient
 from mapperd.errors import LiveError
-from mapperd.foxglove.extras import foxglove_missing
+from mapperd.foxglove.recording import foxglove_missing
 from mapperd.wire.framing import StreamError
 
 __all__ = ["run_foxglove"]

@@ -2,21 +2,55 @@
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 from mapperd.cli.mapperctl.bag import bag_of_map, bag_of_recordings
-from mapperd.cli.mapperctl.converting import convert
 from mapperd.cli.mapperctl.errors import CtlError, Exit, plain
+from mapperd.cli.mapperctl.map_output import check_suffix, make_files, origin_among
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, ExportError, MapperdError
-from mapperd.export.calibration import load_calibration
+from mapperd.export.calibration import Calibration, load_calibration
+from mapperd.export.formats import check_calibration
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.geometry.geodesy import Origin
-from mapperd.store.map_files import holds_map
+from mapperd.store.map_files import holds_map, map_in
 from oculus_driver.errors import OculusError
 
-__all__ = ["run"]
+__all__ = ["convert", "run"]
+
+
+def convert(
+    source: Path,
+    path: Path,
+    config: Config,
+    values: Mapping[str, Any],
+    origin: Origin | None,
+    *,
+    calibration: Calibration | None = None,
+) -> Iterator[str]:
+    """Read a map and write it; yields what there is to say.
+
+    Args:
+        source: as `map_in` takes it.
+        path: of the new file; its suffix says the format.
+        config: thresholds and heights.
+        values: settings above these.
+        origin: where the map's zero lies on Earth, whatever the file says.
+        calibration: of the probabilities; None leaves them as they are.
+
+    Raises:
+        MapperdError: what is wrong with the map, the settings or the new file.
+    """
+    check_suffix(path)
+    check_calibration(path, calibration)
+    found = map_in(source, config, values)
+    counts = found.map.counts()
+    edge_m = found.map.resolution_m
+    yield f"{source}: {counts.occupied} occupied, {counts.free} free voxels of {edge_m:g} m"
+    place = origin_among(origin, found.origin, config)
+    yield from make_files(found.map, path, place, calibration).lines()
 
 
 def run(said: argparse.Namespace, config: Config) -> Iterator[str]:

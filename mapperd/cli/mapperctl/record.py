@@ -1,19 +1,18 @@
-"""`mapperctl record`: what the map stream says, into a file, until it is told to stop."""
+"""`mapperctl record`: write the map stream to a file until told to stop."""
 
 import argparse
 import asyncio
 import contextlib
 import json
+import signal
 import ssl
 import sys
 import time
 from collections.abc import Callable, Coroutine, Iterator
 from typing import Any, TextIO
 
-from mapperd.cli.mapperctl.errors import CtlError, Exit, plain
+from mapperd.cli.mapperctl.errors import CtlError, Exit, plain, refused
 from mapperd.cli.mapperctl.map_output import check_suffix, make_files, origin_among
-from mapperd.cli.mapperctl.refusals import refused
-from mapperd.cli.mapperctl.stopping import told_to_stop
 from mapperd.client import Interest, MapClient, Want
 from mapperd.config.tree import Config
 from mapperd.errors import ExportError, MapError
@@ -21,7 +20,26 @@ from mapperd.foxglove.recording import Recording
 from mapperd.geometry.geodesy import Origin
 from mapperd.wire.framing import StreamError
 
-__all__ = ["run_record"]
+__all__ = ["run_record", "told_to_stop"]
+
+
+async def told_to_stop() -> None:
+    """Wait for SIGINT or SIGTERM, which do nothing else meanwhile."""
+    loop = asyncio.get_running_loop()
+    told = asyncio.Event()
+    handled = []
+    try:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            try:
+                loop.add_signal_handler(number, told.set)
+            except (NotImplementedError, RuntimeError, ValueError):  # a thread, or no Unix
+                continue
+            handled.append(number)
+        await told.wait()
+    finally:
+        for number in handled:
+            loop.remove_signal_handler(number)
+
 
 MIB = 1 << 20
 TTY_PERIOD_S = 0.5

@@ -10,12 +10,10 @@ from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
+from mapperd.cli.mapperctl.arguments import pose_said
 from mapperd.cli.mapperctl.connection import Connection, Target
 from mapperd.cli.mapperctl.errors import CtlError, Exit, plain
-from mapperd.cli.mapperctl.localization_arguments import pose_said
-from mapperd.cli.mapperctl.localization_view import localization_lines
-from mapperd.cli.mapperctl.params import params_lines
-from mapperd.cli.mapperctl.views import event_line, status_lines
+from mapperd.cli.mapperctl.views import event_line, localization_lines, params_lines, status_lines
 
 __all__ = ["run"]
 

@@ -1,17 +1,18 @@
-"""`mapperctl view`: serves the page until it is told to stop."""
+"""`mapperctl view`: serve the page, open to this computer's browsers alone."""
 
 import argparse
 import asyncio
 import contextlib
+import functools
+import ipaddress
 import json
 import signal
 import webbrowser
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 from mapperd.cli.mapperctl.errors import CtlError, Exit
-from mapperd.cli.mapperctl.hosts import is_local
-from mapperd.cli.mapperctl.view_page import open_page
 from mapperd.client import Interest, MapClient, StreamError
 from mapperd.foxglove.recording import Recording
 from mapperd.viewer.app import VIEW_WANTS, View
@@ -21,7 +22,98 @@ if TYPE_CHECKING:
 
     from viser import ViserServer
 
-__all__ = ["run_view"]
+__all__ = ["is_local", "open_page", "run_view", "same_origin"]
+
+
+def is_local(host: str) -> bool:
+    """Only this computer reaches what listens there."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def open_page(host: str, port: int) -> "ViserServer":
+    """Serve an empty page.
+
+    Raises:
+        CtlError: viser is missing, or the port is taken.
+    """
+    try:
+        import rich  # noqa: PLC0415 of the extra `topside`
+        import viser  # noqa: PLC0415
+    except ImportError as error:
+        raise CtlError(
+            f"mapperctl view needs the extra `topside`: pip install 'mapperd[topside]' ({error})",
+            Exit.USAGE,
+        ) from error
+    rich.reconfigure(quiet=True)  # it prints boxes
+    with _only_from_here():
+        server = viser.ViserServer(host=host, port=port, verbose=False)
+    if port not in (0, server.get_port()):  # it takes the next one that is free
+        server.stop()
+        raise CtlError(f"{host}:{port}: somebody else listens there: --port", Exit.UNAVAILABLE)
+    server.request_share_url = _never_shared  # type: ignore[method-assign]
+    server.gui.configure_theme(
+        dark_mode=True, show_logo=False, show_share_button=False, brand_color=(14, 116, 144)
+    )
+    server.gui.set_panel_label("mapperd")
+    server.scene.configure_default_lights(enabled=False)
+    server.scene.configure_environment_map(None)  # colours are to be those of the legend
+    server.scene.add_light_ambient("/light/all", intensity=1.5)
+    server.scene.add_light_directional(
+        "/light/sun", intensity=2.0, position=(6.0, -9.0, 14.0), cast_shadow=False
+    )
+    return server
+
+
+def same_origin(origin: str | None, host: str | None) -> bool:
+    """Whether a connection comes from our own page: no browser lets other pages say so.
+
+    Args:
+        origin: header of the request; None where it comes from no browser.
+        host: header of the request.
+    """
+    if origin is None:
+        return True
+    return host is not None and urlsplit(origin).netloc == host and _is_near(host)
+
+
+def _is_near(host: str) -> bool:
+    """An address, or a name that nobody on the Internet owns, and so cannot point at us."""
+    name = urlsplit(f"//{host}").hostname or ""
+    with contextlib.suppress(ValueError):
+        return bool(ipaddress.ip_address(name))
+    return "." not in name or name.endswith(".local")
+
+
+@contextlib.contextmanager
+def _only_from_here() -> Iterator[None]:
+    """Connections that pages of others make are refused: the page may change settings."""
+    from websockets.asyncio import server as sockets  # noqa: PLC0415 of the extra `topside`
+
+    plain = sockets.serve
+
+    def serve(*args: Any, process_request: Callable[..., Any], **more: Any) -> Any:  # noqa: ANN401
+        @functools.wraps(process_request)
+        def checked(connection: Any, request: Any) -> Any:  # noqa: ANN401
+            if not same_origin(request.headers.get("Origin"), request.headers.get("Host")):
+                return connection.respond(403, "another page's connection\n")
+            return process_request(connection, request)
+
+        return plain(*args, process_request=checked, **more)
+
+    sockets.serve = serve  # type: ignore[assignment, misc]
+    try:
+        yield
+    finally:
+        sockets.serve = plain  # type: ignore[misc]
+
+
+def _never_shared(*_: object, **__: object) -> None:
+    """Nothing goes to other computers, whoever asks."""
+    return
+
 
 REFUSED = ("wrong_token", "needs_token", "no_permission", "not_trusted")
 

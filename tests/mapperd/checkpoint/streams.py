@@ -6,9 +6,12 @@ import zlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from mapperd.odometry.native import NativeRecord, encode_native
-from mapperd.odometry.native_json import encode_native_json
-from mapperd.odometry.native_serial import encode_native_serial
+from mapperd.odometry.native import (
+    NativeRecord,
+    encode_native,
+    encode_native_json,
+    encode_native_serial,
+)
 from oculus_driver.recording import Chunk
 from tests.mapperd.conftest import make_ping
 from tests.peers.autopilot import Autopilot

@@ -11,8 +11,7 @@ from mapperd.config.tree import Config
 from mapperd.odometry.bridge import ENCODING_PREFIX, OdometryBridge
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.counters import ReplayCounters
-from mapperd.pipeline.decoder import Engine
-from mapperd.pipeline.ping_stream import PingStream
+from mapperd.pipeline.decoder import Engine, PingStream
 from mapperd.pipeline.pose_lookup import OdometryPoses, ping_time_ns
 from mapperd.store.checkpoint_reader import overlay
 from mapperd.store.checkpoint_writer import written

@@ -13,8 +13,8 @@ import numpy as np
 import zstandard
 
 from mapperd.client import MapMirror
+from mapperd.wire.blocks import path_message
 from mapperd.wire.messages import Interest
-from mapperd.wire.way import path_message
 from tests.mapperd.client.served import FACTS, TOKEN, Served, Server, a_block
 
 Key = tuple[int, int, int]

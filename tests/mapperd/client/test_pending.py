@@ -10,6 +10,7 @@ from mapperd.client.change_queue import Pending
 from mapperd.client.changes import ClientChange
 from mapperd.client.state import Knowledge
 from mapperd.client.validation import places_of
+from mapperd.wire.blocks import path_message
 from mapperd.wire.framing import StreamError
 from mapperd.wire.messages import (
     WANTS,
@@ -21,7 +22,6 @@ from mapperd.wire.messages import (
     Status,
     Welcome,
 )
-from mapperd.wire.way import path_message
 from tests.mapperd.client.served import FACTS, Served, a_block
 
 LINK = LinkChanged(LinkStatus("connected", "here", "", 0.0))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mapperd.client import EndedError, Interest, StreamError
 from mapperd.client.protocol import Dialogue, Wishes
-from mapperd.client.second_dialogue import SecondDialogue
+from mapperd.client.second_line import SecondDialogue
 from mapperd.client.state import Knowledge
 from mapperd.wire.auth import proof_of
 from mapperd.wire.blocks import CELLS, UNKNOWN, encode_blocks

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from mapperd.client import MapClient, connect
-from mapperd.client.address import place_of
-from mapperd.client.second_dialogue import SecondDialogue
-from mapperd.client.second_line import SecondLine
+from mapperd.client.connect import place_of
+from mapperd.client.second_line import SecondDialogue, SecondLine
 from mapperd.wire.blocks import CELLS, BlockSet, encode_blocks
 from mapperd.wire.messages import Blocks, Bye, Hello, Pose, Reset, Status
 from tests.mapperd.client.served import TOKEN, Connection, Served, Server

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mapperd.client import LinkChanged, MapClient
-from mapperd.wire.limits import Limits
+from mapperd.wire.auth import Limits
 from tests.mapperd.stream.watched import bed_of, run
 
 

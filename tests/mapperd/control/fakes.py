@@ -13,15 +13,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from mapperd.api import OperationError
+from mapperd.api import OperationError, PoseRequest
 from mapperd.config.layers import Layered
 from mapperd.config.live import ConfigStore
 from mapperd.config.tree import Config
 from mapperd.events import EventLog
-from mapperd.pose_request import PoseRequest
 from mapperd.server.control_server import ControlServer
 from mapperd.server.listeners import Door, open_tcp_door, open_unix_door
-from mapperd.wire.limits import Limits
+from mapperd.wire.auth import Limits
 
 TOKEN = b"correct-horse-battery-staple"
 

@@ -11,8 +11,8 @@ import pytest
 from mapperd.cli.mapperctl.arguments import EPILOG, parser
 from mapperd.cli.mapperctl.connection import REASONS
 from mapperd.cli.mapperctl.errors import Exit
+from mapperd.wire.auth import Limits
 from mapperd.wire.control_messages import Answer, Ask, Events, Greeting
-from mapperd.wire.limits import Limits
 from tests.mapperd.control.fakes import Line, served
 
 ROOT = Path(__file__).resolve().parents[3]

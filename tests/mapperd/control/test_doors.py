@@ -12,7 +12,7 @@ import pytest
 import trustme
 
 from mapperd.config.tree import Config, Control, Service
-from mapperd.daemon.control_setup import control_server
+from mapperd.daemon.servers import control_server
 from mapperd.errors import ConfigError, LiveError
 from mapperd.events import Severity
 from mapperd.server.listeners import address_of, open_tcp_door, open_unix_door, server_tls

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.wire.limits import Limits
+from mapperd.wire.auth import Limits
 from tests.mapperd.control.fakes import (
     FREE,
     MALFORMED,

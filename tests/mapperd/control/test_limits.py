@@ -5,10 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mapperd.events import EventLog, Severity
-from mapperd.server.control_lines import LineBuffer, LineTooLongError
-from mapperd.server.feed import EventFeed
-from mapperd.wire.auth import FailureLimiter, is_proof, proof_of, site_of
-from mapperd.wire.limits import TokenBucket
+from mapperd.server.control_session import LineBuffer, LineTooLongError
+from mapperd.server.dispatch import EventFeed
+from mapperd.wire.auth import FailureLimiter, TokenBucket, is_proof, proof_of, site_of
 
 
 @given(

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from mapperd.pose_request import PoseRequest
+from mapperd.api import PoseRequest
 from tests.mapperd.control.fakes import Served, go, refusal
 
 POSE = {"x_m": 1.5, "y_m": -2, "yaw_rad": 0.5}

@@ -12,7 +12,7 @@ import pytest
 
 from mapperd.config.catalog import parameters
 from mapperd.events import Severity
-from mapperd.wire.limits import Limits
+from mapperd.wire.auth import Limits
 from tests.mapperd.control.fakes import Line, Served, refusal, served, until
 
 Contexts = tuple[ssl.SSLContext, ssl.SSLContext]

@@ -22,9 +22,8 @@ from mapperd.errors import StoreError
 from mapperd.events import EventLog
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.session.recordings import files_in, sessions_of
-from mapperd.session.replay import Window
-from mapperd.session.replay_runs import Run
-from mapperd.session.replay_runs import as_recorded as run_as_recorded
+from mapperd.session.replay import Run, Window
+from mapperd.session.replay import as_recorded as run_as_recorded
 from mapperd.session.replay_to_store import map_into_store
 from mapperd.session.startup import open_map
 from mapperd.store.position import position_in

@@ -14,7 +14,7 @@ from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.counters import ReplayCounters
 from mapperd.pipeline.decoder import Engine
 from mapperd.pipeline.pose_lookup import OdometryPoses
-from mapperd.session.recording_tail import Tail
+from mapperd.session.recordings import Tail
 from mapperd.session.recovery import Going, go_on
 from mapperd.store.position import Place
 from mapperd.store.tile_store import TileStore

@@ -16,7 +16,7 @@ from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.counters import ReplayCounters
 from mapperd.pipeline.decoder import Engine
 from mapperd.pipeline.pose_lookup import OdometryPoses
-from mapperd.session.recording_tail import Tail, files_of
+from mapperd.session.recordings import Tail, files_of
 from mapperd.session.recovery import Going, go_on, map_sessions_again
 from mapperd.session.startup import open_map
 from mapperd.session_log import (

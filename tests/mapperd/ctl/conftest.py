@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import trustme
 
-from mapperd.wire.limits import Limits
+from mapperd.wire.auth import Limits
 from tests.mapperd.control.conftest import authority, short, tls
 from tests.mapperd.control.fakes import TOKEN, Served, served
 

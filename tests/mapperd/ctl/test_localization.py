@@ -8,12 +8,11 @@ from typing import Any
 
 import pytest
 
+from mapperd.api import PoseRequest
 from mapperd.cli.mapperctl.command import main
-from mapperd.cli.mapperctl.localization_view import localization_lines
-from mapperd.cli.mapperctl.views import status_lines
+from mapperd.cli.mapperctl.views import localization_lines, status_lines
 from mapperd.config.loader import config_of
 from mapperd.localization.report import localization_report, localization_summary
-from mapperd.pose_request import PoseRequest
 from tests.mapperd.control.fakes import refusal
 from tests.mapperd.ctl.conftest import Running
 from tests.mapperd.ctl.test_commands import Terminal

@@ -5,8 +5,7 @@ import pytest
 
 from mapperd.config.tree import RobotDetection, TerrainDetection
 from mapperd.imaging.robot_bands import MOST_ROBOTS, find_robots, terrain_of
-from mapperd.imaging.robots import Robot
-from mapperd.imaging.sightings import MOST_SIGHTINGS, Sighting, Sightings
+from mapperd.imaging.robots import MOST_SIGHTINGS, Robot, Sighting, Sightings
 
 BEARINGS = np.linspace(-1.0, 1.0, 101)
 ROBOTS = RobotDetection(enabled=True)

@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from mapperd.config.link_address import parse_address
-from mapperd.odometry.links import Link
-from mapperd.odometry.state import LinkStatus
+from mapperd.odometry.links import Link, LinkStatus
 
 Told = list[tuple[str, str]]
 Heard = list[tuple[bytes, bool]]

@@ -1,4 +1,4 @@
-from mapperd.odometry.state import LinkPhase, LinkState
+from mapperd.odometry.links import LinkPhase, LinkState
 
 S = 1_000_000_000
 

@@ -7,12 +7,11 @@ import numpy as np
 
 from mapperd.config.tree import Amcl
 from mapperd.geometry.gaussian import Belief, PlanarGaussian
-from mapperd.localization.clusters import Cluster
-from mapperd.localization.diagnostics import diagnose
 from mapperd.localization.grid_map import FREE, OCCUPIED, UNKNOWN, GridMap
 from mapperd.localization.known_map import KnownMap
 from mapperd.localization.odom_correction import MapFromOdom
-from mapperd.localization.status import LocalizationFacts
+from mapperd.localization.particle_filter import Cluster
+from mapperd.localization.status import LocalizationFacts, diagnose
 
 STAMP_NS = 1_700_000_000_000_000_000
 

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from mapperd.config.tree import Sonar
-from mapperd.imaging.ping_image import Echo
-from mapperd.imaging.polar_image import echo_of_image
+from mapperd.imaging.ping_image import Echo, echo_of_image
 
 MakeEcho = Callable[..., Echo]
 

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.errors import MapError
-from mapperd.localization.boundaries import keep_boundaries
-from mapperd.localization.map_loading import load_known_map
-from mapperd.localization.maps import VolumeMap
+from mapperd.localization.known_map import load_known_map
+from mapperd.localization.maps import VolumeMap, keep_boundaries
 from mapperd.mapping.queries import UNKNOWN, MapQueries
 from mapperd.mapping.sonar_map import SonarMap
 

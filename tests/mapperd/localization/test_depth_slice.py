@@ -5,8 +5,8 @@ import pytest
 
 from mapperd.config.tree import Config
 from mapperd.errors import MapError
-from mapperd.localization import depth_slice as module
-from mapperd.localization.depth_slice import beam_band_m, depth_slice
+from mapperd.localization import maps as module
+from mapperd.localization.maps import beam_band_m, depth_slice
 from mapperd.mapping.queries import MapQueries
 from mapperd.mapping.sonar_map import SonarMap
 

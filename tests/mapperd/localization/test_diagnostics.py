@@ -3,7 +3,7 @@ import pytest
 
 from mapperd.config.tree import Amcl
 from mapperd.geometry.gaussian import PlanarGaussian
-from mapperd.localization.diagnostics import Deviation, diagnose, weight_warning
+from mapperd.localization.status import Deviation, diagnose, weight_warning
 
 
 def estimate(*variances: float) -> PlanarGaussian:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from mapperd.daemon.localization_events import LocalizationWatch
+from mapperd.daemon.status import LocalizationWatch
 from mapperd.events import EventLog
 from mapperd.localization.status import LocalizationFacts
 from tests.mapperd.localization.believed import facts, known

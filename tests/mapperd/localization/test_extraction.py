@@ -7,12 +7,12 @@ import pytest
 
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
+from mapperd.errors import Reject
 from mapperd.geometry.frames import rigid_transform, rotation_from_rpy
 from mapperd.imaging.ping_image import Echo, echo_of
 from mapperd.localization.burst_filter import BurstWatch
 from mapperd.localization.extraction import Surroundings, scan_of
 from mapperd.localization.scan import Scan
-from mapperd.reject import Reject
 from oculus_driver import Ping, StreamParser, decode_ping
 
 if TYPE_CHECKING:

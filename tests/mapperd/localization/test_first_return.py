@@ -6,8 +6,7 @@ import pytest
 
 from mapperd.config.tree import ScanExtraction
 from mapperd.imaging.ping_image import Echo
-from mapperd.localization.detector import FirstReturns, Limits, first_returns
-from mapperd.localization.levels import equalised, levels_db
+from mapperd.localization.detector import FirstReturns, Limits, equalised, first_returns, levels_db
 
 ROW_M = 0.02
 

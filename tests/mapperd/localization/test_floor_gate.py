@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mapperd.geometry.frames import rigid_transform, rotation_from_rpy
-from mapperd.localization.floor_gate import floor_gate_m
+from mapperd.localization.extraction import floor_gate_m
 from mapperd.localization.levelling import beam_directions
 
 APERTURE = math.radians(20)

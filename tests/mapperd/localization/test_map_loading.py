@@ -8,10 +8,10 @@ import pytest
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.errors import MapError
-from mapperd.localization import map_loading
+from mapperd.localization import known_map
 from mapperd.localization.grid_map import FREE, OCCUPIED, GridMap
+from mapperd.localization.known_map import MAX_SIDE, load_known_map
 from mapperd.localization.map_io import write_nav2_map
-from mapperd.localization.map_loading import MAX_SIDE, load_known_map
 from mapperd.localization.maps import VolumeMap
 from mapperd.localization.session import begun
 from mapperd.mapping.sonar_map import SonarMap
@@ -92,7 +92,7 @@ def test_equal_maps_have_equal_fingerprints(tmp_path: Path) -> None:
 def test_what_is_too_large_is_refused_before_it_is_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(map_loading, "MAX_VOXELS", 300)
+    monkeypatch.setattr(known_map, "MAX_VOXELS", 300)
     basin(config_of()).save(tmp_path / "basin.map")
     with pytest.raises(MapError, match=r"5 x 4 x 2 m are 3\.2e\+02 voxels of 0\.5 m") as caught:
         load_known_map(tmp_path / "basin.map", config_of())
@@ -133,7 +133,7 @@ def test_folder_and_large_file_are_not_read(
     with pytest.raises(MapError, match="no such file"):
         load_known_map(tmp_path, config_of())
     basin(config_of()).save(tmp_path / "basin.map")
-    monkeypatch.setattr(map_loading, "MAX_FILE_BYTES", 100)
+    monkeypatch.setattr(known_map, "MAX_FILE_BYTES", 100)
     with pytest.raises(MapError, match="larger than 100 bytes"):
         load_known_map(tmp_path / "basin.map", config_of())
 

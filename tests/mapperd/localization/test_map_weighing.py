@@ -10,10 +10,9 @@ import pytest
 from msgspec import structs
 
 from mapperd.config.tree import Sonar
-from mapperd.localization.aperture import heard_aperture_rad
 from mapperd.localization.models import filter_rule
 from mapperd.localization.particle_filter import ParticleFilter
-from mapperd.localization.scan import decimated
+from mapperd.localization.scan import decimated, heard_aperture_rad
 from mapperd.localization.weighting import SEARCH_BEAMS, MapWeighing
 from tests.mapperd.localization.filter_cases import filter_at
 from tests.mapperd.localization.test_map_filter import room, scan_from, solid

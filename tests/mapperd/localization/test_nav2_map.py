@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from mapperd.errors import ExportError, MapError
 from mapperd.localization.grid_map import FREE, OCCUPIED, UNKNOWN, GridMap
-from mapperd.localization.map_io import Mode, read_nav2_map, write_nav2_map
-from mapperd.localization.pgm import pgm_bytes, pgm_pixels
+from mapperd.localization.map_io import Mode, pgm_bytes, pgm_pixels, read_nav2_map, write_nav2_map
 
 YAML = """\
 image: map.pgm

@@ -11,21 +11,18 @@ import pytest
 
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
-from mapperd.errors import ConfigError, MapError
+from mapperd.errors import ConfigError, MapError, Reject
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.geometry.gaussian import PlanarGaussian
-from mapperd.localization.checking import check_localization
 from mapperd.localization.grid_map import GridMap
-from mapperd.localization.known_map import KnownMap
+from mapperd.localization.known_map import MAX_SIDE, KnownMap
 from mapperd.localization.map_filter import MapFilter
-from mapperd.localization.map_loading import MAX_SIDE
-from mapperd.localization.odom_correction import MapFromOdom
-from mapperd.localization.placing import placed
+from mapperd.localization.models import check_localization
+from mapperd.localization.odom_correction import MapFromOdom, placed
 from mapperd.localization.session import begun, restored_localizing, saved_state
 from mapperd.localization.stage import Onboard
 from mapperd.localization.status import sample_of
 from mapperd.odometry.fusion import FusedPose
-from mapperd.reject import Reject
 from mapperd.session_log import InitialPose, NewMap, NoMotionUpdate
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.stream import StreamParser

@@ -7,14 +7,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mapperd.config.format_settings import FormatName
-from mapperd.config.odometry import OdometryFusion, OdometrySource
+from mapperd.config.odometry import FormatName, OdometryFusion, OdometrySource
 from mapperd.config.tree import Config
+from mapperd.errors import Reject
 from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.fusion import FusedPose
-from mapperd.odometry.native import NativeRecord, encode_native
-from mapperd.odometry.native_serial import encode_native_serial
-from mapperd.reject import Reject
+from mapperd.odometry.native import NativeRecord, encode_native, encode_native_serial
 from tests.peers.autopilot import Autopilot
 from tests.peers.dvl import Dvl
 from tests.peers.nmea_talker import NmeaTalker

@@ -12,10 +12,10 @@ import pytest
 from mapperd.config.catalog import parameters
 from mapperd.config.loader import config_of
 from mapperd.config.tree import Config
+from mapperd.errors import Reject
 from mapperd.odometry.fusion import Fusion
 from mapperd.odometry.records import Odometry
 from mapperd.pipeline.pose_lookup import ODOMETRY_FOLLOWS, OdometryPoses
-from mapperd.reject import Reject
 from tests.mapperd.odometry.conftest import T0, Circle, S, record
 
 BASE = {

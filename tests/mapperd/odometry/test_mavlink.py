@@ -8,15 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.quaternion import Quaternion
 
-from mapperd.config.format_settings import FormatSettings
-from mapperd.config.odometry import OdometryFusion, OdometrySource
+from mapperd.config.odometry import FormatSettings, OdometryFusion, OdometrySource
 from mapperd.config.tree import Config
+from mapperd.errors import Reject
 from mapperd.geometry.frames import quaternion_to_matrix
 from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.fusion import FusedPose
 from mapperd.odometry.mavlink import MavlinkDecoder
 from mapperd.odometry.records import Odometry
-from mapperd.reject import Reject
 from tests.peers.autopilot import NAN, Autopilot
 
 SETTINGS = FormatSettings(format="mavlink")

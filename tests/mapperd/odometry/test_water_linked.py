@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapperd.config.format_settings import FormatSettings
+from mapperd.config.odometry import FormatSettings
+from mapperd.errors import Reject
 from mapperd.geometry.frames import quaternion_to_matrix
 from mapperd.odometry.decoder import Decoder
 from mapperd.odometry.formats import make_decoder
 from mapperd.odometry.records import UNKNOWN_VARIANCE, Odometry
-from mapperd.odometry.water_linked_serial import crc8
-from mapperd.reject import Reject
+from mapperd.odometry.water_linked import crc8
 from tests.peers import dvl as peer
 from tests.peers.dvl import Dvl, sentence
 from tests.peers.misbehaviour import Misbehaviour

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.daemon.inherited import inherited_sockets
+from mapperd.daemon.systemd import inherited_sockets
 
 CHILD = """
 import os
-from mapperd.daemon.inherited import inherited_sockets
+from mapperd.daemon.systemd import inherited_sockets
 [(name, found)] = inherited_sockets(os.environ, os.getpid()).items()
 left = [one for one in os.environ if one.startswith("LISTEN_")]
 connection, _ = found.accept()

@@ -11,17 +11,15 @@ from typing import Any
 
 import pytest
 
-from mapperd.api import OperationError
+from mapperd.api import OperationError, PoseRequest
 from mapperd.config.layers import Layered
 from mapperd.config.live import ConfigStore
 from mapperd.config.tree import Config
-from mapperd.daemon.status_line import StatusLine
-from mapperd.daemon.supervisor import only_told_to_stop, supervised
+from mapperd.daemon.supervisor import StatusLine, only_told_to_stop, supervised
 from mapperd.daemon.systemd import Notifier
 from mapperd.errors import ConfigError
 from mapperd.events import EventLog
 from mapperd.pipeline.watchdog import Worker
-from mapperd.pose_request import PoseRequest
 
 
 class Daemon:

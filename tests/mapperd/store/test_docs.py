@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from mapperd.errors import StoreError
-from mapperd.store.database import ADVICE
-from mapperd.store.schema import FIRST
+from mapperd.store.database import ADVICE, FIRST
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "store.md").read_text(encoding="utf-8")
 

@@ -8,9 +8,9 @@ import pytest
 
 from mapperd.errors import StoreError
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.store.bricks import BrickRow
+from mapperd.store.maintenance import packed, write_whole
 from mapperd.store.reader import StoreReader
-from mapperd.store.whole import packed, write_whole
+from mapperd.store.tiles import BrickRow
 from tests.mapperd.store.dive import CONFIG, dive_on, mapped, open_store
 
 PINGS = 12

@@ -5,7 +5,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.server.region import distances_m
+from mapperd.server.map_index import distances_m
 from mapperd.wire.messages import Box, Interest
 from tests.mapperd.store.dive import CONFIG, integrate
 from tests.mapperd.stream.told import SECOND_NS, Client, expected, scatter, source_of

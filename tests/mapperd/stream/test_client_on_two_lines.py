@@ -11,8 +11,8 @@ import pytest
 from mapperd.client import Interest, MapClient, connect
 from mapperd.config.tree import Config
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.server import lines as lines_module
-from mapperd.server.lines import Lines
+from mapperd.server import schedule as lines_module
+from mapperd.server.schedule import Lines
 from mapperd.server.source_protocol import FIRST, SECOND, Line
 from tests.mapperd.control.fakes import TOKEN
 from tests.mapperd.stream.told import expected, scatter, source_of

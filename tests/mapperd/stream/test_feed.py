@@ -13,6 +13,7 @@ import zstandard
 from mapperd.client.validation import check_message
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
+from mapperd.errors import Reject
 from mapperd.geometry.frames import Pose as Place
 from mapperd.geometry.frames import pose_from_rpy, quaternion_to_matrix
 from mapperd.imaging.ping_image import Echo
@@ -20,11 +21,8 @@ from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.decoder import Settled
 from mapperd.pipeline.executor import Treated
 from mapperd.pipeline.step import Mapped
-from mapperd.reject import Reject
-from mapperd.server.pictures import IMAGE_SIZES, first_returns, image_message
-from mapperd.server.setting_log import SettingLog
-from mapperd.server.state_feed import Feed
-from mapperd.server.track import Track
+from mapperd.server.state_feed import Feed, SettingLog
+from mapperd.server.state_messages import IMAGE_SIZES, Track, first_returns, image_message
 from mapperd.wire.framing import client_inbox
 from mapperd.wire.messages import Fan, Image, Pose, Returns, Robots
 from oculus_driver.ping import Ping

@@ -8,8 +8,8 @@ import pytest
 
 from mapperd.server import connection
 from mapperd.server.session import CHANGES_AT_ONCE, CHANGES_PER_S, Session
+from mapperd.wire.auth import Limits
 from mapperd.wire.framing import framed
-from mapperd.wire.limits import Limits
 from mapperd.wire.messages import Ack, Ask, Change, Interest
 from tests.mapperd.stream.test_session import Told
 from tests.mapperd.stream.watched import bed_of, run

@@ -7,8 +7,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from mapperd.wire.auth import Limits
 from mapperd.wire.framing import framed
-from mapperd.wire.limits import Limits
 from mapperd.wire.messages import Ack, Answer, Ask, Box, Change, Hello, Interest
 from tests.mapperd.stream.watched import as_bytes, bed_of, run
 

@@ -4,8 +4,8 @@ from math import inf
 
 import pytest
 
-from mapperd.server.lines import BLOCKED_S, CALM_S, FAR_S, SLACK_S, STALLS, Lines
 from mapperd.server.pacer import LOSS_S, Pacer
+from mapperd.server.schedule import BLOCKED_S, CALM_S, FAR_S, SLACK_S, STALLS, Lines
 from mapperd.server.source_protocol import FIRST, SECOND, Line
 
 TRIP_S = 0.6

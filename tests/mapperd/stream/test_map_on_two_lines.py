@@ -5,9 +5,9 @@ import pytest
 
 from mapperd.config.tree import Config
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.server.on_its_way import MOST_MESSAGES
 from mapperd.server.priority_queue import NEAR_M
 from mapperd.server.source_protocol import FIRST, SECOND
+from mapperd.server.subscription import MOST_MESSAGES
 from mapperd.wire.blocks import decode_blocks
 from mapperd.wire.messages import Blocks, Interest
 from tests.mapperd.stream.told import SECOND_NS, Client, expected, scatter, source_of

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from mapperd.server import priority_queue as nearest_module
+from mapperd.server.map_index import LEAVE, distances_m, vector_of, within
 from mapperd.server.priority_queue import NEAR_M, WAITING, NearestFirst, Part
-from mapperd.server.region import LEAVE, distances_m, vector_of, within
 from mapperd.wire.messages import Interest
 
 BLOCK_M = 0.8

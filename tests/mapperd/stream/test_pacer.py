@@ -2,8 +2,8 @@
 
 import pytest
 
-from mapperd.server.budget import LEAST_BURST
 from mapperd.server.pacer import (
+    LEAST_BURST,
     LEAST_UNSENT,
     LEAST_WINDOW,
     MOST_LEAST,

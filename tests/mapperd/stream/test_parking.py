@@ -11,8 +11,8 @@ import pytest
 from mapperd.config.tree import Config
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.map_source import MapSource
-from mapperd.server.on_its_way import MOST_BLOCKS, MOST_MESSAGES, OnItsWay
 from mapperd.server.resume import PARKED_S, Ends, Parking, Parting
+from mapperd.server.subscription import MOST_BLOCKS, MOST_MESSAGES, OnItsWay
 from mapperd.wire.messages import Ack, Interest, Resume
 from tests.mapperd.stream.told import SECOND_NS, Client, Told, expected, scatter, source_of
 from tests.mapperd.stream.watched import Bed, Watcher, bed_of, run

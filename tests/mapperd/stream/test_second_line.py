@@ -14,8 +14,8 @@ import pytest
 from mapperd.config.tree import Config
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.connection import Connection
-from mapperd.server.lines import SLACK_S
-from mapperd.wire.limits import Limits
+from mapperd.server.schedule import SLACK_S
+from mapperd.wire.auth import Limits
 from mapperd.wire.messages import Ack, Ask, Bye, Change, FromClient, Interest, Resume, Status
 from tests.mapperd.stream.told import expected, scatter, source_of
 from tests.mapperd.stream.watched import Bed, Watcher, bed_of, run

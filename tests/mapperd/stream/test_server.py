@@ -10,7 +10,7 @@ import pytest
 
 from mapperd.events import Severity
 from mapperd.server.pacer import FIRST_WINDOW
-from mapperd.wire.limits import Limits
+from mapperd.wire.auth import Limits
 from mapperd.wire.messages import Change, Event, Hello, Interest, Resume, Settings, Status
 from tests.mapperd.control.fakes import TOKEN
 from tests.mapperd.stream.watched import Watcher, as_bytes, bed_of, run

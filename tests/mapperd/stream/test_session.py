@@ -12,11 +12,9 @@ from mapperd.events import EventLog, Severity
 from mapperd.server.admission import Newcomer
 from mapperd.server.outbox import SHARES
 from mapperd.server.pacer import FIRST_RATE, LEAST_UNSENT, UNSENT_S
-from mapperd.server.session import Common, Session
-from mapperd.server.setting_log import SettingLog
-from mapperd.server.state_feed import Newest
-from mapperd.server.track import Track
-from mapperd.server.wishes import Beginning
+from mapperd.server.session import Beginning, Common, Session
+from mapperd.server.state_feed import Newest, SettingLog
+from mapperd.server.state_messages import Track
 from mapperd.wire.auth import FailureLimiter
 from mapperd.wire.framing import client_inbox, framed
 from mapperd.wire.messages import (

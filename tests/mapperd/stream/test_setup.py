@@ -11,8 +11,8 @@ import pytest
 from stream_study.told_steps import told_steps
 
 from mapperd.config.loader import config_from_text
+from mapperd.daemon.servers import map_doors, stream_server
 from mapperd.daemon.session import host_clock
-from mapperd.daemon.setup import map_doors, stream_server
 from mapperd.errors import ConfigError
 from mapperd.events import EventLog
 from mapperd.mapping.sonar_map import SonarMap

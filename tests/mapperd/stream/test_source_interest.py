@@ -8,8 +8,8 @@ import pytest
 
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server import map_source as source_module
+from mapperd.server.map_index import distances_m
 from mapperd.server.priority_queue import NEAR_M
-from mapperd.server.region import distances_m
 from mapperd.wire.messages import Blocks, Box, Interest
 from tests.mapperd.store.dive import CONFIG, mapped
 from tests.mapperd.stream.told import SECOND_NS, Client, assert_same, expected, scatter, source_of

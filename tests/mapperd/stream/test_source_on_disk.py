@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from mapperd import _core
 from mapperd.errors import StoreError
 from mapperd.mapping.sonar_map import SonarMap
+from mapperd.server import map_index
 from mapperd.server import map_source as source_module
-from mapperd.server import stored_bricks
 from mapperd.server.map_source import MapSource
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
@@ -328,14 +328,14 @@ def test_a_file_that_cannot_be_read_is_said_and_tried_again(
         daemon.dive(0, 30)
         client = Client(daemon.source)
         calls = itertools.count()
-        load = stored_bricks.StoredBricks.load
+        load = map_index.StoredBricks.load
 
-        def broken(self: stored_bricks.StoredBricks, bricks: NDArray[np.int32]) -> object:
+        def broken(self: map_index.StoredBricks, bricks: NDArray[np.int32]) -> object:
             if next(calls) < 3:
                 raise StoreError("the disk is gone", "io_error")
             return load(self, bricks)
 
-        monkeypatch.setattr(stored_bricks.StoredBricks, "load", broken)
+        monkeypatch.setattr(map_index.StoredBricks, "load", broken)
         for _ in range(2):
             daemon.source.look(SECOND_NS)
             assert daemon.source.trouble == "the disk is gone"

@@ -15,7 +15,7 @@ import pytest
 
 from mapperd.server.connection import Connection
 from mapperd.server.tcp import CALM, TCP_CC_INFO, TcpState, fills_buffers, tcp_state, tune
-from mapperd.wire.limits import Limits
+from mapperd.wire.auth import Limits
 from tests.mapperd.control.fakes import TOKEN
 from tests.mapperd.stream.watched import Bed, Watcher, bed_of, run
 

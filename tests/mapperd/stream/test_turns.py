@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from mapperd.server.lines import Lines
 from mapperd.server.pacer import MOST_WINDOW, Pacer
 from mapperd.server.schedule import (
     ASIDE_S,
@@ -12,6 +11,7 @@ from mapperd.server.schedule import (
     LEAST,
     LONGEST_REST_S,
     QUIET_S,
+    Lines,
     Rooms,
     Turns,
 )

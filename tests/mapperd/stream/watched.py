@@ -18,10 +18,9 @@ from mapperd.server.priority_queue import Part
 from mapperd.server.source_protocol import FIRST, Line
 from mapperd.server.state_feed import Feed
 from mapperd.server.stream_server import StreamServer
-from mapperd.wire.auth import proof_of
+from mapperd.wire.auth import Limits, proof_of
 from mapperd.wire.blocks import CELLS, BlockSet, decode_blocks, encode_blocks
 from mapperd.wire.framing import client_inbox, framed
-from mapperd.wire.limits import Limits
 from mapperd.wire.messages import (
     Ack,
     Ask,

@@ -5,13 +5,12 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from mapperd.api import OperationError
+from mapperd.api import OperationError, PoseRequest
 from mapperd.config.layers import Layered
 from mapperd.config.live import ConfigStore
 from mapperd.config.loader import config_of
 from mapperd.events import EventLog
 from mapperd.localization.report import localization_report, localization_summary
-from mapperd.pose_request import PoseRequest
 from mapperd.telemetry.outbox import Kind, Message, Outbox
 
 if TYPE_CHECKING:

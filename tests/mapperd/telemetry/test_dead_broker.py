@@ -8,7 +8,7 @@ import pytest
 
 from mapperd.events import Severity
 from mapperd.telemetry import broker
-from mapperd.telemetry.pace import BackOff
+from mapperd.telemetry.payloads import BackOff
 from mapperd.telemetry.telemetry import Phase, Telemetry
 from tests.mapperd.telemetry.conftest import FakeDaemon
 from tests.peers.mosquitto import free_port

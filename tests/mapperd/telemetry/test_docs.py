@@ -7,7 +7,7 @@ from mapperd.config.loader import config_from_text
 from mapperd.events import Severity
 from mapperd.telemetry.broker import TIMEOUT_S
 from mapperd.telemetry.outbox import Kind, Outbox
-from mapperd.telemetry.pace import BackOff
+from mapperd.telemetry.payloads import BackOff
 from mapperd.telemetry.publisher import Reporter
 from mapperd.telemetry.requests import MOST_BYTES, MOST_ID, MOST_WAITING, REMEMBERED
 from mapperd.telemetry.topics import MOST_NAME, Topics

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from mapperd.config.tree import Amcl, Mqtt
-from mapperd.telemetry.localization import SAMPLE
+from mapperd.telemetry.payloads import SAMPLE
 from mapperd.telemetry.topics import Asked, Topics
 from tests.mapperd.localization.believed import STAMP_NS, facts
 from tests.mapperd.telemetry.conftest import ROOT, T0_S, FakeDaemon, drained

@@ -17,7 +17,7 @@ from aiomqtt import Client, MqttError
 
 from mapperd.events import Severity
 from mapperd.telemetry import broker
-from mapperd.telemetry.pace import BackOff
+from mapperd.telemetry.payloads import BackOff
 from mapperd.telemetry.telemetry import Phase, Telemetry
 from tests.mapperd.telemetry.conftest import POSE, ROBOT, ROOT, FakeDaemon
 from tests.peers.mosquitto import Cable, free_port, mosquitto_path, running_mosquitto

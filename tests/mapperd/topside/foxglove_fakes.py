@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mapperd.client.changes import ClientChange, LinkChanged, LinkStatus, MapChanged, MapReset
 from mapperd.client.errors import AskError
 from mapperd.client.mirror import MapMirror
-from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
+from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet, path_message
 from mapperd.wire.messages import (
     Event,
     Fan,
@@ -30,7 +30,6 @@ from mapperd.wire.messages import (
     Status,
     Welcome,
 )
-from mapperd.wire.way import path_message
 
 T0 = 1_790_000_000_000_000_000
 S = 1_000_000_000

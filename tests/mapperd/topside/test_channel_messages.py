@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 import zstandard
 
-from mapperd.client.cells import Cells
-from mapperd.foxglove.clouds import map_cloud, map_rows
-from mapperd.foxglove.messages import StateMessages
-from mapperd.foxglove.poses import Frames, transforms
+from mapperd.client.block_table import Cells
+from mapperd.foxglove.geometry import Frames, transforms
+from mapperd.foxglove.map_publisher import map_cloud, map_rows
+from mapperd.foxglove.messages import FanShape, StateMessages
 from mapperd.foxglove.scene import PathDrawing, covariance_scene, fan_scene, robots_scene
-from mapperd.foxglove.sonar_images import FanShape
 from mapperd.wire.messages import Image, Robots
 from tests.mapperd.topside.foxglove_fakes import (
     FAN,

@@ -17,7 +17,8 @@ from mcap.stream_reader import StreamReader
 
 from mapperd.client.changes import LinkChanged, LinkStatus, MapReset
 from mapperd.errors import ExportError
-from mapperd.foxglove import mcap_file, mcap_recorder
+from mapperd.foxglove import mcap_recorder
+from mapperd.foxglove import mcap_recorder as mcap_file
 from mapperd.foxglove.channels import CHANNELS
 from mapperd.foxglove.map_publisher import Pace
 from mapperd.foxglove.recording import Recording

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.cli.mapperctl.view_page import open_page
+from mapperd.cli.mapperctl.view import open_page
 from mapperd.client import LinkChanged, MapClient
 from mapperd.viewer.actors import PATH_PIECE, Actors
 from mapperd.viewer.app import View

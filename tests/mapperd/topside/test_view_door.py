@@ -10,8 +10,7 @@ import pytest
 from mapperd.cli.mapperctl.arguments import parser
 from mapperd.cli.mapperctl.command import main
 from mapperd.cli.mapperctl.errors import CtlError, Exit
-from mapperd.cli.mapperctl.view import run_view
-from mapperd.cli.mapperctl.view_page import open_page, same_origin
+from mapperd.cli.mapperctl.view import open_page, run_view, same_origin
 
 
 def test_only_pages_of_our_own_may_connect() -> None:

@@ -18,7 +18,7 @@ from tests.mapperd.topside import foxglove_fakes as fakes
 
 pytest.importorskip("viser", reason="the extra `topside` is not installed")
 
-from mapperd.cli.mapperctl.view_page import open_page
+from mapperd.cli.mapperctl.view import open_page
 
 
 class Notes:

@@ -5,11 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.viewer.chunks import Chunks
+from mapperd.viewer.chunks import Chunks, Filter, drawn_of, points_m
 from mapperd.viewer.colours import Scale
 from mapperd.viewer.map_layer import POINT_BYTES, Look, MapView
-from mapperd.viewer.view_nodes import STAY
-from mapperd.viewer.view_voxels import Filter, drawn_of, points_m
+from mapperd.viewer.shapes import STAY
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
 from tests.mapperd.topside.view_fakes import blocks_of, mirror_of
 

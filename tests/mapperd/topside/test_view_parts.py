@@ -6,15 +6,14 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from mapperd.config.config_facts import facts_of
+from mapperd.config.changes import facts_of
 from mapperd.config.tree import Config
-from mapperd.viewer.chunks import Chunks
+from mapperd.viewer.chunks import Chunks, Filter, drawn_of
 from mapperd.viewer.colours import Scale, colours_of, legend_of, shaded, values_of
 from mapperd.viewer.panel import Span
 from mapperd.viewer.settings import control_of, controls_of, value_from
 from mapperd.viewer.shapes import cube, ellipse, fan_lines, strip, vehicle_parts
-from mapperd.viewer.view_measure import Measuring, distance_text, pick
-from mapperd.viewer.view_voxels import Filter, drawn_of
+from mapperd.viewer.tools import Measuring, distance_text, pick
 from mapperd.wire.messages import Fan
 from tests.mapperd.topside.view_fakes import blocks_of, mirror_of
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import pytest
 
-from mapperd.cli.mapperctl.view_page import open_page
+from mapperd.cli.mapperctl.view import open_page
 from mapperd.viewer.app import View
 
 if TYPE_CHECKING:

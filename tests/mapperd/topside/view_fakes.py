@@ -12,7 +12,7 @@ from plyfile import PlyData
 
 from mapperd.client import AskError, ClientChange, LinkChanged, LinkStatus, MapChanged, MapReset
 from mapperd.client.mirror import MapMirror
-from mapperd.config.config_facts import facts_of
+from mapperd.config.changes import facts_of
 from mapperd.config.tree import Config
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
 from mapperd.wire.messages import Interest, MapFacts, Pose, Settings, Welcome

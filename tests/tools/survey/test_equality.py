@@ -14,8 +14,7 @@ from mapperd.geometry.motion import PingMotion
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.decoder import Settled
 from mapperd.session.recordings import sessions_of
-from mapperd.session.replay import Window
-from mapperd.session.replay_runs import as_asked
+from mapperd.session.replay import Window, as_asked
 from mapperd.session.replay_to_store import map_into_store
 from mapperd.store.tile_store import TileStore
 from tests.tools.survey.dives import (

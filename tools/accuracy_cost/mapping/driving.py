@@ -13,7 +13,7 @@ from mapperd.pipeline.decoder import Engine, Settled
 from mapperd.pipeline.executor import Integration
 from mapperd.pipeline.persistence import InMemory
 from mapperd.pipeline.pose_lookup import OdometryPoses
-from mapperd.pipeline.stepping import Stepping
+from mapperd.pipeline.step import Stepping
 from oculus_driver.recording import open_recording
 
 __all__ = ["Driven", "drive"]
