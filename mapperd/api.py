@@ -11,7 +11,7 @@ from mapperd.errors import MapperdError
 from mapperd.events import EventLog
 from mapperd.geometry.gaussian import PlanarGaussian
 
-__all__ = ["STD_XY_M", "STD_YAW_RAD", "OperationError", "Operations", "PoseRequest"]
+__all__ = ["STD_XY_M", "STD_YAW_RAD", "DaemonApi", "OperationError", "PoseRequest"]
 
 STD_XY_M = 0.5
 STD_YAW_RAD = math.pi / 12
@@ -75,7 +75,7 @@ class OperationError(MapperdError):
         self.reason = reason
 
 
-class Operations(Protocol):
+class DaemonApi(Protocol):
     """The daemon, as its servers see it. Coroutines run in the daemon's event loop."""
 
     @property

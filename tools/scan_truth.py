@@ -22,7 +22,7 @@ from sonar_sim.truth import Truth
 
 from mapperd.config.tree import Config
 from mapperd.errors import Reject
-from mapperd.imaging.ping_image import Echo, echo_of_image
+from mapperd.imaging.ping_image import PingImage, ping_image_of_array
 from mapperd.localization.extraction import Surroundings, floor_gate_m, scan_of
 from mapperd.localization.levelling import level_T_base
 from mapperd.localization.scan import Scan
@@ -73,7 +73,7 @@ class Look:
         cpu_s: that the scan took.
     """
 
-    echo: Echo
+    echo: PingImage
     scan: Scan
     true: NDArray[np.bool_]
     beside: NDArray[np.bool_]
@@ -130,7 +130,7 @@ def first_surfaces_m(truth: Truth, bearing_rad: Floats, beam_width_rad: float) -
 
 def _look(place: Place, sonar: SonarSettings, pose: Pose, ping: Ping, config: Config) -> Look:
     sines = np.linspace(-1.0, 1.0, sonar.beams) * math.sin(sonar.half_aperture_rad)
-    echo = echo_of_image(ping.image, sonar.range_m, np.arcsin(sines), config.sonar)
+    echo = ping_image_of_array(ping.image, sonar.range_m, np.arcsin(sines), config.sonar)
     around = Surroundings(
         0,
         level_T_base(quaternion_of(pose.rotation)),

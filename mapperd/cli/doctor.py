@@ -29,7 +29,7 @@ BAD_CONFIG = 78
 FAULT = 1
 INTERRUPTED = 130
 MARKS = {"ok": "ok  ", "doubtful": "?   ", "failed": "FAIL", "not tested": "-   "}
-MOST_SECONDS = 3600.0
+MAX_SECONDS = 3600.0
 BACK_S = 0.2
 """How long before now a pose is asked for: the newest record is that old at most."""
 
@@ -81,8 +81,8 @@ def _parser() -> argparse.ArgumentParser:
 
 def _seconds(text: str) -> float:
     seconds = float(text)
-    if not MOST_SECONDS >= seconds > 0.0:
-        raise argparse.ArgumentTypeError(f"{text!r}: give more than 0 and at most {MOST_SECONDS:g}")
+    if not MAX_SECONDS >= seconds > 0.0:
+        raise argparse.ArgumentTypeError(f"{text!r}: give more than 0 and at most {MAX_SECONDS:g}")
     return seconds
 
 

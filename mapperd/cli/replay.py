@@ -16,7 +16,7 @@ from mapperd.daemon.map_folder import localization_summary, recording_facts, sum
 from mapperd.errors import ReplayError
 from mapperd.geometry.frames import Pose
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.pipeline.counters import ReplayCounters
+from mapperd.pipeline.counters import PipelineCounters
 from mapperd.session.recordings import RecordedSession, files_in, sessions_of
 from mapperd.session.replay import (
     Run,
@@ -88,7 +88,7 @@ def map_recordings(
 
 def _mapped(runs: Sequence[Run], sonar_map: SonarMap, window: Window) -> dict[str, Any]:
     """Run the replays, one after the other into one map; returns the summary."""
-    counters = ReplayCounters()
+    counters = PipelineCounters()
     size_bytes = sum(run.session.size_bytes for run in runs)
     bar = ProgressBar(sys.stderr, time.perf_counter)
     began_s = time.perf_counter()

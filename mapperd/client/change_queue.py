@@ -16,8 +16,8 @@ from mapperd.wire.messages import Event, Path, Settings
 
 __all__ = ["Pending"]
 
-MOST_KEYS = 1 << 17
-MOST_EVENTS, MOST_EVENT_BYTES = 1000, 1 << 20
+MAX_KEYS = 1 << 17
+MAX_EVENTS, MAX_EVENT_BYTES = 1000, 1 << 20
 NO_KEYS = np.zeros((0, 3), np.int32)
 
 
@@ -108,7 +108,7 @@ class Pending:
         if not self._is_all:
             self._keys.update(dict.fromkeys(names_of(change.keys)))
         mirror = self._knowledge.mirror
-        if len(self._keys) > MOST_KEYS and mirror is not None:
+        if len(self._keys) > MAX_KEYS and mirror is not None:
             self._add(MapReset(mirror.facts))
             self._is_all = True
 
@@ -116,9 +116,7 @@ class Pending:
         events, size = self._events, size_of(event)
         events.append((event, size))
         self._event_bytes += size
-        while len(events) > MOST_EVENTS or (
-            len(events) > 1 and self._event_bytes > MOST_EVENT_BYTES
-        ):
+        while len(events) > MAX_EVENTS or (len(events) > 1 and self._event_bytes > MAX_EVENT_BYTES):
             self._events_lost += 1 + self._first_event().lost
 
     def _first_event(self) -> Event:

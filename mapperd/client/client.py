@@ -15,7 +15,7 @@ from mapperd.client.connect import Attempts, opened, place_of, read, reason_of, 
 from mapperd.client.errors import AskError, EndedError
 from mapperd.client.protocol import Dialogue, Wishes
 from mapperd.client.second_line import SecondDialogue, SecondLine
-from mapperd.client.state import MOST_BLOCKS, Knowledge, Known
+from mapperd.client.state import MAX_BLOCKS, Knowledge, Known
 from mapperd.wire.framing import StreamError
 from mapperd.wire.messages import Answer, Interest, Want
 
@@ -105,7 +105,7 @@ class MapClient(Known):
         interest: Interest | None = None,
         bytes_per_s: int = 0,
         name: str = "",
-        most_blocks: int = MOST_BLOCKS,
+        most_blocks: int = MAX_BLOCKS,
     ) -> None:
         self._place = place_of(address)
         self._tls = tls

@@ -35,9 +35,9 @@ from mapperd.wire.messages import (
     Welcome,
 )
 
-__all__ = ["MOST_BLOCKS", "MOST_FORGOTTEN", "Knowledge", "Known", "Orders"]
+__all__ = ["MAX_BLOCKS", "MAX_FORGOTTEN", "Knowledge", "Known", "Orders"]
 
-MOST_FORGOTTEN = 1 << 16
+MAX_FORGOTTEN = 1 << 16
 """Blocks that are not there any more, and whose orders are remembered."""
 
 
@@ -73,10 +73,10 @@ class Orders:
         self.floor = order
 
 
-MOST_BLOCKS = 1 << 20
+MAX_BLOCKS = 1 << 20
 """That a mirror holds: half a GiB, with counts a whole one."""
 
-MOST_SETTINGS_BYTES = 1 << 20
+MAX_SETTINGS_BYTES = 1 << 20
 """Of all their facts; a daemon has 50 000."""
 
 NEWEST = (Pose, Fan, Returns, Image, Robots, Localization, Status)
@@ -110,7 +110,7 @@ class Knowledge:
         self,
         interest: Interest,
         tell: Callable[[ClientChange], None],
-        most_blocks: int = MOST_BLOCKS,
+        most_blocks: int = MAX_BLOCKS,
     ) -> None:
         self.interest = interest
         self.wants_map = False
@@ -269,7 +269,7 @@ class Knowledge:
 
     def _check_beside(self) -> None:
         if not self._orders.is_beside:
-            what = f"more than {MOST_FORGOTTEN} blocks were forgotten beside a second line"
+            what = f"more than {MAX_FORGOTTEN} blocks were forgotten beside a second line"
             raise EndedError(what, "too_many_forgotten")
 
     def _settle(self) -> None:
@@ -277,7 +277,7 @@ class Knowledge:
         mirror = self.mirror
         if mirror is None or not mirror.forgotten:
             return
-        if mirror.forgotten > MOST_FORGOTTEN:
+        if mirror.forgotten > MAX_FORGOTTEN:
             # Nothing is taken from the second line any more, so that these do not add up.
             self._orders.is_beside = False
         if not self._orders.is_beside:
@@ -339,8 +339,8 @@ class Knowledge:
             raise StreamError(f"more than {MAX_SETTINGS} settings", "bad_value")
         sizes = {name: size_of((name, fact)) for name, fact in news.facts.items()}
         sizes = {**self._setting_bytes, **sizes}
-        if sum(sizes.values()) > MOST_SETTINGS_BYTES:
-            raise StreamError(f"settings of more than {MOST_SETTINGS_BYTES} bytes", "bad_value")
+        if sum(sizes.values()) > MAX_SETTINGS_BYTES:
+            raise StreamError(f"settings of more than {MAX_SETTINGS_BYTES} bytes", "bad_value")
         self.settings, self._setting_bytes = settings, sizes
         self._tell(news)
 

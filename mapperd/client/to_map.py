@@ -12,7 +12,7 @@ from mapperd.wire.messages import MapFacts
 
 __all__ = ["map_of"]
 
-MOST_LOG_ODDS = 127.0
+MAX_LOG_ODDS = 127.0
 """Of any map."""
 
 
@@ -28,7 +28,7 @@ def map_of(cells: Cells, cell_m: float, facts: MapFacts, config: Config | None =
     """
     config = config or Config()
     # A whole number of steps may lie beyond what the map that was rounded to them can hold.
-    most = min(float(np.abs(cells.log_odds).max(initial=0.0)), MOST_LOG_ODDS)
+    most = min(float(np.abs(cells.log_odds).max(initial=0.0)), MAX_LOG_ODDS)
     replace = msgspec.structs.replace
     sonar_map = SonarMap(
         replace(

@@ -41,7 +41,7 @@ __all__ = [
 UNIT_LOW, UNIT_HIGH = 0.9, 1.1
 """Of the length of a quaternion."""
 
-MOST_BITS = 16
+MAX_BITS = 16
 """Counts are below 2**16."""
 
 
@@ -92,7 +92,7 @@ def check_blocks(blocks: BlockSet, interest: Interest, cell_m: float) -> None:
         raise StreamError("a block that is told twice in a message", "bad_blocks")
     if interest.detail == "classes" and ((blocks.cells > 1) | _between(blocks.cells)).any():
         raise StreamError("a cell of no class", "bad_blocks")
-    if blocks.counts is not None and (blocks.counts > MOST_BITS).any():
+    if blocks.counts is not None and (blocks.counts > MAX_BITS).any():
         raise StreamError("a count beyond what is counted", "bad_blocks")
     if interest.box is not None:
         known = (blocks.cells != UNKNOWN).any(axis=1)

@@ -19,8 +19,8 @@ from mapperd.config.tree import Config
 from mapperd.errors import MapError
 from mapperd.export.clouds import write_ply
 from mapperd.geometry.frames import rigid_transform
-from mapperd.imaging.filter_chain import check_filters, filter_echo
-from mapperd.imaging.ping_image import echo_of_image
+from mapperd.imaging.filter_chain import check_filters, filter_ping_image
+from mapperd.imaging.ping_image import ping_image_of_array
 from mapperd.io import atomic_file
 from mapperd.mapping.queries import MapQueries, memory_stats
 from mapperd.mapping.sonar_map import SonarMap
@@ -149,8 +149,8 @@ class SonarTo3DMapper:
         """
         start = self._clock()
         self._frames += 1
-        echo = echo_of_image(polar_image, max_range, bearings, self._config.sonar)
-        echo, _ = filter_echo(echo, self._config)
+        echo = ping_image_of_array(polar_image, max_range, bearings, self._config.sonar)
+        echo, _ = filter_ping_image(echo, self._config)
         map_T_base = robot_pose(robot_position, robot_orientation)  # noqa: N806 frames are named
         changed = self._map.integrate(echo, map_T_base @ self._map.base_T_sonar)
         self._processed += 1

@@ -47,7 +47,7 @@ def map_path(config: Config, environ: Mapping[str, str]) -> Path:
     return state_folder(config, environ) / "mapperd.map"
 
 
-MOST_BYTES = 4096
+MAX_BYTES = 4096
 
 
 def read_secret(
@@ -73,13 +73,13 @@ def read_secret(
         return None
     try:
         with place.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
+            data = file.read(MAX_BYTES + 1)
         line = data.decode().split("\n", 1)[0].strip("\r")
     except OSError as error:
         raise ConfigError(f"{setting}: {place}: {error.strerror}", f"$.{setting}") from error
     except UnicodeDecodeError as error:
         raise ConfigError(f"{setting}: {place}: is no text", f"$.{setting}") from error
-    if not line or len(data) > MOST_BYTES:
-        what = "is empty" if not line else f"is longer than {MOST_BYTES} bytes"
+    if not line or len(data) > MAX_BYTES:
+        what = "is empty" if not line else f"is longer than {MAX_BYTES} bytes"
         raise ConfigError(f"{setting}: {place}: {what}", f"$.{setting}")
     return line

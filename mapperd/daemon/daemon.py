@@ -25,7 +25,7 @@ from mapperd.localization.models import check_localization
 from mapperd.localization.report import localization_report
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.pose_lookup import origin_of
-from mapperd.pipeline.step import Stepping
+from mapperd.pipeline.step import StepRunner
 from mapperd.pipeline.watchdog import Worker
 from mapperd.session_log import Request, Reset
 
@@ -36,7 +36,7 @@ RESET_S = 60.0
 
 
 class Daemon:
-    """Implements `mapperd.api.Operations`; runs once.
+    """Implements `mapperd.api.DaemonApi`; runs once.
 
     Args:
         settings: in force; the daemon follows them.
@@ -75,7 +75,7 @@ class Daemon:
         self._numbers = count(1)
         self._localization = LocalizationRequests(settings, events, folder, self._ask)
         self._resets: dict[int, asyncio.Future[StoreError | None]] = {}
-        settings.follow(Stepping.FOLLOWS, self._take, _check)
+        settings.follow(StepRunner.FOLLOWS, self._take, _check)
 
     @property
     def settings(self) -> ConfigStore:
@@ -119,7 +119,7 @@ class Daemon:
             self._events.add(Severity.INFO, "session_ended", "mapping has ended")
 
     def status(self) -> dict[str, Any]:
-        """As `Operations.status`."""
+        """As `DaemonApi.status`."""
         uptime_s = time.monotonic() - self._began_s
         servers = {name: status() for name, status in self.servers.items()}
         return {"phase": self.phase} | status_of(
@@ -135,7 +135,7 @@ class Daemon:
         return [mapping, live.recorder.worker(), live.keep.worker()]
 
     async def save(self, name: str, origin: str) -> dict[str, Any]:
-        """As `Operations.save`."""
+        """As `DaemonApi.save`."""
         origin_deg = origin_of(self._config, self._live.poses)
         done = await asyncio.to_thread(
             self._maps.save,
@@ -149,7 +149,7 @@ class Daemon:
         return done
 
     async def reset(self, origin: str) -> dict[str, Any]:
-        """As `Operations.reset`."""
+        """As `DaemonApi.reset`."""
         if self.phase != "mapping":
             raise OperationError(f"the daemon is {self.phase}", "busy")
         number = next(self._numbers)
@@ -169,7 +169,7 @@ class Daemon:
         return {}
 
     async def reload(self, origin: str) -> dict[str, Any]:
-        """As `Operations.reload`."""
+        """As `DaemonApi.reload`."""
         try:
             reloaded = self._settings.reload(self._read(), origin)
         except ConfigError as error:
@@ -187,7 +187,7 @@ class Daemon:
         }
 
     async def snapshot(self, origin: str) -> dict[str, Any]:
-        """As `Operations.snapshot`."""
+        """As `DaemonApi.snapshot`."""
         began_s = time.monotonic()
         try:
             size = await asyncio.to_thread(self._live.keep.save)
@@ -199,24 +199,24 @@ class Daemon:
         return {"bytes": size, "seconds": time.monotonic() - began_s}
 
     def localization(self, particles: int = 0) -> dict[str, Any]:
-        """As `Operations.localization`."""
+        """As `DaemonApi.localization`."""
         facts = self._live.mapping.facts.localization
         return localization_report(facts, self._settings.current, particles)
 
     async def initial_pose(self, asked: PoseRequest, origin: str) -> dict[str, Any]:
-        """As `Operations.initial_pose`."""
+        """As `DaemonApi.initial_pose`."""
         return await self._localization.initial_pose(asked, origin)
 
     async def global_localization(self, origin: str) -> dict[str, Any]:
-        """As `Operations.global_localization`."""
+        """As `DaemonApi.global_localization`."""
         return await self._localization.global_localization(origin)
 
     async def request_nomotion_update(self, origin: str) -> dict[str, Any]:
-        """As `Operations.request_nomotion_update`."""
+        """As `DaemonApi.request_nomotion_update`."""
         return await self._localization.request_nomotion_update(origin)
 
     async def set_map(self, name: str, asked: PoseRequest | None, origin: str) -> dict[str, Any]:
-        """As `Operations.set_map`."""
+        """As `DaemonApi.set_map`."""
         return await self._localization.set_map(name, asked, origin)
 
     async def _ask(self, request: Request) -> Reject | None:

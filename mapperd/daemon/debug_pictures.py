@@ -16,8 +16,8 @@ from mapperd.config.tree import Config
 from mapperd.errors import ExportError, MapError
 from mapperd.events import EventLog, Severity
 from mapperd.export.png import png_bytes
-from mapperd.imaging.filter_chain import filter_echo
-from mapperd.imaging.ping_image import echo_of
+from mapperd.imaging.filter_chain import filter_ping_image
+from mapperd.imaging.ping_image import ping_image_of
 from mapperd.io import atomic_file, make_folder
 from mapperd.localization.picture import Trail, localization_picture
 from mapperd.localization.status import LocalizationFacts
@@ -54,8 +54,8 @@ def debug_pictures(ping: Ping, config: Config) -> dict[str, Picture]:
     Raises:
         MapError: the ping has no image that can be mapped.
     """
-    echo = echo_of(ping, config.sonar)
-    filtered, _ = filter_echo(echo, config)
+    echo = ping_image_of(ping, config.sonar)
+    filtered, _ = filter_ping_image(echo, config)
     seen = echo.intensity
     terrain, robots = config.terrain_detection, config.robot_detection
     bands = np.repeat((seen / 2)[:, :, None], 3, axis=2)

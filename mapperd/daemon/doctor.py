@@ -17,7 +17,7 @@ __all__ = ["LAYERS", "LinkEvidence", "judge_link"]
 LAYERS = ("address", "port", "bytes", "frames", "checks", "poses")
 
 OPEN = (LinkPhase.WAITING, LinkPhase.RECEIVING, LinkPhase.SILENT)
-MOST_NAMES = 6
+MAX_NAMES = 6
 MUCH_LOST = 0.05
 """Part of a stream that belongs to no frame, above which something is wrong with the line."""
 
@@ -149,8 +149,8 @@ def _poses(evidence: LinkEvidence) -> tuple[Verdict, str]:
 
 
 def _counts(counts: Counter[str]) -> str:
-    most = [f"{name} {count}" for name, count in counts.most_common(MOST_NAMES)]
-    return ", ".join(most) + (", …" if len(counts) > MOST_NAMES else "")
+    most = [f"{name} {count}" for name, count in counts.most_common(MAX_NAMES)]
+    return ", ".join(most) + (", …" if len(counts) > MAX_NAMES else "")
 
 
 _LOOKS: tuple[Callable[[LinkEvidence], tuple[Verdict, str]], ...] = (

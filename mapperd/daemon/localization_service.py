@@ -21,7 +21,7 @@ from mapperd.localization.map_io import image_of
 from mapperd.localization.saved_pose import SavePace, save_pose
 from mapperd.localization.session import KnownMaps
 from mapperd.localization.status import LocalizationFacts
-from mapperd.pipeline.ingest import Inlet
+from mapperd.pipeline.ingest import Ingest
 from mapperd.session_log import (
     Covariance9,
     GlobalLocalization,
@@ -45,7 +45,7 @@ MAP_SUFFIXES = (".yaml", ".yml", ".map", ".bt", ".ot")
 """Grids of Nav2's map server; maps of ours; OctoMap's."""
 
 NAME = re.compile(r"\w[\w .+-]*\.\w+")
-MOST_BYTES = 200
+MAX_BYTES = 200
 
 Ask = Callable[[Request], Awaitable[Reject | None]]
 
@@ -77,7 +77,7 @@ class LocalizationRequests:
         self.is_changing_map = False
 
     async def initial_pose(self, asked: PoseRequest, origin: str) -> dict[str, Any]:
-        """As `Operations.initial_pose`."""
+        """As `DaemonApi.initial_pose`."""
         pose, frame = self._pose_of(asked)
         flat = _flat(pose)
         await self._done(InitialPose(0, *flat, frame, origin), "initial pose", origin)
@@ -87,19 +87,19 @@ class LocalizationRequests:
         return {}
 
     async def global_localization(self, origin: str) -> dict[str, Any]:
-        """As `Operations.global_localization`."""
+        """As `DaemonApi.global_localization`."""
         await self._done(GlobalLocalization(0, origin), "global localization", origin)
         text = f"global localization begins for {origin}: the vehicle may be anywhere on the map"
         self._events.add(Severity.NOTICE, "global_localization", text, origin=origin)
         return {}
 
     async def request_nomotion_update(self, origin: str) -> dict[str, Any]:
-        """As `Operations.request_nomotion_update`."""
+        """As `DaemonApi.request_nomotion_update`."""
         await self._done(NoMotionUpdate(0, origin), "update without motion", origin)
         return {}
 
     async def set_map(self, name: str, asked: PoseRequest | None, origin: str) -> dict[str, Any]:
-        """As `Operations.set_map`."""
+        """As `DaemonApi.set_map`."""
         pose = None if asked is None else self._pose_of(asked)
         path = str(await asyncio.to_thread(known_map_path, self._folder, name))
         request: Request = NewMap(0, path, "", origin)
@@ -157,7 +157,7 @@ def known_map_path(folder: Path, name: str) -> Path:
         OperationError: no such name (`bad_name`), no such format (`bad_format`), or no such file
             (`no_such_map`).
     """
-    if not NAME.fullmatch(name) or len(name.encode(errors="replace")) > MOST_BYTES:
+    if not NAME.fullmatch(name) or len(name.encode(errors="replace")) > MAX_BYTES:
         raise OperationError(
             f"{name[:60]!a}: no name of a map; allowed: letters, digits, spaces and ._+- after "
             "the first, no folder",
@@ -205,7 +205,7 @@ class Requests:
         maps: loads the maps that they name; None where localization is off.
     """
 
-    def __init__(self, inlet: Inlet, maps: KnownMaps | None) -> None:
+    def __init__(self, inlet: Ingest, maps: KnownMaps | None) -> None:
         self._inlet = inlet
         self._maps = maps
         self._numbers = count(1)

@@ -24,7 +24,7 @@ from mapperd.geometry.geodesy import Origin
 from mapperd.io import atomic_file, make_folder, remove
 from mapperd.localization.status import LocalizationFacts
 from mapperd.mapping.sonar_map import SonarMap, Voxels
-from mapperd.pipeline.counters import ReplayCounters
+from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.session.recordings import RecordedSession
 from mapperd.version import version
@@ -38,7 +38,7 @@ __all__ = [
     "write_results",
 ]
 
-MOST_BYTES = 200
+MAX_BYTES = 200
 """Of a name: what is being written has a longer one, and file systems take 255."""
 
 NAME = re.compile(r"\w[\w .+-]*\.\w+")
@@ -50,10 +50,10 @@ def checked_name(name: str) -> str:
     Raises:
         OperationError: it is none (`bad_name`), or its suffix no format (`bad_format`).
     """
-    if not NAME.fullmatch(name) or len(name.encode(errors="replace")) > MOST_BYTES:
+    if not NAME.fullmatch(name) or len(name.encode(errors="replace")) > MAX_BYTES:
         raise OperationError(
             f"{name[:60]!a}: no name for a file; allowed: letters, digits, spaces and ._+- after "
-            f"the first, no folder, at most {MOST_BYTES} bytes",
+            f"the first, no folder, at most {MAX_BYTES} bytes",
             "bad_name",
         )
     suffix = Path(name).suffix
@@ -193,7 +193,7 @@ def summary_of(
     source: dict[str, Any],
     sonar_map: SonarMap,
     poses: FixedPose | OdometryPoses,
-    counters: ReplayCounters,
+    counters: PipelineCounters,
     wall_s: float,
 ) -> dict[str, Any]:
     """Everything that there is to say about a run; units are in the names.

@@ -29,7 +29,7 @@ from mapperd.events import EventLog, Severity
 from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.report import state_of
 from mapperd.localization.saved_pose import load_pose
-from mapperd.localization.session import Localizing, begun
+from mapperd.localization.session import LocalizationSession, begun
 from mapperd.localization.status import LocalizationFacts
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
@@ -208,7 +208,7 @@ def _keep_origin(settings: ConfigStore, opened: OpenMap) -> None:
     opened.sonar_map.reconfigure(settings.settle("odometry.origin", value, "the map's file"))
 
 
-def _localizing(config: Config, events: EventLog) -> Localizing | None:
+def _localizing(config: Config, events: EventLog) -> LocalizationSession | None:
     """Begin localization by the settings, at the saved pose where there is one.
 
     Raises:

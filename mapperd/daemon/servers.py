@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
-from mapperd.api import Operations
+from mapperd.api import DaemonApi
 from mapperd.config.tree import Config
 from mapperd.daemon.daemon import Daemon
 from mapperd.daemon.debug_pictures import draw_pictures
@@ -16,11 +16,11 @@ from mapperd.errors import ConfigError
 from mapperd.events import EventLog, Severity
 from mapperd.server.control_server import ControlServer
 from mapperd.server.listeners import (
-    Door,
+    Listener,
     address_of,
-    inherited_door,
-    open_tcp_door,
-    open_unix_door,
+    inherited_listener,
+    open_tcp_listener,
+    open_unix_listener,
     server_tls,
 )
 from mapperd.server.source_protocol import Source
@@ -36,7 +36,7 @@ __all__ = [
     "FOLLOWS",
     "STREAM_CREDENTIAL",
     "control_server",
-    "map_doors",
+    "map_listeners",
     "serving",
     "stream_server",
 ]
@@ -91,7 +91,7 @@ FOLLOWS = ("stream.rate",)
 
 
 def stream_server(
-    operations: Operations,
+    operations: DaemonApi,
     live: Live,
     source: Source,
     environ: Mapping[str, str],
@@ -114,26 +114,26 @@ def stream_server(
         LiveError: something cannot be listened at.
     """
     settings = operations.settings
-    doors = map_doors(settings.current, operations.events, environ, inherited)
+    doors = map_listeners(settings.current, operations.events, environ, inherited)
     feed = Feed(operations, lambda: live.mapping.facts, settings.current.stream.path_points)
     live.mapping.integration.on_ping = feed.put
     settings.follow(FOLLOWS, lambda _: None)
     return StreamServer(operations, doors, feed, source, now_ns=now_ns)
 
 
-def map_doors(
+def map_listeners(
     config: Config,
     events: EventLog,
     environ: Mapping[str, str],
     inherited: socket.socket | None = None,
-) -> list[Door]:
+) -> list[Listener]:
     """The Unix socket, and that of TCP where the settings have one. Raises as `stream_server`."""
     mode = int(config.stream.mode, 8)
     with ExitStack() as undo:
         if inherited is None:
-            doors = [open_unix_door(map_socket_path(config, environ), mode)]
+            doors = [open_unix_listener(map_socket_path(config, environ), mode)]
         else:
-            doors = [inherited_door(inherited, "stream")]
+            doors = [inherited_listener(inherited, "stream")]
         undo.callback(doors[0].close)
         if inherited is None and mode & 0o007:
             said = (
@@ -142,12 +142,12 @@ def map_doors(
             )
             events.add(Severity.WARNING, "stream_for_all", said)
         if config.stream.address:
-            doors.append(_stream_tcp_door(config, environ, events))
+            doors.append(_stream_tcp_listener(config, environ, events))
         undo.pop_all()
     return doors
 
 
-def _stream_tcp_door(config: Config, environ: Mapping[str, str], events: EventLog) -> Door:
+def _stream_tcp_listener(config: Config, environ: Mapping[str, str], events: EventLog) -> Listener:
     stream = config.stream
     path = token_file(stream.token_file, environ, STREAM_CREDENTIAL)
     token = None if path is None else read_token(path, "$.stream.token_file")
@@ -170,11 +170,11 @@ def _stream_tcp_door(config: Config, environ: Mapping[str, str], events: EventLo
             "over a connection; stream.tls_certificate prevents it"
         )
         events.add(Severity.WARNING, "stream_in_clear", said)
-    return open_tcp_door(stream.address, token, tls, "stream")
+    return open_tcp_listener(stream.address, token, tls, "stream")
 
 
 def control_server(
-    operations: Operations, environ: Mapping[str, str], inherited: socket.socket | None = None
+    operations: DaemonApi, environ: Mapping[str, str], inherited: socket.socket | None = None
 ) -> ControlServer:
     """Open the doors; nobody is served before the server is entered, `async with`.
 
@@ -191,14 +191,14 @@ def control_server(
     config = operations.settings.current
     with ExitStack() as undo:
         if inherited is None:
-            doors = [open_unix_door(socket_path(config, environ), int(config.control.mode, 8))]
+            doors = [open_unix_listener(socket_path(config, environ), int(config.control.mode, 8))]
         else:
-            doors = [inherited_door(inherited)]
+            doors = [inherited_listener(inherited)]
         undo.callback(doors[0].close)
         if inherited is None and int(config.control.mode, 8) & 0o007:
             _warn_of_all(config, operations.events)
         if config.control.address:
-            doors.append(_control_tcp_door(config, environ, operations.events))
+            doors.append(_control_tcp_listener(config, environ, operations.events))
         undo.pop_all()
     return ControlServer(operations, doors, Limits(clients=config.control.max_clients))
 
@@ -212,7 +212,7 @@ def _warn_of_all(config: Config, events: EventLog) -> None:
     )
 
 
-def _control_tcp_door(config: Config, environ: Mapping[str, str], events: EventLog) -> Door:
+def _control_tcp_listener(config: Config, environ: Mapping[str, str], events: EventLog) -> Listener:
     control = config.control
     path = token_file(control.token_file, environ)
     if path is None:
@@ -232,4 +232,4 @@ def _control_tcp_door(config: Config, environ: Mapping[str, str], events: EventL
             f"control at {control.address}: everybody on that network can read along, and take "
             "over a connection; control.tls_certificate prevents it",
         )
-    return open_tcp_door(control.address, read_token(path), tls)
+    return open_tcp_listener(control.address, read_token(path), tls)

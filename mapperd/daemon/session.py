@@ -18,21 +18,21 @@ from mapperd.config.tree import Config, Device
 from mapperd.daemon.localization_service import Requests
 from mapperd.errors import ConfigError, Reject
 from mapperd.events import EventLog, Severity
-from mapperd.localization.session import Localizing, numbers_of, poses_depend_on
+from mapperd.localization.session import LocalizationSession, numbers_of, poses_depend_on
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.bridge import encoding_of
 from mapperd.odometry.links import Link
 from mapperd.odometry.links import LinkStatus as OdometryStatus
 from mapperd.pipeline.backlog import Backlog
-from mapperd.pipeline.counters import ReplayCounters
-from mapperd.pipeline.decoder import Engine
-from mapperd.pipeline.executor import Integration
-from mapperd.pipeline.ingest import SONAR, ChunkQueue, Inlet
-from mapperd.pipeline.persistence import InMemory, Keeping
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.decoder import SessionDecoder
+from mapperd.pipeline.executor import PingExecutor
+from mapperd.pipeline.ingest import SONAR, ChunkQueue, Ingest
+from mapperd.pipeline.persistence import MapPersistence, MemoryPersistence
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.pipeline.recorder import Recorder
-from mapperd.pipeline.snapshot import facts_reader
-from mapperd.pipeline.step import Stepping
+from mapperd.pipeline.snapshot import snapshot_reader
+from mapperd.pipeline.step import StepRunner
 from mapperd.pipeline.worker import MappingThread
 from mapperd.session_log import LINK, Request, Session, Settings
 from mapperd.version import version
@@ -100,15 +100,15 @@ class Live:
         *,
         session: str = "",
         events: EventLog | None = None,
-        keep: Keeping | None = None,
+        keep: MapPersistence | None = None,
         clock: Callable[[], int] | None = None,
-        localizing: Localizing | None = None,
+        localizing: LocalizationSession | None = None,
     ) -> None:
         config = sonar_map.config
         _require_own_links(config)
         self.session = session
-        self.keep: Keeping = InMemory(sonar_map) if keep is None else keep
-        self.counters = ReplayCounters()
+        self.keep: MapPersistence = MemoryPersistence(sonar_map) if keep is None else keep
+        self.counters = PipelineCounters()
         self.localizing = localizing
         self._config = config
         self._poses = poses
@@ -118,7 +118,7 @@ class Live:
         self.queue = ChunkQueue()
         self.recorder = Recorder(config, session, self._clock)
         encodings = {source.name: encoding_of(source) for source in config.odometry.sources}
-        self.inlet = Inlet(self.recorder, self.queue, encodings, self._clock)
+        self.inlet = Ingest(self.recorder, self.queue, encodings, self._clock)
         self.mapping = self._mapping(sonar_map)
         self._requests = Requests(self.inlet, None if localizing is None else localizing.maps)
         self.links = self._odometry_links()
@@ -175,7 +175,7 @@ class Live:
         """Map with other settings from the next bytes on; any thread.
 
         Args:
-            config: differs from the settings before in those that `Stepping.FOLLOWS` names, and
+            config: differs from the settings before in those that `StepRunner.FOLLOWS` names, and
                 has passed `check_filters`.
         """
         values = changes_between(self._config, config)
@@ -212,17 +212,19 @@ class Live:
         return self._sonar
 
     def _mapping(self, sonar_map: SonarMap) -> MappingThread:
-        engine = Engine(sonar_map.config, self._poses, self.counters, confirm=False, obey=True)
-        stepping = Stepping(sonar_map, time.perf_counter, self.counters)
+        engine = SessionDecoder(
+            sonar_map.config, self._poses, self.counters, confirm=False, obey=True
+        )
+        stepping = StepRunner(sonar_map, time.perf_counter, self.counters)
         onboard = None if self.localizing is None else self.localizing.onboard
         return MappingThread(
             self.queue,
             engine,
-            Integration(stepping, self.keep, onboard=onboard),
+            PingExecutor(stepping, self.keep, onboard=onboard),
             Backlog(sonar_map.config.behind),
             remark=self.inlet.remark,
             clock=self._clock,
-            facts_of=facts_reader(self._poses, self._clock),
+            facts_of=snapshot_reader(self._poses, self._clock),
             keep=self.keep,
         )
 

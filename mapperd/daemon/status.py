@@ -12,7 +12,7 @@ from mapperd.localization.report import localization_summary, map_name_of, state
 from mapperd.localization.status import LocalizationFacts
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.links import Link
-from mapperd.pipeline.worker import Facts
+from mapperd.pipeline.worker import StatusSnapshot
 from mapperd.version import version
 
 __all__ = ["LocalizationWatch", "Watch", "status_of"]
@@ -21,7 +21,7 @@ __all__ = ["LocalizationWatch", "Watch", "status_of"]
 def status_of(
     live: Live, sonar_map: SonarMap, config: Config, uptime_s: float, servers: dict[str, Any]
 ) -> dict[str, Any]:
-    """All keys of `Operations.status` but `phase`."""
+    """All keys of `DaemonApi.status` but `phase`."""
     facts = live.mapping.facts
     return {
         "reason": live.link.reason,
@@ -48,7 +48,7 @@ def status_of(
     }
 
 
-def _sonar(live: Live, facts: Facts) -> dict[str, Any]:
+def _sonar(live: Live, facts: StatusSnapshot) -> dict[str, Any]:
     link, counted = live.link, live.sonar.counters
     return {
         "state": str(link.state),
@@ -78,7 +78,7 @@ def _link(link: Link) -> dict[str, Any]:
     }
 
 
-def _pose(facts: Facts) -> dict[str, Any] | None:
+def _pose(facts: StatusSnapshot) -> dict[str, Any] | None:
     if facts.pose is None:
         return None
     pose, variances = facts.pose, np.diag(facts.pose.covariance)
@@ -177,7 +177,7 @@ class Watch:
         self._recording: object = None
         self._localization = LocalizationWatch(events)
 
-    def told(self, facts: Facts) -> None:
+    def told(self, facts: StatusSnapshot) -> None:
         """Look at new facts; in the mapping thread."""
         if facts.localization is not None:
             self._localization.told(facts.localization)

@@ -11,7 +11,7 @@ import traceback
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Iterator, Mapping
 from typing import Any
 
-from mapperd.api import Operations
+from mapperd.api import DaemonApi
 from mapperd.daemon.systemd import Notifier
 from mapperd.errors import MapperdError
 from mapperd.events import Severity
@@ -32,7 +32,7 @@ class StatusLine:
         """The line.
 
         Args:
-            status: as `Operations.status` gives it.
+            status: as `DaemonApi.status` gives it.
             now_s: a clock that only goes forward.
         """
         pings: Mapping[str, Any] = status.get("pings") or {}
@@ -72,7 +72,7 @@ def stack_lines() -> Iterator[str]:
 LOOK_S = 2.0
 """Between looks at how it goes; the watchdog's third where that is shorter."""
 
-LEAST_LOOK_S = 0.05
+MIN_LOOK_S = 0.05
 PATIENCE = 0.5
 """Of the watchdog's time: a worker may be silent so long before the manager is let to act."""
 
@@ -98,7 +98,7 @@ def only_told_to_stop() -> Iterator[None]:
 
 @contextlib.asynccontextmanager
 async def supervised(
-    daemon: Operations,
+    daemon: DaemonApi,
     workers: Callable[[], Iterable[Worker]],
     notifier: Notifier,
     *,
@@ -156,7 +156,7 @@ async def supervised(
 class _Session:
     def __init__(
         self,
-        daemon: Operations,
+        daemon: DaemonApi,
         workers: Callable[[], Iterable[Worker]],
         notifier: Notifier,
         watchdog_s: float | None,
@@ -169,7 +169,7 @@ class _Session:
         self._say = say
         self._line = StatusLine()
         self._feeds = watchdog_s is not None
-        self._period_s = min(LOOK_S, max(LEAST_LOOK_S, (watchdog_s or LOOK_S * 3) / 3))
+        self._period_s = min(LOOK_S, max(MIN_LOOK_S, (watchdog_s or LOOK_S * 3) / 3))
         self._watchdog = Watchdog((watchdog_s or 60.0) * PATIENCE)
         self._stuck: tuple[str, ...] = ()
 

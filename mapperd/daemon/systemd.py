@@ -128,7 +128,7 @@ def _status(text: str) -> str:
 
 
 FIRST = 3
-MOST = 16
+MAX = 16
 
 
 def inherited_sockets(environ: MutableMapping[str, str], pid: int) -> dict[str, socket.socket]:
@@ -143,7 +143,7 @@ def inherited_sockets(environ: MutableMapping[str, str], pid: int) -> dict[str, 
     meant_for = environ.pop("LISTEN_PID", "")
     number = environ.pop("LISTEN_FDS", "")
     names = environ.pop("LISTEN_FDNAMES", "").split(":")
-    if meant_for != str(pid) or not number.isdecimal() or int(number) > MOST:
+    if meant_for != str(pid) or not number.isdecimal() or int(number) > MAX:
         return {}
     found: dict[str, socket.socket] = {}
     for i in range(int(number)):

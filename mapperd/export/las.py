@@ -20,7 +20,7 @@ MISSING = "laspy, or its lazrs, cannot be imported (pip install 'mapperd[las]')"
 STEP_M = 0.0001
 """Coordinates are whole numbers of these."""
 
-MOST_STEPS = 2**31 - 1
+MAX_STEPS = 2**31 - 1
 
 POINT_FORMAT = 6
 """The plainest of version 1.4, which knows well-known text."""
@@ -125,7 +125,7 @@ def _middle(corners_m: Floats) -> Floats:
     """
     low, high = corners_m.min(axis=0), corners_m.max(axis=0)
     middle_m = np.floor((low + high) / 2)
-    if (high - middle_m).max() > MOST_STEPS * STEP_M:
-        side_km = math.floor(2 * MOST_STEPS * STEP_M / 1000)
+    if (high - middle_m).max() > MAX_STEPS * STEP_M:
+        side_km = math.floor(2 * MAX_STEPS * STEP_M / 1000)
         raise ExportError(f"the map is too wide for LAS: at most {side_km} km")
     return np.asarray(middle_m)

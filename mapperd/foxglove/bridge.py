@@ -15,7 +15,7 @@ from mapperd.client.changes import (
 )
 from mapperd.foxglove.channels import Channels, Said
 from mapperd.foxglove.geometry import stamp
-from mapperd.foxglove.map_publisher import MapTeller, Pace
+from mapperd.foxglove.map_publisher import MapPublisher, Pace
 from mapperd.foxglove.messages import Follows, StateMessages, values_of
 from mapperd.foxglove.scene import PathDrawing
 from mapperd.wire.messages import (
@@ -86,7 +86,7 @@ class Relay:
         self._client = client
         self._channels = channels
         self._on_set_back = on_set_back
-        self._map = MapTeller(pace)
+        self._map = MapPublisher(pace)
         self._path = PathDrawing()
         self._path_s = -math.inf
         self._link_text = ""

@@ -19,9 +19,9 @@ from mapperd.wire.messages import BLOCK_EDGE, Localization, Returns
 __all__ = [
     "LIVE",
     "RECORDING",
-    "MapTeller",
+    "MapPublisher",
     "Pace",
-    "ToldCells",
+    "SentCells",
     "changes_cloud",
     "map_cloud",
     "map_rows",
@@ -33,7 +33,7 @@ _NONE = bytes(CELLS // 8)
 _STEPS = np.array([1, BLOCK_EDGE, BLOCK_EDGE**2])
 
 
-class ToldCells:
+class SentCells:
     """Occupied cells by block, a bit each."""
 
     def __init__(self) -> None:
@@ -210,7 +210,7 @@ class _Whole:
     rows: list[NDArray[np.void]] = field(default_factory=list)
 
 
-class MapTeller:
+class MapPublisher:
     """The channels `/map` and `/map_changes`.
 
     Args:
@@ -219,7 +219,7 @@ class MapTeller:
 
     def __init__(self, pace: Pace) -> None:
         self._pace = pace
-        self._told = ToldCells()
+        self._told = SentCells()
         self._changed: set[bytes] = set()
         self._stamp_ns = 0
         self._whole_due = True

@@ -27,13 +27,13 @@ __all__ = ["without_stripes"]
 SECTORS = 24
 """Of equally many beams, over which speckle is averaged."""
 
-LEAST_CONTRAST = 0.25
+MIN_CONTRAST = 0.25
 """A stripe stands out by this part of the threshold at least: below, hardly a sample passes it."""
 
 RELATIVE_CONTRAST = 0.5
 """And by this part of what is behind it: speckle, averaged over a sector, does not."""
 
-LEAST_BEND = 1e-6
+MIN_BEND = 1e-6
 """Of a fan so narrow that nothing can be told."""
 
 SHAPES = {"rect": cv2.MORPH_RECT, "ellipse": cv2.MORPH_ELLIPSE, "cross": cv2.MORPH_CROSS}
@@ -82,7 +82,7 @@ def _stands_out(mean: Image, settings: Crosstalk, threshold: float) -> NDArray[n
         shape = SHAPES[settings.morpho_kernel_shape]
         kernel = cv2.getStructuringElement(shape, (3, settings.morpho_kernel_size))
         behind = np.asarray(cv2.morphologyEx(mean, cv2.MORPH_OPEN, kernel), dtype=np.float32)
-    contrast = np.maximum(LEAST_CONTRAST * threshold, RELATIVE_CONTRAST * behind)
+    contrast = np.maximum(MIN_CONTRAST * threshold, RELATIVE_CONTRAST * behind)
     return np.asarray(mean - behind > contrast)
 
 
@@ -108,8 +108,8 @@ def _first_row(bearings_rad: NDArray[np.float64], settings: Crosstalk) -> int:
     """
     half_rad = float(bearings_rad[-1] - bearings_rad[0]) / 2
     seen_rad = half_rad * (1 + 2 * settings.azimuth_threshold) / 3
-    bend = 1 / max(math.cos(seen_rad), LEAST_BEND) - 1
-    return math.ceil((settings.morpho_kernel_size + 1) / max(bend, LEAST_BEND))
+    bend = 1 / max(math.cos(seen_rad), MIN_BEND) - 1
+    return math.ceil((settings.morpho_kernel_size + 1) / max(bend, MIN_BEND))
 
 
 def _bridge(image: Image, stripe: NDArray[np.bool_]) -> None:

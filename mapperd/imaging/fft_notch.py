@@ -15,10 +15,10 @@ from mapperd.config.tree import Crosstalk
 
 __all__ = ["notched"]
 
-LEAST_SIDE = 4
+MIN_SIDE = 4
 """Images smaller than this have no spectrum to speak of."""
 
-LEAST_KEPT = 2.0
+MIN_KEPT = 2.0
 """Frequencies over the rows that are kept at least: the image's slow changes."""
 
 FULL_SCALE = 255.0
@@ -33,7 +33,7 @@ def notched(image: Image, settings: Crosstalk) -> Image:
         image: (rows, beams) 0..255; returned as it is if a side is under four samples.
         settings: width, strength and what is kept.
     """
-    if min(image.shape) < LEAST_SIDE:
+    if min(image.shape) < MIN_SIDE:
         return image
     kept = _mask(
         image.shape, settings.filter_width, settings.filter_strength, settings.dc_preserve_ratio
@@ -51,7 +51,7 @@ def _mask(shape: tuple[int, int], width: float, strength: float, dc_ratio: float
     over_beams = np.fft.rfftfreq(beams)[None, :] * 2  # of the highest frequency
     over_rows = np.fft.fftfreq(rows)[:, None] * rows  # whole waves in the image
     stripe = np.exp(-((over_beams / width) ** 2) / 2)
-    kept_rows = max(LEAST_KEPT, dc_ratio * rows / 2)
+    kept_rows = max(MIN_KEPT, dc_ratio * rows / 2)
     changing = 1 - np.exp(-((over_rows / kept_rows) ** 2) / 2)
     mask = np.clip(1 - strength * stripe * changing, 0, 1).astype(np.float32)
     mask.setflags(write=False)

@@ -8,10 +8,10 @@ import importlib.util
 
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
-from mapperd.imaging.ping_image import Echo
+from mapperd.imaging.ping_image import PingImage
 from mapperd.imaging.robots import Robot
 
-__all__ = ["check_filters", "filter_echo"]
+__all__ = ["check_filters", "filter_ping_image"]
 
 
 def check_filters(config: Config) -> None:
@@ -30,7 +30,7 @@ def check_filters(config: Config) -> None:
             )
 
 
-def filter_echo(echo: Echo, config: Config) -> tuple[Echo, tuple[Robot, ...]]:
+def filter_ping_image(echo: PingImage, config: Config) -> tuple[PingImage, tuple[Robot, ...]]:
     """Take stripes out of an echo, tell robots from terrain; the echo itself if all is off.
 
     Args:

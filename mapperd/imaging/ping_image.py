@@ -16,7 +16,14 @@ from mapperd.config.tree import Sonar
 from mapperd.errors import MapError
 from oculus_driver.ping import Ping
 
-__all__ = ["Echo", "beams_in_view", "display_units", "echo_of", "echo_of_image", "uniform_bearings"]
+__all__ = [
+    "PingImage",
+    "beams_in_view",
+    "display_units",
+    "ping_image_of",
+    "ping_image_of_array",
+    "uniform_bearings",
+]
 
 EDGE_RAD = math.radians(0.01)
 """Resolution of the sonar's bearing table: a beam on the edge of the fan belongs to it."""
@@ -26,7 +33,7 @@ EXACT_BYTES = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Echo:
+class PingImage:
     """The part of a ping that is mapped; arrays are read-only.
 
     Attributes:
@@ -45,7 +52,7 @@ class Echo:
         return len(self.intensity) * self.range_resolution_m
 
 
-def echo_of(ping: Ping, sonar: Sonar) -> Echo:
+def ping_image_of(ping: Ping, sonar: Sonar) -> PingImage:
     """Scale the image and leave out beams beyond `sonar.horizontal_fov`.
 
     Raises:
@@ -59,7 +66,7 @@ def echo_of(ping: Ping, sonar: Sonar) -> Echo:
     kept = np.ascontiguousarray(bearings[view])
     intensity.setflags(write=False)
     kept.setflags(write=False)
-    return Echo(intensity, kept, ping.range_resolution_m)
+    return PingImage(intensity, kept, ping.range_resolution_m)
 
 
 def beams_in_view(bearings_rad: NDArray[np.float64], sonar: Sonar) -> slice:
@@ -96,9 +103,9 @@ def uniform_bearings(beams: int, sonar: Sonar) -> NDArray[np.float64]:
     return np.asarray(np.arcsin(np.linspace(-edge, edge, beams)), dtype=np.float64)
 
 
-def echo_of_image(
+def ping_image_of_array(
     polar_image: ArrayLike, max_range: float, bearings: ArrayLike | None, sonar: Sonar
-) -> Echo:
+) -> PingImage:
     """Scale an image to 0..255 and leave out beams beyond `sonar.horizontal_fov`.
 
     Args:
@@ -119,7 +126,7 @@ def echo_of_image(
     table = uniform_bearings(beams, sonar) if bearings is None else _table(bearings, beams)
     view = beams_in_view(table, sonar)
     intensity, kept = np.ascontiguousarray(image[:, view]), np.ascontiguousarray(table[view])
-    return Echo(intensity, kept, max_range / rows)
+    return PingImage(intensity, kept, max_range / rows)
 
 
 def _intensity(image: NDArray[Any]) -> NDArray[np.float32]:

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from mapperd.config.tree import RobotDetection, TerrainDetection
 from mapperd.imaging.robots import Robot
 
-__all__ = ["MOST_ROBOTS", "find_robots", "terrain_of"]
+__all__ = ["MAX_ROBOTS", "find_robots", "terrain_of"]
 
-MOST_ROBOTS = 64
+MAX_ROBOTS = 64
 """Of one ping, the largest; an image full of them is no image of robots."""
 
 Image = NDArray[np.float32]
@@ -31,7 +31,7 @@ def find_robots(
         settings: what is a robot.
 
     Returns:
-        The largest `MOST_ROBOTS`, largest first.
+        The largest `MAX_ROBOTS`, largest first.
     """
     rows, beams, label, numbers = _groups(image, settings)
     intensity = image[rows, beams].astype(np.float64)
@@ -43,7 +43,7 @@ def find_robots(
     np.maximum.at(peak, label, intensity)
     return [
         Robot(float(range_m[k] / weight[k]), float(bearing[k] / weight[k]), samples, float(peak[k]))
-        for k, samples in numbers[:MOST_ROBOTS]
+        for k, samples in numbers[:MAX_ROBOTS]
     ]
 
 

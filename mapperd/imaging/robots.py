@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MOST_SIGHTINGS", "Point", "Robot", "Sighting", "Sightings"]
+__all__ = ["MAX_SIGHTINGS", "Point", "Robot", "Sighting", "Sightings"]
 
 Point = tuple[float, float, float]
 """Metres."""
@@ -38,7 +38,7 @@ class Robot:
         return float(x), float(y), float(z)
 
 
-MOST_SIGHTINGS = 4096
+MAX_SIGHTINGS = 4096
 """Beyond this the oldest go before their time."""
 
 SECOND_NS = 1_000_000_000
@@ -73,7 +73,7 @@ class Sightings:
     def add(self, sightings: Iterable[Sighting]) -> None:
         """Remember these."""
         for sighting in sightings:
-            if len(self._seen) == MOST_SIGHTINGS:
+            if len(self._seen) == MAX_SIGHTINGS:
                 self._seen.popleft()
                 self.crowded_out += 1
             self._seen.append(sighting)

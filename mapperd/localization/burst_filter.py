@@ -15,7 +15,7 @@ __all__ = ["BurstWatch", "unexplained_share"]
 
 Floats = NDArray[np.float64]
 
-LEAST_RETURNS = 16
+MIN_RETURNS = 16
 """Of fewer returns no share is told."""
 
 
@@ -83,7 +83,7 @@ class BurstWatch:
         seen = _Seen(stamp_ns, bearing_rad, range_m)
         shares = [self._share(seen, other, cell_m) for other in self._last]
         self._last = (*self._last, seen)[-2:]
-        enough = np.isfinite(range_m).sum() >= LEAST_RETURNS
+        enough = np.isfinite(range_m).sum() >= MIN_RETURNS
         return min((one for one in shares if one is not None), default=0.0) if enough else 0.0
 
     def _share(self, seen: _Seen, other: _Seen, cell_m: float) -> float | None:

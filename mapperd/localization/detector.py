@@ -14,18 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.config.tree import ScanExtraction
-from mapperd.imaging.ping_image import Echo
+from mapperd.imaging.ping_image import PingImage
 
 __all__ = ["FirstReturns", "Limits", "equalised", "first_returns", "levels_db"]
 
 Levels = NDArray[np.float32]
 
 HALF_HEIGHT_DB = np.float32(20 * math.log10(2))
-LEAST_BACKGROUND_ROWS = 4
+MIN_BACKGROUND_ROWS = 4
 ROWS_BEFORE = 2
 """A return's half height may lie before its first sample that passes the test."""
 
-LEAST_SPAN_ROWS = 4
+MIN_SPAN_ROWS = 4
 CELL_FRONT = 0.5
 """An echo fills a cell, half of which lies before it: half height is reached so many rows early."""
 
@@ -62,7 +62,7 @@ class FirstReturns:
 
 
 def first_returns(
-    levels: Levels, echo: Echo, limits: Limits, settings: ScanExtraction
+    levels: Levels, echo: PingImage, limits: Limits, settings: ScanExtraction
 ) -> FirstReturns:
     """Find them.
 
@@ -100,7 +100,7 @@ def _background(levels: Levels, look: slice, limits: Limits, settings: ScanExtra
     Within a window's length of the nearest row it is what there is of the window.
     """
     guard = max(1, round(settings.guard / limits.range_resolution_m))
-    window = max(LEAST_BACKGROUND_ROWS, round(settings.window / limits.range_resolution_m))
+    window = max(MIN_BACKGROUND_ROWS, round(settings.window / limits.range_resolution_m))
     summed = _summed(levels[look])
     mean = np.zeros((look.stop - look.start, levels.shape[1]), dtype=np.float32)
     short = min(guard + window, len(mean))
@@ -108,7 +108,7 @@ def _background(levels: Levels, look: slice, limits: Limits, settings: ScanExtra
     if full > 0:
         np.subtract(summed[window : window + full], summed[:full], out=mean[short : short + full])
         mean[short:] *= np.float32(1 / window)
-    for row in range(guard + LEAST_BACKGROUND_ROWS, short):
+    for row in range(guard + MIN_BACKGROUND_ROWS, short):
         mean[row] = summed[row - guard] / np.float32(row - guard)
     return mean
 
@@ -140,8 +140,8 @@ def _edges(
     much range as the beam is wide.
     """
     footprint = np.radians(settings.beam_width) * (first + 0.5)
-    span = np.maximum(LEAST_SPAN_ROWS, np.ceil(footprint)).astype(np.intp)
-    offset = np.arange(-ROWS_BEFORE, span.max(initial=LEAST_SPAN_ROWS))[:, None]
+    span = np.maximum(MIN_SPAN_ROWS, np.ceil(footprint)).astype(np.intp)
+    offset = np.arange(-ROWS_BEFORE, span.max(initial=MIN_SPAN_ROWS))[:, None]
     row = first + offset
     inside = (row >= 0) & (row < len(levels)) & (offset < span)
     part = np.where(inside, levels[np.clip(row, 0, len(levels) - 1), beam], -np.inf)
@@ -158,7 +158,7 @@ def _edges(
     return row[edge, each] + 0.5 - np.clip(early, 0.0, 1.0) + CELL_FRONT, top_db
 
 
-LEAST_INTENSITY = 0.5
+MIN_INTENSITY = 0.5
 """Half a step of 8 bits stands for silence."""
 
 DB_PER_DECADE = 20.0
@@ -171,7 +171,7 @@ EVERY = 8
 NOISE_BLOCK_M = 0.5
 """Noise over range is smooth: a row that stands out of this much is no noise."""
 
-MOST_BEAM_GAIN_DB = 6.0
+MAX_BEAM_GAIN_DB = 6.0
 
 
 def levels_db(intensity: Levels, gamma_byte: int = 255) -> Levels:
@@ -184,7 +184,7 @@ def levels_db(intensity: Levels, gamma_byte: int = 255) -> Levels:
     Returns:
         (rows, beams) float32, dB; the unit is one step of intensity.
     """
-    levels = np.maximum(intensity, np.float32(LEAST_INTENSITY))
+    levels = np.maximum(intensity, np.float32(MIN_INTENSITY))
     np.log10(levels, out=levels)
     exponent = 1.0 if gamma_byte in LINEAR else gamma_byte / 255.0
     levels *= np.float32(DB_PER_DECADE / exponent)
@@ -222,4 +222,4 @@ def _beam_gains_db(above: Levels) -> Levels:
     quarter = len(some) // 4
     quiet = np.partition(some, quarter, axis=0)[quarter]
     gains: Levels = quiet - np.median(quiet)
-    return np.clip(gains, -MOST_BEAM_GAIN_DB, MOST_BEAM_GAIN_DB)
+    return np.clip(gains, -MAX_BEAM_GAIN_DB, MAX_BEAM_GAIN_DB)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from mapperd.config.tree import Config
 from mapperd.errors import MapError, Reject
-from mapperd.imaging.filter_chain import filter_echo
-from mapperd.imaging.ping_image import Echo, echo_of
+from mapperd.imaging.filter_chain import filter_ping_image
+from mapperd.imaging.ping_image import PingImage, ping_image_of
 from mapperd.localization.burst_filter import BurstWatch
 from mapperd.localization.detector import FirstReturns, Limits, equalised, first_returns, levels_db
 from mapperd.localization.levelling import fan_points, level_T_base
@@ -101,7 +101,7 @@ class Surroundings:
 
 
 def scan_of(
-    echo: Echo, around: Surroundings, config: Config, watch: BurstWatch | None = None
+    echo: PingImage, around: Surroundings, config: Config, watch: BurstWatch | None = None
 ) -> Scan | Reject:
     """Take the first surface of each beam out of a ping.
 
@@ -131,7 +131,7 @@ def scan_of(
 
 
 def _placed(
-    found: FirstReturns, echo: Echo, around: Surroundings, config: Config, max_range_m: float
+    found: FirstReturns, echo: PingImage, around: Surroundings, config: Config, max_range_m: float
 ) -> Scan:
     settings = config.localization.scan
     # A surface that rises slowly may have its edge outside the limits that its samples keep to.
@@ -190,7 +190,7 @@ def scan_of_ping(
         The scan, or why there is none: `burst`, or as the map would refuse the ping.
     """
     try:
-        echo, _ = filter_echo(echo_of(ping, config.sonar), config)
+        echo, _ = filter_ping_image(ping_image_of(ping, config.sonar), config)
     except MapError as error:
         return Reject(error.reason, str(error))
     return scan_of(echo, _around(ping, pose, t_ns, config), config, watch)

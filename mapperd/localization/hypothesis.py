@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from mapperd.geometry.gaussian import wrapped
 from mapperd.localization.particle_filter import Estimate, HitModel, ParticleFilter
 
-__all__ = ["LONG_ODDS", "FitWatch", "Rival", "hit_share", "same_place", "spread_m"]
+__all__ = ["LONG_ODDS", "AlternativeHypothesis", "FitWatch", "hit_share", "same_place", "spread_m"]
 
 LONG_ODDS = math.log(1e-3)
 """Of a rival's beginning: about how often an estimate is wrong when a rival is tried."""
@@ -36,7 +36,7 @@ TIGHT_M = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Rival:
+class AlternativeHypothesis:
     """Another cloud and its odds.
 
     Attributes:
@@ -64,11 +64,11 @@ class Rival:
         """It has had its trial, and lost."""
         return self.log_odds < HOPELESS_ODDS and self.way_m > TRIAL_M
 
-    def driven(self, way_m: float) -> "Rival":
+    def driven(self, way_m: float) -> "AlternativeHypothesis":
         """After some way."""
         return replace(self, way_m=self.way_m + way_m)
 
-    def weighed(self, fit: float, first_fit: float, votes: float) -> "Rival":
+    def weighed(self, fit: float, first_fit: float, votes: float) -> "AlternativeHypothesis":
         """After a scan of so many independent beams, by both clouds' fit for a beam."""
         if not (fit > 0.0 and first_fit > 0.0):
             return self
@@ -76,9 +76,9 @@ class Rival:
         odds = (1.0 - FADE) * self.log_odds + told
         return replace(self, log_odds=min(max(odds, -50.0), 50.0))
 
-    def changed(self, first: ParticleFilter) -> "Rival":
+    def changed(self, first: ParticleFilter) -> "AlternativeHypothesis":
         """The first cloud as the rival of this one."""
-        return Rival(first, -self.log_odds, self.way_m)
+        return AlternativeHypothesis(first, -self.log_odds, self.way_m)
 
 
 def same_place(one: Estimate, other: Estimate) -> bool:

@@ -22,7 +22,7 @@ from mapperd._core import mcl_estimate
 from mapperd.geometry.gaussian import ELSEWHERE_M, Belief, PlanarGaussian
 
 __all__ = [
-    "MOST_CLUSTERS",
+    "MAX_CLUSTERS",
     "BeamModel",
     "Beams",
     "CloudState",
@@ -114,7 +114,7 @@ def restore_cloud(particles: ParticleFilter, state: CloudState) -> None:
     particles.restore(state.poses, state.log_weights, state.numbers, state.averages)
 
 
-MOST_CLUSTERS = 8
+MAX_CLUSTERS = 8
 """The heaviest; a cloud that is spread over a map falls into hundreds."""
 
 
@@ -131,7 +131,7 @@ class Cluster:
     pose: PlanarGaussian
 
 
-def clusters_of(particles: ParticleFilter, most: int = MOST_CLUSTERS) -> tuple[Cluster, ...]:
+def clusters_of(particles: ParticleFilter, most: int = MAX_CLUSTERS) -> tuple[Cluster, ...]:
     """The heaviest clusters, falling; those without weight are left out."""
     _, masses, labels = particles.modes()
     poses, weights = particles.poses, particles.weights

@@ -20,13 +20,13 @@ Floats = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
-MOST_PIXELS: Final = 800
+MAX_PIXELS: Final = 800
 """Along the longer side."""
 
-LEAST_PIXELS: Final = 400
+MIN_PIXELS: Final = 400
 """Along it, where cells are few: a cell is then several pixels."""
 
-MOST_STEPS: Final = 2 * MOST_PIXELS
+MAX_STEPS: Final = 2 * MAX_PIXELS
 """Of a line from one point to the next."""
 
 WATER, WALL, NOWHERE = (238, 238, 238), (40, 40, 40), (190, 190, 190)
@@ -90,8 +90,8 @@ class _Canvas:
         cut = grid.occupancy
         if len(rows):
             cut = cut[row : rows[-1] + 1, column : columns[-1] + 1]
-        coarser = max(1, -(-max(cut.shape) // MOST_PIXELS))
-        finer = max(1, LEAST_PIXELS // max(cut.shape)) if coarser == 1 else 1
+        coarser = max(1, -(-max(cut.shape) // MAX_PIXELS))
+        finer = max(1, MIN_PIXELS // max(cut.shape)) if coarser == 1 else 1
         self.image = _coloured(_coarse(cut, coarser)).repeat(finer, 0).repeat(finer, 1)
         self._grid = grid
         self._first = np.array([column, row], dtype=np.float64)
@@ -109,7 +109,7 @@ class _Canvas:
         """Draw from point to point, at least two of (N, 2)."""
         steps = np.diff(points_m, axis=0)
         count = np.hypot(steps[:, 0], steps[:, 1]) / self._pixel_m
-        count = np.clip(np.ceil(count), 1, MOST_STEPS).astype(np.int64)
+        count = np.clip(np.ceil(count), 1, MAX_STEPS).astype(np.int64)
         piece = np.repeat(np.arange(len(steps)), count)
         along = np.arange(len(piece)) - (np.cumsum(count) - count)[piece]
         share = (along / count[piece])[:, None]

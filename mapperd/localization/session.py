@@ -14,19 +14,19 @@ from mapperd.config.tree import Config
 from mapperd.errors import CheckpointError, ConfigError, MapError
 from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.known_map import KnownMap, load_known_map
-from mapperd.localization.stage import Onboard, OnboardState
+from mapperd.localization.stage import LocalizationStage, OnboardState
 from mapperd.session_log import Numbers12, Session
 from mapperd.store.checkpoint_reader import overlay
 from mapperd.store.checkpoint_writer import written
 
 __all__ = [
     "KnownMaps",
-    "Localizing",
+    "LocalizationSession",
     "begun",
     "begun_again",
     "numbers_of",
     "poses_depend_on",
-    "restored_localizing",
+    "restored_session",
     "saved_state",
 ]
 
@@ -92,7 +92,7 @@ class KnownMaps:
 
 
 @dataclass(frozen=True, slots=True)
-class Localizing:
+class LocalizationSession:
     """A session's localization as it begins.
 
     Attributes:
@@ -102,13 +102,13 @@ class Localizing:
         map_sha256: of the map that it begins with; empty without one.
     """
 
-    onboard: Onboard
+    onboard: LocalizationStage
     maps: KnownMaps
     saved: PlanarGaussian | None = None
     map_sha256: str = ""
 
 
-def begun(config: Config, saved: PlanarGaussian | None = None) -> Localizing | None:
+def begun(config: Config, saved: PlanarGaussian | None = None) -> LocalizationSession | None:
     """Begin by the settings; None where localization is off. Not in an event loop.
 
     Args:
@@ -126,10 +126,10 @@ def begun(config: Config, saved: PlanarGaussian | None = None) -> Localizing | N
         known = load_known_map(Path(ours.map_path), config) if ours.map_path else None
     except MapError as error:
         raise ConfigError(f"{PLACE}: {error}", PLACE) from error
-    return _localizing(config, maps, known, saved)
+    return _session(config, maps, known, saved)
 
 
-def begun_again(config: Config, session: Session) -> Localizing | None:
+def begun_again(config: Config, session: Session) -> LocalizationSession | None:
     """Begin as a recorded session began; None where localization was off.
 
     Raises:
@@ -143,22 +143,22 @@ def begun_again(config: Config, session: Session) -> Localizing | None:
         known = maps.take(ours.map_path, session.map_sha256) if session.map_sha256 else None
     except CheckpointError as error:
         raise ConfigError(f"{PLACE}: {error}", PLACE) from error
-    return _localizing(config, maps, known, _gaussian(session.saved_pose))
+    return _session(config, maps, known, _gaussian(session.saved_pose))
 
 
-def poses_depend_on(localizing: Localizing | None) -> Localizing | None:
+def poses_depend_on(localizing: LocalizationSession | None) -> LocalizationSession | None:
     """It, if it says where pings are mapped; None where the map is the same without it."""
     if localizing is None or localizing.maps.config.localization.mapping == "odometry":
         return None
     return localizing
 
 
-def saved_state(localizing: Localizing) -> bytes:
-    """All that `restored_localizing` needs; in the thread that maps."""
+def saved_state(localizing: LocalizationSession) -> bytes:
+    """All that `restored_session` needs; in the thread that maps."""
     return written(localizing.onboard.state(), localizing.maps.config)
 
 
-def restored_localizing(config: Config, data: bytes) -> Localizing:
+def restored_session(config: Config, data: bytes) -> LocalizationSession:
     """Localization as it was when `saved_state` was called.
 
     Args:
@@ -174,11 +174,11 @@ def restored_localizing(config: Config, data: bytes) -> Localizing:
     maps = KnownMaps(loaded_by)
     try:
         known = maps.take(state.path, state.sha256) if state.sha256 else None
-        onboard = Onboard(config, load=maps.take)
+        onboard = LocalizationStage(config, load=maps.take)
         onboard.restore(state, known)
     except (MapError, ValueError, TypeError, AttributeError) as error:
         raise CheckpointError(f"localization cannot go on: {error}") from error
-    return Localizing(onboard, maps)
+    return LocalizationSession(onboard, maps)
 
 
 def numbers_of(pose: PlanarGaussian | None) -> Numbers12 | None:
@@ -195,13 +195,13 @@ def _gaussian(numbers: Numbers12 | None) -> PlanarGaussian | None:
     return PlanarGaussian(*numbers[:3], np.array(numbers[3:]).reshape(3, 3))
 
 
-def _localizing(
+def _session(
     config: Config, maps: KnownMaps, known: KnownMap | None, saved: PlanarGaussian | None
-) -> Localizing:
+) -> LocalizationSession:
     try:
-        onboard = Onboard(config, known, saved, maps.take)
+        onboard = LocalizationStage(config, known, saved, maps.take)
     except MapError as error:
         raise ConfigError(f"{PLACE}: {error}", PLACE) from error
     except ValueError as error:
         raise ConfigError(f"$.amcl: {error}", "$.amcl") from error
-    return Localizing(onboard, maps, saved, "" if known is None else known.sha256)
+    return LocalizationSession(onboard, maps, saved, "" if known is None else known.sha256)

@@ -36,7 +36,7 @@ from mapperd.session_log import (
 )
 from oculus_driver.ping import Ping
 
-__all__ = ["Onboard", "OnboardState", "gaussian_of"]
+__all__ = ["LocalizationStage", "OnboardState", "gaussian_of"]
 
 Floats = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ class OnboardState:
     sha256: str
 
 
-class Onboard:
+class LocalizationStage:
     """One session's localization, in the thread that maps.
 
     Args:

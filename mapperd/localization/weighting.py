@@ -66,7 +66,7 @@ def ends_on_cones(scan: Scan, elevation_rad: Floats, base_height_m: float) -> Fl
 SEARCH_BEAMS, SEARCH_ELEVATIONS = 30, 3
 """Enough to tell where to look; all beams tell where it is."""
 
-LEAST_BEAMS = 15
+MIN_BEAMS = 15
 """A scan of fewer is no scan to search by, unless the settings thin all scans to fewer."""
 
 
@@ -114,7 +114,7 @@ class MapWeighing:
 
     def can_search(self, scan: Scan) -> bool:
         """Whether a cloud can be drawn from the scan."""
-        least = min(LEAST_BEAMS, self._config.amcl.max_beams)
+        least = min(MIN_BEAMS, self._config.amcl.max_beams)
         return self._broad is not None and len(scan) >= least
 
     def draw(self, particles: ParticleFilter, scan: Scan, base_height_m: float) -> None:

@@ -12,7 +12,7 @@ from mapperd import _core
 from mapperd.config.tree import Config
 from mapperd.errors import MapError
 from mapperd.geometry.motion import PingMotion
-from mapperd.imaging.ping_image import Echo
+from mapperd.imaging.ping_image import PingImage
 from mapperd.io import atomic_file
 
 __all__ = ["Fan", "check_size", "fan_arguments", "load_map", "refusals", "save_map"]
@@ -44,7 +44,7 @@ def fan_arguments(config: Config, motion: PingMotion | None) -> Fan:
     }
 
 
-def check_size(echo: Echo, config: Config) -> None:
+def check_size(echo: PingImage, config: Config) -> None:
     """Refuse what would exhaust the machine: a range that no sonar has, or tiny voxels.
 
     Raises:

@@ -16,7 +16,7 @@ from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, MapError
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.geometry.motion import PingMotion
-from mapperd.imaging.ping_image import Echo
+from mapperd.imaging.ping_image import PingImage
 from mapperd.mapping.core_args import check_size, fan_arguments, load_map, refusals, save_map
 
 __all__ = [
@@ -138,7 +138,7 @@ class SonarMap:
 
     def integrate(
         self,
-        echo: Echo,
+        echo: PingImage,
         map_T_sonar: Floats,  # noqa: N803 frames are named
         motion: PingMotion | None = None,
     ) -> PingStats:
@@ -176,7 +176,7 @@ class SonarMap:
 
     def blocks_of(
         self,
-        echo: Echo,
+        echo: PingImage,
         map_T_sonar: Floats,  # noqa: N803 frames are named
         motion: PingMotion | None = None,
     ) -> tuple[Key, Key] | None:

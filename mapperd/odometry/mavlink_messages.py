@@ -47,7 +47,7 @@ Floats = NDArray[np.float64]
 
 GRAVITY_MPS2 = 9.80665
 HPA_PA = 100.0
-LEAST_AIR_HPA = 500.0  # thinner air is above all lakes: a sensor without power says 0
+MIN_AIR_HPA = 500.0  # thinner air is above all lakes: a sensor without power says 0
 MAX_TIME_US = 9e15  # in nanoseconds it still has 64 bits
 UNKNOWN_HEADING = 65535
 DOWN = 25  # MAV_SENSOR_ROTATION_PITCH_270
@@ -195,7 +195,7 @@ def _global_position(m: Any, _: FormatSettings) -> Fields | Reject:  # noqa: ANN
 
 
 def _pressure(m: Any, settings: FormatSettings) -> Fields | Reject:  # noqa: ANN401
-    if bad := bad_number("press_abs", m.press_abs, LEAST_AIR_HPA, math.inf):
+    if bad := bad_number("press_abs", m.press_abs, MIN_AIR_HPA, math.inf):
         return bad
     over_pa = (m.press_abs - settings.surface_pressure) * HPA_PA
     depth_m = over_pa / (settings.water_density * GRAVITY_MPS2)

@@ -6,7 +6,7 @@ from typing import TypeGuard
 
 from mapperd.config.daemon import Behind as Settings
 from mapperd.errors import Reject
-from mapperd.pipeline.decoder import Settled, Work
+from mapperd.pipeline.decoder import PosedPing, Work
 
 __all__ = ["Backlog", "Turn"]
 
@@ -85,5 +85,5 @@ class Backlog:
             self._bytes += one * work.ping.image.nbytes
 
 
-def _is_mappable(work: Work) -> TypeGuard[Settled]:
-    return isinstance(work, Settled) and not isinstance(work.pose, Reject)
+def _is_mappable(work: Work) -> TypeGuard[PosedPing]:
+    return isinstance(work, PosedPing) and not isinstance(work.pose, Reject)

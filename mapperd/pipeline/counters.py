@@ -6,14 +6,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-__all__ = ["Latency", "ReplayCounters"]
+__all__ = ["Latency", "PipelineCounters"]
 
-MOST_TIMES = 100_000
+MAX_TIMES = 100_000
 """A daemon runs for months."""
 
 
 @dataclass(slots=True)
-class ReplayCounters:
+class PipelineCounters:
     """Counts of one replay; pings_total == pings_mapped + sum(pings_dropped.values()).
 
     Attributes:
@@ -29,7 +29,7 @@ class ReplayCounters:
         messages_doubtful: warning to count, of messages that were taken all the same.
         pings_lost: ping numbers that never came, not even with a message that was dropped.
         step_s: seconds that mapped or refused pings took in the step: all, or, of more than
-            `MOST_TIMES`, some from all over the dive.
+            `MAX_TIMES`, some from all over the dive.
         longest_s: the largest of all.
     """
 
@@ -61,7 +61,7 @@ class ReplayCounters:
         if self._passed % self._every:
             return
         self.step_s.append(seconds)
-        if len(self.step_s) > MOST_TIMES:
+        if len(self.step_s) > MAX_TIMES:
             self.step_s = self.step_s[1::2]
             self._every *= 2
 
@@ -73,14 +73,14 @@ class ReplayCounters:
 
 
 WINDOW_NS = 60_000_000_000
-MOST = 4096
+MAX = 4096
 
 
 class Latency:
     """Of the pings that were mapped in the last minute."""
 
     def __init__(self) -> None:
-        self._pings: deque[tuple[int, int]] = deque(maxlen=MOST)
+        self._pings: deque[tuple[int, int]] = deque(maxlen=MAX)
 
     def add(self, complete_ns: int, mapped_ns: int) -> None:
         """Note a ping: when its last byte had come, and when it was in the map."""

@@ -13,8 +13,8 @@ from mapperd.config.tree import Config
 from mapperd.errors import Reject
 from mapperd.odometry.bridge import ENCODING_PREFIX
 from mapperd.odometry.fusion import FusedPose
-from mapperd.pipeline.counters import ReplayCounters
-from mapperd.pipeline.pose_lookup import PoseSource, ping_time_ns
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.pose_lookup import PoseLookup, ping_time_ns
 from mapperd.session_log import (
     DECISIONS,
     Gap,
@@ -32,7 +32,7 @@ from oculus_driver.sequence import PingSequence
 from oculus_driver.stream import Message, StreamParser
 from oculus_driver.wire import MessageId
 
-__all__ = ["Arrival", "Engine", "NewSettings", "PingStream", "Settled", "Work"]
+__all__ = ["Arrival", "NewSettings", "PingStream", "PosedPing", "SessionDecoder", "Work"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,7 @@ class PingStream:
         for link, parser in self._parsers.items():
             yield from self._arrivals(link, parser.finish())
 
-    def count(self, counters: ReplayCounters) -> None:
+    def count(self, counters: PipelineCounters) -> None:
         """Add what the parsers and the ping numbers say."""
         for parser in self._parsers.values():
             parsed = parser.counters
@@ -122,7 +122,7 @@ class PingStream:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Settled:
+class PosedPing:
     """A ping whose pose is known, or known to be unknown.
 
     Attributes:
@@ -147,7 +147,7 @@ class NewSettings:
     config: Config
 
 
-Work = Settled | NewSettings | Reset | Request
+Work = PosedPing | NewSettings | Reset | Request
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +157,7 @@ class _Ticket:
     t_ns: int | None
 
 
-class Engine:
+class SessionDecoder:
     """Parses, fuses and pairs one session.
 
     Args:
@@ -183,8 +183,8 @@ class Engine:
     def __init__(
         self,
         config: Config,
-        poses: PoseSource,
-        counters: ReplayCounters,
+        poses: PoseLookup,
+        counters: PipelineCounters,
         *,
         confirm: bool,
         obey: bool,
@@ -242,7 +242,7 @@ class Engine:
 
         Args:
             ping: or why there is none.
-            t_ns: as `PoseSource.add_ping` takes it.
+            t_ns: as `PoseLookup.add_ping` takes it.
             complete_ns: when its last byte came.
         """
         number, self.pings = self.pings, self.pings + 1
@@ -318,8 +318,8 @@ class Engine:
 
     def _settled(self, now_ns: int | None, *, final: bool = False) -> list[Work]:
         work: list[Work] = []
-        for ping, pose in self.poses.settled(now_ns, final=final):
+        for ping, pose in self.poses.resolved(now_ns, final=final):
             ticket = self._tickets.popleft()  # pings come out in the order in which they went in
-            settled = Settled(ticket.number, ping, pose, ticket.complete_ns, ticket.t_ns)
+            settled = PosedPing(ticket.number, ping, pose, ticket.complete_ns, ticket.t_ns)
             work.append(settled)
         return work

@@ -5,17 +5,17 @@ from typing import TYPE_CHECKING
 
 from mapperd.config.tree import Config
 from mapperd.errors import Reject, StoreError
-from mapperd.localization.stage import Onboard
+from mapperd.localization.stage import LocalizationStage
 from mapperd.odometry.fusion import FusedPose
-from mapperd.pipeline.decoder import NewSettings, Settled, Work
-from mapperd.pipeline.persistence import Keeping
-from mapperd.pipeline.step import Mapped, Stepping
+from mapperd.pipeline.decoder import NewSettings, PosedPing, Work
+from mapperd.pipeline.persistence import MapPersistence
+from mapperd.pipeline.step import Mapped, StepRunner
 from mapperd.session_log import Remarks, Request, Reset
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["Integration", "Treated"]
+__all__ = ["PingExecutor", "PingResult"]
 
 LOCALIZATION_OFF = Reject("localization_off", "localization.mode is off")
 
@@ -23,7 +23,7 @@ TOO_SLOW = ("too_slow", "pings came faster than they could be mapped")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Treated:
+class PingResult:
     """A ping, and what became of it.
 
     Attributes:
@@ -32,12 +32,12 @@ class Treated:
         result: in the map, or why not.
     """
 
-    settled: Settled
+    settled: PosedPing
     pose: FusedPose | Reject
     result: Mapped | Reject
 
 
-class Integration:
+class PingExecutor:
     """One thread does one piece of work after the other.
 
     Args:
@@ -54,15 +54,15 @@ class Integration:
 
     def __init__(
         self,
-        stepping: Stepping,
-        keep: Keeping,
+        stepping: StepRunner,
+        keep: MapPersistence,
         remarks: Remarks | None = None,
-        onboard: Onboard | None = None,
+        onboard: LocalizationStage | None = None,
     ) -> None:
         self.stepping = stepping
         self.onboard = onboard
         self.newest: FusedPose | None = None
-        self.on_ping: Callable[[Treated], None] = lambda _: None
+        self.on_ping: Callable[[PingResult], None] = lambda _: None
         self._keep = keep
         remarks = remarks or Remarks()
         self._drops = remarks.drops
@@ -76,7 +76,7 @@ class Integration:
             CheckpointError: the known map that a recorded request names is not there any more.
         """
         match work:
-            case Settled():
+            case PosedPing():
                 self._ping(work)
             case NewSettings(config):
                 self._take(config)
@@ -96,11 +96,11 @@ class Integration:
     def pass_by(self, work: Work) -> None:
         """Let work go that is in the map already; localization is not in it, and does it again."""
         match work:
-            case Settled(number) if number not in self._drops:
+            case PosedPing(number) if number not in self._drops:
                 self._place(work)
             case NewSettings(config):
                 self._take(config)
-            case Settled() | Reset():
+            case PosedPing() | Reset():
                 pass
             case _ if self.onboard is not None:
                 self.onboard.ask(work)
@@ -110,7 +110,7 @@ class Integration:
         if self.onboard is not None:
             self.onboard.take(config)
 
-    def _place(self, settled: Settled) -> FusedPose | Reject:
+    def _place(self, settled: PosedPing) -> FusedPose | Reject:
         if self.onboard is None:
             return settled.pose
         return self.onboard.place(settled.ping, settled.pose, settled.t_ns)
@@ -124,13 +124,13 @@ class Integration:
             self._keep.done(Reset(number))  # it will not be asked for again
             raise
 
-    def drop(self, work: Settled) -> None:
+    def drop(self, work: PosedPing) -> None:
         """Count a ping that had to wait for too long."""
         self.stepping.counters.drop(*TOO_SLOW)
-        self.on_ping(Treated(work, work.pose, Reject(*TOO_SLOW)))
+        self.on_ping(PingResult(work, work.pose, Reject(*TOO_SLOW)))
         self._keep.done(work)
 
-    def _ping(self, settled: Settled) -> None:
+    def _ping(self, settled: PosedPing) -> None:
         number = settled.number
         if number in self._drops:
             self.stepping.counters.drop(*TOO_SLOW)
@@ -139,4 +139,4 @@ class Integration:
             result = self.stepping.step(settled.ping, pose)
             if isinstance(result, Mapped):
                 self.newest = pose if isinstance(pose, FusedPose) else None
-            self.on_ping(Treated(settled, pose, result))
+            self.on_ping(PingResult(settled, pose, result))

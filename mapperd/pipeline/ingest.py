@@ -9,11 +9,11 @@ from mapperd.pipeline.recorder import Recorder
 from mapperd.session_log import Decision, Gap, Skip, chunk_of
 from oculus_driver.recording import OCULUS, Chunk
 
-__all__ = ["MAX_BYTES", "SONAR", "ChunkQueue", "Inlet"]
+__all__ = ["MAX_BYTES", "SONAR", "ChunkQueue", "Ingest"]
 
 MAX_BYTES = 64 * 1024 * 1024
 
-LEAST_SIZE = 512
+MIN_SIZE = 512
 """What an entry counts at least: its own memory."""
 
 
@@ -91,14 +91,14 @@ class ChunkQueue:
 
 
 def _size(chunk: Chunk) -> int:
-    return max(len(chunk.data), LEAST_SIZE)
+    return max(len(chunk.data), MIN_SIZE)
 
 
 SONAR = "sonar"
 """Name of the sonar's link."""
 
 
-class Inlet:
+class Ingest:
     """Hands on what comes in; any thread, never waits.
 
     Args:

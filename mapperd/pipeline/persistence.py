@@ -3,19 +3,19 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
 
-from mapperd.localization.session import Localizing
+from mapperd.localization.session import LocalizationSession
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.pipeline.decoder import Engine, Work
+from mapperd.pipeline.decoder import SessionDecoder, Work
 from mapperd.pipeline.watchdog import Worker
-from mapperd.store.position import Places
+from mapperd.store.position import RecordingOffsets
 
 if TYPE_CHECKING:
     from mapperd.store.tile_store import TileStore
 
-__all__ = ["InMemory", "Keeping"]
+__all__ = ["MapPersistence", "MemoryPersistence"]
 
 
-class Keeping(Protocol):
+class MapPersistence(Protocol):
     """Keeps the map; all but `save`, `whole` and `status` is called in the mapping thread."""
 
     @property
@@ -24,10 +24,10 @@ class Keeping(Protocol):
 
     def begin(
         self,
-        engine: Engine,
-        places: Places,
+        engine: SessionDecoder,
+        places: RecordingOffsets,
         wake: Callable[[], None],
-        localizing: Localizing | None = None,
+        localizing: LocalizationSession | None = None,
     ) -> None:
         """Before the first chunk.
 
@@ -86,7 +86,7 @@ class Keeping(Protocol):
         """For a person; None where the map is in memory alone."""
 
 
-class InMemory:
+class MemoryPersistence:
     """The map ends with the program."""
 
     store = None
@@ -96,10 +96,10 @@ class InMemory:
 
     def begin(
         self,
-        engine: Engine,
-        places: Places,
+        engine: SessionDecoder,
+        places: RecordingOffsets,
         wake: Callable[[], None],
-        localizing: Localizing | None = None,
+        localizing: LocalizationSession | None = None,
     ) -> None:
         """Nothing to be done."""
 

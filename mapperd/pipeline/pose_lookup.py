@@ -18,7 +18,7 @@ __all__ = [
     "ODOMETRY_FOLLOWS",
     "FixedPose",
     "OdometryPoses",
-    "PoseSource",
+    "PoseLookup",
     "origin_of",
     "ping_time_ns",
 ]
@@ -32,13 +32,13 @@ ODOMETRY_FOLLOWS = (
     "odometry.position_std",
     "odometry.attitude_std",
 )
-"""Settings that `PoseSource.take` follows."""
+"""Settings that `PoseLookup.take` follows."""
 
 MAX_WAITING_BYTES = 128 * 1024 * 1024
 """Images that may wait; beyond, the oldest ping is settled with what is known."""
 
 
-class PoseSource(Protocol):
+class PoseLookup(Protocol):
     """Gives pings their poses, in the order in which the pings came."""
 
     @property
@@ -75,7 +75,7 @@ class PoseSource(Protocol):
     ) -> None:
         """Take bytes of odometry, as `OdometryBridge.feed` does."""
 
-    def settled(
+    def resolved(
         self, now_ns: int | None, *, final: bool = False
     ) -> Iterator[tuple[Ping, FusedPose | Reject]]:
         """Pings whose pose is known, or known to be unknown.
@@ -86,7 +86,7 @@ class PoseSource(Protocol):
         """
 
 
-def origin_of(config: Config, poses: PoseSource) -> tuple[float, float] | None:
+def origin_of(config: Config, poses: PoseLookup) -> tuple[float, float] | None:
     """Latitude and longitude of the map's zero: as set, else the first place that was said."""
     said = config.odometry.origin
     return poses.origin_deg if said is None else (said.latitude, said.longitude)
@@ -135,7 +135,7 @@ class FixedPose:
         """Count a piece of odometry."""
         self.ignored += 1
 
-    def settled(
+    def resolved(
         self,
         now_ns: int | None,  # noqa: ARG002 nothing to wait for
         *,
@@ -194,7 +194,7 @@ class OdometryPoses:
         """Take bytes of odometry, as `OdometryBridge.feed` does."""
         self.odometry.feed(link, data, arrival_ns, encoding=encoding, gap_before=gap_before)
 
-    def settled(
+    def resolved(
         self, now_ns: int | None, *, final: bool = False
     ) -> Iterator[tuple[Ping, FusedPose | Reject]]:
         """Pings whose time lies behind the newest record, or that have waited long enough."""

@@ -12,7 +12,7 @@ from mapperd.errors import ConfigError
 from mapperd.odometry.bridge import encoding_of
 from mapperd.pipeline.watchdog import Worker
 from mapperd.session_log import DECISIONS, LINK, SESSION
-from mapperd.store.position import Place
+from mapperd.store.position import RecordingOffset
 from oculus_driver.errors import RecordingError
 from oculus_driver.recording import OCULUS, BackgroundLog, Chunk, LogPolicy, SonarLog
 
@@ -80,12 +80,12 @@ class Recorder:
         """Number of the newest piece; 0 before the first, or where nothing is recorded."""
         return 0 if self._log is None else self._log.offered
 
-    def place_of(self, number: int) -> Place | None:
+    def place_of(self, number: int) -> RecordingOffset | None:
         """Where the recording goes on behind a piece; None while that is not written."""
         if self._log is None or number == 0:
-            return Place()
+            return RecordingOffset()
         place = self._log.place_of(number)
-        return None if place is None else Place(place.file, place.messages)
+        return None if place is None else RecordingOffset(place.file, place.messages)
 
     def wait_for(self, number: int, timeout_s: float) -> bool:
         """Wait until the operating system has a piece; False if that takes longer."""

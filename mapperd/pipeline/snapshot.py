@@ -6,14 +6,14 @@ from typing import Any
 
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
-from mapperd.pipeline.worker import Facts, MappingThread
+from mapperd.pipeline.worker import MappingThread, StatusSnapshot
 
-__all__ = ["facts_reader"]
+__all__ = ["snapshot_reader"]
 
 
-def facts_reader(
+def snapshot_reader(
     poses: FixedPose | OdometryPoses, clock: Callable[[], int]
-) -> Callable[[MappingThread], Facts]:
+) -> Callable[[MappingThread], StatusSnapshot]:
     """What reads a thread's facts, between two pings.
 
     Args:
@@ -21,13 +21,13 @@ def facts_reader(
         clock: of the arrivals, nanoseconds.
     """
 
-    def read(thread: MappingThread) -> Facts:
+    def read(thread: MappingThread) -> StatusSnapshot:
         newest, onboard = thread.newest, thread.integration.onboard
         pose = None if newest is None else newest.pose
-        return Facts(
+        return StatusSnapshot(
             pings=_pings(thread),
             latency_ms=thread.latency.percentiles_ms(clock()),
-            behind=_behind(thread),
+            behind=_backlog(thread),
             odometry=_odometry(poses),
             robots=_robots(thread, clock()),
             pose=pose if isinstance(pose, FusedPose) else None,
@@ -51,7 +51,7 @@ def _pings(thread: MappingThread) -> dict[str, Any]:
     }
 
 
-def _behind(thread: MappingThread) -> dict[str, Any]:
+def _backlog(thread: MappingThread) -> dict[str, Any]:
     backlog = thread.backlog
     return {
         "late": backlog.late,

@@ -7,16 +7,16 @@ from mapperd.config.tree import Config
 from mapperd.errors import MapError, Reject
 from mapperd.geometry.frames import Pose
 from mapperd.geometry.motion import BaseMotion
-from mapperd.imaging.filter_chain import check_filters, filter_echo
-from mapperd.imaging.ping_image import Echo, echo_of
+from mapperd.imaging.filter_chain import check_filters, filter_ping_image
+from mapperd.imaging.ping_image import PingImage, ping_image_of
 from mapperd.imaging.robots import Point, Robot, Sighting, Sightings
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.fusion import FusedPose
-from mapperd.pipeline.counters import ReplayCounters
+from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.pose_lookup import ODOMETRY_FOLLOWS
 from oculus_driver.ping import Ping
 
-__all__ = ["Mapped", "Stepping", "process_ping"]
+__all__ = ["Mapped", "StepRunner", "process_ping"]
 
 AT_REST = BaseMotion()
 
@@ -37,7 +37,7 @@ class Mapped:
     voxels_occupied: int
     voxels_free: int
     robots: tuple[tuple[Robot, Point], ...] = ()
-    echo: Echo | None = field(default=None, compare=False, repr=False)
+    echo: PingImage | None = field(default=None, compare=False, repr=False)
 
 
 def process_ping(
@@ -52,8 +52,8 @@ def process_ping(
         moving: how the base moves then.
     """
     try:
-        echo = echo_of(ping, sonar_map.config.sonar)
-        echo, robots = filter_echo(echo, sonar_map.config)
+        echo = ping_image_of(ping, sonar_map.config.sonar)
+        echo, robots = filter_ping_image(echo, sonar_map.config)
         map_T_sonar = pose.map_T_base @ sonar_map.base_T_sonar  # noqa: N806 frames are named
         sound_mps = ping.credible_speed_of_sound_mps
         middle_s = ping.max_range_m / 2 / sound_mps
@@ -65,7 +65,7 @@ def process_ping(
     return Mapped(ping.ping_id, changed.occupied, changed.free, seen, echo)
 
 
-class Stepping:
+class StepRunner:
     """Puts pings with a pose through the step.
 
     Args:
@@ -94,15 +94,15 @@ class Stepping:
         "localization",
         *ODOMETRY_FOLLOWS,
     )
-    """Settings that the way of a ping follows: through `take`, its `PoseSource`, and `Onboard`."""
+    """Settings that the way of a ping follows: in `take`, `PoseLookup` and `LocalizationStage`."""
 
     def __init__(
         self,
         sonar_map: SonarMap,
         clock: Callable[[], float],
-        counters: ReplayCounters | None = None,
+        counters: PipelineCounters | None = None,
     ) -> None:
-        self.counters = counters or ReplayCounters()
+        self.counters = counters or PipelineCounters()
         self._map = sonar_map
         self._clock = clock
         check_filters(sonar_map.config)

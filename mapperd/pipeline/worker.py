@@ -10,16 +10,16 @@ from mapperd.localization.status import LocalizationFacts
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.backlog import Backlog
 from mapperd.pipeline.counters import Latency
-from mapperd.pipeline.decoder import Engine, NewSettings, Settled, Work
-from mapperd.pipeline.executor import Integration
+from mapperd.pipeline.decoder import NewSettings, PosedPing, SessionDecoder, Work
+from mapperd.pipeline.executor import PingExecutor
 from mapperd.pipeline.ingest import ChunkQueue
-from mapperd.pipeline.persistence import Keeping
+from mapperd.pipeline.persistence import MapPersistence
 from mapperd.session_log import Decision, Drop, Request, Reset, ResetFailed
 
 if TYPE_CHECKING:
     from mapperd.errors import Reject
 
-__all__ = ["Facts", "MappingThread"]
+__all__ = ["MappingThread", "StatusSnapshot"]
 
 LAST_NS = 10_000_000_000
 """So long everything that waits at the end is mapped; then only what has not waited for long."""
@@ -29,11 +29,11 @@ TELL_NS = 200_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Facts:
+class StatusSnapshot:
     """How it goes, as it was at one moment between two pings; nobody changes it afterwards.
 
     Attributes:
-        pings, latency_ms, behind, odometry, robots: as `Operations.status` has them.
+        pings, latency_ms, behind, odometry, robots: as `DaemonApi.status` has them.
         pose, pose_ns: of the newest ping that had one, and when that ping was complete.
         sonar: what the newest of those pings was like.
         clocks: how pings were placed in time.
@@ -82,26 +82,26 @@ class MappingThread:
     def __init__(
         self,
         queue: ChunkQueue,
-        engine: Engine,
-        integration: Integration,
+        engine: SessionDecoder,
+        integration: PingExecutor,
         backlog: Backlog,
         *,
         remark: Callable[[Decision], None],
         clock: Callable[[], int],
-        facts_of: Callable[["MappingThread"], Facts],
-        keep: Keeping,
+        facts_of: Callable[["MappingThread"], StatusSnapshot],
+        keep: MapPersistence,
     ) -> None:
         self.engine = engine
         self.integration = integration
         self.backlog = backlog
         self.latency = Latency()
-        self.newest: Settled | None = None
+        self.newest: PosedPing | None = None
         self.progress = 0
         self.failure: BaseException | None = None
         self.on_end: Callable[[], None] = lambda: None
         self.on_reset: Callable[[Reset, StoreError | None], None] = lambda *_: None
         self.on_request: Callable[[Request, Reject | None], None] = lambda *_: None
-        self.on_told: Callable[[Facts], None] = lambda _: None
+        self.on_told: Callable[[StatusSnapshot], None] = lambda _: None
         self._queue = queue
         self._remark = remark
         self._clock = clock
@@ -167,10 +167,10 @@ class MappingThread:
         """Do what is next; returns whether it was dropped."""
         turn = self.backlog.next(self._clock(), patient=patient)
         match turn.work:
-            case Settled() as settled if turn.dropped:
+            case PosedPing() as settled if turn.dropped:
                 self._remark(Drop(settled.number))
                 self.integration.drop(settled)
-            case Settled() as settled:
+            case PosedPing() as settled:
                 self._ping(settled)
             case Reset() as reset:
                 self._reset(reset)
@@ -181,7 +181,7 @@ class MappingThread:
         self.progress += 1
         return turn.dropped
 
-    def _ping(self, settled: Settled) -> None:
+    def _ping(self, settled: PosedPing) -> None:
         mapped = self.integration.stepping.counters.pings_mapped
         self.integration.do(settled)
         if self.integration.stepping.counters.pings_mapped == mapped:

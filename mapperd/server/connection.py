@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from mapperd.api import Operations
+from mapperd.api import DaemonApi
 from mapperd.events import Severity
 from mapperd.server.dispatch import EventFeed, operate
 from mapperd.server.resume import Parting
@@ -34,7 +34,7 @@ LOOKS = (Status, Params, Get, Localization, Events)
 
 
 async def answered(
-    raw: msgspec.Raw, operations: Operations, origin: str, *, may_change: bool
+    raw: msgspec.Raw, operations: DaemonApi, origin: str, *, may_change: bool
 ) -> tuple[int | None, dict[str, Any] | Fault]:
     """Do what is asked; whatever goes wrong, the client is told and the daemon goes on.
 
@@ -60,7 +60,7 @@ async def answered(
         return number, Fault("failed", what)
 
 
-async def _done(ask: Ask, operations: Operations, origin: str) -> dict[str, Any] | Fault:
+async def _done(ask: Ask, operations: DaemonApi, origin: str) -> dict[str, Any] | Fault:
     if not isinstance(ask, Events):
         return await operate(ask, operations, origin)
     if ask.follow:
@@ -83,10 +83,10 @@ LEAVE_S = 1.0
 ANSWERS_UNDER_WAY = 256 << 10
 BREATH_S = 0.05
 
-MOST_UNSENT = 2 * MAX_FROM_SERVER
+MAX_UNSENT = 2 * MAX_FROM_SERVER
 """Who reads has never so much before it: one answer, and what the pacer gives."""
 
-MOST_HEARD = 8192
+MAX_HEARD = 8192
 """Bytes that are heard in one turn of the event loop: some hundred of the shortest messages."""
 
 
@@ -106,7 +106,7 @@ class Around:
         now_ns: Unix time that is never set back.
     """
 
-    operations: Operations
+    operations: DaemonApi
     limits: Limits
     count: Callable[[str], None]
     admit: Callable[["Connection"], None]
@@ -146,7 +146,7 @@ class Connection(asyncio.BufferedProtocol):
         self._answering: asyncio.Task[None] | None = None
         limits = around.limits
         self._asks = TokenBucket(limits.asks_per_s, limits.asks_at_once)
-        self._heard = memoryview(bytearray(MOST_HEARD))
+        self._heard = memoryview(bytearray(MAX_HEARD))
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Greet it."""
@@ -197,7 +197,7 @@ class Connection(asyncio.BufferedProtocol):
         except StreamError as error:
             self.refuse(error, was_new=False)
             return
-        if self._transport and self._transport.get_write_buffer_size() > MOST_UNSENT:
+        if self._transport and self._transport.get_write_buffer_size() > MAX_UNSENT:
             self.refuse(StreamError("it does not read what it is told", "unread"), was_new=False)
             return
         self.write(self.session.next(now_s, self._around.now_ns()))

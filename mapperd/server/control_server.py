@@ -10,10 +10,10 @@ from contextlib import AsyncExitStack
 from types import TracebackType
 from typing import Any, Self
 
-from mapperd.api import Operations
+from mapperd.api import DaemonApi
 from mapperd.events import Event, Severity
 from mapperd.server.control_session import Client, CutError, Surroundings
-from mapperd.server.listeners import Door, peer_of
+from mapperd.server.listeners import Listener, peer_of
 from mapperd.wire.auth import FailureLimiter, Limits, TokenBucket
 
 __all__ = ["ControlServer"]
@@ -34,8 +34,8 @@ class ControlServer:
 
     def __init__(
         self,
-        operations: Operations,
-        doors: Sequence[Door],
+        operations: DaemonApi,
+        doors: Sequence[Listener],
         limits: Limits | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -44,7 +44,7 @@ class ControlServer:
         self._limits = limits or Limits()
         self._clock = clock
         self._counters: Counter[str] = Counter()
-        self._newcomers: dict[Door, dict[Client, asyncio.Task[None]]] = {}
+        self._newcomers: dict[Listener, dict[Client, asyncio.Task[None]]] = {}
         self._clients: dict[Client, asyncio.Task[None]] = {}
         self._around = Surroundings(
             operations, self._limits, FailureLimiter(), self._count, self._admit, clock
@@ -80,7 +80,7 @@ class ControlServer:
             "counters": dict(sorted(self._counters.items())),
         }
 
-    async def _accept(self, door: Door) -> None:
+    async def _accept(self, door: Listener) -> None:
         connects = TokenBucket(self._limits.connects_per_s, self._limits.connects_at_once)
         while True:
             try:
@@ -94,7 +94,7 @@ class ControlServer:
             # At least one turn of the loop: accepting may not have waited for anything.
             await asyncio.sleep(connects.take(self._clock()))
 
-    def _take_in(self, door: Door, connection: socket.socket, address: object) -> None:
+    def _take_in(self, door: Listener, connection: socket.socket, address: object) -> None:
         peer, who = peer_of(connection, address)
         origin = f"control, {who}"
         client = Client(door, peer, origin, self._around)

@@ -7,11 +7,11 @@ import socket
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 
-from mapperd.api import Operations
+from mapperd.api import DaemonApi
 from mapperd.events import Event, Severity
 from mapperd.server.admission import Newcomer, objection
 from mapperd.server.dispatch import EventFeed, operate
-from mapperd.server.listeners import Door
+from mapperd.server.listeners import Listener
 from mapperd.wire.auth import FailureLimiter, Limits, TokenBucket
 from mapperd.wire.control_messages import (
     VERSION,
@@ -92,7 +92,7 @@ class Surroundings:
         clock: seconds, as the event loop's.
     """
 
-    operations: Operations
+    operations: DaemonApi
     limits: Limits
     failures: FailureLimiter
     count: Callable[[str], None]
@@ -113,7 +113,7 @@ class Client:
         is_begun: the socket is the client's to close.
     """
 
-    def __init__(self, door: Door, peer: str, origin: str, around: Surroundings) -> None:
+    def __init__(self, door: Listener, peer: str, origin: str, around: Surroundings) -> None:
         self.origin = origin
         self._door = door
         self._peer = peer

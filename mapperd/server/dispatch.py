@@ -3,7 +3,7 @@
 import asyncio
 from typing import Any
 
-from mapperd.api import OperationError, Operations
+from mapperd.api import DaemonApi, OperationError
 from mapperd.config.catalog import value_of
 from mapperd.config.changes import chosen, facts_of
 from mapperd.config.live import ConfigStore, Refused
@@ -31,7 +31,7 @@ from mapperd.wire.control_messages import (
 __all__ = ["EventFeed", "operate"]
 
 
-async def operate(ask: Ask, operations: Operations, origin: str) -> dict[str, Any] | Fault:
+async def operate(ask: Ask, operations: DaemonApi, origin: str) -> dict[str, Any] | Fault:
     """Do what is asked; hello and events are the client's own business.
 
     Args:
@@ -53,7 +53,7 @@ async def operate(ask: Ask, operations: Operations, origin: str) -> dict[str, An
         return Fault(error.reason, str(error))
 
 
-async def _done(ask: Ask, operations: Operations, origin: str) -> dict[str, Any] | Fault:
+async def _done(ask: Ask, operations: DaemonApi, origin: str) -> dict[str, Any] | Fault:
     match ask:
         case Save(name=name):
             return await operations.save(name, origin)
@@ -69,7 +69,7 @@ async def _done(ask: Ask, operations: Operations, origin: str) -> dict[str, Any]
 
 async def _localized(
     ask: Localization | InitialPose | GlobalLocalization | NoMotionUpdate | SetMap,
-    operations: Operations,
+    operations: DaemonApi,
     origin: str,
 ) -> dict[str, Any]:
     match ask:

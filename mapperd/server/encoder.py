@@ -12,15 +12,15 @@ from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet, encode_blocks
 from mapperd.wire.framing import framed
 from mapperd.wire.messages import Blocks
 
-__all__ = ["Body", "Teller", "Times"]
+__all__ = ["BlockEncoder", "Body", "Times"]
 
-MOST_KEPT = 64
+MAX_KEPT = 64
 """Bodies, and messages: clients that keep up are told the same, the others each their own."""
 
 FIRST_GUESS = 64.0
 """Bytes a block."""
 
-MOST_TIMES = 1 << 16
+MAX_TIMES = 1 << 16
 
 BRICKS_AT_ONCE = 32
 """Read from the file: they may take 1.5 MB each."""
@@ -56,8 +56,8 @@ class Times:
         """The map is at a revision now."""
         if self._revisions and revision <= self._revisions[-1]:
             return
-        if len(self._revisions) == MOST_TIMES:
-            half = MOST_TIMES // 2
+        if len(self._revisions) == MAX_TIMES:
+            half = MAX_TIMES // 2
             self._revisions[:half] = self._revisions[:half:2]
             self._ns[:half] = self._ns[:half:2]
         self._revisions.append(revision)
@@ -69,7 +69,7 @@ class Times:
         return np.array(self._ns, np.int64)[np.minimum(at, len(self._ns) - 1)]
 
 
-class Teller:
+class BlockEncoder:
     """Makes messages of blocks; of one thread.
 
     Args:
@@ -200,6 +200,6 @@ class Teller:
 
 
 def _keep(kept: dict[Key, Value], key: Key, value: Value) -> None:
-    if len(kept) >= MOST_KEPT:
+    if len(kept) >= MAX_KEPT:
         del kept[next(iter(kept))]
     kept[key] = value

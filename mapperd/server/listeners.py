@@ -17,11 +17,11 @@ from pathlib import Path
 from mapperd.errors import ConfigError, LiveError
 
 __all__ = [
-    "Door",
+    "Listener",
     "address_of",
-    "inherited_door",
-    "open_tcp_door",
-    "open_unix_door",
+    "inherited_listener",
+    "open_tcp_listener",
+    "open_unix_listener",
     "peer_of",
     "server_tls",
 ]
@@ -37,7 +37,7 @@ ADDRESS = re.compile(
 
 
 @dataclass(frozen=True, slots=True)
-class Door:
+class Listener:
     """A socket that listens.
 
     Attributes:
@@ -56,7 +56,7 @@ class Door:
     close: Callable[[], None]
 
 
-def open_unix_door(path: Path, mode: int) -> Door:
+def open_unix_listener(path: Path, mode: int) -> Listener:
     """Listen at a Unix socket; one that a dead process left is replaced.
 
     It comes into its place with its permissions, and only who holds the lock beside it puts it
@@ -91,10 +91,10 @@ def open_unix_door(path: Path, mode: int) -> Door:
                 path.unlink()
         os.close(lock)
 
-    return Door(f"unix {path}", listening, None, None, close)
+    return Listener(f"unix {path}", listening, None, None, close)
 
 
-def inherited_door(listening: socket.socket, section: str = "control") -> Door:
+def inherited_listener(listening: socket.socket, section: str = "control") -> Listener:
     """A Unix socket that the service manager opened: its permissions are the manager's.
 
     Args:
@@ -111,12 +111,12 @@ def inherited_door(listening: socket.socket, section: str = "control") -> Door:
         raise ConfigError(said, f"$.{section}")
     listening.settimeout(0)
     name = f"unix {os.fsdecode(listening.getsockname())}"
-    return Door(name, listening, None, None, listening.close)
+    return Listener(name, listening, None, None, listening.close)
 
 
-def open_tcp_door(
+def open_tcp_listener(
     address: str, token: bytes | None, tls: ssl.SSLContext | None, section: str = "control"
-) -> Door:
+) -> Listener:
     """Listen at a TCP address.
 
     Args:
@@ -145,7 +145,7 @@ def open_tcp_door(
     listening.settimeout(0)
     shown = f"[{host}]" if is_v6 else f"{host}"
     name = f"{'tls' if tls else 'tcp'} {shown}:{listening.getsockname()[1]}"
-    return Door(name, listening, token, tls, listening.close)
+    return Listener(name, listening, token, tls, listening.close)
 
 
 def address_of(
@@ -154,7 +154,7 @@ def address_of(
     """IP address and port of a text.
 
     Args:
-        text: as `open_tcp_door` takes it.
+        text: as `open_tcp_listener` takes it.
         section: of the settings, for messages.
 
     Raises:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from mapperd import _core
 from mapperd.errors import StoreError
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.server.encoder import Teller
+from mapperd.server.encoder import BlockEncoder
 from mapperd.server.map_index import ChangedRows, StoredBricks, View, vector_of
 from mapperd.server.subscription import Subscription
 from mapperd.store.metadata import Identity, fresh
@@ -126,7 +126,7 @@ class MapSource:
         self._origin_deg = origin_deg
         path = None if self._store is None else self._store.path
         self._files = None if path is None else StoredBricks(path, sonar_map.config)
-        self.teller = Teller(self._core, self._files)
+        self.teller = BlockEncoder(self._core, self._files)
         self._subscriptions: weakref.WeakSet[Subscription] = weakref.WeakSet()
         self._views: dict[tuple[int, str], View] = {}
         self._revision, self._replaced_at, *_ = self._core.changed_blocks(1 << 62, NO_BRICKS)

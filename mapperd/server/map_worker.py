@@ -6,11 +6,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import NoReturn
 
-from mapperd.api import Operations
+from mapperd.api import DaemonApi
 from mapperd.events import Severity
 from mapperd.server.connection import Around, Connection
 from mapperd.server.priority_queue import Part
-from mapperd.server.resume import Parking, Parting
+from mapperd.server.resume import Parting, ResumeCache
 from mapperd.server.schedule import Rooms
 from mapperd.server.session import Beginning, Wish
 from mapperd.server.source_protocol import FIRST, SECOND, Line, MapView, Source
@@ -114,7 +114,7 @@ class MapRounds:
 
     def __init__(
         self,
-        operations: Operations,
+        operations: DaemonApi,
         feed: Feed,
         source: Source,
         clients: Collection[Connection],
@@ -128,7 +128,7 @@ class MapRounds:
         self._due = asyncio.Event()
         self._looked_s: float | None = None
         self._left: list[tuple[MapView, Parting | None]] = []
-        self.parking = Parking(around.limits.clients)
+        self.parking = ResumeCache(around.limits.clients)
 
     def wake(self) -> None:
         """There may be something to do."""

@@ -14,7 +14,7 @@ from mapperd.wire.blocks import path_message
 from mapperd.wire.framing import framed
 from mapperd.wire.messages import WANTS, Resume, Settings
 
-__all__ = ["Portions"]
+__all__ = ["ClientOutbox"]
 
 BEAT_S = 1.0
 FIRST_RATE = 64_000
@@ -59,7 +59,7 @@ _ENCODER = msgspec.msgpack.Encoder()
 _EMPTY = msgspec.Raw(b"\x80")
 
 
-class Portions:
+class ClientOutbox:
     """Of one client: which it has had, and which are due.
 
     Args:

@@ -16,9 +16,9 @@ it no more than it sends within moments. Two rules do that:
 from collections import deque
 from math import inf
 
-__all__ = ["FIRST_RATE", "FIRST_WINDOW", "LEAST_WINDOW", "MOST_WINDOW", "Budget", "Pacer"]
+__all__ = ["FIRST_RATE", "FIRST_WINDOW", "MAX_WINDOW", "MIN_WINDOW", "Budget", "Pacer"]
 
-BURST_S, LEAST_BURST = 0.2, 2048
+BURST_S, MIN_BURST = 0.2, 2048
 
 
 class Budget:
@@ -33,13 +33,13 @@ class Budget:
 
     def __init__(self, bytes_per_s: int = 0) -> None:
         self.bytes_per_s = bytes_per_s
-        self._left = float(LEAST_BURST)
+        self._left = float(MIN_BURST)
         self._filled_s: float | None = None
 
     @property
     def burst(self) -> float:
         """Bytes that it holds at most."""
-        return max(BURST_S * self.bytes_per_s, LEAST_BURST)
+        return max(BURST_S * self.bytes_per_s, MIN_BURST)
 
     def left(self, now_s: float) -> float:
         """Bytes that may be sent now, if there is a limit; less than 0 are owed."""
@@ -53,14 +53,14 @@ class Budget:
         self._left = self.left(now_s) - (size if self.bytes_per_s else 0)
 
 
-UNSENT_S, LEAST_UNSENT = 0.3, 2048
+UNSENT_S, MIN_UNSENT = 0.3, 2048
 """Not sent yet at most, of what the link delivers; more than the time between two rounds."""
 
 CALM_UNSENT_S = 0.12
 """The same where TCP sends at once what the link takes: it needs no store, and what lies there when
 it pauses, as BBR does, is late."""
 
-LEAST_WINDOW, FIRST_WINDOW, MOST_WINDOW = 4096, 1 << 16, 1 << 20
+MIN_WINDOW, FIRST_WINDOW, MAX_WINDOW = 4096, 1 << 16, 1 << 20
 
 FIRST_OF_FILLING = 8192
 """The first window of a TCP that fills buffers: all of it is in them at once."""
@@ -91,7 +91,7 @@ SHORTEST_S = 0.001
 
 FIRST_RATE = 16_000
 
-LEAST_S, MOST_LEAST = 0.12, 16_384
+MIN_S, MAX_LEAST = 0.12, 16_384
 """Below the burst of a budget, and the smallest of windows."""
 
 LOSS_S = 0.35
@@ -158,7 +158,7 @@ class Pacer:
     @property
     def _most_unsent(self) -> float:
         unsent_s = UNSENT_S if self.link_rate is None else CALM_UNSENT_S
-        return max(unsent_s * (self.rate or FIRST_RATE), LEAST_UNSENT)
+        return max(unsent_s * (self.rate or FIRST_RATE), MIN_UNSENT)
 
     @property
     def _fills_window(self) -> bool:
@@ -180,12 +180,12 @@ class Pacer:
     def least(self) -> int:
         """Bytes that are worth a message where more are to come: a while of what the link takes."""
         ever = min(self.window, self._most_unsent)
-        return int(min(LEAST_S * self._allowed_rate, MOST_LEAST, ever / 2))
+        return int(min(MIN_S * self._allowed_rate, MAX_LEAST, ever / 2))
 
     def is_idle_for(self, size: int) -> bool:
         """Whether so much is no more than the link takes in moments, and little is under way."""
         moments_s = (self.round_trip_s or 0.0) + UNSENT_S
-        most = min(max(moments_s * self._allowed_rate, LEAST_UNSENT), self.window)
+        most = min(max(moments_s * self._allowed_rate, MIN_UNSENT), self.window)
         return self.in_flight <= most / 2 and size <= most
 
     def note_sent(self, size: int, now_s: float) -> None:
@@ -238,9 +238,9 @@ class Pacer:
         assert self.round_trip_s is not None  # noqa: S101 it was just learnt
         if fills and round_trip_s - self.round_trip_s > QUEUE_S:
             wire = (self.rate or FIRST_RATE) * self.round_trip_s
-            self.window = min(max(int(wire * DRAINED), LEAST_WINDOW), self.window)
+            self.window = min(max(int(wire * DRAINED), MIN_WINDOW), self.window)
         elif self._fills_window and self.acked >= self._grown_at:
-            self.window = min(int(self.window * GROWTH), MOST_WINDOW)
+            self.window = min(int(self.window * GROWTH), MAX_WINDOW)
             self._grown_at = self.sent
 
     def note_ack(self, acked: int, now_s: float) -> bool:

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from mapperd.server.source_protocol import MapView, Source
 from mapperd.wire.messages import Interest, Resume
 
-__all__ = ["Ends", "Parking", "Parting", "is_ticket"]
+__all__ = ["Ends", "Parting", "ResumeCache", "is_ticket"]
 
 PARKED_S = 120.0
-MOST_ENDS = 4096
+MAX_ENDS = 4096
 
 
 class Ends:
@@ -18,7 +18,7 @@ class Ends:
 
     def __init__(self) -> None:
         self._settled = self._from = 0
-        self._ends: deque[tuple[int, int]] = deque(maxlen=MOST_ENDS)
+        self._ends: deque[tuple[int, int]] = deque(maxlen=MAX_ENDS)
 
     def begin(self, number: int, sent: int) -> None:
         """What has the last message of this number is told from here on."""
@@ -87,7 +87,7 @@ class _Parked:
 
 
 @dataclass(slots=True)
-class Parking:
+class ResumeCache:
     """Of one server; of the thread of its map. Whoever calls says what time it is.
 
     Args:

@@ -19,7 +19,7 @@ and loses packets a client may have a second connection.
 from dataclasses import dataclass
 from math import inf
 
-from mapperd.server.pacer import FIRST_RATE, LEAST_WINDOW, LOSS_S, Pacer
+from mapperd.server.pacer import FIRST_RATE, LOSS_S, MIN_WINDOW, Pacer
 from mapperd.server.source_protocol import FIRST, SECOND, Line
 
 __all__ = ["Lines", "Rooms", "Turns"]
@@ -43,7 +43,7 @@ EACH = 8
 SHARE = 0.9
 """Of the window: a pose never waits for the map to be acknowledged."""
 
-LEAST = 600
+MIN = 600
 """Bytes of a message: blocks take less room the more of them are in one."""
 
 
@@ -82,7 +82,7 @@ class Turns:
         pacer = self.pacer
         free = int(pacer.window * SHARE) - pacer.in_flight
         room = int(min(free, pacer.room(now_s) * SHARE, most))
-        if room < max(LEAST, SHARE * pacer.least()):
+        if room < max(MIN, SHARE * pacer.least()):
             return Rooms()
         near = room if now_s >= self._rests_until_s else 0
         if self._near_s is None or now_s - self._near_s > QUIET_S:
@@ -91,7 +91,7 @@ class Turns:
         wire = rate * (ASIDE_S + (pacer.round_trip_s or 0.0))
         in_flight = pacer.in_flight + (self.beside.in_flight if self.beside else 0)
         is_idle = in_flight <= IDLE * wire or self._messages >= EACH
-        return Rooms(near, min(room, max(LEAST, int(ASIDE_S * rate))) if is_idle else 0)
+        return Rooms(near, min(room, max(MIN, int(ASIDE_S * rate))) if is_idle else 0)
 
     @property
     def in_pass(self) -> bool:
@@ -214,7 +214,7 @@ class Lines:
         trip_s = self._first.round_trip_s
         if not rate or trip_s is None:
             return inf
-        calm = max(rate * (trip_s + CALM_S), LEAST_WINDOW)
+        calm = max(rate * (trip_s + CALM_S), MIN_WINDOW)
         return calm - sum(one.in_network for one in lines)
 
     def _waits(self, pacer: Pacer, now_s: float) -> int:

@@ -16,7 +16,7 @@ import numpy as np
 
 from mapperd.events import EventLog
 from mapperd.server.admission import Newcomer, doubt
-from mapperd.server.outbox import Portions
+from mapperd.server.outbox import ClientOutbox
 from mapperd.server.pacer import Pacer
 from mapperd.server.resume import Ends, Parting, is_ticket
 from mapperd.server.schedule import Lines, Rooms, Turns
@@ -143,7 +143,7 @@ class Session:
         self.stuck: Line | None = None
         self._lines = Lines(self.pacer)
         self._turns = Turns(self.pacer)
-        self.portions = Portions(common.feed, common.events, self.pacer)
+        self.portions = ClientOutbox(common.feed, common.events, self.pacer)
         self.may_change = may_change
         self.ticket = secrets.token_hex(16)
         self._ends = Ends()

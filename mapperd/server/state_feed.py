@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.api import Operations
+from mapperd.api import DaemonApi
 from mapperd.config.changes import changes_between, facts_of
 from mapperd.config.tree import Config
 from mapperd.events import Event as Happening
@@ -18,7 +18,7 @@ from mapperd.geometry.frames import Pose as Place
 from mapperd.localization.report import localization_report
 from mapperd.localization.status import LocalizationFacts
 from mapperd.odometry.fusion import FusedPose
-from mapperd.pipeline.executor import Treated
+from mapperd.pipeline.executor import PingResult
 from mapperd.server.state_messages import (
     IMAGE_SIZES,
     Mounting,
@@ -34,7 +34,7 @@ from mapperd.wire.framing import framed
 from mapperd.wire.messages import Event, Localization, Robots, Vector
 
 if TYPE_CHECKING:
-    from mapperd.pipeline.worker import Facts
+    from mapperd.pipeline.worker import StatusSnapshot
 
 __all__ = ["Feed", "Newest", "SettingLog"]
 
@@ -120,7 +120,7 @@ class Feed:
     """
 
     def __init__(
-        self, operations: Operations, facts: "Callable[[], Facts | None]", path_points: int
+        self, operations: DaemonApi, facts: "Callable[[], StatusSnapshot | None]", path_points: int
     ) -> None:
         config = operations.settings.current
         self.path = Track(path_points, SPACING_M)
@@ -136,13 +136,13 @@ class Feed:
         self._drawings = 0
         self._last: dict[str, object] = {}
         self._made_s: dict[str, float] = {}
-        self._put: Treated | None = None
-        self._shown: Treated | None = None
-        self._drawn: Treated | None = None
+        self._put: PingResult | None = None
+        self._shown: PingResult | None = None
+        self._drawn: PingResult | None = None
         self._events: dict[int, bytes] = {}
         self.status = msgspec.Raw(b"\x80")
 
-    def put(self, treated: Treated) -> None:
+    def put(self, treated: PingResult) -> None:
         """A ping, in the mapping thread: costs it next to nothing."""
         self._put = treated
         if isinstance(treated.pose, FusedPose):
@@ -226,7 +226,7 @@ class Feed:
                 self._events.pop(next(iter(self._events)))
         return frame
 
-    def _tell_ping(self, treated: Treated, wanted: Collection[str]) -> None:
+    def _tell_ping(self, treated: PingResult, wanted: Collection[str]) -> None:
         settled, fused = treated.settled, treated.pose
         if isinstance(fused, FusedPose):
             stamp_ns = settled.t_ns or settled.complete_ns or 0

@@ -11,9 +11,9 @@ from mapperd.config.tree import Config
 from mapperd.errors import MapError
 from mapperd.geometry.frames import Pose as Place
 from mapperd.geometry.frames import pose_from_rpy, quaternion_product, quaternion_to_matrix
-from mapperd.imaging.ping_image import Echo, beams_in_view, display_units, echo_of
+from mapperd.imaging.ping_image import PingImage, beams_in_view, display_units, ping_image_of
 from mapperd.localization.status import LocalizationFacts
-from mapperd.pipeline.executor import Treated
+from mapperd.pipeline.executor import PingResult
 from mapperd.pipeline.step import Mapped
 from mapperd.wire.messages import Fan, Image, Pose, Returns
 from oculus_driver.ping import Ping
@@ -126,7 +126,7 @@ IMAGE_SIZES = ((512, 256), (256, 128), (128, 64))
 _COMPRESSOR = zstandard.ZstdCompressor(level=1)
 
 
-def returns_message(treated: Treated, sonar: Place | None, config: Config) -> Returns | None:
+def returns_message(treated: PingResult, sonar: Place | None, config: Config) -> Returns | None:
     """The first return of each beam; None where the ping is no image of a fan.
 
     Args:
@@ -138,7 +138,7 @@ def returns_message(treated: Treated, sonar: Place | None, config: Config) -> Re
     echo = result.echo if isinstance(result, Mapped) else None
     if echo is None:
         try:
-            echo = echo_of(ping, config.sonar)
+            echo = ping_image_of(ping, config.sonar)
         except MapError:
             return None
     points, intensities = first_returns(echo, config)
@@ -154,7 +154,7 @@ def returns_message(treated: Treated, sonar: Place | None, config: Config) -> Re
     )
 
 
-def first_returns(echo: Echo, config: Config) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+def first_returns(echo: PingImage, config: Config) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """The nearest sample of each beam above `filtering.intensity_threshold`.
 
     Returns:
@@ -195,7 +195,7 @@ def image_message(ping: Ping, stamp_ns: int, most: tuple[int, int]) -> Image:
     )
 
 
-MOST_M = 1e30
+MAX_M = 1e30
 """That the float32 of the messages hold with room."""
 
 
@@ -227,7 +227,7 @@ class Track:
     def add(self, position_m: NDArray[np.float64]) -> None:
         """The vehicle is here now."""
         x, y, z = position_m.tolist()  # Python's floats: numpy's take several times as long
-        if abs(x) + abs(y) + abs(z) > MOST_M:
+        if abs(x) + abs(y) + abs(z) > MAX_M:
             return
         last = self._last
         if last is not None:

@@ -15,11 +15,11 @@ from contextlib import AsyncExitStack
 from types import TracebackType
 from typing import Any, Self
 
-from mapperd.api import Operations
+from mapperd.api import DaemonApi
 from mapperd.events import Severity
 from mapperd.server.admission import Newcomer
 from mapperd.server.connection import Around, Connection
-from mapperd.server.listeners import Door, peer_of
+from mapperd.server.listeners import Listener, peer_of
 from mapperd.server.map_worker import MapRounds
 from mapperd.server.session import Common, Session
 from mapperd.server.source_protocol import Source
@@ -55,8 +55,8 @@ class StreamServer:
 
     def __init__(
         self,
-        operations: Operations,
-        doors: Sequence[Door],
+        operations: DaemonApi,
+        doors: Sequence[Listener],
         feed: Feed,
         source: Source,
         *,
@@ -72,7 +72,7 @@ class StreamServer:
         self._clock = clock
         self._counters: Counter[str] = Counter()
         self._clients: dict[Connection, None] = {}
-        self._newcomers: dict[Door, dict[Connection, asyncio.Task[None]]] = {}
+        self._newcomers: dict[Listener, dict[Connection, asyncio.Task[None]]] = {}
         self._common = Common(
             feed,
             operations.events,
@@ -155,7 +155,7 @@ class StreamServer:
         """Of what happened here, in the feed and with clients that left."""
         return {**self._counters, **self._feed.left_out, **self._rounds.parking.counters}
 
-    async def _accept(self, door: Door) -> None:
+    async def _accept(self, door: Listener) -> None:
         connects = TokenBucket(self._limits.connects_per_s, self._limits.connects_at_once)
         while True:
             try:
@@ -173,7 +173,7 @@ class StreamServer:
             # At least one turn of the loop: accepting may not have waited for anything.
             await asyncio.sleep(connects.take(self._clock()))
 
-    def _take_in(self, door: Door, connection: socket.socket, address: object) -> None:
+    def _take_in(self, door: Listener, connection: socket.socket, address: object) -> None:
         peer, who = peer_of(connection, address)
         tune(connection)
         challenge = "" if door.token is None else secrets.token_hex(16)
@@ -189,7 +189,7 @@ class StreamServer:
             self._counters["cut_crowded_out"] += 1
         newcomers[client] = asyncio.create_task(self._open_up(door, client, connection))
 
-    async def _open_up(self, door: Door, client: Connection, connection: socket.socket) -> None:
+    async def _open_up(self, door: Listener, client: Connection, connection: socket.socket) -> None:
         """Make a transport of a socket, with TLS if the door wants it."""
         limit_s = self._limits.hello_s if door.tls else None
         try:

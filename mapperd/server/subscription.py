@@ -7,22 +7,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapperd.errors import StoreError
-from mapperd.server.encoder import Body, Teller
+from mapperd.server.encoder import BlockEncoder, Body
 from mapperd.server.map_index import View, distances_m, vector_of, within
 from mapperd.server.priority_queue import NEAR_M, NearestFirst, Part
 from mapperd.server.source_protocol import FIRST, SECOND, Line
 from mapperd.wire.framing import framed
 from mapperd.wire.messages import MAX_BLOCKS, Blocks, Interest, MapFacts, Reset, Vector
 
-__all__ = ["OnItsWay", "Source", "Subscription"]
+__all__ = ["InFlight", "Source", "Subscription"]
 
-MOST_BLOCKS, MOST_MESSAGES = 1 << 17, 4096
+MOST_BLOCKS, MAX_MESSAGES = 1 << 17, 4096
 """Half a MiB of a line; whoever has more on its way when its link breaks begins anew."""
 
 Numbers = NDArray[np.int64]
 
 
-class OnItsWay:
+class InFlight:
     """Of one line of a client: its messages about the map, numbered from 1 on.
 
     Attributes:
@@ -46,7 +46,7 @@ class OnItsWay:
         self.number += 1
         self._messages.append((self.number, numbers.astype(np.uint32)))
         self._blocks += len(numbers)
-        while self._blocks > MOST_BLOCKS or len(self._messages) > MOST_MESSAGES:
+        while self._blocks > MOST_BLOCKS or len(self._messages) > MAX_MESSAGES:
             self._forget()
 
     def note_reset(self) -> None:
@@ -91,7 +91,7 @@ QUIET_NS = 1_000_000_000
 class Source(Protocol):
     """Where a subscription has the map from."""
 
-    teller: Teller
+    teller: BlockEncoder
     now_ns: int
     trouble: str | None
 
@@ -129,7 +129,7 @@ class Subscription:
         self.reason = reason
         self._source = source
         self._reset = self._closed = False
-        self._lines = [OnItsWay(), OnItsWay()]
+        self._lines = [InFlight(), InFlight()]
         self._line: Line = FIRST
         self._begins_at = 1
         self._order = 0
@@ -194,7 +194,7 @@ class Subscription:
 
     def lose_second(self) -> None:
         """The client's second line is gone: what was under way there is told again."""
-        lost, self._lines[SECOND], self._line = self._lines[SECOND], OnItsWay(), FIRST
+        lost, self._lines[SECOND], self._line = self._lines[SECOND], InFlight(), FIRST
         self._complete = None
         if self._reset:
             return  # all of the map waits, and its blocks have other numbers
@@ -217,7 +217,7 @@ class Subscription:
             return False
         self._tell_again(np.union1d(numbers, beside))
         self._lines[FIRST].settle(self._lines[FIRST].number)
-        self._lines[SECOND], self._line = OnItsWay(), FIRST
+        self._lines[SECOND], self._line = InFlight(), FIRST
         self._complete = None
         self.resumed, self.reason = True, ""
         return True

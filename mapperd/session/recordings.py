@@ -7,7 +7,7 @@ from itertools import groupby
 from pathlib import Path
 
 from mapperd.session_log import DECISIONS, SESSION, Session, decision_of
-from mapperd.store.position import Place
+from mapperd.store.position import RecordingOffset
 from oculus_driver.errors import RecordingError
 from oculus_driver.recording import Chunk, open_recording
 
@@ -179,7 +179,7 @@ class Tail:
         place: behind the chunk that was read last.
     """
 
-    def __init__(self, files: dict[int, Path], start: Place) -> None:
+    def __init__(self, files: dict[int, Path], start: RecordingOffset) -> None:
         self._files = {number: path for number, path in files.items() if number >= start.file}
         self._start = start
         self.place = start
@@ -188,8 +188,8 @@ class Tail:
         for number, path in self._files.items():
             with open_recording(path) as recording:
                 for count, chunk in enumerate(recording, 1):
-                    if Place(number, count) > self._start:
-                        self.place = Place(number, count)
+                    if RecordingOffset(number, count) > self._start:
+                        self.place = RecordingOffset(number, count)
                         yield chunk
 
     @property
@@ -202,9 +202,9 @@ class Tail:
         """The place as one number."""
         return self.place.file << 40 | self.place.chunks
 
-    def place_of(self, number: int) -> Place:
+    def place_of(self, number: int) -> RecordingOffset:
         """The place that a number means."""
-        return Place(number >> 40, number & ((1 << 40) - 1))
+        return RecordingOffset(number >> 40, number & ((1 << 40) - 1))
 
     def wait_for(self, number: int, timeout_s: float) -> bool:  # noqa: ARG002
         """Nothing is to be waited for."""

@@ -17,26 +17,26 @@ from mapperd.config.tree import Config
 from mapperd.errors import CheckpointError, ConfigError
 from mapperd.geometry.frames import Pose
 from mapperd.localization.session import (
-    Localizing,
+    LocalizationSession,
     begun_again,
     poses_depend_on,
-    restored_localizing,
+    restored_session,
 )
-from mapperd.localization.stage import Onboard
+from mapperd.localization.stage import LocalizationStage
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.bridge import OdometryBridge
-from mapperd.pipeline.counters import ReplayCounters
-from mapperd.pipeline.decoder import Engine, Work
-from mapperd.pipeline.executor import Integration
-from mapperd.pipeline.persistence import InMemory
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.decoder import SessionDecoder, Work
+from mapperd.pipeline.executor import PingExecutor
+from mapperd.pipeline.persistence import MemoryPersistence
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
-from mapperd.pipeline.step import Stepping
+from mapperd.pipeline.step import StepRunner
 from mapperd.session.recordings import RecordedSession, Tail, files_in, files_of
-from mapperd.session.store_session import Stored
+from mapperd.session.store_session import SqlitePersistence
 from mapperd.session_log import SESSION, Remarks, remarks_in, without_skipped
 from mapperd.store.checkpoint_reader import overlay
 from mapperd.store.metadata import kind_of
-from mapperd.store.position import Place, Position
+from mapperd.store.position import Position, RecordingOffset
 from mapperd.store.tile_store import TileStore
 from oculus_driver.errors import RecordingError
 from oculus_driver.recording import open_recording
@@ -73,7 +73,7 @@ class Recovered:
     problem: str | None = None
 
 
-def restored(position: Position, counters: ReplayCounters) -> Engine:
+def restored(position: Position, counters: PipelineCounters) -> SessionDecoder:
     """The estimators as they were at a position's checkpoint.
 
     Raises:
@@ -84,13 +84,13 @@ def restored(position: Position, counters: ReplayCounters) -> Engine:
     except ConfigError as error:
         raise CheckpointError(str(error)) from error
     poses = FixedPose(NOWHERE) if position.fixed else OdometryPoses(config)
-    engine = Engine(config, poses, counters, confirm=False, obey=True)
+    engine = SessionDecoder(config, poses, counters, confirm=False, obey=True)
     overlay(position.checkpoint, engine, prepare={OdometryBridge: _prepare})
     return engine
 
 
-def _restored_localizing(position: Position, config: Config) -> Localizing | None:
-    return restored_localizing(config, position.localization) if position.localization else None
+def _restored_localizing(position: Position, config: Config) -> LocalizationSession | None:
+    return restored_session(config, position.localization) if position.localization else None
 
 
 def _prepare(bridge: OdometryBridge, saved: dict[str, Any]) -> None:
@@ -119,7 +119,7 @@ def recover(
         return None
     began_s = time.monotonic()
     files = files_of(folder, position.session)
-    counters = ReplayCounters()
+    counters = PipelineCounters()
     try:
         engine = restored(position, counters)
         sonar_map.reconfigure(engine.config)
@@ -160,17 +160,17 @@ class Going:
     position: Position | None = None
     before: tuple[str, ...] = ()
     interval_s: float = 5.0
-    localizing: Localizing | None = None
+    localizing: LocalizationSession | None = None
 
     @property
     def done(self) -> int:
         """Pieces of work since the checkpoint that are in the map."""
         return 0 if self.position is None else self.position.done
 
-    def keeping(self) -> Stored:
+    def keeping(self) -> SqlitePersistence:
         """What keeps the map of the session."""
         before = self.before if self.position is None else self.position.sessions
-        return Stored(
+        return SqlitePersistence(
             self.store,
             self.sonar_map,
             self.session,
@@ -181,7 +181,7 @@ class Going:
 
 
 def go_on(
-    going: Going, engine: Engine, tail: Tail, remarks: Remarks | None = None
+    going: Going, engine: SessionDecoder, tail: Tail, remarks: Remarks | None = None
 ) -> Generator[None, None, None]:
     """Map what is left of a session, to its end; yields after every chunk.
 
@@ -196,10 +196,10 @@ def go_on(
         MapError: nothing can be saved, and so nothing more be mapped.
         CheckpointError: a known map that somebody chose in it is not there any more.
     """
-    stepping = Stepping(going.sonar_map, time.perf_counter, engine.counters)
+    stepping = StepRunner(going.sonar_map, time.perf_counter, engine.counters)
     keep = going.keeping()
     onboard = None if going.localizing is None else going.localizing.onboard
-    integration = Integration(stepping, keep, remarks, onboard)
+    integration = PingExecutor(stepping, keep, remarks, onboard)
     keep.begin(engine, tail, lambda: None, going.localizing)
     keep.skip(going.done)
     left = going.done
@@ -219,7 +219,7 @@ def go_on(
         keep.stop()
 
 
-def _works(engine: Engine, tail: Tail) -> Iterator[list[Work]]:
+def _works(engine: SessionDecoder, tail: Tail) -> Iterator[list[Work]]:
     for chunk in without_skipped(tail):
         yield engine.feed(chunk)
     yield engine.end()
@@ -295,13 +295,13 @@ def go_on_from_nothing(
         sonar_map.reconfigure(config)
         pose = beginning.pose
         poses = OdometryPoses(config) if pose is None else FixedPose(_pose(pose))
-        engine = Engine(config, poses, ReplayCounters(), confirm=False, obey=True)
+        engine = SessionDecoder(config, poses, PipelineCounters(), confirm=False, obey=True)
         files = files_of(folder, session)
-        remarks = remarks_in(Tail(files, Place()))
+        remarks = remarks_in(Tail(files, RecordingOffset()))
         with contextlib.suppress(CheckpointError, ConfigError):  # a known map that is gone
             localizing = poses_depend_on(begun_again(config, beginning))
             going = Going(store, sonar_map, session, None, sessions[:place], localizing=localizing)
-            for _ in go_on(going, engine, Tail(files, Place()), remarks):
+            for _ in go_on(going, engine, Tail(files, RecordingOffset()), remarks):
                 pass
         pings += engine.counters.pings_mapped
     return pings
@@ -340,7 +340,7 @@ def _map_again(sonar_map: SonarMap, paths: list[Path], session: str) -> bool:
         return False
     poses = OdometryPoses(config) if beginning.pose is None else FixedPose(_pose(beginning.pose))
     onboard = None if localizing is None else localizing.onboard
-    engine = Engine(config, poses, ReplayCounters(), confirm=False, obey=True)
+    engine = SessionDecoder(config, poses, PipelineCounters(), confirm=False, obey=True)
     try:
         _replay(sonar_map, engine, recorded, onboard)
     except CheckpointError:
@@ -349,11 +349,14 @@ def _map_again(sonar_map: SonarMap, paths: list[Path], session: str) -> bool:
 
 
 def _replay(
-    sonar_map: SonarMap, engine: Engine, recorded: RecordedSession, onboard: Onboard | None
+    sonar_map: SonarMap,
+    engine: SessionDecoder,
+    recorded: RecordedSession,
+    onboard: LocalizationStage | None,
 ) -> None:
     remarks = remarks_in(recorded)
-    stepping = Stepping(sonar_map, time.perf_counter, engine.counters)
-    integration = Integration(stepping, InMemory(sonar_map), remarks, onboard)
+    stepping = StepRunner(sonar_map, time.perf_counter, engine.counters)
+    integration = PingExecutor(stepping, MemoryPersistence(sonar_map), remarks, onboard)
     for chunk in without_skipped(recorded):
         for work in engine.feed(chunk):
             integration.do(work)

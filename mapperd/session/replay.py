@@ -17,16 +17,16 @@ from mapperd.config.loader import config_of
 from mapperd.config.tree import Config
 from mapperd.errors import ReplayError
 from mapperd.geometry.frames import Pose
-from mapperd.localization.session import Localizing, begun, begun_again
-from mapperd.localization.stage import Onboard
+from mapperd.localization.session import LocalizationSession, begun, begun_again
+from mapperd.localization.stage import LocalizationStage
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.bridge import ENCODING_PREFIX
-from mapperd.pipeline.counters import ReplayCounters
-from mapperd.pipeline.decoder import Engine, PingStream, Settled, Work
-from mapperd.pipeline.executor import Integration
-from mapperd.pipeline.persistence import InMemory
-from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses, PoseSource
-from mapperd.pipeline.step import Stepping
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.decoder import PingStream, PosedPing, SessionDecoder, Work
+from mapperd.pipeline.executor import PingExecutor
+from mapperd.pipeline.persistence import MemoryPersistence
+from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses, PoseLookup
+from mapperd.pipeline.step import StepRunner
 from mapperd.session.recordings import RecordedSession
 from mapperd.session_log import Remarks, Session, remarks_in, without_skipped
 from oculus_driver.ping import Ping
@@ -107,32 +107,32 @@ class Replay:
     def __init__(
         self,
         sonar_map: SonarMap,
-        poses: PoseSource,
+        poses: PoseLookup,
         window: Window,
         clock: Callable[[], float],
         *,
         confirm: bool = True,
         remarks: Remarks | None = None,
-        counters: ReplayCounters | None = None,
-        onboard: Onboard | None = None,
+        counters: PipelineCounters | None = None,
+        onboard: LocalizationStage | None = None,
     ) -> None:
-        self.on_settled: Callable[[Settled], None] = lambda _: None
+        self.on_settled: Callable[[PosedPing], None] = lambda _: None
         self._config = sonar_map.config
         self._poses = poses
         self._window = window
         self._confirm = confirm
         self._as_recorded = remarks is not None
-        self._integration = Integration(
-            Stepping(sonar_map, clock, counters), InMemory(sonar_map), remarks, onboard
+        self._integration = PingExecutor(
+            StepRunner(sonar_map, clock, counters), MemoryPersistence(sonar_map), remarks, onboard
         )
 
     @property
-    def integration(self) -> Integration:
+    def integration(self) -> PingExecutor:
         """What carries the work out."""
         return self._integration
 
     @property
-    def counters(self) -> ReplayCounters:
+    def counters(self) -> PipelineCounters:
         """What happened."""
         return self._integration.stepping.counters
 
@@ -155,8 +155,8 @@ class Replay:
             yield
         self._do(engine.end(cut=late > MAX_LATE_CHUNKS))
 
-    def _engine(self, start_ns: int | None, end_ns: int | None) -> Engine:
-        return Engine(
+    def _engine(self, start_ns: int | None, end_ns: int | None) -> SessionDecoder:
+        return SessionDecoder(
             self._config,
             self._poses,
             self.counters,
@@ -175,7 +175,7 @@ class Replay:
 
     def _do(self, work: Iterable[Work]) -> None:
         for each in work:
-            if isinstance(each, Settled):
+            if isinstance(each, PosedPing):
                 self.on_settled(each)
             self._integration.do(each)
 
@@ -246,7 +246,7 @@ class Run:
         config: Config,
         pose: Pose | None,
         remarks: Remarks | None,
-        localizing: Localizing | None = None,
+        localizing: LocalizationSession | None = None,
     ) -> None:
         self.session = session
         self.config = config
@@ -255,7 +255,7 @@ class Run:
         self.onboard = None if localizing is None else localizing.onboard
 
     def replay(
-        self, sonar_map: SonarMap, window: Window, counters: ReplayCounters | None = None
+        self, sonar_map: SonarMap, window: Window, counters: PipelineCounters | None = None
     ) -> Replay:
         """The session on its way into a map, which takes the session's settings now."""
         sonar_map.reconfigure(self.config)

@@ -7,15 +7,20 @@ from pathlib import Path
 from mapperd.config.tree import Config
 from mapperd.errors import ReplayError
 from mapperd.geometry.frames import Pose
-from mapperd.localization.session import Localizing, begun, poses_depend_on, restored_localizing
+from mapperd.localization.session import (
+    LocalizationSession,
+    begun,
+    poses_depend_on,
+    restored_session,
+)
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.pipeline.counters import ReplayCounters
-from mapperd.pipeline.decoder import Engine
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.decoder import SessionDecoder
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.session.recordings import Tail
 from mapperd.session.recovery import Going, go_on, restored
 from mapperd.session_log import SESSION
-from mapperd.store.position import Place, Position, position_in
+from mapperd.store.position import Position, RecordingOffset, position_in
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
 from oculus_driver.recording import open_recording
@@ -30,8 +35,8 @@ def map_into_store(
     config: Config,
     pose: Pose | None,
     path: Path,
-    on_chunk: Callable[[ReplayCounters], None] = lambda _: None,
-) -> tuple[SonarMap, FixedPose | OdometryPoses, ReplayCounters]:
+    on_chunk: Callable[[PipelineCounters], None] = lambda _: None,
+) -> tuple[SonarMap, FixedPose | OdometryPoses, PipelineCounters]:
     """Map a recording into a file, from where that is; what else is in the file stays there.
 
     Args:
@@ -51,7 +56,7 @@ def map_into_store(
         MapError: nothing can be saved any more, and so nothing more be mapped.
     """
     session = _identity(paths)
-    sonar_map, counters = SonarMap(config), ReplayCounters()
+    sonar_map, counters = SonarMap(config), PipelineCounters()
     settings = config.outofcore
     with TileStore(
         path, sonar_map, tile_size_m=settings.tile_size, cache_tiles=settings.cache_size
@@ -62,7 +67,7 @@ def map_into_store(
         cut = None if position is None or position.session != session else position
         engine = _engine(paths, config, pose, cut, counters)
         if cut is None or not cut.whole:
-            tail = Tail(dict(enumerate(paths, 1)), Place() if cut is None else cut.place)
+            tail = Tail(dict(enumerate(paths, 1)), RecordingOffset() if cut is None else cut.place)
             before = () if position is None else position.sessions
             interval_s = config.visualization.tile_save_interval
             localizing = _localizing(config, cut)
@@ -76,10 +81,10 @@ def map_into_store(
     return whole, engine.poses, counters
 
 
-def _localizing(config: Config, cut: Position | None) -> Localizing | None:
+def _localizing(config: Config, cut: Position | None) -> LocalizationSession | None:
     """What the map depends on, from where it was interrupted."""
     if cut is not None and cut.localization:
-        return restored_localizing(config, cut.localization)
+        return restored_session(config, cut.localization)
     return poses_depend_on(begun(config))
 
 
@@ -88,13 +93,13 @@ def _engine(
     config: Config,
     pose: Pose | None,
     cut: Position | None,
-    counters: ReplayCounters,
-) -> Engine:
+    counters: PipelineCounters,
+) -> SessionDecoder:
     poses = OdometryPoses(config) if pose is None else FixedPose(pose)
     if cut is None or cut.whole:
         with open_recording(paths[0]) as recording:
             foreign = SESSION not in recording.metadata
-        return Engine(config, poses, counters, confirm=foreign, obey=False)
+        return SessionDecoder(config, poses, counters, confirm=foreign, obey=False)
     engine = restored(cut, counters)
     if engine.config != config or isinstance(engine.poses, FixedPose) != (pose is not None):
         raise ReplayError("the first part was mapped with other settings: set them back")

@@ -10,7 +10,7 @@ from mapperd.errors import StoreError
 from mapperd.events import EventLog, Severity
 from mapperd.io import make_folder
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.pipeline.persistence import InMemory, Keeping
+from mapperd.pipeline.persistence import MapPersistence, MemoryPersistence
 from mapperd.session.recovery import (
     Recovered,
     go_on_from_nothing,
@@ -19,7 +19,7 @@ from mapperd.session.recovery import (
     recover,
     sessions_for,
 )
-from mapperd.session.store_session import Stored
+from mapperd.session.store_session import SqlitePersistence
 from mapperd.store.maintenance import put_aside, rebuild_lost
 from mapperd.store.position import Position, position_in
 from mapperd.store.tile_store import TileStore
@@ -39,7 +39,7 @@ class OpenMap:
     """
 
     sonar_map: SonarMap
-    keep: Keeping
+    keep: MapPersistence
     close: Callable[[], None]
     origin_deg: tuple[float, float] | None = None
 
@@ -66,8 +66,8 @@ def open_map(
     """
     if not config.outofcore.use:
         sonar_map = SonarMap(config)
-        return OpenMap(sonar_map, InMemory(sonar_map), lambda: None)
-    opening = _Opening(
+        return OpenMap(sonar_map, MemoryPersistence(sonar_map), lambda: None)
+    opening = _Startup(
         config, map_path(config, environ), recordings_folder(config, environ), events
     )
     make_folder(opening.path.parent)
@@ -77,7 +77,9 @@ def open_map(
     def tell(problem: str | None) -> None:
         opening.tell_trouble(problem)
 
-    keep = Stored(store, sonar_map, session, sessions, interval_s=interval_s, on_trouble=tell)
+    keep = SqlitePersistence(
+        store, sonar_map, session, sessions, interval_s=interval_s, on_trouble=tell
+    )
     if sessions:
         text = (
             f"the map of {len(sessions)} earlier sessions goes on: the odometry's world has to be "
@@ -88,7 +90,7 @@ def open_map(
     return OpenMap(sonar_map, keep, store.close, origin_deg)
 
 
-class _Opening:
+class _Startup:
     def __init__(self, config: Config, path: Path, folder: Path, events: EventLog) -> None:
         self.path = path
         self._config = config

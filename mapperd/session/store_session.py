@@ -16,18 +16,18 @@ from typing import Any
 import msgspec
 
 from mapperd.errors import StoreError
-from mapperd.localization.session import Localizing, saved_state
+from mapperd.localization.session import LocalizationSession, saved_state
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.pipeline.decoder import Engine, Work
+from mapperd.pipeline.decoder import SessionDecoder, Work
 from mapperd.pipeline.pose_lookup import FixedPose, origin_of
 from mapperd.pipeline.watchdog import Worker
 from mapperd.store.checkpoint_writer import written
-from mapperd.store.position import Place, Places, Position
+from mapperd.store.position import Position, RecordingOffset, RecordingOffsets
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
 from mapperd.store.transfer import Snapshot
 
-__all__ = ["Stored"]
+__all__ = ["SqlitePersistence"]
 
 PATIENCE_S = 2.0
 """A save waits so long for the recording to be written, and for the thread of the pings."""
@@ -48,11 +48,11 @@ class _Point:
     fixed: bool
     checkpoint: bytes
     localization: bytes = b""
-    place: Place | None = None
+    place: RecordingOffset | None = None
 
 
-class Stored:
-    """Keeps the map of one session, as `mapperd.pipeline.persistence.Keeping` says.
+class SqlitePersistence:
+    """Keeps the map of one session, as `mapperd.pipeline.persistence.MapPersistence` says.
 
     Args:
         store: the map's file, open.
@@ -94,10 +94,10 @@ class Stored:
 
     def begin(
         self,
-        engine: Engine,
-        places: Places,
+        engine: SessionDecoder,
+        places: RecordingOffsets,
         wake: Callable[[], None],
-        localizing: Localizing | None = None,
+        localizing: LocalizationSession | None = None,
     ) -> None:
         """Begin the session: nothing is in the map of it, but what `resumed` says.
 

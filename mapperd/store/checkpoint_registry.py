@@ -18,55 +18,43 @@ from mapperd.errors import CheckpointError
 __all__ = ["FORMAT", "Tag", "attributes_of", "class_named", "is_frozen", "kept_of", "name_of"]
 
 MODULES = (
-    "mapperd.config.tree",
+    "mapperd.config.daemon",
     "mapperd.config.filters",
     "mapperd.config.odometry",
-    "mapperd.config.daemon",
-    "mapperd.config.daemon",
-    "mapperd.pipeline.counters",
-    "mapperd.pipeline.decoder",
-    "mapperd.imaging.robots",
-    "mapperd.imaging.robots",
+    "mapperd.config.tree",
+    "mapperd.errors",
     "mapperd.geometry.frames",
-    "mapperd.geometry.geodesy",
-    "mapperd.localization.burst_filter",
-    "mapperd.localization.particle_filter",
     "mapperd.geometry.gaussian",
+    "mapperd.geometry.geodesy",
+    "mapperd.imaging.robots",
+    "mapperd.localization.burst_filter",
     "mapperd.localization.hypothesis",
     "mapperd.localization.lifecycle",
     "mapperd.localization.localizer",
     "mapperd.localization.map_filter",
-    "mapperd.localization.stage",
     "mapperd.localization.odom_correction",
+    "mapperd.localization.particle_filter",
     "mapperd.localization.scan",
+    "mapperd.localization.stage",
     "mapperd.localization.update_gate",
-    "mapperd.odometry.track",
     "mapperd.odometry.bridge",
-    "mapperd.odometry.gate",
+    "mapperd.odometry.clock",
     "mapperd.odometry.decoder",
     "mapperd.odometry.fusion",
+    "mapperd.odometry.gate",
     "mapperd.odometry.intake",
-    "mapperd.odometry.track",
     "mapperd.odometry.levelling",
-    "mapperd.odometry.decoder",
-    "mapperd.odometry.series",
     "mapperd.odometry.mavlink",
-    "mapperd.odometry.mavlink",
-    "mapperd.odometry.mavlink",
-    "mapperd.odometry.native",
     "mapperd.odometry.native",
     "mapperd.odometry.nmea",
-    "mapperd.odometry.clock",
     "mapperd.odometry.reckoning",
     "mapperd.odometry.records",
     "mapperd.odometry.series",
-    "mapperd.odometry.clock",
     "mapperd.odometry.states",
     "mapperd.odometry.track",
-    "mapperd.odometry.nmea",
-    "mapperd.pipeline.pose_lookup",
+    "mapperd.pipeline.counters",
     "mapperd.pipeline.decoder",
-    "mapperd.errors",
+    "mapperd.pipeline.pose_lookup",
     "oculus_driver.clock",
     "oculus_driver.envelope",
     "oculus_driver.ping",
@@ -74,8 +62,53 @@ MODULES = (
     "oculus_driver.stream",
 )
 
+FORMER_MODULES = {
+    "mapperd.config": "mapperd.config.tree",
+    "mapperd.config_filters": "mapperd.config.filters",
+    "mapperd.config_odometry": "mapperd.config.odometry",
+    "mapperd.config_outofcore": "mapperd.config.daemon",
+    "mapperd.config_service": "mapperd.config.daemon",
+    "mapperd.counters": "mapperd.pipeline.counters",
+    "mapperd.engine": "mapperd.pipeline.decoder",
+    "mapperd.filters.robot": "mapperd.imaging.robots",
+    "mapperd.filters.sightings": "mapperd.imaging.robots",
+    "mapperd.frames": "mapperd.geometry.frames",
+    "mapperd.geodesy": "mapperd.geometry.geodesy",
+    "mapperd.localization.burst": "mapperd.localization.burst_filter",
+    "mapperd.localization.cloud_state": "mapperd.localization.particle_filter",
+    "mapperd.localization.estimate": "mapperd.geometry.gaussian",
+    "mapperd.localization.fit_watch": "mapperd.localization.hypothesis",
+    "mapperd.localization.onboard": "mapperd.localization.stage",
+    "mapperd.localization.pose": "mapperd.localization.odom_correction",
+    "mapperd.odometry.anchor": "mapperd.odometry.track",
+    "mapperd.odometry.confidence": "mapperd.odometry.gate",
+    "mapperd.odometry.jump": "mapperd.odometry.track",
+    "mapperd.odometry.lines": "mapperd.odometry.decoder",
+    "mapperd.odometry.lookup": "mapperd.odometry.series",
+    "mapperd.odometry.mavlink_frames": "mapperd.odometry.mavlink",
+    "mapperd.odometry.mavlink_time": "mapperd.odometry.mavlink",
+    "mapperd.odometry.native_serial": "mapperd.odometry.native",
+    "mapperd.odometry.precedence": "mapperd.odometry.clock",
+    "mapperd.odometry.stamps": "mapperd.odometry.clock",
+    "mapperd.odometry.utc": "mapperd.odometry.nmea",
+    "mapperd.pairing": "mapperd.pipeline.pose_lookup",
+    "mapperd.ping_stream": "mapperd.pipeline.decoder",
+    "mapperd.reject": "mapperd.errors",
+}
+"""Names of modules in earlier checkpoints, and what they are called now."""
+
+FORMER_CLASSES = {
+    "mapperd.localization.hypothesis:Rival": "AlternativeHypothesis",
+    "mapperd.localization.stage:Onboard": "LocalizationStage",
+    "mapperd.pipeline.decoder:Engine": "SessionDecoder",
+    "mapperd.pipeline.decoder:Settled": "PosedPing",
+    "mapperd.pipeline.pose_lookup:PoseSource": "PoseLookup",
+    "mapperd.pipeline.counters:ReplayCounters": "PipelineCounters",
+}
+"""Classes in earlier checkpoints, in modules as they are called now."""
+
 KEPT = {
-    "mapperd.pipeline.decoder:Engine": frozenset({"counters", "_within"}),
+    "mapperd.pipeline.decoder:SessionDecoder": frozenset({"counters", "_within"}),
     "mapperd.odometry.mavlink:MavlinkFrames": frozenset({"_codec"}),
     "mapperd.odometry.nmea:NmeaReader": frozenset({"_readers"}),
 }
@@ -99,7 +132,7 @@ def class_named(name: str) -> type[Any]:
     Raises:
         CheckpointError: there is none.
     """
-    module_name, _, qualname = name.partition(":")
+    module_name, _, qualname = _name_now(name).partition(":")
     module = sys.modules.get(module_name)  # the fresh objects have imported all that they need
     if module is not None and module_name in MODULES:
         kind = vars(module).get(qualname)
@@ -110,7 +143,13 @@ def class_named(name: str) -> type[Any]:
 
 def kept_of(name: str) -> frozenset[str]:
     """Attributes of a class that are no state."""
-    return KEPT.get(name, frozenset())
+    return KEPT.get(_name_now(name), frozenset())
+
+
+def _name_now(name: str) -> str:
+    module, _, kind = name.partition(":")
+    module = FORMER_MODULES.get(module, module)
+    return f"{module}:{FORMER_CLASSES.get(f'{module}:{kind}', kind)}"
 
 
 def is_frozen(kind: type) -> bool:

@@ -37,7 +37,7 @@ __all__ = [
 NAME = "map.identity"
 """Of the row in the table `fact`."""
 
-MOST_SESSIONS = 16
+MAX_SESSIONS = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ def begun(connection: sqlite3.Connection, revision: int) -> Identity:
         identity = fresh()
     else:
         earlier = (*before.earlier, (before.session, revision))
-        identity = Identity(before.map, _random(), earlier[-MOST_SESSIONS:])
+        identity = Identity(before.map, _random(), earlier[-MAX_SESSIONS:])
     _put(connection, identity)
     return identity
 
@@ -157,7 +157,7 @@ def check_kind(connection: sqlite3.Connection, path: Path, config: Config) -> No
         )
 
 
-MOST_REVISION = 1 << 62
+MAX_REVISION = 1 << 62
 """No map changes that often; SQLite's numbers end at twice that."""
 
 
@@ -171,7 +171,7 @@ def progress_in(connection: sqlite3.Connection, path: Path) -> tuple[int, bytes]
     if found is None:
         return None
     revision, position = found
-    if not (isinstance(revision, int) and 0 <= revision < MOST_REVISION):
+    if not (isinstance(revision, int) and 0 <= revision < MAX_REVISION):
         raise StoreError(f"{path}: is damaged: {revision!r} is no revision of a map", "damaged")
     if not isinstance(position, bytes):
         raise StoreError(f"{path}: is damaged: its position is no bytes", "damaged")

@@ -5,10 +5,10 @@ from typing import Any, Protocol
 import msgspec
 from msgspec import Struct
 
-__all__ = ["Place", "Places", "Position", "position_in"]
+__all__ = ["Position", "RecordingOffset", "RecordingOffsets", "position_in"]
 
 
-class Place(Struct, frozen=True, order=True):
+class RecordingOffset(Struct, frozen=True, order=True):
     """Between two chunks of a session's recordings.
 
     Attributes:
@@ -20,14 +20,14 @@ class Place(Struct, frozen=True, order=True):
     chunks: int = 0
 
 
-class Places(Protocol):
+class RecordingOffsets(Protocol):
     """Knows where the pieces of a recording lie."""
 
     @property
     def newest(self) -> int:
         """Number of the newest piece."""
 
-    def place_of(self, number: int) -> Place | None:
+    def place_of(self, number: int) -> RecordingOffset | None:
         """Where the recording goes on behind a piece; None while that is not written."""
 
     def wait_for(self, number: int, timeout_s: float) -> bool:
@@ -55,7 +55,7 @@ class Position(Struct, frozen=True):
     session: str
     whole: bool
     sessions: tuple[str, ...]
-    place: Place = Place()
+    place: RecordingOffset = RecordingOffset()
     done: int = 0
     config: dict[str, Any] | None = None
     fixed: bool = False

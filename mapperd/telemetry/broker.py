@@ -24,7 +24,7 @@ CREDENTIAL = "mqtt-password"
 TIMEOUT_S = 10.0
 """For the broker's answer to anything."""
 
-MOST_INCOMING = 64
+MAX_INCOMING = 64
 
 TAKEN = frozenset(
     (
@@ -104,7 +104,7 @@ def _client(settings: Mqtt, environment: Mapping[str, str]) -> "Client":
         clean_session=True,
         keepalive=settings.keepalive,
         timeout=TIMEOUT_S,
-        max_queued_incoming_messages=MOST_INCOMING,
+        max_queued_incoming_messages=MAX_INCOMING,
         tls_context=_tls(settings) if settings.tls else None,
         logger=_silent(),
     )

@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from mapperd.api import Operations
+from mapperd.api import DaemonApi
 from mapperd.config.tree import Config, Frames
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.telemetry.outbox import Kind, Message, Outbox
@@ -145,12 +145,12 @@ class BackOff:
         chance: gives random numbers from 0 to 1.
     """
 
-    LEAST_S = 1.0
-    MOST_S = 30.0
+    MIN_S = 1.0
+    MAX_S = 30.0
 
     def __init__(self, chance: Callable[[], float]) -> None:
         self._chance = chance
-        self._last_s = self.LEAST_S
+        self._last_s = self.MIN_S
 
     def after(self, connected_s: float) -> float:
         """The pause after a connection that lasted so long, or that never came about.
@@ -158,10 +158,10 @@ class BackOff:
         Args:
             connected_s: 0 where there was none.
         """
-        if connected_s >= self.MOST_S:
-            self._last_s = self.LEAST_S
-        most_s = min(self.MOST_S, 3 * self._last_s)
-        self._last_s = self.LEAST_S + self._chance() * (most_s - self.LEAST_S)
+        if connected_s >= self.MAX_S:
+            self._last_s = self.MIN_S
+        most_s = min(self.MAX_S, 3 * self._last_s)
+        self._last_s = self.MIN_S + self._chance() * (most_s - self.MIN_S)
         return self._last_s
 
 
@@ -185,7 +185,7 @@ class LocalizationReporter:
         outbox: takes the messages.
     """
 
-    def __init__(self, operations: Operations, topics: Topics, outbox: Outbox) -> None:
+    def __init__(self, operations: DaemonApi, topics: Topics, outbox: Outbox) -> None:
         self._operations = operations
         self._topics = topics
         self._outbox = outbox

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from mapperd.api import Operations
+from mapperd.api import DaemonApi
 from mapperd.config.catalog import parameters, value_of
 from mapperd.config.tree import Config
 from mapperd.events import Severity
@@ -45,7 +45,7 @@ class Reporter:
 
     def __init__(
         self,
-        operations: Operations,
+        operations: DaemonApi,
         topics: Topics,
         outbox: Outbox,
         vitals: VitalsSource,

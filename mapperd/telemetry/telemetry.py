@@ -16,7 +16,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mapperd.api import Operations
+from mapperd.api import DaemonApi
 from mapperd.errors import ConfigError
 from mapperd.events import Severity
 from mapperd.telemetry.broker import check_telemetry, connection
@@ -79,7 +79,7 @@ class Telemetry:
 
     def __init__(
         self,
-        operations: Operations,
+        operations: DaemonApi,
         folders: Iterable[Path] = (),
         environment: Mapping[str, str] = os.environ,
         clock: Callable[[], int] = time.time_ns,

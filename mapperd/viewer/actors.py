@@ -20,8 +20,8 @@ VEHICLE_M = 0.7
 PATH_PIECE = 500
 """Points of the path in one node: only the last one is sent again as it grows."""
 
-MOST_ROBOTS = 32
-MOST_PARTICLES = 3000
+MAX_ROBOTS = 32
+MAX_PARTICLES = 3000
 SIGMAS = 2.0
 
 LAYERS = ("path", "returns", "robots", "localization")
@@ -153,7 +153,7 @@ class Actors:
 
     def robots(self, robots: Robots) -> None:
         """Other robots, the newest of them."""
-        newest = sorted(robots.seen)[-MOST_ROBOTS:]
+        newest = sorted(robots.seen)[-MAX_ROBOTS:]
         last_ns = newest[-1][0] if newest else 0
         shown = set()
         for number, (stamp_ns, x, y, z) in enumerate(newest):
@@ -177,7 +177,7 @@ class Actors:
 
     def localization(self, told: Localization, z_m: float) -> None:
         """Particles, the last scan, and the ellipse of two standard deviations, at a height."""
-        particles = np.frombuffer(told.particles, "<f4").reshape(-1, 4)[:MOST_PARTICLES]
+        particles = np.frombuffer(told.particles, "<f4").reshape(-1, 4)[:MAX_PARTICLES]
         flat = np.column_stack([particles[:, :2], np.full(len(particles), z_m, np.float32)])
         self._cloud("/localization/particles", flat, self._dots(PARTICLES, 0.05))
         scan = np.frombuffer(told.scan, "<f4").reshape(-1, 3)

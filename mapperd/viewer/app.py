@@ -46,7 +46,7 @@ VIEW_WANTS: tuple[Want, ...] = (
 MAP_S = 0.25
 """Between updates of the map in browsers."""
 
-MOST_BYTES = 2_000_000
+MAX_BYTES = 2_000_000
 """Of one update: a browser beside the daemon takes it within that time."""
 
 AT_ONCE = 4
@@ -201,8 +201,8 @@ class View:
             now_ns = self.health.map_ns or time.time_ns()
             self.map.refine(self._vehicle_m, mirror.cell_m)
             sent = 0
-            while self.map.stale and sent < MOST_BYTES:
-                left = MOST_BYTES - sent
+            while self.map.stale and sent < MAX_BYTES:
+                left = MAX_BYTES - sent
                 with self._server.atomic():  # a chunk's places and colours arrive together
                     sent += self.map.draw(mirror, self._vehicle_m, now_ns, left, AT_ONCE)
                 await asyncio.sleep(0)

@@ -29,7 +29,7 @@ LIGHT = np.array([0.35, -0.5, 0.79], np.float32)
 
 DARKEST = 0.62
 
-LEAST = 1e-3
+MIN = 1e-3
 """Of what has a logarithmic scale."""
 
 _PARTS = np.arange(256) / 255
@@ -92,7 +92,7 @@ def colours_of(values: NDArray[np.float64], scale: Scale) -> NDArray[np.uint8]:
     """Colours (N, 3) of values (N,); those beyond the ends have the colours of the ends."""
     low, high = _ends(scale)
     if scale.logarithmic:
-        values = np.log(np.maximum(values, LEAST))
+        values = np.log(np.maximum(values, MIN))
     part = (values - low) / max(high - low, 1e-9)
     row = np.clip(part * (_STEPS - 1) + 0.5, 0, _STEPS - 1).astype(np.intp)
     return np.asarray(_table(scale.mode)[row])
@@ -131,7 +131,7 @@ def _ends(scale: Scale) -> tuple[float, float]:
     """Of the colours, as they are spread evenly."""
     if not scale.logarithmic:
         return scale.low, scale.high
-    return math.log(max(scale.low, LEAST)), math.log(max(scale.high, LEAST))
+    return math.log(max(scale.low, MIN)), math.log(max(scale.high, MIN))
 
 
 def _text(value: float, mode: Mode) -> str:

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 __all__ = ["Look", "MapView"]
 
-MOST_NODES = 1500
-MOST_CUBES = 120_000
+MAX_NODES = 1500
+MAX_CUBES = 120_000
 """Beyond it cells are drawn as points: a browser turns each cube by itself."""
 
-MOST_FINE = 300_000
+MAX_FINE = 300_000
 """Beyond it cells far from the vehicle are drawn in larger cubes: browsers stay quick."""
 
 FAR_M = ((20.0, 2), (60.0, 4))
@@ -67,7 +67,7 @@ class MapView:
         sent_bytes: all that browsers were told of the map, each.
     """
 
-    def __init__(self, scene: "SceneApi", look: Look, most_nodes: int = MOST_NODES) -> None:
+    def __init__(self, scene: "SceneApi", look: Look, most_nodes: int = MAX_NODES) -> None:
         self.look = look
         self.sent_bytes = 0
         self._nodes = Nodes()
@@ -147,7 +147,7 @@ class MapView:
 
         Of a map of many cells, those far from a place (3,) are drawn in larger cubes.
         """
-        self._many = sum(self._fine.values()) > MOST_FINE
+        self._many = sum(self._fine.values()) > MAX_FINE
         if not self._drawn:
             return
         chunks = list(self._drawn)
@@ -210,7 +210,7 @@ class MapView:
 
     def _choose_shape(self) -> None:
         """Cubes or points; with slack, so that it does not go to and fro."""
-        limit = MOST_CUBES if self._cubes else MOST_CUBES * 3 // 4
+        limit = MAX_CUBES if self._cubes else MAX_CUBES * 3 // 4
         cubes = self.look.shape == "cubes" or (self.look.shape == "auto" and self.cells <= limit)
         if cubes != self._cubes:
             self._cubes = cubes

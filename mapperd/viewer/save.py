@@ -18,7 +18,7 @@ __all__ = ["Keep", "Recorder"]
 
 NOTE_S = 8.0
 RECORD = "\N{BLACK CIRCLE} Record"
-MOST_DOWNLOAD = 64 << 20
+MAX_DOWNLOAD = 64 << 20
 """Of a file that is sent to the browser too."""
 
 
@@ -123,7 +123,7 @@ class Keep:
             return
         for file in files:
             data = await asyncio.to_thread(file.read_bytes)
-            if who is not None and len(data) <= MOST_DOWNLOAD:
+            if who is not None and len(data) <= MAX_DOWNLOAD:
                 who.send_file_download(file.name, data, save_immediately=True)
         self._note(who, "Exported", ", ".join(map(str, files)), "green")
 

@@ -92,7 +92,7 @@ class TokenBucket:
 CREDENTIAL = "control-token"
 """Name of systemd's credential."""
 
-LEAST_LETTERS, MOST_BYTES = 16, 1024
+MIN_LETTERS, MAX_BYTES = 16, 1024
 PURPOSE = b"mapperd-control-1 "
 IPV6_SITE = 64
 """Bits: who has one address there has all of these."""
@@ -120,14 +120,14 @@ def read_token(path: Path, place: str = "$.control.token_file") -> bytes:
     try:
         with path.open("rb") as file:
             mode = path.stat().st_mode
-            token = file.read(MOST_BYTES + 1).strip()
+            token = file.read(MAX_BYTES + 1).strip()
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}", place) from error
     if mode & 0o007:
         raise ConfigError(f"{path}: everybody may read it or write to it; chmod 600 it", place)
-    if not LEAST_LETTERS <= len(token) <= MOST_BYTES or not all(33 <= c < 127 for c in token):  # noqa: PLR2004 printable ASCII
+    if not MIN_LETTERS <= len(token) <= MAX_BYTES or not all(33 <= c < 127 for c in token):  # noqa: PLR2004 printable ASCII
         raise ConfigError(
-            f"{path}: a token is one word of {LEAST_LETTERS} or more printable letters; "
+            f"{path}: a token is one word of {MIN_LETTERS} or more printable letters; "
             "`openssl rand -hex 32` makes one",
             place,
         )

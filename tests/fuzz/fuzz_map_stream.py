@@ -16,7 +16,7 @@ import zstandard
 
 from mapperd.client.protocol import Dialogue, Wishes
 from mapperd.client.second_line import SecondDialogue
-from mapperd.client.state import MOST_FORGOTTEN, Knowledge
+from mapperd.client.state import MAX_FORGOTTEN, Knowledge
 from mapperd.wire.blocks import CELLS, MAX_KEY, decode_blocks
 from mapperd.wire.framing import StreamError, framed, server_inbox
 from mapperd.wire.messages import (
@@ -81,7 +81,7 @@ def _is_sound(knowledge: Knowledge) -> None:
         mirror.cells("known")
         if len(mirror) > MOST_BLOCKS + MAX_BLOCKS:
             raise AssertionError(f"{len(mirror)} blocks")
-        if mirror.forgotten > MOST_FORGOTTEN + MAX_BLOCKS:
+        if mirror.forgotten > MAX_FORGOTTEN + MAX_BLOCKS:
             raise AssertionError(f"{mirror.forgotten} orders of forgotten blocks")
 
 

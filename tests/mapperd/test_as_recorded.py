@@ -21,10 +21,10 @@ from mapperd.errors import Reject
 from mapperd.geometry.frames import Pose, pose_from_rpy
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.fusion import FusedPose
-from mapperd.pipeline.counters import ReplayCounters
+from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.ingest import SONAR
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
-from mapperd.pipeline.step import Mapped, Stepping
+from mapperd.pipeline.step import Mapped, StepRunner
 from mapperd.session.recordings import files_in, sessions_of
 from mapperd.session_log import (
     DECISIONS,
@@ -105,7 +105,7 @@ def dive(
             yield Event(t_ns + 40 * MS, "reset")
 
 
-class Watched(Stepping):
+class Watched(StepRunner):
     """Takes a while for each ping, by a clock of its own."""
 
     def __init__(self, live: Live, sonar_map: SonarMap, clock: list[int], step_ns: int) -> None:
@@ -120,7 +120,7 @@ class Watched(Stepping):
 
 def mapped_live(
     config: Config, events: list[Event], *, at_once: float, step_ns: int, room: int
-) -> tuple[SonarMap, ReplayCounters]:
+) -> tuple[SonarMap, PipelineCounters]:
     """Map as the daemon does, the links left out.
 
     Args:
@@ -134,7 +134,7 @@ def mapped_live(
     live = Live(sonar_map, OdometryPoses(config), session="abc", clock=lambda: clock[0])
     live.queue._limit = room
     live.mapping.integration.stepping = Watched(live, sonar_map, clock, step_ns)
-    store.follow(Stepping.FOLLOWS, live.take)
+    store.follow(StepRunner.FOLLOWS, live.take)
 
     async def work() -> None:
         async with live.recorder:

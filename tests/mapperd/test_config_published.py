@@ -12,7 +12,7 @@ from mapperd.daemon.map_folder import MapFolder
 from mapperd.errors import ConfigError
 from mapperd.imaging.filter_chain import check_filters
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.pipeline.step import Stepping
+from mapperd.pipeline.step import StepRunner
 from mapperd.server.map_worker import MapRounds
 from mapperd.telemetry.telemetry import Telemetry
 
@@ -110,8 +110,8 @@ def another(name: str) -> Any:
 @pytest.mark.parametrize("name", [name for name, (*_, live) in PUBLISHED.items() if live])
 def test_published_live_parameter_changes_while_running(name: str) -> None:
     store = ConfigStore(Layered())
-    stepping = Stepping(SonarMap(store.current), lambda: 0.0)
-    store.follow((*Stepping.FOLLOWS, "visualization"), stepping.take, check_filters)
+    stepping = StepRunner(SonarMap(store.current), lambda: 0.0)
+    store.follow((*StepRunner.FOLLOWS, "visualization"), stepping.take, check_filters)
     result = store.apply({name: another(name)}, "test")
     if name in ONLY_ONE_VALUE:
         assert isinstance(result, Refused)
@@ -142,7 +142,7 @@ def test_published_defaults_load() -> None:
 
 
 def test_every_live_setting_has_a_follower() -> None:
-    ours = (*Stepping.FOLLOWS, *Telemetry.FOLLOWS, *MapFolder.FOLLOWS, *MapRounds.FOLLOWS)
+    ours = (*StepRunner.FOLLOWS, *Telemetry.FOLLOWS, *MapFolder.FOLLOWS, *MapRounds.FOLLOWS)
     followed = (*ours, "visualization")
     live = [name for name, one in parameters().items() if one.dynamic]
     assert [name for name in live if not name.startswith(followed)] == []

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from mapperd.api import OperationError, Operations
+from mapperd.api import DaemonApi, OperationError
 from mapperd.cli.mapperd import Exit, main
 from mapperd.config.layers import Layered
 from mapperd.config.live import Applied, ConfigStore, Refused
@@ -22,7 +22,7 @@ from mapperd.events import EventLog
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.decoder import Work
-from mapperd.pipeline.persistence import InMemory
+from mapperd.pipeline.persistence import MemoryPersistence
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from oculus_driver import Faults, PlayedSonar
 
@@ -61,7 +61,7 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-class Keep(InMemory):
+class Keep(MemoryPersistence):
     """On an imagined disk."""
 
     def __init__(self, sonar_map: SonarMap) -> None:
@@ -161,7 +161,7 @@ def pings(ping_bytes: MakeBytes) -> list[bytes]:
 def test_daemon_offers_all_operations(tmp_path: Path, pings: list[bytes]) -> None:
     async def work() -> None:
         async with bench_of(tmp_path, pings) as bench:
-            operations: Operations = bench.daemon
+            operations: DaemonApi = bench.daemon
             await bench.mapped(3)
             saved = await operations.save("wall.bt", "test")
             written = await asyncio.to_thread(Path(saved["path"]).read_bytes)
@@ -212,7 +212,7 @@ def test_what_cannot_be_done_says_why(tmp_path: Path, pings: list[bytes]) -> Non
 def test_map_in_memory_has_no_snapshot(tmp_path: Path, pings: list[bytes]) -> None:
     async def work() -> None:
         async with bench_of(tmp_path, pings) as bench:
-            bench.live.keep = InMemory(bench.map)
+            bench.live.keep = MemoryPersistence(bench.map)
             with pytest.raises(OperationError, match="in memory alone"):
                 await bench.daemon.snapshot("test")
 

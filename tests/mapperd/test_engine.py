@@ -4,9 +4,9 @@ from typing import Any
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.geometry.frames import pose_from_rpy
-from mapperd.pipeline.counters import ReplayCounters
-from mapperd.pipeline.decoder import Engine, NewSettings, Settled
-from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses, PoseSource
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.decoder import NewSettings, PosedPing, SessionDecoder
+from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses, PoseLookup
 from mapperd.session_log import Decision, Drop, Gap, Reset, Session, Settings, Skip, chunk_of
 from oculus_driver.ping import Ping
 from oculus_driver.recording import OCULUS, Chunk
@@ -16,10 +16,10 @@ T0 = 1_700_000_000_000_000_000
 MS = 1_000_000
 
 
-def engine_of(poses: PoseSource | None = None, *, obey: bool = True) -> Engine:
+def engine_of(poses: PoseLookup | None = None, *, obey: bool = True) -> SessionDecoder:
     if poses is None:
         poses = FixedPose(pose_from_rpy((0, 0, 0), (0, 0, 0)))
-    return Engine(Config(), poses, ReplayCounters(), confirm=False, obey=obey)
+    return SessionDecoder(Config(), poses, PipelineCounters(), confirm=False, obey=obey)
 
 
 def sonar(data: bytes, t_ns: int = T0) -> Chunk:
@@ -27,10 +27,10 @@ def sonar(data: bytes, t_ns: int = T0) -> Chunk:
 
 
 def numbers(work: list[Any]) -> list[int]:
-    return [one.number for one in work if isinstance(one, Settled)]
+    return [one.number for one in work if isinstance(one, PosedPing)]
 
 
-def told(engine: Engine, decision: Decision) -> list[Any]:
+def told(engine: SessionDecoder, decision: Decision) -> list[Any]:
     return engine.feed(chunk_of(decision, T0))
 
 
@@ -40,7 +40,7 @@ def test_ping_comes_out_with_its_number_and_the_time_of_its_last_byte(
     engine, data = engine_of(), ping_bytes(1)
     assert engine.feed(sonar(data[:500], T0)) == []
     (settled,) = engine.feed(sonar(data[500:], T0 + 5 * MS))
-    assert isinstance(settled, Settled)
+    assert isinstance(settled, PosedPing)
     assert (settled.number, settled.complete_ns) == (0, T0 + 5 * MS)
     assert settled.ping.arrival_ns == T0
 
@@ -136,7 +136,7 @@ def test_a_ping_that_comes_late_is_of_the_time_when_it_was(ping: Callable[..., P
 
     config = config_from_text("device: {latency_sec: 0.005}")
     poses = Poses(pose_from_rpy((0, 0, 0), (0, 0, 0)))
-    engine = Engine(config, poses, ReplayCounters(), confirm=False, obey=True)
+    engine = SessionDecoder(config, poses, PipelineCounters(), confirm=False, obey=True)
     late_ns = {40: 200_000_000}
     for k in range(1, 41):
         one = ping(k, 10**18 + 100_000_000 * k + late_ns.get(k, 0))

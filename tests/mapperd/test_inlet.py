@@ -1,7 +1,7 @@
 import threading
 from typing import Any
 
-from mapperd.pipeline.ingest import SONAR, ChunkQueue, Inlet
+from mapperd.pipeline.ingest import SONAR, ChunkQueue, Ingest
 from mapperd.session_log import Decision, Drop, Gap, Reset, Skip, decision_of
 from oculus_driver.recording import Chunk
 
@@ -25,10 +25,10 @@ class Recorded:
         return self.newest
 
 
-def inlet_with(max_bytes: int) -> tuple[Inlet, Recorded, ChunkQueue]:
+def inlet_with(max_bytes: int) -> tuple[Ingest, Recorded, ChunkQueue]:
     recorded, queue = Recorded(), ChunkQueue(max_bytes)
     recorder: Any = recorded
-    return Inlet(recorder, queue, {"vehicle": "odometry-native"}, lambda: T0), recorded, queue
+    return Ingest(recorder, queue, {"vehicle": "odometry-native"}, lambda: T0), recorded, queue
 
 
 def taken(queue: ChunkQueue) -> list[bytes | Decision]:

@@ -19,11 +19,11 @@ from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.grid_map import GridMap
 from mapperd.localization.map_io import write_nav2_map
 from mapperd.localization.models import check_localization
-from mapperd.localization.session import Localizing, begun
+from mapperd.localization.session import LocalizationSession, begun
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.ingest import SONAR
 from mapperd.pipeline.pose_lookup import OdometryPoses
-from mapperd.pipeline.step import Stepping
+from mapperd.pipeline.step import StepRunner
 from mapperd.session.recordings import files_in, sessions_of
 from mapperd.session_log import (
     DECISIONS,
@@ -52,7 +52,7 @@ pytestmark = pytest.mark.usefixtures("no_picture")
 class Session:
     """A session of the daemon, its links left out."""
 
-    def __init__(self, config: Config, localizing: Localizing | None) -> None:
+    def __init__(self, config: Config, localizing: LocalizationSession | None) -> None:
         self.sonar_map = SonarMap(config)
         self.store = ConfigStore(Layered(config))
         self.live = Live(
@@ -62,7 +62,7 @@ class Session:
             clock=lambda: START_NS,
             localizing=localizing,
         )
-        self.store.follow(Stepping.FOLLOWS, self.live.take, check_localization)
+        self.store.follow(StepRunner.FOLLOWS, self.live.take, check_localization)
         self.answers: list[str] = []
 
     def run(self, track: list[tuple[str, bytes, float]], requests: dict[int, Asked]) -> None:

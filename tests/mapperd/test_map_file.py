@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from mapperd import _core
 from mapperd.config.tree import Config, Iwlo, Mounting, Octree, Orientation
 from mapperd.errors import ExportError, MapError
-from mapperd.imaging.ping_image import echo_of
+from mapperd.imaging.ping_image import ping_image_of
 from mapperd.mapping.sonar_map import SonarMap
 from oculus_driver.ping import Ping
 
@@ -40,7 +40,7 @@ def map_bytes() -> bytes:
 def saved(ping: MakePing, tmp_path: Path) -> tuple[SonarMap, Path]:
     sonar_map = SonarMap(CONFIG)
     for i in range(8):
-        sonar_map.integrate(echo_of(ping(), CONFIG.sonar), pose_at(0.3 * i))
+        sonar_map.integrate(ping_image_of(ping(), CONFIG.sonar), pose_at(0.3 * i))
     path = tmp_path / "dive.map"
     sonar_map.save(path)
     return sonar_map, path
@@ -56,7 +56,7 @@ def test_loaded_map_is_the_saved_one_and_goes_on_like_it(
     assert loaded.counts() == sonar_map.counts()
     for i in range(8):
         for each in (sonar_map, loaded):
-            each.integrate(echo_of(ping(), CONFIG.sonar), pose_at(0.1 * i, -0.2 * i))
+            each.integrate(ping_image_of(ping(), CONFIG.sonar), pose_at(0.1 * i, -0.2 * i))
         assert loaded.sha256() == sonar_map.sha256()
     sonar_map.save(tmp_path / "a.map")
     loaded.save(tmp_path / "b.map")
@@ -74,7 +74,7 @@ def test_other_settings_are_refused_and_the_map_stays(
     ):
         config = msgspec.structs.replace(CONFIG, **changes)
         other = SonarMap(config)
-        other.integrate(echo_of(ping(), config.sonar), pose_at(0.0))
+        other.integrate(ping_image_of(ping(), config.sonar), pose_at(0.0))
         before = other.sha256()
         with pytest.raises(MapError, match=because) as caught:
             other.load(path)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mapperd.config.tree import Config, Mounting, Octree, Orientation
-from mapperd.imaging.ping_image import echo_of
+from mapperd.imaging.ping_image import ping_image_of
 from mapperd.mapping.queries import MapQueries, memory_stats
 from mapperd.mapping.sonar_map import SonarMap
 from oculus_driver.ping import Ping
@@ -57,7 +57,7 @@ def test_what_is_read_is_the_map_after_a_whole_number_of_pings(
     config = msgspec.structs.replace(
         CONFIG, mapping=msgspec.structs.replace(CONFIG.mapping, integrator=integrator)
     )
-    echo = echo_of(ping(), config.sonar)
+    echo = ping_image_of(ping(), config.sonar)
     alone, shared = SonarMap(config), SonarMap(config)
     states = {alone.sha256(): alone.counts()}
     for pose in poses():
@@ -98,7 +98,7 @@ def test_what_is_read_is_the_map_after_a_whole_number_of_pings(
 def test_a_visitor_holds_writers_off_but_not_the_interpreter(ping: MakePing) -> None:
     """A writer that waits for the map must have let go of the GIL, which the visitor needs."""
     sonar_map = SonarMap(CONFIG)
-    echo = echo_of(ping(), CONFIG.sonar)
+    echo = ping_image_of(ping(), CONFIG.sonar)
     sonar_map.integrate(echo, np.eye(4))
     before = sonar_map.core.block_count
     writers: list[threading.Thread] = []
@@ -124,7 +124,7 @@ def test_a_visitor_holds_writers_off_but_not_the_interpreter(ping: MakePing) -> 
 
 def test_a_visitor_that_fails_leaves_the_map_usable(ping: MakePing) -> None:
     sonar_map = SonarMap(CONFIG)
-    sonar_map.integrate(echo_of(ping(), CONFIG.sonar), np.eye(4))
+    sonar_map.integrate(ping_image_of(ping(), CONFIG.sonar), np.eye(4))
 
     def refuse(*_: np.ndarray) -> None:
         raise RuntimeError("enough")

@@ -7,7 +7,7 @@ import pytest
 
 from mapperd.config.tree import Config, Filtering, Iwlo, Mapping, Mounting, Octree, Orientation
 from mapperd.errors import MapError
-from mapperd.imaging.ping_image import Echo, echo_of
+from mapperd.imaging.ping_image import PingImage, ping_image_of
 from mapperd.mapping.sonar_map import SonarMap, iwlo_params
 from oculus_driver.ping import Ping
 
@@ -21,7 +21,7 @@ HERE = np.eye(4)
 def mapped(config: Config, *pings: Ping, at: np.ndarray = HERE) -> SonarMap:
     sonar_map = SonarMap(config)
     for ping in pings:
-        sonar_map.integrate(echo_of(ping, config.sonar), at)
+        sonar_map.integrate(ping_image_of(ping, config.sonar), at)
     return sonar_map
 
 
@@ -127,12 +127,12 @@ def test_pose_that_is_no_number_is_refused(ping: MakePing, bad: float) -> None:
     sonar_map, pose = SonarMap(COARSE), np.eye(4)
     pose[0, 3] = bad
     with pytest.raises(MapError):
-        sonar_map.integrate(echo_of(ping(), COARSE.sonar), pose)
+        sonar_map.integrate(ping_image_of(ping(), COARSE.sonar), pose)
     assert sonar_map.counts().occupied == 0
 
 
 def test_echo_of_the_wrong_shape_is_refused() -> None:
-    echo = Echo(np.zeros((5, 4), dtype=np.float32), np.linspace(-1, 1, 5), 0.1)
+    echo = PingImage(np.zeros((5, 4), dtype=np.float32), np.linspace(-1, 1, 5), 0.1)
     with pytest.raises(MapError):
         SonarMap(COARSE).integrate(echo, HERE)
 

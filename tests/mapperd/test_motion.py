@@ -12,7 +12,7 @@ from mapperd.config.tree import Config, Mapping, Mounting, Octree, Orientation, 
 from mapperd.errors import MapError, Reject
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.geometry.motion import BaseMotion, PingMotion
-from mapperd.imaging.ping_image import Echo
+from mapperd.imaging.ping_image import PingImage
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.step import process_ping
 from oculus_driver.ping import Ping
@@ -26,12 +26,12 @@ FORWARD = Config(
 ROWS, BEAMS, RANGE_M = 150, 33, 30.0
 
 
-def wall_echo(row: int) -> Echo:
+def wall_echo(row: int) -> PingImage:
     """One bright row in a fan of 20 degrees."""
     intensity = np.zeros((ROWS, BEAMS), dtype=np.float32)
     intensity[row] = 200.0
     bearings = np.arcsin(math.sin(math.radians(10)) * np.linspace(-1, 1, BEAMS))
-    return Echo(intensity, bearings, RANGE_M / ROWS)
+    return PingImage(intensity, bearings, RANGE_M / ROWS)
 
 
 def middle(sonar_map: SonarMap) -> NDArray[np.float64]:

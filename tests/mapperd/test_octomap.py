@@ -9,7 +9,7 @@ import pytest
 from mapperd import _core
 from mapperd.config.tree import Config, Iwlo, Mounting, Octree, Orientation
 from mapperd.errors import MapError
-from mapperd.imaging.ping_image import echo_of
+from mapperd.imaging.ping_image import ping_image_of
 from mapperd.mapping.sonar_map import SonarMap, iwlo_params
 from oculus_driver.ping import Ping
 
@@ -23,7 +23,7 @@ TINY_OT = b"# Octomap OcTree file\nid %s\nsize %s\nres %s\ndata\n%s"
 def sonar_map(ping: Callable[..., Ping]) -> SonarMap:
     seen = SonarMap(COARSE)
     for number in (1, 2, 3):
-        seen.integrate(echo_of(ping(number), COARSE.sonar), np.eye(4))
+        seen.integrate(ping_image_of(ping(number), COARSE.sonar), np.eye(4))
     return seen
 
 
@@ -73,11 +73,11 @@ def test_what_was_loaded_replaces_the_map_and_can_be_mapped_on(
     sonar_map: SonarMap, ping: Callable[..., Ping]
 ) -> None:
     file = sonar_map.octomap_ot()
-    sonar_map.integrate(echo_of(ping(4), COARSE.sonar), np.eye(4))
+    sonar_map.integrate(ping_image_of(ping(4), COARSE.sonar), np.eye(4))
     assert sonar_map.octomap_ot() != file
     sonar_map.load_octomap(file)
     assert sonar_map.octomap_ot() == file
-    assert sonar_map.integrate(echo_of(ping(4), COARSE.sonar), np.eye(4)).occupied > 0
+    assert sonar_map.integrate(ping_image_of(ping(4), COARSE.sonar), np.eye(4)).occupied > 0
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_map_beyond_octomap_is_refused(ping: Callable[..., Ping]) -> None:
     far = np.eye(4)
     far[0, 3] = 10_000.0
     sonar_map = SonarMap(COARSE)
-    sonar_map.integrate(echo_of(ping(), COARSE.sonar), far)
+    sonar_map.integrate(ping_image_of(ping(), COARSE.sonar), far)
     with pytest.raises(MapError, match="16-bit keys") as caught:
         sonar_map.octomap_ot()
     assert caught.value.reason == "out_of_reach"

@@ -33,9 +33,9 @@ def test_ping_waits_for_the_record_that_encloses_it(
     poses = OdometryPoses(Config())
     poses.add_odometry("odometry", odometry_bytes(p=(0.0, 0.0, 0.0)), T0)
     poses.add_ping(at_ms(ping, 25))
-    assert list(poses.settled(T0 + 30 * MS)) == []
+    assert list(poses.resolved(T0 + 30 * MS)) == []
     poses.add_odometry("odometry", odometry_bytes(p=(1.0, 0.0, 0.0)), T0 + 100 * MS)
-    ((_, pose),) = poses.settled(T0 + 100 * MS)
+    ((_, pose),) = poses.resolved(T0 + 100 * MS)
     assert isinstance(pose, FusedPose)
     assert pose.pose.position_m[0] == 0.25
 
@@ -46,7 +46,7 @@ def test_pings_keep_their_order(ping: MakePing, odometry_bytes: OdometryBytes) -
         poses.add_ping(at_ms(ping, 10 * k, k + 1))
     for t_ms in (0, 50):
         poses.add_odometry("odometry", odometry_bytes(), T0 + t_ms * MS)
-    assert [each.ping_id for each, _ in poses.settled(T0)] == [1, 2, 3]
+    assert [each.ping_id for each, _ in poses.resolved(T0)] == [1, 2, 3]
 
 
 def test_patience_ends_when_no_record_can_come_any_more(
@@ -55,8 +55,8 @@ def test_patience_ends_when_no_record_can_come_any_more(
     poses = OdometryPoses(Config(time_sync=TimeSync(max_gap_sec=0.2)))
     poses.add_odometry("odometry", odometry_bytes(), T0 - 1000 * MS)
     poses.add_ping(at_ms(ping, 0))
-    assert list(poses.settled(T0 + 700 * MS)) == []
-    ((_, reject),) = poses.settled(T0 + 701 * MS)
+    assert list(poses.resolved(T0 + 700 * MS)) == []
+    ((_, reject),) = poses.resolved(T0 + 701 * MS)
     assert isinstance(reject, Reject)
     assert reject.reason == "after_odometry"
 
@@ -68,7 +68,7 @@ def test_end_of_the_recording_settles_everything(
     poses.add_odometry("odometry", odometry_bytes(), T0)
     poses.add_ping(at_ms(ping, 50, 1))
     poses.add_ping(at_ms(ping, 500, 2))
-    (_, near), (_, far) = poses.settled(None, final=True)
+    (_, near), (_, far) = poses.resolved(None, final=True)
     assert isinstance(near, FusedPose)
     assert isinstance(far, Reject)
 
@@ -77,7 +77,7 @@ def test_ping_without_a_stamp_has_no_pose(ping: MakePing, odometry_bytes: Odomet
     poses = OdometryPoses(Config())
     poses.add_odometry("odometry", odometry_bytes(), T0)
     poses.add_ping(ping(arrival_ns=None))
-    ((_, reject),) = poses.settled(None)
+    ((_, reject),) = poses.resolved(None)
     assert isinstance(reject, Reject)
     assert reject.reason == "no_arrival_time"
 
@@ -91,7 +91,7 @@ def test_waiting_is_bounded_in_bytes(
     settled = []
     for k in range(10):
         poses.add_ping(at_ms(ping, 10 + k, k))
-        settled += [each.ping_id for each, _ in poses.settled(T0)]
+        settled += [each.ping_id for each, _ in poses.resolved(T0)]
     assert settled == [0, 1, 2, 3, 4, 5, 6]
 
 
@@ -101,10 +101,10 @@ def test_nobody_waits_behind_a_ping_with_a_stray_stamp(
     poses = OdometryPoses(Config())
     poses.add_odometry("odometry", odometry_bytes(), T0)
     poses.add_ping(at_ms(ping, 1e12, 1))
-    assert list(poses.settled(T0 + round(1e12 + 5) * MS)) == []
+    assert list(poses.resolved(T0 + round(1e12 + 5) * MS)) == []
     poses.add_ping(at_ms(ping, 50, 2))
     poses.add_odometry("odometry", odometry_bytes(), T0 + 100 * MS)
-    (_, stray), (_, pose) = poses.settled(T0 + 100 * MS)
+    (_, stray), (_, pose) = poses.resolved(T0 + 100 * MS)
     assert isinstance(stray, Reject)
     assert isinstance(pose, FusedPose)
 
@@ -115,8 +115,8 @@ def test_fixed_pose_is_everywhere_the_same_and_counts_odometry(ping: MakePing) -
     poses.add_odometry("any", b"anything", None)
     poses.add_ping(ping(1, None))
     poses.add_ping(ping(2, 5))
-    for _, pose in poses.settled(None):
+    for _, pose in poses.resolved(None):
         assert isinstance(pose, FusedPose)
         assert pose.pose is fixed
-    assert list(poses.settled(None, final=True)) == []
+    assert list(poses.resolved(None, final=True)) == []
     assert poses.ignored == 1

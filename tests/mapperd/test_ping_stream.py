@@ -1,7 +1,7 @@
 from collections.abc import Callable
 
 from mapperd.errors import Reject
-from mapperd.pipeline.counters import ReplayCounters
+from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import Arrival, PingStream
 from oculus_driver.encode import encode_dummy
 from oculus_driver.ping import Ping
@@ -26,7 +26,7 @@ def test_duplicates_are_told_once(ping_bytes: PingBytes) -> None:
     stream = PingStream()
     data = b"".join(ping_bytes(number) for number in (1, 1, 2, 5))
     assert [outcome(each) for each in stream.feed("sonar", data, 0)] == [1, "duplicate", 2, 5]
-    counters = ReplayCounters()
+    counters = PipelineCounters()
     stream.count(counters)
     assert counters.pings_lost == 2
 
@@ -44,7 +44,7 @@ def test_links_are_parsed_apart_and_their_bytes_added_up(ping_bytes: PingBytes) 
     assert list(stream.feed("stern", b"x" * 50, 0)) == []
     assert [outcome(each) for each in stream.feed("bow", data[100:], 1)] == [1]
     assert list(stream.finish()) == []
-    counters = ReplayCounters()
+    counters = PipelineCounters()
     stream.count(counters)
     assert counters.bytes_total == len(data) + 50
     assert counters.bytes_rejected == 50
@@ -73,7 +73,7 @@ def test_dropped_messages_are_not_counted_as_lost_too(ping_bytes: PingBytes) -> 
     ]
     came = [outcome(each) for each in stream.feed("sonar", b"".join(data), 0)]
     assert came == [1, "bad_resolution", 3, "unknown_version", 6, "bad_resolution", 7]
-    counters = ReplayCounters()
+    counters = PipelineCounters()
     stream.count(counters)
     assert counters.pings_lost == 1
 
@@ -86,7 +86,7 @@ def test_recording_s_ping_that_lost_bytes_is_refused_and_the_next_one_found(
     data = first + cut[:1000] + cut[1500:] + last
     came = [*stream.feed("sonar", data, 0), *stream.finish()]
     assert [outcome(each) for each in came] == [1, 3]
-    counters = ReplayCounters()
+    counters = PipelineCounters()
     stream.count(counters)
     assert counters.messages_rejected == {"bytes_missing": 1}
     assert counters.bytes_rejected == len(cut) - 500
@@ -99,7 +99,7 @@ def test_ping_without_a_message_behind_it_is_taken_and_called_doubtful(
     data = ping_bytes(1) + b"\x12" * 777 + ping_bytes(2)
     came = [*stream.feed("sonar", data, 0), *stream.finish()]
     assert [outcome(each) for each in came] == [1, 2]
-    counters = ReplayCounters()
+    counters = PipelineCounters()
     stream.count(counters)
     assert counters.messages_doubtful == {"unconfirmed_end": 1}
     assert counters.bytes_rejected == 777

@@ -14,10 +14,10 @@ from mapperd.errors import ConfigError
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.imaging.filter_chain import check_filters
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.pipeline.counters import ReplayCounters
-from mapperd.pipeline.decoder import Engine, Settled
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.decoder import PosedPing, SessionDecoder
 from mapperd.pipeline.pose_lookup import FixedPose
-from mapperd.pipeline.step import Mapped, Stepping, process_ping
+from mapperd.pipeline.step import Mapped, StepRunner, process_ping
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]
@@ -33,21 +33,21 @@ def config_with(**sections: Any) -> Config:
     return msgspec.convert(coarse | sections, Config)
 
 
-def stepping_with(config: Config) -> tuple[Stepping, ConfigStore, SonarMap, Engine]:
-    sonar_map, counters = SonarMap(config), ReplayCounters()
-    stepping = Stepping(sonar_map, lambda: 0.0, counters)
-    engine = Engine(config, FixedPose(HERE), counters, confirm=False, obey=False)
+def stepping_with(config: Config) -> tuple[StepRunner, ConfigStore, SonarMap, SessionDecoder]:
+    sonar_map, counters = SonarMap(config), PipelineCounters()
+    stepping = StepRunner(sonar_map, lambda: 0.0, counters)
+    engine = SessionDecoder(config, FixedPose(HERE), counters, confirm=False, obey=False)
     store = ConfigStore(Layered(config))
-    store.follow(Stepping.FOLLOWS, stepping.take, check_filters)
-    store.follow(Stepping.FOLLOWS, engine.take)
+    store.follow(StepRunner.FOLLOWS, stepping.take, check_filters)
+    store.follow(StepRunner.FOLLOWS, engine.take)
     return stepping, store, sonar_map, engine
 
 
-def step_on(stepping: Stepping, engine: Engine, *pings: Ping) -> None:
+def step_on(stepping: StepRunner, engine: SessionDecoder, *pings: Ping) -> None:
     for ping in pings:
         engine.offer(ping, None, None)
     for settled in engine.end():
-        assert isinstance(settled, Settled)
+        assert isinstance(settled, PosedPing)
         stepping.step(settled.ping, settled.pose)
 
 

@@ -10,8 +10,8 @@ from mapperd.config.tree import Config, Mapping, Mounting, Octree, Orientation, 
 from mapperd.errors import ReplayError
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.pipeline.counters import ReplayCounters
-from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses, PoseSource
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses, PoseLookup
 from mapperd.session.replay import Replay, Window
 from oculus_driver.recording import open_recording
 
@@ -30,8 +30,8 @@ def replayed(
     path: Path,
     config: Config = COARSE,
     window: Window | None = None,
-    poses: PoseSource | None = None,
-) -> tuple[ReplayCounters, SonarMap]:
+    poses: PoseLookup | None = None,
+) -> tuple[PipelineCounters, SonarMap]:
     sonar_map = SonarMap(config)
     source = OdometryPoses(config) if poses is None else poses
     replay = Replay(sonar_map, source, window or Window(), lambda: 0.0)
@@ -205,7 +205,7 @@ def test_raw_stream_needs_only_a_pose(tmp_path: Path, ping_bytes: PingBytes) -> 
 
 
 def test_times_of_the_step_are_summed_up() -> None:
-    counters = ReplayCounters()
+    counters = PipelineCounters()
     assert counters.ms_per_ping() == {"p50": 0.0, "p95": 0.0, "max": 0.0}
     for seconds in (0.001, 0.002, 0.009):
         counters.took(seconds)

@@ -13,7 +13,7 @@ from mapperd.config.tree import Config
 from mapperd.errors import Reject
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.fusion import FusedPose
-from mapperd.pipeline.counters import ReplayCounters
+from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.pose_lookup import OdometryPoses, ping_time_ns
 from mapperd.session.replay import Replay, Window
 from oculus_driver.ping import Ping
@@ -43,10 +43,10 @@ class Watched(OdometryPoses):
         super().__init__(config)
         self.given: list[tuple[float, FusedPose | Reject]] = []
 
-    def settled(
+    def resolved(
         self, now_ns: int | None, *, final: bool = False
     ) -> Iterator[tuple[Ping, FusedPose | Reject]]:
-        for ping, pose in super().settled(now_ns, final=final):
+        for ping, pose in super().resolved(now_ns, final=final):
             t_ns = ping_time_ns(ping)
             assert t_ns is not None
             self.given.append(((t_ns - T0) / S, pose))
@@ -98,7 +98,7 @@ def record_dive(
                 writer.write(links[name], data, T0 + round(t_s * S))
 
 
-def replayed(path: Path, config: Config) -> tuple[ReplayCounters, Watched]:
+def replayed(path: Path, config: Config) -> tuple[PipelineCounters, Watched]:
     sonar_map, poses = SonarMap(config), Watched(config)
     replay = Replay(sonar_map, poses, Window(), lambda: 0.0)
     with open_recording(path) as recording:

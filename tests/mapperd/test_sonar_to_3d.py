@@ -10,7 +10,7 @@ from mapperd import SonarTo3DMapper
 from mapperd.config.tree import Sonar
 from mapperd.errors import ConfigError, ExportError, MapError
 from mapperd.geometry.frames import Pose
-from mapperd.imaging.ping_image import Echo, echo_of_image, uniform_bearings
+from mapperd.imaging.ping_image import PingImage, ping_image_of_array, uniform_bearings
 from mapperd.mapping.queries import FREE, OCCUPIED
 from mapperd.mapping.sonar_map import SonarMap
 
@@ -35,7 +35,7 @@ def mapped(config: dict[str, Any] | None = None, times: int = 1) -> SonarTo3DMap
 def test_image_becomes_voxels_as_the_map_itself_would() -> None:
     mapper = mapped(times=3)
     reference = SonarMap(mapper.config)
-    echo = Echo(wall().astype(np.float32), uniform_bearings(65, mapper.config.sonar), 0.1)
+    echo = PingImage(wall().astype(np.float32), uniform_bearings(65, mapper.config.sonar), 0.1)
     for _ in range(3):
         reference.integrate(echo, np.eye(4) @ reference.base_T_sonar)
     cloud, occupied = mapper.get_point_cloud(), reference.voxels("occupied")
@@ -74,7 +74,7 @@ def test_quaternion_is_xyzw_and_turns_the_map() -> None:
     mapper.process_sonar_image(wall(), [10, 0, 0], [0, 0, half, half], max_range=5.0)  # to port
     pose = Pose(np.array([10.0, 0, 0]), np.array([half, 0, 0, half]))
     reference = SonarMap(mapper.config)
-    echo = echo_of_image(wall(), 5.0, None, mapper.config.sonar)
+    echo = ping_image_of_array(wall(), 5.0, None, mapper.config.sonar)
     reference.integrate(echo, pose.map_T_base @ reference.base_T_sonar)
     assert (mapper.get_point_cloud()["points"] == reference.voxels("occupied").centres_m).all()
     assert mapper.get_point_cloud()["points"][:, 1].min() > 0

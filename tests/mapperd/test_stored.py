@@ -14,14 +14,14 @@ from mapperd.errors import StoreError
 from mapperd.events import EventLog
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.records import GeoPoint, Odometry
-from mapperd.pipeline.counters import ReplayCounters
-from mapperd.pipeline.decoder import Engine
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.decoder import SessionDecoder
 from mapperd.pipeline.pose_lookup import OdometryPoses
-from mapperd.pipeline.step import Stepping
+from mapperd.pipeline.step import StepRunner
 from mapperd.session.startup import open_map
-from mapperd.session.store_session import Stored
+from mapperd.session.store_session import SqlitePersistence
 from mapperd.session_log import Reset
-from mapperd.store.position import Place, Position, position_in
+from mapperd.store.position import Position, RecordingOffset, position_in
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
 
@@ -36,10 +36,10 @@ class Recording:
         self.newest = self.written = 0
         self.patience_s = 0.0
 
-    def place_of(self, number: int) -> Place | None:
+    def place_of(self, number: int) -> RecordingOffset | None:
         if number == 0:
-            return Place()
-        return Place(3, number) if number <= self.written else None
+            return RecordingOffset()
+        return RecordingOffset(3, number) if number <= self.written else None
 
     def wait_for(self, number: int, timeout_s: float) -> bool:
         self.patience_s = timeout_s
@@ -56,10 +56,12 @@ class Session:
         self.troubles: list[str | None] = []
         sonar_map = SonarMap(CONFIG)
         self.store = TileStore(path, sonar_map, tile_size_m=10, cache_tiles=4)
-        counters = ReplayCounters()
-        self.engine = Engine(CONFIG, OdometryPoses(CONFIG), counters, confirm=False, obey=True)
-        self.stepping = Stepping(sonar_map, time.perf_counter, counters)
-        self.keep = Stored(
+        counters = PipelineCounters()
+        self.engine = SessionDecoder(
+            CONFIG, OdometryPoses(CONFIG), counters, confirm=False, obey=True
+        )
+        self.stepping = StepRunner(sonar_map, time.perf_counter, counters)
+        self.keep = SqlitePersistence(
             self.store,
             sonar_map,
             "now",
@@ -94,7 +96,7 @@ def checkpoint(session: Session, number: int, waiting: int) -> None:
 def test_a_session_is_in_the_file_from_its_beginning(session: Session) -> None:
     position = session.position()
     assert (position.session, position.sessions) == ("now", ("before", "now"))
-    assert (position.whole, position.place, position.done) == (False, Place(), 0)
+    assert (position.whole, position.place, position.done) == (False, RecordingOffset(), 0)
 
 
 def test_nothing_is_saved_that_is_not_recorded(session: Session) -> None:
@@ -119,11 +121,11 @@ def test_a_checkpoint_counts_once_the_work_before_it_is_done(session: Session) -
     checkpoint(session, 12, 2)
     session.keep.done(WORK)
     session.store.save()
-    assert (session.position().place, session.position().done) == (Place(), 2)
+    assert (session.position().place, session.position().done) == (RecordingOffset(), 2)
     session.keep.done(WORK)
     session.store.save()
     position = session.position()
-    assert (position.place, position.done) == (Place(3, 12), 0)
+    assert (position.place, position.done) == (RecordingOffset(3, 12), 0)
     session.keep.done(WORK)
     session.store.save()
     assert session.position().done == 1

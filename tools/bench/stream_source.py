@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from mapperd.config.loader import load_config
 from mapperd.config.tree import Config
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.pipeline.persistence import InMemory
+from mapperd.pipeline.persistence import MemoryPersistence
 from mapperd.pipeline.pose_lookup import OdometryPoses
 from mapperd.server.map_source import MapSource
 from mapperd.server.subscription import Subscription
@@ -110,7 +110,7 @@ def dive(
     period_ns = round(1e9 / rate_hz)
     watched, changes = [], []
     for step in steps:
-        source = MapSource(sonar_map, InMemory(sonar_map), log_odds_step=step)
+        source = MapSource(sonar_map, MemoryPersistence(sonar_map), log_odds_step=step)
         first, *others = [source.subscribe(Interest()) for _ in range(clients)]
         watched.append(Watched(source, first, others))
         changes.append(Changes(step))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mapperd.config.tree import Config, Octree
 from mapperd.geometry.frames import pose_from_rpy
-from mapperd.imaging.ping_image import Echo
+from mapperd.imaging.ping_image import PingImage
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.tile_store import TileStore
 
@@ -51,14 +51,14 @@ class Times:
         )
 
 
-def echo_of(number: int, range_m: float) -> Echo:
+def echo_of(number: int, range_m: float) -> PingImage:
     """A flat seabed at 0.6 of the range, in noise."""
     noise = np.random.default_rng(number).integers(0, 30, (ROWS, BEAMS))
     bearings = np.arcsin(np.linspace(-1, 1, BEAMS) * np.sin(np.radians(65)))
     first = 0.6 / np.cos(bearings) * ROWS
     row = np.arange(ROWS)[:, None]
     image = np.where((row >= first) & (row < first + 6), 180, noise).astype(np.float32)
-    return Echo(image, bearings, range_m / ROWS)
+    return PingImage(image, bearings, range_m / ROWS)
 
 
 def pose_of(distance_m: float) -> NDArray[np.float64]:

@@ -28,7 +28,7 @@ __all__ = [
 
 SIX = 6
 LEVELS = range(4)
-MOST = 1e6
+MAX = 1e6
 HELP_FORMATS = "the suffix says the format: docs/export.md"
 
 
@@ -154,7 +154,7 @@ def _six(text: str, names: str) -> tuple[float, ...]:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
         values = ()
-    if len(values) != SIX or not all(abs(value) <= MOST for value in values):
+    if len(values) != SIX or not all(abs(value) <= MAX for value in values):
         raise argparse.ArgumentTypeError(f"{text!r}: {names} were expected")
     return values
 
@@ -172,7 +172,7 @@ def _positive(text: str, unit: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not 0 <= value <= MOST:
+    if not 0 <= value <= MAX:
         raise argparse.ArgumentTypeError(f"{text!r}: {unit} were expected")
     return value
 
@@ -187,8 +187,8 @@ def _probability(text: str) -> float:
     return value
 
 
-MOST_S = 1e9
-MOST_M = 1e6
+MAX_S = 1e9
+MAX_M = 1e6
 
 
 def add_foxglove(command: argparse.ArgumentParser) -> None:
@@ -257,11 +257,11 @@ def _port(text: str) -> int:
 
 
 def _duration(text: str) -> float:
-    return _number_between(text, 0.001, MOST_S, "seconds were")
+    return _number_between(text, 0.001, MAX_S, "seconds were")
 
 
 def _radius(text: str) -> float:
-    return _number_between(text, 0.0, MOST_M, "metres were")
+    return _number_between(text, 0.0, MAX_M, "metres were")
 
 
 def _number_between(text: str, least: float, most: float, what: str) -> float:
@@ -274,7 +274,7 @@ def _number_between(text: str, least: float, most: float, what: str) -> float:
     return value
 
 
-MOST_DEG = 3600.0
+MAX_DEG = 3600.0
 ENTRIES = 6
 
 Add = Callable[..., argparse.ArgumentParser]
@@ -342,19 +342,19 @@ def _add_pose(command: argparse.ArgumentParser, nargs: Literal["?"] | None = Non
 
 
 def _coordinate(text: str) -> float:
-    return _number(text, -MOST_M, MOST_M, "m")
+    return _number(text, -MAX_M, MAX_M, "m")
 
 
 def _degrees(text: str) -> float:
-    return _number(text, -MOST_DEG, MOST_DEG, "degrees")
+    return _number(text, -MAX_DEG, MAX_DEG, "degrees")
 
 
 def _deviation_m(text: str) -> float:
-    return _number(text, 0.0, MOST_M, "m")
+    return _number(text, 0.0, MAX_M, "m")
 
 
 def _deviation_deg(text: str) -> float:
-    return _number(text, 0.0, MOST_DEG, "degrees")
+    return _number(text, 0.0, MAX_DEG, "degrees")
 
 
 def _number(text: str, least: float, most: float, unit: str) -> float:

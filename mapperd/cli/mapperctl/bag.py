@@ -20,9 +20,9 @@ from mapperd.geometry.frames import (
 )
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.fusion import FusedPose
-from mapperd.pipeline.counters import ReplayCounters
-from mapperd.pipeline.decoder import Settled
-from mapperd.pipeline.executor import Treated
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.decoder import PosedPing
+from mapperd.pipeline.executor import PingResult
 from mapperd.session.recordings import RecordedSession, files_in, sessions_of
 from mapperd.session.replay import Run, Window, as_asked, as_recorded, not_empty
 from mapperd.store.map_files import map_in
@@ -94,7 +94,7 @@ def _run(
 
 
 def _mapped(runs: Sequence[Run], sonar_map: SonarMap, teller: "_Teller") -> None:
-    counters = ReplayCounters()
+    counters = PipelineCounters()
     size_bytes = sum(run.session.size_bytes for run in runs)
     bar = ProgressBar(sys.stderr, time.perf_counter)
     done_bytes = 0
@@ -136,7 +136,7 @@ class _Teller:
         self._cloud_ns: int | None = None
         self._mounting: Pose | None = None
 
-    def ping(self, settled: Settled) -> None:
+    def ping(self, settled: PosedPing) -> None:
         """Tell its image, whatever becomes of it."""
         if settled.t_ns is None:
             self.unstamped += 1
@@ -144,7 +144,7 @@ class _Teller:
         self._newest_ns = max(self._newest_ns or 0, settled.t_ns)
         self._bag.image(settled.t_ns, settled.ping.image)
 
-    def placed(self, treated: Treated) -> None:
+    def placed(self, treated: PingResult) -> None:
         """Tell where the vehicle was, and where the map has that."""
         t_ns, odometry = treated.settled.t_ns, treated.settled.pose
         if t_ns is None:
@@ -164,7 +164,7 @@ class _Teller:
             self._bag.cloud(self._newest_ns, self._map)
             self._bag.grid(self._newest_ns, self._map)
 
-    def _tell_pose(self, t_ns: int, odometry: FusedPose, treated: Treated) -> None:
+    def _tell_pose(self, t_ns: int, odometry: FusedPose, treated: PingResult) -> None:
         frames, odom = self._bag.config.frames, self._bag.config.amcl.odom_frame_id
         turned = [Turned(odom, frames.base, odometry.pose)]
         if isinstance(treated.pose, FusedPose):

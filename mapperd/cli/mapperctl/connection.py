@@ -17,7 +17,7 @@ from mapperd.wire.control_messages import VERSION
 __all__ = ["Connection", "Target"]
 
 CONNECT_S = 5.0
-MOST_BYTES = 16 << 20
+MAX_BYTES = 16 << 20
 """Of one line; the daemon's longest are a tenth of a MiB."""
 
 REASONS: Mapping[str, Exit] = MappingProxyType(
@@ -138,7 +138,7 @@ class Connection:
 
     def _hear(self) -> dict[str, Any]:
         with self._translated():
-            line = self._lines.readline(MOST_BYTES)
+            line = self._lines.readline(MAX_BYTES)
         if not line:
             raise CtlError(f"{self._target}: the daemon hung up", Exit.UNAVAILABLE)
         try:

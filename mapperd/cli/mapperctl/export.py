@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TextIO
 
 from mapperd.cli.mapperctl.errors import CtlError, Exit, plain, refused
-from mapperd.cli.mapperctl.map_output import Made, check_suffix, make_files, origin_among
+from mapperd.cli.mapperctl.map_output import MapOutput, check_suffix, make_files, origin_among
 from mapperd.client import (
     Box,
     Interest,
@@ -77,7 +77,7 @@ def run_export(
         )
         if said.file.suffix == MCAP:
             asyncio.run(_recorded(client, said.file, said.timeout or None))
-            made = Made({str(said.file): said.file.stat().st_size})
+            made = MapOutput({str(said.file): said.file.stat().st_size})
         else:
             asyncio.run(_followed(client, said.timeout or None))
             made = _made(client, said, config, calibration)
@@ -109,7 +109,7 @@ def _box(corners: tuple[float, ...] | None) -> Box | None:
 
 def _made(
     client: MapClient, said: argparse.Namespace, config: Config, calibration: Calibration | None
-) -> Made:
+) -> MapOutput:
     mirror = client.mirror
     if mirror is None:
         raise CtlError("the daemon told no map", Exit.PROTOCOL)

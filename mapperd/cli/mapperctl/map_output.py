@@ -13,11 +13,11 @@ from mapperd.export.formats import FORMATS, crs_of, write_map
 from mapperd.geometry.geodesy import Origin
 from mapperd.mapping.sonar_map import SonarMap
 
-__all__ = ["Made", "check_suffix", "make_files", "origin_among"]
+__all__ = ["MapOutput", "check_suffix", "make_files", "origin_among"]
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class MapOutput:
     """Files that were written.
 
     Attributes:
@@ -57,7 +57,7 @@ def check_suffix(path: Path, others: tuple[str, ...] = ()) -> None:
 
 def make_files(
     sonar_map: SonarMap, path: Path, origin: Origin | None, calibration: Calibration | None = None
-) -> Made:
+) -> MapOutput:
     """Write a map, with the heights of its settings.
 
     Raises:
@@ -66,7 +66,7 @@ def make_files(
     heights = sonar_map.config.export
     window = Heights(heights.min_z, heights.max_z)
     files = write_map(sonar_map, path, window, origin, calibration)
-    return Made({str(file): file.stat().st_size for file in files}, crs_of(path, origin))
+    return MapOutput({str(file): file.stat().st_size for file in files}, crs_of(path, origin))
 
 
 def origin_among(asked: Origin | None, said: Origin | None, config: Config) -> Origin | None:

@@ -2,6 +2,7 @@
 
 import random
 from collections import Counter, deque
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -12,6 +13,8 @@ from mapperd.errors import CheckpointError
 from mapperd.odometry.fusion import Fusion
 from mapperd.odometry.records import Odometry
 from mapperd.odometry.series import Sample, Series
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.decoder import SessionDecoder
 from mapperd.pipeline.pose_lookup import OdometryPoses
 from mapperd.store.checkpoint_reader import overlay
 from mapperd.store.checkpoint_writer import written
@@ -133,3 +136,27 @@ def test_damaged_bytes_are_refused_or_change_values_only() -> None:
             overlay(bytes(bad), OdometryPoses(Config()))
         except CheckpointError:
             continue
+
+
+FORMER = {
+    "mapperd.config.tree:Config": "mapperd.config:Config",
+    "mapperd.pipeline.decoder:PingStream": "mapperd.ping_stream:PingStream",
+    "mapperd.pipeline.decoder:SessionDecoder": "mapperd.engine:Engine",
+    "mapperd.pipeline.pose_lookup:OdometryPoses": "mapperd.pairing:OdometryPoses",
+}
+
+
+def test_former_names_of_classes_are_read() -> None:
+    def decoder() -> SessionDecoder:
+        poses = OdometryPoses(Config())
+        return SessionDecoder(Config(), poses, PipelineCounters(), confirm=False, obey=True)
+
+    def formerly(value: Any) -> Any:
+        if isinstance(value, list):
+            return [formerly(one) for one in value]
+        return FORMER.get(value, value) if isinstance(value, str) else value
+
+    now = written(decoder())
+    former = msgspec.msgpack.encode(formerly(msgspec.msgpack.decode(now)))
+    assert all(name.encode() in former for name in FORMER.values())
+    assert written(*overlay(former, decoder())) == now

@@ -10,8 +10,8 @@ from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.odometry.bridge import ENCODING_PREFIX, OdometryBridge
 from mapperd.odometry.fusion import FusedPose
-from mapperd.pipeline.counters import ReplayCounters
-from mapperd.pipeline.decoder import Engine, PingStream
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.decoder import PingStream, SessionDecoder
 from mapperd.pipeline.pose_lookup import OdometryPoses, ping_time_ns
 from mapperd.store.checkpoint_reader import overlay
 from mapperd.store.checkpoint_writer import written
@@ -57,7 +57,7 @@ class Estimators:
         return self.settled(chunk.arrival_ns)
 
     def settled(self, now_ns: int | None, *, final: bool = False) -> list[Any]:
-        return [bits(*pair) for pair in self.poses.settled(now_ns, final=final)]
+        return [bits(*pair) for pair in self.poses.resolved(now_ns, final=final)]
 
     def rest(self, chunks: Iterable[Chunk]) -> list[Any]:
         out = [one for chunk in chunks for one in self.take(chunk)]
@@ -113,11 +113,11 @@ def test_the_whole_engine_with_the_sonars_clock_and_every_third_ping() -> None:
     config = config_from_text("processing: {frame_skip: 3}")
     chunks = chunks_of("native")
 
-    def engine_of() -> Engine:
+    def engine_of() -> SessionDecoder:
         poses = OdometryPoses(config)
-        return Engine(config, poses, ReplayCounters(), confirm=False, obey=True)
+        return SessionDecoder(config, poses, PipelineCounters(), confirm=False, obey=True)
 
-    def works(engine: Engine, some: Iterable[Chunk]) -> list[Any]:
+    def works(engine: SessionDecoder, some: Iterable[Chunk]) -> list[Any]:
         settled: list[Any] = [work for chunk in some for work in engine.feed(chunk)] + engine.end()
         placed = [clock.placed for clock in engine.clocks.values()]
         return [(one.number, one.complete_ns, bits(one.ping, one.pose)) for one in settled] + placed

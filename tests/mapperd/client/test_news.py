@@ -14,7 +14,7 @@ from mapperd.client.changes import ClientChange
 from mapperd.client.validation import floats_of
 from mapperd.events import Severity
 from mapperd.localization.status import LocalizationFacts
-from mapperd.server.listeners import open_unix_door
+from mapperd.server.listeners import open_unix_listener
 from mapperd.server.state_feed import Feed
 from mapperd.server.stream_server import StreamServer
 from mapperd.wire.messages import Event, Localization, Robots, Want
@@ -54,7 +54,7 @@ async def telling(folder: Path, *wants: Want) -> AsyncIterator[Told]:
     feed = Feed(daemon, lambda: known, 100)  # type: ignore[arg-type,return-value]
     path = folder / "map.sock"
     async with (
-        StreamServer(daemon, [open_unix_door(path, 0o600)], feed, PlainSource()),
+        StreamServer(daemon, [open_unix_listener(path, 0o600)], feed, PlainSource()),
         MapClient(str(path), wants=wants) as client,
     ):
         while client.link.state != "connected":  # noqa: ASYNC110 of another task

@@ -135,7 +135,7 @@ def test_waiting_events_are_bounded_by_their_bytes() -> None:
         event = {"number": number, "facts": "x" * 100_000}
         reader.knowledge.take(Event(event=event))
         waiting = [(size, event) for event, size in reader.pending._events]
-        assert sum(size for size, _ in waiting) <= module.MOST_EVENT_BYTES
+        assert sum(size for size, _ in waiting) <= module.MAX_EVENT_BYTES
         assert len(waiting) == min(number, 10)
     taken = [one for one in reader.take_all() if isinstance(one, Event)]
     assert [one.event["number"] for one in taken] == [*range(31, 41)]

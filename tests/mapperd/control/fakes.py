@@ -19,14 +19,14 @@ from mapperd.config.live import ConfigStore
 from mapperd.config.tree import Config
 from mapperd.events import EventLog
 from mapperd.server.control_server import ControlServer
-from mapperd.server.listeners import Door, open_tcp_door, open_unix_door
+from mapperd.server.listeners import Listener, open_tcp_listener, open_unix_listener
 from mapperd.wire.auth import Limits
 
 TOKEN = b"correct-horse-battery-staple"
 
 
 class FakeDaemon:
-    """Obeys `mapperd.api.Operations`; `fault` is raised by whatever is asked next."""
+    """Obeys `mapperd.api.DaemonApi`; `fault` is raised by whatever is asked next."""
 
     def __init__(self, config: Config | None = None) -> None:
         self.settings = ConfigStore(Layered(config or Config()))
@@ -96,7 +96,7 @@ class Served:
 
     daemon: FakeDaemon
     server: ControlServer
-    doors: dict[str, Door]
+    doors: dict[str, Listener]
     trusted: ssl.SSLContext | None = None
 
     @property
@@ -192,11 +192,11 @@ async def served(
     tls: tuple[ssl.SSLContext, ssl.SSLContext] | None = None,
 ) -> AsyncIterator[Served]:
     daemon = FakeDaemon()
-    doors = {"unix": open_unix_door(folder / "mapperd.sock", 0o660)}
+    doors = {"unix": open_unix_listener(folder / "mapperd.sock", 0o660)}
     if "tcp" in kinds:
-        doors["tcp"] = open_tcp_door("127.0.0.1:0", TOKEN, None)
+        doors["tcp"] = open_tcp_listener("127.0.0.1:0", TOKEN, None)
     if tls is not None:
-        doors["tls"] = open_tcp_door("127.0.0.1:0", TOKEN, tls[0])
+        doors["tls"] = open_tcp_listener("127.0.0.1:0", TOKEN, tls[0])
     server = ControlServer(daemon, list(doors.values()), limits)
     async with server:
         yield Served(daemon, server, doors, tls[1] if tls else None)

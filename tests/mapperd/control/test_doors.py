@@ -15,7 +15,7 @@ from mapperd.config.tree import Config, Control, Service
 from mapperd.daemon.servers import control_server
 from mapperd.errors import ConfigError, LiveError
 from mapperd.events import Severity
-from mapperd.server.listeners import address_of, open_tcp_door, open_unix_door, server_tls
+from mapperd.server.listeners import address_of, open_tcp_listener, open_unix_listener, server_tls
 from mapperd.wire.auth import CREDENTIAL, read_token, token_file
 from mapperd.wire.socket_paths import socket_path, socket_places
 from tests.mapperd.control.fakes import TOKEN, FakeDaemon, is_listening
@@ -25,7 +25,7 @@ from tests.mapperd.control.fakes import TOKEN, FakeDaemon, is_listening
 def test_socket_has_its_permissions_whatever_the_umask(short: Path, mode: int) -> None:
     before = os.umask(0)
     try:
-        door = open_unix_door(short / "sock", mode)
+        door = open_unix_listener(short / "sock", mode)
         assert os.umask(0) == 0
     finally:
         os.umask(before)
@@ -39,21 +39,21 @@ def test_socket_of_a_dead_process_is_replaced(short: Path) -> None:
     path = short / "sock"
     code = (
         "import sys, os; from pathlib import Path; "
-        "from mapperd.server.listeners import open_unix_door; "
-        "open_unix_door(Path(sys.argv[1]), 0o600); os._exit(9)"
+        "from mapperd.server.listeners import open_unix_listener; "
+        "open_unix_listener(Path(sys.argv[1]), 0o600); os._exit(9)"
     )
     subprocess.run([sys.executable, "-c", code, path], check=False, timeout=60)  # noqa: S603
     assert path.is_socket()
     assert not is_listening(path)
-    door = open_unix_door(path, 0o600)
+    door = open_unix_listener(path, 0o600)
     assert is_listening(path)
     door.close()
 
 
 def test_living_daemon_keeps_its_socket(short: Path) -> None:
-    door = open_unix_door(short / "sock", 0o600)
+    door = open_unix_listener(short / "sock", 0o600)
     with pytest.raises(LiveError, match="another process listens there"):
-        open_unix_door(short / "sock", 0o600)
+        open_unix_listener(short / "sock", 0o600)
     assert is_listening(short / "sock")
     door.close()
 
@@ -63,7 +63,7 @@ def test_another_program_keeps_its_socket_even_without_a_lock(short: Path) -> No
         other.bind(str(short / "sock"))
         other.listen()
         with pytest.raises(LiveError, match="another process listens there"):
-            open_unix_door(short / "sock", 0o600)
+            open_unix_listener(short / "sock", 0o600)
         assert is_listening(short / "sock")
 
 
@@ -71,9 +71,9 @@ def test_two_that_start_at_once_do_not_take_it_from_each_other(short: Path) -> N
     with (short / ".sock.lock").open("w") as other:  # it looks whether the place is free
         fcntl.flock(other, fcntl.LOCK_EX)
         with pytest.raises(LiveError, match="another process listens there"):
-            open_unix_door(short / "sock", 0o600)
+            open_unix_listener(short / "sock", 0o600)
         assert not (short / "sock").exists()
-    open_unix_door(short / "sock", 0o600).close()
+    open_unix_listener(short / "sock", 0o600).close()
 
 
 @pytest.mark.parametrize("kind", ["file", "folder", "link"])
@@ -86,17 +86,17 @@ def test_what_is_no_socket_is_left_alone(short: Path, kind: str) -> None:
     else:
         path.symlink_to("/etc/passwd")
     with pytest.raises(LiveError, match="something is there that is no socket"):
-        open_unix_door(path, 0o600)
+        open_unix_listener(path, 0o600)
     assert path.is_symlink() == (kind == "link")
     assert sorted(one.name for one in short.iterdir()) == [".sock.lock", "sock"]
 
 
 def test_socket_that_was_replaced_is_not_removed(short: Path) -> None:
     path = short / "sock"
-    door = open_unix_door(path, 0o600)
+    door = open_unix_listener(path, 0o600)
     path.unlink()
     (short / ".sock.lock").unlink()
-    other = open_unix_door(path, 0o600)
+    other = open_unix_listener(path, 0o600)
     door.close()
     assert is_listening(path)
     other.close()
@@ -105,16 +105,16 @@ def test_socket_that_was_replaced_is_not_removed(short: Path) -> None:
 @pytest.mark.parametrize("path", ["/proc/none/sock", "/" + "x" * 200])
 def test_socket_that_cannot_be_is_one_line(path: str) -> None:
     with pytest.raises(LiveError, match="cannot be listened at") as caught:
-        open_unix_door(Path(path), 0o600)
+        open_unix_listener(Path(path), 0o600)
     assert str(caught.value).isprintable()
 
 
 def test_address_in_use_is_one_line() -> None:
-    door = open_tcp_door("127.0.0.1:0", TOKEN, None)
+    door = open_tcp_listener("127.0.0.1:0", TOKEN, None)
     port = door.socket.getsockname()[1]
     assert door.name == f"tcp 127.0.0.1:{port}"
     with pytest.raises(LiveError, match="in use"):
-        open_tcp_door(f"127.0.0.1:{port}", TOKEN, None)
+        open_tcp_listener(f"127.0.0.1:{port}", TOKEN, None)
     door.close()
 
 

@@ -11,12 +11,12 @@ import numpy as np
 
 from mapperd.config.loader import config_from_text
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.pipeline.counters import ReplayCounters
-from mapperd.pipeline.decoder import Engine
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.decoder import SessionDecoder
 from mapperd.pipeline.pose_lookup import OdometryPoses
 from mapperd.session.recordings import Tail
 from mapperd.session.recovery import Going, go_on
-from mapperd.store.position import Place
+from mapperd.store.position import RecordingOffset
 from mapperd.store.tile_store import TileStore
 from oculus_driver.recording import OCULUS, Chunk
 from tests.mapperd.conftest import START_NS, make_odometry, make_ping
@@ -39,7 +39,7 @@ class Round(Tail):
     """A vehicle that goes round and round, ten pings a second, with fifty records between."""
 
     def __init__(self) -> None:
-        super().__init__({}, Place())
+        super().__init__({}, RecordingOffset())
         image = np.zeros((20, 9), dtype=np.uint8)
         image[15:17] = 200
         small = {"image": image, "bearings_cdeg": np.arange(-2000, 2001, 500, dtype=np.int16)}
@@ -53,7 +53,7 @@ class Round(Tail):
             for k in range(5):
                 record = make_odometry(p=(0.3 * x, y, 0.0), t=t_ns + k * S // 50, clk="unix")
                 yield Chunk("vehicle", "odometry-native", t_ns + k * S // 50, record)
-            self.place = Place(1, ping)
+            self.place = RecordingOffset(1, ping)
             yield Chunk("sonar", OCULUS, t_ns + S // 20, self._pings[at])
 
 
@@ -67,8 +67,8 @@ def open_files() -> int:
 
 
 def test_nothing_grows_however_long_the_dive_is(tmp_path: Path) -> None:
-    sonar_map, counters = SonarMap(CONFIG), ReplayCounters()
-    engine = Engine(CONFIG, OdometryPoses(CONFIG), counters, confirm=False, obey=True)
+    sonar_map, counters = SonarMap(CONFIG), PipelineCounters()
+    engine = SessionDecoder(CONFIG, OdometryPoses(CONFIG), counters, confirm=False, obey=True)
     warm_files = 0
     most_bytes = [0] * 10  # in each tenth of the dive
     with TileStore(tmp_path / "dive.map", sonar_map, tile_size_m=6.4, cache_tiles=2) as store:

@@ -13,8 +13,8 @@ from mapperd.config.tree import Config
 from mapperd.errors import StoreError
 from mapperd.events import EventLog
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.pipeline.counters import ReplayCounters
-from mapperd.pipeline.decoder import Engine
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.decoder import SessionDecoder
 from mapperd.pipeline.pose_lookup import OdometryPoses
 from mapperd.session.recordings import Tail, files_of
 from mapperd.session.recovery import Going, go_on, map_sessions_again
@@ -32,7 +32,7 @@ from mapperd.session_log import (
     remarks_in,
 )
 from mapperd.store.checkpoint_writer import written
-from mapperd.store.position import Place, Position, position_in
+from mapperd.store.position import Position, RecordingOffset, position_in
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
 from oculus_driver.recording import OCULUS, RecordingWriter
@@ -96,11 +96,13 @@ def mapped(config: Config, session: str, *, chunks: int | None = None, save_at: 
     )
     position = position_in(store.position)
     before = () if position is None else position.sessions
-    engine = Engine(config, OdometryPoses(config), ReplayCounters(), confirm=False, obey=True)
+    engine = SessionDecoder(
+        config, OdometryPoses(config), PipelineCounters(), confirm=False, obey=True
+    )
     files = files_of(Path(config.recording.folder), session)
     going = Going(store, sonar_map, session, None, before, 3600.0)
-    remarks = remarks_in(Tail(files, Place()))
-    steps = go_on(going, engine, Tail(files, Place()), remarks)
+    remarks = remarks_in(Tail(files, RecordingOffset()))
+    steps = go_on(going, engine, Tail(files, RecordingOffset()), remarks)
     for count, _ in enumerate(steps):
         if count == save_at:
             store.save()

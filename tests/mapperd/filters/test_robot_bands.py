@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mapperd.config.tree import RobotDetection, TerrainDetection
-from mapperd.imaging.robot_bands import MOST_ROBOTS, find_robots, terrain_of
-from mapperd.imaging.robots import MOST_SIGHTINGS, Robot, Sighting, Sightings
+from mapperd.imaging.robot_bands import MAX_ROBOTS, find_robots, terrain_of
+from mapperd.imaging.robots import MAX_SIGHTINGS, Robot, Sighting, Sightings
 
 BEARINGS = np.linspace(-1.0, 1.0, 101)
 ROBOTS = RobotDetection(enabled=True)
@@ -56,9 +56,9 @@ def test_largest_come_first_and_no_more_than_the_bound() -> None:
     image[::4, ::4] = 200
     image[2:4, 2:4] = 200
     robots = find_robots(image, BEARINGS, 0.1, RobotDetection(min_samples=1))
-    assert len(robots) == MOST_ROBOTS
+    assert len(robots) == MAX_ROBOTS
     assert robots[0].samples > 1
-    assert [robot.samples for robot in robots[1:]] == [1] * (MOST_ROBOTS - 1)
+    assert [robot.samples for robot in robots[1:]] == [1] * (MAX_ROBOTS - 1)
 
 
 def test_no_robot_in_empty_water() -> None:
@@ -119,6 +119,6 @@ def test_clock_set_back_leaves_no_sighting_for_ever() -> None:
 
 def test_memory_is_bounded_and_says_what_it_lost() -> None:
     sightings = Sightings()
-    sightings.add(sighting(k * 1e-3) for k in range(MOST_SIGHTINGS + 10))
-    assert len(sightings.since(round(4e9), 10)) == MOST_SIGHTINGS
+    sightings.add(sighting(k * 1e-3) for k in range(MAX_SIGHTINGS + 10))
+    assert len(sightings.since(round(4e9), 10)) == MAX_SIGHTINGS
     assert sightings.crowded_out == 10

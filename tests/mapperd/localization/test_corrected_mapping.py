@@ -10,7 +10,7 @@ import pytest
 
 from mapperd.config.loader import config_from_text
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.pipeline.counters import ReplayCounters
+from mapperd.pipeline.counters import PipelineCounters
 from mapperd.session.replay_to_store import map_into_store
 from mapperd.store.position import position_in
 from mapperd.store.reader import StoreReader
@@ -144,7 +144,7 @@ def test_map_after_interruptions_is_that_of_the_whole(tmp_path: Path, recording:
     while cuts < 12:
         left = chance.randrange(5, 60)
 
-        def cut(_: ReplayCounters) -> None:
+        def cut(_: PipelineCounters) -> None:
             nonlocal left
             left -= 1
             if left == 0:

@@ -5,13 +5,15 @@ import numpy as np
 import pytest
 
 from mapperd.config.tree import ScanExtraction
-from mapperd.imaging.ping_image import Echo
+from mapperd.imaging.ping_image import PingImage
 from mapperd.localization.detector import FirstReturns, Limits, equalised, first_returns, levels_db
 
 ROW_M = 0.02
 
 
-def found(echo: Echo, least_m: float = 0.5, most_m: float = 10.0, **changes: Any) -> FirstReturns:
+def found(
+    echo: PingImage, least_m: float = 0.5, most_m: float = 10.0, **changes: Any
+) -> FirstReturns:
     settings = msgspec.structs.replace(ScanExtraction(), **changes)
     levels = equalised(levels_db(echo.intensity), echo.range_resolution_m)
     return first_returns(levels, echo, Limits(least_m, most_m, echo.range_resolution_m), settings)
@@ -49,7 +51,7 @@ def test_an_echo_shorter_than_the_run_is_none(make_echo: Any) -> None:
     echo = make_echo((5.0, 100, 0, 127))
     image = echo.intensity.copy()
     image[251:256] = 2.0
-    spike = Echo(image, echo.bearings_rad, echo.range_resolution_m)
+    spike = PingImage(image, echo.bearings_rad, echo.range_resolution_m)
     assert np.isnan(found(spike).range_m).mean() > 0.95
     assert found(spike, min_run=1).range_m == pytest.approx(np.full(128, 5.01), abs=ROW_M)
 
@@ -72,7 +74,7 @@ def test_peak_lies_behind_the_edge_of_a_surface_that_rises(make_echo: Any) -> No
         range(250, 260), (30, 40, 60, 80, 100, 130, 150, 100, 60, 20), strict=True
     ):
         image[row] += level
-    slant = Echo(image, echo.bearings_rad, echo.range_resolution_m)
+    slant = PingImage(image, echo.bearings_rad, echo.range_resolution_m)
     edge = np.median(found(slant, beam_width=2.0).range_m)
     peak = np.median(found(slant, beam_width=2.0, place="peak").range_m)
     assert peak == pytest.approx(256.5 * ROW_M, abs=1e-9)
@@ -90,23 +92,23 @@ def test_a_slowly_rising_haze_is_no_surface(make_echo: Any) -> None:
     echo = make_echo(noise=1.0)
     haze = np.linspace(1, 12, 500)[:, None]
     image = np.clip(echo.intensity * haze, 0, 255).astype(np.float32)
-    assert np.isfinite(found(Echo(image, echo.bearings_rad, ROW_M)).range_m).mean() < 0.05
+    assert np.isfinite(found(PingImage(image, echo.bearings_rad, ROW_M)).range_m).mean() < 0.05
 
 
 def test_a_haze_in_few_beams_is_no_surface_and_a_surface_in_it_is(make_echo: Any) -> None:
     echo = make_echo(noise=2.0)
     image = echo.intensity.copy()
     image[:, :20] *= np.linspace(1, 12, 500)[:, None]
-    hazy = Echo(np.clip(image, 0, 255), echo.bearings_rad, ROW_M)
+    hazy = PingImage(np.clip(image, 0, 255), echo.bearings_rad, ROW_M)
     assert np.isfinite(found(hazy).range_m).sum() <= 3
     image[400:404, :20] += 240
-    wall = Echo(np.clip(image, 0, 255), echo.bearings_rad, ROW_M)
+    wall = PingImage(np.clip(image, 0, 255), echo.bearings_rad, ROW_M)
     assert np.nanmedian(found(wall).range_m[:20]) == pytest.approx(8.01, abs=ROW_M)
 
 
 def test_the_guard_keeps_a_surface_that_rises_slowly_out_of_its_background(make_echo: Any) -> None:
     echo, limits = make_echo(), Limits(0.5, 10.0, ROW_M)
-    bright = Echo(np.full(echo.intensity.shape, 50, np.float32), echo.bearings_rad, ROW_M)
+    bright = PingImage(np.full(echo.intensity.shape, 50, np.float32), echo.bearings_rad, ROW_M)
     levels = np.zeros(echo.intensity.shape, np.float32)
     levels[240:280] = 0.7 * np.arange(1, 41)[:, None]
     for guard_m, there in ((ROW_M, False), (5 * ROW_M, True)):
@@ -116,7 +118,7 @@ def test_the_guard_keeps_a_surface_that_rises_slowly_out_of_its_background(make_
 
 def test_what_is_fainter_than_the_noise_is_no_surface(make_echo: Any) -> None:
     echo, limits = make_echo(), Limits(0.5, 10.0, ROW_M)
-    bright = Echo(np.full(echo.intensity.shape, 50, np.float32), echo.bearings_rad, ROW_M)
+    bright = PingImage(np.full(echo.intensity.shape, 50, np.float32), echo.bearings_rad, ROW_M)
     levels = np.full(echo.intensity.shape, -30, np.float32)
     for level_db, there in ((-3.0, False), (40.0, True)):
         levels[250:256] = level_db
@@ -128,7 +130,7 @@ def test_what_is_fainter_than_the_noise_is_no_surface(make_echo: Any) -> None:
 def test_empty_and_full_images_have_no_returns(make_echo: Any, level: float) -> None:
     echo = make_echo()
     image = np.full(echo.intensity.shape, level, dtype=np.float32)
-    assert np.isnan(found(Echo(image, echo.bearings_rad, ROW_M)).range_m).all()
+    assert np.isnan(found(PingImage(image, echo.bearings_rad, ROW_M)).range_m).all()
 
 
 @pytest.mark.parametrize(("rows", "beams"), [(1, 1), (3, 2), (30, 1)])

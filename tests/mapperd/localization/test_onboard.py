@@ -19,8 +19,8 @@ from mapperd.localization.known_map import MAX_SIDE, KnownMap
 from mapperd.localization.map_filter import MapFilter
 from mapperd.localization.models import check_localization
 from mapperd.localization.odom_correction import MapFromOdom, placed
-from mapperd.localization.session import begun, restored_localizing, saved_state
-from mapperd.localization.stage import Onboard
+from mapperd.localization.session import begun, restored_session, saved_state
+from mapperd.localization.stage import LocalizationStage
 from mapperd.localization.status import sample_of
 from mapperd.odometry.fusion import FusedPose
 from mapperd.session_log import InitialPose, NewMap, NoMotionUpdate
@@ -29,7 +29,7 @@ from oculus_driver.stream import StreamParser
 from tests.mapperd.localization.filter_cases import filter_at
 from tests.mapperd.localization.room import Floats, dive, pings, room, settings, write_room
 
-Step = Callable[[Onboard, int], FusedPose | Reject]
+Step = Callable[[LocalizationStage, int], FusedPose | Reject]
 
 
 def fused(at: Floats, velocity: Floats | None = None) -> FusedPose:
@@ -55,13 +55,15 @@ def config(tmp_path: Path) -> Config:
     return config_from_text(settings(write_room(tmp_path), mapping="corrected"))
 
 
-def onboard_of(config: Config) -> Onboard:
+def onboard_of(config: Config) -> LocalizationStage:
     localizing = begun(config)
     assert localizing is not None
     return localizing.onboard
 
 
-def driven(onboard: Onboard, heard: list[Ping], first: int, last: int) -> list[FusedPose | Reject]:
+def driven(
+    onboard: LocalizationStage, heard: list[Ping], first: int, last: int
+) -> list[FusedPose | Reject]:
     track = dive(30).odometry
     return [onboard.place(heard[k], fused(track[k]), k * 200_000_000) for k in range(first, last)]
 
@@ -200,7 +202,7 @@ def test_map_that_cannot_be_had_or_taken_is_refused(config: Config) -> None:
         return KnownMap(path, sha256, GridMap(np.zeros((1, MAX_SIDE + 1), np.int8), 0.1))
 
     for load in (gone, wide):
-        onboard = Onboard(config, KnownMap("room", "", room()), load=load)
+        onboard = LocalizationStage(config, KnownMap("room", "", room()), load=load)
         refused = onboard.ask(NewMap(1, "other.yaml", "0"))
         assert refused is not None
         assert refused.reason == "bad_request"
@@ -224,7 +226,7 @@ def test_restored_one_goes_on_to_the_bit(config: Config, heard: list[Ping]) -> N
     localizing = begun(config)
     assert localizing is not None
     driven(localizing.onboard, heard, 0, 15)
-    again = restored_localizing(config, saved_state(localizing))
+    again = restored_session(config, saved_state(localizing))
     one, other = (driven(onboard, heard, 15, 30) for onboard in (localizing.onboard, again.onboard))
     for here, there in zip(one, other, strict=True):
         assert isinstance(here, FusedPose)
@@ -247,7 +249,7 @@ def test_restored_one_tries_the_same_rival(config: Config, heard: list[Ping]) ->
     while first._filter.rival is None:
         driven(first, heard, begin, begin + 1)
         begin += 1
-    again = restored_localizing(config, saved_state(localizing)).onboard
+    again = restored_session(config, saved_state(localizing)).onboard
     for k in range(begin, 30):
         for onboard in (first, again):
             driven(onboard, heard, k, k + 1)

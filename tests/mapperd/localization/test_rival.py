@@ -10,7 +10,7 @@ from msgspec import structs
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 from mapperd.geometry.gaussian import Belief, PlanarGaussian
-from mapperd.localization.hypothesis import FADE, LONG_ODDS, Rival, same_place
+from mapperd.localization.hypothesis import FADE, LONG_ODDS, AlternativeHypothesis, same_place
 from mapperd.localization.map_filter import MapFilter
 from mapperd.localization.particle_filter import ParticleFilter
 from mapperd.localization.update_gate import PlanarPose
@@ -82,7 +82,7 @@ def cloud_at(x: float, spread_m: float = 0.01) -> ParticleFilter:
 
 
 def test_odds_follow_bayes_and_fade() -> None:
-    rival = Rival(cloud_at(0))
+    rival = AlternativeHypothesis(cloud_at(0))
     assert rival.share == pytest.approx(1e-3, rel=2e-3)
     told = rival.weighed(0.6, 0.2, 6.0)
     assert told.log_odds == pytest.approx((1 - FADE) * LONG_ODDS + 6.0 * math.log(3.0))
@@ -93,10 +93,10 @@ def test_odds_follow_bayes_and_fade() -> None:
 
 
 def test_rival_is_hopeless_only_after_its_trial() -> None:
-    lost = Rival(cloud_at(0), -20.0)
+    lost = AlternativeHypothesis(cloud_at(0), -20.0)
     assert not lost.hopeless
     assert lost.driven(1.1).hopeless
-    assert not Rival(cloud_at(0)).driven(1.1).hopeless
+    assert not AlternativeHypothesis(cloud_at(0)).driven(1.1).hopeless
 
 
 def test_clouds_are_at_the_same_place_if_each_is_at_one() -> None:
@@ -211,6 +211,6 @@ def test_cloud_that_found_itself_by_few_beams_is_not_drawn_anew() -> None:
 
 def test_clouds_that_change_places_keep_their_odds() -> None:
     first, second = ParticleFilter(rule(), 1), ParticleFilter(rule(), 2)
-    changed = Rival(second, 1.25, 7.0).changed(first)
+    changed = AlternativeHypothesis(second, 1.25, 7.0).changed(first)
     assert changed.particles is first
     assert (changed.log_odds, changed.way_m) == (-1.25, 7.0)

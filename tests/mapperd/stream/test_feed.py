@@ -16,10 +16,10 @@ from mapperd.config.tree import Config
 from mapperd.errors import Reject
 from mapperd.geometry.frames import Pose as Place
 from mapperd.geometry.frames import pose_from_rpy, quaternion_to_matrix
-from mapperd.imaging.ping_image import Echo
+from mapperd.imaging.ping_image import PingImage
 from mapperd.odometry.fusion import FusedPose
-from mapperd.pipeline.decoder import Settled
-from mapperd.pipeline.executor import Treated
+from mapperd.pipeline.decoder import PosedPing
+from mapperd.pipeline.executor import PingResult
 from mapperd.pipeline.step import Mapped
 from mapperd.server.state_feed import Feed, SettingLog
 from mapperd.server.state_messages import IMAGE_SIZES, Track, first_returns, image_message
@@ -52,8 +52,8 @@ def fused(x: float, yaw_deg: float = 0.0) -> FusedPose:
     return FusedPose(pose, np.array([1.0, 0, 0]), None, np.eye(6) * 0.04, 0, 0.0)
 
 
-def treated(ping: Ping, pose: FusedPose | Reject, result: Mapped | Reject) -> Treated:
-    return Treated(Settled(0, ping, pose, 2_000, 1_000), pose, result)
+def treated(ping: Ping, pose: FusedPose | Reject, result: Mapped | Reject) -> PingResult:
+    return PingResult(PosedPing(0, ping, pose, 2_000, 1_000), pose, result)
 
 
 def feed_of(config: Config = MOUNTED) -> tuple[Feed, Told, FakeDaemon]:
@@ -185,13 +185,13 @@ def test_first_returns_are_the_nearest_above_the_threshold() -> None:
     intensity[2, 0] = 200  # nearer than filtering.min_range
     intensity[8, 0], intensity[12, 0] = 36, 255
     intensity[5, 2] = 35  # not above the threshold
-    echo = Echo(intensity, np.array([-0.5, 0.0, 0.5]), 0.1)
+    echo = PingImage(intensity, np.array([-0.5, 0.0, 0.5]), 0.1)
     points, intensities = first_returns(echo, Config())
     range_m = 0.85
     expected = [[range_m * math.cos(0.5), range_m * math.sin(0.5), 0.0]]  # to port
     np.testing.assert_allclose(points, expected, rtol=1e-6)
     assert intensities.tolist() == [36]
-    assert len(first_returns(Echo(intensity[:3], echo.bearings_rad, 0.1), Config())[0]) == 0
+    assert len(first_returns(PingImage(intensity[:3], echo.bearings_rad, 0.1), Config())[0]) == 0
 
 
 def test_a_path_is_bounded_and_numbered_anew_when_it_is_thinned() -> None:

@@ -7,7 +7,7 @@ from mapperd.config.tree import Config
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.priority_queue import NEAR_M
 from mapperd.server.source_protocol import FIRST, SECOND
-from mapperd.server.subscription import MOST_MESSAGES
+from mapperd.server.subscription import MAX_MESSAGES
 from mapperd.wire.blocks import decode_blocks
 from mapperd.wire.messages import Blocks, Interest
 from tests.mapperd.stream.told import SECOND_NS, Client, expected, scatter, source_of
@@ -164,7 +164,7 @@ def test_a_second_line_of_which_too_much_is_unknown_has_all_told_anew() -> None:
     source.look(SECOND_NS)
     lines.tell(FIRST, 100)
     lines.deliver(FIRST, 100)
-    for n in range(MOST_MESSAGES + 2):
+    for n in range(MAX_MESSAGES + 2):
         sonar_map.core.set_log_odds(np.array([[0.05, 0.05, 0.05]]), np.array([n % 8 - 4.0]))
         source.look(SECOND_NS)
         lines.tell(SECOND, 1)

@@ -3,11 +3,11 @@
 import pytest
 
 from mapperd.server.pacer import (
-    LEAST_BURST,
-    LEAST_UNSENT,
-    LEAST_WINDOW,
-    MOST_LEAST,
-    MOST_WINDOW,
+    MAX_LEAST,
+    MAX_WINDOW,
+    MIN_BURST,
+    MIN_UNSENT,
+    MIN_WINDOW,
     QUEUE_S,
     SPAN_S,
     UNSENT_S,
@@ -25,9 +25,9 @@ def most_waiting_s(rate: float, round_trip_s: float, piece: int, *, calm: bool) 
     buffers is seen to be late by `QUEUE_S` only when as much again has been sent.
     """
     if calm:
-        unsent_s = max(UNSENT_S, LEAST_UNSENT / rate)
+        unsent_s = max(UNSENT_S, MIN_UNSENT / rate)
         return unsent_s + max(round_trip_s, LEAST_ON_ITS_WAY / rate) + 2 * piece / rate
-    return 2 * QUEUE_S + LEAST_WINDOW / rate
+    return 2 * QUEUE_S + MIN_WINDOW / rate
 
 
 @CALM
@@ -164,7 +164,7 @@ def test_a_limit_holds_and_starves_nobody() -> None:
 
 def test_a_silence_saves_nothing_up_for_a_limit() -> None:
     pacer = Pacer(bytes_per_s=10_000)
-    assert pacer.room(0.0) <= pacer.room(1000.0) <= LEAST_BURST
+    assert pacer.room(0.0) <= pacer.room(1000.0) <= MIN_BURST
 
 
 @pytest.mark.parametrize("limit", [0, 100, 4_000, 1_000_000])
@@ -173,8 +173,8 @@ def test_what_is_worth_a_message_always_finds_room(limit: int, rate: float | Non
     """Of a link that is empty, however small the window has become."""
     pacer = Pacer(bytes_per_s=limit)
     pacer.rate = rate
-    assert pacer.least() <= MOST_LEAST
-    for window in (LEAST_WINDOW, 1 << 14, MOST_WINDOW):
+    assert pacer.least() <= MAX_LEAST
+    for window in (MIN_WINDOW, 1 << 14, MAX_WINDOW):
         pacer.window = window
         pacer.room(0.0)
         assert 0 < pacer.least() <= pacer.room(1_000.0) * 0.6
@@ -197,7 +197,7 @@ def test_a_window_shrinks_to_what_the_wire_holds_when_packets_are_late() -> None
     assert pacer.window == pytest.approx(0.8 * 80_000 * 0.1, abs=1)
     pacer.rate = 1_000.0
     pacer.note_link(0, 0.9, 3.5, fills=True)
-    assert pacer.window == LEAST_WINDOW
+    assert pacer.window == MIN_WINDOW
 
 
 def test_what_is_large_has_its_turn_though_something_is_always_under_way() -> None:
@@ -224,8 +224,8 @@ def test_what_is_larger_than_the_window_is_sent_when_nothing_is_under_way() -> N
 def test_no_client_takes_more_than_the_largest_window() -> None:
     link = Link(lambda _: 1e9, there_s=0.05, back_s=0.05)
     link.fill(5.0, piece=50_000)
-    assert link.pacer.window == MOST_WINDOW
-    assert link.pacer.in_flight <= MOST_WINDOW + 50_000
+    assert link.pacer.window == MAX_WINDOW
+    assert link.pacer.in_flight <= MAX_WINDOW + 50_000
 
 
 def test_acknowledgements_that_cannot_be_are_told() -> None:

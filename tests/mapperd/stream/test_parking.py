@@ -11,8 +11,8 @@ import pytest
 from mapperd.config.tree import Config
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server.map_source import MapSource
-from mapperd.server.resume import PARKED_S, Ends, Parking, Parting
-from mapperd.server.subscription import MOST_BLOCKS, MOST_MESSAGES, OnItsWay
+from mapperd.server.resume import PARKED_S, Ends, Parting, ResumeCache
+from mapperd.server.subscription import MAX_MESSAGES, MOST_BLOCKS, InFlight
 from mapperd.wire.messages import Ack, Interest, Resume
 from tests.mapperd.stream.told import SECOND_NS, Client, Told, expected, scatter, source_of
 from tests.mapperd.stream.watched import Bed, Watcher, bed_of, run
@@ -37,11 +37,11 @@ class Parked:
         interest: Interest | None = None,
         told: int = 6,
         used: int = 4,
-        parking: Parking | None = None,
+        parking: ResumeCache | None = None,
         ticket: str = "t1",
     ) -> None:
         self.source = source
-        self.parking = Parking(8) if parking is None else parking
+        self.parking = ResumeCache(8) if parking is None else parking
         self.client = Client(source, interest)
         self.position_m = (0.0, 0.0, 0.0)
         source.look(SECOND_NS)
@@ -236,7 +236,7 @@ def test_who_stays_away_is_forgotten() -> None:
 
 
 def test_no_more_are_kept_than_allowed() -> None:
-    source, parking = source_of(mapped()), Parking(2)
+    source, parking = source_of(mapped()), ResumeCache(2)
     first, *others = [Parked(source, parking=parking, ticket=f"t{i}") for i in range(3)]
     assert len(parking) == 2
     assert set(first.client.view._view.listeners) == {one.client.view for one in others}
@@ -247,11 +247,11 @@ def test_no_more_are_kept_than_allowed() -> None:
 
 def test_what_is_remembered_is_bounded() -> None:
     for blocks in (0, 2048):
-        way = OnItsWay()
-        for _ in range(2 * MOST_MESSAGES):
+        way = InFlight()
+        for _ in range(2 * MAX_MESSAGES):
             way.note(np.arange(blocks))
         assert way.memory_bytes <= 4 * MOST_BLOCKS
-        assert len(way._messages) <= MOST_MESSAGES
+        assert len(way._messages) <= MAX_MESSAGES
         assert way.beyond(0) is None
         found = way.beyond(way.number - 10)
         assert found is not None

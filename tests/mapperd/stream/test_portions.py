@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from mapperd.events import EventLog
 from mapperd.pipeline.step import Mapped
-from mapperd.server.outbox import Portions
+from mapperd.server.outbox import ClientOutbox
 from mapperd.server.pacer import Pacer
 from mapperd.wire.framing import client_inbox
 from mapperd.wire.messages import Image
@@ -12,7 +12,7 @@ from oculus_driver.ping import Ping
 from tests.mapperd.stream.test_feed import feed_of, fused, treated
 
 
-class Choosing(Portions):
+class Choosing(ClientOutbox):
     """A client with room for pictures that are as coarse as a test says."""
 
     coarse = 0
@@ -30,7 +30,7 @@ def test_no_picture_is_older_than_the_one_before(ping: Callable[..., Ping]) -> N
     feed, _, _ = feed_of()
     now_s = 100.0
 
-    def tell(client: Portions) -> list[int]:
+    def tell(client: ClientOutbox) -> list[int]:
         said = client_inbox().feed(b"".join(client.pieces(now_s, 1)))
         return [one.ping_id for one in said if isinstance(one, Image)]
 

@@ -11,7 +11,7 @@ import pytest
 from mapperd.events import EventLog, Severity
 from mapperd.server.admission import Newcomer
 from mapperd.server.outbox import SHARES
-from mapperd.server.pacer import FIRST_RATE, LEAST_UNSENT, UNSENT_S
+from mapperd.server.pacer import FIRST_RATE, MIN_UNSENT, UNSENT_S
 from mapperd.server.session import Beginning, Common, Session
 from mapperd.server.state_feed import Newest, SettingLog
 from mapperd.server.state_messages import Track
@@ -165,7 +165,7 @@ def test_a_slow_link_has_fresh_poses_and_skips_the_others() -> None:
     # The wire, what is not sent yet, and a calm TCP's last packets; more until the rate is known.
     wire_s = 0.1 + TICK_S + (LEAST_ON_ITS_WAY + 500) / 6_000
     assert max(told.late_s()) < wire_s + UNSENT_S * FIRST_RATE / 6_000
-    assert max(told.late_s()[50:]) < wire_s + LEAST_UNSENT / 6_000
+    assert max(told.late_s()[50:]) < wire_s + MIN_UNSENT / 6_000
     assert len(told.late_s()) > 60
     assert told.session.portions.skipped["pose"] + len(told.of(Pose)) > 1150
 
@@ -202,7 +202,7 @@ def test_poses_come_while_the_map_takes_all_it_can(rate: float, limit: int) -> N
     assert told.bytes_of(Blocks) > 0.7 * of_all
     each_s = len(framed(told.of(Pose)[0])) / (SHARES["pose"] * bytes_per_s)
     gaps_s = np.diff([at_s for at_s, one in told.heard if isinstance(one, Pose)])
-    assert gaps_s.max() < 1.5 * each_s + 2 * max(UNSENT_S, LEAST_UNSENT / bytes_per_s)
+    assert gaps_s.max() < 1.5 * each_s + 2 * max(UNSENT_S, MIN_UNSENT / bytes_per_s)
 
 
 def test_the_map_gives_way_to_what_is_due_and_asks_for_no_crumbs() -> None:

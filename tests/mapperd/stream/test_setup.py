@@ -11,7 +11,7 @@ import pytest
 from stream_study.told_steps import told_steps
 
 from mapperd.config.loader import config_from_text
-from mapperd.daemon.servers import map_doors, stream_server
+from mapperd.daemon.servers import map_listeners, stream_server
 from mapperd.daemon.session import host_clock
 from mapperd.errors import ConfigError
 from mapperd.events import EventLog
@@ -31,7 +31,7 @@ MakeBytes = Callable[..., bytes]
 def doors_of(text: str, environ: dict[str, str]) -> tuple[list[str], list[str]]:
     """Names of the doors, and codes of events."""
     events = EventLog(lambda: 1)
-    doors = map_doors(config_from_text(text), events, environ)
+    doors = map_listeners(config_from_text(text), events, environ)
     names = [door.name for door in doors]
     for door in doors:
         door.close()
@@ -86,11 +86,11 @@ def test_a_socket_of_the_service_manager_is_used(short: Path) -> None:
     with socket.socket(socket.AF_UNIX) as mine:
         mine.bind(str(short / "given"))
         mine.listen()
-        doors = map_doors(config_from_text("{}"), EventLog(lambda: 1), {}, mine)
+        doors = map_listeners(config_from_text("{}"), EventLog(lambda: 1), {}, mine)
         assert [door.name for door in doors] == [f"unix {short}/given"]
         doors[0].close()
     with socket.socket(socket.AF_INET) as wrong, pytest.raises(ConfigError, match="stream socket"):
-        map_doors(config_from_text("{}"), EventLog(lambda: 1), {}, wrong)
+        map_listeners(config_from_text("{}"), EventLog(lambda: 1), {}, wrong)
 
 
 def test_a_daemon_shows_its_map_its_pose_and_what_the_sonar_sees(

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from mapperd.server.pacer import MOST_WINDOW, Pacer
+from mapperd.server.pacer import MAX_WINDOW, Pacer
 from mapperd.server.schedule import (
     ASIDE_S,
     DUTY,
     EACH,
-    LEAST,
     LONGEST_REST_S,
+    MIN,
     QUIET_S,
     Lines,
     Rooms,
@@ -21,7 +21,7 @@ RATE = 25_000.0
 
 def turns(rate: float = RATE, bytes_per_s: int = 0) -> tuple[Turns, Pacer]:
     pacer = Pacer(bytes_per_s)
-    pacer.rate, pacer.round_trip_s, pacer.window = rate, 0.6, MOST_WINDOW
+    pacer.rate, pacer.round_trip_s, pacer.window = rate, 0.6, MAX_WINDOW
     return Turns(pacer), pacer
 
 
@@ -106,7 +106,7 @@ def test_an_idle_tcp_always_has_room(link_rate: float) -> None:
         some, pacer = turns(rate=float(factor) * 64_000)
         pacer.note_link(0, 0.6, 0.0, fills=False, in_network=0, link_rate=factor * link_rate)
         lines = Lines(pacer)
-        assert some.rooms(0.0, lines.calm_room()).near >= LEAST
+        assert some.rooms(0.0, lines.calm_room()).near >= MIN
 
 
 def test_a_pass_whose_rest_is_not_near_any_more_ends() -> None:
@@ -128,14 +128,14 @@ def test_the_other_line_counts_as_under_way_and_its_rate_as_the_links() -> None:
     some.beside.rate = RATE
     some.told_near(3_000, 0, 10.0)
     assert some.rooms(10.0 + 3_000 / (DUTY * RATE) + 0.01).near
-    assert some.rooms(10.0).far > LEAST
+    assert some.rooms(10.0).far > MIN
     some.beside.note_sent(int(0.7 * RATE * (0.6 + ASIDE_S)), 10.0)
     assert some.rooms(10.0).far == 0
 
 
 def test_no_room_is_no_room() -> None:
     some, pacer = turns()
-    pacer.note_sent(MOST_WINDOW, 0.0)
+    pacer.note_sent(MAX_WINDOW, 0.0)
     assert some.rooms(0.0) == Rooms()
     assert not some.rooms(0.0)
 

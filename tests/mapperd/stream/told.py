@@ -7,7 +7,7 @@ from stream_study.told_steps import told_steps
 from mapperd import _core
 from mapperd.client.mirror import MapMirror
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.pipeline.persistence import InMemory
+from mapperd.pipeline.persistence import MemoryPersistence
 from mapperd.server.map_source import MapSource
 from mapperd.wire.blocks import CELLS, UNKNOWN, decode_blocks
 from mapperd.wire.messages import BLOCK_EDGE, Blocks, Interest, MapFacts, Reset, Resume
@@ -51,7 +51,7 @@ def _counts(bits: NDArray[np.uint8], interest: Interest) -> bytes:
 
 
 def source_of(sonar_map: SonarMap) -> MapSource:
-    return MapSource(sonar_map, InMemory(sonar_map), log_odds_step=0.25)
+    return MapSource(sonar_map, MemoryPersistence(sonar_map), log_odds_step=0.25)
 
 
 def scatter(sonar_map: SonarMap, seed: int, voxels: int, reach_m: float = 3.0) -> None:

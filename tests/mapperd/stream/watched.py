@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from mapperd.server.listeners import Door, open_tcp_door, open_unix_door
+from mapperd.server.listeners import Listener, open_tcp_listener, open_unix_listener
 from mapperd.server.priority_queue import Part
 from mapperd.server.source_protocol import FIRST, Line
 from mapperd.server.state_feed import Feed
@@ -187,12 +187,12 @@ class Bed:
         self.source: Any = source or PlainSource()
         self.feed = Feed(self.daemon, lambda: None, 1000)
         self.doors = {
-            "unix": open_unix_door(folder / "map.sock", 0o600),
-            "token": open_tcp_door("127.0.0.1:0", TOKEN, None, "stream"),
-            "open": open_tcp_door("127.0.0.1:0", None, None, "stream"),
+            "unix": open_unix_listener(folder / "map.sock", 0o600),
+            "token": open_tcp_listener("127.0.0.1:0", TOKEN, None, "stream"),
+            "open": open_tcp_listener("127.0.0.1:0", None, None, "stream"),
         }
         if tls is not None:
-            self.doors["tls"] = open_tcp_door("127.0.0.1:0", TOKEN, tls, "stream")
+            self.doors["tls"] = open_tcp_listener("127.0.0.1:0", TOKEN, tls, "stream")
         self.shift_s = 0.0
         self.watchers: list[Watcher] = []
         self.server = StreamServer(
@@ -231,7 +231,7 @@ class Bed:
         return watcher
 
 
-def _connected(door: Door, size: int) -> socket.socket:
+def _connected(door: Listener, size: int) -> socket.socket:
     plain = socket.socket(door.socket.family, socket.SOCK_STREAM)
     if size:
         plain.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, size)

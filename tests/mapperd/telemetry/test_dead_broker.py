@@ -18,8 +18,8 @@ LONG_S = 30.0
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(BackOff, "LEAST_S", 0.01)
-    monkeypatch.setattr(BackOff, "MOST_S", 0.02)
+    monkeypatch.setattr(BackOff, "MIN_S", 0.01)
+    monkeypatch.setattr(BackOff, "MAX_S", 0.02)
     monkeypatch.setattr(broker, "TIMEOUT_S", 0.2)
 
 

@@ -9,8 +9,8 @@ from mapperd.telemetry.broker import TIMEOUT_S
 from mapperd.telemetry.outbox import Kind, Outbox
 from mapperd.telemetry.payloads import BackOff
 from mapperd.telemetry.publisher import Reporter
-from mapperd.telemetry.requests import MOST_BYTES, MOST_ID, MOST_WAITING, REMEMBERED
-from mapperd.telemetry.topics import MOST_NAME, Topics
+from mapperd.telemetry.requests import MAX_BYTES, MAX_ID, MAX_WAITING, REMEMBERED
+from mapperd.telemetry.topics import MAX_NAME, Topics
 from tests.mapperd.localization.believed import facts
 from tests.mapperd.telemetry.conftest import POSE, ROBOT, T0_S, FakeDaemon, below
 
@@ -34,14 +34,14 @@ def test_table_has_every_topic_with_its_quality_and_whether_it_is_kept(daemon: F
 def test_numbers_are_those_of_the_code() -> None:
     text = " ".join(PAGE.split())
     for words in (
-        f"at most {MOST_ID} characters",
+        f"at most {MAX_ID} characters",
         f"of the last {REMEMBERED} requests",
-        f"more than {MOST_WAITING} requests",
-        f"more than {MOST_NAME} characters",
-        f"more than {MOST_BYTES} bytes",
+        f"more than {MAX_WAITING} requests",
+        f"more than {MAX_NAME} characters",
+        f"more than {MAX_BYTES} bytes",
         f"{TIMEOUT_S:g} s without an answer",
-        f"random pause of {BackOff.LEAST_S:g} to {3 * BackOff.LEAST_S:g} s",
-        f"growing to {BackOff.MOST_S:g} s",
+        f"random pause of {BackOff.MIN_S:g} to {3 * BackOff.MIN_S:g} s",
+        f"growing to {BackOff.MAX_S:g} s",
     ):
         assert words in text, words
 

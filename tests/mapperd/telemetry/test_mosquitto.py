@@ -31,8 +31,8 @@ LONG_S = 60.0
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(BackOff, "LEAST_S", 0.05)
-    monkeypatch.setattr(BackOff, "MOST_S", 0.1)
+    monkeypatch.setattr(BackOff, "MIN_S", 0.05)
+    monkeypatch.setattr(BackOff, "MAX_S", 0.1)
 
 
 async def until(true: Callable[[], object]) -> None:

@@ -10,7 +10,7 @@ from mapperd.client.changes import MapChanged
 from mapperd.client.mirror import MapMirror
 from mapperd.foxglove import map_publisher
 from mapperd.foxglove.channels import Said
-from mapperd.foxglove.map_publisher import LIVE, RECORDING, MapTeller, Pace
+from mapperd.foxglove.map_publisher import LIVE, RECORDING, MapPublisher, Pace
 from mapperd.wire.messages import Interest
 from tests.mapperd.topside.foxglove_fakes import FACTS, T0, block, points_of_cloud
 from tests.mapperd.topside.test_channel_messages import decoded
@@ -23,7 +23,7 @@ class Told:
 
     def __init__(self, pace: Pace) -> None:
         self.mirror = MapMirror(FACTS, Interest())
-        self.teller = MapTeller(pace)
+        self.teller = MapPublisher(pace)
 
     def change(self, cells: dict[int, int], key: tuple[int, int, int] = KEY) -> None:
         self.mirror.put(block(key, cells), T0)

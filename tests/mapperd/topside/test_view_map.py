@@ -220,7 +220,7 @@ def test_a_clip_opens_the_inside() -> None:
 
 
 def test_many_cells_are_points_and_few_are_cubes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mapperd.viewer.map_layer.MOST_CUBES", 100)
+    monkeypatch.setattr("mapperd.viewer.map_layer.MAX_CUBES", 100)
     scene = FakeScene()
     mirror = mirror_of(blocks_of([[x, 0, 0] for x in range(90)]))
     view = MapView(scene, Look(Filter(), HEIGHTS))  # type: ignore[arg-type]
@@ -239,7 +239,7 @@ def test_many_cells_are_points_and_few_are_cubes(monkeypatch: pytest.MonkeyPatch
 def test_of_many_cells_far_ones_are_drawn_in_larger_cubes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("mapperd.viewer.map_layer.MOST_FINE", 100)
+    monkeypatch.setattr("mapperd.viewer.map_layer.MAX_FINE", 100)
     scene = FakeScene()
     plate = np.array([[x, y, 4] for x in range(4) for y in range(4)])
     mirror = mirror_of(

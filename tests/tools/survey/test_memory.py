@@ -7,7 +7,7 @@ from survey.spool import ROW, Rows
 
 from mapperd.config.tree import Config, Mapping
 from mapperd.geometry.frames import pose_from_rpy
-from mapperd.imaging.ping_image import Echo
+from mapperd.imaging.ping_image import PingImage
 from mapperd.mapping.sonar_map import BLOCK_VOXELS, SonarMap
 from tests.tools.survey.maps import CONFIG
 
@@ -22,11 +22,11 @@ def rows_of(*extents: tuple[int, int, int]) -> Rows:
     return rows
 
 
-def bright_ping(range_m: float) -> Echo:
+def bright_ping(range_m: float) -> PingImage:
     """Everything is a return but the first third."""
     intensity = np.full((100, 64), 200, dtype=np.float32)
     intensity[:30] = 0
-    return Echo(intensity, np.linspace(-1, 1, 64), range_m / 100)
+    return PingImage(intensity, np.linspace(-1, 1, 64), range_m / 100)
 
 
 @pytest.mark.parametrize("integrator", ["evidence_grid", "rays"])
