@@ -24,7 +24,7 @@ from mapperd.client import (
 )
 from mapperd.wire.messages import Bye, Pose, Status
 from tests.conftest import ROOT
-from tests.mapperd.client.served import TOKEN, Served, Server, a_block
+from tests.support.stream_server import TOKEN, Served, Server, a_block
 
 POSE = Pose(
     stamp_ns=1,

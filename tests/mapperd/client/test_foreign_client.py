@@ -15,7 +15,7 @@ import zstandard
 from mapperd.client import MapMirror
 from mapperd.wire.blocks import path_message
 from mapperd.wire.messages import Interest
-from tests.mapperd.client.served import FACTS, TOKEN, Served, Server, a_block
+from tests.support.stream_server import FACTS, TOKEN, Served, Server, a_block
 
 Key = tuple[int, int, int]
 

@@ -32,7 +32,7 @@ from mapperd.wire.messages import (
     Status,
     Welcome,
 )
-from tests.mapperd.client.served import FACTS, Served, a_block
+from tests.support.stream_server import FACTS, Served, a_block
 
 NAN, INF = float("nan"), float("inf")
 UNIT = (0.0, 0.0, 0.0, 1.0)

@@ -18,9 +18,9 @@ from mapperd.server.listeners import open_unix_listener
 from mapperd.server.state_feed import Feed
 from mapperd.server.stream_server import StreamServer
 from mapperd.wire.messages import Event, Localization, Robots, Want
-from tests.mapperd.control.fakes import FakeDaemon
 from tests.mapperd.localization.believed import facts as believed
-from tests.mapperd.stream.watched import PlainSource, run
+from tests.mapperd.server.watched import PlainSource, run
+from tests.support.control_server import FakeDaemon
 
 
 @dataclass

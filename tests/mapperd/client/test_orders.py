@@ -14,7 +14,7 @@ from mapperd.client import state as module
 from mapperd.client.state import Knowledge
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet, encode_blocks
 from mapperd.wire.messages import Blocks, Reset, Welcome
-from tests.mapperd.client.served import FACTS
+from tests.support.stream_server import FACTS
 
 WELCOME = Welcome(
     version=1, server="", vehicle="", session="s", map=FACTS, revision=0, resumed=False, ticket="t"

@@ -34,8 +34,8 @@ from mapperd.wire.messages import (
     Status,
     Welcome,
 )
-from tests.mapperd.client.served import FACTS, TOKEN, Served, a_block
 from tests.mapperd.client.test_hostile_server import POSE
+from tests.support.stream_server import FACTS, TOKEN, Served, a_block
 
 FIRST = Welcome(
     version=1, server="", vehicle="", session="s", map=FACTS, revision=0, resumed=False, ticket="t"

@@ -12,9 +12,9 @@ from mapperd.client.connect import place_of
 from mapperd.client.second_line import SecondDialogue, SecondLine
 from mapperd.wire.blocks import CELLS, BlockSet, encode_blocks
 from mapperd.wire.messages import Blocks, Bye, Hello, Pose, Reset, Status
-from tests.mapperd.client.served import TOKEN, Connection, Served, Server
 from tests.mapperd.client.test_client import POSE, go, pair, until
 from tests.mapperd.client.test_second_dialogue import a_first
+from tests.support.stream_server import TOKEN, Connection, Served, Server
 
 
 @pytest.fixture(autouse=True)

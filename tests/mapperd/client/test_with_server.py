@@ -23,7 +23,7 @@ from mapperd.server.state_feed import Feed
 from mapperd.server.stream_server import StreamServer
 from mapperd.wire.blocks import UNKNOWN
 from mapperd.wire.messages import MapFacts
-from tests.mapperd.control.fakes import FakeDaemon
+from tests.support.control_server import FakeDaemon
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

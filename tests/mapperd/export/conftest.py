@@ -9,7 +9,7 @@ import pytest
 from mapperd.export.cells import Heights
 from mapperd.export.formats import write_map
 from mapperd.mapping.sonar_map import SonarMap
-from tests.mapperd.export.maps import FREE, OCCUPIED, UNSURE, map_of
+from tests.support.maps import FREE, OCCUPIED, UNSURE, map_of
 
 
 @pytest.fixture

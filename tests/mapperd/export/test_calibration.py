@@ -9,8 +9,8 @@ from plyfile import PlyData
 from mapperd.errors import ConfigError, ExportError
 from mapperd.export.calibration import Calibration, load_calibration
 from mapperd.export.formats import FORMATS, SAY_PROBABILITY, write_map
-from tests.mapperd.export.maps import FREE, OCCUPIED, map_of
-from tests.mapperd.topside.conftest import Call, call
+from tests.support.mapperctl import Call, call
+from tests.support.maps import FREE, OCCUPIED, map_of
 
 __all__ = ["call"]
 

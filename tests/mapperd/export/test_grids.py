@@ -14,7 +14,7 @@ from mapperd.errors import ExportError
 from mapperd.export import cells
 from mapperd.export.cells import Heights, KnownCells, indices_of
 from mapperd.mapping.sonar_map import SonarMap
-from tests.mapperd.export.maps import COARSE, FREE, OCCUPIED, UNSURE, map_of, with_thresholds
+from tests.support.maps import COARSE, FREE, OCCUPIED, UNSURE, map_of, with_thresholds
 
 Saved = Callable[..., Path]
 

@@ -19,7 +19,7 @@ from mapperd.export.cells import Heights
 from mapperd.export.formats import crs_of, write_map
 from mapperd.geometry.geodesy import Origin
 from mapperd.mapping.sonar_map import SonarMap
-from tests.mapperd.export.maps import COARSE, map_of
+from tests.support.maps import COARSE, map_of
 
 Saved = Callable[..., Path]
 

@@ -13,9 +13,9 @@ from mapperd.errors import Reject
 from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.fusion import FusedPose
 from mapperd.odometry.native import NativeRecord, encode_native, encode_native_serial
-from tests.peers.autopilot import Autopilot
-from tests.peers.dvl import Dvl
-from tests.peers.nmea_talker import NmeaTalker
+from tests.support.peers.autopilot import Autopilot
+from tests.support.peers.dvl import Dvl
+from tests.support.peers.nmea_talker import NmeaTalker
 
 T0 = 1_700_000_000_000_000_000
 NAMES: tuple[FormatName, ...] = get_args(FormatName)

@@ -16,7 +16,7 @@ from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.fusion import FusedPose
 from mapperd.odometry.mavlink import MavlinkDecoder
 from mapperd.odometry.records import Odometry
-from tests.peers.autopilot import NAN, Autopilot
+from tests.support.peers.autopilot import NAN, Autopilot
 
 SETTINGS = FormatSettings(format="mavlink")
 SECOND = 1_000_000_000

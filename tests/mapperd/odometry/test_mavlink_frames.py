@@ -9,8 +9,8 @@ from mapperd.config.odometry import FormatSettings
 from mapperd.errors import Reject
 from mapperd.odometry.mavlink import MAX_FRAME_BYTES, MavlinkDecoder
 from mapperd.odometry.records import Odometry
-from tests.peers.autopilot import Autopilot
-from tests.peers.misbehaviour import Misbehaviour
+from tests.support.peers.autopilot import Autopilot
+from tests.support.peers.misbehaviour import Misbehaviour
 
 SETTINGS = FormatSettings(format="mavlink")
 

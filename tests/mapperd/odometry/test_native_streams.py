@@ -23,7 +23,7 @@ from mapperd.odometry.native import (
     encode_native_serial,
 )
 from mapperd.odometry.records import Odometry
-from tests.peers.misbehaviour import Misbehaviour
+from tests.support.peers.misbehaviour import Misbehaviour
 
 NAMES: tuple[FormatName, ...] = ("native_json", "native_serial")
 BOTH = pytest.mark.parametrize("name", NAMES)

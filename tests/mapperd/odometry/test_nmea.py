@@ -13,8 +13,8 @@ from mapperd.geometry.frames import quaternion_to_matrix
 from mapperd.odometry.decoder import Decoder
 from mapperd.odometry.formats import make_decoder
 from mapperd.odometry.records import Odometry
-from tests.peers.misbehaviour import Misbehaviour
-from tests.peers.nmea_talker import NmeaTalker, sentence
+from tests.support.peers.misbehaviour import Misbehaviour
+from tests.support.peers.nmea_talker import NmeaTalker, sentence
 
 SECOND = 1_000_000_000
 

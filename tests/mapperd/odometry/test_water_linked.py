@@ -17,9 +17,9 @@ from mapperd.odometry.decoder import Decoder
 from mapperd.odometry.formats import make_decoder
 from mapperd.odometry.records import UNKNOWN_VARIANCE, Odometry
 from mapperd.odometry.water_linked import crc8
-from tests.peers import dvl as peer
-from tests.peers.dvl import Dvl, sentence
-from tests.peers.misbehaviour import Misbehaviour
+from tests.support.peers import dvl as peer
+from tests.support.peers.dvl import Dvl, sentence
+from tests.support.peers.misbehaviour import Misbehaviour
 
 SECOND = 1_000_000_000
 T_US = 1_700_000_000_000_000

@@ -11,7 +11,7 @@ from mapperd.telemetry import broker
 from mapperd.telemetry.payloads import BackOff
 from mapperd.telemetry.telemetry import Phase, Telemetry
 from tests.mapperd.telemetry.conftest import FakeDaemon
-from tests.peers.mosquitto import free_port
+from tests.support.peers.mosquitto import free_port
 
 LONG_S = 30.0
 

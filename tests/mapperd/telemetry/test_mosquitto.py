@@ -20,7 +20,7 @@ from mapperd.telemetry import broker
 from mapperd.telemetry.payloads import BackOff
 from mapperd.telemetry.telemetry import Phase, Telemetry
 from tests.mapperd.telemetry.conftest import POSE, ROBOT, ROOT, FakeDaemon
-from tests.peers.mosquitto import Cable, free_port, mosquitto_path, running_mosquitto
+from tests.support.peers.mosquitto import Cable, free_port, mosquitto_path, running_mosquitto
 
 pytestmark = pytest.mark.skipif(
     mosquitto_path() is None, reason="Mosquitto is not installed: apt install mosquitto"
