@@ -98,7 +98,7 @@ store-soak: $(STAMP)
 
 # The daemon: 500 deaths at any instant, live and replayed, and half a million pings. Hours.
 crash-soak: $(STAMP)
-	CRASH_KILLS=500 SOAK_PINGS=500000 $(BIN)/python -m pytest -s -o timeout=0 tests/mapperd/crash
+	CRASH_KILLS=500 SOAK_PINGS=500000 $(BIN)/python -m pytest -s -o timeout=0 tests/mapperd/session/crash
 
 # Ten minutes of the coverage-guided fuzzer on the driver's parser, and ten on both ends of the map
 # stream; their corpora grow and are kept.

@@ -8,14 +8,14 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from mapperd.localization.estimate import PlanarGaussian
-    from mapperd.localization.given_scan import scan_of_ranges
+    from mapperd.compat.octree_mapper import OctreeMapper
+    from mapperd.compat.probability_updater import ProbabilityUpdater
+    from mapperd.compat.sonar_to_3d import SonarTo3DMapper
+    from mapperd.geometry.gaussian import PlanarGaussian
     from mapperd.localization.grid_map import GridMap
     from mapperd.localization.localizer import Localizer
     from mapperd.localization.map_filter import MapFilter
-    from mapperd.octree_mapper import OctreeMapper
-    from mapperd.probability_updater import ProbabilityUpdater
-    from mapperd.sonar_to_3d import SonarTo3DMapper
+    from mapperd.localization.scan import scan_of_ranges
 
 __all__ = [
     "GridMap",
@@ -32,11 +32,11 @@ _MODULES = {
     "GridMap": "mapperd.localization.grid_map",
     "Localizer": "mapperd.localization.localizer",
     "MapFilter": "mapperd.localization.map_filter",
-    "PlanarGaussian": "mapperd.localization.estimate",
-    "scan_of_ranges": "mapperd.localization.given_scan",
-    "OctreeMapper": "mapperd.octree_mapper",
-    "ProbabilityUpdater": "mapperd.probability_updater",
-    "SonarTo3DMapper": "mapperd.sonar_to_3d",
+    "PlanarGaussian": "mapperd.geometry.gaussian",
+    "scan_of_ranges": "mapperd.localization.scan",
+    "OctreeMapper": "mapperd.compat.octree_mapper",
+    "ProbabilityUpdater": "mapperd.compat.probability_updater",
+    "SonarTo3DMapper": "mapperd.compat.sonar_to_3d",
 }
 
 

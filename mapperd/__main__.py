@@ -2,6 +2,6 @@
 
 import sys
 
-from mapperd.cli import main
+from mapperd.cli.mapperd import main
 
 sys.exit(main())

@@ -484,7 +484,7 @@ class VoxelMap:
     def stream_blocks(
         self, view: StreamView, keys: NDArray[np.int32]
     ) -> tuple[int, NDArray[np.int8], NDArray[np.uint8], NDArray[np.bool_]]:
-        """Blocks of the map stream (`mapperd.stream.blocks`), all of one state of the map.
+        """Blocks of the map stream (`mapperd.wire.blocks`), all of one state of the map.
 
         Returns:
             the map's revision; cells (N, 512) and the bits of their counts (N, 512), x fastest;

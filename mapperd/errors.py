@@ -1,4 +1,4 @@
-"""What can go wrong, by who is at fault.
+"""The errors of mapperd, by who is at fault, and rejects of input.
 
 MapperdError
  +-- ConfigError      our user's settings: place in them, what is allowed
@@ -10,6 +10,8 @@ MapperdError
  +-- ExportError      a result cannot be written
 """
 
+from dataclasses import dataclass
+
 __all__ = [
     "CheckpointError",
     "ConfigError",
@@ -17,6 +19,7 @@ __all__ = [
     "LiveError",
     "MapError",
     "MapperdError",
+    "Reject",
     "ReplayError",
     "StoreError",
 ]
@@ -86,3 +89,16 @@ class CheckpointError(MapperdError):
 
 class ExportError(MapperdError):
     """A file of results cannot be written."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reject:
+    """Bytes, a record or a ping that was not taken, as a value: bad input is data.
+
+    Attributes:
+        reason: short and stable: the name of a counter.
+        detail: one sentence for a person.
+    """
+
+    reason: str
+    detail: str

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config
-from mapperd.echo import Echo, echo_of
+from mapperd.config.tree import Config
 from mapperd.errors import MapError
+from mapperd.imaging.ping_image import PingImage, ping_image_of
 from mapperd.localization.extraction import Surroundings, scan_of
 from mapperd.localization.scan import Scan
 from oculus_driver import Ping, StreamParser, decode_ping
@@ -29,7 +29,9 @@ FLOOR = (60, 220, 255)
 """Colours, blue first."""
 
 
-def draw_scan(echo: Echo, scan: Scan, true: NDArray[np.bool_] | None = None) -> NDArray[np.uint8]:
+def draw_scan(
+    echo: PingImage, scan: Scan, true: NDArray[np.bool_] | None = None
+) -> NDArray[np.uint8]:
     """The fan with the returns on it, (height, width, 3), blue first as OpenCV has it.
 
     Args:
@@ -70,7 +72,7 @@ def main() -> None:
             print(f"no ping: {ping.detail}")
             continue
         try:
-            echo = echo_of(ping, config.sonar)
+            echo = ping_image_of(ping, config.sonar)
         except MapError as error:
             print(f"ping {ping.ping_id}: {error}")
             continue

@@ -20,14 +20,12 @@ from sonar_sim import Ping, Pose, Scenario, Simulator, SonarSettings, load_scena
 from sonar_sim.poses import quaternion_of, rotation_of
 from sonar_sim.truth import Truth
 
-from mapperd.config import Config
-from mapperd.echo import Echo
-from mapperd.localization.extraction import Surroundings, scan_of
-from mapperd.localization.floor_gate import floor_gate_m
+from mapperd.config.tree import Config
+from mapperd.errors import Reject
+from mapperd.imaging.ping_image import PingImage, ping_image_of_array
+from mapperd.localization.extraction import Surroundings, floor_gate_m, scan_of
 from mapperd.localization.levelling import level_T_base
 from mapperd.localization.scan import Scan
-from mapperd.polar_image import echo_of_image
-from mapperd.reject import Reject
 
 Floats = NDArray[np.float64]
 
@@ -75,7 +73,7 @@ class Look:
         cpu_s: that the scan took.
     """
 
-    echo: Echo
+    echo: PingImage
     scan: Scan
     true: NDArray[np.bool_]
     beside: NDArray[np.bool_]
@@ -132,7 +130,7 @@ def first_surfaces_m(truth: Truth, bearing_rad: Floats, beam_width_rad: float) -
 
 def _look(place: Place, sonar: SonarSettings, pose: Pose, ping: Ping, config: Config) -> Look:
     sines = np.linspace(-1.0, 1.0, sonar.beams) * math.sin(sonar.half_aperture_rad)
-    echo = echo_of_image(ping.image, sonar.range_m, np.arcsin(sines), config.sonar)
+    echo = ping_image_of_array(ping.image, sonar.range_m, np.arcsin(sines), config.sonar)
     around = Surroundings(
         0,
         level_T_base(quaternion_of(pose.rotation)),

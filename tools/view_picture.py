@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING
 from PIL import Image
 from stream_study.world import World
 
+from mapperd.cli.mapperctl.view import open_page
 from mapperd.client import MapClient
-from mapperd.control.token import read_token
-from mapperd.topside.recording import Recording
-from mapperd.topside.view import VIEW_WANTS, View
-from mapperd.topside.view_page import open_page
+from mapperd.foxglove.recording import Recording
+from mapperd.viewer.app import VIEW_WANTS, View
+from mapperd.wire.auth import read_token
 
 if TYPE_CHECKING:
     from viser import ViserServer

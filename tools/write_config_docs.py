@@ -3,8 +3,8 @@
 import json
 from pathlib import Path
 
-from mapperd.config_page import configuration_page
-from mapperd.config_schema import json_schema
+from config_page import configuration_page
+from config_schema import json_schema
 
 ROOT = Path(__file__).resolve().parents[1]
 

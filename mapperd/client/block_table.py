@@ -1,14 +1,15 @@
-"""Blocks by their keys: rows of arrays that grow by doubling and are used again."""
+"""Blocks by their keys in arrays that grow by doubling, and cells as arrays."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.stream.blocks import CELLS, UNKNOWN, BlockSet
+from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
 
-__all__ = ["BlockTable", "keys_of", "names_of"]
+__all__ = ["BlockTable", "Cells", "keys_of", "names_of"]
 
 FIRST_ROWS = 256
 
@@ -138,3 +139,25 @@ def names_of(keys: NDArray[np.int32]) -> list[bytes]:
 def keys_of(names: Iterable[bytes]) -> NDArray[np.int32]:
     """What `names_of` named, (N, 3) int32."""
     return np.frombuffer(b"".join(names), "<i4").reshape(-1, 3).astype(np.int32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cells:
+    """Some cells of a mirror, in no particular order.
+
+    Attributes:
+        centres_m: (N, 3) float64, map frame.
+        log_odds: (N,) float32, quantised.
+        probability: (N,) float32, of being occupied.
+        count: (N,) uint16: that often observed at least; 0 where counts are not told.
+        changed_ns: (N,) int64, Unix: when their block changed last.
+    """
+
+    centres_m: NDArray[np.float64]
+    log_odds: NDArray[np.float32]
+    probability: NDArray[np.float32]
+    count: NDArray[np.uint16]
+    changed_ns: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.log_odds)

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.stream.messages import (
+from mapperd.wire.messages import (
     Event,
     Fan,
     Image,

@@ -1,4 +1,4 @@
-"""The map stream of a daemon, with asyncio: connects, stays connected, and mirrors the map."""
+"""The map stream of a daemon, with asyncio: connects, stays connected, mirrors the map."""
 
 import asyncio
 import contextlib
@@ -9,21 +9,71 @@ from collections.abc import AsyncIterator, Callable, Collection, Iterator, Mappi
 from types import TracebackType
 from typing import Any, Self
 
-from mapperd.client.address import place_of
-from mapperd.client.asking import Asking
+from mapperd.client.change_queue import Pending
 from mapperd.client.changes import ClientChange, LinkChanged, LinkState, LinkStatus
-from mapperd.client.connecting import Attempts, opened, read, reason_of, send, with_hint
-from mapperd.client.dialogue import Dialogue, Wishes
+from mapperd.client.connect import Attempts, opened, place_of, read, reason_of, send, with_hint
 from mapperd.client.errors import AskError, EndedError
-from mapperd.client.knowledge import MOST_BLOCKS, Knowledge
-from mapperd.client.known import Known
-from mapperd.client.pending import Pending
-from mapperd.client.second_dialogue import SecondDialogue
-from mapperd.client.second_line import SecondLine
-from mapperd.stream.framing import StreamError
-from mapperd.stream.messages import Interest, Want
+from mapperd.client.protocol import Dialogue, Wishes
+from mapperd.client.second_line import SecondDialogue, SecondLine
+from mapperd.client.state import MAX_BLOCKS, Knowledge, Known
+from mapperd.wire.framing import StreamError
+from mapperd.wire.messages import Answer, Interest, Want
 
-__all__ = ["DEFAULT_WANTS", "MapClient"]
+__all__ = ["DEFAULT_WANTS", "Asking", "MapClient"]
+
+UNDER_WAY = 8
+"""A daemon cuts off who asks more at once."""
+
+
+class Asking:
+    """Each request of one client, from its number to its answer.
+
+    Attributes:
+        turn: held by each; more than a daemon takes wait for it.
+    """
+
+    def __init__(self) -> None:
+        self.turn = asyncio.Semaphore(UNDER_WAY)
+        self._number = 0
+        self._waiting: dict[int, asyncio.Future[dict[str, Any]]] = {}
+
+    def begin(self) -> tuple[int, "asyncio.Future[dict[str, Any]]"]:
+        """A number for a request, and what its answer will be."""
+        self._number += 1
+        answer = asyncio.get_running_loop().create_future()
+        self._waiting[self._number] = answer
+        return self._number, answer
+
+    def end(self, number: int) -> None:
+        """Nobody waits for it any more."""
+        self._waiting.pop(number, None)
+
+    def answered(self, answer: Answer) -> None:
+        """Give an answer to who waits for it; one that nobody waits for is passed over."""
+        waiting = self._waiting.pop(answer.id, None) if answer.id is not None else None
+        if waiting is None or waiting.done():
+            return
+        if answer.error is None:
+            waiting.set_result(answer.result or {})
+            return
+        reason = str(answer.error.get("reason", "failed"))
+        details = answer.error.get("details")
+        waiting.set_exception(
+            AskError(
+                reason,
+                str(answer.error.get("message", reason)),
+                details if isinstance(details, dict) else None,
+            )
+        )
+
+    def lose_all(self) -> None:
+        """The connection is gone, and with it all answers; some requests may have been obeyed."""
+        waiting, self._waiting = self._waiting, {}
+        for answer in waiting.values():
+            if not answer.done():
+                what = "the connection broke before the answer; it may have been done"
+                answer.set_exception(AskError("link_lost", what))
+
 
 DEFAULT_WANTS: tuple[Want, ...] = ("map", "pose", "path", "fan")
 
@@ -55,7 +105,7 @@ class MapClient(Known):
         interest: Interest | None = None,
         bytes_per_s: int = 0,
         name: str = "",
-        most_blocks: int = MOST_BLOCKS,
+        most_blocks: int = MAX_BLOCKS,
     ) -> None:
         self._place = place_of(address)
         self._tls = tls

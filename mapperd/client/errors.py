@@ -1,7 +1,7 @@
 """What a client of the map stream is refused."""
 
 from mapperd.errors import MapperdError
-from mapperd.stream.framing import StreamError
+from mapperd.wire.framing import StreamError
 
 __all__ = ["AskError", "EndedError"]
 

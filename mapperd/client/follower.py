@@ -9,12 +9,12 @@ from contextlib import ExitStack
 from types import TracebackType
 from typing import Any, Self, TypedDict, TypeVar, Unpack
 
+from mapperd.client.change_queue import Pending
 from mapperd.client.changes import ClientChange, LinkStatus
 from mapperd.client.client import MapClient
 from mapperd.client.errors import AskError
-from mapperd.client.known import Known
-from mapperd.client.pending import Pending
-from mapperd.stream.messages import Interest, Want
+from mapperd.client.state import Known
+from mapperd.wire.messages import Interest, Want
 
 __all__ = ["MapFollower"]
 

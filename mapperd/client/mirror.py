@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapperd.client.block_table import BlockTable, names_of
-from mapperd.client.cells import Cells
-from mapperd.point_arrays import points_of
-from mapperd.probability import probabilities_of
-from mapperd.stream.blocks import CELLS, MAX_KEY, UNKNOWN, BlockSet
-from mapperd.stream.messages import BLOCK_EDGE, Interest, MapFacts
+from mapperd.client.block_table import BlockTable, Cells, names_of
+from mapperd.mapping.probability import points_of, probabilities_of
+from mapperd.wire.blocks import CELLS, MAX_KEY, UNKNOWN, BlockSet
+from mapperd.wire.messages import BLOCK_EDGE, Interest, MapFacts
 
 if TYPE_CHECKING:
-    from mapperd.config import Config
-    from mapperd.mapping import SonarMap
+    from mapperd.config.tree import Config
+    from mapperd.mapping.sonar_map import SonarMap
 
 __all__ = ["MapMirror"]
 

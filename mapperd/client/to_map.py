@@ -5,14 +5,14 @@ import math
 import msgspec
 import numpy as np
 
-from mapperd.client.cells import Cells
-from mapperd.config import Config
-from mapperd.mapping import SonarMap
-from mapperd.stream.messages import MapFacts
+from mapperd.client.block_table import Cells
+from mapperd.config.tree import Config
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.wire.messages import MapFacts
 
 __all__ = ["map_of"]
 
-MOST_LOG_ODDS = 127.0
+MAX_LOG_ODDS = 127.0
 """Of any map."""
 
 
@@ -28,7 +28,7 @@ def map_of(cells: Cells, cell_m: float, facts: MapFacts, config: Config | None =
     """
     config = config or Config()
     # A whole number of steps may lie beyond what the map that was rounded to them can hold.
-    most = min(float(np.abs(cells.log_odds).max(initial=0.0)), MOST_LOG_ODDS)
+    most = min(float(np.abs(cells.log_odds).max(initial=0.0)), MAX_LOG_ODDS)
     replace = msgspec.structs.replace
     sonar_map = SonarMap(
         replace(

@@ -1,1 +1,1 @@
-"""Files made from a map; the map itself is the only copy of the data."""
+"""Files for other programs, made from a map."""

@@ -14,15 +14,15 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from mapperd.config.loader import YamlProblem, parse_yaml
 from mapperd.errors import ConfigError
-from mapperd.mapping import Voxels
-from mapperd.probability import probabilities_of
-from mapperd.yaml_strict import YamlProblem, parse_yaml
+from mapperd.mapping.probability import probabilities_of
+from mapperd.mapping.sonar_map import Voxels
 
 __all__ = ["Calibration", "load_calibration"]
 
 MAX_FILE_BYTES = 64 * 1024
-MOST_LOG_ODDS = 30.0
+MAX_LOG_ODDS = 30.0
 
 
 class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -54,8 +54,8 @@ class Calibration:
                 f"{len(self.log_odds)} log_odds and {len(self.calibrated)} calibrated; "
                 "allowed: as many of both, at least one"
             )
-        if not (np.abs(both) <= MOST_LOG_ODDS).all():
-            raise ValueError(f"numbers must lie within ±{MOST_LOG_ODDS:g}")
+        if not (np.abs(both) <= MAX_LOG_ODDS).all():
+            raise ValueError(f"numbers must lie within ±{MAX_LOG_ODDS:g}")
         if not (np.diff(self.log_odds) > 0).all():
             raise ValueError("log_odds must rise")
         if not (np.diff(self.calibrated) >= 0).all():

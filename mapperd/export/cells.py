@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from mapperd import _core
 from mapperd.errors import ExportError
-from mapperd.mapping import SonarMap, Voxels, iwlo_params
-from mapperd.probability import log_odds_of
+from mapperd.mapping.probability import log_odds_of
+from mapperd.mapping.sonar_map import SonarMap, Voxels, iwlo_params
 
 __all__ = [
     "FREE",

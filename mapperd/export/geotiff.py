@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from mapperd.errors import ExportError
 from mapperd.export.cells import Tops
-from mapperd.geodesy import Origin
-from mapperd.projection import TransverseMercator, local_projection
+from mapperd.geometry.geodesy import Origin, TransverseMercator, local_projection
 
 __all__ = ["MISSING", "NO_DATA", "Band", "GridPlace", "write_geotiff", "write_tiles"]
 
@@ -34,7 +33,7 @@ HOW = {
 }
 """What all our files have of TIFF."""
 
-MOST_BYTES = 4_000_000_000
+MAX_BYTES = 4_000_000_000
 """Of cells in a plain TIFF, packed or not: places in it have 32 bits."""
 
 Floats32 = NDArray[np.float32]
@@ -141,7 +140,7 @@ def write_tiles(
         shape=(place.height, place.width, len(bands)),
         dtype=np.float32,
         tile=(edge, edge),
-        bigtiff=place.height * place.width * len(bands) * 4 > MOST_BYTES,
+        bigtiff=place.height * place.width * len(bands) * 4 > MAX_BYTES,
         planarconfig="contig",
         maxworkers=1,  # else it asks for tiles that wait for others to be packed
         **HOW,

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.errors import ExportError
-from mapperd.geodesy import Origin
-from mapperd.mapping import Voxels
-from mapperd.projection import utm_zone
+from mapperd.geometry.geodesy import Origin, utm_zone
+from mapperd.mapping.sonar_map import Voxels
 
 __all__ = ["MISSING", "STEP_M", "las_cloud", "write_las"]
 
@@ -21,7 +20,7 @@ MISSING = "laspy, or its lazrs, cannot be imported (pip install 'mapperd[las]')"
 STEP_M = 0.0001
 """Coordinates are whole numbers of these."""
 
-MOST_STEPS = 2**31 - 1
+MAX_STEPS = 2**31 - 1
 
 POINT_FORMAT = 6
 """The plainest of version 1.4, which knows well-known text."""
@@ -126,7 +125,7 @@ def _middle(corners_m: Floats) -> Floats:
     """
     low, high = corners_m.min(axis=0), corners_m.max(axis=0)
     middle_m = np.floor((low + high) / 2)
-    if (high - middle_m).max() > MOST_STEPS * STEP_M:
-        side_km = math.floor(2 * MOST_STEPS * STEP_M / 1000)
+    if (high - middle_m).max() > MAX_STEPS * STEP_M:
+        side_km = math.floor(2 * MAX_STEPS * STEP_M / 1000)
         raise ExportError(f"the map is too wide for LAS: at most {side_km} km")
     return np.asarray(middle_m)

@@ -1,1 +1,1 @@
-"""Where the vehicle is on a map that is known: scans, maps, and what becomes of an estimate."""
+"""Where the vehicle is on a known map: scans, maps, particle filter, corrections."""

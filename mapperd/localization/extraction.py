@@ -1,24 +1,81 @@
-"""From a ping to a scan: what happens to a ping that the vehicle is to be found by."""
+"""From a ping to a scan.
 
+Where floor and surface may be, beam by beam.
+
+With the fan's plane tilted down by g and a vertical aperture B, a level floor h below the sonar
+comes into the aperture at slant range h / sin(g + B / 2), the surface d above it at
+d / sin(B / 2 - g). Rolled, each beam has a tilt of its own; here they are all taken from the beams'
+directions.
+"""
+
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config
-from mapperd.echo import Echo
-from mapperd.localization.aperture import heard_aperture_rad
-from mapperd.localization.burst import BurstWatch
-from mapperd.localization.first_return import FirstReturns, Limits, first_returns
-from mapperd.localization.floor_gate import floor_gate_m
-from mapperd.localization.levelling import fan_points
-from mapperd.localization.levels import equalised, levels_db
-from mapperd.localization.scan import Scan
-from mapperd.reject import Reject
+from mapperd.config.tree import Config
+from mapperd.errors import MapError, Reject
+from mapperd.imaging.filter_chain import filter_ping_image
+from mapperd.imaging.ping_image import PingImage, ping_image_of
+from mapperd.localization.burst_filter import BurstWatch
+from mapperd.localization.detector import FirstReturns, Limits, equalised, first_returns, levels_db
+from mapperd.localization.levelling import fan_points, level_T_base
+from mapperd.localization.scan import Scan, heard_aperture_rad
+from mapperd.mapping.sonar_map import mounting
+from mapperd.odometry.fusion import FusedPose
+from oculus_driver.ping import Ping
 
-__all__ = ["Surroundings", "scan_of"]
+__all__ = ["Surroundings", "burst_watch", "floor_gate_m", "scan_of", "scan_of_ping"]
 
 Floats = NDArray[np.float64]
+
+
+def floor_gate_m(
+    bearing_rad: Floats,
+    level_T_sonar: Floats,  # noqa: N803 frames are named
+    vertical_aperture_rad: float,
+    *,
+    height_m: float | None,
+    depth_m: float | None,
+) -> Floats:
+    """Slant range (N,) from which on a return may be floor or surface; infinite where neither.
+
+    Args:
+        bearing_rad: (N,), positive to starboard.
+        level_T_sonar: (4, 4) rigid transform.
+        vertical_aperture_rad: full.
+        height_m: of the sonar above the floor; None is unknown, and no gate.
+        depth_m: of the sonar below the surface; likewise.
+    """
+    lowest, highest = _steepest(bearing_rad, level_T_sonar[2, :3], vertical_aperture_rad / 2)
+    gate = np.full(len(bearing_rad), np.inf)
+    for distance_m, sine in ((height_m, -lowest), (depth_m, highest)):
+        if distance_m is not None and math.isfinite(distance_m):
+            reached = sine > 0
+            slant = max(distance_m, 0.0) / sine[reached]
+            gate[reached] = np.minimum(gate[reached], slant)
+    return gate
+
+
+def _steepest(bearing_rad: Floats, up: Floats, half_rad: float) -> tuple[Floats, Floats]:
+    """Least and greatest sine of the level elevation that each beam's aperture reaches.
+
+    A direction at elevation e has the height A cos e + B sin e; its extremes lie at the aperture's
+    edges, or at atan2(B, A) and opposite of it, where they are within.
+    """
+    along = up[0] * np.cos(bearing_rad) - up[1] * np.sin(bearing_rad)
+    across = np.full_like(along, up[2])
+    edges = [along * math.cos(e) + across * math.sin(e) for e in (-half_rad, half_rad)]
+    lowest, highest = np.minimum(*edges), np.maximum(*edges)
+    size = np.hypot(along, across)
+    top = np.arctan2(across, along)
+    bottom = np.arctan2(-across, -along)
+    return (
+        np.where(np.abs(bottom) <= half_rad, -size, lowest),
+        np.where(np.abs(top) <= half_rad, size, highest),
+    )
+
 
 EDGE_CELLS = 2
 """Rows by which two looks at one surface differ: speckle moves its edge."""
@@ -44,7 +101,7 @@ class Surroundings:
 
 
 def scan_of(
-    echo: Echo, around: Surroundings, config: Config, watch: BurstWatch | None = None
+    echo: PingImage, around: Surroundings, config: Config, watch: BurstWatch | None = None
 ) -> Scan | Reject:
     """Take the first surface of each beam out of a ping.
 
@@ -74,7 +131,7 @@ def scan_of(
 
 
 def _placed(
-    found: FirstReturns, echo: Echo, around: Surroundings, config: Config, max_range_m: float
+    found: FirstReturns, echo: PingImage, around: Surroundings, config: Config, max_range_m: float
 ) -> Scan:
     settings = config.localization.scan
     # A surface that rises slowly may have its edge outside the limits that its samples keep to.
@@ -105,3 +162,44 @@ def _placed(
         max_range_m,
         np.array(around.level_T_sonar, dtype=np.float64),
     )
+
+
+UNNAMED = ("", "none")
+"""Owners of the depth that are no source."""
+
+
+def burst_watch(config: Config) -> BurstWatch:
+    """What tells bursts from what the vehicle's motion changes."""
+    limits = config.odometry.limits
+    return BurstWatch(limits.max_speed, math.radians(limits.max_turn_rate))
+
+
+def scan_of_ping(
+    ping: Ping, pose: FusedPose, t_ns: int, config: Config, watch: BurstWatch
+) -> Scan | Reject:
+    """Take the first surface of each beam out of a ping.
+
+    Args:
+        ping: what the sonar heard.
+        pose: of the base at its time; of it only attitude and depth count.
+        t_ns: that time.
+        config: the settings.
+        watch: has seen the pings before.
+
+    Returns:
+        The scan, or why there is none: `burst`, or as the map would refuse the ping.
+    """
+    try:
+        echo, _ = filter_ping_image(ping_image_of(ping, config.sonar), config)
+    except MapError as error:
+        return Reject(error.reason, str(error))
+    return scan_of(echo, _around(ping, pose, t_ns, config), config, watch)
+
+
+def _around(ping: Ping, pose: FusedPose, t_ns: int, config: Config) -> Surroundings:
+    """The surface is at height 0 where a source of depth has been named; the floor is unknown."""
+    level_T_sonar = level_T_base(pose.pose.map_q_base) @ mounting(config)  # noqa: N806 frames
+    depth_m = None
+    if config.odometry.owners.depth not in UNNAMED:
+        depth_m = -float(pose.pose.position_m[2]) - float(level_T_sonar[2, 3])
+    return Surroundings(t_ns, level_T_sonar, depth_m=depth_m, gamma_byte=ping.gamma)

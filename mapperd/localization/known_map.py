@@ -1,11 +1,29 @@
-"""A known map, and which one it is."""
+"""A known map, and how it is loaded: Nav2's files, ours, our store's, OctoMap's."""
 
+import hashlib
+import struct
 from dataclasses import dataclass
+from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd.config.tree import Config
+from mapperd.errors import MapError, StoreError
 from mapperd.localization.grid_map import GridMap
-from mapperd.localization.volume_map import LocalizationMap, VolumeMap
+from mapperd.localization.map_io import read_nav2_map
+from mapperd.localization.maps import (
+    LocalizationMap,
+    VolumeMap,
+    depth_slice,
+    keep_boundaries,
+    volume_map,
+)
+from mapperd.mapping.queries import MapQueries
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.store.reader import StoreReader
 
-__all__ = ["KnownMap"]
+__all__ = ["MAX_FILE_BYTES", "MAX_SIDE", "MAX_VOXELS", "KnownMap", "load_known_map"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,3 +44,131 @@ class KnownMap:
     def grid(self) -> GridMap:
         """The planar map, or the slice of it that the vehicle drives in; for pictures."""
         return self.map.grid if isinstance(self.map, VolumeMap) else self.map
+
+
+Floats = NDArray[np.float64]
+
+MAX_VOXELS = 1 << 26
+"""Of the box of a 3D map: 67 million distances and as many likelihoods, 512 MiB."""
+
+MAX_SIDE = 32000
+"""Cells along a side of a planar map, the filter's limit."""
+
+MAX_FILE_BYTES = 1 << 30
+"""Of a map in one file."""
+
+SQLITE = b"SQLite format 3\0"
+
+BAND_M = 0.5
+"""Height of the band that is chosen where the settings name none."""
+
+
+def load_known_map(path: Path, config: Config) -> KnownMap:
+    """Load a map by its kind: `.yaml` of Nav2, `.bt`, `.ot`, a map's file on disk, else `.map`.
+
+    Args:
+        path: of the file.
+        config: `localization.geometry` and `band_*`, the thresholds of `mapping`, and of maps with
+            voxels the resolution.
+
+    Raises:
+        MapError: it cannot be read, is no map, or is too large to be localized on; one line.
+    """
+    if path.suffix.lower() in (".yaml", ".yml"):
+        grid = read_nav2_map(path)
+        known = KnownMap(str(path), _fingerprint(grid), grid)
+    else:
+        voxels = _voxels_in(path, config)
+        known = KnownMap(str(path), voxels.sha256(), _located(voxels, path, config))
+    if max(known.grid.occupancy.shape) > MAX_SIDE:
+        raise MapError(f"{path}: more than {MAX_SIDE} cells along a side", "too_large")
+    return known
+
+
+def _fingerprint(grid: GridMap) -> str:
+    numbers = (grid.resolution_m, grid.origin_x_m, grid.origin_y_m, grid.origin_yaw_rad)
+    digest = hashlib.sha256(b"mapperd grid\0")
+    digest.update(struct.pack("<4d2q", *numbers, *grid.occupancy.shape))
+    digest.update(grid.occupancy.data)
+    return digest.hexdigest()
+
+
+def _voxels_in(path: Path, config: Config) -> SonarMap:
+    """All of a map with voxels, in memory."""
+    sonar_map = SonarMap(config)
+    try:
+        if not path.is_file():  # a pipe would keep us waiting
+            raise MapError(f"{path}: there is no such file", "bad_map_file")
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise MapError(f"{path}: larger than {MAX_FILE_BYTES} bytes", "bad_map_file")
+        with path.open("rb") as file:
+            begin = file.read(len(SQLITE))
+        if begin == SQLITE:
+            with StoreReader(path) as reader:
+                reader.load(sonar_map)
+        elif path.suffix.lower() in (".bt", ".ot"):
+            _load_octomap(sonar_map, path)
+        else:
+            sonar_map.load(path)
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        raise MapError(f"{path}: cannot be read: {error}", "bad_map_file") from error
+    except StoreError as error:
+        raise MapError(str(error), "bad_map_file") from error
+    return sonar_map
+
+
+def _load_octomap(sonar_map: SonarMap, path: Path) -> None:
+    try:
+        sonar_map.load_octomap(path.read_bytes())
+    except MapError as error:
+        raise MapError(f"{path}: {error}", error.reason) from error
+
+
+def _located(sonar_map: SonarMap, path: Path, config: Config) -> LocalizationMap:
+    mapping = config.mapping
+    queries = MapQueries(
+        sonar_map.core,
+        occupied_threshold=mapping.occupied_threshold,
+        free_threshold=mapping.free_threshold,
+    )
+    free_m, occupied_m = (sonar_map.voxels(kind).centres_m for kind in ("free", "occupied"))
+    if len(occupied_m) == 0:
+        raise MapError(f"{path}: nothing in it is occupied", "empty_map")
+    half_m = sonar_map.resolution_m / 2
+    known_m = np.concatenate([free_m, occupied_m])
+    low, high = known_m.min(axis=0) - half_m, known_m.max(axis=0) + half_m
+    bottom, top = _band_m(free_m, config, low, high)
+    if config.localization.geometry == "2d":
+        return depth_slice(queries, np.array([*low[:2], bottom]), np.array([*high[:2], top]))
+    _check_size(high - low, sonar_map.resolution_m, path)
+    if config.localization.boundaries_only and keep_boundaries(sonar_map) == 0:
+        raise MapError(f"{path}: nothing in it is occupied beside free space", "empty_map")
+    try:
+        reach_m = config.amcl.laser_likelihood_max_dist
+        return volume_map(queries, low, high, (bottom, top), reach_m)
+    except ValueError as error:
+        raise MapError(f"{path}: {error}", "too_large") from error
+
+
+def _band_m(free_m: Floats, config: Config, low: Floats, high: Floats) -> tuple[float, float]:
+    """Where the vehicle drives: as set, else about the height with most free voxels."""
+    ours = config.localization
+    if ours.band_low < ours.band_high:
+        return ours.band_low, ours.band_high
+    if len(free_m) == 0:
+        return float(low[2]), float(high[2])
+    heights, counts = np.unique(free_m[:, 2], return_counts=True)
+    middle_m = float(heights[counts.argmax()])
+    return middle_m - BAND_M / 2, middle_m + BAND_M / 2
+
+
+def _check_size(size_m: Floats, resolution_m: float, path: Path) -> None:
+    voxels = float(np.prod(np.ceil(size_m / resolution_m)))
+    if voxels > MAX_VOXELS:
+        sides = " x ".join(f"{side:.0f}" for side in size_m)
+        raise MapError(
+            f"{path}: {sides} m are {voxels:.2g} voxels of {resolution_m:g} m, at most "
+            f"{MAX_VOXELS:.2g} can be localized on: set localization.geometry 2d, or take a map "
+            "of larger voxels",
+            "too_large",
+        )

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapperd.frames import quaternion_to_matrix
+from mapperd.geometry.frames import quaternion_to_matrix
 
 __all__ = ["beam_directions", "fan_points", "level_T_base", "yaw_of"]
 

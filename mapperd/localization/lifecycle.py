@@ -21,10 +21,10 @@ from typing import Literal
 
 import numpy as np
 
-from mapperd.config import Amcl
-from mapperd.localization.estimate import PlanarGaussian
-from mapperd.localization.volume_map import LocalizationMap
-from mapperd.reject import Reject
+from mapperd.config.tree import Amcl
+from mapperd.errors import Reject
+from mapperd.geometry.gaussian import PlanarGaussian
+from mapperd.localization.maps import LocalizationMap
 
 __all__ = ["Lifecycle", "Start", "parameter_pose"]
 

@@ -2,20 +2,51 @@
 
 from collections import Counter
 from dataclasses import dataclass, replace
+from typing import Protocol
 
-from mapperd.config import Config
-from mapperd.frames import Pose
-from mapperd.localization.estimate import Belief, PlanarGaussian
+from mapperd.config.tree import Config
+from mapperd.errors import Reject
+from mapperd.geometry.frames import Pose
+from mapperd.geometry.gaussian import Belief, PlanarGaussian
 from mapperd.localization.levelling import yaw_of
 from mapperd.localization.lifecycle import Lifecycle, Start
-from mapperd.localization.pose import MapFromOdom, map_from_odom
-from mapperd.localization.pose_filter import PoseFilter
+from mapperd.localization.maps import LocalizationMap
+from mapperd.localization.odom_correction import MapFromOdom, map_from_odom
 from mapperd.localization.scan import Scan, decimated
 from mapperd.localization.update_gate import PlanarPose, UpdateGate
-from mapperd.localization.volume_map import LocalizationMap
-from mapperd.reject import Reject
 
-__all__ = ["Localized", "Localizer", "LocalizerState"]
+__all__ = ["Localized", "Localizer", "LocalizerState", "PoseFilter"]
+
+
+class PoseFilter(Protocol):
+    """Particles on a map."""
+
+    def reconfigure(self, config: Config) -> None:
+        """Take other settings; the particles are as they were."""
+
+    def take_map(self, known: LocalizationMap) -> None:
+        """Use another map from now on; the particles are as they were."""
+
+    def start_at(self, pose: PlanarGaussian) -> None:
+        """Draw all particles anew around a pose; averages and counters begin anew."""
+
+    def start_anywhere(self) -> None:
+        """Draw all particles anew on the map's free cells."""
+
+    def update(
+        self, before: PlanarPose, now: PlanarPose, scan: Scan, base_height_m: float
+    ) -> Belief:
+        """Move, weigh and, if it is due, resample the particles.
+
+        Args:
+            before: odometry at the last update.
+            now: odometry at the scan.
+            scan: what to weigh by; an empty one moves the particles only.
+            base_height_m: of the base in the map, from the depth.
+
+        Returns:
+            Where the vehicle is.
+        """
 
 
 @dataclass(frozen=True, slots=True)

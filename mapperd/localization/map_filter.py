@@ -6,17 +6,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config
-from mapperd.localization.cloud_state import CloudState, cloud_state, restore_cloud
-from mapperd.localization.estimate import Belief, PlanarGaussian
-from mapperd.localization.filter import ParticleFilter, Weighed, belief
-from mapperd.localization.fit_watch import FitWatch
-from mapperd.localization.map_weighing import MapWeighing, threads_of
+from mapperd.config.tree import Config
+from mapperd.geometry.gaussian import Belief, PlanarGaussian
+from mapperd.localization.hypothesis import AlternativeHypothesis, FitWatch, same_place, spread_m
+from mapperd.localization.maps import LocalizationMap
 from mapperd.localization.models import filter_rule
-from mapperd.localization.rival import Rival, same_place, spread_m
+from mapperd.localization.particle_filter import (
+    CloudState,
+    ParticleFilter,
+    Weighed,
+    belief,
+    cloud_state,
+    restore_cloud,
+)
 from mapperd.localization.scan import Scan
 from mapperd.localization.update_gate import PlanarPose
-from mapperd.localization.volume_map import LocalizationMap
+from mapperd.localization.weighting import MapWeighing, threads_of
 
 __all__ = ["FilterState", "MapFilter"]
 
@@ -68,7 +73,7 @@ class MapFilter:
     def __init__(self, config: Config) -> None:
         self.weighed: Weighed | None = None
         self.watch = FitWatch()
-        self.rival: Rival | None = None
+        self.rival: AlternativeHypothesis | None = None
         self.rivals = 0
         self._config = config
         self._particles = self._cloud()
@@ -142,7 +147,7 @@ class MapFilter:
         self._blind, self._alone_m, self.rival = state.blind, state.alone_m, None
         if state.rival is not None:
             cloud, log_odds, way_m = state.rival
-            self.rival = Rival(self._cloud(), log_odds, way_m)
+            self.rival = AlternativeHypothesis(self._cloud(), log_odds, way_m)
             restore_cloud(self.rival.particles, cloud)
 
     def update(
@@ -213,7 +218,9 @@ class MapFilter:
         """It has not found its place."""
         return spread_m(particles.estimate()) > SPREAD_M
 
-    def _try(self, weighing: MapWeighing, rival: Rival, scan: Scan, height_m: float) -> None:
+    def _try(
+        self, weighing: MapWeighing, rival: AlternativeHypothesis, scan: Scan, height_m: float
+    ) -> None:
         """Weigh the rival, too, and have the scan decide between both."""
         ours = self._config.localization
         weighed, first = self._weigh(weighing, rival.particles, scan, height_m), self.weighed
@@ -229,7 +236,7 @@ class MapFilter:
         wanted = ours.rival_interval > 0.0 and weighing.is_product and self._alone_m >= due_m
         if wanted and not self._blind and weighing.can_search(scan):
             self.rivals += 1
-            self.rival = Rival(self._cloud())
+            self.rival = AlternativeHypothesis(self._cloud())
             weighing.draw(self.rival.particles, scan, height_m)
 
     def _belief(self) -> Belief:

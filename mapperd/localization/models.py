@@ -1,19 +1,20 @@
-"""The settings of localization as the core's filter takes them."""
+"""The settings of localization as the core's filter takes them, checked."""
 
 import numpy as np
 
-from mapperd.config import Amcl, Config
-from mapperd.localization.filter import (
+from mapperd.config.tree import Amcl, Config
+from mapperd.errors import ConfigError
+from mapperd.localization.grid_map import GridMap
+from mapperd.localization.maps import LocalizationMap, VolumeMap
+from mapperd.localization.particle_filter import (
     BeamModel,
     FilterRule,
     Grid,
     HitModel,
     LikelihoodField,
 )
-from mapperd.localization.grid_map import GridMap
-from mapperd.localization.volume_map import LocalizationMap, VolumeMap
 
-__all__ = ["beam_model", "core_grid", "field_of", "filter_rule", "hit_model"]
+__all__ = ["beam_model", "check_localization", "core_grid", "field_of", "filter_rule", "hit_model"]
 
 
 def filter_rule(config: Config) -> FilterRule:
@@ -76,3 +77,20 @@ def field_of(
         return LikelihoodField.of_distances(*distances, model)
     boundaries = config.localization.boundaries_only
     return LikelihoodField.of_grid(core_grid(known), model, boundaries)
+
+
+def check_localization(config: Config) -> None:
+    """Check what the filter and its models will be asked to take.
+
+    Raises:
+        ConfigError: they refuse it.
+    """
+    if config.localization.mode == "off":
+        return
+    try:
+        filter_rule(config)
+        hit_model(config.amcl)
+        if config.amcl.laser_model_type == "beam":
+            beam_model(config.amcl)
+    except ValueError as error:
+        raise ConfigError(f"$.amcl: {error}", "$.amcl") from error

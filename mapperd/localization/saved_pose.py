@@ -10,8 +10,8 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from mapperd.errors import MapError
-from mapperd.export.atomic import atomic_file
-from mapperd.localization.estimate import PlanarGaussian
+from mapperd.geometry.gaussian import PlanarGaussian
+from mapperd.io import atomic_file
 
 __all__ = ["SavePace", "load_pose", "save_pose"]
 

@@ -1,12 +1,24 @@
-"""A scan: what one ping says about where surfaces are."""
+"""A scan: the surfaces that one ping, or a caller's ranges, tell of.
+
+From how high a part of the water a return may come.
+
+The map spreads an echo over where half of its power is left after both ways: most echoes come from
+there. A first return is the edge of what is nearest, and is heard beyond: localization reckons with
+the one-way width, where a quarter is left after both ways. Down to there a beam falls off as a
+Gauss curve does, of which that is sqrt 2 times as much.
+"""
 
 import dataclasses
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Scan", "decimated", "decimation"]
+from mapperd.config.tree import Sonar
+from mapperd.localization.levelling import fan_points
+
+__all__ = ["Scan", "decimated", "decimation", "heard_aperture_rad", "scan_of_ranges"]
 
 Floats = NDArray[np.float64]
 
@@ -83,3 +95,50 @@ def decimated(scan: Scan, most: int) -> Scan:
         quality=scan.quality[kept],
         beam=scan.beam[kept],
     )
+
+
+LEVEL = np.eye(4)
+
+
+def scan_of_ranges(
+    stamp_ns: int,
+    bearing_rad: ArrayLike,
+    range_m: ArrayLike,
+    level_T_sonar: NDArray[np.float64] = LEVEL,  # noqa: N803 frames are named
+    quality: ArrayLike = 1.0,
+) -> Scan:
+    """A scan of one range a beam.
+
+    Args:
+        stamp_ns: when, on the clock of the odometry.
+        bearing_rad: (N,) increasing, in the sonar's fan, positive to starboard.
+        range_m: (N,) slant ranges from the sonar; what is not finite and above 0 is no return.
+        level_T_sonar: (4, 4) rigid transform: attitude and mounting, without the heading; by
+            default the sonar is the base, and level.
+        quality: 0..1, (N,) or one number.
+
+    Raises:
+        ValueError: the lengths differ, or a bearing is not finite.
+    """
+    bearing = np.array(bearing_rad, dtype=np.float64)
+    ranges = np.array(range_m, dtype=np.float64)
+    if bearing.ndim != 1 or bearing.shape != ranges.shape or not np.isfinite(bearing).all():
+        raise ValueError("a scan has as many ranges as bearings, and these are finite")
+    weights = np.broadcast_to(np.asarray(quality, dtype=np.float64), bearing.shape)
+    seen = np.isfinite(ranges) & (ranges > 0)
+    return Scan(
+        stamp_ns=stamp_ns,
+        bearing_rad=bearing[seen],
+        range_m=ranges[seen],
+        points_m=fan_points(ranges[seen], bearing[seen], level_T_sonar),
+        quality=np.clip(weights[seen], 0.0, 1.0),
+        beam=np.flatnonzero(seen),
+        misses_bearing_rad=bearing[~seen],
+        max_range_m=float(ranges[seen].max(initial=0.0)),
+        level_T_sonar=np.array(level_T_sonar, dtype=np.float64),
+    )
+
+
+def heard_aperture_rad(sonar: Sonar) -> float:
+    """Full vertical angle that a first return may come from: the beam's one-way width."""
+    return math.sqrt(2.0) * math.radians(sonar.vertical_aperture)

@@ -9,8 +9,8 @@ and nothing is moved by what the vehicle drove before it, as in Nav2's.
 import math
 from dataclasses import dataclass, replace
 
-from mapperd.config import Amcl
-from mapperd.localization.estimate import wrapped
+from mapperd.config.tree import Amcl
+from mapperd.geometry.gaussian import wrapped
 
 __all__ = ["PlanarPose", "UpdateDecision", "UpdateGate"]
 

@@ -4,16 +4,14 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from mapperd.config import Config
-from mapperd.config_odometry import OdometrySource
-from mapperd.errors import ConfigError
-from mapperd.links.address import parse_address
+from mapperd.config.link_address import parse_address
+from mapperd.config.odometry import FormatSettings, OdometrySource
+from mapperd.config.tree import Config
+from mapperd.errors import ConfigError, Reject
 from mapperd.odometry.decoder import Decoder
-from mapperd.odometry.format_settings import FormatSettings
 from mapperd.odometry.formats import make_decoder
 from mapperd.odometry.fusion import Fusion
 from mapperd.odometry.records import Odometry
-from mapperd.reject import Reject
 
 __all__ = ["ENCODING_PREFIX", "OdometryBridge", "encoding_of"]
 

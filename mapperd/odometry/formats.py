@@ -1,17 +1,13 @@
 """Settings become a decoder. Libraries of a format are imported only where it is wanted."""
 
+from mapperd.config.odometry import FormatSettings
 from mapperd.errors import ConfigError
-from mapperd.odometry.decoder import Decoder
-from mapperd.odometry.format_settings import FormatSettings
-from mapperd.odometry.lines import LineDecoder, ReadLine
-from mapperd.odometry.native import NativeDecoder
-from mapperd.odometry.native_json import MAX_LINE_BYTES as JSON_BYTES
-from mapperd.odometry.native_json import read_native_json
-from mapperd.odometry.native_serial import NativeSerialDecoder
-from mapperd.odometry.water_linked_json import MAX_LINE_BYTES as DVL_JSON_BYTES
-from mapperd.odometry.water_linked_json import read_water_linked_json
-from mapperd.odometry.water_linked_serial import MAX_LINE_BYTES as DVL_SERIAL_BYTES
-from mapperd.odometry.water_linked_serial import read_water_linked_serial
+from mapperd.odometry.decoder import Decoder, LineDecoder, ReadLine
+from mapperd.odometry.native import MAX_LINE_BYTES as JSON_BYTES
+from mapperd.odometry.native import NativeDecoder, NativeSerialDecoder, read_native_json
+from mapperd.odometry.water_linked import MAX_JSON_LINE_BYTES as DVL_JSON_BYTES
+from mapperd.odometry.water_linked import MAX_SERIAL_LINE_BYTES as DVL_SERIAL_BYTES
+from mapperd.odometry.water_linked import read_water_linked_json, read_water_linked_serial
 
 __all__ = ["make_decoder"]
 

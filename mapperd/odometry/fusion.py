@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config_odometry import NOBODY, OdometryFusion, SlamQuality, TimeSync, WorldInit
-from mapperd.frames import Pose, quaternion_to_matrix
-from mapperd.odometry.confidence import ConfidenceGate
+from mapperd.config.odometry import NOBODY, OdometryFusion, SlamQuality, TimeSync, WorldInit
+from mapperd.errors import Reject
+from mapperd.geometry.frames import Pose, quaternion_to_matrix
+from mapperd.odometry.clock import OdometryClock
+from mapperd.odometry.gate import ConfidenceGate, bad_record
 from mapperd.odometry.intake import Intake
 from mapperd.odometry.levelling import Levelling, levelled
-from mapperd.odometry.lookup import Reach, enclosing, is_settled, stretch, value_at
-from mapperd.odometry.record_check import bad_record
 from mapperd.odometry.records import Odometry
-from mapperd.odometry.stamps import OdometryClock
+from mapperd.odometry.series import Reach, enclosing, is_settled, stretch, value_at
 from mapperd.odometry.states import (
     ATTITUDE,
     HEIGHT,
@@ -30,7 +30,6 @@ from mapperd.odometry.states import (
     Position,
     turn_between,
 )
-from mapperd.reject import Reject
 
 if TYPE_CHECKING:
     from mapperd.odometry.series import Sample

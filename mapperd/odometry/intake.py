@@ -6,10 +6,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config_odometry import OdometryFusion
-from mapperd.frames import quaternion_to_matrix, rotation_from_rpy
-from mapperd.geodesy import Origin
-from mapperd.odometry.anchor import Anchor, yaw_between
+from mapperd.config.odometry import OdometryFusion
+from mapperd.errors import Reject
+from mapperd.geometry.frames import quaternion_to_matrix, rotation_from_rpy
+from mapperd.geometry.geodesy import Origin
 from mapperd.odometry.reckoning import DeadReckoning
 from mapperd.odometry.records import UNKNOWN_VARIANCE, Odometry
 from mapperd.odometry.states import (
@@ -20,8 +20,7 @@ from mapperd.odometry.states import (
     length,
     turn_between,
 )
-from mapperd.odometry.track import Owner, Track
-from mapperd.reject import Reject
+from mapperd.odometry.track import Anchor, Owner, Track, yaw_between
 
 __all__ = ["Intake"]
 

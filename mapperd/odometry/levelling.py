@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config_odometry import WorldInit
-from mapperd.frames import quaternion_product, quaternion_to_matrix
-from mapperd.reject import Reject
+from mapperd.config.odometry import WorldInit
+from mapperd.errors import Reject
+from mapperd.geometry.frames import quaternion_product, quaternion_to_matrix
 
 __all__ = ["Levelling"]
 

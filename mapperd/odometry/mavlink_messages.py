@@ -12,13 +12,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.frames import BODY_TO_FLU, WORLD_TO_ENU, World, compass_quaternion, compass_to_map
-from mapperd.odometry.convert import (
+from mapperd.config.odometry import FormatSettings
+from mapperd.errors import Reject
+from mapperd.geometry.frames import (
+    BODY_TO_FLU,
+    WORLD_TO_ENU,
+    World,
+    compass_quaternion,
+    compass_to_map,
+)
+from mapperd.odometry.records import (
     MAX_COVARIANCE,
     MAX_DEPTH_M,
     MAX_DISTANCE_M,
     MAX_RATE_RADPS,
     MAX_SPEED_MPS,
+    GeoPoint,
     bad_number,
     bad_numbers,
     bad_quaternion,
@@ -28,9 +37,6 @@ from mapperd.odometry.convert import (
     turned,
     turned_covariance,
 )
-from mapperd.odometry.format_settings import FormatSettings
-from mapperd.odometry.records import GeoPoint
-from mapperd.reject import Reject
 
 __all__ = ["ORDER", "READERS", "Fields"]
 
@@ -41,7 +47,7 @@ Floats = NDArray[np.float64]
 
 GRAVITY_MPS2 = 9.80665
 HPA_PA = 100.0
-LEAST_AIR_HPA = 500.0  # thinner air is above all lakes: a sensor without power says 0
+MIN_AIR_HPA = 500.0  # thinner air is above all lakes: a sensor without power says 0
 MAX_TIME_US = 9e15  # in nanoseconds it still has 64 bits
 UNKNOWN_HEADING = 65535
 DOWN = 25  # MAV_SENSOR_ROTATION_PITCH_270
@@ -189,7 +195,7 @@ def _global_position(m: Any, _: FormatSettings) -> Fields | Reject:  # noqa: ANN
 
 
 def _pressure(m: Any, settings: FormatSettings) -> Fields | Reject:  # noqa: ANN401
-    if bad := bad_number("press_abs", m.press_abs, LEAST_AIR_HPA, math.inf):
+    if bad := bad_number("press_abs", m.press_abs, MIN_AIR_HPA, math.inf):
         return bad
     over_pa = (m.press_abs - settings.surface_pressure) * HPA_PA
     depth_m = over_pa / (settings.water_density * GRAVITY_MPS2)

@@ -1,4 +1,4 @@
-"""The native odometry record: one MessagePack map, both directions from one declaration.
+"""The native odometry record as MessagePack, as JSON, and framed for serial lines.
 
 | key | type | meaning |
 |---|---|---|
@@ -14,8 +14,19 @@
 
 `t` may be left out where `clk` is `arrival`. Unknown keys are refused: a misspelt one would
 otherwise vanish.
+
+The native record on a stream of bytes: record and CRC-32, stuffed, ended by a zero byte.
+
+The CRC is that of Ethernet and zip (`zlib.crc32`) over the record, little endian. After any loss
+the next zero byte begins a new frame.
+
+Consistent overhead byte stuffing: bytes without zeros, so that a zero can end a frame.
+
+S. Cheshire and M. Baker, "Consistent overhead byte stuffing", IEEE/ACM Transactions on
+Networking 7(2), 1999.
 """
 
+import zlib
 from collections.abc import Iterator
 from typing import Annotated
 
@@ -24,12 +35,16 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from mapperd.frames import BODY_TO_FLU, WORLD_TO_ENU, Body, World
-from mapperd.odometry.convert import (
+from mapperd.errors import Reject
+from mapperd.geometry.frames import BODY_TO_FLU, WORLD_TO_ENU, Body, World
+from mapperd.odometry.decoder import DecoderCounters
+from mapperd.odometry.records import (
     MAX_COVARIANCE,
     MAX_DISTANCE_M,
     MAX_RATE_RADPS,
     MAX_SPEED_MPS,
+    Clock,
+    Odometry,
     bad_numbers,
     bad_quaternion,
     bad_variance,
@@ -38,17 +53,22 @@ from mapperd.odometry.convert import (
     turned,
     turned_covariance,
 )
-from mapperd.odometry.decoder import DecoderCounters
-from mapperd.odometry.records import Clock, Odometry
-from mapperd.reject import Reject
 
 __all__ = [
+    "MAX_FRAME_BYTES",
+    "MAX_LINE_BYTES",
     "MAX_RECORD_BYTES",
     "NativeDecoder",
     "NativeRecord",
+    "NativeSerialDecoder",
+    "cobs_decoded",
+    "cobs_encoded",
     "decode_native",
     "encode_native",
+    "encode_native_json",
+    "encode_native_serial",
     "odometry_of",
+    "read_native_json",
 ]
 
 MAX_RECORD_BYTES = 2048
@@ -183,3 +203,138 @@ class NativeDecoder:
 
     def restart(self) -> None:
         """Nothing is half received: each datagram is whole."""
+
+
+MAX_LINE_BYTES = 4096
+"""A full record takes about 1500 bytes."""
+
+_JSON_DECODER = msgspec.json.Decoder(NativeRecord)
+_JSON_ENCODER = msgspec.json.Encoder()
+
+
+def encode_native_json(record: NativeRecord) -> bytes:
+    """One line, with its end; what is None stays absent."""
+    return _JSON_ENCODER.encode(record) + b"\n"
+
+
+def read_native_json(
+    line: bytes,
+    arrival_ns: int | None,  # noqa: ARG001 the stamp is in the record
+    counters: DecoderCounters,
+) -> Odometry | Reject:
+    """Read one line."""
+    try:
+        wire = _JSON_DECODER.decode(line)
+    except msgspec.ValidationError as error:
+        return Reject("wrong_shape", str(error))
+    except ValueError as error:  # malformed JSON, or text that is not UTF-8
+        return Reject("not_json", str(error))
+    counters.heard("record", len(line))
+    return odometry_of(wire)
+
+
+_RUN = 254  # bytes between two code bytes, at most
+
+
+def cobs_encoded(data: bytes) -> bytes:
+    """The data without zero bytes, at most one byte in 254 and one longer; no delimiter."""
+    out = bytearray()
+    pieces = data.split(b"\0")
+    for place, piece in enumerate(pieces):
+        start = 0
+        while len(piece) - start >= _RUN:
+            out.append(_RUN + 1)
+            out += piece[start : start + _RUN]
+            start += _RUN
+        # A full run that ends the data needs no more; anywhere else, a zero follows.
+        if start < len(piece) or not start or place < len(pieces) - 1:
+            out.append(len(piece) - start + 1)
+            out += piece[start:]
+    return bytes(out)
+
+
+def cobs_decoded(stuffed: bytes) -> bytes | None:
+    """What was encoded, or None where these bytes are no such encoding.
+
+    Args:
+        stuffed: what stood between two delimiters.
+    """
+    if not stuffed or 0 in stuffed:
+        return None
+    parts = []
+    place, size = 0, len(stuffed)
+    while place < size:
+        code = stuffed[place]
+        end = place + code
+        if end > size:
+            return None
+        parts.append(stuffed[place + 1 : end])
+        if code <= _RUN and end < size:
+            parts.append(b"\0")
+        place = end
+    return b"".join(parts)
+
+
+CRC_BYTES = 4
+MAX_FRAME_BYTES = MAX_RECORD_BYTES + CRC_BYTES + MAX_RECORD_BYTES // 254 + 2
+
+
+def encode_native_serial(record: NativeRecord) -> bytes:
+    """One frame, with its delimiter behind it."""
+    data = encode_native(record)
+    return cobs_encoded(data + zlib.crc32(data).to_bytes(CRC_BYTES, "little")) + b"\0"
+
+
+class NativeSerialDecoder:
+    """Frames between zero bytes, however the stream was split.
+
+    Attributes:
+        counters: what came in and what became of it.
+    """
+
+    def __init__(self) -> None:
+        self.counters = DecoderCounters()
+        self._rest = b""
+        self._skipping = False
+
+    def feed(self, data: bytes, arrival_ns: int | None) -> Iterator[Odometry | Reject]:  # noqa: ARG002 the stamp is in the record
+        """Take the next bytes."""
+        self.counters.bytes_total += len(data)
+        *frames, rest = (self._rest + data).split(b"\0")
+        self._rest = b""
+        for frame in frames:
+            if self._skipping or len(frame) > MAX_FRAME_BYTES:
+                yield from self._too_long(frame)
+                self._skipping = False
+            elif frame:  # between two delimiters in a row is nothing
+                yield self.counters.out(self._record(frame))
+        if self._skipping or len(rest) > MAX_FRAME_BYTES:
+            yield from self._too_long(rest)
+        else:
+            self._rest = rest
+
+    def restart(self) -> None:
+        """Forget what is half received."""
+        self.counters.bytes_skipped += len(self._rest)
+        self._rest, self._skipping = b"", False
+
+    def _record(self, frame: bytes) -> Odometry | Reject:
+        data = cobs_decoded(frame)
+        whole = (
+            data is not None
+            and len(data) > CRC_BYTES
+            and zlib.crc32(data[:-CRC_BYTES]) == int.from_bytes(data[-CRC_BYTES:], "little")
+        )
+        self.counters.heard("record", len(frame), whole=whole)
+        if data is None or not whole:
+            return Reject("bad_checksum", f"{len(frame)} bytes between zeros are no whole frame")
+        return decode_native(data[:-CRC_BYTES])
+
+    def _too_long(self, piece: bytes) -> Iterator[Reject]:
+        """Skip a piece of a frame; one reject for each such frame."""
+        self.counters.bytes_skipped += len(piece)
+        if not self._skipping:
+            self._skipping = True
+            reject = Reject("too_long", f"more than {MAX_FRAME_BYTES} bytes without a zero")
+            self.counters.out(reject)
+            yield reject

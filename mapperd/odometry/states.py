@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.frames import quaternion_between, quaternion_product
-from mapperd.odometry.lookup import Course
+from mapperd.geometry.frames import quaternion_between, quaternion_product
+from mapperd.odometry.series import Course
 
 __all__ = [
     "ATTITUDE",

@@ -1,19 +1,61 @@
-"""One quantity from its one owner: whose it is, what of it is believed, and where it jumps."""
+"""One quantity from its one source: what is believed, and how jumps are handled."""
 
+import math
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.odometry.jump import JumpWatch
+from mapperd.errors import Reject
+from mapperd.geometry.frames import quaternion_product
 from mapperd.odometry.series import Series
-from mapperd.reject import Reject
 
-__all__ = ["AUTO", "Owner", "Track"]
+__all__ = ["AUTO", "Anchor", "JumpWatch", "Owner", "Track", "yaw_between"]
 
 V = TypeVar("V")
+
+
+class JumpWatch(Generic[V]):
+    """Tells motion, faults and jumps apart.
+
+    Args:
+        excess: how far two values are apart beyond what so many seconds of motion explain, as a
+            multiple of the allowed jump: above 1 is too far.
+    """
+
+    def __init__(self, excess: Callable[[V, V, float], float]) -> None:
+        self._excess = excess
+        self._last: tuple[int, V] | None = None
+        self._suspect: tuple[int, V] | None = None
+
+    def check(self, t_ns: int, value: V) -> bool | None:
+        """Judge a value that is newer than all before it.
+
+        Returns:
+            False where it follows from the last one, True where a jump is confirmed by it, and
+            None where it stands alone and is not to be used.
+        """
+        last, suspect = self._last, self._suspect
+        if last is None or self._follows(last, t_ns, value):
+            self._last, self._suspect = (t_ns, value), None
+            return False
+        if suspect is not None and self._follows(suspect, t_ns, value):
+            self._last, self._suspect = (t_ns, value), None
+            return True
+        self._suspect = (t_ns, value)
+        return None
+
+    def moved(self, t_ns: int, value: V) -> None:
+        """Take a jump that is known to be one."""
+        self._last, self._suspect = (t_ns, value), None
+
+    def _follows(self, before: tuple[int, V], t_ns: int, value: V) -> bool:
+        return self._excess(before[1], value, (t_ns - before[0]) / 1e9) <= 1.0
+
+
 Floats = NDArray[np.float64]
 Owner = tuple[str, str]
 """Name of the source, and of the sender on it."""
@@ -35,7 +77,7 @@ class Track(Generic[V]):
 
     Args:
         owner: configured name of the source, or `AUTO`.
-        excess: see `mapperd.odometry.jump.JumpWatch`; None is of a quantity that may jump.
+        excess: see `mapperd.odometry.track.JumpWatch`; None is of a quantity that may jump.
 
     Attributes:
         series: what was taken.
@@ -139,3 +181,56 @@ class Track(Generic[V]):
             "segment": self.segment,
             "newest_ns": None if newest is None else newest.t_ns,
         }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Anchor:
+    """A turn about the vertical and a shift, from the source's world to the map.
+
+    Attributes:
+        yaw_rad: of the source's world in the map.
+        shift_m: (3,), its origin in the map.
+    """
+
+    yaw_rad: float
+    shift_m: Floats
+
+    @classmethod
+    def none(cls) -> "Anchor":
+        """The source's world is the map."""
+        return cls(0.0, np.zeros(3))
+
+    @classmethod
+    def joining(cls, source_m: Floats, map_m: Floats, yaw_rad: float) -> "Anchor":
+        """The one that turns by an angle and takes one place to another."""
+        turn_only = cls(yaw_rad, np.zeros(3))
+        return cls(yaw_rad, map_m - turn_only.place(source_m))
+
+    def place(self, source_m: Floats) -> Floats:
+        """A position (3,) in the map."""
+        return self.direction(source_m) + self.shift_m
+
+    def direction(self, source: Floats) -> Floats:
+        """A vector (3,) in map axes."""
+        if self.yaw_rad == 0.0:
+            return source
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        x, y, z = source
+        return np.array([c * x - s * y, s * x + c * y, z])
+
+    def attitude(self, source_q_base: Floats) -> Floats:
+        """An orientation (4,) in the map."""
+        if self.yaw_rad == 0.0:
+            return source_q_base
+        half = self.yaw_rad / 2.0
+        return quaternion_product((math.cos(half), 0.0, 0.0, math.sin(half)), source_q_base)
+
+
+def yaw_between(source_q_base: Floats, map_q_base: Floats) -> float:
+    """Turn about the vertical that takes one attitude nearest to another, rad.
+
+    The twist about z of map_q_base · source_q_base⁻¹.
+    """
+    conjugate = source_q_base * np.array([1.0, -1.0, -1.0, -1.0])
+    w, _, _, z = quaternion_product(map_q_base, conjugate)
+    return 2.0 * math.atan2(z, w)

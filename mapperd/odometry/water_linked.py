@@ -1,23 +1,36 @@
-"""What a Water Linked DVL (A50, A125) reports, whichever way it comes, in our frames.
+"""Reports of Water Linked DVLs (A50, A125), by TCP JSON or serial sentences.
 
 Fields, units and axes: the maker's protocol pages, "DVL A50/A125 TCP JSON API" and "serial
 protocol". The reports are in the frame of the DVL or, once a mounting rotation offset is set in
 it, of the vehicle: x forward, y to starboard, z down. Positions count from where and how the DVL
 stood at its last reset. Of its times, those of a velocity are in microseconds, that of a
 position in seconds; before the DVL is told the time they count from some zero of its own.
+
+The serial protocol of Water Linked DVLs: sentences such as `wrz,...*50`.
+
+The check is CRC-8 (polynomial 0x07, start 0) of all before the star, two lower-case hex digits.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
+import msgspec
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
-from mapperd.frames import BODY_TO_FLU, WORLD_TO_ENU, rotation_from_rpy
-from mapperd.odometry.convert import (
+from mapperd.errors import Reject
+from mapperd.geometry.frames import BODY_TO_FLU, WORLD_TO_ENU, rotation_from_rpy
+from mapperd.odometry.decoder import DecoderCounters
+from mapperd.odometry.records import (
     MAX_COVARIANCE,
     MAX_DISTANCE_M,
     MAX_SPEED_MPS,
+    UNKNOWN_VARIANCE,
+    Clock,
+    Odometry,
     bad_number,
     bad_numbers,
     linear_covariance,
@@ -25,10 +38,18 @@ from mapperd.odometry.convert import (
     turned,
     turned_covariance,
 )
-from mapperd.odometry.records import UNKNOWN_VARIANCE, Clock, Odometry
-from mapperd.reject import Reject
 
-__all__ = ["NO_CONFIDENCE_FOM_MPS", "OVERHEATING", "Position", "Velocity"]
+__all__ = [
+    "MAX_JSON_LINE_BYTES",
+    "MAX_SERIAL_LINE_BYTES",
+    "NO_CONFIDENCE_FOM_MPS",
+    "OVERHEATING",
+    "Position",
+    "Velocity",
+    "crc8",
+    "read_water_linked_json",
+    "read_water_linked_serial",
+]
 
 Floats = NDArray[np.float64]
 
@@ -160,3 +181,172 @@ class Position:
 
 def _clock(stamp_ns: int) -> Clock:
     return "unix" if stamp_ns >= _UNIX_FROM_NS else "boot"
+
+
+MAX_JSON_LINE_BYTES = 16384
+"""A velocity report takes about 1300 bytes."""
+
+MAJOR = "json_v3"
+
+
+class _Head(Struct):
+    type: str
+    format: str
+
+
+class _Velocity(Struct):
+    vx: float
+    vy: float
+    vz: float
+    fom: float
+    altitude: float
+    velocity_valid: bool
+    covariance: tuple[tuple[float, float, float], ...] = ()
+    status: int = 0
+    time_of_validity: int | None = None
+    time_of_transmission: int | None = None
+    tracking_mode: str = "bottom"
+
+
+class _Position(Struct):
+    ts: float
+    x: float
+    y: float
+    z: float
+    std: float
+    roll: float
+    pitch: float
+    yaw: float
+    status: int
+
+
+_HEAD = msgspec.json.Decoder(_Head)
+_VELOCITY = msgspec.json.Decoder(_Velocity)
+_POSITION = msgspec.json.Decoder(_Position)
+
+
+def read_water_linked_json(
+    line: bytes,
+    arrival_ns: int | None,  # noqa: ARG001 the stamp is in the report
+    counters: DecoderCounters,
+) -> Odometry | Reject | None:
+    """Read one report. Velocity through the water and answers to commands are ignored."""
+    try:
+        return _report(line, counters)
+    except msgspec.ValidationError as error:
+        return Reject("wrong_shape", str(error))
+    except (ValueError, RecursionError) as error:  # malformed JSON, not UTF-8, or too deep
+        return Reject("not_json", str(error))
+
+
+def _report(line: bytes, counters: DecoderCounters) -> Odometry | Reject | None:
+    head = _HEAD.decode(line)
+    counters.heard(head.type, len(line))
+    if head.format.partition(".")[0] != MAJOR:
+        return Reject("version", f"format {head.format[:40]!r}; this program reads {MAJOR}")
+    if head.type == "velocity":
+        return _json_velocity(_VELOCITY.decode(line), counters)
+    if head.type == "position_local":
+        wire = _POSITION.decode(line)
+        place, angles = (wire.x, wire.y, wire.z), (wire.roll, wire.pitch, wire.yaw)
+        return Position(wire.ts, place, wire.std, angles, wire.status).odometry()
+    counters.ignore(head.type)
+    return None
+
+
+def _json_velocity(wire: _Velocity, counters: DecoderCounters) -> Odometry | Reject | None:
+    if wire.status & OVERHEATING:
+        counters.warnings["overheating"] += 1
+    if wire.tracking_mode != "bottom":  # through the water, not over ground
+        counters.ignore("velocity_water")
+        return None
+    return Velocity(
+        (wire.vx, wire.vy, wire.vz),
+        wire.velocity_valid,
+        wire.altitude,
+        wire.fom,
+        [number for row in wire.covariance for number in row],
+        wire.time_of_validity,
+        wire.time_of_transmission,
+    ).odometry()
+
+
+MAX_SERIAL_LINE_BYTES = 1024
+"""The longest sentence takes about 250 bytes."""
+
+VELOCITY_FIELDS = 11
+POSITION_FIELDS = 9
+
+
+def _crc8_of_byte(byte: int) -> int:
+    for _ in range(8):
+        byte = (byte << 1) ^ 0x07 if byte & 0x80 else byte << 1
+    return byte & 0xFF
+
+
+_TABLE = bytes(_crc8_of_byte(byte) for byte in range(256))
+
+
+def crc8(data: bytes) -> int:
+    """CRC-8, polynomial x^8 + x^2 + x + 1, start 0, not reflected."""
+    *_, crc = accumulate(data, lambda crc, byte: _TABLE[crc ^ byte], initial=0)
+    return crc
+
+
+def read_water_linked_serial(
+    line: bytes,
+    arrival_ns: int | None,  # noqa: ARG001 the stamp is in the sentence
+    counters: DecoderCounters,
+) -> Odometry | Reject | None:
+    """Read one sentence. All but `wrz` and `wrp` are ignored."""
+    body, _, check = line.rpartition(b"*")
+    if not body.startswith(b"wr") or len(check) != 2:  # noqa: PLR2004 hex digits
+        return Reject("not_a_sentence", f"{len(line)} bytes that are no wr...*hh")
+    if check != b"%02x" % crc8(body):
+        return Reject("bad_checksum", f"says {check.decode('latin-1')!r}, is {crc8(body):02x}")
+    name, *fields = body.decode("latin-1").split(",")
+    counters.heard(name, len(line))
+    reader = _READERS.get(name)
+    if reader is None:
+        counters.ignore(name)
+        return None
+    try:
+        return reader(fields, counters)
+    except ValueError as error:
+        return Reject("wrong_shape", f"{name}: {error}")
+
+
+def _serial_velocity(fields: list[str], counters: DecoderCounters) -> Odometry | Reject:
+    if len(fields) != VELOCITY_FIELDS or fields[3] not in ("y", "n"):
+        raise ValueError(f"{VELOCITY_FIELDS} fields with y or n were expected")
+    if int(fields[10]) & OVERHEATING:
+        counters.warnings["overheating"] += 1
+    return Velocity(
+        [_number(text) for text in fields[:3]],
+        fields[3] == "y",
+        _number(fields[4]),
+        _number(fields[5]),
+        [_number(text) for text in fields[6].split(";")],
+        int(fields[7]),
+        int(fields[8]),
+    ).odometry()
+
+
+def _position(fields: list[str], _counters: DecoderCounters) -> Odometry | Reject:
+    if len(fields) != POSITION_FIELDS:
+        raise ValueError(f"{POSITION_FIELDS} fields were expected")
+    stamp_s, x, y, z, std, roll, pitch, yaw = (_number(text) for text in fields[:8])
+    return Position(stamp_s, (x, y, z), std, (roll, pitch, yaw), int(fields[8])).odometry()
+
+
+def _number(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"{text!r} is no number")
+    return number
+
+
+_READERS: dict[str, Callable[[list[str], DecoderCounters], Odometry | Reject]] = {
+    "wrz": _serial_velocity,
+    "wrp": _position,
+}

@@ -1,1 +1,1 @@
-"""The map on disk: one SQLite file that the map is larger than memory in, and survives in."""
+"""The map on disk: one SQLite file, larger than memory, that survives a crash."""

@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 
 from mapperd import _core
 from mapperd.errors import StoreError
-from mapperd.mapping import SonarMap
-from mapperd.store.bricks import COLUMNS, BrickRow, DamagedBrickError, Key, rows_of, unpack
-from mapperd.store.database import open_reader, reading, translated
-from mapperd.store.kind import check_kind, kind_in
-from mapperd.store.progress import progress_in
-from mapperd.store.schema import check_version
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.store.database import check_version, open_reader, reading, translated
+from mapperd.store.metadata import check_kind, kind_in, progress_in
+from mapperd.store.tiles import COLUMNS, BrickRow, DamagedBrickError, Key, rows_of, unpack
 
 __all__ = ["BRICK_VOXELS", "Loaded", "StoreReader"]
 

@@ -17,17 +17,18 @@ from typing import Self
 
 from mapperd import _core
 from mapperd.errors import MapError, StoreError
-from mapperd.mapping import SonarMap
-from mapperd.store.bricks import Key
-from mapperd.store.database import open_reader, open_writer, transaction, translated
-from mapperd.store.identity import Identity, begun
-from mapperd.store.kind import check_kind, write_kind
-from mapperd.store.loading import Loader
-from mapperd.store.lock import only_writer
-from mapperd.store.progress import progress_in
-from mapperd.store.saving import Position, Saver, Snapshot
-from mapperd.store.schema import migrate
-from mapperd.store.tiles import ResidentTiles
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.store.database import (
+    migrate,
+    only_writer,
+    open_reader,
+    open_writer,
+    transaction,
+    translated,
+)
+from mapperd.store.metadata import Identity, begun, check_kind, progress_in, write_kind
+from mapperd.store.tiles import Key, ResidentTiles
+from mapperd.store.transfer import Loader, Position, Saver, Snapshot
 
 __all__ = ["StoreCounters", "TileStore", "tile_bricks"]
 

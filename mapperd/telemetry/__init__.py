@@ -1,1 +1,1 @@
-"""Telemetry to an MQTT broker: how it goes, what happened, and commands where they are allowed."""
+"""Telemetry to an MQTT broker: status, events, and commands where they are allowed."""

@@ -10,8 +10,8 @@ import ssl
 from collections.abc import AsyncIterator, Mapping
 from typing import TYPE_CHECKING
 
-from mapperd.config import Config, Mqtt
-from mapperd.credentials import read_secret
+from mapperd.config.paths import read_secret
+from mapperd.config.tree import Config, Mqtt
 from mapperd.errors import ConfigError
 from mapperd.telemetry.topics import Topics
 
@@ -24,7 +24,7 @@ CREDENTIAL = "mqtt-password"
 TIMEOUT_S = 10.0
 """For the broker's answer to anything."""
 
-MOST_INCOMING = 64
+MAX_INCOMING = 64
 
 TAKEN = frozenset(
     (
@@ -104,7 +104,7 @@ def _client(settings: Mqtt, environment: Mapping[str, str]) -> "Client":
         clean_session=True,
         keepalive=settings.keepalive,
         timeout=TIMEOUT_S,
-        max_queued_incoming_messages=MOST_INCOMING,
+        max_queued_incoming_messages=MAX_INCOMING,
         tls_context=_tls(settings) if settings.tls else None,
         logger=_silent(),
     )

@@ -8,22 +8,21 @@ from typing import Any
 
 import msgspec
 
-from mapperd.config_store import Refused
+from mapperd.api import DaemonApi, OperationError, PoseRequest
+from mapperd.config.live import Refused
 from mapperd.errors import MapperdError
-from mapperd.operations import OperationError, Operations
-from mapperd.pose_request import PoseRequest
 from mapperd.telemetry.outbox import Kind, Message
-from mapperd.telemetry.reports import encoded
+from mapperd.telemetry.payloads import encoded
 from mapperd.telemetry.topics import Asked, Topics
 
 __all__ = ["ORIGIN", "Requests"]
 
 ORIGIN = "mqtt"
 
-MOST_WAITING = 16
-MOST_BYTES = 4096
-MOST_ID = 64
-MOST_NUMBER = 2**63
+MAX_WAITING = 16
+MAX_BYTES = 4096
+MAX_ID = 64
+MAX_NUMBER = 2**63
 REMEMBERED = 64
 """Answers by request id, so that a request that comes twice is done once."""
 
@@ -59,12 +58,12 @@ class Requests:
     """
 
     def __init__(
-        self, operations: Operations, topics: Topics, put: Callable[[Message], None]
+        self, operations: DaemonApi, topics: Topics, put: Callable[[Message], None]
     ) -> None:
         self._operations = operations
         self._topics = topics
         self._put = put
-        self._waiting: asyncio.Queue[_Request] = asyncio.Queue(MOST_WAITING)
+        self._waiting: asyncio.Queue[_Request] = asyncio.Queue(MAX_WAITING)
         self._answers: OrderedDict[tuple[Asked, Id], bytes] = OrderedDict()
         self.counts: Counter[str] = Counter()
 
@@ -160,8 +159,8 @@ class Requests:
 
 def _request(asked: Asked, payload: bytes) -> _Request:
     """Read a payload: of a command an object with an id, of a setting a value or such an object."""
-    if len(payload) > MOST_BYTES:
-        raise _BadRequestError(f"{len(payload)} bytes; at most {MOST_BYTES}")
+    if len(payload) > MAX_BYTES:
+        raise _BadRequestError(f"{len(payload)} bytes; at most {MAX_BYTES}")
     try:
         said = msgspec.json.decode(payload)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -181,10 +180,10 @@ def _id_of(said: Mapping[str, Any]) -> Id:
     request_id = said.get("id")
     if isinstance(request_id, bool) or not isinstance(request_id, str | int | None):
         raise _BadRequestError("id: a text or a whole number is wanted")
-    if isinstance(request_id, int) and abs(request_id) >= MOST_NUMBER:
+    if isinstance(request_id, int) and abs(request_id) >= MAX_NUMBER:
         raise _BadRequestError("id: at most 63 bits")
-    if len(str(request_id)) > MOST_ID:
-        raise _BadRequestError(f"id: at most {MOST_ID} characters")
+    if len(str(request_id)) > MAX_ID:
+        raise _BadRequestError(f"id: at most {MAX_ID} characters")
     return request_id
 
 

@@ -16,16 +16,15 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from mapperd.api import DaemonApi
 from mapperd.errors import ConfigError
 from mapperd.events import Severity
-from mapperd.operations import Operations
 from mapperd.telemetry.broker import check_telemetry, connection
 from mapperd.telemetry.outbox import Kind, Message, Outbox
-from mapperd.telemetry.pace import BackOff
-from mapperd.telemetry.reporter import Reporter
+from mapperd.telemetry.payloads import BackOff
+from mapperd.telemetry.publisher import Reporter, Vitals
 from mapperd.telemetry.requests import Requests
 from mapperd.telemetry.topics import Topics
-from mapperd.telemetry.vitals import Vitals
 
 if TYPE_CHECKING:
     from aiomqtt import Client
@@ -80,7 +79,7 @@ class Telemetry:
 
     def __init__(
         self,
-        operations: Operations,
+        operations: DaemonApi,
         folders: Iterable[Path] = (),
         environment: Mapping[str, str] = os.environ,
         clock: Callable[[], int] = time.time_ns,

@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from mapperd.config import Amcl, Mqtt
+from mapperd.config.tree import Amcl, Mqtt
 
 __all__ = ["Asked", "Topics"]
 
-MOST_NAME = 128
+MAX_NAME = 128
 """Characters of a command or a setting in a topic; longer ones name nothing."""
 
 
@@ -75,9 +75,9 @@ class Topics:
         if not topic.startswith(f"{self.root}/"):
             return None
         match topic[len(self.root) + 1 :].split("/"):
-            case ["cmd", name] if 0 < len(name) <= MOST_NAME:
+            case ["cmd", name] if 0 < len(name) <= MAX_NAME:
                 return Asked("cmd", name)
-            case ["config", name, "set"] if 0 < len(name) <= MOST_NAME:
+            case ["config", name, "set"] if 0 < len(name) <= MAX_NAME:
                 return Asked("config", name)
             case ["cmd", *names] if (name := "/".join(names)) in self.also:
                 return Asked("cmd", name)

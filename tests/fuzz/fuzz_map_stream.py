@@ -14,13 +14,12 @@ import msgspec
 import numpy as np
 import zstandard
 
-from mapperd.client.dialogue import Dialogue, Wishes
-from mapperd.client.knowledge import Knowledge
-from mapperd.client.orders import MOST_FORGOTTEN
-from mapperd.client.second_dialogue import SecondDialogue
-from mapperd.stream.blocks import CELLS, MAX_KEY, decode_blocks
-from mapperd.stream.framing import StreamError, framed, server_inbox
-from mapperd.stream.messages import (
+from mapperd.client.protocol import Dialogue, Wishes
+from mapperd.client.second_line import SecondDialogue
+from mapperd.client.state import MAX_FORGOTTEN, Knowledge
+from mapperd.wire.blocks import CELLS, MAX_KEY, decode_blocks
+from mapperd.wire.framing import StreamError, framed, server_inbox
+from mapperd.wire.messages import (
     MAX_BLOCKS,
     MAX_FROM_CLIENT,
     WANTS,
@@ -82,7 +81,7 @@ def _is_sound(knowledge: Knowledge) -> None:
         mirror.cells("known")
         if len(mirror) > MOST_BLOCKS + MAX_BLOCKS:
             raise AssertionError(f"{len(mirror)} blocks")
-        if mirror.forgotten > MOST_FORGOTTEN + MAX_BLOCKS:
+        if mirror.forgotten > MAX_FORGOTTEN + MAX_BLOCKS:
             raise AssertionError(f"{mirror.forgotten} orders of forgotten blocks")
 
 

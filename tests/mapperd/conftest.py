@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.cli import main
+from mapperd.cli.mapperd import main
 from mapperd.odometry.native import NativeRecord, encode_native
 from oculus_driver.encode import encode_ping
 from oculus_driver.ping import Ping, decode_ping
@@ -168,4 +168,4 @@ def run(
 @pytest.fixture
 def no_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     """Hundreds of runs: the picture is drawn elsewhere."""
-    monkeypatch.setattr("mapperd.export.folder.write_picture", lambda *_: None)
+    monkeypatch.setattr("mapperd.daemon.map_folder.write_picture", lambda *_: None)

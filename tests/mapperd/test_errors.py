@@ -4,8 +4,9 @@ import pickle
 
 import pytest
 
+from mapperd.api import OperationError
+from mapperd.cli.mapperctl.errors import CtlError, Exit
 from mapperd.client.errors import AskError, EndedError
-from mapperd.ctl.errors import CtlError, Exit
 from mapperd.errors import (
     CheckpointError,
     ConfigError,
@@ -16,8 +17,7 @@ from mapperd.errors import (
     ReplayError,
     StoreError,
 )
-from mapperd.operations import OperationError
-from mapperd.stream.framing import StreamError
+from mapperd.wire.framing import StreamError
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,11 @@ from fractions import Fraction
 import mpmath as mp
 import pytest
 
-from mapperd.odometry.mavlink_time import WRAP_MS, BootClock
+from mapperd.errors import Reject
+from mapperd.odometry.clock import OdometryClock
+from mapperd.odometry.mavlink import WRAP_MS, BootClock
+from mapperd.odometry.nmea import DAY_NS, UtcDay
 from mapperd.odometry.records import Odometry
-from mapperd.odometry.stamps import OdometryClock
-from mapperd.odometry.utc import DAY_NS, UtcDay
-from mapperd.reject import Reject
 from oculus_driver.clock_fit import MAX_DRIFT, WINDOW_NS, ClockFit
 
 MS = 1_000_000

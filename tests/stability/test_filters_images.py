@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from mapperd.config import Config, Crosstalk, RobotDetection, TerrainDetection
-from mapperd.echo import Echo
-from mapperd.filters.crosstalk import without_stripes
-from mapperd.filters.fft_notch import notched
-from mapperd.filters.robot_bands import find_robots, terrain_of
-from mapperd.filters.sightings import MOST_SIGHTINGS, Sighting, Sightings
-from mapperd.filters.stage import filter_echo
-from mapperd.polar_image import echo_of_image, uniform_bearings
+from mapperd.config.tree import Config, Crosstalk, RobotDetection, TerrainDetection
+from mapperd.imaging.crosstalk import without_stripes
+from mapperd.imaging.fft_notch import notched
+from mapperd.imaging.filter_chain import filter_ping_image
+from mapperd.imaging.ping_image import PingImage, ping_image_of_array, uniform_bearings
+from mapperd.imaging.robot_bands import find_robots, terrain_of
+from mapperd.imaging.robots import MAX_SIGHTINGS, Sighting, Sightings
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -198,7 +197,7 @@ def test_all_filters_together_take_any_fan_to_finite_samples() -> None:
     for shape in ((1, 2), (4, 4), (64, 48), (200, 3)):
         for level in (0.0, 1e-38, 255.0):
             image = np.where(rng.uniform(size=shape) < 0.5, level, 0).astype(np.float32)
-            echo, robots = filter_echo(Echo(image, fan(shape[1]), 0.05), config)
+            echo, robots = filter_ping_image(PingImage(image, fan(shape[1]), 0.05), config)
             assert np.isfinite(echo.intensity).all()
             assert ((echo.intensity >= 0) & (echo.intensity <= 255)).all()
             assert all(np.isfinite([r.range_m, r.bearing_rad, r.peak]).all() for r in robots)
@@ -217,7 +216,7 @@ def test_sightings_at_the_ends_of_time_expire() -> None:
         assert sightings.since(t_ns + 2, 1e-9) == []
     sightings.add(
         Sighting(k, (0.0, 0.0, 0.0), None)  # type: ignore[arg-type]
-        for k in range(MOST_SIGHTINGS + 10)
+        for k in range(MAX_SIGHTINGS + 10)
     )
     assert sightings.crowded_out == 10
 
@@ -233,5 +232,5 @@ def test_bearings_of_a_fan_of_180_degrees_stay_below_it() -> None:
         assert np.isfinite(table).all()
         assert (np.diff(table) > 0).all()
         assert abs(table).max() <= np.pi / 2
-        echo = echo_of_image(np.zeros((4, beams), np.uint8), 10.0, None, sonar)
+        echo = ping_image_of_array(np.zeros((4, beams), np.uint8), 10.0, None, sonar)
         assert len(echo.bearings_rad) == beams

@@ -10,16 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.geodesy import Origin
-from mapperd.localization.estimate import PlanarGaussian
-from mapperd.odometry.convert import linear_covariance
-from mapperd.odometry.format_settings import FormatSettings
+from mapperd.config.odometry import FormatSettings
+from mapperd.errors import Reject
+from mapperd.geometry.gaussian import PlanarGaussian
+from mapperd.geometry.geodesy import Origin, local_projection, utm_zone
 from mapperd.odometry.fusion import Fusion
 from mapperd.odometry.mavlink_messages import _pressure
 from mapperd.odometry.native import NativeRecord, odometry_of
-from mapperd.odometry.records import GeoPoint, Odometry
-from mapperd.projection import local_projection, utm_zone
-from mapperd.reject import Reject
+from mapperd.odometry.records import GeoPoint, Odometry, linear_covariance
 from tests.mapperd.odometry.conftest import T0, S, fused_at, record
 
 Floats = NDArray[np.float64]

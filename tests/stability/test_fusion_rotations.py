@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.config_odometry import WorldInit
-from mapperd.frames import (
+from mapperd.config.odometry import WorldInit
+from mapperd.errors import Reject
+from mapperd.geometry.frames import (
     compass_to_map,
     quaternion_between,
     quaternion_product,
@@ -23,7 +24,6 @@ from mapperd.odometry.levelling import Levelling
 from mapperd.odometry.native import NativeRecord, odometry_of
 from mapperd.odometry.records import Odometry
 from mapperd.odometry.states import Attitude, carry_attitude, turn_between
-from mapperd.reject import Reject
 from tests.mapperd.odometry.conftest import T0, S, fused_at, record
 from tests.mapperd.odometry.conftest import yaw_of as yaw_of_fused
 

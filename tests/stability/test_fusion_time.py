@@ -9,15 +9,14 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from mapperd.config_odometry import OdometryFusion, Owners, TimeSync
+from mapperd.config.odometry import OdometryFusion, Owners, TimeSync
+from mapperd.errors import Reject
 from mapperd.odometry.fusion import FusedPose, Fusion
-from mapperd.odometry.jump import JumpWatch
-from mapperd.odometry.lookup import Course, Reach, value_at
 from mapperd.odometry.reckoning import DeadReckoning
 from mapperd.odometry.records import Odometry
-from mapperd.odometry.series import Sample, Series
+from mapperd.odometry.series import Course, Reach, Sample, Series, value_at
+from mapperd.odometry.track import JumpWatch
 from mapperd.odometry.water_linked import Position
-from mapperd.reject import Reject
 from tests.mapperd.odometry.conftest import T0, S, record
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mapperd.localization.filter import (
+from mapperd.localization.particle_filter import (
     Beams,
     Endpoints,
     FreeSpace,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from mapperd.localization.filter import FreeSpace, ParticleFilter, belief
+from mapperd.localization.particle_filter import FreeSpace, ParticleFilter, belief
 from tests.mapperd.localization.filter_cases import filter_at, grid, pose, rule
 
 if TYPE_CHECKING:

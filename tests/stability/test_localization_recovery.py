@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mapperd import _core
-from mapperd.localization.filter import (
+from mapperd.localization.particle_filter import (
     Endpoints,
     FreeSpace,
     HitModel,

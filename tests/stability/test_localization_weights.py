@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.localization.filter import (
+from mapperd.localization.particle_filter import (
     BeamModel,
     Beams,
     Endpoints,

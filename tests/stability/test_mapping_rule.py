@@ -11,7 +11,7 @@ import pytest
 from mpmath import mpf
 
 from mapperd import _core
-from mapperd.probability import log_odds_of, probabilities_of
+from mapperd.mapping.probability import log_odds_of, probabilities_of
 from tests.stability.iwlo_oracle import UNIT, Rule, WholeRule, log_odds, sigmoid
 from tests.stability.pings import Look, at, empty, fan
 

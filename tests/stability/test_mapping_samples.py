@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mapperd.echo import display_units
+from mapperd.imaging.ping_image import display_units
 from tests.stability.iwlo_oracle import Rule, WholeRule
 from tests.stability.pings import Look, at, cells, empty, fan, same, wall
 

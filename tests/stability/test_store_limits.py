@@ -14,12 +14,12 @@ import pytest
 import zstandard
 
 from mapperd import _core
-from mapperd.config import Config, Iwlo, Octree
+from mapperd.config.tree import Config, Iwlo, Octree
 from mapperd.errors import StoreError
-from mapperd.mapping import SonarMap
-from mapperd.store.bricks import MAX_BYTES, DamagedBrickError, pack, unpack
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore, tile_bricks
+from mapperd.store.tiles import MAX_BYTES, DamagedBrickError, pack, unpack
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,11 +11,10 @@ from mpmath import mpf
 
 from mapperd import _core
 from mapperd.client.mirror import MapMirror
-from mapperd.stream.blocks import CELLS, MAX_KEY, UNKNOWN, BlockSet, decode_blocks, encode_blocks
-from mapperd.stream.framing import StreamError
-from mapperd.stream.messages import Interest, MapFacts
-from mapperd.stream.region import distances_m, within
-from mapperd.stream.view import View
+from mapperd.server.map_index import View, distances_m, within
+from mapperd.wire.blocks import CELLS, MAX_KEY, UNKNOWN, BlockSet, decode_blocks, encode_blocks
+from mapperd.wire.framing import StreamError
+from mapperd.wire.messages import Interest, MapFacts
 from tests.stability.iwlo_oracle import sigmoid
 
 OCCUPIED, FREE = math.log(0.7 / 0.3), math.log(0.4 / 0.6)

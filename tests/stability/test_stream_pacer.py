@@ -8,18 +8,17 @@ import random
 import numpy as np
 import pytest
 
-from mapperd.stream.budget import LEAST_BURST
-from mapperd.stream.framing import StreamError, server_inbox
-from mapperd.stream.messages import MAX_FROM_CLIENT
-from mapperd.stream.on_its_way import OnItsWay
-from mapperd.stream.pacer import LEAST_WINDOW, MOST_WINDOW, Pacer
+from mapperd.server.pacer import MAX_WINDOW, MIN_BURST, MIN_WINDOW, Pacer
+from mapperd.server.subscription import InFlight
+from mapperd.wire.framing import StreamError, server_inbox
+from mapperd.wire.messages import MAX_FROM_CLIENT
 
 
 def sound(pacer: Pacer, now_s: float) -> None:
     assert isinstance(pacer.room(now_s), int)
-    assert LEAST_WINDOW <= pacer.window <= MOST_WINDOW
+    assert MIN_WINDOW <= pacer.window <= MAX_WINDOW
     assert pacer.rate is None or math.isfinite(pacer.rate)
-    assert 0 <= pacer.least() <= MOST_WINDOW
+    assert 0 <= pacer.least() <= MAX_WINDOW
     assert pacer.quiet_s(now_s) >= 0
 
 
@@ -47,7 +46,7 @@ def test_a_week_of_silence_is_no_credit_of_a_week() -> None:
     pacer = Pacer(bytes_per_s=10_000)
     for now_s in (0.0, 604_800.0, 1e12):
         room = pacer.room(now_s)
-        assert room <= LEAST_BURST
+        assert room <= MIN_BURST
         pacer.note_sent(room, now_s)
         pacer.note_ack(pacer.sent, now_s)
         sound(pacer, now_s)
@@ -144,7 +143,7 @@ def test_a_shortest_round_trip_of_long_ago_is_forgotten() -> None:
         pacer.note_ack(pacer.sent, now_s)
         pacer.note_link(0, 1.5, now_s, fills=True)
     assert pacer.round_trip_s == 1.5
-    assert pacer.window > LEAST_WINDOW
+    assert pacer.window > MIN_WINDOW
 
 
 @pytest.mark.parametrize("length", [MAX_FROM_CLIENT + 1, 2**31 - 1, 2**31, 2**32 - 1])
@@ -166,7 +165,7 @@ def test_messages_on_their_way_are_known_by_number_after_many_millions() -> None
     Naively numbers begin anew at 2**32, or all of them are remembered: who comes back after a night
     is told the wrong blocks, or the daemon is out of memory.
     """
-    way = OnItsWay()
+    way = InFlight()
     way.number = 2**32 - 3
     way.settle(way.number)
     for block in range(6):

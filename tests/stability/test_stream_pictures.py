@@ -8,14 +8,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.client.checks import check_message, image_of
-from mapperd.client.knowledge import Knowledge
-from mapperd.config import Config
-from mapperd.echo import Echo
-from mapperd.stream.messages import Interest, Path
-from mapperd.stream.pictures import IMAGE_SIZES, first_returns, image_message
-from mapperd.stream.track import Track
-from mapperd.stream.way import path_message
+from mapperd.client.state import Knowledge
+from mapperd.client.validation import check_message, image_of
+from mapperd.config.tree import Config
+from mapperd.imaging.ping_image import PingImage
+from mapperd.server.state_messages import IMAGE_SIZES, Track, first_returns, image_message
+from mapperd.wire.blocks import path_message
+from mapperd.wire.messages import Interest, Path
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.stream import StreamParser
 from tests.mapperd.conftest import make_ping
@@ -71,7 +70,7 @@ def test_returns_behind_the_least_range_of_all_are_none() -> None:
     """
     image = np.full((10, 5), 200, np.float32)
     for row_m in (0.001, 0.05, 0.09, 0.5):
-        echo = Echo(image, np.linspace(-1, 1, 5), row_m)
+        echo = PingImage(image, np.linspace(-1, 1, 5), row_m)
         points, bright = first_returns(echo, Config())
         least_m = Config().filtering.min_range
         assert len(points) == len(bright) == (5 if 10 * row_m > least_m else 0)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mapperd.cli import Exit
+from mapperd.cli.mapperd import Exit
 
 FOLDER = Path(__file__).resolve().parents[2] / "systemd"
 UNITS = sorted(path for path in FOLDER.iterdir() if path.suffix in (".service", ".socket"))

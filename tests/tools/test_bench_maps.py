@@ -6,7 +6,7 @@ from bench_pings import Pings
 from detail import Difference
 from our_contender import Run, config_of
 
-from mapperd.mapping import SonarMap
+from mapperd.mapping.sonar_map import SonarMap
 
 UNCERTAIN_UP_TO = float(np.log(0.7 / 0.3))
 

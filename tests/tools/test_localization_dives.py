@@ -13,9 +13,9 @@ from dive_track import Drift, Track, drifted, track_of
 from dive_world import WORLDS
 from localization_dives import WITHIN_M, judged
 
-from mapperd.config import Amcl, Localization
-from mapperd.config_file import config_from_text
-from mapperd.localization.estimate import Belief, PlanarGaussian
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Amcl, Localization
+from mapperd.geometry.gaussian import Belief, PlanarGaussian
 
 HARBOUR = WORLDS["harbour"]
 ROOT = Path(__file__).resolve().parents[2]

@@ -2,7 +2,7 @@ from typing import get_args
 
 from odometry_cost import formats, table
 
-from mapperd.odometry.format_settings import FormatName
+from mapperd.config.odometry import FormatName
 
 
 def test_every_format_gives_its_pings_poses() -> None:

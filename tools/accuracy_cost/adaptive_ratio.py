@@ -21,7 +21,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from mapperd import ProbabilityUpdater
-from mapperd.config import Config
+from mapperd.config.tree import Config
 
 PICTURE = Path("docs/images/adaptive-ratio.png")
 DEFAULTS = Config()

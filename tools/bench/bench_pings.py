@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config
-from mapperd.echo import Echo
+from mapperd.config.tree import Config
+from mapperd.imaging.ping_image import PingImage
 
 ELEVATIONS = 11
 MAGIC = b"mprays1\0"
@@ -37,12 +37,12 @@ class Pings:
     def __len__(self) -> int:
         return len(self.images)
 
-    def echo(self, i: int, *, first_returns_only: bool) -> Echo:
+    def echo(self, i: int, *, first_returns_only: bool) -> PingImage:
         """One ping as the map wants it; at wish with nothing in it but first returns."""
         image = self.images[i]
         if first_returns_only:
             image = only_first_returns(image, self.range_resolution_m)
-        return Echo(image.astype(np.float32), self.bearings_rad, self.range_resolution_m)
+        return PingImage(image.astype(np.float32), self.bearings_rad, self.range_resolution_m)
 
     def save(self, path: Path) -> None:
         """Write all of it; the file is there only when it is whole."""

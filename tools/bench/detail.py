@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from our_contender import config_of
 from results import DetailDifference
 
-from mapperd.mapping import SonarMap
+from mapperd.mapping.sonar_map import SonarMap
 
 CONVERGED = 8.0
 EVERY = 5

@@ -6,7 +6,7 @@ import matplotlib as mpl
 import numpy as np
 from dive_runs import Moment
 
-from mapperd.localization.volume_map import VolumeMap
+from mapperd.localization.maps import VolumeMap
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

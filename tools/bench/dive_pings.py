@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from sonar_sim import Pose, Simulator
 from sonar_sim.poses import quaternion_of, rotation_of
 
-from mapperd.config import Config
+from mapperd.config.tree import Config
+from mapperd.errors import Reject
+from mapperd.imaging.ping_image import ping_image_of_array
 from mapperd.localization.extraction import Surroundings, scan_of
 from mapperd.localization.levelling import level_T_base
 from mapperd.localization.scan import Scan
-from mapperd.polar_image import echo_of_image
-from mapperd.reject import Reject
 
 __all__ = ["ping_scans"]
 
@@ -31,7 +31,7 @@ def ping_scans(world: World, config: Config, seed: int) -> Callable[[int, Floats
     def scan(number: int, place: Floats, stamp_ns: int) -> Scan:
         pose = Pose(place[:3], rotation_of(*place[3:]))
         ping = simulator.ping(pose, number)
-        echo = echo_of_image(ping.image, sonar.range_m, bearing, config.sonar)
+        echo = ping_image_of_array(ping.image, sonar.range_m, bearing, config.sonar)
         around = Surroundings(
             stamp_ns,
             level_T_base(quaternion_of(pose.rotation)),

@@ -10,13 +10,13 @@ from dive_track import Drift, Track, drifted, track_of
 from dive_world import Place, World
 from numpy.typing import NDArray
 
-from mapperd.config import Amcl, Config, Localization
-from mapperd.frames import pose_from_rpy
-from mapperd.localization.estimate import Belief, PlanarGaussian
+from mapperd.config.tree import Amcl, Config, Localization
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.geometry.gaussian import Belief, PlanarGaussian
 from mapperd.localization.localizer import Localizer
 from mapperd.localization.map_filter import MapFilter
+from mapperd.localization.maps import VolumeMap
 from mapperd.localization.scan import Scan
-from mapperd.localization.volume_map import VolumeMap
 
 __all__ = ["Dive", "Moment", "dive", "settings"]
 

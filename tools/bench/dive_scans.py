@@ -14,7 +14,7 @@ from dive_world import World
 from numpy.typing import NDArray
 from sonar_sim.poses import rotation_of
 
-from mapperd.localization.floor_gate import floor_gate_m
+from mapperd.localization.extraction import floor_gate_m
 from mapperd.localization.levelling import fan_points
 from mapperd.localization.scan import Scan
 

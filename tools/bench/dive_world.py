@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from sonar_sim import Scenario, load_scenario
 from sonar_sim.meshes import SEA, Meshes
 
-from mapperd.config import Config, Octree
-from mapperd.localization.volume_map import VolumeMap, volume_map
-from mapperd.map_queries import MapQueries
-from mapperd.mapping import SonarMap
+from mapperd.config.tree import Config, Octree
+from mapperd.localization.maps import VolumeMap, volume_map
+from mapperd.mapping.queries import MapQueries
+from mapperd.mapping.sonar_map import SonarMap
 
 __all__ = ["WORLDS", "Place", "World"]
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from sonar_sim import MATERIALS, Pose, Scene, Simulator, SonarSettings, Surface, load_scenario
 from sonar_sim.poses import rotation_of
 
-from mapperd.config import Crosstalk, RobotDetection, TerrainDetection
-from mapperd.filters.crosstalk import without_stripes
-from mapperd.filters.fft_notch import notched
-from mapperd.filters.robot_bands import find_robots, terrain_of
+from mapperd.config.tree import Crosstalk, RobotDetection, TerrainDetection
+from mapperd.imaging.crosstalk import without_stripes
+from mapperd.imaging.fft_notch import notched
+from mapperd.imaging.robot_bands import find_robots, terrain_of
 
 THRESHOLD = 35.0
 STRIPES = ((400, 3, 120.0), (550, 2, 60.0))

@@ -21,7 +21,7 @@ from dive_pings import ping_scans
 from dive_runs import Dive, Moment, dive, settings
 from dive_world import WORLDS, World
 
-from mapperd.localization.volume_map import VolumeMap
+from mapperd.localization.maps import VolumeMap
 
 WITHIN_M = 150.0
 """Of track: by then a vehicle is to have found itself."""

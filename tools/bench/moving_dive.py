@@ -13,9 +13,18 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config, Mapping, Mounting, Octree, Orientation, Position, Sonar, TimeSync
-from mapperd.frames import Pose, pose_from_rpy
-from mapperd.mapping import SonarMap
+from mapperd.config.tree import (
+    Config,
+    Mapping,
+    Mounting,
+    Octree,
+    Orientation,
+    Position,
+    Sonar,
+    TimeSync,
+)
+from mapperd.geometry.frames import Pose, pose_from_rpy
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.native import NativeRecord, encode_native
 from oculus_driver.encode import encode_ping
 

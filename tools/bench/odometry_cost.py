@@ -17,13 +17,11 @@ from typing import Any
 
 from marked import put_into
 
-from mapperd.config import Config
-from mapperd.config_odometry import OdometryFusion, OdometrySource
+from mapperd.config.odometry import FormatName, OdometryFusion, OdometrySource
+from mapperd.config.tree import Config
 from mapperd.odometry.bridge import OdometryBridge
-from mapperd.odometry.format_settings import FormatName
 from mapperd.odometry.fusion import FusedPose
-from mapperd.odometry.native import NativeRecord, encode_native
-from mapperd.odometry.native_serial import encode_native_serial
+from mapperd.odometry.native import NativeRecord, encode_native, encode_native_serial
 
 PAGE = Path("docs/odometry.md")
 RECORDS_HZ, PINGS_HZ = 400, 40

@@ -12,8 +12,8 @@ from bench_input import SETTINGS
 from bench_scene import mounting, path
 from our_contender import config_of
 
-from mapperd.echo import Echo
-from mapperd.mapping import SonarMap
+from mapperd.imaging.ping_image import PingImage
+from mapperd.mapping.sonar_map import SonarMap
 from oculus_driver.encode import bearing_table_cdeg
 
 RANGES_M = (5.0, 10.0, 20.0, 40.0)
@@ -27,7 +27,7 @@ def median_ms(range_m: float) -> float:
     sonar = SETTINGS[0].sonar
     bearings_rad = np.radians(bearing_table_cdeg(sonar.beams, sonar.half_aperture_rad) / 100.0)
     silent = np.zeros((sonar.rows, sonar.beams), dtype=np.float32)
-    echo = Echo(silent, bearings_rad, range_m / sonar.rows)
+    echo = PingImage(silent, bearings_rad, range_m / sonar.rows)
     sonar_map = SonarMap(config_of("grid", RESOLUTION_M, carve_no_return=True))
     trajectory = path()
     times_ms = []

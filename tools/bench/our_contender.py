@@ -11,9 +11,9 @@ from bench_host import status_bytes
 from bench_pings import Pings, load
 from results import Measured
 
-from mapperd.config import Config, Mapping, Octree, Sonar
-from mapperd.mapping import SonarMap
-from mapperd.motion import PingMotion
+from mapperd.config.tree import Config, Mapping, Octree, Sonar
+from mapperd.geometry.motion import PingMotion
+from mapperd.mapping.sonar_map import SonarMap
 
 APERTURE_DEG = 20.0
 """One-way aperture of the simulated sonar: the rivals' rays and our wedge span the same water."""

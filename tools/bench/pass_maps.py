@@ -19,13 +19,13 @@ from sonar_sim import Pose
 from sonar_sim.capture import EPOCH_NS
 from sonar_sim.trajectory import Trajectory
 
-from mapperd.config import Config, Filtering, Mounting, Octree, Orientation, Position
-from mapperd.frames import Pose as BasePose
+from mapperd.config.tree import Config, Filtering, Mounting, Octree, Orientation, Position
+from mapperd.geometry.frames import Pose as BasePose
 from mapperd.localization.levelling import yaw_of
-from mapperd.localizing import begun
-from mapperd.mapping import SonarMap
-from mapperd.pairing import OdometryPoses
-from mapperd.replay import Replay, Window
+from mapperd.localization.session import begun
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.pose_lookup import OdometryPoses
+from mapperd.session.replay import Replay, Window
 from oculus_driver.recording import open_recording
 
 __all__ = ["Course", "course", "localized", "mapped", "plain"]

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config, Mapping, Octree, Sonar
-from mapperd.echo import Echo
-from mapperd.mapping import SonarMap
-from mapperd.motion import PingMotion
+from mapperd.config.tree import Config, Mapping, Octree, Sonar
+from mapperd.geometry.motion import PingMotion
+from mapperd.imaging.ping_image import PingImage
+from mapperd.mapping.sonar_map import SonarMap
 
 Floats = NDArray[np.float64]
 
@@ -94,7 +94,7 @@ def heard(run: Run, sent_s: float, points_m: Floats, *, stops: bool) -> tuple[Fl
     return range_m, np.where(np.cos(yaw) > 0, -np.sin(yaw), np.inf)
 
 
-def echo(run: Run, sent_s: float, axes_m: Floats, *, stops: bool) -> Echo:
+def echo(run: Run, sent_s: float, axes_m: Floats, *, stops: bool) -> PingImage:
     """What the sonar hears of the posts' near sides."""
     around = np.linspace(0, 2 * math.pi, 600, endpoint=False)
     normals = np.column_stack([np.cos(around), np.sin(around)])
@@ -109,7 +109,7 @@ def echo(run: Run, sent_s: float, axes_m: Floats, *, stops: bool) -> Echo:
     intensity = np.zeros((ROWS, BEAMS), dtype=np.float32)
     intensity[row[seen], beam[seen]] = 200.0
     bearings = np.arcsin(step * (np.arange(BEAMS) - (BEAMS - 1) / 2))
-    return Echo(intensity, bearings, RANGE_M / ROWS)
+    return PingImage(intensity, bearings, RANGE_M / ROWS)
 
 
 def errors_m(run: Run, *, stops: bool, told: bool) -> Floats:

@@ -16,11 +16,11 @@ from marked import put_into
 from moving_dive import SOUND_MPS, START_NS, Dive
 from numpy.typing import NDArray
 
-from mapperd.config import Config
-from mapperd.mapping import SonarMap
+from mapperd.config.tree import Config
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.fusion import FusedPose
-from mapperd.pairing import OdometryPoses, ping_time_ns
-from mapperd.stepping import Stepping
+from mapperd.pipeline.pose_lookup import OdometryPoses, ping_time_ns
+from mapperd.pipeline.step import StepRunner
 from oculus_driver.clock import SonarClock
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.stream import StreamParser
@@ -41,7 +41,7 @@ def pings_of(dive: Dive, data: bytes, arrival_ns: int) -> Ping:
 def by_truth(dive: Dive, config: Config) -> SonarMap:
     """Perfect poses and motion."""
     sonar_map = SonarMap(config)
-    stepping = Stepping(sonar_map, lambda: 0.0)
+    stepping = StepRunner(sonar_map, lambda: 0.0)
     for i, sent_s in enumerate(dive.sent_s.tolist()):
         middle_s = sent_s + dive.range_m / 2 / SOUND_MPS
         pose = FusedPose(
@@ -64,7 +64,7 @@ def by_odometry(dive: Dive, config: Config, *, stamped: bool = True) -> SonarMap
     """
     sonar_map = SonarMap(config)
     poses = OdometryPoses(config)
-    stepping = Stepping(sonar_map, lambda: 0.0)
+    stepping = StepRunner(sonar_map, lambda: 0.0)
     clock = SonarClock()
     for arrival_ns, what in dive.arrivals(stamped=stamped):
         if isinstance(what, bytes):
@@ -72,9 +72,9 @@ def by_odometry(dive: Dive, config: Config, *, stamped: bool = True) -> SonarMap
         else:
             ping = pings_of(dive, dive.ping(what), arrival_ns)
             poses.add_ping(ping, ping_time_ns(ping, clock))
-        for ping, pose in poses.settled(arrival_ns):
+        for ping, pose in poses.resolved(arrival_ns):
             stepping.step(ping, pose)
-    for ping, pose in poses.settled(None, final=True):
+    for ping, pose in poses.resolved(None, final=True):
         stepping.step(ping, pose)
     counters = stepping.counters
     if counters.pings_dropped:

@@ -17,15 +17,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config
-from mapperd.config_file import load_config
-from mapperd.keeping import InMemory
-from mapperd.mapping import SonarMap
-from mapperd.pairing import OdometryPoses
-from mapperd.replay import Replay, Window
-from mapperd.stream.messages import Interest
-from mapperd.stream.source import MapSource
-from mapperd.stream.subscription import Subscription
+from mapperd.config.loader import load_config
+from mapperd.config.tree import Config
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.persistence import MemoryPersistence
+from mapperd.pipeline.pose_lookup import OdometryPoses
+from mapperd.server.map_source import MapSource
+from mapperd.server.subscription import Subscription
+from mapperd.session.replay import Replay, Window
+from mapperd.wire.messages import Interest
 from oculus_driver.recording import Chunk, open_recording
 
 STEPS = (0.1, 0.25, 0.5)
@@ -110,7 +110,7 @@ def dive(
     period_ns = round(1e9 / rate_hz)
     watched, changes = [], []
     for step in steps:
-        source = MapSource(sonar_map, InMemory(sonar_map), log_odds_step=step)
+        source = MapSource(sonar_map, MemoryPersistence(sonar_map), log_odds_step=step)
         first, *others = [source.subscribe(Interest()) for _ in range(clients)]
         watched.append(Watched(source, first, others))
         changes.append(Changes(step))

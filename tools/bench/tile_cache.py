@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config, Octree
-from mapperd.echo import Echo
-from mapperd.frames import pose_from_rpy
-from mapperd.mapping import SonarMap
+from mapperd.config.tree import Config, Octree
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.imaging.ping_image import PingImage
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.tile_store import TileStore
 
 CONFIG = Config(octree=Octree(voxel_resolution=0.05))
@@ -51,14 +51,14 @@ class Times:
         )
 
 
-def echo_of(number: int, range_m: float) -> Echo:
+def echo_of(number: int, range_m: float) -> PingImage:
     """A flat seabed at 0.6 of the range, in noise."""
     noise = np.random.default_rng(number).integers(0, 30, (ROWS, BEAMS))
     bearings = np.arcsin(np.linspace(-1, 1, BEAMS) * np.sin(np.radians(65)))
     first = 0.6 / np.cos(bearings) * ROWS
     row = np.arange(ROWS)[:, None]
     image = np.where((row >= first) & (row < first + 6), 180, noise).astype(np.float32)
-    return Echo(image, bearings, range_m / ROWS)
+    return PingImage(image, bearings, range_m / ROWS)
 
 
 def pose_of(distance_m: float) -> NDArray[np.float64]:

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from mapperd.cli.mapperctl.view import open_page
 from mapperd.client.mirror import MapMirror
-from mapperd.stream.blocks import CELLS, UNKNOWN, BlockSet
-from mapperd.stream.messages import Interest, MapFacts
-from mapperd.topside.view_colours import Scale
-from mapperd.topside.view_map import Look, MapView
-from mapperd.topside.view_page import open_page
-from mapperd.topside.view_voxels import Filter
+from mapperd.viewer.chunks import Filter
+from mapperd.viewer.colours import Scale
+from mapperd.viewer.map_layer import Look, MapView
+from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
+from mapperd.wire.messages import Interest, MapFacts
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

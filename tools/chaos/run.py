@@ -23,8 +23,8 @@ from typing import Any
 from chaos.peers import Broker, Odometry, Sonar
 from chaos.script import Trouble, trouble
 from chaos.shim import Shim
-from mapperd.config import Config, Octree
-from mapperd.mapping import SonarMap
+from mapperd.config.tree import Config, Octree
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import StoreReader
 
 BOOT_S = 4.0

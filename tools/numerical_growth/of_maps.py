@@ -6,8 +6,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config
-from mapperd.mapping import SonarMap
+from mapperd.config.tree import Config
+from mapperd.mapping.sonar_map import SonarMap
 from numerical_growth.panel import Curve, Panel, checkpoints
 
 __all__ = ["log_odds"]

@@ -7,7 +7,7 @@ import mpmath as mp
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.frames import quaternion_product
+from mapperd.geometry.frames import quaternion_product
 from mapperd.odometry.reckoning import DeadReckoning
 from mapperd.odometry.states import Attitude, carry_attitude
 from numerical_growth.panel import Curve, Panel, checkpoints

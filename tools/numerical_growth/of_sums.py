@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config
-from mapperd.localization.filter import ParticleFilter
+from mapperd.config.tree import Config
 from mapperd.localization.models import filter_rule
+from mapperd.localization.particle_filter import ParticleFilter
 from numerical_growth.panel import Curve, Panel, checkpoints
 
 __all__ = ["echoes", "weights"]

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from mapperd.config import Config
-from mapperd.echo import Echo, display_units
-from mapperd.frames import pose_from_rpy
-from mapperd.map_queries import MapQueries
-from mapperd.mapping import BLOCK_VOXELS, SonarMap
+from mapperd.config.tree import Config
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.imaging.ping_image import PingImage, display_units
+from mapperd.mapping.queries import MapQueries
+from mapperd.mapping.sonar_map import BLOCK_VOXELS, SonarMap
 from numerical_growth.of_maps import UNIT
 from numerical_growth.place import Measured, Place
 
@@ -99,7 +99,7 @@ def _scaled(scale: float) -> dict[bytes, Floats]:
         image[row : row + 12, beam] = chance.uniform(60, 255, 12)
     sonar_map = SonarMap(config)
     pose = pose_from_rpy((0.0, 0.0, 0.0), (7.0, 11.0, 13.0)).map_T_base
-    sonar_map.integrate(Echo(image, bearings, 0.05 * scale), pose)
+    sonar_map.integrate(PingImage(image, bearings, 0.05 * scale), pose)
     keys, units, counts = sonar_map.core.blocks()
     log_odds = np.where(counts > 0, units, 0) * UNIT
     return {key.tobytes(): block for key, block in zip(keys, log_odds, strict=True)}

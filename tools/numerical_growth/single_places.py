@@ -6,22 +6,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from mapperd.client.checks import places_of
-from mapperd.config import Config
-from mapperd.config_filters import Crosstalk
-from mapperd.echo import Echo
-from mapperd.filters.fft_notch import notched
-from mapperd.localization.filter import (
+from mapperd.client.validation import places_of
+from mapperd.config.filters import Crosstalk
+from mapperd.config.tree import Config
+from mapperd.imaging.fft_notch import notched
+from mapperd.imaging.ping_image import PingImage
+from mapperd.localization.detector import levels_db
+from mapperd.localization.models import filter_rule
+from mapperd.localization.particle_filter import (
     Endpoints,
     Grid,
     HitModel,
     LikelihoodField,
     ParticleFilter,
 )
-from mapperd.localization.levels import levels_db
-from mapperd.localization.models import filter_rule
-from mapperd.stream.pictures import first_returns
-from mapperd.stream.way import path_message
+from mapperd.server.state_messages import first_returns
+from mapperd.wire.blocks import path_message
 from numerical_growth.place import Measured, Place
 
 __all__ = ["PLACES"]
@@ -113,7 +113,7 @@ def _returns() -> Measured:
     image = np.zeros((rows, 512), np.float32)
     row = np.random.default_rng(16).integers(rows // 2, rows, 512)
     image[row, np.arange(512)] = 200.0
-    points, _ = first_returns(Echo(image, bearings, 0.05), Config())
+    points, _ = first_returns(PingImage(image, bearings, 0.05), Config())
     range_m = (row + 0.5) * 0.05
     exact = range_m[:, None] * np.column_stack([np.cos(bearings), -np.sin(bearings)])
     off = np.abs(points[:, :2] - exact).max()

@@ -18,10 +18,11 @@ MEASURED: dict[str, tuple[str, ...]] = {
     ),
     "`mapping.Voxels`, `map_queries`, the client's mirror, LAS": _in(
         "mapperd/",
-        "mapping.py map_queries.py sonar_to_3d.py client/cells.py client/mirror.py "
-        "export/calibration.py export/las.py export/pcd.py export/ply.py",
+        "client/block_table.py client/mirror.py compat/sonar_to_3d.py "
+        "export/calibration.py export/clouds.py export/las.py mapping/queries.py "
+        "mapping/sonar_map.py",
     ),
-    "`echo`": _in("mapperd/", "echo.py polar_image.py"),
+    "`echo`": _in("mapperd/", "imaging/ping_image.py"),
     "`evidence_grid`, `kernels`, `iwlo`": (
         *_in("cpp/map/include/mapperd/map/", "evidence_grid.hpp kernels.hpp ping.hpp"),
         *_in(
@@ -35,7 +36,7 @@ MEASURED: dict[str, tuple[str, ...]] = {
             "map/include/mapperd/map/distance_field.hpp map/src/distance_field.cpp "
             "python/queries.cpp",
         ),
-        "mapperd/localization/volume_map.py",
+        "mapperd/localization/maps.py",
     ),
     "`likelihood_field`": _in(
         "cpp/",
@@ -43,16 +44,16 @@ MEASURED: dict[str, tuple[str, ...]] = {
         "localization/src/likelihood_field.cpp python/localization_maps.cpp",
     ),
     "`field_weight`": ("cpp/localization/src/field_weight.cpp",),
-    "`levels`, `first_return`": _in("mapperd/localization/", "levels.py first_return.py"),
+    "`levels`, `first_return`": _in("mapperd/", "localization/detector.py"),
     "`fft_notch`, `crosstalk`, `robot_bands`": _in(
-        "mapperd/filters/", "fft_notch.py crosstalk.py robot_bands.py"
+        "mapperd/", "imaging/crosstalk.py imaging/fft_notch.py imaging/robot_bands.py"
     ),
     "`stream.way`, particles, `topside`": _in(
         "mapperd/",
-        "stream/way.py stream/feed.py client/checks.py topside/view_actors.py "
-        "topside/view_shapes.py",
+        "client/validation.py server/state_feed.py viewer/actors.py viewer/shapes.py "
+        "wire/blocks.py",
     ),
-    "`stream.pictures`": ("mapperd/stream/pictures.py",),
+    "`stream.pictures`": ("mapperd/server/state_messages.py",),
     "GeoTIFF": (
         "mapperd/export/geotiff.py",
         *_in("tools/survey/", "coverage.py export.py"),
@@ -97,11 +98,11 @@ MEASURED: dict[str, tuple[str, ...]] = {
 """Sources by the row that measures them."""
 
 NOT_MEASURED: dict[str, tuple[str, ...]] = {
-    "writes any array in its own width": ("mapperd/checkpoint/writing.py",),
+    "writes any array in its own width": ("mapperd/store/checkpoint_writer.py",),
     "drawn by a browser or a viewer, whose own width it is": _in(
-        "mapperd/topside/",
-        "clouds.py poses.py sonar_images.py view_colours.py view_map.py view_tools.py "
-        "view_voxels.py",
+        "mapperd/",
+        "foxglove/geometry.py foxglove/map_publisher.py foxglove/messages.py "
+        "viewer/chunks.py viewer/colours.py viewer/map_layer.py viewer/tools.py",
     ),
     "serves the rules that decide on effects, to tenths of a decibel": _in(
         SIMULATOR,

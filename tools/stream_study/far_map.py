@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mapperd.config import Config
-from mapperd.mapping import SonarMap
+from mapperd.config.tree import Config
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.tile_store import TileStore
 
 __all__ = ["write_far_map"]

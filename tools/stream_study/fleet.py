@@ -17,7 +17,7 @@ from typing import Any
 
 from mapperd.client import MapClient
 from mapperd.client.changes import MapChanged
-from mapperd.stream.messages import Want
+from mapperd.wire.messages import Want
 from stream_study.relay import Relay
 
 PATIENCE_S = 180.0

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.stream.messages import BLOCK_EDGE, MapFacts
+from mapperd.wire.messages import BLOCK_EDGE, MapFacts
 from stream_study.far_map import write_far_map
 from stream_study.hosts import SERVER, NotPermittedError, joined_hosts
 from stream_study.shaped_link import LinkShape

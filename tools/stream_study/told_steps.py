@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.stream.messages import MapFacts
+from mapperd.wire.messages import MapFacts
 
 __all__ = ["told_steps"]
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mapperd.client import MapClient
 from mapperd.client.changes import LinkChanged, MapChanged
 from mapperd.client.mirror import MapMirror
-from mapperd.stream.messages import WANTS, Pose, Want
+from mapperd.wire.messages import WANTS, Pose, Want
 
 __all__ = ["WatchLog", "read_log"]
 

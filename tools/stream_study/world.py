@@ -16,11 +16,11 @@ from typing import Any, Self
 import numpy as np
 
 from mapperd.client.mirror import MapMirror
-from mapperd.config import Config, Octree
-from mapperd.config_file import load_config
-from mapperd.mapping import SonarMap
-from mapperd.stream.blocks import CELLS, UNKNOWN, BlockSet
-from mapperd.stream.messages import BLOCK_EDGE, Interest, MapFacts
+from mapperd.config.loader import load_config
+from mapperd.config.tree import Config, Octree
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
+from mapperd.wire.messages import BLOCK_EDGE, Interest, MapFacts
 from stream_study.told_steps import told_steps
 
 __all__ = ["RESOLUTION_M", "World", "mirror_of"]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from mapperd.export.cells import UNKNOWN, Heights, known_cells
 from mapperd.export.geotiff import NO_DATA, Band
-from mapperd.mapping import SonarMap
+from mapperd.mapping.sonar_map import SonarMap
 from survey.raster import Raster
 from survey.surface import NO_TOP, tops_of
 from survey.tally import Tally

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.export.cells import indices_of
-from mapperd.mapping import SonarMap
-from mapperd.probability import log_odds_of
+from mapperd.mapping.probability import log_odds_of
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import BRICK_VOXELS
 from survey.errors import SurveyError
 from survey.tally import Tally

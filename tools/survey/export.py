@@ -9,14 +9,13 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.export.atomic import atomic_file, make_folder
 from mapperd.export.cells import Heights
+from mapperd.export.clouds import write_points
 from mapperd.export.geotiff import NO_DATA, Band, GridPlace, write_tiles
 from mapperd.export.las import las_cloud
-from mapperd.export.xyz import write_points
-from mapperd.geodesy import Origin
-from mapperd.mapping import SonarMap, Voxels
-from mapperd.projection import utm_zone
+from mapperd.geometry.geodesy import Origin, utm_zone
+from mapperd.io import atomic_file, make_folder
+from mapperd.mapping.sonar_map import SonarMap, Voxels
 from mapperd.store.reader import BRICK_VOXELS
 from survey.errors import SurveyError
 from survey.products import PRODUCTS, Options, check_products, crs_of

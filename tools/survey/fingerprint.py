@@ -8,9 +8,9 @@ from pathlib import Path
 
 import msgspec
 
-from mapperd.config import Config
-from mapperd.localization.nav2_map import image_of
-from mapperd.recording_files import files_in
+from mapperd.config.tree import Config
+from mapperd.localization.map_io import image_of
+from mapperd.session.recordings import files_in
 
 __all__ = ["digest_of", "facts_of", "known_map_facts", "program_digest"]
 

@@ -2,7 +2,7 @@
 
 import msgspec
 
-from mapperd.config import Config
+from mapperd.config.tree import Config
 from survey.errors import SurveyError
 from survey.folder import Folder
 from survey.request import Origin

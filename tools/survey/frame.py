@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.motion import PingMotion
+from mapperd.geometry.motion import PingMotion
 from survey.request import Transform
 
 __all__ = ["Frame"]

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config
-from mapperd.mapping import BLOCK_VOXELS, BRICK_VOXELS
+from mapperd.config.tree import Config
+from mapperd.mapping.sonar_map import BLOCK_VOXELS, BRICK_VOXELS
 from survey.errors import SurveyError
 from survey.spool import Rows
 

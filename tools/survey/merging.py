@@ -6,11 +6,11 @@ from collections.abc import Callable, Generator, Sequence
 
 from msgspec import Struct
 
-from mapperd.config import Config
+from mapperd.config.tree import Config
 from mapperd.errors import StoreError
-from mapperd.store.bricks import BrickRow
+from mapperd.store.maintenance import write_whole
 from mapperd.store.reader import StoreReader
-from mapperd.store.whole import write_whole
+from mapperd.store.tiles import BrickRow
 from survey.errors import SurveyError
 from survey.folder import Folder
 from survey.marks import crc_of

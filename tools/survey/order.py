@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.mapping import BLOCK_VOXELS, BRICK_VOXELS
+from mapperd.mapping.sonar_map import BLOCK_VOXELS, BRICK_VOXELS
 from survey.spool import Rows
 
 __all__ = ["PLACE", "Key", "Tile", "children_of", "ordinals_of", "tiles_of"]

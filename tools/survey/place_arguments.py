@@ -10,9 +10,9 @@ from pathlib import Path
 
 import msgspec
 
-from mapperd.config import Config
-from mapperd.config_file import load_config
-from mapperd.geodesy import Origin
+from mapperd.config.loader import load_config
+from mapperd.config.tree import Config
+from mapperd.geometry.geodesy import Origin
 from survey import request
 from survey.errors import SurveyError
 from survey.export import Progress

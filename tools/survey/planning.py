@@ -6,12 +6,11 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from mapperd.config import Config
-from mapperd.counters import ReplayCounters
-from mapperd.engine import Settled
-from mapperd.recording_files import RecordedSession, files_in, sessions_of
-from mapperd.replay import Window
-from mapperd.replay_runs import as_asked
+from mapperd.config.tree import Config
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.decoder import PosedPing
+from mapperd.session.recordings import RecordedSession, files_in, sessions_of
+from mapperd.session.replay import Window, as_asked
 from oculus_driver.errors import RecordingError
 from survey.errors import SurveyError
 from survey.folder import Folder
@@ -127,7 +126,7 @@ def plan_dive(task: PlanTask) -> DivePlan:
         with (work / "spool").open("wb") as out, (work / "rows.npy").open("wb") as index:
             rows = RowFile(index)
             spool = SpoolMap(task.config, out, rows, Frame(task.transform))
-            counters = ReplayCounters()
+            counters = PipelineCounters()
             sessions, lost = _sessions(Path(task.recording))
             for session in sessions:
                 lost += _spool(session, task.config, spool, counters)
@@ -194,13 +193,13 @@ def _raise_if_of_disk(error: RecordingError) -> None:
 
 
 def _spool(
-    session: RecordedSession, config: Config, spool: SpoolMap, counters: ReplayCounters
+    session: RecordedSession, config: Config, spool: SpoolMap, counters: PipelineCounters
 ) -> list[Lost]:
     """One session on its way; returns what was wrong with it."""
     before = counters.bytes_rejected
     replay = as_asked(session, None, config).replay(spool, Window(), counters)
 
-    def note(settled: Settled) -> None:
+    def note(settled: PosedPing) -> None:
         spool.t_ns = settled.t_ns
 
     replay.on_settled = note

@@ -4,10 +4,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from mapperd.config import Config
+from mapperd.config.tree import Config
 from mapperd.export.cells import Heights
-from mapperd.geodesy import Origin
-from mapperd.projection import local_projection, utm_zone
+from mapperd.geometry.geodesy import Origin, local_projection, utm_zone
 from survey.errors import SurveyError
 from survey.surface import CELL_VOXELS, RULES, Rule
 from survey.windows import WINDOW_BRICKS

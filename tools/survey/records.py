@@ -13,14 +13,14 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from mapperd.echo import Echo
 from mapperd.errors import MapperdError
-from mapperd.motion import PingMotion
+from mapperd.geometry.motion import PingMotion
+from mapperd.imaging.ping_image import PingImage
 
 __all__ = ["Record", "RecordReader", "RecordWriter"]
 
 Floats = NDArray[np.float64]
-Record = tuple[Echo, Floats, PingMotion | None]
+Record = tuple[PingImage, Floats, PingMotion | None]
 
 HEAD = struct.Struct("<BBHIId16d8d")
 """Bytes a sample, whether it moves, table of bearings, rows, beams, metres a row, pose, motion."""
@@ -51,7 +51,7 @@ class RecordWriter:
         self._numbers: dict[bytes, int] = {}
         self._compressor = zstandard.ZstdCompressor(level=LEVEL)
 
-    def pack(self, echo: Echo, map_T_sonar: Floats, motion: PingMotion | None) -> bytes:  # noqa: N803 frames are named
+    def pack(self, echo: PingImage, map_T_sonar: Floats, motion: PingMotion | None) -> bytes:  # noqa: N803 frames are named
         """One ping's bytes."""
         samples = self._samples(echo.intensity)
         rows, beams = samples.shape
@@ -111,7 +111,7 @@ class RecordReader:
             )
             samples = np.frombuffer(data, dtype=np.uint8 if size == 1 else "<f4")
             intensity = samples.reshape(rows, beams).astype(np.float32)
-            echo = Echo(intensity, self._bearings[table], resolution_m)
+            echo = PingImage(intensity, self._bearings[table], resolution_m)
         except (struct.error, ValueError, IndexError, zstandard.ZstdError) as error:
             raise MapperdError(f"the spool is damaged: {error}") from error
         pose, motion = np.array(numbers[:16]).reshape(4, 4), numbers[16:]

@@ -9,10 +9,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from mapperd.config import Config
-from mapperd.export.atomic import atomic_file, make_folder
+from mapperd.config.tree import Config
 from mapperd.export.geotiff import write_tiles
-from mapperd.geodesy import Origin
+from mapperd.geometry.geodesy import Origin
+from mapperd.io import atomic_file, make_folder
 from survey.coverage import BANDS, Coverage, Pictures, cover
 from survey.difference import Comparison, Way, cubes_of, differences
 from survey.errors import SurveyError

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.errors import ExportError
-from mapperd.export.atomic import atomic_file
 from mapperd.export.picture import can_draw
+from mapperd.io import atomic_file
 from survey.coverage import Pictures
 from survey.difference import Way
 from survey.raster import Raster

@@ -11,13 +11,12 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from mapperd.config import Config
-from mapperd.config_file import MAX_FILE_BYTES
-from mapperd.config_layers import load_files
-from mapperd.config_parameters import parameters
+from mapperd.config.catalog import parameters
+from mapperd.config.changes import with_values
+from mapperd.config.layers import load_files
+from mapperd.config.loader import MAX_FILE_BYTES, YamlProblem, parse_yaml
+from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
-from mapperd.setting_changes import with_values
-from mapperd.yaml_strict import YamlProblem, parse_yaml
 from survey.errors import SurveyError
 from survey.products import check_products
 

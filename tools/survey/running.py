@@ -9,7 +9,7 @@ from typing import Any, TextIO
 
 import msgspec
 
-from mapperd.progress import ProgressBar
+from mapperd.cli.progress import ProgressBar
 from mapperd.version import version
 from survey.engine import Engine
 from survey.errors import SurveyError

@@ -11,10 +11,10 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config
-from mapperd.echo import Echo
-from mapperd.mapping import PingStats, SonarMap
-from mapperd.motion import PingMotion
+from mapperd.config.tree import Config
+from mapperd.geometry.motion import PingMotion
+from mapperd.imaging.ping_image import PingImage
+from mapperd.mapping.sonar_map import PingStats, SonarMap
 from survey.frame import Frame
 from survey.records import RecordWriter
 
@@ -106,7 +106,7 @@ class SpoolMap(SonarMap):
 
     def integrate(
         self,
-        echo: Echo,
+        echo: PingImage,
         map_T_sonar: NDArray[np.float64],  # noqa: N803 frames are named
         motion: PingMotion | None = None,
     ) -> PingStats:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.export.cells import NO_TOP, indices_of
-from mapperd.mapping import Voxels
+from mapperd.mapping.sonar_map import Voxels
 from survey.windows import Window
 
 __all__ = ["CELL_VOXELS", "NO_TOP", "RULES", "Rule", "Surface", "surface_of", "tops_of"]

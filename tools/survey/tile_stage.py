@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config
+from mapperd.config.tree import Config
 from survey.engine import Engine
 from survey.errors import SurveyError
 from survey.fingerprint import digest_of, program_digest

@@ -10,10 +10,10 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from mapperd.config import Config
+from mapperd.config.tree import Config
 from mapperd.errors import MapperdError
-from mapperd.mapping import SonarMap
-from mapperd.store.whole import packed, write_whole
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.store.maintenance import packed, write_whole
 from survey.errors import SurveyError
 from survey.folder import Folder
 from survey.order import PLACE, Key

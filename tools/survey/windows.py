@@ -10,10 +10,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config
+from mapperd.config.changes import with_values
+from mapperd.config.tree import Config
 from mapperd.errors import StoreError
-from mapperd.mapping import SonarMap
-from mapperd.setting_changes import with_values
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import BRICK_VOXELS, StoreReader
 
 __all__ = ["WINDOW_BRICKS", "Key", "StoredMap", "Tiling", "Window", "tiling_of"]

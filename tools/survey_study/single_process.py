@@ -6,11 +6,10 @@ from pathlib import Path
 
 import msgspec
 
-from mapperd.config import Config
-from mapperd.mapping import SonarMap
-from mapperd.recording_files import sessions_of
-from mapperd.replay import Window
-from mapperd.replay_runs import as_asked
+from mapperd.config.tree import Config
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.session.recordings import sessions_of
+from mapperd.session.replay import Window, as_asked
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
 

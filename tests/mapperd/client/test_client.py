@@ -20,11 +20,11 @@ from mapperd.client import (
     MapChanged,
     MapClient,
     MapReset,
-    connecting,
+    connect,
 )
-from mapperd.stream.messages import Bye, Pose, Status
+from mapperd.wire.messages import Bye, Pose, Status
 from tests.conftest import ROOT
-from tests.mapperd.client.served import TOKEN, Served, Server, a_block
+from tests.support.stream_server import TOKEN, Served, Server, a_block
 
 POSE = Pose(
     stamp_ns=1,
@@ -199,7 +199,7 @@ def test_full_daemon_is_tried_again() -> None:
 
 
 def test_silent_link_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connecting, "SILENCE_S", 0.1)
+    monkeypatch.setattr(connect, "SILENCE_S", 0.1)
 
     async def listen() -> None:
         async with pair(Served(status_s=1000.0)) as (_, client):
@@ -326,7 +326,8 @@ def test_what_nobody_can_want_is_refused_at_once(options: dict[str, Any]) -> Non
 def test_package_is_imported_without_the_daemon_and_its_core() -> None:
     code = (
         "import sys, mapperd.client; print(sorted({m for m in sys.modules if "
-        "m in ('mapperd._core', 'mapperd.config', 'mapperd.daemon', 'viser', 'matplotlib')}))"
+        "m in ('mapperd._core', 'mapperd.config.tree', 'mapperd.daemon.daemon', 'viser', "
+        "'matplotlib')}))"
     )
     done = subprocess.run(  # noqa: S603 our own line
         [sys.executable, "-c", code], capture_output=True, text=True, check=True

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from mapperd.client import AskError, LinkChanged, MapChanged, MapFollower, MapReset
-from tests.mapperd.client.served import Served, Server, a_block
+from tests.support.stream_server import Served, Server, a_block
 
 
 def follow(served: Served, work: Callable[[Server, MapFollower], None]) -> None:

@@ -13,9 +13,9 @@ import numpy as np
 import zstandard
 
 from mapperd.client import MapMirror
-from mapperd.stream.messages import Interest
-from mapperd.stream.way import path_message
-from tests.mapperd.client.served import FACTS, TOKEN, Served, Server, a_block
+from mapperd.wire.blocks import path_message
+from mapperd.wire.messages import Interest
+from tests.support.stream_server import FACTS, TOKEN, Served, Server, a_block
 
 Key = tuple[int, int, int]
 

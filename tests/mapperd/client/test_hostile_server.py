@@ -10,11 +10,11 @@ import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapperd.client.dialogue import Dialogue, Wishes
-from mapperd.client.knowledge import Knowledge
-from mapperd.stream.blocks import CELLS, BlockSet, encode_blocks
-from mapperd.stream.framing import StreamError, framed
-from mapperd.stream.messages import (
+from mapperd.client.protocol import Dialogue, Wishes
+from mapperd.client.state import Knowledge
+from mapperd.wire.blocks import CELLS, BlockSet, encode_blocks
+from mapperd.wire.framing import StreamError, framed
+from mapperd.wire.messages import (
     WANTS,
     Blocks,
     Box,
@@ -32,7 +32,7 @@ from mapperd.stream.messages import (
     Status,
     Welcome,
 )
-from tests.mapperd.client.served import FACTS, Served, a_block
+from tests.support.stream_server import FACTS, Served, a_block
 
 NAN, INF = float("nan"), float("inf")
 UNIT = (0.0, 0.0, 0.0, 1.0)

@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapperd.client import Interest, MapFacts, MapMirror
-from mapperd.config import Config
-from mapperd.stream.blocks import CELLS, UNKNOWN, BlockSet
-from mapperd.stream.messages import BLOCK_EDGE
-from tests.mapperd.client.served import FACTS, a_block
+from mapperd.config.tree import Config
+from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
+from mapperd.wire.messages import BLOCK_EDGE
+from tests.support.stream_server import FACTS, a_block
 
 KEYS = st.tuples(*[st.integers(-2, 2)] * 3)
 ROUNDS = st.lists(st.dictionaries(KEYS, st.integers(-1, 5), max_size=6), max_size=20)

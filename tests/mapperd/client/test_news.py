@@ -11,16 +11,16 @@ import numpy as np
 
 from mapperd.client import MapClient
 from mapperd.client.changes import ClientChange
-from mapperd.client.checks import floats_of
-from mapperd.control.doors import open_unix_door
+from mapperd.client.validation import floats_of
 from mapperd.events import Severity
-from mapperd.localization.facts import LocalizationFacts
-from mapperd.stream.feed import Feed
-from mapperd.stream.messages import Event, Localization, Robots, Want
-from mapperd.stream.server import StreamServer
-from tests.mapperd.control.fakes import FakeDaemon
+from mapperd.localization.status import LocalizationFacts
+from mapperd.server.listeners import open_unix_listener
+from mapperd.server.state_feed import Feed
+from mapperd.server.stream_server import StreamServer
+from mapperd.wire.messages import Event, Localization, Robots, Want
 from tests.mapperd.localization.believed import facts as believed
-from tests.mapperd.stream.watched import PlainSource, run
+from tests.mapperd.server.watched import PlainSource, run
+from tests.support.control_server import FakeDaemon
 
 
 @dataclass
@@ -54,7 +54,7 @@ async def telling(folder: Path, *wants: Want) -> AsyncIterator[Told]:
     feed = Feed(daemon, lambda: known, 100)  # type: ignore[arg-type,return-value]
     path = folder / "map.sock"
     async with (
-        StreamServer(daemon, [open_unix_door(path, 0o600)], feed, PlainSource()),
+        StreamServer(daemon, [open_unix_listener(path, 0o600)], feed, PlainSource()),
         MapClient(str(path), wants=wants) as client,
     ):
         while client.link.state != "connected":  # noqa: ASYNC110 of another task

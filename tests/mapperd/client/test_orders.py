@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapperd.client import EndedError, Interest, MapMirror, StreamError
-from mapperd.client import knowledge as module
-from mapperd.client.knowledge import Knowledge
-from mapperd.stream.blocks import CELLS, UNKNOWN, BlockSet, encode_blocks
-from mapperd.stream.messages import Blocks, Reset, Welcome
-from tests.mapperd.client.served import FACTS
+from mapperd.client import state as module
+from mapperd.client.state import Knowledge
+from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet, encode_blocks
+from mapperd.wire.messages import Blocks, Reset, Welcome
+from tests.support.stream_server import FACTS
 
 WELCOME = Welcome(
     version=1, server="", vehicle="", session="s", map=FACTS, revision=0, resumed=False, ticket="t"
@@ -126,7 +126,7 @@ def test_second_line_ends_where_too_much_is_to_be_remembered(
     monkeypatch: pytest.MonkeyPatch,
     by_first: bool,  # noqa: FBT001
 ) -> None:
-    monkeypatch.setattr(module, "MOST_FORGOTTEN", 5)
+    monkeypatch.setattr(module, "MAX_FORGOTTEN", 5)
     knowledge = known()
     mirror = knowledge.mirror
     assert mirror is not None

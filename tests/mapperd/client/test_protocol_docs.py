@@ -6,13 +6,13 @@ import typing
 import pytest
 import zstandard
 
-from mapperd.config_file import config_from_text
-from mapperd.control.token import proof_of
+from mapperd.config.loader import config_from_text
 from mapperd.errors import ConfigError
-from mapperd.stream import messages
-from mapperd.stream.blocks import MAX_BODY, MAX_KEY, decode_blocks, encode_blocks
-from mapperd.stream.framing import framed
-from mapperd.stream.messages import FromClient, FromServer, Greeting
+from mapperd.wire import messages
+from mapperd.wire.auth import proof_of
+from mapperd.wire.blocks import MAX_BODY, MAX_KEY, decode_blocks, encode_blocks
+from mapperd.wire.framing import framed
+from mapperd.wire.messages import FromClient, FromServer, Greeting
 from tests.conftest import ROOT
 
 PAGE = (ROOT / "docs" / "map-stream.md").read_text(encoding="utf-8")

@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapperd.client import EndedError, Interest, StreamError
-from mapperd.client.dialogue import Dialogue, Wishes
-from mapperd.client.knowledge import Knowledge
-from mapperd.client.second_dialogue import SecondDialogue
-from mapperd.control.token import proof_of
-from mapperd.stream.blocks import CELLS, UNKNOWN, encode_blocks
-from mapperd.stream.framing import framed, server_inbox
-from mapperd.stream.messages import (
+from mapperd.client.protocol import Dialogue, Wishes
+from mapperd.client.second_line import SecondDialogue
+from mapperd.client.state import Knowledge
+from mapperd.wire.auth import proof_of
+from mapperd.wire.blocks import CELLS, UNKNOWN, encode_blocks
+from mapperd.wire.framing import framed, server_inbox
+from mapperd.wire.messages import (
     Ack,
     Answer,
     Blocks,
@@ -34,8 +34,8 @@ from mapperd.stream.messages import (
     Status,
     Welcome,
 )
-from tests.mapperd.client.served import FACTS, TOKEN, Served, a_block
 from tests.mapperd.client.test_hostile_server import POSE
+from tests.support.stream_server import FACTS, TOKEN, Served, a_block
 
 FIRST = Welcome(
     version=1, server="", vehicle="", session="s", map=FACTS, revision=0, resumed=False, ticket="t"

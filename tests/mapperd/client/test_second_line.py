@@ -7,21 +7,20 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.client import MapClient, connecting
-from mapperd.client.address import place_of
-from mapperd.client.second_dialogue import SecondDialogue
-from mapperd.client.second_line import SecondLine
-from mapperd.stream.blocks import CELLS, BlockSet, encode_blocks
-from mapperd.stream.messages import Blocks, Bye, Hello, Pose, Reset, Status
-from tests.mapperd.client.served import TOKEN, Connection, Served, Server
+from mapperd.client import MapClient, connect
+from mapperd.client.connect import place_of
+from mapperd.client.second_line import SecondDialogue, SecondLine
+from mapperd.wire.blocks import CELLS, BlockSet, encode_blocks
+from mapperd.wire.messages import Blocks, Bye, Hello, Pose, Reset, Status
 from tests.mapperd.client.test_client import POSE, go, pair, until
 from tests.mapperd.client.test_second_dialogue import a_first
+from tests.support.stream_server import TOKEN, Connection, Served, Server
 
 
 @pytest.fixture(autouse=True)
 def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connecting, "WAIT_S", 0.01)
-    monkeypatch.setattr(connecting, "LONGEST_WAIT_S", 0.01)
+    monkeypatch.setattr(connect, "WAIT_S", 0.01)
+    monkeypatch.setattr(connect, "LONGEST_WAIT_S", 0.01)
 
 
 def advising(**more: Any) -> Served:
@@ -98,7 +97,7 @@ def test_without_advice_there_is_one_line(advice: object) -> None:
 
 @pytest.mark.parametrize("how", ["cut", "closing", "silent"])
 def test_second_line_that_ended_is_tried_again(how: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connecting, "SILENCE_S", 0.5)
+    monkeypatch.setattr(connect, "SILENCE_S", 0.5)
 
     async def end() -> None:
         served = advising(status_s=0.01)

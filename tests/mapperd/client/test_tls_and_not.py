@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from mapperd.client import LinkChanged, MapClient
-from mapperd.control.limits import Limits
-from tests.mapperd.stream.watched import bed_of, run
+from mapperd.wire.auth import Limits
+from tests.mapperd.server.watched import bed_of, run
 
 
 @pytest.mark.parametrize(

@@ -14,16 +14,16 @@ import pytest
 from stream_study.told_steps import told_steps
 
 from mapperd import _core
-from mapperd.client import Interest, MapClient, connecting
-from mapperd.config import Config
-from mapperd.control.doors import open_unix_door
-from mapperd.mapping import SonarMap
-from mapperd.stream.blocks import UNKNOWN
-from mapperd.stream.feed import Feed
-from mapperd.stream.messages import MapFacts
-from mapperd.stream.server import StreamServer
-from mapperd.stream.source import MapSource
-from tests.mapperd.control.fakes import FakeDaemon
+from mapperd.client import Interest, MapClient, connect
+from mapperd.config.tree import Config
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.server.listeners import open_unix_listener
+from mapperd.server.map_source import MapSource
+from mapperd.server.state_feed import Feed
+from mapperd.server.stream_server import StreamServer
+from mapperd.wire.blocks import UNKNOWN
+from mapperd.wire.messages import MapFacts
+from tests.support.control_server import FakeDaemon
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -54,7 +54,7 @@ async def served(sonar_map: SonarMap, path: Path) -> AsyncIterator[StreamServer]
     with MapSource(sonar_map, InMemory(), log_odds_step=STEP) as source:
         feed = Feed(daemon, lambda: None, 1000)
         async with StreamServer(
-            daemon, [open_unix_door(path, 0o600)], feed, source, now_ns=time.time_ns
+            daemon, [open_unix_listener(path, 0o600)], feed, source, now_ns=time.time_ns
         ) as server:
             yield server
 
@@ -102,7 +102,7 @@ def go(work: Callable[[AsyncExitStack], Awaitable[None]]) -> None:
 def test_mirrors_equal_the_map_through_restarts_and_breaks(
     short: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(connecting, "LONGEST_WAIT_S", 0.2)
+    monkeypatch.setattr(connect, "LONGEST_WAIT_S", 0.2)
     chance = np.random.default_rng(3)
     breaks = random.Random(3)  # noqa: S311 a test
     sonar_map, path = a_map(), short / "map.sock"

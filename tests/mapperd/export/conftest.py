@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mapperd.export.by_suffix import write_map
 from mapperd.export.cells import Heights
-from mapperd.mapping import SonarMap
-from tests.mapperd.export.maps import FREE, OCCUPIED, UNSURE, map_of
+from mapperd.export.formats import write_map
+from mapperd.mapping.sonar_map import SonarMap
+from tests.support.maps import FREE, OCCUPIED, UNSURE, map_of
 
 
 @pytest.fixture

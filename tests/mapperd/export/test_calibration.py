@@ -7,10 +7,10 @@ import pytest
 from plyfile import PlyData
 
 from mapperd.errors import ConfigError, ExportError
-from mapperd.export.by_suffix import FORMATS, SAY_PROBABILITY, write_map
 from mapperd.export.calibration import Calibration, load_calibration
-from tests.mapperd.export.maps import FREE, OCCUPIED, map_of
-from tests.mapperd.topside.conftest import Call, call
+from mapperd.export.formats import FORMATS, SAY_PROBABILITY, write_map
+from tests.support.mapperctl import Call, call
+from tests.support.maps import FREE, OCCUPIED, map_of
 
 __all__ = ["call"]
 

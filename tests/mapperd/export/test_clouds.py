@@ -8,7 +8,7 @@ import pytest
 from plyfile import PlyData
 from pypcd4.pypcd4 import PointCloud
 
-from mapperd.mapping import SonarMap
+from mapperd.mapping.sonar_map import SonarMap
 
 Saved = Callable[..., Path]
 

@@ -13,8 +13,8 @@ from mapperd import _core
 from mapperd.errors import ExportError
 from mapperd.export import cells
 from mapperd.export.cells import Heights, KnownCells, indices_of
-from mapperd.mapping import SonarMap
-from tests.mapperd.export.maps import COARSE, FREE, OCCUPIED, UNSURE, map_of, with_thresholds
+from mapperd.mapping.sonar_map import SonarMap
+from tests.support.maps import COARSE, FREE, OCCUPIED, UNSURE, map_of, with_thresholds
 
 Saved = Callable[..., Path]
 

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapperd.config_layers import Layered
-from mapperd.config_store import Applied, ConfigStore
+from mapperd.api import OperationError
+from mapperd.config.layers import Layered
+from mapperd.config.live import Applied, ConfigStore
+from mapperd.daemon.map_folder import MapFolder, checked_name
 from mapperd.errors import StoreError
-from mapperd.export.map_folder import MapFolder, checked_name
-from mapperd.mapping import SonarMap
-from mapperd.operations import OperationError
+from mapperd.mapping.sonar_map import SonarMap
 
 
 @pytest.fixture

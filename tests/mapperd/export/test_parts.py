@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from mapperd.export.geotiff import NO_DATA, Band, GridPlace, write_tiles
 from mapperd.export.las import las_cloud, write_las
-from mapperd.geodesy import Origin
-from mapperd.mapping import SonarMap, Voxels
+from mapperd.geometry.geodesy import Origin
+from mapperd.mapping.sonar_map import SonarMap, Voxels
 
 KIEL = Origin.of_degrees(54.36, 10.16)
 EDGE = 16

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from mapperd.export import picture
-from mapperd.export.picture import can_draw, write_picture
-from mapperd.export.raster import MAX_PIXELS, project
-from mapperd.mapping import Voxels
+from mapperd.export.picture import MAX_PIXELS, can_draw, project, write_picture
+from mapperd.mapping.sonar_map import Voxels
 
 pytestmark = pytest.mark.skipif(not can_draw(), reason="matplotlib (extra topside) is missing")
 

@@ -3,8 +3,8 @@ import io
 import numpy as np
 import pytest
 
-from mapperd.export.ply import VERTEX, write_ply
-from mapperd.mapping import Voxels
+from mapperd.export.clouds import VERTEX, write_ply
+from mapperd.mapping.sonar_map import Voxels
 
 
 def written(count: int) -> tuple[list[str], bytes]:

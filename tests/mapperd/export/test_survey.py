@@ -11,15 +11,15 @@ import pyproj
 import pytest
 import rasterio
 
-from mapperd.config_layers import Layered
-from mapperd.config_store import ConfigStore
+from mapperd.config.layers import Layered
+from mapperd.config.live import ConfigStore
+from mapperd.daemon.map_folder import MapFolder
 from mapperd.errors import ExportError
-from mapperd.export.by_suffix import crs_of, write_map
 from mapperd.export.cells import Heights
-from mapperd.export.map_folder import MapFolder
-from mapperd.geodesy import Origin
-from mapperd.mapping import SonarMap
-from tests.mapperd.export.maps import COARSE, map_of
+from mapperd.export.formats import crs_of, write_map
+from mapperd.geometry.geodesy import Origin
+from mapperd.mapping.sonar_map import SonarMap
+from tests.support.maps import COARSE, map_of
 
 Saved = Callable[..., Path]
 

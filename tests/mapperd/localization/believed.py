@@ -5,14 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from mapperd.config import Amcl
-from mapperd.localization.clusters import Cluster
-from mapperd.localization.diagnostics import diagnose
-from mapperd.localization.estimate import Belief, PlanarGaussian
-from mapperd.localization.facts import LocalizationFacts
+from mapperd.config.tree import Amcl
+from mapperd.geometry.gaussian import Belief, PlanarGaussian
 from mapperd.localization.grid_map import FREE, OCCUPIED, UNKNOWN, GridMap
 from mapperd.localization.known_map import KnownMap
-from mapperd.localization.pose import MapFromOdom
+from mapperd.localization.odom_correction import MapFromOdom
+from mapperd.localization.particle_filter import Cluster
+from mapperd.localization.status import LocalizationFacts, diagnose
 
 STAMP_NS = 1_700_000_000_000_000_000
 

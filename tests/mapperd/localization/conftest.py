@@ -4,11 +4,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from mapperd.config import Sonar
-from mapperd.echo import Echo
-from mapperd.polar_image import echo_of_image
+from mapperd.config.tree import Sonar
+from mapperd.imaging.ping_image import PingImage, ping_image_of_array
 
-MakeEcho = Callable[..., Echo]
+MakeEcho = Callable[..., PingImage]
 
 
 @pytest.fixture
@@ -23,7 +22,7 @@ def make_echo() -> MakeEcho:
         noise: float = 2.0,
         seed: int = 1,
         fov_deg: float = 120.0,
-    ) -> Echo:
+    ) -> PingImage:
         image = np.random.default_rng(seed).rayleigh(noise, (rows, beams))
         for at_m, intensity, first, last in echoes:
             row = int(at_m / range_m * rows)
@@ -32,6 +31,6 @@ def make_echo() -> MakeEcho:
         shown = np.clip(np.rint(image), 0, 255).astype(np.uint8)
         half = math.radians(fov_deg / 2)
         bearings = np.arcsin(np.linspace(-math.sin(half), math.sin(half), beams))
-        return echo_of_image(shown, range_m, bearings, Sonar(horizontal_fov=180))
+        return ping_image_of_array(shown, range_m, bearings, Sonar(horizontal_fov=180))
 
     return make

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.localization.filter import (
+from mapperd.localization.particle_filter import (
     BeamModel,
     Beams,
     Endpoints,

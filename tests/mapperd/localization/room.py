@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.localization.filter import RangeMap
 from mapperd.localization.grid_map import FREE, OCCUPIED, GridMap
+from mapperd.localization.map_io import write_nav2_map
 from mapperd.localization.models import core_grid
-from mapperd.localization.nav2_map import write_nav2_map
+from mapperd.localization.particle_filter import RangeMap
 from tests.mapperd.conftest import make_odometry, make_ping
 
 Floats = NDArray[np.float64]

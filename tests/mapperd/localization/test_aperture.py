@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from mapperd.config import Config, Sonar
-from mapperd.localization.aperture import heard_aperture_rad
+from mapperd.config.tree import Config, Sonar
+from mapperd.localization.scan import heard_aperture_rad
 
 
 def test_a_return_may_come_from_the_data_sheet_s_one_way_width() -> None:

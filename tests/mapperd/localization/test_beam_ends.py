@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from mapperd.localization.beam_ends import elevation_fan_rad, ends_on_cones
 from mapperd.localization.levelling import level_T_base
 from mapperd.localization.scan import Scan
+from mapperd.localization.weighting import elevation_fan_rad, ends_on_cones
 
 
 def scan(bearing_rad: list[float], range_m: float = 10.0) -> Scan:

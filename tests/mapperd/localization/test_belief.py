@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from mapperd.localization.estimate import PlanarGaussian
-from mapperd.localization.filter import belief
+from mapperd.geometry.gaussian import PlanarGaussian
+from mapperd.localization.particle_filter import belief
 from tests.mapperd.localization.filter_cases import Floats, filter_at
 
 

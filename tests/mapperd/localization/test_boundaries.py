@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.config import Config
-from mapperd.config_file import config_from_text
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
 from mapperd.errors import MapError
-from mapperd.localization.boundaries import keep_boundaries
-from mapperd.localization.map_loading import load_known_map
-from mapperd.localization.volume_map import VolumeMap
-from mapperd.map_queries import UNKNOWN, MapQueries
-from mapperd.mapping import SonarMap
+from mapperd.localization.known_map import load_known_map
+from mapperd.localization.maps import VolumeMap, keep_boundaries
+from mapperd.mapping.queries import UNKNOWN, MapQueries
+from mapperd.mapping.sonar_map import SonarMap
 
 VOXEL_M = 0.1
 FRONT_X_M, DEPTH = 1.05, 4

@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 
-from mapperd.localization.cloud_state import cloud_state, restore_cloud
-from mapperd.localization.filter import FreeSpace, ParticleFilter
+from mapperd.localization.particle_filter import (
+    FreeSpace,
+    ParticleFilter,
+    cloud_state,
+    restore_cloud,
+)
 from tests.mapperd.localization.filter_cases import Floats, cells, grid, rule
 
 FREE = FreeSpace(grid(cells(["0 0 0 0"] * 4), 1.0))

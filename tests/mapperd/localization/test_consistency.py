@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.localization.filter import (
+from mapperd.localization.particle_filter import (
     Endpoints,
     HitModel,
     LikelihoodField,

@@ -8,11 +8,11 @@ from random import Random
 import numpy as np
 import pytest
 
-from mapperd.config_file import config_from_text
-from mapperd.counters import ReplayCounters
-from mapperd.mapping import SonarMap
-from mapperd.position import position_in
-from mapperd.replay_store import map_into_store
+from mapperd.config.loader import config_from_text
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.session.replay_to_store import map_into_store
+from mapperd.store.position import position_in
 from mapperd.store.reader import StoreReader
 from tests.mapperd.conftest import Ran
 from tests.mapperd.localization.room import (
@@ -144,7 +144,7 @@ def test_map_after_interruptions_is_that_of_the_whole(tmp_path: Path, recording:
     while cuts < 12:
         left = chance.randrange(5, 60)
 
-        def cut(_: ReplayCounters) -> None:
+        def cut(_: PipelineCounters) -> None:
             nonlocal left
             left -= 1
             if left == 0:

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from mapperd.config import Amcl
-from mapperd.localization.diagnostics import Deviation, diagnose, weight_warning
-from mapperd.localization.estimate import PlanarGaussian
+from mapperd.config.tree import Amcl
+from mapperd.geometry.gaussian import PlanarGaussian
+from mapperd.localization.status import Deviation, diagnose, weight_warning
 
 
 def estimate(*variances: float) -> PlanarGaussian:

@@ -2,9 +2,9 @@
 
 import pytest
 
+from mapperd.daemon.status import LocalizationWatch
 from mapperd.events import EventLog
-from mapperd.localization.facts import LocalizationFacts
-from mapperd.localization_events import LocalizationWatch
+from mapperd.localization.status import LocalizationFacts
 from tests.mapperd.localization.believed import facts, known
 
 

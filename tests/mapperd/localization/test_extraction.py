@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from mapperd.config import Config
-from mapperd.config_file import config_from_text
-from mapperd.echo import Echo, echo_of
-from mapperd.frames import rigid_transform, rotation_from_rpy
-from mapperd.localization.burst import BurstWatch
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
+from mapperd.errors import Reject
+from mapperd.geometry.frames import rigid_transform, rotation_from_rpy
+from mapperd.imaging.ping_image import PingImage, ping_image_of
+from mapperd.localization.burst_filter import BurstWatch
 from mapperd.localization.extraction import Surroundings, scan_of
 from mapperd.localization.scan import Scan
-from mapperd.reject import Reject
 from oculus_driver import Ping, StreamParser, decode_ping
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def test_a_surface_that_rises_beyond_the_largest_range_is_none(make_echo: Any) -
     image = echo.intensity.copy()
     image[246:250] += 40
     image[250:256] += 210
-    rising = Echo(np.minimum(image, 255), echo.bearings_rad, echo.range_resolution_m)
+    rising = PingImage(np.minimum(image, 255), echo.bearings_rad, echo.range_resolution_m)
     assert np.median(scan(rising).range_m) > 5.0
     assert len(scan(rising, "amcl: {laser_max_range: 5}")) == 0
 
@@ -113,7 +113,7 @@ def test_real_pings_of_a_still_sonar_give_nearly_one_scan(shared_data: Path) -> 
         ping = decode_ping(message)
         assert isinstance(ping, Ping)
         around = Surroundings(len(ranges) * 10**8, np.eye(4), gamma_byte=ping.gamma)
-        found = scan_of(echo_of(ping, Config().sonar), around, Config(), watch)
+        found = scan_of(ping_image_of(ping, Config().sonar), around, Config(), watch)
         assert isinstance(found, Scan)
         assert len(found) > 0.95 * ping.beams
         row = np.full(ping.beams, np.nan)

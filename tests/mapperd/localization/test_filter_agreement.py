@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from mapperd import _core
-from mapperd.localization.filter import (
+from mapperd.localization.particle_filter import (
     BeamModel,
     Endpoints,
     Grid,

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from mapperd.localization.filter import BeamModel, HitModel, LikelihoodField, RangeMap
+from mapperd.localization.particle_filter import BeamModel, HitModel, LikelihoodField, RangeMap
 from tests.mapperd.localization.filter_cases import (
     HIT,
     Floats,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mapperd import _core
-from mapperd.localization.filter import LikelihoodField, RangeMap
+from mapperd.localization.particle_filter import LikelihoodField, RangeMap
 from tests.mapperd.localization.filter_cases import (
     HIT,
     Floats,

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from mapperd.localization.fit_watch import FitWatch, hit_share
+from mapperd.localization.hypothesis import FitWatch, hit_share
 from tests.mapperd.localization.filter_cases import HIT
 
 FAR_M = 2.0

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.frames import rigid_transform, rotation_from_rpy
-from mapperd.localization.floor_gate import floor_gate_m
+from mapperd.geometry.frames import rigid_transform, rotation_from_rpy
+from mapperd.localization.extraction import floor_gate_m
 from mapperd.localization.levelling import beam_directions
 
 APERTURE = math.radians(20)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mapperd.localization.given_scan import scan_of_ranges
+from mapperd.localization.scan import scan_of_ranges
 
 
 def test_returns_stand_where_they_were_seen() -> None:

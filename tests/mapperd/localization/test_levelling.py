@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from mapperd.frames import rotation_from_rpy
+from mapperd.geometry.frames import rotation_from_rpy
 from mapperd.localization.levelling import beam_directions, fan_points, level_T_base, yaw_of
 
 

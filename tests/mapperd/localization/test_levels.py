@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.localization.levels import equalised, levels_db
+from mapperd.localization.detector import equalised, levels_db
 
 RNG = np.random.default_rng(3)
 

@@ -3,11 +3,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.config import Amcl
-from mapperd.localization.estimate import PlanarGaussian
+from mapperd.config.tree import Amcl
+from mapperd.errors import Reject
+from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.grid_map import GridMap
 from mapperd.localization.lifecycle import Lifecycle, Start, parameter_pose
-from mapperd.reject import Reject
 
 GRID = GridMap(np.zeros((3, 3), dtype=np.int8), 1.0)
 OTHER = GridMap(np.zeros((4, 4), dtype=np.int8), 1.0)

@@ -4,15 +4,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.config import Amcl, Config
-from mapperd.config_file import config_from_text
-from mapperd.frames import Pose, pose_from_rpy
-from mapperd.localization.estimate import Belief, PlanarGaussian
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Amcl, Config
+from mapperd.geometry.frames import Pose, pose_from_rpy
+from mapperd.geometry.gaussian import Belief, PlanarGaussian
 from mapperd.localization.grid_map import GridMap
 from mapperd.localization.localizer import Localizer
+from mapperd.localization.maps import LocalizationMap
 from mapperd.localization.scan import Scan
 from mapperd.localization.update_gate import PlanarPose
-from mapperd.localization.volume_map import LocalizationMap
 
 GRID = GridMap(np.zeros((3, 3), dtype=np.int8), 1.0)
 HEIGHT_M = -4.0

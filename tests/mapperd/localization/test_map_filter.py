@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.config import Config
-from mapperd.config_file import config_from_text
-from mapperd.localization.estimate import Belief, PlanarGaussian
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Config
+from mapperd.geometry.gaussian import Belief, PlanarGaussian
 from mapperd.localization.grid_map import GridMap
 from mapperd.localization.localizer import Localizer
 from mapperd.localization.map_filter import MapFilter
+from mapperd.localization.maps import VolumeMap, volume_map
 from mapperd.localization.scan import Scan
 from mapperd.localization.update_gate import PlanarPose
-from mapperd.localization.volume_map import VolumeMap, volume_map
-from mapperd.map_queries import MapQueries
-from mapperd.mapping import SonarMap
+from mapperd.mapping.queries import MapQueries
+from mapperd.mapping.sonar_map import SonarMap
 
 CELL_M = 0.1
 SIGMA = np.diag([0.3**2, 0.3**2, 0.1**2])

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from mapperd.config import Amcl
-from mapperd.config_file import config_from_text
+from mapperd.config.loader import config_from_text
+from mapperd.config.tree import Amcl
 from mapperd.localization.grid_map import GridMap
 from mapperd.localization.models import beam_model, field_of
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mapperd.localization.filter import Endpoints, LikelihoodField, ParticleFilter
+from mapperd.localization.particle_filter import Endpoints, LikelihoodField, ParticleFilter
 from tests.mapperd.localization.filter_cases import HIT, filter_at, grid, pose, rule
 
 OCCUPANCY = np.zeros((50, 50), np.int8)

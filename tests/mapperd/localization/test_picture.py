@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from mapperd.localization.estimate import PlanarGaussian
+from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.grid_map import FREE, OCCUPIED, GridMap
 from mapperd.localization.known_map import KnownMap
-from mapperd.localization_picture import (
-    MOST_PIXELS,
+from mapperd.localization.picture import (
+    MAX_PIXELS,
     NOWHERE,
     PARTICLE,
     PATH,
@@ -79,8 +79,8 @@ def test_large_map_is_made_coarser_and_keeps_thin_walls() -> None:
     cells[150, :] = OCCUPIED
     large = KnownMap("m", "00", GridMap(cells, 0.1))
     picture = drawn(known=large, elsewhere=None, particles=np.zeros((0, 4)), scan_points_m=None)
-    assert picture.shape == (60, MOST_PIXELS, 3)
-    assert (picture == WALL).all(axis=2).sum() == MOST_PIXELS
+    assert picture.shape == (60, MAX_PIXELS, 3)
+    assert (picture == WALL).all(axis=2).sum() == MAX_PIXELS
 
 
 def test_map_of_which_nothing_is_known_is_grey() -> None:

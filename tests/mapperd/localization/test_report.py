@@ -6,11 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from mapperd.config_file import config_of
-from mapperd.localization.clusters import clusters_of
-from mapperd.localization.filter import ParticleFilter
+from mapperd.config.loader import config_of
 from mapperd.localization.models import filter_rule
-from mapperd.localization_report import localization_report, localization_summary, state_of
+from mapperd.localization.particle_filter import ParticleFilter, clusters_of
+from mapperd.localization.report import localization_report, localization_summary, state_of
 from tests.mapperd.localization.believed import STAMP_NS, facts
 
 CONFIG = config_of({"localization": {"mode": "global"}}, "")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapperd.errors import ExportError, MapError
-from mapperd.localization.estimate import PlanarGaussian
+from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.saved_pose import SavePace, load_pose, save_pose
 
 COVARIANCE = np.array([[0.3, 0.1, 0.01], [0.1, 0.2, 0.02], [0.01, 0.02, 0.05]])

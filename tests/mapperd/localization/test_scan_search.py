@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from mapperd.localization.filter import (
+from mapperd.localization.grid_map import GridMap
+from mapperd.localization.models import core_grid, field_of
+from mapperd.localization.particle_filter import (
     Endpoints,
     FilterRule,
     FreeSpace,
     LikelihoodField,
     ParticleFilter,
 )
-from mapperd.localization.grid_map import GridMap
-from mapperd.localization.models import core_grid, field_of
 from tests.mapperd.localization.test_map_filter import config, room, scan_from
 
 if TYPE_CHECKING:

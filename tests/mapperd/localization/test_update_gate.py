@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from mapperd.config import Amcl
+from mapperd.config.tree import Amcl
 from mapperd.localization.update_gate import PlanarPose, UpdateGate
 
 AMCL = Amcl(update_min_d=0.1, update_min_a=0.05)

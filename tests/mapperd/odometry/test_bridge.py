@@ -7,17 +7,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mapperd.config import Config
-from mapperd.config_odometry import OdometryFusion, OdometrySource
+from mapperd.config.odometry import FormatName, OdometryFusion, OdometrySource
+from mapperd.config.tree import Config
+from mapperd.errors import Reject
 from mapperd.odometry.bridge import OdometryBridge
-from mapperd.odometry.format_settings import FormatName
 from mapperd.odometry.fusion import FusedPose
-from mapperd.odometry.native import NativeRecord, encode_native
-from mapperd.odometry.native_serial import encode_native_serial
-from mapperd.reject import Reject
-from tests.peers.autopilot import Autopilot
-from tests.peers.dvl import Dvl
-from tests.peers.nmea_talker import NmeaTalker
+from mapperd.odometry.native import NativeRecord, encode_native, encode_native_serial
+from tests.support.peers.autopilot import Autopilot
+from tests.support.peers.dvl import Dvl
+from tests.support.peers.nmea_talker import NmeaTalker
 
 T0 = 1_700_000_000_000_000_000
 NAMES: tuple[FormatName, ...] = get_args(FormatName)

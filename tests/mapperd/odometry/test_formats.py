@@ -5,9 +5,9 @@ from typing import get_args
 
 import pytest
 
+from mapperd.config.odometry import FormatName, FormatSettings
 from mapperd.errors import ConfigError
 from mapperd.odometry.decoder import MAX_NAMES, DecoderCounters
-from mapperd.odometry.format_settings import FormatName, FormatSettings
 from mapperd.odometry.formats import make_decoder
 
 NAMES: tuple[FormatName, ...] = get_args(FormatName)
@@ -50,7 +50,7 @@ class _Missing:
 def test_library_of_a_format_is_loaded_only_for_it() -> None:
     code = (
         "import sys; from mapperd.odometry.formats import make_decoder; "
-        "from mapperd.odometry.format_settings import FormatSettings as S; "
+        "from mapperd.config.odometry import FormatSettings as S; "
         "make_decoder(S(format='water_linked_json')); "
         "print([m for m in sys.modules if m in ('pymavlink', 'pynmea2')])"
     )

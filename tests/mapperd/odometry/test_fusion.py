@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.config_odometry import (
+from mapperd.config.odometry import (
     DeadReckoning,
     GeoOrigin,
     Limits,
@@ -15,10 +15,10 @@ from mapperd.config_odometry import (
     Owners,
     TimeSync,
 )
-from mapperd.frames import rotation_from_rpy
+from mapperd.errors import Reject
+from mapperd.geometry.frames import rotation_from_rpy
 from mapperd.odometry.fusion import FusedPose, Fusion
 from mapperd.odometry.records import GeoPoint, Odometry
-from mapperd.reject import Reject
 from tests.mapperd.odometry.conftest import T0, Circle, S, feed, fused_at, record, yaw_of
 
 OWNERS = OdometryFusion(

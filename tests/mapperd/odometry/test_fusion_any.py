@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapperd.config_odometry import DeadReckoning, OdometryFusion, TimeSync
-from mapperd.frames import rotation_from_rpy
+from mapperd.config.odometry import DeadReckoning, OdometryFusion, TimeSync
+from mapperd.errors import Reject
+from mapperd.geometry.frames import rotation_from_rpy
 from mapperd.odometry.fusion import FusedPose, Fusion
 from mapperd.odometry.records import GeoPoint, Odometry
-from mapperd.reject import Reject
 from tests.mapperd.odometry.conftest import T0
 
 MS = 1_000_000

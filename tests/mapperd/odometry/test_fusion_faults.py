@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.config_odometry import (
+from mapperd.config.odometry import (
     GeoOrigin,
     OdometryFusion,
     OdometrySource,
@@ -17,9 +17,9 @@ from mapperd.config_odometry import (
     TimeSync,
     WorldInit,
 )
+from mapperd.errors import Reject
 from mapperd.odometry.fusion import FusedPose, Fusion
 from mapperd.odometry.records import GeoPoint, Odometry
-from mapperd.reject import Reject
 from tests.mapperd.odometry.conftest import T0, Circle, S, feed, fused_at, record, yaw_of
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from mapperd.frames import rotation_from_rpy
+from mapperd.geometry.frames import rotation_from_rpy
+from mapperd.odometry.clock import OdometryClock
 from mapperd.odometry.reckoning import DeadReckoning
-from mapperd.odometry.stamps import OdometryClock
 from mapperd.odometry.states import POSITION, Position, turn_between
 from tests.mapperd.odometry.conftest import T0, S, record
 

@@ -6,13 +6,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.config_odometry import WorldInit
-from mapperd.frames import quaternion_to_matrix, rotation_from_rpy
+from mapperd.config.odometry import WorldInit
+from mapperd.errors import Reject
+from mapperd.geometry.frames import quaternion_to_matrix, rotation_from_rpy
 from mapperd.odometry.fusion import Fusion
 from mapperd.odometry.levelling import Levelling, levelled
 from mapperd.odometry.native import decode_native
 from mapperd.odometry.records import Odometry
-from mapperd.reject import Reject
 from tests.mapperd.odometry.conftest import T0, S, feed, fused_at
 
 ON = WorldInit(enabled=True)

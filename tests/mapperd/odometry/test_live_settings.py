@@ -9,13 +9,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.config import Config
-from mapperd.config_file import config_of
-from mapperd.config_parameters import parameters
+from mapperd.config.catalog import parameters
+from mapperd.config.loader import config_of
+from mapperd.config.tree import Config
+from mapperd.errors import Reject
 from mapperd.odometry.fusion import Fusion
 from mapperd.odometry.records import Odometry
-from mapperd.pairing import ODOMETRY_FOLLOWS, OdometryPoses
-from mapperd.reject import Reject
+from mapperd.pipeline.pose_lookup import ODOMETRY_FOLLOWS, OdometryPoses
 from tests.mapperd.odometry.conftest import T0, Circle, S, record
 
 BASE = {

@@ -8,16 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.quaternion import Quaternion
 
-from mapperd.config import Config
-from mapperd.config_odometry import OdometryFusion, OdometrySource
-from mapperd.frames import quaternion_to_matrix
+from mapperd.config.odometry import FormatSettings, OdometryFusion, OdometrySource
+from mapperd.config.tree import Config
+from mapperd.errors import Reject
+from mapperd.geometry.frames import quaternion_to_matrix
 from mapperd.odometry.bridge import OdometryBridge
-from mapperd.odometry.format_settings import FormatSettings
 from mapperd.odometry.fusion import FusedPose
 from mapperd.odometry.mavlink import MavlinkDecoder
 from mapperd.odometry.records import Odometry
-from mapperd.reject import Reject
-from tests.peers.autopilot import NAN, Autopilot
+from tests.support.peers.autopilot import NAN, Autopilot
 
 SETTINGS = FormatSettings(format="mavlink")
 SECOND = 1_000_000_000

@@ -5,13 +5,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
-from mapperd.odometry.format_settings import FormatSettings
-from mapperd.odometry.mavlink import MavlinkDecoder
-from mapperd.odometry.mavlink_frames import MAX_FRAME_BYTES
+from mapperd.config.odometry import FormatSettings
+from mapperd.errors import Reject
+from mapperd.odometry.mavlink import MAX_FRAME_BYTES, MavlinkDecoder
 from mapperd.odometry.records import Odometry
-from mapperd.reject import Reject
-from tests.peers.autopilot import Autopilot
-from tests.peers.misbehaviour import Misbehaviour
+from tests.support.peers.autopilot import Autopilot
+from tests.support.peers.misbehaviour import Misbehaviour
 
 SETTINGS = FormatSettings(format="mavlink")
 

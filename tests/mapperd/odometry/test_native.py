@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mapperd.errors import Reject
 from mapperd.odometry.native import (
     MAX_RECORD_BYTES,
     NativeDecoder,
@@ -16,7 +17,6 @@ from mapperd.odometry.native import (
     encode_native,
 )
 from mapperd.odometry.records import Odometry
-from mapperd.reject import Reject
 
 GOOD: dict[str, Any] = {
     "v": 1,

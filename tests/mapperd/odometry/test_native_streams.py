@@ -8,16 +8,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapperd.odometry.cobs import cobs_decoded, cobs_encoded
+from mapperd.config.odometry import FormatName, FormatSettings
+from mapperd.errors import Reject
 from mapperd.odometry.decoder import Decoder
-from mapperd.odometry.format_settings import FormatName, FormatSettings
 from mapperd.odometry.formats import make_decoder
-from mapperd.odometry.native import NativeRecord, encode_native
-from mapperd.odometry.native_json import MAX_LINE_BYTES, encode_native_json
-from mapperd.odometry.native_serial import MAX_FRAME_BYTES, encode_native_serial
+from mapperd.odometry.native import (
+    MAX_FRAME_BYTES,
+    MAX_LINE_BYTES,
+    NativeRecord,
+    cobs_decoded,
+    cobs_encoded,
+    encode_native,
+    encode_native_json,
+    encode_native_serial,
+)
 from mapperd.odometry.records import Odometry
-from mapperd.reject import Reject
-from tests.peers.misbehaviour import Misbehaviour
+from tests.support.peers.misbehaviour import Misbehaviour
 
 NAMES: tuple[FormatName, ...] = ("native_json", "native_serial")
 BOTH = pytest.mark.parametrize("name", NAMES)

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapperd.frames import quaternion_to_matrix
+from mapperd.config.odometry import FormatSettings
+from mapperd.errors import Reject
+from mapperd.geometry.frames import quaternion_to_matrix
 from mapperd.odometry.decoder import Decoder
-from mapperd.odometry.format_settings import FormatSettings
 from mapperd.odometry.formats import make_decoder
 from mapperd.odometry.records import Odometry
-from mapperd.reject import Reject
-from tests.peers.misbehaviour import Misbehaviour
-from tests.peers.nmea_talker import NmeaTalker, sentence
+from tests.support.peers.misbehaviour import Misbehaviour
+from tests.support.peers.nmea_talker import NmeaTalker, sentence
 
 SECOND = 1_000_000_000
 

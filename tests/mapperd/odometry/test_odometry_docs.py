@@ -7,31 +7,29 @@ from typing import Any, get_args
 
 import pytest
 
-from mapperd.config import Config
-from mapperd.config_file import config_from_text
-from mapperd.links.state import LinkPhase
+from mapperd.config.loader import config_from_text
+from mapperd.config.odometry import FormatName, FormatSettings
+from mapperd.config.tree import Config
 from mapperd.odometry.bridge import OdometryBridge
-from mapperd.odometry.format_settings import FormatName, FormatSettings
+from mapperd.odometry.links import LinkPhase
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = (ROOT / "docs" / "odometry.md").read_text(encoding="utf-8")
 CODECS = [
     path
     for path in sorted((ROOT / "mapperd" / "odometry").glob("*.py"))
-    if path.stem in ("convert", "lines", "cobs", "nmea", "mavlink", "precedence")
-    or path.stem.startswith(("native", "water_linked", "mavlink_"))
+    if path.stem in ("decoder", "native", "nmea", "records", "water_linked")
+    or path.stem.startswith("mavlink")
 ]
 FUSING = [
     ROOT / "mapperd" / "odometry" / f"{name}.py"
     for name in (
         "fusion",
         "intake",
-        "record_check",
         "track",
         "series",
-        "lookup",
-        "stamps",
-        "confidence",
+        "clock",
+        "gate",
     )
 ]
 

@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mapperd.frames import quaternion_to_matrix
+from mapperd.config.odometry import FormatSettings
+from mapperd.errors import Reject
+from mapperd.geometry.frames import quaternion_to_matrix
 from mapperd.odometry.decoder import Decoder
-from mapperd.odometry.format_settings import FormatSettings
 from mapperd.odometry.formats import make_decoder
 from mapperd.odometry.records import UNKNOWN_VARIANCE, Odometry
-from mapperd.odometry.water_linked_serial import crc8
-from mapperd.reject import Reject
-from tests.peers import dvl as peer
-from tests.peers.dvl import Dvl, sentence
-from tests.peers.misbehaviour import Misbehaviour
+from mapperd.odometry.water_linked import crc8
+from tests.support.peers import dvl as peer
+from tests.support.peers.dvl import Dvl, sentence
+from tests.support.peers.misbehaviour import Misbehaviour
 
 SECOND = 1_000_000_000
 T_US = 1_700_000_000_000_000

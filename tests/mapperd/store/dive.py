@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config, Filtering, Mounting, Octree, Orientation, Sonar
-from mapperd.echo import Echo
-from mapperd.frames import pose_from_rpy
-from mapperd.mapping import SonarMap
+from mapperd.config.tree import Config, Filtering, Mounting, Octree, Orientation, Sonar
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.imaging.ping_image import PingImage
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.tile_store import TileStore
 
 CONFIG = Config(
@@ -33,7 +33,7 @@ SAVE_EVERY = 3
 TILE_M, CACHE_TILES = 6.4, 2
 
 
-def echo_of(number: int) -> Echo:
+def echo_of(number: int) -> PingImage:
     """Noise, and a seabed that is not flat."""
     random = np.random.default_rng([20, number])
     intensity = random.integers(0, 30, (ROWS, BEAMS)).astype(np.float32)
@@ -41,7 +41,7 @@ def echo_of(number: int) -> Echo:
     rows = np.arange(ROWS)[:, None]
     intensity[(rows >= seabed) & (rows < seabed + 3)] = 180
     bearings = np.linspace(-1.0, 1.0, BEAMS)
-    return Echo(intensity, bearings, RANGE_M / ROWS)
+    return PingImage(intensity, bearings, RANGE_M / ROWS)
 
 
 def pose_of(number: int) -> NDArray[np.float64]:

@@ -7,11 +7,10 @@ from pathlib import Path
 import pytest
 
 from mapperd.errors import StoreError
-from mapperd.mapping import SonarMap
-from mapperd.store.aside import put_aside
-from mapperd.store.bricks import Key, pack
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.store.maintenance import put_aside, rebuild_lost
 from mapperd.store.reader import StoreReader
-from mapperd.store.rebuild import rebuild_lost
+from mapperd.store.tiles import Key, pack
 from tests.mapperd.store import dive
 
 PINGS = 60

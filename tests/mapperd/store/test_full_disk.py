@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from mapperd.errors import MapError, StoreError
-from mapperd.mapping import SonarMap
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import OVERDRAFT, TileStore
 from tests.mapperd.store import dive

@@ -8,7 +8,7 @@ import sys
 import time
 from pathlib import Path
 
-from mapperd.mapping import SonarMap
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import StoreReader
 from tests.mapperd.store import dive
 

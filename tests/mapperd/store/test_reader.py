@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mapperd.mapping import SonarMap
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import BRICK_VOXELS, StoreReader
 from tests.mapperd.store import dive
 

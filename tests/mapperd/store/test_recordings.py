@@ -4,13 +4,13 @@ import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 
-from mapperd.config import Config, Mounting, Octree, Orientation
-from mapperd.frames import pose_from_rpy
-from mapperd.mapping import SonarMap
-from mapperd.pairing import FixedPose
-from mapperd.replay import Replay, Window
+from mapperd.config.tree import Config, Mounting, Octree, Orientation
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.pose_lookup import FixedPose
+from mapperd.session.replay import Replay, Window
+from mapperd.store.maintenance import rebuild_lost
 from mapperd.store.reader import StoreReader
-from mapperd.store.rebuild import rebuild_lost
 from mapperd.store.tile_store import TileStore
 from oculus_driver.recording import open_recording
 

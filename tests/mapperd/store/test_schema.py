@@ -4,10 +4,9 @@ from pathlib import Path
 import pytest
 
 from mapperd.errors import StoreError
-from mapperd.mapping import SonarMap
-from mapperd.store.database import open_writer
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.store.database import STEPS, VERSION, migrate, open_writer
 from mapperd.store.reader import StoreReader
-from mapperd.store.schema import STEPS, VERSION, migrate
 from tests.mapperd.store import dive
 
 

@@ -7,7 +7,7 @@ import os
 import struct
 from pathlib import Path
 
-from mapperd.mapping import SonarMap
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import StoreReader
 from tests.mapperd.store import dive
 

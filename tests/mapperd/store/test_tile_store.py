@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from mapperd import _core
-from mapperd.config import Config
+from mapperd.config.tree import Config
 from mapperd.errors import MapError, StoreError
-from mapperd.mapping import SonarMap
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import Loaded, StoreReader
 from mapperd.store.tile_store import TileStore, tile_bricks
 from tests.mapperd.store.dive import (

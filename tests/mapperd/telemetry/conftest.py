@@ -5,17 +5,16 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from mapperd.config_file import config_of
-from mapperd.config_layers import Layered
-from mapperd.config_store import ConfigStore
+from mapperd.api import OperationError, PoseRequest
+from mapperd.config.layers import Layered
+from mapperd.config.live import ConfigStore
+from mapperd.config.loader import config_of
 from mapperd.events import EventLog
-from mapperd.localization_report import localization_report, localization_summary
-from mapperd.operations import OperationError
-from mapperd.pose_request import PoseRequest
+from mapperd.localization.report import localization_report, localization_summary
 from mapperd.telemetry.outbox import Kind, Message, Outbox
 
 if TYPE_CHECKING:
-    from mapperd.localization.facts import LocalizationFacts
+    from mapperd.localization.status import LocalizationFacts
 
 T0_S = 1_700_000_000.0
 ROOT = "mapperd/v1/rov-1/mapper"

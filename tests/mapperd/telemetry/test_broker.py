@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from mapperd.config_file import config_of
-from mapperd.credentials import read_secret
+from mapperd.config.loader import config_of
+from mapperd.config.paths import read_secret
 from mapperd.errors import ConfigError
 from mapperd.telemetry.broker import check_telemetry
 

@@ -8,18 +8,18 @@ import pytest
 
 from mapperd.events import Severity
 from mapperd.telemetry import broker
-from mapperd.telemetry.pace import BackOff
+from mapperd.telemetry.payloads import BackOff
 from mapperd.telemetry.telemetry import Phase, Telemetry
 from tests.mapperd.telemetry.conftest import FakeDaemon
-from tests.peers.mosquitto import free_port
+from tests.support.peers.mosquitto import free_port
 
 LONG_S = 30.0
 
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(BackOff, "LEAST_S", 0.01)
-    monkeypatch.setattr(BackOff, "MOST_S", 0.02)
+    monkeypatch.setattr(BackOff, "MIN_S", 0.01)
+    monkeypatch.setattr(BackOff, "MAX_S", 0.02)
     monkeypatch.setattr(broker, "TIMEOUT_S", 0.2)
 
 

@@ -17,10 +17,10 @@ from aiomqtt import Client, MqttError
 
 from mapperd.events import Severity
 from mapperd.telemetry import broker
-from mapperd.telemetry.pace import BackOff
+from mapperd.telemetry.payloads import BackOff
 from mapperd.telemetry.telemetry import Phase, Telemetry
 from tests.mapperd.telemetry.conftest import POSE, ROBOT, ROOT, FakeDaemon
-from tests.peers.mosquitto import Cable, free_port, mosquitto_path, running_mosquitto
+from tests.support.peers.mosquitto import Cable, free_port, mosquitto_path, running_mosquitto
 
 pytestmark = pytest.mark.skipif(
     mosquitto_path() is None, reason="Mosquitto is not installed: apt install mosquitto"
@@ -31,8 +31,8 @@ LONG_S = 60.0
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(BackOff, "LEAST_S", 0.05)
-    monkeypatch.setattr(BackOff, "MOST_S", 0.1)
+    monkeypatch.setattr(BackOff, "MIN_S", 0.05)
+    monkeypatch.setattr(BackOff, "MAX_S", 0.1)
 
 
 async def until(true: Callable[[], object]) -> None:

@@ -3,7 +3,7 @@ from random import Random
 
 import pytest
 
-from mapperd.telemetry.pace import BackOff, Pace
+from mapperd.telemetry.payloads import BackOff, Pace
 
 
 @pytest.mark.parametrize("asked_hz", [3, 7, 20, 97])

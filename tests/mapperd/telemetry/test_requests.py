@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapperd.config import Amcl
+from mapperd.config.tree import Amcl
 from mapperd.telemetry.outbox import Kind, Outbox
 from mapperd.telemetry.requests import Requests
 from mapperd.telemetry.topics import Topics

@@ -1,6 +1,6 @@
 import pytest
 
-from mapperd.config import Mqtt
+from mapperd.config.tree import Mqtt
 from mapperd.telemetry.topics import Asked, Topics
 from tests.mapperd.telemetry.conftest import ROOT
 

@@ -13,10 +13,10 @@ from sonar_sim.device.serving import ServedScenario, ServeSettings
 from sonar_sim.navigation.sending import output_named
 from sonar_sim.scenario import Scenario
 
-from mapperd.config_file import config_from_text
-from mapperd.live import Live
-from mapperd.mapping import SonarMap
-from mapperd.pairing import OdometryPoses
+from mapperd.config.loader import config_from_text
+from mapperd.daemon.session import Live
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.pose_lookup import OdometryPoses
 from tests.sonar_sim.device.conftest import FLOOR_M
 
 VOXEL_M = 0.1

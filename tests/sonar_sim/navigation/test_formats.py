@@ -18,7 +18,7 @@ from sonar_sim.poses import Pose, rotation_of
 from sonar_sim.vehicle import OdometryErrors, OdometrySample, Vehicle
 from sonar_sim.water import Water
 
-from mapperd.frames import rotation_from_rpy
+from mapperd.geometry.frames import rotation_from_rpy
 from mapperd.odometry.native import decode_native
 from mapperd.odometry.records import Odometry
 

@@ -16,7 +16,7 @@ from accuracy_cost.localization.settings import SCALES, config_for, published_ov
 from accuracy_cost.study import Dive, Setting
 from dive_world import WORLDS
 
-from mapperd.config import Amcl, Config, Localization
+from mapperd.config.tree import Amcl, Config, Localization
 from mapperd.errors import ConfigError
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from accuracy_cost.mapping.recalibration import FILE, told_and_true
 from accuracy_cost.mapping.settings import PROFILES, Thinning, config_for
 from accuracy_cost.study import Dive, Setting
 
-from mapperd.config import Config
-from mapperd.config_file import load_config
+from mapperd.config.loader import load_config
+from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
 from mapperd.export.calibration import load_calibration
 from oculus_driver.ping import Ping, decode_ping

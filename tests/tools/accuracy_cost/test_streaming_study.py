@@ -17,11 +17,12 @@ from accuracy_cost.streaming.told import PlainTeller, StreamTeller
 from accuracy_cost.streaming.truth import Ages, Blocks, coded, distances_m
 from accuracy_cost.study import Dive, Setting
 
-from mapperd.config import Config, Octree
-from mapperd.mapping import SonarMap
-from mapperd.stream import blocks, nearest
-from mapperd.stream.messages import Interest
-from mapperd.stream.pacer import Pacer
+from mapperd.config.tree import Config, Octree
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.server import priority_queue
+from mapperd.server.pacer import Pacer
+from mapperd.wire import blocks
+from mapperd.wire.messages import Interest
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -53,7 +54,7 @@ def test_a_default_is_labelled_as_what_the_daemon_has() -> None:
     assert labels["client.detail"] == Interest().detail
     assert labels["client.radius_m"] == str(Interest().radius_m)
     assert labels["client.level"] == str(2 ** Interest().level)
-    assert labels["study.near_m"] == str(nearest.NEAR_M)
+    assert labels["study.near_m"] == str(priority_queue.NEAR_M)
     assert labels["study.compression"] == str(blocks.LEVEL)
 
 
@@ -64,10 +65,10 @@ def test_a_setting_that_does_not_exist_is_refused() -> None:
 
 
 def test_what_is_no_setting_is_turned_for_a_while() -> None:
-    before = nearest.NEAR_M, blocks.LEVEL
+    before = priority_queue.NEAR_M, blocks.LEVEL
     with constants(replace(told_by({}, 0.2), near_m=3.0, compression=1)):
-        assert (nearest.NEAR_M, blocks.LEVEL) == (3.0, 1)
-    assert before == (nearest.NEAR_M, blocks.LEVEL)
+        assert (priority_queue.NEAR_M, blocks.LEVEL) == (3.0, 1)
+    assert before == (priority_queue.NEAR_M, blocks.LEVEL)
 
 
 def test_messages_take_their_turn_on_the_link_and_are_acknowledged() -> None:

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config import Config, Octree
-from mapperd.mapping import SonarMap
+from mapperd.config.tree import Config, Octree
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.tile_store import TileStore
 
 RESOLUTION_M = 0.1

@@ -14,9 +14,9 @@ from survey.errors import SurveyError
 from survey.place_arguments import _origin, shown
 from survey.request import read_survey
 
-from mapperd.config import Config
-from mapperd.geodesy import Origin as GeodeticOrigin
-from mapperd.setting_changes import with_values
+from mapperd.config.changes import with_values
+from mapperd.config.tree import Config
+from mapperd.geometry.geodesy import Origin as GeodeticOrigin
 from tests.tools.survey.maps import map_of, store_of
 
 

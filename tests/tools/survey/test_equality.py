@@ -9,14 +9,13 @@ from survey.order import ordinals_of
 from survey.request import read_survey
 from survey.spool import NO_TIME, ROW
 
-from mapperd.config import Config
-from mapperd.engine import Settled
-from mapperd.mapping import SonarMap
-from mapperd.motion import PingMotion
-from mapperd.recording_files import sessions_of
-from mapperd.replay import Window
-from mapperd.replay_runs import as_asked
-from mapperd.replay_store import map_into_store
+from mapperd.config.tree import Config
+from mapperd.geometry.motion import PingMotion
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.decoder import PosedPing
+from mapperd.session.recordings import sessions_of
+from mapperd.session.replay import Window, as_asked
+from mapperd.session.replay_to_store import map_into_store
 from mapperd.store.tile_store import TileStore
 from tests.tools.survey.dives import (
     SETTINGS,
@@ -46,7 +45,7 @@ def caught(path: Path, config: Config) -> list[tuple[Any, ...]]:
     sonar_map = Caught(config)
     replay = as_asked(session, None, config).replay(sonar_map, Window())
 
-    def note(settled: Settled) -> None:
+    def note(settled: PosedPing) -> None:
         sonar_map.t_ns = settled.t_ns
 
     replay.on_settled = note

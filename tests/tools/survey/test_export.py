@@ -17,8 +17,8 @@ from survey.windows import StoredMap
 
 from mapperd.errors import StoreError
 from mapperd.export.cells import Heights
-from mapperd.geodesy import Origin
-from mapperd.mapping import SonarMap, Voxels
+from mapperd.geometry.geodesy import Origin
+from mapperd.mapping.sonar_map import SonarMap, Voxels
 from mapperd.store.database import open_writer
 from tests.tools.survey.maps import RESOLUTION_M, map_of, seabed, store_of
 

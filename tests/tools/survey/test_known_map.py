@@ -8,7 +8,7 @@ from survey.folder import Folder
 from survey.plan_stage import plan_all
 from survey.request import read_survey
 
-from mapperd.mapping import SonarMap
+from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
 from tests.mapperd.localization.room import settings, write_room

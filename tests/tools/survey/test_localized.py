@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from mapperd.config_file import config_from_text
-from mapperd.replay_store import map_into_store
+from mapperd.config.loader import config_from_text
+from mapperd.session.replay_to_store import map_into_store
 from oculus_driver.recording import RecordingWriter
 from tests.mapperd.conftest import Event
 from tests.mapperd.localization.room import dive, events, room, settings, write_room

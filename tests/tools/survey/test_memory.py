@@ -5,10 +5,10 @@ import pytest
 from survey.memory import COPIES, edge_within, grid_bytes, ping_bytes, voxel_bytes_of
 from survey.spool import ROW, Rows
 
-from mapperd.config import Config, Mapping
-from mapperd.echo import Echo
-from mapperd.frames import pose_from_rpy
-from mapperd.mapping import BLOCK_VOXELS, SonarMap
+from mapperd.config.tree import Config, Mapping
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.imaging.ping_image import PingImage
+from mapperd.mapping.sonar_map import BLOCK_VOXELS, SonarMap
 from tests.tools.survey.maps import CONFIG
 
 POSE = pose_from_rpy((1.3, -2.1, -4.0), (10, 30, 50)).map_T_base
@@ -22,11 +22,11 @@ def rows_of(*extents: tuple[int, int, int]) -> Rows:
     return rows
 
 
-def bright_ping(range_m: float) -> Echo:
+def bright_ping(range_m: float) -> PingImage:
     """Everything is a return but the first third."""
     intensity = np.full((100, 64), 200, dtype=np.float32)
     intensity[:30] = 0
-    return Echo(intensity, np.linspace(-1, 1, 64), range_m / 100)
+    return PingImage(intensity, np.linspace(-1, 1, 64), range_m / 100)
 
 
 @pytest.mark.parametrize("integrator", ["evidence_grid", "rays"])

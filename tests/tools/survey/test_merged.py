@@ -32,7 +32,7 @@ def short_survey(folder: Path, z: float = 0.0, **changes: Any) -> Path:
 
 
 def test_the_merge_says_how_far_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mapperd.progress.TTY_PERIOD_S", 0.0)
+    monkeypatch.setattr("mapperd.cli.progress.TTY_PERIOD_S", 0.0)
     survey, out = write_survey(tmp_path, tile_size_m=12.8), Terminal()
     folder = Folder(str(tmp_path / "out"))
     record = run_survey(read_survey(survey), folder, InProcess(), Options(MEMORY), out)

@@ -6,22 +6,22 @@ import numpy as np
 import pytest
 from survey.records import RecordReader, RecordWriter
 
-from mapperd.config import Config
-from mapperd.echo import Echo
+from mapperd.config.tree import Config
 from mapperd.errors import MapperdError
-from mapperd.frames import pose_from_rpy
-from mapperd.mapping import SonarMap
-from mapperd.motion import PingMotion
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.geometry.motion import PingMotion
+from mapperd.imaging.ping_image import PingImage
+from mapperd.mapping.sonar_map import SonarMap
 
 POSE = pose_from_rpy((3.0, -2.0, -4.0), (5, 20, 70)).map_T_base
 MOTION = PingMotion(np.array([1.0, 0.2, 0.0]), np.array([0.0, 0.1, 0.3]), 0.01, 1480.0)
 
 
-def echo_of(intensity: np.ndarray) -> Echo:
-    return Echo(intensity.astype(np.float32), np.linspace(-0.7, 0.7, 20), 0.1)
+def echo_of(intensity: np.ndarray) -> PingImage:
+    return PingImage(intensity.astype(np.float32), np.linspace(-0.7, 0.7, 20), 0.1)
 
 
-def noise(kind: Callable[[np.ndarray], np.ndarray]) -> Echo:
+def noise(kind: Callable[[np.ndarray], np.ndarray]) -> PingImage:
     return echo_of(kind(np.random.default_rng(3).uniform(0, 255, (40, 20))))
 
 
@@ -63,7 +63,7 @@ def test_a_sample_just_above_the_threshold_is_kept() -> None:
 
 def test_bearings_are_kept_once() -> None:
     writer = RecordWriter(35)
-    other = Echo(np.zeros((4, 3), np.float32), np.array([-0.1, 0.0, 0.2]), 0.5)
+    other = PingImage(np.zeros((4, 3), np.float32), np.array([-0.1, 0.0, 0.2]), 0.5)
     records = [writer.pack(echo, POSE, None) for echo in (noise(np.round), other, noise(np.round))]
     assert len(writer.bearings) == 2
     reader = RecordReader(writer.bearings)

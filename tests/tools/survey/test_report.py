@@ -17,9 +17,9 @@ from survey.report import report_survey
 from survey.report_record import Report
 from survey.windows import StoredMap
 
-from mapperd.config import Config, Mapping, Octree
+from mapperd.config.tree import Config, Mapping, Octree
 from mapperd.errors import StoreError
-from mapperd.mapping import SonarMap
+from mapperd.mapping.sonar_map import SonarMap
 from tests.tools.survey.maps import RESOLUTION_M, centres, map_of, store_of
 
 TOLERANCE_M = 0.2

@@ -9,9 +9,9 @@ from survey.export import export_survey
 from survey.products import Options
 from survey.surface import RULES, Rule
 
-from mapperd.echo import Echo
-from mapperd.frames import pose_from_rpy
-from mapperd.mapping import SonarMap
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.imaging.ping_image import PingImage
+from mapperd.mapping.sonar_map import SonarMap
 from tests.tools.survey.maps import CONFIG, store_of
 
 FLOORS_M = (-8.0, -8.03, -8.06)
@@ -34,7 +34,7 @@ def mapped(floor_m: float, ping_noise_m: float, beam_noise_m: float) -> SonarMap
         floor_ranges_m = altitude_m / np.cos(BEARINGS_RAD) + noise_m
         echo = np.where(np.abs(RANGES_M - floor_ranges_m) < 0.05, 190, 10).astype(np.float32)
         pose = pose_from_rpy((STEP_M * number, 0.0, floor_m + ALTITUDE_M), (0, 90, 0)).map_T_base
-        sonar_map.integrate(Echo(echo, BEARINGS_RAD, ROW_M), pose)
+        sonar_map.integrate(PingImage(echo, BEARINGS_RAD, ROW_M), pose)
     return sonar_map
 
 

@@ -13,7 +13,7 @@ from dive_world import WORLDS, Place, World
 from numpy.typing import NDArray
 
 from accuracy_cost.study import Dive
-from mapperd.localization.estimate import PlanarGaussian
+from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.scan import Scan
 
 __all__ = ["CELLS", "DIVES", "PLANS", "Plan", "Run", "load_runs", "map_path", "prepare_dive"]

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accuracy_cost.localization.dives import Run
-from mapperd.config import Config
-from mapperd.frames import Pose, pose_from_rpy
-from mapperd.localization.estimate import wrapped
+from mapperd.config.tree import Config
+from mapperd.geometry.frames import Pose, pose_from_rpy
+from mapperd.geometry.gaussian import wrapped
+from mapperd.localization.known_map import load_known_map
 from mapperd.localization.levelling import yaw_of
 from mapperd.localization.localizer import Localized, Localizer
 from mapperd.localization.map_filter import MapFilter
-from mapperd.localization.map_loading import load_known_map
 
 __all__ = ["Moments", "localize", "resident_bytes"]
 

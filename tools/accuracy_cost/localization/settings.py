@@ -10,8 +10,8 @@ from dive_runs import settings
 from dive_world import Place
 
 from accuracy_cost.study import Value
-from mapperd.config import Config, Octree
-from mapperd.config_file import config_of
+from mapperd.config.loader import config_of
+from mapperd.config.tree import Config, Octree
 
 __all__ = ["SCALES", "config_for", "profile_overrides", "published_overrides"]
 

@@ -7,13 +7,13 @@ from pathlib import Path
 from accuracy_cost.mapping.dives import Made
 from accuracy_cost.mapping.settings import config_for
 from accuracy_cost.study import Setting
-from mapperd.counters import ReplayCounters
-from mapperd.engine import Engine, Settled
-from mapperd.integration import Integration
-from mapperd.keeping import InMemory
-from mapperd.mapping import SonarMap
-from mapperd.pairing import OdometryPoses
-from mapperd.stepping import Stepping
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.decoder import PosedPing, SessionDecoder
+from mapperd.pipeline.executor import PingExecutor
+from mapperd.pipeline.persistence import MemoryPersistence
+from mapperd.pipeline.pose_lookup import OdometryPoses
+from mapperd.pipeline.step import StepRunner
 from oculus_driver.recording import open_recording
 
 __all__ = ["Driven", "drive"]
@@ -43,13 +43,15 @@ def drive(setting: Setting, made: Made, capture: Path) -> Driven:
     """Map a capture with a setting; what is timed is a ping's filters and its integration."""
     config, thinning = config_for(setting, made)
     sonar_map = SonarMap(config)
-    counters = ReplayCounters()
-    integration = Integration(Stepping(sonar_map, time.thread_time), InMemory(sonar_map))
-    engine = Engine(config, OdometryPoses(config), counters, confirm=False, obey=False)
+    counters = PipelineCounters()
+    integration = PingExecutor(
+        StepRunner(sonar_map, time.thread_time), MemoryPersistence(sonar_map)
+    )
+    engine = SessionDecoder(config, OdometryPoses(config), counters, confirm=False, obey=False)
     mapped_ms: list[float] = []
 
     def do(work: object) -> None:
-        if not isinstance(work, Settled):
+        if not isinstance(work, PosedPing):
             raise TypeError(f"a capture of the simulator asks for {work}")
         settled = replace(work, ping=thinning.of(work.ping))
         before = integration.stepping.counters.pings_mapped

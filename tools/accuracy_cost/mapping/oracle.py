@@ -14,7 +14,7 @@ from accuracy_cost.mapping.dives import capture_of, made_by, once
 from accuracy_cost.mapping.driving import Driven, drive
 from accuracy_cost.mapping.settings import config_for
 from accuracy_cost.study import Dive, Setting
-from mapperd.mapping import SonarMap
+from mapperd.mapping.sonar_map import SonarMap
 
 __all__ = [
     "CONVERGED",

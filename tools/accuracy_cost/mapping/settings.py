@@ -10,8 +10,8 @@ import yaml
 
 from accuracy_cost.mapping.dives import Made
 from accuracy_cost.study import Setting, Value
-from mapperd.config import Config
-from mapperd.config_file import config_of
+from mapperd.config.loader import config_of
+from mapperd.config.tree import Config
 from oculus_driver.ping import Ping
 
 __all__ = ["PROFILES", "Thinning", "config_for", "flat", "profile"]

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from accuracy_cost.streaming.told import PLAIN
 from accuracy_cost.streaming.truth import EDGE, stream_keys
 from mapperd.client.mirror import MapMirror
-from mapperd.stream.blocks import UNKNOWN, decode_blocks
-from mapperd.stream.framing import client_inbox
-from mapperd.stream.messages import BLOCK_EDGE, Blocks, Interest, MapFacts
+from mapperd.wire.blocks import UNKNOWN, decode_blocks
+from mapperd.wire.framing import client_inbox
+from mapperd.wire.messages import BLOCK_EDGE, Blocks, Interest, MapFacts
 
 __all__ = ["Client", "PlainClient", "StreamClient"]
 

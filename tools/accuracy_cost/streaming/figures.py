@@ -8,7 +8,7 @@ import numpy as np
 from accuracy_cost.streaming.clients import Client
 from accuracy_cost.streaming.truth import EDGE, UNIT, Blocks, distances_m
 from accuracy_cost.study import Column
-from mapperd.stream.messages import MapFacts
+from mapperd.wire.messages import MapFacts
 
 __all__ = ["COLUMNS", "COST", "ERROR", "NEAR_M", "Moment", "moment", "summary"]
 

@@ -7,7 +7,7 @@ way than twice what the wire holds, as a TCP with BBR; the rest waits before it,
 from collections import deque
 from dataclasses import dataclass
 
-from mapperd.stream.pacer import Pacer
+from mapperd.server.pacer import Pacer
 
 __all__ = ["Link", "LinkShape"]
 

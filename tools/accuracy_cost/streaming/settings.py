@@ -8,10 +8,11 @@ from typing import Any
 import msgspec
 
 from accuracy_cost.study import Value
-from mapperd.config import Config
-from mapperd.config_file import config_of
-from mapperd.stream import blocks, nearest
-from mapperd.stream.messages import Interest
+from mapperd.config.loader import config_of
+from mapperd.config.tree import Config
+from mapperd.server import priority_queue
+from mapperd.wire import blocks
+from mapperd.wire.messages import Interest
 
 __all__ = ["Told", "constants", "told_by"]
 
@@ -29,7 +30,7 @@ class Told:
     config: Config
     interest: Interest
     is_plain: bool = False
-    near_m: float = nearest.NEAR_M
+    near_m: float = priority_queue.NEAR_M
     compression: int = blocks.LEVEL
 
 
@@ -62,9 +63,9 @@ def told_by(overrides: Mapping[str, Value], voxel_m: float) -> Told:
 @contextmanager
 def constants(told: Told) -> Iterator[None]:
     """Turn what is no setting, for a while."""
-    before = nearest.NEAR_M, blocks.LEVEL
-    nearest.NEAR_M, blocks.LEVEL = told.near_m, told.compression
+    before = priority_queue.NEAR_M, blocks.LEVEL
+    priority_queue.NEAR_M, blocks.LEVEL = told.near_m, told.compression
     try:
         yield
     finally:
-        nearest.NEAR_M, blocks.LEVEL = before
+        priority_queue.NEAR_M, blocks.LEVEL = before

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accuracy_cost.streaming.truth import UNIT
-from mapperd.keeping import InMemory
-from mapperd.mapping import SonarMap
-from mapperd.stream.map_rounds import next_frames
-from mapperd.stream.messages import Interest, MapFacts
-from mapperd.stream.pacer import Pacer
-from mapperd.stream.source import MapSource
-from mapperd.stream.turns import Turns
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.persistence import MemoryPersistence
+from mapperd.server.map_source import MapSource
+from mapperd.server.map_worker import next_frames
+from mapperd.server.pacer import Pacer
+from mapperd.server.schedule import Turns
+from mapperd.wire.messages import Interest, MapFacts
 
 __all__ = ["PLAIN", "Made", "PlainTeller", "StreamTeller", "Teller"]
 
@@ -70,7 +70,7 @@ class StreamTeller:
         self.pacer = Pacer(self.bytes_per_s)
         self._turns = Turns(self.pacer)
         self._looked = False
-        keep = InMemory(self.sonar_map)
+        keep = MemoryPersistence(self.sonar_map)
         self._source = MapSource(self.sonar_map, keep, log_odds_step=self.log_odds_step)
         self._view = self._source.subscribe(self.interest)
 
@@ -124,7 +124,7 @@ class PlainTeller:
         self.cpu_s = 0.0
         self.pacer = Pacer()
         self._map = sonar_map
-        self._source = MapSource(sonar_map, InMemory(sonar_map))
+        self._source = MapSource(sonar_map, MemoryPersistence(sonar_map))
         self._seen: dict[bytes, NDArray[np.int32]] = {}
         self._waiting: deque[Made] = deque()
 

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from stream_study.told_steps import told_steps
 
-from mapperd.stream.blocks import UNKNOWN
-from mapperd.stream.messages import Interest, MapFacts
+from mapperd.wire.blocks import UNKNOWN
+from mapperd.wire.messages import Interest, MapFacts
 
 __all__ = ["EDGE", "UNIT", "Ages", "Blocks", "coded", "distances_m", "stream_keys"]
 

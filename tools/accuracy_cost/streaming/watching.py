@@ -13,7 +13,7 @@ from accuracy_cost.streaming.link import Link
 from accuracy_cost.streaming.settings import Told
 from accuracy_cost.streaming.told import PlainTeller, StreamTeller, Teller
 from accuracy_cost.streaming.truth import Ages, Blocks
-from mapperd.mapping import SonarMap
+from mapperd.mapping.sonar_map import SonarMap
 
 __all__ = ["watched"]
 

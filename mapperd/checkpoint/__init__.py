@@ -1,1 +1,0 @@
-"""The whole state of the estimators as bytes, and back: what a kill must not lose."""

@@ -1,0 +1,191 @@
+"""The command line of `mapperd`: what may be said, checked before anything is opened."""
+
+import argparse
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+
+from mapperd.geometry.frames import Pose, pose_from_rpy
+from mapperd.version import version
+
+__all__ = ["Arguments", "parse_arguments"]
+
+MAX_POSITION_M = 1e7
+EPILOG = """\
+`mapperd doctor` checks every link and says what to do about the first thing that fails.
+
+exit codes: 0 the map is written; 2 the command cannot be done as given; 65 the file is no
+recording, or nothing in it or from the sonar could be mapped; 66 the file cannot be opened; 69 a
+link cannot be opened; 73 results cannot be written; 78 the settings are wrong; 130 interrupted"""
+
+
+@dataclass(frozen=True, slots=True)
+class Arguments:
+    """What was asked.
+
+    Attributes:
+        replay: the recordings, in order, or folders of them; none maps live.
+        as_recorded: map them as they were mapped, with all that was decided then.
+        config: the settings file on top of the machine's and the user's, None for those alone.
+        out: folder of the results.
+        store: file that the recording's map is kept in, to go on there; None keeps it in memory.
+        pose: of the base in the map for every ping, None to take it from the odometry.
+        integrator: instead of the one in the settings.
+        start_s, duration_s: the part of the recording to map.
+    """
+
+    replay: tuple[Path, ...]
+    as_recorded: bool
+    config: Path | None
+    out: Path
+    store: Path | None
+    pose: Pose | None
+    integrator: str | None
+    start_s: float
+    duration_s: float | None
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with code 2."""
+        self.exit(2, f"mapperd: {message} (see mapperd --help)\n")
+
+
+def parse_arguments(argv: Sequence[str]) -> Arguments:
+    """Read the command line.
+
+    Raises:
+        SystemExit: with code 2 and one line on stderr; with 0 after --help and --version.
+    """
+    parser = _parser()
+    said = parser.parse_args(_with_joined_pose(argv))
+    if not said.replay and said.start:
+        parser.error("--start is of a recording: it needs --replay")
+    if said.store is not None and (not said.replay or said.start or said.duration):
+        parser.error("--store is of whole recordings: it needs --replay, without a part of it")
+    if said.as_recorded and (problem := _contradiction(said)) is not None:
+        parser.error(problem)
+    return Arguments(
+        replay=tuple(said.replay),
+        as_recorded=said.as_recorded,
+        config=said.config,
+        out=said.out or Path("mapperd-replay" if said.replay else "mapperd-live"),
+        store=said.store,
+        pose=said.pose,
+        integrator=said.integrator,
+        start_s=said.start,
+        duration_s=said.duration,
+    )
+
+
+def _contradiction(said: argparse.Namespace) -> str | None:
+    """What cannot be said beside --as-recorded, which takes all from the recording."""
+    if not said.replay:
+        return "--as-recorded is of recordings: it needs --replay"
+    others = ("config", "store", "pose", "integrator", "start", "duration")
+    found = [f"--{name}" for name in others if getattr(said, name)]
+    return f"--as-recorded leaves no room for {', '.join(found)}" if found else None
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="mapperd",
+        description="Turn what an Oculus sonar hears, live or recorded, into a 3D map.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    add = parser.add_argument
+    add(
+        "--replay",
+        metavar="FILE",
+        type=Path,
+        nargs="+",
+        default=[],
+        help="recordings in order, or folders of them; without it, live",
+    )
+    add(
+        "--as-recorded",
+        action="store_true",
+        help="map them as they were mapped live: settings, drops, resets and all that was decided",
+    )
+    add(
+        "--config",
+        metavar="YAML",
+        type=Path,
+        help="settings, above all other files (docs/configuration.md)",
+    )
+    add(
+        "--out",
+        metavar="DIR",
+        type=Path,
+        help="folder for map.bt, map.ply, map.png and summary.json (default: mapperd-replay, or "
+        "mapperd-live)",
+    )
+    add(
+        "--store",
+        metavar="MAP",
+        type=Path,
+        help="keep the recording's map in this file, and go on where it was interrupted",
+    )
+    add(
+        "--pose",
+        metavar="X,Y,Z,ROLL,PITCH,YAW",
+        type=_pose,
+        help="the vehicle stands still here (metres, degrees); odometry is ignored",
+    )
+    add(
+        "--integrator",
+        choices=("evidence_grid", "rays"),
+        help="how a ping becomes voxels (default: mapping.integrator of the settings)",
+    )
+    add("--start", metavar="S", type=_seconds, default=0.0, help="skip the first S seconds of it")
+    add("--duration", metavar="S", type=_positive, help="map S seconds and stop")
+    add("--version", action="version", version=f"mapperd {version()}")
+    return parser
+
+
+def _with_joined_pose(argv: Sequence[str]) -> list[str]:
+    """Argparse takes "-1,0,..." for an option; joined to --pose it is a value."""
+    joined: list[str] = []
+    for word in argv:
+        if joined and joined[-1] == "--pose":
+            joined[-1] = f"--pose={word}"
+        else:
+            joined.append(word)
+    return joined
+
+
+def _pose(text: str) -> Pose:
+    try:
+        x, y, z, roll, pitch, yaw = (float(part) for part in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: six numbers x,y,z,roll,pitch,yaw were expected (metres, degrees)"
+        ) from None
+    if not all(math.isfinite(number) for number in (x, y, z, roll, pitch, yaw)):
+        raise argparse.ArgumentTypeError(f"{text!r}: every number must be finite")
+    if max(abs(x), abs(y), abs(z)) > MAX_POSITION_M:
+        raise argparse.ArgumentTypeError(f"{text!r}: farther than {MAX_POSITION_M:g} m away")
+    return pose_from_rpy((x, y, z), (roll, pitch, yaw))
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value < MAX_POSITION_M:
+        raise argparse.ArgumentTypeError(f"{text!r}: a number of seconds >= 0 was expected")
+    return value
+
+
+def _positive(text: str) -> float:
+    value = _seconds(text)
+    if value == 0:
+        raise argparse.ArgumentTypeError(f"{text!r}: a number of seconds > 0 was expected")
+    return value

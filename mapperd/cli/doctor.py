@@ -1,0 +1,165 @@
+"""`mapperd doctor`: each link from its address to its poses; the first layer that fails."""
+
+import argparse
+import asyncio
+import json
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from mapperd.config.layers import load_settings
+from mapperd.config.link_address import parse_address
+from mapperd.config.tree import Config
+from mapperd.daemon.doctor import LinkEvidence, judge_link
+from mapperd.errors import ConfigError, Reject
+from mapperd.odometry.bridge import OdometryBridge
+from mapperd.odometry.formats import make_decoder
+from mapperd.odometry.links import Link
+from oculus_driver.discovery.probe import Layer, ProbeOptions, evaluate, probe
+
+__all__ = ["doctor"]
+
+BAD_CONFIG = 78
+FAULT = 1
+INTERRUPTED = 130
+MARKS = {"ok": "ok  ", "doubtful": "?   ", "failed": "FAIL", "not tested": "-   "}
+MAX_SECONDS = 3600.0
+BACK_S = 0.2
+"""How long before now a pose is asked for: the newest record is that old at most."""
+
+
+def doctor(argv: Sequence[str]) -> int:
+    """Run `mapperd doctor`; exit code 0 where every link is well, 1 where one is not."""
+    said = _parser().parse_args(argv)
+    try:
+        layered = load_settings([] if said.config is None else [said.config], os.environ)
+    except ConfigError as error:
+        print(f"mapperd: {error}", file=sys.stderr)  # noqa: T201 a command speaks
+        return BAD_CONFIG
+    if layered.notice:
+        print(f"mapperd: {layered.notice}", file=sys.stderr)  # noqa: T201
+    try:
+        found = asyncio.run(_examined(layered.config, said.seconds, ping=said.ping))
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    failed = [
+        name for name, layers in found.items() if any(layer.verdict == "failed" for layer in layers)
+    ]
+    if said.json:
+        facts = {name: [asdict(layer) for layer in layers] for name, layers in found.items()}
+        print(json.dumps({"links": facts, "failed": failed}))  # noqa: T201
+    else:
+        print("\n".join(_lines(found)))  # noqa: T201
+    return FAULT if failed else 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        "mapperd doctor",
+        description="Watch every link for a while; name the first layer that fails and what to do.",
+        epilog="exit codes: 0 all is well; 1 a link is not; 78 the settings are wrong; "
+        "130 interrupted",
+    )
+    add = parser.add_argument
+    add(
+        "--config",
+        metavar="YAML",
+        type=Path,
+        help="settings, above all other files (docs/configuration.md)",
+    )
+    add("--seconds", metavar="S", type=_seconds, default=5.0, help="to watch (default: 5)")
+    add("--ping", action="store_true", help="ask the sonar for pings: only under water")
+    add("--json", action="store_true", help="one object instead of lines")
+    return parser
+
+
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if not MAX_SECONDS >= seconds > 0.0:
+        raise argparse.ArgumentTypeError(f"{text!r}: give more than 0 and at most {MAX_SECONDS:g}")
+    return seconds
+
+
+async def _examined(config: Config, seconds: float, *, ping: bool) -> dict[str, list[Layer]]:
+    """Watch the sonar and the odometry at the same time."""
+    device = config.device
+    sonar, links = await asyncio.gather(
+        probe(ProbeOptions(device.address or None, device.port, seconds, ping)),
+        _watched(config, seconds),
+    )
+    return {"sonar": evaluate(sonar), **{one.name: judge_link(one) for one in links}}
+
+
+async def _watched(config: Config, seconds: float) -> list[LinkEvidence]:
+    bridge = OdometryBridge(config)
+    missing: dict[str, str] = {}
+    links, tasks = [], []
+    for source in config.odometry.sources:
+        address = parse_address(source.link)
+        try:
+            make_decoder(source)
+        except ConfigError as error:
+            missing[source.name] = str(error)
+
+        def take(data: bytes, at_ns: int, *, gap: bool, name: str = source.name) -> None:
+            if name not in missing:
+                bridge.feed(name, data, at_ns, gap_before=gap)
+
+        link = Link(source.name, address, take, time.time_ns)
+        links.append(link)
+        tasks.append(asyncio.create_task(link.run()))
+    await asyncio.wait(tasks, timeout=seconds)
+    statuses = {link.name: link.status for link in links}
+    for task in tasks:
+        task.cancel()
+    ends = await asyncio.gather(*tasks, return_exceptions=True)
+    for link, end in zip(links, ends, strict=True):
+        if isinstance(end, ConfigError):
+            missing[link.name] = str(end)
+    return [
+        LinkEvidence(
+            link.name,
+            link.address,
+            source.format,
+            statuses[link.name],
+            seconds,
+            None if (decoder := bridge.decoder_of(link.name)) is None else decoder.counters,
+            bridge.fusion.rejects.get(link.name, Counter()),
+            _owned(bridge.status(), link.name),
+            _fault(bridge, config.time_sync.policy),
+            missing.get(link.name),
+        )
+        for link, source in zip(links, config.odometry.sources, strict=True)
+    ]
+
+
+def _owned(status: dict[str, Any], name: str) -> tuple[str, ...]:
+    return tuple(quantity for quantity, one in status["quantities"].items() if one["owner"] == name)
+
+
+def _fault(bridge: OdometryBridge, policy: str) -> str | None:
+    """Why there is no pose now; None where there is one."""
+    newest = [
+        one["newest_ns"]
+        for one in bridge.fusion.status()["quantities"].values()
+        if one["newest_ns"] is not None
+    ]
+    if not newest:
+        return "no record was used"
+    # The newest record is all that `latest` knows: nothing before it can be asked for.
+    at_ns = max(newest) if policy == "latest" else min(newest) - round(BACK_S * 1e9)
+    pose = bridge.fusion.at(at_ns)
+    return pose.detail if isinstance(pose, Reject) else None
+
+
+def _lines(found: dict[str, list[Layer]]) -> list[str]:
+    lines = []
+    for name, layers in found.items():
+        lines.append(name)
+        lines += [f"  {MARKS[layer.verdict]} {layer.name:<8} {layer.text}" for layer in layers]
+    return lines

@@ -1,0 +1,547 @@
+"""The command line of `mapperctl`."""
+
+import argparse
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal, NoReturn
+
+from mapperd.api import STD_XY_M, STD_YAW_RAD
+from mapperd.cli.mapperctl.errors import CtlError, Exit
+from mapperd.config.catalog import parameters
+from mapperd.config.loader import YamlProblem, parse_yaml
+from mapperd.errors import ConfigError
+from mapperd.wire.messages import MAX_LEVEL, WANTS
+
+__all__ = [
+    "MOST_LEVEL",
+    "add_bag",
+    "add_convert",
+    "add_export",
+    "add_foxglove",
+    "add_localization",
+    "add_record",
+    "add_view",
+    "parser",
+    "pose_said",
+]
+
+SIX = 6
+LEVELS = range(4)
+MAX = 1e6
+HELP_FORMATS = "the suffix says the format: docs/export.md"
+
+
+def add_convert(command: argparse.ArgumentParser) -> None:
+    """Of `convert`."""
+    command.add_argument(
+        "source", metavar="SOURCE", type=Path, help="a daemon's map, .map, .bt, .ot"
+    )
+    command.add_argument("file", metavar="FILE", type=Path, help=HELP_FORMATS)
+    _add_origin(command)
+    _add_probability(command)
+    _add_calibration(command)
+
+
+def add_export(command: argparse.ArgumentParser) -> None:
+    """Of `export`."""
+    add = command.add_argument
+    add("file", metavar="FILE", type=Path, help=f"{HELP_FORMATS}; .mcap too")
+    add(
+        "--level",
+        type=int,
+        choices=LEVELS,
+        default=0,
+        help="cells are cubes of 2**level voxels; default: 0",
+    )
+    add(
+        "--box",
+        metavar="X,Y,Z,X,Y,Z",
+        type=_box,
+        help="inside these two corners alone, metres in the map",
+    )
+    add(
+        "--radius",
+        metavar="M",
+        type=_positive_metres,
+        default=0.0,
+        help="around the vehicle alone; default: no limit",
+    )
+    add(
+        "--timeout",
+        metavar="S",
+        type=_positive_seconds,
+        default=0.0,
+        help="give up when the map is not complete by then; default: never",
+    )
+    _add_origin(command)
+    _add_probability(command)
+    _add_calibration(command)
+
+
+def add_bag(command: argparse.ArgumentParser) -> None:
+    """Of `bag`."""
+    add = command.add_argument
+    add("source", metavar="SOURCE", type=Path, help="a recording, a folder of them, or a map")
+    add("bag", metavar="BAG", type=Path, help="folder that is made")
+    add("--storage", choices=("mcap", "sqlite3"), default="mcap", help="default: mcap")
+    add("--as-recorded", action="store_true", help="map recordings as they were mapped live")
+    add("--pose", metavar="X,Y,Z,ROLL,PITCH,YAW", type=_pose, help="of a vehicle that stood still")
+    add(
+        "--every",
+        metavar="S",
+        type=_positive_seconds,
+        default=0.0,
+        help="tell the map's cloud that often; default: at the end alone",
+    )
+    _add_probability(command)
+
+
+def _add_origin(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--origin",
+        metavar="LAT,LON",
+        type=_origin,
+        help="where on Earth the map's zero lies, in degrees; default: what the map says, else "
+        "odometry.origin",
+    )
+
+
+def _add_probability(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--min-probability",
+        metavar="P",
+        type=_probability,
+        help="of occupied voxels; default: mapping.occupied_threshold",
+    )
+
+
+def _add_calibration(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--calibration",
+        metavar="FILE",
+        type=Path,
+        help="curve that turns probabilities into shares, such as config/calibration/harbour.yaml; "
+        "default: as they are in the map",
+    )
+
+
+def _origin(text: str) -> tuple[float, float]:
+    try:
+        latitude, longitude = (float(part) for part in text.split(","))
+    except ValueError:
+        latitude = longitude = math.nan
+    if not (abs(latitude) < 90 and abs(longitude) <= 180):  # noqa: PLR2004 degrees
+        raise argparse.ArgumentTypeError(f"{text!r}: latitude,longitude in degrees were expected")
+    return latitude, longitude
+
+
+def _pose(text: str) -> tuple[float, ...]:
+    """Metres and degrees."""
+    return _six(text, "x,y,z,roll,pitch,yaw")
+
+
+def _box(text: str) -> tuple[float, ...]:
+    values = _six(text, "x,y,z,x,y,z")
+    low, high = values[:3], values[3:]
+    if not all(a < b for a, b in zip(low, high, strict=True)):
+        raise argparse.ArgumentTypeError(f"{text!r}: the lower corner comes first")
+    return values
+
+
+def _six(text: str, names: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != SIX or not all(abs(value) <= MAX for value in values):
+        raise argparse.ArgumentTypeError(f"{text!r}: {names} were expected")
+    return values
+
+
+def _positive_metres(text: str) -> float:
+    return _positive(text, "metres")
+
+
+def _positive_seconds(text: str) -> float:
+    return _positive(text, "seconds")
+
+
+def _positive(text: str, unit: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value <= MAX:
+        raise argparse.ArgumentTypeError(f"{text!r}: {unit} were expected")
+    return value
+
+
+def _probability(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < 1:
+        raise argparse.ArgumentTypeError(f"{text!r}: a probability between 0 and 1 was expected")
+    return value
+
+
+MAX_S = 1e9
+MAX_M = 1e6
+
+
+def add_foxglove(command: argparse.ArgumentParser) -> None:
+    """Of `foxglove`."""
+    add = command.add_argument
+    add("--port", metavar="N", type=_port, default=8765, help="default: 8765")
+    add(
+        "--host",
+        metavar="NAME",
+        default="127.0.0.1",
+        help="address to listen on; default: 127.0.0.1, for this computer alone",
+    )
+    add(
+        "--allow-changes",
+        action="store_true",
+        help="viewers may change settings; so may any page in a browser that reaches the port",
+    )
+    _add_interest(command)
+
+
+def add_record(command: argparse.ArgumentParser) -> None:
+    """Of `record`."""
+    add = command.add_argument
+    add(
+        "file",
+        metavar="FILE",
+        type=Path,
+        help=".mcap: all that happens; another suffix: the map as it is at the end",
+    )
+    add("--duration", metavar="S", type=_duration, help="default: until interrupted")
+    add(
+        "--wants",
+        metavar="KIND,...",
+        type=_wants,
+        default=WANTS,
+        help=f"some of {', '.join(WANTS)}; default: all",
+    )
+    _add_interest(command)
+
+
+def _add_interest(command: argparse.ArgumentParser) -> None:
+    add = command.add_argument
+    add(
+        "--level",
+        metavar="N",
+        type=int,
+        choices=range(MAX_LEVEL + 1),
+        default=0,
+        help=f"cells of 2**N voxels along an edge, 0 to {MAX_LEVEL}: less data",
+    )
+    add("--radius", metavar="M", type=_radius, default=0.0, help="of the map around the vehicle")
+
+
+def _wants(text: str) -> tuple[str, ...]:
+    wants = tuple(filter(None, text.split(",")))
+    if not wants or (strange := set(wants) - set(WANTS)):
+        what = ", ".join(sorted(strange)) if wants else "nothing"
+        raise argparse.ArgumentTypeError(f"{what}: some of {', '.join(WANTS)} were expected")
+    return wants
+
+
+def _port(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and int(text) < 1 << 16):
+        raise argparse.ArgumentTypeError(f"{text!r}: a port was expected")
+    return int(text)
+
+
+def _duration(text: str) -> float:
+    return _number_between(text, 0.001, MAX_S, "seconds were")
+
+
+def _radius(text: str) -> float:
+    return _number_between(text, 0.0, MAX_M, "metres were")
+
+
+def _number_between(text: str, least: float, most: float, what: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not least <= value <= most:
+        raise argparse.ArgumentTypeError(f"{text!r}: {what} expected")
+    return value
+
+
+MAX_DEG = 3600.0
+ENTRIES = 6
+
+Add = Callable[..., argparse.ArgumentParser]
+
+
+def add_localization(add: Add) -> None:
+    """Add the commands.
+
+    Args:
+        add: makes a command of a name, what it is about, and more about it.
+    """
+    look = add("localization", "where the vehicle is on the known map")
+    look.add_argument("--watch", action="store_true", help="again and again, until interrupted")
+    look.add_argument(
+        "--particles", metavar="N", type=_particles, default=0, help="with --json: some of them"
+    )
+    look.set_defaults(every=1.0)
+    _add_pose(add("initial_pose", "begin localization at a pose"))
+    add("global_localization", "begin localization anywhere on the map")
+    add("request_nomotion_update", "have the next scan be an update, even if nothing moves")
+    change = add("set_map", "localize on another map; with a pose from there on")
+    change.add_argument("name", metavar="FILE", help="in the daemon's folder for maps")
+    _add_pose(change, nargs="?")
+
+
+def pose_said(said: argparse.Namespace) -> dict[str, Any] | None:
+    """The pose of a command, as the daemon takes it; None where none is said.
+
+    Raises:
+        CtlError: a part of one is.
+    """
+    if said.yaw_deg is None:
+        if any(part is not None for part in (said.x, said.std_xy, said.std_yaw_deg)):
+            raise CtlError("a pose is X Y YAW_DEG", Exit.USAGE)
+        return None
+    pose = {"x_m": said.x, "y_m": said.y, "yaw_rad": math.radians(said.yaw_deg)}
+    if said.frame:
+        pose["frame"] = said.frame
+    if said.covariance:
+        xx, xy, xa, yy, ya, aa = said.covariance
+        return pose | {"covariance": [[xx, xy, xa], [xy, yy, ya], [xa, ya, aa]]}
+    if said.std_xy is not None:
+        pose["std_xy_m"] = said.std_xy
+    if said.std_yaw_deg is not None:
+        pose["std_yaw_rad"] = math.radians(said.std_yaw_deg)
+    return pose
+
+
+def _add_pose(command: argparse.ArgumentParser, nargs: Literal["?"] | None = None) -> None:
+    add = command.add_argument
+    add("x", metavar="X", type=_coordinate, help="m, in the map's frame", nargs=nargs)
+    add("y", metavar="Y", type=_coordinate, help="m", nargs=nargs)
+    about = "heading, counter-clockwise from x"
+    add("yaw_deg", metavar="YAW_DEG", type=_degrees, help=about, nargs=nargs)
+    add("--std-xy", metavar="M", type=_deviation_m, help=f"default: {STD_XY_M:g} m")
+    default_deg = math.degrees(STD_YAW_RAD)
+    add("--std-yaw-deg", metavar="DEG", type=_deviation_deg, help=f"default: {default_deg:g} deg")
+    add(
+        "--covariance",
+        metavar="XX,XY,XA,YY,YA,AA",
+        type=_covariance,
+        help="instead of both, in m2, m rad and rad2",
+    )
+    add("--frame", metavar="NAME", default="", help="default: amcl.global_frame_id")
+
+
+def _coordinate(text: str) -> float:
+    return _number(text, -MAX_M, MAX_M, "m")
+
+
+def _degrees(text: str) -> float:
+    return _number(text, -MAX_DEG, MAX_DEG, "degrees")
+
+
+def _deviation_m(text: str) -> float:
+    return _number(text, 0.0, MAX_M, "m")
+
+
+def _deviation_deg(text: str) -> float:
+    return _number(text, 0.0, MAX_DEG, "degrees")
+
+
+def _number(text: str, least: float, most: float, unit: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not least <= value <= most:
+        raise argparse.ArgumentTypeError(f"{text!r}: {least:g} to {most:g} {unit} were expected")
+    return value
+
+
+def _covariance(text: str) -> list[float]:
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != ENTRIES or not all(map(math.isfinite, values)):
+        raise argparse.ArgumentTypeError(f"{text!r}: six numbers with commas were expected")
+    return values
+
+
+def _particles(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and int(text[:9]) <= 500):  # noqa: PLR2004 written in the message
+        raise argparse.ArgumentTypeError(f"{text!r}: 0 to 500 particles were expected")
+    return int(text)
+
+
+MOST_LEVEL = 3
+
+
+def add_view(command: argparse.ArgumentParser) -> None:
+    """Of `view`."""
+    add = command.add_argument
+    add("--port", metavar="N", type=_port, default=8080, help="of the page; default: 8080")
+    add(
+        "--host",
+        metavar="NAME",
+        default="127.0.0.1",
+        help="address that the page is served on; default: 127.0.0.1, for this computer alone",
+    )
+    add(
+        "--allow-changes",
+        action="store_true",
+        help="browsers of other computers may change settings too",
+    )
+    add(
+        "--level",
+        metavar="N",
+        type=int,
+        choices=range(MOST_LEVEL + 1),
+        default=0,
+        help="cells of 2**N voxels along an edge, 0 to 3: less data",
+    )
+    add("--radius", metavar="M", type=_radius, default=0.0, help="of the map around the vehicle")
+    add("--open", action="store_true", help="open the page in a browser")
+
+
+EPILOG = """exit codes: 0 done; 1 the daemon refuses; 2 the command cannot be done as given; 69 no
+daemon answers; 73 it cannot write; 75 try again later; 76 it speaks another language; 77 you may
+not; 78 the settings are wrong; 130 interrupted"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with code 2."""
+        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+def parser() -> _Parser:
+    """All commands."""
+    top = _Parser("mapperctl", description="Look at a mapper and steer it.", epilog=EPILOG)
+    commands = top.add_subparsers(metavar="COMMAND", required=True, dest="command")
+    status = _command(commands, "status", "how it goes")
+    status.add_argument("--once", action="store_true", help="do not go on")
+    status.add_argument("--every", metavar="S", type=_period, default=1.0, help="default: 1 s")
+    _params(commands)
+    get = _command(commands, "get", "values of settings in force")
+    get.add_argument("names", metavar="NAME", nargs="+", type=_name, help="a setting or a section")
+    change = _command(commands, "set", "change settings of the running daemon, all or none")
+    change.add_argument("changes", metavar="NAME=VALUE", nargs="+", type=_change)
+    save = _command(commands, "save", "write the map into the daemon's folder for maps")
+    save.add_argument("name", metavar="FILE", help="the suffix says the format: docs/control.md")
+    reset = _command(commands, "reset", "empty the map")
+    reset.add_argument("--yes", action="store_true", help="do not ask")
+    _command(commands, "reload", "read the settings' files again")
+    _command(commands, "snapshot", "bring the map and the recording to the disk now")
+    stream = "--socket and --address are those of the map stream."
+    about = "the live map as a page in the browser"
+    add_view(_command(commands, "view", about, f"{about.capitalize()}. {stream}"))
+    about = "serve Foxglove and Lichtblick"
+    add_foxglove(_command(commands, "foxglove", about, f"{about}. {stream}"))
+    about = "record what the map stream says"
+    add_record(_command(commands, "record", about, f"{about.capitalize()}. {stream}"))
+    about = "the live map as a file here, in any format"
+    add_export(_command(commands, "export", about, f"{about.capitalize()}. {stream}"))
+    add_convert(_offline(commands, "convert", "a map's file to one of another format"))
+    add_bag(_offline(commands, "bag", "a recording or a map to a ROS 2 bag, without ROS"))
+    add_localization(lambda *said: _command(commands, *said))
+    events = _command(commands, "events", "what happened")
+    events.add_argument("--follow", action="store_true", help="and what happens, until interrupted")
+    events.add_argument(
+        "--since", metavar="N", type=_count, default=0, help="after the event of this number"
+    )
+    return top
+
+
+def _params(commands: "argparse._SubParsersAction[_Parser]") -> None:
+    params = _command(
+        commands,
+        "params",
+        "all about the settings",
+        "The settings that a mapper started now would have, by its files; with --running, --socket "
+        "or --address those in force in the running one.",
+    )
+    add = params.add_argument
+    add("names", metavar="NAME", nargs="*", type=_name, help="a setting or a section of them")
+    add("--origin", action="store_true", help="also who said each")
+    add("--running", action="store_true", help="of the running daemon")
+
+
+def _command(
+    commands: "argparse._SubParsersAction[_Parser]",
+    name: str,
+    about: str,
+    more: str | None = None,
+) -> _Parser:
+    command = _offline(commands, name, about, more)
+    add = command.add_argument
+    add("--json", action="store_true", help="for programs: objects, one a line")
+    add("--socket", metavar="PATH", type=Path, help="Unix socket of the daemon")
+    add("--address", metavar="HOST:PORT", help="its TCP socket instead")
+    add("--token-file", metavar="FILE", type=Path, help="token of the TCP socket")
+    add("--tls-ca", metavar="PEM", type=Path, help="TLS, by an authority or certificate of these")
+    return command
+
+
+def _offline(
+    commands: "argparse._SubParsersAction[_Parser]",
+    name: str,
+    about: str,
+    more: str | None = None,
+) -> _Parser:
+    """A command that needs no daemon."""
+    command = commands.add_parser(
+        name, help=about, description=more or f"{about.capitalize()}.", epilog=EPILOG
+    )
+    command.add_argument(
+        "--config",
+        metavar="YAML",
+        type=Path,
+        action="append",
+        default=[],
+        help="as mapperd was given; may be said again, the last one on top",
+    )
+    return command
+
+
+def _name(text: str) -> str:
+    if not any(name == text or name.startswith(f"{text}.") for name in parameters()):
+        raise argparse.ArgumentTypeError(f"{text!r}: there is no such setting")
+    return text
+
+
+def _change(text: str) -> tuple[str, object]:
+    name, sign, value = text.partition("=")
+    if not sign:
+        raise argparse.ArgumentTypeError(f"{text!r}: NAME=VALUE was expected")
+    try:
+        return _name(name), parse_yaml(value)
+    except (YamlProblem, ConfigError) as error:
+        raise argparse.ArgumentTypeError(f"{text!r}: {error}") from None
+
+
+def _count(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and len(text) < 16):  # noqa: PLR2004 within 2**53
+        raise argparse.ArgumentTypeError(f"{text!r}: the number of an event was expected")
+    return int(text)
+
+
+def _period(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.1 <= value <= 3600:  # noqa: PLR2004 written in the message
+        raise argparse.ArgumentTypeError(f"{text!r}: 0.1 to 3600 seconds were expected")
+    return value

@@ -1,0 +1,198 @@
+"""`mapperctl bag`: recordings and maps become ROS 2 bags, without ROS."""
+
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mapperd.cli.progress import ProgressBar
+from mapperd.config.changes import with_values
+from mapperd.config.tree import Config
+from mapperd.export.rosbag import Bag, Storage, Turned, open_bag
+from mapperd.geometry.frames import (
+    Pose,
+    quaternion_product,
+    quaternion_to_matrix,
+    rotation_from_rpy,
+)
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.odometry.fusion import FusedPose
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.decoder import PosedPing
+from mapperd.pipeline.executor import PingResult
+from mapperd.session.recordings import RecordedSession, files_in, sessions_of
+from mapperd.session.replay import Run, Window, as_asked, as_recorded, not_empty
+from mapperd.store.map_files import map_in
+from oculus_driver.errors import RecordingError
+
+__all__ = ["bag_of_map", "bag_of_recordings"]
+
+
+def bag_of_map(
+    source: Path, path: Path, config: Config, values: Mapping[str, Any], storage: Storage
+) -> Iterator[str]:
+    """A map's file as a cloud and a grid, stamped with the time at which the file was written.
+
+    Raises:
+        MapperdError: what is wrong with the map, the settings or the bag.
+    """
+    found = map_in(source, config, values)
+    stamp_ns = source.stat().st_mtime_ns
+    with open_bag(path, found.map.config, storage) as bag:
+        bag.cloud(stamp_ns, found.map)
+        bag.grid(stamp_ns, found.map)
+    yield from _told(path, bag)
+
+
+def bag_of_recordings(
+    source: Path,
+    path: Path,
+    config: Config | None,
+    values: Mapping[str, Any],
+    *,
+    pose: Pose | None = None,
+    every_s: float = 0.0,
+    storage: Storage = "mcap",
+) -> Iterator[str]:
+    """Recordings as images, odometry, transforms and the map, mapped by the ordinary step.
+
+    Args:
+        source: a recording, or a folder of them.
+        path: of the bag.
+        config: settings of today; None maps them as they were mapped.
+        values: settings above these.
+        pose: of a vehicle that stood still.
+        every_s: the map's cloud is told that often, and at the end; 0 is at the end alone.
+        storage: of the bag.
+
+    Raises:
+        MapperdError: what is wrong with the recordings, the settings or the bag; RecordingError.
+    """
+    sessions = sessions_of(files_in([source], begun=True))
+    if not sessions:
+        raise RecordingError(f"{source}: no recording with anything in it")
+    runs = [_run(session, config, values, pose) for session in not_empty(sessions)]
+    sonar_map = SonarMap(runs[0].config)
+    with open_bag(path, runs[0].config, storage) as bag:
+        teller = _Teller(bag, sonar_map, round(every_s * 1e9))
+        _mapped(runs, sonar_map, teller)
+        teller.end()
+    yield from _told(path, bag)
+    if teller.unstamped:
+        yield f"{teller.unstamped} pings without a time are left out"
+
+
+def _run(
+    session: RecordedSession, config: Config | None, values: Mapping[str, Any], pose: Pose | None
+) -> Run:
+    if config is None:
+        return as_recorded(session)
+    return as_asked(session, pose, with_values(config, values))
+
+
+def _mapped(runs: Sequence[Run], sonar_map: SonarMap, teller: "_Teller") -> None:
+    counters = PipelineCounters()
+    size_bytes = sum(run.session.size_bytes for run in runs)
+    bar = ProgressBar(sys.stderr, time.perf_counter)
+    done_bytes = 0
+    for run in runs:
+        replay = run.replay(sonar_map, Window(), counters)
+        replay.on_settled = teller.ping
+        replay.integration.on_ping = teller.placed
+        for _ in replay.run(run.session):
+            bar.show((done_bytes + run.session.bytes_read) / size_bytes, counters.pings_mapped)
+        done_bytes += run.session.bytes_read
+    bar.close(counters.pings_mapped)
+
+
+def _told(path: Path, bag: Bag) -> Iterator[str]:
+    size = sum(file.stat().st_size for file in path.iterdir())
+    yield f"{path}: {size} bytes"
+    for topic, count in sorted(bag.counts.items()):
+        yield f"{topic}: {count} messages"
+
+
+class _Teller:
+    """Writes what becomes of pings into a bag.
+
+    Args:
+        bag: where to.
+        sonar_map: that they go into.
+        every_ns: between clouds; 0 is at the end alone.
+
+    Attributes:
+        unstamped: pings whose time nobody knows.
+    """
+
+    def __init__(self, bag: Bag, sonar_map: SonarMap, every_ns: int) -> None:
+        self.unstamped = 0
+        self._bag = bag
+        self._map = sonar_map
+        self._every_ns = every_ns
+        self._newest_ns: int | None = None
+        self._cloud_ns: int | None = None
+        self._mounting: Pose | None = None
+
+    def ping(self, settled: PosedPing) -> None:
+        """Tell its image, whatever becomes of it."""
+        if settled.t_ns is None:
+            self.unstamped += 1
+            return
+        self._newest_ns = max(self._newest_ns or 0, settled.t_ns)
+        self._bag.image(settled.t_ns, settled.ping.image)
+
+    def placed(self, treated: PingResult) -> None:
+        """Tell where the vehicle was, and where the map has that."""
+        t_ns, odometry = treated.settled.t_ns, treated.settled.pose
+        if t_ns is None:
+            return
+        self._tell_mounting(t_ns)
+        if isinstance(odometry, FusedPose):
+            self._tell_pose(t_ns, odometry, treated)
+        if self._every_ns:
+            self._cloud_ns = t_ns if self._cloud_ns is None else self._cloud_ns
+            if t_ns - self._cloud_ns >= self._every_ns:
+                self._cloud_ns = t_ns
+                self._bag.cloud(t_ns, self._map)
+
+    def end(self) -> None:
+        """Tell the map as it is at the end."""
+        if self._newest_ns is not None:
+            self._bag.cloud(self._newest_ns, self._map)
+            self._bag.grid(self._newest_ns, self._map)
+
+    def _tell_pose(self, t_ns: int, odometry: FusedPose, treated: PingResult) -> None:
+        frames, odom = self._bag.config.frames, self._bag.config.amcl.odom_frame_id
+        turned = [Turned(odom, frames.base, odometry.pose)]
+        if isinstance(treated.pose, FusedPose):
+            shift = _map_of_odometry(treated.pose.pose, odometry.pose)
+            turned.append(Turned(frames.map, odom, shift))
+        self._bag.odometry(t_ns, odometry)
+        self._bag.transforms(t_ns, turned)
+
+    def _tell_mounting(self, t_ns: int) -> None:
+        """Tell where the sonar sits, and again when that changes."""
+        settings = self._map.config.mounting
+        place, angles = settings.position, settings.orientation
+        mounting = Pose(
+            np.array([place.x, place.y, place.z]),
+            rotation_from_rpy(angles.roll, angles.pitch, angles.yaw),
+        )
+        known = self._mounting
+        if known is None or (known.map_T_base != mounting.map_T_base).any():
+            self._mounting = mounting
+            frames = self._bag.config.frames
+            turned = [Turned(frames.base, frames.sonar, mounting)]
+            self._bag.transforms(t_ns, turned, static=True)
+
+
+def _map_of_odometry(in_map: Pose, in_odometry: Pose) -> Pose:
+    """The odometry's frame in the map's, from the vehicle in both."""
+    back = in_odometry.map_q_base * (1, -1, -1, -1)
+    turn = quaternion_product(in_map.map_q_base, back)
+    turn /= np.linalg.norm(turn)
+    shift_m = in_map.position_m - quaternion_to_matrix(turn) @ in_odometry.position_m
+    return Pose(shift_m, turn)

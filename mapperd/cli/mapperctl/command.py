@@ -1,0 +1,161 @@
+"""`mapperctl`: looks at a mapper and steers it."""
+
+import argparse
+import json
+import os
+import ssl
+import stat
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from mapperd.cli.mapperctl.arguments import parser
+from mapperd.cli.mapperctl.connection import Target
+from mapperd.cli.mapperctl.errors import CtlError, Exit
+from mapperd.cli.mapperctl.remote import run
+from mapperd.cli.mapperctl.views import params_lines
+from mapperd.config.changes import facts_of
+from mapperd.config.layers import Layered, load_settings
+from mapperd.config.tree import Config
+from mapperd.errors import ConfigError
+from mapperd.server.listeners import address_of
+from mapperd.wire.auth import read_token
+from mapperd.wire.socket_paths import socket_places
+
+__all__ = ["main"]
+
+OFFLINE = ("bag", "convert")
+"""Commands that need no daemon."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; what is wrong is one line and an exit code."""
+    said = parser().parse_args(argv)
+    try:
+        for line in _lines(said):
+            print(line, flush=True)  # noqa: T201 a command speaks
+    except CtlError as error:
+        return _fail(error, error.code)
+    except ConfigError as error:
+        return _fail(error, Exit.BAD_CONFIG)
+    except BrokenPipeError:  # `mapperctl params | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except KeyboardInterrupt:
+        endless = said.command in ("status", "foxglove", "view") or any(
+            getattr(said, name, False) for name in ("follow", "watch")
+        )
+        return Exit.OK if endless else Exit.INTERRUPTED
+    return Exit.OK
+
+
+def _lines(said: argparse.Namespace) -> Iterator[str]:
+    if said.command == "view":
+        from mapperd.cli.mapperctl.view import run_view  # noqa: PLC0415 only it needs numpy
+
+        yield from run_view(said, *_stream(said))
+        return
+    if said.command == "foxglove":
+        from mapperd.cli.mapperctl.foxglove import run_foxglove  # noqa: PLC0415 needs numpy
+
+        run_foxglove(said, *_stream(said))
+        return
+    if said.command == "record":
+        from mapperd.cli.mapperctl.record import run_record  # noqa: PLC0415 needs numpy
+
+        yield from run_record(said, _settings(said).config, *_stream(said))
+        return
+    if said.command == "export":
+        from mapperd.cli.mapperctl.export import run_export  # noqa: PLC0415 needs numpy
+
+        yield from run_export(said, _settings(said).config, *_stream(said))
+        return
+    if said.command in OFFLINE:
+        from mapperd.cli.mapperctl import offline  # noqa: PLC0415 the core, which others do not need
+
+        yield from offline.run(said, _settings(said).config)
+        return
+    remote = said.command != "params" or said.running or said.socket or said.address
+    if remote:
+        yield from run(said, _target(said))
+        return
+    layered = load_settings(said.config, os.environ)
+    facts = facts_of(layered.config, layered.origin_of, said.names)
+    if said.json:
+        yield json.dumps(facts, indent=2)
+    else:
+        yield from params_lines(facts, origin=said.origin)
+
+
+def _stream(said: argparse.Namespace) -> tuple[str, bytes | None, ssl.SSLContext | None]:
+    """Where the map stream is, as `mapperd.client` takes it, with its token and TLS."""
+    if said.address and said.socket:
+        raise CtlError("--socket or --address, not both", Exit.USAGE)
+    if said.address:
+        try:
+            token = None if said.token_file is None else read_token(said.token_file)
+        except ConfigError as error:
+            raise CtlError(str(error), Exit.USAGE) from error
+        return said.address, token, _tls(said.tls_ca)
+    if said.socket:
+        return str(said.socket.absolute()), None, None
+    return "", None, None
+
+
+def _target(said: argparse.Namespace) -> Target:
+    """Where the daemon is: as said, else as the settings say, else where daemons usually are."""
+    if said.address and said.socket:
+        raise CtlError("--socket or --address, not both", Exit.USAGE)
+    if said.socket:
+        return Target(said.socket)
+    config = _settings(said).config
+    if said.address:
+        return _over_tcp(said, config)
+    places = socket_places(config, os.environ)
+    for path in places:
+        if _is_socket(path):
+            return Target(path)
+    looked = ", ".join(map(str, places))
+    raise CtlError(f"no daemon is running: no socket at {looked}", Exit.UNAVAILABLE)
+
+
+def _settings(said: argparse.Namespace) -> Layered:
+    """Those of the files, where they can be read: who looks may be somebody else."""
+    try:
+        return load_settings(said.config, os.environ)
+    except ConfigError:
+        if said.config:
+            raise
+        return Layered(Config())
+
+
+def _over_tcp(said: argparse.Namespace, config: Config) -> Target:
+    try:
+        host, port = address_of(said.address)
+        path = said.token_file or (
+            Path(config.control.token_file) if config.control.token_file else None
+        )
+        token = b"" if path is None else read_token(path)
+    except ConfigError as error:
+        raise CtlError(str(error), Exit.USAGE) from error
+    return Target(None, str(host), port, token, _tls(said.tls_ca))
+
+
+def _tls(authorities: Path | None) -> ssl.SSLContext | None:
+    if authorities is None:
+        return None
+    try:
+        return ssl.create_default_context(cafile=str(authorities))
+    except OSError as error:
+        raise CtlError(f"{authorities}: no certificates: {error}", Exit.USAGE) from error
+
+
+def _is_socket(path: Path) -> bool:
+    try:
+        return stat.S_ISSOCK(path.stat().st_mode)
+    except OSError:
+        return False
+
+
+def _fail(error: Exception, code: Exit) -> Exit:
+    print(f"mapperctl: {error}", file=sys.stderr)  # noqa: T201
+    return code

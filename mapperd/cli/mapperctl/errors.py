@@ -1,0 +1,49 @@
+"""Errors of `mapperctl`, with their exit codes."""
+
+from enum import IntEnum
+
+from mapperd.errors import MapperdError
+from mapperd.wire.framing import StreamError
+
+__all__ = ["CtlError", "Exit", "plain", "refused"]
+
+
+class Exit(IntEnum):
+    """Exit codes; those above 64 are of sysexits.h."""
+
+    OK = 0
+    REFUSED = 1
+    USAGE = 2
+    UNAVAILABLE = 69
+    CANNOT_WRITE = 73
+    TRY_AGAIN = 75
+    PROTOCOL = 76
+    NO_PERMISSION = 77
+    BAD_CONFIG = 78
+    INTERRUPTED = 130
+
+
+class CtlError(MapperdError):
+    """A command is not done; the text is one line for a person.
+
+    Attributes:
+        code: of the exit.
+    """
+
+    def __init__(self, message: str, code: Exit) -> None:
+        super().__init__(plain(message))
+        self.code = code
+
+
+def plain(text: object) -> str:
+    """Text of a daemon without anything that would move a terminal's cursor."""
+    return "".join(letter if letter.isprintable() else "?" for letter in str(text))
+
+
+NO_PERMISSION = frozenset({"wrong_token", "needs_token", "no_permission", "not_trusted"})
+
+
+def refused(error: StreamError) -> CtlError:
+    """What the command says, and ends with."""
+    code = Exit.NO_PERMISSION if error.reason in NO_PERMISSION else Exit.PROTOCOL
+    return CtlError(str(error), code)

@@ -1,0 +1,74 @@
+"""`mapperctl foxglove`: serves viewers until it is told to stop."""
+
+import argparse
+import asyncio
+import json
+import ssl
+
+from mapperd.cli.mapperctl.errors import CtlError, Exit, refused
+from mapperd.cli.mapperctl.record import told_to_stop
+from mapperd.client import Interest, MapClient
+from mapperd.errors import LiveError
+from mapperd.foxglove.recording import foxglove_missing
+from mapperd.wire.framing import StreamError
+
+__all__ = ["run_foxglove"]
+
+
+def run_foxglove(
+    said: argparse.Namespace, address: str, token: bytes | None, tls: ssl.SSLContext | None
+) -> None:
+    """Serve, and say where.
+
+    Args:
+        said: on the command line.
+        address: of the map stream, as `MapClient` takes it.
+        token: that its TCP socket asks for.
+        tls: encrypts TCP.
+
+    Raises:
+        CtlError: nobody can listen there, or the daemon will not have us.
+    """
+    try:
+        asyncio.run(_serve(said, address, token, tls))
+    except ModuleNotFoundError as error:
+        raise CtlError(foxglove_missing(error), Exit.USAGE) from error
+    except LiveError as error:
+        raise CtlError(str(error), Exit.USAGE) from error
+    except StreamError as error:
+        raise refused(error) from error
+    except ValueError as error:
+        raise CtlError(str(error), Exit.USAGE) from error
+
+
+async def _serve(
+    said: argparse.Namespace, address: str, token: bytes | None, tls: ssl.SSLContext | None
+) -> None:
+    from mapperd.foxglove.server import FIRST_WANTS, serve  # noqa: PLC0415 an extra
+
+    def ready(port: int) -> None:
+        host = f"[{said.host}]" if ":" in said.host else said.host
+        url = f"ws://{host}:{port}"
+        text = f"Foxglove and Lichtblick: open a connection to {url}"
+        print(json.dumps({"url": url}) if said.json else text, flush=True)  # noqa: T201 a command
+
+    client = MapClient(
+        address,
+        token=token,
+        tls=tls,
+        wants=FIRST_WANTS,
+        interest=Interest(level=said.level, radius_m=said.radius),
+        name="mapperctl foxglove",
+    )
+    async with client:
+        serving = asyncio.create_task(
+            serve(client, said.host, said.port, ready, may_change=said.allow_changes)
+        )
+        stopping = asyncio.create_task(told_to_stop())
+        await asyncio.wait((serving, stopping), return_when=asyncio.FIRST_COMPLETED)
+        ended = serving.done()
+        for task in (serving, stopping):
+            task.cancel()
+        await asyncio.wait((serving, stopping))
+        if ended:
+            serving.result()

@@ -1,0 +1,195 @@
+"""`mapperctl record`: write the map stream to a file until told to stop."""
+
+import argparse
+import asyncio
+import contextlib
+import json
+import signal
+import ssl
+import sys
+import time
+from collections.abc import Callable, Coroutine, Iterator
+from typing import Any, TextIO
+
+from mapperd.cli.mapperctl.errors import CtlError, Exit, plain, refused
+from mapperd.cli.mapperctl.map_output import check_suffix, make_files, origin_among
+from mapperd.client import Interest, MapClient, Want
+from mapperd.config.tree import Config
+from mapperd.errors import ExportError, MapError
+from mapperd.foxglove.recording import Recording
+from mapperd.geometry.geodesy import Origin
+from mapperd.wire.framing import StreamError
+
+__all__ = ["run_record", "told_to_stop"]
+
+
+async def told_to_stop() -> None:
+    """Wait for SIGINT or SIGTERM, which do nothing else meanwhile."""
+    loop = asyncio.get_running_loop()
+    told = asyncio.Event()
+    handled = []
+    try:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            try:
+                loop.add_signal_handler(number, told.set)
+            except (NotImplementedError, RuntimeError, ValueError):  # a thread, or no Unix
+                continue
+            handled.append(number)
+        await told.wait()
+    finally:
+        for number in handled:
+            loop.remove_signal_handler(number)
+
+
+MIB = 1 << 20
+TTY_PERIOD_S = 0.5
+LOG_PERIOD_S = 10.0
+"""Where nobody looks on (a file, a pipe), a line every now and then is enough."""
+
+MCAP = ".mcap"
+MAP_ALONE: tuple[Want, ...] = ("map",)
+
+
+def run_record(
+    said: argparse.Namespace,
+    config: Config,
+    address: str,
+    token: bytes | None,
+    tls: ssl.SSLContext | None,
+) -> Iterator[str]:
+    """Record; yields what became of it.
+
+    Args:
+        said: on the command line.
+        config: heights and origin of a map's file; its other settings are the daemon's.
+        address: of the map stream, as `MapClient` takes it.
+        token: that its TCP socket asks for.
+        tls: encrypts TCP.
+
+    Raises:
+        CtlError: it cannot be written, or no daemon would have us.
+    """
+    try:
+        check_suffix(said.file, (MCAP,))
+        client = MapClient(
+            address,
+            token=token,
+            tls=tls,
+            wants=said.wants if said.file.suffix == MCAP else MAP_ALONE,
+            interest=Interest(level=said.level, radius_m=said.radius),
+            name="mapperctl record",
+        )
+        record = _all if said.file.suffix == MCAP else _map
+        yield from record(said, config, client)
+    except ExportError as error:
+        raise CtlError(str(error), Exit.CANNOT_WRITE) from error
+    except StreamError as error:
+        raise refused(error) from error
+    except (MapError, ValueError) as error:  # ValueError: no address
+        raise CtlError(str(error), Exit.USAGE) from error
+
+
+def _all(said: argparse.Namespace, _: Config, client: MapClient) -> Iterator[str]:
+    """All that happens."""
+    began_s = time.monotonic()
+    recording = Recording(client, said.file)
+    try:
+        asyncio.run(_record(said, client, recording))
+        if not client.link.connects:
+            raise _nobody(client)
+    except (CtlError, StreamError):
+        if not client.link.connects:  # nothing is in it
+            said.file.unlink()
+        raise
+    passed_s = time.monotonic() - began_s
+    done = {"path": str(said.file), "bytes": recording.bytes, "messages": recording.messages}
+    text = f"{said.file}: {_time(passed_s)}  {_how_much(recording)}"
+    yield json.dumps(done | {"seconds": passed_s}) if said.json else plain(text)
+
+
+def _map(said: argparse.Namespace, config: Config, client: MapClient) -> Iterator[str]:
+    """The map as it is at the end."""
+    asyncio.run(_follow(said, client))
+    mirror = client.mirror
+    if mirror is None:
+        raise _nobody(client)
+    origin_deg = mirror.facts.origin_deg
+    own = None if origin_deg is None else Origin.of_degrees(*origin_deg)
+    made = make_files(mirror.to_map(config), said.file, origin_among(None, own, config))
+    yield from [json.dumps(made.plain())] if said.json else map(plain, made.lines())
+
+
+def _nobody(client: MapClient) -> CtlError:
+    return CtlError(f"{client.link.address}: no daemon answered", Exit.UNAVAILABLE)
+
+
+async def _record(said: argparse.Namespace, client: MapClient, recording: Recording) -> None:
+    async with client:
+        recording.start()
+        try:
+            await _until_told(said, client, recording.wait(), lambda: _how_much(recording))
+        finally:
+            await recording.stop()
+
+
+async def _follow(said: argparse.Namespace, client: MapClient) -> None:
+    async with client:
+        await _until_told(
+            said, client, _ended(client), lambda: f"{len(client.mirror or ())} blocks"
+        )
+
+
+async def _until_told(
+    said: argparse.Namespace,
+    client: MapClient,
+    ended: Coroutine[Any, Any, None],
+    how_much: Callable[[], str],
+) -> None:
+    """Until a signal, the end of the time, or `ended`, whose error is raised."""
+    parts = [
+        asyncio.create_task(ended),
+        asyncio.create_task(told_to_stop()),
+        asyncio.create_task(_show(client, how_much, sys.stderr)),
+    ]
+    done, _ = await asyncio.wait(parts, timeout=said.duration, return_when=asyncio.FIRST_COMPLETED)
+    for part in parts:
+        part.cancel()
+    await asyncio.wait(parts)
+    for part in done:
+        part.result()
+
+
+async def _ended(client: MapClient) -> None:
+    async for _ in client.changes():
+        pass
+
+
+async def _show(client: MapClient, how_much: Callable[[], str], out: TextIO) -> None:
+    """How it goes, on one line of a terminal, or now and then elsewhere."""
+    began_s = time.monotonic()
+    tty = out.isatty()
+    try:
+        while True:
+            await asyncio.sleep(TTY_PERIOD_S if tty else LOG_PERIOD_S)
+            link = client.link
+            state = "" if link.state == "connected" else f"  {link.state}: {link.reason}"
+            text = plain(f"{_time(time.monotonic() - began_s)}  {how_much()}{state}")
+            _write(out, f"\r{text}\x1b[K" if tty else f"mapperctl: {text}\n")
+    finally:
+        if tty:
+            _write(out, "\r\x1b[K")
+
+
+def _write(out: TextIO, text: str) -> None:
+    with contextlib.suppress(OSError):  # nobody can look on: no reason to stop
+        out.write(text)
+        out.flush()
+
+
+def _time(passed_s: float) -> str:
+    minutes, seconds = divmod(int(passed_s), 60)
+    return f"{minutes}:{seconds:02}"
+
+
+def _how_much(recording: Recording) -> str:
+    return f"{recording.bytes / MIB:.1f} MiB  {recording.messages} messages"

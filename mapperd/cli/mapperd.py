@@ -1,0 +1,229 @@
+"""The command `mapperd`: settings and a recording or a sonar in, a folder of results out."""
+
+import contextlib
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from enum import IntEnum
+from functools import partial
+from pathlib import Path
+from typing import Any, TextIO
+
+import msgspec
+
+from mapperd.cli.arguments import Arguments, parse_arguments
+from mapperd.cli.doctor import doctor
+from mapperd.cli.replay import map_recordings, unreadable
+from mapperd.config.layers import Layered, load_settings
+from mapperd.config.live import ConfigStore
+from mapperd.config.tree import Config
+from mapperd.daemon.journal import goes_to_journal
+from mapperd.daemon.map_folder import write_results
+from mapperd.daemon.run import LiveRun, map_live
+from mapperd.daemon.supervisor import only_told_to_stop
+from mapperd.daemon.systemd import Notifier
+from mapperd.errors import (
+    CheckpointError,
+    ConfigError,
+    ExportError,
+    LiveError,
+    MapError,
+    MapperdError,
+    ReplayError,
+    StoreError,
+)
+from mapperd.export.picture import MISSING, can_draw
+from mapperd.imaging.filter_chain import check_filters
+from mapperd.io import make_folder
+from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
+from oculus_driver.errors import OculusError, RecordingError, SettingsError
+
+__all__ = ["Exit", "main"]
+
+
+STDERR = 2
+
+
+class Exit(IntEnum):
+    """Exit codes; those above 64 are of sysexits.h."""
+
+    OK = 0
+    USAGE = 2
+    BAD_DATA = 65
+    NO_INPUT = 66
+    UNAVAILABLE = 69
+    CANNOT_WRITE = 73
+    BAD_CONFIG = 78
+    INTERRUPTED = 130
+
+
+_EXITS = {
+    ConfigError: Exit.BAD_CONFIG,
+    LiveError: Exit.UNAVAILABLE,
+    SettingsError: Exit.BAD_CONFIG,
+    RecordingError: Exit.BAD_DATA,
+    ExportError: Exit.CANNOT_WRITE,
+    CheckpointError: Exit.BAD_DATA,
+    MapError: Exit.CANNOT_WRITE,
+    OculusError: Exit.UNAVAILABLE,
+}
+"""The first kind that an error is."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; every failure that input can cause is one line and an exit code."""
+    _open_closed_streams()
+    words = sys.argv[1:] if argv is None else argv
+    if words[:1] == ["doctor"]:
+        return doctor(words[1:])
+    arguments = parse_arguments(words)
+    try:
+        return _replay(arguments) if arguments.replay else _live(arguments)
+    except ReplayError as error:
+        return _fail(Exit.USAGE, f"{_source(arguments)}: {error}")
+    except StoreError as error:
+        settings = error.reason in ("other_parameters", "newer_version", "not_a_store")
+        return _fail(Exit.BAD_CONFIG if settings else Exit.CANNOT_WRITE, error)
+    except (MapperdError, OculusError) as error:
+        return _fail(next(code for kind, code in _EXITS.items() if isinstance(error, kind)), error)
+    except KeyboardInterrupt:
+        return _fail(Exit.INTERRUPTED, f"interrupted; results in {arguments.out} may be missing")
+
+
+def _live(arguments: Arguments) -> Exit:
+    """Map until told to stop, write."""
+    store = ConfigStore(_settings(arguments))
+    make_folder(arguments.out)
+    if not can_draw():
+        _say(MISSING)
+    again = partial(_settings, arguments)
+    notifier = Notifier(os.environ)
+    run = LiveRun(store, partial(_poses, arguments), arguments.duration_s, _say, again, notifier)
+    with contextlib.closing(notifier), only_told_to_stop():
+        sonar_map, summary = map_live(run)
+        with notifier.patience():
+            write_results(arguments.out, sonar_map, summary)
+    return _verdict(arguments, summary)
+
+
+def _replay(arguments: Arguments) -> Exit:
+    """Check, map, write."""
+    if (problem := unreadable(arguments.replay)) is not None:
+        return _fail(Exit.NO_INPUT, problem)
+
+    def ready() -> None:
+        make_folder(arguments.out)
+        if not can_draw():
+            _say(MISSING)
+
+    def settings() -> Config:
+        return _settings(arguments).config
+
+    try:
+        sonar_map, summary = map_recordings(arguments, settings, ready)
+    except KeyboardInterrupt:
+        return _fail(Exit.INTERRUPTED, "interrupted; nothing was written")
+    write_results(arguments.out, sonar_map, summary)
+    return _verdict(arguments, summary)
+
+
+def _settings(arguments: Arguments) -> Layered:
+    """Of the files, and on top of them the command line."""
+    given = [] if arguments.config is None else [arguments.config]
+    layered = load_settings(given, os.environ)
+    if layered.notice:
+        _say(layered.notice)
+    check_filters(layered.config)
+    if arguments.integrator is None:
+        return layered
+    try:
+        mapping = msgspec.structs.replace(layered.config.mapping, integrator=arguments.integrator)
+    except ValueError as error:  # the section's own rules
+        raise ConfigError(f"--integrator: {error}", "$.mapping.integrator") from error
+    config = msgspec.structs.replace(layered.config, mapping=mapping)
+    origins = {**layered.origins, "mapping.integrator": "--integrator"}
+    return replace(layered, config=config, origins=origins)
+
+
+def _poses(arguments: Arguments, config: Config) -> FixedPose | OdometryPoses:
+    if arguments.pose is not None:
+        return FixedPose(arguments.pose)
+    return OdometryPoses(config)
+
+
+def _verdict(arguments: Arguments, summary: dict[str, Any]) -> Exit:
+    """Say how it went; a map without a single ping is a failure, unless somebody ended it."""
+    dropped = ", ".join(f"{why} {count}" for why, count in summary["pings_dropped"].items())
+    damage = summary["recording"]["damage"] if "recording" in summary else None
+    source = _source(arguments)
+    ended = "live" in summary and summary["live"]["told_to_stop"]
+    nothing_asked = summary["config"]["localization"]["mapping"] == "off" and (
+        "localization" in summary
+    )
+    missed = summary["pings_mapped"] == 0 and arguments.store is None
+    if missed and not (ended or nothing_asked):
+        damaged = f" (damaged: {damage})" if damage else ""
+        return _fail(Exit.BAD_DATA, f"{source}: {_why_empty(summary, dropped)}{damaged}")
+    if damage:
+        _say(f"{source}: damaged: {damage}")
+    lost = f" (dropped: {dropped})" if dropped else ""
+    problem = _written(
+        sys.stdout,
+        f"mapped {summary['pings_mapped']} of {summary['pings_total']} pings{lost} in "
+        f"{summary['wall_s']:.1f} s: {summary['voxels_occupied']} occupied voxels in "
+        f"{arguments.out}\n",
+    )
+    if problem is not None:
+        return _fail(Exit.CANNOT_WRITE, f"standard output: cannot be written: {problem}")
+    return Exit.OK
+
+
+def _source(arguments: Arguments) -> str:
+    """What the map is of, for messages."""
+    return " ".join(map(str, arguments.replay[:1])) or "live"
+
+
+def _why_empty(summary: dict[str, Any], dropped: str) -> str:
+    if summary["pings_total"]:
+        return f"no ping could be mapped: {dropped}"
+    if outside := summary["pings_outside"]:
+        return f"no ping lies in the chosen part; {outside} were read outside of it"
+    if "live" in summary:
+        return f"no ping came from the sonar ({summary['live']['sonar']})"
+    rejected, total = summary["bytes_rejected"], summary["bytes_total"]
+    return f"no ping in it; {rejected} of {total} bytes of sonar data rejected"
+
+
+def _open_closed_streams() -> None:
+    """Give standard streams that are closed (`>&-`) a place to write to."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            nowhere = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115 while we run
+            setattr(sys, name, nowhere)
+
+
+def _written(stream: TextIO, text: str) -> str | None:
+    """Write to a standard stream; returns why not, if not, and silences it from then on."""
+    try:
+        stream.write(text)
+        stream.flush()
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        return error.strerror
+    return None
+
+
+def _say(message: object) -> None:
+    _line(6, message)
+
+
+def _fail(code: Exit, message: object) -> Exit:
+    _line(3, message)
+    return code
+
+
+def _line(priority: int, message: object) -> None:
+    """A line of standard error; where that is the journal, with its priority."""
+    mark = f"<{priority}>" if goes_to_journal(os.environ, STDERR) else "mapperd: "
+    _written(sys.stderr, f"{mark}{message}\n")  # if not, nobody is there to be told

@@ -1,0 +1,147 @@
+"""`mapperd --replay`: recordings become a map, with the user's settings or as they were mapped."""
+
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mapperd.cli.arguments import Arguments
+from mapperd.cli.progress import ProgressBar
+from mapperd.config.tree import Config
+from mapperd.daemon.map_folder import localization_summary, recording_facts, summary_of
+from mapperd.errors import ReplayError
+from mapperd.geometry.frames import Pose
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.session.recordings import RecordedSession, files_in, sessions_of
+from mapperd.session.replay import (
+    Run,
+    Window,
+    as_asked,
+    as_recorded,
+    contents,
+    first_range_m,
+    not_empty,
+)
+from mapperd.session.replay_to_store import map_into_store
+from oculus_driver.errors import RecordingError
+
+__all__ = ["map_recordings", "unreadable"]
+
+
+def unreadable(paths: Sequence[Path]) -> str | None:
+    """Why a path cannot be a recording at all, before its content is looked at."""
+    for path in paths:
+        try:
+            if not path.exists():
+                return f"{path}: there is no such file"
+            if path.is_dir():
+                if not files_in([path]):
+                    return f"{path}: there is no recording in this folder"
+            elif not path.is_file():
+                return f"{path}: is not a file"
+        except OSError as error:  # such as a name that is too long
+            return f"{path}: {error.strerror}"
+        if not os.access(path, os.R_OK):
+            return f"{path}: may not be read"
+    return None
+
+
+def map_recordings(
+    arguments: Arguments, settings: Callable[[], Config], ready: Callable[[], None]
+) -> tuple[SonarMap, dict[str, Any]]:
+    """Check everything that can be checked, then map; returns the map and the summary.
+
+    Args:
+        arguments: with the recordings.
+        settings: the user's.
+        ready: called when nothing speaks against mapping.
+
+    Raises:
+        ConfigError: the settings are wrong, or those of the sessions make no common map.
+        ReplayError: the recordings cannot become a map with the options given.
+        RecordingError: one of them is none, or nothing is in it.
+    """
+    sessions = sessions_of(files_in(arguments.replay, begun=True))
+    if not sessions:
+        raise RecordingError(f"{arguments.replay[0]}: no recording with anything in it")
+    if arguments.as_recorded:
+        runs = [as_recorded(session) for session in not_empty(sessions)]
+        sonar_map = SonarMap(runs[0].config)
+    else:
+        sonar_map = SonarMap(settings())
+        runs = [as_asked(session, arguments.pose, sonar_map.config) for session in sessions]
+        if len(runs) > 1 and (arguments.start_s or arguments.duration_s is not None):
+            raise ReplayError("--start and --duration choose a part of one session, not of several")
+        _require_data(sessions, odometry=arguments.pose is None)
+        if arguments.pose is not None:
+            _require_reach(sessions, arguments.pose, sonar_map)
+    ready()
+    if arguments.store is not None:
+        return _stored(sessions, sonar_map.config, arguments.pose, arguments.store)
+    return sonar_map, _mapped(runs, sonar_map, Window(arguments.start_s, arguments.duration_s))
+
+
+def _mapped(runs: Sequence[Run], sonar_map: SonarMap, window: Window) -> dict[str, Any]:
+    """Run the replays, one after the other into one map; returns the summary."""
+    counters = PipelineCounters()
+    size_bytes = sum(run.session.size_bytes for run in runs)
+    bar = ProgressBar(sys.stderr, time.perf_counter)
+    began_s = time.perf_counter()
+    done_bytes = 0
+    for run in runs:
+        replay = run.replay(sonar_map, window, counters)
+        for _ in replay.run(run.session):
+            bar.show((done_bytes + run.session.bytes_read) / size_bytes, counters.pings_mapped)
+        done_bytes += run.session.bytes_read
+    bar.close(counters.pings_mapped)
+    wall_s = time.perf_counter() - began_s
+    facts = recording_facts([run.session for run in runs])
+    if runs[-1].onboard is not None:
+        facts |= localization_summary(runs[-1].onboard.facts())
+    return summary_of(facts, sonar_map, runs[-1].poses, counters, wall_s)
+
+
+def _stored(
+    sessions: Sequence[RecordedSession], config: Config, pose: Pose | None, path: Path
+) -> tuple[SonarMap, dict[str, Any]]:
+    """Map a recording into a file; the counts are of this time, the map is the whole one."""
+    if len(sessions) > 1:
+        raise ReplayError("--store takes one recording at a time, and these are several sessions")
+    began_s = time.perf_counter()
+    whole, poses, counters = map_into_store(sessions[0].paths, config, pose, path)
+    wall_s = time.perf_counter() - began_s
+    return whole, summary_of(recording_facts(sessions), whole, poses, counters, wall_s)
+
+
+def _require_data(sessions: Sequence[RecordedSession], *, odometry: bool) -> None:
+    """Refuse early what could only end in a map without a ping."""
+    found = [contents(session) for session in sessions]
+    has_sonar, has_odometry = (any(kinds) for kinds in zip(*found, strict=True))
+    broken = next((session.damage for session in sessions if session.damage), None)
+    damage = f" ({broken})" if broken else ""
+    if not has_sonar and not has_odometry:
+        raise RecordingError(f"{sessions[0].paths[0]}: nothing can be read from it{damage}")
+    if not has_sonar:
+        raise RecordingError(f"{sessions[0].paths[0]}: no sonar data in it{damage}")
+    if odometry and not has_odometry:
+        raise ReplayError(
+            f"no odometry in it{damage}, so nobody knows where the vehicle was; if it stood "
+            "still, say where with --pose x,y,z,roll,pitch,yaw"
+        )
+
+
+def _require_reach(sessions: Sequence[RecordedSession], pose: Pose, sonar_map: SonarMap) -> None:
+    """Refuse early a pose whose map would not fit into map.bt."""
+    sonar_m = (pose.map_T_base @ sonar_map.base_T_sonar)[:3, 3]
+    range_m = max(first_range_m(session) for session in sessions)
+    if np.abs(sonar_m).max() + range_m > sonar_map.octomap_reach_m:
+        raise ReplayError(
+            f"--pose and the range of {range_m:g} m leave the reach of map.bt, "
+            f"+-{sonar_map.octomap_reach_m:g} m with voxels of {sonar_map.resolution_m:g} m; "
+            "set a larger octree.voxel_resolution, or move the pose nearer to the origin"
+        )

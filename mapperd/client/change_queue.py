@@ -1,0 +1,134 @@
+"""What a reader of changes has not taken yet: bounded, however slowly it reads."""
+
+import threading
+from collections import OrderedDict, deque
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+
+from mapperd.client.block_table import keys_of, names_of
+from mapperd.client.changes import ClientChange, LinkChanged, MapChanged, MapReset
+from mapperd.client.state import Knowledge
+from mapperd.client.validation import size_of
+from mapperd.wire.blocks import path_message
+from mapperd.wire.messages import Event, Path, Settings
+
+__all__ = ["Pending"]
+
+MAX_KEYS = 1 << 17
+MAX_EVENTS, MAX_EVENT_BYTES = 1000, 1 << 20
+NO_KEYS = np.zeros((0, 3), np.int32)
+
+
+class Pending:
+    """Changes in their order, joined where they pile up.
+
+    Changes of the map are joined by blocks, those of the path and of settings likewise; of events
+    the newest are kept and the others counted, of all else the newest one. Where too many blocks
+    changed, a reader is told the whole map anew. Any thread may add and take.
+
+    Args:
+        knowledge: of the client; all that it knows is told first.
+        link: how the connection is now.
+        news: is called where something was added.
+    """
+
+    def __init__(self, knowledge: Knowledge, link: LinkChanged, news: Callable[[], None]) -> None:
+        self._knowledge = knowledge
+        self._news = news
+        self._lock = threading.Lock()
+        self._waiting: OrderedDict[type, ClientChange] = OrderedDict()
+        self._events: deque[tuple[Event, int]] = deque()
+        self._events_lost = self._event_bytes = 0
+        self._keys: dict[bytes, None] = {}
+        self._is_all = False
+        self._add_all(link)
+
+    def add(self, change: ClientChange) -> None:
+        """Note what happened."""
+        with self._lock:
+            self._add(change)
+        self._news()
+
+    def take(self) -> ClientChange | None:
+        """The next change; None while there is none."""
+        with self._lock:
+            if not self._waiting:
+                return None
+            kind, change = self._waiting.popitem(last=False)
+            if kind is Event:
+                return self._taken_event()
+            if isinstance(change, Path):
+                return path_message(change.first, self._knowledge.path[change.first :])
+            if not isinstance(change, MapChanged):
+                return change
+            keys, self._keys = self._keys, {}
+            is_all, self._is_all = self._is_all, False
+        # Without the lock: who holds the mirror's may want to take too.
+        mirror = self._knowledge.mirror
+        told = mirror.keys() if is_all and mirror is not None else keys_of(keys)
+        return MapChanged(told, change.stamp_ns, change.left)
+
+    def _add_all(self, link: LinkChanged) -> None:
+        knowledge = self._knowledge
+        self._add(link)
+        if knowledge.mirror is not None:
+            self._add(MapReset(knowledge.mirror.facts))
+            self._is_all = True
+            self._add(MapChanged(NO_KEYS, 0, 0))
+        if len(knowledge.path):
+            self._add(Path(first=0, points=b""))
+        if knowledge.settings:
+            self._add(Settings(facts=knowledge.settings))
+        for change in knowledge.newest.values():
+            self._add(change)
+
+    def _add(self, change: ClientChange) -> None:
+        waiting = self._waiting
+        kind = type(change)
+        before = waiting.get(kind)
+        if isinstance(change, MapReset):
+            self._keys, self._is_all = {}, False
+            waiting.pop(MapChanged, None)
+            waiting.pop(MapReset, None)
+        elif isinstance(change, MapChanged):
+            self._add_keys(change)
+        elif isinstance(change, Event):
+            self._add_event(change)
+        elif isinstance(change, Path) and isinstance(before, Path):
+            change = Path(first=min(before.first, change.first), points=b"")
+        elif isinstance(change, Settings) and isinstance(before, Settings):
+            change = Settings(facts={**before.facts, **change.facts})
+        waiting[kind] = change
+        if kind is LinkChanged:
+            waiting.move_to_end(kind)
+
+    def _add_keys(self, change: MapChanged) -> None:
+        if not self._is_all:
+            self._keys.update(dict.fromkeys(names_of(change.keys)))
+        mirror = self._knowledge.mirror
+        if len(self._keys) > MAX_KEYS and mirror is not None:
+            self._add(MapReset(mirror.facts))
+            self._is_all = True
+
+    def _add_event(self, event: Event) -> None:
+        events, size = self._events, size_of(event)
+        events.append((event, size))
+        self._event_bytes += size
+        while len(events) > MAX_EVENTS or (len(events) > 1 and self._event_bytes > MAX_EVENT_BYTES):
+            self._events_lost += 1 + self._first_event().lost
+
+    def _first_event(self) -> Event:
+        event, size = self._events.popleft()
+        self._event_bytes -= size
+        return event
+
+    def _taken_event(self) -> Event:
+        event = self._first_event()
+        if self._events_lost:
+            event = msgspec.structs.replace(event, lost=event.lost + self._events_lost)
+            self._events_lost = 0
+        if self._events:
+            self._waiting[Event] = self._events[0][0]
+        return event

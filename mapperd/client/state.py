@@ -1,0 +1,416 @@
+"""The state that a client holds: the newest of everything."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd.client.changes import ClientChange, MapChanged, MapReset
+from mapperd.client.errors import EndedError
+from mapperd.client.mirror import MapMirror
+from mapperd.client.validation import check_blocks, check_facts, check_message, places_of, size_of
+from mapperd.wire.blocks import decode_blocks
+from mapperd.wire.framing import StreamError
+from mapperd.wire.messages import (
+    MAX_PATH,
+    MAX_SETTINGS,
+    Blocks,
+    Event,
+    Fan,
+    FromServer,
+    Image,
+    Interest,
+    Localization,
+    MapFacts,
+    Path,
+    Pose,
+    Reset,
+    Resume,
+    Returns,
+    Robots,
+    Settings,
+    Status,
+    Welcome,
+)
+
+__all__ = ["MAX_BLOCKS", "MAX_FORGOTTEN", "Knowledge", "Known", "Orders"]
+
+MAX_FORGOTTEN = 1 << 16
+"""Blocks that are not there any more, and whose orders are remembered."""
+
+
+@dataclass(slots=True)
+class Orders:
+    """How far the lines of one connection have come.
+
+    Attributes:
+        first: the highest order on the first line, on which none goes down.
+        second: the highest order on all its second lines.
+        floor: what a second line brings of this or a lower order is of before the last reset.
+        is_beside: there is a second line, which may bring something older than what is here.
+    """
+
+    first: int = 0
+    second: int = 0
+    floor: int = -1
+    is_beside: bool = False
+
+    @property
+    def newest(self) -> int:
+        """The highest order of any message."""
+        return max(self.first, self.second)
+
+    def reset(self, order: int) -> None:
+        """The first line says that all blocks up to an order are forgotten.
+
+        Raises:
+            StreamError: of what comes after it something was told before it, and would be lost.
+        """
+        if order < self.second:
+            raise StreamError("a reset that its own blocks overtook", "bad_order")
+        self.floor = order
+
+
+MAX_BLOCKS = 1 << 20
+"""That a mirror holds: half a GiB, with counts a whole one."""
+
+MAX_SETTINGS_BYTES = 1 << 20
+"""Of all their facts; a daemon has 50 000."""
+
+NEWEST = (Pose, Fan, Returns, Image, Robots, Localization, Status)
+"""Of these only the newest counts."""
+
+Newest = TypeVar("Newest", Pose, Fan, Returns, Image, Robots, Localization, Status)
+
+
+class Knowledge:
+    """Of one client, through all its connections; its arrays are read only.
+
+    Args:
+        tell: is called with each change, after it is in here.
+        most_blocks: that the mirror may hold.
+
+    Attributes:
+        interest: in the map, as the client would have it.
+        wants_map: it was wanted at some time of this connection.
+        welcome: the last one.
+        is_complete: the daemon said on this connection that all of the interest is told, and
+            nothing since.
+        mirror: of the map, and one object for good; empty where no map is wanted.
+        path: (N, 3) float32, metres, map frame.
+        newest: messages by type, of which only the newest counts.
+        settings: name to facts.
+        last_event: its number.
+        used: bytes of the last connection with a welcome that are in here.
+    """
+
+    def __init__(
+        self,
+        interest: Interest,
+        tell: Callable[[ClientChange], None],
+        most_blocks: int = MAX_BLOCKS,
+    ) -> None:
+        self.interest = interest
+        self.wants_map = False
+        self.welcome: Welcome | None = None
+        self.is_complete = False
+        self.mirror: MapMirror | None = None
+        self.path: NDArray[np.float64] = _frozen(np.zeros((0, 3)))
+        self.newest: dict[type, ClientChange] = {}
+        self.settings: dict[str, Any] = {}
+        self.last_event: int | None = None
+        self._setting_bytes: dict[str, int] = {}
+        self.used = 0
+        self._ticket = ""
+        self._is_doubted = False
+        self._orders = Orders()
+        self._path_version = 0
+        self._newest = 0
+        self._tell = tell
+        self._most_blocks = most_blocks
+
+    @property
+    def ticket(self) -> str:
+        """Of the last connection; "" where it has none, or is not to be gone on from."""
+        return self._ticket
+
+    def newest_of(self, kind: type[Newest]) -> Newest | None:
+        """The newest message of a kind."""
+        newest = self.newest.get(kind)
+        return newest if isinstance(newest, kind) else None
+
+    def resume(self) -> Resume | None:
+        """What another connection may go on from."""
+        mirror = self.mirror
+        if mirror is None or self.welcome is None or self._is_doubted:
+            return None
+        if mirror.complete is None and not self._ticket:
+            return None
+        if mirror.interest != self.interest:
+            return None
+        return Resume(
+            map=mirror.facts.id,
+            session=self.welcome.session,
+            revision=mirror.complete,
+            level=self.interest.level,
+            detail=self.interest.detail,
+            radius_m=self.interest.radius_m,
+            box=self.interest.box,
+            newest=self._newest,
+            path=len(self.path),
+            path_version=self._path_version,
+            ticket=self._ticket,
+            bytes=self.used if self._ticket else 0,
+        )
+
+    def forget_ticket(self) -> None:
+        """The next connection does not go on where the last one was."""
+        self._ticket = ""
+
+    def distrust(self) -> None:
+        """Something that was told is wrong: the next connection begins with nothing."""
+        self.forget_ticket()
+        self._is_doubted = True
+
+    def begin(self, welcome: Welcome, resume: Resume | None) -> None:
+        """A connection has come about.
+
+        Args:
+            welcome: to it.
+            resume: what was said to be held.
+
+        Raises:
+            StreamError: it goes on from what was not.
+        """
+        check_facts(welcome.map)
+        mirror = self.mirror
+        if not welcome.resumed:
+            self._begin_map(welcome.map, self.interest)
+        elif resume is None or mirror is None or _grid(mirror.facts) != _grid(welcome.map):
+            raise StreamError("a map that was not held is gone on with", "bad_resume")
+        else:
+            mirror.facts = welcome.map
+            mirror.begin_orders()
+        self._orders = Orders()
+        is_other = self.welcome is None or self.welcome.session != welcome.session
+        self.welcome = welcome
+        self._ticket, self.used = welcome.ticket, 0
+        if is_other or not welcome.resumed:
+            self._take_path(Path(first=0, points=b""))
+
+    def take(self, news: FromServer) -> None:
+        """Take what is told after the welcome.
+
+        Raises:
+            StreamError: it cannot be.
+        """
+        check_message(news)
+        if isinstance(news, Blocks):
+            self._orders.first = max(self._orders.first, news.order)
+            self._take_blocks(news)
+        elif isinstance(news, Reset):
+            check_facts(news.map)
+            self._orders.reset(news.order)
+            self.is_complete = False
+            self._begin_map(news.map, news.interest or self.interest)
+        elif isinstance(news, Path):
+            self._take_path(news)
+        elif isinstance(news, Settings):
+            self._take_settings(news)
+        elif isinstance(news, Event):
+            number = news.event.get("number")
+            self.last_event = number if isinstance(number, int) and 0 <= number < 1 << 63 else None
+            self._tell(news)
+        elif isinstance(news, NEWEST):
+            self.newest[type(news)] = news
+            self._tell(news)
+        else:
+            raise StreamError(f"a {type(news).__name__.lower()} out of turn", "bad_order")
+
+    def is_of_this(self, welcome: Welcome) -> bool:
+        """A welcome to a second line is of the daemon of the first.
+
+        It may be of another map: the reset that says so on the first may be stuck.
+        """
+        first = self.welcome
+        return first is not None and welcome.session == first.session
+
+    def begin_beside(self) -> None:
+        """From now on a second line may bring blocks that are older than what is here.
+
+        Raises:
+            EndedError: too much is remembered of one before.
+        """
+        self._orders.is_beside = True
+        self._settle()
+        self._check_beside()
+
+    def take_beside(self, news: Blocks) -> None:
+        """Take blocks of the second line.
+
+        Raises:
+            StreamError: they cannot be; an `EndedError` where this line is of no more use.
+        """
+        self._check_beside()
+        if news.order <= self._orders.floor:
+            return
+        self._orders.second = max(self._orders.second, news.order)
+        self._take_blocks(news)
+
+    def end_beside(self) -> None:
+        """Nothing comes from the second line any more.
+
+        What it told stays newer than what is still to come on the first.
+        """
+        self._orders.is_beside = False
+        self._settle()
+
+    def _check_beside(self) -> None:
+        if not self._orders.is_beside:
+            what = f"more than {MAX_FORGOTTEN} blocks were forgotten beside a second line"
+            raise EndedError(what, "too_many_forgotten")
+
+    def _settle(self) -> None:
+        """Let go of the orders of blocks that nothing can bring back."""
+        mirror = self.mirror
+        if mirror is None or not mirror.forgotten:
+            return
+        if mirror.forgotten > MAX_FORGOTTEN:
+            # Nothing is taken from the second line any more, so that these do not add up.
+            self._orders.is_beside = False
+        if not self._orders.is_beside:
+            mirror.settle(self._orders.first)
+
+    def _begin_map(self, facts: MapFacts, interest: Interest) -> None:
+        self._newest = 0
+        self._is_doubted = False
+        if self.mirror is None:
+            self.mirror = MapMirror(facts, interest)
+        else:
+            self.mirror.begin(facts, interest)
+        self._tell(MapReset(facts))
+
+    def _take_blocks(self, news: Blocks) -> None:
+        mirror = self.mirror
+        if mirror is None or not self.wants_map:
+            raise StreamError("a map that nobody asked for", "not_asked")
+        if news.complete is not None and news.complete > news.revision:
+            raise StreamError("complete as of a revision to come", "bad_value")
+        keys = np.zeros((0, 3), np.int32)
+        with mirror.lock:
+            if news.body:
+                keys = self._put(mirror, news)
+            mirror.revision = max(mirror.revision, news.revision)
+            self._newest = max(self._newest, news.revision)
+            if news.complete is not None:
+                mirror.complete = max(mirror.complete or 0, news.complete)
+        if news.order >= self._orders.newest:
+            self.is_complete = news.complete is not None and mirror.interest == self.interest
+        self._settle()
+        # Without the mirror's lock: readers may hold it and wait for what is told.
+        self._tell(MapChanged(keys, news.stamp_ns, news.left))
+
+    def _put(self, mirror: MapMirror, news: Blocks) -> NDArray[np.int32]:
+        blocks = decode_blocks(news.body, counts=mirror.interest.detail == "counts")
+        check_blocks(blocks, mirror.interest, mirror.cell_m)
+        taken = mirror.put(blocks, news.stamp_ns, news.order)
+        if len(mirror) > self._most_blocks:
+            what = f"more than {self._most_blocks} blocks; ask for less of it, or more coarsely"
+            raise EndedError(what, "too_many_blocks")
+        return taken
+
+    def _take_path(self, news: Path) -> None:
+        points = places_of(news)
+        if news.first > len(self.path):
+            raise StreamError("a path with a gap", "bad_value")
+        if news.first + len(points) > MAX_PATH:
+            raise StreamError(f"a path of more than {MAX_PATH} points", "bad_value")
+        is_as_before = news.first == len(self.path) and not len(points)
+        self.path = _frozen(np.concatenate([self.path[: news.first], points]))
+        self._path_version = news.version
+        if not is_as_before:
+            self._tell(news)
+
+    def _take_settings(self, news: Settings) -> None:
+        settings = {**self.settings, **news.facts}
+        if len(settings) > MAX_SETTINGS:
+            raise StreamError(f"more than {MAX_SETTINGS} settings", "bad_value")
+        sizes = {name: size_of((name, fact)) for name, fact in news.facts.items()}
+        sizes = {**self._setting_bytes, **sizes}
+        if sum(sizes.values()) > MAX_SETTINGS_BYTES:
+            raise StreamError(f"settings of more than {MAX_SETTINGS_BYTES} bytes", "bad_value")
+        self.settings, self._setting_bytes = settings, sizes
+        self._tell(news)
+
+
+def _grid(facts: MapFacts) -> tuple[str, float, float]:
+    """What blocks depend on: thresholds and origin may change meanwhile."""
+    return facts.id, facts.resolution_m, facts.log_odds_step
+
+
+def _frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    array.flags.writeable = False
+    return array
+
+
+class Known:
+    """The newest of everything; it stays while the connection is away. Any thread may read it."""
+
+    _knowledge: Knowledge
+
+    @property
+    def welcome(self) -> Welcome | None:
+        """Of the last connection."""
+        return self._knowledge.welcome
+
+    @property
+    def mirror(self) -> MapMirror | None:
+        """The map, one and the same object for good; None before the first connection."""
+        return self._knowledge.mirror
+
+    @property
+    def path(self) -> NDArray[np.float64]:
+        """(N, 3), metres, map frame; read only."""
+        return self._knowledge.path
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Name to facts, as the answer to `params` of docs/control.md."""
+        return self._knowledge.settings
+
+    @property
+    def pose(self) -> Pose | None:
+        """Where the vehicle is."""
+        return self._knowledge.newest_of(Pose)
+
+    @property
+    def fan(self) -> Fan | None:
+        """What the sonar looks at."""
+        return self._knowledge.newest_of(Fan)
+
+    @property
+    def returns(self) -> Returns | None:
+        """What the last ping met."""
+        return self._knowledge.newest_of(Returns)
+
+    @property
+    def image(self) -> Image | None:
+        """Of the last ping."""
+        return self._knowledge.newest_of(Image)
+
+    @property
+    def robots(self) -> Robots | None:
+        """Others that were seen."""
+        return self._knowledge.newest_of(Robots)
+
+    @property
+    def localization(self) -> Localization | None:
+        """How it goes."""
+        return self._knowledge.newest_of(Localization)
+
+    @property
+    def status(self) -> Status | None:
+        """Of the daemon and of this link; once a second."""
+        return self._knowledge.newest_of(Status)

@@ -1,0 +1,197 @@
+"""Whether messages of a daemon can be true: sizes and numbers that their types do not bound."""
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import msgspec
+import numpy as np
+import zstandard
+from numpy.typing import NDArray
+
+from mapperd.client.block_table import names_of
+from mapperd.wire.blocks import UNKNOWN, BlockSet
+from mapperd.wire.framing import StreamError
+from mapperd.wire.messages import (
+    BLOCK_EDGE,
+    MAX_FROM_SERVER,
+    Box,
+    Fan,
+    FromServer,
+    Image,
+    Interest,
+    Localization,
+    MapFacts,
+    Path,
+    Pose,
+    Returns,
+    Robots,
+)
+
+__all__ = [
+    "check_blocks",
+    "check_facts",
+    "check_message",
+    "floats_of",
+    "image_of",
+    "places_of",
+    "size_of",
+]
+
+UNIT_LOW, UNIT_HIGH = 0.9, 1.1
+"""Of the length of a quaternion."""
+
+MAX_BITS = 16
+"""Counts are below 2**16."""
+
+
+def check_message(message: FromServer) -> None:
+    """Refuse what is no pose, fan, image, ...
+
+    Raises:
+        StreamError: `bad_value`.
+    """
+    if isinstance(message, Pose):
+        _check_pose(message.position_m, message.orientation_xyzw)
+        _check_pose(message.sonar_position_m, message.sonar_orientation_xyzw)
+        _finite("a velocity", message.velocity_mps or ())
+        _finite("a covariance", message.covariance or ())
+    elif isinstance(message, Fan):
+        _check_fan(message)
+    elif isinstance(message, Returns):
+        _check_returns(message)
+    elif isinstance(message, Image):
+        _check_image(message)
+    elif isinstance(message, Robots):
+        for _, *position_m in message.seen:
+            _finite("the place of a robot", position_m)
+    elif isinstance(message, Localization):
+        floats_of(message.particles, 4)
+        floats_of(message.scan, 3)
+
+
+def check_facts(facts: MapFacts) -> None:
+    """Refuse what is no map.
+
+    Raises:
+        StreamError: `bad_value`.
+    """
+    numbers = (facts.resolution_m, facts.log_odds_step, *(facts.origin_deg or ()))
+    _finite("a map", (*numbers, facts.occupied_log_odds, facts.free_log_odds))
+    if facts.free_log_odds > facts.occupied_log_odds:
+        raise StreamError("a map whose free cells are occupied", "bad_value")
+
+
+def check_blocks(blocks: BlockSet, interest: Interest, cell_m: float) -> None:
+    """Refuse blocks that nobody asked for, and those that say what there is not.
+
+    Raises:
+        StreamError: `bad_blocks`, or `not_asked`.
+    """
+    if len(set(names_of(blocks.keys))) != len(blocks):
+        raise StreamError("a block that is told twice in a message", "bad_blocks")
+    if interest.detail == "classes" and ((blocks.cells > 1) | _between(blocks.cells)).any():
+        raise StreamError("a cell of no class", "bad_blocks")
+    if blocks.counts is not None and (blocks.counts > MAX_BITS).any():
+        raise StreamError("a count beyond what is counted", "bad_blocks")
+    if interest.box is not None:
+        known = (blocks.cells != UNKNOWN).any(axis=1)
+        _check_inside(blocks.keys[known], interest.box, cell_m)
+
+
+def floats_of(data: bytes, columns: int) -> NDArray[np.float32]:
+    """(N, columns) float32, of which all are finite.
+
+    Raises:
+        StreamError: `bad_value`.
+    """
+    if len(data) % (4 * columns):
+        raise StreamError(f"{len(data)} bytes are no rows of {columns} numbers", "bad_value")
+    rows = np.frombuffer(data, "<f4").reshape(-1, columns).astype(np.float32, copy=False)
+    if not np.isfinite(rows).all():
+        raise StreamError("a number that is none", "bad_value")
+    return rows
+
+
+def places_of(path: Path) -> NDArray[np.float64]:
+    """The points of a piece of the path, (N, 3) metres, map frame.
+
+    Raises:
+        StreamError: `bad_value`.
+    """
+    points = floats_of(path.points, 3).astype(np.float64)
+    rest = floats_of(path.rest, 3)
+    if len(rest) not in (0, len(points)):
+        raise StreamError("a path with the rest of other points", "bad_value")
+    return points + rest if len(rest) else points
+
+
+def image_of(message: Image) -> NDArray[np.uint8]:
+    """The samples of an image, (rows, beams) uint8, row 0 nearest.
+
+    Raises:
+        StreamError: `bad_value`.
+    """
+    size = message.rows * message.beams
+    try:
+        if zstandard.frame_content_size(message.body) != size:
+            raise StreamError("an image of another size than it says", "bad_value")
+        unpack = zstandard.ZstdDecompressor().decompress
+        samples = unpack(message.body, max_output_size=size, allow_extra_data=False)
+    except zstandard.ZstdError as error:
+        raise StreamError(f"an image that cannot be unpacked: {error}", "bad_value") from error
+    return np.frombuffer(samples, np.uint8).reshape(message.rows, message.beams)
+
+
+def size_of(told: Any) -> int:  # noqa: ANN401 plain values
+    """Bytes of what was told, about as many as it came in."""
+    try:
+        return len(msgspec.msgpack.encode(told))
+    except RecursionError:  # so deep that it could just be read
+        return MAX_FROM_SERVER
+
+
+def _check_pose(position_m: Iterable[float], orientation_xyzw: tuple[float, ...]) -> None:
+    _finite("a position", position_m)
+    if not UNIT_LOW < math.hypot(*orientation_xyzw) < UNIT_HIGH:
+        raise StreamError("an orientation that is no rotation", "bad_value")
+
+
+def _check_returns(returns: Returns) -> None:
+    if len(floats_of(returns.points, 3)) != len(returns.intensities):
+        raise StreamError("returns without intensities", "bad_value")
+    if returns.sonar_position_m is not None and returns.sonar_orientation_xyzw is not None:
+        _check_pose(returns.sonar_position_m, returns.sonar_orientation_xyzw)
+
+
+def _check_image(image: Image) -> None:
+    image_of(image)
+    if len(floats_of(image.bearings_rad, 1)) != image.beams:
+        raise StreamError("an image with other bearings than beams", "bad_value")
+    _finite("the rows of an image", (image.range_resolution_m,))
+
+
+def _check_fan(fan: Fan) -> None:
+    first, last = fan.bearings_rad
+    near, far = fan.min_range_m, fan.max_range_m
+    _finite("a fan", (first, last, near, far, fan.vertical_aperture_rad))
+    if not (-math.pi <= first <= last <= math.pi and 0 <= near <= far):
+        raise StreamError("a fan that is none", "bad_value")
+
+
+def _check_inside(keys: NDArray[np.int32], box: Box, cell_m: float) -> None:
+    """Blocks that touch the box, or are beside one that does."""
+    edge_m = BLOCK_EDGE * cell_m
+    low = np.floor(np.asarray(box.low_m) / edge_m) - 1
+    high = np.floor(np.asarray(box.high_m) / edge_m) + 1
+    if ((keys < low) | (keys > high)).any():
+        raise StreamError("a block outside of what was asked for", "not_asked")
+
+
+def _between(cells: NDArray[np.int8]) -> NDArray[np.bool_]:
+    return np.asarray((cells < -1) & (cells != UNKNOWN))
+
+
+def _finite(what: str, numbers: Iterable[float]) -> None:
+    if not all(map(math.isfinite, numbers)):
+        raise StreamError(f"{what} of numbers that are none", "bad_value")

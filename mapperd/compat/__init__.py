@@ -1,0 +1,1 @@
+"""The names and settings of the published mapper."""

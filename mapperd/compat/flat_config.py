@@ -1,0 +1,153 @@
+"""The published mapper's flat dictionary of settings, as the library class took it.
+
+Every key is one setting of `mapperd.config.tree` under its own name (`adaptive.*` carries its
+section: `adaptive_threshold`), so that ranges and defaults stand in one place. Keys of functions
+that do not exist yet are taken only when they say "off": no setting is ever read and then ignored.
+"""
+
+import difflib
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from mapperd.config.catalog import rule_text
+from mapperd.config.tree import Adaptive, Config, Crosstalk, Filtering, Iwlo, Octree, Sonar
+from mapperd.config.tree import Mapping as MappingSection
+from mapperd.errors import ConfigError
+
+__all__ = ["config_from_flat"]
+
+_SECTIONS: dict[str, type[msgspec.Struct]] = {
+    "sonar": Sonar,
+    "filtering": Filtering,
+    "octree": Octree,
+    "mapping": MappingSection,
+    "iwlo": Iwlo,
+    "adaptive": Adaptive,
+    "crosstalk": Crosstalk,
+}
+
+_OWN_KEYS = {("crosstalk", "enabled"): "crosstalk_enabled"} | {
+    ("adaptive", field): f"adaptive_{field}" for field in Adaptive.__struct_fields__
+}
+"""Keys that are not the field's name."""
+
+_PLACES = {
+    _OWN_KEYS.get((section, field), field): (section, field)
+    for section, kind in _SECTIONS.items()
+    for field in kind.__struct_fields__
+}
+
+_VECTORS = {
+    "sonar_position": ("position", ("x", "y", "z")),
+    "sonar_orientation": ("orientation", ("roll", "pitch", "yaw")),
+}
+"""Metres, and degrees."""
+
+_ONLY = {
+    "frame_skip": (1, "leave out calls instead"),
+    "use_outofcore": (False, "maps on disk are not there yet"),
+}
+"""The one value that says what happens anyway, and why there is no other."""
+
+_RESTING = {
+    "outofcore_map_path": "use_outofcore",
+    "outofcore_tile_size": "use_outofcore",
+    "outofcore_cache_size": "use_outofcore",
+}
+"""Details of a function, taken where the same dictionary says that the function is off."""
+
+
+def config_from_flat(flat: Mapping[str, Any]) -> Config:
+    """Settings from the published mapper's flat keys; what is not named has its default.
+
+    An `occupied_threshold` below 0.5 takes `free_threshold` down with it, and a low
+    `adaptive_max_ratio` `adaptive_min_ratio`, unless those are named.
+
+    Args:
+        flat: keys and values, NumPy's numbers as good as Python's.
+
+    Raises:
+        ConfigError: a key that is unknown, belongs to a function that is not there, or has a
+            value that is not allowed; its `path` is the key.
+    """
+    tree: dict[str, Any] = {}
+    for key, given in flat.items():
+        value = given.item() if isinstance(given, np.generic) else given
+        if key in _PLACES:
+            section, field = _PLACES[key]
+            tree.setdefault(section, {})[field] = _finite(key, value)
+        elif key in _VECTORS:
+            part, names = _VECTORS[key]
+            numbers = _vector(key, value)
+            tree.setdefault("mounting", {})[part] = dict(zip(names, numbers, strict=True))
+        else:
+            _check_fixed(key, value, flat)
+    _lower(tree, "mapping", "free_threshold", "occupied_threshold")
+    _lower(tree, "adaptive", "min_ratio", "max_ratio")
+    try:
+        return msgspec.convert(tree, Config)
+    except msgspec.ValidationError as error:
+        raise _explained(str(error)) from error
+
+
+def _finite(key: str, value: object) -> object:
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ConfigError(f"{key}: {value} is not allowed; a finite number was expected", key)
+    return value
+
+
+def _vector(key: str, value: object) -> list[float]:
+    try:
+        numbers = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if numbers.shape != (3,) or not np.isfinite(numbers).all():
+        names = ", ".join(_VECTORS[key][1])
+        raise ConfigError(f"{key}: three finite numbers were expected: {names}", key)
+    return [float(number) for number in numbers]
+
+
+def _check_fixed(key: str, value: object, flat: Mapping[str, Any]) -> None:
+    """Take a key that changes nothing only if it says so."""
+    switch = _RESTING.get(key)
+    if switch is not None and flat.get(switch) is False:
+        return
+    if key in _ONLY:
+        only, reason = _ONLY[key]
+        if value is not only and not (type(value) is int and value == only):
+            raise ConfigError(f"{key}: only {only} is allowed: {reason}", key)
+        return
+    if switch is not None:
+        reason = _ONLY[switch][1]
+        raise ConfigError(f"{key}: {reason}; leave it out, or set {switch} to False", key)
+    known = [*_PLACES, *_VECTORS, *_ONLY, *_RESTING]
+    near = difflib.get_close_matches(str(key), known, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"allowed: {', '.join(known)}"
+    raise ConfigError(f"{key}: there is no such setting; {hint}", str(key))
+
+
+def _lower(tree: dict[str, Any], section: str, field: str, limit: str) -> None:
+    """Keep a field that is not named at most as high as the one that limits it."""
+    named = tree.get(section, {})
+    highest = named.get(limit)
+    if type(highest) in (int, float) and field not in named:
+        named[field] = min(highest, getattr(_SECTIONS[section](), field))
+
+
+def _explained(message: str) -> ConfigError:
+    """Turn msgspec's sentence, with its place in the tree, into one about the flat key."""
+    what, _, at = message.partition(" - at `")
+    path = at.rstrip("`")
+    section, _, field = path.removeprefix("$.").partition(".")
+    keys = {place: key for key, place in _PLACES.items()}
+    for key, (part, _) in _VECTORS.items():
+        if section == "mounting" and field.startswith(part):
+            return ConfigError(f"{key}: {field}: {what}; allowed: {rule_text(path)}", key)
+    named = keys.get((section, field))
+    if named is None:
+        return ConfigError(f"{section}: {what}", section)
+    return ConfigError(f"{named}: {what}; allowed: {rule_text(path)}", named)

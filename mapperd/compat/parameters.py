@@ -1,0 +1,240 @@
+"""The published mapper's way to declare, read and change parameters, over our settings.
+
+A node declares parameters, reads them, and has a callback that calls a handler of the mapper for
+each that changed. Here the node is a thin view of the store of settings: values, limits and
+what may change while running are the settings' own, and a callback hears of every change, whoever
+made it. A callback that refuses undoes the change.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from mapperd.config.catalog import parameters, value_of
+from mapperd.config.live import ConfigStore, Refused
+from mapperd.config.tree import Config
+from mapperd.errors import ConfigError
+
+__all__ = [
+    "CROSSTALK_PARAMS",
+    "MAPPER_PARAMS",
+    "ROBOT_DETECTION_PARAMS",
+    "WORLD_INIT_PARAMS",
+    "ParameterDef",
+    "ParameterManager",
+    "ParameterNode",
+    "SetParametersResult",
+]
+
+HANDLERS = {
+    "filtering.min_range": "update_min_range",
+    "filtering.intensity_threshold": "update_intensity",
+    "mapping.occupied_threshold": "update_occupied_threshold",
+    "mapping.angular_cone_width": "update_angular_cone",
+    "octree.dynamic_expansion": "update_dynamic_expansion",
+    "processing.frame_skip": "update_frame_skip",
+}
+"""Methods that the published mapper has; other parameters are `update_` and their own name."""
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterDef:
+    """A parameter as a node declares it.
+
+    Attributes:
+        name: such as `iwlo.sharpness`.
+        default: what it is where nobody says anything.
+        description: what it does.
+        read_only: it cannot change at run time.
+        handler: method of the mapper that takes a new value; "" for read-only ones.
+    """
+
+    name: str
+    default: Any
+    description: str
+    read_only: bool
+    handler: str
+
+
+@dataclass(frozen=True, slots=True)
+class SetParametersResult:
+    """Whether a change holds, and why not."""
+
+    successful: bool
+    reason: str = ""
+
+
+Callback = Callable[[Mapping[str, Any]], SetParametersResult]
+
+
+def _definitions(*sections: str) -> tuple[ParameterDef, ...]:
+    return tuple(
+        ParameterDef(
+            one.name,
+            one.default,
+            one.description,
+            not one.dynamic,
+            HANDLERS.get(one.name, f"update_{one.name.replace('.', '_')}") if one.dynamic else "",
+        )
+        for one in parameters().values()
+        if one.name.partition(".")[0] in sections
+    )
+
+
+MAPPER_PARAMS = _definitions(
+    "sonar",
+    "filtering",
+    "mounting",
+    "octree",
+    "mapping",
+    "iwlo",
+    "adaptive",
+    "outofcore",
+    "processing",
+    "time_sync",
+    "slam_quality",
+    "frames",
+    "topics",
+    "visualization",
+)
+CROSSTALK_PARAMS = _definitions("crosstalk")
+ROBOT_DETECTION_PARAMS = _definitions("terrain_detection", "robot_detection")
+WORLD_INIT_PARAMS = _definitions("world_init")
+
+
+class ParameterNode:
+    """What has declared parameters.
+
+    Args:
+        store: the settings behind them.
+    """
+
+    def __init__(self, store: ConfigStore) -> None:
+        self._store = store
+        self._declared: dict[str, ParameterDef] = {}
+
+    def declare_parameter(self, definition: ParameterDef) -> Any:  # noqa: ANN401 any setting
+        """Make a parameter known to the node; returns its value.
+
+        Raises:
+            ConfigError: there is no such setting, it may not change while running though the
+                definition says so, or it is declared already.
+        """
+        name = definition.name
+        setting = parameters().get(name)
+        if setting is None:
+            raise ConfigError(f"{name}: there is no such setting", f"$.{name}")
+        if name in self._declared:
+            raise ConfigError(f"{name}: is declared already", f"$.{name}")
+        if not definition.read_only and not setting.dynamic:
+            raise ConfigError(f"{name}: cannot change while running", f"$.{name}")
+        self._declared[name] = definition
+        return value_of(self._store.current, name)
+
+    def get_parameter(self, name: str) -> Any:  # noqa: ANN401 any setting
+        """The value in force.
+
+        Raises:
+            ConfigError: it is not declared.
+        """
+        if name not in self._declared:
+            raise ConfigError(f"{name}: is not declared", f"$.{name}")
+        return value_of(self._store.current, name)
+
+    def set_parameters(self, changes: Mapping[str, Any]) -> SetParametersResult:
+        """Change parameters, all or none."""
+        reasons = {}
+        for name in changes:
+            if name not in self._declared:
+                reasons[name] = "is not declared"
+            elif self._declared[name].read_only:
+                reasons[name] = "is read-only"
+        if not reasons:
+            result = self._store.apply(changes, "parameters")
+            reasons = dict(result.reasons) if isinstance(result, Refused) else {}
+        reason = "; ".join(f"{name}: {why}" for name, why in reasons.items())
+        return SetParametersResult(not reasons, reason)
+
+    def add_on_set_parameters_callback(self, callback: Callback) -> None:
+        """Have a callback told of every change of what is declared by now."""
+        names = [name for name, one in self._declared.items() if not one.read_only]
+        last = {name: self.get_parameter(name) for name in names}
+
+        def take(config: Config) -> None:
+            new = {name: value_of(config, name) for name in names}
+            changes = {name: value for name, value in new.items() if value != last[name]}
+            if not changes:
+                return
+            result = callback(changes)
+            if not result.successful:
+                raise ConfigError(result.reason, f"$.{next(iter(changes))}")
+            last.update(changes)
+
+        self._store.follow(names, take)
+
+
+class ParameterManager:
+    """The three things that one does with a list of definitions."""
+
+    @staticmethod
+    def declare_all(node: ParameterNode, definitions: Iterable[ParameterDef]) -> None:
+        """Declare them.
+
+        Raises:
+            ConfigError: as `ParameterNode.declare_parameter`.
+        """
+        for definition in definitions:
+            node.declare_parameter(definition)
+
+    @staticmethod
+    def get_all(node: ParameterNode, definitions: Iterable[ParameterDef]) -> dict[str, Any]:
+        """Their values, by name.
+
+        Raises:
+            ConfigError: one is not declared.
+        """
+        return {one.name: node.get_parameter(one.name) for one in definitions}
+
+    @staticmethod
+    def create_callback(
+        node: ParameterNode,
+        definitions: Iterable[ParameterDef],
+        mapper: object,
+    ) -> Callback:
+        """A callback that gives each new value to its handler.
+
+        If a handler raises `ValueError` or `ConfigError`, those before it are given the old values
+        again and the change is refused.
+
+        Args:
+            node: where the old values are.
+            definitions: whose handlers; other parameters are passed over.
+            mapper: has the handlers.
+
+        Raises:
+            ConfigError: the mapper lacks one of them.
+        """
+        handlers: dict[str, Callable[[Any], None]] = {}
+        for one in definitions:
+            if not one.read_only:
+                handler = getattr(mapper, one.handler, None)
+                if handler is None:
+                    raise ConfigError(f"{one.name}: the mapper has no {one.handler}", one.name)
+                handlers[one.name] = handler
+        held = {name: node.get_parameter(name) for name in handlers}
+
+        def callback(changes: Mapping[str, Any]) -> SetParametersResult:
+            mine = {name: value for name, value in changes.items() if name in handlers}
+            done: list[str] = []
+            try:
+                for name, value in mine.items():
+                    handlers[name](value)
+                    done.append(name)
+            except (ValueError, ConfigError) as error:
+                for name in reversed(done):
+                    handlers[name](held[name])
+                return SetParametersResult(successful=False, reason=str(error))
+            held.update(mine)
+            return SetParametersResult(successful=True)
+
+        return callback

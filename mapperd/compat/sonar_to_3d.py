@@ -1,0 +1,286 @@
+"""`SonarTo3DMapper`: images of a sonar and poses of a robot become a 3D map.
+
+The names are the published mapper's. The map beneath is that of
+`mapperd.mapping.sonar_map.SonarMap`, kept in memory.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from os import PathLike
+from pathlib import Path
+from typing import Any, NotRequired, TypedDict
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mapperd.compat.flat_config import config_from_flat
+from mapperd.config.tree import Config
+from mapperd.errors import MapError
+from mapperd.export.clouds import write_ply
+from mapperd.geometry.frames import rigid_transform
+from mapperd.imaging.filter_chain import check_filters, filter_ping_image
+from mapperd.imaging.ping_image import ping_image_of_array
+from mapperd.io import atomic_file
+from mapperd.mapping.queries import MapQueries, memory_stats
+from mapperd.mapping.sonar_map import SonarMap
+
+__all__ = ["FrameStats", "PointCloud", "SonarTo3DMapper", "robot_pose"]
+
+LENGTH_TOLERANCE = 1e-3
+"""Quaternions come with rounding errors; one further from unit length is a mistake."""
+
+
+def robot_pose(position: ArrayLike, orientation: ArrayLike) -> NDArray[np.float64]:
+    """Transform (4, 4) of a robot; the quaternion is brought to length 1.
+
+    Args:
+        position: (3,) metres.
+        orientation: (4,) [qx, qy, qz, qw], of unit length within a thousandth.
+
+    Raises:
+        MapError: these are no position and no unit quaternion.
+    """
+    try:
+        place = np.asarray(position, dtype=np.float64)
+        turn = np.asarray(orientation, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise MapError(f"a pose is made of numbers: {error}", "bad_pose") from error
+    if place.shape != (3,) or turn.shape != (4,):
+        raise MapError("a pose is a position of 3 and a quaternion of 4 numbers", "bad_pose")
+    length = float(np.linalg.norm(turn))
+    if not (np.isfinite(place).all() and abs(length - 1) <= LENGTH_TOLERANCE):
+        raise MapError("a pose is a finite position and a unit quaternion", "bad_pose")
+    x, y, z, w = turn / length
+    return rigid_transform(place, (w, x, y, z))
+
+
+Floats = NDArray[np.float64]
+
+
+class FrameStats(TypedDict):
+    """What one image did: counts of images and voxels, times in seconds.
+
+    `num_occupied` and `num_free` are the voxels that this image gave evidence of either kind,
+    `num_voxels` those that the map has observed so far.
+    """
+
+    frame_count: int
+    processed_count: int
+    num_voxels: int
+    num_occupied: int
+    num_free: int
+    processing_time: float
+    average_processing_time: float
+
+
+class PointCloud(TypedDict):
+    """Voxel centres (N, 3) float64 in metres and probabilities (N,) float32 of occupied voxels.
+
+    `free_points`, `free_probabilities` and `num_free` are there when asked for.
+    """
+
+    points: Floats
+    probabilities: NDArray[np.float32]
+    num_occupied: int
+    free_points: NotRequired[Floats]
+    free_probabilities: NotRequired[NDArray[np.float32]]
+    num_free: NotRequired[int]
+    frame_count: int
+    processed_count: int
+
+
+class SonarTo3DMapper:
+    """A map that images of a sonar are added to.
+
+    Args:
+        config: the published mapper's flat keys, such as `voxel_resolution`; docs/library.md has
+            them all. What is not named has its default.
+        clock: seconds, for the processing times.
+
+    Raises:
+        ConfigError: an unknown key, a value that is not allowed, or a filter that is on without
+            its library.
+    """
+
+    def __init__(
+        self,
+        config: Mapping[str, Any] | None = None,
+        *,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self._config = config_from_flat(config or {})
+        check_filters(self._config)
+        self._clock = clock
+        self.reset_map()
+
+    @property
+    def config(self) -> Config:
+        """The settings in force."""
+        return self._config
+
+    def process_sonar_image(
+        self,
+        polar_image: ArrayLike,
+        robot_position: ArrayLike,
+        robot_orientation: ArrayLike,
+        *,
+        max_range: float,
+        bearings: ArrayLike | None = None,
+    ) -> FrameStats:
+        """Add one image.
+
+        The whole of every beam is used (the published mapper left out every second beam of 512,
+        and free space between its samples).
+
+        Args:
+            polar_image: (rows, beams), row 0 nearest, column 0 the most negative bearing; uint8,
+                uint16 (scaled from full scale) or float in 0..255.
+            robot_position: (3,) metres in the map: x forward or east, y left or north, z up.
+            robot_orientation: (4,) unit quaternion [qx, qy, qz, qw] that takes robot coordinates
+                (x forward, y left, z up) to map coordinates.
+            max_range: metres, far edge of the last row.
+            bearings: (beams,) radians, increasing, positive to starboard; None for beams uniform
+                in sine over `horizontal_fov`.
+
+        Raises:
+            MapError: the image, pose, range or bearings are none, or leave the map's reach; its
+                `reason` says which. The map is as it was.
+        """
+        start = self._clock()
+        self._frames += 1
+        echo = ping_image_of_array(polar_image, max_range, bearings, self._config.sonar)
+        echo, _ = filter_ping_image(echo, self._config)
+        map_T_base = robot_pose(robot_position, robot_orientation)  # noqa: N806 frames are named
+        changed = self._map.integrate(echo, map_T_base @ self._map.base_T_sonar)
+        self._processed += 1
+        known = self._map.core.known_count()
+        elapsed = self._clock() - start
+        self._seconds += elapsed
+        return FrameStats(
+            frame_count=self._frames,
+            processed_count=self._processed,
+            num_voxels=known,
+            num_occupied=changed.occupied,
+            num_free=changed.free,
+            processing_time=elapsed,
+            average_processing_time=self._seconds / self._processed,
+        )
+
+    def get_point_cloud(self, include_free: bool = False) -> PointCloud:  # noqa: FBT001, FBT002
+        """Occupied voxels, and free ones if asked for (the published mapper only warned).
+
+        Occupied: above `occupied_threshold`. Free: observed and below `free_threshold`. Points are
+        voxel CENTRES (the published mapper's were the lowest corners).
+        """
+        occupied = self._map.voxels("occupied")
+        cloud = PointCloud(
+            points=occupied.centres_m,
+            probabilities=occupied.probability,
+            num_occupied=len(occupied),
+            frame_count=self._frames,
+            processed_count=self._processed,
+        )
+        if include_free:
+            free = self._map.voxels("free")
+            cloud["free_points"] = free.centres_m
+            cloud["free_probabilities"] = free.probability
+            cloud["num_free"] = len(free)
+        return cloud
+
+    @property
+    def queries(self) -> MapQueries:
+        """Points, boxes, rays and distances, by the thresholds of the settings."""
+        mapping = self._config.mapping
+        return MapQueries(
+            self._map.core,
+            occupied_threshold=mapping.occupied_threshold,
+            free_threshold=mapping.free_threshold,
+        )
+
+    def merge(self, *others: "SonarTo3DMapper") -> None:
+        """Add the evidence of other maps; neither their order nor who takes them matters.
+
+        Log-odds are added, then clamped to L_min..L_max; counts are added up to where they settle.
+
+        Raises:
+            ValueError: other resolutions, clamps or learning rates, or the map itself; nothing is
+                changed.
+        """
+        self._map.core.merge(*(other._map.core for other in others))  # noqa: SLF001 same class
+
+    def reset_map(self) -> None:
+        """Forget all voxels and counters; the settings stay."""
+        self._map = SonarMap(self._config)
+        self._frames = self._processed = 0
+        self._seconds = 0.0
+
+    def get_memory_stats(self) -> dict[str, Any]:
+        """Fields of `MemoryStats`, with `backend` ("memory"), `resolution` and `memory_bytes`."""
+        core = self._map.core
+        return {
+            "backend": "memory",
+            "resolution": core.resolution_m,
+            "memory_bytes": core.memory_bytes,
+            **asdict(memory_stats(core)),
+        }
+
+    def save_merged_octree(self, filename: str | PathLike[str]) -> bool:
+        """Write the map as an OctoMap binary tree (`.bt`), whole or not at all.
+
+        Classes by the thresholds of the settings; the published mapper could not save this map, and
+        saved others with everything above 0.5 as occupied.
+
+        Returns:
+            True; failing is an exception.
+
+        Raises:
+            MapError: the name ends in something else than `.bt`, or a voxel lies beyond OctoMap's
+                reach.
+            ExportError: the file cannot be written.
+        """
+        if Path(filename).suffix != ".bt":
+            raise MapError(f"{filename}: a name that ends in .bt was expected", "bad_file_name")
+        return self.save_map(filename)
+
+    def save_map(self, filename: str | PathLike[str]) -> bool:
+        """Write the map as its name ends.
+
+        `.map`: all of it, for `load_map`; `.bt`: OctoMap's classes; `.ot`: OctoMap's log-odds;
+        `.ply`: occupied voxels.
+
+        Returns:
+            True; failing is an exception.
+
+        Raises:
+            MapError: another suffix, or a voxel lies beyond OctoMap's reach.
+            ExportError: the file cannot be written.
+        """
+        path = Path(filename)
+        forms = {".bt": self._map.octomap_bt, ".ot": self._map.octomap_ot}
+        if path.suffix not in (*forms, ".ply", ".map"):
+            raise MapError(f"{path}: .map, .bt, .ot or .ply was expected", "bad_file_name")
+        if path.suffix == ".map":
+            self._map.save(path)
+            return True
+        if path.suffix == ".ply":
+            with atomic_file(path) as file:
+                write_ply(file, self._map.voxels("occupied"), self._map.resolution_m)
+            return True
+        data = forms[path.suffix]()
+        with atomic_file(path) as file:
+            file.write(data)
+        return True
+
+    def load_map(self, filename: str | PathLike[str]) -> bool:
+        """Replace the map by that of a `.map` file; the counters of images stay.
+
+        Returns:
+            True; failing is an exception, and leaves the map as it was.
+
+        Raises:
+            MapError: the file cannot be read, is no whole map, or was saved with another
+                resolution, other clamps or another learning rate.
+        """
+        self._map.load(filename)
+        return True

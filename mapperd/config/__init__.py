@@ -1,0 +1,1 @@
+"""The settings: their types, files, layers and changes while running."""

@@ -1,0 +1,172 @@
+"""Other names of settings, former settings, and `amcl.restore_defaults`.
+
+A setting has one name. What a file or a caller says under another one (of other releases of the
+published AMCL node, and of Nav2's) is renamed before it is checked. Settings that were removed are
+ignored, and renamed values replaced, in files and in the settings of old recordings and stores.
+"""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import msgspec
+
+from mapperd.config.catalog import parameters
+from mapperd.config.tree import Amcl
+from mapperd.errors import ConfigError
+
+__all__ = [
+    "ALIASES",
+    "RESTORE",
+    "VALUE_ALIASES",
+    "change_renamed",
+    "restored_changes",
+    "tree_renamed",
+    "tree_updated",
+]
+
+ALIASES = MappingProxyType(
+    {
+        "amcl.kld_err": "amcl.pf_err",
+        "amcl.kld_z": "amcl.pf_z",
+        "amcl.odom_model_type": "amcl.robot_model_type",
+        **{f"amcl.alpha{k}": f"amcl.odom_alpha{k}" for k in range(1, 6)},
+        "amcl.laser_max_beams": "amcl.max_beams",
+        **{
+            f"amcl.{name}": f"amcl.laser_{name}"
+            for name in ("sigma_hit", "z_hit", "z_rand", "z_max", "z_short", "lambda_short")
+        },
+        "amcl.initial_pose.x": "amcl.initial_pose_x",
+        "amcl.initial_pose.y": "amcl.initial_pose_y",
+        "amcl.initial_pose.yaw": "amcl.initial_pose_a",
+        "amcl.initial_pose.covariance_x": "amcl.initial_cov_xx",
+        "amcl.initial_pose.covariance_y": "amcl.initial_cov_yy",
+        "amcl.initial_pose.covariance_yaw": "amcl.initial_cov_aa",
+        "amcl.initial_pose.covariance_xy": "amcl.initial_cov_xy",
+        "amcl.initial_pose.covariance_xyaw": "amcl.initial_cov_xa",
+        "amcl.initial_pose.covariance_yyaw": "amcl.initial_cov_ya",
+    }
+)
+"""Setting by its other name."""
+
+VALUE_ALIASES = MappingProxyType(
+    {
+        "amcl.robot_model_type": MappingProxyType(
+            {
+                "diff-corrected": "differential_drive",
+                "omni-corrected": "omnidirectional_drive",
+                "nav2_amcl::DifferentialMotionModel": "differential_drive",
+                "nav2_amcl::OmniMotionModel": "omnidirectional_drive",
+            }
+        )
+    }
+)
+"""Value by its other name, by setting."""
+
+REMOVED = ("mapping.error_bound", "behind.policy", "behind.error_bound")
+"""Settings of earlier versions."""
+
+REPLACED = MappingProxyType({"mapping.integrator": ("projective", "evidence_grid")})
+"""Value of an earlier version and the one that replaces it, by setting."""
+
+
+def change_renamed(changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Plain values by the settings' own names.
+
+    Args:
+        changes: by name or other name, `amcl.kld_err`.
+
+    Raises:
+        ConfigError: a setting is said under two names.
+    """
+    renamed: dict[str, Any] = {}
+    for given, value in changes.items():
+        name = ALIASES.get(given, given)
+        if name in renamed:
+            raise ConfigError(f"$.{given}: is {name}, which is said as well", f"$.{given}")
+        renamed[name] = _value(name, value)
+    return renamed
+
+
+def tree_renamed(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """A file's sections and values by the settings' own names; what is no section stays.
+
+    Raises:
+        ConfigError: a setting is said under two names.
+    """
+    section = tree.get("amcl")
+    if not isinstance(section, dict):
+        return dict(tree)
+    flat: dict[Any, Any] = {}
+    for field, value in section.items():
+        inner = value if field == "initial_pose" and isinstance(value, dict) else None
+        # Only what has a name of its own leaves its place: the rest is told as it stands.
+        known = {k: v for k, v in (inner or {}).items() if f"amcl.initial_pose.{k}" in ALIASES}
+        if inner is None or len(known) < len(inner):
+            flat[field] = value
+        else:
+            flat |= {f"initial_pose.{key}": number for key, number in known.items()}
+    named = {f"amcl.{key}": value for key, value in flat.items() if isinstance(key, str)}
+    nameless = {key: value for key, value in flat.items() if not isinstance(key, str)}
+    renamed = {name.removeprefix("amcl."): v for name, v in change_renamed(named).items()}
+    return dict(tree) | {"amcl": nameless | renamed}
+
+
+def tree_updated(tree: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Bring the settings of an earlier version up to date.
+
+    Args:
+        tree: sections and values; what is no section stays.
+
+    Returns:
+        the tree without removed settings and with replaced values, and what was changed: one
+        phrase a setting, for people.
+    """
+    updated = dict(tree)
+    phrases = []
+    for name in (*REMOVED, *REPLACED):
+        section, field = name.split(".")
+        fields = updated.get(section)
+        if not isinstance(fields, dict) or field not in fields:
+            continue
+        if name in REMOVED:
+            updated[section] = {key: value for key, value in fields.items() if key != field}
+            phrases.append(f"{name} was removed and is ignored")
+        elif fields[field] == REPLACED[name][0]:
+            updated[section] = fields | {field: REPLACED[name][1]}
+            phrases.append("{}: {} is now {}".format(name, *REPLACED[name]))
+    return updated, tuple(phrases)
+
+
+def _value(name: str, value: object) -> object:
+    names = VALUE_ALIASES.get(name)
+    return names.get(value, value) if names and isinstance(value, str) else value
+
+
+RESTORE = "amcl.restore_defaults"
+
+
+def restored_changes(changes: Mapping[str, Any], start: Amcl) -> dict[str, Any]:
+    """The changes that a request means.
+
+    Args:
+        changes: plain values by name.
+        start: the section at the program's start.
+
+    Returns:
+        The changes as they are; with `amcl.restore_defaults` true, all settings of `amcl` that may
+        change while running at their values of the start, the request itself taken back.
+
+    Raises:
+        ConfigError: it is asked for together with another change of `amcl`.
+    """
+    if changes.get(RESTORE) is not True:
+        return dict(changes)
+    others = [name for name in changes if name.startswith("amcl.") and name != RESTORE]
+    if others:
+        raise ConfigError(
+            f"$.{RESTORE}: undoes {', '.join(others)}; allowed: alone", f"$.{RESTORE}"
+        )
+    values = {f"amcl.{field}": value for field, value in msgspec.to_builtins(start).items()}
+    live = {name: value for name, value in values.items() if parameters()[name].dynamic}
+    return dict(changes) | live | {RESTORE: False}

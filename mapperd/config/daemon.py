@@ -1,0 +1,320 @@
+"""Settings of the daemon: its service, the map on disk, exports, names of frames.
+
+Sections of the published mapper that tell a ROS node what to call things and what to show.
+
+Here they name frames in telemetry and draw debug pictures. What only a ROS node could do keeps its
+name and its default, so that files written for it load; any other value is refused with what to
+say instead.
+"""
+
+from typing import Annotated
+
+from msgspec import Struct
+
+from mapperd.config.field import rule
+
+__all__ = [
+    "Behind",
+    "Control",
+    "Export",
+    "Frames",
+    "Mqtt",
+    "OutOfCore",
+    "Recording",
+    "Service",
+    "Stream",
+    "Topics",
+    "Visualization",
+]
+
+NAME_PATTERN = "[A-Za-z0-9][A-Za-z0-9_-]{0,63}"
+
+
+class Service(Struct, frozen=True, forbid_unknown_fields=True):
+    """Folders of the daemon."""
+
+    state_folder: Annotated[
+        str,
+        rule(
+            "For maps and the store; without one systemd's, or the user's.",
+            "a path or nothing",
+        ),
+    ] = ""
+
+
+class Recording(Struct, frozen=True, forbid_unknown_fields=True):
+    """Everything that comes in while mapping live, on disk as it came."""
+
+    enabled: Annotated[
+        bool, rule("Record; without it, a kill costs what is not in the map's file.")
+    ] = True
+    folder: Annotated[
+        str,
+        rule(
+            "For the recordings; without one systemd's for logs, or `recordings` in the state "
+            "folder.",
+            "a path or nothing",
+        ),
+    ] = ""
+    max_file: Annotated[
+        int, rule("Of one file, then the next begins.", "MiB", ge=1, le=1 << 20)
+    ] = 512
+    budget: Annotated[
+        int,
+        rule("Of all files together, the oldest go; 0 has no limit.", "MiB", ge=0, le=1 << 30),
+    ] = 32768
+    free_floor: Annotated[int, rule("What stays free on the disk.", "MiB", ge=0, le=1 << 30)] = 1024
+
+
+class Behind(Struct, frozen=True, forbid_unknown_fields=True):
+    """What happens when pings come faster than they can be mapped: the oldest are dropped."""
+
+    max_wait: Annotated[
+        float,
+        rule(
+            "A ping whose pose is known waits at most this long for its turn; then it is dropped.",
+            "s",
+            gt=0,
+            le=60,
+        ),
+    ] = 1.0
+
+
+class Control(Struct, frozen=True, forbid_unknown_fields=True):
+    """The sockets that `mapperctl` talks to."""
+
+    socket: Annotated[
+        str,
+        rule(
+            "Unix socket; without one `mapperd.sock` in systemd's runtime folder, or the user's.",
+            "an absolute path or nothing",
+            pattern="^(/[^\\x00]*)?$",
+        ),
+    ] = ""
+    mode: Annotated[
+        str, rule("Permissions of the socket.", "octal digits", pattern="^0?[0-7]{3}$")
+    ] = "660"
+    address: Annotated[
+        str,
+        rule("TCP address to listen at, `127.0.0.1:7470`; needs a token.", "host:port or nothing"),
+    ] = ""
+    token_file: Annotated[
+        str,
+        rule(
+            "Holds the token of TCP; without one systemd's credential `control-token`.",
+            "a path or nothing",
+        ),
+    ] = ""
+    tls_certificate: Annotated[
+        str, rule("Chain in PEM; with it TCP is TLS.", "a path or nothing")
+    ] = ""
+    tls_key: Annotated[str, rule("Its private key in PEM.", "a path or nothing")] = ""
+    max_clients: Annotated[int, rule("At once, of all sockets.", "clients", ge=1, le=1000)] = 16
+
+
+class Stream(Struct, frozen=True, forbid_unknown_fields=True):
+    """The live map for those who watch it: docs/map-stream.md."""
+
+    socket: Annotated[
+        str,
+        rule(
+            "Unix socket; without one `mapperd-map.sock` beside the control socket.",
+            "an absolute path or nothing",
+            pattern="^(/[^\\x00]*)?$",
+        ),
+    ] = ""
+    mode: Annotated[
+        str, rule("Permissions of the socket.", "octal digits", pattern="^0?[0-7]{3}$")
+    ] = "660"
+    address: Annotated[
+        str,
+        rule(
+            "TCP address to listen at, `127.0.0.1:7471`; others than the loopback's need a token.",
+            "host:port or nothing",
+        ),
+    ] = ""
+    token_file: Annotated[
+        str,
+        rule(
+            "Holds the token of TCP; without one systemd's credential `stream-token`. Without "
+            "either, clients of TCP may look and change nothing.",
+            "a path or nothing",
+        ),
+    ] = ""
+    tls_certificate: Annotated[
+        str, rule("Chain in PEM; with it TCP is TLS.", "a path or nothing")
+    ] = ""
+    tls_key: Annotated[str, rule("Its private key in PEM.", "a path or nothing")] = ""
+    max_clients: Annotated[int, rule("At once, of all sockets.", "clients", ge=1, le=1000)] = 100
+    rate: Annotated[
+        float, rule("Looks for changes of the map a second.", "Hz", live=True, gt=0, le=20)
+    ] = 5.0
+    log_odds_step: Annotated[
+        float, rule("Log-odds are told in multiples of this.", "log-odds", ge=0.01, le=5)
+    ] = 0.25
+    bytes_per_s: Annotated[
+        int, rule("To one client at most; 0 has no limit.", "bytes/s", ge=0, le=1 << 40)
+    ] = 0
+    path_points: Annotated[
+        int,
+        rule(
+            "Of the vehicle's path; a longer one is told with every second of them.",
+            "points",
+            ge=100,
+            le=100_000,
+        ),
+    ] = 20_000
+
+
+class Mqtt(Struct, frozen=True, forbid_unknown_fields=True):
+    """Telemetry to a broker."""
+
+    host: Annotated[
+        str, rule("Of the broker; without one there is no telemetry.", "a name or nothing")
+    ] = ""
+    port: Annotated[int, rule("Of the broker.", ge=1, le=65535)] = 1883
+    tls: Annotated[bool, rule("Encrypt, and check the broker's certificate.")] = False
+    ca_file: Annotated[
+        str, rule("Authorities to trust instead of the system's.", "a path or nothing")
+    ] = ""
+    username: Annotated[str, rule("For the broker.", "a name or nothing")] = ""
+    password_file: Annotated[
+        str,
+        rule(
+            "Holds the password; without one systemd's credential `mqtt-password`.",
+            "a path or nothing",
+        ),
+    ] = ""
+    prefix: Annotated[
+        str, rule("First part of every topic.", "a topic", pattern="^[^#+\\x00]{1,100}$")
+    ] = "mapperd/v1"
+    vehicle: Annotated[
+        str, rule("Second part of every topic.", "a name", pattern=f"^{NAME_PATTERN}$")
+    ] = "vehicle"
+    keepalive: Annotated[int, rule("Of the connection.", "s", ge=5, le=3600)] = 15
+    queue: Annotated[
+        int, rule("Messages that may wait for the broker.", "messages", ge=10, le=100000)
+    ] = 1000
+    pose_rate: Annotated[float, rule("Poses a second, at most.", "Hz", live=True, gt=0, le=50)] = (
+        5.0
+    )
+    commands: Annotated[
+        bool, rule("Obey `cmd/...` and `config/.../set`; without it the broker only listens.")
+    ] = False
+
+
+class OutOfCore(Struct, frozen=True, forbid_unknown_fields=True):
+    """Tiles in a file, of which only some are in memory."""
+
+    use: Annotated[bool, rule("Keep the map on disk.")] = False
+    map_path: Annotated[
+        str,
+        rule("Of the map's file; without one it lies in the state directory.", "a path or nothing"),
+    ] = ""
+    tile_size: Annotated[
+        float, rule("Edge of a tile; at least eight voxels.", "m", ge=0.01, le=10000)
+    ] = 10.0
+    cache_size: Annotated[int, rule("Tiles in memory at most.", "tiles", ge=1, le=1000000)] = 16
+
+
+class Export(Struct, frozen=True, forbid_unknown_fields=True):
+    """Which heights the flat formats look at: `.asc`, `.tif` and `.pgm`."""
+
+    min_z: Annotated[
+        float, rule("Voxels whose centres lie lower are left out.", "m", live=True, ge=-1e5, le=1e5)
+    ] = -1e5
+    max_z: Annotated[
+        float,
+        rule("Voxels whose centres lie higher are left out.", "m", live=True, ge=-1e5, le=1e5),
+    ] = 1e5
+
+    def __post_init__(self) -> None:
+        """Check what no single field can."""
+        if self.min_z >= self.max_z:
+            raise ValueError(f"min_z {self.min_z:g} is not below max_z {self.max_z:g}")
+
+
+FRAME_PATTERN = "[A-Za-z0-9][A-Za-z0-9_/-]{0,63}"
+
+NO_NODE = "this is no ROS node; the map's files and mapperctl show it"
+
+INSTEAD = {
+    "sonar": ("/sensor/sonar/oculus/m750d/image", "set device.address: the sonar itself"),
+    "odometry": ("/fast_lio/odometry", "set odometry.sources"),
+    "pointcloud": ("/sonar_3d_map", NO_NODE),
+    "marker": ("/sonar_3d_map_markers", NO_NODE),
+}
+"""Topic to its default, and what to do instead of saying another."""
+
+CLOUD_RATE_HZ = 10.0
+
+
+class Frames(Struct, frozen=True, forbid_unknown_fields=True):
+    """What telemetry, and bags of ROS 2, call the frames of reference."""
+
+    sonar: Annotated[str, rule("Frame of the sonar.", "a name", pattern=f"^{FRAME_PATTERN}$")] = (
+        "sonar_link"
+    )
+    base: Annotated[str, rule("Frame of the vehicle.", "a name", pattern=f"^{FRAME_PATTERN}$")] = (
+        "base_link"
+    )
+    map: Annotated[str, rule("Frame of the map.", "a name", pattern=f"^{FRAME_PATTERN}$")] = "map"
+    publish_tf: Annotated[
+        bool, rule("Publish where the sonar sits on the vehicle, and again when that changes.")
+    ] = True
+
+
+class Topics(Struct, frozen=True, forbid_unknown_fields=True):
+    """Topics of ROS, which bags have: their defaults load, and nothing listens there."""
+
+    sonar: Annotated[
+        str, rule("Images of the sonar; instead: `device.address`.", "the default")
+    ] = INSTEAD["sonar"][0]
+    odometry: Annotated[str, rule("Odometry; instead: `odometry.sources`.", "the default")] = (
+        INSTEAD["odometry"][0]
+    )
+    pointcloud: Annotated[str, rule("The map as a cloud of points.", "the default")] = INSTEAD[
+        "pointcloud"
+    ][0]
+    marker: Annotated[str, rule("The map as markers.", "the default")] = INSTEAD["marker"][0]
+
+    def __post_init__(self) -> None:
+        """Refuse what would be waited for in vain."""
+        for name, (default, instead) in INSTEAD.items():
+            if getattr(self, name) != default:
+                raise ValueError(f"{name} can only be {default}: {instead}")
+
+
+class Visualization(Struct, frozen=True, forbid_unknown_fields=True):
+    """What is shown while mapping."""
+
+    show_opencv_visualization: Annotated[
+        bool,
+        rule(
+            "Draw what the filters make of the pings, once a second, into `debug` in the state "
+            "folder; a daemon has no windows.",
+            live=True,
+        ),
+    ] = False
+    pointcloud_publish_rate: Annotated[
+        float,
+        rule(
+            "Of clouds of points, which nothing publishes: only the default.",
+            "Hz",
+            live=True,
+            gt=0,
+            le=1000,
+        ),
+    ] = CLOUD_RATE_HZ
+    tile_save_interval: Annotated[
+        float,
+        rule("Between saves of the map on disk.", "s", live=True, gt=0, le=3600),
+    ] = 5.0
+
+    def __post_init__(self) -> None:
+        """Refuse what would do nothing."""
+        if self.pointcloud_publish_rate != CLOUD_RATE_HZ:
+            raise ValueError(
+                f"pointcloud_publish_rate can only be {CLOUD_RATE_HZ:g}: no cloud is published; "
+                "mqtt.pose_rate is the telemetry's"
+            )

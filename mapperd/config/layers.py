@@ -1,0 +1,150 @@
+"""Settings files on top of each other, and which of them said what."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from mapperd.config.aliases import tree_updated
+from mapperd.config.catalog import parameters
+from mapperd.config.loader import config_of, read_tree
+from mapperd.config.tree import Config
+from mapperd.errors import ConfigError
+
+__all__ = ["DEFAULT", "Layered", "load_files", "load_settings", "settings_files"]
+
+DEFAULT = "default"
+"""Origin of a setting that no file names."""
+
+SYSTEM = Path("/etc/mapperd")
+VARIABLE = "MAPPERD_CONFIG"
+
+
+@dataclass(frozen=True, slots=True)
+class Layered:
+    """Settings and where they come from.
+
+    Attributes:
+        config: the settings.
+        origins: file of each setting that a file names, `octree.voxel_resolution`.
+        notice: settings of an earlier version in the files, in one line; empty where there are
+            none.
+    """
+
+    config: Config = field(default_factory=Config)
+    origins: Mapping[str, str] = field(default_factory=dict)
+    notice: str = ""
+
+    def origin_of(self, name: str) -> str:
+        """The file that says a setting, or `DEFAULT`."""
+        return self.origins.get(name, DEFAULT)
+
+
+def load_settings(
+    given: Sequence[Path], environ: Mapping[str, str], system: Path = SYSTEM
+) -> Layered:
+    """Settings of a program: files of its command line on top of those of its surroundings.
+
+    Args:
+        given: files of the command line, the last one on top.
+        environ: the process's variables.
+        system: the machine's folder of settings.
+
+    Raises:
+        ConfigError: as `load_files`.
+    """
+    return load_files(settings_files(given, environ, system))
+
+
+def settings_files(
+    given: Sequence[Path], environ: Mapping[str, str], system: Path = SYSTEM
+) -> list[Path]:
+    """The files that count, lowest first; folders need not be there, named files must.
+
+    The user's folder ($XDG_CONFIG_HOME/mapperd), the machine's, the file that $MAPPERD_CONFIG
+    names, and those of the command line. Of a folder: mapperd.yaml, then conf.d/*.yaml by name.
+
+    Raises:
+        ConfigError: a folder cannot be looked into.
+    """
+    named = environ.get(VARIABLE, "")
+    return [
+        *_files_of(_user_folder(environ)),
+        *_files_of(system),
+        *([Path(named)] if named else []),
+        *given,
+    ]
+
+
+def load_files(files: Sequence[Path]) -> Layered:
+    """Read files on top of each other; each setting is the one of the last file that names it.
+
+    Raises:
+        ConfigError: a file cannot be read, or something in it is wrong, even if a later file says
+            it anew; or all together break a rule about several settings.
+    """
+    merged: dict[str, Any] = {}
+    origins: dict[str, str] = {}
+    outdated: list[str] = []
+    for path in files:
+        tree, phrases = tree_updated(read_tree(path))
+        if phrases:
+            outdated.append(f"{path}: {', '.join(phrases)}")
+        for name, value in _leaves(tree, ""):
+            _put(merged, name, value)
+            origins[name] = str(path)
+    try:
+        return Layered(config_of(merged, "settings"), origins, "; ".join(outdated))
+    except ConfigError as error:
+        raise ConfigError(_named(error, origins), error.path) from error
+
+
+def _leaves(tree: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    for key, value in tree.items():
+        if f"{prefix}{key}" in parameters():
+            yield f"{prefix}{key}", value
+        else:
+            yield from _leaves(value, f"{prefix}{key}.")
+
+
+def _put(tree: dict[str, Any], name: str, value: object) -> None:
+    *sections, leaf = name.split(".")
+    for section in sections:
+        tree = tree.setdefault(section, {})
+    tree[leaf] = value
+
+
+def _named(error: ConfigError, origins: Mapping[str, str]) -> str:
+    """The message about several settings, with the files that had a say in them."""
+    section = error.path.removeprefix("$").removeprefix(".")
+    said = [file for name, file in origins.items() if name.startswith(section)]
+    files = " with ".join(dict.fromkeys(said)) or "settings"
+    return f"{files}: {str(error).removeprefix('settings: ')}"
+
+
+def _user_folder(environ: Mapping[str, str]) -> Path | None:
+    """Where a user keeps settings by the XDG base directory rules: relative paths do not count."""
+    home = environ.get("HOME", "")
+    for base, more in ((environ.get("XDG_CONFIG_HOME", ""), ""), (home, ".config")):
+        if Path(base).is_absolute():
+            return Path(base) / more / "mapperd"
+    return None
+
+
+def _files_of(folder: Path | None) -> list[Path]:
+    if folder is None:
+        return []
+    first, more = folder / "mapperd.yaml", folder / "conf.d"
+    try:
+        fragments = sorted(path for path in more.iterdir() if path.suffix == ".yaml")
+    except (FileNotFoundError, NotADirectoryError):
+        fragments = []
+    except OSError as error:
+        raise ConfigError(f"{more}: cannot be read: {error.strerror}") from error
+    try:
+        first.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return fragments
+    except OSError:
+        pass  # it is there, and reading it says what is wrong
+    return [first, *fragments]

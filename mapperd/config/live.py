@@ -1,0 +1,252 @@
+"""The settings in force, and the one way to change them while the program runs.
+
+Whoever asks, a command, a broker or a signal, comes through `apply` or `reload`. A change holds
+as a whole or not at all, and only if everything that it concerns follows it.
+"""
+
+import difflib
+import threading
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from mapperd.config.aliases import change_renamed, restored_changes
+from mapperd.config.catalog import parameters, value_of
+from mapperd.config.changes import with_values
+from mapperd.config.layers import DEFAULT, Layered
+from mapperd.config.loader import check_value
+from mapperd.config.tree import Config
+from mapperd.errors import ConfigError
+
+__all__ = ["Applied", "Change", "ConfigStore", "Refused", "Reloaded"]
+
+RESTART = "cannot change while running; needs a restart"
+UNFOLLOWED = "nothing that runs follows this setting; needs a restart"
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One setting that changed, with plain values."""
+
+    name: str
+    before: Any
+    after: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Applied:
+    """What was asked holds from now on.
+
+    Attributes:
+        origin: who asked.
+        changes: what is other than before.
+    """
+
+    origin: str
+    changes: tuple[Change, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """Nothing changed.
+
+    Attributes:
+        origin: who asked.
+        reasons: by setting, or by section for rules about several; never empty.
+    """
+
+    origin: str
+    reasons: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Reloaded:
+    """What became of settings that were read anew.
+
+    Attributes:
+        result: of those that may change while running.
+        waiting: those that are otherwise in the files but need a restart.
+    """
+
+    result: Applied | Refused
+    waiting: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Follower:
+    names: tuple[str, ...]
+    check: Callable[[Config], None]
+    take: Callable[[Config], None]
+
+    def follows(self, name: str) -> bool:
+        return any(name == mine or name.startswith(f"{mine}.") for mine in self.names)
+
+
+class ConfigStore:
+    """Holds one immutable tree at a time; any thread may read it or ask for changes.
+
+    Args:
+        layered: the settings at the start.
+    """
+
+    def __init__(self, layered: Layered) -> None:
+        self._current = self._start = layered.config
+        self._origins = dict(layered.origins)
+        self._followers: list[_Follower] = []
+        self._lock = threading.Lock()
+        self._settled: set[str] = set()
+
+    @property
+    def current(self) -> Config:
+        """The settings in force."""
+        return self._current
+
+    def origin_of(self, name: str) -> str:
+        """Who said a setting last: a file, a command's name, or the defaults."""
+        return self._origins.get(name, DEFAULT)
+
+    def follow(
+        self,
+        names: Collection[str],
+        take: Callable[[Config], None],
+        check: Callable[[Config], None] = lambda _: None,
+    ) -> None:
+        """Tell someone about changes. A setting that nobody follows cannot change.
+
+        Args:
+            names: settings or sections.
+            take: is given the new settings. If it raises `ConfigError`, everybody who was told is
+                given the old ones again, it included, and the change is refused.
+            check: is asked first; raises `ConfigError` for settings that `take` could not take.
+        """
+        self._followers.append(_Follower(tuple(names), check, take))
+
+    def settle(self, name: str, value: object, origin: str) -> Config:
+        """Set something before anything runs; reading the files again leaves it.
+
+        Args:
+            name: of a setting that may not change later.
+            value: plain.
+            origin: who knows it.
+
+        Raises:
+            ConfigError: the value is not allowed.
+        """
+        before = value_of(self._current, name)
+        self._current = self._merged([Change(name, before, value)])
+        self._origins[name] = origin
+        self._settled.add(name)
+        return self._current
+
+    def apply(self, changes: Mapping[str, object], origin: str) -> Applied | Refused:
+        """Change settings, all or none.
+
+        Args:
+            changes: plain values by name, `filtering.intensity_threshold`; other names that a
+                setting has are as good.
+            origin: who asks.
+        """
+        try:
+            changes = restored_changes(change_renamed(changes), self._start.amcl)
+        except ConfigError as error:
+            return Refused(origin, {_bare(error.path): _what(error)})
+        with self._lock:
+            reasons = self._objections(changes)
+            if reasons:
+                return Refused(origin, reasons)
+            changed = self._differences(changes)
+            if not changed:
+                return Applied(origin, ())
+            try:
+                self._commit(self._merged(changed), [change.name for change in changed])
+            except ConfigError as error:
+                return Refused(origin, {_bare(error.path) or "settings": _what(error)})
+            self._origins |= {change.name: origin for change in changed}
+            return Applied(origin, tuple(changed))
+
+    def reload(self, layered: Layered, origin: str) -> Reloaded:
+        """Take settings read anew: what the files say holds, whatever was changed since.
+
+        What needs a restart is told and left; the rest is applied, all or none.
+
+        Args:
+            layered: the files' settings.
+            origin: who asks.
+        """
+        other = {
+            name: value
+            for name in parameters()
+            if (value := value_of(layered.config, name)) != value_of(self._current, name)
+            and not (name in self._settled and layered.origin_of(name) == DEFAULT)
+        }
+        live = {name: value for name, value in other.items() if self._objection(name) is None}
+        result = self.apply(live, origin)
+        if isinstance(result, Applied):
+            with self._lock:
+                self._origins |= {name: layered.origin_of(name) for name in live}
+        return Reloaded(result, tuple(name for name in other if name not in live))
+
+    def _objections(self, changes: Mapping[str, object]) -> dict[str, str]:
+        """Everything that speaks against a change, setting by setting."""
+        reasons: dict[str, str] = {}
+        for name, value in changes.items():
+            if name not in parameters():
+                reasons[name] = _unknown(name)
+                continue
+            try:
+                check_value(value, f"$.{name}", "")
+            except ConfigError as error:
+                reasons[name] = _what(error)
+                continue
+            objection = self._objection(name)
+            if objection is not None and value != value_of(self._current, name):
+                reasons[name] = objection
+        return reasons
+
+    def _objection(self, name: str) -> str | None:
+        if not parameters()[name].dynamic:
+            return RESTART
+        followed = any(follower.follows(name) for follower in self._followers)
+        return None if followed else UNFOLLOWED
+
+    def _differences(self, changes: Mapping[str, object]) -> list[Change]:
+        before = {name: value_of(self._current, name) for name in changes}
+        return [
+            Change(name, before[name], value)
+            for name, value in changes.items()
+            if value != before[name]
+        ]
+
+    def _merged(self, changed: list[Change]) -> Config:
+        return with_values(self._current, {change.name: change.after for change in changed})
+
+    def _commit(self, config: Config, names: list[str]) -> None:
+        """Ask, then tell, all that follow; undone where one of them cannot."""
+        followers = [one for one in self._followers if any(map(one.follows, names))]
+        for follower in followers:
+            follower.check(config)
+        old, self._current = self._current, config
+        told: list[_Follower] = []
+        try:
+            for follower in followers:
+                told.append(follower)
+                follower.take(config)
+        except BaseException:
+            self._current = old
+            for follower in reversed(told):
+                follower.take(old)
+            raise
+
+
+def _unknown(name: str) -> str:
+    near = difflib.get_close_matches(name, parameters(), n=1)
+    return f"there is no such setting{f'; did you mean {near[0]}?' if near else ''}"
+
+
+def _what(error: ConfigError) -> str:
+    """The message without the place, which stands beside it."""
+    return str(error).removeprefix(": ").removeprefix(f"{error.path}: ")
+
+
+def _bare(path: str) -> str:
+    return path.removeprefix("$").removeprefix(".")

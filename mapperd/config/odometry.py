@@ -1,0 +1,316 @@
+"""Settings of the odometry: its sources, its formats, the pose at a ping's time."""
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+from mapperd.config.field import rule
+from mapperd.config.link_address import parse_address
+
+__all__ = [
+    "NOBODY",
+    "DeadReckoning",
+    "FormatName",
+    "FormatSettings",
+    "GeoOrigin",
+    "Limits",
+    "OdometryFusion",
+    "Owners",
+    "SlamQuality",
+    "TimeSync",
+    "WorldInit",
+]
+
+FormatName = Literal[
+    "native",
+    "native_json",
+    "native_serial",
+    "mavlink",
+    "water_linked_json",
+    "water_linked_serial",
+    "nmea",
+]
+
+
+class FormatSettings(Struct, frozen=True, forbid_unknown_fields=True):
+    """One source's format."""
+
+    format: Annotated[FormatName, rule("What the bytes are, see docs/odometry.md.")] = "native"
+    mavlink_system_id: Annotated[
+        int, rule("Only this MAVLink system is heard; 0 hears all.", ge=0, le=255)
+    ] = 1
+    mavlink_component_id: Annotated[
+        int, rule("Only this component of it is heard; 0 hears all.", ge=0, le=255)
+    ] = 1
+    water_density: Annotated[
+        float,
+        rule("Turns pressure into depth: sea 1025, fresh water 998.", "kg/m3", ge=900, le=1300),
+    ] = 1025.0
+    surface_pressure: Annotated[
+        float, rule("Air pressure at the surface.", "hPa", ge=500, le=1100)
+    ] = 1013.25
+
+
+NAME_PATTERN = "[A-Za-z0-9_.-]{1,32}"
+
+NOBODY = "none"
+"""As an owner: this quantity is taken from no source."""
+
+Name = Annotated[
+    str,
+    rule(
+        "Name of a source; empty is the first one that says it, none leaves it out.",
+        "a name, none, or nothing",
+        pattern=f"^({NAME_PATTERN})?$",
+    ),
+]
+
+
+class TimeSync(Struct, frozen=True, forbid_unknown_fields=True):
+    """The pose at a ping's time."""
+
+    policy: Annotated[
+        Literal["interpolate", "nearest", "latest"],
+        rule(
+            "interpolate: between the records around the ping; nearest: the record nearest in "
+            "time; latest: the newest one.",
+            live=True,
+        ),
+    ] = "interpolate"
+    max_gap_sec: Annotated[
+        float,
+        rule("Poses are interpolated over at most this.", "s", live=True, gt=0, le=60),
+    ] = 0.5
+    max_stamp_diff_sec: Annotated[
+        float,
+        rule(
+            "Where no such gap encloses the ping, motion is carried on this far; then it drops. "
+            "With the other policies: the largest difference between record and ping.",
+            "s",
+            live=True,
+            ge=0,
+            le=10,
+        ),
+    ] = 0.1
+    max_odom_age_sec: Annotated[
+        float,
+        rule(
+            "A record stamped further than this from its arrival is rejected.",
+            "s",
+            live=True,
+            gt=0,
+            le=3600,
+        ),
+    ] = 0.5
+
+
+class SlamQuality(Struct, frozen=True, forbid_unknown_fields=True):
+    """Pings are mapped only while the source is confident, where it says how much it is."""
+
+    threshold: Annotated[float, rule("Least confidence.", "0-1", live=True, ge=0, le=1)] = 0.4
+    fail_mode: Annotated[
+        Literal["open", "closed"],
+        rule("Without a fresh confidence: open maps all the same, closed drops.", live=True),
+    ] = "open"
+    grace_period_sec: Annotated[
+        float,
+        rule(
+            "After the first odometry, before a confidence is missed.",
+            "s",
+            live=True,
+            ge=0,
+            le=3600,
+        ),
+    ] = 1.0
+    stale_timeout_sec: Annotated[
+        float, rule("A confidence older than this is missed.", "s", live=True, gt=0, le=3600)
+    ] = 5.0
+
+
+class Owners(Struct, frozen=True, forbid_unknown_fields=True):
+    """Which source each quantity comes from: one each, so that nothing counts twice."""
+
+    position: Name = ""
+    attitude: Name = ""
+    depth: Annotated[
+        str,
+        rule(
+            "Source of the depth, which then overrides the height of positions; empty is the "
+            "first that measures it, for positions that have no height of their own; none "
+            "leaves it out.",
+            "a name, none, or nothing",
+            pattern=f"^({NAME_PATTERN})?$",
+        ),
+    ] = ""
+    velocity: Name = ""
+
+
+class Limits(Struct, frozen=True, forbid_unknown_fields=True):
+    """What is too much for this vehicle: such a record is a fault, not a motion."""
+
+    max_speed: Annotated[float, rule("Of the vehicle.", "m/s", live=True, gt=0, le=1000)] = 5.0
+    max_turn_rate: Annotated[float, rule("About any axis.", "deg/s", live=True, gt=0, le=36000)] = (
+        180.0
+    )
+    max_jump: Annotated[
+        float,
+        rule("Beyond what speed explains, of the position.", "m", live=True, gt=0, le=1e6),
+    ] = 0.5
+    max_jump_angle: Annotated[
+        float,
+        rule(
+            "Beyond what the turn rate explains, of the attitude.", "deg", live=True, gt=0, le=180
+        ),
+    ] = 10.0
+
+
+class DeadReckoning(Struct, frozen=True, forbid_unknown_fields=True):
+    """The way on by velocity and attitude, where no position comes."""
+
+    max_sec: Annotated[
+        float,
+        rule(
+            "How long after the last position; 0 never. Without any source of positions it is "
+            "the only one, and this does not apply.",
+            "s",
+            live=True,
+            ge=0,
+            le=86400,
+        ),
+    ] = 60.0
+    noise: Annotated[
+        float,
+        rule(
+            "Growth of the position's standard deviation, where the source gives none of its own.",
+            "m/sqrt(s)",
+            live=True,
+            ge=0,
+            le=100,
+        ),
+    ] = 0.05
+
+
+class GeoOrigin(Struct, frozen=True, forbid_unknown_fields=True):
+    """The map's zero on Earth."""
+
+    latitude: Annotated[float, rule("North positive.", "deg", ge=-90, le=90)]
+    longitude: Annotated[float, rule("East positive.", "deg", ge=-180, le=180)]
+
+
+class OdometrySource(FormatSettings, frozen=True, forbid_unknown_fields=True):
+    """One sender of odometry."""
+
+    name: Annotated[
+        str,
+        rule("How owners, recordings and reports name it.", "a name", pattern=f"^{NAME_PATTERN}$"),
+    ] = "odometry"
+    link: Annotated[
+        str,
+        rule(
+            "Where its bytes come from: udp://ADDRESS:PORT to listen, tcp://HOST:PORT to connect, "
+            "socket://HOST:PORT, serial:/dev/NAME?baud=115200, serial:UDEV_NAME.",
+            "a link",
+            pattern="^(udp|tcp|socket|serial):.{1,300}$",
+        ),
+    ] = "udp://127.0.0.1:52200"
+    latency_sec: Annotated[
+        float,
+        rule("Least delay from being true to arriving, which no clock fit sees.", "s", ge=0, le=10),
+    ] = 0.0
+
+    def __post_init__(self) -> None:
+        """Check what no single field can.
+
+        Raises:
+            ValueError: the link is none, or cannot carry the format.
+        """
+        if self.format == "native" and parse_address(self.link).kind != "udp":
+            raise ValueError(
+                f"format native has no frames and needs datagrams, {self.link!r} is a stream; "
+                "allowed: native_serial or native_json there, or udp://"
+            )
+        parse_address(self.link)
+
+
+class OdometryFusion(Struct, frozen=True, forbid_unknown_fields=True):
+    """From the sources' records to one pose."""
+
+    sources: Annotated[
+        tuple[OdometrySource, ...],
+        Meta(
+            description="Who sends odometry.",
+            min_length=1,
+            max_length=16,
+            extra={"unit": "", "dynamic": False},
+        ),
+    ] = (OdometrySource(),)
+    owners: Owners = Owners()
+    limits: Limits = Limits()
+    dead_reckoning: DeadReckoning = DeadReckoning()
+    at_jump: Annotated[
+        Literal["continue", "follow"],
+        rule(
+            "When an estimate jumps: continue maps on where the vehicle was, as it did not jump; "
+            "follow goes where the source says. Either way a new segment begins.",
+            live=True,
+        ),
+    ] = "continue"
+    origin: Annotated[
+        GeoOrigin | None,
+        Meta(
+            description="Where geographic positions have their zero; none is the map's first fix.",
+            extra={"unit": "", "dynamic": False},
+        ),
+    ] = None
+    position_std: Annotated[
+        float, rule("Of positions whose source gives none.", "m", live=True, gt=0, le=1e4)
+    ] = 0.1
+    attitude_std: Annotated[
+        float, rule("Of attitudes whose source gives none.", "deg", live=True, gt=0, le=180)
+    ] = 1.0
+
+    def __post_init__(self) -> None:
+        """Check what no single field can.
+
+        Raises:
+            ValueError: two sources share a name, or an owner is no source.
+        """
+        names = [source.name for source in self.sources]
+        if NOBODY in names:
+            raise ValueError(f"a source cannot be called {NOBODY!r}: it would own nothing")
+        if len(set(names)) < len(names):
+            raise ValueError(f"two sources share a name: {', '.join(names)}; allowed: one each")
+        for quantity in ("position", "attitude", "depth", "velocity"):
+            owner = getattr(self.owners, quantity)
+            if owner and owner not in (*names, NOBODY):
+                raise ValueError(
+                    f"owners.{quantity} {owner!r} is no source; allowed: {', '.join(names)}, "
+                    f"{NOBODY}"
+                )
+
+
+class WorldInit(Struct, frozen=True, forbid_unknown_fields=True):
+    """Levelling of an odometry whose world leans: by gravity, while the vehicle stands still."""
+
+    enabled: Annotated[bool, rule("Level the odometry before anything is mapped.")] = False
+    init_samples: Annotated[
+        int, rule("Accelerations that are averaged.", "records", ge=1, le=100000)
+    ] = 50
+    max_rate: Annotated[
+        float, rule("Turning faster than this is no standing still.", "deg/s", gt=0, le=360)
+    ] = 2.0
+    max_speed: Annotated[
+        float, rule("Driving faster than this is no standing still.", "m/s", gt=0, le=10)
+    ] = 0.05
+    max_spread: Annotated[
+        float,
+        rule(
+            "Accelerations that differ more than this are no standing still.", "m/s2", gt=0, le=10
+        ),
+    ] = 0.3
+    parent_frame: Annotated[
+        str, rule("Name of the level frame.", "a name", pattern=f"^{NAME_PATTERN}$")
+    ] = "world_init"
+    child_frame: Annotated[
+        str, rule("Name of the odometry's origin.", "a name", pattern=f"^{NAME_PATTERN}$")
+    ] = "camera_init"

@@ -1,0 +1,85 @@
+"""The daemon's folders, and files that hold secrets."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from mapperd.config.tree import Config
+from mapperd.errors import ConfigError
+
+__all__ = ["map_path", "pose_path", "read_secret", "recordings_folder", "state_folder"]
+
+
+def state_folder(config: Config, environ: Mapping[str, str]) -> Path:
+    """For maps and the store: of the settings, else systemd's, else the user's.
+
+    Args:
+        config: for `service.state_folder`.
+        environ: the process's variables.
+    """
+    if config.service.state_folder:
+        return Path(config.service.state_folder)
+    if environ.get("STATE_DIRECTORY"):
+        return Path(environ["STATE_DIRECTORY"].split(":")[0])
+    user = environ.get("XDG_STATE_HOME") or Path(environ.get("HOME", "/"), ".local", "state")
+    return Path(user) / "mapperd"
+
+
+def recordings_folder(config: Config, environ: Mapping[str, str]) -> Path:
+    """For the recordings: of the settings, else systemd's for logs, else beside the maps."""
+    if config.recording.folder:
+        return Path(config.recording.folder)
+    if environ.get("LOGS_DIRECTORY"):
+        return Path(environ["LOGS_DIRECTORY"].split(":")[0])
+    return state_folder(config, environ) / "recordings"
+
+
+def pose_path(config: Config, environ: Mapping[str, str]) -> Path:
+    """Of the estimate that localization goes on from after a restart."""
+    if config.localization.pose_path:
+        return Path(config.localization.pose_path)
+    return state_folder(config, environ) / "localization-pose.json"
+
+
+def map_path(config: Config, environ: Mapping[str, str]) -> Path:
+    """Of the map's file."""
+    if config.outofcore.map_path:
+        return Path(config.outofcore.map_path)
+    return state_folder(config, environ) / "mapperd.map"
+
+
+MAX_BYTES = 4096
+
+
+def read_secret(
+    setting: str, path: str, credential: str, environment: Mapping[str, str]
+) -> str | None:
+    """Read a secret: the first line of a file.
+
+    Args:
+        setting: name of the setting that says the path, for messages.
+        path: the file; "" takes systemd's credential where there is one.
+        credential: its name among systemd's.
+        environment: says where systemd has put credentials.
+
+    Returns:
+        None where neither is there.
+
+    Raises:
+        ConfigError: the file cannot be read, or holds no secret.
+    """
+    folder = environment.get("CREDENTIALS_DIRECTORY", "")
+    place = Path(path) if path else Path(folder, credential)
+    if not path and (not folder or not place.exists()):
+        return None
+    try:
+        with place.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+        line = data.decode().split("\n", 1)[0].strip("\r")
+    except OSError as error:
+        raise ConfigError(f"{setting}: {place}: {error.strerror}", f"$.{setting}") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{setting}: {place}: is no text", f"$.{setting}") from error
+    if not line or len(data) > MAX_BYTES:
+        what = "is empty" if not line else f"is longer than {MAX_BYTES} bytes"
+        raise ConfigError(f"{setting}: {place}: {what}", f"$.{setting}")
+    return line

@@ -1,0 +1,407 @@
+"""All settings: one immutable tree.
+
+Names and defaults are those of the published sonar mapper that this project grew from; a default
+that differs says why.
+Every field carries one sentence, its unit, its range, and whether it may change while the
+program runs. A parameter stands here only if it does something. Reading YAML is the business
+of `mapperd.config.loader`.
+"""
+
+from typing import Annotated, Literal
+
+from msgspec import Struct
+
+from mapperd.config.amcl import Amcl
+from mapperd.config.daemon import (
+    Behind,
+    Control,
+    Export,
+    Frames,
+    Mqtt,
+    OutOfCore,
+    Recording,
+    Service,
+    Stream,
+    Topics,
+    Visualization,
+)
+from mapperd.config.field import rule
+from mapperd.config.filters import Crosstalk, RobotDetection, TerrainDetection
+from mapperd.config.localization import Localization, ScanExtraction
+from mapperd.config.odometry import OdometryFusion, SlamQuality, TimeSync, WorldInit
+
+__all__ = [
+    "Adaptive",
+    "Amcl",
+    "Behind",
+    "Config",
+    "Control",
+    "Crosstalk",
+    "Device",
+    "Export",
+    "Filtering",
+    "Frames",
+    "Iwlo",
+    "Localization",
+    "Mapping",
+    "Mounting",
+    "Mqtt",
+    "Octree",
+    "OdometryFusion",
+    "Orientation",
+    "OutOfCore",
+    "Position",
+    "Processing",
+    "Recording",
+    "RobotDetection",
+    "ScanExtraction",
+    "Service",
+    "SlamQuality",
+    "Sonar",
+    "TerrainDetection",
+    "TimeSync",
+    "Topics",
+    "Visualization",
+    "WorldInit",
+]
+
+MAX_COUNT = 65535  # observations that a voxel can count
+
+MIN_TILE_VOXELS = 8
+"""Edge of a block, which no tile divides."""
+
+
+IPV4 = r"((25[0-5]|2[0-4]\d|1?\d?\d)\.){3}(25[0-5]|2[0-4]\d|1?\d?\d)"
+"""Pattern of an address in dotted decimals."""
+
+
+class Sonar(Struct, frozen=True, forbid_unknown_fields=True):
+    """The sonar's fan."""
+
+    horizontal_fov: Annotated[
+        float,
+        rule("Full horizontal angle; beams outside it are left out.", "deg", gt=0, le=180),
+    ] = 130.0
+    vertical_aperture: Annotated[
+        float,
+        rule(
+            "Full vertical angle that an echo may be anywhere in. It passes the beam twice: set "
+            "the data sheet's one-way width over sqrt 2, 14 for 20.",
+            "deg",
+            gt=0,
+            le=90,
+        ),
+    ] = 14.0  # 20, as published, maps worse and slower: docs/accuracy-cost.md, "elevation"
+
+
+class Filtering(Struct, frozen=True, forbid_unknown_fields=True):
+    """Which samples count."""
+
+    min_range: Annotated[
+        float, rule("Nothing is learnt nearer than this.", "m", live=True, ge=0, le=100)
+    ] = 0.5
+    intensity_threshold: Annotated[
+        float,
+        rule(
+            "Samples above it are returns; 16 and 32 bit images are scaled to 0-255 first.",
+            "0-255",
+            live=True,
+            ge=0,
+            le=255,
+        ),
+    ] = 35.0
+
+
+class Position(Struct, frozen=True, forbid_unknown_fields=True):
+    """Where the sonar sits on the vehicle (base frame)."""
+
+    x: Annotated[float, rule("Offset forward.", "m", ge=-100, le=100)] = 0.0
+    y: Annotated[float, rule("Offset to port (left).", "m", ge=-100, le=100)] = 0.0
+    z: Annotated[float, rule("Offset up; negative is below.", "m", ge=-100, le=100)] = -0.5
+
+
+class Orientation(Struct, frozen=True, forbid_unknown_fields=True):
+    """How the sonar is turned: Rz(yaw) Ry(pitch) Rx(roll)."""
+
+    roll: Annotated[
+        float, rule("Turn about the forward axis.", "deg", live=True, ge=-360, le=360)
+    ] = 0.0
+    pitch: Annotated[
+        float,
+        rule("Nose down: 0 looks forward, 90 down.", "deg", live=True, ge=-360, le=360),
+    ] = 90.0
+    yaw: Annotated[float, rule("Turn to port.", "deg", live=True, ge=-360, le=360)] = 0.0
+
+
+class Mounting(Struct, frozen=True, forbid_unknown_fields=True):
+    """The sonar on the vehicle."""
+
+    position: Position = Position()
+    orientation: Orientation = Orientation()
+
+
+class Octree(Struct, frozen=True, forbid_unknown_fields=True):
+    """The grid."""
+
+    voxel_resolution: Annotated[
+        float,
+        rule("Voxel edge; smaller shows more, costs memory and time.", "m", ge=0.001, le=100),
+    ] = 0.05
+    dynamic_expansion: Annotated[
+        bool, rule("The map grows where the sonar looks; it always does.", live=True)
+    ] = True
+    use_cpp_backend: Annotated[bool, rule("The core is in C++; there is no other.")] = True
+
+    def __post_init__(self) -> None:
+        """Refuse what the published names could say and nothing here does."""
+        for name in ("dynamic_expansion", "use_cpp_backend"):
+            if not getattr(self, name):
+                raise ValueError(f"{name} false is not there; allowed: true")
+
+
+class Mapping(Struct, frozen=True, forbid_unknown_fields=True):
+    """From a ping to evidence, and from evidence to classes."""
+
+    occupied_threshold: Annotated[
+        float, rule("Voxels above this probability are occupied.", live=True, gt=0, lt=1)
+    ] = 0.7
+    free_threshold: Annotated[
+        float,
+        rule(
+            "Observed voxels below this probability are free, from here to "
+            "occupied_threshold uncertain; at most that.",
+            live=True,
+            gt=0,
+            lt=1,
+        ),
+    ] = 0.5
+    aggregation: Annotated[
+        Literal["occupied_first", "mean"],
+        rule("Both kinds of evidence in one ping: occupied wins, or their mean.", live=True),
+    ] = "occupied_first"
+    carve_no_return: Annotated[
+        bool, rule("Beams without a return free their whole length.", live=True)
+    ] = False
+    integrator: Annotated[
+        Literal["evidence_grid", "rays"],
+        rule(
+            "evidence_grid: filter the image by the voxel's footprint, look each voxel up once; "
+            "rays: sampled sub-rays.",
+            live=True,
+        ),
+    ] = "evidence_grid"
+    detail: Annotated[
+        float,
+        rule(
+            "Fineness of the evidence grid: rows every 0.3 / detail voxels, columns every "
+            "0.5 / detail voxels at most; more is more accurate and slower.",
+            live=True,
+            ge=0.25,
+            le=8,
+        ),
+    ] = 1.0
+    threads: Annotated[
+        int,
+        rule(
+            "Threads of the evidence grid; the map does not depend on them.",
+            live=True,
+            ge=1,
+            le=64,
+        ),
+    ] = 1
+    within_ping_motion: Annotated[
+        bool,
+        rule(
+            "Samples are placed with the pose at their own time of flight, where velocity or "
+            "rate is known.",
+            live=True,
+        ),
+    ] = True
+    angular_cone_width: Annotated[
+        float,
+        rule("Shadow tolerance of rays: factor on twice a beam's width.", live=True, ge=0, le=100),
+    ] = 0.5
+
+    def __post_init__(self) -> None:
+        """Check what no single field can."""
+        if self.free_threshold > self.occupied_threshold:
+            raise ValueError(
+                f"free_threshold {self.free_threshold:g} is above occupied_threshold "
+                f"{self.occupied_threshold:g}; allowed: at most that"
+            )
+        if self.integrator == "rays" and (self.carve_no_return or self.aggregation == "mean"):
+            raise ValueError(
+                "integrator rays knows neither carve_no_return nor aggregation mean; "
+                "allowed: integrator evidence_grid with them"
+            )
+
+
+class Iwlo(Struct, frozen=True, forbid_unknown_fields=True):
+    """The intensity-weighted log-odds rule."""
+
+    L_occ: Annotated[float, rule("Step of an occupied observation.", "log-odds", ge=0, le=127)] = (
+        3.5
+    )
+    L_free: Annotated[float, rule("Step of a free observation.", "log-odds", ge=-127, le=0)] = -3.0
+    L_min: Annotated[float, rule("Floor of the log-odds.", "log-odds", ge=-127, lt=0)] = -10.0
+    L_max: Annotated[float, rule("Ceiling of the log-odds.", "log-odds", gt=0, le=127)] = 10.0
+    sharpness: Annotated[
+        float, rule("Slope from intensity to weight; higher is more yes-or-no.", ge=0, le=1000)
+    ] = 3.0
+    decay_rate: Annotated[
+        float, rule("How fast the learning rate falls with observations.", ge=0, le=1000)
+    ] = 0.1
+    min_alpha: Annotated[
+        float, rule("Lowest learning rate: what keeps change visible.", gt=0, le=1)
+    ] = 0.1
+    intensity_max: Annotated[
+        float, rule("Intensity at which the weight is largest.", "0-255", gt=0, le=255)
+    ] = 255.0
+
+    def __post_init__(self) -> None:
+        """Check what no single field can."""
+        if self.decay_rate > 0 and (1 / self.min_alpha - 1) / self.decay_rate > MAX_COUNT:
+            raise ValueError(
+                f"decay_rate {self.decay_rate:g} with min_alpha {self.min_alpha:g} needs more "
+                f"than {MAX_COUNT} pings to settle; allowed: raise either of them"
+            )
+
+
+class Adaptive(Struct, frozen=True, forbid_unknown_fields=True):
+    """Protection of what is believed against single contrary observations."""
+
+    update: Annotated[bool, rule("Scale steps that contradict the map.")] = True
+    threshold: Annotated[
+        float,
+        rule(
+            "Probability below which occupied steps are scaled; free ones above 1 minus it.",
+            gt=0,
+            le=1,
+        ),
+    ] = 0.5
+    max_ratio: Annotated[float, rule("Factor of the most scaled step.", ge=0, le=1)] = 0.3
+    min_ratio: Annotated[
+        float,
+        rule(
+            "Scaled occupied steps are at least this part of L_occ w, so that a voxel believed "
+            "free comes back; at most max_ratio. With 0, as published, three free pings make a "
+            "voxel free for good.",
+            ge=0,
+            le=1,
+        ),
+    ] = 0.25
+    protect_occupied: Annotated[bool, rule("Scale free steps as well.")] = True
+
+    def __post_init__(self) -> None:
+        """Check what no single field can."""
+        if self.min_ratio > self.max_ratio:
+            raise ValueError(
+                f"min_ratio {self.min_ratio:g} is above max_ratio {self.max_ratio:g}; "
+                "allowed: at most that"
+            )
+
+
+class Processing(Struct, frozen=True, forbid_unknown_fields=True):
+    """Load."""
+
+    frame_skip: Annotated[
+        int,
+        rule("Map every Nth ping, count the rest as dropped.", "pings", live=True, ge=1, le=1000),
+    ] = 1
+
+
+class Device(Struct, frozen=True, forbid_unknown_fields=True):
+    """The sonar on the network and what it is asked for; a recording needs none of it."""
+
+    address: Annotated[
+        str,
+        rule(
+            "Of the sonar; without one it is found by its status broadcasts.",
+            "an IPv4 address or nothing",
+            pattern=f"^({IPV4})?$",
+        ),
+    ] = ""
+    port: Annotated[int, rule("Of the sonar's data connection.", ge=1, le=65535)] = 52100
+    serial: Annotated[
+        int,
+        rule(
+            "Of the sonar to choose among several that are found; 0 takes the first one heard.",
+            ge=0,
+            le=2**32 - 1,
+        ),
+    ] = 0
+    mode: Annotated[
+        Literal[1, 2], rule("1 is low frequency, wide and far; 2 is high, narrow and near.")
+    ] = 1
+    ping_rate: Annotated[
+        Literal["normal", "high", "highest", "low", "lowest"],
+        rule("At most 10, 15, 40, 5 or 2 pings a second; long ranges allow fewer."),
+    ] = "normal"
+    range: Annotated[float, rule("How far to look.", "m", ge=0.1, le=200)] = 10.0
+    gain: Annotated[float, rule("Of the receiver.", "%", ge=0, le=100)] = 50.0
+    beams: Annotated[Literal[256, 512], rule("Columns of the image.")] = 512
+    latency_sec: Annotated[
+        float,
+        rule(
+            "Least time from the last echo to the first byte's arrival, which nothing in the "
+            "stream tells; pings are placed that much earlier.",
+            "s",
+            ge=0,
+            le=1,
+        ),
+    ] = 0.0
+
+
+class Config(Struct, frozen=True, forbid_unknown_fields=True):
+    """The whole tree; `Config()` is a working default."""
+
+    sonar: Sonar = Sonar()
+    filtering: Filtering = Filtering()
+    mounting: Mounting = Mounting()
+    octree: Octree = Octree()
+    mapping: Mapping = Mapping()
+    iwlo: Iwlo = Iwlo()
+    adaptive: Adaptive = Adaptive()
+    processing: Processing = Processing()
+    time_sync: TimeSync = TimeSync()
+    slam_quality: SlamQuality = SlamQuality()
+    odometry: OdometryFusion = OdometryFusion()
+    world_init: WorldInit = WorldInit()
+    crosstalk: Crosstalk = Crosstalk()
+    terrain_detection: TerrainDetection = TerrainDetection()
+    robot_detection: RobotDetection = RobotDetection()
+    outofcore: OutOfCore = OutOfCore()
+    localization: Localization = Localization()
+    amcl: Amcl = Amcl()
+    device: Device = Device()
+    recording: Recording = Recording()
+    service: Service = Service()
+    behind: Behind = Behind()
+    control: Control = Control()
+    stream: Stream = Stream()
+    mqtt: Mqtt = Mqtt()
+    export: Export = Export()
+    frames: Frames = Frames()
+    visualization: Visualization = Visualization()
+    topics: Topics = Topics()
+
+    def __post_init__(self) -> None:
+        """Check what no single section can."""
+        robots, terrain = self.robot_detection, self.terrain_detection
+        if robots.enabled and robots.min_threshold < terrain.max_threshold:
+            raise ValueError(
+                f"robot_detection.min_threshold {robots.min_threshold:g} is below "
+                f"terrain_detection.max_threshold {terrain.max_threshold:g}; allowed: at least that"
+            )
+        if robots.enabled and robots.keep_out and self.mapping.carve_no_return:
+            raise ValueError(
+                "robot_detection.keep_out with mapping.carve_no_return frees the shadows of "
+                "robots; allowed: one of them"
+            )
+        least_m = MIN_TILE_VOXELS * self.octree.voxel_resolution
+        if self.outofcore.use and self.outofcore.tile_size < least_m:
+            raise ValueError(
+                f"outofcore.tile_size {self.outofcore.tile_size:g} is less than "
+                f"{MIN_TILE_VOXELS} voxels of {self.octree.voxel_resolution:g} m; "
+                "allowed: at least that"
+            )

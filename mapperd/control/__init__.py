@@ -1,1 +1,0 @@
-"""The daemon's sockets for those who steer it: docs/control.md."""

@@ -1,0 +1,292 @@
+"""Folders of results: saved maps, map.bt, map.ply, map.png and summary.json."""
+
+import json
+import re
+import threading
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from mapperd.api import OperationError
+from mapperd.config.live import ConfigStore
+from mapperd.config.tree import Config
+from mapperd.errors import ExportError, MapError, StoreError
+from mapperd.export.cells import Heights
+from mapperd.export.clouds import write_ply
+from mapperd.export.formats import FORMATS, crs_of, write_map
+from mapperd.export.picture import can_draw, write_picture
+from mapperd.geometry.gaussian import PlanarGaussian
+from mapperd.geometry.geodesy import Origin
+from mapperd.io import atomic_file, make_folder, remove
+from mapperd.localization.status import LocalizationFacts
+from mapperd.mapping.sonar_map import SonarMap, Voxels
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
+from mapperd.session.recordings import RecordedSession
+from mapperd.version import version
+
+__all__ = [
+    "MapFolder",
+    "checked_name",
+    "localization_summary",
+    "recording_facts",
+    "summary_of",
+    "write_results",
+]
+
+MAX_BYTES = 200
+"""Of a name: what is being written has a longer one, and file systems take 255."""
+
+NAME = re.compile(r"\w[\w .+-]*\.\w+")
+
+
+def checked_name(name: str) -> str:
+    """A file's name that can only lie in the folder: letters, digits, and ` ._+-` inside.
+
+    Raises:
+        OperationError: it is none (`bad_name`), or its suffix no format (`bad_format`).
+    """
+    if not NAME.fullmatch(name) or len(name.encode(errors="replace")) > MAX_BYTES:
+        raise OperationError(
+            f"{name[:60]!a}: no name for a file; allowed: letters, digits, spaces and ._+- after "
+            f"the first, no folder, at most {MAX_BYTES} bytes",
+            "bad_name",
+        )
+    suffix = Path(name).suffix
+    if suffix not in FORMATS:
+        raise OperationError(
+            f"{name}: no format has such a name; allowed: {' '.join(FORMATS)}", "bad_format"
+        )
+    return name
+
+
+class MapFolder:
+    """Saves maps into a folder, one at a time.
+
+    Args:
+        folder: is made when it is needed.
+        settings: those of the exports follow them.
+        clock: seconds.
+    """
+
+    FOLLOWS = ("export",)
+
+    def __init__(
+        self, folder: Path, settings: ConfigStore, clock: Callable[[], float] = time.perf_counter
+    ) -> None:
+        self.folder = folder
+        self._settings = settings
+        self._clock = clock
+        self._busy = threading.Lock()
+        settings.follow(self.FOLLOWS, lambda _: None)  # they are looked up at every save
+
+    def save(
+        self, name: str, whole_map: Callable[[], SonarMap], origin: Origin | None = None
+    ) -> dict[str, Any]:
+        """Write the map; takes seconds, in a thread of its own.
+
+        Args:
+            name: of the file; its suffix says the format.
+            whole_map: gives the map when it is needed; may be slow, may raise what a store does.
+            origin: where the map's zero lies on Earth; None where nobody knows.
+
+        Returns:
+            `path`, `bytes` of all files, `seconds`; `crs` of formats that can name a system of
+            coordinates.
+
+        Raises:
+            OperationError: `bad_name`, `bad_format`, `cannot_write`, or `busy` with another.
+        """
+        checked_name(name)
+        if not self._busy.acquire(blocking=False):
+            raise OperationError("another map is being saved; try again", "busy")
+        began_s = self._clock()
+        try:
+            make_folder(self.folder)
+            files = write_map(whole_map(), self.folder / name, self._heights(), origin)
+            size = sum(path.stat().st_size for path in files)
+        except (ExportError, MapError, StoreError) as error:
+            raise OperationError(str(error), "cannot_write") from error
+        except OSError as error:
+            raise OperationError(f"{self.folder}: {error.strerror}", "cannot_write") from error
+        finally:
+            self._busy.release()
+        done = {"path": str(files[0]), "bytes": size, "seconds": self._clock() - began_s}
+        crs = crs_of(files[0], origin)
+        return done if crs is None else done | {"crs": crs}
+
+    def _heights(self) -> Heights:
+        export = self._settings.current.export
+        return Heights(export.min_z, export.max_z)
+
+
+def write_results(folder: Path, sonar_map: SonarMap, summary: dict[str, Any]) -> None:
+    """Write the summary, then the map in every form; each file is whole or as it was.
+
+    Without matplotlib there is no picture. What the map cannot give is removed from the folder,
+    so that no result of an earlier run stands beside the new ones.
+
+    Raises:
+        ExportError: files cannot be written, or the map does not fit into OctoMap's format; the
+            other files are there.
+    """
+    occupied = sonar_map.voxels("occupied")
+    resolution_m = sonar_map.resolution_m
+    problems = [
+        *_problem(partial(_write_summary, folder / "summary.json", summary)),
+        *_problem(partial(_write_octomap, folder / "map.bt", sonar_map)),
+        *_problem(partial(_write_cloud, folder / "map.ply", occupied, resolution_m)),
+        *_problem(partial(_write_picture, folder / "map.png", occupied, resolution_m, summary)),
+    ]
+    if problems:
+        raise ExportError("; ".join(problems))
+
+
+def _problem(write: Callable[[], None]) -> list[str]:
+    """Write one file; returns why not, if not: the others are written all the same."""
+    try:
+        write()
+    except ExportError as error:
+        return [str(error)]
+    return []
+
+
+def _write_summary(path: Path, summary: dict[str, Any]) -> None:
+    with atomic_file(path) as file:
+        file.write(json.dumps(summary, indent=2, allow_nan=False).encode() + b"\n")
+
+
+def _write_cloud(path: Path, occupied: Voxels, resolution_m: float) -> None:
+    with atomic_file(path) as file:
+        write_ply(file, occupied, resolution_m)
+
+
+def _write_picture(
+    path: Path, occupied: Voxels, resolution_m: float, summary: dict[str, Any]
+) -> None:
+    if not can_draw():
+        remove(path)
+        return
+    title = (
+        f"{len(occupied)} occupied voxels of {resolution_m:g} m from "
+        f"{summary['pings_mapped']} of {summary['pings_total']} pings"
+    )
+    with atomic_file(path) as file:
+        write_picture(file, occupied, resolution_m, title)
+
+
+def _write_octomap(path: Path, sonar_map: SonarMap) -> None:
+    try:
+        tree = sonar_map.octomap_bt()
+    except MapError as error:
+        remove(path)
+        raise ExportError(f"{path}: not written: {error}") from error
+    with atomic_file(path) as file:
+        file.write(tree)
+
+
+def summary_of(
+    source: dict[str, Any],
+    sonar_map: SonarMap,
+    poses: FixedPose | OdometryPoses,
+    counters: PipelineCounters,
+    wall_s: float,
+) -> dict[str, Any]:
+    """Everything that there is to say about a run; units are in the names.
+
+    Args:
+        source: where pings and odometry came from, by its kind: `recording` or `live`.
+        sonar_map: the map.
+        poses: where the poses came from.
+        counters: what happened.
+        wall_s: seconds from start to end, files not included.
+    """
+    voxels = sonar_map.counts()
+    return {
+        "version": version(),
+        "pings_total": counters.pings_total,
+        "pings_outside": counters.pings_outside,
+        "pings_mapped": counters.pings_mapped,
+        "pings_dropped": dict(sorted(counters.pings_dropped.items())),
+        "pings_dropped_details": dict(sorted(counters.first_drop.items())),
+        "pings_lost": counters.pings_lost,
+        "bytes_total": counters.bytes_total,
+        "bytes_rejected": counters.bytes_rejected,
+        "resyncs": counters.resyncs,
+        "messages_rejected": dict(sorted(counters.messages_rejected.items())),
+        "messages_doubtful": dict(sorted(counters.messages_doubtful.items())),
+        "voxels_occupied": voxels.occupied,
+        "voxels_free": voxels.free,
+        "voxels_uncertain": voxels.uncertain,
+        "voxel_resolution_m": sonar_map.resolution_m,
+        "map_memory_bytes": sonar_map.memory_bytes,
+        "map_sha256": sonar_map.sha256(),
+        "ms_per_ping": counters.ms_per_ping(),
+        "wall_s": wall_s,
+        "integrator": sonar_map.config.mapping.integrator,
+        "poses": _poses(poses),
+        **source,
+        "config": _plain(sonar_map.config),
+    }
+
+
+def _poses(poses: FixedPose | OdometryPoses) -> dict[str, Any]:
+    if isinstance(poses, FixedPose):
+        return {"source": "fixed", "odometry_ignored": poses.ignored}
+    odometry = poses.odometry
+    return {
+        "source": "odometry",
+        "odometry_received": odometry.received,
+        "odometry_accepted": odometry.accepted,
+        "odometry_rejected": dict(sorted(odometry.rejects.items())),
+        "odometry": odometry.status(),
+    }
+
+
+def recording_facts(sessions: Sequence[RecordedSession]) -> dict[str, Any]:
+    """What there is to say about recordings that were read to the end of the chosen part."""
+    facts = {
+        "format": sessions[0].format,
+        "files": sum(len(session.paths) for session in sessions),
+        "sessions": len(sessions),
+        "size_bytes": sum(session.size_bytes for session in sessions),
+        "bytes_read": sum(session.bytes_read for session in sessions),
+        "truncated": any(session.truncated for session in sessions),
+        "damage": next((session.damage for session in sessions if session.damage), None),
+    }
+    return {"recording": facts}
+
+
+def localization_summary(facts: LocalizationFacts) -> dict[str, Any]:
+    """How localization stood at the end."""
+    belief = facts.belief
+    told = {
+        "state": facts.state,
+        "map": None if facts.known is None else facts.known.path,
+        "map_sha256": None if facts.known is None else facts.known.sha256,
+        "updates": facts.updates,
+        "scans": dict(sorted(facts.counts.items())),
+        "particles": facts.particle_count,
+        "sure": facts.sure,
+        "ambiguous": None if belief is None else belief.ambiguous,
+        "pose": None if belief is None else _gaussian(belief.best),
+    }
+    return {"localization": told}
+
+
+def _gaussian(pose: PlanarGaussian) -> dict[str, Any]:
+    return {
+        "x_m": pose.x_m,
+        "y_m": pose.y_m,
+        "yaw_rad": pose.yaw_rad,
+        "covariance": pose.covariance.tolist(),
+    }
+
+
+def _plain(config: Config) -> dict[str, Any]:
+    plain: dict[str, Any] = msgspec.to_builtins(config)
+    return plain

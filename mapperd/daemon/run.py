@@ -1,0 +1,287 @@
+"""`mapperd` without a recording: maps what the network brings until it is told to stop."""
+
+import asyncio
+import contextlib
+import os
+import secrets
+import socket
+import sys
+import time
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mapperd.config.layers import Layered
+from mapperd.config.live import ConfigStore
+from mapperd.config.paths import map_path, pose_path, state_folder
+from mapperd.config.tree import Config
+from mapperd.daemon.daemon import Daemon
+from mapperd.daemon.journal import Journal, goes_to_journal
+from mapperd.daemon.localization_service import PoseKeeper
+from mapperd.daemon.map_folder import localization_summary, summary_of
+from mapperd.daemon.servers import control_server, serving, stream_server
+from mapperd.daemon.session import Live, host_clock
+from mapperd.daemon.supervisor import supervised
+from mapperd.daemon.systemd import Notifier, inherited_sockets, watchdog_s
+from mapperd.errors import ConfigError, MapError
+from mapperd.events import EventLog, Severity
+from mapperd.geometry.gaussian import PlanarGaussian
+from mapperd.localization.report import state_of
+from mapperd.localization.saved_pose import load_pose
+from mapperd.localization.session import LocalizationSession, begun
+from mapperd.localization.status import LocalizationFacts
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
+from mapperd.server.map_source import MapSource
+from mapperd.server.stream_server import StreamServer
+from mapperd.session.startup import OpenMap, open_map
+
+__all__ = ["LiveRun", "map_live"]
+
+STDERR = 2
+
+TELL_S = 10.0
+"""Between lines that say how it goes."""
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class LiveRun:
+    """How a live session is run.
+
+    Attributes:
+        settings: in force.
+        poses: makes what gives poses: fixed, or from the vehicle's odometry.
+        duration_s: seconds to map; None is until somebody stops it.
+        say: is told, in one line each, what goes on beside the events.
+        read: the settings' files again; raises `ConfigError`.
+        notifier: of the service manager.
+    """
+
+    settings: ConfigStore
+    poses: Callable[[Config], FixedPose | OdometryPoses]
+    duration_s: float | None
+    say: Say
+    read: Callable[[], Layered]
+    notifier: Notifier
+
+
+def map_live(run: LiveRun) -> tuple[SonarMap, dict[str, Any]]:
+    """Map until SIGINT, SIGTERM or the end of the time; returns the map and the summary.
+
+    Raises:
+        ConfigError: a library that a link needs is not installed, or the settings are wrong.
+        LiveError: the control socket cannot be listened at.
+        OculusError: the sonar cannot be looked for, or not be asked for what the settings say.
+        StoreError: the map's file cannot be used.
+    """
+    return asyncio.run(_map(run))
+
+
+async def _map(run: LiveRun) -> tuple[SonarMap, dict[str, Any]]:
+    clock = host_clock()
+    events = EventLog(clock)
+    to_journal = goes_to_journal(os.environ, STDERR)
+    events.listen(Journal(sys.stderr, time.monotonic, priorities=to_journal).write)
+    session = secrets.token_hex(8)
+    with run.notifier.patience():  # the end of a session that was cut short may be long
+        opened = await asyncio.to_thread(
+            open_map,
+            run.settings.current,
+            session,
+            events,
+            os.environ,
+            lambda: run.settings.current.visualization.tile_save_interval,
+        )
+    try:
+        _keep_origin(run.settings, opened)
+        localizing = await asyncio.to_thread(_localizing, run.settings.current, events)
+        live = Live(
+            opened.sonar_map,
+            run.poses(run.settings.current),
+            session=session,
+            events=events,
+            keep=opened.keep,
+            clock=clock,
+            localizing=localizing,
+        )
+        return await _served(run, opened, live, events, clock)
+    finally:
+        opened.close()
+
+
+async def _served(
+    run: LiveRun, opened: OpenMap, live: Live, events: EventLog, clock: Callable[[], int]
+) -> tuple[SonarMap, dict[str, Any]]:
+    """Map, and serve whoever asks meanwhile."""
+    folder = state_folder(run.settings.current, os.environ)
+    daemon = Daemon(
+        run.settings, opened.sonar_map, live, events, read=run.read, folder=folder / "maps"
+    )
+    stop = asyncio.Event()
+    inherited = inherited_sockets(os.environ, os.getpid())
+    async with contextlib.AsyncExitStack() as stack:
+        server = control_server(daemon, os.environ, inherited.pop("control", None))
+        daemon.servers["control"] = server.status
+        watched = _watched(
+            run, opened, daemon, stack, clock=clock, inherited=inherited.pop("map", None)
+        )
+        daemon.servers["stream"] = watched.status
+        await stack.enter_async_context(serving(daemon, folder, os.environ, clock))
+        await stack.enter_async_context(server)
+        await stack.enter_async_context(watched)
+        feeding = supervised(
+            daemon,
+            daemon.workers,
+            run.notifier,
+            watchdog_s=watchdog_s(os.environ, os.getpid()),
+            stop=stop.set,
+            say=run.say,
+        )
+        await stack.enter_async_context(feeding)
+        telling = asyncio.create_task(_tell(live, run.say))
+        stack.callback(telling.cancel)
+        await stack.enter_async_context(_poses_kept(run.settings, live, events, clock))
+        began_s = time.perf_counter()
+        await daemon.run(_until(stop, run.duration_s))
+        wall_s = time.perf_counter() - began_s
+        source = {"live": _live_facts(daemon, told_to_stop=stop.is_set())}
+        if (facts := live.mapping.facts.localization) is not None:
+            source |= localization_summary(facts)
+        whole = await asyncio.to_thread(opened.keep.whole)
+    return whole, summary_of(source, whole, live.poses, live.counters, wall_s)
+
+
+def _watched(
+    run: LiveRun,
+    opened: OpenMap,
+    daemon: Daemon,
+    stack: contextlib.AsyncExitStack,
+    *,
+    clock: Callable[[], int],
+    inherited: socket.socket | None,
+) -> StreamServer:
+    """The map stream, with the map that it serves."""
+    live = daemon.live
+    source = MapSource(
+        opened.sonar_map,
+        opened.keep,
+        log_odds_step=run.settings.current.stream.log_odds_step,
+        origin_deg=lambda: live.poses.origin_deg,
+    )
+    stack.enter_context(source)
+    return stream_server(daemon, live, source, os.environ, now_ns=clock, inherited=inherited)
+
+
+@contextlib.asynccontextmanager
+async def _poses_kept(
+    settings: ConfigStore, live: Live, events: EventLog, clock: Callable[[], int]
+) -> AsyncIterator[None]:
+    """Save the estimated pose meanwhile, and at the end."""
+    if live.localizing is None:
+        yield
+        return
+    keeper = PoseKeeper(
+        pose_path(settings.current, os.environ),
+        lambda: live.mapping.facts.localization,
+        lambda: settings.current.amcl,
+        clock,
+        events,
+    )
+    saving = asyncio.create_task(keeper.run())
+    try:
+        yield
+    finally:
+        saving.cancel()
+        await asyncio.gather(saving, return_exceptions=True)
+        await asyncio.to_thread(keeper.save)
+
+
+def _keep_origin(settings: ConfigStore, opened: OpenMap) -> None:
+    """A map that goes on has its zero where its first session had it."""
+    if opened.origin_deg is None or settings.current.odometry.origin is not None:
+        return
+    latitude, longitude = opened.origin_deg
+    value = {"latitude": latitude, "longitude": longitude}
+    opened.sonar_map.reconfigure(settings.settle("odometry.origin", value, "the map's file"))
+
+
+def _localizing(config: Config, events: EventLog) -> LocalizationSession | None:
+    """Begin localization by the settings, at the saved pose where there is one.
+
+    Raises:
+        ConfigError: its map cannot be used, or is the one that is being made.
+    """
+    ours = config.localization
+    grows = config.outofcore.use and ours.mapping != "off"
+    if grows and ours.map_path and _same(Path(ours.map_path), map_path(config, os.environ)):
+        place = "$.localization.map_path"
+        raise ConfigError(
+            f"{place}: is the map that pings are mapped into, which would then change below the "
+            "vehicle's feet; allowed: a copy of it, or localization.mapping off",
+            place,
+        )
+    return begun(config, _saved_pose(config, events))
+
+
+def _saved_pose(config: Config, events: EventLog) -> PlanarGaussian | None:
+    """The pose of before a restart; a file that is none keeps nobody from beginning."""
+    if config.localization.mode == "off":
+        return None
+    try:
+        return load_pose(pose_path(config, os.environ), config.amcl.global_frame_id)
+    except MapError as error:
+        text = f"begins without its saved pose: {error}"
+        events.add(Severity.WARNING, "saved_pose_ignored", text)
+        return None
+
+
+def _same(one: Path, other: Path) -> bool:
+    return one.absolute() == other.absolute() or (
+        one.exists() and other.exists() and one.samefile(other)
+    )
+
+
+async def _tell(live: Live, say: Say) -> None:
+    """Say every now and then how it goes."""
+    while True:
+        await asyncio.sleep(TELL_S)
+        pings = live.mapping.facts.pings
+        dropped = sum(pings["dropped"].values())
+        sonar = f"{pings['mapped']} pings mapped, {dropped} dropped, sonar {live.link.state}"
+        say(sonar + _where(live.mapping.facts.localization))
+
+
+def _where(facts: LocalizationFacts | None) -> str:
+    """Where the vehicle is on the known map, for the line that says how it goes."""
+    if facts is None:
+        return ""
+    state = f", {state_of(facts)}"
+    if facts.belief is None:
+        return state
+    best = facts.belief.best
+    return f"{state} at x {best.x_m:.2f} m, y {best.y_m:.2f} m"
+
+
+async def _until(stop: asyncio.Event, duration_s: float | None) -> None:
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(duration_s):
+            await stop.wait()
+
+
+def _live_facts(daemon: Daemon, *, told_to_stop: bool) -> dict[str, Any]:
+    status, device = daemon.status(), daemon.settings.current.device
+    sonar = status["sonar"]
+    return {
+        "session": status["session"],
+        "told_to_stop": told_to_stop,
+        "sonar": f"{sonar['address'] or device.address or 'found by status'}:{device.port}",
+        "odometry": status["odometry"]["connections"],
+        "recording": status["recording"],
+        "pings_placed_by": {how: count for how, count in sonar["placed_by"].items() if count},
+        "sonar_restarts": sonar["restarts"],
+        "latency_ms": status["latency_ms"],
+        "behind": status["behind"],
+    }

@@ -1,0 +1,226 @@
+"""The status of a session in plain values, and events about its changes."""
+
+import asyncio
+from typing import Any, NoReturn
+
+import numpy as np
+
+from mapperd.config.tree import Config
+from mapperd.daemon.session import Live
+from mapperd.events import EventLog, Severity
+from mapperd.localization.report import localization_summary, map_name_of, state_of
+from mapperd.localization.status import LocalizationFacts
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.odometry.links import Link
+from mapperd.pipeline.worker import StatusSnapshot
+from mapperd.version import version
+
+__all__ = ["LocalizationWatch", "Watch", "status_of"]
+
+
+def status_of(
+    live: Live, sonar_map: SonarMap, config: Config, uptime_s: float, servers: dict[str, Any]
+) -> dict[str, Any]:
+    """All keys of `DaemonApi.status` but `phase`."""
+    facts = live.mapping.facts
+    return {
+        "reason": live.link.reason,
+        "version": version(),
+        "session": live.session,
+        "uptime_s": uptime_s,
+        "progress": facts.progress,
+        "sonar": _sonar(live, facts),
+        "odometry": {**facts.odometry, "connections": {ln.name: _link(ln) for ln in live.links}},
+        "pose": _pose(facts),
+        "localization": localization_summary(facts.localization, config),
+        "pings": facts.pings,
+        "latency_ms": facts.latency_ms,
+        "behind": {**facts.behind, **_queue(live)},
+        "map": {
+            "memory_bytes": sonar_map.memory_bytes,
+            "revision": sonar_map.core.revision,
+            "resolution_m": sonar_map.resolution_m,
+        },
+        "store": live.keep.status(),
+        "recording": live.recorder.status(),
+        "robots": facts.robots,
+        "servers": servers,
+    }
+
+
+def _sonar(live: Live, facts: StatusSnapshot) -> dict[str, Any]:
+    link, counted = live.link, live.sonar.counters
+    return {
+        "state": str(link.state),
+        "reason": link.reason,
+        "address": link.address,
+        "connections": counted.connections,
+        "losses": counted.losses,
+        "bytes": counted.bytes_received,
+        "bytes_rejected": counted.bytes_rejected,
+        "pings": counted.pings,
+        "pings_lost": counted.lost_pings,
+        "placed_by": facts.clocks["placed"],
+        "restarts": facts.clocks["restarts"],
+        **facts.sonar,
+    }
+
+
+def _link(link: Link) -> dict[str, Any]:
+    status = link.status
+    return {
+        "link": str(link.address),
+        "state": str(status.phase),
+        "reason": status.reason,
+        "bytes": status.bytes_received,
+        "opened": status.opened,
+        "losses": status.losses,
+    }
+
+
+def _pose(facts: StatusSnapshot) -> dict[str, Any] | None:
+    if facts.pose is None:
+        return None
+    pose, variances = facts.pose, np.diag(facts.pose.covariance)
+    std = np.sqrt(np.maximum(variances, 0.0))
+    return {
+        "t_s": None if facts.pose_ns is None else facts.pose_ns / 1e9,
+        "position_m": pose.pose.position_m.tolist(),
+        "map_q_base_wxyz": pose.pose.map_q_base.tolist(),
+        "position_std_m": std[:3].tolist(),
+        "rotation_std_rad": std[3:].tolist(),
+        "segment": pose.segment,
+        "reckoned_s": pose.reckoned_s,
+    }
+
+
+def _queue(live: Live) -> dict[str, Any]:
+    queue = live.queue
+    return {
+        "queued_bytes": queue.waiting_bytes,
+        "refused_bytes": queue.bytes_refused,
+        "refused_chunks": queue.chunks_refused,
+    }
+
+
+TEXTS = {
+    "localized": (Severity.NOTICE, "the vehicle is localized"),
+    "ambiguous": (Severity.WARNING, "the vehicle may be at more than one place"),
+    "lost": (Severity.WARNING, "localization is lost: most of the weight is elsewhere"),
+}
+
+
+class LocalizationWatch:
+    """Compares facts with those before; one thread at a time.
+
+    Args:
+        events: is told.
+    """
+
+    def __init__(self, events: EventLog) -> None:
+        self._events = events
+        self._map = ""
+        self._state = ""
+        self._level = "OK"
+
+    def told(self, facts: LocalizationFacts) -> None:
+        """Look at new facts."""
+        name = map_name_of(facts)
+        if name != self._map:
+            self._map = name
+            self._events.add(
+                Severity.NOTICE, "map_loaded", f"localizing on {self._map}", map=self._map
+            )
+        self._look_at_state(facts)
+        self._look_at_level(facts)
+
+    def _look_at_state(self, facts: LocalizationFacts) -> None:
+        state = state_of(facts)
+        before, self._state = self._state, state
+        if state == before or state not in TEXTS or facts.belief is None:
+            return
+        severity, text = TEXTS[state]
+        best = facts.belief.best
+        where = f"x {best.x_m:.2f} m, y {best.y_m:.2f} m, {best.yaw_rad:.3f} rad"
+        share = facts.belief.elsewhere
+        self._events.add(severity, state, f"{text}; {where} at best", elsewhere=share)
+
+    def _look_at_level(self, facts: LocalizationFacts) -> None:
+        diagnosis = facts.diagnosis
+        if diagnosis.level == self._level:
+            return
+        self._level = diagnosis.level
+        bad = self._level == "WARN"
+        severity = Severity.WARNING if bad else Severity.NOTICE
+        text = f"localization: {diagnosis.text}"
+        self._events.add(severity, "localization_std", text, level=self._level)
+
+
+LOOK_S = 1.0
+TELL_S = 10.0
+"""Between looks at whether odometry still comes."""
+
+
+class Watch:
+    """Looks at one session.
+
+    Args:
+        events: is told.
+        live: the session.
+    """
+
+    def __init__(self, events: EventLog, live: Live) -> None:
+        self._events = events
+        self._live = live
+        self._late = False
+        self._dropped = 0
+        self._recording: object = None
+        self._localization = LocalizationWatch(events)
+
+    def told(self, facts: StatusSnapshot) -> None:
+        """Look at new facts; in the mapping thread."""
+        if facts.localization is not None:
+            self._localization.told(facts.localization)
+        behind = facts.behind
+        if behind["late"] == self._late:
+            return
+        self._late = behind["late"]
+        if self._late:
+            text = "pings come faster than they can be mapped"
+            self._events.add(Severity.WARNING, "behind", text)
+            return
+        dropped, self._dropped = behind["dropped"] - self._dropped, behind["dropped"]
+        text = f"mapping has caught up; {dropped} pings were dropped"
+        self._events.add(Severity.NOTICE, "caught_up", text, pings_dropped=dropped)
+
+    async def look(self) -> NoReturn:
+        """Look every now and then at what tells nobody, until cancelled."""
+        heard, silent_s = self._heard(), 0.0
+        while True:
+            await asyncio.sleep(LOOK_S)
+            self._look_at_recording()
+            now_heard = self._heard()
+            silent_s = 0.0 if now_heard != heard else silent_s + LOOK_S
+            heard = now_heard
+            if silent_s == TELL_S and self._live.links:
+                text = f"no odometry for {TELL_S:g} s; see `mapperd doctor`"
+                self._events.add(Severity.WARNING, "no_odometry", text)
+
+    def _heard(self) -> int:
+        return sum(link.status.bytes_received for link in self._live.links)
+
+    def _look_at_recording(self) -> None:
+        status = self._live.recorder.status()
+        if status is None or status["state"] == self._recording:
+            return
+        first, self._recording = self._recording is None, status["state"]
+        if first and status["state"] == "logging":
+            return
+        bad = status["state"] == "paused"
+        why = f": {status['reason']}" if status["reason"] else ""
+        self._events.add(
+            Severity.ERROR if bad else Severity.NOTICE,
+            "recording",
+            f"recording: {status['state']}{why}",
+            state=status["state"],
+        )

@@ -1,0 +1,153 @@
+"""The protocols of sd_notify(3) and sd_listen_fds(3)."""
+
+import contextlib
+import os
+import socket
+import threading
+from collections.abc import Iterator, Mapping, MutableMapping
+
+__all__ = ["Notifier", "inherited_sockets", "watchdog_s"]
+
+PATIENCE_S = 30.0
+"""What takes long asks for so much more time, three times in each."""
+
+MAX_STATUS = 200
+"""Characters of a status line; more is cut."""
+
+
+class Notifier:
+    """Sends datagrams to the manager's socket; where there is none, does nothing. Never waits.
+
+    Args:
+        environ: `NOTIFY_SOCKET` names the socket: a path, or `@` and an abstract name.
+
+    Attributes:
+        lost: messages that the manager did not take.
+    """
+
+    def __init__(self, environ: Mapping[str, str]) -> None:
+        self.lost = 0
+        self._address = _address(environ.get("NOTIFY_SOCKET", ""))
+        self._socket: socket.socket | None = None
+
+    @property
+    def is_supervised(self) -> bool:
+        """Whether anybody listens."""
+        return self._address is not None
+
+    def ready(self, status: str = "") -> None:
+        """The daemon works: settings read, sockets bound, map loaded."""
+        self._send("READY=1", _status(status))
+
+    def status(self, text: str) -> None:
+        """One line for a person."""
+        self._send(_status(text))
+
+    def reloading(self, monotonic_ns: int) -> None:
+        """Settings are read again; `ready` says when that is done."""
+        self._send("RELOADING=1", f"MONOTONIC_USEC={monotonic_ns // 1000}")
+
+    def stopping(self, status: str = "") -> None:
+        """The daemon ends."""
+        self._send("STOPPING=1", _status(status))
+
+    def alive(self) -> None:
+        """Feed the watchdog."""
+        self._send("WATCHDOG=1")
+
+    def extend(self, seconds: float) -> None:
+        """Starting or stopping takes so much longer."""
+        self._send(f"EXTEND_TIMEOUT_USEC={round(seconds * 1e6)}")
+
+    @contextlib.contextmanager
+    def patience(self) -> Iterator[None]:
+        """Ask for more time, and feed the watchdog, while something long is done in this block."""
+        if not self.is_supervised:
+            yield
+            return
+        done = threading.Event()
+
+        def ask() -> None:
+            while True:
+                self.extend(PATIENCE_S)
+                self.alive()
+                if done.wait(PATIENCE_S / 6):
+                    return
+
+        thread = threading.Thread(target=ask, name="patience", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()
+
+    def close(self) -> None:
+        """Say nothing more."""
+        self._address = None
+        if self._socket is not None:
+            self._socket.close()
+
+    def _send(self, *lines: str) -> None:
+        if self._address is None:
+            return
+        text = "\n".join(line for line in lines if line)
+        try:
+            if self._socket is None:
+                self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+                self._socket.settimeout(0)
+            self._socket.sendto(text.encode(), self._address)
+        except OSError:
+            self.lost += 1
+
+
+def watchdog_s(environ: Mapping[str, str], pid: int) -> float | None:
+    """How long the manager waits for a sign of life; None where it does not.
+
+    Args:
+        environ: `WATCHDOG_USEC`, and `WATCHDOG_PID` if it is meant for one process only.
+        pid: of this process.
+    """
+    with contextlib.suppress(ValueError):
+        if environ.get("WATCHDOG_PID") and int(environ["WATCHDOG_PID"]) != pid:
+            return None
+        microseconds = int(environ.get("WATCHDOG_USEC", ""))
+        return microseconds / 1e6 if microseconds > 0 else None
+    return None
+
+
+def _address(name: str) -> bytes | None:
+    if name.startswith("@"):
+        return b"\0" + os.fsencode(name[1:])
+    return os.fsencode(name) if name.startswith("/") else None
+
+
+def _status(text: str) -> str:
+    line = " ".join(text.split())[:MAX_STATUS]
+    return f"STATUS={line}" if line else ""
+
+
+FIRST = 3
+MAX = 16
+
+
+def inherited_sockets(environ: MutableMapping[str, str], pid: int) -> dict[str, socket.socket]:
+    """Sockets by the name that the unit gives them; they are ours from now on.
+
+    The variables are removed, so that no child takes them for its own.
+
+    Args:
+        environ: `LISTEN_PID`, `LISTEN_FDS`, `LISTEN_FDNAMES`.
+        pid: of this process; sockets for another one are not touched.
+    """
+    meant_for = environ.pop("LISTEN_PID", "")
+    number = environ.pop("LISTEN_FDS", "")
+    names = environ.pop("LISTEN_FDNAMES", "").split(":")
+    if meant_for != str(pid) or not number.isdecimal() or int(number) > MAX:
+        return {}
+    found: dict[str, socket.socket] = {}
+    for i in range(int(number)):
+        os.set_inheritable(FIRST + i, False)  # noqa: FBT003 its only argument
+        name = names[i] if i < len(names) and names[i] else f"socket{i}"
+        found[name] = socket.socket(fileno=FIRST + i)
+    return found

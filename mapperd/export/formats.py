@@ -1,0 +1,189 @@
+"""A map as a file, in the format that the file's name asks for."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+from mapperd.errors import ExportError, MapError
+from mapperd.export.calibration import Calibration
+from mapperd.export.cells import Heights, known_cells, top_cells, top_voxels
+from mapperd.export.clouds import write_pcd, write_ply, write_xyz
+from mapperd.export.geotiff import write_geotiff
+from mapperd.export.grids import nav2_yaml, write_ascii_grid, write_pgm
+from mapperd.export.las import write_las
+from mapperd.geometry.geodesy import Origin, local_projection, utm_zone
+from mapperd.io import atomic_file
+from mapperd.mapping.sonar_map import SonarMap, Voxels
+
+__all__ = ["FORMATS", "SAY_PROBABILITY", "check_calibration", "crs_of", "write_map"]
+
+ALL = Heights()
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    heights: Heights
+    origin: Origin | None
+    calibration: Calibration | None
+
+    def occupied(self, sonar_map: SonarMap) -> Voxels:
+        """The occupied voxels, with the probabilities that are asked for."""
+        voxels = sonar_map.voxels("occupied")
+        return voxels if self.calibration is None else self.calibration.of(voxels)
+
+
+def write_map(
+    sonar_map: SonarMap,
+    path: Path,
+    heights: Heights = ALL,
+    origin: Origin | None = None,
+    calibration: Calibration | None = None,
+) -> list[Path]:
+    """Write one state of a map, whole or not at all, while pings may go on changing it.
+
+    Args:
+        sonar_map: in memory as a whole.
+        path: its suffix is one of `FORMATS`.
+        heights: what the flat formats, `.asc`, `.tif` and `.pgm`, look at.
+        origin: where the map's zero lies on Earth; None where nobody knows.
+        calibration: of the probabilities in the formats of `SAY_PROBABILITY`; None leaves them as
+            they are.
+
+    Returns:
+        the files: `.pgm` has a `.yaml` beside it.
+
+    Raises:
+        ExportError: the suffix is no format, the library for it is not installed, the file cannot
+            be written, the format cannot hold this map, or it takes no calibration.
+        MapError: the map is in tiles (`in_tiles`), or leaves OctoMap's reach (`out_of_reach`).
+    """
+    write = FORMATS.get(path.suffix)
+    if write is None:
+        raise ExportError(f"{path.name}: no format has such a name; known: {' '.join(FORMATS)}")
+    check_calibration(path, calibration)
+    if sonar_map.core.is_in_tiles:
+        raise MapError("the map is in tiles: read it from its file", "in_tiles")
+    return write(sonar_map, path, _Asked(heights, origin, calibration))
+
+
+def check_calibration(path: Path, calibration: Calibration | None) -> None:
+    """Refuse a calibration where there is no probability to change.
+
+    Files that are a map again when they are read, OctoMap's and our own, keep the map's log-odds.
+
+    Raises:
+        ExportError: it is one.
+    """
+    if calibration is not None and path.suffix not in SAY_PROBABILITY:
+        raise ExportError(
+            f"{path.name}: {path.suffix} takes no calibration; those that do: "
+            f"{' '.join(SAY_PROBABILITY)}"
+        )
+
+
+def crs_of(path: Path, origin: Origin | None) -> str | None:
+    """The system of coordinates that a file says it has, for a person; None if it cannot say."""
+    projection = _PROJECTIONS.get(path.suffix)
+    if projection is None:
+        return None
+    if origin is None:
+        return "none: nobody said where on Earth the map is"
+    found = projection(origin)
+    return f"{found.name}, EPSG:{found.epsg}" if found.epsg else found.name
+
+
+_PROJECTIONS = MappingProxyType({".las": utm_zone, ".laz": utm_zone, ".tif": local_projection})
+
+
+def _map(sonar_map: SonarMap, path: Path, _: _Asked) -> list[Path]:
+    sonar_map.save(path)
+    return [path]
+
+
+def _bt(sonar_map: SonarMap, path: Path, _: _Asked) -> list[Path]:
+    return _bytes(sonar_map.octomap_bt(), path)
+
+
+def _ot(sonar_map: SonarMap, path: Path, _: _Asked) -> list[Path]:
+    return _bytes(sonar_map.octomap_ot(), path)
+
+
+def _ply(sonar_map: SonarMap, path: Path, asked: _Asked) -> list[Path]:
+    occupied = asked.occupied(sonar_map)
+    with atomic_file(path) as file:
+        write_ply(file, occupied, sonar_map.resolution_m)
+    return [path]
+
+
+def _pcd(sonar_map: SonarMap, path: Path, asked: _Asked) -> list[Path]:
+    occupied = asked.occupied(sonar_map)
+    with atomic_file(path) as file:
+        write_pcd(file, occupied, sonar_map.resolution_m)
+    return [path]
+
+
+def _xyz(sonar_map: SonarMap, path: Path, _: _Asked) -> list[Path]:
+    occupied = sonar_map.voxels("occupied")
+    with atomic_file(path) as file:
+        write_xyz(file, occupied)
+    return [path]
+
+
+def _asc(sonar_map: SonarMap, path: Path, asked: _Asked) -> list[Path]:
+    tops = top_cells(sonar_map, asked.heights)
+    with atomic_file(path) as file:
+        write_ascii_grid(file, tops, sonar_map.resolution_m)
+    return [path]
+
+
+def _las(sonar_map: SonarMap, path: Path, asked: _Asked) -> list[Path]:
+    occupied = asked.occupied(sonar_map)
+    with atomic_file(path) as file:
+        write_las(file, occupied, asked.origin, packed=path.suffix == ".laz")
+    return [path]
+
+
+def _tif(sonar_map: SonarMap, path: Path, asked: _Asked) -> list[Path]:
+    tops = top_voxels(sonar_map, asked.heights)
+    with atomic_file(path) as file:
+        write_geotiff(file, tops, sonar_map.resolution_m, asked.origin)
+    return [path]
+
+
+def _pgm(sonar_map: SonarMap, path: Path, asked: _Asked) -> list[Path]:
+    """Both files are written before either takes its place."""
+    cells = known_cells(sonar_map, asked.heights)
+    beside = path.with_suffix(".yaml")
+    with atomic_file(beside) as text, atomic_file(path) as picture:
+        write_pgm(picture, cells)
+        if cells is not None:
+            text.write(nav2_yaml(path.name, cells, sonar_map.resolution_m))
+    return [path, beside]
+
+
+def _bytes(data: bytes, path: Path) -> list[Path]:
+    with atomic_file(path) as file:
+        file.write(data)
+    return [path]
+
+
+SAY_PROBABILITY = (".ply", ".pcd", ".las", ".laz")
+"""Formats that say each voxel's probability, and are no map again when they are read."""
+
+FORMATS: Mapping[str, Callable[[SonarMap, Path, _Asked], list[Path]]] = MappingProxyType(
+    {
+        ".bt": _bt,
+        ".ot": _ot,
+        ".ply": _ply,
+        ".pcd": _pcd,
+        ".xyz": _xyz,
+        ".las": _las,
+        ".laz": _las,
+        ".asc": _asc,
+        ".tif": _tif,
+        ".pgm": _pgm,
+        ".map": _map,
+    }
+)
+"""What a map can be saved as, by suffix."""

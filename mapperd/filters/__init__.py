@@ -1,1 +1,0 @@
-"""Filters on a ping's image."""

@@ -1,0 +1,1 @@
+"""The live map in Foxglove, and recordings for it."""

@@ -1,0 +1,270 @@
+"""The newest state of the map stream, and the sonar's image, as Foxglove's messages."""
+
+import math
+from collections.abc import Callable, Collection, Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from foxglove.messages import RawImage
+from numpy.typing import NDArray
+
+from mapperd.client.changes import LinkStatus
+from mapperd.client.mirror import MapMirror
+from mapperd.client.validation import image_of
+from mapperd.foxglove.geometry import (
+    Frames,
+    odometry,
+    particle_poses,
+    planar_fix,
+    pose_in_frame,
+    stamp,
+    transforms,
+)
+from mapperd.foxglove.map_publisher import returns_cloud, scan_cloud
+from mapperd.foxglove.scene import covariance_scene, fan_scene, robots_scene
+from mapperd.wire.messages import (
+    Fan,
+    Image,
+    Localization,
+    Pose,
+    Returns,
+    Robots,
+    Status,
+    Welcome,
+)
+
+__all__ = ["FanShape", "Follows", "StateMessages", "polar_image", "values_of"]
+
+
+def polar_image(pixels: NDArray[np.uint8], frame: str, stamp_ns: int) -> RawImage:
+    """Grey values as an image of its own."""
+    height, width = pixels.shape
+    return RawImage(
+        timestamp=stamp(stamp_ns),
+        frame_id=frame,
+        width=width,
+        height=height,
+        encoding="mono8",
+        step=width,
+        data=pixels.tobytes(),
+    )
+
+
+class FanShape:
+    """Bends images; what it takes for that is kept while their shape stays."""
+
+    def __init__(self) -> None:
+        self._shape: tuple[int, int, bytes] | None = None
+        self._source = np.zeros((0, 0), np.intp)
+
+    def bent(self, image: Image, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Seen from above: the sonar below in the middle, port to the left; black outside.
+
+        Args:
+            image: whose bearings they are.
+            pixels: (rows, beams).
+        """
+        shape = (image.rows, image.beams, image.bearings_rad)
+        if shape != self._shape:
+            self._source = _source(image)
+            self._shape = shape
+        return np.append(pixels.ravel(), np.uint8(0))[self._source]
+
+
+def _source(image: Image) -> NDArray[np.intp]:
+    """Which of the image's values each pixel shows; the one after the last is outside."""
+    rows, beams = image.rows, image.beams
+    bearings = np.frombuffer(image.bearings_rad, "<f4").astype(np.float64)
+    low, high = _edges(bearings)
+    widest = min(max(abs(low), abs(high)), math.pi / 2)
+    half_width = max(math.ceil(rows * math.sin(widest)), 1)
+    across = np.arange(-half_width, half_width) + 0.5
+    ahead = (np.arange(rows) + 0.5)[::-1, None]
+    row = np.floor(np.hypot(across, ahead)).astype(np.intp)
+    bearing = np.arctan2(across, ahead)
+    between = (bearings[1:] + bearings[:-1]) / 2
+    beam = np.searchsorted(between, bearing)
+    seen = (row < rows) & (bearing >= low) & (bearing <= high)
+    return np.where(seen, row * beams + beam, rows * beams)
+
+
+def _edges(bearings: NDArray[np.float64]) -> tuple[float, float]:
+    """The outer beams are as wide as half the way to their neighbours."""
+    if len(bearings) == 1:
+        return float(bearings[0]) - 0.01, float(bearings[0]) + 0.01
+    low = bearings[0] - (bearings[1] - bearings[0]) / 2
+    high = bearings[-1] + (bearings[-1] - bearings[-2]) / 2
+    return float(low), float(high)
+
+
+class Follows(Protocol):
+    """A client of the map stream, as far as it is looked at here."""
+
+    @property
+    def mirror(self) -> MapMirror | None: ...  # noqa: D102
+    @property
+    def link(self) -> LinkStatus: ...  # noqa: D102
+    @property
+    def welcome(self) -> Welcome | None: ...  # noqa: D102
+    @property
+    def pose(self) -> Pose | None: ...  # noqa: D102
+    @property
+    def path(self) -> NDArray[np.float64]: ...  # noqa: D102
+    @property
+    def fan(self) -> Fan | None: ...  # noqa: D102
+    @property
+    def returns(self) -> Returns | None: ...  # noqa: D102
+    @property
+    def image(self) -> Image | None: ...  # noqa: D102
+    @property
+    def robots(self) -> Robots | None: ...  # noqa: D102
+    @property
+    def localization(self) -> Localization | None: ...  # noqa: D102
+    @property
+    def status(self) -> Status | None: ...  # noqa: D102
+    @property
+    def settings(self) -> Mapping[str, Any]: ...  # noqa: D102
+
+
+class StateMessages:
+    """Makes the message of a topic, when it is wanted.
+
+    Args:
+        client: whose state it is.
+    """
+
+    def __init__(self, client: Follows) -> None:
+        self._client = client
+        self._shape = FanShape()
+        self._makers: Mapping[str, Callable[[int], Any]] = {
+            "/tf": lambda _: self._of_pose(transforms),
+            "/pose": lambda _: self._of_pose(pose_in_frame),
+            "/odometry": lambda _: self._of_pose(odometry),
+            "/fan": self._fan,
+            "/returns": self._returns,
+            "/sonar/polar": self._polar,
+            "/sonar/fan": self._bent,
+            "/robots": self._robots,
+            "/localization/particles": self._particles,
+            "/localization/pose": self._fix,
+            "/localization/covariance": self._covariance,
+            "/localization/scan": self._scan,
+            "/localization/report": self._report,
+            "/status": self._status,
+            "/settings": self._settings,
+        }
+
+    @property
+    def topics(self) -> Collection[str]:
+        """Those that there are messages for."""
+        return self._makers.keys()
+
+    def message(self, topic: str, stamp_ns: int) -> Any:  # noqa: ANN401 one class for each topic
+        """The message; None while nothing is known.
+
+        Args:
+            topic: one of `topics`.
+            stamp_ns: of what has no stamp of its own.
+        """
+        return self._makers[topic](stamp_ns)
+
+    def frames(self) -> Frames:
+        """As the daemon calls them."""
+        welcome, mirror = self._client.welcome, self._client.mirror
+        facts = mirror.facts if mirror else welcome.map if welcome else None
+        return Frames(facts.frame if facts else "map", self._client.settings)
+
+    def _of_pose(self, make: Callable[[Pose, Frames], Any]) -> Any:  # noqa: ANN401 as above
+        pose = self._client.pose
+        return None if pose is None else make(pose, self.frames())
+
+    def _fan(self, stamp_ns: int) -> Any:  # noqa: ANN401 as above
+        fan = self._client.fan
+        return None if fan is None else fan_scene(fan, self.frames().sonar, stamp_ns)
+
+    def _returns(self, _: int) -> Any:  # noqa: ANN401 as above
+        returns, frames = self._client.returns, self.frames()
+        return None if returns is None else returns_cloud(returns, frames.map, frames.sonar)
+
+    def _polar(self, _: int) -> Any:  # noqa: ANN401 as above
+        image = self._client.image
+        if image is None:
+            return None
+        return polar_image(image_of(image), self.frames().sonar, image.stamp_ns)
+
+    def _bent(self, _: int) -> Any:  # noqa: ANN401 as above
+        image = self._client.image
+        if image is None:
+            return None
+        pixels = self._shape.bent(image, image_of(image))
+        return polar_image(pixels, self.frames().sonar, image.stamp_ns)
+
+    def _robots(self, stamp_ns: int) -> Any:  # noqa: ANN401 as above
+        robots = self._client.robots
+        return None if robots is None else robots_scene(robots, self.frames().map, stamp_ns)
+
+    def _particles(self, stamp_ns: int) -> Any:  # noqa: ANN401 as above
+        said = self._client.localization
+        if said is None:
+            return None
+        return particle_poses(said, self.frames().map, self._height_m(), stamp_ns)
+
+    def _fix(self, stamp_ns: int) -> Any:  # noqa: ANN401 as above
+        fix = self._best()
+        if fix is None:
+            return None
+        return planar_fix(fix, self.frames().map, self._height_m(), stamp_ns)
+
+    def _covariance(self, stamp_ns: int) -> Any:  # noqa: ANN401 as above
+        if self._client.localization is None:
+            return None
+        return covariance_scene(self._best(), self.frames().map, self._height_m(), stamp_ns)
+
+    def _scan(self, stamp_ns: int) -> Any:  # noqa: ANN401 as above
+        said = self._client.localization
+        return None if said is None else scan_cloud(said, self.frames().map, stamp_ns)
+
+    def _report(self, _: int) -> Any:  # noqa: ANN401 as above
+        said = self._client.localization
+        return None if said is None else said.report
+
+    def _status(self, _: int) -> Any:  # noqa: ANN401 as above
+        status, link = self._client.status, self._client.link
+        return {
+            "connection": {
+                "state": link.state,
+                "address": link.address,
+                "reason": link.reason,
+                "connects": link.connects,
+                "bytes": link.bytes,
+            },
+            "stream": status.link if status else {},
+            "daemon": status.status if status else {},
+        }
+
+    def _settings(self, _: int) -> Any:  # noqa: ANN401 as above
+        return values_of(self._client.settings)
+
+    def _best(self) -> Mapping[str, Any] | None:
+        """Where localization believes the vehicle; None where it has no whole answer."""
+        said = self._client.localization
+        fix = said.report.get("pose") if said else None
+        if not isinstance(fix, Mapping):
+            return None
+        try:
+            numbers = [fix["x_m"], fix["y_m"], fix["yaw_rad"]]
+            covariance = np.asarray(fix["covariance"], np.float64)
+            whole = all(math.isfinite(number) for number in numbers)
+        except (KeyError, TypeError, ValueError):
+            return None
+        good = covariance.shape == (3, 3) and np.isfinite(covariance).all()
+        return fix if whole and good else None
+
+    def _height_m(self) -> float:
+        pose = self._client.pose
+        return pose.position_m[2] if pose else 0.0
+
+
+def values_of(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Names of settings to their values."""
+    return {name: fact["value"] for name, fact in facts.items() if "value" in fact}

@@ -1,0 +1,1 @@
+"""Frames of reference, places on Earth, motion and planar estimates."""

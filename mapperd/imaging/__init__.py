@@ -1,0 +1,1 @@
+"""From a ping to its image: detection of robots, and filters."""

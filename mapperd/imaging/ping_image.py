@@ -1,0 +1,153 @@
+"""From a ping, or a polar image with its bearings, to the image that the map uses.
+
+Intensities are the raw samples as sent, with the sonar's own time-varied gain in them, because
+the threshold is what the operator sees on the sonar's display. They are scaled to 0..255;
+16 and 32 bit samples keep their fractions.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mapperd.config.tree import Sonar
+from mapperd.errors import MapError
+from oculus_driver.ping import Ping
+
+__all__ = [
+    "PingImage",
+    "beams_in_view",
+    "display_units",
+    "ping_image_of",
+    "ping_image_of_array",
+    "uniform_bearings",
+]
+
+EDGE_RAD = math.radians(0.01)
+"""Resolution of the sonar's bearing table: a beam on the edge of the fan belongs to it."""
+
+DISPLAY_FULL_SCALE = 255
+
+EXACT_BYTES = 2
+"""Samples of up to this many bytes are exact in float32."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PingImage:
+    """The part of a ping that is mapped; arrays are read-only.
+
+    Attributes:
+        intensity: (rows, beams) float32, 0..255, row 0 nearest, most negative bearing first.
+        bearings_rad: (beams,) float64, strictly increasing, positive to starboard.
+        range_resolution_m: thickness of a row.
+    """
+
+    intensity: NDArray[np.float32]
+    bearings_rad: NDArray[np.float64]
+    range_resolution_m: float
+
+    @property
+    def max_range_m(self) -> float:
+        """Far edge of the last row."""
+        return len(self.intensity) * self.range_resolution_m
+
+
+def ping_image_of(ping: Ping, sonar: Sonar) -> PingImage:
+    """Scale the image and leave out beams beyond `sonar.horizontal_fov`.
+
+    Raises:
+        MapError: the bearings are no fan, or none of them lies in the field of view.
+    """
+    bearings = ping.bearings_rad
+    if "bad_bearings" in ping.warnings:
+        raise MapError("bearings do not rise from port to starboard", "bad_bearings")
+    view = beams_in_view(bearings, sonar)
+    intensity = display_units(ping.image[:, view], ping.full_scale)
+    kept = np.ascontiguousarray(bearings[view])
+    intensity.setflags(write=False)
+    kept.setflags(write=False)
+    return PingImage(intensity, kept, ping.range_resolution_m)
+
+
+def beams_in_view(bearings_rad: NDArray[np.float64], sonar: Sonar) -> slice:
+    """The beams, of increasing bearings, within `sonar.horizontal_fov`.
+
+    Raises:
+        MapError: none of them lies in it.
+    """
+    half_rad = math.radians(sonar.horizontal_fov) / 2 + EDGE_RAD
+    first, last = np.searchsorted(bearings_rad, [-half_rad, half_rad])
+    if first == last:
+        raise MapError("no beam lies within sonar.horizontal_fov", "outside_fov")
+    return slice(int(first), int(last))
+
+
+def display_units(samples: NDArray[np.unsignedinteger], full_scale: int) -> NDArray[np.float32]:
+    """Samples as 0..255; a division, so that multiples of the step come out whole."""
+    if full_scale == DISPLAY_FULL_SCALE:
+        return np.ascontiguousarray(samples, dtype=np.float32)
+    wide = np.float32 if samples.itemsize <= EXACT_BYTES else np.float64
+    intensity = np.divide(samples, wide(full_scale / DISPLAY_FULL_SCALE), dtype=wide)
+    return np.ascontiguousarray(intensity, dtype=np.float32)
+
+
+MAX_RANGE_M = 10_000.0
+
+
+def uniform_bearings(beams: int, sonar: Sonar) -> NDArray[np.float64]:
+    """Bearings uniform in sine over `sonar.horizontal_fov`, as the sonar spaces its beams.
+
+    Returns:
+        (beams,) float64 radians, increasing; positive to starboard.
+    """
+    edge = math.sin(math.radians(sonar.horizontal_fov) / 2)
+    return np.asarray(np.arcsin(np.linspace(-edge, edge, beams)), dtype=np.float64)
+
+
+def ping_image_of_array(
+    polar_image: ArrayLike, max_range: float, bearings: ArrayLike | None, sonar: Sonar
+) -> PingImage:
+    """Scale an image to 0..255 and leave out beams beyond `sonar.horizontal_fov`.
+
+    Args:
+        polar_image: (rows, beams), row 0 nearest, column 0 the most negative bearing; uint8,
+            uint16 (scaled from full scale 65535) or float in 0..255.
+        max_range: metres, far edge of the last row; row k spans k..k + 1 times max_range / rows.
+        bearings: (beams,) radians, strictly increasing, positive to starboard; None for
+            `uniform_bearings`.
+        sonar: the fan.
+
+    Raises:
+        MapError: no image, no range, no fan, or no beam in the field of view.
+    """
+    image = _intensity(np.asarray(polar_image))
+    if not 0 < max_range <= MAX_RANGE_M:
+        raise MapError(f"max_range must be above 0 m and at most {MAX_RANGE_M:g} m", "bad_range")
+    rows, beams = image.shape
+    table = uniform_bearings(beams, sonar) if bearings is None else _table(bearings, beams)
+    view = beams_in_view(table, sonar)
+    intensity, kept = np.ascontiguousarray(image[:, view]), np.ascontiguousarray(table[view])
+    return PingImage(intensity, kept, max_range / rows)
+
+
+def _intensity(image: NDArray[Any]) -> NDArray[np.float32]:
+    if image.ndim != 2 or image.size == 0:  # noqa: PLR2004 rows and beams
+        raise MapError("an image of rows and beams was expected", "bad_image")
+    if image.dtype in (np.uint8, np.uint16):
+        return display_units(image, np.iinfo(image.dtype).max)
+    if image.dtype.kind != "f":
+        raise MapError(f"an image is uint8, uint16 or float, not {image.dtype}", "bad_image")
+    if not (np.min(image) >= 0 and np.max(image) <= DISPLAY_FULL_SCALE):  # NaN fails both
+        raise MapError("an image of floats must lie within 0..255", "bad_image")
+    return image.astype(np.float32)
+
+
+def _table(bearings: ArrayLike, beams: int) -> NDArray[np.float64]:
+    table = np.asarray(bearings, dtype=np.float64)
+    if table.shape != (beams,):
+        raise MapError("bearings must have one entry for each column", "bad_bearings")
+    if not (np.isfinite(table).all() and (np.diff(table) > 0).all()):
+        raise MapError("bearings must be finite and rise from port to starboard", "bad_bearings")
+    return table

@@ -1,0 +1,225 @@
+"""The first return of each beam, from levels in decibels without the noise.
+
+A sample is part of a return where it stands above the mean level of the water before it (in
+decibels, so that one bright sample does not hide the next), above the noise, and not too far below
+the strongest echo at its range, whose side lobe it would be. The test looks towards the sonar only:
+what lies behind the first surface is its shadow or another surface, and says nothing about the
+water before it. A return begins with the first run of such samples.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd.config.tree import ScanExtraction
+from mapperd.imaging.ping_image import PingImage
+
+__all__ = ["FirstReturns", "Limits", "equalised", "first_returns", "levels_db"]
+
+Levels = NDArray[np.float32]
+
+HALF_HEIGHT_DB = np.float32(20 * math.log10(2))
+MIN_BACKGROUND_ROWS = 4
+ROWS_BEFORE = 2
+"""A return's half height may lie before its first sample that passes the test."""
+
+MIN_SPAN_ROWS = 4
+CELL_FRONT = 0.5
+"""An echo fills a cell, half of which lies before it: half height is reached so many rows early."""
+
+SIDE_LOBE_ROWS = 1
+"""A side lobe is on its echo's row, or beside it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Where returns are looked for, and the size of a row."""
+
+    min_range_m: float
+    max_range_m: float
+    range_resolution_m: float
+
+    def rows(self, of: int) -> slice:
+        """The rows, of so many, whose middle lies within."""
+        first = math.ceil(self.min_range_m / self.range_resolution_m - 0.5)
+        end = math.floor(self.max_range_m / self.range_resolution_m + 0.5)
+        return slice(min(max(first, 0), of), min(max(end, 0), of))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FirstReturns:
+    """Of each beam.
+
+    Attributes:
+        range_m: (beams,) float64; NaN where there is no return.
+        height_db: (beams,) float64, of the return's top over its background; NaN likewise.
+    """
+
+    range_m: NDArray[np.float64]
+    height_db: NDArray[np.float64]
+
+
+def first_returns(
+    levels: Levels, echo: PingImage, limits: Limits, settings: ScanExtraction
+) -> FirstReturns:
+    """Find them.
+
+    Args:
+        levels: (rows, beams) float32 dB above noise.
+        echo: the image, as displayed.
+        limits: where to look.
+        settings: of the tests.
+    """
+    (rows, beams), intensity = levels.shape, echo.intensity
+    nothing = np.full(beams, np.nan)
+    look = limits.rows(rows)
+    if look.stop - look.start < settings.min_run:
+        return FirstReturns(nothing, nothing)
+    least = np.maximum(_background(levels, look, limits, settings), 0.0)
+    least += np.float32(settings.threshold)
+    passing = levels[look] > least
+    passing &= intensity[look] >= np.float32(settings.min_intensity)
+    passing &= levels[look] >= _side_lobes(levels[look], settings)
+    found = passing[: len(passing) - settings.min_run + 1].copy()
+    for k in range(1, settings.min_run):
+        found &= passing[k : k + len(found)]
+    first = found.argmax(axis=0)
+    beam = np.flatnonzero(found[first, np.arange(beams)])
+    place, top_db = _edges(levels, look.start + first[beam], beam, settings)
+    range_m, height_db = nothing, nothing.copy()
+    range_m[beam] = place * limits.range_resolution_m
+    height_db[beam] = top_db - least[first[beam], beam] + settings.threshold
+    return FirstReturns(range_m, height_db)
+
+
+def _background(levels: Levels, look: slice, limits: Limits, settings: ScanExtraction) -> Levels:
+    """Mean level of the window before each sample, the guard left out; of the rows to look in.
+
+    Within a window's length of the nearest row it is what there is of the window.
+    """
+    guard = max(1, round(settings.guard / limits.range_resolution_m))
+    window = max(MIN_BACKGROUND_ROWS, round(settings.window / limits.range_resolution_m))
+    summed = _summed(levels[look])
+    mean = np.zeros((look.stop - look.start, levels.shape[1]), dtype=np.float32)
+    short = min(guard + window, len(mean))
+    full = len(mean) - short
+    if full > 0:
+        np.subtract(summed[window : window + full], summed[:full], out=mean[short : short + full])
+        mean[short:] *= np.float32(1 / window)
+    for row in range(guard + MIN_BACKGROUND_ROWS, short):
+        mean[row] = summed[row - guard] / np.float32(row - guard)
+    return mean
+
+
+def _summed(levels: Levels) -> Levels:
+    """(rows + 1, beams) sums of all rows before. Row by row, nine times as fast as np.cumsum."""
+    summed = np.empty((len(levels) + 1, levels.shape[1]), dtype=np.float32)
+    summed[0] = 0
+    for row in range(len(levels)):
+        np.add(summed[row], levels[row], out=summed[row + 1])
+    return summed
+
+
+def _side_lobes(levels: Levels, settings: ScanExtraction) -> Levels:
+    """(rows, 1): level up to which the strongest echo of a row, or beside it, has side lobes."""
+    strongest = levels.max(axis=1)
+    near = np.pad(strongest, SIDE_LOBE_ROWS, mode="edge")
+    widest = np.lib.stride_tricks.sliding_window_view(near, 2 * SIDE_LOBE_ROWS + 1).max(axis=1)
+    lobes: Levels = (widest - np.float32(settings.side_lobe_ratio))[:, None]
+    return lobes
+
+
+def _edges(
+    levels: Levels, first: NDArray[np.intp], beam: NDArray[np.intp], settings: ScanExtraction
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Place of each return in rows from the sonar, fractional, and the level of its top.
+
+    A surface that is seen slantwise rises over the beam's footprint: its top is looked for over as
+    much range as the beam is wide.
+    """
+    footprint = np.radians(settings.beam_width) * (first + 0.5)
+    span = np.maximum(MIN_SPAN_ROWS, np.ceil(footprint)).astype(np.intp)
+    offset = np.arange(-ROWS_BEFORE, span.max(initial=MIN_SPAN_ROWS))[:, None]
+    row = first + offset
+    inside = (row >= 0) & (row < len(levels)) & (offset < span)
+    part = np.where(inside, levels[np.clip(row, 0, len(levels) - 1), beam], -np.inf)
+    top = part.argmax(axis=0)
+    each = np.arange(len(beam))
+    top_db = part[top, each].astype(np.float64)
+    if settings.place == "peak":
+        return row[top, each] + 0.5, top_db
+    half_db = top_db - HALF_HEIGHT_DB
+    edge = (part >= half_db).argmax(axis=0)
+    before_db = np.where(edge > 0, part[np.maximum(edge - 1, 0), each], -np.inf)
+    half, at, before = (10 ** (level / 20) for level in (half_db, part[edge, each], before_db))
+    early = np.where(edge > 0, (at - half) / np.maximum(at - before, 1e-9), 0.0)
+    return row[edge, each] + 0.5 - np.clip(early, 0.0, 1.0) + CELL_FRONT, top_db
+
+
+MIN_INTENSITY = 0.5
+"""Half a step of 8 bits stands for silence."""
+
+DB_PER_DECADE = 20.0
+LINEAR = (0, 255)
+"""Bytes that say that no exponent was applied to an image."""
+
+EVERY = 8
+"""Noise is measured on every so many beams or rows."""
+
+NOISE_BLOCK_M = 0.5
+"""Noise over range is smooth: a row that stands out of this much is no noise."""
+
+MAX_BEAM_GAIN_DB = 6.0
+
+
+def levels_db(intensity: Levels, gamma_byte: int = 255) -> Levels:
+    """Levels of an image's amplitudes.
+
+    Args:
+        intensity: (rows, beams) float32, 0..255.
+        gamma_byte: exponent gamma/255 was applied to the amplitudes; 0 and 255 mean none.
+
+    Returns:
+        (rows, beams) float32, dB; the unit is one step of intensity.
+    """
+    levels = np.maximum(intensity, np.float32(MIN_INTENSITY))
+    np.log10(levels, out=levels)
+    exponent = 1.0 if gamma_byte in LINEAR else gamma_byte / 255.0
+    levels *= np.float32(DB_PER_DECADE / exponent)
+    return levels
+
+
+def equalised(levels: Levels, range_resolution_m: float) -> Levels:
+    """Levels above the noise, by what range and beam have of it.
+
+    The noise of a row is the median over its beams, smoothed over range: a surface at one range in
+    all beams, as a round tank's wall is, stays. That of a beam is a low quantile over its rows.
+
+    Args:
+        levels: (rows, beams) float32 dB.
+        range_resolution_m: thickness of a row.
+
+    Returns:
+        (rows, beams) float32 dB; noise is around 0.
+    """
+    rows, beams = levels.shape
+    some = levels[:, EVERY // 2 :: EVERY] if beams > EVERY else levels
+    middle = some.shape[1] // 2
+    profile = np.partition(some, middle, axis=1)[:, middle]
+    size = max(3, math.ceil(NOISE_BLOCK_M / range_resolution_m))
+    starts = np.arange(0, rows, size)
+    medians = [float(np.median(profile[start : start + size])) for start in starts]
+    noise = np.interp(np.arange(rows), starts + (size - 1) / 2, medians).astype(np.float32)
+    above: Levels = levels - noise[:, None]
+    above -= _beam_gains_db(above)
+    return above
+
+
+def _beam_gains_db(above: Levels) -> Levels:
+    some = above[EVERY // 2 :: EVERY] if len(above) > EVERY else above
+    quarter = len(some) // 4
+    quiet = np.partition(some, quarter, axis=0)[quarter]
+    gains: Levels = quiet - np.median(quiet)
+    return np.clip(gains, -MAX_BEAM_GAIN_DB, MAX_BEAM_GAIN_DB)

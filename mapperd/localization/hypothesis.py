@@ -1,0 +1,125 @@
+"""An alternative hypothesis, and the watch on the fit that calls for one.
+
+Particles that are sure of a wrong place never find the right one, and random ones among them are
+too few to be near it. So a cloud of its own is drawn anywhere on the map, from a scan, and both are
+weighed by the same scans. Their odds follow Bayes' rule: the rival begins at long odds, so a
+vehicle that is followed well is not thrown off, and where it becomes the likelier one the two
+change places. Odds fade: scans of a minute ago tell less of where the vehicle is now.
+
+Whether scans lie on the map where the particles are: told by the scans' fit alone.
+
+A cloud that is at one wrong place is as sure of itself as one at the right place, so weights do not
+tell. Of returns at the right place most lie on a surface of the map: with a share h of them, the
+fit, which is the mean likelihood of one beam, is hit^h miss^(1 - h).
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+from mapperd.geometry.gaussian import wrapped
+from mapperd.localization.particle_filter import Estimate, HitModel, ParticleFilter
+
+__all__ = ["LONG_ODDS", "AlternativeHypothesis", "FitWatch", "hit_share", "same_place", "spread_m"]
+
+LONG_ODDS = math.log(1e-3)
+"""Of a rival's beginning: about how often an estimate is wrong when a rival is tried."""
+
+HOPELESS_ODDS = math.log(1e-5)
+FADE = 0.01
+"""Of the odds, at each scan."""
+
+TRIAL_M = 1.0
+"""Of way that a rival has at least."""
+
+SAME_M, SAME_RAD = 0.7, 0.2
+TIGHT_M = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class AlternativeHypothesis:
+    """Another cloud and its odds.
+
+    Attributes:
+        particles: the cloud.
+        log_odds: of being right, against the first cloud.
+        way_m: driven since it began.
+    """
+
+    particles: ParticleFilter
+    log_odds: float = LONG_ODDS
+    way_m: float = 0.0
+
+    @property
+    def share(self) -> float:
+        """Its weight beside the first cloud, 0 to 1."""
+        return 1.0 / (1.0 + math.exp(-self.log_odds))
+
+    @property
+    def leads(self) -> bool:
+        """It is the likelier one."""
+        return self.log_odds > 0.0
+
+    @property
+    def hopeless(self) -> bool:
+        """It has had its trial, and lost."""
+        return self.log_odds < HOPELESS_ODDS and self.way_m > TRIAL_M
+
+    def driven(self, way_m: float) -> "AlternativeHypothesis":
+        """After some way."""
+        return replace(self, way_m=self.way_m + way_m)
+
+    def weighed(self, fit: float, first_fit: float, votes: float) -> "AlternativeHypothesis":
+        """After a scan of so many independent beams, by both clouds' fit for a beam."""
+        if not (fit > 0.0 and first_fit > 0.0):
+            return self
+        told = votes * math.log(fit / first_fit)
+        odds = (1.0 - FADE) * self.log_odds + told
+        return replace(self, log_odds=min(max(odds, -50.0), 50.0))
+
+    def changed(self, first: ParticleFilter) -> "AlternativeHypothesis":
+        """The first cloud as the rival of this one."""
+        return AlternativeHypothesis(first, -self.log_odds, self.way_m)
+
+
+def same_place(one: Estimate, other: Estimate) -> bool:
+    """Whether two clouds have each one place, and it is the same."""
+    x_m, y_m, yaw_rad = one.mean - other.mean
+    near = math.hypot(x_m, y_m) < SAME_M and abs(wrapped(yaw_rad)) < SAME_RAD
+    return near and all(spread_m(estimate) < TIGHT_M for estimate in (one, other))
+
+
+def spread_m(estimate: Estimate) -> float:
+    """Standard deviation of the place, in any direction."""
+    return math.sqrt(estimate.covariance[0, 0] + estimate.covariance[1, 1])
+
+
+GAIN = 0.1
+"""Of a scan in the running mean: a few bad scans, as behind a hull, are none yet."""
+
+
+def hit_share(fit: float, model: HitModel, max_distance_m: float) -> float:
+    """The share of beams on the map, 0 to 1; a fit of 0 has none."""
+    hit, miss = model.density(0.0), model.density(max_distance_m)
+    if not fit > miss or not hit > miss:
+        return 0.0
+    return min(math.log(fit / miss) / math.log(hit / miss), 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class FitWatch:
+    """A running mean of the share of hits.
+
+    Attributes:
+        share: None before the first scan.
+    """
+
+    share: float | None = None
+
+    def after(self, share: float) -> "FitWatch":
+        """With a scan's share."""
+        mean = share if self.share is None else self.share + GAIN * (share - self.share)
+        return replace(self, share=mean)
+
+    def fits(self, least: float) -> bool:
+        """Whether the map is met well enough, as far as is known."""
+        return self.share is None or self.share >= least

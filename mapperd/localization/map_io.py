@@ -1,0 +1,220 @@
+"""Maps in the files of Nav2's map server: a .yaml beside a .pgm image.
+
+How a pixel becomes a cell is that of the map server's documentation. Darkness is 1 - pixel / 255,
+or pixel / 255 with `negate`. Row 0 of the image is the far end of y.
+
+- trinary: occupied where darkness is above `occupied_thresh`, free below `free_thresh`, else
+  unknown;
+- scale: the same two, and percent between them; without an alpha channel nothing is unknown;
+- raw: the pixel is the cell, above 100 unknown; `negate` and the thresholds say nothing.
+"""
+
+import math
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta, Struct
+from numpy.typing import NDArray
+
+from mapperd.config.loader import YamlProblem, parse_yaml
+from mapperd.errors import MapError
+from mapperd.io import atomic_file
+from mapperd.localization.grid_map import FREE, MAX_CELLS, OCCUPIED, UNKNOWN, GridMap
+
+__all__ = ["image_of", "pgm_bytes", "pgm_pixels", "read_nav2_map", "write_nav2_map"]
+
+HEADER = re.compile(
+    rb"P5(?:\s|#[^\n]{0,200}\n)+(\d{1,9})(?:\s|#[^\n]{0,200}\n)+(\d{1,9})"
+    rb"(?:\s|#[^\n]{0,200}\n)+(\d{1,5})\s"
+)
+"""Magic, width, height, brightest; comments up to a line's end between them."""
+
+LONGEST_HEADER = 4096
+BRIGHTEST = 255
+
+
+def pgm_pixels(data: bytes, name: str) -> NDArray[np.uint8]:
+    """The pixels of a whole file, (height, width), scaled so that white is 255.
+
+    Args:
+        data: the file.
+        name: what to call it in messages.
+
+    Raises:
+        MapError: it is no such image, or not all of one (`bad_map_file`).
+    """
+    header = HEADER.match(data[:LONGEST_HEADER])
+    if header is None:
+        raise MapError(f"{name}: no binary grey image (P5)", "bad_map_file")
+    width, height, brightest = (int(number) for number in header.groups())
+    if not 0 < brightest <= BRIGHTEST:
+        raise MapError(
+            f"{name}: 8 bits a pixel were expected, not up to {brightest}", "bad_map_file"
+        )
+    if not 0 < width * height <= MAX_CELLS:
+        raise MapError(
+            f"{name}: {width} x {height} pixels; allowed: up to {MAX_CELLS}", "bad_map_file"
+        )
+    if len(data) - header.end() != width * height:
+        raise MapError(
+            f"{name}: {len(data) - header.end()} bytes of pixels, {width} x {height} were expected",
+            "bad_map_file",
+        )
+    pixels = np.frombuffer(data, np.uint8, offset=header.end()).reshape(height, width)
+    if brightest == BRIGHTEST:
+        return pixels.copy()
+    if int(pixels.max()) > brightest:
+        raise MapError(f"{name}: a pixel above its brightest, {brightest}", "bad_map_file")
+    scaled: NDArray[np.uint8] = np.rint(pixels * (BRIGHTEST / brightest)).astype(np.uint8)
+    return scaled
+
+
+def pgm_bytes(pixels: NDArray[np.uint8]) -> bytes:
+    """The file of pixels (height, width)."""
+    height, width = pixels.shape
+    return b"P5\n%d %d\n255\n" % (width, height) + np.ascontiguousarray(pixels).tobytes()
+
+
+Mode = Literal["trinary", "scale", "raw"]
+
+MAX_YAML_BYTES = 64 * 1024
+MAX_HEADER_BYTES = 4096
+UNKNOWN_PIXEL = {"trinary": 205, "raw": 255}
+FREE_PIXEL, OCCUPIED_PIXEL = 254, 0
+
+OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
+"""As map savers write: 205 is darkness 0.1961, which a higher free_thresh would call free."""
+
+Share = Annotated[float, Meta(ge=0, le=1)]
+
+
+class _Description(Struct, frozen=True, forbid_unknown_fields=True):
+    """What the .yaml says."""
+
+    image: Annotated[str, Meta(min_length=1, max_length=1000)]
+    resolution: Annotated[float, Meta(gt=0, le=1000)]
+    origin: tuple[float, float, float]
+    occupied_thresh: Share
+    free_thresh: Share
+    negate: Literal[0, 1] | bool = 0
+    mode: Mode = "trinary"
+
+    def __post_init__(self) -> None:
+        if self.free_thresh > self.occupied_thresh:
+            raise ValueError("free_thresh is above occupied_thresh")
+        numbers = (self.resolution, *self.origin, self.occupied_thresh, self.free_thresh)
+        if not all(map(math.isfinite, numbers)):
+            raise ValueError("a number is not finite")
+
+
+def read_nav2_map(path: Path) -> GridMap:
+    """Read a map.
+
+    Args:
+        path: of the .yaml; its image lies where it says, from the .yaml's folder.
+
+    Raises:
+        MapError: a file cannot be read, or is no such map; the text says which and why
+            (`bad_map_file`).
+    """
+    about = _described(_read(path, MAX_YAML_BYTES), str(path))
+    image = path.parent / about.image
+    pixels = pgm_pixels(_read(image, MAX_CELLS + MAX_HEADER_BYTES), str(image))
+    return GridMap(_cells(pixels[::-1], about), about.resolution, *about.origin)
+
+
+def image_of(path: Path) -> str:
+    """What a .yaml says of where its image lies; nothing there is opened.
+
+    Raises:
+        MapError: it cannot be read, or is no such map (`bad_map_file`).
+    """
+    return _described(_read(path, MAX_YAML_BYTES), str(path)).image
+
+
+def write_nav2_map(grid: GridMap, path: Path, mode: Mode = "trinary") -> None:
+    """Write a map: the .yaml, and beside it a .pgm of the same name. Each is whole or not there.
+
+    Args:
+        grid: in `trinary`, cells are free up to 19 % and occupied from 65 % on.
+        path: of the .yaml.
+        mode: how cells become pixels; `scale` keeps percents, to the nearest, and `raw` every cell.
+
+    Raises:
+        MapError: `scale` and a cell is unknown, for which it has no pixel (`unknown_in_scale`).
+        ExportError: it cannot be written.
+    """
+    pixels = _pixels(grid.occupancy, mode)[::-1]
+    image = path.with_suffix(".pgm")
+    limits = (1.0, 0.0) if mode == "scale" else (OCCUPIED_THRESH, FREE_THRESH)
+    lines = (
+        f"image: {msgspec.json.encode(image.name).decode()}",
+        f"mode: {mode}",
+        f"resolution: {grid.resolution_m!r}",
+        f"origin: [{grid.origin_x_m!r}, {grid.origin_y_m!r}, {grid.origin_yaw_rad!r}]",
+        "negate: 0",
+        f"occupied_thresh: {limits[0]}",
+        f"free_thresh: {limits[1]}",
+    )
+    with atomic_file(image) as file:
+        file.write(pgm_bytes(pixels))
+    with atomic_file(path) as file:
+        file.write(("\n".join(lines) + "\n").encode())
+
+
+def _read(path: Path, most: int) -> bytes:
+    try:
+        if path.exists() and not path.is_file():  # a pipe would keep us waiting
+            raise MapError(f"{path}: is no regular file", "bad_map_file")
+        with path.open("rb") as file:
+            data = file.read(most + 1)
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        raise MapError(f"{path}: cannot be read: {error}", "bad_map_file") from error
+    if len(data) > most:
+        raise MapError(f"{path}: larger than {most} bytes", "bad_map_file")
+    return data
+
+
+def _described(data: bytes, name: str) -> _Description:
+    try:
+        tree: Any = parse_yaml(data.decode("utf-8-sig"))
+        return msgspec.convert(tree, _Description)
+    except UnicodeDecodeError as error:
+        raise MapError(f"{name}: not UTF-8 text (byte {error.start})", "bad_map_file") from error
+    except (YamlProblem, msgspec.ValidationError) as error:
+        raise MapError(f"{name}: {error}", "bad_map_file") from error
+
+
+def _cells(pixels: NDArray[np.uint8], about: _Description) -> NDArray[np.int8]:
+    """Cells of all 256 pixels there can be, looked up."""
+    value = np.arange(256)
+    if about.mode == "raw":
+        known = np.where(value <= OCCUPIED, value, UNKNOWN)
+    else:
+        darkness = value / 255 if about.negate else 1 - value / 255
+        span = about.occupied_thresh - about.free_thresh
+        if about.mode == "scale" and span > 0:
+            between = np.rint(100 * (darkness - about.free_thresh) / span)
+        else:
+            between = np.full(256, UNKNOWN)
+        known = np.where(darkness < about.free_thresh, FREE, between)
+        known = np.where(darkness > about.occupied_thresh, OCCUPIED, known)
+    cells: NDArray[np.int8] = known.astype(np.int8)[pixels]
+    return cells
+
+
+def _pixels(occupancy: NDArray[np.int8], mode: Mode) -> NDArray[np.uint8]:
+    unknown = occupancy < 0
+    if mode == "scale":
+        if unknown.any():
+            raise MapError("mode scale has no pixel for unknown cells", "unknown_in_scale")
+        return np.rint((100 - occupancy.astype(np.float64)) * 2.55).astype(np.uint8)
+    if mode == "raw":
+        return np.where(unknown, UNKNOWN_PIXEL["raw"], occupancy).astype(np.uint8)
+    pixels = np.full(occupancy.shape, UNKNOWN_PIXEL["trinary"], dtype=np.uint8)
+    pixels[(occupancy >= 0) & (occupancy <= 100 * FREE_THRESH)] = FREE_PIXEL
+    pixels[occupancy >= 100 * OCCUPIED_THRESH] = OCCUPIED_PIXEL
+    return pixels

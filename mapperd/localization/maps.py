@@ -1,0 +1,189 @@
+"""Maps to localize on, made from a 3D map: distances, slices, surfaces.
+
+The distances are those of the voxel map, truncated; the planar map beside them is its slice at the
+vehicle's height, from whose free cells particles are drawn.
+
+A planar map out of the 3D one: what a level beam can meet at a depth.
+
+A ping knows no elevations: a beam hears the nearest structure anywhere in its vertical aperture. So
+a cell of the slice is occupied where any voxel of the band is that the beam covers.
+
+Surfaces without what lies behind them: an echo is longer than a wall is thick.
+
+A sonar's map holds a wall as deep as its echoes are long. A scan has the front, and a filter that
+finds all of the depth alike likely sits by half of it too near.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd.errors import MapError
+from mapperd.localization.grid_map import FREE, MAX_CELLS, OCCUPIED, UNKNOWN, GridMap
+from mapperd.mapping.probability import log_odds_of
+from mapperd.mapping.queries import FREE as VOXEL_FREE
+from mapperd.mapping.queries import OCCUPIED as VOXEL_OCCUPIED
+from mapperd.mapping.queries import MapQueries
+from mapperd.mapping.sonar_map import SonarMap
+
+__all__ = [
+    "LocalizationMap",
+    "VolumeMap",
+    "beam_band_m",
+    "depth_slice",
+    "keep_boundaries",
+    "volume_map",
+]
+
+VOXELS_AT_ONCE = 1 << 24
+
+Floats = NDArray[np.float64]
+
+
+def beam_band_m(
+    sonar_z_m: float, range_m: float, vertical_aperture_rad: float, tilt_down_rad: float = 0.0
+) -> tuple[float, float]:
+    """Lowest and highest that a beam covers on its way to a range, map frame.
+
+    Args:
+        sonar_z_m: height of the sonar in the map.
+        range_m: slant.
+        vertical_aperture_rad: full.
+        tilt_down_rad: of the fan's plane, mounting and pitch together.
+    """
+    half = vertical_aperture_rad / 2
+    sines = [math.sin(-tilt_down_rad + e) for e in (-half, half)]
+    heights = [0.0, *(range_m * sine for sine in sines)]
+    return sonar_z_m + min(heights), sonar_z_m + max(heights)
+
+
+def depth_slice(queries: MapQueries, low_m: Floats, high_m: Floats) -> GridMap:
+    """The union over a box's height.
+
+    A cell is occupied where one of its voxels is, free where none is and one is free, else unknown.
+
+    Args:
+        queries: to the 3D map.
+        low_m: (3,) corner, map frame; its z and that of the other corner are the band.
+        high_m: (3,) corner. The slice has the columns whose centres lie in low <= centre < high.
+
+    Raises:
+        MapError: corners that are not finite or not in order, no column, or too many (`bad_slice`).
+    """
+    low, high = (np.array(corner, dtype=np.float64) for corner in (low_m, high_m))
+    resolution_m = queries.resolution_m
+    if low.shape != (3,) or high.shape != (3,) or not np.isfinite([low, high]).all():
+        raise MapError("a slice has two finite corners of three numbers", "bad_slice")
+    size = (high - low) / resolution_m
+    if not ((size > 0).all() and (size[0] + 1) * (size[1] + 1) <= MAX_CELLS):
+        raise MapError(f"a slice has corners in order, up to {MAX_CELLS} columns", "bad_slice")
+    layers = max(1, int(VOXELS_AT_ONCE / max(1.0, (size[0] + 1) * (size[1] + 1))))
+    cells: NDArray[np.int8] | None = None
+    first_m = low
+    for start in np.arange(low[2], high[2], layers * resolution_m):
+        corner = np.array([high[0], high[1], min(start + layers * resolution_m, high[2])])
+        box = queries.classify_box([low[0], low[1], start], corner)
+        if box.values.size == 0:
+            continue
+        first_m = box.first_centre_m
+        part = _union(box.values)
+        cells = part if cells is None else np.maximum(cells, part)
+    if cells is None:
+        raise MapError("no voxel's centre lies in the slice", "bad_slice")
+    corner_m = first_m - resolution_m / 2
+    return GridMap(cells.T, resolution_m, float(corner_m[0]), float(corner_m[1]))
+
+
+def _union(values: NDArray[np.int8]) -> NDArray[np.int8]:
+    """(nx, ny) of (nx, ny, nz): unknown < free < occupied, as numbers too."""
+    cells = np.full(values.shape[:2], UNKNOWN, dtype=np.int8)
+    cells[(values == VOXEL_FREE).any(axis=2)] = FREE
+    cells[(values == VOXEL_OCCUPIED).any(axis=2)] = OCCUPIED
+    return cells
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VolumeMap:
+    """Distances in a box, and the free cells of one of its layers.
+
+    Attributes:
+        grid: where a vehicle can be, map frame.
+        distances_m: (nx, ny, nz) float32, read-only, from voxel centres to the nearest occupied
+            voxel's centre, truncated.
+        first_centre_m: (3,) of voxel [0, 0, 0], map frame.
+        resolution_m: edge of a voxel.
+    """
+
+    grid: GridMap
+    distances_m: NDArray[np.float32]
+    first_centre_m: Floats
+    resolution_m: float
+
+    def __post_init__(self) -> None:
+        """Keep anybody from changing the arrays."""
+        self.distances_m.setflags(write=False)
+        self.first_centre_m.setflags(write=False)
+
+    @property
+    def has_free_cells(self) -> bool:
+        """Whether a vehicle can be anywhere on it."""
+        return self.grid.has_free_cells
+
+
+LocalizationMap = GridMap | VolumeMap
+
+
+def volume_map(
+    queries: MapQueries,
+    low_m: Floats,
+    high_m: Floats,
+    vehicle_band_m: tuple[float, float],
+    max_distance_m: float,
+) -> VolumeMap:
+    """Take a box of the 3D map to be localized on.
+
+    Args:
+        queries: to the map.
+        low_m: (3,) corner of the box, map frame: all that the sonar can see from where the vehicle
+            can be; beyond it nothing is known.
+        high_m: (3,) corner.
+        vehicle_band_m: lowest and highest that the vehicle drives.
+        max_distance_m: where distances end, `amcl.laser_likelihood_max_dist`.
+
+    Raises:
+        MapError: corners or a band that are none (`bad_slice`).
+        ValueError: a distance of over 255 voxels, or too large a box.
+    """
+    low, high = (np.array(corner, dtype=np.float64) for corner in (low_m, high_m))
+    bottom, top = vehicle_band_m
+    grid = depth_slice(queries, np.array([*low[:2], bottom]), np.array([*high[:2], top]))
+    box = queries.distance_field(low, high, max_distance_m)
+    return VolumeMap(grid, box.values, box.first_centre_m, box.resolution_m)
+
+
+SIDES = np.concatenate([np.eye(3), -np.eye(3)])
+
+
+def keep_boundaries(sonar_map: SonarMap) -> int:
+    """Make occupied voxels with no free one at any of their six sides uncertain.
+
+    Returns:
+        How many stay occupied.
+    """
+    mapping = sonar_map.config.mapping
+    queries = MapQueries(
+        sonar_map.core,
+        occupied_threshold=mapping.occupied_threshold,
+        free_threshold=mapping.free_threshold,
+    )
+    occupied_m = sonar_map.voxels("occupied").centres_m
+    beside = np.zeros(len(occupied_m), dtype=np.bool_)
+    for side in SIDES:
+        beside |= queries.classify(occupied_m + sonar_map.resolution_m * side) == VOXEL_FREE
+    behind_m = occupied_m[~beside]
+    limits = mapping.free_threshold, mapping.occupied_threshold
+    between = float(np.mean([log_odds_of(limit, "threshold") for limit in limits]))
+    sonar_map.core.set_log_odds(behind_m, np.full(len(behind_m), between))
+    return int(beside.sum())

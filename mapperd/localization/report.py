@@ -1,0 +1,162 @@
+"""How localization goes, in plain values with units in the keys."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+from mapperd.config.tree import Config
+from mapperd.geometry.gaussian import Belief, PlanarGaussian
+from mapperd.localization.odom_correction import MapFromOdom
+from mapperd.localization.status import Diagnosis, LocalizationFacts
+
+__all__ = ["localization_report", "localization_summary", "map_name_of", "state_of"]
+
+LOST_SHARE = 0.5
+"""Of the weight: with more of it elsewhere, the best cluster is not where the vehicle is."""
+
+
+def state_of(facts: LocalizationFacts) -> str:
+    """In one word or two, for people and programs.
+
+    As `LocalizationFacts.state` says before there is a belief; then `localized`, `ambiguous`, or
+    `lost`: more than half of the weight is elsewhere than the best cluster.
+    """
+    belief = facts.belief
+    if belief is None:
+        return facts.state
+    if belief.elsewhere > LOST_SHARE:
+        return "lost"
+    return "ambiguous" if belief.ambiguous else "localized"
+
+
+def map_name_of(facts: LocalizationFacts) -> str:
+    """Of the map's file, without its folder; empty without a map."""
+    return "" if facts.known is None else Path(facts.known.path).name
+
+
+def localization_summary(facts: LocalizationFacts | None, config: Config) -> dict[str, Any] | None:
+    """A few numbers for the status; None where localization is off."""
+    if facts is None:
+        return None
+    return {
+        "mode": config.localization.mode,
+        "state": state_of(facts),
+        "map": map_name_of(facts),
+        **_of_belief(facts),
+        "sure": facts.sure,
+        "diagnostics": facts.diagnosis.level,
+        "counts": dict(sorted(facts.counts.items())),
+    }
+
+
+def localization_report(
+    facts: LocalizationFacts | None, config: Config, particles: int
+) -> dict[str, Any]:
+    """All there is to say.
+
+    Args:
+        facts: None where localization is off.
+        config: the settings in force: frames and mode.
+        particles: of the cloud, at most so many, evenly spaced among those of the facts.
+
+    Returns:
+        `mode`, `state`; where it is not off also `map`, the `frame`s, `pose` and `overall` with
+        `covariance` of (x, y, yaw), `clusters`, `map_odom`, `diagnostics`, `counts`, and `sample`:
+        rows of x, y, yaw and weight. What is not known is None.
+    """
+    mode = config.localization.mode
+    if facts is None:
+        return {"mode": mode, "state": "off"}
+    amcl, belief = config.amcl, facts.belief
+    t_s = _seconds(facts.stamp_ns)
+    frame = {"frame": amcl.global_frame_id}
+    child = {"child_frame": amcl.base_frame_id}
+    return {
+        "mode": mode,
+        "state": state_of(facts),
+        "map": map_name_of(facts),
+        "t_s": t_s,
+        **_of_belief(facts),
+        "updates": facts.updates,
+        "sure": facts.sure,
+        "warning": facts.warning,
+        "pose": None if belief is None else {"t_s": t_s, **frame, **child, **_pose(belief.best)},
+        "overall": None if belief is None else _pose(belief.overall),
+        "clusters": [{"mass": one.mass, **_pose(one.pose)} for one in facts.clusters],
+        "map_odom": _transform(facts.transform, config),
+        "diagnostics": _diagnostics(facts.diagnosis),
+        "counts": dict(sorted(facts.counts.items())),
+        "sample": _sample(facts, particles),
+    }
+
+
+def _of_belief(facts: LocalizationFacts) -> dict[str, Any]:
+    belief: Belief | None = facts.belief
+    said: dict[str, Any] = {"particles": facts.particle_count}
+    if belief is None:
+        return said
+    best = belief.best
+    std_x_m, std_y_m, std_yaw_rad = _deviations(best)
+    return said | {
+        "x_m": best.x_m,
+        "y_m": best.y_m,
+        "yaw_deg": math.degrees(best.yaw_rad),
+        "std_x_m": std_x_m,
+        "std_y_m": std_y_m,
+        "std_yaw_deg": math.degrees(std_yaw_rad),
+        "cluster_count": len(belief.masses),
+        "ambiguous": belief.ambiguous,
+        "elsewhere": belief.elsewhere,
+        "effective_size": belief.effective_size,
+    }
+
+
+def _pose(pose: PlanarGaussian) -> dict[str, Any]:
+    return {
+        "x_m": pose.x_m,
+        "y_m": pose.y_m,
+        "yaw_rad": pose.yaw_rad,
+        "covariance": pose.covariance.tolist(),
+    }
+
+
+def _transform(transform: MapFromOdom | None, config: Config) -> dict[str, Any] | None:
+    if transform is None:
+        return None
+    return {
+        "t_s": _seconds(transform.stamp_ns),
+        "frame": config.amcl.global_frame_id,
+        "child_frame": config.amcl.odom_frame_id,
+        "position_m": transform.map_T_odom[:3, 3].tolist(),
+        "orientation_wxyz": transform.map_q_odom.tolist(),
+    }
+
+
+def _diagnostics(diagnosis: Diagnosis) -> dict[str, Any]:
+    values: dict[str, Any] = {
+        one.name: {
+            "value": one.value,
+            "warn_level": one.warn_level,
+            "level": "WARN" if one.is_too_large else "OK",
+        }
+        for one in diagnosis.deviations
+    }
+    return {"level": diagnosis.level, "text": diagnosis.text, **values}
+
+
+def _sample(facts: LocalizationFacts, most: int) -> list[list[float]]:
+    count = len(facts.particles)
+    if most <= 0 or not count:
+        return []
+    step = -(-count // most)
+    sample: list[list[float]] = facts.particles[::step].tolist()
+    return sample
+
+
+def _deviations(pose: PlanarGaussian) -> tuple[float, float, float]:
+    x, y, yaw = (math.sqrt(max(float(pose.covariance[k, k]), 0.0)) for k in range(3))
+    return x, y, yaw
+
+
+def _seconds(stamp_ns: int | None) -> float | None:
+    return None if stamp_ns is None else stamp_ns / 1e9

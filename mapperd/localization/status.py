@@ -1,0 +1,154 @@
+"""The state of localization, for people and other programs."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd.config.tree import Amcl
+from mapperd.geometry.frames import Pose
+from mapperd.geometry.gaussian import Belief, PlanarGaussian
+from mapperd.localization.known_map import KnownMap
+from mapperd.localization.odom_correction import MapFromOdom
+from mapperd.localization.particle_filter import Cluster, ParticleFilter
+
+__all__ = [
+    "MAX_SAMPLE",
+    "Deviation",
+    "Diagnosis",
+    "LocalizationFacts",
+    "diagnose",
+    "sample_of",
+    "weight_warning",
+]
+
+WEIGHT_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Deviation:
+    """One standard deviation and the level that it is warned of above."""
+
+    name: Literal["std_x", "std_y", "std_yaw"]
+    value: float
+    warn_level: float
+
+    @property
+    def is_too_large(self) -> bool:
+        """Strictly above; a number that is none is too large as well."""
+        return not self.value <= self.warn_level
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """How sure the estimate is.
+
+    Attributes:
+        level: OK, also before the first estimate, or WARN.
+        deviations: in metres and radians; none before the first estimate.
+        text: one line for a person.
+    """
+
+    level: Literal["OK", "WARN"]
+    deviations: tuple[Deviation, ...]
+    text: str
+
+
+def diagnose(estimate: PlanarGaussian | None, amcl: Amcl) -> Diagnosis:
+    """Compare an estimate's standard deviations with `amcl.std_warn_level_*`."""
+    if estimate is None:
+        return Diagnosis("OK", (), "no estimate yet")
+    x, y, yaw = (math.sqrt(max(float(estimate.covariance[k, k]), 0.0)) for k in range(3))
+    deviations = (
+        Deviation("std_x", x, amcl.std_warn_level_x),
+        Deviation("std_y", y, amcl.std_warn_level_y),
+        Deviation("std_yaw", yaw, amcl.std_warn_level_yaw),
+    )
+    large = [one for one in deviations if one.is_too_large]
+    if not large:
+        return Diagnosis("OK", deviations, "the estimate is within its levels")
+    told = ", ".join(f"{one.name} {one.value:.3g} above {one.warn_level:g}" for one in large)
+    return Diagnosis("WARN", deviations, told)
+
+
+def weight_warning(amcl: Amcl) -> str | None:
+    """What is to be said of observation weights that do not sum to 1; None where they do.
+
+    Nothing makes them sum to 1: they are used as they are set.
+    """
+    names = ["laser_z_hit", "laser_z_rand"]
+    if amcl.laser_model_type == "beam":
+        names += ["laser_z_max", "laser_z_short"]
+    total = sum(getattr(amcl, name) for name in names)
+    if abs(total - 1) <= WEIGHT_TOLERANCE:
+        return None
+    return f"amcl: {' + '.join(names)} is {total:g}, not 1"
+
+
+Floats = NDArray[np.float64]
+
+MAX_SAMPLE = 500
+"""Particles that are told."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocalizationFacts:
+    """How it stands between two pings; nobody changes it afterwards.
+
+    Attributes:
+        state: `waiting for a map`, `waiting for a pose` or `localizing`.
+        counts: scans by what became of them, and refused requests by their reasons.
+        updates: of the filter by scans, in this session.
+        stamp_ns: of the scan of the belief; None with it.
+        belief: of the last update; None before the first after a new start.
+        clusters: of its particles, the heaviest first.
+        transform: the odometry's frame in the map as it is to be published, stamped ahead; None
+            while it is not.
+        odom: the base in the odometry's frame at the newest scan.
+        pose: the base in the map at the newest scan; None without a transform.
+        sure: the belief is good enough to map by.
+        diagnosis: the estimate's standard deviations against their levels.
+        warning: of the settings, for a person.
+        particle_count: that there are.
+        particles: (N, 4), N up to `MAX_SAMPLE`: x, y in metres and yaw in radians, map frame, and
+            the weight; the weights of a sample sum to 1.
+        scan_points_m: (M, 3), map frame, of the scan of the last update; None with the belief.
+        known: the map in use.
+    """
+
+    state: str
+    counts: Mapping[str, int]
+    updates: int
+    stamp_ns: int | None
+    belief: Belief | None
+    clusters: tuple[Cluster, ...]
+    transform: MapFromOdom | None
+    odom: Pose | None
+    pose: Pose | None
+    sure: bool
+    diagnosis: Diagnosis
+    warning: str | None
+    particle_count: int
+    particles: Floats
+    scan_points_m: Floats | None
+    known: KnownMap | None
+
+
+def sample_of(particles: ParticleFilter, most: int = MAX_SAMPLE) -> Floats:
+    """Particles (N, 4) that stand for all: all, or as many by weight; no draw of the filter's.
+
+    Of many, every particle stands in it as often as its weight says, in even steps through the sum
+    of the weights, so that equal clouds give equal samples.
+    """
+    poses, weights = particles.poses, particles.weights
+    if len(poses) > most:
+        reached = np.cumsum(weights)
+        steps = (np.arange(most) + 0.5) / most * reached[-1]
+        chosen = np.minimum(np.searchsorted(reached, steps), len(poses) - 1)
+        poses, weights = poses[chosen], np.full(most, 1 / most)
+    sample: Floats = np.column_stack([poses, weights])
+    sample.setflags(write=False)
+    return sample

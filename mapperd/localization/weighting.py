@@ -1,0 +1,194 @@
+"""Weights of particles: how well a scan fits the map.
+
+Where the ends of a scan's beams may be: a ping knows range and bearing, and no elevation.
+
+A line array measures the component of a direction along itself, so all directions of one bearing b
+lie on the cone of sin(b): at elevation e they stand at (sqrt(1 - sin(b)^2 - sin(e)^2), -sin(b),
+sin(e)). Off the fan's plane and away from its middle that is not the vertical plane of the bearing:
+at 60 deg and 10 deg it is 1.6 deg beside it.
+"""
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd.config.tree import Config
+from mapperd.localization.grid_map import GridMap
+from mapperd.localization.hypothesis import hit_share
+from mapperd.localization.maps import LocalizationMap, VolumeMap
+from mapperd.localization.models import beam_model, core_grid, field_of, hit_model
+from mapperd.localization.particle_filter import (
+    Beams,
+    Endpoints,
+    FreeSpace,
+    LikelihoodField,
+    ParticleFilter,
+    RangeMap,
+    Weighed,
+)
+from mapperd.localization.scan import Scan, decimated, heard_aperture_rad
+
+__all__ = ["MapWeighing", "elevation_fan_rad", "ends_on_cones", "threads_of"]
+
+Floats = NDArray[np.float64]
+
+
+def elevation_fan_rad(count: int, vertical_aperture_rad: float) -> Floats:
+    """(count,) elevations: the middles of equal parts of the aperture."""
+    return ((np.arange(count) + 0.5) / count - 0.5) * vertical_aperture_rad
+
+
+def ends_on_cones(scan: Scan, elevation_rad: Floats, base_height_m: float) -> Floats:
+    """Ends (N, E, 3) for each return and elevation.
+
+    Args:
+        scan: the returns.
+        elevation_rad: (E,) above the fan's plane, sonar frame.
+        base_height_m: of the base in the map.
+
+    Returns:
+        x ahead and y to port in the level frame, and the height in the map frame; metres.
+    """
+    sine, up = np.sin(scan.bearing_rad)[:, None], np.sin(elevation_rad)[None, :]
+    # Beside an array's axis no direction has the elevation: there the cone's own edge stands in.
+    edge = np.abs(np.cos(scan.bearing_rad))[:, None]
+    up = np.clip(up, -edge, edge)
+    ahead = np.sqrt(np.maximum(1.0 - sine**2 - up**2, 0.0))
+    directions = np.stack([ahead, np.broadcast_to(-sine, ahead.shape), up], axis=-1)
+    turn, place = scan.level_T_sonar[:3, :3], scan.level_T_sonar[:3, 3]
+    ends: Floats = scan.range_m[:, None, None] * (directions @ turn.T) + place
+    ends[..., 2] += base_height_m
+    return ends
+
+
+SEARCH_BEAMS, SEARCH_ELEVATIONS = 30, 3
+"""Enough to tell where to look; all beams tell where it is."""
+
+MIN_BEAMS = 15
+"""A scan of fewer is no scan to search by, unless the settings thin all scans to fewer."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fields:
+    """What is made of a map, which takes long.
+
+    Attributes:
+        free: where a vehicle can be; None if nowhere.
+        against: what scans are compared with.
+        broad: what they are searched by; None for no search.
+    """
+
+    free: FreeSpace | None
+    against: LikelihoodField | RangeMap
+    broad: LikelihoodField | None
+
+
+class MapWeighing:
+    """A map, prepared to weigh particles on. It changes nothing after it is made.
+
+    Args:
+        known: the map.
+        config: the settings.
+        fields: of the map, where they are made already.
+
+    Attributes:
+        free: where a vehicle can be; None if nowhere.
+        is_product: the model multiplies over beams.
+    """
+
+    def __init__(
+        self, known: LocalizationMap, config: Config, fields: "_Fields | None" = None
+    ) -> None:
+        self._known, self._config = known, config
+        self._fields = fields or _fields_of(known, config)
+        self._against, self._broad = self._fields.against, self._fields.broad
+        self.free = self._fields.free
+        self.is_product = config.amcl.laser_model_type == "likelihood_field_prob"
+
+    def with_settings(self, config: Config) -> "MapWeighing":
+        """The same map by other settings; fields are made anew only where those shape them."""
+        same = _shaping(config) == _shaping(self._config)
+        return MapWeighing(self._known, config, self._fields if same else None)
+
+    def can_search(self, scan: Scan) -> bool:
+        """Whether a cloud can be drawn from the scan."""
+        least = min(MIN_BEAMS, self._config.amcl.max_beams)
+        return self._broad is not None and len(scan) >= least
+
+    def draw(self, particles: ParticleFilter, scan: Scan, base_height_m: float) -> None:
+        """A new cloud from a scan that can be searched by."""
+        ours, amcl = self._config.localization, self._config.amcl
+        if self._broad is None or self.free is None:
+            raise ValueError("the settings ask for no search, or the map has no free cell")
+        few = decimated(scan, SEARCH_BEAMS)
+        ends = self._ends(few, base_height_m, min(SEARCH_ELEVATIONS, ours.elevations))
+        # Fewer beams have the votes of all.
+        kappa = min(ours.tempering * len(scan) / len(few), 1.0)
+        poses = max(ours.search_poses, amcl.max_particles)
+        particles.start_by_scan(self.free, self._broad, ends, poses, kappa)
+
+    def weigh(
+        self, particles: ParticleFilter, scan: Scan, base_height_m: float, tempering: float
+    ) -> Weighed:
+        """Weigh by a scan; the tempering is that of products."""
+        how = ("product", tempering) if self.is_product else ("cube_sum", 1.0)
+        if isinstance(self._against, RangeMap):
+            model = beam_model(self._config.amcl)
+            return particles.weigh_beams(self._against, _beams(scan), model, *how)
+        ends = self._ends(scan, base_height_m, self._config.localization.elevations)
+        return particles.weigh_field(self._against, ends, *how)
+
+    def hit_share(self, weighed: Weighed) -> float | None:
+        """Share of the beams that lie on the map; None where the model or the scan tells none."""
+        if not (self.is_product and weighed.informative):
+            return None
+        amcl = self._config.amcl
+        return hit_share(weighed.fit, hit_model(amcl), amcl.laser_likelihood_max_dist)
+
+    def _ends(self, scan: Scan, base_height_m: float, elevations: int) -> Endpoints:
+        if not isinstance(self._known, VolumeMap):
+            return Endpoints(scan.points_m[:, None, :2].copy(), scan.quality)
+        fan = elevation_fan_rad(elevations, heard_aperture_rad(self._config.sonar))
+        return Endpoints(ends_on_cones(scan, fan, base_height_m), scan.quality)
+
+
+def threads_of(config: Config) -> int:
+    """As many as the execution policy says."""
+    return (os.cpu_count() or 1) if config.amcl.execution_policy == "par" else 1
+
+
+def _shaping(config: Config) -> tuple[object, ...]:
+    """The settings that fields are made by; those of rates and names are not."""
+    amcl, ours = config.amcl, config.localization
+    laser = [getattr(amcl, name) for name in amcl.__struct_fields__ if name.startswith("laser_")]
+    return (*laser, ours.boundaries_only, ours.search_poses > 0, ours.search_sigma)
+
+
+def _fields_of(known: LocalizationMap, config: Config) -> _Fields:
+    grid = known.grid if isinstance(known, VolumeMap) else known
+    ours = config.localization
+    free = FreeSpace(core_grid(grid)) if known.has_free_cells else None
+    searching = ours.search_poses > 0 and free is not None
+    broad = field_of(known, config, ours.search_sigma) if searching else None
+    return _Fields(free, _against(known, grid, config), broad)
+
+
+def _against(known: LocalizationMap, grid: GridMap, config: Config) -> LikelihoodField | RangeMap:
+    if config.amcl.laser_model_type == "beam":
+        return RangeMap(core_grid(grid), threads=threads_of(config))
+    return field_of(known, config)
+
+
+def _beams(scan: Scan) -> Beams:
+    """As seen from the sonar, in the plane."""
+    sensor = scan.level_T_sonar[:2, 3]
+    offset = scan.points_m[:, :2] - sensor
+    return Beams(
+        bearing_rad=np.arctan2(offset[:, 1], offset[:, 0]),
+        range_m=np.hypot(offset[:, 0], offset[:, 1]),
+        quality=np.array(scan.quality),
+        sensor_x_m=float(sensor[0]),
+        sensor_y_m=float(sensor[1]),
+    )

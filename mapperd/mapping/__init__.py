@@ -1,0 +1,1 @@
+"""The map over the C++ core, and questions to it."""

@@ -1,0 +1,114 @@
+"""Arguments of the core, and what its errors mean: pings and map files."""
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypedDict
+
+import numpy as np
+
+from mapperd import _core
+from mapperd.config.tree import Config
+from mapperd.errors import MapError
+from mapperd.geometry.motion import PingMotion
+from mapperd.imaging.ping_image import PingImage
+from mapperd.io import atomic_file
+
+__all__ = ["Fan", "check_size", "fan_arguments", "load_map", "refusals", "save_map"]
+
+MAX_FAN_VOXELS = 500_000_000
+"""A fan with more voxels than this would take gigabytes for a single ping."""
+
+AT_REST = PingMotion(np.zeros(3), np.zeros(3), 0.0, 1500.0)
+
+
+class Fan(TypedDict):
+    """Arguments that both integrators share."""
+
+    vertical_aperture_rad: float
+    min_range_m: float
+    motion: _core.PingMotion
+
+
+def fan_arguments(config: Config, motion: PingMotion | None) -> Fan:
+    """What both integrators want to know beside the ping.
+
+    Raises:
+        ValueError: the motion is none.
+    """
+    return {
+        "vertical_aperture_rad": math.radians(config.sonar.vertical_aperture),
+        "min_range_m": config.filtering.min_range,
+        "motion": _core_motion(motion if config.mapping.within_ping_motion else None),
+    }
+
+
+def check_size(echo: PingImage, config: Config) -> None:
+    """Refuse what would exhaust the machine: a range that no sonar has, or tiny voxels.
+
+    Raises:
+        MapError: the fan holds too many voxels to be meant.
+    """
+    resolution_m = config.octree.voxel_resolution
+    width = float(echo.bearings_rad[-1] - echo.bearings_rad[0])
+    height = 2 * math.sin(math.radians(config.sonar.vertical_aperture) / 2)
+    volume_m3 = width * height * echo.max_range_m**3 / 3
+    if not volume_m3 <= MAX_FAN_VOXELS * resolution_m**3:
+        raise MapError(
+            f"a fan of {echo.max_range_m:g} m holds over {MAX_FAN_VOXELS:.0e} voxels of "
+            f"{resolution_m:g} m: set a larger octree.voxel_resolution",
+            "fan_too_large",
+        )
+
+
+@contextmanager
+def refusals() -> Iterator[None]:
+    """Turn what the core says of a ping that it refuses into ours."""
+    try:
+        yield
+    except (ValueError, IndexError, OverflowError) as error:
+        raise MapError(str(error), "refused_by_map") from error
+
+
+def _core_motion(motion: PingMotion | None) -> _core.PingMotion:
+    if motion is None:
+        motion = AT_REST
+    return _core.PingMotion(
+        linear_mps=np.ascontiguousarray(motion.linear_mps, dtype=np.float64),
+        angular_radps=np.ascontiguousarray(motion.angular_radps, dtype=np.float64),
+        valid_s=motion.valid_s,
+        speed_of_sound_mps=motion.speed_of_sound_mps,
+    )
+
+
+def save_map(core: _core.VoxelMap, path: Path) -> None:
+    """Write a map into a file, whole or not at all. Equal maps give equal files.
+
+    Raises:
+        ExportError: the file cannot be written.
+    """
+    data = core.encode_map()
+    with atomic_file(path) as file:
+        file.write(data)
+
+
+def load_map(core: _core.VoxelMap, path: Path) -> None:
+    """Replace a map's content by that of a file; on any error it is as before.
+
+    Raises:
+        MapError: the file cannot be read (`unreadable`), is not a whole map file, or is one of
+            another resolution, clamps or learning rate (`bad_map_file`).
+    """
+    magic = _core.MAP_FILE_MAGIC
+    try:
+        with path.open("rb") as file:
+            begin = file.read(len(magic))
+            # A device or a huge file of another kind is not read to its end.
+            data = begin + file.read() if begin == magic else begin
+    except OSError as error:
+        raise MapError(f"{path}: cannot be read: {error.strerror}", "unreadable") from error
+    try:
+        core.load_map(data)
+    except ValueError as error:
+        raise MapError(f"{path}: {error}", "bad_map_file") from error

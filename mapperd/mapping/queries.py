@@ -1,0 +1,234 @@
+"""Queries of a map: cells, rays, distances, and the memory that it takes.
+
+Positions are in metres in the map frame, and those of voxels are their centres. A box holds the
+voxels whose centres lie in low <= centre < high, so that boxes side by side share none. Everything
+is answered by the one map; nothing is kept.
+"""
+
+from dataclasses import dataclass
+from typing import Final, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mapperd import _core
+from mapperd.mapping.probability import log_odds_of, numbers_of, points_of, probabilities_of
+from mapperd.mapping.sonar_map import Voxels
+
+__all__ = [
+    "EVEN",
+    "FREE",
+    "OCCUPIED",
+    "UNKNOWN",
+    "BoxGrid",
+    "MapQueries",
+    "MemoryStats",
+    "memory_stats",
+    "voxels_above",
+]
+
+UNKNOWN: Final = -1
+"""Never observed, or observed without a clear result (between the two thresholds)."""
+
+FREE: Final = 0
+OCCUPIED: Final = 1
+
+EVEN: Final = 0.5
+"""The probability of a voxel that nothing is known about."""
+
+Number = TypeVar("Number", np.int8, np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoxGrid(Generic[Number]):
+    """One number for each voxel of a box.
+
+    Attributes:
+        values: (nx, ny, nz), indexed [x, y, z].
+        first_centre_m: (3,) float64, centre of the voxel [0, 0, 0].
+        resolution_m: edge of a voxel; the centre of [i, j, k] is first_centre_m + resolution_m *
+            (i, j, k).
+    """
+
+    values: NDArray[Number]
+    first_centre_m: NDArray[np.float64]
+    resolution_m: float
+
+
+class MapQueries:
+    """Answers questions about a map, as it is when they are asked.
+
+    Args:
+        core: the map.
+        occupied_threshold: voxels above this probability are occupied.
+        free_threshold: observed voxels below this probability are free; at most
+            occupied_threshold.
+
+    Raises:
+        ValueError: the thresholds are no probabilities or out of order.
+    """
+
+    def __init__(
+        self, core: _core.VoxelMap, *, occupied_threshold: float, free_threshold: float
+    ) -> None:
+        self._core = core
+        self._occupied = log_odds_of(occupied_threshold, "occupied_threshold")
+        self._free = log_odds_of(free_threshold, "free_threshold")
+        if free_threshold > occupied_threshold:
+            raise ValueError("free_threshold must be at most occupied_threshold")
+
+    @property
+    def resolution_m(self) -> float:
+        """Edge of a voxel."""
+        return self._core.resolution_m
+
+    def classify(self, points: ArrayLike) -> NDArray[np.int8]:
+        """OCCUPIED, FREE or UNKNOWN at points; beyond the map's reach all is unknown.
+
+        Args:
+            points: (N, 3).
+
+        Returns:
+            (N,) int8.
+
+        Raises:
+            ValueError: wrong shape, or not finite.
+        """
+        return self._core.classify(points_of(points), self._occupied, self._free)
+
+    def classify_box(self, low: ArrayLike, high: ArrayLike) -> BoxGrid[np.int8]:
+        """OCCUPIED, FREE or UNKNOWN for every voxel of a box.
+
+        Args:
+            low: (3,) corner.
+            high: (3,) corner, not below it.
+
+        Raises:
+            ValueError: corners that are not finite or not in order, or over 2**27 voxels.
+        """
+        corners = numbers_of(low), numbers_of(high)
+        grid, first = self._core.classify_box(*corners, self._occupied, self._free)
+        return BoxGrid(grid, first, self._core.resolution_m)
+
+    def ray_cast_depth(
+        self, origins: ArrayLike, directions: ArrayLike, max_range: float
+    ) -> NDArray[np.float64]:
+        """Distance from each origin to where its ray enters the first occupied voxel.
+
+        Every voxel that the ray runs through is looked at (the published mapper's fixed steps miss
+        corners). Unknown space does not stop a ray.
+
+        Args:
+            origins: (N, 3).
+            directions: (N, 3), of any length but 0.
+            max_range: metres, at most a million voxels.
+
+        Returns:
+            (N,) float64, metres: 0 where the ray starts in an occupied voxel, -1 where it meets
+            none within max_range.
+
+        Raises:
+            ValueError: wrong shapes, numbers that are not finite, a direction of length 0.
+        """
+        return self._core.ray_cast_depth(
+            points_of(origins), points_of(directions), max_range, self._occupied
+        )
+
+    def distance_field(
+        self, low: ArrayLike, high: ArrayLike, max_distance: float
+    ) -> BoxGrid[np.float32]:
+        """Exact Euclidean distance from voxel centres to the nearest occupied voxel's centre.
+
+        Occupied voxels outside the box count as well. Distances are truncated at max_distance.
+
+        Args:
+            low: (3,) corner.
+            high: (3,) corner, not below it.
+            max_distance: metres, at most 255 voxels.
+
+        Raises:
+            ValueError: bad corners, a bad distance, or over 2**27 voxels in the box with
+                max_distance around it.
+        """
+        corners = numbers_of(low), numbers_of(high)
+        field, first = self._core.distance_field(*corners, max_distance, self._occupied)
+        return BoxGrid(field, first, self._core.resolution_m)
+
+    def distance_slice(
+        self, low: ArrayLike, high: ArrayLike, z: float, max_distance: float
+    ) -> BoxGrid[np.float32]:
+        """The layer of `distance_field` that holds the height z, shape (nx, ny, 1).
+
+        Args:
+            low: (2,) corner, x and y.
+            high: (2,) corner, not below it.
+            z: height in metres.
+            max_distance: metres, at most 255 voxels.
+
+        Raises:
+            ValueError: as `distance_field`.
+        """
+        corners = numbers_of(low), numbers_of(high)
+        field, first = self._core.distance_slice(*corners, z, max_distance, self._occupied)
+        return BoxGrid(field, first, self._core.resolution_m)
+
+    def occupied_in(self, low: ArrayLike, high: ArrayLike) -> Voxels:
+        """Occupied voxels of a box of any size, in the map's fixed order.
+
+        Args:
+            low: (3,) corner.
+            high: (3,) corner, not below it.
+
+        Raises:
+            ValueError: corners that are not finite or not in order.
+        """
+        corners = numbers_of(low), numbers_of(high)
+        centres, log_odds, count = self._core.occupied_in(*corners, self._occupied)
+        return Voxels(centres, probabilities_of(log_odds).astype(np.float32), count)
+
+
+def voxels_above(core: _core.VoxelMap, min_probability: float) -> NDArray[np.float64]:
+    """Voxels of a map above a probability; 0 means all observed ones, negative means 0.5.
+
+    Returns:
+        (N, 4): x, y, z of the centre, probability.
+
+    Raises:
+        ValueError: above 1, or not a number.
+    """
+    if not min_probability <= 1:
+        raise ValueError(f"min_probability must be at most 1, not {min_probability!r}")
+    limits = {0.0: -np.inf, 1.0: np.inf}
+    asked = EVEN if min_probability < 0 else float(min_probability)
+    limit = limits[asked] if asked in limits else log_odds_of(asked, "min_probability")
+    centres, log_odds, _ = core.voxels(min_log_odds=limit)
+    return np.column_stack([centres, probabilities_of(log_odds)])
+
+
+@dataclass(frozen=True, slots=True)
+class MemoryStats:
+    """The published mapper's fields, truthful: they counted 1/12 to 1/18 of the memory.
+
+    Attributes:
+        num_nodes: observed voxels and the blocks that hold them.
+        num_leaf_nodes: observed voxels.
+        memory_mb: memory in use, in MiB of 2**20 bytes.
+        memory_efficiency: num_leaf_nodes / num_nodes, 0 for an empty map.
+    """
+
+    num_nodes: int
+    num_leaf_nodes: int
+    memory_mb: float
+    memory_efficiency: float
+
+
+def memory_stats(core: _core.VoxelMap) -> MemoryStats:
+    """Count a map's voxels and its memory."""
+    leaves = core.known_count()
+    nodes = leaves + core.block_count
+    return MemoryStats(
+        num_nodes=nodes,
+        num_leaf_nodes=leaves,
+        memory_mb=core.memory_bytes / 2**20,
+        memory_efficiency=leaves / nodes if nodes else 0.0,
+    )

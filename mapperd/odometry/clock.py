@@ -1,0 +1,169 @@
+"""The time of an odometry record on the host, and the best of several messages.
+
+One estimate of one sender told by several messages: the best of them is taken.
+
+An autopilot may send its attitude as angles and as a quaternion. Both in one series would only
+make it noisier, and out of order.
+"""
+
+from collections import deque
+from dataclasses import replace
+from typing import Any
+
+from mapperd.errors import Reject
+from mapperd.odometry.records import Odometry
+from oculus_driver.clock_fit import ClockFit
+
+__all__ = ["OdometryClock", "Precedence"]
+
+DISTRUST_AFTER = 10
+"""So many Unix stamps in a row that cannot be are of a clock that was never set."""
+
+STEP_NS = 50_000_000
+"""The least delay of as many records in a row grown by more: the sender's clock was set back."""
+
+AHEAD_NS = 5_000_000
+"""A stamp so much later than its arrival is of a clock that is not ours."""
+
+
+class OdometryClock:
+    """Carries the stamps of one source over to the host's clock.
+
+    Unix stamps are taken as they are while they agree with the arrivals; others are fitted. A
+    clock that was always behind by less than `max_age_ns` agrees: nobody can tell it from a slow
+    sender. One that is set back on the way is noticed.
+
+    Args:
+        max_age_ns: stamps further than this from their arrival are refused.
+        latency_ns: least delay of the link, which no fit can see; it is taken off.
+
+    Attributes:
+        max_age_ns: may be set anew.
+    """
+
+    def __init__(self, max_age_ns: int, latency_ns: int = 0) -> None:
+        self.max_age_ns = max_age_ns
+        self._latency_ns = latency_ns
+        self._fit = ClockFit()
+        self._off = 0  # records in a row
+        self._distrusted = False
+        self._delays: deque[int] = deque(maxlen=DISTRUST_AFTER)
+        self._least_delay_ns: int | None = None
+
+    def t_host_ns(self, odometry: Odometry, arrival_ns: int | None) -> int | Reject:
+        """The record's host time, on the clock of the arrival stamps.
+
+        Args:
+            odometry: the record.
+            arrival_ns: when it arrived; None where the recording does not say, which leaves
+                only "unix" stamps of use.
+        """
+        if arrival_ns is None:
+            if odometry.clock == "unix":
+                return odometry.stamp_ns
+            return Reject("no_arrival_time", f"the clock is {odometry.clock}, arrival unknown")
+        if odometry.clock == "arrival":
+            return arrival_ns - self._latency_ns
+        if odometry.clock == "unix" and not self._distrusted:
+            stamp: int | None = odometry.stamp_ns
+        else:
+            stamp = self._carried_over(odometry, arrival_ns)
+        off = stamp is None or abs(stamp - arrival_ns) > self.max_age_ns
+        ahead = stamp is not None and stamp - arrival_ns > AHEAD_NS
+        self._off = self._off + 1 if off or ahead else 0
+        if (
+            odometry.clock == "unix"
+            and not self._distrusted
+            and self._stepped_back(odometry, arrival_ns)
+        ):
+            self._distrusted = True
+            return Reject("clock_off", "the sender's clock was set back; it is fitted from now on")
+        # A clock that was never set: what it says of the time between records is still good.
+        self._distrusted = self._distrusted or self._off >= DISTRUST_AFTER
+        if stamp is None or off:
+            return Reject("clock_off", "the stamp and the arrival are too far apart")
+        return stamp
+
+    def _stepped_back(self, odometry: Odometry, arrival_ns: int) -> bool:
+        """Whether all of the last records came later after their stamps than any before them."""
+        sent_ns = odometry.stamp_ns if odometry.sent_ns is None else odometry.sent_ns
+        self._delays.append(arrival_ns - sent_ns)
+        if len(self._delays) < DISTRUST_AFTER:
+            return False
+        least_ns, now_ns = self._least_delay_ns, min(self._delays)
+        self._least_delay_ns = now_ns if least_ns is None else min(least_ns, now_ns)
+        return least_ns is not None and now_ns - least_ns > STEP_NS
+
+    def _carried_over(self, odometry: Odometry, arrival_ns: int) -> int | None:
+        """By the fit of the stamps of sending, where there are some: they know the link's delay."""
+        sent_ns = odometry.stamp_ns if odometry.sent_ns is None else odometry.sent_ns
+        sent_host_ns = self._fit.to_host_ns(sent_ns, arrival_ns)
+        if sent_host_ns is None:
+            return None
+        return sent_host_ns - self._latency_ns + odometry.stamp_ns - sent_ns
+
+
+SILENCE_NS = 2 * 10**9
+"""After so long without the better message the next best will do."""
+
+QUANTITIES = {
+    "position_m": "position",
+    "geo": "position",
+    "pose_covariance": "position",
+    "velocity_mps": "velocity",
+    "velocity_map_mps": "velocity",
+    "velocity_east_north_mps": "velocity",
+    "twist_covariance": "velocity",
+    "map_q_base": "attitude",
+    "heading_rad": "attitude",
+    "rate_radps": "attitude",
+}
+"""Of the fields that several messages tell."""
+
+
+class Precedence:
+    """Remembers which message tells each quantity.
+
+    Args:
+        order: messages, best first.
+    """
+
+    def __init__(self, order: tuple[str, ...]) -> None:
+        self._rank = {name: rank for rank, name in enumerate(order)}
+        self._leaders: dict[str, tuple[int, int | None]] = {}
+
+    def filtered(self, name: str, odometry: Odometry, arrival_ns: int | None) -> Odometry | None:
+        """The record without what a better message tells; None when nothing is left."""
+        told = {
+            field: quantity
+            for field, quantity in QUANTITIES.items()
+            if getattr(odometry, field) is not None
+        }
+        if name not in self._rank or not told:
+            return odometry
+        better = {
+            quantity
+            for quantity in set(told.values())
+            if not self._leads(
+                quantity,
+                self._rank[name],
+                # A heading alone is the attitude of a level vehicle: it follows on from no other.
+                None if quantity == "attitude" and odometry.map_q_base is None else arrival_ns,
+            )
+        }
+        without: dict[str, Any] = {field: None for field, q in told.items() if q in better}
+        if not without:
+            return odometry
+        rest = replace(odometry, **without)
+        return rest if len(without) < len(told) else None
+
+    def _leads(self, quantity: str, rank: int, arrival_ns: int | None) -> bool:
+        """Whether this message tells the quantity now; remembers it, if so."""
+        leader, heard_ns = self._leaders.get(quantity, (rank, None))
+        silent = (
+            arrival_ns is not None and heard_ns is not None and arrival_ns - heard_ns > SILENCE_NS
+        )
+        if rank > leader and not silent:
+            return False
+        self._leaders[quantity] = (rank, arrival_ns)
+        return True

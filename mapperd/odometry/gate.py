@@ -1,0 +1,104 @@
+"""What of an odometry record is believed: finite numbers, and enough confidence.
+
+A record of any maker is checked once more where it enters: what it holds are numbers.
+
+The formats check what comes from a wire, by the limits of each quantity. Records may also be made
+by a program that uses the library; one NaN of such a one would stay in the series, and every pose
+beside it could not be made.
+"""
+
+from mapperd.config.odometry import SlamQuality
+from mapperd.errors import Reject
+from mapperd.geometry.frames import UNIT_TOLERANCE
+from mapperd.odometry.records import Odometry, bad_numbers
+
+__all__ = ["ConfidenceGate", "bad_record"]
+
+
+class ConfidenceGate:
+    """Lets pings pass while the last confidence is fresh and high enough.
+
+    Args:
+        settings: threshold, times, and what a missing confidence means.
+
+    Attributes:
+        settings: may be set anew.
+    """
+
+    def __init__(self, settings: SlamQuality) -> None:
+        self.settings = settings
+        self._first_ns: int | None = None
+        self._last: tuple[int, float] | None = None
+        self.unchecked = 0
+        """Pings that passed without a fresh confidence."""
+
+    @property
+    def confidence(self) -> float | None:
+        """The newest one; None where none was ever said."""
+        return None if self._last is None else self._last[1]
+
+    def heard(self, t_ns: int, confidence: float | None) -> None:
+        """Take note of a record, with or without a confidence."""
+        if self._first_ns is None:
+            self._first_ns = t_ns
+        if confidence is not None:
+            self._last = (t_ns, confidence)
+
+    def check(self, t_ns: int) -> Reject | None:
+        """Why a ping of that moment may not be mapped; None where it may."""
+        settings = self.settings
+        if self._last is None:
+            grace_ns = round(settings.grace_period_sec * 1e9)
+            if self._first_ns is None or t_ns - self._first_ns <= grace_ns:
+                return None
+            return self._missing("the odometry never said how sure it is")
+        age_s = (t_ns - self._last[0]) / 1e9
+        if age_s > settings.stale_timeout_sec:
+            return self._missing(f"the last confidence is {age_s:.1f} s old")
+        if self._last[1] < settings.threshold:
+            return Reject(
+                "low_confidence", f"confidence {self._last[1]:g}; at least {settings.threshold:g}"
+            )
+        return None
+
+    def _missing(self, why: str) -> Reject | None:
+        if self.settings.fail_mode == "closed":
+            return Reject("no_confidence", f"{why}, and slam_quality.fail_mode is closed")
+        self.unchecked += 1
+        return None
+
+
+LARGEST = 1e12
+"""Of any number, in its unit: nobody is so far off, so fast, or so unsure."""
+
+ARRAYS = (
+    "position_m",
+    "velocity_mps",
+    "rate_radps",
+    "velocity_map_mps",
+    "velocity_east_north_mps",
+    "specific_force_mps2",
+    "pose_covariance",
+    "twist_covariance",
+)
+NUMBERS = ("depth_m", "heading_rad", "altitude_m", "confidence")
+
+
+def bad_record(odometry: Odometry) -> Reject | None:
+    """Why a record is of no use: it holds what is no number, no possible one, or no rotation."""
+    for key in ARRAYS:
+        array = getattr(odometry, key)
+        if array is not None and (bad := bad_numbers(key, array.ravel().tolist(), LARGEST)):
+            return bad
+    scalars = [getattr(odometry, key) for key in NUMBERS]
+    if (geo := odometry.geo) is not None:
+        scalars += [geo.latitude_rad, geo.longitude_rad, geo.altitude_m]
+    said = [number for number in scalars if number is not None]
+    if bad := bad_numbers("the record", said, LARGEST):
+        return bad
+    if (turn := odometry.map_q_base) is None:
+        return None
+    square = sum(number * number for number in turn.tolist())
+    if not abs(square - 1.0) <= UNIT_TOLERANCE:  # also where it is NaN
+        return Reject("no_rotation", f"map_q_base has the norm {square**0.5:.4g}, not 1")
+    return None

@@ -1,0 +1,358 @@
+"""Links to the vehicle: opened, read, and opened again when they are lost.
+
+What a link does, as a state machine with names that a person can read; no I/O, no clock.
+
+opening ─▶ waiting ─▶ receiving ⇄ silent
+   ▲          │            │         │
+   └─ backing off ◀────────┴─────────┘   (lost, or silent for too long on a connection)
+"""
+
+import asyncio
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, NoReturn, Protocol, TypeVar
+
+from mapperd.config.link_address import LinkAddress, serial_path
+from mapperd.errors import ConfigError
+
+if TYPE_CHECKING:
+    from serial import Serial
+
+__all__ = ["Link", "LinkPhase", "LinkState", "LinkStatus", "OnBytes", "listen_to"]
+
+OnBytes = Callable[[bytes], None]
+OnOpen = Callable[[], None]
+
+LARGEST_READ = 1 << 16
+CONNECT_S = 5.0
+
+
+async def listen_to(address: LinkAddress, on_open: OnOpen, on_bytes: OnBytes) -> NoReturn:
+    """Open a link and hand on what it brings.
+
+    Args:
+        address: which link.
+        on_open: called once it is open.
+        on_bytes: called with each datagram, or each piece of the stream.
+
+    Raises:
+        OSError: it cannot be opened, or was lost; its text says why.
+        ConfigError: a library that it needs is not installed.
+    """
+    if address.kind == "udp":
+        await _listen_udp(address, on_open, on_bytes)
+    if address.kind == "tcp":
+        await _read_tcp(address, on_open, on_bytes)
+    await _read_serial(address, on_open, on_bytes)
+
+
+class _Datagrams(asyncio.DatagramProtocol):
+    def __init__(self, on_bytes: OnBytes, lost: "asyncio.Future[None]") -> None:
+        self._on_bytes = on_bytes
+        self._lost = lost
+
+    def datagram_received(self, data: bytes, _: object) -> None:
+        self._on_bytes(data)
+
+    def connection_lost(self, error: Exception | None) -> None:
+        if not self._lost.done():
+            self._lost.set_exception(error or ConnectionAbortedError("the port was closed"))
+
+
+async def _listen_udp(address: LinkAddress, on_open: OnOpen, on_bytes: OnBytes) -> NoReturn:
+    loop = asyncio.get_running_loop()
+    lost: asyncio.Future[None] = loop.create_future()
+    transport: asyncio.DatagramTransport | None = None
+    try:
+        transport, _ = await loop.create_datagram_endpoint(
+            lambda: _Datagrams(on_bytes, lost), local_addr=(address.host, address.port)
+        )
+        on_open()
+        await lost
+    finally:
+        lost.cancel()  # also where it was cancelled while it was being opened
+        if transport is not None:
+            transport.close()
+    raise ConnectionAbortedError("the port was closed")
+
+
+async def _read_tcp(address: LinkAddress, on_open: OnOpen, on_bytes: OnBytes) -> NoReturn:
+    try:
+        async with asyncio.timeout(CONNECT_S):
+            reader, writer = await asyncio.open_connection(address.host, address.port)
+    except TimeoutError:
+        raise TimeoutError(f"no answer within {CONNECT_S:g} s") from None
+    try:
+        writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        on_open()
+        while data := await reader.read(LARGEST_READ):
+            on_bytes(data)
+    finally:
+        writer.close()
+    raise ConnectionResetError("closed by the other side")
+
+
+async def _read_serial(address: LinkAddress, on_open: OnOpen, on_bytes: OnBytes) -> NoReturn:
+    port = await asyncio.to_thread(_opened, address)
+    loop = asyncio.get_running_loop()
+    lost: asyncio.Future[None] = loop.create_future()
+
+    def read() -> None:
+        try:
+            data = port.read(LARGEST_READ)
+            if not data:  # readable and empty is what an unplugged line looks like
+                raise ConnectionResetError("the line was unplugged")
+        except OSError as error:
+            loop.remove_reader(port.fileno())
+            lost.set_exception(error)
+            return
+        on_bytes(bytes(data))
+
+    loop.add_reader(port.fileno(), read)
+    try:
+        on_open()
+        await lost
+    finally:
+        if not lost.done():
+            loop.remove_reader(port.fileno())
+            lost.cancel()
+        port.close()
+    raise ConnectionAbortedError("the line was closed")
+
+
+def _opened(address: LinkAddress) -> "Serial":
+    try:
+        import serial  # noqa: PLC0415 an extra
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            "serial links need pyserial, which is not installed; "
+            "allowed: pip install 'mapperd[serial]'"
+        ) from error
+    path = serial_path(address.device)
+    return serial.Serial(str(path), address.baud, timeout=0, exclusive=True)
+
+
+SECOND_NS = 1_000_000_000
+SILENT_NS = 5 * SECOND_NS
+RECONNECT_NS = 15 * SECOND_NS
+"""A connection that says nothing for so long may be dead without anybody having said so."""
+BACK_OFF_NS = tuple(round(s * SECOND_NS) for s in (0.5, 1.0, 2.0, 5.0))
+
+
+class LinkPhase(StrEnum):
+    """What the link does now."""
+
+    CLOSED = "closed"
+    OPENING = "opening"
+    WAITING = "waiting"
+    RECEIVING = "receiving"
+    SILENT = "silent"
+    BACKING_OFF = "backing off"
+
+
+@dataclass(frozen=True, slots=True)
+class LinkStatus:
+    """The link at one moment.
+
+    Attributes:
+        phase: what it does.
+        since_ns: when that began, host clock.
+        reason: why, for a person.
+        bytes_received: since the start.
+        opened: times that it was opened.
+        losses: times that it was lost or could not be opened.
+    """
+
+    phase: LinkPhase
+    since_ns: int
+    reason: str
+    bytes_received: int
+    opened: int
+    losses: int
+
+    def time_in_phase_s(self, now_ns: int) -> float:
+        """How long it has been so."""
+        return (now_ns - self.since_ns) / SECOND_NS
+
+
+class LinkState:
+    """Follows one link. Every method takes the host's time in nanoseconds.
+
+    Args:
+        where: the link, for the reasons.
+        connects: whether silence may mean a dead connection, to be made anew.
+    """
+
+    def __init__(self, where: str, *, connects: bool) -> None:
+        self._where = where
+        self._connects = connects
+        self._phase = LinkPhase.CLOSED
+        self._since_ns = 0
+        self._reason = "not started"
+        self._heard_ns = 0
+        self._bytes = self._opened = self._losses = 0
+        self._failures = 0
+
+    @property
+    def status(self) -> LinkStatus:
+        """The link as it is now."""
+        return LinkStatus(
+            self._phase, self._since_ns, self._reason, self._bytes, self._opened, self._losses
+        )
+
+    @property
+    def overdue_ns(self) -> int | None:
+        """When `tick` has something to say; None where only an event can change anything."""
+        if self._phase in (LinkPhase.WAITING, LinkPhase.RECEIVING):
+            return self._heard_ns + SILENT_NS
+        if self._phase is LinkPhase.SILENT and self._connects:
+            return self._heard_ns + RECONNECT_NS
+        return None
+
+    def opening(self, now_ns: int) -> None:
+        """It is being opened."""
+        self._enter(LinkPhase.OPENING, f"opening {self._where}", now_ns)
+
+    def opened(self, now_ns: int) -> None:
+        """It is open; nothing has come yet."""
+        self._opened += 1
+        self._heard_ns = now_ns
+        self._enter(LinkPhase.WAITING, f"{self._where} is open, nothing has come", now_ns)
+
+    def received(self, size: int, now_ns: int) -> None:
+        """Bytes came."""
+        self._bytes += size
+        self._heard_ns = now_ns
+        self._failures = 0
+        if self._phase is not LinkPhase.RECEIVING:
+            self._enter(LinkPhase.RECEIVING, f"bytes come from {self._where}", now_ns)
+
+    def tick(self, now_ns: int) -> bool:
+        """Look at the time; True where the connection is to be given up."""
+        overdue_ns = self.overdue_ns
+        if overdue_ns is None or now_ns < overdue_ns:
+            return False
+        if self._phase is LinkPhase.SILENT:
+            return True
+        quiet_s = (now_ns - self._heard_ns) / SECOND_NS
+        self._enter(
+            LinkPhase.SILENT, f"nothing received for {quiet_s:.0f} s on {self._where}", now_ns
+        )
+        return False
+
+    def lost(self, reason: str, now_ns: int) -> int:
+        """It was lost, or could not be opened; returns when to try again."""
+        pause_ns = BACK_OFF_NS[min(self._failures, len(BACK_OFF_NS) - 1)]
+        self._failures += 1
+        self._losses += 1
+        self._enter(LinkPhase.BACKING_OFF, reason, now_ns)
+        return now_ns + pause_ns
+
+    def closed(self, now_ns: int) -> None:
+        """It was closed on purpose."""
+        self._enter(LinkPhase.CLOSED, "closed", now_ns)
+
+    def _enter(self, phase: LinkPhase, reason: str, now_ns: int) -> None:
+        self._phase, self._since_ns, self._reason = phase, now_ns, reason
+
+
+LOOK_S = 1.0
+"""So often the state is looked at where nothing is due: it may have been opened meanwhile."""
+
+T = TypeVar("T")
+
+
+class TakeBytes(Protocol):
+    """Gets bytes, their arrival, and whether bytes before them are missing."""
+
+    def __call__(self, data: bytes, arrival_ns: int, /, *, gap: bool) -> None:
+        """Take them."""
+
+
+class Link:
+    """Keeps a link open until it is cancelled.
+
+    Args:
+        name: of the source.
+        address: where it is.
+        take: gets what comes.
+        clock: the host's, nanoseconds.
+        on_status: is told when it does something else.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        address: LinkAddress,
+        take: TakeBytes,
+        clock: Callable[[], int],
+        on_status: Callable[[str, LinkStatus], None] | None = None,
+    ) -> None:
+        self.name = name
+        self.address = address
+        self._take = take
+        self._clock = clock
+        self._on_status = on_status
+        self._state = LinkState(str(address), connects=address.kind == "tcp")
+        self._broken = False
+
+    @property
+    def status(self) -> LinkStatus:
+        """What it does now."""
+        return self._state.status
+
+    async def run(self) -> NoReturn:
+        """Open, read, open again.
+
+        Raises:
+            ConfigError: a library that it needs is not installed: trying again would not help.
+        """
+        try:
+            while True:
+                await self._once()
+        finally:
+            self._change(self._state.closed)
+
+    async def _once(self) -> None:
+        self._change(self._state.opening)
+        reading = asyncio.ensure_future(listen_to(self.address, self._opened, self._received))
+        try:
+            reason = await self._watch(reading)
+        except OSError as error:
+            reason = f"{self.address}: {error.strerror or error}"
+        finally:
+            reading.cancel()
+            await asyncio.gather(reading, return_exceptions=True)
+        self._broken = True
+        retry_ns = self._change(lambda now_ns: self._state.lost(reason, now_ns))
+        await asyncio.sleep((retry_ns - self._clock()) / SECOND_NS)
+
+    async def _watch(self, reading: "asyncio.Future[NoReturn]") -> str:
+        """Wait until it is lost, which is raised, or so silent that it must be dead: says so."""
+        while not self._change(self._state.tick):
+            due_ns = self._state.overdue_ns
+            wait_s = LOOK_S if due_ns is None else max(due_ns - self._clock(), 0) / SECOND_NS
+            await asyncio.wait({reading}, timeout=wait_s)
+            if reading.done():
+                await reading
+        return self._state.status.reason
+
+    def _opened(self) -> None:
+        self._change(self._state.opened)
+
+    def _received(self, data: bytes) -> None:
+        # What was under way when the link broke will not be completed.
+        gap, self._broken = self._broken, False
+        self._change(lambda now_ns: self._state.received(len(data), now_ns))
+        self._take(data, self._clock(), gap=gap)
+
+    def _change(self, change: "Callable[[int], T]") -> "T":
+        """Change the state, and say so where it became another."""
+        before = self._state.status.phase
+        result = change(self._clock())
+        status = self._state.status
+        if status.phase != before and self._on_status is not None:
+            self._on_status(self.name, status)
+        return result

@@ -1,0 +1,1 @@
+"""The way of a ping: from bytes to the map."""

@@ -1,0 +1,236 @@
+"""Pings meet poses: a ping waits until odometry that encloses its time has come."""
+
+from collections import deque
+from collections.abc import Iterator
+from typing import Protocol
+
+import numpy as np
+
+from mapperd.config.tree import Config, TimeSync
+from mapperd.errors import Reject
+from mapperd.geometry.frames import Pose
+from mapperd.odometry.bridge import OdometryBridge
+from mapperd.odometry.fusion import FusedPose
+from oculus_driver.clock import SonarClock
+from oculus_driver.ping import Ping
+
+__all__ = [
+    "ODOMETRY_FOLLOWS",
+    "FixedPose",
+    "OdometryPoses",
+    "PoseLookup",
+    "origin_of",
+    "ping_time_ns",
+]
+
+ODOMETRY_FOLLOWS = (
+    "time_sync",
+    "slam_quality",
+    "odometry.limits",
+    "odometry.dead_reckoning",
+    "odometry.at_jump",
+    "odometry.position_std",
+    "odometry.attitude_std",
+)
+"""Settings that `PoseLookup.take` follows."""
+
+MAX_WAITING_BYTES = 128 * 1024 * 1024
+"""Images that may wait; beyond, the oldest ping is settled with what is known."""
+
+
+class PoseLookup(Protocol):
+    """Gives pings their poses, in the order in which the pings came."""
+
+    @property
+    def waiting_bytes(self) -> int:
+        """Samples of the pings that wait."""
+
+    @property
+    def origin_deg(self) -> tuple[float, float] | None:
+        """Latitude and longitude of the map's zero; None where nobody said a place on Earth."""
+
+    def take(self, config: Config) -> None:
+        """Judge by other settings from now on, pings that wait included.
+
+        Args:
+            config: differs from the one in force in settings that `ODOMETRY_FOLLOWS` names.
+        """
+
+    def add_ping(self, ping: Ping, t_ns: int | None = None) -> None:
+        """Take a ping that wants a pose.
+
+        Args:
+            ping: of the sonar.
+            t_ns: when the sound met the middle of the image; None to tell it by the arrival.
+        """
+
+    def add_odometry(
+        self,
+        link: str,
+        data: bytes,
+        arrival_ns: int | None,
+        *,
+        encoding: str | None = None,
+        gap_before: bool = False,
+    ) -> None:
+        """Take bytes of odometry, as `OdometryBridge.feed` does."""
+
+    def resolved(
+        self, now_ns: int | None, *, final: bool = False
+    ) -> Iterator[tuple[Ping, FusedPose | Reject]]:
+        """Pings whose pose is known, or known to be unknown.
+
+        Args:
+            now_ns: the clock of the arrivals: now, or the stamp of a recording's newest chunk.
+            final: nothing more will come.
+        """
+
+
+def origin_of(config: Config, poses: PoseLookup) -> tuple[float, float] | None:
+    """Latitude and longitude of the map's zero: as set, else the first place that was said."""
+    said = config.odometry.origin
+    return poses.origin_deg if said is None else (said.latitude, said.longitude)
+
+
+class FixedPose:
+    """Every ping has the same pose; odometry is only counted.
+
+    Attributes:
+        pose: of every ping.
+        ignored: pieces of odometry that came all the same.
+    """
+
+    def __init__(self, pose: Pose) -> None:
+        self.pose = pose
+        self._pose = FusedPose(pose, None, None, np.zeros((6, 6)), 0, 0.0)
+        self._pings: deque[Ping] = deque()
+        self.ignored = 0
+
+    @property
+    def waiting_bytes(self) -> int:
+        """Samples of the pings that wait."""
+        return sum(ping.image.nbytes for ping in self._pings)
+
+    @property
+    def origin_deg(self) -> tuple[float, float] | None:
+        """There is none."""
+        return None
+
+    def take(self, config: Config) -> None:
+        """Nothing that may change concerns a fixed pose."""
+
+    def add_ping(self, ping: Ping, t_ns: int | None = None) -> None:  # noqa: ARG002 it stands still
+        """Take a ping that wants a pose."""
+        self._pings.append(ping)
+
+    def add_odometry(
+        self,
+        link: str,  # noqa: ARG002 a fixed pose needs none
+        data: bytes,  # noqa: ARG002
+        arrival_ns: int | None,  # noqa: ARG002
+        *,
+        encoding: str | None = None,  # noqa: ARG002
+        gap_before: bool = False,  # noqa: ARG002
+    ) -> None:
+        """Count a piece of odometry."""
+        self.ignored += 1
+
+    def resolved(
+        self,
+        now_ns: int | None,  # noqa: ARG002 nothing to wait for
+        *,
+        final: bool = False,  # noqa: ARG002
+    ) -> Iterator[tuple[Ping, FusedPose | Reject]]:
+        """Pings so far, each with the fixed pose."""
+        while self._pings:
+            yield self._pings.popleft(), self._pose
+
+
+class OdometryPoses:
+    """Poses from the vehicle's odometry.
+
+    Args:
+        config: the sources and how they are fused.
+
+    Attributes:
+        odometry: the bridge, with its counters.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self.odometry = OdometryBridge(config)
+        self._patience_ns = _patience_ns(config.time_sync)
+        self._pings: deque[tuple[Ping, int | None]] = deque()
+        self._waiting_bytes = 0
+
+    @property
+    def waiting_bytes(self) -> int:
+        """Samples of the pings that wait."""
+        return self._waiting_bytes
+
+    @property
+    def origin_deg(self) -> tuple[float, float] | None:
+        """Latitude and longitude of the map's zero; None before the first place on Earth."""
+        return self.odometry.fusion.origin_deg
+
+    def take(self, config: Config) -> None:
+        """Judge by other settings from now on, pings that wait included."""
+        self._patience_ns = _patience_ns(config.time_sync)
+        self.odometry.fusion.reconfigure(config.odometry, config.time_sync, config.slam_quality)
+
+    def add_ping(self, ping: Ping, t_ns: int | None = None) -> None:
+        """Take a ping that wants a pose."""
+        self._pings.append((ping, ping_time_ns(ping) if t_ns is None else t_ns))
+        self._waiting_bytes += ping.image.nbytes
+
+    def add_odometry(
+        self,
+        link: str,
+        data: bytes,
+        arrival_ns: int | None,
+        *,
+        encoding: str | None = None,
+        gap_before: bool = False,
+    ) -> None:
+        """Take bytes of odometry, as `OdometryBridge.feed` does."""
+        self.odometry.feed(link, data, arrival_ns, encoding=encoding, gap_before=gap_before)
+
+    def resolved(
+        self, now_ns: int | None, *, final: bool = False
+    ) -> Iterator[tuple[Ping, FusedPose | Reject]]:
+        """Pings whose time lies behind the newest record, or that have waited long enough."""
+        while self._pings and (final or self._is_ripe(self._pings[0][1], now_ns)):
+            ping, t_ns = self._pings.popleft()
+            self._waiting_bytes -= ping.image.nbytes
+            yield ping, self._pose_at(t_ns)
+
+    def _is_ripe(self, t_ns: int | None, now_ns: int | None) -> bool:
+        if t_ns is None or self._waiting_bytes > MAX_WAITING_BYTES:
+            return True
+        if self.odometry.fusion.ready(t_ns):
+            return True
+        # Far ahead of the clock is a stamp gone astray: nobody else must wait for it.
+        return now_ns is not None and abs(now_ns - t_ns) > self._patience_ns
+
+    def _pose_at(self, t_ns: int | None) -> FusedPose | Reject:
+        if t_ns is None:
+            return Reject("no_arrival_time", "the recording does not say when the ping came")
+        return self.odometry.fusion.at(t_ns)
+
+
+def _patience_ns(settings: TimeSync) -> int:
+    """A record may be one gap away and late; after that it will not come."""
+    return round((settings.max_gap_sec + settings.max_odom_age_sec) * 1e9)
+
+
+def ping_time_ns(ping: Ping, clock: SonarClock | None = None) -> int | None:
+    """When the sound met the middle of the image, on the clock of the arrivals; None if unknown.
+
+    Args:
+        ping: of one sonar, in order of arrival.
+        clock: of that sonar, which knows more than the arrival of this ping alone.
+    """
+    if clock is None:
+        return ping.echo_time_ns(ping.max_range_m / 2)
+    placed = clock.place(ping)
+    one_way_ns = ping.flight_ns(ping.max_range_m / 2)
+    return None if placed is None else placed.transmit_ns + one_way_ns

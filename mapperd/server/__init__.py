@@ -1,0 +1,1 @@
+"""The map stream and the control socket of a daemon."""

@@ -1,0 +1,322 @@
+"""One connection of the map stream: its bytes, and its control requests."""
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from mapperd.api import DaemonApi
+from mapperd.events import Severity
+from mapperd.server.dispatch import EventFeed, operate
+from mapperd.server.resume import Parting
+from mapperd.server.session import Session
+from mapperd.server.tcp import fills_buffers, tcp_state
+from mapperd.wire.auth import Limits, TokenBucket
+from mapperd.wire.control_messages import (
+    Ask,
+    Events,
+    Fault,
+    Get,
+    Localization,
+    Params,
+    Status,
+    decode_ask,
+)
+from mapperd.wire.framing import StreamError
+from mapperd.wire.messages import MAX_FROM_SERVER
+
+__all__ = ["Around", "Connection", "answered"]
+
+LOOKS = (Status, Params, Get, Localization, Events)
+"""Requests that change nothing."""
+
+
+async def answered(
+    raw: msgspec.Raw, operations: DaemonApi, origin: str, *, may_change: bool
+) -> tuple[int | None, dict[str, Any] | Fault]:
+    """Do what is asked; whatever goes wrong, the client is told and the daemon goes on.
+
+    Args:
+        raw: the request, one value of MessagePack.
+        operations: the daemon.
+        origin: who asks.
+        may_change: more than looking is allowed.
+
+    Returns:
+        The number of the request, where it can be read, and what became of it.
+    """
+    ask, number = _decoded(raw)
+    if isinstance(ask, Fault):
+        return number, ask
+    if not may_change and not isinstance(ask, LOOKS):
+        return number, Fault("needs_token", "changing anything by TCP needs stream.token_file")
+    try:
+        return number, await _done(ask, operations, origin)
+    except Exception as error:  # noqa: BLE001 a fault of ours must not end the daemon
+        what = f"{type(ask).__name__.lower()}: {type(error).__name__}: {error}"
+        operations.events.add(Severity.ERROR, "stream_failed", what)
+        return number, Fault("failed", what)
+
+
+async def _done(ask: Ask, operations: DaemonApi, origin: str) -> dict[str, Any] | Fault:
+    if not isinstance(ask, Events):
+        return await operate(ask, operations, origin)
+    if ask.follow:
+        return Fault("bad_request", "events are followed by wanting them")
+    return EventFeed(operations.events, ask.since).take()
+
+
+def _decoded(raw: msgspec.Raw) -> tuple[Ask | Fault, int | None]:
+    """As JSON, which the requests are written in: what it cannot say is in none of them."""
+    try:
+        line = msgspec.json.encode(msgspec.msgpack.decode(raw))
+    except (msgspec.MsgspecError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        return Fault("bad_request", f"no request: {error}"), None
+    return decode_ask(line)
+
+
+LEAVE_S = 1.0
+"""For the last words to arrive."""
+
+ANSWERS_UNDER_WAY = 256 << 10
+BREATH_S = 0.05
+
+MAX_UNSENT = 2 * MAX_FROM_SERVER
+"""Who reads has never so much before it: one answer, and what the pacer gives."""
+
+MAX_HEARD = 8192
+"""Bytes that are heard in one turn of the event loop: some hundred of the shortest messages."""
+
+
+@dataclass(frozen=True, slots=True)
+class Around:
+    """What all connections have in common.
+
+    Attributes:
+        operations: the daemon.
+        limits: what a client may take.
+        count: one more of something that happened.
+        admit: makes a newcomer a client; raises `StreamError` where there is no room.
+        heard: a client said something.
+        refused: a newcomer was not let in, and why.
+        gone: a connection has ended.
+        clock: seconds, as the event loop's.
+        now_ns: Unix time that is never set back.
+    """
+
+    operations: DaemonApi
+    limits: Limits
+    count: Callable[[str], None]
+    admit: Callable[["Connection"], None]
+    heard: Callable[["Connection"], None]
+    refused: Callable[["Connection", str], None]
+    gone: Callable[["Connection"], None]
+    clock: Callable[[], float]
+    now_ns: Callable[[], int]
+
+
+class Connection(asyncio.BufferedProtocol):
+    """From the greeting to the end.
+
+    Args:
+        session: of the client.
+        origin: who it is, as is told in events and settings.
+        around: what it shares with others.
+
+    Attributes:
+        session, origin: as given.
+        first: the connection whose second line this is; None is a client by itself.
+        second: the client's second line; None without one.
+        is_over: nothing is said any more.
+        is_for_good: and that is no fault of the link.
+    """
+
+    def __init__(self, session: Session, origin: str, around: Around) -> None:
+        self.session = session
+        self.origin = origin
+        self.first: Connection | None = None
+        self.second: Connection | None = None
+        self.is_over = self.is_for_good = False
+        self._around = around
+        self._transport: asyncio.Transport | None = None
+        self._fills = False
+        self._timer: asyncio.TimerHandle | None = None
+        self._answering: asyncio.Task[None] | None = None
+        limits = around.limits
+        self._asks = TokenBucket(limits.asks_per_s, limits.asks_at_once)
+        self._heard = memoryview(bytearray(MAX_HEARD))
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Greet it."""
+        assert isinstance(transport, asyncio.Transport)  # noqa: S101 of a stream
+        self._transport = transport
+        self._fills = fills_buffers(transport.get_extra_info("socket"))
+        transport.write(self.session.greeting(self._around.clock()))
+        loop = asyncio.get_running_loop()
+        self._timer = loop.call_later(self._around.limits.hello_s, self._look_for_hello)
+
+    def get_buffer(self, sizehint: int) -> memoryview:  # noqa: ARG002 whoever says much waits
+        """Where the next bytes go: so many at most, then others have their turn."""
+        return self._heard
+
+    def buffer_updated(self, nbytes: int) -> None:
+        """Hear what it says."""
+        if self.is_over:
+            return
+        was_new = self.session.state == "greeted"
+        self.measure()
+        try:
+            self.session.take(bytes(self._heard[:nbytes]), self._around.clock())
+            if was_new and self.session.state != "greeted":
+                self._around.admit(self)
+        except StreamError as error:
+            self.refuse(error, was_new=was_new)
+            return
+        self._around.heard(self)
+        if self.session.asks and self._answering is None:
+            self._answering = asyncio.get_running_loop().create_task(self._answer())
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """It has left, or was let go."""
+        if exc is not None:
+            self._around.count("connections_lost")
+        self.is_over = True
+        for waiting in (self._timer, self._answering):
+            if waiting is not None:
+                waiting.cancel()
+        self._around.gone(self)
+
+    def turn(self) -> None:
+        """Tell it what is due."""
+        self.measure()
+        now_s = self._around.clock()
+        try:
+            self.session.look(now_s)
+        except StreamError as error:
+            self.refuse(error, was_new=False)
+            return
+        if self._transport and self._transport.get_write_buffer_size() > MAX_UNSENT:
+            self.refuse(StreamError("it does not read what it is told", "unread"), was_new=False)
+            return
+        self.write(self.session.next(now_s, self._around.now_ns()))
+
+    def join(self, second: "Connection") -> None:
+        """This is the client's second line now."""
+        self.part()
+        self.second, second.first = second, self
+        self.session.join(second.session)
+
+    def part(self) -> None:
+        """There is no second line any more; if there was one it is dropped."""
+        if self.second is not None:
+            second = self.second
+            second.leave_first()
+            second.drop()
+
+    def leave_first(self) -> None:
+        """Nothing of the map is told on it any more, if it was a second line."""
+        if self.first is not None:
+            first, self.first = self.first, None
+            first.second = None
+            first.session.part()
+
+    def line(self, now_s: float) -> "Connection":
+        """The client's connection on which it is told of the map now."""
+        line = self.session.line(now_s)
+        return self if self.second is None or line is self.session else self.second
+
+    def measure(self) -> None:
+        """Have the pacer know how the connection stands."""
+        if self.is_over or self._transport is None:
+            return
+        connection = self._transport.get_extra_info("socket")
+        if connection is None:
+            return  # TLS that is over already, which we hear of in the loop's next turn
+        state = tcp_state(connection)
+        self.session.pacer.note_link(
+            self._transport.get_write_buffer_size() + state.unsent,
+            state.round_trip_s,
+            self._around.clock(),
+            fills=self._fills,
+            in_network=state.in_network,
+            link_rate=state.rate,
+        )
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; the pacer has room for them."""
+        if data and not self.is_over and self._transport is not None:
+            self._transport.write(data)
+
+    def refuse(self, error: StreamError, *, was_new: bool) -> None:
+        """Let it go because of what it said, or did not say."""
+        self.is_for_good |= error.reason != "no_acks"
+        kind = "refused" if was_new else "cut"
+        self._around.count(f"{kind}_{error.reason}")
+        if was_new:
+            self._around.refused(self, error.reason)
+        self.end(error.reason, str(error))
+
+    def end(self, reason: str, message: str) -> None:
+        """Say goodbye and close."""
+        if self.is_over or self._transport is None:
+            self.abort()
+            return
+        self.leave_first()
+        self.write(self.session.bye(reason, message))
+        self.is_over = True
+        self._transport.close()
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = asyncio.get_running_loop().call_later(LEAVE_S, self._transport.abort)
+
+    def abort(self) -> None:
+        """Close at once: what it was told is not to be relied upon."""
+        self.is_for_good = True
+        self.drop()
+
+    def parting(self) -> Parting | None:
+        """With what it may come back; None where it may not."""
+        return None if self.is_for_good else self.session.parting()
+
+    def drop(self) -> None:
+        """Close at once: its link is dead."""
+        self.is_over = True
+        if self._transport is not None:
+            self._transport.abort()
+
+    def _look_for_hello(self) -> None:
+        if self.session.state == "greeted":
+            self.refuse(StreamError("no hello came", "late_hello"), was_new=True)
+
+    async def _answer(self) -> None:
+        """One request after the other; who takes no answers is answered no more."""
+        session, around = self.session, self._around
+        try:
+            while session.asks and not self.is_over:
+                under_way = session.pacer.in_flight
+                wait_s = BREATH_S if under_way > ANSWERS_UNDER_WAY else 0.0
+                if not wait_s:
+                    wait_s = self._asks.take(around.clock())
+                    around.count("requests")
+                    raw = session.asks.popleft()
+                    if wait_s:
+                        around.count("throttled")
+                        await asyncio.sleep(wait_s)
+                    number, result = await answered(
+                        raw, around.operations, self.origin, may_change=session.may_change
+                    )
+                    self._say(number, result)
+                else:
+                    await asyncio.sleep(wait_s)
+        finally:
+            self._answering = None
+
+    def _say(self, number: int | None, result: dict[str, object] | Fault) -> None:
+        if isinstance(result, Fault):
+            self._around.count("asks_refused")
+            self.session.answer(number, None, result)
+        else:
+            self.session.answer(number, result)
+        self.turn()

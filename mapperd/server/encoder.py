@@ -1,0 +1,205 @@
+"""Blocks made into bodies of messages, once for all clients that are told the same."""
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd import _core
+from mapperd.server.map_index import StoredBricks, View, batches, bricks_of
+from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet, encode_blocks
+from mapperd.wire.framing import framed
+from mapperd.wire.messages import Blocks
+
+__all__ = ["BlockEncoder", "Body", "Times"]
+
+MAX_KEPT = 64
+"""Bodies, and messages: clients that keep up are told the same, the others each their own."""
+
+FIRST_GUESS = 64.0
+"""Bytes a block."""
+
+MAX_TIMES = 1 << 16
+
+BRICKS_AT_ONCE = 32
+"""Read from the file: they may take 1.5 MB each."""
+
+Numbers = NDArray[np.int64]
+Key = TypeVar("Key")
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """Blocks as they were read from the map.
+
+    Attributes:
+        revision: of the map then.
+        order: higher than that of all that was read before.
+        data: as `Blocks` has it.
+    """
+
+    revision: int
+    order: int
+    data: bytes
+
+
+class Times:
+    """When the map was at which revision, roughly for what is long ago."""
+
+    def __init__(self) -> None:
+        self._revisions: list[int] = []
+        self._ns: list[int] = []
+
+    def note(self, revision: int, now_ns: int) -> None:
+        """The map is at a revision now."""
+        if self._revisions and revision <= self._revisions[-1]:
+            return
+        if len(self._revisions) == MAX_TIMES:
+            half = MAX_TIMES // 2
+            self._revisions[:half] = self._revisions[:half:2]
+            self._ns[:half] = self._ns[:half:2]
+        self._revisions.append(revision)
+        self._ns.append(now_ns)
+
+    def of(self, revisions: NDArray[np.uint64]) -> NDArray[np.int64]:
+        """When (N,) the map was first known to be at revisions (N,), or beyond."""
+        at = np.searchsorted(np.array(self._revisions, np.uint64), revisions)
+        return np.array(self._ns, np.int64)[np.minimum(at, len(self._ns) - 1)]
+
+
+class BlockEncoder:
+    """Makes messages of blocks; of one thread.
+
+    Args:
+        core: the map.
+        files: the part of it that is on disk alone; None where all is in memory.
+    """
+
+    def __init__(self, core: _core.VoxelMap, files: StoredBricks | None) -> None:
+        self.times = Times()
+        self._order = 0
+        self._core = core
+        self._files = files
+        self._stamp_ns = 0
+        self._guess: dict[tuple[int, str], float] = {}
+        self._bodies: dict[tuple[object, ...], Body] = {}
+        self._messages: dict[tuple[object, ...], Blocks] = {}
+        self._framed: dict[int, tuple[Blocks, bytes]] = {}
+
+    def begin(self, now_ns: int) -> None:
+        """The map was looked at: what was made before is not to be told any more."""
+        self._stamp_ns = now_ns
+        self.fence()
+
+    def fence(self) -> int:
+        """An order that all exceed that are told from now on, and nothing that was told before."""
+        self._bodies.clear()
+        self._messages.clear()
+        self._framed.clear()
+        return self._order
+
+    def blocks_in(self, most_bytes: int, level: int, detail: str) -> int:
+        """How many blocks about fill so many bytes: few numbers, so that clients agree on them."""
+        number = max(int(most_bytes / self._guess.get((level, detail), FIRST_GUESS)), 1)
+        low = 1 << number.bit_length() - 1
+        return low + low // 2 if number >= low + low // 2 else low
+
+    def body(
+        self,
+        view: View,
+        detail: str,
+        numbers: Numbers,
+        wanted: NDArray[np.bool_],
+        least_order: int = 0,
+    ) -> Body:
+        """Blocks as they are now, those that are not wanted as empty ones.
+
+        Args:
+            view: of the map.
+            detail: of the interest.
+            numbers: of the blocks.
+            wanted: which of them are told with what they hold.
+            least_order: what was read before is not told, though it was in the same look.
+
+        Raises:
+            StoreError: the file cannot be read.
+        """
+        key = (id(view), detail, numbers.tobytes(), wanted.tobytes())
+        known = self._bodies.get(key)
+        if known is None or known.order < least_order:
+            known = self._made(view, detail, numbers, wanted)
+            _keep(self._bodies, key, known)
+        return known
+
+    def message(self, body: Body, left: int, complete: int | None) -> Blocks:
+        """The same object for all who are told the same."""
+        key = (body.order, left, complete)
+        known = self._messages.get(key)
+        if known is None:
+            known = Blocks(
+                revision=body.revision,
+                stamp_ns=self._stamp_ns,
+                left=left,
+                complete=complete,
+                body=body.data,
+                order=body.order,
+            )
+            _keep(self._messages, key, known)
+        return known
+
+    def framed(self, message: Blocks) -> bytes:
+        """A message as it goes over the wire, made once for each object."""
+        known = self._framed.get(id(message))
+        if known is None or known[0] is not message:
+            known = message, framed(message)
+            _keep(self._framed, id(message), known)
+        return known[1]
+
+    def _made(self, view: View, detail: str, numbers: Numbers, wanted: NDArray[np.bool_]) -> Body:
+        self._order += 1
+        keys = view.keys(numbers)
+        cells = np.full((len(numbers), CELLS), UNKNOWN, np.int8)
+        bits = np.zeros((len(numbers), CELLS), np.uint8)
+        revision, cells[wanted], bits[wanted] = self._content(view, keys[wanted])
+        if revision > view.sure:
+            view.doubt(numbers[wanted], self._core)
+        age_ns = self._stamp_ns - self.times.of(view.revisions[numbers])
+        ages_ms = np.clip(age_ns // 1_000_000, 0, 2**32 - 1).astype(np.uint32)
+        told = BlockSet(keys, ages_ms, cells, bits if detail == "counts" else None)
+        body = encode_blocks(told)
+        if len(numbers):
+            before = self._guess.get((view.level, detail), FIRST_GUESS)
+            share = min(len(numbers) / 256, 1.0) / 2
+            self._guess[view.level, detail] = before + (len(body) / len(numbers) - before) * share
+        return Body(revision, self._order, body)
+
+    def _content(
+        self, view: View, keys: NDArray[np.int32]
+    ) -> tuple[int, NDArray[np.int8], NDArray[np.uint8]]:
+        cells = np.full((len(keys), CELLS), UNKNOWN, np.int8)
+        bits = np.zeros((len(keys), CELLS), np.uint8)
+        here = np.ones(len(keys), bool)
+        revision = 0 if len(keys) else self._core.revision
+        for part in batches(len(keys), view.level):
+            now, cells[part], bits[part], here[part] = self._core.stream_blocks(
+                view.core, keys[part]
+            )
+            revision = max(revision, now)
+        if self._files is not None and not here.all():
+            away = keys[~here]
+            bricks = np.unique(bricks_of(away, view.level), axis=0)
+            for begin in range(0, len(bricks), BRICKS_AT_ONCE):
+                some = bricks[begin : begin + BRICKS_AT_ONCE]
+                found, _ = self._files.load(some)
+                holding = bricks_of(keys, view.level)
+                these = ~here & (holding[:, None] == some).all(axis=2).any(axis=1)
+                _, cells[these], bits[these], _ = found.stream_blocks(view.core, keys[these])
+        return revision, cells, bits
+
+
+def _keep(kept: dict[Key, Value], key: Key, value: Value) -> None:
+    if len(kept) >= MAX_KEPT:
+        del kept[next(iter(kept))]
+    kept[key] = value

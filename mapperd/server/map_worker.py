@@ -1,0 +1,331 @@
+"""The map's way to the clients: round by round, in one worker thread."""
+
+import asyncio
+from collections.abc import Awaitable, Callable, Collection, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import NoReturn
+
+from mapperd.api import DaemonApi
+from mapperd.events import Severity
+from mapperd.server.connection import Around, Connection
+from mapperd.server.priority_queue import Part
+from mapperd.server.resume import Parting, ResumeCache
+from mapperd.server.schedule import Rooms
+from mapperd.server.session import Beginning, Wish
+from mapperd.server.source_protocol import FIRST, SECOND, Line, MapView, Source
+from mapperd.server.state_feed import Feed
+from mapperd.wire.framing import framed
+from mapperd.wire.messages import Interest, Reset, Resume, Vector
+
+__all__ = ["Frame", "MapRounds", "next_frames"]
+
+UNWATCHED_S = 2.0
+"""Between looks at the map while nobody watches it: the ages of its blocks are told by them."""
+
+ROUND_BYTES = 128 << 10
+"""To one client in one round: the others wait for it."""
+
+BREATH_S = 1.0
+"""After a round that failed."""
+
+Frame = tuple[bytes, int, int | None]
+"""A message, its number, and the near blocks that are left where it is about such."""
+
+
+def next_frames(view: MapView, rooms: Rooms, position_m: Vector | None) -> list[Frame]:
+    """What a client is told of the map in one round: of what is near, else of what is far."""
+    return [*_of_part(view, "near", rooms.near, position_m)] or [
+        *_of_part(view, "far", rooms.far, position_m)
+    ]
+
+
+def _of_part(view: MapView, part: Part, most: int, position_m: Vector | None) -> Iterator[Frame]:
+    room = min(most, ROUND_BYTES)
+    # The last half of the room may stay empty: small messages are dear.
+    while room > min(most, ROUND_BYTES) // 2:
+        frame = view.next(position_m, room, part)
+        if frame is None:
+            return
+        yield frame, view.number, view.near_left if part == "near" else None
+        room -= len(frame)
+
+
+@dataclass(slots=True)
+class _Order:
+    """What one client gets in a round."""
+
+    client: Connection
+    view: MapView | None
+    wish: Wish | None
+    rooms: Rooms
+    first_rooms: Rooms = field(default_factory=Rooms)
+    second: Connection | None = None
+    has_lost_second: bool = False
+    stuck: Line | None = None
+    line: Line = FIRST
+    settled: tuple[int, int] = (0, 0)
+    fence: int = 0
+    is_new: bool = False
+    went_on: bool = False
+    frames: list[Frame] = field(default_factory=list)
+    fault: Exception | None = None
+
+
+@dataclass(slots=True)
+class _Job:
+    """What is done in a round.
+
+    Attributes:
+        look: at what changed.
+        orders: of the clients.
+        draw: kinds of messages to be drawn; none is nothing.
+        coarseness: of the pictures.
+        left: views of clients that are gone, and with what these may come back.
+        now_s: when it began.
+        beginning: of the map, when all is done.
+    """
+
+    look: bool
+    orders: list[_Order]
+    draw: frozenset[str]
+    coarseness: set[int]
+    left: list[tuple[MapView, Parting | None]]
+    now_s: float
+    beginning: Beginning | None = None
+
+
+class MapRounds:
+    """Looks at the map, and gives each client what it has room for.
+
+    Args:
+        operations: the daemon.
+        feed: what else is drawn in the worker.
+        source: the map.
+        clients: who is connected, at any time.
+        around: clocks, counters, limits.
+
+    Attributes:
+        parking: of clients that were lost; of the worker.
+    """
+
+    FOLLOWS = ("stream.rate",)
+    """Settings that are read anew each time."""
+
+    def __init__(
+        self,
+        operations: DaemonApi,
+        feed: Feed,
+        source: Source,
+        clients: Collection[Connection],
+        around: Around,
+    ) -> None:
+        self._operations = operations
+        self._feed = feed
+        self._source = source
+        self._clients = clients
+        self._around = around
+        self._due = asyncio.Event()
+        self._looked_s: float | None = None
+        self._left: list[tuple[MapView, Parting | None]] = []
+        self.parking = ResumeCache(around.limits.clients)
+
+    def wake(self) -> None:
+        """There may be something to do."""
+        self._due.set()
+
+    def leave(self, view: MapView, parting: Parting | None) -> None:
+        """Its client is gone; for good where there is no parting."""
+        self._left.append((view, parting))
+        self.wake()
+
+    async def run(self) -> NoReturn:
+        """Go round whenever there is something to do, until cancelled."""
+        loop = asyncio.get_running_loop()
+        worker = ThreadPoolExecutor(1, "map-stream")
+
+        async def in_worker(work: Callable[[], None]) -> None:
+            await asyncio.shield(loop.run_in_executor(worker, work))
+
+        try:
+            while True:
+                await self._due.wait()
+                self._due.clear()
+                try:
+                    await self._round(in_worker)
+                except Exception as error:  # noqa: BLE001 a fault of ours must not end the stream
+                    self._failed(error)
+                    await asyncio.sleep(BREATH_S)
+        finally:
+            worker.shutdown()  # waits for one round, which is short
+
+    async def _round(self, in_worker: Callable[[Callable[[], None]], Awaitable[None]]) -> None:
+        job = self._job(self._around.clock())
+        if not (job.look or job.orders or job.draw or job.left):
+            return
+        await in_worker(lambda: self._work(job))
+        beginning = job.beginning
+        assert beginning is not None  # noqa: S101 the work has been done
+        for order in job.orders:
+            if order.fault is not None:
+                # Its view takes for told what never was: only another connection mends that.
+                self._failed(order.fault)
+                order.client.abort()
+                self._left = [(v, None if v is order.view else p) for v, p in self._left]
+            if order.is_new and order.view is not None:
+                order.client.session.took(order.view, went_on=order.went_on)
+            if order.client.is_over:
+                if order.is_new and order.view is not None:
+                    self.leave(order.view, order.client.parting())
+            elif order.wish is None:
+                self._deliver(order)
+            else:
+                self._begin(order, beginning)
+
+    def _job(self, now_s: float) -> _Job:
+        clients = [*self._clients]
+        look = self._is_time_to_look(now_s)
+        found = (self._order(client, now_s, look=look) for client in clients)
+        wanted = frozenset().union(*(client.session.wants for client in clients))
+        left, self._left = self._left, []
+        return _Job(
+            look,
+            [order for order in found if order is not None],
+            wanted if self._feed.wants_drawing(wanted, now_s) else frozenset(),
+            {c.session.portions.coarseness() for c in clients if "image" in c.session.wants},
+            left,
+            now_s,
+        )
+
+    def _work(self, job: _Job) -> None:
+        """In the worker."""
+        for view, parting in job.left:
+            if parting is None:
+                view.close()
+            else:
+                self.parking.park(view, parting, job.now_s)
+        self.parking.expire(job.now_s)
+        if job.look:
+            self._source.look(self._around.now_ns(), self._feed.position_m)
+        if job.draw:
+            self._feed.draw(job.draw, job.coarseness)
+        for order in job.orders:
+            try:
+                self._fill(order)
+            except Exception as error:  # noqa: BLE001 the others are to be told what they were given
+                order.fault = error
+        source = self._source
+        job.beginning = Beginning(source.facts(), source.revision, source.session)
+
+    def _failed(self, error: Exception) -> None:
+        self._around.count("failed")
+        said = f"map stream: {type(error).__name__}: {error}"
+        self._operations.events.add(Severity.ERROR, "stream_failed", said)
+
+    def _is_time_to_look(self, now_s: float) -> bool:
+        watched = any("map" in client.session.wants for client in self._clients)
+        period_s = 1 / self._operations.settings.current.stream.rate if watched else UNWATCHED_S
+        if self._looked_s is not None and now_s - self._looked_s < period_s:
+            return False
+        self._looked_s = now_s
+        return True
+
+    def _order(self, client: Connection, now_s: float, *, look: bool) -> _Order | None:
+        session, second = client.session, client.second
+        if session.wish is not None:
+            return _Order(client, session.view, session.wish, Rooms())
+        line = FIRST if client.line(now_s) is client else SECOND
+        is_left = look or session.left or session.stuck is not None
+        rooms = session.map_rooms(now_s) if is_left else Rooms()
+        first_rooms = session.first_rooms(now_s) if is_left and line == SECOND else rooms
+        if session.view is None or not (rooms or first_rooms or session.has_lost_second):
+            return None
+        has_lost, session.has_lost_second = session.has_lost_second, False
+        stuck, session.stuck = session.stuck, None
+        settled = session.settled, 0 if second is None else second.session.settled
+        return _Order(
+            client,
+            session.view,
+            None,
+            rooms,
+            first_rooms,
+            second,
+            has_lost_second=has_lost,
+            stuck=stuck,
+            line=line,
+            settled=settled,
+        )
+
+    def _fill(self, order: _Order) -> None:
+        """In the worker."""
+        if order.wish is not None:
+            self._meet(order, order.wish)
+            return
+        view, position_m = order.view, self._feed.position_m
+        if view is not None:
+            view.settle(order.settled[FIRST], FIRST)
+            if order.has_lost_second:
+                view.lose_second()
+            view.settle(order.settled[SECOND], SECOND)
+            if order.stuck is not None:
+                view.tell_again(order.stuck, position_m)
+            line = view.tell_on(order.line)
+            if line != order.line:
+                order.line, order.rooms = line, order.first_rooms
+            order.frames = next_frames(view, order.rooms, position_m)
+
+    def _meet(self, order: _Order, wish: Wish) -> None:
+        """In the worker: what is of interest now."""
+        view = order.view
+        if wish.interest is None:
+            if view is not None:
+                view.close()
+            order.view = None
+        elif view is None:
+            order.view = self._parked(wish.interest, wish.resume)
+            order.went_on = order.view is not None
+            if order.view is None:
+                order.view = self._source.subscribe(wish.interest, wish.resume)
+            order.is_new, order.fence = True, self._source.fence()
+        else:
+            view.change(wish.interest)
+
+    def _parked(self, interest: Interest, resume: Resume | None) -> MapView | None:
+        if resume is None or not resume.ticket:
+            return None
+        return self.parking.take(resume, interest, self._source)
+
+    def _deliver(self, order: _Order) -> None:
+        client, view, now_s = order.client, order.view, self._around.clock()
+        session = client.session
+        if view is None or session.view is not view:
+            return  # it wanted something else meanwhile
+        line = client if order.line == FIRST else order.second
+        if line is not client and line is not client.second:
+            line = None  # it is gone, and all that was to be told there is told again
+        if order.rooms.near and all(near_left is None for _, _, near_left in order.frames):
+            session.nothing_near()
+        for frame, number, near_left in order.frames:
+            session.mapped(frame, view.left, now_s, near_left)
+            if line is not None:
+                line.write(line.session.sent_of_map(frame, number, now_s))
+        session.left = view.left
+        if session.left and order.frames and session.map_rooms(now_s):
+            self.wake()
+
+    def _begin(self, order: _Order, beginning: Beginning) -> None:
+        client, wish, now_s = order.client, order.wish, self._around.clock()
+        session = client.session
+        is_first = session.state == "admitted"
+        if session.wish is wish:
+            session.wish = None
+        session.viewed(order.view, beginning)
+        view = order.view if order.is_new and not is_first else None
+        if wish is not None and wish.interest is not None and view is not None:
+            # What it held when it wanted the map before may be wrong by now.
+            facts, revision = beginning.facts, beginning.revision
+            interest, fence = wish.interest, order.fence
+            anew = Reset(map=facts, revision=revision, interest=interest, order=fence)
+            client.write(session.mapped_anew(framed(anew), view, now_s))
+        client.turn()
+        self.wake()

@@ -1,0 +1,172 @@
+"""Blocks that wait to be told to a client: what is near the vehicle first, then by distance.
+
+Near the vehicle whatever has waited longest comes first: the blocks right before the sonar change
+all the time, and those around them would never have their turn. It is told in passes: what comes to
+wait after one has begun belongs to the next, though it is told with the last of this one where
+there is room.
+"""
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd.server.map_index import distances_m
+from mapperd.wire.messages import Vector
+
+__all__ = ["NearestFirst", "Part"]
+
+FRONT = 16384
+"""Blocks that are put in order at a time: all of a large map's are too many for each message."""
+
+NEAR_M = 13.0
+"""What lies within is what a pilot steers by: 10 m, and what a vehicle comes to within seconds."""
+
+WAITING, IN_FRONT = 2, 4
+"""Bits of a block's flags."""
+
+Numbers = NDArray[np.int64]
+Part = Literal["near", "far", "any"]
+KeysOf = Callable[[Numbers], NDArray[np.int32]]
+
+
+class NearestFirst:
+    """A set of numbered blocks; what it needs of memory is a bit a block, and its front.
+
+    Args:
+        keys_of: gives the keys of numbers.
+        block_m: edge of a block.
+
+    Attributes:
+        flags: uint8 a block; bits other than ours are the owner's.
+        near_left: blocks near the vehicle that this pass is still to tell, but for those that were
+            given last; with none left, the next pass begins when what is near is asked for again.
+    """
+
+    def __init__(self, keys_of: KeysOf, block_m: float) -> None:
+        self.flags = np.zeros(0, np.uint8)
+        self.near_left = 0
+        self._keys_of = keys_of
+        self._block_m = block_m
+        self._waiting = 0
+        self._front = np.zeros(0, np.int64)
+        self._front_keys = np.zeros((0, 3), np.int32)
+        self._front_turns = np.zeros(0, np.float64)
+        self._turn = self._pass = 0.0
+        self._added_at: int | None = None
+        self._reach_m = np.inf
+        self._ordered_at = np.zeros(3)
+
+    def __len__(self) -> int:
+        return self._waiting
+
+    def make_room(self, blocks: int) -> None:
+        """So many blocks have numbers now."""
+        if blocks > len(self.flags):
+            more = np.zeros(max(blocks, len(self.flags) + len(self.flags) // 2), np.uint8)
+            more[: len(self.flags)] = self.flags
+            self.flags = more
+
+    def add(self, numbers: Numbers, at: int) -> None:
+        """Blocks that are to be told; such as wait already wait once.
+
+        Args:
+            numbers: of the blocks.
+            at: the same for all that were found together, which wait equally long.
+        """
+        if at != self._added_at:
+            self._added_at = at
+            self._turn += 1
+        new = numbers[self.flags[numbers] & WAITING == 0]
+        self.flags[new] |= WAITING
+        self._waiting += len(new)
+        if len(self._front) + len(new) <= 2 * FRONT:
+            self._put_in_front(new)
+        else:
+            self._reach_m = -np.inf  # some of these may be nearer than all of the front
+
+    def remove(self, numbers: Numbers) -> None:
+        """Blocks of the front that were told, or are not to be told after all."""
+        self.flags[numbers] &= np.uint8(~(WAITING | IN_FRONT) & 0xFF)
+        self._waiting -= len(numbers)
+        kept = self.flags[self._front] & IN_FRONT != 0
+        self._front, self._front_keys = self._front[kept], self._front_keys[kept]
+        self._front_turns = self._front_turns[kept]
+
+    def nearest(self, most: int, position_m: Vector | None, part: Part = "any") -> Numbers:
+        """Up to `most` of the blocks, the most urgent first; they stay."""
+        position = np.zeros(3) if position_m is None else np.asarray(position_m, float)
+        order, far_m = self._order(most, position, part)
+        if len(self._front) < self._waiting:
+            moved_m = float(np.linalg.norm(position - self._ordered_at))
+            # Of what is near less may be wanted than there is: then all of it is in front already.
+            short = len(order) < most and (part != "near" or self._reach_m - moved_m < NEAR_M)
+            if short or far_m > self._reach_m - moved_m:
+                self._choose_front(position)
+                order, _ = self._order(most, position, part)
+        return self._front[order]
+
+    def _order(
+        self, most: int, position: NDArray[np.float64], part: Part
+    ) -> tuple[NDArray[np.intp], float]:
+        """Of the front: the most urgent `most`, and how far away the furthest of them is."""
+        away_m = distances_m(self._front_keys, self._block_m, tuple(position))
+        near = away_m <= NEAR_M
+        rank = np.where(near, self._front_turns + away_m / (2 * NEAR_M), away_m)
+        near_count = int(np.count_nonzero(near))
+        room = {"near": 0, "far": most, "any": max(most - near_count, 0)}[part]
+        far_count = min(len(near) - near_count, room)
+        near_most = 0 if part == "far" else min(most - far_count, near_count)
+        if part != "far":
+            of_pass = int(np.count_nonzero(near & (self._front_turns <= self._pass)))
+            if not of_pass:
+                self._pass, of_pass = self._turn, near_count
+            self.near_left = max(of_pass - near_most, 0)
+        order = np.concatenate(
+            [
+                _least(rank, np.flatnonzero(near), near_most),
+                _least(rank, np.flatnonzero(~near), far_count),
+            ]
+        )
+        return order, float(away_m[order].max(initial=0.0))
+
+    def _choose_front(self, position: NDArray[np.float64]) -> None:
+        """Of all that wait."""
+        self.flags[self._front] &= np.uint8(~IN_FRONT & 0xFF)
+        waiting = np.flatnonzero(self.flags & WAITING).astype(np.int64)
+        away_m = distances_m(self._keys_of(waiting), self._block_m, tuple(position))
+        self._reach_m = np.inf
+        if len(waiting) > FRONT:
+            order = np.argpartition(away_m, FRONT)
+            self._reach_m = float(away_m[order[FRONT]])
+            waiting = waiting[order[:FRONT]]
+        turns = self._turns_of(waiting)
+        self._front, self._front_turns = waiting, turns
+        self._front_keys = self._keys_of(waiting)
+        self.flags[waiting] |= IN_FRONT
+        self._ordered_at = position
+
+    def _turns_of(self, numbers: Numbers) -> NDArray[np.float64]:
+        """Since when they wait; of those that were not in the front, from now on."""
+        turns = np.full(len(numbers), self._turn)
+        _, here, before = np.intersect1d(
+            numbers, self._front, assume_unique=True, return_indices=True
+        )
+        turns[here] = self._front_turns[before]
+        return turns
+
+    def _put_in_front(self, numbers: Numbers) -> None:
+        self.flags[numbers] |= IN_FRONT
+        self._front = np.concatenate([self._front, numbers])
+        self._front_keys = np.concatenate([self._front_keys, self._keys_of(numbers)])
+        turns = np.full(len(numbers), self._turn)
+        self._front_turns = np.concatenate([self._front_turns, turns])
+
+
+def _least(rank: NDArray[np.float64], of: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    """Of some, the `most` with the lowest ranks, in their order."""
+    if len(of) > most > 0:
+        of = of[np.argpartition(rank[of], most - 1)[:most]]
+    chosen: NDArray[np.intp] = of[np.argsort(rank[of], kind="stable")][:most]
+    return chosen

@@ -1,0 +1,423 @@
+"""One client of the map stream, without its bytes.
+
+greeted ─ hello ─▶ admitted ─ the map is ready ─▶ served
+
+Nothing is queued for a client: of each kind it is told the newest when there is room, so that one
+that is slow skips what nobody needs any more, and costs no more than one that is not.
+"""
+
+import secrets
+from collections import deque
+from dataclasses import dataclass
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from mapperd.events import EventLog
+from mapperd.server.admission import Newcomer, doubt
+from mapperd.server.outbox import ClientOutbox
+from mapperd.server.pacer import Pacer
+from mapperd.server.resume import Ends, Parting, is_ticket
+from mapperd.server.schedule import Lines, Rooms, Turns
+from mapperd.server.source_protocol import FIRST, Line, MapView
+from mapperd.server.state_feed import Feed
+from mapperd.version import version
+from mapperd.wire.auth import FailureLimiter, TokenBucket
+from mapperd.wire.control_messages import plain
+from mapperd.wire.framing import StreamError, framed, server_inbox
+from mapperd.wire.messages import (
+    VERSION,
+    Ack,
+    Answer,
+    Ask,
+    Bye,
+    Change,
+    FromClient,
+    Greeting,
+    Hello,
+    Interest,
+    MapFacts,
+    Resume,
+    Welcome,
+)
+
+__all__ = ["Beginning", "Common", "Session", "Wish", "checked"]
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """A part of the map that is to be told; None is no map."""
+
+    interest: Interest | None
+    resume: Resume | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Beginning:
+    """The map when a client begins to be told of it, as `Welcome` says it."""
+
+    facts: MapFacts
+    revision: int
+    session: str
+
+
+def checked(interest: Interest) -> Interest:
+    """The interest, if it is one.
+
+    Raises:
+        StreamError: its numbers are none.
+    """
+    box = interest.box
+    numbers = [interest.radius_m, *(() if box is None else (*box.low_m, *box.high_m))]
+    if not np.isfinite(numbers).all():
+        raise StreamError("an interest with numbers that are none", "bad_interest")
+    if box is not None and any(a > b for a, b in zip(box.low_m, box.high_m, strict=True)):
+        raise StreamError("a box that ends before it begins", "bad_interest")
+    return interest
+
+
+ASKS = 8
+"""That may wait for their answers."""
+
+ANSWERS = 32
+MESSAGES_PER_S, MESSAGES_AT_ONCE = 2000.0, 20_000
+CHANGES_PER_S, CHANGES_AT_ONCE = 4.0, 8
+"""Of what is told of the map; of more, the newest is heeded when its time has come."""
+
+QUIET_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Common:
+    """What all clients share.
+
+    Attributes:
+        feed: messages.
+        events: what happened.
+        failures: of proofs, by address.
+        vehicle: its name.
+        bytes_per_s: of one client, at most; 0 has no limit.
+    """
+
+    feed: Feed
+    events: EventLog
+    failures: FailureLimiter
+    vehicle: str
+    bytes_per_s: int = 0
+
+
+class Session:
+    """One client, from the greeting to the bye; whoever calls says what time it is.
+
+    Args:
+        common: shared with others.
+        newcomer: who it is.
+        may_change: it may ask for what changes something.
+
+    Attributes:
+        state: as above.
+        name: that the client gives itself.
+        wish: what is to become of its view of the map; None once that is done.
+        view: of the map.
+        asks: requests that wait.
+        pacer: of what is under way.
+        portions: of what it is told.
+        ticket: with which the client goes on after a break.
+        beside: ticket of the connection whose second line this is; "" is a client by itself.
+        second: its second line; None without one.
+        has_lost_second: of its view that is to be told.
+        stuck: the line on which something is stuck, of which its view is to be told.
+    """
+
+    def __init__(self, common: Common, newcomer: Newcomer, *, may_change: bool) -> None:
+        self.state: Literal["greeted", "admitted", "served"] = "greeted"
+        self.name = ""
+        self.wish: Wish | None = None
+        self.view: MapView | None = None
+        self.asks: deque[msgspec.Raw] = deque()
+        self.pacer = Pacer(common.bytes_per_s)
+        self.beside = ""
+        self.second: Session | None = None
+        self.has_lost_second = False
+        self.stuck: Line | None = None
+        self._lines = Lines(self.pacer)
+        self._turns = Turns(self.pacer)
+        self.portions = ClientOutbox(common.feed, common.events, self.pacer)
+        self.may_change = may_change
+        self.ticket = secrets.token_hex(16)
+        self._ends = Ends()
+        self._went_on = False
+        self._common = common
+        self._newcomer = newcomer
+        self._inbox = server_inbox()
+        self._messages = TokenBucket(MESSAGES_PER_S, MESSAGES_AT_ONCE)
+        self._changes = TokenBucket(CHANGES_PER_S, CHANGES_AT_ONCE)
+        self._wishes_anew = False
+        self._words: deque[bytes] = deque()
+        self._resume: Resume | None = None
+        self._interest = Interest()
+
+    @property
+    def wants(self) -> frozenset[str]:
+        """Kinds of messages."""
+        return self.portions.wants
+
+    @property
+    def left(self) -> int:
+        """Blocks of the map that it still lacks."""
+        return self.portions.left
+
+    @left.setter
+    def left(self, blocks: int) -> None:
+        self.portions.left = blocks
+
+    def greeting(self, now_s: float) -> bytes:
+        """The first bytes."""
+        return self._sent(framed(Greeting(challenge=self._newcomer.challenge)), now_s)
+
+    def bye(self, reason: str, message: str) -> bytes:
+        """The last bytes."""
+        return framed(Bye(reason=reason, message=message))
+
+    def take(self, data: bytes, now_s: float) -> None:
+        """Bytes that the client sent.
+
+        Raises:
+            StreamError: it may not say that; it is to be let go.
+        """
+        for message in self._inbox.feed(data):
+            if self._messages.take(now_s) > 0:
+                raise StreamError("more messages than anybody needs", "too_many_messages")
+            self._heard(message, now_s)
+
+    def look(self, now_s: float) -> None:
+        """Whether it still listens; and heed what it wished for too soon.
+
+        Raises:
+            StreamError: it does not.
+        """
+        self._heed(now_s)
+        if self.pacer.quiet_s(now_s) > QUIET_S:
+            raise StreamError(f"nothing was acknowledged for {QUIET_S:g} s", "no_acks")
+
+    def join(self, second: "Session") -> None:
+        """This is its second line now."""
+        self.part()
+        self.second = second
+        self._lines.join(second.pacer)
+
+    def part(self) -> None:
+        """It has no second line any more; what was under way there is to be told again."""
+        self.has_lost_second |= self.second is not None
+        self.second = self.stuck = None
+        self._lines.part()
+
+    def line(self, now_s: float) -> "Session":
+        """Choose the one of its lines on which the map is told now."""
+        line, second = self, self.second
+        if second is not None and second.state == "served":
+            stuck = self._lines.choose(now_s, in_pass=self._turns.in_pass)
+            if stuck is not None:
+                self.stuck = stuck
+                self._turns.hurry()
+            line = self if self._lines.line == FIRST else second
+        other = second if line is self else self
+        self._turns.pacer = line.pacer
+        self._turns.beside = None if other is None else other.pacer
+        return line
+
+    def viewed(self, view: MapView | None, beginning: Beginning) -> None:
+        """Its wish for a view of the map has been met."""
+        self.view = view
+        self.left = 0 if view is None else view.left
+        if self.state == "admitted":
+            self._welcome(beginning)
+
+    def took(self, view: MapView, *, went_on: bool) -> None:
+        """This view is its own from now on; perhaps it was of the connection before."""
+        self._ends.begin(view.number, 0)
+        self._went_on = went_on
+
+    def parting(self) -> Parting:
+        """With what it may come back."""
+        before = self._resume if self._went_on else None
+        return Parting(self.ticket, self.pacer.acked, self.pacer.sent, self._ends, before)
+
+    def is_of(self, ticket: str) -> bool:
+        """Whether a second line of this ticket may be its own."""
+        return not self.beside and is_ticket(ticket, self.ticket)
+
+    def is_known_by(self, ticket: str) -> bool:
+        """Whether whoever shows this ticket is the same client, which does not miss this one."""
+        came_with = "" if self._resume is None or self.pacer.acked else self._resume.ticket
+        return is_ticket(ticket, self.ticket) or is_ticket(ticket, came_with)
+
+    @property
+    def settled(self) -> int:
+        """The last message about the map that it acknowledged."""
+        return self._ends.settled(self.pacer.acked)
+
+    def answer(self, number: int | None, result: object, error: object = None) -> None:
+        """What became of a request."""
+        said = msgspec.to_builtins(result, enc_hook=plain)
+        fault = msgspec.to_builtins(error, enc_hook=plain)
+        self._words.append(framed(Answer(id=number, result=said, error=fault)))
+
+    @property
+    def answers(self) -> int:
+        """That it has not been sent yet."""
+        return len(self._words)
+
+    def next(self, now_s: float, now_ns: int) -> bytes:
+        """All that is to be sent now, but for the map; most urgent first."""
+        if self.state != "served":
+            return b""
+        words, self._words = self._words, deque()  # who asks much is told less: see `asks`
+        said = b"".join(self._sent(word, now_s) for word in words)
+        self.portions.second_line = self._lines.advised
+        pieces = self.portions.pieces(now_s, now_ns)
+        return said + b"".join(self._sent(piece, now_s) for piece in pieces)
+
+    def map_rooms(self, now_s: float) -> Rooms:
+        """Bytes of the map that may be sent now, on the line that was chosen last."""
+        if self.state != "served" or self.view is None:
+            return Rooms()
+        if self.portions.waits and self._turns.pacer is self.pacer:
+            return Rooms()
+        return self._turns.rooms(now_s, self._lines.calm_room())
+
+    def first_rooms(self, now_s: float) -> Rooms:
+        """The same of this line, whichever was chosen: what begins a map is told on no other."""
+        turns = self._turns
+        chosen = turns.pacer, turns.beside
+        turns.pacer, turns.beside = self.pacer, self.second.pacer if self.second else None
+        rooms = self.map_rooms(now_s)
+        turns.pacer, turns.beside = chosen
+        return rooms
+
+    def begin_map(self) -> None:
+        """What this second line is told is of another view from here on."""
+        self._ends.begin(0, self.pacer.sent)
+
+    def nothing_near(self) -> None:
+        """There was room for what is near, and nothing to tell."""
+        self._turns.end_pass()
+
+    def mapped(self, frame: bytes, left: int, now_s: float, near_left: int | None = None) -> None:
+        """It is told of the map on one of its lines, which has `sent_of_map`.
+
+        Args:
+            frame: a message.
+            left: blocks.
+            now_s: now.
+            near_left: of a pass over what is near, where the message is about such.
+        """
+        self.left = left
+        if near_left is None:
+            self._turns.told_far()
+        else:
+            self._turns.told_near(len(frame), near_left, now_s)
+
+    def sent_of_map(self, frame: bytes, number: int, now_s: float) -> bytes:
+        """A message of the map and its number on this line, as it is to be sent."""
+        said = self._sent(frame, now_s)
+        self._ends.note(number, self.pacer.sent)
+        return said
+
+    def mapped_anew(self, frame: bytes, view: MapView, now_s: float) -> bytes:
+        """A reset, as it is to be sent: a view is told from there on, and nothing before counts."""
+        said = self._sent(frame, now_s)
+        self._ends.begin(view.number, self.pacer.sent)
+        if self.second is not None:
+            self.second.begin_map()
+        return said
+
+    def _heard(self, message: FromClient, now_s: float) -> None:
+        if isinstance(message, Hello):
+            self._hello(message, now_s)
+            return
+        if self.state == "greeted":
+            raise StreamError("the first message is hello", "no_hello")
+        if self.beside and not isinstance(message, Ack):
+            raise StreamError("a second line is only told of the map", "second_line")
+        match message:
+            case Ack(bytes=acked):
+                if not self.pacer.note_ack(acked, now_s):
+                    raise StreamError("an acknowledgement of what was not sent", "bad_ack")
+            case Change():
+                self._change(message)
+                self._heed(now_s)
+            case Ask(ask=ask):
+                self.asks.append(msgspec.Raw(bytes(ask)))
+                if len(self.asks) > ASKS or len(self._words) > ANSWERS:
+                    raise StreamError("too many requests at once", "too_many_asks")
+
+    def _hello(self, hello: Hello, now_s: float) -> None:
+        if self.state != "greeted":
+            raise StreamError("hello is said once", "hello_twice")
+        if hello.version != VERSION:
+            said = f"version {hello.version} is not spoken; allowed: {VERSION}"
+            raise StreamError(said, "bad_version")
+        fault = doubt(self._newcomer, hello.proof, self._common.failures, now_s)
+        if fault is not None:
+            raise StreamError(fault.message, fault.reason)
+        self.state, self.name = "admitted", hello.name
+        self.beside = hello.beside
+        if self.beside:
+            self.wish = Wish(None)
+            return
+        self.portions.want(hello.wants)
+        self._resume = hello.resume
+        self._limit(hello.bytes_per_s)
+        self._interest = checked(hello.interest)
+        self.wish = Wish(self._interest if "map" in self.wants else None, hello.resume)
+        self.portions.begin(hello.events_since)
+
+    def _welcome(self, beginning: Beginning) -> None:
+        resume, view = self._resume, self.view
+        same = resume is not None and resume.session == beginning.session
+        resumed = (same or bool(self.beside)) if view is None else view.resumed
+        if resume is not None and resumed:
+            self.portions.go_on(resume, same=same)
+        welcome = Welcome(
+            version=VERSION,
+            server=version(),
+            vehicle=self._common.vehicle,
+            session=beginning.session,
+            map=beginning.facts,
+            revision=beginning.revision,
+            resumed=resumed,
+            reason="" if view is None else view.reason,
+            may_change=self.may_change,
+            ticket="" if self.beside else self.ticket,
+        )
+        self._words.appendleft(framed(welcome))
+        self.state = "served"
+
+    def _change(self, change: Change) -> None:
+        had = "map" in self.wants
+        if change.bytes_per_s is not None:
+            self._limit(change.bytes_per_s)
+        if change.interest is not None:
+            self._interest = checked(change.interest)
+        if change.wants is not None:
+            self.portions.want(change.wants)
+        wants = "map" in self.wants
+        if wants != had or (wants and change.interest is not None):
+            self._wishes_anew = True
+
+    def _heed(self, now_s: float) -> None:
+        """A part of the map costs some work to begin with."""
+        if self._wishes_anew and not self._changes.wait_s(now_s):
+            self._changes.take(now_s)
+            self._wishes_anew = False
+            self.wish = Wish(self._interest if "map" in self.wants else None)
+
+    def _limit(self, bytes_per_s: int) -> None:
+        limits = [limit for limit in (bytes_per_s, self._common.bytes_per_s) if limit]
+        self.pacer.budget.bytes_per_s = min(limits, default=0)
+
+    def _sent(self, frame: bytes, now_s: float) -> bytes:
+        self.pacer.note_sent(len(frame), now_s)
+        return frame

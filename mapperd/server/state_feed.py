@@ -1,0 +1,335 @@
+"""The state of the daemon and its settings as messages, made once for all clients."""
+
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd.api import DaemonApi
+from mapperd.config.changes import changes_between, facts_of
+from mapperd.config.tree import Config
+from mapperd.events import Event as Happening
+from mapperd.geometry.frames import Pose as Place
+from mapperd.localization.report import localization_report
+from mapperd.localization.status import LocalizationFacts
+from mapperd.odometry.fusion import FusedPose
+from mapperd.pipeline.executor import PingResult
+from mapperd.server.state_messages import (
+    IMAGE_SIZES,
+    Mounting,
+    Track,
+    fan_message,
+    image_message,
+    localized_covariance,
+    pose_message,
+    returns_message,
+)
+from mapperd.wire.control_messages import plain
+from mapperd.wire.framing import framed
+from mapperd.wire.messages import Event, Localization, Robots, Vector
+
+if TYPE_CHECKING:
+    from mapperd.pipeline.worker import StatusSnapshot
+
+__all__ = ["Feed", "Newest", "SettingLog"]
+
+_ENCODER = msgspec.msgpack.Encoder(enc_hook=plain)
+
+
+class SettingLog:
+    """Facts of settings in the order in which they changed last; each stands in it once.
+
+    Args:
+        facts: of all settings, by name.
+
+    Attributes:
+        last: number of the newest change.
+    """
+
+    def __init__(self, facts: Mapping[str, Any]) -> None:
+        self.last = 0
+        self._facts: dict[str, msgspec.Raw] = {}
+        self._numbers: dict[str, int] = {}
+        self._order: list[tuple[int, str]] = []
+        self.put(facts)
+
+    def put(self, facts: Mapping[str, Any]) -> None:
+        """These are others than before."""
+        for name, fact in facts.items():
+            self.last += 1
+            self._facts[name] = msgspec.Raw(_ENCODER.encode(fact))
+            self._numbers[name] = self.last
+        self._order = sorted((number, name) for name, number in self._numbers.items())
+
+    def since(self, number: int, most_bytes: int) -> tuple[int, dict[str, msgspec.Raw]]:
+        """The next facts after a number, about so many bytes of them, at least one.
+
+        Returns:
+            The number up to which all is told then, and the facts by name.
+        """
+        at = bisect_right(self._order, number, key=lambda entry: entry[0])
+        told: dict[str, msgspec.Raw] = {}
+        size = 0
+        while at < len(self._order) and (not told or size < most_bytes):
+            number, name = self._order[at]
+            told[name] = self._facts[name]
+            size += len(name) + len(bytes(self._facts[name]))
+            at += 1
+        return number, told
+
+
+SPACING_M = 0.1
+"""Between points of the path, while there is room."""
+
+SLOW_S = 0.2
+"""Between messages of a picture, a localization, or robots, at least."""
+
+EVENTS = 64
+"""Messages of events that are kept made."""
+
+
+@dataclass(frozen=True, slots=True)
+class Newest:
+    """A message as it goes over the wire, and how many of its kind there were, it included."""
+
+    number: int = 0
+    frame: bytes = b""
+
+
+NOTHING = Newest()
+
+
+class Feed:
+    """The event loop's, but for `put`, which is the mapping thread's, and `draw`, a worker's.
+
+    Args:
+        operations: the daemon.
+        facts: the mapping thread's newest.
+        path_points: that are kept of the path.
+
+    Attributes:
+        path: the vehicle's.
+        settings: their facts.
+        position_m: of the vehicle, map frame; None before it is known.
+        left_out: what was not told since it was no number, by kind.
+    """
+
+    def __init__(
+        self, operations: DaemonApi, facts: "Callable[[], StatusSnapshot | None]", path_points: int
+    ) -> None:
+        config = operations.settings.current
+        self.path = Track(path_points, SPACING_M)
+        self.position_m: Vector | None = None
+        self.left_out: Counter[str] = Counter()
+        self._operations = operations
+        self._facts = facts
+        self._config = config
+        self._mounting = Mounting(config)
+        self.settings = SettingLog(self._facts_of([]))
+        self._newest: dict[str, Newest] = {}
+        self._images = [NOTHING] * len(IMAGE_SIZES)
+        self._drawings = 0
+        self._last: dict[str, object] = {}
+        self._made_s: dict[str, float] = {}
+        self._put: PingResult | None = None
+        self._shown: PingResult | None = None
+        self._drawn: PingResult | None = None
+        self._events: dict[int, bytes] = {}
+        self.status = msgspec.Raw(b"\x80")
+
+    def put(self, treated: PingResult) -> None:
+        """A ping, in the mapping thread: costs it next to nothing."""
+        self._put = treated
+        if isinstance(treated.pose, FusedPose):
+            self.path.add(treated.pose.pose.position_m)
+
+    def newest(self, kind: str) -> Newest:
+        """Of pose, fan, returns, robots, localization."""
+        return self._newest.get(kind, NOTHING)
+
+    def image(self, coarseness: int) -> Newest:
+        """The newest picture; 0 is the finest. Its number is 0 where only others are as new."""
+        return self._images[coarseness]
+
+    def refresh(self, wanted: Collection[str], now_s: float) -> None:
+        """Make messages of what is new.
+
+        Args:
+            wanted: kinds.
+            now_s: monotonic.
+        """
+        self._follow_settings()
+        treated = self._put
+        if treated is not None and treated is not self._shown:
+            self._shown = treated
+            self._tell_ping(treated, wanted)
+        facts = self._facts()
+        if facts is None:
+            return
+        if "robots" in wanted and facts.robots != self._last.get("robots"):
+            self._last["robots"] = facts.robots
+            self._make("robots", Robots(seen=[_seen(robot) for robot in facts.robots]))
+        if facts.localization is not None:
+            self._tell_localization(facts.localization, wanted, now_s)
+
+    def make_status(self) -> None:
+        """How it goes, for the heartbeats of the next second."""
+        self.status = msgspec.Raw(_ENCODER.encode(self._operations.status()))
+
+    def wants_drawing(self, wanted: Collection[str], now_s: float) -> bool:
+        """Whether there is a ping to be drawn for somebody."""
+        if not {"returns", "image"} & {*wanted}:
+            self._newest.pop("returns", None)  # it would be old when somebody wants it again
+            self._images = [NOTHING] * len(IMAGE_SIZES)
+            return False
+        if self._shown is None or self._shown is self._drawn:
+            return False
+        return self._due("draw", now_s, SLOW_S / 2)
+
+    def draw(self, wanted: Collection[str], coarseness: Collection[int]) -> None:
+        """Returns and pictures of the newest ping, in a worker.
+
+        Args:
+            wanted: kinds.
+            coarseness: of the pictures that somebody wants.
+        """
+        treated, config = self._shown, self._config
+        if treated is None:
+            return
+        self._drawn = treated
+        if "returns" in wanted:
+            sonar = None
+            if isinstance(treated.pose, FusedPose):
+                sonar = self._mounting.of_sonar(treated.pose.pose)
+            self._make("returns", returns_message(treated, sonar, config))
+        ping, stamp_ns = treated.settled.ping, treated.settled.complete_ns or 0
+        self._drawings += 1
+        images = [Newest(0, image.frame) for image in self._images]  # how long they are stays known
+        for coarse in coarseness:
+            message = image_message(ping, stamp_ns, IMAGE_SIZES[coarse])
+            images[coarse] = Newest(self._drawings, framed(message))
+        self._images = images
+
+    def event(self, happening: Happening, lost: int) -> bytes:
+        """One event, and how many before it are not told."""
+        if lost:
+            return framed(Event(event=_plain_event(happening), lost=lost))
+        frame = self._events.get(happening.number)
+        if frame is None:
+            frame = self._events[happening.number] = framed(Event(event=_plain_event(happening)))
+            while len(self._events) > EVENTS:
+                self._events.pop(next(iter(self._events)))
+        return frame
+
+    def _tell_ping(self, treated: PingResult, wanted: Collection[str]) -> None:
+        settled, fused = treated.settled, treated.pose
+        if isinstance(fused, FusedPose):
+            stamp_ns = settled.t_ns or settled.complete_ns or 0
+            self._tell_pose(
+                fused.pose, stamp_ns, self._source(), fused.velocity_mps, fused.covariance
+            )
+        if "fan" in wanted:
+            fan = fan_message(settled.ping, self._config)
+            if fan != self._last.get("fan"):
+                self._last["fan"] = fan
+                self._make("fan", fan)
+
+    def _tell_pose(
+        self,
+        base: Place,
+        stamp_ns: int,
+        source: str,
+        velocity_mps: NDArray[np.float64] | None,
+        covariance: NDArray[np.float64] | None,
+    ) -> None:
+        if velocity_mps is not None and not np.isfinite(velocity_mps).all():
+            self.left_out["not_finite_velocity"] += 1
+            velocity_mps = None
+        sonar = self._mounting.of_sonar(base)
+        message = pose_message(
+            base,
+            sonar,
+            stamp_ns=stamp_ns,
+            source=source,
+            velocity_mps=velocity_mps,
+            covariance=covariance,
+        )
+        self.position_m = message.position_m
+        self._make("pose", message)
+
+    def _source(self) -> str:
+        facts = self._facts()
+        if facts is None or facts.odometry.get("source") == "fixed":
+            return "fixed"
+        corrected = self._config.localization.mapping == "corrected"
+        return "localization" if facts.localization is not None and corrected else "odometry"
+
+    def _tell_localization(
+        self, facts: LocalizationFacts, wanted: Collection[str], now_s: float
+    ) -> None:
+        if facts is self._last.get("localization"):
+            return
+        where = self._config.localization.mapping
+        if where == "off" and facts.pose is not None and facts.stamp_ns is not None:
+            self.path.add(facts.pose.position_m)
+            covariance = localized_covariance(facts)
+            self._tell_pose(facts.pose, facts.stamp_ns, "localization", None, covariance)
+        if "localization" in wanted and self._due("localization", now_s, SLOW_S):
+            self._last["localization"] = facts
+            self._make("localization", _localization(facts, self._config))
+
+    def _follow_settings(self) -> None:
+        before, config = self._config, self._operations.settings.current
+        if config is before:
+            return
+        self._config, self._mounting = config, Mounting(config)
+        names = [*changes_between(before, config)]
+        if names:
+            self.settings.put(self._facts_of(names))
+
+    def _facts_of(self, names: list[str]) -> dict[str, dict[str, Any]]:
+        settings = self._operations.settings
+        return facts_of(settings.current, settings.origin_of, names)
+
+    def _make(self, kind: str, message: msgspec.Struct | None) -> None:
+        if message is not None:
+            number = self.newest(kind).number + 1
+            self._newest[kind] = Newest(number, framed(message))  # type: ignore[arg-type]
+
+    def _due(self, what: str, now_s: float, period_s: float) -> bool:
+        if now_s - self._made_s.get(what, -period_s) < period_s:
+            return False
+        self._made_s[what] = now_s
+        return True
+
+
+def _plain_event(happening: Happening) -> dict[str, Any]:
+    said: dict[str, Any] = msgspec.to_builtins(happening.plain(), enc_hook=plain)
+    return said
+
+
+def _seen(robot: dict[str, Any]) -> tuple[int, float, float, float]:
+    x, y, z = (float(one) for one in robot["position_m"])
+    return round(robot["t_s"] * 1e9), x, y, z
+
+
+def _localization(facts: LocalizationFacts, config: Config) -> Localization:
+    report = msgspec.to_builtins(localization_report(facts, config, 0), enc_hook=plain)
+    points = facts.scan_points_m
+    return Localization(
+        report=report,
+        particles=_rows(facts.particles),
+        scan=b"" if points is None else _rows(points),
+    )
+
+
+def _rows(points: NDArray[np.float64]) -> bytes:
+    """Those of which all is finite: no client takes others."""
+    rows = points.astype("<f4")
+    told: bytes = rows[np.isfinite(rows).all(axis=1)].tobytes()
+    return told

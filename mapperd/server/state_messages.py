@@ -1,0 +1,266 @@
+"""Poses, paths, pings and pictures as messages of the map stream."""
+
+import math
+import threading
+
+import numpy as np
+import zstandard
+from numpy.typing import NDArray
+
+from mapperd.config.tree import Config
+from mapperd.errors import MapError
+from mapperd.geometry.frames import Pose as Place
+from mapperd.geometry.frames import pose_from_rpy, quaternion_product, quaternion_to_matrix
+from mapperd.imaging.ping_image import PingImage, beams_in_view, display_units, ping_image_of
+from mapperd.localization.status import LocalizationFacts
+from mapperd.pipeline.executor import PingResult
+from mapperd.pipeline.step import Mapped
+from mapperd.wire.messages import Fan, Image, Pose, Returns
+from oculus_driver.ping import Ping
+
+__all__ = [
+    "IMAGE_SIZES",
+    "Mounting",
+    "Track",
+    "fan_message",
+    "first_returns",
+    "image_message",
+    "localized_covariance",
+    "pose_message",
+    "returns_message",
+]
+
+Floats = NDArray[np.float64]
+
+FINE_RAD, FINE_M = 1e-4, 1e-3
+"""What a fan is rounded to: the speed of sound makes its range tremble."""
+
+
+class Mounting:
+    """Where the sonar sits on the base.
+
+    Args:
+        config: says it.
+    """
+
+    def __init__(self, config: Config) -> None:
+        place, turn = config.mounting.position, config.mounting.orientation
+        self._base = pose_from_rpy((place.x, place.y, place.z), (turn.roll, turn.pitch, turn.yaw))
+
+    def of_sonar(self, base: Place) -> Place:
+        """The sonar where the base is; both in the map's frame."""
+        offset = quaternion_to_matrix(base.map_q_base) @ self._base.position_m
+        turn = quaternion_product(base.map_q_base, self._base.map_q_base)
+        return Place(base.position_m + offset, turn / np.linalg.norm(turn))
+
+
+def pose_message(
+    base: Place,
+    sonar: Place,
+    *,
+    stamp_ns: int,
+    source: str,
+    velocity_mps: Floats | None = None,
+    covariance: Floats | None = None,
+) -> Pose:
+    """As `Pose` says; what is not finite is not told."""
+    return Pose(
+        stamp_ns=max(stamp_ns, 0),
+        position_m=_three(base.position_m),
+        orientation_xyzw=_xyzw(base.map_q_base),
+        velocity_mps=None if velocity_mps is None else _three(velocity_mps),
+        covariance=_finite(covariance),
+        sonar_position_m=_three(sonar.position_m),
+        sonar_orientation_xyzw=_xyzw(sonar.map_q_base),
+        source=source,
+    )
+
+
+def localized_covariance(facts: LocalizationFacts) -> Floats | None:
+    """(6, 6) of the estimate: what it does not know, height, roll and pitch, is the odometry's."""
+    if facts.belief is None:
+        return None
+    covariance = np.zeros((6, 6))
+    covariance[np.ix_([0, 1, 5], [0, 1, 5])] = facts.belief.best.covariance
+    return covariance
+
+
+def fan_message(ping: Ping, config: Config) -> Fan | None:
+    """What a ping looks at; None where its bearings are no fan."""
+    try:
+        view = beams_in_view(ping.bearings_rad, config.sonar)
+    except MapError:
+        return None
+    first, last = ping.bearings_rad[view][[0, -1]].tolist()
+    return Fan(
+        bearings_rad=(_rounded(first, FINE_RAD), _rounded(last, FINE_RAD)),
+        vertical_aperture_rad=math.radians(config.sonar.vertical_aperture),
+        min_range_m=min(config.filtering.min_range, ping.max_range_m),
+        max_range_m=_rounded(ping.max_range_m, FINE_M),
+    )
+
+
+def _rounded(value: float, step: float) -> float:
+    return round(value / step) * step
+
+
+def _three(values: Floats) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def _xyzw(quaternion: Floats) -> tuple[float, float, float, float]:
+    w, x, y, z = quaternion.tolist()
+    return x, y, z, w
+
+
+def _finite(covariance: Floats | None) -> tuple[float, ...] | None:
+    if covariance is None or not np.isfinite(covariance).all():
+        return None
+    return tuple(covariance.ravel().tolist())
+
+
+IMAGE_SIZES = ((512, 256), (256, 128), (128, 64))
+"""Rows and beams at most, the finest first: slower links get a coarser image."""
+
+_COMPRESSOR = zstandard.ZstdCompressor(level=1)
+
+
+def returns_message(treated: PingResult, sonar: Place | None, config: Config) -> Returns | None:
+    """The first return of each beam; None where the ping is no image of a fan.
+
+    Args:
+        treated: the ping.
+        sonar: where it was, in the map; None where nobody knows.
+        config: the settings.
+    """
+    result, ping = treated.result, treated.settled.ping
+    echo = result.echo if isinstance(result, Mapped) else None
+    if echo is None:
+        try:
+            echo = ping_image_of(ping, config.sonar)
+        except MapError:
+            return None
+    points, intensities = first_returns(echo, config)
+    turn = None if sonar is None else sonar.map_q_base.tolist()
+    return Returns(
+        stamp_ns=max(treated.settled.complete_ns or 0, 0),
+        ping_id=ping.ping_id,
+        sonar_position_m=None if sonar is None else tuple(sonar.position_m.tolist()),
+        sonar_orientation_xyzw=None if turn is None else (*turn[1:], turn[0]),
+        outcome="mapped" if isinstance(result, Mapped) else result.reason,
+        points=points.astype("<f4").tobytes(),
+        intensities=intensities.tobytes(),
+    )
+
+
+def first_returns(echo: PingImage, config: Config) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """The nearest sample of each beam above `filtering.intensity_threshold`.
+
+    Returns:
+        (N, 3) points in the sonar's frame, and their (N,) intensities.
+    """
+    step_m = echo.range_resolution_m
+    nearest = int(np.ceil(config.filtering.min_range / step_m))
+    above = echo.intensity[nearest:] > config.filtering.intensity_threshold
+    if not len(above):
+        return np.zeros((0, 3), np.float32), np.zeros(0, np.uint8)
+    row = above.argmax(axis=0)
+    beam = np.flatnonzero(above[row, np.arange(above.shape[1])])
+    row = row[beam] + nearest
+    range_m, bearing = (row + 0.5) * step_m, echo.bearings_rad[beam]
+    points = np.zeros((len(beam), 3), np.float32)
+    points[:, 0] = range_m * np.cos(bearing)
+    points[:, 1] = -range_m * np.sin(bearing)
+    return points, np.clip(np.rint(echo.intensity[row, beam]), 0, 255).astype(np.uint8)
+
+
+def image_message(ping: Ping, stamp_ns: int, most: tuple[int, int]) -> Image:
+    """The image with at most so many rows and beams: each pixel the highest of its samples."""
+    rows, beams = ping.image.shape
+    by_row, by_beam = -(-rows // most[0]), -(-beams // most[1])
+    row, beam = np.arange(0, rows, by_row), np.arange(0, beams, by_beam)
+    highest = np.maximum.reduceat(np.maximum.reduceat(ping.image, row, axis=0), beam, axis=1)
+    pixels = np.clip(np.rint(display_units(highest, ping.full_scale)), 0, 255).astype(np.uint8)
+    number = np.diff(np.append(beam, beams))
+    bearings = np.add.reduceat(ping.bearings_rad, beam) / number
+    return Image(
+        stamp_ns=max(stamp_ns, 0),
+        ping_id=ping.ping_id,
+        rows=len(row),
+        beams=len(beam),
+        range_resolution_m=ping.range_resolution_m * by_row,
+        bearings_rad=bearings.astype("<f4").tobytes(),
+        body=_COMPRESSOR.compress(pixels.tobytes()),
+    )
+
+
+MAX_M = 1e30
+"""That the float32 of the messages hold with room."""
+
+
+class Track:
+    """Points of a path; one thread adds, any reads.
+
+    A full path keeps every second point, and takes new ones at twice the distance: its points are
+    numbered anew then, and its version counts up.
+
+    Args:
+        most: points, at least 2.
+        spacing_m: between points that are kept.
+
+    Attributes:
+        version: of the numbering.
+    """
+
+    def __init__(self, most: int, spacing_m: float) -> None:
+        self.version = 0
+        self._points = np.zeros((max(most, 2), 3))
+        self._count = 0
+        self._spacing_m = spacing_m
+        self._last: tuple[float, float, float] | None = None
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return self._count
+
+    def add(self, position_m: NDArray[np.float64]) -> None:
+        """The vehicle is here now."""
+        x, y, z = position_m.tolist()  # Python's floats: numpy's take several times as long
+        if abs(x) + abs(y) + abs(z) > MAX_M:
+            return
+        last = self._last
+        if last is not None:
+            dx, dy, dz = x - last[0], y - last[1], z - last[2]
+            if dx * dx + dy * dy + dz * dz < self._spacing_m * self._spacing_m:
+                return
+        self._last = (x, y, z)
+        with self._lock:
+            if self._count == len(self._points):
+                self._thin()
+            self._points[self._count] = self._last
+            self._count += 1
+
+    def since(self, version: int, first: int, most: int) -> tuple[int, int, NDArray[np.float64]]:
+        """The next points of who holds some.
+
+        Args:
+            version: of what is held.
+            first: number of the first point that is not.
+            most: points to give.
+
+        Returns:
+            The version, the number of the first point given, and (N, 3) points, metres, map frame.
+        """
+        with self._lock:
+            if version != self.version or first > self._count:
+                first = 0
+            end = min(self._count, first + most)
+            return self.version, first, self._points[first:end].copy()
+
+    def _thin(self) -> None:
+        kept = self._points[::2].copy()
+        self._points[: len(kept)] = kept
+        self._count = len(kept)
+        self._spacing_m *= 2
+        self.version += 1

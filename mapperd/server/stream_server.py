@@ -1,0 +1,296 @@
+"""Serves the live map: lets clients in, and turns the one wheel that all of them are told by.
+
+Twenty times a second the event loop makes what is new into messages, once, and gives each client
+what it has room for. The map itself is looked at, and cut into messages, in one worker thread. So
+the daemon never waits for a client, nor one client for another.
+"""
+
+import asyncio
+import secrets
+import socket
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import AsyncExitStack
+from types import TracebackType
+from typing import Any, Self
+
+from mapperd.api import DaemonApi
+from mapperd.events import Severity
+from mapperd.server.admission import Newcomer
+from mapperd.server.connection import Around, Connection
+from mapperd.server.listeners import Listener, peer_of
+from mapperd.server.map_worker import MapRounds
+from mapperd.server.session import Common, Session
+from mapperd.server.source_protocol import Source
+from mapperd.server.state_feed import Feed
+from mapperd.server.tcp import tune
+from mapperd.wire.auth import FailureLimiter, Limits, TokenBucket
+from mapperd.wire.framing import StreamError
+
+__all__ = ["StreamServer"]
+
+TICK_S = 0.05
+BEAT_S = 1.0
+BREATH_S = 1.0
+"""Between attempts when the system has no more sockets to give."""
+
+LEAVE_S = 1.5
+TOLD = 20
+"""Clients that the status names."""
+
+
+class StreamServer:
+    """Serves the map stream, `async with`, in the daemon's event loop.
+
+    Args:
+        operations: the daemon.
+        doors: that it listens at; closed with the server.
+        feed: what the daemon knows.
+        source: the map.
+        limits: what clients may take.
+        clock: seconds, monotonic.
+        now_ns: Unix time that is never set back.
+    """
+
+    def __init__(
+        self,
+        operations: DaemonApi,
+        doors: Sequence[Listener],
+        feed: Feed,
+        source: Source,
+        *,
+        limits: Limits | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        now_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        config = operations.settings.current
+        self._operations = operations
+        self._doors = tuple(doors)
+        self._feed = feed
+        self._limits = limits or Limits(clients=config.stream.max_clients, newcomers=32)
+        self._clock = clock
+        self._counters: Counter[str] = Counter()
+        self._clients: dict[Connection, None] = {}
+        self._newcomers: dict[Listener, dict[Connection, asyncio.Task[None]]] = {}
+        self._common = Common(
+            feed,
+            operations.events,
+            FailureLimiter(),
+            config.mqtt.vehicle,
+            config.stream.bytes_per_s,
+        )
+        self._around = Around(
+            operations,
+            self._limits,
+            self._count,
+            self._admit,
+            self._heard,
+            self._refused,
+            self._gone,
+            clock,
+            now_ns,
+        )
+        self._rounds = MapRounds(operations, feed, source, self._clients, self._around)
+        self._open = AsyncExitStack()
+
+    async def __aenter__(self) -> Self:
+        self._loop = asyncio.get_running_loop()
+        self._open.callback(self._close_doors)
+        self._open.push_async_callback(self._end)
+        for work in (self._ticking(), self._rounds.run()):
+            task = asyncio.create_task(work)
+            self._open.push_async_callback(_end_tasks, [task])
+        for door in self._doors:
+            self._newcomers[door] = {}
+            accepting = asyncio.create_task(self._accept(door))
+            self._open.push_async_callback(_end_tasks, [accepting])
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        await self._open.aclose()
+
+    def status(self) -> dict[str, Any]:
+        """Who is connected and what happened, in plain values; from any thread."""
+        clients = [one for one in [*self._clients] if not one.session.beside]
+        return {
+            "listening": [door.name for door in self._doors],
+            "clients": len(clients),
+            "newcomers": sum(map(len, self._newcomers.values())),
+            "blocks_left": max((one.session.left for one in clients), default=0),
+            "counters": dict(sorted(self._all_counters().items())),
+            "watching": [
+                {"name": one.session.name, "from": one.origin, **one.session.portions.link()}
+                for one in clients[:TOLD]
+            ],
+        }
+
+    async def _ticking(self) -> None:
+        beat_s = 0.0
+        while True:
+            await asyncio.sleep(TICK_S)
+            now_s = self._clock()
+            wanted: frozenset[str] = frozenset().union(*(c.session.wants for c in self._clients))
+            try:
+                self._feed.refresh(wanted, now_s)
+                if "status" in wanted and now_s - beat_s >= BEAT_S:
+                    beat_s = now_s
+                    self._feed.make_status()
+            except Exception as error:  # noqa: BLE001 a fault of ours must not end the stream
+                self._failed(error)
+            for client in [*self._clients]:
+                try:
+                    client.turn()
+                except Exception as error:  # noqa: BLE001 nor what goes wrong with one client
+                    self._failed(error)
+                    client.abort()
+            self._rounds.wake()
+
+    def _all_counters(self) -> dict[str, int]:
+        """Of what happened here, in the feed and with clients that left."""
+        return {**self._counters, **self._feed.left_out, **self._rounds.parking.counters}
+
+    async def _accept(self, door: Listener) -> None:
+        connects = TokenBucket(self._limits.connects_per_s, self._limits.connects_at_once)
+        while True:
+            try:
+                connection, address = await self._loop.sock_accept(door.socket)
+            except OSError:  # no descriptors left, or it was gone before it was accepted
+                self._counters["accepts_failed"] += 1
+                await asyncio.sleep(BREATH_S)
+                continue
+            self._counters["accepted"] += 1
+            try:
+                self._take_in(door, connection, address)
+            except Exception as error:  # noqa: BLE001 the next one is to be let in
+                connection.close()
+                self._failed(error)
+            # At least one turn of the loop: accepting may not have waited for anything.
+            await asyncio.sleep(connects.take(self._clock()))
+
+    def _take_in(self, door: Listener, connection: socket.socket, address: object) -> None:
+        peer, who = peer_of(connection, address)
+        tune(connection)
+        challenge = "" if door.token is None else secrets.token_hex(16)
+        may_change = door.token is not None or connection.family == socket.AF_UNIX
+        newcomer = Newcomer(peer, challenge, door.token)
+        session = Session(self._common, newcomer, may_change=may_change)
+        client = Connection(session, f"map stream, {who}", self._around)
+        newcomers = self._newcomers[door]
+        while len(newcomers) >= self._limits.newcomers:
+            oldest = next(iter(newcomers))
+            newcomers.pop(oldest).cancel()
+            oldest.abort()
+            self._counters["cut_crowded_out"] += 1
+        newcomers[client] = asyncio.create_task(self._open_up(door, client, connection))
+
+    async def _open_up(self, door: Listener, client: Connection, connection: socket.socket) -> None:
+        """Make a transport of a socket, with TLS if the door wants it."""
+        limit_s = self._limits.hello_s if door.tls else None
+        try:
+            await self._loop.connect_accepted_socket(
+                lambda: client,
+                connection,
+                ssl=door.tls,
+                ssl_handshake_timeout=limit_s,
+                ssl_shutdown_timeout=LEAVE_S if door.tls else None,
+            )
+        except OSError:  # of TLS as well
+            self._counters["connections_lost"] += 1
+            self._gone(client)
+        except asyncio.CancelledError:
+            connection.close()
+            raise
+
+    def _count(self, what: str) -> None:
+        self._counters[what] += 1
+
+    def _admit(self, client: Connection) -> None:
+        if client.session.beside:
+            self._admit_second(client)
+            return
+        wish = client.session.wish
+        if wish is not None and wish.resume is not None:
+            self._take_over(wish.resume.ticket, client)
+        clients = sum(not one.session.beside for one in self._clients)
+        if clients >= self._limits.clients:
+            said = f"{clients} clients are connected; allowed: that many"
+            raise StreamError(said, "too_many_clients")
+        self._drop_newcomer(client)
+        self._clients[client] = None
+
+    def _admit_second(self, second: Connection) -> None:
+        """A second line counts as nobody; another one takes its place."""
+        ticket = second.session.beside
+        found = [one for one in self._clients if one.session.is_of(ticket) and not one.is_over]
+        if not found:
+            said = "no connection has that ticket"
+            raise StreamError(said, "no_such_connection")
+        found[0].join(second)
+        self._drop_newcomer(second)
+        self._clients[second] = None
+        self._counters["second_lines"] += 1
+
+    def _take_over(self, ticket: str, newcomer: Connection) -> None:
+        """Who comes back may know of the break before we do."""
+        for client in [*self._clients]:
+            if client is not newcomer and client.session.is_known_by(ticket):
+                self._gone(client)
+                client.drop()
+
+    def _heard(self, client: Connection) -> None:
+        session = (client.first or client).session
+        if client.session.wish is not None or session.left:
+            self._rounds.wake()
+
+    def _refused(self, client: Connection, reason: str) -> None:
+        if reason == "wrong_token":
+            said = f"{client.origin} does not know the token"
+            self._operations.events.add(Severity.WARNING, "stream_wrong_token", said)
+
+    def _gone(self, client: Connection) -> None:
+        self._clients.pop(client, None)
+        self._drop_newcomer(client)
+        client.part()
+        if client.first is not None:
+            client.first.part()
+        view, client.session.view = client.session.view, None
+        if view is not None:
+            self._rounds.leave(view, client.parting())
+
+    def _drop_newcomer(self, client: Connection) -> None:
+        for newcomers in self._newcomers.values():
+            newcomers.pop(client, None)
+
+    def _failed(self, error: Exception) -> None:
+        self._counters["failed"] += 1
+        said = f"map stream: {type(error).__name__}: {error}"
+        self._operations.events.add(Severity.ERROR, "stream_failed", said)
+
+    async def _end(self) -> None:
+        """Say goodbye to all, and wait a little until they are gone."""
+        tasks = [task for each in self._newcomers.values() for task in each.values()]
+        everybody = [*self._clients, *(one for each in self._newcomers.values() for one in each)]
+        for client in everybody:
+            client.end("closing", "the daemon ends")
+        await _end_tasks(tasks)
+        until_s = self._clock() + LEAVE_S
+        while self._clients and self._clock() < until_s:  # noqa: ASYNC110 once, at the end
+            await asyncio.sleep(0.01)
+        for client in everybody:
+            client.abort()
+
+    def _close_doors(self) -> None:
+        for door in self._doors:
+            door.close()
+
+
+async def _end_tasks(tasks: Sequence["asyncio.Task[None]"]) -> None:
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)

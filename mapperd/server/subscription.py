@@ -1,0 +1,386 @@
+"""The blocks that one client lacks, and those in flight to it."""
+
+from collections import deque
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mapperd.errors import StoreError
+from mapperd.server.encoder import BlockEncoder, Body
+from mapperd.server.map_index import View, distances_m, vector_of, within
+from mapperd.server.priority_queue import NEAR_M, NearestFirst, Part
+from mapperd.server.source_protocol import FIRST, SECOND, Line
+from mapperd.wire.framing import framed
+from mapperd.wire.messages import MAX_BLOCKS, Blocks, Interest, MapFacts, Reset, Vector
+
+__all__ = ["InFlight", "Source", "Subscription"]
+
+MOST_BLOCKS, MAX_MESSAGES = 1 << 17, 4096
+"""Half a MiB of a line; whoever has more on its way when its link breaks begins anew."""
+
+Numbers = NDArray[np.int64]
+
+
+class InFlight:
+    """Of one line of a client: its messages about the map, numbered from 1 on.
+
+    Attributes:
+        number: of the last message.
+        settled: of the last one that was used, as far as is known.
+    """
+
+    def __init__(self) -> None:
+        self.number = self.settled = 0
+        self._forgotten = 0
+        self._messages: deque[tuple[int, NDArray[np.uint32]]] = deque()
+        self._blocks = 0
+
+    @property
+    def memory_bytes(self) -> int:
+        """Of what is remembered."""
+        return 4 * self._blocks
+
+    def note(self, numbers: Numbers) -> None:
+        """One more message, with these blocks."""
+        self.number += 1
+        self._messages.append((self.number, numbers.astype(np.uint32)))
+        self._blocks += len(numbers)
+        while self._blocks > MOST_BLOCKS or len(self._messages) > MAX_MESSAGES:
+            self._forget()
+
+    def note_reset(self) -> None:
+        """One more message, without which the client has another map: nobody goes on before it."""
+        self.number += 1
+        self.settle(self.number)
+
+    def settle(self, number: int) -> None:
+        """The client has used messages up to this one."""
+        self.settled = max(self.settled, number)
+        self._forgotten = max(self._forgotten, number)
+        while self._messages and self._messages[0][0] <= number:
+            self._forget()
+
+    def beyond(self, number: int) -> Numbers | None:
+        """The blocks of later messages; None where these are not remembered."""
+        if not self._forgotten <= number <= self.number:
+            return None
+        later = [blocks for at, blocks in self._messages if at > number]
+        return np.unique(np.concatenate([np.zeros(0, np.uint32), *later])).astype(np.int64)
+
+    def unsettled(self) -> Numbers | None:
+        """The blocks of all that may not be used yet; None where they are not remembered."""
+        return self.beyond(self.settled)
+
+    def _forget(self) -> None:
+        number, blocks = self._messages.popleft()
+        self._forgotten = max(self._forgotten, number)
+        self._blocks -= len(blocks)
+
+
+HELD = 1
+"""Bit of a block's flags: the client may know something of it."""
+
+REFRESH = 0.02
+"""The radius is drawn anew when the vehicle moved by this part of it."""
+
+QUIET_NS = 1_000_000_000
+"""A client that lacks nothing is told so at most this often."""
+
+
+class Source(Protocol):
+    """Where a subscription has the map from."""
+
+    teller: BlockEncoder
+    now_ns: int
+    trouble: str | None
+
+    def view_of(self, interest: Interest) -> View:
+        """The blocks as an interest has them told."""
+
+    def facts(self) -> MapFacts:
+        """About the map."""
+
+
+class Subscription:
+    """One client's interest, and what of it the client was told; of the source's thread.
+
+    Args:
+        source: of the map.
+        interest: of the client.
+        known_up_to: the revision up to which the client holds the interest; None holds nothing.
+        reason: why not.
+
+    Attributes:
+        interest: of the client.
+        resumed: what the client holds is good.
+        reason: why it is not; "" where it is, or nothing was said of it.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        interest: Interest,
+        known_up_to: int | None,
+        reason: str,
+    ) -> None:
+        self.interest = interest
+        self.resumed = known_up_to is not None
+        self.reason = reason
+        self._source = source
+        self._reset = self._closed = False
+        self._lines = [InFlight(), InFlight()]
+        self._line: Line = FIRST
+        self._begins_at = 1
+        self._order = 0
+        self._begin(known_up_to)
+
+    def _begin(self, known_up_to: int | None) -> None:
+        self._known_up_to = known_up_to
+        self._view = self._source.view_of(self.interest)
+        self._view.listeners.add(self)
+        self._queue = NearestFirst(self._view.keys, self._view.block_m)
+        self._complete: int | None = None
+        self._told_ns = 0
+        self._drawn_at: Vector | None = None
+        self._drawn = False
+        if len(self._view):
+            self.changed(np.arange(len(self._view), dtype=np.int64))
+
+    def close(self) -> None:
+        """The client is gone; whoever forgets the subscription says as much."""
+        self._view.listeners.discard(self)
+        self._closed = True
+
+    def restart(self) -> None:
+        """The client forgets all, and is told all anew."""
+        self._view.listeners.discard(self)
+        self._begin(None)
+        self._reset = True
+
+    def change(self, interest: Interest) -> None:
+        """Something else is of interest from now on."""
+        self.interest = interest
+        self.restart()
+
+    @property
+    def number(self) -> int:
+        """Of the last message, of those on the same line."""
+        return self._lines[self._line].number
+
+    def settle(self, number: int, line: Line = FIRST) -> None:
+        """The client has used messages of a line up to this one."""
+        self._lines[line].settle(number)
+
+    def tell_on(self, line: Line) -> Line:
+        """Tell the next messages on this line, if that may be.
+
+        Returns:
+            the line: the first one until the client is known to have begun with this map there.
+        """
+        if self._reset or self._lines[FIRST].settled < self._begins_at:
+            return FIRST
+        self._line = line
+        return line
+
+    def tell_again(self, line: Line, position_m: ArrayLike | None) -> None:
+        """What is near the vehicle and under way on this line waits to be told once more."""
+        if self._reset:
+            return  # all of the map waits, and its blocks have other numbers
+        stuck = self._lines[line].unsettled()
+        if stuck is not None and (position := vector_of(position_m)) is not None:
+            away_m = distances_m(self._view.keys(stuck), self._view.block_m, position)
+            self._tell_again(stuck[away_m <= NEAR_M])
+
+    def lose_second(self) -> None:
+        """The client's second line is gone: what was under way there is told again."""
+        lost, self._lines[SECOND], self._line = self._lines[SECOND], InFlight(), FIRST
+        self._complete = None
+        if self._reset:
+            return  # all of the map waits, and its blocks have other numbers
+        numbers = lost.unsettled()
+        if numbers is None:
+            self.restart()
+        else:
+            self._tell_again(numbers)
+
+    def go_on(self, interest: Interest, number: int) -> bool:
+        """The client is back, and has messages up to this one; later ones are told again.
+
+        Returns:
+            whether it may keep what it holds.
+        """
+        numbers, beside = self._lines[FIRST].beyond(number), self._lines[SECOND].unsettled()
+        if self._reset or self._closed or interest != self.interest:
+            return False
+        if numbers is None or beside is None:
+            return False
+        self._tell_again(np.union1d(numbers, beside))
+        self._lines[FIRST].settle(self._lines[FIRST].number)
+        self._lines[SECOND], self._line = InFlight(), FIRST
+        self._complete = None
+        self.resumed, self.reason = True, ""
+        return True
+
+    def _tell_again(self, numbers: Numbers) -> None:
+        # It may still hold what they were before: that they are empty now is told again as well.
+        self._queue.flags[numbers] |= HELD
+        self._queue.add(numbers, self._source.now_ns)
+
+    @property
+    def left(self) -> int:
+        """Blocks that are still to be sent, as far as is known."""
+        return len(self._queue) + self._view.left
+
+    @property
+    def memory_bytes(self) -> int:
+        """Of what it remembers of blocks."""
+        return int(self._queue.flags.nbytes) + sum(line.memory_bytes for line in self._lines)
+
+    def changed(self, numbers: Numbers) -> None:
+        """These blocks are told otherwise than before."""
+        self._queue.make_room(len(self._view))
+        flags = self._queue.flags
+        if self._known_up_to is not None:
+            flags[numbers] |= HELD
+            numbers = numbers[self._view.revisions[numbers] > self._known_up_to]
+        held = flags[numbers] & HELD != 0
+        numbers = numbers[held | (self._view.digests[numbers] != 0)]
+        # What lies outside is left to `_draw`, which knows where the vehicle is.
+        inside = self._inside(numbers, self._drawn_at)
+        self._queue.add(numbers[inside], self._source.now_ns)
+
+    @property
+    def near_left(self) -> int:
+        """Of those the ones near the vehicle that belong to this pass, as of the last message."""
+        return self._queue.near_left
+
+    def next(
+        self, position_m: ArrayLike | None, most_bytes: int, part: Part = "any"
+    ) -> bytes | None:
+        """What is to be sent next, as it goes over the wire.
+
+        Args:
+            position_m: (3,) of the vehicle, map frame; None where nobody knows it.
+            most_bytes: about so many, and at least one block.
+            part: of the map, that it may be about.
+
+        Returns:
+            a `Blocks` or a `Reset`; None when there is nothing.
+        """
+        message = self.next_message(position_m, most_bytes, part)
+        if isinstance(message, Blocks):
+            return self._source.teller.framed(message)
+        return None if message is None else framed(message)
+
+    def next_message(
+        self, position_m: ArrayLike | None, most_bytes: int, part: Part = "any"
+    ) -> Blocks | Reset | None:
+        """The same as a message."""
+        if self._reset:
+            return self._reset_now()
+        self._draw(vector_of(position_m))
+        try:
+            return self._next(most_bytes, part)
+        except StoreError as error:
+            self._source.trouble = str(error)
+            return None
+
+    def _reset_now(self) -> Reset:
+        """Said on the first line; what is under way on the second is known by its order."""
+        self._reset, self._line = False, FIRST
+        for line in self._lines:
+            line.note_reset()
+        self._begins_at = self._lines[FIRST].number + 1
+        return Reset(
+            map=self._source.facts(),
+            revision=self._view.looked,
+            interest=self.interest,
+            order=self._source.teller.fence(),
+        )
+
+    def _next(self, most_bytes: int, part: Part) -> Blocks | None:
+        teller, detail = self._source.teller, self.interest.detail
+        most = min(teller.blocks_in(most_bytes, self._view.level, detail), MAX_BLOCKS)
+        while True:
+            numbers, wanted = self._chosen(most, part)
+            if not len(numbers):
+                return None if len(self._queue) else self._quiet()
+            body = teller.body(self._view, detail, numbers, wanted, self._order)
+            if 2 * len(body.data) <= 3 * most_bytes or len(numbers) == 1:
+                break
+            most = max(min(most, len(numbers)) // 2, 1)
+        self._queue.remove(numbers)
+        self._queue.flags[numbers] &= np.uint8(~HELD & 0xFF)
+        self._queue.flags[numbers[wanted]] |= HELD
+        return self._message(body, numbers)
+
+    def _chosen(self, most: int, part: Part) -> tuple[Numbers, NDArray[np.bool_]]:
+        """The nearest blocks that wait, and which of them are told with what they hold."""
+        while True:
+            numbers = self._queue.nearest(most, self._drawn_at, part)
+            wanted = self._inside(numbers, self._drawn_at)
+            pointless = ~wanted & (self._queue.flags[numbers] & HELD == 0)
+            if not pointless.any():
+                return numbers, wanted
+            self._queue.remove(numbers[pointless])
+
+    def _quiet(self) -> Blocks | None:
+        """Say now and then that nothing is lacking, although the map changed."""
+        settled, now_ns = self._view.settled, self._source.now_ns
+        if settled is None or settled == self._complete or self._view.left:
+            return None
+        if not (self._is_drawn and self._is_told_on_one_line):
+            return None
+        if self._complete is not None and now_ns - self._told_ns < QUIET_NS:
+            return None
+        nothing = np.zeros(0, np.int64)
+        teller = self._source.teller
+        body = teller.body(self._view, self.interest.detail, nothing, nothing != 0, self._order)
+        return self._message(body, nothing)
+
+    def _message(self, body: Body, numbers: Numbers) -> Blocks:
+        self._lines[self._line].note(numbers)
+        self._order = body.order
+        is_all = not len(self._queue) and not self._view.left and self._is_drawn
+        complete = self._view.settled if is_all and self._is_told_on_one_line else None
+        self._complete, self._told_ns = complete, self._source.now_ns
+        return self._source.teller.message(body, self.left, complete)
+
+    @property
+    def _is_told_on_one_line(self) -> bool:
+        """Whether nothing is under way on the other one: the client may have that later."""
+        other = self._lines[SECOND if self._line == FIRST else FIRST]
+        return other.settled == other.number
+
+    @property
+    def _is_drawn(self) -> bool:
+        return self.interest.radius_m == 0 or self._drawn_at is not None
+
+    def _draw(self, position_m: Vector | None) -> None:
+        """Find what comes into the interest, and what goes, as the vehicle moves."""
+        if self.interest.radius_m == 0 and self._drawn:
+            self._drawn_at = position_m
+            return
+        if self._drawn and not self._moved(position_m):
+            return
+        self._drawn, self._drawn_at = True, position_m
+        self._queue.make_room(len(self._view))
+        numbers = np.arange(len(self._view), dtype=np.int64)
+        held = self._queue.flags[numbers] & HELD != 0
+        lacking = ~held & (self._view.digests[numbers] != 0)
+        inside = self._inside(numbers, position_m)
+        self._queue.add(numbers[np.where(inside, lacking, held)], self._source.now_ns)
+
+    def _moved(self, position_m: Vector | None) -> bool:
+        if position_m is None or self._drawn_at is None:
+            return position_m is not self._drawn_at
+        moved_m = np.linalg.norm(np.subtract(position_m, self._drawn_at))
+        return bool(moved_m > REFRESH * self.interest.radius_m)
+
+    def _inside(self, numbers: Numbers, position_m: Vector | None) -> NDArray[np.bool_]:
+        if self.interest.radius_m == 0 and self.interest.box is None:
+            return np.ones(len(numbers), bool)
+        held = self._queue.flags[numbers] & HELD != 0
+        keys = self._view.keys(numbers)
+        return within(keys, self._view.block_m, self.interest, position_m, held)

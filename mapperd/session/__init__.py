@@ -1,0 +1,1 @@
+"""Recordings, replay, recovery and the start of a session."""

@@ -1,0 +1,211 @@
+"""Recordings on the disk: which there are, which belong together, and their tails."""
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+from mapperd.session_log import DECISIONS, SESSION, Session, decision_of
+from mapperd.store.position import RecordingOffset
+from oculus_driver.errors import RecordingError
+from oculus_driver.recording import Chunk, open_recording
+
+__all__ = ["RecordedSession", "Tail", "files_in", "files_of", "sessions_of"]
+
+SUFFIX = ".mcap"
+SIGNATURE_BYTES = 8
+"""An MCAP file begins with them."""
+
+
+@dataclass(slots=True)
+class _Seen:
+    """What reading has shown so far."""
+
+    bytes_read: int = 0
+    truncated: bool = False
+    damage: str | None = None
+    read_error: OSError | None = None
+
+
+class RecordedSession:
+    """Files in order, read as one recording; only one is open at a time.
+
+    Attributes:
+        paths: of the files.
+        session: id of the daemon's session; None where they are no recordings of a session.
+        format: of the first file.
+        size_bytes: of all files.
+    """
+
+    def __init__(self, paths: Sequence[Path], session: str | None) -> None:
+        self.paths = tuple(paths)
+        self.session = session
+        self._seen = _Seen()
+        self.size_bytes = 0
+        with open_recording(self.paths[0]) as recording:
+            self.format = recording.format
+        for path in self.paths:
+            with open_recording(path) as recording:
+                self.size_bytes += recording.size_bytes
+
+    @property
+    def bytes_read(self) -> int:
+        """How far iteration has come."""
+        return self._seen.bytes_read
+
+    @property
+    def truncated(self) -> bool:
+        """Whether a file was found to end before its content does."""
+        return self._seen.truncated
+
+    @property
+    def damage(self) -> str | None:
+        """The first thing found wrong, for a person."""
+        return self._seen.damage
+
+    @property
+    def read_error(self) -> OSError | None:
+        """What the disk said, where it did not let a file be read: it may do so later."""
+        return self._seen.read_error
+
+    def __iter__(self) -> Iterator[Chunk]:
+        """Read from the front; raises `RecordingError` where a file cannot be opened any more."""
+        self._seen = seen = _Seen()
+        for path in self.paths:
+            before = seen.bytes_read
+            with open_recording(path) as recording:
+                for chunk in recording:
+                    seen.bytes_read = before + recording.bytes_read
+                    yield chunk
+                seen.bytes_read = before + recording.bytes_read
+                seen.truncated = seen.truncated or recording.truncated
+                seen.read_error = seen.read_error or recording.read_error
+                if recording.damage is not None and seen.damage is None:
+                    name = f"{path.name}: " if len(self.paths) > 1 else ""
+                    seen.damage = f"{name}{recording.damage}"
+
+    def beginning(self) -> Session | None:
+        """How the session began; None where that is not in the files."""
+        for chunk in self:
+            if chunk.encoding == DECISIONS:
+                decision = decision_of(chunk)
+                return decision if isinstance(decision, Session) else None
+        return None
+
+
+def files_in(paths: Iterable[Path], *, begun: bool = False) -> list[Path]:
+    """Replace folders by the recordings in them, in the order in which they were written.
+
+    Args:
+        paths: of files and folders.
+        begun: pass those in folders over with nothing in them, as a kill leaves them.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            inside = sorted(path.glob(f"*{SUFFIX}"), key=_numbered)
+            found += [one for one in inside if not begun or _begins(one)]
+        else:
+            found.append(path)
+    return found
+
+
+def sessions_of(paths: Iterable[Path]) -> list[RecordedSession]:
+    """Put files together that follow each other in one session.
+
+    Raises:
+        RecordingError: one cannot be read, or is no recording.
+    """
+    return [
+        RecordedSession(list(group), session) for session, group in groupby(paths, key=_session_of)
+    ]
+
+
+def _begins(path: Path) -> bool:
+    """Whether a first piece can be read, or what keeps it from that is worth telling."""
+    try:
+        with open_recording(path) as recording:
+            return next(iter(recording), None) is not None or not recording.truncated
+    except RecordingError:
+        return path.stat().st_size >= SIGNATURE_BYTES
+
+
+def _session_of(path: Path) -> str | None:
+    with open_recording(path) as recording:
+        return recording.metadata.get(SESSION)
+
+
+def _numbered(path: Path) -> list[tuple[int, str]]:
+    """Numbers in names count as such: 999999 comes before 1000000."""
+    return [
+        (int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", path.name)
+    ]
+
+
+NUMBER = re.compile(r"_(\d{6,})_\d{8}T\d{6}Z\.mcap$")
+
+
+def files_of(folder: Path, session: str) -> dict[int, Path]:
+    """A session's recordings by the numbers in their names, in order; what is no recording is not.
+
+    Args:
+        folder: of the recordings; need not be there.
+        session: id.
+    """
+    found = {}
+    for path in files_in([folder]) if folder.is_dir() else []:
+        number = NUMBER.search(path.name)
+        if number is None:
+            continue
+        try:
+            with open_recording(path) as recording:
+                mine = recording.metadata.get(SESSION) == session
+        except RecordingError:
+            continue
+        if mine:
+            found[int(number[1])] = path
+    return found
+
+
+class Tail:
+    """The chunks of a session from a place on, and where the reader is; knows pieces by places.
+
+    Args:
+        files: of `files_of`.
+        start: where to begin.
+
+    Attributes:
+        place: behind the chunk that was read last.
+    """
+
+    def __init__(self, files: dict[int, Path], start: RecordingOffset) -> None:
+        self._files = {number: path for number, path in files.items() if number >= start.file}
+        self._start = start
+        self.place = start
+
+    def __iter__(self) -> Iterator[Chunk]:
+        for number, path in self._files.items():
+            with open_recording(path) as recording:
+                for count, chunk in enumerate(recording, 1):
+                    if RecordingOffset(number, count) > self._start:
+                        self.place = RecordingOffset(number, count)
+                        yield chunk
+
+    @property
+    def newest(self) -> int:
+        """All that is read is written."""
+        return 0
+
+    @property
+    def number(self) -> int:
+        """The place as one number."""
+        return self.place.file << 40 | self.place.chunks
+
+    def place_of(self, number: int) -> RecordingOffset:
+        """The place that a number means."""
+        return RecordingOffset(number >> 40, number & ((1 << 40) - 1))
+
+    def wait_for(self, number: int, timeout_s: float) -> bool:  # noqa: ARG002
+        """Nothing is to be waited for."""
+        return True

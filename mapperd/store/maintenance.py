@@ -1,0 +1,139 @@
+"""Files of maps: rebuild lost bricks, put damaged files aside, write whole maps.
+
+What a ping says does not depend on the map, and a brick on no other: mapping the same pings again
+while keeping only the lost bricks gives them back as they were, to the bit.
+"""
+
+import sqlite3
+import weakref
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import zstandard
+
+from mapperd.config.tree import Config
+from mapperd.errors import StoreError
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.store.database import migrate, transaction, translated
+from mapperd.store.metadata import begun, write_kind
+from mapperd.store.tile_store import TileStore
+from mapperd.store.tiles import COLUMNS, LEVEL, BrickRow, Key, pack
+
+__all__ = ["packed", "put_aside", "rebuild_lost", "write_whole"]
+
+MapAgain = Callable[[SonarMap], bool]
+"""Maps the input again from its beginning up to the store's position; False if any is missing."""
+
+
+def rebuild_lost(store: TileStore, sonar_map: SonarMap, map_again: MapAgain) -> int:
+    """Rebuild what the store has lost, before anything is mapped into it.
+
+    Takes as much memory as the lost bricks and one ping.
+
+    Args:
+        store: just opened.
+        sonar_map: its map, for the settings.
+        map_again: maps the recordings. Where they are not complete, what they give is kept, but
+            the bricks stay on record as lost.
+
+    Returns:
+        bricks that were lost.
+
+    Raises:
+        StoreError: the file cannot be written.
+    """
+    lost = store.lost
+    if not lost:
+        return 0
+    scratch = SonarMap(sonar_map.config)
+    _keep_only(scratch, lost)
+    whole = map_again(scratch)
+    _, found = scratch.core.bricks_since(0)
+    store.restore([(key, brick) for key, _, brick in found if key in lost], whole=whole)
+    return len(lost)
+
+
+def _keep_only(scratch: SonarMap, lost: frozenset[Key]) -> None:
+    """Let a map forget, with every ping, what is not lost."""
+    here: set[Key] = set()
+    core = weakref.proxy(scratch.core)  # which keeps what it calls alive
+
+    def fetch(tiles: list[Key]) -> None:
+        core.drop_tiles([tile for tile in here if tile not in lost])
+        here.intersection_update(lost)
+        core.put_bricks([], tiles)
+        here.update(tiles)
+
+    core.cut_into_tiles(1, fetch)
+
+
+BESIDE = ("", "-wal", "-shm")
+"""A file of SQLite and those that belong to it."""
+
+
+def put_aside(path: Path) -> Path:
+    """Rename a store that nobody has open; whoever can, maps its recordings into a new one.
+
+    Returns:
+        its new name.
+
+    Raises:
+        StoreError: it cannot be renamed.
+    """
+    number = 1
+    while (aside := path.with_name(f"{path.name}.damaged-{number}")).exists():
+        number += 1
+    try:
+        for suffix in reversed(BESIDE):  # the file itself last: until then it is found as damaged
+            beside = path.with_name(path.name + suffix)
+            if beside.exists():
+                beside.rename(aside.with_name(aside.name + suffix))
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be put aside: {error.strerror}", "read_only") from error
+    return aside
+
+
+def packed(bricks: Iterable[tuple[Key, int, bytes]]) -> Iterator[BrickRow]:
+    """Rows of bricks: (key, revision, bytes) each."""
+    compressor = zstandard.ZstdCompressor(level=LEVEL)
+    for key, revision, brick in bricks:
+        yield pack(compressor, key, revision, brick)
+
+
+def write_whole(path: Path, config: Config, revision: int, rows: Iterable[BrickRow]) -> int:
+    """Make a map's file that `TileStore` and `StoreReader` open like any other.
+
+    Whoever calls it gives the file its name when it is whole: a stop half way leaves it damaged.
+
+    Args:
+        path: of the file; nothing is there yet.
+        config: the settings that the map came about by.
+        revision: of the map.
+        rows: its bricks, each once.
+
+    Returns:
+        how many there are.
+
+    Raises:
+        StoreError: it cannot be written, or a brick comes twice.
+    """
+    count = 0
+    with translated(path):
+        connection = sqlite3.connect(path, isolation_level=None)
+        try:
+            connection.execute("PRAGMA journal_mode = OFF")
+            connection.execute("PRAGMA synchronous = OFF")
+            migrate(connection, path)
+            with transaction(connection):
+                write_kind(connection, config)
+                connection.execute("INSERT INTO progress VALUES (1, ?, x'')", (revision,))
+                begun(connection, revision)
+                for row in rows:
+                    connection.execute(
+                        f"INSERT INTO brick ({COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?)",  # noqa: S608 our own text
+                        (*row.key, row.revision, row.size, row.crc, row.data),
+                    )
+                    count += 1
+        finally:
+            connection.close()
+    return count

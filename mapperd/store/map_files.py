@@ -1,0 +1,140 @@
+"""Maps out of files of any kind, whatever settings they were made with."""
+
+import re
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from mapperd import _core
+from mapperd.config.changes import with_values
+from mapperd.config.tree import Config
+from mapperd.errors import ConfigError, MapError
+from mapperd.geometry.geodesy import Origin
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.store.position import position_in
+from mapperd.store.reader import StoreReader
+
+__all__ = ["SourcedMap", "holds_map", "map_in"]
+
+SQLITE = b"SQLite format 3\0"
+OCTOMAP = b"# Octomap OcTree"
+
+HEADER = struct.Struct("<Idii")
+"""Of a `.map` after its magic: version, edge of a voxel, clamps in units of log-odds."""
+
+OCTOMAP_HEADER_BYTES = 4096
+OCTOMAP_RESOLUTION = re.compile(rb"^res\s+(\S+)\s*$", re.MULTILINE)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SourcedMap:
+    """A map as its file has it.
+
+    Attributes:
+        map: in memory as a whole, with the settings that its voxels came about by.
+        origin: where its zero lies on Earth, if the file says so.
+    """
+
+    map: SonarMap
+    origin: Origin | None
+
+
+def map_in(
+    path: Path, config: Config, values: Mapping[str, Any] = MappingProxyType({})
+) -> SourcedMap:
+    """Read a map: a daemon's file, a `.map`, or a tree of OctoMap, told by their content.
+
+    Args:
+        path: of the file.
+        config: all settings but those that the file says itself.
+        values: more of them, by name.
+
+    Raises:
+        MapError: it cannot be read, or is no whole map.
+        StoreError: it cannot be read, or is of a later version.
+        ConfigError: the values are not allowed.
+    """
+    begin = _beginning(path)
+    if begin.startswith(SQLITE):
+        return _stored(path, config, values)
+    if begin.startswith(_core.MAP_FILE_MAGIC):
+        sonar_map = SonarMap(_settings(path, config, _kind_of_map(path, begin), values))
+        sonar_map.load(path)
+        return SourcedMap(sonar_map, None)
+    if begin.startswith(OCTOMAP):
+        sonar_map = SonarMap(_settings(path, config, _kind_of_octomap(path, begin), values))
+        try:
+            sonar_map.load_octomap(path.read_bytes())
+        except MapError as error:
+            raise MapError(f"{path}: {error}", error.reason) from error
+        return SourcedMap(sonar_map, None)
+    raise MapError(
+        f"{path}: no map: neither a daemon's file, nor a .map, nor a tree of OctoMap",
+        "bad_map_file",
+    )
+
+
+def holds_map(path: Path) -> bool:
+    """Whether a file begins like a map; what cannot be read does not."""
+    try:
+        return _beginning(path).startswith((SQLITE, _core.MAP_FILE_MAGIC, OCTOMAP))
+    except MapError:
+        return False
+
+
+def _beginning(path: Path) -> bytes:
+    try:
+        if not path.is_file():  # a pipe would keep us waiting
+            raise MapError(f"{path}: there is no such file", "unreadable")
+        with path.open("rb") as file:
+            return file.read(OCTOMAP_HEADER_BYTES)
+    except OSError as error:
+        raise MapError(f"{path}: cannot be read: {error.strerror}", "unreadable") from error
+
+
+def _settings(
+    path: Path, config: Config, said: Mapping[str, Any], values: Mapping[str, Any]
+) -> Config:
+    try:
+        of_file = with_values(config, said)
+    except ConfigError as error:
+        raise MapError(f"{path}: is of settings that cannot be: {error}", "bad_map_file") from error
+    return with_values(of_file, values)
+
+
+def _stored(path: Path, config: Config, values: Mapping[str, Any]) -> SourcedMap:
+    with StoreReader(path) as reader:
+        sonar_map = SonarMap(_settings(path, config, reader.kind(), values))
+        loaded = reader.load(sonar_map)
+    if loaded.lost:
+        raise MapError(
+            f"{path}: {len(loaded.lost)} bricks of it are damaged; holes would look like water",
+            "bricks_lost",
+        )
+    position = position_in(loaded.position)
+    if position is None or position.origin_deg is None:
+        return SourcedMap(sonar_map, None)
+    return SourcedMap(sonar_map, Origin.of_degrees(*position.origin_deg))
+
+
+def _kind_of_map(path: Path, begin: bytes) -> dict[str, Any]:
+    at = len(_core.MAP_FILE_MAGIC)
+    if len(begin) < at + HEADER.size:
+        raise MapError(f"{path}: map file: it ends too early", "bad_map_file")
+    _, resolution_m, low, high = HEADER.unpack_from(begin, at)
+    return {
+        "octree.voxel_resolution": resolution_m,
+        "iwlo.L_min": low * _core.LOG_ODDS_UNIT,
+        "iwlo.L_max": high * _core.LOG_ODDS_UNIT,
+    }
+
+
+def _kind_of_octomap(path: Path, begin: bytes) -> dict[str, Any]:
+    told = OCTOMAP_RESOLUTION.search(begin.partition(b"\ndata\n")[0])
+    try:
+        return {"octree.voxel_resolution": float(told[1])} if told else {}
+    except ValueError:
+        raise MapError(f"{path}: its resolution is no number", "bad_octomap_file") from None

@@ -1,0 +1,178 @@
+"""Which map a file holds: its identity, its settings, and its progress.
+
+Revisions of a map go on from session to session, but what a session mapped after its last save is
+gone with it, and its revisions are used again. A session's revisions therefore mean something up
+to what the file held when the next one began, and no further.
+
+What a stored map is: the settings that its voxels came about by.
+
+None of them may change while the program runs, so that all voxels of a file follow one rule.
+"""
+
+import json
+import secrets
+import sqlite3
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from mapperd.config.tree import Config
+from mapperd.errors import StoreError
+
+__all__ = [
+    "NAME",
+    "Identity",
+    "begun",
+    "check_kind",
+    "fresh",
+    "kind_in",
+    "kind_of",
+    "progress_in",
+    "renewed",
+    "write_kind",
+]
+
+NAME = "map.identity"
+"""Of the row in the table `fact`."""
+
+MAX_SESSIONS = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Of a map.
+
+    Attributes:
+        map: id of it; another one after a reset.
+        session: of the program that has the map now.
+        earlier: sessions before it, and the revision up to which each is as the file has it;
+            oldest first.
+    """
+
+    map: str
+    session: str
+    earlier: tuple[tuple[str, int], ...] = ()
+
+    def valid_up_to(self, session: str) -> int | None:
+        """The revision up to which an earlier session's are good; None for one nobody knows."""
+        return dict(self.earlier).get(session)
+
+
+def fresh() -> Identity:
+    """Of an empty map."""
+    return Identity(_random(), _random())
+
+
+def begun(connection: sqlite3.Connection, revision: int) -> Identity:
+    """A session begins with what the file holds; in a transaction of the caller.
+
+    Args:
+        connection: to the file.
+        revision: of the map in it.
+    """
+    found = connection.execute("SELECT value FROM fact WHERE name = ?", (NAME,)).fetchone()
+    before = _decoded(found[0]) if found is not None else None
+    if before is None:
+        identity = fresh()
+    else:
+        earlier = (*before.earlier, (before.session, revision))
+        identity = Identity(before.map, _random(), earlier[-MAX_SESSIONS:])
+    _put(connection, identity)
+    return identity
+
+
+def renewed(connection: sqlite3.Connection, identity: Identity) -> Identity:
+    """The map was emptied; in a transaction of the caller."""
+    emptied = Identity(_random(), identity.session)
+    _put(connection, emptied)
+    return emptied
+
+
+def _put(connection: sqlite3.Connection, identity: Identity) -> None:
+    text = msgspec.json.encode(identity).decode()
+    connection.execute("INSERT OR REPLACE INTO fact VALUES (?, ?)", (NAME, text))
+
+
+def _decoded(text: str) -> Identity | None:
+    """None for what is damaged: then it is another map, and everybody is told all of it."""
+    try:
+        return msgspec.json.decode(text, type=Identity)
+    except msgspec.DecodeError:
+        return None
+
+
+def _random() -> str:
+    return secrets.token_hex(8)
+
+
+SECTIONS = ("iwlo", "adaptive")
+
+
+def kind_of(config: Config) -> dict[str, str]:
+    """Settings by their full names, as JSON."""
+    facts = {"octree.voxel_resolution": json.dumps(config.octree.voxel_resolution)}
+    for section in SECTIONS:
+        for name, value in msgspec.to_builtins(getattr(config, section)).items():
+            facts[f"{section}.{name}"] = json.dumps(value)
+    return facts
+
+
+def write_kind(connection: sqlite3.Connection, config: Config) -> None:
+    """Say in a new file what its map is."""
+    connection.executemany("INSERT INTO fact VALUES (?, ?)", kind_of(config).items())
+
+
+def kind_in(connection: sqlite3.Connection) -> dict[str, Any]:
+    """What a file's map is: settings by their full names, such as this program knows.
+
+    Raises:
+        ValueError: one of them is not as it was written.
+    """
+    known = kind_of(Config()).keys()
+    told = connection.execute("SELECT name, value FROM fact")
+    return {name: json.loads(value) for name, value in told if name in known}
+
+
+def check_kind(connection: sqlite3.Connection, path: Path, config: Config) -> None:
+    """Refuse settings that are not those of the file; such that it does not know are new.
+
+    Raises:
+        StoreError: with all that differ.
+    """
+    ours = kind_of(config)
+    differ = [
+        f"{name} is {value} in it, {ours.get(name, 'unknown')} in the settings"
+        for name, value in connection.execute(
+            "SELECT name, value FROM fact WHERE name != ? ORDER BY name", (NAME,)
+        )
+        if ours.get(name) != value
+    ]
+    if differ:
+        raise StoreError(
+            f"{path}: holds a map of other settings: {'; '.join(differ)}. Set them back, or give "
+            "another outofcore.map_path",
+            "other_parameters",
+        )
+
+
+MAX_REVISION = 1 << 62
+"""No map changes that often; SQLite's numbers end at twice that."""
+
+
+def progress_in(connection: sqlite3.Connection, path: Path) -> tuple[int, bytes] | None:
+    """Revision and position of the last save; None in a new file.
+
+    Raises:
+        StoreError: they are none, as after a bit of the file has turned.
+    """
+    found = connection.execute("SELECT revision, position FROM progress").fetchone()
+    if found is None:
+        return None
+    revision, position = found
+    if not (isinstance(revision, int) and 0 <= revision < MAX_REVISION):
+        raise StoreError(f"{path}: is damaged: {revision!r} is no revision of a map", "damaged")
+    if not isinstance(position, bytes):
+        raise StoreError(f"{path}: is damaged: its position is no bytes", "damaged")
+    return revision, position

@@ -1,0 +1,79 @@
+"""Up to where a map is complete: the place in its recordings, and all that the estimators knew."""
+
+from typing import Any, Protocol
+
+import msgspec
+from msgspec import Struct
+
+__all__ = ["Position", "RecordingOffset", "RecordingOffsets", "position_in"]
+
+
+class RecordingOffset(Struct, frozen=True, order=True):
+    """Between two chunks of a session's recordings.
+
+    Attributes:
+        file: number in the file's name; 0 is the first file of the session.
+        chunks: of that file that lie before it.
+    """
+
+    file: int = 0
+    chunks: int = 0
+
+
+class RecordingOffsets(Protocol):
+    """Knows where the pieces of a recording lie."""
+
+    @property
+    def newest(self) -> int:
+        """Number of the newest piece."""
+
+    def place_of(self, number: int) -> RecordingOffset | None:
+        """Where the recording goes on behind a piece; None while that is not written."""
+
+    def wait_for(self, number: int, timeout_s: float) -> bool:
+        """Wait until a piece is written."""
+
+
+class Position(Struct, frozen=True):
+    """The map holds the first `done` pieces of work that come after a checkpoint, and all before.
+
+    Attributes:
+        session: id of the session that made the map last.
+        whole: nothing of the session is missing; then nothing below matters.
+        sessions: ids of all sessions since the map was empty, this one included.
+        place: of the checkpoint.
+        done: pieces of work that are in the map since then.
+        config: the settings in force at the checkpoint, as plain values.
+        fixed: the vehicle stood still.
+        checkpoint: the estimators.
+        localization: its state when the work before the checkpoint was done; empty where the map
+            does not depend on it.
+        origin_deg: latitude and longitude of the map's zero; None where nobody said a place on
+            Earth.
+    """
+
+    session: str
+    whole: bool
+    sessions: tuple[str, ...]
+    place: RecordingOffset = RecordingOffset()
+    done: int = 0
+    config: dict[str, Any] | None = None
+    fixed: bool = False
+    checkpoint: bytes = b""
+    origin_deg: tuple[float, float] | None = None
+    localization: bytes = b""
+
+    def encoded(self) -> bytes:
+        """As the map's file holds it."""
+        return msgspec.msgpack.encode(self)
+
+
+_DECODER = msgspec.msgpack.Decoder(Position)
+
+
+def position_in(data: bytes) -> Position | None:
+    """What a map's file says; None where it says nothing, or something of another program."""
+    try:
+        return _DECODER.decode(data)
+    except msgspec.DecodeError:
+        return None

@@ -1,0 +1,1 @@
+"""The live map as a page in the browser."""

@@ -1,0 +1,236 @@
+"""What moves on the map: the vehicle, its path and fan, returns, robots, localization."""
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mapperd.viewer.shapes import Nodes, ellipse, fan_lines, strip, vehicle_parts
+from mapperd.wire.messages import Fan, Localization, Path, Pose, Returns, Robots
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from viser import SceneApi
+
+__all__ = ["Actors"]
+
+VEHICLE_M = 0.7
+PATH_PIECE = 500
+"""Points of the path in one node: only the last one is sent again as it grows."""
+
+MAX_ROBOTS = 32
+MAX_PARTICLES = 3000
+SIGMAS = 2.0
+
+LAYERS = ("path", "returns", "robots", "localization")
+
+PATH = (56, 189, 248)
+FAN = (250, 204, 21)
+RETURNS = (255, 255, 255)
+ROBOT = (236, 72, 153)
+SCAN = (74, 222, 128)
+PARTICLES = (192, 132, 252)
+ELLIPSE = (244, 114, 182)
+
+
+class Actors:
+    """Draws them; of one thread.
+
+    Args:
+        scene: of the server.
+    """
+
+    def __init__(self, scene: "SceneApi") -> None:
+        self._scene = scene
+        for name in LAYERS:
+            scene.add_frame(f"/{name}", show_axes=False)
+        self._vehicle = scene.add_frame("/vehicle", show_axes=False, visible=False)
+        self._sonar = scene.add_frame("/sonar", show_axes=False, visible=False)
+        for part in vehicle_parts(VEHICLE_M):
+            scene.add_mesh_simple(
+                f"/vehicle/{part.name}",
+                part.vertices,
+                part.faces,
+                color=part.colour,
+                flat_shading=True,
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+        scene.add_line_segments(
+            "/vehicle/ahead",
+            np.array([[[VEHICLE_M / 2, 0, 0], [VEHICLE_M / 2 + 1.5, 0, 0]]], np.float32),
+            (239, 68, 68),
+            thickness=3.0,
+            thickness_units="screen",
+        )
+        self._path_told = 0
+        self._pieces = 0
+        self._robots: set[str] = set()
+        self._nodes = Nodes()
+
+    def pose(self, pose: Pose) -> None:
+        """The vehicle is there now."""
+        x, y, z, w = pose.orientation_xyzw
+        self._vehicle.wxyz, self._vehicle.position = (w, x, y, z), pose.position_m
+        x, y, z, w = pose.sonar_orientation_xyzw
+        self._sonar.wxyz, self._sonar.position = (w, x, y, z), pose.sonar_position_m
+        self._vehicle.visible = self._sonar.visible = True
+        if pose.covariance is None:
+            self._nodes.remove("/localization/pose")
+        else:
+            plane = np.array(pose.covariance).reshape(6, 6)[:2, :2]
+            self._ellipse("/localization/pose", plane, pose.position_m)
+
+    def take(self, told: object, path: NDArray[np.float64], z_m: float) -> None:
+        """Something was told.
+
+        Args:
+            told: whatever is drawn here; the rest is passed over.
+            path: all of it, (N, 3) metres, map frame.
+            z_m: at which what is flat is drawn.
+        """
+        match told:
+            case Path():
+                self.path(path, told.first)
+            case Fan():
+                self.fan(told)
+            case Returns():
+                self.returns(told)
+            case Robots():
+                self.robots(told)
+            case Localization():
+                self.localization(told, z_m)
+            case _:
+                pass
+
+    def fan(self, fan: Fan) -> None:
+        """The sonar looks at this."""
+        self._nodes.put("/sonar/fan", self._lines(FAN, 1.5), points=fan_lines(fan))
+
+    def path(self, points: NDArray[np.float64], first: int) -> int:
+        """The vehicle came this way, (N, 3) metres; returns the bytes that were sent.
+
+        Those from `first` on are new: another way, perhaps longer than what was told before.
+        """
+        if min(first, len(points)) < self._path_told:
+            self._forget_path()
+        if len(points) == self._path_told or len(points) < 2:  # noqa: PLR2004 a line has two ends
+            return 0
+        sent = 0
+        for piece in range(
+            max(0, self._path_told - 1) // PATH_PIECE, -(-len(points) // PATH_PIECE)
+        ):
+            part = points[piece * PATH_PIECE : (piece + 1) * PATH_PIECE + 1]
+            if len(part) > 1:
+                # From its first point on: graphics have single precision.
+                self._nodes.put(
+                    f"/path/{piece}",
+                    self._lines(PATH, 2.5),
+                    points=strip(part - part[0]),
+                    position=tuple(part[0].tolist()),
+                )
+                sent += 24 * (len(part) - 1)
+                self._pieces = max(self._pieces, piece + 1)
+        self._path_told = len(points)
+        return sent
+
+    def returns(self, returns: Returns) -> None:
+        """What the last ping met."""
+        points = np.frombuffer(returns.points, "<f4").reshape(-1, 3)
+        if len(points) == 0 or returns.sonar_position_m is None:
+            self._nodes.remove("/returns/last")
+            return
+        x, y, z, w = returns.sonar_orientation_xyzw or (0.0, 0.0, 0.0, 1.0)
+        self._nodes.put(
+            "/returns/last",
+            self._dots(RETURNS, 0.09),
+            points=points,
+            wxyz=(w, x, y, z),
+            position=returns.sonar_position_m,
+        )
+
+    def robots(self, robots: Robots) -> None:
+        """Other robots, the newest of them."""
+        newest = sorted(robots.seen)[-MAX_ROBOTS:]
+        last_ns = newest[-1][0] if newest else 0
+        shown = set()
+        for number, (stamp_ns, x, y, z) in enumerate(newest):
+            name = f"/robots/{number}"
+            shown |= {name, f"{name}_label"}
+            self._nodes.put(
+                name,
+                partial(self._scene.add_icosphere, radius=0.2, color=ROBOT, cast_shadow=False),
+                position=(x, y, z),
+            )
+            age_s = (last_ns - stamp_ns) / 1e9
+            self._nodes.put(
+                f"{name}_label",
+                partial(self._scene.add_label, anchor="bottom-center"),
+                text=f"robot {age_s:.0f} s before" if age_s else "robot",
+                position=(x, y, z + 0.35),
+            )
+        for name in self._robots - shown:
+            self._nodes.remove(name)
+        self._robots = shown
+
+    def localization(self, told: Localization, z_m: float) -> None:
+        """Particles, the last scan, and the ellipse of two standard deviations, at a height."""
+        particles = np.frombuffer(told.particles, "<f4").reshape(-1, 4)[:MAX_PARTICLES]
+        flat = np.column_stack([particles[:, :2], np.full(len(particles), z_m, np.float32)])
+        self._cloud("/localization/particles", flat, self._dots(PARTICLES, 0.05))
+        scan = np.frombuffer(told.scan, "<f4").reshape(-1, 3)
+        self._cloud("/localization/scan", scan, self._dots(SCAN, 0.1))
+        pose: Any = told.report.get("pose")
+        if isinstance(pose, dict) and pose.get("covariance"):
+            at = (float(pose["x_m"]), float(pose["y_m"]), z_m)
+            self._ellipse("/localization/best", np.array(pose["covariance"])[:2, :2], at)
+        else:
+            self._nodes.remove("/localization/best")
+
+    def forget(self) -> None:
+        """Nothing of it is so any more."""
+        self._vehicle.visible = self._sonar.visible = False
+        self._nodes.clear()
+        self._robots = set()
+        self._path_told = self._pieces = 0
+
+    def show(self, name: str, *, shown: bool) -> None:
+        """Show or hide one kind: one of `LAYERS`, or `sonar/fan`."""
+        node = self._scene.get_handle_by_name(f"/{name}")
+        if node is not None:
+            node.visible = shown
+
+    def _lines(self, colour: tuple[int, int, int], thickness: float) -> "Callable[..., object]":
+        return partial(
+            self._scene.add_line_segments,
+            colors=colour,
+            thickness=thickness,
+            thickness_units="screen",
+        )
+
+    def _dots(self, colour: tuple[int, int, int], size_m: float) -> "Callable[..., object]":
+        return partial(
+            self._scene.add_point_cloud,
+            colors=colour,
+            point_size=size_m,
+            point_shape="circle",
+            point_shading="flat",
+            precision="float32",
+        )
+
+    def _cloud(self, name: str, points: NDArray[np.float32], make: "Callable[..., object]") -> None:
+        if len(points):
+            self._nodes.put(name, make, points=points)
+        else:
+            self._nodes.remove(name)
+
+    def _ellipse(self, name: str, plane: ArrayLike, at_m: tuple[float, float, float]) -> None:
+        lines = ellipse(plane, SIGMAS)
+        self._nodes.put(name, self._lines(ELLIPSE, 3.0), points=lines, position=at_m)
+
+    def _forget_path(self) -> None:
+        for piece in range(self._pieces):
+            self._nodes.remove(f"/path/{piece}")
+        self._path_told = self._pieces = 0

@@ -1,0 +1,239 @@
+"""How the link and the daemon are, as a person at the controls reads it."""
+
+import html
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from mapperd.client.changes import LinkStatus
+from mapperd.viewer.colours import Legend
+
+__all__ = ["Health", "banner_html", "health_html", "legend_html", "text_of"]
+
+WINDOW_S = 3.0
+"""Over which rates are measured."""
+
+OLD_POSE_S = 2.0
+OLD_MAP_S = 5.0
+
+GREEN, AMBER, RED = "#22c55e", "#f59e0b", "#ef4444"
+
+
+class Rate:
+    """How fast a count grows, over the last seconds."""
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[float, float]] = deque()
+
+    def add(self, now_s: float, count: float) -> None:
+        """The count now; one that falls begins anew."""
+        if self._seen and count < self._seen[-1][1]:
+            self._seen.clear()
+        self._seen.append((now_s, count))
+        while len(self._seen) > 2 and self._seen[1][0] <= now_s - WINDOW_S:  # noqa: PLR2004 two make a rate
+            self._seen.popleft()
+
+    @property
+    def per_s(self) -> float | None:
+        """None until there is one."""
+        if len(self._seen) < 2:  # noqa: PLR2004
+            return None
+        (first_s, first), (last_s, last) = self._seen[0], self._seen[-1]
+        return (last - first) / (last_s - first_s) if last_s > first_s else None
+
+
+@dataclass(slots=True)
+class Health:
+    """What is shown of the link; times are monotonic seconds of this computer.
+
+    The daemon's clock is compared with ours by the stamps of its heartbeats: the one that came with
+    the least delay says how far they are apart.
+
+    Attributes:
+        link: to the daemon; None before there is one.
+        lost_s: since when there is none, over all attempts at one; None while there is one.
+        pings, blocks, kilobytes: rates.
+        left: blocks that are still to come.
+        dropped: that the daemon counts: reasons and numbers.
+        skipped: messages that were too much for this link.
+        round_trip_s: of this link.
+        pose_ns, map_ns: Unix stamps of the newest, the daemon's clock.
+        phase: of the daemon, one word.
+        page_bytes, page_nodes, page_cells, page_waiting: what browsers have of the map.
+    """
+
+    link: LinkStatus | None = None
+    lost_s: float | None = None
+    pings: Rate = field(default_factory=Rate)
+    blocks: Rate = field(default_factory=Rate)
+    kilobytes: Rate = field(default_factory=Rate)
+    left: int = 0
+    dropped: dict[str, int] = field(default_factory=dict)
+    skipped: int = 0
+    round_trip_s: float | None = None
+    pose_ns: int | None = None
+    map_ns: int | None = None
+    phase: str = ""
+    page_bytes: int = 0
+    page_nodes: int = 0
+    page_cells: int = 0
+    page_waiting: int = 0
+    ahead_ns: int | None = None
+
+    @property
+    def connected(self) -> bool:
+        """The daemon talks to us."""
+        return self.link is not None and self.link.state == "connected"
+
+    def take_link(self, link: LinkStatus) -> None:
+        """How the link is now; each attempt at one begins a state of its own."""
+        again = self.link is not None and link.connects != self.link.connects
+        if link.state == "connected":
+            self.lost_s = None
+        elif self.lost_s is None or again:
+            self.lost_s = link.since_s
+        self.link = link
+
+    def heartbeat(self, stamp_ns: int, unix_ns: int) -> None:
+        """A message of the daemon of a moment came now, by our clock."""
+        ahead = stamp_ns - unix_ns
+        self.ahead_ns = ahead if self.ahead_ns is None else max(self.ahead_ns, ahead)
+
+    def reconnected(self) -> None:
+        """Clocks may be others than before."""
+        self.ahead_ns = None
+
+    def age_s(self, stamp_ns: int | None, unix_ns: int) -> float | None:
+        """How old something of the daemon is now."""
+        if stamp_ns is None:
+            return None
+        return max(0.0, (unix_ns + (self.ahead_ns or 0) - stamp_ns) / 1e9)
+
+    def take_status(self, status: Mapping[str, Any], link: Mapping[str, Any], now_s: float) -> None:
+        """The daemon's status, and what it says of this link: docs/control.md."""
+        pings = status.get("pings")
+        if isinstance(pings, Mapping):
+            numbers = {str(k): int(v) for k, v in pings.items() if isinstance(v, int | float)}
+            self.pings.add(now_s, numbers.get("mapped", 0))
+            told = pings.get("dropped")
+            self.dropped = _counts(told) if isinstance(told, Mapping) else {}
+        self.phase = str(status.get("phase", self.phase))
+        trip = link.get("round_trip_s")
+        self.round_trip_s = float(trip) if isinstance(trip, int | float) else None
+        left = link.get("left")
+        self.left = int(left) if isinstance(left, int | float) else self.left
+        skipped = link.get("skipped")
+        self.skipped = sum(_counts(skipped).values()) if isinstance(skipped, Mapping) else 0
+
+
+def health_html(health: Health, now_s: float, unix_ns: int) -> str:
+    """The panel that is always seen."""
+    state, colour, reason = _state(health, now_s)
+    rows = [
+        ("pings", _per_s(health.pings.per_s, 1), "blocks", _per_s(health.blocks.per_s, 0)),
+        ("data", text_of(health.kilobytes.per_s, "kB/s", 1), "left", f"{health.left}"),
+        (
+            "pose age",
+            _aged(health.age_s(health.pose_ns, unix_ns), OLD_POSE_S),
+            "map age",
+            _aged(health.age_s(health.map_ns, unix_ns), OLD_MAP_S),
+        ),
+        (
+            "round trip",
+            text_of(None if health.round_trip_s is None else health.round_trip_s * 1e3, "ms", 0),
+            "skipped",
+            f"{health.skipped}",
+        ),
+        ("cells", f"{health.page_cells:,}", "dropped", f"{sum(health.dropped.values())}"),
+    ]
+    cells = "".join(
+        f"<tr><td {_LABEL}>{a}</td><td {_VALUE}>{b}</td>"
+        f"<td {_LABEL}>{c}</td><td {_VALUE}>{d}</td></tr>"
+        for a, b, c, d in rows
+    )
+    drops = ", ".join(f"{html.escape(k)} {v}" for k, v in sorted(health.dropped.items()) if v)
+    waiting = f"drawing, {health.page_waiting} parts to go" if health.page_waiting else ""
+    notes = "".join(f'<div style="opacity:.7">{n}</div>' for n in (reason, drops, waiting) if n)
+    return (
+        f'<div style="font-size:13px;line-height:1.45;padding:0 10px">'
+        f'<div style="font-weight:700;font-size:16px;color:{colour}">&#9679; {state}</div>'
+        f'{notes}<table style="width:100%;border-collapse:collapse;margin-top:4px">{cells}</table>'
+        f"</div>"
+    )
+
+
+def banner_html(health: Health, now_s: float) -> str:
+    """Big letters over everything while there is no link; else nothing."""
+    if health.connected:
+        return ""
+    state, _, reason = _state(health, now_s)
+    was = "the map is as it was; connecting again by itself"
+    rest = was if health.link is not None and health.link.connects else "connecting by itself"
+    return (
+        '<div data-banner style="position:fixed;top:34%;left:0;right:0;text-align:center;'
+        'pointer-events:none;z-index:100"><span style="display:inline-block;'
+        "background:rgba(127,29,29,.92);color:#fff;padding:18px 36px;border-radius:10px;"
+        'box-shadow:0 6px 30px rgba(0,0,0,.5)"><span style="font-size:40px;font-weight:800;'
+        f'letter-spacing:1px">{state}</span><br><span style="font-size:16px">{reason}<br>'
+        f"{rest}</span></span></div>"
+    )
+
+
+def legend_html(legend: Legend) -> str:
+    """A colour bar with numbers."""
+    ticks = "".join(f"<span>{html.escape(tick)}</span>" for tick in legend.ticks)
+    return (
+        '<div style="font-size:13px;padding:6px 10px 10px"><div style="margin-bottom:3px">'
+        f"{html.escape(legend.title)}</div>"
+        f'<div style="height:14px;border-radius:3px;background:linear-gradient(to right,'
+        f'{",".join(legend.colours)})"></div><div style="display:flex;justify-content:'
+        f'space-between;font-variant-numeric:tabular-nums">{ticks}</div></div>'
+    )
+
+
+def text_of(value: float | None, unit: str, digits: int) -> str:
+    """A number with its unit; a dash for None."""
+    return "&ndash;" if value is None else f"{value:.{digits}f} {unit}"
+
+
+_LABEL = 'style="opacity:.65;padding-right:6px;white-space:nowrap"'
+_VALUE = (
+    'style="text-align:right;padding-right:10px;white-space:nowrap;'
+    'font-variant-numeric:tabular-nums"'
+)
+
+
+def _state(health: Health, now_s: float) -> tuple[str, str, str]:
+    link = health.link
+    if link is None:
+        return "NOT CONNECTED", AMBER, ""
+    address = html.escape(link.address)
+    if link.state == "connected":
+        phase = f" &middot; {html.escape(health.phase)}" if health.phase else ""
+        return "CONNECTED", GREEN, f"{address}{phase}"
+    lost_s = link.since_s if health.lost_s is None else health.lost_s
+    since = _duration(max(0.0, now_s - lost_s))
+    reason = f"{address}: {html.escape(link.reason)}" if link.reason else address
+    first = "NO LINK" if link.connects == 0 else "LINK LOST"
+    return f"{first} {since}", RED, reason
+
+
+def _per_s(rate: float | None, digits: int) -> str:
+    return text_of(rate, "/s", digits)
+
+
+def _aged(age_s: float | None, limit_s: float) -> str:
+    text = text_of(age_s, "s", 1)
+    if age_s is None or age_s <= limit_s:
+        return text
+    return f'<span style="color:{AMBER};font-weight:700">{text}</span>'
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(int(seconds), 60)
+    return f"{minutes}:{rest:02d}" if minutes else f"{rest} s"
+
+
+def _counts(told: Mapping[str, Any]) -> dict[str, int]:
+    return {str(k): int(v) for k, v in told.items() if isinstance(v, int | float)}

@@ -1,0 +1,223 @@
+"""What a person can set on the page, and what the page says."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mapperd.viewer.actors import LAYERS
+from mapperd.viewer.chunks import Filter
+from mapperd.viewer.colours import MODES, Mode, Scale, legend_of
+from mapperd.viewer.health import Health, banner_html, health_html, legend_html
+from mapperd.viewer.map_layer import Look, Shape
+
+if TYPE_CHECKING:
+    from viser import GuiTabGroupHandle, GuiTabHandle, ViserServer
+
+__all__ = ["Panel", "Span"]
+
+SHAPES: tuple[Shape, ...] = ("auto", "cubes", "points")
+STEP_M = 0.5
+RANGES = {"probability": (0.5, 1.0), "age": (1.0, 1000.0), "count": (1.0, 128.0)}
+
+Post = Callable[[Callable[[], object]], None]
+
+
+@dataclass(slots=True)
+class Span:
+    """How low and how high the map reaches, in whole steps; it only grows.
+
+    Attributes:
+        low_m, high_m: None before there is a map.
+    """
+
+    low_m: float | None = None
+    high_m: float | None = None
+
+    def take(self, low_m: float, high_m: float) -> bool:
+        """Heights that there are; returns whether the span is another one now."""
+        low = float(np.floor(low_m / STEP_M) * STEP_M)
+        high = float(np.ceil(high_m / STEP_M) * STEP_M)
+        new = (
+            low if self.low_m is None else min(low, self.low_m),
+            high if self.high_m is None else max(high, self.high_m),
+        )
+        changed = new != (self.low_m, self.high_m)
+        self.low_m, self.high_m = new
+        return changed
+
+    @property
+    def ends_m(self) -> tuple[float, float]:
+        """Low and high; ten metres of water before there is a map."""
+        low = -10.0 if self.low_m is None else self.low_m
+        return low, 0.0 if self.high_m is None else self.high_m
+
+
+@dataclass(slots=True)
+class _Handles:
+    """Controls of viser."""
+
+    health: Any = None
+    banner: Any = None
+    legend: Any = None
+    colour: Any = None
+    shape: Any = None
+    threshold: Any = None
+    clip: Any = None
+    shading: Any = None
+    last: dict[str, str] = field(default_factory=dict)
+
+
+class Panel:
+    """The windows of the page.
+
+    Args:
+        server: of the page.
+        post: has something done in the thread that draws.
+        changed: the map is to look otherwise.
+        show: one kind of things is shown, or not.
+    """
+
+    def __init__(
+        self,
+        server: "ViserServer",
+        post: Post,
+        changed: Callable[[], object],
+        show: Callable[[str, bool], object],
+    ) -> None:
+        self._server = server
+        self._post = post
+        self._changed = changed
+        self._handles = _Handles()
+        self._span = Span()
+        self._threshold: float | None = None
+        self._status = server.gui.add_panel()
+        with self._status.add_tab("link"):
+            self._handles.banner = server.gui.add_html("")
+            self._handles.health = server.gui.add_html("")
+            self._handles.legend = server.gui.add_html("")
+        self._status.float(x=15, y=-95, width=330)  # above the axes; notes come on top
+        server.gui.main_panel.float(x=-15, y=15, width=330)
+        self.tabs: GuiTabGroupHandle = server.gui.add_tab_group()
+        self.view_tab: GuiTabHandle = self.tabs.add_tab("View")
+        with self.view_tab:
+            self._add_map()
+            self._add_layers(show)
+
+    @property
+    def look(self) -> Look:
+        """How the map is to be drawn."""
+        handles = self._handles
+        mode: Mode = handles.colour.value
+        low, high = self._range(mode)
+        clip = (float(handles.clip.value[0]), float(handles.clip.value[1]))
+        whole = (handles.clip.min, handles.clip.max)
+        chosen = Filter(
+            self._threshold,
+            -np.inf if clip[0] <= whole[0] else clip[0],
+            np.inf if clip[1] >= whole[1] else clip[1],
+        )
+        return Look(chosen, Scale(mode, low, high), handles.shape.value, handles.shading.value)
+
+    def heights(self, low_m: float, high_m: float) -> None:
+        """The map reaches so far down and up."""
+        if not self._span.take(low_m, high_m):
+            return
+        low, high = self._span.ends_m
+        clip = self._handles.clip
+        was = (clip.min, clip.max)
+        chosen = clip.value
+        new = (
+            low if chosen[0] <= was[0] else max(chosen[0], low),
+            high if chosen[1] >= was[1] else min(chosen[1], high),
+        )
+        clip.min, clip.max = low, max(high, low + STEP_M)
+        clip.value = new
+        self._say_legend()
+        self._changed()
+
+    def new_map(self, occupied_probability: float) -> None:
+        """Another map: its threshold, and nothing of its heights."""
+        self._span = Span()
+        if self._threshold is None:
+            self._handles.threshold.value = round(occupied_probability, 2)
+
+    def say(self, health: Health, now_s: float, unix_ns: int) -> None:
+        """How the link is now."""
+        if health.connected is False and self._handles.last.get("up") != "no":
+            self._status.expand()  # it was perhaps put away
+        self._handles.last["up"] = "yes" if health.connected else "no"
+        self._write("health", health_html(health, now_s, unix_ns))
+        self._write("banner", banner_html(health, now_s))
+
+    def _add_map(self) -> None:
+        gui, handles = self._server.gui, self._handles
+        handles.colour = gui.add_dropdown("Colour", MODES, initial_value="height")
+        handles.shape = gui.add_dropdown(
+            "Draw as", SHAPES, hint="auto: cubes while there are few cells, else points"
+        )
+        handles.threshold = gui.add_slider(
+            "Probability",
+            min=0.5,
+            max=0.99,
+            step=0.01,
+            initial_value=0.7,
+            hint="Cells below it are not drawn; at first the daemon's threshold",
+        )
+        handles.clip = gui.add_multi_slider(
+            "Height (m)",
+            min=-10.0,
+            max=0.0,
+            step=0.1,
+            initial_value=(-10.0, 0.0),
+            hint="Only cells between these heights; depth is negative",
+        )
+        handles.shading = gui.add_checkbox("Shade points", initial_value=True)
+        for handle in (handles.shape, handles.shading, handles.clip):
+            handle.on_update(self._posting(self._changed))
+        handles.colour.on_update(self._posting(self._new_colour))
+        handles.threshold.on_update(self._by_hand)
+        self._say_legend()
+
+    def _add_layers(self, show: Callable[[str, bool], object]) -> None:
+        def layer(label: str, name: str) -> None:
+            box = self._server.gui.add_checkbox(label, initial_value=True)
+            box.on_update(lambda _: self._post(lambda: show(name, box.value)))
+
+        with self._server.gui.add_folder("Layers", expand_by_default=False):
+            layer("fan", "sonar/fan")
+            for name in LAYERS:
+                layer(name, name)
+
+    def _by_hand(self, event: Any) -> None:  # noqa: ANN401 of viser
+        if event.client is None:  # we moved it ourselves
+            return
+        value = float(event.target.value)
+
+        def take() -> None:
+            self._threshold = value
+            self._changed()
+
+        self._post(take)
+
+    def _posting(self, do: Callable[[], object]) -> Callable[[Any], None]:
+        return lambda event: self._post(do) if event.client is not None else None
+
+    def _new_colour(self) -> None:
+        self._say_legend()
+        self._changed()
+
+    def _range(self, mode: Mode) -> tuple[float, float]:
+        if mode != "height":
+            return RANGES[mode]
+        return self._span.ends_m
+
+    def _say_legend(self) -> None:
+        mode: Mode = self._handles.colour.value
+        self._write("legend", legend_html(legend_of(Scale(mode, *self._range(mode)))))
+
+    def _write(self, name: str, text: str) -> None:
+        if self._handles.last.get(name) != text:
+            self._handles.last[name] = text
+            getattr(self._handles, name).content = text

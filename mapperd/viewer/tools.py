@@ -1,0 +1,228 @@
+"""Tools of each browser: camera, measuring, pictures."""
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mapperd.export.png import png_bytes
+from mapperd.viewer.camera import VIEWS, CameraMode
+from mapperd.viewer.chunks import Drawn
+
+if TYPE_CHECKING:
+    from viser import ClientHandle, GuiTabHandle
+
+__all__ = ["Measuring", "Tools", "distance_text", "pick"]
+
+
+def pick(
+    drawn: Iterable[Drawn], origin_m: ArrayLike, towards: ArrayLike
+) -> NDArray[np.float64] | None:
+    """The centre of the first cell that a ray meets, (3,) map frame; None where it meets none.
+
+    Args:
+        drawn: the cells.
+        origin_m: (3,) where the ray begins, map frame.
+        towards: (3,) its direction, of any length.
+    """
+    origin = np.asarray(origin_m, np.float64)
+    direction = np.asarray(towards, np.float64)
+    direction = direction / np.linalg.norm(direction)
+    best_m, found = np.inf, None
+    for part in drawn:
+        if len(part) == 0:
+            continue
+        low = part.origin_m + part.local.min(axis=0) * part.cell_m
+        high = part.origin_m + (part.local.max(axis=0) + 1.0) * part.cell_m
+        if not _entry_m(low[None], high[None], origin, direction)[0] < best_m:
+            continue
+        corners = part.origin_m + part.local * part.cell_m
+        at_m = _entry_m(corners, corners + part.cell_m, origin, direction)
+        first = int(np.argmin(at_m))
+        if at_m[first] < best_m:
+            best_m, found = at_m[first], corners[first] + part.cell_m / 2
+    return found
+
+
+def _entry_m(
+    low_m: NDArray[np.float64],
+    high_m: NDArray[np.float64],
+    origin: NDArray[np.float64],
+    direction: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """How far along a ray it enters boxes (N, 3), (N,); infinite where it misses them."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        one = (low_m - origin) / direction
+        other = (high_m - origin) / direction
+    parallel = np.isnan(one) | np.isnan(other)  # along a face: inside this pair of planes
+    near = np.where(parallel, -np.inf, np.minimum(one, other)).max(axis=1)
+    far = np.where(parallel, np.inf, np.maximum(one, other)).min(axis=1)
+    return np.where((near <= far) & (far >= 0), np.maximum(near, 0.0), np.inf)
+
+
+def distance_text(first_m: ArrayLike, second_m: ArrayLike) -> str:
+    """Distance of two points of the map, and its parts along the axes."""
+    dx, dy, dz = (float(one) for one in np.subtract(second_m, first_m))
+    total = float(np.linalg.norm((dx, dy, dz)))
+    return f"{total:.2f} m   dx {dx:+.2f}  dy {dy:+.2f}  dz {dz:+.2f}"
+
+
+@dataclass(slots=True)
+class Measuring:
+    """Two points that somebody picks, one after the other; a third begins anew."""
+
+    points_m: list[NDArray[np.float64]] = field(default_factory=list)
+
+    def add(self, point_m: NDArray[np.float64]) -> str:
+        """Take a point; returns what is to be said."""
+        if len(self.points_m) == 2:  # noqa: PLR2004 a distance has two ends
+            self.points_m.clear()
+        self.points_m.append(point_m)
+        if len(self.points_m) == 1:
+            x, y, z = point_m
+            return f"({x:.2f}, {y:.2f}, {z:.2f}) m; pick the other point"
+        return distance_text(*self.points_m)
+
+
+PICTURE_S = 20.0
+MARK = (250, 250, 250)
+
+
+@dataclass(slots=True)
+class _Browser:
+    """What one browser has.
+
+    Attributes:
+        client: it.
+        mode: control of its camera.
+        said: text of what it measured.
+        measuring: the points that it picked.
+        marks: nodes of those.
+    """
+
+    client: "ClientHandle"
+    mode: Any
+    said: Any
+    measuring: Measuring = field(default_factory=Measuring)
+    marks: list[Any] = field(default_factory=list)
+
+
+class Tools:
+    """Tools of all browsers; of the thread that draws.
+
+    Args:
+        tab: where they stand.
+        post: has something done in that thread.
+        camera: somebody chose another camera.
+        pick: the point of the map that a ray meets first, from its origin and direction.
+    """
+
+    def __init__(
+        self,
+        tab: "GuiTabHandle",
+        post: Callable[[Callable[[], object]], None],
+        camera: Callable[["ClientHandle", CameraMode], object],
+        pick: Callable[[Any, Any], Any],
+    ) -> None:
+        self._tab = tab
+        self._post = post
+        self._camera = camera
+        self._pick = pick
+        self._browsers: dict[int, _Browser] = {}
+
+    def add(self, client: "ClientHandle", mode: CameraMode) -> None:
+        """A browser came; its camera is this one."""
+        gui = client.gui
+        with self._tab:
+            chosen = gui.add_button_group(
+                "Camera", VIEWS, hint="follow and top move with the vehicle"
+            )
+            measure = gui.add_checkbox(
+                "Measure", initial_value=False, hint="Click two points of the map"
+            )
+            said = gui.add_markdown("", visible=False)
+            picture = gui.add_button("Screenshot", hint="The map as a PNG")
+        browser = self._browsers[client.client_id] = _Browser(client, chosen, said)
+        chosen.on_click(
+            lambda _: self._post(lambda: self._choose(browser, cast("CameraMode", chosen.value)))
+        )
+        measure.on_update(
+            lambda event: self._post(lambda: self._measure(browser, event.target.value))
+        )
+        picture.on_click(lambda _: self._take_picture(client))
+        self._choose(browser, mode)
+
+    def forget(self, client_id: int) -> None:
+        """A browser went."""
+        self._browsers.pop(client_id, None)
+
+    def _choose(self, browser: _Browser, mode: CameraMode) -> None:
+        browser.mode.label = f"Camera: {mode}"  # its buttons all look the same
+        self._camera(browser.client, mode)
+
+    def _measure(self, browser: _Browser, on: bool) -> None:  # noqa: FBT001 of a checkbox
+        scene = browser.client.scene
+        browser.measuring = Measuring()
+        self._unmark(browser)
+        browser.said.visible = on
+        browser.said.content = "Click a point of the map." if on else ""
+        scene.remove_click_callback("all")
+        if on:
+            scene.on_click()(
+                lambda event: self._post(
+                    lambda: self._clicked(browser, event.ray_origin, event.ray_direction)
+                )
+            )
+
+    def _clicked(self, browser: _Browser, origin_m: Any, towards: Any) -> None:  # noqa: ANN401 vectors
+        point_m = self._pick(origin_m, towards)
+        if point_m is None:
+            browser.said.content = "There is nothing of the map."
+            return
+        text = browser.measuring.add(point_m)
+        browser.said.content = f"**{text}**"
+        points = browser.measuring.points_m
+        scene = browser.client.scene
+        if len(points) == 1:
+            self._unmark(browser)
+        size_m = max(0.05, 0.008 * float(np.linalg.norm(point_m - browser.client.camera.position)))
+        browser.marks.append(
+            scene.add_icosphere(
+                f"/measure/{len(points)}", radius=size_m, color=MARK, position=point_m
+            )
+        )
+        if len(points) == 2:  # noqa: PLR2004 both ends
+            line = np.array([points], np.float32)
+            browser.marks += [
+                scene.add_line_segments(
+                    "/measure/line", line, MARK, thickness=3.0, thickness_units="screen"
+                ),
+                scene.add_label(
+                    "/measure/text",
+                    f"{np.linalg.norm(points[1] - points[0]):.2f} m",
+                    position=np.mean(points, axis=0),
+                    font_screen_scale=1.3,
+                    anchor="bottom-center",
+                ),
+            ]
+
+    def _unmark(self, browser: _Browser) -> None:
+        for mark in browser.marks:
+            mark.remove()
+        browser.marks.clear()
+
+    def _take_picture(self, client: "ClientHandle") -> None:
+        """Of a thread of viser: the browser draws it, and gets it back to keep."""
+        camera = client.camera
+        try:
+            image = client.get_render(
+                camera.image_height, camera.image_width, transport_format="png", timeout=PICTURE_S
+            )
+        except (RuntimeError, TimeoutError) as error:
+            client.add_notification("No picture", str(error), color="red")
+            return
+        name = time.strftime("map-%Y%m%d-%H%M%S.png")
+        client.send_file_download(name, png_bytes(image[..., :3]), save_immediately=True)

@@ -1,0 +1,1 @@
+"""What the map stream and the control socket carry, for servers and clients."""

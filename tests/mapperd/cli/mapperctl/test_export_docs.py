@@ -1,0 +1,46 @@
+"""docs/export.md and docs/ros2.md say what there is."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from mapperd.cli.mapperctl.arguments import parser
+from mapperd.cli.mapperctl.export import MCAP
+from mapperd.config.tree import Config
+from mapperd.export.formats import FORMATS
+from mapperd.export.rosbag import GRID_TOPIC
+
+ROOT = Path(__file__).resolve().parents[4]
+EXPORT, ROS = ((ROOT / "docs" / name).read_text("utf-8") for name in ("export.md", "ros2.md"))
+
+
+def test_table_and_formats_are_the_same() -> None:
+    rows = re.findall(r"^\| `(\.\w+)` \| [^|]* \| (?:`(\w+)` )?\| [^|]*\|$", EXPORT, re.MULTILINE)
+    assert [suffix for suffix, _ in rows] == [*FORMATS, MCAP]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    assert {extra for _, extra in rows if extra} == {"las", "geo", "foxglove"}
+    assert {"las", "geo", "foxglove", "ros"} <= project["optional-dependencies"].keys()
+
+
+def test_every_topic_is_told() -> None:
+    topics = Config().topics
+    told = re.findall(r"^\| `(/\S+)` \|", ROS, re.MULTILINE)
+    expected = [topics.sonar, topics.odometry, "/tf", "/tf_static", topics.pointcloud, GRID_TOPIC]
+    assert told == expected
+
+
+@pytest.mark.parametrize("page", [EXPORT, ROS], ids=["export", "ros2"])
+def test_every_command_of_a_page_is_one(page: str) -> None:
+    lines = re.findall(r"^mapperctl (.*?)(?: +#.*)?$", page, re.MULTILINE)
+    assert len(lines) > 3
+    for line in lines:
+        parser().parse_args(line.split())
+
+
+def test_every_option_of_an_export_is_told() -> None:
+    said = vars(parser().parse_args(["export", "a.ply"]))
+    others = {"command", "file", "json", "socket", "address", "token_file", "tls_ca", "config"}
+    for name in said.keys() - others:
+        assert f"--{name.replace('_', '-')}" in EXPORT, name

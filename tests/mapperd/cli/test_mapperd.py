@@ -1,0 +1,296 @@
+import json
+import os
+import random
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mapperd.cli.mapperd import Exit, main
+
+Write = Callable[..., list[int]]
+Survey = Callable[..., list[Any]]
+
+KEYS = {
+    "pings_total",
+    "pings_mapped",
+    "pings_dropped",
+    "bytes_rejected",
+    "voxels_occupied",
+    "voxels_free",
+    "voxel_resolution_m",
+    "ms_per_ping",
+    "wall_s",
+    "map_sha256",
+    "integrator",
+    "config",
+    "version",
+    "poses",
+    "recording",
+}
+STILL = "--pose=0,0,0,0,0,0"
+
+
+@pytest.fixture
+def recording(tmp_path: Path, write_recording: Write, survey: Survey) -> Path:
+    path = tmp_path / "capture.bin"
+    write_recording(path, survey(5))
+    return path
+
+
+def summary_in(folder: Path) -> dict[str, Any]:
+    summary: dict[str, Any] = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    dropped = sum(summary["pings_dropped"].values())
+    assert summary["pings_total"] == summary["pings_mapped"] + dropped
+    return summary
+
+
+def test_recording_becomes_a_folder_of_results(
+    recording: Path, quick_config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "deep" / "out"
+    words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(out)]
+    assert main(words) == Exit.OK
+    assert {path.name for path in out.iterdir()} == {
+        "map.bt",
+        "map.ply",
+        "map.png",
+        "summary.json",
+    }
+    summary = summary_in(out)
+    assert set(summary) >= KEYS
+    assert summary["pings_mapped"] == 5
+    assert summary["voxels_occupied"] > 0
+    assert summary["voxel_resolution_m"] == 0.2
+    assert summary["integrator"] == "evidence_grid"
+    assert summary["poses"]["odometry_accepted"] == 6
+    assert (out / "map.bt").read_bytes().startswith(b"# Octomap OcTree binary file")
+    assert (
+        f"element vertex {summary['voxels_occupied']}\n".encode() in (out / "map.ply").read_bytes()
+    )
+    assert (out / "map.png").read_bytes().startswith(b"\x89PNG")
+    assert "mapped 5 of 5 pings" in capsys.readouterr().out
+
+
+def test_two_runs_give_one_fingerprint_and_integrators_two(
+    recording: Path, quick_config: Path, tmp_path: Path
+) -> None:
+    prints = []
+    for name, more in (("a", []), ("b", []), ("c", ["--integrator", "rays"])):
+        words = ["--replay", str(recording), "--config", str(quick_config)]
+        assert main([*words, "--out", str(tmp_path / name), *more]) == Exit.OK
+        summary = summary_in(tmp_path / name)
+        prints.append((summary["map_sha256"], summary["integrator"]))
+    assert prints[0] == prints[1]
+    assert prints[2][0] != prints[0][0]
+    assert prints[2][1] == "rays"
+
+
+@pytest.mark.usefixtures("no_picture")
+def test_settings_of_an_earlier_version_are_told_once(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "old.yaml"
+    config.write_text(
+        "octree: {voxel_resolution: 0.2}\n"
+        "mapping: {integrator: projective, error_bound: 0.1}\nbehind: {policy: drop_oldest}\n",
+        encoding="utf-8",
+    )
+    words = ["--replay", str(recording), "--config", str(config), "--out", str(tmp_path / "out")]
+    assert main(words) == Exit.OK
+    told = [line for line in capsys.readouterr().err.splitlines() if str(config) in line]
+    assert len(told) == 1
+    for name in ("mapping.error_bound", "mapping.integrator", "behind.policy"):
+        assert name in told[0]
+
+
+def test_window_is_taken_from_the_command_line(
+    recording: Path, quick_config: Path, tmp_path: Path
+) -> None:
+    words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(tmp_path)]
+    assert main([*words, "--start", "0.1", "--duration", "0.2"]) == Exit.OK
+    assert summary_in(tmp_path)["pings_total"] == 2
+
+
+def test_pose_on_the_command_line_overrules_odometry_and_says_so(
+    recording: Path, quick_config: Path, tmp_path: Path
+) -> None:
+    words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(tmp_path)]
+    assert main([*words, "--pose", "-1,2,3,0,0,0"]) == Exit.OK
+    assert summary_in(tmp_path)["poses"] == {"source": "fixed", "odometry_ignored": 6}
+
+
+def test_program_runs_as_a_module(recording: Path, quick_config: Path, tmp_path: Path) -> None:
+    words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(tmp_path)]
+    done = subprocess.run(  # noqa: S603 our own program
+        [sys.executable, "-m", "mapperd", *words],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "mapped 5 of 5" in done.stdout
+    assert "Traceback" not in done.stderr
+
+
+def test_missing_matplotlib_costs_the_picture_only(
+    recording: Path,
+    quick_config: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    out = tmp_path / "out"
+    words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(out)]
+    assert main(words) == Exit.OK
+    assert "mapperd[topside]" in capsys.readouterr().err
+    assert not (out / "map.png").exists()
+    assert (out / "map.ply").exists()
+
+
+def test_broken_matplotlib_costs_the_picture_only(
+    recording: Path, quick_config: Path, tmp_path: Path
+) -> None:
+    broken = tmp_path / "site" / "matplotlib"
+    broken.mkdir(parents=True)
+    (broken / "__init__.py").write_text("raise ImportError('numpy is too new')", encoding="utf-8")
+    out = tmp_path / "out"
+    words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(out)]
+    done = subprocess.run(  # noqa: S603 our own program
+        [sys.executable, "-m", "mapperd", *words],
+        env=os.environ | {"PYTHONPATH": str(broken.parent)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == Exit.OK, done.stderr
+    assert "mapperd[topside]" in done.stderr
+    assert {path.name for path in out.iterdir()} == {"map.bt", "map.ply", "summary.json"}
+
+
+def test_interrupt_writes_nothing_and_says_so(
+    recording: Path,
+    quick_config: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mapperd.pipeline.step.process_ping", interrupt)
+    out = tmp_path / "out"
+    words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(out)]
+    assert main(words) == 130
+    assert "nothing was written" in capsys.readouterr().err
+    assert list(out.iterdir()) == []
+
+
+class TestRealCapture:
+    """three_pings_8bit.raw: 256 beams, 2 m, no odometry in it."""
+
+    @pytest.fixture
+    def capture(self, shared_data: Path) -> bytes:
+        return (shared_data / "oculus" / "three_pings_8bit.raw").read_bytes()
+
+    def replay(self, data: bytes, folder: Path) -> dict[str, Any]:
+        path = folder / "raw"
+        path.write_bytes(data)
+        assert main(["--replay", str(path), "--out", str(folder / "out"), STILL]) == Exit.OK
+        return summary_in(folder / "out")
+
+    def test_all_three_pings_are_mapped(self, capture: bytes, tmp_path: Path) -> None:
+        summary = self.replay(capture, tmp_path)
+        assert (summary["pings_total"], summary["pings_mapped"]) == (3, 3)
+        assert summary["bytes_rejected"] == 0
+        assert summary["bytes_total"] == 546048
+        assert summary["voxels_occupied"] > 100
+
+    @pytest.mark.parametrize(
+        ("start", "pings", "rejected"),
+        [
+            (1, 2, 182015),
+            (634, 2, 181382),
+            (1000, 2, 181016),
+            (2048, 2, 179968),
+            (182015, 2, 1),
+            (182017, 1, 182015),
+        ],
+    )
+    def test_cut_beginning_costs_the_first_ping(
+        self, capture: bytes, tmp_path: Path, start: int, pings: int, rejected: int
+    ) -> None:
+        summary = self.replay(capture[start:], tmp_path)
+        assert (summary["pings_total"], summary["pings_mapped"]) == (pings, pings)
+        assert summary["bytes_rejected"] == rejected
+
+    def test_random_bytes_between_pings_cost_only_themselves(
+        self, capture: bytes, tmp_path: Path
+    ) -> None:
+        noise = random.Random(4).randbytes(777)  # noqa: S311 a test
+        summary = self.replay(capture[:182016] + noise + capture[182016:], tmp_path)
+        assert summary["pings_mapped"] == 3
+        assert summary["bytes_rejected"] == 777
+        assert summary["resyncs"] == 1
+
+    def test_random_bytes_inside_a_ping_cost_no_other_ping(
+        self, capture: bytes, tmp_path: Path
+    ) -> None:
+        noise = random.Random(5).randbytes(777)  # noqa: S311 a test
+        summary = self.replay(capture[:200_000] + noise + capture[200_000:], tmp_path)
+        assert summary["pings_mapped"] == 3
+        assert summary["bytes_rejected"] == 777
+
+    @pytest.mark.parametrize(
+        ("place", "rejected", "reason"),
+        [
+            (0, 182016, "bad_magic"),
+            (1, 182016, "bad_magic"),
+            (6, 0, "unknown_id"),  # a plausible message that nobody knows: stepped over
+            (7, 0, "unknown_id"),
+            (8, 0, None),  # version 255: stepped over, then no ping
+            (13, 182016, "oversize"),  # 4 GB
+        ],
+    )
+    def test_flipped_byte_of_a_header_costs_that_ping_only(
+        self, capture: bytes, tmp_path: Path, place: int, rejected: int, reason: str | None
+    ) -> None:
+        damaged = bytearray(capture)
+        damaged[182016 + place] ^= 0xFF
+        summary = self.replay(bytes(damaged), tmp_path)
+        assert summary["pings_mapped"] == 2
+        assert summary["bytes_rejected"] == rejected
+        assert summary["resyncs"] == (rejected > 0)
+        if reason is not None:
+            assert summary["messages_rejected"] == {reason: 1}
+
+    def test_without_a_pose_it_is_refused(
+        self, shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        capture = shared_data / "oculus" / "three_pings_8bit.raw"
+        assert main(["--replay", str(capture), "--out", str(tmp_path / "out")]) == Exit.USAGE
+        said = capsys.readouterr().err
+        assert "--pose" in said
+        assert said.count("\n") == 1
+        assert not (tmp_path / "out").exists()
+
+
+def test_the_journal_knows_an_error_from_a_remark(tmp_path: Path) -> None:
+    config = tmp_path / "bad.yaml"
+    config.write_text("nope: 1", encoding="utf-8")
+    said = tmp_path / "journal"
+    with said.open("wb") as stream:
+        facts = os.fstat(stream.fileno())
+        code = subprocess.call(  # noqa: S603
+            [sys.executable, "-m", "mapperd", "--config", str(config), "--out", str(tmp_path)],
+            env=os.environ | {"JOURNAL_STREAM": f"{facts.st_dev}:{facts.st_ino}"},
+            stderr=stream,
+        )
+    assert code == Exit.BAD_CONFIG
+    assert said.read_text(encoding="utf-8").startswith(f"<3>{config}: $.nope: ")

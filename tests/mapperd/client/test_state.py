@@ -1,0 +1,87 @@
+"""What a client says that it holds, and by which interest it reads what it is told."""
+
+import msgspec
+import numpy as np
+
+from mapperd.client.state import Knowledge
+from mapperd.wire.blocks import CELLS, BlockSet, encode_blocks
+from mapperd.wire.messages import Blocks, Box, Interest, Path, Reset, Welcome
+from tests.support.stream_server import FACTS
+
+WELCOME = Welcome(
+    version=1, server="", vehicle="", session="s", map=FACTS, revision=0, resumed=False
+)
+POINTS = np.ones((2, 3), "<f4").tobytes()
+
+
+def body(*, counts: bool = False) -> bytes:
+    cells = np.full((1, CELLS), 5, np.int8)
+    seen = np.ones((1, CELLS), np.uint8) if counts else None
+    return encode_blocks(BlockSet(np.zeros((1, 3), np.int32), np.zeros(1, np.uint32), cells, seen))
+
+
+def known(interest: Interest | None = None) -> Knowledge:
+    knowledge = Knowledge(interest or Interest(), lambda _: None)
+    knowledge.wants_map = True
+    knowledge.begin(WELCOME, None)
+    return knowledge
+
+
+def test_resume_says_both_what_is_complete_and_the_newest() -> None:
+    box = Box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+    knowledge = known(Interest(level=1, box=box))
+    assert knowledge.resume() is None
+    knowledge.take(Blocks(revision=7, stamp_ns=1, complete=6, body=body()))
+    knowledge.take(Blocks(revision=9, stamp_ns=1, left=5, body=body()))
+    knowledge.take(Path(first=0, points=POINTS, version=3))
+    resume = knowledge.resume()
+    assert resume is not None
+    assert (resume.revision, resume.newest) == (6, 9)
+    assert (resume.level, resume.detail, resume.box) == (1, "log_odds", box)
+    assert (resume.path, resume.path_version) == (2, 3)
+    knowledge.take(Reset(map=FACTS, revision=1))
+    assert knowledge.resume() is None
+    knowledge.take(Blocks(revision=1, stamp_ns=1, complete=1, body=body()))
+    resume = knowledge.resume()
+    assert resume is not None
+    assert resume.newest == 1
+
+
+def test_blocks_are_read_by_the_interest_of_the_last_reset() -> None:
+    first, second, third = (Interest(level=n, detail="counts") for n in range(3))
+    knowledge = known(first)
+    mirror = knowledge.mirror
+    assert mirror is not None
+    knowledge.interest = third  # changed twice; the daemon has heeded one yet
+    knowledge.take(Blocks(revision=1, stamp_ns=1, complete=1, body=body(counts=True)))
+    assert (mirror.interest, knowledge.is_complete) == (first, False)
+    knowledge.take(Reset(map=FACTS, revision=1, interest=second))
+    knowledge.take(Blocks(revision=1, stamp_ns=1, complete=1, body=body(counts=True)))
+    assert (mirror.interest, knowledge.is_complete) == (second, False)
+    assert knowledge.resume() is None
+    knowledge.take(Reset(map=FACTS, revision=1, interest=third))
+    knowledge.take(Blocks(revision=1, stamp_ns=1, complete=1, body=body(counts=True)))
+    assert (mirror.interest, knowledge.is_complete) == (third, True)
+
+
+def test_path_is_of_its_session() -> None:
+    knowledge = known()
+    knowledge.take(Blocks(revision=1, stamp_ns=1, complete=1, body=body()))
+    knowledge.take(Path(first=0, points=POINTS))
+    again = msgspec.structs.replace(WELCOME, resumed=True)
+    knowledge.begin(again, knowledge.resume())
+    assert len(knowledge.path) == 2
+    other = msgspec.structs.replace(again, session="another")
+    knowledge.begin(other, knowledge.resume())
+    assert len(knowledge.path) == 0
+    assert len(knowledge.mirror or ()) == 1
+
+
+def test_thresholds_and_origin_may_change_while_the_link_is_away() -> None:
+    knowledge = known()
+    knowledge.take(Blocks(revision=1, stamp_ns=1, complete=1, body=body()))
+    facts = msgspec.structs.replace(FACTS, origin_deg=(54.0, 10.0), occupied_log_odds=1.0)
+    knowledge.begin(msgspec.structs.replace(WELCOME, resumed=True, map=facts), knowledge.resume())
+    assert knowledge.mirror is not None
+    assert knowledge.mirror.facts == facts
+    assert len(knowledge.mirror) == 1

@@ -1,0 +1,150 @@
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+
+from mapperd.compat.parameters import (
+    CROSSTALK_PARAMS,
+    MAPPER_PARAMS,
+    ROBOT_DETECTION_PARAMS,
+    WORLD_INIT_PARAMS,
+    ParameterDef,
+    ParameterManager,
+    ParameterNode,
+    SetParametersResult,
+)
+from mapperd.config.catalog import parameters
+from mapperd.config.layers import Layered
+from mapperd.config.live import Applied, ConfigStore, Refused
+from mapperd.config.tree import Config
+from mapperd.errors import ConfigError
+
+MIN_RANGE, THRESHOLD = "filtering.min_range", "filtering.intensity_threshold"
+FILTERING = [one for one in MAPPER_PARAMS if one.name.startswith("filtering.")]
+
+
+class Mapper:
+    """Takes what the handlers of `filtering` give it; no threshold above 100."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[str, float]] = []
+
+    def update_min_range(self, value: float) -> None:
+        self.told.append(("min_range", value))
+
+    def update_intensity(self, value: float) -> None:
+        if value > 100:
+            raise ValueError("too high for me")
+        self.told.append(("intensity", value))
+
+
+def following() -> tuple[ParameterNode, ConfigStore, Mapper]:
+    store, mapper = ConfigStore(Layered()), Mapper()
+    node = ParameterNode(store)
+    ParameterManager.declare_all(node, MAPPER_PARAMS)
+    callback = ParameterManager.create_callback(node, FILTERING, mapper)
+    node.add_on_set_parameters_callback(callback)
+    return node, store, mapper
+
+
+def test_lists_hold_the_settings_as_they_are() -> None:
+    lists = (MAPPER_PARAMS, CROSSTALK_PARAMS, ROBOT_DETECTION_PARAMS, WORLD_INIT_PARAMS)
+    for one in (one for each in lists for one in each):
+        setting = parameters()[one.name]
+        assert (one.default, one.description) == (setting.default, setting.description)
+        assert one.read_only != setting.dynamic
+        assert bool(one.handler) != one.read_only
+    assert MAPPER_PARAMS[0].name == "sonar.horizontal_fov"
+    handlers = {one.name: one.handler for one in MAPPER_PARAMS}
+    assert handlers[THRESHOLD] == "update_intensity"
+    assert handlers["iwlo.sharpness"] == ""
+
+
+def test_declared_parameters_are_read_together() -> None:
+    node = ParameterNode(ConfigStore(Layered()))
+    ParameterManager.declare_all(node, MAPPER_PARAMS)
+    values = ParameterManager.get_all(node, MAPPER_PARAMS)
+    assert list(values) == [one.name for one in MAPPER_PARAMS]
+    assert values["octree.voxel_resolution"] == 0.05
+    with pytest.raises(ConfigError, match=r"crosstalk\.enabled: is not declared"):
+        ParameterManager.get_all(node, CROSSTALK_PARAMS)
+
+
+@pytest.mark.parametrize(
+    ("definition", "words"),
+    [
+        (ParameterDef("octree.size", 1, "", read_only=True, handler=""), "no such setting"),
+        (FILTERING[0], "is declared already"),
+        (
+            ParameterDef("iwlo.L_occ", 3.5, "", read_only=False, handler="x"),
+            "cannot change while running",
+        ),
+    ],
+)
+def test_what_cannot_be_declared_is_refused(definition: ParameterDef, words: str) -> None:
+    node = ParameterNode(ConfigStore(Layered()))
+    node.declare_parameter(FILTERING[0])
+    with pytest.raises(ConfigError, match=words):
+        node.declare_parameter(definition)
+
+
+def test_handlers_hear_of_changes_whoever_makes_them() -> None:
+    node, store, mapper = following()
+    assert node.set_parameters({MIN_RANGE: 1.0, THRESHOLD: 50}) == SetParametersResult(True)  # noqa: FBT003
+    assert isinstance(store.apply({THRESHOLD: 60}, "broker"), Applied)
+    assert mapper.told == [("min_range", 1.0), ("intensity", 50), ("intensity", 60)]
+    assert node.get_parameter(THRESHOLD) == 60
+
+
+def test_handler_that_refuses_undoes_all() -> None:
+    node, store, mapper = following()
+    result = node.set_parameters({MIN_RANGE: 1.0, THRESHOLD: 200})
+    assert not result.successful
+    assert "too high for me" in result.reason
+    assert mapper.told == [("min_range", 1.0), ("min_range", 0.5)]
+    assert store.current == Config()
+    assert node.set_parameters({MIN_RANGE: 1.0}).successful
+    assert mapper.told[-1] == ("min_range", 1.0)
+    assert not node.set_parameters({MIN_RANGE: 2.0, THRESHOLD: 200}).successful
+    assert mapper.told[-2:] == [("min_range", 2.0), ("min_range", 1.0)]
+
+
+def test_refusal_elsewhere_takes_the_handlers_back() -> None:
+    node, store, mapper = following()
+
+    def no(_: Config) -> None:
+        if store.current.filtering.min_range == 1:
+            raise ConfigError("no", "$.filtering.min_range")
+
+    store.follow(["filtering"], no)
+    assert isinstance(store.apply({MIN_RANGE: 1}, "x"), Refused)
+    assert mapper.told == [("min_range", 1.0), ("min_range", 0.5)]
+    assert node.get_parameter(MIN_RANGE) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"iwlo.sharpness": 1.0}, "iwlo.sharpness: is read-only"),
+        ({"crosstalk.enabled": True}, "crosstalk.enabled: is not declared"),
+        ({MIN_RANGE: -1}, "filtering.min_range: -1 is not allowed; allowed: a number >= 0"),
+        ({"processing.frame_skip": 2}, "nothing that runs follows this setting"),
+    ],
+)
+def test_other_changes_are_refused_with_their_reason(
+    changes: Mapping[str, Any], reason: str
+) -> None:
+    store = ConfigStore(Layered())
+    node = ParameterNode(store)
+    ParameterManager.declare_all(node, MAPPER_PARAMS)
+    result = node.set_parameters(changes)
+    assert not result.successful
+    assert reason in result.reason
+    assert store.current == Config()
+
+
+def test_mapper_without_a_handler_is_refused_at_once() -> None:
+    node = ParameterNode(ConfigStore(Layered()))
+    ParameterManager.declare_all(node, MAPPER_PARAMS)
+    with pytest.raises(ConfigError, match=r"min_range: the mapper has no update_min_range"):
+        ParameterManager.create_callback(node, FILTERING, object())

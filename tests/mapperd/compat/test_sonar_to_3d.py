@@ -1,0 +1,241 @@
+import itertools
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mapperd import SonarTo3DMapper
+from mapperd.config.tree import Sonar
+from mapperd.errors import ConfigError, ExportError, MapError
+from mapperd.geometry.frames import Pose
+from mapperd.imaging.ping_image import PingImage, ping_image_of_array, uniform_bearings
+from mapperd.mapping.queries import FREE, OCCUPIED
+from mapperd.mapping.sonar_map import SonarMap
+
+COARSE = {"voxel_resolution": 0.2, "sonar_orientation": [0, 0, 0], "horizontal_fov": 120}
+HOME = ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0])
+
+
+def wall() -> np.ndarray:
+    """A wall 3 m away: 50 rows of 10 cm, 65 beams."""
+    image = np.zeros((50, 65), dtype=np.uint8)
+    image[30:32] = 200
+    return image
+
+
+def mapped(config: dict[str, Any] | None = None, times: int = 1) -> SonarTo3DMapper:
+    mapper = SonarTo3DMapper(COARSE | (config or {}))
+    for _ in range(times):
+        mapper.process_sonar_image(wall(), *HOME, max_range=5.0)
+    return mapper
+
+
+def test_image_becomes_voxels_as_the_map_itself_would() -> None:
+    mapper = mapped(times=3)
+    reference = SonarMap(mapper.config)
+    echo = PingImage(wall().astype(np.float32), uniform_bearings(65, mapper.config.sonar), 0.1)
+    for _ in range(3):
+        reference.integrate(echo, np.eye(4) @ reference.base_T_sonar)
+    cloud, occupied = mapper.get_point_cloud(), reference.voxels("occupied")
+    assert cloud["num_occupied"] == len(occupied) > 0
+    assert (cloud["points"] == occupied.centres_m).all()
+    assert (cloud["probabilities"] == occupied.probability).all()
+    assert "free_points" not in cloud
+
+
+def test_statistics_tell_what_happened() -> None:
+    ticks = itertools.count(0.0, 0.25)
+    mapper = SonarTo3DMapper(COARSE, clock=lambda: next(ticks))
+    first = mapper.process_sonar_image(wall(), *HOME, max_range=5.0)
+    second = mapper.process_sonar_image(wall(), *HOME, max_range=5.0)
+    assert (first["frame_count"], second["frame_count"]) == (1, 2)
+    assert second["processed_count"] == 2
+    assert second["processing_time"] == second["average_processing_time"] == 0.25
+    assert first["num_occupied"] > 0
+    assert first["num_voxels"] == first["num_occupied"] + first["num_free"]
+    assert second["num_voxels"] == first["num_voxels"]
+
+
+def test_free_points_are_returned() -> None:
+    cloud = mapped(times=2).get_point_cloud(include_free=True)
+    assert cloud["num_free"] == len(cloud["free_points"]) == len(cloud["free_probabilities"]) > 0
+    assert cloud["free_probabilities"].max() < 0.5
+    assert cloud["probabilities"].min() > 0.7
+    for points in (cloud["points"], cloud["free_points"]):
+        cells = points / 0.2 - 0.5
+        assert cells == pytest.approx(np.round(cells), abs=1e-6)
+
+
+def test_quaternion_is_xyzw_and_turns_the_map() -> None:
+    mapper = SonarTo3DMapper(COARSE)
+    half = math.sqrt(0.5)
+    mapper.process_sonar_image(wall(), [10, 0, 0], [0, 0, half, half], max_range=5.0)  # to port
+    pose = Pose(np.array([10.0, 0, 0]), np.array([half, 0, 0, half]))
+    reference = SonarMap(mapper.config)
+    echo = ping_image_of_array(wall(), 5.0, None, mapper.config.sonar)
+    reference.integrate(echo, pose.map_T_base @ reference.base_T_sonar)
+    assert (mapper.get_point_cloud()["points"] == reference.voxels("occupied").centres_m).all()
+    assert mapper.get_point_cloud()["points"][:, 1].min() > 0
+    rounded = SonarTo3DMapper(COARSE)
+    rounded.process_sonar_image(wall(), [10, 0, 0], [0, 0, 0.70711, 0.70711], max_range=5.0)
+    assert rounded.get_point_cloud()["num_occupied"] > 0
+
+
+def test_images_of_all_depths_are_one_image() -> None:
+    clouds = []
+    for image in (
+        wall(),
+        wall().astype(np.uint16) * np.uint16(257),
+        wall().astype(np.float32),
+        wall().astype(np.float64),
+        wall().tolist(),
+    ):
+        mapper = SonarTo3DMapper(COARSE)
+        array = np.array(image, dtype=np.uint8) if isinstance(image, list) else image
+        mapper.process_sonar_image(array, *HOME, max_range=5.0)
+        clouds.append(mapper.get_point_cloud())
+    for cloud in clouds[1:]:
+        assert (cloud["points"] == clouds[0]["points"]).all()
+        assert (cloud["probabilities"] == clouds[0]["probabilities"]).all()
+
+
+def test_bearings_are_uniform_in_sine_unless_given() -> None:
+    table = uniform_bearings(256, Sonar(horizontal_fov=60.0))
+    assert np.diff(np.sin(table)) == pytest.approx(1 / 255)
+    assert table[[0, -1]] == pytest.approx([-math.pi / 6, math.pi / 6])
+    given, default = SonarTo3DMapper(COARSE), mapped()
+    bearings = uniform_bearings(65, given.config.sonar)
+    given.process_sonar_image(wall(), *HOME, max_range=5.0, bearings=bearings)
+    assert (given.get_point_cloud()["points"] == default.get_point_cloud()["points"]).all()
+    narrow = SonarTo3DMapper(COARSE | {"horizontal_fov": 60})
+    narrow.process_sonar_image(wall(), *HOME, max_range=5.0, bearings=bearings)
+    assert 0 < narrow.get_point_cloud()["num_occupied"] < default.get_point_cloud()["num_occupied"]
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"polar_image": np.zeros(5, dtype=np.uint8)}, "bad_image"),
+        ({"polar_image": np.zeros((0, 5), dtype=np.uint8)}, "bad_image"),
+        ({"polar_image": np.full((50, 65), np.nan)}, "bad_image"),
+        ({"polar_image": np.full((50, 65), 256.0)}, "bad_image"),
+        ({"polar_image": np.full((50, 65), -1.0)}, "bad_image"),
+        ({"polar_image": np.zeros((50, 65), dtype=np.int32)}, "bad_image"),
+        ({"polar_image": np.zeros((50, 1), dtype=np.uint8)}, "refused_by_map"),
+        ({"robot_position": [0, 0]}, "bad_pose"),
+        ({"robot_position": [0, 0, math.nan]}, "bad_pose"),
+        ({"robot_position": [1e30, 0, 0]}, "refused_by_map"),
+        ({"robot_position": ["a", 0, 0]}, "bad_pose"),
+        ({"robot_orientation": [0, 0, 0, 0]}, "bad_pose"),
+        ({"robot_orientation": [0, 0, 0, 2]}, "bad_pose"),
+        ({"robot_orientation": [0, 0, math.nan, 1]}, "bad_pose"),
+        ({"robot_orientation": [0, 0, 1]}, "bad_pose"),
+        ({"max_range": 0.0}, "bad_range"),
+        ({"max_range": math.nan}, "bad_range"),
+        ({"max_range": math.inf}, "bad_range"),
+        ({"max_range": 9000.0}, "fan_too_large"),
+        ({"bearings": np.zeros(65)}, "bad_bearings"),
+        ({"bearings": np.linspace(-1, 1, 64)}, "bad_bearings"),
+        ({"bearings": np.full(65, np.nan)}, "bad_bearings"),
+        ({"bearings": np.linspace(1.2, 1.5, 65)}, "outside_fov"),
+    ],
+)
+def test_bad_input_is_refused_by_its_reason(change: dict[str, Any], reason: str) -> None:
+    mapper = SonarTo3DMapper(COARSE)
+    arguments: dict[str, Any] = {
+        "polar_image": wall(),
+        "robot_position": HOME[0],
+        "robot_orientation": HOME[1],
+        "max_range": 5.0,
+    }
+    with pytest.raises(MapError) as caught:
+        mapper.process_sonar_image(**(arguments | change))
+    assert caught.value.reason == reason
+    assert mapper.get_memory_stats()["num_leaf_nodes"] == 0
+    assert mapper.process_sonar_image(**arguments)["processed_count"] == 1
+    assert mapper.get_point_cloud()["frame_count"] == 2
+
+
+def test_wrong_settings_are_refused() -> None:
+    with pytest.raises(ConfigError, match="did you mean"):
+        SonarTo3DMapper({"voxel_resolutin": 0.1})
+    assert SonarTo3DMapper().config.octree.voxel_resolution == 0.05
+
+
+def test_reset_forgets_the_map_and_keeps_the_settings() -> None:
+    mapper = mapped(times=2)
+    mapper.reset_map()
+    cloud = mapper.get_point_cloud(include_free=True)
+    assert (cloud["num_occupied"], cloud["num_free"], cloud["frame_count"]) == (0, 0, 0)
+    assert mapper.process_sonar_image(wall(), *HOME, max_range=5.0)["frame_count"] == 1
+    assert mapper.config.octree.voxel_resolution == 0.2
+
+
+def test_memory_is_told() -> None:
+    stats = mapped().get_memory_stats()
+    assert (stats["backend"], stats["resolution"]) == ("memory", 0.2)
+    assert stats["memory_mb"] == stats["memory_bytes"] / 2**20 > 0
+    assert stats["num_leaf_nodes"] > 0
+
+
+def test_queries_know_the_settings_thresholds() -> None:
+    mapper = mapped(times=3)
+    cloud = mapper.get_point_cloud(include_free=True)
+    assert (mapper.queries.classify(cloud["points"]) == OCCUPIED).all()
+    assert (mapper.queries.classify(cloud["free_points"]) == FREE).all()
+    depth = mapper.queries.ray_cast_depth([[0, 0, -0.49]], [[1, 0, 0]], 5.0)
+    assert depth[0] == pytest.approx(3.0, abs=0.2)
+
+
+def test_two_robots_maps_become_one() -> None:
+    one, two, whole = mapped(), mapped(), SonarTo3DMapper(COARSE)
+    whole.merge(one, two)
+    one.merge(two)
+    mine, theirs = one.get_point_cloud(), whole.get_point_cloud()
+    assert (mine["points"] == theirs["points"]).all()
+    assert (mine["probabilities"] == theirs["probabilities"]).all()
+    with pytest.raises(ValueError, match="clamps"):
+        one.merge(SonarTo3DMapper(COARSE | {"L_max": 8.0}))
+
+
+def test_maps_are_saved_in_every_form(tmp_path: Path) -> None:
+    mapper = mapped(times=2)
+    assert mapper.save_merged_octree(tmp_path / "map.bt")
+    assert (tmp_path / "map.bt").read_bytes().startswith(b"# Octomap OcTree binary")
+    assert mapper.save_map(str(tmp_path / "map.ot"))
+    assert (tmp_path / "map.ot").read_bytes().startswith(b"# Octomap OcTree")
+    assert mapper.save_map(tmp_path / "map.ply")
+    count = mapper.get_point_cloud()["num_occupied"]
+    assert f"element vertex {count}\n".encode() in (tmp_path / "map.ply").read_bytes()
+    assert mapper.save_map(tmp_path / "all.map")
+    loaded = SonarTo3DMapper(COARSE)
+    assert loaded.load_map(tmp_path / "all.map")
+    assert (loaded.get_point_cloud()["points"] == mapper.get_point_cloud()["points"]).all()
+    with pytest.raises(MapError, match="voxels are"):
+        SonarTo3DMapper({"voxel_resolution": 0.1}).load_map(tmp_path / "all.map")
+    for bad in ("map.txt", "map"):
+        with pytest.raises(MapError, match="expected"):
+            mapper.save_map(tmp_path / bad)
+    with pytest.raises(MapError, match=r"\.bt"):
+        mapper.save_merged_octree(tmp_path / "map.ot2")
+    with pytest.raises(ExportError):
+        mapper.save_map(tmp_path / "nowhere" / "map.bt")
+
+
+def test_stripes_are_taken_out_on_request() -> None:
+    image = np.zeros((50, 65), dtype=np.uint8)
+    image[40:47, :20] = 120
+    striped = image.copy()
+    striped[30:32] = 200
+    clean, filtered = mapped_image(image, {}), mapped_image(striped, {"crosstalk_enabled": True})
+    assert len(clean) == len(filtered) > 0
+    assert (clean == filtered).all()
+    assert len(mapped_image(striped, {})) > len(clean)
+
+
+def mapped_image(image: np.ndarray, config: dict[str, Any]) -> np.ndarray:
+    mapper = SonarTo3DMapper(COARSE | config)
+    mapper.process_sonar_image(image, *HOME, max_range=5.0)
+    return np.asarray(mapper.get_point_cloud()["points"])

@@ -1,0 +1,148 @@
+"""Every parameter of the published mapper: its name, default, unit, limits, and if it is live."""
+
+from typing import Any
+
+import pytest
+
+from mapperd.config.catalog import Parameter, parameters, value_of
+from mapperd.config.layers import Layered
+from mapperd.config.live import Applied, ConfigStore, Refused
+from mapperd.config.loader import config_from_text
+from mapperd.daemon.map_folder import MapFolder
+from mapperd.errors import ConfigError
+from mapperd.imaging.filter_chain import check_filters
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.step import StepRunner
+from mapperd.server.map_worker import MapRounds
+from mapperd.telemetry.telemetry import Telemetry
+
+ANY = (None, None)
+TURN = (-360, 360)
+BRIGHTNESS = (0, 255)
+SHARE = (0, 1)
+
+PUBLISHED: dict[str, tuple[Any, str, tuple[float | None, float | None], bool]] = {
+    "sonar.horizontal_fov": (130.0, "deg", (0, 180), False),
+    "sonar.vertical_aperture": (14.0, "deg", (0, 90), False),  # theirs was 20, the one-way width
+    "filtering.min_range": (0.5, "m", (0, 100), True),
+    "filtering.intensity_threshold": (35, "0-255", BRIGHTNESS, True),
+    "mounting.position.x": (0.0, "m", (-100, 100), False),
+    "mounting.position.y": (0.0, "m", (-100, 100), False),
+    "mounting.position.z": (-0.5, "m", (-100, 100), False),
+    "mounting.orientation.roll": (0.0, "deg", TURN, True),
+    "mounting.orientation.pitch": (90.0, "deg", TURN, True),
+    "mounting.orientation.yaw": (0.0, "deg", TURN, True),
+    "octree.voxel_resolution": (0.05, "m", (0.001, 100), False),
+    "octree.dynamic_expansion": (True, "", ANY, True),
+    "octree.use_cpp_backend": (True, "", ANY, False),
+    "mapping.occupied_threshold": (0.7, "", SHARE, True),
+    "mapping.angular_cone_width": (0.5, "", (0, 100), True),
+    "iwlo.L_occ": (3.5, "log-odds", (0, 127), False),
+    "iwlo.L_free": (-3.0, "log-odds", (-127, 0), False),
+    "iwlo.L_min": (-10.0, "log-odds", (-127, 0), False),
+    "iwlo.L_max": (10.0, "log-odds", (0, 127), False),
+    "iwlo.sharpness": (3.0, "", (0, 1000), False),
+    "iwlo.decay_rate": (0.1, "", (0, 1000), False),
+    "iwlo.min_alpha": (0.1, "", SHARE, False),
+    "iwlo.intensity_max": (255, "0-255", BRIGHTNESS, False),
+    "adaptive.update": (True, "", ANY, False),
+    "adaptive.threshold": (0.5, "", SHARE, False),
+    "adaptive.max_ratio": (0.3, "", SHARE, False),
+    "outofcore.use": (False, "", ANY, False),
+    "outofcore.map_path": ("", "a path or nothing", ANY, False),  # theirs was a developer's folder
+    "outofcore.tile_size": (10.0, "m", (0.01, 10000), False),
+    "outofcore.cache_size": (16, "tiles", (1, 1000000), False),
+    "crosstalk.enabled": (False, "", ANY, True),
+    "crosstalk.morpho_enabled": (True, "", ANY, True),
+    "crosstalk.morpho_kernel_size": (5, "rows", (2, 101), True),
+    "crosstalk.morpho_kernel_shape": ("rect", "", ANY, True),
+    "crosstalk.azimuth_enabled": (True, "", ANY, True),
+    "crosstalk.azimuth_threshold": (0.5, "0-1", SHARE, True),
+    "terrain_detection.min_threshold": (80, "0-255", BRIGHTNESS, True),
+    "terrain_detection.max_threshold": (180, "0-255", BRIGHTNESS, True),
+    "robot_detection.enabled": (False, "", ANY, True),
+    "robot_detection.min_threshold": (180, "0-255", BRIGHTNESS, True),
+    "robot_detection.topic": ("/sonar_robot_detections", "a topic", ANY, False),
+    "processing.frame_skip": (1, "pings", (1, 1000), True),
+    "frames.sonar": ("sonar_link", "a name", ANY, False),
+    "frames.base": ("base_link", "a name", ANY, False),
+    "frames.map": ("map", "a name", ANY, False),
+    "frames.publish_tf": (True, "", ANY, False),
+    "topics.sonar": ("/sensor/sonar/oculus/m750d/image", "the default", ANY, False),
+    "topics.odometry": ("/fast_lio/odometry", "the default", ANY, False),
+    "topics.pointcloud": ("/sonar_3d_map", "the default", ANY, False),
+    "topics.marker": ("/sonar_3d_map_markers", "the default", ANY, False),
+    "visualization.show_opencv_visualization": (False, "", ANY, True),
+    "visualization.pointcloud_publish_rate": (10.0, "Hz", (0, 1000), True),
+    "visualization.tile_save_interval": (5.0, "s", (0, 3600), True),
+}
+"""Default, unit, limits, live; where the published page gives no limits or unit, they are ours."""
+
+ONLY_ONE_VALUE = {"octree.dynamic_expansion", "visualization.pointcloud_publish_rate"}
+OTHERS = {"crosstalk.morpho_kernel_shape": "cross", "crosstalk.morpho_kernel_size": 7}
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_published_parameter_is_there(name: str) -> None:
+    default, unit, limits, live = PUBLISHED[name]
+    parameter = parameters()[name]
+    assert parameter.default == default
+    assert type(parameter.default) is type(default) or isinstance(default, int)
+    assert (parameter.unit, parameter.dynamic, limits_of(parameter)) == (unit, live, limits)
+
+
+def limits_of(parameter: Parameter) -> tuple[float | None, float | None]:
+    (meta,) = parameter.annotation.__metadata__
+    low = meta.ge if meta.ge is not None else meta.gt
+    return low, meta.le if meta.le is not None else meta.lt
+
+
+def another(name: str) -> Any:
+    """A value that a live setting may take and that is not its default."""
+    default = parameters()[name].default
+    if isinstance(default, bool):
+        return not default
+    if name in OTHERS:
+        return OTHERS[name]
+    return default + 1 if default >= 1 else default + 0.1
+
+
+@pytest.mark.parametrize("name", [name for name, (*_, live) in PUBLISHED.items() if live])
+def test_published_live_parameter_changes_while_running(name: str) -> None:
+    store = ConfigStore(Layered())
+    stepping = StepRunner(SonarMap(store.current), lambda: 0.0)
+    store.follow((*StepRunner.FOLLOWS, "visualization"), stepping.take, check_filters)
+    result = store.apply({name: another(name)}, "test")
+    if name in ONLY_ONE_VALUE:
+        assert isinstance(result, Refused)
+        assert "is not there" in str(result.reasons) or "can only be" in str(result.reasons)
+        assert value_of(store.current, name) == parameters()[name].default
+        return
+    assert isinstance(result, Applied)
+    assert value_of(store.current, name) == another(name)
+    assert stepping._next is store.current
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("topics: {odometry: /my/odometry}", r"topics.*odometry can only be.*odometry\.sources"),
+        ("topics: {sonar: /my/sonar}", r"set device\.address"),
+        ("visualization: {pointcloud_publish_rate: 5}", "no cloud is published"),
+        ("octree: {dynamic_expansion: false}", "is not there; allowed: true"),
+    ],
+)
+def test_published_name_without_an_effect_says_what_to_do_instead(text: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        config_from_text(text)
+
+
+def test_published_defaults_load() -> None:
+    assert config_from_text("topics: {odometry: /fast_lio/odometry}").topics.marker
+
+
+def test_every_live_setting_has_a_follower() -> None:
+    ours = (*StepRunner.FOLLOWS, *Telemetry.FOLLOWS, *MapFolder.FOLLOWS, *MapRounds.FOLLOWS)
+    followed = (*ours, "visualization")
+    live = [name for name, one in parameters().items() if one.dynamic]
+    assert [name for name in live if not name.startswith(followed)] == []

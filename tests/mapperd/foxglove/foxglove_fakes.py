@@ -1,0 +1,225 @@
+"""A client of the map stream that is told what a test says, and another decoder of messages."""
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Collection, Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+import zstandard
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from numpy.typing import NDArray
+
+from mapperd.client.changes import ClientChange, LinkChanged, LinkStatus, MapChanged, MapReset
+from mapperd.client.errors import AskError
+from mapperd.client.mirror import MapMirror
+from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet, path_message
+from mapperd.wire.messages import (
+    Event,
+    Fan,
+    Image,
+    Interest,
+    Localization,
+    MapFacts,
+    Path,
+    Pose,
+    Returns,
+    Robots,
+    Settings,
+    Status,
+    Welcome,
+)
+
+T0 = 1_790_000_000_000_000_000
+S = 1_000_000_000
+
+FACTS = MapFacts(
+    id="one",
+    resolution_m=0.25,
+    log_odds_step=0.25,
+    occupied_log_odds=0.5,
+    free_log_odds=-0.5,
+    frame="map",
+)
+CONNECTED = LinkStatus("connected", "/run/map.sock", "", 0.0, connects=1, bytes=10)
+
+POSE = Pose(
+    stamp_ns=T0 + 5,
+    position_m=(10.0, 20.0, -3.0),
+    orientation_xyzw=(0.0, 0.0, 0.5**0.5, 0.5**0.5),  # a quarter turn to port
+    sonar_position_m=(9.5, 21.0, -3.5),  # 1 m ahead, 0.5 m to port, 0.5 m below
+    sonar_orientation_xyzw=(0.5, -0.5, 0.5, 0.5),
+    velocity_mps=(0.0, 1.5, 0.0),
+    covariance=tuple(float(k) for k in range(36)),
+)
+FAN = Fan(bearings_rad=(-1.0, 1.0), vertical_aperture_rad=0.35, min_range_m=0.5, max_range_m=20.0)
+RETURNS = Returns(
+    stamp_ns=T0 + 6,
+    ping_id=1,
+    sonar_position_m=POSE.sonar_position_m,
+    sonar_orientation_xyzw=POSE.sonar_orientation_xyzw,
+    points=np.array([[1, 2, 3], [4, 5, 6]], "<f4").tobytes(),
+    intensities=bytes([7, 200]),
+)
+PIXELS = np.arange(12, dtype=np.uint8).reshape(4, 3)
+IMAGE = Image(
+    stamp_ns=T0 + 7,
+    ping_id=1,
+    rows=4,
+    beams=3,
+    range_resolution_m=0.5,
+    bearings_rad=np.array([-0.5, 0.0, 0.5], "<f4").tobytes(),
+    body=zstandard.ZstdCompressor().compress(PIXELS.tobytes()),
+)
+ROBOTS = Robots(seen=[(T0 - 3 * S, 1.0, 2.0, 3.0)])
+LOCALIZATION = Localization(
+    report={
+        "state": "localized",
+        "pose": {
+            "x_m": 1.0,
+            "y_m": 2.0,
+            "yaw_rad": 0.5,
+            "covariance": [[4.0, 0, 0], [0, 1.0, 0], [0, 0, 0.1]],
+        },
+    },
+    particles=np.array([[1, 2, 0.5, 0.7], [3, 4, 1.5, 0.3]], "<f4").tobytes(),
+    scan=np.array([[1, 2, 3]], "<f4").tobytes(),
+)
+STATUS = Status(stamp_ns=T0 + 8, status={"phase": "mapping"}, link={"left": 3})
+EVENT = Event(
+    event={
+        "number": 1,
+        "t_s": T0 / S,
+        "severity": "warning",
+        "code": "sonar_link",
+        "text": "sonar lost",
+        "facts": {},
+    },
+    lost=2,
+)
+SETTINGS = Settings(
+    facts={
+        "filtering.min_range": {"value": 1.5, "dynamic": True},
+        "filtering.intensity_threshold": {"value": 50, "dynamic": True},
+        "octree.voxel_resolution": {"value": 0.25, "dynamic": False},
+        "frames.sonar": {"value": "oculus", "dynamic": False},
+    }
+)
+WAY = np.arange(30, dtype=np.float64).reshape(10, 3)
+
+
+class FakeClient:
+    """Has all that a client has; `tell` makes it know something."""
+
+    def __init__(self) -> None:
+        self.mirror: MapMirror | None = MapMirror(FACTS, Interest())
+        self.link = CONNECTED
+        self.welcome: Welcome | None = None
+        self.pose: Pose | None = None
+        self.path: NDArray[np.float64] = np.zeros((0, 3))
+        self.fan: Fan | None = None
+        self.returns: Returns | None = None
+        self.image: Image | None = None
+        self.robots: Robots | None = None
+        self.localization: Localization | None = None
+        self.status: Status | None = None
+        self.settings: dict[str, Any] = {}
+        self.wants: Collection[str] = ()
+        self.asked: list[dict[str, Any]] = []
+        self.error: Exception | None = None
+        self._waiting: asyncio.Queue[ClientChange | None] = asyncio.Queue()
+
+    def tell(self, change: ClientChange | None) -> None:
+        """None is the end."""
+        if isinstance(change, LinkChanged):
+            self.link = change.link
+        elif isinstance(change, Settings):
+            self.settings = {**self.settings, **change.facts}
+        elif isinstance(change, Path):
+            self.path = WAY
+        elif not isinstance(change, Event | MapReset | MapChanged | None):
+            setattr(self, type(change).__name__.lower(), change)
+        self._waiting.put_nowait(change)
+
+    def tell_all(self) -> None:
+        """One of each."""
+        for change in (
+            LinkChanged(CONNECTED),
+            MapReset(FACTS),
+            SETTINGS,
+            FAN,
+            path_message(0, WAY),
+            POSE,
+            RETURNS,
+            IMAGE,
+            ROBOTS,
+            LOCALIZATION,
+            STATUS,
+            EVENT,
+        ):
+            self.tell(change)
+
+    def occupy(self, key: tuple[int, int, int], cells: Mapping[int, int], stamp_ns: int) -> None:
+        """A block has these cells; without any it is unknown."""
+        assert self.mirror is not None
+        self.mirror.put(block(key, cells), stamp_ns)
+        self.tell(MapChanged(np.array([key], np.int32), stamp_ns, 0))
+
+    @property
+    def untold(self) -> int:
+        """Changes that nobody took yet."""
+        return self._waiting.qsize()
+
+    async def changes(self) -> AsyncIterator[ClientChange]:
+        while (change := await self._waiting.get()) is not None:
+            yield change
+        if self.error is not None:
+            raise self.error
+
+    async def set(self, changes: Mapping[str, Any]) -> dict[str, Any]:
+        self.asked.append(dict(changes))
+        if any(value == "wrong" for value in changes.values()):
+            raise AskError("refused", "not in range")
+        return {name: [self.settings[name]["value"], value] for name, value in changes.items()}
+
+    async def change(self, *, wants: Collection[str]) -> None:
+        self.wants = wants
+
+
+def block(key: tuple[int, int, int], cells: Mapping[int, int]) -> BlockSet:
+    plane = np.full((1, CELLS), UNKNOWN, np.int8)
+    for at, value in cells.items():
+        plane[0, at] = value
+    return BlockSet(np.array([key], np.int32), np.zeros(1, np.uint32), plane)
+
+
+@cache
+def message_class(schema: bytes, name: str) -> Any:
+    """Of a schema as it stands in a file or is advertised: a set of protobuf descriptors."""
+    pool = descriptor_pool.DescriptorPool()
+    for file in descriptor_pb2.FileDescriptorSet.FromString(schema).file:
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
+
+
+def points_of_cloud(cloud: Any) -> NDArray[np.void]:
+    """The rows of a foxglove.PointCloud, by its own description of them."""
+    types = {1: "u1", 5: "<u4", 7: "<f4"}
+    kind = np.dtype(
+        {
+            "names": [field.name for field in cloud.fields],
+            "formats": [types[field.type] for field in cloud.fields],
+            "offsets": [field.offset for field in cloud.fields],
+            "itemsize": cloud.point_stride,
+        }
+    )
+    return np.frombuffer(cloud.data, kind)
+
+
+async def until(true: Any, timeout_s: float = 20.0) -> None:
+    """Wait for something that comes about in another task or thread."""
+    end_s = time.monotonic() + timeout_s
+    while not true():
+        assert time.monotonic() < end_s, "it never came about"
+        await asyncio.sleep(0.01)

@@ -1,0 +1,216 @@
+"""State as messages: what is drawn lies where it should."""
+
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+import zstandard
+
+from mapperd.client.block_table import Cells
+from mapperd.foxglove.geometry import Frames, transforms
+from mapperd.foxglove.map_publisher import map_cloud, map_rows
+from mapperd.foxglove.messages import FanShape, StateMessages
+from mapperd.foxglove.scene import PathDrawing, covariance_scene, fan_scene, robots_scene
+from mapperd.wire.messages import Image, Robots
+from tests.mapperd.foxglove.foxglove_fakes import (
+    FAN,
+    LOCALIZATION,
+    POSE,
+    ROBOTS,
+    T0,
+    FakeClient,
+    S,
+    message_class,
+    points_of_cloud,
+)
+
+
+def decoded(message: Any) -> Any:
+    schema = type(message).get_schema()
+    return message_class(schema.data, schema.name).FromString(message.encode())
+
+
+def xyz(line: Any) -> np.ndarray[Any, Any]:
+    return np.array([(point.x, point.y, point.z) for point in line.points])
+
+
+def test_transforms_lead_from_the_map_to_the_sonar() -> None:
+    to_base, to_sonar = decoded(transforms(POSE, Frames("map", {}))).transforms
+    turn = _matrix(to_base.rotation)
+    lever = to_sonar.translation
+    sonar_m = _vector(to_base.translation) + turn @ _vector(lever)
+    np.testing.assert_allclose(sonar_m, POSE.sonar_position_m, atol=1e-12)
+    x, y, z, w = POSE.sonar_orientation_xyzw
+    wanted = _matrix(_Quaternion(x, y, z, w))
+    np.testing.assert_allclose(turn @ _matrix(to_sonar.rotation), wanted, atol=1e-12)
+
+
+class _Quaternion:
+    def __init__(self, x: float, y: float, z: float, w: float) -> None:
+        self.x, self.y, self.z, self.w = x, y, z, w
+
+
+def _matrix(q: Any) -> np.ndarray[Any, Any]:
+    """By Rodrigues' formula."""
+    angle = 2 * math.acos(max(-1.0, min(1.0, q.w)))
+    axis = np.array([q.x, q.y, q.z])
+    axis = axis / (np.linalg.norm(axis) or 1.0)
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    turn: np.ndarray[Any, Any] = np.eye(3) + math.sin(angle) * cross
+    turn += (1 - math.cos(angle)) * cross @ cross
+    return turn
+
+
+def _vector(v: Any) -> np.ndarray[Any, Any]:
+    return np.array([v.x, v.y, v.z])
+
+
+def test_cells_tell_their_age_and_how_often_they_were_seen() -> None:
+    cells = Cells(
+        np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]),
+        np.zeros(2, np.float32),
+        np.array([0.75, 1.0], np.float32),
+        np.array([0, 4], np.uint16),
+        np.array([T0 - 2 * S, T0 + S]),
+    )
+    rows = points_of_cloud(decoded(map_cloud(map_rows(cells, T0), "map", T0)))
+    assert rows.tolist() == [(1, 2, 3, 0.75, 2.0, 0), (4, 5, 6, 1.0, 0.0, 4)]
+
+
+def test_the_fan_is_drawn_as_the_sonar_sees() -> None:
+    entity = decoded(fan_scene(FAN, "sonar", T0)).entities[0]
+    assert (entity.frame_id, entity.frame_locked) == ("sonar", True)
+    outline = np.concatenate([xyz(line) for line in entity.lines])
+    ranges = np.linalg.norm(outline, axis=1)
+    assert ranges.min() == pytest.approx(FAN.min_range_m)
+    assert ranges.max() == pytest.approx(FAN.max_range_m)
+    bearings = np.arctan2(-outline[:, 1], outline[:, 0])  # positive to starboard, y to port
+    assert (bearings.min(), bearings.max()) == pytest.approx(FAN.bearings_rad)
+    elevations = np.arcsin(outline[:, 2] / ranges)
+    assert np.unique(elevations.round(9)).tolist() == pytest.approx([-0.175, 0.175])
+    edges = xyz(entity.lines[2]).reshape(4, 2, 3)
+    np.testing.assert_allclose(edges[:, 0, :2], edges[:, 1, :2])
+    np.testing.assert_allclose(sorted(np.linalg.norm(edges[:, 0], axis=1)), [0.5, 0.5, 20.0, 20.0])
+
+
+def test_fan_of_one_side_keeps_its_side() -> None:
+    fan = msgspec.structs.replace(FAN, bearings_rad=(0.2, 0.6))
+    outline = xyz(decoded(fan_scene(fan, "sonar", T0)).entities[0].lines[0])
+    assert (outline[:, 1] < 0).all()
+
+
+def test_robots_are_where_they_were_seen() -> None:
+    update = decoded(robots_scene(ROBOTS, "map", T0))
+    assert [deletion.type for deletion in update.deletions] == [1]
+    (entity,) = update.entities
+    assert _vector(entity.spheres[0].pose.position).tolist() == [1.0, 2.0, 3.0]
+    assert entity.texts[0].text == "robot, 3 s ago"
+    assert not decoded(robots_scene(Robots(seen=[]), "map", T0)).entities
+
+
+def test_doubt_is_an_ellipse_of_two_deviations() -> None:
+    turned = math.radians(30)
+    axes = np.array([[math.cos(turned), -math.sin(turned)], [math.sin(turned), math.cos(turned)]])
+    covariance = np.zeros((3, 3))
+    covariance[:2, :2] = axes @ np.diag([9.0, 0.25]) @ axes.T
+    fix = {"x_m": 5.0, "y_m": -1.0, "yaw_rad": 0.0, "covariance": covariance.tolist()}
+    outline = xyz(decoded(covariance_scene(fix, "map", -4.0, T0)).entities[0].lines[0])
+    assert (outline[:, 2] == -4.0).all()
+    along, across = ((outline[:, :2] - (5.0, -1.0)) @ axes).T
+    np.testing.assert_allclose((along / 6.0) ** 2 + (across / 1.0) ** 2, 1.0, atol=1e-9)
+    gone = decoded(covariance_scene(None, "map", -4.0, T0))
+    assert (len(gone.deletions), len(gone.entities)) == (1, 0)
+
+
+def test_only_pieces_of_the_path_that_changed_are_told() -> None:
+    way = np.cumsum(np.ones((3500, 3), np.float32), axis=0)
+    drawing = PathDrawing()
+
+    def told(path: Any) -> Any:
+        update = drawing.update(path, "map", T0)
+        return None if update is None else decoded(update)
+
+    first = told(way[:2500])
+    assert [entity.id for entity in first.entities] == ["path 0", "path 1", "path 2"]
+    drawn = np.concatenate([xyz(entity.lines[0]) for entity in first.entities])
+    np.testing.assert_array_equal(np.unique(drawn, axis=0), way[:2500])
+    ends = [xyz(entity.lines[0])[[0, -1]] for entity in first.entities]
+    np.testing.assert_array_equal(ends[0][1], ends[1][0])  # no gap between pieces
+    assert told(way[:2500]) is None
+    assert [entity.id for entity in told(way[:3500]).entities] == ["path 2", "path 3"]
+    shorter = told(way[:1200])
+    assert [deletion.id for deletion in shorter.deletions] == ["path 2", "path 3"]
+    assert [entity.id for entity in shorter.entities] == ["path 1"]
+    other = way[:1200].copy()
+    other[3] += 1
+    assert [entity.id for entity in told(other).entities] == ["path 0", "path 1"]
+    assert [deletion.id for deletion in told(way[:1]).deletions] == ["path 0", "path 1"]
+
+
+def test_an_image_is_bent_into_the_fan() -> None:
+    rows, beams = 40, 31
+    bearings = np.linspace(-0.9, 0.9, beams).astype("<f4")
+    pixels = np.zeros((rows, beams), np.uint8)
+    targets = {(25, 3): 50, (35, 15): 100, (39, 30): 150, (20, 27): 200}
+    for (row, beam), value in targets.items():
+        pixels[row, beam] = value
+    image = Image(
+        stamp_ns=T0,
+        ping_id=1,
+        rows=rows,
+        beams=beams,
+        range_resolution_m=0.1,
+        bearings_rad=bearings.tobytes(),
+        body=zstandard.ZstdCompressor().compress(pixels.tobytes()),
+    )
+    bent = FanShape().bent(image, pixels)
+    height, width = bent.shape
+    for (row, beam), value in targets.items():
+        there = np.argwhere(bent == value).mean(axis=0)
+        across, ahead = there[1] + 0.5 - width / 2, height - (there[0] + 0.5)
+        assert math.hypot(across, ahead) == pytest.approx(row + 0.5, abs=1.0)
+        assert math.atan2(across, ahead) == pytest.approx(bearings[beam], abs=0.06)
+    assert bent[0, 0] == bent[-1, 0] == bent[-1, -1] == 0
+
+
+def test_an_image_of_another_shape_is_bent_anew() -> None:
+    shape = FanShape()
+    one = Image(
+        stamp_ns=T0,
+        ping_id=1,
+        rows=4,
+        beams=2,
+        range_resolution_m=0.1,
+        bearings_rad=np.array([-0.1, 0.1], "<f4").tobytes(),
+        body=b"",
+    )
+    narrow = shape.bent(one, np.ones((4, 2), np.uint8))
+    wide = msgspec.structs.replace(one, bearings_rad=np.array([-1.0, 1.0], "<f4").tobytes())
+    assert shape.bent(wide, np.ones((4, 2), np.uint8)).shape != narrow.shape
+
+
+@pytest.mark.parametrize(
+    "pose",
+    [
+        None,
+        "lost",
+        {},
+        {"x_m": 1.0, "y_m": math.nan, "yaw_rad": 0.0, "covariance": np.eye(3).tolist()},
+        {"x_m": 1.0, "y_m": 2.0, "yaw_rad": 0.0, "covariance": [[1.0]]},
+        {"x_m": "1", "y_m": 2.0, "yaw_rad": 0.0, "covariance": np.eye(3).tolist()},
+    ],
+)
+def test_an_estimate_that_is_none_is_not_drawn(pose: Any) -> None:
+    client = FakeClient()
+    client.tell(msgspec.structs.replace(LOCALIZATION, report={"pose": pose}))
+    state = StateMessages(client)
+    assert state.message("/localization/pose", S) is None
+    assert not decoded(state.message("/localization/covariance", S)).entities
+
+
+def test_nothing_is_said_of_what_nobody_knows() -> None:
+    state = StateMessages(FakeClient())
+    told = {topic for topic in state.topics if state.message(topic, S) is not None}
+    assert told == {"/status", "/settings"}

@@ -1,0 +1,21 @@
+"""docs/foxglove.md says what there is."""
+
+import re
+from pathlib import Path
+
+from mapperd.cli.mapperctl.arguments import parser
+from mapperd.foxglove.channels import CHANNELS
+
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "foxglove.md").read_text(encoding="utf-8")
+
+
+def test_every_channel_is_in_the_table() -> None:
+    told = re.findall(r"^\| `(/[^`]+)` \| `([^`]+)` \|", PAGE, re.MULTILINE)
+    assert told == [(channel.topic, channel.schema_name) for channel in CHANNELS]
+
+
+def test_commands_of_the_page_are_understood() -> None:
+    commands = re.findall(r"^mapperctl (.*?)(?:#.*)?$", PAGE, re.MULTILINE)
+    assert len(commands) == 6
+    for command in commands:
+        parser().parse_args(command.split())

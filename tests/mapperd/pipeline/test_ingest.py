@@ -1,0 +1,97 @@
+import threading
+from typing import Any
+
+from mapperd.pipeline.ingest import SONAR, ChunkQueue, Ingest
+from mapperd.session_log import Decision, Drop, Gap, Reset, Skip, decision_of
+from oculus_driver.recording import Chunk
+
+T0 = 5
+
+
+class Recorded:
+    """Remembers what a recorder gets."""
+
+    def __init__(self) -> None:
+        self.seen: list[bytes | Decision] = []
+        self.gaps: list[bool] = []
+
+    @property
+    def newest(self) -> int:
+        return len(self.seen)
+
+    def record(self, chunk: Chunk, *, gap: bool) -> int:
+        self.seen.append(decision_of(chunk) or chunk.data)
+        self.gaps.append(gap)
+        return self.newest
+
+
+def inlet_with(max_bytes: int) -> tuple[Ingest, Recorded, ChunkQueue]:
+    recorded, queue = Recorded(), ChunkQueue(max_bytes)
+    recorder: Any = recorded
+    return Ingest(recorder, queue, {"vehicle": "odometry-native"}, lambda: T0), recorded, queue
+
+
+def taken(queue: ChunkQueue) -> list[bytes | Decision]:
+    return [decision_of(chunk) or chunk.data for chunk, _ in queue.take(0) or []]
+
+
+def test_recorder_and_mapper_get_the_same_in_one_order() -> None:
+    inlet, recorded, queue = inlet_with(1 << 20)
+    inlet.bytes_came(SONAR, b"a", 1, gap=False)
+    inlet.order(Reset(1))
+    inlet.bytes_came("vehicle", b"b", 2, gap=True)
+    assert recorded.seen == [b"a", Reset(1), Gap("vehicle"), b"b"]
+    assert recorded.gaps == [False, False, False, True]
+    assert taken(queue) == recorded.seen
+
+
+def test_remark_is_for_the_recorder_alone() -> None:
+    inlet, recorded, queue = inlet_with(1 << 20)
+    inlet.remark(Drop(3))
+    assert (recorded.seen, taken(queue)) == ([Drop(3)], [])
+
+
+def test_empty_bytes_are_nothing_but_their_gap_counts() -> None:
+    inlet, recorded, queue = inlet_with(1 << 20)
+    inlet.bytes_came(SONAR, b"", 1, gap=True)
+    assert recorded.seen == taken(queue) == [Gap(SONAR)]
+
+
+def test_what_has_no_room_is_recorded_with_a_note_before_it() -> None:
+    inlet, recorded, queue = inlet_with(1024)
+    for data in (b"a" * 600, b"b" * 600, b"c" * 700):
+        inlet.bytes_came(SONAR, data, 1, gap=False)
+    skips = [Skip(SONAR, 600), Skip(SONAR, 700)]
+    assert recorded.seen == [b"a" * 600, skips[0], b"b" * 600, skips[1], b"c" * 700]
+    assert (queue.chunks_refused, queue.bytes_refused) == (2, 1300)
+    assert taken(queue) == [b"a" * 600]
+    inlet.bytes_came("vehicle", b"d", 2, gap=False)
+    assert taken(queue) == [Skip(SONAR, 1300), b"d"]  # in one, however many there were
+    assert recorded.seen[5:] == [b"d"]
+
+
+def test_order_comes_through_a_full_queue() -> None:
+    inlet, _, queue = inlet_with(512)
+    inlet.bytes_came(SONAR, b"a", 1, gap=False)
+    inlet.bytes_came(SONAR, b"b", 1, gap=False)
+    inlet.order(Reset(1))
+    assert taken(queue) == [b"a", Skip(SONAR, 1), Reset(1)]
+
+
+def test_queue_that_is_closed_gives_what_is_left_then_ends() -> None:
+    queue = ChunkQueue()
+    queue.put(Chunk(SONAR, "oculus", 0, b"a"))
+    queue.close()
+    assert len(queue.take(None) or []) == 1
+    assert queue.take(None) is None
+
+
+def test_reader_that_waits_is_woken() -> None:
+    queue = ChunkQueue()
+    got: list[list[tuple[Chunk, int]] | None] = []
+    reader = threading.Thread(target=lambda: got.append(queue.take(None)))
+    reader.start()
+    queue.put(Chunk(SONAR, "oculus", 0, b"a"))
+    reader.join(60)
+    assert [len(chunks or []) for chunks in got] == [1]
+    assert queue.waiting_bytes == 0

@@ -1,0 +1,87 @@
+import inspect
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+import pytest
+
+from mapperd.config.tree import Config, Mounting, Octree, Orientation, Position
+from mapperd.errors import Reject
+from mapperd.geometry.frames import pose_from_rpy
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline import step
+from mapperd.pipeline.step import Mapped, process_ping
+from oculus_driver.ping import Ping
+
+MakePing = Callable[..., Ping]
+FORWARD = Mounting(orientation=Orientation(pitch=0.0))
+COARSE = Config(octree=Octree(voxel_resolution=0.2), mounting=FORWARD)
+HERE = pose_from_rpy((0, 0, 0), (0, 0, 0))
+
+
+def test_the_step_fits_on_one_screen() -> None:
+    source, _ = inspect.getsourcelines(step.process_ping)
+    assert len(source) <= 30
+
+
+def test_ping_changes_the_map_where_the_sonar_looks(ping: MakePing) -> None:
+    sonar_map = SonarMap(COARSE)
+    result = process_ping(ping(9), HERE, sonar_map)
+    assert isinstance(result, Mapped)
+    assert result.ping_id == 9
+    assert result.voxels_occupied > 0
+    assert result.voxels_free > 0
+    occupied = sonar_map.voxels("occupied")
+    ranges = np.linalg.norm(occupied.centres_m - [0, 0, -0.5], axis=1)
+    assert np.abs(ranges - 3.1).max() < 0.3
+    assert occupied.centres_m[:, 0].min() > 0
+
+
+def test_sonar_is_where_pose_and_mounting_put_it(ping: MakePing) -> None:
+    sonar_map = SonarMap(COARSE)
+    process_ping(ping(), pose_from_rpy((100, 50, -10), (0, 0, 90)), sonar_map)
+    centres = sonar_map.voxels("occupied").centres_m
+    assert np.linalg.norm(centres - [100, 50, -10.5], axis=1) == pytest.approx(3.1, abs=0.3)
+    assert centres[:, 1].min() > 50  # yaw 90 degrees: it looks north
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"bearings_cdeg": np.zeros(65, dtype=np.int16)}, "bad_bearings"),
+        ({"range_resolution_m": 19.0}, "fan_too_large"),
+    ],
+)
+def test_ping_that_cannot_be_mapped_leaves_the_map_alone(
+    ping: MakePing, changes: dict[str, object], reason: str
+) -> None:
+    sonar_map = SonarMap(COARSE)
+    before = sonar_map.sha256()
+    result = process_ping(ping(**changes), HERE, sonar_map)
+    assert isinstance(result, Reject)
+    assert result.reason == reason
+    assert sonar_map.sha256() == before
+
+
+def test_pose_beyond_the_reach_of_the_map_is_refused(ping: MakePing) -> None:
+    fine = msgspec.structs.replace(COARSE, octree=Octree(voxel_resolution=0.001))
+    result = process_ping(
+        ping(range_resolution_m=0.001), pose_from_rpy((3e7, 0, 0), (0, 0, 0)), SonarMap(fine)
+    )
+    assert isinstance(result, Reject)
+    assert result.reason == "refused_by_map"
+
+
+def test_lever_arm_and_turned_mounting_are_of_the_base(ping: MakePing) -> None:
+    mounting = Mounting(position=Position(x=2.0, y=1.0, z=-0.5), orientation=Orientation(pitch=90))
+    sonar_map = SonarMap(msgspec.structs.replace(COARSE, mounting=mounting))
+    process_ping(ping(), pose_from_rpy((100, 50, -10), (0, 0, 90)), sonar_map)
+    centres = sonar_map.voxels("occupied").centres_m
+    # Yaw 90: forward is north, port is west. So 2 m north and 1 m west, looking straight down.
+    sonar = np.array([99.0, 52.0, -10.5])
+    assert np.linalg.norm(centres - sonar, axis=1) == pytest.approx(3.1, abs=0.3)
+    target = np.array([99.0, 52.0, -13.6])
+    assert np.linalg.norm(centres - target, axis=1).min() < 0.2
+    # The 120 degrees of the fan lie across the base, east to west; along it is the aperture.
+    assert np.abs(centres[:, 0] - 99).max() == pytest.approx(3.1 * np.sin(np.pi / 3), abs=0.3)
+    assert np.abs(centres[:, 1] - 52).max() < 3.2 * np.sin(np.radians(10)) + 0.2

@@ -1,0 +1,110 @@
+"""A TCP connection over a link with a rate and a delay, which may stall; in simulated time."""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from mapperd.server.pacer import Pacer
+
+STEP_S = 0.005
+
+LEAST_ON_ITS_WAY = 3_000
+"""Of a calm TCP."""
+
+
+@dataclass
+class Link:
+    """One direction is slow, the way back takes `back_s`.
+
+    Attributes:
+        rate: bytes a second at a time.
+        there_s, back_s: of the wire alone.
+        stalled: whether nothing comes out at a time, and then all at once what was held: as after
+            a packet that is lost and sent again. Packets behind it arrive, and are not given out.
+        calm: TCP has no more on its way than twice what the wire holds, as BBR; otherwise all that
+            it is given, which waits at the narrowest place.
+    """
+
+    rate: Callable[[float], float]
+    there_s: float = 0.15
+    back_s: float = 0.15
+    stalled: Callable[[float], bool] = lambda _: False
+    calm: bool = True
+    pacer: Pacer = field(default_factory=Pacer)
+    now_s: float = 0.0
+    delivered: int = 0
+    waits_s: list[tuple[float, float]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._unsent: deque[tuple[int, float]] = deque()
+        self._queue: deque[list[float]] = deque()
+        self._round_trip_s = self.there_s + self.back_s  # of the handshake
+        self._wire: deque[tuple[float, float, float]] = deque()
+        self._acks: deque[tuple[float, int]] = deque()
+
+    @property
+    def unsent(self) -> int:
+        return sum(size for size, _ in self._unsent)
+
+    def send(self, size: int) -> None:
+        self.pacer.note_sent(size, self.now_s)
+        self.carry(size)
+
+    def carry(self, size: int) -> None:
+        """What the pacer was told of already."""
+        self._unsent.append((size, self.now_s))
+
+    def step(self) -> None:
+        """A little time passes."""
+        self.now_s += STEP_S
+        self._put_on_its_way()
+        left = self.rate(self.now_s) * STEP_S
+        while self._queue and left > 0:
+            head = self._queue[0]
+            took = min(head[0], left)
+            head[0] -= took
+            left -= took
+            if head[0] <= 0:
+                self._queue.popleft()
+                self._wire.append((self.now_s + self.there_s, head[1], head[2]))
+                self._measure(self.now_s - head[3] + self.there_s + self.back_s)
+        while self._wire and self._wire[0][0] <= self.now_s and not self.stalled(self.now_s):
+            _, size, given_s = self._wire.popleft()
+            self.delivered += int(size)
+            self.waits_s.append((self.now_s, self.now_s - given_s - self.there_s))
+            self._acks.append((self.now_s + self.back_s, self.delivered))
+        self.pacer.note_link(self.unsent, self._round_trip_s, self.now_s, fills=not self.calm)
+        while self._acks and self._acks[0][0] <= self.now_s:
+            assert self.pacer.note_ack(self._acks.popleft()[1], self.now_s)
+
+    def _put_on_its_way(self) -> None:
+        wire = self.rate(self.now_s) * (self.there_s + self.back_s)
+        while self._unsent:
+            on_its_way = sum(head[0] for head in self._queue) + wire * bool(self._queue)
+            if self.calm and on_its_way > max(2 * wire, LEAST_ON_ITS_WAY):
+                return
+            size, given_s = self._unsent.popleft()
+            self._queue.append([float(size), float(size), given_s, self.now_s])
+
+    def _measure(self, round_trip_s: float) -> None:
+        self._round_trip_s += (round_trip_s - self._round_trip_s) / 8
+
+    def fill(self, until_s: float, piece: int = 1_000) -> None:
+        """Send as much as may be sent."""
+        while self.now_s < until_s:
+            while self.pacer.fits(piece, self.now_s):
+                self.send(piece)
+            self.step()
+
+    def trickle(self, until_s: float, every_s: float, piece: int = 300) -> None:
+        """Send a little, now and then."""
+        next_s = self.now_s
+        while self.now_s < until_s:
+            if self.now_s >= next_s and self.pacer.fits(piece, self.now_s):
+                self.send(piece)
+                next_s += every_s
+            self.step()
+
+    def worst_wait_s(self, from_s: float, to_s: float) -> float:
+        """In buffers."""
+        return max(wait for at, wait in self.waits_s if from_s <= at <= to_s)

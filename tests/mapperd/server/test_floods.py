@@ -1,0 +1,94 @@
+"""However much a client says at once, the event loop has its turns."""
+
+import asyncio
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from mapperd.server import connection
+from mapperd.server.session import CHANGES_AT_ONCE, CHANGES_PER_S, Session
+from mapperd.wire.auth import Limits
+from mapperd.wire.framing import framed
+from mapperd.wire.messages import Ack, Ask, Change, Interest
+from tests.mapperd.server.test_session import Told
+from tests.mapperd.server.watched import bed_of, run
+
+
+@pytest.mark.parametrize("door", ["unix", "tls"])
+def test_many_messages_are_heard_in_many_turns(
+    short: Path, tls: tuple[object, object], door: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: list[int] = []
+    take = Session.take
+
+    def noted(session: Session, data: bytes, now_s: float) -> None:
+        taken.append(len(data))
+        take(session, data, now_s)
+
+    async def work() -> None:
+        async with bed_of(short, tls[0]) as bed:  # type: ignore[arg-type]
+            watcher = await bed.watcher(door, tls[1] if door == "tls" else None)  # type: ignore[arg-type]
+            await watcher.hello(b"correct-horse-battery-staple" if door == "tls" else None)
+            monkeypatch.setattr(Session, "take", noted)
+            said = 10_000 * framed(Change()) + framed(Change(bytes_per_s=77_777))
+            watcher.writer.write(said)
+            (client,) = bed.server._clients
+            while client.session.pacer.bytes_per_s != 77_777:  # noqa: ASYNC110 it tells nobody
+                await asyncio.sleep(0)
+            assert max(taken) <= 8192
+            await watcher.leave()
+
+    run(work())
+
+
+def test_of_many_changes_the_newest_is_heeded_in_its_time() -> None:
+    told = Told(1e6, wants=["map"])
+    session, heeded = told.session, []
+
+    def look() -> None:
+        if session.wish is not None:
+            assert session.wish.interest is not None
+            heeded.append(session.wish.interest.radius_m)
+            session.wish = None
+
+    for n in range(100):
+        told.say(Change(interest=Interest(radius_m=float(n + 1))))
+        look()
+    assert heeded == [float(n + 1) for n in range(CHANGES_AT_ONCE)]
+    for _ in range(8):
+        told.link.now_s += 0.05
+        session.look(told.now_s)
+        look()
+    assert heeded[CHANGES_AT_ONCE:] == [100.0]
+    for n in range(400):
+        told.link.now_s += 0.01
+        told.say(Change(interest=Interest(radius_m=1000.0 + n)))
+        session.look(told.now_s)
+        look()
+    assert 4 * CHANGES_PER_S - 1 <= len(heeded) - CHANGES_AT_ONCE - 1 <= 4 * CHANGES_PER_S + 2
+
+
+def test_who_acknowledges_and_asks_but_never_reads_is_cut(
+    short: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    most = 300_000
+    monkeypatch.setattr(connection, "MAX_UNSENT", most)
+
+    async def work() -> None:
+        async with bed_of(short, limits=Limits(asks_per_s=1e6, asks_at_once=10**6)) as bed:
+            monkeypatch.setattr(bed.daemon, "status", lambda: {"phase": "x" * 20_000})
+            watcher = await bed.welcomed(wants=[])
+            (client,) = bed.server._clients
+            longest = 0
+            while not client.is_over:
+                if not client.session.asks:
+                    ask = msgspec.msgpack.encode({"do": "status", "id": 1})
+                    watcher.say(Ask(ask=msgspec.Raw(ask)), Ack(bytes=client.session.pacer.sent))
+                await asyncio.sleep(0.001)
+                assert client._transport is not None
+                longest = max(longest, client._transport.get_write_buffer_size())
+            assert most < longest < most + 100_000
+            assert bed.counters["cut_unread"] == 1
+
+    run(work())

@@ -1,0 +1,311 @@
+"""What one client is told, and when, in a time of its own."""
+
+from collections import Counter
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from mapperd.events import EventLog, Severity
+from mapperd.server.admission import Newcomer
+from mapperd.server.outbox import SHARES
+from mapperd.server.pacer import FIRST_RATE, MIN_UNSENT, UNSENT_S
+from mapperd.server.session import Beginning, Common, Session
+from mapperd.server.state_feed import Newest, SettingLog
+from mapperd.server.state_messages import Track
+from mapperd.wire.auth import FailureLimiter
+from mapperd.wire.framing import client_inbox, framed
+from mapperd.wire.messages import (
+    Blocks,
+    Change,
+    Event,
+    FromClient,
+    Hello,
+    MapFacts,
+    Path,
+    Pose,
+    Resume,
+    Robots,
+    Settings,
+    Status,
+    Welcome,
+)
+from tests.mapperd.server.shaped import LEAST_ON_ITS_WAY, STEP_S, Link
+
+FACTS = MapFacts("m1", 0.1, 0.25, 0.8, 0.0)
+TICK_S = 0.05
+
+
+class PlainFeed(SimpleNamespace):
+    """Messages that a test makes: a pose each tick, robots of 3000 bytes."""
+
+    def __init__(self) -> None:
+        super().__init__(made={}, path=Track(1000, 1.0), settings=SettingLog({}), pictures=[0] * 3)
+        self.status = msgspec.Raw(msgspec.msgpack.encode({"phase": "mapping", "long": "x" * 3000}))
+
+    def newest(self, kind: str) -> Newest:
+        return self.made.get(kind, Newest())  # type: ignore[no-any-return]
+
+    def make(self, kind: str, message: Any) -> None:
+        self.made[kind] = Newest(self.newest(kind).number + 1, framed(message))
+
+    def image(self, coarseness: int) -> Newest:
+        return Newest(1, bytes(self.pictures[coarseness]))
+
+    def event(self, happening: Any, lost: int) -> bytes:
+        return framed(Event(event={"number": happening.number}, lost=lost))
+
+
+def pose(n: int) -> Pose:
+    at = (float(n), 0.0, 0.0)
+    turn = (0.0, 0.0, 0.0, 1.0)
+    return Pose(
+        stamp_ns=n,
+        position_m=at,
+        orientation_xyzw=turn,
+        sonar_position_m=at,
+        sonar_orientation_xyzw=turn,
+        covariance=(0.1,) * 36,
+    )
+
+
+class LargeMap:
+    """Of which there is always more; messages are as large as there is room, about."""
+
+    left, resumed, reason, number = 1000, False, "", 0
+
+    def settle(self, number: int) -> None:
+        assert number <= self.number
+
+    def next(self, room: int) -> bytes:
+        self.number += 1
+        sizes = (0.7, 1.1, 1.45)
+        size = int(room * sizes[room % len(sizes)])
+        return framed(Blocks(revision=1, stamp_ns=1, left=1, complete=None, body=bytes(size)))
+
+
+class Told:
+    """A session, a link of so many bytes a second, and what came over it."""
+
+    def __init__(self, rate: float, *, has_map: bool = False, limit: int = 0, **hello: Any) -> None:
+        self.feed, self.events = PlainFeed(), EventLog(lambda: 1)
+        feed: Any = self.feed
+        common = Common(feed, self.events, FailureLimiter(), "rov", limit)
+        self.session = Session(common, Newcomer("", "", None), may_change=True)
+        self.link = Link(
+            lambda _: rate, there_s=0.05, back_s=0.05, pacer=self.session.pacer, now_s=100.0
+        )
+        self.inbox = client_inbox()
+        self.heard: list[tuple[float, Any]] = []
+        self.way = b""
+        self._send(self.session.greeting(self.now_s))
+        self.say(Hello(version=1, **hello))
+        self.map: Any = None
+        if has_map:
+            self.map = LargeMap()
+        self.session.viewed(self.map, Beginning(FACTS, 7, "s1"))
+        self.session.wish = None
+
+    @property
+    def now_s(self) -> float:
+        return self.link.now_s
+
+    def say(self, message: FromClient) -> None:
+        self.session.take(framed(message), self.now_s)
+
+    def _send(self, data: bytes) -> None:
+        if data:
+            self.link.carry(len(data))
+            self.way += data
+
+    def tick(self, number: int = 1, *, poses: bool = False) -> None:
+        for _ in range(number):
+            for _ in range(round(TICK_S / STEP_S)):
+                self.link.step()
+                came = self.link.delivered - self.inbox.received
+                self.heard += [(self.now_s, one) for one in self.inbox.feed(self.way[:came])]
+                self.way = self.way[came:]
+            if poses:
+                self.feed.make("pose", pose(round(self.now_s * 1000)))
+            self._send(self.session.next(self.now_s, round(self.now_s * 1e9)))
+            room = self.session.map_rooms(self.now_s).far
+            if room:
+                frame = self.map.next(room)
+                self.session.mapped(frame, 1000, self.now_s)
+                self._send(self.session.sent_of_map(frame, self.map.number, self.now_s))
+
+    def of(self, kind: type) -> list[Any]:
+        return [one for _, one in self.heard if isinstance(one, kind)]
+
+    def bytes_of(self, kind: type) -> int:
+        return sum(len(framed(one)) for one in self.of(kind))
+
+    def late_s(self) -> list[float]:
+        """How old poses were when they came."""
+        return [at_s - one.stamp_ns / 1000 for at_s, one in self.heard if isinstance(one, Pose)]
+
+
+def test_the_welcome_comes_first_and_says_what_there_is() -> None:
+    told = Told(1e6, wants=["pose"])
+    told.tick(20, poses=True)
+    kinds = [type(one) for _, one in told.heard]
+    assert kinds[1] is Welcome
+    (welcome,) = told.of(Welcome)
+    assert (welcome.revision, welcome.session, welcome.vehicle) == (7, "s1", "rov")
+    assert welcome.map == FACTS
+    assert len(told.of(Pose)) >= 5
+    assert told.of(Robots) == []
+
+
+def test_a_slow_link_has_fresh_poses_and_skips_the_others() -> None:
+    told = Told(6_000, wants=["pose"])
+    told.tick(1200, poses=True)
+    # The wire, what is not sent yet, and a calm TCP's last packets; more until the rate is known.
+    wire_s = 0.1 + TICK_S + (LEAST_ON_ITS_WAY + 500) / 6_000
+    assert max(told.late_s()) < wire_s + UNSENT_S * FIRST_RATE / 6_000
+    assert max(told.late_s()[50:]) < wire_s + MIN_UNSENT / 6_000
+    assert len(told.late_s()) > 60
+    assert told.session.portions.skipped["pose"] + len(told.of(Pose)) > 1150
+
+
+def test_heartbeats_come_each_second_and_the_whole_status_when_there_is_room() -> None:
+    quick, slow = Told(1e6, wants=["status"]), Told(4_000, wants=["status"])
+    silent = Told(1e6)
+    for told in (quick, slow, silent):
+        told.tick(400)
+        beats = [at_s for at_s, one in told.heard if isinstance(one, Status)]
+        assert 18 <= len(beats) <= 20
+        assert np.diff(beats).max() < 2.1
+    whole = [len([one for one in told.of(Status) if one.status]) for told in (quick, slow, silent)]
+    assert whole[0] >= 18
+    assert 1 <= whole[1] <= 5  # 3 kB each, of a twentieth of the link
+    assert whole[2] == 0
+    link = quick.of(Status)[-1].link
+    assert link["bytes"] > 50_000
+    assert {"bytes_per_s", "round_trip_s", "in_flight", "left", "skipped"} <= link.keys()
+
+
+@pytest.mark.parametrize(
+    ("rate", "limit"), [(32_000, 0), (8_000, 0), (4_000, 0), (1e6, 8_000), (1e6, 2_000)]
+)
+def test_poses_come_while_the_map_takes_all_it_can(rate: float, limit: int) -> None:
+    told = Told(rate, has_map=True, limit=limit, wants=["map", "pose"])
+    told.tick(100, poses=True)
+    begun_s = told.now_s
+    told.heard.clear()
+    told.tick(800, poses=True)
+    bytes_per_s = min(rate, limit or rate)
+    of_all = bytes_per_s * (told.now_s - begun_s)
+    assert told.bytes_of(Pose) > 0.8 * SHARES["pose"] * of_all
+    assert told.bytes_of(Blocks) > 0.7 * of_all
+    each_s = len(framed(told.of(Pose)[0])) / (SHARES["pose"] * bytes_per_s)
+    gaps_s = np.diff([at_s for at_s, one in told.heard if isinstance(one, Pose)])
+    assert gaps_s.max() < 1.5 * each_s + 2 * max(UNSENT_S, MIN_UNSENT / bytes_per_s)
+
+
+def test_the_map_gives_way_to_what_is_due_and_asks_for_no_crumbs() -> None:
+    told = Told(32_000, has_map=True, wants=["map"])
+    told.tick(100)
+    session, pacer = told.session, told.session.pacer
+    pacer.note_ack(pacer.sent, told.now_s)
+    room = session.map_rooms(told.now_s).far
+    assert room > pacer.least()
+    session.portions.waits = True
+    assert session.map_rooms(told.now_s).far == 0
+    session.portions.waits = False
+    pacer.note_sent(pacer.room(told.now_s) - pacer.least() // 2, told.now_s)
+    assert pacer.room(told.now_s) > 600
+    assert session.map_rooms(told.now_s).far == 0
+
+
+@pytest.mark.parametrize("rate", [4_000, 32_000])
+def test_the_map_starves_nothing_that_comes_to_an_end(rate: float) -> None:
+    """Settings are large messages, for which little room is left beside the map."""
+    told = Told(rate, has_map=True, wants=["map", "pose", "settings", "status"])
+    told.feed.settings = SettingLog({f"a.b{n}": {"text": "x" * 300} for n in range(50)})
+    told.tick(20 * 80, poses=True)
+    facts = {name for one in told.of(Settings) for name in one.facts}
+    assert len(facts) == 50
+    assert sum(1 for one in told.of(Status) if one.status) > 2
+    assert told.bytes_of(Blocks) > 0.4 * rate * 80
+
+
+def test_settings_come_in_pieces_and_poses_between_them() -> None:
+    told = Told(20_000, wants=["settings", "pose"])
+    told.feed.settings = SettingLog(
+        {f"a.b{n}": {"value": n, "text": "x" * 300} for n in range(300)}
+    )
+    told.tick(240, poses=True)
+    facts: dict[str, Any] = {}
+    for one in told.of(Settings):
+        facts |= one.facts
+    assert len(facts) == 300
+    at_s = [at_s for at_s, one in told.heard if isinstance(one, Pose)]
+    assert np.diff(at_s).max() < 0.7
+    told.feed.settings.put({"a.b7": {"value": 8}})
+    told.tick(20)
+    assert told.of(Settings)[-1].facts == {"a.b7": {"value": 8}}
+
+
+def test_events_are_told_once_and_those_that_are_forgotten_counted() -> None:
+    told = Told(1e6, wants=["events"], events_since=0)
+    for n in range(1200):
+        told.events.add(Severity.INFO, "n", str(n))
+    told.tick(200)
+    numbers = [one.event["number"] for one in told.of(Event)]
+    assert numbers == [*range(201, 1201)]
+    assert [one.lost for one in told.of(Event)][:2] == [200, 0]
+
+
+def test_a_path_grows_goes_on_and_is_sent_anew_where_it_was_thinned() -> None:
+    told = Told(1e6, wants=["path"])
+    for n in range(500):
+        told.feed.path.add(np.array([2.0 * n, 0, 0]))
+    told.tick(20)
+    assert points_of(told)[:, 0].tolist() == [2.0 * n for n in range(500)]
+    resume = Resume(map="m1", session="s1", revision=1, path=498)
+    again = Told(1e6, wants=["path"], resume=resume)
+    again.feed.path = told.feed.path
+    again.tick(20)
+    assert [one.first for one in again.of(Path)] == [498]
+    other = Told(1e6, wants=["path"], resume=Resume(map="m1", session="s0", revision=1, path=498))
+    other.feed.path = told.feed.path
+    other.tick(20)
+    assert not other.of(Welcome)[0].resumed
+    assert other.of(Path)[0].first == 0
+    for n in range(500, 1001):
+        told.feed.path.add(np.array([2.0 * n, 0, 0]))
+    told.tick(20)
+    assert told.of(Path)[-1].version == 1
+    assert points_of(told)[:, 0].tolist() == [4.0 * n for n in range(501)]
+
+
+def points_of(told: Told) -> Any:
+    points = np.zeros((0, 3))
+    for one in told.of(Path):
+        points = np.vstack([points[: one.first], np.frombuffer(one.points, "<f4").reshape(-1, 3)])
+    return points
+
+
+def test_what_is_not_wanted_any_more_is_not_told() -> None:
+    told = Told(1e6, wants=["pose"])
+    told.tick(10, poses=True)
+    told.say(Change(wants=["robots"]))
+    told.tick(5)
+    told.heard.clear()
+    told.feed.make("robots", Robots(seen=[(1, 2.0, 3.0, 4.0)]))
+    told.tick(10, poses=True)
+    assert not told.of(Pose)
+    assert len(told.of(Robots)) == 1
+
+
+def test_pictures_are_as_fine_as_the_link_has_room_for() -> None:
+    told = Told(1e6, wants=["pose"])
+    told.feed.pictures = [80_000, 20_000, 5_000]
+    found: Counter[int] = Counter()
+    for rate in (5e6, 2e5, 1e4):
+        told.session.pacer.rate = rate
+        found[told.session.portions.coarseness()] += 1
+    assert found == {0: 1, 1: 1, 2: 1}

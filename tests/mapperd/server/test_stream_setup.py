@@ -1,0 +1,151 @@
+"""The doors that the settings ask for, and a whole daemon behind them."""
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from stream_study.told_steps import told_steps
+
+from mapperd.config.loader import config_from_text
+from mapperd.daemon.servers import map_listeners, stream_server
+from mapperd.daemon.session import host_clock
+from mapperd.errors import ConfigError
+from mapperd.events import EventLog
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.server.map_source import MapSource
+from mapperd.wire.blocks import UNKNOWN
+from mapperd.wire.messages import Fan, Image, MapFacts, Pose, Returns
+from mapperd.wire.messages import Path as Trace
+from mapperd.wire.socket_paths import map_socket_places
+from tests.mapperd.daemon.test_daemon import bench_of, run
+from tests.mapperd.server.watched import Key, Watcher
+from tests.support.control_server import TOKEN
+
+MakeBytes = Callable[..., bytes]
+
+
+def doors_of(text: str, environ: dict[str, str]) -> tuple[list[str], list[str]]:
+    """Names of the doors, and codes of events."""
+    events = EventLog(lambda: 1)
+    doors = map_listeners(config_from_text(text), events, environ)
+    names = [door.name for door in doors]
+    for door in doors:
+        door.close()
+    return names, [event.code for event in events.since(0)[0]]
+
+
+def test_there_is_a_unix_socket_beside_that_of_control(short: Path) -> None:
+    environ = {"XDG_RUNTIME_DIR": str(short)}
+    assert doors_of("{}", environ) == ([f"unix {short}/mapperd-map.sock"], [])
+    config = config_from_text(f"control: {{socket: '{short}/x/c.sock'}}")
+    assert map_socket_places(config, {}) == [short / "x" / "mapperd-map.sock"]
+    text = f"stream: {{socket: '{short}/own.sock', mode: '666'}}"
+    assert doors_of(text, environ) == ([f"unix {short}/own.sock"], ["stream_for_all"])
+
+
+def test_tcp_without_a_token_is_of_the_loopback_alone(short: Path) -> None:
+    environ = {"XDG_RUNTIME_DIR": str(short)}
+    names, codes = doors_of("stream: {address: '127.0.0.1:0'}", environ)
+    assert names[1].startswith("tcp 127.0.0.1:")
+    assert codes == []
+    with pytest.raises(ConfigError, match=r"stream\.token_file") as caught:
+        doors_of("stream: {address: '0.0.0.0:0'}", environ)
+    assert caught.value.path == "$.stream.token_file"
+    assert not (short / "mapperd-map.sock").exists()
+    token = short / "stream-token"
+    token.write_bytes(TOKEN)
+    token.chmod(0o600)
+    for given in ({"CREDENTIALS_DIRECTORY": str(short)}, {}):
+        setting = "" if given else f", token_file: '{token}'"
+        text = f"stream: {{address: '0.0.0.0:0'{setting}}}"
+        names, codes = doors_of(text, environ | given)
+        assert names[1].startswith("tcp 0.0.0.0:")
+        assert codes == ["stream_in_clear"]
+
+
+@pytest.mark.parametrize(
+    ("stream", "path"),
+    [
+        ("address: nowhere", "$.stream.address"),
+        ("address: '127.0.0.1:0', token_file: /nowhere", "$.stream.token_file"),
+        ("address: '127.0.0.1:0', tls_key: /nowhere", "$.stream.tls_certificate"),
+        ("address: '127.0.0.1:0', tls_certificate: /nowhere", "$.stream.tls_certificate"),
+    ],
+)
+def test_wrong_settings_name_their_place(short: Path, stream: str, path: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        doors_of(f"stream: {{{stream}}}", {"XDG_RUNTIME_DIR": str(short)})
+    assert caught.value.path == path
+
+
+def test_a_socket_of_the_service_manager_is_used(short: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as mine:
+        mine.bind(str(short / "given"))
+        mine.listen()
+        doors = map_listeners(config_from_text("{}"), EventLog(lambda: 1), {}, mine)
+        assert [door.name for door in doors] == [f"unix {short}/given"]
+        doors[0].close()
+    with socket.socket(socket.AF_INET) as wrong, pytest.raises(ConfigError, match="stream socket"):
+        map_listeners(config_from_text("{}"), EventLog(lambda: 1), {}, wrong)
+
+
+def test_a_daemon_shows_its_map_its_pose_and_what_the_sonar_sees(
+    short: Path, ping_bytes: MakeBytes
+) -> None:
+    pings = [ping_bytes(n, start_time=100 + 0.02 * n) for n in range(1, 60)]
+    wants = ["map", "pose", "path", "fan", "returns", "image", "status"]
+
+    async def work() -> None:
+        async with contextlib.AsyncExitStack() as stack:
+            async with bench_of(short, pings) as bench:
+                source = stack.enter_context(MapSource(bench.map, bench.keep, log_odds_step=0.25))
+                environ = {"XDG_RUNTIME_DIR": str(short)}
+                clock = host_clock()
+                server = stream_server(bench.daemon, bench.live, source, environ, now_ns=clock)
+                await stack.enter_async_context(server)
+                watcher = Watcher(*await asyncio.open_unix_connection(short / "mapperd-map.sock"))
+                stack.callback(watcher.writer.transport.abort)
+                await watcher.until(lambda: watcher.greeting is not None)
+                await watcher.hello(wants=wants)
+                kinds = {Pose, Trace, Fan, Returns, Image}
+                await watcher.until(lambda: kinds <= watcher.newest.keys() and bool(watcher.cells))
+                await bench.daemon.reset("test")
+                await watcher.until(lambda: watcher.resets > 0)
+            end = bench.map.core.revision  # nothing is mapped any more
+            await watcher.until(lambda: (watcher.complete or 0) >= end)
+            assert watcher.cells == cells_of(bench.map, source.facts())
+            check_scene(watcher)
+            assert server.status()["clients"] == 1
+
+    run(work())
+
+
+def cells_of(sonar_map: SonarMap, facts: MapFacts) -> dict[Key, bytes]:
+    """Blocks of the stream as the map's own blocks have them."""
+    found = {}
+    for key, odds, counts in zip(*sonar_map.core.blocks(), strict=True):
+        cells = told_steps(odds * 2.0**-24, facts)
+        cells = np.where(counts > 0, cells, np.int8(UNKNOWN)).reshape(2, 8, 2, 8, 2, 8)
+        for z, y, x in np.ndindex(2, 2, 2):
+            part = cells[z, :, y, :, x, :]
+            if (part != UNKNOWN).any():
+                at = (int(key[0]) * 2 + x, int(key[1]) * 2 + y, int(key[2]) * 2 + z)
+                found[at] = part.tobytes()
+    return found
+
+
+def check_scene(watcher: Watcher) -> None:
+    pose, returns, trace = (watcher.newest[kind] for kind in (Pose, Returns, Trace))
+    assert isinstance(pose, Pose)
+    assert (pose.source, pose.position_m) == ("fixed", (0.0, 0.0, 0.0))
+    assert isinstance(trace, Trace)
+    assert np.frombuffer(trace.points, "<f4").tolist() == [0.0, 0.0, 0.0]
+    assert isinstance(returns, Returns)
+    assert returns.outcome == "mapped"
+    assert returns.sonar_position_m == pose.sonar_position_m
+    points = np.frombuffer(returns.points, "<f4").reshape(-1, 3)
+    assert len(points) == len(returns.intensities) > 0

@@ -1,0 +1,121 @@
+"""What the page says of the link."""
+
+import pytest
+
+from mapperd.client import LinkStatus
+from mapperd.viewer.colours import Scale, legend_of
+from mapperd.viewer.health import Health, Rate, banner_html, health_html, legend_html
+
+SECOND = 1_000_000_000
+
+
+def linked(state: str, reason: str = "", connects: int = 1) -> Health:
+    return Health(LinkStatus(state, "10.0.0.2:52300", reason, 100.0, connects))  # type: ignore[arg-type]
+
+
+def test_a_rate_is_of_the_last_seconds_and_begins_anew_with_the_daemon() -> None:
+    rate = Rate()
+    assert rate.per_s is None
+    for second in range(10):
+        rate.add(float(second), 20.0 * second if second < 5 else 100.0)
+    assert rate.per_s == pytest.approx(0.0)
+    rate.add(10.0, 0.0)
+    assert rate.per_s is None
+    rate.add(11.0, 5.0)
+    assert rate.per_s == pytest.approx(5.0)
+
+
+def test_a_lost_link_is_said_in_big_letters_and_for_how_long() -> None:
+    health = linked("waiting", "connection refused")
+    text = banner_html(health, 175.0)
+    assert "LINK LOST 1:15" in text
+    assert "10.0.0.2:52300: connection refused" in text
+    assert "LINK LOST 1:15" in health_html(health, 175.0, 0)
+    assert "NO LINK 5 s" in banner_html(linked("connecting", connects=0), 105.0)
+    assert banner_html(linked("connected"), 105.0) == ""
+
+
+def test_ages_are_by_the_daemon_s_clock() -> None:
+    health = linked("connected")
+    ahead = 3600 * SECOND
+    health.heartbeat(ahead + 10 * SECOND, 10 * SECOND + SECOND // 2)  # half a second under way
+    health.heartbeat(ahead + 11 * SECOND, 11 * SECOND + SECOND // 50)
+    health.pose_ns = ahead + 11 * SECOND
+    assert health.age_s(health.pose_ns, 12 * SECOND) == pytest.approx(0.98)
+    assert health.age_s(None, 12 * SECOND) is None
+    health.reconnected()
+    assert health.ahead_ns is None
+
+
+def test_rates_drops_and_latencies_are_shown() -> None:
+    health = linked("connected")
+    link = {"round_trip_s": 0.31, "left": 42, "skipped": {"returns": 7, "image": 2}}
+    for second in (0, 1, 2):
+        pings = {"mapped": 12 * second, "dropped": {"no_odometry": 3, "too_slow": 0}}
+        health.take_status({"phase": "mapping", "pings": pings}, link, float(second))
+        health.kilobytes.add(float(second), 55.5 * second)
+    health.pose_ns = 10 * SECOND
+    text = health_html(health, 102.0, 14 * SECOND)
+    for said in (
+        "CONNECTED",
+        "mapping",
+        "12.0 /s",
+        "55.5 kB/s",
+        "310 ms",
+        "no_odometry 3",
+        "4.0 s",
+    ):
+        assert said in text
+    assert ">42<" in text
+    assert ">9<" in text
+    assert "too_slow" not in text
+
+
+def test_what_the_daemon_says_is_no_html() -> None:
+    health = linked("waiting", "<script>alert(1)</script>")
+    health.take_status({"phase": "<b>", "pings": {"dropped": {"<i>": 1}}}, {}, 0.0)
+    for text in (health_html(health, 101.0, 0), banner_html(health, 101.0)):
+        assert "<script" not in text
+        assert "<i>" not in text
+        assert "<b>" not in text
+
+
+def test_nonsense_in_a_status_is_passed_over() -> None:
+    health = linked("connected")
+    health.take_status(
+        {"pings": 3, "phase": None}, {"left": "x", "skipped": [], "round_trip_s": None}, 0.0
+    )
+    health.take_status({"pings": {"mapped": "many", "dropped": 4}}, {"skipped": {"a": "b"}}, 1.0)
+    assert (health.left, health.skipped, health.dropped) == (0, 0, {})
+
+
+def test_the_legend_has_numbers_and_the_unit() -> None:
+    text = legend_html(legend_of(Scale("height", -7, -3)))
+    assert "height z (m)" in text
+    for tick in ("-7.0", "-5.0", "-3.0"):
+        assert f">{tick}<" in text
+
+
+def test_only_a_map_that_was_there_is_as_it_was() -> None:
+    assert "the map is as it was" in banner_html(linked("waiting"), 105.0)
+    never = banner_html(linked("waiting", connects=0), 105.0)
+    assert "as it was" not in never
+    assert "connecting by itself" in never
+
+
+def test_a_lost_link_is_lost_since_the_first_failure_not_the_last() -> None:
+    health = Health()
+
+    def take(state: str, since_s: float, connects: int = 1) -> None:
+        health.take_link(LinkStatus(state, "10.0.0.2:52300", "", since_s, connects))  # type: ignore[arg-type]
+
+    take("connected", 90.0)
+    for since_s in (100.0, 103.0, 108.0):
+        take("waiting", since_s)
+        take("connecting", since_s + 1)
+    assert "LINK LOST 15 s" in banner_html(health, 115.0)
+    take("waiting", 113.0, connects=2)  # it was there between two looks
+    assert "LINK LOST 2 s" in banner_html(health, 115.0)
+    take("connected", 120.0, connects=3)
+    take("waiting", 130.0, connects=3)
+    assert "LINK LOST 5 s" in banner_html(health, 135.0)

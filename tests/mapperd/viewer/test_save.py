@@ -1,0 +1,143 @@
+"""The record button: it says what becomes of a recording, however that ends."""
+
+import argparse
+import asyncio
+import sys
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any, ClassVar, cast
+
+import pytest
+from mcap.reader import make_reader
+
+from mapperd.cli.mapperctl import view
+from mapperd.errors import ExportError
+from mapperd.foxglove.recording import Recording
+from mapperd.viewer.save import Keep
+from tests.mapperd.foxglove import foxglove_fakes as fakes
+
+pytest.importorskip("viser", reason="the extra `topside` is not installed")
+
+from mapperd.cli.mapperctl.view import open_page
+
+
+class Notes:
+    """What one browser is told."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[str, str]] = []
+
+    def add_notification(self, title: str, text: str, **_: Any) -> None:
+        self.told.append((title, text))
+
+
+class Watched:
+    """A page's server that one browser watches."""
+
+    def __init__(self, gui: Any) -> None:
+        self.gui = gui
+        self.notes = Notes()
+
+    def get_clients(self) -> dict[int, Notes]:
+        return {0: self.notes}
+
+
+def kept(folder: Path, press: Callable[[Keep, Notes, Any], Awaitable[None]]) -> Notes:
+    """What is told to a browser while somebody presses buttons."""
+    server = open_page("127.0.0.1", 0)
+    watched = Watched(server.gui)
+
+    async def run() -> None:
+        client = fakes.FakeClient()
+        keep = Keep(
+            cast("Any", watched),
+            server.gui.add_tab_group().add_tab("View"),
+            cast("Any", client),
+            folder=folder,
+            recorder=cast("Any", Recording),
+            begin=lambda _: None,
+        )
+        await press(keep, watched.notes, client)
+        await keep.stop()
+
+    try:
+        asyncio.run(run())
+    finally:
+        server.stop()
+    return watched.notes
+
+
+def test_two_presses_make_a_recording(tmp_path: Path) -> None:
+    async def press(keep: Keep, notes: Notes, client: Any) -> None:
+        await keep._record(cast("Any", notes))
+        await asyncio.sleep(0)
+        client.tell_all()
+        await fakes.until(lambda: not client.untold)
+        await keep.say()
+        assert keep._button.label.startswith("Stop recording (")
+        await keep._record(cast("Any", notes))
+        assert "Record" in keep._button.label
+
+    notes = kept(tmp_path, press)
+    (path,) = tmp_path.iterdir()
+    assert [title for title, _ in notes.told] == ["Recording", "Recorded"]
+    assert str(path) in notes.told[1][1]
+    with path.open("rb") as file:
+        summary = make_reader(file, validate_crcs=True).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count > 0
+
+
+def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [one for one in sys.modules if one.partition(".")[0] == "foxglove"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.delitem(sys.modules, "mapperd.foxglove.mcap_recorder", raising=False)
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+
+    async def press(keep: Keep, notes: Notes, _: Any) -> None:
+        await keep._record(cast("Any", notes))
+
+    ((title, text),) = kept(tmp_path, press).told
+    assert title == "Not recorded"
+    assert "pip install 'mapperd[foxglove]'" in text
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_that_ends_by_itself_is_said(tmp_path: Path) -> None:
+    async def press(keep: Keep, notes: Notes, _: Any) -> None:
+        await keep._record(cast("Any", notes))
+        running = cast("Any", keep._running)
+        running._recorder.tick = full
+        await fakes.until(lambda: running.ended)
+        await keep.say()
+        assert keep._running is None
+        assert "Stop" not in keep._button.label
+
+    def full(_: float) -> None:
+        raise ExportError("no space is left")
+
+    told = kept(tmp_path, press).told
+    assert [title for title, _ in told] == ["Recording", "Recording ended"]
+    assert "no space is left" in told[1][1]
+
+
+class NoView:
+    """Instead of the page's view."""
+
+    made: ClassVar[list[Any]] = []
+
+    def __init__(self, *_: Any, recorder: Any, **__: Any) -> None:
+        self.made.append(recorder)
+
+    async def run(self) -> None:
+        return
+
+
+def test_the_command_s_page_can_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(view, "View", NoView)
+    said = argparse.Namespace(
+        host="127.0.0.1", port=0, open=False, json=True, level=0, radius=0.0, allow_changes=False
+    )
+    list(view.run_view(said, str(tmp_path / "none.sock"), None, None))
+    assert NoView.made == [Recording]

@@ -1,0 +1,263 @@
+"""A daemon that only says what it was asked, and a client that knows nothing of ours."""
+
+import asyncio
+import hashlib
+import hmac
+import json
+import socket
+import ssl
+from collections import Counter
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+from mapperd.api import OperationError, PoseRequest
+from mapperd.config.layers import Layered
+from mapperd.config.live import ConfigStore
+from mapperd.config.tree import Config
+from mapperd.events import EventLog
+from mapperd.server.control_server import ControlServer
+from mapperd.server.listeners import Listener, open_tcp_listener, open_unix_listener
+from mapperd.wire.auth import Limits
+
+TOKEN = b"correct-horse-battery-staple"
+
+
+class FakeDaemon:
+    """Obeys `mapperd.api.DaemonApi`; `fault` is raised by whatever is asked next."""
+
+    def __init__(self, config: Config | None = None) -> None:
+        self.settings = ConfigStore(Layered(config or Config()))
+        self.settings.follow(["filtering"], lambda _: None)
+        self.events = EventLog(lambda: 1_700_000_000_000_000_000)
+        self.done: list[tuple[str, ...]] = []
+        self.poses: list[PoseRequest | None] = []
+        self.fault: Exception | None = None
+        self.go_on = asyncio.Event()
+        self.go_on.set()
+
+    def status(self) -> dict[str, Any]:
+        self._fail()
+        return {"phase": "mapping", "reason": "", "pings": {"total": 7}, "pose": None}
+
+    async def save(self, name: str, origin: str) -> dict[str, Any]:
+        return await self._do("save", name, origin, result={"path": f"/maps/{name}", "bytes": 9})
+
+    async def reset(self, origin: str) -> dict[str, Any]:
+        return await self._do("reset", origin, result={})
+
+    async def reload(self, origin: str) -> dict[str, Any]:
+        result = {"changed": {"filtering.min_range": [0.5, 1.0]}, "refused": {}, "waiting": []}
+        return await self._do("reload", origin, result=result)
+
+    async def snapshot(self, origin: str) -> dict[str, Any]:
+        return await self._do("snapshot", origin, result={"bytes": 3, "seconds": 0.5})
+
+    def localization(self, particles: int = 0) -> dict[str, Any]:
+        self._fail()
+        return {"mode": "off", "state": "off"} | ({"particles": particles} if particles else {})
+
+    async def initial_pose(self, asked: PoseRequest, origin: str) -> dict[str, Any]:
+        self.poses.append(asked)
+        return await self._do("initial_pose", origin, result={})
+
+    async def global_localization(self, origin: str) -> dict[str, Any]:
+        return await self._do("global_localization", origin, result={})
+
+    async def request_nomotion_update(self, origin: str) -> dict[str, Any]:
+        return await self._do("request_nomotion_update", origin, result={})
+
+    async def set_map(self, name: str, asked: PoseRequest | None, origin: str) -> dict[str, Any]:
+        self.poses.append(asked)
+        result = {"path": f"/maps/{name}"}
+        return await self._do("set_map", name, origin, result=result)
+
+    async def _do(self, *what: str, result: dict[str, Any]) -> dict[str, Any]:
+        await self.go_on.wait()
+        self._fail()
+        self.done.append(what)
+        return result
+
+    def _fail(self) -> None:
+        fault, self.fault = self.fault, None
+        if fault is not None:
+            raise fault
+
+
+def refusal(reason: str) -> OperationError:
+    return OperationError(f"it cannot be: {reason}", reason)
+
+
+@dataclass
+class Served:
+    """A server with a Unix, a TCP and perhaps a TLS socket."""
+
+    daemon: FakeDaemon
+    server: ControlServer
+    doors: dict[str, Listener]
+    trusted: ssl.SSLContext | None = None
+
+    @property
+    def counters(self) -> Counter[str]:
+        return Counter(self.server.status()["counters"])
+
+    async def raw(self, kind: str) -> "Line":
+        """A connection that was not greeted yet."""
+        door = self.doors[kind]
+        at = door.socket.getsockname()
+        if kind == "unix":
+            streams = await asyncio.open_unix_connection(door.name.removeprefix("unix "))
+        elif kind == "tls":
+            streams = await asyncio.open_connection(
+                at[0], at[1], ssl=self.trusted, server_hostname="localhost"
+            )
+        else:
+            streams = await asyncio.open_connection(at[0], at[1])
+        return Line(*streams)
+
+    async def line(self, kind: str = "unix", token: bytes = TOKEN) -> "Line":
+        """A connection that said hello."""
+        line = await self.raw(kind)
+        answer = await line.hello(token)
+        assert answer.get("result") == {"version": 1}, answer
+        return line
+
+
+class Line:
+    """One connection, by json alone."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.reader = reader
+        self.writer = writer
+        self.number = 0
+        self.challenge = ""
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self.writer.transport.abort()
+
+    async def hear(self) -> dict[str, Any]:
+        async with asyncio.timeout(60):
+            line = await self.reader.readline()
+        if not line:
+            raise EOFError
+        heard = json.loads(line)
+        assert isinstance(heard, dict)
+        return heard
+
+    async def say(self, data: bytes) -> None:
+        self.writer.write(data)
+        await self.writer.drain()
+
+    async def ask(self, do: str, **more: Any) -> dict[str, Any]:
+        self.number += 1
+        await self.say(json.dumps({"id": self.number, "do": do} | more).encode() + b"\n")
+        answer = await self.hear()
+        assert answer["id"] == self.number
+        return answer
+
+    async def hello(self, token: bytes = TOKEN, **more: Any) -> dict[str, Any]:
+        greeting = await self.hear()
+        assert greeting["mapperd"] == "control"
+        assert greeting["versions"] == [1]
+        said: dict[str, Any] = {"version": 1}
+        if greeting["challenge"]:
+            text = b"mapperd-control-1 " + greeting["challenge"].encode()
+            said |= {"proof": hmac.new(token, text, hashlib.sha256).hexdigest()}
+        return await self.ask("hello", **(said | more))
+
+    async def is_cut(self) -> bool:
+        """Whether the other side ends it, whatever it says before."""
+        try:
+            async with asyncio.timeout(60):
+                while await self.reader.read(65536):
+                    pass
+        except ConnectionError:
+            pass
+        return True
+
+
+@asynccontextmanager
+async def served(
+    folder: Path,
+    limits: Limits | None = None,
+    kinds: Sequence[str] = ("unix", "tcp"),
+    tls: tuple[ssl.SSLContext, ssl.SSLContext] | None = None,
+) -> AsyncIterator[Served]:
+    daemon = FakeDaemon()
+    doors = {"unix": open_unix_listener(folder / "mapperd.sock", 0o660)}
+    if "tcp" in kinds:
+        doors["tcp"] = open_tcp_listener("127.0.0.1:0", TOKEN, None)
+    if tls is not None:
+        doors["tls"] = open_tcp_listener("127.0.0.1:0", TOKEN, tls[0])
+    server = ControlServer(daemon, list(doors.values()), limits)
+    async with server:
+        yield Served(daemon, server, doors, tls[1] if tls else None)
+
+
+async def until(true: Any) -> None:
+    """Wait until something holds; the suite's timeout ends what never does."""
+    async with asyncio.timeout(60):
+        while not true():  # noqa: ASYNC110 what is waited for has no event
+            await asyncio.sleep(0.005)
+
+
+def descriptors() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+def is_listening(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX) as probe:
+        return probe.connect_ex(str(path)) == 0
+
+
+FREE = Limits(asks_per_s=1e6, asks_at_once=10**6, connects_per_s=1e6, connects_at_once=10**6)
+
+MALFORMED = [
+    b"\n",
+    b"\0\0\0\0\n",
+    b"\xff\xfe\n",
+    b"GET / HTTP/1.1\r\n",
+    b"[]\n",
+    b"null\n",
+    b"7\n",
+    b'"status"\n',
+    b'{"id": 1}\n',
+    b'{"do": "status"}\n',
+    b'{"id": -1, "do": "status"}\n',
+    b'{"id": 1e400, "do": "status"}\n',
+    b'{"id": 9007199254740993, "do": "status"}\n',
+    b'{"id": 1, "do": "status", "do2": 1}\n',
+    b'{"id": 1, "do": "destroy"}\n',
+    b'{"id": 1, "do": ["status"]}\n',
+    b'{"id": 1, "do": "save"}\n',
+    b'{"id": 1, "do": "save", "name": 7}\n',
+    b'{"id": 1, "do": "set", "changes": {}}\n',
+    b'{"id": 1, "do": "set", "changes": [["a", 1]]}\n',
+    b'{"id": 1, "do": "get", "names": []}\n',
+    b'{"id": 1, "do": "events", "since": "0"}\n',
+    b'{"id": 1, "do": "initial_pose"}\n',
+    b'{"id": 1, "do": "initial_pose", "pose": {"x_m": NaN, "y_m": 0, "yaw_rad": 0}}\n',
+    b'{"id": 1, "do": "initial_pose", "pose": {"x_m": 1e400, "y_m": 0, "yaw_rad": 0}}\n',
+    b'{"id": 1, "do": "initial_pose", "pose": {"x_m": 1e7, "y_m": 0, "yaw_rad": 0}}\n',
+    b'{"id": 1, "do": "set_map", "pose": {"x_m": 1, "y_m": 0, "yaw_rad": 0}}\n',
+    b'{"id": 1, "do": "status"\n',
+    b"[" * 60000 + b"\n",
+    b'{"id": 1, "do": "set", "changes": {"a": ' + b"[" * 60000 + b"\n",
+]
+
+
+def go(work: Callable[[Served], Awaitable[None]], folder: Path, **more: Any) -> None:
+    async def run() -> None:
+        async with served(folder, **more) as one:
+            await work(one)
+        assert asyncio.all_tasks() == {asyncio.current_task()}
+
+    asyncio.run(run())

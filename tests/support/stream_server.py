@@ -1,0 +1,289 @@
+"""A small daemon's end of the map stream, which says what a test wants."""
+
+import asyncio
+import contextlib
+import ssl
+from dataclasses import dataclass, field
+from pathlib import Path as FilePath
+from typing import Self
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from mapperd.wire.auth import is_proof
+from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet, encode_blocks
+from mapperd.wire.framing import Inbox, framed, server_inbox
+from mapperd.wire.messages import (
+    Ack,
+    Answer,
+    Ask,
+    Blocks,
+    Bye,
+    Change,
+    FromClient,
+    FromServer,
+    Greeting,
+    Hello,
+    Interest,
+    MapFacts,
+    Path,
+    Reset,
+    Status,
+    Welcome,
+)
+
+TOKEN = b"correct-horse-battery"
+
+FACTS = MapFacts("map-1", 0.1, 0.25, 0.6, -1.4)
+
+
+def a_block(value: int, *, holes: bool = True) -> NDArray[np.int8]:
+    """Cells that are no others' than this value's."""
+    cells = np.random.default_rng(value).integers(-127, 127, CELLS).astype(np.int8)
+    if holes:
+        cells[::7] = UNKNOWN
+    return cells
+
+
+@dataclass
+class Served:
+    """The map of a daemon, and what it is asked; tests change it in the server's loop."""
+
+    facts: MapFacts = FACTS
+    session: str = "s-1"
+    blocks: dict[tuple[int, int, int], tuple[int, NDArray[np.int8]]] = field(default_factory=dict)
+    revision: int = 0
+    token: bytes | None = None
+    refusal: Bye | None = None
+    path: Path | None = None
+    versions: tuple[int, ...] = (1,)
+    status_s: float = 1.0
+    ticket: str = ""
+    advises_second: object = None
+    second_refusal: Bye | None = None
+    hellos: list[Hello] = field(default_factory=list)
+    asked: list[dict[str, object]] = field(default_factory=list)
+    acked: int = 0
+    sent: int = 0
+
+    def put(self, key: tuple[int, int, int], cells: NDArray[np.int8]) -> None:
+        """Another revision, of which a block is other than before."""
+        self.revision += 1
+        self.blocks[key] = (self.revision, cells)
+
+    def forget(self, key: tuple[int, int, int]) -> None:
+        """Another revision, in which nothing is known of a block any more."""
+        self.put(key, np.full(CELLS, UNKNOWN, np.int8))
+
+    def begin_anew(self, name: str) -> None:
+        """Another map, with one block."""
+        self.facts = msgspec.structs.replace(self.facts, id=name)
+        self.blocks.clear()
+        self.put((0, 0, 0), a_block(5))
+
+    def since(self, revision: int) -> BlockSet:
+        """All that changed after a revision."""
+        told = {key: cells for key, (at, cells) in self.blocks.items() if at > revision}
+        cells = np.array(list(told.values()), np.int8).reshape(-1, CELLS)
+        return BlockSet(
+            np.array(list(told), np.int32).reshape(-1, 3), np.zeros(len(told), np.uint32), cells
+        )
+
+    def can_resume(self, hello: Hello) -> bool:
+        """Whether what a client says that it holds is right."""
+        held = hello.resume
+        if held is None or held.revision is None:
+            return False
+        return held.map == self.facts.id and held.revision <= self.revision
+
+
+class Connection:
+    """One client of a served map."""
+
+    def __init__(
+        self, served: Served, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        self.served = served
+        self.reader = reader
+        self.writer = writer
+        self.inbox: Inbox[FromClient] = server_inbox()
+        self.interest = Interest()
+        self.told = 0
+        self.is_second = False
+        self.sent = self.acked = 0
+        self.quiet = False
+
+    def say(self, *messages: FromServer) -> None:
+        said = b"".join(map(framed, messages))
+        self.sent += len(said)
+        self.served.sent += len(said)
+        self.writer.write(said)
+
+    async def serve(self) -> None:
+        served = self.served
+        challenge = "" if served.token is None else "a challenge"
+        self.say(Greeting(versions=served.versions, challenge=challenge))
+        beating: asyncio.Task[None] | None = None
+        try:
+            while data := await self.reader.read(65536):
+                for message in self.inbox.feed(data):
+                    if not isinstance(message, Hello):
+                        self.hear(message)
+                    elif self.welcome(message, challenge):
+                        beating = asyncio.create_task(self.beat())
+                    else:
+                        return
+        finally:
+            if beating is not None:
+                beating.cancel()
+
+    def welcome(self, hello: Hello, challenge: str) -> bool:
+        served = self.served
+        served.hellos.append(hello)
+        if served.token is not None and not is_proof(hello.proof, served.token, challenge):
+            self.say(Bye(reason="wrong_token", message="that is not the token"))
+            return False
+        self.is_second = hello.beside != ""
+        refusal = served.second_refusal if self.is_second else served.refusal
+        if refusal is not None:
+            self.say(refusal)
+            return False
+        if self.is_second:
+            self.say(self.welcomed(resumed=True))
+            return True
+        is_resumed = served.can_resume(hello)
+        held = hello.resume.revision if hello.resume and is_resumed else 0
+        self.told = held or 0
+        self.interest = hello.interest
+        self.say(self.welcomed(resumed=is_resumed, ticket=served.ticket))
+        self.tell()
+        return True
+
+    def welcomed(self, *, resumed: bool, ticket: str = "") -> Welcome:
+        served = self.served
+        return Welcome(
+            version=1,
+            server="test",
+            vehicle="diver",
+            session=served.session,
+            map=served.facts,
+            revision=served.revision,
+            resumed=resumed,
+            may_change=True,
+            ticket=ticket,
+        )
+
+    def hear(self, message: FromClient) -> None:
+        if isinstance(message, Ack):
+            self.acked = message.bytes
+            if not self.is_second:
+                self.served.acked = message.bytes
+        elif isinstance(message, Change) and message.interest is not None:
+            self.interest = message.interest
+            self.told = 0
+            self.say(
+                Reset(
+                    map=self.served.facts,
+                    revision=self.served.revision,
+                    interest=self.interest,
+                )
+            )
+            self.tell()
+        elif isinstance(message, Ask):
+            ask = msgspec.msgpack.decode(message.ask)
+            self.served.asked.append(ask)
+            if ask["do"] == "fail":
+                self.say(Answer(id=ask["id"], error={"reason": "refused", "message": "no"}))
+            elif ask["do"] != "wait":
+                self.say(Answer(id=ask["id"], result={"changed": ask.get("changes", {})}))
+
+    def tell(self) -> None:
+        """What changed, and that this is all."""
+        served = self.served
+        blocks = served.since(self.told)
+        self.told = served.revision
+        if served.path is not None:
+            self.say(served.path)
+        self.say(
+            Blocks(
+                revision=served.revision,
+                stamp_ns=10**18,
+                complete=served.revision,
+                body=encode_blocks(blocks) if len(blocks) else b"",
+            )
+        )
+
+    async def beat(self) -> None:
+        while not self.quiet:
+            advice = self.served.advises_second
+            self.say(
+                Status(stamp_ns=10**18, link={} if advice is None else {"second_line": advice})
+            )
+            await asyncio.sleep(self.served.status_s)
+
+
+class Server:
+    """Serves a map on real sockets, `async with`."""
+
+    def __init__(
+        self,
+        served: Served,
+        path: FilePath | None = None,
+        port: int = 0,
+        tls: ssl.SSLContext | None = None,
+    ) -> None:
+        self.served = served
+        self.connections: list[Connection] = []
+        self.tls = tls
+        self._path = path
+        self._port = port
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    @property
+    def port(self) -> int:
+        return self._port
+
+    @property
+    def address(self) -> str:
+        return f"127.0.0.1:{self._port}" if self._path is None else str(self._path)
+
+    async def __aenter__(self) -> Self:
+        if self._path is not None:
+            self._server = await asyncio.start_unix_server(self._serve, self._path)
+        else:
+            self._server = await asyncio.start_server(
+                self._serve, "127.0.0.1", self._port, ssl=self.tls
+            )
+            self._port = self._server.sockets[0].getsockname()[1]
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self._server.close()
+        self.cut()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self._server.wait_closed()
+
+    def cut(self) -> None:
+        """Hang up on all."""
+        for connection in self.connections:
+            connection.writer.transport.abort()
+
+    def tell(self) -> None:
+        """Tell all of what changed."""
+        for connection in self.connections:
+            connection.tell()
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        connection = Connection(self.served, reader, writer)
+        self.connections.append(connection)
+        try:
+            with contextlib.suppress(ConnectionError):
+                await connection.serve()
+        finally:
+            self.connections.remove(connection)
+            writer.close()

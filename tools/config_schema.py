@@ -1,0 +1,66 @@
+"""The settings' types as a JSON Schema, for editors and other programs."""
+
+from typing import Any
+
+import msgspec
+
+from mapperd.config.aliases import ALIASES, VALUE_ALIASES
+from mapperd.config.catalog import inner_parameters, parameters, section_of
+from mapperd.config.tree import Config
+
+__all__ = ["json_schema"]
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
+
+def json_schema() -> dict[str, Any]:
+    """Schema of a settings file; every setting has its `x-unit` and `x-dynamic`.
+
+    Rules about several settings are beyond it: what it lets through may still be refused.
+    """
+    schema = {"$schema": DIALECT, **msgspec.json.schema(Config)}
+    for parameter in parameters().values():
+        _mark(schema, parameter.name, unit=parameter.unit, dynamic=parameter.dynamic)
+        for inner in inner_parameters(parameter):
+            section = section_of(parameter.annotation)
+            if section is not None:
+                node = schema["$defs"][section.__name__]
+                field = inner.name.rpartition(".")[2]
+                node["properties"][field] |= _marks(unit=inner.unit, dynamic=inner.dynamic)
+    _add_other_names(schema["$defs"]["Amcl"]["properties"])
+    return schema
+
+
+def _add_other_names(fields: dict[str, Any]) -> None:
+    """Let files through that say settings or values of `amcl` under their other names."""
+    inner: dict[str, Any] = {}
+    for other, name in ALIASES.items():
+        known = {k: v for k, v in fields[_last(name)].items() if k != "default"}
+        if name in VALUE_ALIASES:
+            known |= {"enum": [*known["enum"], *VALUE_ALIASES[name]]}
+        place = inner if ".initial_pose." in other else fields
+        place[_last(other)] = known | {"deprecated": True}
+    for name, values in VALUE_ALIASES.items():
+        fields[_last(name)] |= {"enum": [*fields[_last(name)]["enum"], *values]}
+    fields["initial_pose"] = {
+        "type": "object",
+        "properties": inner,
+        "additionalProperties": False,
+        "deprecated": True,
+    }
+
+
+def _last(name: str) -> str:
+    return name.rpartition(".")[2]
+
+
+def _mark(schema: dict[str, Any], name: str, *, unit: str, dynamic: bool) -> None:
+    node = schema
+    for part in name.split("."):
+        section = node["$ref"].rpartition("/")[2]
+        node = schema["$defs"][section]["properties"][part]
+    node |= _marks(unit=unit, dynamic=dynamic)
+
+
+def _marks(*, unit: str, dynamic: bool) -> dict[str, Any]:
+    return {"x-unit": unit, "x-dynamic": dynamic}
