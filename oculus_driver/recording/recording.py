@@ -98,7 +98,7 @@ def _description(probe: bytes) -> str:
         return "file contains only zeros"
     printable = sum(byte >= 0x20 or byte in b"\t\n\r\f" for byte in probe)  # noqa: PLR2004 - space
     if printable == len(probe):
-        return "file is text"
+        return "is a text file"
     return "file contains no sonar messages"
 
 
