@@ -26,6 +26,6 @@ def test_a_program_links_the_installed_libraries(tmp_path: Path) -> None:
     example, build = ROOT / "examples" / "cpp", tmp_path / "build"
     run(cmake, "-S", example, "-B", build, f"-DCMAKE_PREFIX_PATH={tmp_path / 'usr'}")
     run(cmake, "--build", build)
-    said = run(build / "integrate_ping").splitlines()
-    assert said[:3] == ["4 m ahead: occupied", "2 m ahead: free", "5 m ahead: unknown"]
-    assert said[3].endswith("the wall is 2.00 m ahead of the second point")
+    lines = run(build / "integrate_ping").splitlines()
+    assert lines[:3] == ["4 m ahead: occupied", "2 m ahead: free", "5 m ahead: unknown"]
+    assert lines[3].endswith("the wall is 2.00 m ahead of the second point")

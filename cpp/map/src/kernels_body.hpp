@@ -552,7 +552,7 @@ CodeCounts count_codes(const std::uint8_t* codes) {
   return {sum(occupied), sum(free)};
 }
 
-// Sixteen bytes of a table, in one register: whoever loads them then need not wait for sixteen
+// Sixteen bytes of a table, gathered in one register: a later load need not wait for sixteen
 // stores.
 inline B16 sixteen(const std::uint8_t* table, const std::int32_t* at) {
 #if defined(__AVX2__)
