@@ -15,7 +15,7 @@ __all__ = ["STD_XY_M", "STD_YAW_RAD", "DaemonApi", "OperationError", "PoseReques
 
 STD_XY_M = 0.5
 STD_YAW_RAD = math.pi / 12
-"""Of a pose that is given without: what RViz gives with a pose that is drawn by hand."""
+"""Default standard deviations of an initial pose; RViz uses the same."""
 
 Metres = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Angle = Annotated[float, Meta(ge=-100, le=100)]
@@ -25,13 +25,13 @@ Row = tuple[Covariance, Covariance, Covariance]
 
 
 class PoseRequest(Struct, frozen=True, forbid_unknown_fields=True):
-    """The vehicle's place and heading on the map, as it comes from outside.
+    """Requested position and heading of the vehicle on the map.
 
     Attributes:
         x_m, y_m, yaw_rad: mean; the heading counter-clockwise from x.
         std_xy_m, std_yaw_rad: standard deviations; None is `STD_XY_M`, `STD_YAW_RAD`.
         covariance: of (x, y, yaw), instead of both.
-        frame: that the pose is in; empty is the map's.
+        frame: frame of the pose; empty is the map frame.
     """
 
     x_m: Metres
@@ -43,11 +43,11 @@ class PoseRequest(Struct, frozen=True, forbid_unknown_fields=True):
     frame: Annotated[str, Meta(max_length=64)] = ""
 
     def gaussian(self) -> PlanarGaussian:
-        """The pose as the filter takes it.
+        """Return the pose as a Gaussian.
 
         Raises:
-            ValueError: the covariance is none, a number is not finite, or both a covariance and a
-                standard deviation are given.
+            ValueError: the covariance is invalid, a number is not finite, or both a covariance and
+                a standard deviation are given.
         """
         return PlanarGaussian(self.x_m, self.y_m, self.yaw_rad, self._covariance())
 
@@ -62,7 +62,7 @@ class PoseRequest(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class OperationError(MapperdError):
-    """What was asked cannot be done; nothing changed.
+    """A request cannot be carried out; nothing changed.
 
     Attributes:
         reason: short and stable: `bad_name`, `bad_format`, `cannot_write`, `no_store`, `busy`; of
@@ -84,10 +84,10 @@ class DaemonApi(Protocol):
 
     @property
     def events(self) -> EventLog:
-        """What happened."""
+        """The event log."""
 
     def status(self) -> dict[str, Any]:
-        """How it goes, in plain values with units in the keys; cheap, from any thread.
+        """Return the status as plain values with units in the keys; cheap, from any thread.
 
         Keys: `phase`, `reason`, `version`, `uptime_s`, `sonar`, `odometry`, `pose` (None before the
         first), `localization` (None where it is off), `pings`, `latency_ms`, `behind`, `map`,
@@ -98,8 +98,8 @@ class DaemonApi(Protocol):
         """Write the map into a file of the folder for maps.
 
         Args:
-            name: of the file, without a folder; its suffix says the format.
-            origin: who asks.
+            name: file name without a folder; its suffix selects the format.
+            origin: who requests it.
 
         Returns:
             `path`, `bytes`, `seconds`.
@@ -109,21 +109,21 @@ class DaemonApi(Protocol):
         """
 
     async def reset(self, origin: str) -> dict[str, Any]:
-        """Empty the map; pings from the next one on fill it again.
+        """Empty the map; mapping continues with the next ping.
 
         Raises:
             OperationError: the store cannot be emptied.
         """
 
     async def reload(self, origin: str) -> dict[str, Any]:
-        """Read the settings' files again.
+        """Reload the settings files.
 
         Returns:
             `changed` (name to value), `refused` (name to reason), `waiting` (names).
         """
 
     async def snapshot(self, origin: str) -> dict[str, Any]:
-        """Bring the map and the recording to the disk now.
+        """Flush the map and the recording to disk.
 
         Returns:
             `bytes`, `seconds`.
@@ -133,43 +133,43 @@ class DaemonApi(Protocol):
         """
 
     def localization(self, particles: int = 0) -> dict[str, Any]:
-        """Where the vehicle is on the known map; cheap, from any thread.
+        """Return the state of localization; cheap, from any thread.
 
         Args:
-            particles: of the cloud, at most so many.
+            particles: maximum number of particles to include.
 
         Returns:
             As `mapperd.localization.report.localization_report`.
         """
 
     async def initial_pose(self, asked: PoseRequest, origin: str) -> dict[str, Any]:
-        """Begin localization at a pose; without a map it waits for one.
+        """Start localization at a pose; without a map it waits for one.
 
         Raises:
             OperationError: `bad_pose`, `wrong_frame`, `localization_off`, `busy`.
         """
 
     async def global_localization(self, origin: str) -> dict[str, Any]:
-        """Begin localization anywhere on the map.
+        """Start localization with particles over the whole map.
 
         Raises:
             OperationError: `no_map`, `no_free_cells`, `localization_off`, `busy`.
         """
 
     async def request_nomotion_update(self, origin: str) -> dict[str, Any]:
-        """Have the next scan be an update, even if nothing moves.
+        """Update the filter with the next scan even if the vehicle does not move.
 
         Raises:
             OperationError: `no_filter`, `localization_off`, `busy`.
         """
 
     async def set_map(self, name: str, asked: PoseRequest | None, origin: str) -> dict[str, Any]:
-        """Localize on another map, from a pose on: both or neither.
+        """Switch to another map and pose; both take effect, or neither.
 
         Args:
-            name: of a file in the folder for maps.
-            asked: the pose; None goes on from the last estimate, or as the settings say.
-            origin: who asks.
+            name: name of a file in the maps folder.
+            asked: the pose; None continues from the last estimate, or as configured.
+            origin: who requests it.
 
         Returns:
             `path`.

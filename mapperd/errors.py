@@ -1,12 +1,12 @@
-"""The errors of mapperd, by who is at fault, and rejects of input.
+"""The errors of mapperd, and rejects of input.
 
 MapperdError
- +-- ConfigError      our user's settings: place in them, what is allowed
+ +-- ConfigError      a setting is invalid: where, and what is allowed
  +-- LiveError        a link cannot be opened
- +-- ReplayError      the recording cannot become a map with the options given
- +-- MapError         the map cannot hold or give what was asked
+ +-- ReplayError      the recording cannot be mapped with the given options
+ +-- MapError         the map cannot hold or return the requested data
  +-- StoreError       the map's file cannot be used
- +-- CheckpointError  a saved state cannot be gone on from
+ +-- CheckpointError  a saved state cannot be resumed
  +-- ExportError      a result cannot be written
 """
 
@@ -26,22 +26,22 @@ __all__ = [
 
 
 class MapperdError(Exception):
-    """Root of all errors of this package; its text is one line for a person."""
+    """Root of all errors of this package; its text is one line for people."""
 
     def __reduce__(self) -> tuple[object, ...]:
-        """For other processes: whatever the constructor of a kind wants besides the text."""
-        return _again, (type(self), self.args), self.__dict__
+        """Pickle without calling the constructor, whose arguments differ by class."""
+        return _rebuild, (type(self), self.args), self.__dict__
 
 
-def _again(kind: type[MapperdError], args: tuple[object, ...]) -> MapperdError:
+def _rebuild(kind: type[MapperdError], args: tuple[object, ...]) -> MapperdError:
     return kind.__new__(kind, *args)
 
 
 class ConfigError(MapperdError):
-    """A setting is wrong.
+    """A setting is invalid.
 
     Attributes:
-        path: place in the tree, `$.octree.voxel_resolution`; `$` for the whole document.
+        path: path of the setting, `$.octree.voxel_resolution`; `$` for the whole document.
     """
 
     def __init__(self, message: str, path: str = "$") -> None:
@@ -54,11 +54,11 @@ class LiveError(MapperdError):
 
 
 class ReplayError(MapperdError):
-    """The recording cannot become a map with the options given."""
+    """The recording cannot be mapped with the given options."""
 
 
 class MapError(MapperdError):
-    """The map cannot do what was asked.
+    """The map cannot carry out a request.
 
     Attributes:
         reason: short and stable: the name of a counter.
@@ -70,12 +70,12 @@ class MapError(MapperdError):
 
 
 class StoreError(MapperdError):
-    """The map's file cannot be used; what it holds is as it was at the last save.
+    """The map's file cannot be used; it holds the last saved state.
 
     Attributes:
         reason: short and stable: `other_parameters`, `in_use`, `not_a_store`, `newer_version`,
             `damaged`, `disk_full`, `read_only`, `cannot_open`, `busy`, `io_error`, `closed`, or
-            `out_of_step`: the map was changed and nobody said up to where.
+            `out_of_step`: the map changed without a record of its progress.
     """
 
     def __init__(self, message: str, reason: str) -> None:
@@ -84,7 +84,7 @@ class StoreError(MapperdError):
 
 
 class CheckpointError(MapperdError):
-    """A saved state of the estimators cannot be gone on from: damaged, or of another program."""
+    """A saved state of the estimators cannot be resumed: damaged, or of another program."""
 
 
 class ExportError(MapperdError):
@@ -93,11 +93,11 @@ class ExportError(MapperdError):
 
 @dataclass(frozen=True, slots=True)
 class Reject:
-    """Bytes, a record or a ping that was not taken, as a value: bad input is data.
+    """Reason why bytes, a record or a ping were not used. A value, not an exception.
 
     Attributes:
         reason: short and stable: the name of a counter.
-        detail: one sentence for a person.
+        detail: one sentence for people.
     """
 
     reason: str

@@ -1,4 +1,4 @@
-"""What happened, for people and programs: numbered, kept for a while, told to whoever listens."""
+"""The daemon's event log: numbered events, a bounded history, and listeners."""
 
 import threading
 from collections import deque
@@ -10,7 +10,7 @@ from typing import Any
 __all__ = ["Event", "EventLog", "Severity"]
 
 KEPT = 1000
-"""Events that can be asked for afterwards."""
+"""Default size of the history."""
 
 
 class Severity(StrEnum):
@@ -25,14 +25,14 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """One thing that happened.
+    """An event.
 
     Attributes:
         number: counts events from 1.
-        t_ns: when, Unix time.
-        severity: how bad it is.
+        t_ns: Unix time.
+        severity: severity.
         code: short and stable, for programs: `sonar_link`, `setting_changed`.
-        text: one line for a person.
+        text: one line for people.
         facts: plain values, units in the keys.
     """
 
@@ -44,7 +44,7 @@ class Event:
     facts: Mapping[str, Any] = field(default_factory=dict)
 
     def plain(self) -> dict[str, Any]:
-        """As JSON says it."""
+        """Return plain values for JSON."""
         return {
             "number": self.number,
             "t_s": self.t_ns / 1e9,
@@ -56,11 +56,11 @@ class Event:
 
 
 class EventLog:
-    """Keeps the newest events; any thread may add and ask.
+    """The newest events; every method may be called from any thread.
 
     Args:
         clock: Unix time in nanoseconds.
-        kept: events that can be asked for afterwards.
+        kept: size of the history.
     """
 
     def __init__(self, clock: Callable[[], int], kept: int = KEPT) -> None:
@@ -76,7 +76,7 @@ class EventLog:
         return self._number
 
     def add(self, severity: Severity, code: str, text: str, **facts: Any) -> Event:  # noqa: ANN401 plain values
-        """Note that something happened, and tell the listeners in the caller's thread."""
+        """Add an event and call the listeners in this thread."""
         with self._lock:
             self._number += 1
             event = Event(self._number, self._clock(), severity, code, text, facts)
@@ -87,17 +87,17 @@ class EventLog:
         return event
 
     def since(self, number: int) -> tuple[list[Event], int]:
-        """Events after a number, oldest first, and how many in between are not kept any more."""
+        """Return the events after a number, oldest first, and how many were already discarded."""
         with self._lock:
             events = [event for event in self._events if event.number > number]
             first = events[0].number if events else self._number + 1
         return events, max(0, first - 1 - max(number, 0))
 
     def listen(self, listener: Callable[[Event], None]) -> Callable[[], None]:
-        """Tell someone of every event to come; returns what ends that.
+        """Call a listener with every later event; return a function that removes it.
 
         Args:
-            listener: is called in the thread of whoever adds; it neither waits nor raises.
+            listener: called in the thread that adds; it must neither block nor raise.
         """
         with self._lock:
             self._listeners.append(listener)

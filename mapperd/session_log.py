@@ -1,8 +1,8 @@
-"""What a daemon decided that the bytes do not determine, recorded beside them.
+"""Decisions of the daemon that the sensor bytes do not determine, recorded beside them.
 
-They are one more link of a recording, one msgpack map in each chunk. *Orders* stand in the stream
-where they take effect: from the next bytes on. *Remarks* come later than the bytes that they are
-about and name the ping: the first of a session is number 0, and every ping message counts.
+They form one more link of a recording, with one msgpack map per chunk. *Orders* take effect with
+the next bytes of the stream. *Remarks* follow the bytes they describe and name the ping by number:
+the first ping of a session is number 0, and every ping message counts.
 """
 
 from collections.abc import Iterable, Iterator
@@ -51,7 +51,7 @@ DECISIONS = "mapperd-decisions"
 """Encoding of the link."""
 
 Covariance9 = tuple[float, float, float, float, float, float, float, float, float]
-"""Of x, y and yaw, row by row."""
+"""Covariance of x, y and yaw, row by row."""
 
 Numbers12 = tuple[
     float, float, float, float, float, float, float, float, float, float, float, float
@@ -60,15 +60,15 @@ Numbers12 = tuple[
 
 
 class Session(Struct, frozen=True, tag_field="kind", tag="session"):
-    """A run of the daemon begins here.
+    """Start of a run of the daemon.
 
     Attributes:
-        id: of the run.
-        version: of the program.
-        settings: all of them, as plain values.
-        pose: x, y, z in metres and w, x, y, z of a vehicle that stands still; None is odometry.
-        saved_pose: the estimate that localization began with; None where there was none.
-        map_sha256: of the map that localization began with; empty where there was none.
+        id: id of the run.
+        version: version of mapperd.
+        settings: all settings as plain values.
+        pose: x, y, z in metres and w, x, y, z of a fixed vehicle; None uses odometry.
+        saved_pose: initial estimate of localization, if any.
+        map_sha256: digest of localization's first map; empty without one.
     """
 
     id: str
@@ -80,18 +80,18 @@ class Session(Struct, frozen=True, tag_field="kind", tag="session"):
 
 
 class Settings(Struct, frozen=True, tag_field="kind", tag="settings"):
-    """Settings that hold from here on, by name, and who asked."""
+    """Settings that change here, by name, and who requested it."""
 
     values: dict[str, Any]
     origin: str = ""
 
 
 class Reset(Struct, frozen=True, tag_field="kind", tag="reset"):
-    """The map was emptied: pings that are settled by bytes before this are not in it.
+    """The map was emptied: it holds no ping whose pose was resolved before.
 
     Attributes:
-        number: of this reset in its session.
-        origin: who asked.
+        number: number of this reset in its session.
+        origin: who requested it.
     """
 
     number: int
@@ -99,20 +99,20 @@ class Reset(Struct, frozen=True, tag_field="kind", tag="reset"):
 
 
 class ResetFailed(Struct, frozen=True, tag_field="kind", tag="reset_failed"):
-    """A reset could not be carried out: the map is as it was."""
+    """A reset failed: the map is unchanged."""
 
     number: int
 
 
 class InitialPose(Struct, frozen=True, tag_field="kind", tag="initial_pose"):
-    """Localization begins anew around a pose.
+    """Localization starts at a pose.
 
     Attributes:
-        number: of this request in its session.
+        number: number of this request in its session.
         x_m, y_m, yaw_rad: mean.
         covariance: symmetric, positive semi-definite; m2, m rad, rad2.
-        frame: that the pose is in.
-        origin: who asked.
+        frame: frame of the pose.
+        origin: who requested it.
     """
 
     number: int
@@ -125,27 +125,27 @@ class InitialPose(Struct, frozen=True, tag_field="kind", tag="initial_pose"):
 
 
 class GlobalLocalization(Struct, frozen=True, tag_field="kind", tag="global_localization"):
-    """Localization begins anew anywhere on the map."""
+    """Localization starts with particles over the whole map."""
 
     number: int
     origin: str = ""
 
 
 class NoMotionUpdate(Struct, frozen=True, tag_field="kind", tag="nomotion_update"):
-    """The next scan is an update."""
+    """The next scan updates the filter even without motion."""
 
     number: int
     origin: str = ""
 
 
 class NewMap(Struct, frozen=True, tag_field="kind", tag="new_map"):
-    """Another map to be localized on, without a pose.
+    """Localization switches to another map, without a pose.
 
     Attributes:
-        number: of this request in its session.
-        path: of the map.
-        sha256: of what it held then.
-        origin: who asked.
+        number: number of this request in its session.
+        path: path of the map.
+        sha256: digest of its contents.
+        origin: who requested it.
     """
 
     number: int
@@ -155,7 +155,7 @@ class NewMap(Struct, frozen=True, tag_field="kind", tag="new_map"):
 
 
 class SetMap(Struct, frozen=True, tag_field="kind", tag="set_map"):
-    """Another map to be localized on, and a pose: both or neither. Attributes as of the parts."""
+    """Localization switches to another map and pose. Attributes as in `NewMap`, `InitialPose`."""
 
     number: int
     path: str
@@ -169,30 +169,30 @@ class SetMap(Struct, frozen=True, tag_field="kind", tag="set_map"):
 
 
 class Gap(Struct, frozen=True, tag_field="kind", tag="gap"):
-    """Bytes are missing before the next ones of a link; also where those begin a new file."""
+    """Bytes are missing before the next chunk of a link, or that chunk begins a new file."""
 
     link: str
 
 
 class Skip(Struct, frozen=True, tag_field="kind", tag="skip"):
-    """The next bytes of a link were recorded but not mapped: there was no room for them."""
+    """The next bytes of a link were recorded but not mapped, because the queue was full."""
 
     link: str
     bytes: int
 
 
 class Drop(Struct, frozen=True, tag_field="kind", tag="drop"):
-    """A ping was not mapped, as it had waited for too long."""
+    """A ping was not mapped because it had waited too long."""
 
     ping: int
 
 
 class RemovedRemark(Struct, frozen=True, tag_field="kind", tag="error_bound"):
-    """A remark of earlier versions about a setting that was removed; it has no effect."""
+    """A remark of earlier versions about a removed setting; ignored."""
 
 
 Request = InitialPose | GlobalLocalization | NoMotionUpdate | NewMap | SetMap
-"""What localization is asked for."""
+"""Requests to localization."""
 
 Decision = Session | Settings | Reset | ResetFailed | Gap | Skip | Drop | RemovedRemark | Request
 
@@ -200,12 +200,12 @@ _DECODER: msgspec.msgpack.Decoder[Decision] = msgspec.msgpack.Decoder(Decision)
 
 
 def chunk_of(decision: Decision, t_ns: int) -> Chunk:
-    """A decision as it is recorded."""
+    """Encode a decision for the recording."""
     return Chunk(LINK, DECISIONS, t_ns, msgspec.msgpack.encode(decision))
 
 
 def decision_of(chunk: Chunk) -> Decision | None:
-    """The decision in a chunk; None where there is none, or one of a later version."""
+    """Decode the decision of a chunk; None for other chunks and decisions of later versions."""
     if chunk.encoding != DECISIONS:
         return None
     try:
@@ -215,7 +215,7 @@ def decision_of(chunk: Chunk) -> Decision | None:
 
 
 def is_remark(decision: Decision | None) -> bool:
-    """Whether it is about what came before it, so that its place in the stream says nothing."""
+    """Return whether a decision is a remark, whose position in the stream has no meaning."""
     return isinstance(decision, Drop | RemovedRemark | ResetFailed)
 
 
@@ -224,8 +224,8 @@ class Remarks:
     """All remarks of one session.
 
     Attributes:
-        drops: numbers of the pings that were dropped.
-        failed: numbers of the resets that could not be carried out.
+        drops: numbers of the dropped pings.
+        failed: numbers of the failed resets.
     """
 
     drops: frozenset[int] = frozenset()
@@ -233,7 +233,7 @@ class Remarks:
 
 
 def remarks_in(chunks: Iterable[Chunk]) -> Remarks:
-    """Collect the remarks of a session; reads it to its end."""
+    """Collect the remarks of a session, reading it to its end."""
     drops: set[int] = set()
     failed: set[int] = set()
     for chunk in chunks:
@@ -246,7 +246,7 @@ def remarks_in(chunks: Iterable[Chunk]) -> Remarks:
 
 
 def without_skipped(chunks: Iterable[Chunk]) -> Iterator[Chunk]:
-    """Leave out the bytes that a `Skip` before them names."""
+    """Leave out the bytes that a preceding `Skip` names."""
     skips: dict[str, int] = {}
     for chunk in chunks:
         decision = decision_of(chunk)

@@ -1,4 +1,4 @@
-"""The channels that Foxglove and Lichtblick see, live and in MCAP files: docs/foxglove.md."""
+"""The channels that Foxglove and Lichtblick show, live and in MCAP files."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,17 +10,17 @@ from foxglove import channels as typed
 
 from mapperd.wire.messages import Want
 
-__all__ = ["CHANNELS", "Channel", "Channels", "Said"]
+__all__ = ["CHANNELS", "Channel", "ChannelMessage", "Channels"]
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One of them.
+    """A channel.
 
     Attributes:
-        topic: its name.
-        schema: a message of the SDK, `PointCloud`; of JSON, a name of ours.
-        want: what the daemon is asked for, for its sake.
+        topic: name.
+        schema: message of the SDK such as `PointCloud`, or a key of `JSON_SCHEMAS`.
+        want: what to request from the daemon while someone subscribes.
     """
 
     topic: str
@@ -34,13 +34,13 @@ class Channel:
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
-    """A message on its way.
+class ChannelMessage:
+    """A message to publish.
 
     Attributes:
-        topic: of its channel.
-        message: of the SDK; plain values for JSON.
-        stamp_ns: of the daemon's Unix clock.
+        topic: name of its channel.
+        message: message of the SDK, or plain values for JSON.
+        stamp_ns: Unix time by the daemon's clock.
     """
 
     topic: str
@@ -67,19 +67,19 @@ JSON_SCHEMAS: Mapping[str, dict[str, Any]] = {
                 },
             },
             "stream": {**_OBJECT, "description": "how the daemon sees this connection"},
-            "daemon": {**_OBJECT, "description": "as `mapperctl status --json` says it"},
+            "daemon": {**_OBJECT, "description": "output of `mapperctl status --json`"},
         },
     },
     "mapperd.Localization": {
         "title": "mapperd.Localization",
         "type": "object",
-        "description": "as `mapperctl localization --json` says it",
+        "description": "output of `mapperctl localization --json`",
         "properties": {"state": {"type": "string"}},
     },
     "mapperd.Settings": {
         "title": "mapperd.Settings",
         "type": "object",
-        "description": "values of settings by name: the first time all, then those that changed",
+        "description": "values of settings by name: first all, then those that changed",
     },
 }
 
@@ -107,37 +107,37 @@ CHANNELS: tuple[Channel, ...] = (
 
 
 class Channels:
-    """All of them, open for one server or file.
+    """All channels, open for one server or file.
 
     Args:
-        context: that the server or the file listens to.
+        context: context of the server or file.
 
     Attributes:
-        newest_ns: time of the newest message; logs go forward, whatever the stamps do.
-        messages: that were said.
+        newest_ns: time of the newest message; log times never decrease.
+        messages: number published.
     """
 
     def __init__(self, context: foxglove.Context) -> None:
         self.newest_ns = 0
         self.messages = 0
-        self._context = context  # channels close when nobody holds it any more
+        self._context = context  # channels close with it
         self._open = {channel.topic: _opened(channel, context) for channel in CHANNELS}
 
     def heard(self, topic: str) -> bool:
-        """Somebody listens to it."""
+        """Return whether a topic has a subscriber."""
         return bool(self._open[topic].has_sinks())
 
-    def say(self, said: Said) -> None:
-        """Tell those who listen."""
-        self.newest_ns = max(self.newest_ns, said.stamp_ns)
+    def publish(self, channel_message: ChannelMessage) -> None:
+        """Send a message to the subscribers."""
+        self.newest_ns = max(self.newest_ns, channel_message.stamp_ns)
         self.messages += 1
-        message = said.message
+        message = channel_message.message
         if isinstance(message, dict):
             message = msgspec.json.encode(message)
-        self._open[said.topic].log(message, log_time=self.newest_ns)
+        self._open[channel_message.topic].log(message, log_time=self.newest_ns)
 
     def close(self) -> None:
-        """They are there no more."""
+        """Close all channels."""
         for channel in self._open.values():
             channel.close()
 

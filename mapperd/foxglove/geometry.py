@@ -1,4 +1,4 @@
-"""Poses, transforms and values as those of Foxglove's messages."""
+"""Poses, transforms and values as Foxglove messages."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -60,29 +60,29 @@ def stamp(stamp_ns: int) -> Timestamp:
 
 
 def vector(xyz: Iterable[float]) -> Vector3:
-    """Three numbers."""
+    """Vector message."""
     x, y, z = map(float, xyz)
     return Vector3(x=x, y=y, z=z)
 
 
 def quaternion(xyzw: Iterable[float]) -> Quaternion:
-    """Four numbers, the real one last."""
+    """Quaternion message; the real part comes last."""
     x, y, z, w = map(float, xyzw)
     return Quaternion(x=x, y=y, z=z, w=w)
 
 
 def pose(position: Iterable[float], xyzw: Iterable[float] = IDENTITY) -> Pose:
-    """A position and an orientation."""
+    """Pose message."""
     return Pose(position=vector(position), orientation=quaternion(xyzw))
 
 
 def planar_pose(x_m: float, y_m: float, z_m: float, yaw_rad: float) -> Pose:
-    """A pose that stands upright."""
+    """Pose message without roll and pitch."""
     return pose((x_m, y_m, z_m), (0.0, 0.0, math.sin(yaw_rad / 2), math.cos(yaw_rad / 2)))
 
 
 def points(xyz: ArrayLike) -> list[Point3]:
-    """Points (N, 3)."""
+    """Point messages of (N, 3) coordinates."""
     rows: list[list[float]] = np.asarray(xyz, np.float64).reshape(-1, 3).tolist()
     return [Point3(x=x, y=y, z=z) for x, y, z in rows]
 
@@ -94,9 +94,9 @@ def cloud(
 
     Args:
         rows: little endian, of uint8, uint32 and float32.
-        frame: that `origin` is in.
-        stamp_ns: Unix.
-        origin: of the points; None is the frame's.
+        frame: frame of `origin`.
+        stamp_ns: Unix time.
+        origin: pose of the points' axes; None is the frame itself.
     """
     kind = rows.dtype
     fields = [
@@ -117,33 +117,33 @@ class Frames:
     """Names of the frames.
 
     Args:
-        map_frame: of the map that is served.
-        settings: facts of the daemon's settings by name, as far as they are known.
+        map_frame: frame of the served map.
+        settings: the daemon's settings by name, as far as known.
     """
 
     def __init__(self, map_frame: str, settings: Mapping[str, Any]) -> None:
         self.map = map_frame
-        self.base = _named(settings, "frames.base", "base_link")
-        self.sonar = _named(settings, "frames.sonar", "sonar_link")
+        self.base = _frame_name(settings, "frames.base", "base_link")
+        self.sonar = _frame_name(settings, "frames.sonar", "sonar_link")
 
 
-def transforms(said: VehiclePose, frames: Frames) -> FrameTransforms:
-    """Map to base, and base to sonar."""
-    map_q_base = _wxyz(said.orientation_xyzw)
+def transforms(vehicle: VehiclePose, frames: Frames) -> FrameTransforms:
+    """Transforms from map to base and from base to sonar."""
+    map_q_base = _wxyz(vehicle.orientation_xyzw)
     base_q_map = map_q_base * (1, -1, -1, -1)
-    base_to_sonar_m = np.subtract(said.sonar_position_m, said.position_m)
-    mounting = quaternion_product(base_q_map, _wxyz(said.sonar_orientation_xyzw))
+    base_to_sonar_m = np.subtract(vehicle.sonar_position_m, vehicle.position_m)
+    mounting = quaternion_product(base_q_map, _wxyz(vehicle.sonar_orientation_xyzw))
     return FrameTransforms(
         transforms=[
             FrameTransform(
-                timestamp=stamp(said.stamp_ns),
+                timestamp=stamp(vehicle.stamp_ns),
                 parent_frame_id=frames.map,
                 child_frame_id=frames.base,
-                translation=vector(said.position_m),
-                rotation=quaternion(said.orientation_xyzw),
+                translation=vector(vehicle.position_m),
+                rotation=quaternion(vehicle.orientation_xyzw),
             ),
             FrameTransform(
-                timestamp=stamp(said.stamp_ns),
+                timestamp=stamp(vehicle.stamp_ns),
                 parent_frame_id=frames.base,
                 child_frame_id=frames.sonar,
                 translation=vector(quaternion_to_matrix(base_q_map) @ base_to_sonar_m),
@@ -153,34 +153,34 @@ def transforms(said: VehiclePose, frames: Frames) -> FrameTransforms:
     )
 
 
-def pose_in_frame(said: VehiclePose, frames: Frames) -> PoseInFrame:
-    """Of the base."""
+def pose_in_frame(vehicle: VehiclePose, frames: Frames) -> PoseInFrame:
+    """Pose of the base in the map frame."""
     return PoseInFrame(
-        timestamp=stamp(said.stamp_ns),
+        timestamp=stamp(vehicle.stamp_ns),
         frame_id=frames.map,
-        pose=pose(said.position_m, said.orientation_xyzw),
+        pose=pose(vehicle.position_m, vehicle.orientation_xyzw),
     )
 
 
-def odometry(said: VehiclePose, frames: Frames) -> Odometry:
-    """Of the base, with its velocity in its own axes; what is unknown is left out."""
+def odometry(vehicle: VehiclePose, frames: Frames) -> Odometry:
+    """Odometry of the base: pose in the map frame, velocity in the base frame if known."""
     velocity = None
-    if said.velocity_mps is not None:
-        map_from_base = quaternion_to_matrix(_wxyz(said.orientation_xyzw))
-        velocity = vector(map_from_base.T @ np.asarray(said.velocity_mps))
+    if vehicle.velocity_mps is not None:
+        map_from_base = quaternion_to_matrix(_wxyz(vehicle.orientation_xyzw))
+        velocity = vector(map_from_base.T @ np.asarray(vehicle.velocity_mps))
     return Odometry(
-        timestamp=stamp(said.stamp_ns),
+        timestamp=stamp(vehicle.stamp_ns),
         frame_id=frames.map,
         body_frame_id=frames.base,
-        pose=pose(said.position_m, said.orientation_xyzw),
+        pose=pose(vehicle.position_m, vehicle.orientation_xyzw),
         linear_velocity=velocity,
-        pose_covariance=None if said.covariance is None else list(said.covariance),
+        pose_covariance=None if vehicle.covariance is None else list(vehicle.covariance),
     )
 
 
-def particle_poses(said: Localization, frame: str, z_m: float, stamp_ns: int) -> PosesInFrame:
-    """The cloud of a filter in the plane, drawn at the vehicle's height."""
-    rows: list[list[float]] = np.frombuffer(said.particles, "<f4").reshape(-1, 4).tolist()
+def particle_poses(state: Localization, frame: str, z_m: float, stamp_ns: int) -> PosesInFrame:
+    """Particles of the planar filter, drawn at the vehicle's height."""
+    rows: list[list[float]] = np.frombuffer(state.particles, "<f4").reshape(-1, 4).tolist()
     return PosesInFrame(
         timestamp=stamp(stamp_ns),
         frame_id=frame,
@@ -189,7 +189,7 @@ def particle_poses(said: Localization, frame: str, z_m: float, stamp_ns: int) ->
 
 
 def planar_fix(fix: Mapping[str, Any], frame: str, z_m: float, stamp_ns: int) -> PoseInFrame:
-    """Where the vehicle most likely is: `x_m`, `y_m`, `yaw_rad`."""
+    """Most likely pose: `x_m`, `y_m`, `yaw_rad`."""
     return PoseInFrame(
         timestamp=stamp(stamp_ns),
         frame_id=frame,
@@ -197,10 +197,10 @@ def planar_fix(fix: Mapping[str, Any], frame: str, z_m: float, stamp_ns: int) ->
     )
 
 
-def _named(settings: Mapping[str, Any], name: str, otherwise: str) -> str:
+def _frame_name(settings: Mapping[str, Any], name: str, default: str) -> str:
     facts = settings.get(name)
     value = facts.get("value") if isinstance(facts, Mapping) else None
-    return value if isinstance(value, str) else otherwise
+    return value if isinstance(value, str) else default
 
 
 def _wxyz(xyzw: Sequence[float]) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Point clouds of the map for Foxglove: when all of it, and when its changes."""
+"""Point clouds of the map for Foxglove: the whole map now and then, changes in between."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mapperd.client.block_table import Cells, keys_of, names_of
 from mapperd.client.changes import MapChanged
 from mapperd.client.mirror import MapMirror
-from mapperd.foxglove.channels import Said
+from mapperd.foxglove.channels import ChannelMessage
 from mapperd.foxglove.geometry import cloud, pose
 from mapperd.wire.blocks import CELLS
 from mapperd.wire.messages import BLOCK_EDGE, Localization, Returns
@@ -34,25 +34,25 @@ _STEPS = np.array([1, BLOCK_EDGE, BLOCK_EDGE**2])
 
 
 class SentCells:
-    """Occupied cells by block, a bit each."""
+    """The occupied cells that were published, one bit a cell, by block."""
 
     def __init__(self) -> None:
         self._bits: dict[bytes, bytes] = {}
 
     def clear(self) -> None:
-        """Nothing was told."""
+        """Forget all cells."""
         self._bits.clear()
 
     def replace(self, names: Iterable[bytes], cells: Cells, cell_m: float) -> NDArray[np.float64]:
-        """Tell the cells that are occupied in some blocks now.
+        """Set the occupied cells of some blocks.
 
         Args:
-            names: of the blocks.
-            cells: all that are occupied in them.
-            cell_m: edge of one.
+            names: names of the blocks.
+            cells: all occupied cells in them.
+            cell_m: edge of a cell.
 
         Returns:
-            (N, 3) centres of those that were told before, and are not occupied any more.
+            (N, 3) centres of the cells that were occupied before and are not any more.
         """
         now = _bits_by_block(cells, cell_m)
         before = []
@@ -111,19 +111,19 @@ _POINT = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
 
 
 def map_rows(cells: Cells, stamp_ns: int) -> NDArray[np.void]:
-    """Points of cells; `age_s` since their block changed last, `count` 0 where nobody tells it."""
+    """Points of cells; `age_s` counts from the block's last change, `count` is 0 if unknown."""
     return _rows(cells, _CELL, stamp_ns)
 
 
 def map_cloud(rows: NDArray[np.void], frame: str, stamp_ns: int) -> PointCloud:
-    """All of `map_rows` as of one moment."""
+    """Point cloud of `map_rows`."""
     return cloud(rows, frame, stamp_ns)
 
 
 def changes_cloud(
     cells: Cells, gone_m: NDArray[np.float64], frame: str, stamp_ns: int
 ) -> PointCloud:
-    """Cells that are occupied now, and the centres (N, 3) of those that are not any more."""
+    """Point cloud of occupied cells and of the centres (N, 3) of cells that became free."""
     here = _rows(cells, _CHANGED_CELL, stamp_ns)
     here["occupied"] = 1
     gone = np.zeros(len(gone_m), _CHANGED_CELL)
@@ -132,7 +132,7 @@ def changes_cloud(
 
 
 def returns_cloud(returns: Returns, map_frame: str, sonar_frame: str) -> PointCloud:
-    """What one ping met, where the sonar was then if that is known."""
+    """Point cloud of one ping's returns, in the map frame if the sonar's pose is known."""
     rows = _points(returns.points, 3, _RETURN)
     rows["intensity"] = np.frombuffer(returns.intensities, np.uint8)
     where, how = returns.sonar_position_m, returns.sonar_orientation_xyzw
@@ -142,7 +142,7 @@ def returns_cloud(returns: Returns, map_frame: str, sonar_frame: str) -> PointCl
 
 
 def scan_cloud(localization: Localization, frame: str, stamp_ns: int) -> PointCloud:
-    """The scan that localization weighed last."""
+    """Point cloud of the newest scan that localization weighted."""
     return cloud(_points(localization.scan, 3, _POINT), frame, stamp_ns)
 
 
@@ -168,18 +168,18 @@ def _place(rows: NDArray[np.void], xyz: NDArray[np.float64] | NDArray[np.float32
 
 POINT_BYTES = 24
 SLICE = 4096
-"""Blocks of the whole map that are read at a time, some 50 ms; all else is told in between."""
+"""Blocks read in one call, about 50 ms; other channels are published in between."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """How often the whole map is told, while it changes.
+    """How often the whole map is published while it changes.
 
     Attributes:
-        shortest_s: between two messages of a channel.
-        bytes_per_s: of whole maps, on average.
-        share: cells that were told as changes meanwhile, of those of the whole map.
-        longest_s: in spite of `share`.
+        shortest_s: minimum time between two messages of a channel.
+        bytes_per_s: mean rate of whole maps.
+        share: publish after this many changed cells, relative to the cells of the whole map.
+        longest_s: publish after this time regardless of `share`.
     """
 
     shortest_s: float = 1.0
@@ -189,20 +189,20 @@ class Pace:
 
 
 LIVE = Pace(bytes_per_s=8e6)
-"""A viewer shows the newest cloud of a channel alone."""
+"""For viewers, which show only the newest cloud of a channel."""
 
 RECORDING = Pace(share=1.0, longest_s=60.0)
-"""The file stays within twice the changes, and a viewer that jumps in it finds a whole map soon."""
+"""For files: at most twice the size of the changes, and a whole map near every seek position."""
 
 
 @dataclass(slots=True)
 class _Whole:
-    """A map that is about to be told.
+    """A whole map that is being read.
 
     Attributes:
-        keys: (N, 3) of blocks that are still to be read.
-        rows: of those that were.
-        stamp_ns: what `age_s` is counted from.
+        keys: (N, 3) of blocks still to read.
+        rows: points of the blocks read so far.
+        stamp_ns: time that `age_s` is counted from.
     """
 
     keys: NDArray[np.int32]
@@ -214,12 +214,12 @@ class MapPublisher:
     """The channels `/map` and `/map_changes`.
 
     Args:
-        pace: of the whole map.
+        pace: rate limits of the whole map.
     """
 
     def __init__(self, pace: Pace) -> None:
         self._pace = pace
-        self._told = SentCells()
+        self._sent = SentCells()
         self._changed: set[bytes] = set()
         self._stamp_ns = 0
         self._whole_due = True
@@ -231,17 +231,17 @@ class MapPublisher:
         self._changed_since = False
 
     def note(self, change: MapChanged) -> None:
-        """Some blocks are others."""
+        """Schedule changed blocks."""
         self._changed.update(names_of(change.keys))
         self._stamp_ns = change.stamp_ns or self._stamp_ns
         self._changed_since = True
 
     def renew(self) -> None:
-        """Somebody new listens: tell all of it next."""
+        """Publish the whole map next."""
         self._whole_due = True
 
     def reset(self) -> None:
-        """The map is another one."""
+        """Start again with another map."""
         self._changed.clear()
         self._stamp_ns = 0
         self._begun = None
@@ -249,14 +249,14 @@ class MapPublisher:
 
     def due(
         self, mirror: MapMirror, now_s: float, stamp_ns: int, *, last: bool = False
-    ) -> Iterator[Said]:
-        """What is to be said now; a large map is read over several calls, and told by the last.
+    ) -> Iterator[ChannelMessage]:
+        """Yield the messages to publish now; a large map is read over several calls.
 
         Args:
-            mirror: with all changes that were noted.
+            mirror: the map, with all noted changes.
             now_s: monotonic.
-            stamp_ns: of the daemon, for a map of which nothing was told yet.
-            last: nothing follows; the whole map is told if it changed at all.
+            stamp_ns: the daemon's time, for a map that was never published.
+            last: this is the last call: yield the whole map if it changed.
         """
         stamp_ns = self._stamp_ns or stamp_ns
         due = self._whole_due or (last and self._changed_since) or self._whole_soon(now_s)
@@ -279,19 +279,19 @@ class MapPublisher:
         return self._changed_since and enough and passed_s >= pause_s
 
     def _begin(self, mirror: MapMirror, stamp_ns: int) -> None:
-        """What changes from now on may be read or not: it is told afterwards."""
+        """Start reading; later changes are published after the whole map."""
         self._begun = _Whole(mirror.keys(), stamp_ns)
-        self._told.clear()
+        self._sent.clear()
         self._changed.clear()
         self._changed_since = False
 
     def _go_on(
         self, mirror: MapMirror, whole: _Whole, now_s: float, *, last: bool
-    ) -> Iterator[Said]:
+    ) -> Iterator[ChannelMessage]:
         count = len(whole.keys) if last else SLICE
         keys, whole.keys = whole.keys[:count], whole.keys[count:]
         cells = mirror.cells(keys=keys)
-        self._told.replace(names_of(keys), cells, mirror.cell_m)
+        self._sent.replace(names_of(keys), cells, mirror.cell_m)
         whole.rows.append(map_rows(cells, whole.stamp_ns))
         if not len(whole.keys):
             self._begun = None
@@ -300,14 +300,14 @@ class MapPublisher:
             self._whole_s = self._changes_s = now_s
             self._whole_cells, self._cells_since = len(rows), 0
             message = map_cloud(rows, mirror.facts.frame, whole.stamp_ns)
-            yield Said("/map", message, whole.stamp_ns)
+            yield ChannelMessage("/map", message, whole.stamp_ns)
 
-    def _changes(self, mirror: MapMirror, now_s: float, stamp_ns: int) -> Iterator[Said]:
+    def _changes(self, mirror: MapMirror, now_s: float, stamp_ns: int) -> Iterator[ChannelMessage]:
         cells = mirror.cells(keys=keys_of(self._changed))
-        gone_m = self._told.replace(self._changed, cells, mirror.cell_m)
+        gone_m = self._sent.replace(self._changed, cells, mirror.cell_m)
         self._changed.clear()
         self._changes_s = now_s
         self._cells_since += len(cells) + len(gone_m)
         if len(cells) or len(gone_m):
             message = changes_cloud(cells, gone_m, mirror.facts.frame, stamp_ns)
-            yield Said("/map_changes", message, stamp_ns)
+            yield ChannelMessage("/map_changes", message, stamp_ns)

@@ -1,4 +1,4 @@
-"""The map stream written as MCAP, in whole chunks: readable after a crash."""
+"""Writes the map stream as MCAP in whole chunks, so that files are readable after a crash."""
 
 import io
 import os
@@ -18,19 +18,19 @@ __all__ = ["ChunkFile", "McapRecorder"]
 
 
 class ChunkFile:
-    """What the SDK writes into, and what brings it to the disk.
+    """A file for the SDK that appends whole chunks only.
 
-    The SDK writes a chunk's head first and comes back to fill it in. All is held in memory until
-    the chunk is whole; the file itself is only ever added to.
+    The SDK writes a chunk's header first and fills it in later. This class holds a chunk in memory
+    until it is complete, and only appends to the file.
 
     Args:
-        path: of a file that is not there yet.
+        path: a new file.
 
     Attributes:
-        bytes: that are in the file.
+        bytes: size of the file.
 
     Raises:
-        ExportError: it cannot be made, or is there.
+        ExportError: the file exists or cannot be created.
     """
 
     def __init__(self, path: Path) -> None:
@@ -40,33 +40,33 @@ class ChunkFile:
         try:
             self._file = path.open("xb", buffering=0)
         except FileExistsError as error:
-            raise ExportError(f"{path}: is there already, and is left as it is") from error
+            raise ExportError(f"{path}: file exists; choose another name") from error
         except OSError as error:
             raise ExportError(f"{path}: cannot be written: {error.strerror}") from error
 
     @property
     def held(self) -> int:
-        """Bytes that are not in the file yet."""
+        """Bytes not yet in the file."""
         return self._held.getbuffer().nbytes
 
     def write(self, data: bytes | bytearray) -> int:
-        """For the SDK."""
+        """Write as a binary file does."""
         return self._held.write(data)
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """For the SDK; never before what is in the file."""
+        """Seek as a binary file does, within the bytes not yet in the file."""
         if whence == os.SEEK_SET:
             offset -= self.bytes
         return self.bytes + self._held.seek(offset, whence)
 
     def flush(self) -> None:
-        """For the SDK, which says so in the midst of chunks too."""
+        """Do nothing: the SDK flushes within chunks."""
 
-    def bring(self) -> None:
-        """Add all that is held to the file; it ends with a whole chunk.
+    def append_held(self) -> None:
+        """Append the held bytes to the file, which then ends with a whole chunk.
 
         Raises:
-            ExportError: it cannot be written; the file ends as before.
+            ExportError: writing failed; the file is as before.
         """
         held, self._held = self._held.getvalue(), io.BytesIO()
         try:
@@ -79,7 +79,7 @@ class ChunkFile:
         self.bytes += at
 
     def close(self) -> None:
-        """Nothing follows."""
+        """Close the file."""
         self._file.close()
 
 
@@ -88,14 +88,14 @@ KEEP_S = 1.0
 
 
 class McapRecorder:
-    """Writes one file; of the thread of the client.
+    """Writes one file, in the thread of the client.
 
     Args:
-        client: whose changes are recorded.
-        path: of a file that is not there yet.
+        client: source of the changes.
+        path: a new file.
 
     Raises:
-        ExportError: it cannot be made.
+        ExportError: the file cannot be created.
     """
 
     def __init__(self, client: Follows, path: Path) -> None:
@@ -112,19 +112,19 @@ class McapRecorder:
 
     @property
     def bytes(self) -> int:
-        """Of the file, with what is about to be written."""
+        """Size of the file with the bytes still held."""
         return self._file.bytes + self._file.held
 
     @property
     def messages(self) -> int:
-        """Written so far."""
+        """Number written so far."""
         return self._channels.messages
 
     def take(self, change: ClientChange, now_s: float) -> None:
-        """Write of a change.
+        """Record a change.
 
         Raises:
-            ExportError: the disk takes no more; the file is whole up to here.
+            ExportError: writing failed; the file is valid up to that point.
         """
         self._relay.take(change)
         self._relay.tick(now_s)
@@ -132,7 +132,7 @@ class McapRecorder:
             self._keep(now_s)
 
     def tick(self, now_s: float) -> None:
-        """Write what may not be written at once, and bring it to the disk once a second.
+        """Write what is rate-limited, and flush to disk once a second.
 
         Raises:
             ExportError: as `take`.
@@ -142,7 +142,7 @@ class McapRecorder:
             self._keep(now_s)
 
     def end(self, now_s: float) -> None:
-        """Write the map as it is at last, and the file's index.
+        """Write the final map and the file's index.
 
         Raises:
             ExportError: as `take`.
@@ -150,16 +150,16 @@ class McapRecorder:
         self._relay.tick(now_s, last=True)
         self._writer.close()
         try:
-            self._file.bring()
+            self._file.append_held()
         finally:
             self._file.close()
 
     def abandon(self) -> None:
-        """Write no more; the file is whole up to what was brought to the disk."""
+        """Stop without an index; the file is valid up to the last flush."""
         self._writer.close()
         self._file.close()
 
     def _keep(self, now_s: float) -> None:
         self._kept_s = now_s
         self._writer.flush()
-        self._file.bring()
+        self._file.append_held()

@@ -1,4 +1,4 @@
-"""The newest state of the map stream, and the sonar's image, as Foxglove's messages."""
+"""Foxglove messages of the newest state of the map stream and of the sonar image."""
 
 import math
 from collections.abc import Callable, Collection, Mapping
@@ -37,7 +37,7 @@ __all__ = ["FanShape", "Follows", "StateMessages", "polar_image", "values_of"]
 
 
 def polar_image(pixels: NDArray[np.uint8], frame: str, stamp_ns: int) -> RawImage:
-    """Grey values as an image of its own."""
+    """Grey image message."""
     height, width = pixels.shape
     return RawImage(
         timestamp=stamp(stamp_ns),
@@ -51,17 +51,17 @@ def polar_image(pixels: NDArray[np.uint8], frame: str, stamp_ns: int) -> RawImag
 
 
 class FanShape:
-    """Bends images; what it takes for that is kept while their shape stays."""
+    """Converts polar images to fan images; caches the lookup table of one shape."""
 
     def __init__(self) -> None:
         self._shape: tuple[int, int, bytes] | None = None
         self._source = np.zeros((0, 0), np.intp)
 
-    def bent(self, image: Image, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Seen from above: the sonar below in the middle, port to the left; black outside.
+    def fan_image(self, image: Image, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return the image seen from above: sonar at the bottom centre, port left, black outside.
 
         Args:
-            image: whose bearings they are.
+            image: gives the bearings.
             pixels: (rows, beams).
         """
         shape = (image.rows, image.beams, image.bearings_rad)
@@ -72,7 +72,7 @@ class FanShape:
 
 
 def _source(image: Image) -> NDArray[np.intp]:
-    """Which of the image's values each pixel shows; the one after the last is outside."""
+    """Index of the polar value of each pixel; one past the last is outside."""
     rows, beams = image.rows, image.beams
     bearings = np.frombuffer(image.bearings_rad, "<f4").astype(np.float64)
     low, high = _edges(bearings)
@@ -89,7 +89,7 @@ def _source(image: Image) -> NDArray[np.intp]:
 
 
 def _edges(bearings: NDArray[np.float64]) -> tuple[float, float]:
-    """The outer beams are as wide as half the way to their neighbours."""
+    """Bearings of the image's edges: half a beam spacing beyond the outer beams."""
     if len(bearings) == 1:
         return float(bearings[0]) - 0.01, float(bearings[0]) + 0.01
     low = bearings[0] - (bearings[1] - bearings[0]) / 2
@@ -98,7 +98,7 @@ def _edges(bearings: NDArray[np.float64]) -> tuple[float, float]:
 
 
 class Follows(Protocol):
-    """A client of the map stream, as far as it is looked at here."""
+    """The state of a map stream client."""
 
     @property
     def mirror(self) -> MapMirror | None: ...  # noqa: D102
@@ -127,10 +127,10 @@ class Follows(Protocol):
 
 
 class StateMessages:
-    """Makes the message of a topic, when it is wanted.
+    """Makes the message of a topic on demand.
 
     Args:
-        client: whose state it is.
+        client: source of the state.
     """
 
     def __init__(self, client: Follows) -> None:
@@ -143,7 +143,7 @@ class StateMessages:
             "/fan": self._fan,
             "/returns": self._returns,
             "/sonar/polar": self._polar,
-            "/sonar/fan": self._bent,
+            "/sonar/fan": self._fan_image,
             "/robots": self._robots,
             "/localization/particles": self._particles,
             "/localization/pose": self._fix,
@@ -156,20 +156,20 @@ class StateMessages:
 
     @property
     def topics(self) -> Collection[str]:
-        """Those that there are messages for."""
+        """Topics that have messages."""
         return self._makers.keys()
 
     def message(self, topic: str, stamp_ns: int) -> Any:  # noqa: ANN401 one class for each topic
-        """The message; None while nothing is known.
+        """Return the message of a topic, or None while there is no data.
 
         Args:
             topic: one of `topics`.
-            stamp_ns: of what has no stamp of its own.
+            stamp_ns: stamp of messages without one of their own.
         """
         return self._makers[topic](stamp_ns)
 
     def frames(self) -> Frames:
-        """As the daemon calls them."""
+        """Frame names of the daemon."""
         welcome, mirror = self._client.welcome, self._client.mirror
         facts = mirror.facts if mirror else welcome.map if welcome else None
         return Frames(facts.frame if facts else "map", self._client.settings)
@@ -192,11 +192,11 @@ class StateMessages:
             return None
         return polar_image(image_of(image), self.frames().sonar, image.stamp_ns)
 
-    def _bent(self, _: int) -> Any:  # noqa: ANN401 as above
+    def _fan_image(self, _: int) -> Any:  # noqa: ANN401 as above
         image = self._client.image
         if image is None:
             return None
-        pixels = self._shape.bent(image, image_of(image))
+        pixels = self._shape.fan_image(image, image_of(image))
         return polar_image(pixels, self.frames().sonar, image.stamp_ns)
 
     def _robots(self, stamp_ns: int) -> Any:  # noqa: ANN401 as above
@@ -204,10 +204,10 @@ class StateMessages:
         return None if robots is None else robots_scene(robots, self.frames().map, stamp_ns)
 
     def _particles(self, stamp_ns: int) -> Any:  # noqa: ANN401 as above
-        said = self._client.localization
-        if said is None:
+        localization = self._client.localization
+        if localization is None:
             return None
-        return particle_poses(said, self.frames().map, self._height_m(), stamp_ns)
+        return particle_poses(localization, self.frames().map, self._height_m(), stamp_ns)
 
     def _fix(self, stamp_ns: int) -> Any:  # noqa: ANN401 as above
         fix = self._best()
@@ -221,12 +221,14 @@ class StateMessages:
         return covariance_scene(self._best(), self.frames().map, self._height_m(), stamp_ns)
 
     def _scan(self, stamp_ns: int) -> Any:  # noqa: ANN401 as above
-        said = self._client.localization
-        return None if said is None else scan_cloud(said, self.frames().map, stamp_ns)
+        localization = self._client.localization
+        if localization is None:
+            return None
+        return scan_cloud(localization, self.frames().map, stamp_ns)
 
     def _report(self, _: int) -> Any:  # noqa: ANN401 as above
-        said = self._client.localization
-        return None if said is None else said.report
+        localization = self._client.localization
+        return None if localization is None else localization.report
 
     def _status(self, _: int) -> Any:  # noqa: ANN401 as above
         status, link = self._client.status, self._client.link
@@ -246,19 +248,19 @@ class StateMessages:
         return values_of(self._client.settings)
 
     def _best(self) -> Mapping[str, Any] | None:
-        """Where localization believes the vehicle; None where it has no whole answer."""
-        said = self._client.localization
-        fix = said.report.get("pose") if said else None
+        """Pose from localization; None if it is absent or incomplete."""
+        localization = self._client.localization
+        fix = localization.report.get("pose") if localization else None
         if not isinstance(fix, Mapping):
             return None
         try:
             numbers = [fix["x_m"], fix["y_m"], fix["yaw_rad"]]
             covariance = np.asarray(fix["covariance"], np.float64)
-            whole = all(math.isfinite(number) for number in numbers)
+            finite = all(math.isfinite(number) for number in numbers)
         except (KeyError, TypeError, ValueError):
             return None
         good = covariance.shape == (3, 3) and np.isfinite(covariance).all()
-        return fix if whole and good else None
+        return fix if finite and good else None
 
     def _height_m(self) -> float:
         pose = self._client.pose
@@ -266,5 +268,5 @@ class StateMessages:
 
 
 def values_of(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Names of settings to their values."""
+    """Values of settings by name."""
     return {name: fact["value"] for name, fact in facts.items() if "value" in fact}

@@ -1,4 +1,4 @@
-"""The daemon's live settings as parameters of viewers, both ways."""
+"""The daemon's live settings as Foxglove parameters, both ways."""
 
 import asyncio
 from collections.abc import Callable, Mapping
@@ -11,11 +11,11 @@ from mapperd.client.errors import AskError
 __all__ = ["LiveParameters", "Steers"]
 
 ANSWER_S = 10.0
-"""A viewer that set something waits as long."""
+"""Timeout of a viewer's request to set parameters."""
 
 
 class Steers(Protocol):
-    """A client of the map stream, as far as settings go."""
+    """The settings side of a map stream client."""
 
     @property
     def settings(self) -> Mapping[str, Any]: ...  # noqa: D102
@@ -23,14 +23,14 @@ class Steers(Protocol):
 
 
 class LiveParameters(ServerListener):
-    """Answers viewers, in threads of the server.
+    """Answers viewers in the server's threads.
 
     Args:
-        client: that knows and sets.
-        loop: of the client.
-        warn: of what is refused; called in the loop.
-        watched: a viewer began to watch a topic; called in the loop.
-        may_change: viewers may set.
+        client: client of the map stream.
+        loop: event loop of the client.
+        warn: called in the loop with the reason of a refusal.
+        watched: called in the loop with a topic that got a subscriber.
+        may_change: viewers may set parameters.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class LiveParameters(ServerListener):
         self._values: dict[str, Any] = {}
 
     def note(self, facts: Mapping[str, Any]) -> list[Parameter]:
-        """Take what the daemon said of settings; returns the live ones among them."""
+        """Update the values from the daemon; return the live settings among them."""
         live = {
             name: fact["value"]
             for name, fact in facts.items()
@@ -60,7 +60,7 @@ class LiveParameters(ServerListener):
         return _parameters(live)
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:  # noqa: ARG002
-        """Somebody watches a channel now."""
+        """Report a new subscriber."""
         self._loop.call_soon_threadsafe(self._watched, channel.topic)
 
     def on_get_parameters(
@@ -69,7 +69,7 @@ class LiveParameters(ServerListener):
         param_names: list[str],
         request_id: str | None = None,  # noqa: ARG002
     ) -> list[Parameter]:
-        """Those of these names; without names, all."""
+        """Return the parameters of these names, or all."""
         return self._now(param_names)
 
     def on_set_parameters(
@@ -78,7 +78,7 @@ class LiveParameters(ServerListener):
         parameters: list[Parameter],
         request_id: str | None = None,  # noqa: ARG002
     ) -> list[Parameter]:
-        """Set them, all or none; the answer has the values that are in force afterwards."""
+        """Set all or none; return the values in force afterwards."""
         changes = {one.name: one.get_value() for one in parameters}
         done = asyncio.run_coroutine_threadsafe(self._set(changes), self._loop)
         try:
@@ -91,11 +91,13 @@ class LiveParameters(ServerListener):
     async def _set(self, changes: dict[str, Any]) -> None:
         """In the client's loop."""
         if not self._may_change:
-            self._warn(f"{_names(changes)}: viewers may not change settings here: --allow-changes")
+            self._warn(
+                f"{_names(changes)}: viewers may not change settings; start with --allow-changes"
+            )
             return
-        strange = changes.keys() - self._values.keys()
-        if strange:
-            self._warn(f"{_names(strange)}: no live setting of the daemon")
+        unknown = changes.keys() - self._values.keys()
+        if unknown:
+            self._warn(f"{_names(unknown)}: not a live setting of the daemon")
             return
         try:
             changed = await self._client.set(
@@ -120,7 +122,7 @@ def _parameters(values: Mapping[str, Any]) -> list[Parameter]:
 
 
 def _like(before: object, value: Any) -> Any:  # noqa: ANN401 plain values
-    """JSON knows one kind of numbers: a whole one is meant where one was."""
+    """Convert a whole float to int where the setting is an int: JSON has one kind of number."""
     whole = isinstance(before, int) and not isinstance(before, bool)
     if whole and isinstance(value, float) and value.is_integer():
         return int(value)

@@ -1,4 +1,4 @@
-"""A recording of what a client of the map stream receives."""
+"""Records what a client of the map stream receives."""
 
 import asyncio
 import time
@@ -24,10 +24,10 @@ __all__ = ["Recording", "foxglove_missing"]
 
 
 def foxglove_missing(error: ModuleNotFoundError) -> str:
-    """For a person: what to install; any other module that is missing is a fault of ours.
+    """Describe how to install the missing extra.
 
     Raises:
-        ModuleNotFoundError: it is another one.
+        ModuleNotFoundError: another module is missing.
     """
     if (error.name or "").partition(".")[0] != "foxglove":
         raise error
@@ -40,11 +40,11 @@ TICK_S = 0.25
 class Recording:
     """Writes an `.mcap` file from `start` to `stop`, in the loop of the client.
 
-    Only what the client wants is there to be recorded: `await client.change(wants=...)` first.
+    It records only what the client requested: call `await client.change(wants=...)` first.
 
     Args:
-        client: running.
-        path: of a file that is not there yet.
+        client: running client.
+        path: a new file.
     """
 
     def __init__(self, client: "Records", path: Path) -> None:
@@ -56,24 +56,24 @@ class Recording:
 
     @property
     def bytes(self) -> int:
-        """Written so far."""
+        """Number written so far."""
         return self._recorder.bytes if self._recorder else 0
 
     @property
     def messages(self) -> int:
-        """Written so far."""
+        """Number written so far."""
         return self._recorder.messages if self._recorder else 0
 
     @property
     def ended(self) -> bool:
-        """It ended, by `stop` or by itself; `wait` says why."""
+        """Whether it ended, by `stop` or by itself; `wait` raises the reason."""
         return self._running is not None and self._running.done()
 
     def start(self) -> None:
-        """Make the file, and go on by itself.
+        """Create the file and record in the background.
 
         Raises:
-            ExportError: it cannot be made, or the extra `foxglove` is not installed.
+            ExportError: the file cannot be created, or the extra `foxglove` is not installed.
         """
         try:
             from mapperd.foxglove.mcap_recorder import McapRecorder  # noqa: PLC0415 an extra
@@ -83,17 +83,17 @@ class Recording:
         self._running = asyncio.create_task(self._run(self._recorder))
 
     async def stop(self) -> None:
-        """End the file.
+        """Finish the file.
 
         Raises:
-            ExportError: it could not be written; the file is whole up to there.
-            StreamError: the daemon would not have the client; the file is whole.
+            ExportError: writing failed; the file is valid up to that point.
+            StreamError: the daemon refused the client; the file is valid.
         """
         self._stopping.set()
         await self.wait()
 
     async def wait(self) -> None:
-        """Until it ends, as `stop` does; to stop waiting does not stop it."""
+        """Wait for the end; raises as `stop`. Cancelling the wait does not stop the recording."""
         if self._running is not None:
             await asyncio.shield(self._running)
 

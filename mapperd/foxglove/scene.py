@@ -1,4 +1,4 @@
-"""What is drawn with lines and balls: fan, path, robots, how sure localization is."""
+"""Scene entities: field of view, path, robots, covariance ellipse of localization."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -30,14 +30,14 @@ ROBOT_M = 0.5
 NS = 1e9
 
 FAN = Color(r=0.2, g=0.8, b=1.0, a=0.9)
-WAY = Color(r=1.0, g=0.8, b=0.1, a=1.0)
+PATH = Color(r=1.0, g=0.8, b=0.1, a=1.0)
 ROBOT = Color(r=1.0, g=0.3, b=0.3, a=0.8)
-DOUBT = Color(r=0.9, g=0.3, b=1.0, a=0.9)
+COVARIANCE = Color(r=0.9, g=0.3, b=1.0, a=0.9)
 WHITE = Color(r=1.0, g=1.0, b=1.0, a=1.0)
 
 
 def fan_scene(fan: Fan, frame: str, stamp_ns: int) -> SceneUpdate:
-    """The outline of the water that the sonar sees; moves with the sonar's frame."""
+    """Outline of the sonar's field of view; moves with the sonar's frame."""
     half = fan.vertical_aperture_rad / 2
     faces = [_face(fan, elevation) for elevation in (-half, half)]
     corners = (0, ARC_POINTS - 1, ARC_POINTS, 2 * ARC_POINTS - 1)
@@ -48,7 +48,7 @@ def fan_scene(fan: Fan, frame: str, stamp_ns: int) -> SceneUpdate:
 
 
 def robots_scene(robots: Robots, frame: str, stamp_ns: int) -> SceneUpdate:
-    """A ball for each, labelled with how long ago it was seen; those of before are gone."""
+    """A sphere for each robot, labelled with the age of its sighting; replaces earlier ones."""
     entities = [
         _entity(
             f"robot {number}",
@@ -76,7 +76,7 @@ def robots_scene(robots: Robots, frame: str, stamp_ns: int) -> SceneUpdate:
 def covariance_scene(
     fix: Mapping[str, Any] | None, frame: str, z_m: float, stamp_ns: int
 ) -> SceneUpdate:
-    """The ellipse of two standard deviations around a fix in the plane; without one, nothing."""
+    """Ellipse of two standard deviations around a planar fix; empty without a fix."""
     if fix is None:
         return SceneUpdate(deletions=[_all()])
     covariance = np.asarray(fix["covariance"], np.float64)[:2, :2]
@@ -86,35 +86,35 @@ def covariance_scene(
     outline = np.zeros((ELLIPSE_POINTS, 3))
     outline[:, :2] = (fix["x_m"], fix["y_m"]) + SIGMAS * (axes @ circle).T
     outline[:, 2] = z_m
-    line = _line(outline, DOUBT, LinePrimitiveLineType.LineLoop)
+    line = _line(outline, COVARIANCE, LinePrimitiveLineType.LineLoop)
     return SceneUpdate(entities=[_entity("covariance", frame, stamp_ns, lines=[line])])
 
 
 class PathDrawing:
-    """The way that the vehicle has come, in pieces, so that only those that changed are told."""
+    """The vehicle's path in pieces, so that only changed pieces are published."""
 
     PIECE = 1000
-    """Points; each piece begins where the one before ends."""
+    """Points of a piece; each piece begins at the last point of the one before."""
 
     def __init__(self) -> None:
-        self._told = np.zeros((0, 3), np.float64)
+        self._sent = np.zeros((0, 3), np.float64)
 
     def clear(self) -> None:
-        """Nothing was told."""
-        self._told = np.zeros((0, 3), np.float64)
+        """Forget the pieces that were published."""
+        self._sent = np.zeros((0, 3), np.float64)
 
     def update(self, path: NDArray[np.float64], frame: str, stamp_ns: int) -> SceneUpdate | None:
-        """The pieces that are others than before; None where none is.
+        """Return the changed pieces, or None without a change.
 
         Args:
-            path: (N, 3), all of it.
-            frame: of the points.
-            stamp_ns: of the newest.
+            path: (N, 3), the whole path.
+            frame: frame of the points.
+            stamp_ns: time of the newest point.
         """
-        first = _same(self._told, path)
-        if first == len(self._told) == len(path):
+        first = _same(self._sent, path)
+        if first == len(self._sent) == len(path):
             return None
-        pieces, before = (range(_pieces(len(way))) for way in (path, self._told))
+        pieces, before = (range(_pieces(len(track))) for track in (path, self._sent))
         entities = [
             self._piece(path, piece, frame, stamp_ns)
             for piece in pieces
@@ -124,24 +124,24 @@ class PathDrawing:
             SceneEntityDeletion(type=SceneEntityDeletionType.MatchingId, id=f"path {piece}")
             for piece in before[len(pieces) :]
         ]
-        self._told = path.copy()
+        self._sent = path.copy()
         return SceneUpdate(deletions=deletions, entities=entities)
 
     def _piece(
         self, path: NDArray[np.float64], piece: int, frame: str, stamp_ns: int
     ) -> SceneEntity:
         begin = piece * self.PIECE
-        line = _line(path[begin : begin + self.PIECE + 1], WAY, LinePrimitiveLineType.LineStrip)
+        line = _line(path[begin : begin + self.PIECE + 1], PATH, LinePrimitiveLineType.LineStrip)
         return _entity(f"path {piece}", frame, stamp_ns, lines=[line])
 
 
 def _pieces(length: int) -> int:
-    """A single point draws nothing."""
+    """Number of pieces; a single point draws nothing."""
     return -(-max(length - 1, 0) // PathDrawing.PIECE)
 
 
 def _same(one: NDArray[np.float64], other: NDArray[np.float64]) -> int:
-    """How many points both begin with."""
+    """Length of the common prefix."""
     length = min(len(one), len(other))
     differ = (one[:length] != other[:length]).any(axis=1)
     return int(differ.argmax()) if differ.any() else length

@@ -21,10 +21,10 @@ __all__ = ["FIRST_WANTS", "Client", "serve"]
 
 TICK_S = 0.1
 BACKLOG = 128
-"""Messages that wait for a viewer that reads slowly; then the oldest are left out."""
+"""Messages queued for a slow viewer; beyond that the oldest are dropped."""
 
 ON_DEMAND: tuple[Want, ...] = ("returns", "image", "localization")
-"""Asked for only while somebody watches: they cost the link to the vehicle most."""
+"""Requested only while someone subscribes, because they cost most bandwidth."""
 
 FIRST_WANTS: tuple[Want, ...] = tuple(want for want in WANTS if want not in ON_DEMAND)
 
@@ -44,18 +44,18 @@ async def serve(
     *,
     may_change: bool = True,
 ) -> None:
-    """Serve viewers until cancelled, or until the client is ended.
+    """Serve viewers until cancelled, or until the client ends.
 
     Args:
-        client: of the map stream, running.
-        host: to listen on.
-        port: 0 is any free one.
-        ready: is told the port.
+        client: running client of the map stream.
+        host: address to listen on.
+        port: 0 chooses a free one.
+        ready: called with the port.
         may_change: viewers may change settings.
 
     Raises:
-        LiveError: nobody can listen there.
-        StreamError: the daemon will not have us.
+        LiveError: cannot listen there.
+        StreamError: the daemon refuses the client.
     """
     context = foxglove.Context()
     service = _Service(client, Channels(context), may_change=may_change)
@@ -70,18 +70,18 @@ async def serve(
             message_backlog_size=BACKLOG,
         )
     except (RuntimeError, OSError, ValueError) as error:
-        raise LiveError(f"{host}:{port}: cannot be listened on: {error}") from error
+        raise LiveError(f"{host}:{port}: cannot listen: {error}") from error
     try:
         ready(server.port)
         await service.run(server)
     finally:
-        # In a thread: a viewer's request in the midst of it waits for this loop.
+        # In a thread, because a pending request of a viewer waits for this loop.
         await asyncio.to_thread(server.stop)
         service.channels.close()
 
 
 class _Service:
-    """What goes from the client to the server, and back."""
+    """Passes changes from the client to the server, and requests back."""
 
     def __init__(self, client: Client, channels: Channels, *, may_change: bool) -> None:
         self.channels = channels
@@ -96,7 +96,7 @@ class _Service:
         self._time_ns = 0
 
     async def run(self, server: WebSocketServer) -> None:
-        """Until the client is ended."""
+        """Run until the client ends."""
         self._server = server
         ticking = asyncio.create_task(self._tick())
         try:
@@ -105,7 +105,7 @@ class _Service:
                 if isinstance(change, Settings):
                     server.publish_parameter_values(self.parameters.note(change.facts))
                 elif isinstance(change, LinkChanged):
-                    self._tell_link(server, change.link)
+                    self._publish_link(server, change.link)
                 if ticking.done():
                     ticking.result()
         finally:
@@ -135,12 +135,12 @@ class _Service:
             self._server.publish_status(text, StatusLevel.Warning)
 
     def _set_back(self) -> None:
-        """Viewers forget what they know: it lies in the future now."""
+        """Have viewers discard their data, which now lies in the future."""
         if self._server is not None:
             self._server.clear_session()
 
-    def _tell_link(self, server: WebSocketServer, link: LinkStatus) -> None:
-        """Where there is no time yet, a log cannot say it."""
+    def _publish_link(self, server: WebSocketServer, link: LinkStatus) -> None:
+        """Publish the connection's state as a status, which needs no time stamp."""
         if link.state == "connected":
             server.remove_status(["connection"])
         else:

@@ -149,7 +149,7 @@ def test_only_pieces_of_the_path_that_changed_are_told() -> None:
     assert [deletion.id for deletion in told(way[:1]).deletions] == ["path 0", "path 1"]
 
 
-def test_an_image_is_bent_into_the_fan() -> None:
+def test_polar_image_becomes_a_fan_image() -> None:
     rows, beams = 40, 31
     bearings = np.linspace(-0.9, 0.9, beams).astype("<f4")
     pixels = np.zeros((rows, beams), np.uint8)
@@ -165,7 +165,7 @@ def test_an_image_is_bent_into_the_fan() -> None:
         bearings_rad=bearings.tobytes(),
         body=zstandard.ZstdCompressor().compress(pixels.tobytes()),
     )
-    bent = FanShape().bent(image, pixels)
+    bent = FanShape().fan_image(image, pixels)
     height, width = bent.shape
     for (row, beam), value in targets.items():
         there = np.argwhere(bent == value).mean(axis=0)
@@ -175,7 +175,7 @@ def test_an_image_is_bent_into_the_fan() -> None:
     assert bent[0, 0] == bent[-1, 0] == bent[-1, -1] == 0
 
 
-def test_an_image_of_another_shape_is_bent_anew() -> None:
+def test_another_shape_gets_another_lookup_table() -> None:
     shape = FanShape()
     one = Image(
         stamp_ns=T0,
@@ -186,9 +186,9 @@ def test_an_image_of_another_shape_is_bent_anew() -> None:
         bearings_rad=np.array([-0.1, 0.1], "<f4").tobytes(),
         body=b"",
     )
-    narrow = shape.bent(one, np.ones((4, 2), np.uint8))
+    narrow = shape.fan_image(one, np.ones((4, 2), np.uint8))
     wide = msgspec.structs.replace(one, bearings_rad=np.array([-1.0, 1.0], "<f4").tobytes())
-    assert shape.bent(wide, np.ones((4, 2), np.uint8)).shape != narrow.shape
+    assert shape.fan_image(wide, np.ones((4, 2), np.uint8)).shape != narrow.shape
 
 
 @pytest.mark.parametrize(

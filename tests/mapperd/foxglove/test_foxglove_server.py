@@ -262,7 +262,7 @@ def test_a_refused_parameter_goes_back_with_a_warning() -> None:
             await eye.watch("/log")
             for name, why in (
                 ("filtering.min_range", "not in range"),
-                ("octree.voxel_resolution", "no live setting"),
+                ("octree.voxel_resolution", "not a live setting"),
             ):
                 one = [{"name": name, "value": "wrong"}]
                 await eye.ask("setParameters", parameters=one, id=name)
@@ -271,7 +271,7 @@ def test_a_refused_parameter_goes_back_with_a_warning() -> None:
                 assert _values(answer) == kept
                 assert why in (await eye.of("status"))["message"]
             await eye.hear(lambda: eye.count("/log") == 2)
-            assert "no live setting" in eye.newest("/log").message
+            assert "not a live setting" in eye.newest("/log").message
             assert eye.newest("/log").level == 3
             assert len(client.asked) == 1
 
@@ -330,7 +330,7 @@ def test_a_daemons_clock_that_is_set_back_begins_a_session() -> None:
 
 def test_a_port_in_use_is_one_clear_error() -> None:
     async def told(_: FakeClient, port: int) -> None:
-        with pytest.raises(LiveError, match=f"127.0.0.1:{port}: cannot be listened on"):
+        with pytest.raises(LiveError, match=f"127.0.0.1:{port}: cannot listen"):
             await serve(FakeClient(), "127.0.0.1", port)
 
     served(told)

@@ -9,7 +9,7 @@ import pytest
 from mapperd.client.changes import MapChanged
 from mapperd.client.mirror import MapMirror
 from mapperd.foxglove import map_publisher
-from mapperd.foxglove.channels import Said
+from mapperd.foxglove.channels import ChannelMessage
 from mapperd.foxglove.map_publisher import LIVE, RECORDING, MapPublisher, Pace
 from mapperd.wire.messages import Interest
 from tests.mapperd.foxglove.foxglove_fakes import FACTS, T0, block, points_of_cloud
@@ -137,6 +137,6 @@ def test_a_map_that_is_half_read_is_left_for_another_and_ended_at_the_end(
     assert len(_centres(said)) == 5
 
 
-def _centres(said: Said, *more: str) -> set[tuple[Any, ...]]:
+def _centres(said: ChannelMessage, *more: str) -> set[tuple[Any, ...]]:
     rows = points_of_cloud(decoded(said.message))
     return {tuple(row[name].item() for name in ("x", "y", "z", *more)) for row in rows}

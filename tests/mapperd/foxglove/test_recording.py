@@ -133,7 +133,7 @@ def test_what_is_told_is_what_is_written(tmp_path: Path) -> None:
     np.testing.assert_array_equal([(p.x, p.y, p.z) for p in path], WAY)
     logs = [message for _, message in said["/log"]]
     assert [(log.message, log.level) for log in logs[-2:]] == [
-        ("2 events are lost", 3),
+        ("2 events were lost", 3),
         ("sonar lost", 3),
     ]
     assert said["/status"][-1][1]["daemon"] == {"phase": "mapping"}
@@ -253,13 +253,13 @@ def test_a_full_disk_is_one_clear_error_and_leaves_whole_chunks(
     class Full(mcap_file.ChunkFile):
         """Of a disk that has room again when it is too late."""
 
-        def bring(self) -> None:
+        def append_held(self) -> None:
             file, is_full = self._file, len(good) == 1
             if is_full:
                 good.append(b"")
                 self._file = _FullFile(file)  # type: ignore[assignment]
             try:
-                super().bring()
+                super().append_held()
             finally:
                 self._file = file
 
@@ -336,7 +336,7 @@ def test_a_file_that_is_there_is_left_alone(tmp_path: Path) -> None:
     async def start() -> None:
         Recording(FakeClient(), path).start()
 
-    with pytest.raises(ExportError, match="is there already"):
+    with pytest.raises(ExportError, match="file exists"):
         asyncio.run(start())
     assert path.read_bytes() == b"mine"
 
