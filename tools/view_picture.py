@@ -100,8 +100,8 @@ async def _picture(server: "ViserServer", client: MapClient, chromium: str) -> b
 
 def _mapped(client: MapClient) -> int:
     """Pings, as the daemon counts them."""
-    told = client.status
-    return 0 if told is None else int(told.status.get("pings", {}).get("mapped", 0))
+    status = client.status
+    return 0 if status is None else int(status.status.get("pings", {}).get("mapped", 0))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What moves on the map: the vehicle, its path and fan, returns, robots, localization."""
+"""Draws what moves on the map: vehicle, path, field of view, returns, robots, localization."""
 
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ __all__ = ["Actors"]
 
 VEHICLE_M = 0.7
 PATH_PIECE = 500
-"""Points of the path in one node: only the last one is sent again as it grows."""
+"""Points of the path in one node; only the last node is sent again as the path grows."""
 
 MAX_ROBOTS = 32
 MAX_PARTICLES = 3000
@@ -36,10 +36,10 @@ ELLIPSE = (244, 114, 182)
 
 
 class Actors:
-    """Draws them; of one thread.
+    """Draws moving objects; use from one thread.
 
     Args:
-        scene: of the server.
+        scene: scene of the server.
     """
 
     def __init__(self, scene: "SceneApi") -> None:
@@ -65,13 +65,13 @@ class Actors:
             thickness=3.0,
             thickness_units="screen",
         )
-        self._path_told = 0
+        self._path_sent = 0
         self._pieces = 0
         self._robots: set[str] = set()
         self._nodes = Nodes()
 
     def pose(self, pose: Pose) -> None:
-        """The vehicle is there now."""
+        """Move the vehicle."""
         x, y, z, w = pose.orientation_xyzw
         self._vehicle.wxyz, self._vehicle.position = (w, x, y, z), pose.position_m
         x, y, z, w = pose.sonar_orientation_xyzw
@@ -83,48 +83,48 @@ class Actors:
             plane = np.array(pose.covariance).reshape(6, 6)[:2, :2]
             self._ellipse("/localization/pose", plane, pose.position_m)
 
-    def take(self, told: object, path: NDArray[np.float64], z_m: float) -> None:
-        """Something was told.
+    def take(self, message: object, path: NDArray[np.float64], z_m: float) -> None:
+        """Draw a message of the stream; other kinds are ignored.
 
         Args:
-            told: whatever is drawn here; the rest is passed over.
-            path: all of it, (N, 3) metres, map frame.
-            z_m: at which what is flat is drawn.
+            message: the message.
+            path: the whole path, (N, 3) metres, map frame.
+            z_m: height of planar shapes.
         """
-        match told:
+        match message:
             case Path():
-                self.path(path, told.first)
+                self.path(path, message.first)
             case Fan():
-                self.fan(told)
+                self.fan(message)
             case Returns():
-                self.returns(told)
+                self.returns(message)
             case Robots():
-                self.robots(told)
+                self.robots(message)
             case Localization():
-                self.localization(told, z_m)
+                self.localization(message, z_m)
             case _:
                 pass
 
     def fan(self, fan: Fan) -> None:
-        """The sonar looks at this."""
+        """Draw the field of view."""
         self._nodes.put("/sonar/fan", self._lines(FAN, 1.5), points=fan_lines(fan))
 
     def path(self, points: NDArray[np.float64], first: int) -> int:
-        """The vehicle came this way, (N, 3) metres; returns the bytes that were sent.
+        """Draw the path, (N, 3) metres; return the bytes sent.
 
-        Those from `first` on are new: another way, perhaps longer than what was told before.
+        Points from `first` on are new or differ from those sent before.
         """
-        if min(first, len(points)) < self._path_told:
+        if min(first, len(points)) < self._path_sent:
             self._forget_path()
-        if len(points) == self._path_told or len(points) < 2:  # noqa: PLR2004 a line has two ends
+        if len(points) == self._path_sent or len(points) < 2:  # noqa: PLR2004 a line has two ends
             return 0
         sent = 0
         for piece in range(
-            max(0, self._path_told - 1) // PATH_PIECE, -(-len(points) // PATH_PIECE)
+            max(0, self._path_sent - 1) // PATH_PIECE, -(-len(points) // PATH_PIECE)
         ):
             part = points[piece * PATH_PIECE : (piece + 1) * PATH_PIECE + 1]
             if len(part) > 1:
-                # From its first point on: graphics have single precision.
+                # Relative to its first point, because graphics use single precision.
                 self._nodes.put(
                     f"/path/{piece}",
                     self._lines(PATH, 2.5),
@@ -133,11 +133,11 @@ class Actors:
                 )
                 sent += 24 * (len(part) - 1)
                 self._pieces = max(self._pieces, piece + 1)
-        self._path_told = len(points)
+        self._path_sent = len(points)
         return sent
 
     def returns(self, returns: Returns) -> None:
-        """What the last ping met."""
+        """Draw the returns of the newest ping."""
         points = np.frombuffer(returns.points, "<f4").reshape(-1, 3)
         if len(points) == 0 or returns.sonar_position_m is None:
             self._nodes.remove("/returns/last")
@@ -152,7 +152,7 @@ class Actors:
         )
 
     def robots(self, robots: Robots) -> None:
-        """Other robots, the newest of them."""
+        """Draw the newest sightings of robots."""
         newest = sorted(robots.seen)[-MAX_ROBOTS:]
         last_ns = newest[-1][0] if newest else 0
         shown = set()
@@ -175,14 +175,14 @@ class Actors:
             self._nodes.remove(name)
         self._robots = shown
 
-    def localization(self, told: Localization, z_m: float) -> None:
-        """Particles, the last scan, and the ellipse of two standard deviations, at a height."""
-        particles = np.frombuffer(told.particles, "<f4").reshape(-1, 4)[:MAX_PARTICLES]
+    def localization(self, state: Localization, z_m: float) -> None:
+        """Draw particles, the newest scan and the two-sigma ellipse at a height."""
+        particles = np.frombuffer(state.particles, "<f4").reshape(-1, 4)[:MAX_PARTICLES]
         flat = np.column_stack([particles[:, :2], np.full(len(particles), z_m, np.float32)])
         self._cloud("/localization/particles", flat, self._dots(PARTICLES, 0.05))
-        scan = np.frombuffer(told.scan, "<f4").reshape(-1, 3)
+        scan = np.frombuffer(state.scan, "<f4").reshape(-1, 3)
         self._cloud("/localization/scan", scan, self._dots(SCAN, 0.1))
-        pose: Any = told.report.get("pose")
+        pose: Any = state.report.get("pose")
         if isinstance(pose, dict) and pose.get("covariance"):
             at = (float(pose["x_m"]), float(pose["y_m"]), z_m)
             self._ellipse("/localization/best", np.array(pose["covariance"])[:2, :2], at)
@@ -190,11 +190,11 @@ class Actors:
             self._nodes.remove("/localization/best")
 
     def forget(self) -> None:
-        """Nothing of it is so any more."""
+        """Remove everything."""
         self._vehicle.visible = self._sonar.visible = False
         self._nodes.clear()
         self._robots = set()
-        self._path_told = self._pieces = 0
+        self._path_sent = self._pieces = 0
 
     def show(self, name: str, *, shown: bool) -> None:
         """Show or hide one kind: one of `LAYERS`, or `sonar/fan`."""
@@ -233,4 +233,4 @@ class Actors:
     def _forget_path(self) -> None:
         for piece in range(self._pieces):
             self._nodes.remove(f"/path/{piece}")
-        self._path_told = self._pieces = 0
+        self._path_sent = self._pieces = 0

@@ -16,7 +16,7 @@ from mapperd.viewer.camera import CameraMode, Cameras, whole_view
 from mapperd.viewer.health import Health
 from mapperd.viewer.map_layer import MapView
 from mapperd.viewer.panel import Panel
-from mapperd.viewer.save import Keep, Recorder
+from mapperd.viewer.save import Recorder, SaveControls
 from mapperd.viewer.settings import SettingsPanel
 from mapperd.viewer.tools import Tools, pick
 from mapperd.wire.messages import Pose, Settings, Status, Want
@@ -44,29 +44,29 @@ VIEW_WANTS: tuple[Want, ...] = (
 )
 
 MAP_S = 0.25
-"""Between updates of the map in browsers."""
+"""Period of map updates in browsers."""
 
 MAX_BYTES = 2_000_000
-"""Of one update: a browser beside the daemon takes it within that time."""
+"""Maximum size of one update; a browser on the daemon's computer receives it in `MAP_S`."""
 
 AT_ONCE = 4
-"""Chunks between which others have their turn."""
+"""Chunks drawn before the event loop continues."""
 
 POSE_S = 0.1
-SAID_S = 0.5
+STATUS_PERIOD_S = 0.5
 OLDER_S = 10.0
 NOTE_S = 6.0
 
 
 class View:
-    """A page that follows one client; all of it in one event loop.
+    """A page that shows the state of one client; it runs in one event loop.
 
     Args:
-        server: of the page.
-        client: of the map stream, entered.
-        may_change: browsers may change settings, where the daemon lets us.
-        folder: for what is exported and recorded.
-        recorder: makes recordings; None has none.
+        server: server of the page.
+        client: running client of the map stream.
+        may_change: browsers may change settings if the daemon allows it.
+        folder: folder of exports and recordings.
+        recorder: makes recordings; None hides the button.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class View:
         self._panel = Panel(server, self._post, self._look_changed, self._show)
         self.map = MapView(server.scene, self._panel.look)
         self._tools = Tools(self._panel.view_tab, self._post, self._choose_camera, self._pick)
-        self._keep = Keep(
+        self._save = SaveControls(
             server,
             self._panel.view_tab,
             client,
@@ -109,19 +109,19 @@ class View:
         server.on_client_disconnect(lambda one: self._post(lambda: self._farewell(one.client_id)))
 
     async def run(self) -> None:
-        """Show what the client is told, until it is closed."""
-        others = [asyncio.create_task(self._draw()), asyncio.create_task(self._say())]
+        """Show the client's state until the client is closed."""
+        others = [asyncio.create_task(self._draw()), asyncio.create_task(self._update_status())]
         try:
             async for change in self._client.changes():
                 self.take(change)
         finally:
-            await self._keep.stop()
+            await self._save.stop()
             for task in (*others, *self._tasks):
                 task.cancel()
             await asyncio.gather(*others, *self._tasks, return_exceptions=True)
 
     def take(self, change: ClientChange) -> None:
-        """Something happened."""
+        """Show a change."""
         match change:
             case LinkChanged():
                 self._link_changed(change)
@@ -156,7 +156,7 @@ class View:
             self.health.reconnected()
             welcome = self._client.welcome
             if welcome is not None and welcome.session != self._session:
-                self._actors.forget()  # of a daemon that is no more
+                self._actors.forget()  # the daemon restarted
                 self._session = welcome.session
             allowed = welcome is not None and welcome.may_change and self._may_change
             self._settings.may_change(allowed)
@@ -188,7 +188,7 @@ class View:
         self._cameras.follow(list(self._server.get_clients().values()), self._vehicle_m, self._yaw)
 
     async def _draw(self) -> None:
-        """Send what changed of the map, a few times a second."""
+        """Send changes of the map, a few times a second."""
         older_s = time.monotonic()
         while True:
             await asyncio.sleep(MAP_S)
@@ -219,8 +219,8 @@ class View:
         for client in self._server.get_clients().values():
             self._place(client)
 
-    async def _say(self) -> None:
-        """How it goes, twice a second, also without a link."""
+    async def _update_status(self) -> None:
+        """Show the status twice a second, with or without a connection."""
         health = self.health
         while True:
             now_s = time.monotonic()
@@ -230,16 +230,16 @@ class View:
             health.kilobytes.add(now_s, link.bytes / 1e3)
             health.page_cells, health.page_nodes = self.map.cells, self.map.nodes
             health.page_bytes, health.page_waiting = self.map.sent_bytes, self.map.stale
-            self._panel.say(health, now_s, time.time_ns())
-            await self._keep.say()
-            await asyncio.sleep(SAID_S)
+            self._panel.update(health, now_s, time.time_ns())
+            await self._save.update()
+            await asyncio.sleep(STATUS_PERIOD_S)
 
     def _welcome(self, client: "ClientHandle") -> None:
         self._tools.add(client, "follow")
         self._place(client)
 
     def _place(self, client: "ClientHandle") -> None:
-        """Until there is a vehicle to follow, the first look at the map shows all of it."""
+        """Show the whole map first while there is no vehicle to follow."""
         if client.client_id in self._placed or not np.isfinite(self._low_m).all():
             return
         self._placed.add(client.client_id)
@@ -276,11 +276,13 @@ class View:
         self._actors.show(name, shown=shown)
 
     def _apply(self, client: "ClientHandle | None", changes: dict[str, Any]) -> None:
-        """Of a thread of viser: have settings changed."""
+        """Change settings; called in a thread of viser."""
 
         def begin() -> None:
             if not self._may_change:
-                self._note(client, "Refused", "Other computers may look only.", "red")
+                self._note(
+                    client, "Refused", "Browsers on other computers may not change settings.", "red"
+                )
                 return
             self._begin(self._set(client, changes))
 
@@ -290,7 +292,7 @@ class View:
         from mapperd.client import AskError  # noqa: PLC0415
 
         try:
-            told = await self._client.set(changes)
+            changed = await self._client.set(changes)
         except AskError as error:
             reasons = error.details.get("reasons")
             text = (
@@ -301,7 +303,7 @@ class View:
             self._settings.reset(changes)
             self._note(client, "Refused", text, "red")
             return
-        text = "\n".join(f"{name}: {was} is now {now}" for name, (was, now) in told.items())
+        text = "\n".join(f"{name}: {was} is now {now}" for name, (was, now) in changed.items())
         self._note(client, "Changed", text or "nothing changed", "green")
 
     def _note(self, client: "ClientHandle | None", title: str, text: str, colour: Any) -> None:  # noqa: ANN401
@@ -309,6 +311,6 @@ class View:
             one.add_notification(title, text, auto_close_seconds=NOTE_S, color=colour)
 
     def _post(self, do: "Callable[[], object]") -> None:
-        """Of any thread: have something done in ours, if it still goes on."""
+        """Run a function in the event loop if it is still running; call from any thread."""
         with contextlib.suppress(RuntimeError):
             self._loop.call_soon_threadsafe(do)

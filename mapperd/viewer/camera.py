@@ -1,4 +1,4 @@
-"""Where each browser's camera is: behind the vehicle, above it, or where somebody put it."""
+"""Camera of each browser: behind the vehicle, above it, or free."""
 
 from typing import TYPE_CHECKING, Literal
 
@@ -14,32 +14,32 @@ CameraMode = Literal["follow", "top", "free"]
 VIEWS: tuple[CameraMode, ...] = ("follow", "top", "free")
 
 BEHIND_M = np.array([-7.0, -4.0, 5.0])
-"""Of a camera that begins to follow, from the vehicle: base frame, turned by its heading."""
+"""Initial offset of a following camera from the vehicle, base frame without roll and pitch."""
 
 ABOVE_M = 25.0
 MOVED_M = 0.005
 
 
 class Cameras:
-    """Moves the cameras of browsers; of one thread."""
+    """Moves the cameras of browsers; use from one thread."""
 
     def __init__(self) -> None:
         self._modes: dict[int, CameraMode] = {}
         self._at: dict[int, NDArray[np.float64]] = {}
 
     def mode(self, client: "ClientHandle") -> CameraMode:
-        """Of a browser."""
+        """Camera mode of a browser."""
         return self._modes.get(client.client_id, "free")
 
     def choose(
         self, client: "ClientHandle", mode: CameraMode, vehicle_m: ArrayLike | None, yaw: float
     ) -> None:
-        """Another camera for one browser.
+        """Change the camera mode of a browser.
 
         Args:
             client: the browser.
-            mode: of its camera.
-            vehicle_m: (3,) map frame; None while nobody knows.
+            mode: the new mode.
+            vehicle_m: (3,) map frame; None if unknown.
             yaw: heading of the vehicle, radians from x counter-clockwise.
         """
         self._modes[client.client_id] = mode
@@ -50,7 +50,7 @@ class Cameras:
             self._begin(client, mode, np.asarray(vehicle_m, np.float64), yaw)
 
     def follow(self, clients: list["ClientHandle"], vehicle_m: ArrayLike, yaw: float) -> None:
-        """The vehicle moved: cameras that follow it move along and stay turned as they are."""
+        """Move following cameras with the vehicle; they keep their orientation."""
         vehicle = np.asarray(vehicle_m, np.float64)
         for client in clients:
             mode = self.mode(client)
@@ -66,7 +66,7 @@ class Cameras:
                 self._at[client.client_id] = vehicle
 
     def forget(self, client_id: int) -> None:
-        """A browser is gone."""
+        """Remove a browser."""
         self._modes.pop(client_id, None)
         self._at.pop(client_id, None)
 
@@ -89,7 +89,7 @@ class Cameras:
 def whole_view(
     low_m: ArrayLike, high_m: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A camera's place that has a box (3,), (3,) in sight, and where it looks."""
+    """Position and target of a camera that shows a box (3,), (3,)."""
     low, high = np.asarray(low_m, np.float64), np.asarray(high_m, np.float64)
     middle = (low + high) / 2
     away = max(4.0, float(np.linalg.norm(high - low))) * np.array([-0.42, -0.62, 0.55])

@@ -1,4 +1,4 @@
-"""The map cut into cubes for the browser, nearest first, and the voxels drawn of them."""
+"""Chunks of the map for the browser, nearest first, and their visible cells."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -22,21 +22,21 @@ __all__ = [
 ]
 
 FIRST_SPAN = 4
-"""Blocks along the edge of a chunk at first: 32 cells."""
+"""Initial blocks along the edge of a chunk: 32 cells."""
 
 LAST_SPAN = 32
-"""256 cells: offsets of half a cell within a chunk stay exact in half precision."""
+"""Maximum, 256 cells: offsets of half a cell within a chunk are exact in half precision."""
 
 Chunk = tuple[int, int, int]
 
 
 class Chunks:
-    """Which chunks there are, and which of them are not drawn as they are now.
+    """The chunks of the map, and which of them need drawing.
 
-    Their edge doubles where too many of them show something: a browser pays for each.
+    Their edge doubles if too many are visible, because each costs the browser time.
 
     Args:
-        most: chunks that show something at once.
+        most: maximum number of visible chunks.
 
     Attributes:
         span: blocks along the edge of a chunk.
@@ -56,21 +56,21 @@ class Chunks:
 
     @property
     def stale(self) -> int:
-        """Chunks that are to be drawn."""
+        """Number of chunks to draw."""
         return len(self._stale)
 
     @property
     def shown(self) -> frozenset[Chunk]:
-        """Chunks that show something."""
+        """Visible chunks."""
         return frozenset(self._shown)
 
     @property
     def crowded(self) -> bool:
-        """So many show something that they are to `grow`."""
+        """Whether too many chunks are visible, so that they should `grow`."""
         return len(self._shown) > self._most and self.span < LAST_SPAN
 
     def touch(self, keys: ArrayLike) -> None:
-        """Blocks (N, 3) are others than before, and with them the faces of their neighbours."""
+        """Mark blocks (N, 3) as changed, and with them the faces of their neighbours."""
         blocks = np.asarray(keys, np.int64).reshape(-1, 3)
         changed = self._chunks_of(blocks)
         self._known |= changed
@@ -82,33 +82,33 @@ class Chunks:
                 self._stale |= self._chunks_of(beside) & self._known
 
     def grow(self) -> None:
-        """Chunks are twice as large from now on; all that was drawn is to go."""
+        """Double the size of chunks; everything must be drawn again."""
         self.span *= 2
         self._known = {(x // 2, y // 2, z // 2) for x, y, z in self._known}
         self._stale = set(self._known)
         self._shown.clear()
 
     def shows(self, chunk: Chunk, *, something: bool) -> None:
-        """A chunk was drawn; it shows something, or nothing."""
+        """Set whether a drawn chunk is visible."""
         (self._shown.add if something else self._shown.discard)(chunk)
 
     def touch_all(self) -> None:
-        """Everything is to be drawn anew."""
+        """Draw all chunks again."""
         self._stale = set(self._known)
 
     def touch_some(self, chunks: Iterable[Chunk]) -> None:
-        """These are to be drawn anew."""
+        """Draw these chunks again."""
         self._stale |= self._known.intersection(chunks)
 
     def forget(self) -> None:
-        """There is no map any more."""
+        """Remove all chunks."""
         self._known.clear()
         self._stale.clear()
         self._shown.clear()
         self.span = FIRST_SPAN
 
     def take(self, near_m: ArrayLike, cell_m: float, most: int) -> list[Chunk]:
-        """Those to be drawn next, nearest to a place first; they count as drawn."""
+        """Return the chunks to draw next, nearest first, and mark them as drawn."""
         if not self._stale:
             return []
         waiting = np.array(sorted(self._stale), np.int64)
@@ -119,7 +119,7 @@ class Chunks:
         return taken
 
     def blocks_of(self, chunk: Chunk) -> NDArray[np.int32]:
-        """Keys of the blocks of a chunk and of those around it, (M, 3)."""
+        """Keys of the blocks of a chunk and of the blocks around it, (M, 3)."""
         return _cube(self.span + 2) + np.asarray(chunk, np.int32) * self.span - 1
 
     def _chunks_of(self, blocks: NDArray[np.int64]) -> set[Chunk]:
@@ -136,8 +136,8 @@ class Filter:
     """Which cells are drawn.
 
     Attributes:
-        min_probability: of being occupied; None takes the daemon's threshold.
-        low_m, high_m: of z, between which their centres lie.
+        min_probability: minimum occupancy probability; None uses the daemon's threshold.
+        low_m, high_m: limits of the centres' z.
     """
 
     min_probability: float | None = None
@@ -147,14 +147,13 @@ class Filter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawn:
-    """The cells of a chunk that can be seen.
+    """The visible cells of a chunk.
 
     Attributes:
-        origin_m: (3,) where the chunk begins, map frame.
+        origin_m: (3,) lowest corner of the chunk, map frame.
         cell_m: edge of a cell.
-        local: (N, 3) int16, which of the chunk's cells.
-        normals: (N, 3) float32, unit vectors out of what they are part of; 0 where it is on all
-            sides alike.
+        local: (N, 3) int16, indices within the chunk.
+        normals: (N, 3) float32, outward unit vectors; 0 if opposite sides are free.
         probability: (N,) float32.
         count: (N,) uint16.
         changed_ns: (N,) int64.
@@ -173,7 +172,7 @@ class Drawn:
 
 
 def drawn_of(mirror: MapMirror, chunks: Chunks, chunk: Chunk, chosen: Filter) -> Drawn:
-    """The cells of a chunk that pass a filter and are not hidden by others on all six sides."""
+    """Return the cells of a chunk that pass a filter and have a free side."""
     cell_m, edge = mirror.cell_m, chunks.edge
     cells = mirror.cells(
         "occupied", min_probability=chosen.min_probability, keys=chunks.blocks_of(chunk)
@@ -202,14 +201,14 @@ def drawn_of(mirror: MapMirror, chunks: Chunks, chunk: Chunk, chosen: Filter) ->
 def faces_shown(
     filled: NDArray[np.bool_], index: NDArray[np.int64]
 ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
-    """Whether cells have a free side, and where it is free.
+    """Return which cells have a free side, and the direction of their free sides.
 
     Args:
-        filled: (E, E, E) cells that are drawn.
-        index: (N, 3) cells in question, none of them at the border.
+        filled: (E, E, E) whether a cell is drawn.
+        index: (N, 3) cells, none at the border.
 
     Returns:
-        (N,) and (N, 3): unit vectors to the free sides.
+        (N,) bool and (N, 3) unit vectors towards the free sides.
     """
     normals = np.zeros((len(index), 3), np.float32)
     shown = np.zeros(len(index), np.bool_)
@@ -225,7 +224,7 @@ def faces_shown(
 
 
 def coarser(drawn: Drawn, factor: int) -> Drawn:
-    """Cubes of factor**3 cells instead of cells; each has the values of one cell in it."""
+    """Merge factor**3 cells into one, which has the values of one of them."""
     if factor == 1:
         return drawn
     local, first = np.unique(drawn.local // factor, axis=0, return_index=True)

@@ -1,4 +1,4 @@
-"""Colours of cells, and the legend that says what they mean."""
+"""Colours of cells, and their legend."""
 
 import math
 from dataclasses import dataclass
@@ -25,12 +25,12 @@ Mode = Literal["height", "probability", "age", "count"]
 MODES: tuple[Mode, ...] = ("height", "probability", "age", "count")
 
 LIGHT = np.array([0.35, -0.5, 0.79], np.float32)
-"""Where the light of shaded points comes from: unit vector, map frame."""
+"""Direction to the light: unit vector, map frame."""
 
 DARKEST = 0.62
 
 MIN = 1e-3
-"""Of what has a logarithmic scale."""
+"""Minimum of logarithmic scales."""
 
 _PARTS = np.arange(256) / 255
 _TOE = 0.04045
@@ -45,11 +45,11 @@ TICKS = 5
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """Which values have which colours.
+    """Mapping from values to colours.
 
     Attributes:
-        mode: what is shown.
-        low, high: values at the ends of the colours.
+        mode: value to show.
+        low, high: values at the ends of the colour map.
     """
 
     mode: Mode
@@ -58,18 +58,18 @@ class Scale:
 
     @property
     def logarithmic(self) -> bool:
-        """Ages and counts span decades."""
+        """Whether the scale is logarithmic: ages and counts span decades."""
         return self.mode in ("age", "count")
 
 
 @dataclass(frozen=True, slots=True)
 class Legend:
-    """What a person reads beside the colours.
+    """Legend of a colour scale.
 
     Attributes:
-        title: with the unit.
-        ticks: from low to high, evenly spaced: texts.
-        colours: as many as a colour bar needs, low to high, `#rrggbb`.
+        title: title with the unit.
+        ticks: labels from low to high, evenly spaced.
+        colours: colours of the bar from low to high, `#rrggbb`.
     """
 
     title: str
@@ -78,7 +78,7 @@ class Legend:
 
 
 def values_of(drawn: Drawn, mode: Mode, now_ns: int) -> NDArray[np.float64]:
-    """What is shown of each cell: z in m, probability, age in s, or how often it was observed."""
+    """Value of each cell: z in m, probability, age in s, or number of observations."""
     if mode == "height":
         return points_m(drawn)[:, 2]
     if mode == "probability":
@@ -89,7 +89,7 @@ def values_of(drawn: Drawn, mode: Mode, now_ns: int) -> NDArray[np.float64]:
 
 
 def colours_of(values: NDArray[np.float64], scale: Scale) -> NDArray[np.uint8]:
-    """Colours (N, 3) of values (N,); those beyond the ends have the colours of the ends."""
+    """Colours (N, 3) of values (N,), clamped to the ends of the scale."""
     low, high = _ends(scale)
     if scale.logarithmic:
         values = np.log(np.maximum(values, MIN))
@@ -99,18 +99,18 @@ def colours_of(values: NDArray[np.float64], scale: Scale) -> NDArray[np.uint8]:
 
 
 def shaded(colours: NDArray[np.uint8], normals: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Colours as if light fell on what has these normals, so that points look like surfaces."""
+    """Shade colours by normals, so that points look like surfaces."""
     light = DARKEST + (1 - DARKEST) * np.clip(0.5 + 0.5 * (normals @ LIGHT), 0, 1)
     return np.asarray((colours * light[:, None] + 0.5).astype(np.uint8))
 
 
 def linear(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Colours as light, which what is lit is to be given (IEC 61966-2-1)."""
+    """Convert sRGB to linear light, as lit meshes need it (IEC 61966-2-1)."""
     return np.asarray(_LINEAR[colours])
 
 
 def legend_of(scale: Scale) -> Legend:
-    """The legend of a scale."""
+    """Legend of a scale."""
     titles = {
         "height": "height z (m)",
         "probability": "probability",
@@ -128,7 +128,7 @@ def legend_of(scale: Scale) -> Legend:
 
 
 def _ends(scale: Scale) -> tuple[float, float]:
-    """Of the colours, as they are spread evenly."""
+    """Ends of the scale, as logarithms if it is logarithmic."""
     if not scale.logarithmic:
         return scale.low, scale.high
     return math.log(max(scale.low, MIN)), math.log(max(scale.high, MIN))

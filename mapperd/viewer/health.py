@@ -1,4 +1,4 @@
-"""How the link and the daemon are, as a person at the controls reads it."""
+"""State of the connection and the daemon, for the page."""
 
 import html
 from collections import deque
@@ -12,7 +12,7 @@ from mapperd.viewer.colours import Legend
 __all__ = ["Health", "banner_html", "health_html", "legend_html", "text_of"]
 
 WINDOW_S = 3.0
-"""Over which rates are measured."""
+"""Window of rates."""
 
 OLD_POSE_S = 2.0
 OLD_MAP_S = 5.0
@@ -21,13 +21,13 @@ GREEN, AMBER, RED = "#22c55e", "#f59e0b", "#ef4444"
 
 
 class Rate:
-    """How fast a count grows, over the last seconds."""
+    """Growth rate of a counter over the last seconds."""
 
     def __init__(self) -> None:
         self._seen: deque[tuple[float, float]] = deque()
 
     def add(self, now_s: float, count: float) -> None:
-        """The count now; one that falls begins anew."""
+        """Add a reading; a counter that falls starts again."""
         if self._seen and count < self._seen[-1][1]:
             self._seen.clear()
         self._seen.append((now_s, count))
@@ -36,7 +36,7 @@ class Rate:
 
     @property
     def per_s(self) -> float | None:
-        """None until there is one."""
+        """The rate, or None with fewer than two readings."""
         if len(self._seen) < 2:  # noqa: PLR2004
             return None
         (first_s, first), (last_s, last) = self._seen[0], self._seen[-1]
@@ -45,22 +45,21 @@ class Rate:
 
 @dataclass(slots=True)
 class Health:
-    """What is shown of the link; times are monotonic seconds of this computer.
+    """State of the connection; times are monotonic seconds of this computer.
 
-    The daemon's clock is compared with ours by the stamps of its heartbeats: the one that came with
-    the least delay says how far they are apart.
+    The offset of the daemon's clock is estimated from the heartbeat with the least delay.
 
     Attributes:
-        link: to the daemon; None before there is one.
-        lost_s: since when there is none, over all attempts at one; None while there is one.
+        link: state of the connection; None before the first.
+        lost_s: since when there is no connection, over all attempts; None while connected.
         pings, blocks, kilobytes: rates.
-        left: blocks that are still to come.
-        dropped: that the daemon counts: reasons and numbers.
-        skipped: messages that were too much for this link.
-        round_trip_s: of this link.
-        pose_ns, map_ns: Unix stamps of the newest, the daemon's clock.
-        phase: of the daemon, one word.
-        page_bytes, page_nodes, page_cells, page_waiting: what browsers have of the map.
+        left: blocks still to be received.
+        dropped: dropped pings by reason, as the daemon counts them.
+        skipped: messages skipped for lack of bandwidth.
+        round_trip_s: round-trip time.
+        pose_ns, map_ns: newest stamps, Unix time of the daemon's clock.
+        phase: phase of the daemon, one word.
+        page_bytes, page_nodes, page_cells, page_waiting: the map in browsers.
     """
 
     link: LinkStatus | None = None
@@ -83,11 +82,11 @@ class Health:
 
     @property
     def connected(self) -> bool:
-        """The daemon talks to us."""
+        """Whether the daemon is connected."""
         return self.link is not None and self.link.state == "connected"
 
     def take_link(self, link: LinkStatus) -> None:
-        """How the link is now; each attempt at one begins a state of its own."""
+        """Update the connection's state; each attempt to connect has a state of its own."""
         again = self.link is not None and link.connects != self.link.connects
         if link.state == "connected":
             self.lost_s = None
@@ -96,28 +95,28 @@ class Health:
         self.link = link
 
     def heartbeat(self, stamp_ns: int, unix_ns: int) -> None:
-        """A message of the daemon of a moment came now, by our clock."""
+        """Note the daemon's time stamp of a message that arrived now."""
         ahead = stamp_ns - unix_ns
         self.ahead_ns = ahead if self.ahead_ns is None else max(self.ahead_ns, ahead)
 
     def reconnected(self) -> None:
-        """Clocks may be others than before."""
+        """Discard the clock offset."""
         self.ahead_ns = None
 
     def age_s(self, stamp_ns: int | None, unix_ns: int) -> float | None:
-        """How old something of the daemon is now."""
+        """Age of a time stamp of the daemon."""
         if stamp_ns is None:
             return None
         return max(0.0, (unix_ns + (self.ahead_ns or 0) - stamp_ns) / 1e9)
 
     def take_status(self, status: Mapping[str, Any], link: Mapping[str, Any], now_s: float) -> None:
-        """The daemon's status, and what it says of this link: docs/control.md."""
+        """Update from the daemon's status and its state of this connection."""
         pings = status.get("pings")
         if isinstance(pings, Mapping):
             numbers = {str(k): int(v) for k, v in pings.items() if isinstance(v, int | float)}
             self.pings.add(now_s, numbers.get("mapped", 0))
-            told = pings.get("dropped")
-            self.dropped = _counts(told) if isinstance(told, Mapping) else {}
+            dropped = pings.get("dropped")
+            self.dropped = _counts(dropped) if isinstance(dropped, Mapping) else {}
         self.phase = str(status.get("phase", self.phase))
         trip = link.get("round_trip_s")
         self.round_trip_s = float(trip) if isinstance(trip, int | float) else None
@@ -128,7 +127,7 @@ class Health:
 
 
 def health_html(health: Health, now_s: float, unix_ns: int) -> str:
-    """The panel that is always seen."""
+    """The status panel."""
     state, colour, reason = _state(health, now_s)
     rows = [
         ("pings", _per_s(health.pings.per_s, 1), "blocks", _per_s(health.blocks.per_s, 0)),
@@ -164,12 +163,12 @@ def health_html(health: Health, now_s: float, unix_ns: int) -> str:
 
 
 def banner_html(health: Health, now_s: float) -> str:
-    """Big letters over everything while there is no link; else nothing."""
+    """A large banner without a connection, otherwise nothing."""
     if health.connected:
         return ""
     state, _, reason = _state(health, now_s)
-    was = "the map is as it was; connecting again by itself"
-    rest = was if health.link is not None and health.link.connects else "connecting by itself"
+    lost = "the map shows the last state; reconnecting"
+    rest = lost if health.link is not None and health.link.connects else "connecting"
     return (
         '<div data-banner style="position:fixed;top:34%;left:0;right:0;text-align:center;'
         'pointer-events:none;z-index:100"><span style="display:inline-block;'
@@ -181,7 +180,7 @@ def banner_html(health: Health, now_s: float) -> str:
 
 
 def legend_html(legend: Legend) -> str:
-    """A colour bar with numbers."""
+    """A colour bar with tick labels."""
     ticks = "".join(f"<span>{html.escape(tick)}</span>" for tick in legend.ticks)
     return (
         '<div style="font-size:13px;padding:6px 10px 10px"><div style="margin-bottom:3px">'
@@ -235,5 +234,5 @@ def _duration(seconds: float) -> str:
     return f"{minutes}:{rest:02d}" if minutes else f"{rest} s"
 
 
-def _counts(told: Mapping[str, Any]) -> dict[str, int]:
-    return {str(k): int(v) for k, v in told.items() if isinstance(v, int | float)}
+def _counts(numbers: Mapping[str, Any]) -> dict[str, int]:
+    return {str(k): int(v) for k, v in numbers.items() if isinstance(v, int | float)}

@@ -19,22 +19,22 @@ __all__ = ["Look", "MapView"]
 
 MAX_NODES = 1500
 MAX_CUBES = 120_000
-"""Beyond it cells are drawn as points: a browser turns each cube by itself."""
+"""Above this number cells are drawn as points, because browsers transform each cube."""
 
 MAX_FINE = 300_000
-"""Beyond it cells far from the vehicle are drawn in larger cubes: browsers stay quick."""
+"""Above this number distant cells are drawn as larger cubes, so that browsers stay responsive."""
 
 FAR_M = ((20.0, 2), (60.0, 4))
-"""From this distance on, of chunks, so many cells along an edge are one."""
+"""Distances of chunks, and how many cells along an edge are drawn as one beyond them."""
 
 SLACK = 1.15
-"""On the distance, so that nothing goes to and fro."""
+"""Hysteresis of the distances."""
 
 POINT_RADIUS = 0.58
-"""Of a cell: points a little wider than cells leave no holes; viser's size is half of that."""
+"""Point size in cells: slightly larger than a cell, so that there are no holes."""
 
 POINT_BYTES, CUBE_BYTES = 9, 31
-"""What the browser is sent for each."""
+"""Bytes sent to the browser for each."""
 
 Shape = Literal["auto", "cubes", "points"]
 
@@ -44,10 +44,10 @@ class Look:
     """How the map is drawn.
 
     Attributes:
-        chosen: which cells.
+        chosen: cells to draw.
         scale: their colours.
-        shape: `auto` draws cubes while there are few.
-        shading: points look as if light fell on them.
+        shape: `auto` draws cubes while there are few cells.
+        shading: shade points by their normals.
     """
 
     chosen: Filter
@@ -57,21 +57,21 @@ class Look:
 
 
 class MapView:
-    """Draws a mirror's cells; of one thread.
+    """Draws the cells of a map mirror; use from one thread.
 
     Args:
-        scene: of the server.
+        scene: scene of the server.
 
     Attributes:
-        look: how.
-        sent_bytes: all that browsers were told of the map, each.
+        look: how the map is drawn.
+        sent_bytes: bytes of the map sent to each browser.
     """
 
-    def __init__(self, scene: "SceneApi", look: Look, most_nodes: int = MAX_NODES) -> None:
+    def __init__(self, scene: "SceneApi", look: Look, max_nodes: int = MAX_NODES) -> None:
         self.look = look
         self.sent_bytes = 0
         self._nodes = Nodes()
-        self._chunks = Chunks(most_nodes)
+        self._chunks = Chunks(max_nodes)
         self._drawn: dict[Chunk, Drawn] = {}
         self._fine: dict[Chunk, int] = {}
         self._factor: dict[Chunk, int] = {}
@@ -92,27 +92,27 @@ class MapView:
 
     @property
     def stale(self) -> int:
-        """Chunks that wait to be drawn."""
+        """Number of chunks to draw."""
         return self._chunks.stale
 
     @property
     def nodes(self) -> int:
-        """Chunks that the browser has."""
+        """Number of chunks in the browser."""
         return len(self._drawn)
 
     @property
     def cells(self) -> int:
-        """Cells that the browser has."""
+        """Number of cells in the browser."""
         return sum(map(len, self._drawn.values()))
 
     @property
     def drawn(self) -> list[Drawn]:
-        """What the browser shows."""
+        """Chunks that the browser shows."""
         return list(self._drawn.values())
 
     @property
     def bounds_m(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-        """Corners of a box around the middles of all cells, (3,), (3,); None without any."""
+        """Corners of the bounding box of all cell centres, (3,), (3,); None without cells."""
         if not self._drawn:
             return None
         parts = self._drawn.values()
@@ -121,31 +121,31 @@ class MapView:
         return np.min(low, axis=0), np.max(high, axis=0)
 
     def forget(self) -> None:
-        """There is no map any more."""
+        """Remove the map."""
         self._chunks.forget()
         self._nodes.clear()
         self._clear()
 
     def touch(self, keys: ArrayLike) -> None:
-        """Blocks (N, 3) changed."""
+        """Mark blocks (N, 3) as changed."""
         self._chunks.touch(keys)
 
     def change(self, look: Look) -> None:
-        """Draw otherwise from now on."""
+        """Change how the map is drawn."""
         if look != self.look:
             self.look = look
             self._choose_shape()
             self._chunks.touch_all()
 
     def grow_older(self) -> None:
-        """Colours that tell ages are wrong by now."""
+        """Redraw if colours show ages."""
         if self.look.scale.mode == "age":
             self._chunks.touch_some(self._drawn)
 
     def refine(self, near_m: ArrayLike, cell_m: float) -> None:
-        """Chunks to which the vehicle came near, or from which it went, are to be drawn again.
+        """Redraw chunks whose distance to the vehicle (3,) calls for another level of detail.
 
-        Of a map of many cells, those far from a place (3,) are drawn in larger cubes.
+        In maps of many cells, distant cells are drawn as larger cubes.
         """
         self._many = sum(self._fine.values()) > MAX_FINE
         if not self._drawn:
@@ -157,23 +157,23 @@ class MapView:
         self._chunks.touch_some(chunks[k] for k in np.flatnonzero((now < least) | (now > most)))
 
     def draw(
-        self, mirror: MapMirror, near_m: ArrayLike, now_ns: int, most_bytes: int, most_chunks: int
+        self, mirror: MapMirror, near_m: ArrayLike, now_ns: int, max_bytes: int, max_chunks: int
     ) -> int:
-        """Send what changed, nearest first, until so much is sent.
+        """Send changed chunks, nearest first, up to a limit.
 
         Args:
-            mirror: of the map.
-            near_m: (3,) where the vehicle is, map frame.
-            now_ns: the map's time: ages are counted from it.
-            most_bytes: after which no more chunks are begun.
-            most_chunks: that are looked at.
+            mirror: the map.
+            near_m: (3,) position of the vehicle, map frame.
+            now_ns: time that ages are counted from.
+            max_bytes: start no chunk beyond this size.
+            max_chunks: maximum number of chunks.
 
         Returns:
-            Bytes that each browser is sent.
+            Bytes sent to each browser.
         """
         sent = 0
-        for chunk in self._chunks.take(near_m, mirror.cell_m, most_chunks):
-            if sent > most_bytes:
+        for chunk in self._chunks.take(near_m, mirror.cell_m, max_chunks):
+            if sent > max_bytes:
                 self._chunks.touch_some([chunk])
                 continue
             drawn = drawn_of(mirror, self._chunks, chunk, self.look.chosen)
@@ -190,18 +190,18 @@ class MapView:
         return sent
 
     def tidy(self) -> None:
-        """Remove what browsers no longer need; after each round of `draw`."""
+        """Remove replaced nodes; call after each round of `draw`."""
         self._nodes.look(complete=self.stale == 0)
 
     def _away_m(
         self, chunks: NDArray[np.int64], near_m: ArrayLike, cell_m: float
     ) -> NDArray[np.float64]:
-        """From a place to the middles of chunks (N, 3)."""
+        """Distances from a position to the centres of chunks (N, 3)."""
         middles = (chunks + 0.5) * (self._chunks.edge * cell_m)
         return np.asarray(np.linalg.norm(middles - np.asarray(near_m), axis=1))
 
     def _factors(self, away_m: NDArray[np.float64]) -> NDArray[np.int64]:
-        """How many cells along an edge are drawn as one at these distances."""
+        """Number of cells along an edge that are drawn as one at these distances."""
         factors = np.ones(len(away_m), np.int64)
         if self._many:
             for far_m, factor in FAR_M:
@@ -209,7 +209,7 @@ class MapView:
         return factors
 
     def _choose_shape(self) -> None:
-        """Cubes or points; with slack, so that it does not go to and fro."""
+        """Choose cubes or points, with hysteresis."""
         limit = MAX_CUBES if self._cubes else MAX_CUBES * 3 // 4
         cubes = self.look.shape == "cubes" or (self.look.shape == "auto" and self.cells <= limit)
         if cubes != self._cubes:
@@ -257,8 +257,8 @@ class MapView:
         upright = np.zeros((len(at), 4), np.float32)
         upright[:, 0] = 1
         mixed = linear(colours)
-        if name in self._nodes:  # else viser keeps back colours that are the same as before, and
-            # a browser that comes late is told them before the places, of which it needs as many
+        if name in self._nodes:  # otherwise viser withholds unchanged colours, and a browser that
+            # connects later receives more colours than positions
             self._nodes.put(name, self._cubes_of, batched_colors=mixed[0])
         self._nodes.put(
             name,
@@ -276,6 +276,6 @@ class MapView:
         self._factor.clear()
 
     def _name(self, chunk: Chunk, *, cubes: bool) -> str:
-        """Of one kind and size: they are in sight together while one replaces the other."""
+        """Node name by kind and size, because both are visible while one replaces the other."""
         kind = "cubes" if cubes else "points"
         return "/map/{}_{}/{}_{}_{}".format(kind, self._chunks.edge, *chunk)

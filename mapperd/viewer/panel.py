@@ -1,4 +1,4 @@
-"""What a person can set on the page, and what the page says."""
+"""The panels of the page: status, legend, and how the map is drawn."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -26,7 +26,7 @@ Post = Callable[[Callable[[], object]], None]
 
 @dataclass(slots=True)
 class Span:
-    """How low and how high the map reaches, in whole steps; it only grows.
+    """Range of heights in the map, rounded to whole steps; it only grows.
 
     Attributes:
         low_m, high_m: None before there is a map.
@@ -36,7 +36,7 @@ class Span:
     high_m: float | None = None
 
     def take(self, low_m: float, high_m: float) -> bool:
-        """Heights that there are; returns whether the span is another one now."""
+        """Include heights; return whether the span changed."""
         low = float(np.floor(low_m / STEP_M) * STEP_M)
         high = float(np.ceil(high_m / STEP_M) * STEP_M)
         new = (
@@ -49,7 +49,7 @@ class Span:
 
     @property
     def ends_m(self) -> tuple[float, float]:
-        """Low and high; ten metres of water before there is a map."""
+        """Low and high end; ten metres of water before there is a map."""
         low = -10.0 if self.low_m is None else self.low_m
         return low, 0.0 if self.high_m is None else self.high_m
 
@@ -107,7 +107,7 @@ class Panel:
 
     @property
     def look(self) -> Look:
-        """How the map is to be drawn."""
+        """How to draw the map."""
         handles = self._handles
         mode: Mode = handles.colour.value
         low, high = self._range(mode)
@@ -121,7 +121,7 @@ class Panel:
         return Look(chosen, Scale(mode, low, high), handles.shape.value, handles.shading.value)
 
     def heights(self, low_m: float, high_m: float) -> None:
-        """The map reaches so far down and up."""
+        """Set the range of heights in the map."""
         if not self._span.take(low_m, high_m):
             return
         low, high = self._span.ends_m
@@ -134,19 +134,19 @@ class Panel:
         )
         clip.min, clip.max = low, max(high, low + STEP_M)
         clip.value = new
-        self._say_legend()
+        self._update_legend()
         self._changed()
 
     def new_map(self, occupied_probability: float) -> None:
-        """Another map: its threshold, and nothing of its heights."""
+        """Start again with a new map and its threshold."""
         self._span = Span()
         if self._threshold is None:
             self._handles.threshold.value = round(occupied_probability, 2)
 
-    def say(self, health: Health, now_s: float, unix_ns: int) -> None:
-        """How the link is now."""
+    def update(self, health: Health, now_s: float, unix_ns: int) -> None:
+        """Show the state of the connection."""
         if health.connected is False and self._handles.last.get("up") != "no":
-            self._status.expand()  # it was perhaps put away
+            self._status.expand()  # it may be collapsed
         self._handles.last["up"] = "yes" if health.connected else "no"
         self._write("health", health_html(health, now_s, unix_ns))
         self._write("banner", banner_html(health, now_s))
@@ -163,7 +163,7 @@ class Panel:
             max=0.99,
             step=0.01,
             initial_value=0.7,
-            hint="Cells below it are not drawn; at first the daemon's threshold",
+            hint="Cells with a lower probability are hidden; starts at the daemon's threshold",
         )
         handles.clip = gui.add_multi_slider(
             "Height (m)",
@@ -171,14 +171,14 @@ class Panel:
             max=0.0,
             step=0.1,
             initial_value=(-10.0, 0.0),
-            hint="Only cells between these heights; depth is negative",
+            hint="Only cells between these heights are drawn; depth is negative",
         )
         handles.shading = gui.add_checkbox("Shade points", initial_value=True)
         for handle in (handles.shape, handles.shading, handles.clip):
             handle.on_update(self._posting(self._changed))
         handles.colour.on_update(self._posting(self._new_colour))
         handles.threshold.on_update(self._by_hand)
-        self._say_legend()
+        self._update_legend()
 
     def _add_layers(self, show: Callable[[str, bool], object]) -> None:
         def layer(label: str, name: str) -> None:
@@ -191,7 +191,7 @@ class Panel:
                 layer(name, name)
 
     def _by_hand(self, event: Any) -> None:  # noqa: ANN401 of viser
-        if event.client is None:  # we moved it ourselves
+        if event.client is None:  # moved by the program
             return
         value = float(event.target.value)
 
@@ -205,7 +205,7 @@ class Panel:
         return lambda event: self._post(do) if event.client is not None else None
 
     def _new_colour(self) -> None:
-        self._say_legend()
+        self._update_legend()
         self._changed()
 
     def _range(self, mode: Mode) -> tuple[float, float]:
@@ -213,7 +213,7 @@ class Panel:
             return RANGES[mode]
         return self._span.ends_m
 
-    def _say_legend(self) -> None:
+    def _update_legend(self) -> None:
         mode: Mode = self._handles.colour.value
         self._write("legend", legend_html(legend_of(Scale(mode, *self._range(mode)))))
 

@@ -1,4 +1,4 @@
-"""Buttons of the page that keep something: a recording of the stream, the map as a file."""
+"""Buttons of the page that save files: a recording of the stream, the map."""
 
 import asyncio
 import time
@@ -14,16 +14,16 @@ if TYPE_CHECKING:
 
     from mapperd.client import MapClient
 
-__all__ = ["Keep", "Recorder"]
+__all__ = ["Recorder", "SaveControls"]
 
 NOTE_S = 8.0
 RECORD = "\N{BLACK CIRCLE} Record"
 MAX_DOWNLOAD = 64 << 20
-"""Of a file that is sent to the browser too."""
+"""Larger files are not sent to the browser."""
 
 
 class Recorder(Protocol):
-    """A recording that goes on by itself from `start` to `stop`."""
+    """A recording in the background, from `start` to `stop`."""
 
     @property
     def path(self) -> Path: ...  # noqa: D102
@@ -39,16 +39,16 @@ class Recorder(Protocol):
     async def stop(self) -> None: ...  # noqa: D102
 
 
-class Keep:
-    """Record and export; of the thread that draws.
+class SaveControls:
+    """Record and export; use from the drawing thread.
 
     Args:
-        server: of the page.
-        tab: where the buttons stand.
-        client: of the map stream.
-        folder: for files, on the computer that serves the page.
-        recorder: makes a recording of a client into a file; None leaves the button out.
-        begin: has a coroutine done in the thread that draws, of any thread.
+        server: server of the page.
+        tab: parent of the buttons.
+        client: client of the map stream.
+        folder: folder for files, on the computer that serves the page.
+        recorder: makes a recording of a client; None hides the button.
+        begin: runs a coroutine in the drawing thread; callable from any thread.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Keep:
         self._folder = folder
         self._make = recorder
         self._running: Recorder | None = None
-        with tab, server.gui.add_folder("Keep"):
+        with tab, server.gui.add_folder("Save"):
             if recorder is not None:
                 self._button = server.gui.add_button(RECORD, color="red")
                 self._button.on_click(lambda event: begin(lambda: self._record(event.client)))
@@ -74,8 +74,8 @@ class Keep:
             export = server.gui.add_button("Export map")
             export.on_click(lambda event: begin(lambda: self._export(event.client)))
 
-    async def say(self) -> None:
-        """How a recording goes; one that ended by itself is said to everybody."""
+    async def update(self) -> None:
+        """Show the size of the recording; notify all browsers if it ended by itself."""
         if self._running is None:
             return
         if self._running.ended:
@@ -84,7 +84,7 @@ class Keep:
             self._button.label = f"Stop recording ({self._running.bytes / 1e6:.1f} MB)"
 
     async def stop(self, who: "ClientHandle | None" = None) -> None:
-        """End a recording that goes on, and say what became of it."""
+        """Stop the recording, if any, and show the result."""
         running, self._running = self._running, None
         if running is None:
             return
@@ -100,7 +100,7 @@ class Keep:
         if self._running is not None:
             await self.stop(who)
             return
-        assert self._make is not None  # noqa: S101 there is no button without it
+        assert self._make is not None  # noqa: S101 otherwise there is no button
         begun = self._make(self._client, self._folder / _named("dive", ".mcap"))
         try:
             begun.start()

@@ -1,4 +1,4 @@
-"""The bar of settings that may change while the daemon runs."""
+"""The panel of settings that may change while the daemon runs."""
 
 import json
 import re
@@ -18,18 +18,18 @@ _LIMIT = re.compile(r"(<=|>=|<|>) (-?[0-9.]+(?:e[+-]?[0-9]+)?)")
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """One setting that may change while the daemon runs.
+    """Control of one setting.
 
     Attributes:
-        name: of the setting.
-        section: the first part of it.
-        label: the rest, with the unit.
-        hint: what it means and what is allowed.
-        kind: of control; `text` takes any value as JSON.
-        value: in force.
-        low, high: limits of a number, both allowed or just not.
-        whole: only whole numbers.
-        choices: of a choice.
+        name: name of the setting.
+        section: its section.
+        label: the rest of the name, with the unit.
+        hint: description and allowed values.
+        kind: kind of control; `text` accepts any value as JSON.
+        value: value in force.
+        low, high: limits of a number.
+        whole: accepts only whole numbers.
+        choices: allowed values of a choice.
     """
 
     name: str
@@ -45,11 +45,11 @@ class Control:
 
 
 def controls_of(facts: Mapping[str, Any], search: str = "") -> dict[str, list[Control]]:
-    """Sections and their controls: of the settings that may change and whose facts hold all words.
+    """Return the controls of live settings by section.
 
     Args:
-        facts: of all settings, by name: docs/control.md, `params`.
-        search: words.
+        facts: all settings by name, as `mapperctl params --json` prints them.
+        search: words that must occur in the name or description.
     """
     words = search.lower().split()
     sections: dict[str, list[Control]] = {}
@@ -64,7 +64,7 @@ def controls_of(facts: Mapping[str, Any], search: str = "") -> dict[str, list[Co
 
 
 def control_of(name: str, fact: Mapping[str, Any]) -> Control:
-    """The control of one setting."""
+    """Return the control of one setting."""
     section, _, rest = name.partition(".")
     allowed, unit, value = str(fact.get("allowed", "")), str(fact.get("unit", "")), fact["value"]
     label = f"{rest or name} ({unit})" if unit and _is_number(value) else rest or name
@@ -82,7 +82,7 @@ def control_of(name: str, fact: Mapping[str, Any]) -> Control:
 
 
 def value_from(control: Control, entered: Any) -> Any:  # noqa: ANN401 whatever the setting takes
-    """The value that is sent for what stands in a control."""
+    """Convert the contents of a control to the setting's value."""
     if control.kind == "number":
         return round(entered) if control.whole else float(entered)
     if control.kind != "text":
@@ -111,20 +111,20 @@ def _limits(allowed: str) -> tuple[float | None, float | None]:
     return low, high
 
 
-SAID_S = 6.0
+NOTE_TIMEOUT_S = 6.0
 
 SetSettings = Callable[[dict[str, Any]], Awaitable[dict[str, Any]]]
 
 
 class SettingsPanel:
-    """Controls of settings, a form for each section; of the thread that draws.
+    """A form of controls for each section; use from the drawing thread.
 
-    Nothing is sent while somebody types: `Apply` sends what differs from what is in force.
+    Nothing is sent while a user types: `Apply` sends the values that differ.
 
     Args:
-        server: of the page.
-        tab: where it stands.
-        apply: has changes done; said who wants them.
+        server: server of the page.
+        tab: parent of the forms.
+        apply: requests changes for a browser.
     """
 
     def __init__(
@@ -141,12 +141,12 @@ class SettingsPanel:
         self._controls: dict[str, tuple[Control, Any]] = {}
         self._forms: dict[str, Any] = {}
         with tab:
-            self._note = server.gui.add_markdown("Settings come with the link.")
+            self._note = server.gui.add_markdown("Waiting for the daemon's settings.")
             self._search = server.gui.add_text("Search", "", hint="Words of the name or the help")
         self._search.on_update(lambda _: self._find())
 
     def take(self, facts: Mapping[str, Any]) -> None:
-        """Facts of settings: the first time of all, then of those that changed."""
+        """Update settings: first all of them, then those that changed."""
         self._facts.update(facts)
         for section, controls in controls_of(self._facts).items():
             if section not in self._forms:
@@ -154,25 +154,25 @@ class SettingsPanel:
         for name in facts:
             if name in self._controls:
                 self._refresh(name)
-        self._say()
+        self._update_note()
 
-    def may_change(self, allowed: bool) -> None:  # noqa: FBT001 as the daemon says it
-        """Whether a change would be heeded at all."""
+    def may_change(self, allowed: bool) -> None:  # noqa: FBT001 the daemon's answer
+        """Set whether the daemon accepts changes."""
         self._allowed = allowed
-        self._say()
+        self._update_note()
 
     def reset(self, names: Mapping[str, Any]) -> None:
-        """These were not changed: their controls show what is in force."""
+        """Show the values in force of settings that were not changed."""
         for name in names:
             if name in self._controls:
                 self._refresh(name)
 
-    def _say(self) -> None:
+    def _update_note(self) -> None:
         count = len(self._controls)
         if not self._allowed:
-            self._note.content = f"{count} settings; this page may look and change nothing."
+            self._note.content = f"{count} settings; this page may not change them."
         elif count:
-            self._note.content = f"{count} settings that may change now. Enter, then **Apply**."
+            self._note.content = f"{count} live settings. Edit, then **Apply**."
 
     def _add_form(self, section: str, controls: list[Control]) -> None:
         gui = self._server.gui
@@ -219,7 +219,7 @@ class SettingsPanel:
             handle.value = control.value
 
     def _find(self) -> None:
-        """Show what the search finds; of a thread of viser, which changes nothing of ours."""
+        """Show the settings that match the search; called in a thread of viser."""
         found = controls_of(self._facts, self._search.value)
         names = {control.name for controls in found.values() for control in controls}
         for name, (_, handle) in self._controls.items():

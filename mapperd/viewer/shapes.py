@@ -1,4 +1,4 @@
-"""Shapes made in code, and nodes of the scene that change in place."""
+"""Procedural shapes, and scene nodes that change in place."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,9 +23,9 @@ class Part:
     """A part of a model.
 
     Attributes:
-        name: of it.
+        name: name of the part.
         vertices: (V, 3) metres, base frame.
-        faces: (F, 3), outside in front.
+        faces: (F, 3), counter-clockwise from outside.
         colour: red, green, blue.
     """
 
@@ -36,7 +36,7 @@ class Part:
 
 
 def cube() -> tuple[Floats, Faces]:
-    """A cube of edge 1 around the origin; each side has vertices of its own, so it is flat."""
+    """A unit cube around the origin; sides share no vertices, so that they are shaded flat."""
     vertices: list[Floats] = []
     faces: list[int] = []
     for axis in range(3):
@@ -53,7 +53,7 @@ def cube() -> tuple[Floats, Faces]:
 
 
 def vehicle_parts(length_m: float) -> tuple[Part, ...]:
-    """A vehicle that looks where it is going: hull, nose, fin, thrusters; nose along x."""
+    """A vehicle with hull, nose, fin and thrusters; the nose points along x."""
     half = length_m / 2
     wide, high = 0.36 * length_m, 0.22 * length_m
     hull = _loft([(-half, 0.55), (-0.7 * half, 1.0), (0.45 * half, 1.0)], wide, high, tail=True)
@@ -76,7 +76,7 @@ def vehicle_parts(length_m: float) -> tuple[Part, ...]:
 
 
 def fan_lines(fan: Fan) -> Floats:
-    """The outline of what a sonar sees: line segments (N, 2, 3), metres, sonar frame."""
+    """Outline of a sonar's field of view: line segments (N, 2, 3), metres, sonar frame."""
     low, high = sorted(fan.bearings_rad)
     up = fan.vertical_aperture_rad / 2
     bearings = np.linspace(low, high, ARC_STEPS)
@@ -146,11 +146,11 @@ def _box(low: tuple[float, float, float], high: tuple[float, float, float]) -> t
 
 
 STAY = 6
-"""Looks after which a node goes that another one replaced: browsers draw that within them."""
+"""Calls of `look` after which a replaced node is removed: browsers have drawn the new one."""
 
 
 class Nodes:
-    """Nodes by name; of one thread, and nobody else changes or removes them."""
+    """Scene nodes by name; use from one thread."""
 
     def __init__(self) -> None:
         self._nodes: dict[str, Any] = {}
@@ -159,21 +159,21 @@ class Nodes:
         self._looks = 0
 
     def __contains__(self, name: str) -> bool:
-        """Whether there is one that is not replaced."""
+        """Whether a node exists and is not replaced."""
         return name in self._nodes
 
     @property
     def leaving(self) -> int:
-        """Nodes that are replaced and are to go."""
+        """Number of replaced nodes to be removed."""
         return len(self._replaced) + len(self._leaving)
 
     def put(self, name: str, make: Callable[..., Any], **properties: object) -> None:
-        """Show a node with these properties.
+        """Create or update a node.
 
         Args:
-            name: of it.
-            make: adds it to the scene, where it is not there yet; a name is for one kind only.
-            properties: in the order in which they are told.
+            name: name of the node; one name is for one kind of node.
+            make: adds a new node to the scene.
+            properties: values to set, in this order.
         """
         if name not in self._nodes:
             node = self._replaced.pop(name, None) or self._leaving.pop(name, (0, None))[1]
@@ -185,27 +185,27 @@ class Nodes:
             setattr(self._nodes[name], key, value)
 
     def remove(self, name: str) -> None:
-        """It goes at once, if there is one."""
+        """Remove a node now, if it exists."""
         node = self._nodes.pop(name, None)
         if node is not None:
             node.remove()
 
     def replace(self, name: str) -> None:
-        """It goes once the one in its place, which is there already, is drawn."""
+        """Remove a node once its replacement, which exists, is drawn."""
         node = self._nodes.pop(name, None)
         if node is not None:
             self._leaving[name] = (self._looks, node)
 
     def replace_all(self) -> None:
-        """All go once those in their places, which are still to come, are drawn."""
+        """Remove all nodes once their replacements, which do not exist yet, are drawn."""
         self._replaced |= self._nodes
         self._nodes.clear()
 
     def look(self, *, complete: bool) -> None:
-        """Remove what has been replaced for long enough; a few times a second.
+        """Remove nodes that were replaced long enough ago; call a few times a second.
 
         Args:
-            complete: nothing is left to come.
+            complete: all replacements exist.
         """
         self._looks += 1
         if complete:
@@ -217,7 +217,7 @@ class Nodes:
                 del self._leaving[name]
 
     def clear(self) -> None:
-        """All go at once."""
+        """Remove all nodes now."""
         leaving = (node for _, node in self._leaving.values())
         for node in (*self._nodes.values(), *self._replaced.values(), *leaving):
             node.remove()

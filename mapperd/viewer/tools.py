@@ -1,4 +1,4 @@
-"""Tools of each browser: camera, measuring, pictures."""
+"""Tools of each browser: camera, distance measurement, screenshots."""
 
 import time
 from collections.abc import Callable, Iterable
@@ -21,12 +21,12 @@ __all__ = ["Measuring", "Tools", "distance_text", "pick"]
 def pick(
     drawn: Iterable[Drawn], origin_m: ArrayLike, towards: ArrayLike
 ) -> NDArray[np.float64] | None:
-    """The centre of the first cell that a ray meets, (3,) map frame; None where it meets none.
+    """Return the centre of the first cell that a ray hits, (3,) map frame, or None.
 
     Args:
         drawn: the cells.
-        origin_m: (3,) where the ray begins, map frame.
-        towards: (3,) its direction, of any length.
+        origin_m: (3,) origin of the ray, map frame.
+        towards: (3,) direction of the ray, of any length.
     """
     origin = np.asarray(origin_m, np.float64)
     direction = np.asarray(towards, np.float64)
@@ -53,7 +53,7 @@ def _entry_m(
     origin: NDArray[np.float64],
     direction: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """How far along a ray it enters boxes (N, 3), (N,); infinite where it misses them."""
+    """Distance along a ray to boxes (N, 3), (N,); infinite for boxes it misses."""
     with np.errstate(divide="ignore", invalid="ignore"):
         one = (low_m - origin) / direction
         other = (high_m - origin) / direction
@@ -64,7 +64,7 @@ def _entry_m(
 
 
 def distance_text(first_m: ArrayLike, second_m: ArrayLike) -> str:
-    """Distance of two points of the map, and its parts along the axes."""
+    """Distance of two points of the map, with its components."""
     dx, dy, dz = (float(one) for one in np.subtract(second_m, first_m))
     total = float(np.linalg.norm((dx, dy, dz)))
     return f"{total:.2f} m   dx {dx:+.2f}  dy {dy:+.2f}  dz {dz:+.2f}"
@@ -72,12 +72,12 @@ def distance_text(first_m: ArrayLike, second_m: ArrayLike) -> str:
 
 @dataclass(slots=True)
 class Measuring:
-    """Two points that somebody picks, one after the other; a third begins anew."""
+    """Two points that a user picks; a third starts again."""
 
     points_m: list[NDArray[np.float64]] = field(default_factory=list)
 
     def add(self, point_m: NDArray[np.float64]) -> str:
-        """Take a point; returns what is to be said."""
+        """Add a point; return the text to show."""
         if len(self.points_m) == 2:  # noqa: PLR2004 a distance has two ends
             self.points_m.clear()
         self.points_m.append(point_m)
@@ -93,31 +93,31 @@ MARK = (250, 250, 250)
 
 @dataclass(slots=True)
 class _Browser:
-    """What one browser has.
+    """State of one browser.
 
     Attributes:
-        client: it.
-        mode: control of its camera.
-        said: text of what it measured.
-        measuring: the points that it picked.
-        marks: nodes of those.
+        client: handle of viser.
+        mode: camera control.
+        measured: text of the measurement.
+        measuring: the picked points.
+        marks: their nodes in the scene.
     """
 
     client: "ClientHandle"
     mode: Any
-    said: Any
+    measured: Any
     measuring: Measuring = field(default_factory=Measuring)
     marks: list[Any] = field(default_factory=list)
 
 
 class Tools:
-    """Tools of all browsers; of the thread that draws.
+    """Tools of all browsers; use from the drawing thread.
 
     Args:
-        tab: where they stand.
-        post: has something done in that thread.
-        camera: somebody chose another camera.
-        pick: the point of the map that a ray meets first, from its origin and direction.
+        tab: parent of the controls.
+        post: runs a function in the drawing thread.
+        camera: called with the camera that a user chose.
+        pick: returns the first point of the map on a ray, from its origin and direction.
     """
 
     def __init__(
@@ -134,7 +134,7 @@ class Tools:
         self._browsers: dict[int, _Browser] = {}
 
     def add(self, client: "ClientHandle", mode: CameraMode) -> None:
-        """A browser came; its camera is this one."""
+        """Add a browser with a camera mode."""
         gui = client.gui
         with self._tab:
             chosen = gui.add_button_group(
@@ -143,9 +143,9 @@ class Tools:
             measure = gui.add_checkbox(
                 "Measure", initial_value=False, hint="Click two points of the map"
             )
-            said = gui.add_markdown("", visible=False)
+            measured = gui.add_markdown("", visible=False)
             picture = gui.add_button("Screenshot", hint="The map as a PNG")
-        browser = self._browsers[client.client_id] = _Browser(client, chosen, said)
+        browser = self._browsers[client.client_id] = _Browser(client, chosen, measured)
         chosen.on_click(
             lambda _: self._post(lambda: self._choose(browser, cast("CameraMode", chosen.value)))
         )
@@ -156,7 +156,7 @@ class Tools:
         self._choose(browser, mode)
 
     def forget(self, client_id: int) -> None:
-        """A browser went."""
+        """Remove a browser."""
         self._browsers.pop(client_id, None)
 
     def _choose(self, browser: _Browser, mode: CameraMode) -> None:
@@ -167,8 +167,8 @@ class Tools:
         scene = browser.client.scene
         browser.measuring = Measuring()
         self._unmark(browser)
-        browser.said.visible = on
-        browser.said.content = "Click a point of the map." if on else ""
+        browser.measured.visible = on
+        browser.measured.content = "Click a point of the map." if on else ""
         scene.remove_click_callback("all")
         if on:
             scene.on_click()(
@@ -180,10 +180,10 @@ class Tools:
     def _clicked(self, browser: _Browser, origin_m: Any, towards: Any) -> None:  # noqa: ANN401 vectors
         point_m = self._pick(origin_m, towards)
         if point_m is None:
-            browser.said.content = "There is nothing of the map."
+            browser.measured.content = "No cell here. Click a point of the map."
             return
         text = browser.measuring.add(point_m)
-        browser.said.content = f"**{text}**"
+        browser.measured.content = f"**{text}**"
         points = browser.measuring.points_m
         scene = browser.client.scene
         if len(points) == 1:
@@ -215,7 +215,7 @@ class Tools:
         browser.marks.clear()
 
     def _take_picture(self, client: "ClientHandle") -> None:
-        """Of a thread of viser: the browser draws it, and gets it back to keep."""
+        """Have the browser render a picture and download it; called in a thread of viser."""
         camera = client.camera
         try:
             image = client.get_render(

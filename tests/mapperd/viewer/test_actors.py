@@ -41,8 +41,8 @@ def test_a_path_that_begins_anew_leaves_nothing_of_the_one_before(server: "Viser
     longer = way(4 * PATH_PIECE, 2.0)
     actors.take(Path(first=0, points=b""), longer, 0.0)
     drawn = [server.scene.get_handle_by_name(f"/path/{number}") for number in range(4)]
-    told = np.concatenate([segments_of(one) for one in drawn])
-    np.testing.assert_array_equal(told, strip(longer))
+    drawn_points = np.concatenate([segments_of(one) for one in drawn])
+    np.testing.assert_array_equal(drawn_points, strip(longer))
 
 
 def test_a_path_far_from_the_maps_zero_is_drawn_to_the_millimetre(server: "ViserServer") -> None:
@@ -51,8 +51,8 @@ def test_a_path_far_from_the_maps_zero_is_drawn_to_the_millimetre(server: "Viser
     points = np.column_stack([500_000.3 + 0.1 * metres, 4_649_776.7 - 0.1 * metres, 0.0 * metres])
     actors.take(Path(first=0, points=b""), points, 0.0)
     drawn = [server.scene.get_handle_by_name(f"/path/{number}") for number in range(2)]
-    told = np.concatenate([segments_of(one)[:, 0] for one in drawn])
-    np.testing.assert_allclose(told, points[:-1], rtol=0, atol=1e-3)
+    drawn_points = np.concatenate([segments_of(one)[:, 0] for one in drawn])
+    np.testing.assert_allclose(drawn_points, points[:-1], rtol=0, atol=1e-3)
 
 
 def segments_of(drawn: object) -> NDArray[np.float64]:
@@ -83,8 +83,8 @@ def test_what_moves_is_moved_and_not_made_anew(server: "ViserServer") -> None:
         actors.pose(msgspec.structs.replace(pose, covariance=plane))
         points = np.full((3 + step, 4), step, "<f4")
         flat = np.ascontiguousarray(points[:, :3]).tobytes()
-        told = Localization(report={}, particles=points.tobytes(), scan=flat)
-        actors.localization(told, -4.0)
+        drawn_points = Localization(report={}, particles=points.tobytes(), scan=flat)
+        actors.localization(drawn_points, -4.0)
         reach_m = 5.0 + step
         fan = Fan(
             bearings_rad=(-1.0, 1.0),
@@ -116,7 +116,7 @@ def test_what_moves_is_moved_and_not_made_anew(server: "ViserServer") -> None:
     assert server.scene.get_handle_by_name("/localization/particles") is None
 
 
-def test_what_a_daemon_told_goes_with_it(server: "ViserServer") -> None:
+def test_a_new_session_removes_everything(server: "ViserServer") -> None:
     async def run() -> None:
         client = FakeClient(some_map())
         view = View(server, cast("MapClient", client))

@@ -1,4 +1,4 @@
-"""What the page says of the link."""
+"""How the page shows the connection."""
 
 import pytest
 
@@ -71,7 +71,7 @@ def test_rates_drops_and_latencies_are_shown() -> None:
     assert "too_slow" not in text
 
 
-def test_what_the_daemon_says_is_no_html() -> None:
+def test_text_of_the_daemon_is_escaped() -> None:
     health = linked("waiting", "<script>alert(1)</script>")
     health.take_status({"phase": "<b>", "pings": {"dropped": {"<i>": 1}}}, {}, 0.0)
     for text in (health_html(health, 101.0, 0), banner_html(health, 101.0)):
@@ -96,11 +96,11 @@ def test_the_legend_has_numbers_and_the_unit() -> None:
         assert f">{tick}<" in text
 
 
-def test_only_a_map_that_was_there_is_as_it_was() -> None:
-    assert "the map is as it was" in banner_html(linked("waiting"), 105.0)
+def test_banner_mentions_the_map_only_if_there_was_one() -> None:
+    assert "the map shows the last state" in banner_html(linked("waiting"), 105.0)
     never = banner_html(linked("waiting", connects=0), 105.0)
-    assert "as it was" not in never
-    assert "connecting by itself" in never
+    assert "the map" not in never
+    assert "connecting" in never
 
 
 def test_a_lost_link_is_lost_since_the_first_failure_not_the_last() -> None:

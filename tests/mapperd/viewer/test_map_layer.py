@@ -25,7 +25,7 @@ class FakeScene:
         sent: names of chunks that were drawn, in order.
         removed: nodes, in order.
         made: nodes, in order.
-        told: properties that were changed, in order.
+        changed: properties that were set, in order.
     """
 
     def __init__(self) -> None:
@@ -33,7 +33,7 @@ class FakeScene:
         self.sent: list[str] = []
         self.removed: list[str] = []
         self.made: list[str] = []
-        self.told: list[str] = []
+        self.changed: list[str] = []
 
     def add_point_cloud(self, name: str, **properties: Any) -> "FakeNode":
         return self._add(name, {"kind": "points", **properties})
@@ -57,13 +57,13 @@ class FakeScene:
 
     def centres(self) -> np.ndarray[Any, Any]:
         """Of all cells that a browser shows, sorted."""
-        told = [
+        sent = [
             np.asarray(node[key], np.float16).astype(float) * node["scale"] + node["position"]
             for node in self.nodes.values()
             for key in ("points", "batched_positions")
             if key in node
         ]
-        return np.asarray(np.unique(np.round(np.concatenate(told), 6), axis=0))
+        return np.asarray(np.unique(np.round(np.concatenate(sent), 6), axis=0))
 
 
 class FakeNode:
@@ -82,9 +82,9 @@ class FakeNode:
         assert key in node, "nobody would draw it"
         if not scene.sent or scene.sent[-1] != chunk_of(self._name):
             scene.sent.append(chunk_of(self._name))
-        if not np.array_equal(node[key], value):  # browsers are not told what is as it was
+        if not np.array_equal(node[key], value):  # unchanged values are not sent
             node[key] = value
-            scene.told.append(key)
+            scene.changed.append(key)
 
     def remove(self) -> None:
         del self._scene.nodes[self._name]
@@ -111,11 +111,11 @@ def shell_of(low: int, high: int) -> np.ndarray[Any, Any]:
     return np.asarray(cells[((cells == low) | (cells == high - 1)).any(axis=1)])
 
 
-@pytest.mark.parametrize("most_nodes", [1000, 1], ids=["small chunks", "large chunks"])
-def test_only_the_shell_of_a_solid_is_sent_across_all_borders(most_nodes: int) -> None:
+@pytest.mark.parametrize("max_nodes", [1000, 1], ids=["small chunks", "large chunks"])
+def test_only_the_shell_of_a_solid_is_sent_across_all_borders(max_nodes: int) -> None:
     scene = FakeScene()
     mirror = mirror_of(blocks_of(cube_of(-20, 20)))
-    view = MapView(scene, POINTS, most_nodes)  # type: ignore[arg-type]
+    view = MapView(scene, POINTS, max_nodes)  # type: ignore[arg-type]
     view.touch(mirror.keys())
     draw_all(view, mirror)
     expected = np.round((shell_of(-20, 20) + 0.5) * 0.1, 6)
@@ -129,7 +129,7 @@ def test_too_many_nodes_become_larger_ones() -> None:
     scene = FakeScene()
     scattered = np.random.default_rng(1).integers(-300, 300, (400, 3))
     mirror = mirror_of(blocks_of(scattered))
-    view = MapView(scene, POINTS, most_nodes=20)  # type: ignore[arg-type]
+    view = MapView(scene, POINTS, max_nodes=20)  # type: ignore[arg-type]
     view.touch(mirror.keys())
     draw_all(view, mirror)
     assert 1 < len(scene.nodes) <= 64  # of 256 cells' edge: there are no larger ones
@@ -252,8 +252,8 @@ def test_of_many_cells_far_ones_are_drawn_in_larger_cubes(
     scene.sent.clear()
     view.refine(NOWHERE, mirror.cell_m)
     draw_all(view, mirror)
-    told = {chunk_of(name): len(node["points"]) for name, node in scene.nodes.items()}
-    assert told == {f"{10 * k}_0_0": 16 if k == 0 else 4 if k == 1 else 1 for k in range(8)}
+    sent = {chunk_of(name): len(node["points"]) for name, node in scene.nodes.items()}
+    assert sent == {f"{10 * k}_0_0": 16 if k == 0 else 4 if k == 1 else 1 for k in range(8)}
     (far,) = (node for name, node in scene.nodes.items() if chunk_of(name) == "70_0_0")
     centre = np.asarray(far["points"], float) * far["scale"] + far["position"]
     np.testing.assert_allclose(centre, [[224.2, 0.2, 0.6]], atol=1e-4)
@@ -278,16 +278,16 @@ def test_a_map_that_grows_changes_its_nodes_in_place(shape: Any) -> None:
     assert (len(scene.made), scene.removed) == (1, [])
 
 
-def test_colours_are_told_after_the_places_even_if_they_are_the_same() -> None:
-    """Browsers colour cubes when they are told colours, and need as many places then."""
+def test_colours_are_sent_after_positions_even_if_unchanged() -> None:
+    """Browsers apply colours on receipt, and need as many positions then."""
     scene = FakeScene()
     view = MapView(scene, Look(Filter(), HEIGHTS, "cubes"))  # type: ignore[arg-type]
     for x in (1, 2):
         mirror = mirror_of(blocks_of([[0, 4, 4], [x, 4, 4]]))
         view.touch(mirror.keys())
         draw_all(view, mirror)
-    assert "batched_positions" in scene.told
-    assert scene.told[-1] == "batched_colors"
+    assert "batched_positions" in scene.changed
+    assert scene.changed[-1] == "batched_colors"
 
 
 def test_cubes_stay_until_the_points_in_their_place_are_drawn() -> None:
@@ -316,7 +316,7 @@ def test_small_chunks_stay_until_all_large_ones_are_drawn() -> None:
     scattered = np.random.default_rng(1).integers(-300, 300, (100, 3))
     mirror = mirror_of(blocks_of(scattered))
     expected = np.unique(np.round((scattered + 0.5) * 0.1, 6), axis=0)
-    view = MapView(scene, POINTS, most_nodes=90)  # type: ignore[arg-type]
+    view = MapView(scene, POINTS, max_nodes=90)  # type: ignore[arg-type]
     view.touch(mirror.keys())
     while len({name.split("/")[2] for name in scene.nodes}) < 2:
         view.draw(mirror, NOWHERE, 0, 10**9, 8)

@@ -115,10 +115,10 @@ def test_the_picture_is_that_of_the_map(serving: Serving, page: "Page") -> None:
         size=size,
         edge_m=2 * POINT_RADIUS * 0.1,
     )
-    told = theirs[..., 3] > 127
+    opaque = theirs[..., 3] > 127
     assert covered.mean() > 0.1
-    assert (covered & told).sum() / (covered | told).sum() > 0.97
-    apart = np.abs(theirs[..., :3].astype(int) - ours)[covered & told].max(axis=1)
+    assert (covered & opaque).sum() / (covered | opaque).sum() > 0.97
+    apart = np.abs(theirs[..., :3].astype(int) - ours)[covered & opaque].max(axis=1)
     assert (apart <= SAME_COLOUR).mean() > 0.9
 
 
@@ -219,7 +219,7 @@ def test_cameras_follow_the_vehicle_and_two_clicks_measure(serving: Serving, pag
 def measure(serving: Serving, page: "Page", client: Any) -> None:
     page.get_by_label("Measure", exact=True).first.click(force=True)
     tools = serving.view._tools._browsers[client.client_id]
-    serving.until(lambda: tools.said.visible, page)
+    serving.until(lambda: tools.measured.visible, page)
     parts = [one for one in serving.view.map.drawn if len(one)]
     top = [
         one.origin_m + (one.local[np.argmax(one.local[:, 2])] + 0.5) * one.cell_m for one in parts

@@ -1,4 +1,4 @@
-"""The record button: it says what becomes of a recording, however that ends."""
+"""The record button reports the end of a recording, whatever ends it."""
 
 import argparse
 import asyncio
@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 from mapperd.cli.mapperctl import view
 from mapperd.errors import ExportError
 from mapperd.foxglove.recording import Recording
-from mapperd.viewer.save import Keep
+from mapperd.viewer.save import SaveControls
 from tests.mapperd.foxglove import foxglove_fakes as fakes
 
 pytest.importorskip("viser", reason="the extra `topside` is not installed")
@@ -22,13 +22,13 @@ from mapperd.cli.mapperctl.view import open_page
 
 
 class Notes:
-    """What one browser is told."""
+    """Collects the notifications of one browser."""
 
     def __init__(self) -> None:
-        self.told: list[tuple[str, str]] = []
+        self.notes: list[tuple[str, str]] = []
 
     def add_notification(self, title: str, text: str, **_: Any) -> None:
-        self.told.append((title, text))
+        self.notes.append((title, text))
 
 
 class Watched:
@@ -42,14 +42,14 @@ class Watched:
         return {0: self.notes}
 
 
-def kept(folder: Path, press: Callable[[Keep, Notes, Any], Awaitable[None]]) -> Notes:
-    """What is told to a browser while somebody presses buttons."""
+def kept(folder: Path, press: Callable[[SaveControls, Notes, Any], Awaitable[None]]) -> Notes:
+    """Return the notifications of a browser whose buttons are pressed."""
     server = open_page("127.0.0.1", 0)
     watched = Watched(server.gui)
 
     async def run() -> None:
         client = fakes.FakeClient()
-        keep = Keep(
+        keep = SaveControls(
             cast("Any", watched),
             server.gui.add_tab_group().add_tab("View"),
             cast("Any", client),
@@ -68,20 +68,20 @@ def kept(folder: Path, press: Callable[[Keep, Notes, Any], Awaitable[None]]) -> 
 
 
 def test_two_presses_make_a_recording(tmp_path: Path) -> None:
-    async def press(keep: Keep, notes: Notes, client: Any) -> None:
+    async def press(keep: SaveControls, notes: Notes, client: Any) -> None:
         await keep._record(cast("Any", notes))
         await asyncio.sleep(0)
         client.tell_all()
         await fakes.until(lambda: not client.untold)
-        await keep.say()
+        await keep.update()
         assert keep._button.label.startswith("Stop recording (")
         await keep._record(cast("Any", notes))
         assert "Record" in keep._button.label
 
     notes = kept(tmp_path, press)
     (path,) = tmp_path.iterdir()
-    assert [title for title, _ in notes.told] == ["Recording", "Recorded"]
-    assert str(path) in notes.told[1][1]
+    assert [title for title, _ in notes.notes] == ["Recording", "Recorded"]
+    assert str(path) in notes.notes[1][1]
     with path.open("rb") as file:
         summary = make_reader(file, validate_crcs=True).get_summary()
     assert summary is not None
@@ -95,31 +95,31 @@ def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.delitem(sys.modules, "mapperd.foxglove.mcap_recorder", raising=False)
     monkeypatch.setitem(sys.modules, "foxglove", None)
 
-    async def press(keep: Keep, notes: Notes, _: Any) -> None:
+    async def press(keep: SaveControls, notes: Notes, _: Any) -> None:
         await keep._record(cast("Any", notes))
 
-    ((title, text),) = kept(tmp_path, press).told
+    ((title, text),) = kept(tmp_path, press).notes
     assert title == "Not recorded"
     assert "pip install 'mapperd[foxglove]'" in text
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_recording_that_ends_by_itself_is_said(tmp_path: Path) -> None:
-    async def press(keep: Keep, notes: Notes, _: Any) -> None:
+    async def press(keep: SaveControls, notes: Notes, _: Any) -> None:
         await keep._record(cast("Any", notes))
         running = cast("Any", keep._running)
         running._recorder.tick = full
         await fakes.until(lambda: running.ended)
-        await keep.say()
+        await keep.update()
         assert keep._running is None
         assert "Stop" not in keep._button.label
 
     def full(_: float) -> None:
         raise ExportError("no space is left")
 
-    told = kept(tmp_path, press).told
-    assert [title for title, _ in told] == ["Recording", "Recording ended"]
-    assert "no space is left" in told[1][1]
+    notes = kept(tmp_path, press).notes
+    assert [title for title, _ in notes] == ["Recording", "Recording ended"]
+    assert "no space is left" in notes[1][1]
 
 
 class NoView:

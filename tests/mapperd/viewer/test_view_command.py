@@ -59,7 +59,7 @@ def test_a_missing_extra_is_named(
     assert "pip install 'mapperd[topside]'" in capsys.readouterr().err
 
 
-def test_the_command_says_where_the_page_is_and_opens_it(
+def test_the_command_prints_the_address_and_opens_it(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     pytest.importorskip("viser", reason="the extra `topside` is not installed")

@@ -1,4 +1,4 @@
-"""A client of the map stream that is told what a test says, and maps to tell it."""
+"""A client of the map stream that a test feeds, and maps to feed it."""
 
 import asyncio
 import time
