@@ -47,7 +47,7 @@ def test_each_source_with_single_precision_is_in_one_list_and_no_other_is() -> N
 
 def sources() -> set[Path]:
     """With single precision in Python, or float in C++, comments aside."""
-    rooms = ("mapperd", "oculus_driver", "tools/sonar_sim", "tools/survey")
+    rooms = ("mapperd", "oculus_driver", "tools/sonar_sim", "tools/mapper_survey")
     folders = [ROOT / name for name in rooms]
     python = re.compile(r'np\.(float32|complex64)|"float32"|"<f4"')
     scripts = [path for folder in folders for path in folder.rglob("*.py")]

@@ -56,7 +56,7 @@ MEASURED: dict[str, tuple[str, ...]] = {
     "`stream.pictures`": ("mapperd/server/state_messages.py",),
     "GeoTIFF": (
         "mapperd/export/geotiff.py",
-        *_in("tools/survey/", "coverage.py export.py"),
+        *_in("tools/mapper_survey/", "coverage.py export.py"),
     ),
     "pictures of pings": _in("oculus_driver/", "render/fan.py render/painter.py ping.py"),
     "`meshes`, `tracing` (Embree)": (
@@ -116,7 +116,7 @@ NOT_MEASURED: dict[str, tuple[str, ...]] = {
     ),
     "hands on what other sources made": (
         "cpp/map/src/ping_box.cpp",
-        "tools/survey/records.py",
+        "tools/mapper_survey/records.py",
         *_in(
             SIMULATOR,
             "product.py simulator.py products/arrays.py products/cells.py products/cloud.py "

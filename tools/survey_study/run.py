@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
-from survey import command
-from survey.memory import bytes_of
-from survey.request import read_survey
-from survey.task_times import TaskTime, read_task_times
+from mapper_survey import command
+from mapper_survey.memory import bytes_of
+from mapper_survey.request import read_survey
+from mapper_survey.task_times import TaskTime, read_task_times
 
 from survey_study.make_dives import PLANS, damage, make
 from survey_study.runs import Watched, watch

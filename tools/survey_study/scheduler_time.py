@@ -3,8 +3,8 @@
 import time
 
 import msgspec
-from survey.engine import Engine
-from survey.memory import bytes_of
+from mapper_survey.engine import Engine
+from mapper_survey.memory import bytes_of
 
 TASKS = 1000
 PAYLOAD_BYTES = 10_000
@@ -21,7 +21,7 @@ class SchedulerTime(msgspec.Struct, frozen=True):
 
 def scheduler_time() -> SchedulerTime:
     """Measure Dask's, with workers of our own."""
-    from survey.engine_dask import local_pool  # noqa: PLC0415 Dask takes a second to import
+    from mapper_survey.engine_dask import local_pool  # noqa: PLC0415 Dask takes a second to import
 
     engine = local_pool(WORKERS, bytes_of(MEMORY))
     try:

@@ -1,0 +1,46 @@
+"""docs/survey-products.md says what the programs write."""
+
+import re
+from pathlib import Path
+
+import msgspec
+import pytest
+from mapper_survey import report_pictures
+from mapper_survey.products import PRODUCTS
+from mapper_survey.report import DIFFERENCE, REPORT
+from mapper_survey.report_record import (
+    VERSION,
+    CoverageRecord,
+    DiveRecord,
+    HeightRecord,
+    PairRecord,
+    Report,
+    WayRecord,
+)
+from mapper_survey.running import MAP
+from mapper_survey.surface import CELL_VOXELS, RULES
+
+PAGE = (Path(__file__).resolve().parents[3] / "docs/survey-products.md").read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    "record", [Report, CoverageRecord, DiveRecord, HeightRecord, PairRecord, WayRecord]
+)
+def test_every_field_of_the_report_is_told(record: type[msgspec.Struct]) -> None:
+    names = {field.name for field in msgspec.structs.fields(record)}
+    assert names - set(re.findall(r"`(\w+)`", PAGE)) == set()
+
+
+def test_every_file_is_told() -> None:
+    pictures = [getattr(report_pictures, name) for name in ("COVERAGE", "OVERLAP", "DISAGREEMENT")]
+    for name in (*PRODUCTS.values(), *pictures, report_pictures.DISTANCES, REPORT, DIFFERENCE):
+        assert f"`{name}`" in PAGE
+    assert f"`{MAP}`" in PAGE
+    assert f"of this layout: {VERSION}" in PAGE
+
+
+def test_choices_are_told() -> None:
+    *some, last = CELL_VOXELS
+    assert f"`--cell-voxels` {', '.join(map(str, some))} or {last}" in PAGE
+    for rule in RULES:
+        assert f"`--rule {rule}`" in PAGE

@@ -1,0 +1,169 @@
+"""A survey on a cluster that is not there: its measured tasks, scheduled event by event.
+
+One scheduler hands out tasks one after another, in the order of the list, each as soon as those
+that it waits for are done. A worker does one task at a time: it reads, computes, and writes. All
+that read or write at a moment share the storage's bandwidth alike, none faster than its own link.
+"""
+
+import heapq
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf
+
+from mapper_survey.task_times import TaskTime, in_order
+
+
+@dataclass(frozen=True, slots=True)
+class Cluster:
+    """What a survey runs on.
+
+    Attributes:
+        workers: that do one task at a time each.
+        scheduler_s: that the scheduler is busy for every task, with nothing else at that time.
+        storage_bytes_per_s: of the shared storage, all workers together.
+        link_bytes_per_s: between the storage and one worker.
+    """
+
+    workers: int
+    scheduler_s: float = 0.0
+    storage_bytes_per_s: float = inf
+    link_bytes_per_s: float = inf
+
+    def __post_init__(self) -> None:
+        if self.workers < 1 or self.scheduler_s < 0.0:
+            raise ValueError(
+                "a cluster has a worker at least, and its scheduler takes time or none"
+            )
+        if min(self.storage_bytes_per_s, self.link_bytes_per_s) <= 0.0:
+            raise ValueError("a cluster's storage and links carry more than nothing")
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """How a survey went.
+
+    Attributes:
+        wall_s: from the start to the last task's end.
+        computing_s: of all workers together.
+        scheduling_s: for which the scheduler was busy.
+        moved_bytes: read and written.
+        ended_s: of each task, by name.
+    """
+
+    wall_s: float
+    computing_s: float
+    scheduling_s: float
+    moved_bytes: int
+    ended_s: dict[str, float]
+
+
+def simulate(tasks: Sequence[TaskTime], cluster: Cluster) -> Schedule:
+    """Run all tasks.
+
+    Raises:
+        ValueError: see `mapper_survey.task_times.in_order`.
+    """
+    return _Run(in_order(tasks), cluster).schedule()
+
+
+class _SharedStorage:
+    """Transfers that share a bandwidth alike.
+
+    All of them run at the same rate at any moment, so what a single one would have carried since
+    the beginning says when each is over: at its own start's value plus its size.
+    """
+
+    def __init__(self, cluster: Cluster) -> None:
+        self._cluster = cluster
+        self._carried = 0.0
+        self._told_s = 0.0
+        self._over: list[tuple[float, int]] = []
+
+    def start(self, now_s: float, size: int, task: int) -> None:
+        self._advance(now_s)
+        heapq.heappush(self._over, (self._carried + size, task))
+
+    def next_end_s(self) -> float:
+        """When the next transfer ends, if nothing else begins; infinite if there is none."""
+        if not self._over:
+            return inf
+        return self._told_s + max(self._over[0][0] - self._carried, 0.0) / self._rate()
+
+    def end_next(self, now_s: float) -> int:
+        """Take out the transfer that ends now; returns its task."""
+        self._told_s = now_s
+        self._carried, task = heapq.heappop(self._over)
+        return task
+
+    def _advance(self, now_s: float) -> None:
+        if now_s > self._told_s and self._over:
+            self._carried += self._rate() * (now_s - self._told_s)
+        self._told_s = now_s
+
+    def _rate(self) -> float:
+        share = self._cluster.storage_bytes_per_s / len(self._over)
+        return min(share, self._cluster.link_bytes_per_s)
+
+
+class _Run:
+    """The events of one survey."""
+
+    def __init__(self, tasks: list[TaskTime], cluster: Cluster) -> None:
+        self._tasks, self._cluster = tasks, cluster
+        self._storage = _SharedStorage(cluster)
+        self._numbers = {task.name: k for k, task in enumerate(tasks)}
+        self._waits = [len(set(task.after)) for task in tasks]
+        self._later: list[list[int]] = [[] for _ in tasks]
+        for k, task in enumerate(tasks):
+            for name in set(task.after):
+                self._later[self._numbers[name]].append(k)
+        self._ready = [k for k, waits in enumerate(self._waits) if waits == 0]
+        self._idle = cluster.workers
+        self._scheduler_free_s = 0.0
+        self._events: list[tuple[float, int, bool]] = []
+        """Time, task, and whether it has computed; else it has been handed out."""
+        self._writing = [False] * len(tasks)
+        self._ended_s: dict[str, float] = {}
+
+    def schedule(self) -> Schedule:
+        now_s = 0.0
+        while len(self._ended_s) < len(self._tasks):
+            self._hand_out(now_s)
+            event_s = self._events[0][0] if self._events else inf
+            transfer_s = self._storage.next_end_s()
+            now_s = min(event_s, transfer_s)
+            if transfer_s <= event_s:
+                self._transferred(now_s, self._storage.end_next(now_s))
+            else:
+                _, task, computed = heapq.heappop(self._events)
+                self._begin_transfer(now_s, task, writing=computed)
+        return Schedule(
+            now_s,
+            sum(task.cpu_s for task in self._tasks),
+            self._cluster.scheduler_s * len(self._tasks),
+            sum(task.read_bytes + task.written_bytes for task in self._tasks),
+            self._ended_s,
+        )
+
+    def _hand_out(self, now_s: float) -> None:
+        while self._idle and self._ready:
+            task = heapq.heappop(self._ready)
+            self._idle -= 1
+            self._scheduler_free_s = max(now_s, self._scheduler_free_s) + self._cluster.scheduler_s
+            heapq.heappush(self._events, (self._scheduler_free_s, task, False))
+
+    def _begin_transfer(self, now_s: float, task: int, *, writing: bool) -> None:
+        self._writing[task] = writing
+        told = self._tasks[task]
+        self._storage.start(now_s, told.written_bytes if writing else told.read_bytes, task)
+
+    def _transferred(self, now_s: float, task: int) -> None:
+        if not self._writing[task]:
+            heapq.heappush(self._events, (now_s + self._tasks[task].cpu_s, task, True))
+            return
+        self._idle += 1
+        self._ended_s[self._tasks[task].name] = now_s
+        for later in self._later[task]:
+            self._waits[later] -= 1
+            if self._waits[later] == 0:
+                heapq.heappush(self._ready, later)

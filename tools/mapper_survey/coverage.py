@@ -1,0 +1,184 @@
+"""What each dive has seen of the ground, where dives lie over each other, and how they differ."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapper_survey.raster import Raster
+from mapper_survey.surface import NO_TOP, tops_of
+from mapper_survey.tally import Tally
+from mapper_survey.windows import StoredMap, Tiling, Window
+from mapperd.export.cells import UNKNOWN, Heights, known_cells
+from mapperd.export.geotiff import NO_DATA, Band
+from mapperd.mapping.sonar_map import SonarMap
+
+__all__ = ["BANDS", "Coverage", "Pictures", "cover"]
+
+BANDS = (
+    Band("dives that have a surface in the cell"),
+    Band("highest less lowest of their surfaces", "m"),
+)
+
+Ints = NDArray[np.int64]
+Floats32 = NDArray[np.float32]
+
+
+@dataclass(slots=True)
+class Coverage:
+    """Counts of columns of voxels, and of differences in height, in voxels.
+
+    Attributes:
+        observed: columns of which a dive knows anything, by dive.
+        mapped: those in which it has a surface.
+        alone: those in which no other has one.
+        by_dives: columns by how many dives have a surface in them.
+        merged: columns with a surface in the merged map.
+        spread: highest less lowest surface where several dives have one.
+        dz: surface of the first dive less that of the second.
+    """
+
+    observed: dict[str, int]
+    mapped: dict[str, int]
+    alone: dict[str, int]
+    by_dives: Tally = field(default_factory=Tally)
+    merged: int = 0
+    spread: Tally = field(default_factory=Tally)
+    dz: dict[tuple[str, str], Tally] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pictures:
+    """Pictures by `Raster`; NaN where there is nothing.
+
+    Attributes:
+        z_m: highest surface of the merged map.
+        observed: 1 where a dive looked.
+        dives: the most dives with a surface in one column.
+        spread_m: the greatest spread.
+        compared: voxels that could be compared.
+        missing: those of them that the other dive has not within the tolerance.
+    """
+
+    z_m: NDArray[np.float64]
+    observed: NDArray[np.float64]
+    dives: NDArray[np.float64]
+    spread_m: NDArray[np.float64]
+    compared: NDArray[np.float64]
+    missing: NDArray[np.float64]
+
+    @classmethod
+    def empty(cls, raster: Raster) -> "Pictures":
+        """Before anything is put into them."""
+        nothing = -np.inf
+        return cls(
+            raster.full(nothing),
+            raster.full(0.0),
+            raster.full(0.0),
+            raster.full(nothing),
+            raster.full(0.0),
+            raster.full(0.0),
+        )
+
+
+def cover(
+    stores: Mapping[str, StoredMap],
+    merged: StoredMap,
+    tiling: Tiling,
+    coverage: Coverage,
+    pictures: Pictures,
+    *,
+    raster: Raster,
+    tell: Callable[[], None],
+) -> Iterator[Floats32 | None]:
+    """Look at all columns, window by window; one dive's window is in memory at a time.
+
+    Yields:
+        tiles (edge, edge, 2) of `BANDS`, in the tiling's order; None where no dive has a surface.
+    """
+    for window in tiling:
+        tops = {}
+        for name, stored in stores.items():
+            part = stored.columns(window)
+            if part is not None:
+                tops[name] = _look(part, window, name, coverage, (raster, pictures))
+        of_merged = merged.columns(window)
+        if of_merged is not None:
+            coverage.merged += _draw_merged(of_merged, window, raster, pictures)
+        tell()
+        yield _together(tops, merged.resolution_m, window, coverage, (raster, pictures))
+
+
+def _look(
+    part: SonarMap, window: Window, name: str, coverage: Coverage, drawing: tuple[Raster, Pictures]
+) -> Ints:
+    """One dive in a window: indices of its surface."""
+    raster, pictures = drawing
+    known = known_cells(part, Heights())
+    if known is not None:
+        row, column = np.nonzero(known.values != UNKNOWN)
+        coverage.observed[name] += len(row)
+        raster.put(
+            pictures.observed,
+            np.maximum.at,
+            column + known.window.x,
+            row + known.window.y,
+            1.0,
+        )
+    tops = tops_of(part.voxels("occupied"), part.resolution_m, window)
+    coverage.mapped[name] += int((tops != NO_TOP).sum())
+    return tops
+
+
+def _draw_merged(part: SonarMap, window: Window, raster: Raster, pictures: Pictures) -> int:
+    tops = tops_of(part.voxels("occupied"), part.resolution_m, window)
+    x, y, chosen = _places(tops != NO_TOP, window)
+    z_m = (tops[chosen] + 0.5) * part.resolution_m
+    raster.put(pictures.z_m, np.maximum.at, x, y, z_m)
+    return len(x)
+
+
+def _together(
+    tops: Mapping[str, Ints],
+    resolution_m: float,
+    window: Window,
+    coverage: Coverage,
+    drawing: tuple[Raster, Pictures],
+) -> Floats32 | None:
+    """All dives in a window."""
+    raster, pictures = drawing
+    if not tops:
+        return None
+    has = {name: of != NO_TOP for name, of in tops.items()}
+    dives: Ints = np.stack(list(has.values())).sum(axis=0, dtype=np.int64)
+    if not dives.any():
+        return None
+    coverage.by_dives.add(dives[dives > 0])
+    for name, mask in has.items():
+        coverage.alone[name] += int((mask & (dives == 1)).sum())
+    for (a, b), tally in coverage.dz.items():
+        if a in tops and b in tops:
+            both = has[a] & has[b]
+            tally.add(tops[a][both] - tops[b][both])
+    highest: Ints = np.stack(list(tops.values())).max(axis=0)
+    lows = [np.where(has[name], of, highest) for name, of in tops.items()]
+    lowest: Ints = np.stack(lows).min(axis=0)
+    several = dives > 1
+    coverage.spread.add((highest - lowest)[several])
+    x, y, at = _places(dives > 0, window)
+    raster.put(pictures.dives, np.maximum.at, x, y, dives[at])
+    x, y, at = _places(several, window)
+    raster.put(pictures.spread_m, np.maximum.at, x, y, (highest - lowest)[at] * resolution_m)
+    tile = np.full((*dives.shape, len(BANDS)), NO_DATA, dtype=np.float32)
+    tile[dives > 0, 0] = dives[dives > 0]
+    tile[several, 1] = (highest - lowest)[several] * resolution_m
+    return tile
+
+
+def _places(
+    mask: NDArray[np.bool_], window: Window
+) -> tuple[Ints, Ints, tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Indices in x and y of columns that are chosen, and their rows and columns."""
+    row, column = np.nonzero(mask)
+    return window.x + column, window.y + window.edge - 1 - row, (row, column)

@@ -1,0 +1,185 @@
+"""How far apart the maps of two dives are, both ways, where both have looked.
+
+The numbers mean what those of the published mapper's analyser mean: of the occupied voxels of one
+map, how many have an occupied one of the other within a tolerance, from centre to centre. Beside
+all voxels, as there, those that the other dive has observed are counted for themselves: what it
+never looked at is no disagreement.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapper_survey.errors import SurveyError
+from mapper_survey.tally import Tally
+from mapper_survey.windows import Key, StoredMap
+from mapperd.export.cells import indices_of
+from mapperd.mapping.probability import log_odds_of
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.store.reader import BRICK_VOXELS
+
+__all__ = ["Comparison", "Disagreement", "Way", "cubes_of", "differences"]
+
+CUBE_BRICKS = 2
+"""Along an edge of what is compared at a time; what lies around it within the reach is read too."""
+
+MOST_REACH_VOXELS = 60
+"""A distance that is looked for: less than a brick, and than the core's field of distances."""
+
+REACH_TOLERANCES = 5
+"""Distances are told up to so many tolerances, and beyond as `farther`."""
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(slots=True)
+class Way:
+    """From the occupied voxels of one dive to the other's.
+
+    Attributes:
+        voxels: occupied ones.
+        compared: those that the other dive has observed, or has an occupied one near.
+        common: those with an occupied one of the other within the tolerance.
+        called_free: those that the other dive calls free.
+        conflicts: those of them with nothing occupied within the tolerance.
+        squares: squared distances of the compared, in voxels; beyond the reach, one more than
+            the square of that.
+    """
+
+    voxels: int = 0
+    compared: int = 0
+    common: int = 0
+    called_free: int = 0
+    conflicts: int = 0
+    squares: Tally = field(default_factory=Tally)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Disagreement:
+    """What a cube of space tells.
+
+    Attributes:
+        index: (N, 2) columns of the voxels that were compared.
+        missing: (N,) bool: nothing of the other dive within the tolerance.
+    """
+
+    index: Ints
+    missing: NDArray[np.bool_]
+
+
+class Comparison:
+    """What counts as near, for maps of one resolution.
+
+    Args:
+        resolution_m: edge of a voxel.
+        tolerance_m: within which voxels are the same.
+
+    Raises:
+        SurveyError: a tolerance that cannot be looked for.
+    """
+
+    def __init__(self, resolution_m: float, tolerance_m: float) -> None:
+        most_m = MOST_REACH_VOXELS * resolution_m
+        if not 0 < tolerance_m <= most_m:
+            raise SurveyError(
+                f"tolerance: {tolerance_m:g} m is not allowed; allowed: up to {most_m:g} m"
+            )
+        self.resolution_m = resolution_m
+        self.near = math.floor((tolerance_m / resolution_m) ** 2 + 1e-6)  # squared, in voxels
+        far = math.ceil(REACH_TOLERANCES * tolerance_m / resolution_m)
+        self.reach = min(far, MOST_REACH_VOXELS)
+
+    def squares(self, other: SonarMap, index: Ints, occupied_log_odds: float) -> Ints:
+        """Squared distances (N,), in voxels, to the nearest occupied voxel of another map.
+
+        Args:
+            other: holds all within `reach` of the voxels.
+            index: (N, 3) of voxels, N at least 1.
+            occupied_log_odds: voxels of the other above are occupied.
+        """
+        low, high = index.min(axis=0), index.max(axis=0) + 1
+        field_m, _ = other.core.distance_field(
+            low * self.resolution_m,
+            high * self.resolution_m,
+            (self.reach + 1) * self.resolution_m,
+            occupied_log_odds,
+        )
+        to_nearest = field_m[tuple((index - low).T)].astype(np.float64) / self.resolution_m
+        squares: Ints = np.rint(to_nearest**2).astype(np.int64)
+        return np.minimum(squares, self.reach**2 + 1)
+
+
+def cubes_of(stores: Mapping[str, StoredMap]) -> list[Key]:
+    """Places of all cubes of `CUBE_BRICKS` bricks an edge with a brick of one of some maps."""
+    keys = np.concatenate([stored.keys for stored in stores.values()])
+    return [(x, y, z) for x, y, z in np.unique(keys // CUBE_BRICKS, axis=0).tolist()]
+
+
+def differences(
+    stores: Mapping[str, StoredMap],
+    ways: Mapping[tuple[str, str], Way],
+    comparison: Comparison,
+    tell: Callable[[], None],
+) -> Iterator[Disagreement]:
+    """Compare every two dives, cube by cube; one dive's cube is in memory at a time.
+
+    Args:
+        stores: of the dives, by name.
+        ways: counts, from the first dive to the second; they are added to.
+        comparison: what counts as near.
+        tell: is called when a cube is done.
+    """
+    for cube in cubes_of(stores):
+        occupied = {name: _occupied(stored, cube) for name, stored in stores.items()}
+        for (a, _), way in ways.items():
+            way.voxels += len(occupied[a])
+        for b, stored in stores.items():
+            others = {a: of for a, of in occupied.items() if a != b and len(of)}
+            if others:
+                yield from _compared(stored, others, {a: ways[a, b] for a in others}, comparison)
+        tell()
+
+
+def _occupied(stored: StoredMap, cube: Key) -> Ints:
+    """Indices (N, 3) of a dive's occupied voxels in a cube."""
+    low = np.array(cube) * CUBE_BRICKS
+    high = low + CUBE_BRICKS - 1
+    part = stored.box(low, high)
+    if part is None:
+        return np.empty((0, 3), dtype=np.int64)
+    return indices_of(part.voxels("occupied").centres_m, stored.resolution_m)
+
+
+def _compared(
+    stored: StoredMap,
+    others: Mapping[str, Ints],
+    ways: Mapping[str, Way],
+    comparison: Comparison,
+) -> Iterator[Disagreement]:
+    """From the voxels of others in a cube to one dive."""
+    together = np.concatenate(list(others.values()))
+    low = (together.min(axis=0) - comparison.reach - 1) // BRICK_VOXELS
+    high = (together.max(axis=0) + comparison.reach + 1) // BRICK_VOXELS
+    part = stored.box(low, high)
+    if part is None:
+        return
+    mapping = stored.config.mapping
+    limit = log_odds_of(mapping.occupied_threshold, "occupied_threshold")
+    free = log_odds_of(mapping.free_threshold, "free_threshold")
+    for a, index in others.items():
+        squares = comparison.squares(part, index, limit)
+        centres_m = np.asarray((index + 0.5) * stored.resolution_m, dtype=np.float64)
+        log_odds, count = part.core.query(centres_m)
+        common = squares <= comparison.near
+        compared = common | (count > 0)
+        called_free = (count > 0) & (log_odds < free)
+        way = ways[a]
+        way.compared += int(compared.sum())
+        way.common += int(common.sum())
+        way.called_free += int(called_free.sum())
+        way.conflicts += int((called_free & ~common).sum())
+        way.squares.add(squares[compared])
+        yield Disagreement(index[compared, :2], ~common[compared])

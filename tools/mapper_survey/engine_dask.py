@@ -1,0 +1,255 @@
+"""Dask's workers: a pool on this machine, or a cluster that is there already.
+
+Tasks are plain functions of plain arguments, and write only files of their own that take their
+place when they are whole: it does no harm to do one twice, and a worker may die at any time.
+"""
+
+import asyncio
+import contextlib
+import logging
+import queue
+import signal
+import time
+from collections.abc import Callable, Iterator
+from multiprocessing import resource_tracker
+from typing import Any
+
+import dask
+from distributed import Client, Future, LocalCluster, Status
+from distributed.scheduler import KilledWorker
+
+from mapper_survey.engine import Done
+from mapper_survey.errors import SurveyError
+from mapper_survey.same_program import done_by_worker, sent
+from mapperd.errors import MapperdError
+
+__all__ = ["DaskEngine", "Pool", "local_pool", "on_scheduler"]
+
+RETRIES = 3
+"""Of a task that failed, as when a disk or a network does not answer."""
+
+ALLOWED_DEATHS = 10
+"""Of workers while they did one task: Dask asks for another worker until then."""
+
+LOOK_S = 5.0
+"""So often it is looked whether all workers are there."""
+
+ALONE_S = 600.0
+"""Without any worker: a cluster's own may take minutes to begin, but none comes of itself."""
+
+MOST_BEGUN = 10
+"""Times that all workers of a pool are begun anew while no task ends."""
+
+OUR_WORKERS = {
+    # They are not looked into a hundred times a second.
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "500ms",
+    "distributed.admin.system-monitor.gil.enabled": False,
+    # Freed memory is not given back at once: each ping wants as much again.
+    "distributed.nanny.pre-spawn-environ": {
+        "OMP_NUM_THREADS": 1,
+        "OPENBLAS_NUM_THREADS": 1,
+        "MKL_NUM_THREADS": 1,
+    },
+}
+"""With what Dask sets else, planning a recording takes twice as long."""
+
+QUIET = logging.CRITICAL
+"""What workers lose is told by the survey, and that they die is no news."""
+
+GONE = {Status.closed, Status.failed}
+
+
+class DaskEngine:
+    """Has tasks done by the workers of a scheduler.
+
+    Args:
+        client: connected.
+        pool: to be filled up and closed with it; None where the workers are somebody else's.
+    """
+
+    def __init__(self, client: Client, pool: "Pool | None") -> None:
+        self._client, self._pool = client, pool
+        self._tasks: dict[str, Any] = {}
+        self._ended: queue.SimpleQueue[Future] = queue.SimpleQueue()
+        self._seen_s = time.monotonic()
+
+    def submit(self, function: Callable[[Any], Any], task: Any) -> None:  # noqa: ANN401 any task
+        """Have a task done."""
+        work = sent(function, task)
+        future = self._client.submit(done_by_worker, work, retries=RETRIES, pure=False)
+        self._tasks[future.key] = task
+        future.add_done_callback(self._ended.put)
+
+    def done(self) -> Iterator[Done]:
+        """Tasks as they end."""
+        looked_s = self._seen_s = time.monotonic()
+        some_ended = False
+        while self._tasks:
+            future = None
+            with contextlib.suppress(queue.Empty):
+                future = self._ended.get(timeout=LOOK_S)
+            if time.monotonic() - looked_s >= LOOK_S:
+                self._look(some_ended=some_ended)
+                looked_s, some_ended = time.monotonic(), False
+            if future is None:
+                continue
+            try:
+                result = _result_of(future)
+            except _ResultLost:
+                self._ended.put(future)
+                continue
+            some_ended = True
+            yield self._tasks.pop(future.key), result
+
+    def close(self) -> None:
+        """Let the workers go."""
+        self._client.close()
+        if self._pool is not None:
+            self._pool.close()
+
+    def _look(self, *, some_ended: bool) -> None:
+        """See to it that there are workers.
+
+        Raises:
+            SurveyError: there are none, and none come.
+        """
+        if self._pool is not None:
+            self._pool.fill_up(anew=some_ended)
+        elif some_ended or self._client.scheduler_info()["workers"]:
+            self._seen_s = time.monotonic()
+        elif time.monotonic() - self._seen_s > ALONE_S:
+            raise SurveyError(
+                f"{self._client.scheduler.address}: no worker for {ALONE_S:g} s; allowed: begin "
+                "some, and the same command goes on"
+            )
+
+
+class Pool:
+    """Workers on this machine, whatever becomes of them.
+
+    Dask's nannies begin a worker anew that died, unless it dies while it begins: it is forgotten,
+    or ends what began it.
+
+    Args:
+        cluster: without workers.
+        workers: that there shall be.
+    """
+
+    def __init__(self, cluster: LocalCluster, workers: int) -> None:
+        self.cluster = cluster
+        self._workers = workers
+        self._begun = 0
+        self.fill_up(anew=True)
+
+    def fill_up(self, *, anew: bool) -> None:
+        """Begin the workers that are missing.
+
+        Args:
+            anew: forget how many were begun already: they do something.
+
+        Raises:
+            SurveyError: they die as often as they are begun.
+        """
+        self._begun = 0 if anew else self._begun
+        if self._begun >= MOST_BEGUN * self._workers:
+            raise SurveyError(
+                f"workers die before they do anything: {self._begun} of them; allowed: --workers 0 "
+                "does all in one process, and says what is wrong"
+            )
+        try:
+            self._begun += self.cluster.sync(self._fill_up)
+        except KeyboardInterrupt:
+            self.cluster.sync(self._begin)  # Dask cannot close what is half begun
+            raise
+
+    async def _fill_up(self) -> int:
+        cluster = self.cluster
+        for name in [name for name, nanny in cluster.workers.items() if nanny.status in GONE]:
+            del cluster.workers[name]
+        while len(cluster.worker_spec) < self._workers:
+            cluster.worker_spec.update(cluster.new_worker_spec())
+        missing = len(cluster.worker_spec.keys() - cluster.workers.keys())
+        if missing:
+            await asyncio.shield(asyncio.ensure_future(self._begin()))
+        return missing
+
+    async def _begin(self) -> None:
+        """Wait until all have begun, or died: that is seen next time."""
+        with contextlib.suppress(RuntimeError, OSError, TimeoutError):
+            await self.cluster
+
+    def close(self) -> None:
+        """Let them go."""
+        self.cluster.close()
+
+
+def local_pool(workers: int, memory_bytes: int) -> DaskEngine:
+    """Workers of our own: processes that are ended, and begun anew, when they take more memory.
+
+    Raises:
+        SurveyError: none can be begun.
+    """
+    dask.config.set({"distributed.scheduler.allowed-failures": ALLOWED_DEATHS, **OUR_WORKERS})
+    with _deaf_to_interrupts():
+        cluster = LocalCluster(
+            n_workers=0,
+            threads_per_worker=1,
+            processes=True,
+            memory_limit=memory_bytes,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",  # with none, Dask takes a port that may be taken
+            silence_logs=QUIET,
+        )
+    return DaskEngine(Client(cluster), Pool(cluster, workers))
+
+
+@contextlib.contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Threads that begin meanwhile, and processes that these begin, do not hear Ctrl-C.
+
+    It reaches all processes of a terminal; who began them lets them go.
+    """
+    resource_tracker.ensure_running()  # where it is begun later, it makes its thread hear again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def on_scheduler(address: str) -> DaskEngine:
+    """The workers of a scheduler that somebody has begun.
+
+    Raises:
+        SurveyError: nobody answers there.
+    """
+    try:
+        return DaskEngine(Client(address), None)
+    except (OSError, ValueError) as error:
+        raise SurveyError(f"{address}: no Dask scheduler answers there: {error}") from error
+
+
+class _ResultLost(Exception):  # noqa: N818 nothing failed
+    """The worker that held a result died: another does the task once more."""
+
+
+def _result_of(future: Future) -> object:
+    try:
+        return future.result(timeout=LOOK_S)
+    except TimeoutError as error:
+        if future.status == "error":  # the task's own
+            raise
+        raise _ResultLost from error
+    except KilledWorker as error:
+        raise SurveyError(
+            f"{ALLOWED_DEATHS} workers died of the same task, most likely for want of memory: "
+            f"allowed: a larger --memory-per-worker ({error})"
+        ) from error
+    except (SurveyError, MapperdError, OSError):
+        raise
+    except Exception as error:  # a scheduler that is gone has errors of its own, workers have any
+        raise SurveyError(
+            f"a task did not end: {type(error).__name__}: {error}; the same command goes on; "
+            "--workers 0 does all in one process, and says what is wrong"
+        ) from error

@@ -1,0 +1,223 @@
+"""The products of a survey: a grid of depths, a cloud and soundings, in one go over the map."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapper_survey.errors import SurveyError
+from mapper_survey.products import PRODUCTS, Options, check_products, crs_of
+from mapper_survey.surface import Surface, surface_of
+from mapper_survey.windows import StoredMap, Tiling, Window, tiling_of
+from mapperd.export.cells import Heights
+from mapperd.export.clouds import write_points
+from mapperd.export.geotiff import NO_DATA, Band, GridPlace, write_tiles
+from mapperd.export.las import las_cloud
+from mapperd.geometry.geodesy import Origin, utm_zone
+from mapperd.io import atomic_file, make_folder
+from mapperd.mapping.sonar_map import SonarMap, Voxels
+from mapperd.store.reader import BRICK_VOXELS
+
+__all__ = ["Exported", "Progress", "export_survey", "place_of"]
+
+DEPTH_DIGITS, METRE_DIGITS, DEGREE_DIGITS = 3, 3, 9
+"""After the point: a billionth of a degree is 0.1 mm."""
+
+Floats = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """What was written.
+
+    Attributes:
+        files: by product.
+        crs: the system of coordinates that each file is in, for a person.
+        voxels: occupied ones.
+        cells: of the grid that hold a surface.
+    """
+
+    files: dict[str, Path]
+    crs: dict[str, str]
+    voxels: int
+    cells: int
+
+
+def export_survey(
+    store_path: Path,
+    out_dir: Path,
+    products: Sequence[str] = tuple(PRODUCTS),
+    origin: Origin | None = None,
+    progress: Progress = lambda _done, _all: None,
+    *,
+    options: Options | None = None,
+) -> Exported:
+    """Write products of a map, each whole or not at all; one window of it is in memory at a time.
+
+    Args:
+        store_path: the map's file.
+        out_dir: is made when it is not there.
+        products: some of `PRODUCTS`; `positions` only with an origin.
+        origin: where the map's zero lies on Earth; None where nobody knows.
+        progress: is told how many windows are done, of how many.
+        options: None are the defaults.
+
+    Raises:
+        SurveyError: no such product, none without an origin, or a map that holds no surface.
+        StoreError: the map cannot be read, or bricks of it are damaged.
+        ExportError: a file cannot be written, or a library is not there.
+    """
+    check_products(products, known=origin is not None)
+    files = {product: out_dir / PRODUCTS[product] for product in products}
+    with StoredMap(store_path, (options or Options()).config) as stored:
+        if not len(stored.keys):
+            raise SurveyError(f"{store_path}: the map is empty: there is nothing to export")
+        make_folder(out_dir)
+        with ExitStack() as opening:
+            open_files = {
+                product: opening.enter_context(atomic_file(path)) for product, path in files.items()
+            }
+            written = _Export(stored, open_files, origin, progress, options or Options())
+            written.write()
+            if not written.cells:
+                raise SurveyError(f"{store_path}: no voxel of it is occupied: nothing to export")
+    crs = {product: crs_of(product, origin) for product in products}
+    return Exported(files, crs, written.voxels, written.cells)
+
+
+class _Export:
+    """One go over the map, which serves all files at once.
+
+    Attributes:
+        voxels, cells: as in `Exported`.
+    """
+
+    def __init__(
+        self,
+        stored: StoredMap,
+        files: dict[str, BinaryIO],
+        origin: Origin | None,
+        progress: Progress,
+        options: Options,
+    ) -> None:
+        self._stored = stored
+        self._files = files
+        self._origin = origin
+        self._progress = progress
+        self._options = options
+        self._tiling = tiling_of(stored.keys, options.window_bricks)
+        self._cell_m = stored.resolution_m * options.cell_voxels
+        self._add: Callable[[Voxels], None] = lambda _: None
+        self.voxels = self.cells = 0
+
+    def write(self) -> None:
+        """All files."""
+        with ExitStack() as opening:
+            if cloud := self._files.get("cloud"):
+                box_m = _box_of(self._stored)
+                height_m = self._options.altitude_m
+                self._add = opening.enter_context(
+                    las_cloud(cloud, box_m, self._origin, packed=True, height_m=height_m)
+                )
+            tiles = self._tiles()
+            if grid := self._files.get("grid"):
+                place = place_of(self._tiling, self._stored.resolution_m, self._options.cell_voxels)
+                edge = self._tiling.edge // self._options.cell_voxels
+                write_tiles(grid, tiles, place, self._bands(), self._origin, edge=edge)
+            for _ in tiles:
+                pass
+
+    def _tiles(self) -> Iterator[NDArray[np.float32] | None]:
+        total = self._tiling.columns * self._tiling.rows
+        for number, window in enumerate(self._tiling, 1):
+            part = self._stored.columns(window)
+            tile = None if part is None else self._tile(part, window)
+            self._progress(number, total)
+            yield tile
+
+    def _tile(self, part: SonarMap, window: Window) -> NDArray[np.float32] | None:
+        options = self._options
+        voxels = _within(part.voxels("occupied"), options.heights)
+        surface = surface_of(
+            voxels,
+            part.resolution_m,
+            window,
+            options.cell_voxels,
+            rule=options.rule,
+            vertical_uncertainty_m=options.vertical_uncertainty_m,
+        )
+        if not len(surface.row):
+            return None
+        self.voxels += len(voxels)
+        self.cells += len(surface.row)
+        self._add(voxels)
+        self._write_soundings(surface, window)
+        edge = window.edge // options.cell_voxels
+        tile = np.full((edge, edge, 3), NO_DATA, dtype=np.float32)
+        depth_m = -(surface.z_m + options.altitude_m)
+        tile[surface.row, surface.column] = np.column_stack(
+            [depth_m, surface.uncertainty_m, surface.count]
+        )
+        return tile
+
+    def _write_soundings(self, surface: Surface, window: Window) -> None:
+        cells = window.edge // self._options.cell_voxels
+        west_m = window.x * self._stored.resolution_m
+        south_m = window.y * self._stored.resolution_m
+        x_m = west_m + (surface.column + 0.5) * self._cell_m
+        y_m = south_m + (cells - surface.row - 0.5) * self._cell_m
+        depth_m = -(surface.z_m + self._options.altitude_m)
+        places = np.column_stack([x_m, y_m, surface.z_m])
+        if soundings := self._files.get("soundings"):
+            east_m, north_m = _plane(self._origin, places)
+            digits = (METRE_DIGITS, METRE_DIGITS, DEPTH_DIGITS)
+            write_points(soundings, np.column_stack([east_m, north_m, depth_m]), digits)
+        positions = self._files.get("positions")
+        if positions and self._origin is not None:
+            latitude, longitude = np.degrees(self._origin.places(places))
+            digits = (DEGREE_DIGITS, DEGREE_DIGITS, DEPTH_DIGITS)
+            write_points(positions, np.column_stack([longitude, latitude, depth_m]), digits)
+
+    def _bands(self) -> tuple[Band, ...]:
+        options = self._options
+        return (
+            Band(f"depth, positive down, of the {options.rule} voxel of the surface", "m"),
+            Band("uncertainty of the depth, one standard deviation", "m"),
+            Band("pings that told something about the cell's best seen voxel"),
+        )
+
+
+def _within(voxels: Voxels, heights: Heights) -> Voxels:
+    z_m = voxels.centres_m[:, 2]
+    kept = (z_m >= heights.min_m) & (z_m <= heights.max_m)
+    return Voxels(voxels.centres_m[kept], voxels.probability[kept], voxels.count[kept])
+
+
+def _plane(origin: Origin | None, places_m: Floats) -> tuple[Floats, Floats]:
+    """East and north of places, by the same projection as the cloud's."""
+    if origin is None:
+        return places_m[:, 0], places_m[:, 1]
+    return utm_zone(origin).project(*origin.places(places_m))
+
+
+def _box_of(stored: StoredMap) -> Floats:
+    """(2, 3) corners of all bricks."""
+    edge_m = stored.resolution_m * BRICK_VOXELS
+    return np.stack([stored.keys.min(axis=0), stored.keys.max(axis=0) + 1]) * edge_m
+
+
+def place_of(tiling: Tiling, resolution_m: float, cell_voxels: int) -> GridPlace:
+    """Where the grid of a tiling lies."""
+    across = tiling.edge // cell_voxels
+    return GridPlace(
+        tiling.x * resolution_m,
+        tiling.north * resolution_m,
+        resolution_m * cell_voxels,
+        across * tiling.columns,
+        across * tiling.rows,
+    )

@@ -1,0 +1,123 @@
+"""Arguments that exporting and reporting share: the survey's folder, where it lies, settings."""
+
+import argparse
+import contextlib
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from mapper_survey import request
+from mapper_survey.errors import SurveyError
+from mapper_survey.export import Progress
+from mapper_survey.finished import told_in
+from mapper_survey.folder import Folder
+from mapper_survey.running import MAP
+from mapperd.config.loader import load_config
+from mapperd.config.tree import Config
+from mapperd.geometry.geodesy import Origin
+
+__all__ = ["Place", "add_place", "place_of", "shown"]
+
+PERIOD_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """What is asked for, with what the survey itself says where nothing was said.
+
+    Attributes:
+        folder: the survey's.
+        out: of what is written.
+        origin: where on Earth the map's zero lies; None where nobody said.
+        altitude_m: of that zero, as the survey says; 0 where it does not.
+        config: whose thresholds say what is occupied.
+        outputs: products that the survey asks for; none are all that can be made.
+    """
+
+    folder: Folder
+    out: Path
+    origin: Origin | None
+    altitude_m: float
+    config: Config | None
+    outputs: list[str]
+
+
+def add_place(parser: argparse.ArgumentParser, part: str) -> None:
+    """Add the survey's folder, `--out`, `--origin` and `--config`; `part` of the folder is out."""
+    parser.add_argument(
+        "survey", metavar="FOLDER", help="that the survey was run into: a path, or an fsspec URL"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help=f"what is written; default: {part}/ in FOLDER"
+    )
+    parser.add_argument(
+        "--origin",
+        metavar="LAT,LON",
+        type=_origin,
+        help="where on Earth the map's zero lies, in degrees; default: as the survey says",
+    )
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        help="settings, whose thresholds say what is occupied; default: those of the survey",
+    )
+
+
+def place_of(said: argparse.Namespace, part: str) -> Place:
+    """What the arguments mean, together with the survey's record.
+
+    Raises:
+        SurveyError: no survey was run there, its record is damaged, or nothing can be written.
+        ConfigError: the settings are not allowed, or cannot be read.
+    """
+    folder = Folder(said.survey)
+    if not folder.has(MAP):
+        raise SurveyError(f"{folder.url}: no {MAP} in it: run the survey first")
+    told = told_in(folder)
+    out = said.out or (folder.local and folder.local / part)
+    if out is None:
+        raise SurveyError(
+            f"{folder.url}: lies elsewhere; allowed: --out DIR, a folder of this disk"
+        )
+    zero = told.origin
+    known = None if zero is None else Origin.of_degrees(zero.latitude, zero.longitude)
+    return Place(
+        folder=folder,
+        out=out,
+        origin=said.origin or known,
+        altitude_m=0.0 if zero is None else zero.altitude,
+        config=told.settings if said.config is None else load_config(said.config),
+        outputs=told.outputs,
+    )
+
+
+def shown(what: str, clock: Callable[[], float] = time.monotonic) -> Progress:
+    """Progress as a line every few seconds, with the time left."""
+    began_s = shown_s = clock()
+
+    def show(done: int, total: int) -> None:
+        nonlocal shown_s
+        now_s = clock()
+        if now_s - shown_s >= PERIOD_S:
+            shown_s = now_s
+            left_s = (now_s - began_s) * (total - done) / done
+            with contextlib.suppress(OSError):  # nobody can look on: no reason to stop
+                sys.stderr.write(f"{what}: {100 * done / total:.0f} %, {left_s:.0f} s left\n")
+
+    return show
+
+
+def _origin(text: str) -> Origin:
+    try:
+        latitude, longitude = (float(part) for part in text.split(","))
+        told = {"latitude": latitude, "longitude": longitude}
+        said = msgspec.convert(told, request.Origin)  # as in survey.yaml, by the same limits
+    except ValueError as error:
+        expected = "latitude,longitude in degrees were expected"
+        raise argparse.ArgumentTypeError(f"{text!r}: {expected}: {error}") from error
+    return Origin.of_degrees(said.latitude, said.longitude)

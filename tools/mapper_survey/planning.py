@@ -1,0 +1,230 @@
+"""Planning one dive: its recording goes the ordinary way, but into a spool instead of a map."""
+
+import time
+import zlib
+from pathlib import Path
+
+from msgspec import Struct
+
+from mapper_survey.errors import SurveyError
+from mapper_survey.folder import Folder
+from mapper_survey.frame import Frame
+from mapper_survey.request import Transform
+from mapper_survey.spool import RowFile, SpoolMap
+from mapperd.config.tree import Config
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.decoder import PosedPing
+from mapperd.session.recordings import RecordedSession, files_in, sessions_of
+from mapperd.session.replay import Window, as_asked
+from oculus_driver.errors import RecordingError
+
+__all__ = ["DivePlan", "Lost", "PlanTask", "index_name", "mark_name", "plan_dive", "spool_name"]
+
+PIECE_BYTES = 1 << 20
+
+
+class PlanTask(Struct, frozen=True):
+    """One dive to be planned.
+
+    Attributes:
+        name: of the dive.
+        recording: a file or a folder.
+        config: the dive's settings.
+        transform: into the survey's frame; None is none.
+        folder: the survey's, as `Folder` takes it.
+        fingerprint: of all that the plan depends on.
+    """
+
+    name: str
+    recording: str
+    config: Config
+    transform: Transform | None
+    folder: str
+    fingerprint: str
+
+
+class Lost(Struct, frozen=True):
+    """What could not be used of a recording.
+
+    Attributes:
+        recording: its file, or the first one of its session.
+        reason: for a person.
+        truncated: it ends before its content does.
+        bytes_read, size_bytes: of its session.
+        bytes_rejected: read, but of no message.
+    """
+
+    recording: str
+    reason: str
+    truncated: bool = False
+    bytes_read: int = 0
+    size_bytes: int = 0
+    bytes_rejected: int = 0
+
+
+class DivePlan(Struct, frozen=True):
+    """One dive as it is planned.
+
+    Attributes:
+        name, fingerprint: of the task.
+        pings: in the spool.
+        pings_total: that came.
+        pings_dropped: reason to count.
+        pings_lost: ping numbers that never came, whether the recording is damaged or not.
+        dropped_details: reason to the sentence of its first case.
+        first_ns, last_ns: of pings with a time; None without any.
+        bearings: tables of the records.
+        lost: what could not be used.
+        spool_bytes, index_crc: of its files: others are damaged.
+        cpu_s, read_bytes, written_bytes: of the task.
+    """
+
+    name: str
+    fingerprint: str
+    pings: int
+    pings_total: int
+    pings_dropped: dict[str, int]
+    pings_lost: int
+    dropped_details: dict[str, str]
+    first_ns: int | None
+    last_ns: int | None
+    bearings: list[bytes]
+    lost: list[Lost]
+    spool_bytes: int
+    index_crc: int
+    cpu_s: float
+    read_bytes: int
+    written_bytes: int
+
+
+def spool_name(plan: DivePlan | PlanTask) -> str:
+    """Of a dive's records in the survey's folder; those of other inputs are other files."""
+    return f"plan/{plan.name}.{plan.fingerprint}.spool"
+
+
+def index_name(plan: DivePlan | PlanTask) -> str:
+    """Of their rows."""
+    return f"plan/{plan.name}.{plan.fingerprint}.npy"
+
+
+def mark_name(plan: DivePlan | PlanTask) -> str:
+    """Of what is said of both."""
+    return f"plan/{plan.name}.{plan.fingerprint}.json"
+
+
+def plan_dive(task: PlanTask) -> DivePlan:
+    """Read a dive's recording, and spool what the integrators will want of it.
+
+    Raises:
+        ConfigError: localization cannot begin with the settings.
+        OSError: the recording cannot be read now, or the survey's folder not be written.
+        SurveyError: there is no such recording.
+    """
+    began_s = time.process_time()
+    folder = Folder(task.folder)
+    with folder.workspace() as work:
+        with (work / "spool").open("wb") as out, (work / "rows.npy").open("wb") as index:
+            rows = RowFile(index)
+            spool = SpoolMap(task.config, out, rows, Frame(task.transform))
+            counters = PipelineCounters()
+            sessions, lost = _sessions(Path(task.recording))
+            for session in sessions:
+                lost += _spool(session, task.config, spool, counters)
+            rows.close()
+        index_crc, index_bytes = _crc_of(work / "rows.npy")
+        folder.put(work / "spool", spool_name(task))
+        folder.put(work / "rows.npy", index_name(task))
+    return DivePlan(
+        name=task.name,
+        fingerprint=task.fingerprint,
+        pings=rows.count,
+        pings_total=counters.pings_total,
+        pings_dropped=dict(sorted(counters.pings_dropped.items())),
+        pings_lost=counters.pings_lost,
+        dropped_details=dict(sorted(counters.first_drop.items())),
+        first_ns=spool.first_ns,
+        last_ns=spool.last_ns,
+        bearings=spool.bearings,
+        lost=lost,
+        spool_bytes=spool.size_bytes,
+        index_crc=index_crc,
+        cpu_s=time.process_time() - began_s,
+        read_bytes=sum(session.bytes_read for session in sessions),
+        written_bytes=spool.size_bytes + index_bytes,
+    )
+
+
+def _crc_of(path: Path) -> tuple[int, int]:
+    """Checksum and size of a file, a piece at a time."""
+    crc = size = 0
+    with path.open("rb") as file:
+        while piece := file.read(PIECE_BYTES):
+            crc, size = zlib.crc32(piece, crc), size + len(piece)
+    return crc, size
+
+
+def _sessions(recording: Path) -> tuple[list[RecordedSession], list[Lost]]:
+    """The sessions of a dive; files that are no recordings are lost as a whole."""
+    if not recording.exists():
+        raise SurveyError(f"{recording}: there is no such recording; allowed: a file or a folder")
+    lost: list[Lost] = []
+    usable: list[Path] = []
+    for path in files_in([recording], begun=True):
+        try:
+            sessions_of([path])
+        except RecordingError as error:
+            _raise_if_of_disk(error)
+            lost.append(Lost(str(path), str(error)))
+        else:
+            usable.append(path)
+    if not usable and not lost:
+        lost.append(Lost(str(recording), "there is no recording in it"))
+    return sessions_of(usable), lost
+
+
+def _raise_if_of_disk(error: RecordingError) -> None:
+    """What a disk or a network refuses is no damage: it is tried again, or ends the run.
+
+    Raises:
+        OSError: that it is.
+    """
+    if isinstance(error.__cause__, OSError):
+        raise OSError(str(error)) from error
+
+
+def _spool(
+    session: RecordedSession, config: Config, spool: SpoolMap, counters: PipelineCounters
+) -> list[Lost]:
+    """One session on its way; returns what was wrong with it."""
+    before = counters.bytes_rejected
+    replay = as_asked(session, None, config).replay(spool, Window(), counters)
+
+    def note(settled: PosedPing) -> None:
+        spool.t_ns = settled.t_ns
+
+    replay.on_settled = note
+    stopped: str | None = None
+    try:
+        for _ in replay.run(session):
+            pass
+    except RecordingError as error:
+        _raise_if_of_disk(error)
+        stopped = str(error)
+    if session.read_error is not None:
+        raise session.read_error
+    reason = stopped or session.damage or ("it was cut" if session.truncated else None)
+    rejected = counters.bytes_rejected - before
+    if reason is None and rejected:
+        reason = f"{rejected} bytes of it are no sonar message"
+    if reason is None:
+        return []
+    return [
+        Lost(
+            recording=str(session.paths[0]),
+            reason=reason,
+            truncated=session.truncated,
+            bytes_read=session.bytes_read,
+            size_bytes=session.size_bytes,
+            bytes_rejected=rejected,
+        )
+    ]

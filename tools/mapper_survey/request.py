@@ -1,0 +1,227 @@
+"""What a survey is asked to be: `survey.yaml`, read and checked."""
+
+import difflib
+import math
+import re
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+from msgspec import Meta, Struct
+from numpy.typing import NDArray
+
+from mapper_survey.errors import SurveyError
+from mapper_survey.products import check_products
+from mapperd.config.catalog import parameters
+from mapperd.config.changes import with_values
+from mapperd.config.layers import load_files
+from mapperd.config.loader import MAX_FILE_BYTES, YamlProblem, parse_yaml
+from mapperd.config.tree import Config
+from mapperd.errors import ConfigError
+
+__all__ = ["Dive", "Origin", "Request", "Survey", "Transform", "read_survey"]
+
+Metres = Annotated[float, Meta(ge=-1e7, le=1e7)]
+
+
+class Transform(Struct, frozen=True, forbid_unknown_fields=True):
+    """Where a dive's own map frame lies in the survey's: turned by yaw, then shifted."""
+
+    x: Metres = 0.0
+    y: Metres = 0.0
+    z: Metres = 0.0
+    yaw_deg: Annotated[float, Meta(ge=-360, le=360)] = 0.0
+
+    def matrix(self) -> NDArray[np.float64]:
+        """(4, 4) `survey_T_dive`."""
+        yaw_rad = math.radians(self.yaw_deg)
+        cosine, sine = math.cos(yaw_rad), math.sin(yaw_rad)
+        return np.array(
+            [
+                [cosine, -sine, 0.0, self.x],
+                [sine, cosine, 0.0, self.y],
+                [0.0, 0.0, 1.0, self.z],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
+        )
+
+
+class Dive(Struct, frozen=True, forbid_unknown_fields=True):
+    """One recording session, or the folder of one.
+
+    Attributes:
+        name: of its files in the survey's folder.
+        recording: a file, or a folder of files.
+        transform: into the survey's frame; None where the dive's frame is that already.
+        localization: a known map in the survey's frame, on which the dive is localized; each ping
+            is mapped where that says, and only while it is sure.
+    """
+
+    name: Annotated[str, Meta(pattern="^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
+    recording: Annotated[str, Meta(min_length=1)]
+    transform: Transform | None = None
+    localization: str | None = None
+
+
+class Origin(Struct, frozen=True, forbid_unknown_fields=True):
+    """The survey's zero on Earth; altitude of z = 0 in metres."""
+
+    latitude: Annotated[float, Meta(ge=-90, le=90)]
+    longitude: Annotated[float, Meta(ge=-180, le=180)]
+    altitude: Annotated[float, Meta(ge=-12000, le=9000)] = 0.0
+
+
+class Survey(Struct, frozen=True, forbid_unknown_fields=True):
+    """The file as it is written; `outputs` are the products of exporting, where not all."""
+
+    dives: Annotated[list[Dive], Meta(min_length=1)]
+    configuration: str = ""
+    settings: dict[str, Any] = {}
+    origin: Origin | None = None
+    tile_size_m: Annotated[float, Meta(gt=0, le=1e5)] | None = None
+    outputs: list[str] = []
+
+
+class Request(Struct, frozen=True):
+    """A survey with everything found that it names.
+
+    Attributes:
+        survey: as written.
+        config: the settings of all dives.
+        folder: that paths in the survey start from.
+    """
+
+    survey: Survey
+    config: Config
+    folder: Path
+
+    def path_of(self, dive: Dive) -> Path:
+        """Of a dive's recording."""
+        return self.folder / dive.recording
+
+    def config_of(self, dive: Dive) -> Config:
+        """The settings that a dive is planned by.
+
+        Raises:
+            SurveyError: localization cannot be on with them.
+        """
+        if dive.localization is None:
+            return self.config
+        mode = self.config.localization.mode
+        values = {
+            "localization.mode": "track" if mode == "off" else mode,
+            "localization.map_path": str(self.folder / dive.localization),
+            "localization.mapping": "corrected",
+        }
+        try:
+            return with_values(self.config, values)
+        except ConfigError as error:
+            raise SurveyError(f"dive {dive.name}: {error}") from error
+
+
+def read_survey(path: Path) -> Request:
+    """Read a survey and the settings that it names.
+
+    Raises:
+        SurveyError: something in it is wrong: one line with the place and what is allowed.
+    """
+    survey = _survey_of(_tree_of(path), path)
+    folder = path.resolve().parent
+    names = [dive.name for dive in survey.dives]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise SurveyError(f"{path}: $.dives: two dives are called {twice}")
+    try:
+        if survey.outputs:
+            check_products(survey.outputs, known=survey.origin is not None)
+    except SurveyError as error:
+        raise SurveyError(f"{path}: $.outputs: {error}") from error
+    for number, dive in enumerate(survey.dives):
+        here = f"{path}: $.dives[{number}]"
+        if not (folder / dive.recording).exists():
+            raise SurveyError(
+                f"{here}.recording: {dive.recording}: there is no such recording; allowed: a file "
+                "or a folder, from the folder of this file"
+            )
+        if dive.transform is not None and dive.localization is not None:
+            raise SurveyError(
+                f"{here}: has a transform and localization; allowed: one of them, for either says "
+                "where the dive lies in the survey"
+            )
+        if dive.localization is not None and not (folder / dive.localization).is_file():
+            raise SurveyError(f"{here}.localization: {dive.localization}: there is no such map")
+    return Request(survey, _settings_of(survey, folder, path), folder)
+
+
+def _tree_of(path: Path) -> object:
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_FILE_BYTES + 1)
+        if len(data) > MAX_FILE_BYTES:
+            raise SurveyError(f"{path}: larger than {MAX_FILE_BYTES // 1024} KiB, not a survey")
+        return parse_yaml(data.decode("utf-8-sig"))
+    except OSError as error:
+        raise SurveyError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise SurveyError(f"{path}: not UTF-8 text (byte {error.start})") from error
+    except YamlProblem as problem:
+        raise SurveyError(f"{path}: {problem}") from problem
+
+
+def _survey_of(tree: object, path: Path) -> Survey:
+    try:
+        return msgspec.convert(tree, Survey)
+    except msgspec.ValidationError as error:
+        text = str(error)
+        what, _, place = text.partition(" - at ")
+        place = place.strip("`") or "$"
+        if unknown := re.search(r"unknown field `(.*)`", what):
+            what = _unknown(unknown[1], place)
+        raise SurveyError(f"{path}: {place}: {what}") from error
+
+
+def _unknown(field: str, place: str) -> str:
+    kinds = {"transform": Transform, "origin": Origin, "$": Survey}
+    last = place.rpartition(".")[2]
+    known = kinds.get(last, Dive).__struct_fields__
+    near = difflib.get_close_matches(field, known, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"allowed: {', '.join(known)}"
+    return f"there is no {field[:60]}; {hint}"
+
+
+def _settings_of(survey: Survey, folder: Path, path: Path) -> Config:
+    try:
+        files = [folder / survey.configuration] if survey.configuration else []
+        config = with_values(load_files(files).config, _values_of(survey, path))
+    except ConfigError as error:
+        raise SurveyError(f"{path}: {str(error).removeprefix(': ')}") from error
+    if survey.origin is None:
+        return config
+    zero = {"latitude": survey.origin.latitude, "longitude": survey.origin.longitude}
+    said = config.odometry.origin
+    if said is not None and msgspec.to_builtins(said) != zero:
+        raise SurveyError(
+            f"{path}: $.origin: the settings have another odometry.origin; allowed: the same, or "
+            "only one of them"
+        )
+    return with_values(config, {"odometry.origin": zero})
+
+
+def _values_of(survey: Survey, path: Path) -> dict[str, object]:
+    """Settings by their full names, whether they are written so or in sections."""
+    values: dict[str, object] = {}
+
+    def walk(tree: dict[str, Any], prefix: str) -> None:
+        for key, value in tree.items():
+            name = f"{prefix}{key}"
+            if name in parameters():
+                values[name] = value
+            elif isinstance(value, dict) and any(p.startswith(f"{name}.") for p in parameters()):
+                walk(value, f"{name}.")
+            else:
+                near = difflib.get_close_matches(name, list(parameters()), n=1)
+                hint = f"did you mean {near[0]}?" if near else "docs/configuration.md has them all"
+                raise SurveyError(f"{path}: $.settings.{name}: there is no such setting; {hint}")
+
+    walk(survey.settings, "")
+    return values

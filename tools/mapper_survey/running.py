@@ -1,0 +1,275 @@
+"""A survey from beginning to end: plan, tiles, merge. What is done already is not done again."""
+
+import contextlib
+import fcntl
+import re
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TextIO
+
+import msgspec
+
+from mapper_survey.engine import Engine
+from mapper_survey.errors import SurveyError
+from mapper_survey.fingerprint import digest_of
+from mapper_survey.folder import Folder
+from mapper_survey.lock_file import held
+from mapper_survey.marks import crc_of, mark, marked
+from mapper_survey.memory import edge_for, edge_within, voxel_bytes_of
+from mapper_survey.merging import MergeResult, MergeTask, merge_shards
+from mapper_survey.plan_stage import plan_all, rows_of
+from mapper_survey.planning import DivePlan, index_name, mark_name, spool_name
+from mapper_survey.request import Request
+from mapper_survey.run_record import map_times, plan_times, recorded_s, told
+from mapper_survey.tile_stage import Scope, TileStage, shard_mark
+from mapper_survey.tile_task import TileResult
+from mapperd.cli.progress import ProgressBar
+from mapperd.version import version
+
+__all__ = [
+    "DIVES",
+    "MAP",
+    "RECORD",
+    "Options",
+    "dive_map",
+    "plan_survey",
+    "run_survey",
+    "was_begun",
+]
+
+Show = Callable[[float, int], None]
+
+MAP = "map.db"
+DIVES = "dives"
+RECORD = "survey.json"
+
+
+class Options(msgspec.Struct, frozen=True):
+    """How a survey is run.
+
+    Attributes:
+        memory_bytes: that a worker may take.
+        by_dive: make a map of each dive alone, too.
+    """
+
+    memory_bytes: int
+    by_dive: bool = False
+
+
+SUFFIXES = (".db", ".spool", ".npy", ".json")
+"""Of files that a run makes, its marks with them."""
+
+BESIDE = ("-journal", "-wal", "-shm")
+"""Of files that SQLite keeps beside one that somebody writes into; to another one they are harm."""
+
+FINGERPRINTED = re.compile(r"\.[0-9a-f]{24}\.[a-z]+$")
+"""Names that nobody but a run gives: a stop may have left such a file without its mark."""
+
+
+class _Merged(msgspec.Struct, frozen=True):
+    key: str
+    result: MergeResult
+
+
+def dive_map(dive: str) -> str:
+    """Name of the map of one dive."""
+    return f"{DIVES}/{dive}.db"
+
+
+def was_begun(folder: Folder) -> bool:
+    """Whether a survey was run into a folder, if not to its end."""
+    return any(FINGERPRINTED.search(name) for name in folder.names("plan"))
+
+
+def plan_survey(request: Request, folder: Folder, engine: Engine, out: TextIO) -> dict[str, Any]:
+    """Plan the dives alone; returns what there is to say of them."""
+    with _alone(folder):
+        folder.forget_workspaces()
+        with _bar("plan", out) as show:
+            plans = plan_all(request, folder, engine, show)
+        return {"dives": [told(plan) for plan in plans]}
+
+
+def run_survey(
+    request: Request, folder: Folder, engine: Engine, options: Options, out: TextIO
+) -> dict[str, Any]:
+    """Make the map of all dives; returns what `survey.json` says.
+
+    Raises:
+        SurveyError: somebody else is at work there, or a task cannot be done.
+    """
+    resolution_m = request.config.octree.voxel_resolution
+    most_bytes = voxel_bytes_of(options.memory_bytes, resolution_m)
+    edge = edge_for(request.config, most_bytes, request.survey.tile_size_m)
+    with _alone(folder):
+        return _Running(request, folder, engine, out).run(edge, most_bytes, by_dive=options.by_dive)
+
+
+class _Running:
+    def __init__(self, request: Request, folder: Folder, engine: Engine, out: TextIO) -> None:
+        self._request = request
+        self._folder = folder
+        self._engine = engine
+        self._out = out
+        self._times = plan_times([])
+        self._wall_s: dict[str, float] = {}
+        self._shards: set[str] = set()
+
+    def run(self, edge: int, most_bytes: int, *, by_dive: bool) -> dict[str, Any]:
+        self._folder.forget_workspaces()
+        with self._stage("plan") as show:
+            plans = plan_all(self._request, self._folder, self._engine, show)
+        self._times += plan_times(plans)
+        rows = [rows_of(self._folder, plan) for plan in plans]
+        edge = edge_within(edge, rows, self._request.config, most_bytes)
+        whole = Scope("", plans, rows)
+        alone = [Scope(p.name, [p], [r]) for p, r in zip(plans, rows, strict=True)]
+        scopes = [whole, *(alone if by_dive else [])]
+        before = tuple(task.name for task in self._times)
+        maps = []
+        for scope in scopes:
+            maps.append(self._map_of(scope, edge, most_bytes, before))
+            before = (self._times[-1].name,)  # of the merge: the next map is begun after it
+        self._forget_others(plans, [each["map"] for each in maps])
+        record = self._record(plans, maps, whole, edge)
+        self._folder.write(RECORD, msgspec.json.format(msgspec.json.encode(record), indent=2))
+        return record
+
+    def _map_of(
+        self, scope: Scope, edge: int, most_bytes: int, before: tuple[str, ...]
+    ) -> dict[str, Any]:
+        stage = TileStage(scope, self._request.config, self._folder, edge, most_bytes)
+        suffix = f" {scope.name}" if scope.name else ""
+        with self._stage(f"tiles{suffix}") as show:
+            shards = stage.run(self._engine, show)
+        results = sorted(stage.results, key=lambda result: (-result.pings, result.shard))
+        self._shards.update(result.shard for result in results)
+        with self._stage(f"merge{suffix}", "shards") as show:
+            merged = self._merged(scope, shards, show)
+        self._times += map_times(results, merged, before)
+        return {
+            "map": merged.name,
+            "pings": scope.pings,
+            "bricks": merged.bricks,
+            "tiles": len(shards),
+            "tiles_cut": sum(result.too_large for result in results),
+            "largest_tile_bytes": max((each.voxel_bytes for each in results), default=0),
+        }
+
+    def _merged(self, scope: Scope, shards: Sequence[str], show: Show) -> MergeResult:
+        name = dive_map(scope.name) if scope.name else MAP
+        key = digest_of(str(scope.pings), *shards)
+        said = _said_of(name)
+        before = marked(self._folder, said, _Merged)
+        if before is not None and before.key == key and self._is_whole(before.result):
+            return before.result
+        config = self._request.config
+        task = MergeTask(name, list(shards), config, scope.pings, self._folder.url)
+        for told_before in (RECORD, said):  # of the map that the merged one takes the place of
+            self._folder.remove(told_before)
+        for suffix in BESIDE:
+            self._folder.remove(f"{name}{suffix}")
+        result = merge_shards(task, show)
+        mark(self._folder, said, _Merged(key, result))
+        return result
+
+    def _is_whole(self, merged: MergeResult) -> bool:
+        """Whether a map's file is what the merge made, and nobody has written into it since."""
+        if any(self._folder.has(f"{merged.name}{suffix}") for suffix in BESIDE):
+            return False
+        if not self._folder.has(merged.name):
+            return False
+        if self._folder.size_of(merged.name) != merged.written_bytes:
+            return False
+        with self._folder.open(merged.name) as file:
+            return crc_of(file) == merged.crc
+
+    def _forget_others(self, plans: Sequence[DivePlan], maps: Sequence[str]) -> None:
+        """Remove what earlier runs with other inputs have left."""
+        wanted = self._shards | {shard_mark(shard) for shard in self._shards}
+        for plan in plans:
+            wanted |= {spool_name(plan), index_name(plan), mark_name(plan)}
+        for name in maps:
+            wanted |= {name, _said_of(name)}
+        ours = [
+            name
+            for part, kind in (("shards", TileResult), ("plan", DivePlan), (DIVES, _Merged))
+            for name in self._folder.names(part) - wanted
+            if name.endswith(SUFFIXES) and _is_ours(self._folder, name, kind)
+        ]
+        if any(name.startswith(f"{DIVES}/") for name in ours):
+            self._folder.remove(RECORD)  # it tells of them
+        for name in sorted(ours, key=lambda name: name.endswith(".json")):  # the marks last
+            self._folder.remove(name)
+
+    def _record(
+        self, plans: Sequence[DivePlan], maps: list[dict[str, Any]], whole: Scope, edge: int
+    ) -> dict[str, Any]:
+        first = [plan.first_ns for plan in plans if plan.first_ns is not None]
+        return {
+            "version": version(),
+            "pings": whole.pings,
+            "recorded_s": sum(recorded_s(rows) for rows in whole.rows),
+            "first_ns": min(first, default=None),
+            "tile_bricks": edge,
+            "origin": self._request.survey.origin,
+            "settings": self._request.config,
+            "outputs": self._request.survey.outputs,
+            "wall_s": self._wall_s,
+            "dives": [told(plan) for plan in plans],
+            "maps": maps,
+            "tasks": self._times,
+        }
+
+    @contextlib.contextmanager
+    def _stage(self, name: str, unit: str = "pings") -> Iterator[Show]:
+        began_s = time.perf_counter()
+        with _bar(name, self._out, unit) as show:
+            yield show
+        self._wall_s[name] = round(time.perf_counter() - began_s, 3)
+
+
+@contextlib.contextmanager
+def _bar(stage: str, out: TextIO, unit: str = "pings") -> Iterator[Show]:
+    bar = ProgressBar(out, time.perf_counter, f"mapper-survey {stage}", unit)
+    last = 0
+
+    def show(fraction: float, count: int) -> None:
+        nonlocal last
+        last = count
+        bar.show(fraction, count)
+
+    yield show
+    bar.close(last)
+
+
+def _is_ours(folder: Folder, name: str, kind: type[msgspec.Struct]) -> bool:
+    """Whether a run made a file: a user's recordings may lie in folders of these names too."""
+    if FINGERPRINTED.search(name):
+        return True
+    return marked(folder, f"{name.rpartition('.')[0]}.json", kind) is not None
+
+
+@contextlib.contextmanager
+def _alone(folder: Folder) -> Iterator[None]:
+    """Hold a lock that ends with the process; elsewhere than on the disk a file has to do."""
+    if folder.local is None:
+        with held(folder):
+            yield
+        return
+    try:
+        folder.local.mkdir(parents=True, exist_ok=True)
+        handle = (folder.local / ".lock").open("w")
+    except PermissionError as error:
+        raise SurveyError(f"{folder.url}: cannot be written into: {error.strerror}") from error
+    with handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise SurveyError(f"{folder.url}: another mapper-survey is at work") from error
+        yield
+
+
+def _said_of(map_name: str) -> str:
+    """Name of what is said of a map's file."""
+    return f"{map_name.removesuffix('.db')}.json"
