@@ -40,7 +40,7 @@ def check_telemetry(config: Config, environment: Mapping[str, str]) -> None:
 
     Args:
         config: the settings.
-        environment: says where systemd has put credentials.
+        environment: gives the systemd credentials directory.
 
     Raises:
         ConfigError: aiomqtt is not installed, a file cannot be read, there is a password without a
@@ -69,11 +69,11 @@ def check_telemetry(config: Config, environment: Mapping[str, str]) -> None:
 
 @contextlib.asynccontextmanager
 async def connection(settings: Mqtt, environment: Mapping[str, str]) -> AsyncIterator["Client"]:
-    """A connection that lets the broker say `offline` where it breaks.
+    """A connection whose will publishes `offline` if it breaks.
 
     Args:
         settings: `check_telemetry` has passed them.
-        environment: says where systemd has put credentials.
+        environment: gives the systemd credentials directory.
 
     Raises:
         ConfigError: a file cannot be read any more.
@@ -123,7 +123,7 @@ def _tls(settings: Mqtt) -> ssl.SSLContext:
 
 
 def _silent() -> logging.Logger:
-    """What it would say is said by the link's state."""
+    """Silences the library's logger: the link's state reports the same."""
     logger = logging.getLogger("mapperd.telemetry")
     logger.propagate = False
     logger.disabled = True

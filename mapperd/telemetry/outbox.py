@@ -92,7 +92,7 @@ class Outbox:
         return None
 
     def forget_what_passes(self) -> None:
-        """Drop telemetry and states: both are old by the time that anybody can be told."""
+        """Drop telemetry and states, which would be stale once a broker is back."""
         self.dropped[Kind.TELEMETRY] += len(self._queues[Kind.TELEMETRY])
         self._queues[Kind.TELEMETRY].clear()
         self._states.clear()

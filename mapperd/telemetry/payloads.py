@@ -29,13 +29,13 @@ __all__ = [
 ]
 
 LAYOUT = 1
-"""Version of the topics and payloads; the prefix says it too."""
+"""Version of the topics and payloads; also part of the prefix."""
 
 Facts = Mapping[str, Any]
 
 
 def encoded(payload: object) -> bytes:
-    """As JSON; numbers that are none become null, what has no form of its own its text."""
+    """Encode as JSON; NaN and infinities become null, other objects their text."""
     return msgspec.json.encode(payload, enc_hook=str)
 
 
@@ -52,12 +52,12 @@ def state_report(status: Facts) -> dict[str, Any]:
 
 
 def pose_report(status: Facts, frames: Frames) -> dict[str, Any]:
-    """Where the vehicle is, and who says so."""
+    """The vehicle's pose and its source."""
     odometry = status["odometry"] or {}
     owner = odometry.get("quantities", {}).get("position", {}).get("owner")
     source = owner or odometry.get("source")
-    said = {"source": source, "frame": frames.map, "child_frame": frames.base}
-    return {**status["pose"], **said}
+    content = {"source": source, "frame": frames.map, "child_frame": frames.base}
+    return {**status["pose"], **content}
 
 
 def sonar_report(status: Facts, ping_rate_hz: float | None) -> dict[str, Any]:
@@ -118,7 +118,7 @@ class Pace:
     """At most so often on average; two are at least half a period apart.
 
     Args:
-        period_s: between two; may be set anew.
+        period_s: minimum time between two; may change.
     """
 
     def __init__(self, period_s: float) -> None:
@@ -136,13 +136,13 @@ class Pace:
 
 
 class BackOff:
-    """Pauses between attempts: random, so that a fleet does not come back at once.
+    """Random delays between attempts, so that a fleet does not reconnect at the same time.
 
-    Each is between the shortest and three times the one before, 30 s at most; a connection that
-    held for so long begins anew.
+    Each delay lies between the minimum and three times the one before, limited to 30 s. A
+    connection that lasted at least 30 s resets the delay.
 
     Args:
-        chance: gives random numbers from 0 to 1.
+        chance: returns random numbers from 0 to 1.
     """
 
     MIN_S = 1.0
@@ -153,15 +153,15 @@ class BackOff:
         self._last_s = self.MIN_S
 
     def after(self, connected_s: float) -> float:
-        """The pause after a connection that lasted so long, or that never came about.
+        """Return the delay after a connection or a failed attempt.
 
         Args:
-            connected_s: 0 where there was none.
+            connected_s: duration of the connection; 0 after a failed attempt.
         """
         if connected_s >= self.MAX_S:
             self._last_s = self.MIN_S
-        most_s = min(self.MAX_S, 3 * self._last_s)
-        self._last_s = self.MIN_S + self._chance() * (most_s - self.MIN_S)
+        max_s = min(self.MAX_S, 3 * self._last_s)
+        self._last_s = self.MIN_S + self._chance() * (max_s - self.MIN_S)
         return self._last_s
 
 
@@ -171,7 +171,7 @@ AGAIN_S = 5.0
 CHANGE_S = 1.0
 
 SAMPLE = 100
-"""Particles of a cloud that are told."""
+"""Maximum number of particles in a published cloud."""
 
 CLOUD = ("t_s", "state", "particles", "effective_size", "ambiguous", "elsewhere", "clusters")
 
@@ -181,7 +181,7 @@ class LocalizationReporter:
 
     Args:
         operations: the daemon.
-        topics: where things are said.
+        topics: names of the topics.
         outbox: takes the messages.
     """
 
@@ -192,7 +192,7 @@ class LocalizationReporter:
         self.renew()
 
     def renew(self) -> None:
-        """Say everything again that a broker keeps."""
+        """Publish all retained topics again."""
         self._level: object = None
         self._pose_s: object = None
         self._transform_s: object = None
@@ -209,26 +209,26 @@ class LocalizationReporter:
         self._pose.period_s = 1 / self._operations.settings.current.mqtt.pose_rate
         if not self._pose.due(now_s):
             return
-        said = self._operations.localization()
-        self._say_pose(said)
-        self._say_diagnostics(now_s, said)
-        if said.get("t_s") != self._cloud_s and self._cloud.due(now_s):
-            self._cloud_s = said.get("t_s")
-            said = self._operations.localization(SAMPLE)
-            cloud = {key: said.get(key) for key in CLOUD}
-            self._tell("particle_cloud", cloud | {"sample_x_y_yaw_weight": said["sample"]})
+        content = self._operations.localization()
+        self._publish_pose(content)
+        self._publish_diagnostics(now_s, content)
+        if content.get("t_s") != self._cloud_s and self._cloud.due(now_s):
+            self._cloud_s = content.get("t_s")
+            content = self._operations.localization(SAMPLE)
+            cloud = {key: content.get(key) for key in CLOUD}
+            self._publish("particle_cloud", cloud | {"sample_x_y_yaw_weight": content["sample"]})
 
-    def _say_pose(self, said: dict[str, Any]) -> None:
-        pose, transform = said["pose"], said["map_odom"]
+    def _publish_pose(self, content: dict[str, Any]) -> None:
+        pose, transform = content["pose"], content["map_odom"]
         if pose is not None and pose["t_s"] != self._pose_s:
             self._pose_s = pose["t_s"]
-            self._tell("amcl_pose", pose | {"state": said["state"]})
+            self._publish("amcl_pose", pose | {"state": content["state"]})
         if transform is not None and transform["t_s"] != self._transform_s:
             self._transform_s = transform["t_s"]
-            self._tell("map_odom", transform)
+            self._publish("map_odom", transform)
 
-    def _say_diagnostics(self, now_s: float, said: dict[str, Any]) -> None:
-        diagnostics = said["diagnostics"] | {"state": said["state"]}
+    def _publish_diagnostics(self, now_s: float, content: dict[str, Any]) -> None:
+        diagnostics = content["diagnostics"] | {"state": content["state"]}
         level = (diagnostics["level"], diagnostics["state"])
         again = self._again.due(now_s)
         if again or (level != self._level and self._change.due(now_s)):
@@ -237,6 +237,6 @@ class LocalizationReporter:
             payload = encoded({"t_s": now_s, **diagnostics})
             self._outbox.put(Message(topic, payload, Kind.STATE, retain=True))
 
-    def _tell(self, name: str, said: object) -> None:
-        topic, payload = self._topics.of_name(name), encoded(said)
+    def _publish(self, name: str, content: object) -> None:
+        topic, payload = self._topics.of_name(name), encoded(content)
         self._outbox.put(Message(topic, payload, Kind.TELEMETRY))

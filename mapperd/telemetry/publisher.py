@@ -34,13 +34,13 @@ class Reporter:
 
     Args:
         operations: the daemon.
-        topics: where things are said.
+        topics: names of the topics.
         outbox: takes the messages.
         vitals: what the daemon takes of its computer.
         own: counters of the telemetry.
 
     Attributes:
-        events_missed: events that were forgotten before there was a broker to tell.
+        events_missed: events discarded before a broker was connected.
     """
 
     def __init__(
@@ -57,12 +57,12 @@ class Reporter:
         self._vitals = vitals
         self._own = own
         self._localization = LocalizationReporter(operations, topics, outbox)
-        self._told_event = 0
+        self._last_event = 0
         self.events_missed = 0
         self.renew()
 
     def renew(self) -> None:
-        """Say everything again that a broker keeps: it is another one, or has forgotten it."""
+        """Publish all retained topics again: the broker may be new or have lost them."""
         self._config: Config | None = None
         self._state: dict[str, Any] | None = None
         self._pose_s = self._robot_s = 0.0
@@ -86,10 +86,10 @@ class Reporter:
         config = self._operations.settings.current
         status = self._operations.status()
         self.collect_events()
-        self._say_settings(config)
-        self._say_state(now_s, status)
-        self._say_pose(now_s, status, config)
-        self._say_robots(now_s, status["robots"] or [], config)
+        self._publish_settings(config)
+        self._publish_state(now_s, status)
+        self._publish_pose(now_s, status, config)
+        self._publish_robots(now_s, status["robots"] or [], config)
         if status["localization"] is not None:
             self._localization.collect(now_s)
         if self._sonar.due(now_s):
@@ -102,7 +102,7 @@ class Reporter:
 
     def collect_events(self) -> None:
         """Put events into the outbox while there is room; the others wait where they are kept."""
-        events, missed = self._operations.events.since(self._told_event)
+        events, missed = self._operations.events.since(self._last_event)
         if missed:
             self.events_missed += missed
             self._put_event(
@@ -113,12 +113,12 @@ class Reporter:
                     "facts": {"missed": missed},
                 }
             )
-            self._told_event += missed
+            self._last_event += missed
         for event in events[: max(self._outbox.room, 0)]:
             self._put_event(event.plain())
-            self._told_event = event.number
+            self._last_event = event.number
 
-    def _say_settings(self, config: Config) -> None:
+    def _publish_settings(self, config: Config) -> None:
         before, self._config = self._config, config
         if config is before:
             return
@@ -130,15 +130,15 @@ class Reporter:
         if turned and config.frames.publish_tf:
             self._put_state("tf", payloads.mounting_report(config), qos=1)
 
-    def _say_state(self, now_s: float, status: Mapping[str, Any]) -> None:
+    def _publish_state(self, now_s: float, status: Mapping[str, Any]) -> None:
         state = payloads.state_report(status)
         again = self._again.due(now_s)
         if again or (state != self._state and self._change.due(now_s)):
             self._state = state
-            said = {"t_s": now_s, "uptime_s": status["uptime_s"], **state}
-            self._put_state("state", said, qos=1)
+            content = {"t_s": now_s, "uptime_s": status["uptime_s"], **state}
+            self._put_state("state", content, qos=1)
 
-    def _say_pose(self, now_s: float, status: Mapping[str, Any], config: Config) -> None:
+    def _publish_pose(self, now_s: float, status: Mapping[str, Any], config: Config) -> None:
         pose = status["pose"]
         self._pose.period_s = 1 / config.mqtt.pose_rate
         if pose is None or pose["t_s"] == self._pose_s or not self._pose.due(now_s):
@@ -146,13 +146,15 @@ class Reporter:
         self._pose_s = pose["t_s"]
         self._put_telemetry("pose", payloads.pose_report(status, config.frames))
 
-    def _say_robots(self, now_s: float, robots: list[Mapping[str, Any]], config: Config) -> None:
+    def _publish_robots(
+        self, now_s: float, robots: list[Mapping[str, Any]], config: Config
+    ) -> None:
         newest_s = max((robot["t_s"] for robot in robots), default=0.0)
         if newest_s == self._robot_s or not self._robots.due(now_s):
-            return  # where the last one has expired, an empty list says so
+            return  # an empty list is published once when the last robot expires
         self._robot_s = newest_s
-        said = {"t_s": now_s, **payloads.robots_report(robots, config)}
-        self._put_telemetry(config.robot_detection.topic, said)
+        content = {"t_s": now_s, **payloads.robots_report(robots, config)}
+        self._put_telemetry(config.robot_detection.topic, content)
 
     def _rate_hz(self, now_s: float, total: int) -> float | None:
         before, self._pings = self._pings, (now_s, total)
@@ -160,16 +162,16 @@ class Reporter:
             return None
         return (total - before[1]) / (now_s - before[0])
 
-    def _put_state(self, name: str, said: object, qos: int) -> None:
-        topic, payload = self._topics.of_name(name), payloads.encoded(said)
+    def _put_state(self, name: str, content: object, qos: int) -> None:
+        topic, payload = self._topics.of_name(name), payloads.encoded(content)
         self._outbox.put(Message(topic, payload, Kind.STATE, qos, retain=True))
 
-    def _put_telemetry(self, name: str, said: object) -> None:
-        topic, payload = self._topics.of_name(name), payloads.encoded(said)
+    def _put_telemetry(self, name: str, content: object) -> None:
+        topic, payload = self._topics.of_name(name), payloads.encoded(content)
         self._outbox.put(Message(topic, payload, Kind.TELEMETRY))
 
-    def _put_event(self, said: object) -> None:
-        topic, payload = self._topics.of_name("event"), payloads.encoded(said)
+    def _put_event(self, content: object) -> None:
+        topic, payload = self._topics.of_name("event"), payloads.encoded(content)
         self._outbox.put(Message(topic, payload, Kind.EVENT, qos=1))
 
 

@@ -40,7 +40,7 @@ class _BadRequestError(Exception):
 class _Request:
     asked: Asked
     id: Id
-    said: Any
+    body: Any
 
 
 class Requests:
@@ -98,8 +98,8 @@ class Requests:
     async def _obeyed(self, request: _Request) -> Answer:
         try:
             if request.asked.kind == "config":
-                return await asyncio.to_thread(self._set, request.asked.name, request.said)
-            return {"ok": True, "result": await self._command(request.asked.name, request.said)}
+                return await asyncio.to_thread(self._set, request.asked.name, request.body)
+            return {"ok": True, "result": await self._command(request.asked.name, request.body)}
         except _BadRequestError as error:
             return _refusal("bad_request", str(error))
         except OperationError as error:
@@ -117,7 +117,7 @@ class Requests:
             return _refusal("refused", reasons)
         return {"ok": True, "value": value}
 
-    def _command(self, name: str, said: Mapping[str, Any]) -> Awaitable[dict[str, Any]]:
+    def _command(self, name: str, body: Mapping[str, Any]) -> Awaitable[dict[str, Any]]:
         operations = self._operations
         plain = {
             "reset": operations.reset,
@@ -128,19 +128,19 @@ class Requests:
             "request_nomotion_update": operations.request_nomotion_update,
         }
         if name in plain:
-            _allow(said)
+            _allow(body)
             return plain[name](ORIGIN)
         match name if name in WITH_ARGUMENTS else self._topics.also.get(name):
             case "save":
-                _allow(said, "name")
-                return operations.save(_text(said, "name"), ORIGIN)
+                _allow(body, "name")
+                return operations.save(_text(body, "name"), ORIGIN)
             case "initial_pose":
-                _allow(said, "pose")
-                return operations.initial_pose(_pose(said), ORIGIN)
+                _allow(body, "pose")
+                return operations.initial_pose(_pose(body), ORIGIN)
             case "set_map":
-                _allow(said, "name", "pose")
-                pose = _pose(said) if "pose" in said else None
-                return operations.set_map(_text(said, "name"), pose, ORIGIN)
+                _allow(body, "name", "pose")
+                pose = _pose(body) if "pose" in body else None
+                return operations.set_map(_text(body, "name"), pose, ORIGIN)
         known = ", ".join([*WITH_ARGUMENTS, *plain])
         raise OperationError(f"there is no such command; there are {known}", "unknown_command")
 
@@ -162,22 +162,22 @@ def _request(asked: Asked, payload: bytes) -> _Request:
     if len(payload) > MAX_BYTES:
         raise _BadRequestError(f"{len(payload)} bytes; at most {MAX_BYTES}")
     try:
-        said = msgspec.json.decode(payload)
+        body = msgspec.json.decode(payload)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise _BadRequestError(f"no JSON: {error}") from error
     if asked.kind == "config":
-        if isinstance(said, dict) and "value" in said:
-            _allow(said, "id", "value")
-            return _Request(asked, _id_of(said), said["value"])
-        return _Request(asked, None, said)
-    if not isinstance(said, dict) or said.get("id") is None:
+        if isinstance(body, dict) and "value" in body:
+            _allow(body, "id", "value")
+            return _Request(asked, _id_of(body), body["value"])
+        return _Request(asked, None, body)
+    if not isinstance(body, dict) or body.get("id") is None:
         raise _BadRequestError('an object with an "id" of your choice is wanted')
-    request_id = _id_of(said)
-    return _Request(asked, request_id, {key: one for key, one in said.items() if key != "id"})
+    request_id = _id_of(body)
+    return _Request(asked, request_id, {key: one for key, one in body.items() if key != "id"})
 
 
-def _id_of(said: Mapping[str, Any]) -> Id:
-    request_id = said.get("id")
+def _id_of(body: Mapping[str, Any]) -> Id:
+    request_id = body.get("id")
     if isinstance(request_id, bool) or not isinstance(request_id, str | int | None):
         raise _BadRequestError("id: a text or a whole number is wanted")
     if isinstance(request_id, int) and abs(request_id) >= MAX_NUMBER:
@@ -187,21 +187,21 @@ def _id_of(said: Mapping[str, Any]) -> Id:
     return request_id
 
 
-def _pose(said: Mapping[str, Any]) -> PoseRequest:
+def _pose(body: Mapping[str, Any]) -> PoseRequest:
     try:
-        return msgspec.convert(said.get("pose"), PoseRequest)
+        return msgspec.convert(body.get("pose"), PoseRequest)
     except msgspec.ValidationError as error:
         raise _BadRequestError(f"pose: {error}") from error
 
 
-def _text(said: Mapping[str, Any], key: str) -> str:
-    if not isinstance(said.get(key), str):
+def _text(body: Mapping[str, Any], key: str) -> str:
+    if not isinstance(body.get(key), str):
         raise _BadRequestError(f"{key}: a text is wanted")
-    return str(said[key])
+    return str(body[key])
 
 
-def _allow(said: Mapping[str, Any], *keys: str) -> None:
-    for key in said:
+def _allow(body: Mapping[str, Any], *keys: str) -> None:
+    for key in body:
         if key not in keys:
             raise _BadRequestError(f"{key[:60]}: is not known here")
 

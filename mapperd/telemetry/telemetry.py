@@ -54,14 +54,14 @@ class Phase(StrEnum):
 
 
 class Telemetry:
-    """Tells a broker how the daemon goes, and obeys it where `mqtt.commands` says so.
+    """Publishes the daemon's state to a broker, and accepts requests if `mqtt.commands` is on.
 
     Lives in the daemon's event loop, and never lets it wait.
 
     Args:
         operations: the daemon.
-        folders: whose free space is told.
-        environment: says where systemd has put credentials.
+        folders: folders whose free space is reported.
+        environment: gives the systemd credentials directory.
         clock: Unix time in nanoseconds that is never set back.
         chance: random numbers from 0 to 1.
 
@@ -100,7 +100,7 @@ class Telemetry:
         self._news = [asyncio.Event() for _ in SENDERS]
         self.phase, self.reason = Phase.CLOSED, "not started"
         self.counts = dict.fromkeys(("connected", "lost", "published", "failed"), 0)
-        operations.settings.follow(self.FOLLOWS, lambda _: None)  # read anew whenever it counts
+        operations.settings.follow(self.FOLLOWS, lambda _: None)  # read again when needed
 
     def status(self) -> dict[str, Any]:
         """The link in plain values; from any thread."""
@@ -116,7 +116,7 @@ class Telemetry:
         }
 
     async def run(self) -> None:
-        """Keep telling until cancelled; says `offline` then."""
+        """Publish until cancelled, then publish `offline`."""
         work = asyncio.create_task(self._requests.work())
         try:
             while True:
@@ -131,7 +131,7 @@ class Telemetry:
             await asyncio.gather(work, return_exceptions=True)
 
     async def _one_connection(self) -> float:
-        """Connect, and tell until the link breaks; returns how long it held, in seconds."""
+        """Connect and publish until the connection breaks; return its duration in seconds."""
         from aiomqtt import MqttError  # noqa: PLC0415 an extra
 
         self.phase = Phase.CONNECTING
@@ -141,21 +141,21 @@ class Telemetry:
                 await self._greet(client)
                 _stop_if_cancelled()
                 began_ns = self._clock()
-                self._tell_connected()
+                self._log_connected()
                 try:
                     await _first_of(*self._works(client))
                 except asyncio.CancelledError:
-                    await self._say_goodbye(client)
+                    await self._publish_offline(client)
                     raise
         except (MqttError, OSError, ConfigError) as error:
-            self._tell_lost(str(error) or type(error).__name__, was_connected=began_ns is not None)
+            self._log_lost(str(error) or type(error).__name__, was_connected=began_ns is not None)
         except Exception as error:  # noqa: BLE001 a fault in here costs telemetry, never the dive
-            self._tell_lost(f"{type(error).__name__}: {error}", was_connected=began_ns is not None)
+            self._log_lost(f"{type(error).__name__}: {error}", was_connected=began_ns is not None)
         self._outbox.forget_what_passes()
         return 0.0 if began_ns is None else (self._clock() - began_ns) / 1e9
 
     async def _greet(self, client: "Client") -> None:
-        """Subscribe, then say that somebody is there: who hears it may ask at once."""
+        """Subscribe, then publish `online`, so that requests sent on it are received."""
         if self._settings.commands:
             granted = await client.subscribe([(topic, 1) for topic in self._topics.requests])
             codes = [code if isinstance(code, int) else code.value for code in granted]
@@ -203,8 +203,8 @@ class Telemetry:
             payload = message.payload if isinstance(message.payload, bytes) else b""
             self._requests.offer(str(message.topic), payload, retained=bool(message.retain))
 
-    async def _say_goodbye(self, client: "Client") -> None:
-        """A broker publishes no will after a clean end: say it ourselves, after what happened."""
+    async def _publish_offline(self, client: "Client") -> None:
+        """Publish `offline` after the last events: a broker sends no will after a clean end."""
         with suppress(Exception):
             async with asyncio.timeout(GOODBYE_S):
                 self._reporter.collect_events()
@@ -223,12 +223,12 @@ class Telemetry:
         for news in self._news:
             news.set()
 
-    def _tell_connected(self) -> None:
+    def _log_connected(self) -> None:
         self.phase, self.reason = Phase.CONNECTED, "the broker accepted us"
         self.counts["connected"] += 1
         self._event(Severity.NOTICE, "mqtt_link", "the broker is connected")
 
-    def _tell_lost(self, why: str, *, was_connected: bool) -> None:
+    def _log_lost(self, why: str, *, was_connected: bool) -> None:
         """Count; an event only where something changed, not for every attempt."""
         if was_connected or why != self.reason:
             self._event(Severity.WARNING, "mqtt_link", f"the broker is lost: {why}")

@@ -1,4 +1,4 @@
-"""A daemon that only says what a test wants, and its telemetry."""
+"""A daemon with the state that a test sets, and its telemetry."""
 
 import json
 from typing import TYPE_CHECKING, Any

@@ -74,7 +74,7 @@ def test_what_is_no_secret_is_refused(tmp_path: Path, content: bytes, words: str
     assert caught.value.path == "$.control.token_file"
 
 
-def test_the_extra_is_not_imported_where_nothing_is_told() -> None:
+def test_the_extra_is_not_imported_where_nothing_is_reported() -> None:
     code = "import sys, mapperd.telemetry.telemetry; print('aiomqtt' in sys.modules)"
     import subprocess  # noqa: PLC0415 of this test alone
 

@@ -1,4 +1,4 @@
-"""Brokers that are not there, say nothing or say nonsense: each costs a counter, no more."""
+"""Absent, silent or malformed brokers only increase counters."""
 
 import asyncio
 import contextlib
@@ -30,7 +30,7 @@ async def until(true: Callable[[], object]) -> None:
 
 
 @contextlib.asynccontextmanager
-async def telling(daemon: FakeDaemon) -> AsyncIterator[Telemetry]:
+async def running_telemetry(daemon: FakeDaemon) -> AsyncIterator[Telemetry]:
     telemetry = Telemetry(daemon, environment={}, chance=lambda: 0.5)
     task = asyncio.create_task(telemetry.run())
     try:
@@ -44,7 +44,7 @@ def test_nobody_listens() -> None:
     daemon = FakeDaemon({"port": free_port()})
 
     async def run() -> None:
-        async with telling(daemon) as telemetry:
+        async with running_telemetry(daemon) as telemetry:
             await until(lambda: telemetry.counts["lost"] >= 5)
             for k in range(3000):
                 daemon.events.add(Severity.NOTICE, "code", str(k))
@@ -58,7 +58,7 @@ def test_nobody_listens() -> None:
     asyncio.run(run())
     assert daemon.asked_for_status == 0  # what nobody hears is not worked out
     lost = [event for event in daemon.events.since(0)[0] if event.code == "mqtt_link"]
-    assert len(lost) <= 1  # said once, not at every attempt
+    assert len(lost) <= 1  # logged once, not at every attempt
 
 
 async def _silent(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -107,7 +107,7 @@ def test_somebody_else_listens(server: Server) -> None:
     async def run() -> Telemetry:
         async with await asyncio.start_server(serve, "127.0.0.1", 0) as listening:
             daemon = FakeDaemon({"port": listening.sockets[0].getsockname()[1]})
-            async with telling(daemon) as telemetry:
+            async with running_telemetry(daemon) as telemetry:
                 await until(lambda: telemetry.counts["lost"] >= 8)
                 assert served - ended <= 3  # sockets are closed, not left to the collector
             await until(lambda: ended == served)

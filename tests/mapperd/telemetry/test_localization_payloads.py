@@ -1,4 +1,4 @@
-"""Localization at a broker: what is told, how often, and what can be asked."""
+"""Localization topics: contents, rates and requests."""
 
 import asyncio
 import dataclasses
@@ -13,7 +13,7 @@ from mapperd.telemetry.payloads import SAMPLE
 from mapperd.telemetry.topics import Asked, Topics
 from tests.mapperd.localization.believed import STAMP_NS, facts
 from tests.mapperd.telemetry.conftest import ROOT, T0_S, FakeDaemon, drained
-from tests.mapperd.telemetry.test_publisher import Teller
+from tests.mapperd.telemetry.test_publisher import PublisherHarness
 from tests.mapperd.telemetry.test_requests import Asker
 from tests.support.peers.mosquitto import free_port, mosquitto_path, running_mosquitto
 
@@ -21,10 +21,10 @@ POSE = {"x_m": 1.5, "y_m": -2, "yaw_rad": 0.5}
 OURS = ("amcl_pose", "map_odom", "particle_cloud", "diagnostics")
 
 
-def test_all_is_told_under_the_published_names(daemon: FakeDaemon) -> None:
+def test_all_is_reported_under_the_published_names(daemon: FakeDaemon) -> None:
     daemon.localized = facts(0.2)
-    said = Teller(daemon).tell()
-    (pose,), (moved,), (cloud,), (levels,) = (said[topic] for topic in OURS)
+    published = PublisherHarness(daemon).publish()
+    (pose,), (moved,), (cloud,), (levels,) = (published[topic] for topic in OURS)
     assert (pose["x_m"], pose["y_m"], pose["yaw_rad"]) == (1.0, 2.0, 0.5)
     assert pose["covariance"][1][1] == pytest.approx(0.04)
     assert (pose["frame"], pose["state"]) == ("map", "ambiguous")
@@ -36,19 +36,19 @@ def test_all_is_told_under_the_published_names(daemon: FakeDaemon) -> None:
     assert levels["std_x"]["warn_level"] == 0.2
 
 
-def test_nothing_is_told_while_it_is_off(daemon: FakeDaemon) -> None:
-    assert not set(OURS) & set(Teller(daemon).tell(6.0))
+def test_nothing_is_reported_while_it_is_off(daemon: FakeDaemon) -> None:
+    assert not set(OURS) & set(PublisherHarness(daemon).publish(6.0))
 
 
-def test_without_a_belief_levels_alone_are_told(daemon: FakeDaemon) -> None:
+def test_without_a_belief_levels_alone_are_reported(daemon: FakeDaemon) -> None:
     daemon.localized = facts(None, transform=None)
-    said = Teller(daemon).tell()
-    assert set(OURS) & set(said) == {"diagnostics"}
-    assert said["diagnostics"][0]["text"] == "no estimate yet"
+    published = PublisherHarness(daemon).publish()
+    assert set(OURS) & set(published) == {"diagnostics"}
+    assert published["diagnostics"][0]["text"] == "no estimate yet"
 
 
 def test_rates_are_bounded(daemon: FakeDaemon) -> None:
-    teller = Teller(daemon)
+    harness = PublisherHarness(daemon)
     found: dict[str, int] = dict.fromkeys(OURS, 0)
     base = facts(0.0)
     assert base.transform is not None
@@ -56,40 +56,40 @@ def test_rates_are_bounded(daemon: FakeDaemon) -> None:
         later = STAMP_NS + k * 50_000_000
         moved = dataclasses.replace(base.transform, stamp_ns=later)
         daemon.localized = dataclasses.replace(base, stamp_ns=later, transform=moved)
-        said = teller.tell()
+        published = harness.publish()
         for topic in OURS:
-            found[topic] += len(said.get(topic, []))
+            found[topic] += len(published.get(topic, []))
     assert 45 <= found["amcl_pose"] <= 51
     assert 45 <= found["map_odom"] <= 51
     assert 9 <= found["particle_cloud"] <= 11
     assert 2 <= found["diagnostics"] <= 3
 
 
-def test_nothing_is_said_twice(daemon: FakeDaemon) -> None:
+def test_nothing_is_reported_twice(daemon: FakeDaemon) -> None:
     daemon.localized = facts(0.0)
-    said = Teller(daemon).tell(4.0)
-    assert [len(said[topic]) for topic in OURS] == [1, 1, 1, 1]
+    published = PublisherHarness(daemon).publish(4.0)
+    assert [len(published[topic]) for topic in OURS] == [1, 1, 1, 1]
 
 
-def test_levels_are_told_when_they_change(daemon: FakeDaemon) -> None:
+def test_levels_are_reported_when_they_change(daemon: FakeDaemon) -> None:
     daemon.localized = facts(0.0)
-    teller = Teller(daemon)
-    teller.tell(1.5)
+    harness = PublisherHarness(daemon)
+    harness.publish(1.5)
     daemon.localized = facts(0.0, std=0.5)
-    (levels,) = teller.tell(1.5)["diagnostics"]
+    (levels,) = harness.publish(1.5)["diagnostics"]
     assert (levels["level"], levels["std_x"]["level"]) == ("WARN", "WARN")
 
 
 def test_requests_are_obeyed(daemon: FakeDaemon) -> None:
     asker = Asker(daemon)
-    for below, said in (
+    for below, body in (
         ("cmd/initial_pose", {"pose": POSE}),
         ("cmd/initialpose", {"pose": POSE}),
         ("cmd/request_nomotion_update", {}),
         ("cmd/set_map", {"name": "tank.yaml", "pose": POSE}),
         ("cmd/map", {"name": "tank.yaml"}),
     ):
-        (answer,) = asker.ask(below, {"id": 1, **said})[f"{below}/result"]
+        (answer,) = asker.ask(below, {"id": 1, **body})[f"{below}/result"]
         assert answer["ok"], answer
     assert daemon.asked == [
         ("initial_pose", "1.5", "mqtt"),
@@ -101,7 +101,7 @@ def test_requests_are_obeyed(daemon: FakeDaemon) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "said", "reason"),
+    ("name", "body", "reason"),
     [
         ("global_localization", {}, "no_map"),
         ("global_localization", {"pose": POSE}, "bad_request"),
@@ -117,9 +117,9 @@ def test_requests_are_obeyed(daemon: FakeDaemon) -> None:
     ],
 )
 def test_what_cannot_be_is_refused(
-    daemon: FakeDaemon, name: str, said: dict[str, Any], reason: str
+    daemon: FakeDaemon, name: str, body: dict[str, Any], reason: str
 ) -> None:
-    (answer,) = Asker(daemon).ask(f"cmd/{name}", {"id": 1, **said})[f"cmd/{name}/result"]
+    (answer,) = Asker(daemon).ask(f"cmd/{name}", {"id": 1, **body})[f"cmd/{name}/result"]
     assert (answer["ok"], answer["reason"]) == (False, reason)
     assert daemon.asked == []
 
@@ -161,14 +161,14 @@ def test_mosquitto_carries_it(tmp_path: Path) -> None:
     daemon.localized = facts(0.2)
 
     async def run() -> None:
-        async with broker.listening(port) as shore, broker.telling(daemon):
+        async with broker.listening(port) as shore, broker.running_telemetry(daemon):
             assert (await shore.hears("amcl_pose"))["x_m"] == 1.0
             assert (await shore.hears("map_odom"))["child_frame"] == "odom"
             assert len((await shore.hears("particle_cloud"))["sample_x_y_yaw_weight"]) == SAMPLE
             assert (await shore.hears("diagnostics"))["level"] == "OK"
-            await shore.says("cmd/initialpose", {"id": 1, "pose": POSE})
+            await shore.publish("cmd/initialpose", {"id": 1, "pose": POSE})
             assert (await shore.hears("cmd/initialpose/result"))["ok"]
-            await shore.says("cmd/global_localization", {"id": 2})
+            await shore.publish("cmd/global_localization", {"id": 2})
             refusal = await shore.hears("cmd/global_localization/result")
             assert refusal["reason"] == "no_map"
         assert daemon.asked == [("initial_pose", "1.5", "mqtt")]

@@ -76,7 +76,7 @@ class Listener:
         self.heard[topic].remove(wanted[0])
         return wanted[0] if topic == "status" else json.loads(wanted[0])
 
-    async def says(self, topic: str, payload: object, *, retain: bool = False) -> None:
+    async def publish(self, topic: str, payload: object, *, retain: bool = False) -> None:
         await self._client.publish(f"{ROOT}/{topic}", json.dumps(payload), qos=1, retain=retain)
 
 
@@ -94,7 +94,7 @@ async def listening(port: int, **login: Any) -> AsyncIterator[Listener]:
 
 
 @contextlib.asynccontextmanager
-async def telling(daemon: FakeDaemon, **more: Any) -> AsyncIterator[Telemetry]:
+async def running_telemetry(daemon: FakeDaemon, **more: Any) -> AsyncIterator[Telemetry]:
     telemetry = Telemetry(daemon, chance=lambda: 0.5, **({"environment": {}} | more))
     task = asyncio.create_task(telemetry.run())
     try:
@@ -111,14 +111,14 @@ def port(tmp_path: Path) -> Any:
         yield number
 
 
-def test_everything_is_told_and_the_end_too(port: int) -> None:
+def test_everything_is_reported_and_the_end_too(port: int) -> None:
     daemon = FakeDaemon({"port": port})
     daemon.pose, daemon.robots = POSE, [ROBOT]
     daemon.events.add(Severity.NOTICE, "started", "the daemon has started")
 
     async def run() -> None:
         async with listening(port) as shore:
-            async with telling(daemon, folders=(Path("/"),)) as telemetry:
+            async with running_telemetry(daemon, folders=(Path("/"),)) as telemetry:
                 await shore.hears("status", b"online")
                 assert (await shore.hears("event"))["code"] == "started"
                 assert (await shore.hears("event"))["code"] == "mqtt_link"
@@ -133,7 +133,7 @@ def test_everything_is_told_and_the_end_too(port: int) -> None:
                 daemon.events.add(Severity.NOTICE, "ending", "the daemon ends")
             await shore.hears("status", b"offline")
             codes = [json.loads(one)["code"] for one in shore.heard["event"]]
-            assert codes == ["ending"]  # told before the end
+            assert codes == ["ending"]  # published before the end
         async with listening(port) as late:
             await late.hears("config/filtering.min_range")
             await until(lambda: {"status", "state", "sonar", "map", "tf"} <= set(late.kept))
@@ -147,11 +147,11 @@ def test_everything_is_told_and_the_end_too(port: int) -> None:
     asyncio.run(run())
 
 
-def test_a_cut_cable_says_offline_and_what_happened_meanwhile_is_told(port: int) -> None:
+def test_a_broken_link_is_offline_and_later_reports_missed_events(port: int) -> None:
     async def run() -> None:
         async with Cable(port) as cable, listening(port) as shore:
             daemon = FakeDaemon({"port": cable.port})
-            async with telling(daemon) as telemetry:
+            async with running_telemetry(daemon) as telemetry:
                 await shore.hears("status", b"online")
                 await until(lambda: telemetry.phase is Phase.CONNECTED)
                 cable.cut()
@@ -176,7 +176,7 @@ def test_a_jammed_cable_costs_telemetry_and_no_event(
     async def run() -> None:
         async with Cable(port) as cable, listening(port) as shore:
             daemon = FakeDaemon({"port": cable.port, "queue": 10})
-            async with telling(daemon) as telemetry:
+            async with running_telemetry(daemon) as telemetry:
                 await shore.hears("status", b"online")
                 cable.jammed = True
                 for k in range(30):
@@ -199,7 +199,7 @@ def test_a_broker_that_starts_again_has_all_that_is_kept(tmp_path: Path) -> None
     daemon = FakeDaemon({"port": port})
 
     async def run() -> None:
-        async with telling(daemon) as telemetry:
+        async with running_telemetry(daemon) as telemetry:
             await until(lambda: telemetry.counts["lost"] >= 2)  # there is no broker yet
             for _ in range(2):
                 connected = telemetry.counts["connected"]
@@ -218,17 +218,17 @@ def test_commands_are_obeyed_where_they_are_allowed(port: int) -> None:
 
     async def run() -> None:
         async with listening(port) as shore:
-            await shore.says("cmd/reset", {"id": "old"}, retain=True)
-            async with telling(daemon) as telemetry:
+            await shore.publish("cmd/reset", {"id": "old"}, retain=True)
+            async with running_telemetry(daemon) as telemetry:
                 await shore.hears("status", b"online")
-                await shore.says("cmd/save", {"id": "a", "name": "map.bt"})
+                await shore.publish("cmd/save", {"id": "a", "name": "map.bt"})
                 answer = await shore.hears("cmd/save/result")
                 assert (answer["id"], answer["ok"]) == ("a", True)
-                await shore.says("config/filtering.min_range/set", {"id": 2, "value": 1.5})
+                await shore.publish("config/filtering.min_range/set", {"id": 2, "value": 1.5})
                 answer = await shore.hears("config/filtering.min_range/result")
                 assert (answer["id"], answer["ok"], answer["value"]) == (2, True, 1.5)
                 await shore.hears("config/filtering.min_range", b"1.5")
-                await shore.says("config/octree.voxel_resolution/set", 1)
+                await shore.publish("config/octree.voxel_resolution/set", 1)
                 answer = await shore.hears("config/octree.voxel_resolution/result")
                 assert (answer["ok"], answer["reason"]) == (False, "refused")
                 counts = telemetry.status()["requests"]
@@ -242,10 +242,10 @@ def test_commands_are_not_heard_where_they_are_not_allowed(port: int) -> None:
     daemon = FakeDaemon({"port": port})
 
     async def run() -> None:
-        async with listening(port) as shore, telling(daemon) as telemetry:
+        async with listening(port) as shore, running_telemetry(daemon) as telemetry:
             await shore.hears("status", b"online")
-            await shore.says("cmd/reset", {"id": 1})
-            await shore.says("config/filtering.min_range/set", 3)
+            await shore.publish("cmd/reset", {"id": 1})
+            await shore.publish("config/filtering.min_range/set", 3)
             daemon.settings.apply({"filtering.min_range": 1.0}, "x")
             await shore.hears("config/filtering.min_range", b"1.0")
             assert telemetry.status()["requests"] == {}
@@ -259,7 +259,7 @@ def test_oversized_and_flooding_senders_do_no_harm(port: int) -> None:
     daemon = FakeDaemon({"port": port, "commands": True})
 
     async def run() -> None:
-        async with listening(port) as shore, telling(daemon) as telemetry:
+        async with listening(port) as shore, running_telemetry(daemon) as telemetry:
             await shore.hears("status", b"online")
             async with Client("127.0.0.1", port) as other:
                 await other.publish(f"{ROOT}/cmd/save", b"x" * 1_000_000, qos=1)
@@ -285,10 +285,10 @@ def test_a_password_is_asked_for_and_wrong_ones_are_a_reason(tmp_path: Path) -> 
 
     async def run() -> None:
         environment = {"CREDENTIALS_DIRECTORY": str(tmp_path)}
-        async with telling(daemon, environment=environment) as telemetry:
+        async with running_telemetry(daemon, environment=environment) as telemetry:
             await until(lambda: telemetry.counts["lost"] >= 2)
             assert "not authori" in telemetry.reason.lower()
-            secret.write_text("right\n", encoding="utf-8")  # read anew at every attempt
+            secret.write_text("right\n", encoding="utf-8")  # read again at every attempt
             await until(lambda: telemetry.counts["connected"] == 1)
 
     lines = (f"password_file {users}", "allow_anonymous false")
@@ -312,9 +312,9 @@ def test_tls_is_checked(tmp_path: Path) -> None:
     unknown = FakeDaemon({"port": port, "tls": True})
 
     async def run() -> None:
-        async with telling(trusted) as telemetry:
+        async with running_telemetry(trusted) as telemetry:
             await until(lambda: telemetry.counts["connected"] == 1)
-        async with telling(unknown) as telemetry:
+        async with running_telemetry(unknown) as telemetry:
             await until(lambda: telemetry.counts["lost"] >= 1)
             assert telemetry.counts["connected"] == 0
             assert "certificate" in telemetry.reason.lower()
@@ -328,7 +328,7 @@ def test_two_of_one_name_do_not_stop_the_listener(port: int) -> None:
     daemon = FakeDaemon({"port": port})
 
     async def run() -> None:
-        async with telling(daemon) as one:
+        async with running_telemetry(daemon) as one:
             await until(lambda: one.counts["connected"] >= 1)
             with contextlib.suppress(MqttError):
                 async with Client("127.0.0.1", port, identifier="rov-1-mapper"):

@@ -37,7 +37,7 @@ def test_pauses_grow_from_1_to_30_s_and_are_spread() -> None:
     assert sum(run[-1] for run in runs) / len(runs) > 10
 
 
-def test_pauses_begin_anew_after_a_connection_that_held() -> None:
+def test_pauses_start_again_after_a_connection_that_held() -> None:
     back_off = BackOff(lambda: 1.0)
     assert [back_off.after(0.0) for _ in range(4)] == [3.0, 9.0, 27.0, 30.0]
     assert back_off.after(5.0) == 30.0  # it flaps

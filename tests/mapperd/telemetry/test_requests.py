@@ -25,8 +25,8 @@ class Asker:
         topics = Topics.of(config.mqtt, amcl or config.amcl)
         self.requests = Requests(daemon, topics, self.outbox.put)
 
-    def ask(self, below: str, said: Any, *, retained: bool = False) -> dict[str, list[Any]]:
-        payload = said if isinstance(said, bytes) else json.dumps(said).encode()
+    def ask(self, below: str, body: Any, *, retained: bool = False) -> dict[str, list[Any]]:
+        payload = body if isinstance(body, bytes) else json.dumps(body).encode()
         self.requests.offer(f"{ROOT}/{below}", payload, retained=retained)
         return self.answers()
 
@@ -87,7 +87,7 @@ def test_a_setting_is_changed_with_and_without_an_id(daemon: FakeDaemon, asker: 
 
 
 @pytest.mark.parametrize(
-    ("below", "said", "reason", "words"),
+    ("below", "body", "reason", "words"),
     [
         (SET, -1, "refused", ">= 0"),
         (SET, "far", "refused", "number"),
@@ -117,10 +117,10 @@ def test_a_setting_is_changed_with_and_without_an_id(daemon: FakeDaemon, asker: 
     ],
 )
 def test_what_cannot_be_done_is_answered_with_a_reason(  # noqa: PLR0917 a table
-    daemon: FakeDaemon, asker: Asker, below: str, said: Any, reason: str, words: str
+    daemon: FakeDaemon, asker: Asker, below: str, body: Any, reason: str, words: str
 ) -> None:
     before = daemon.settings.current
-    ((answer,),) = asker.ask(below, said).values()
+    ((answer,),) = asker.ask(below, body).values()
     assert (answer["ok"], answer["reason"]) == (False, reason)
     assert words in answer["text"]
     assert ("reset", "mqtt") not in daemon.asked

@@ -1,4 +1,4 @@
-"""docs/telemetry.md says what is sent."""
+"""The telemetry page lists what is sent."""
 
 import re
 from pathlib import Path
