@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 
-from mapper_survey.task_times import TaskTime, in_order
+from mapper_survey.run_record import TaskTime, in_order
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ def simulate(tasks: Sequence[TaskTime], cluster: Cluster) -> Schedule:
     """Run all tasks.
 
     Raises:
-        ValueError: see `mapper_survey.task_times.in_order`.
+        ValueError: see `mapper_survey.run_record.in_order`.
     """
     return _Run(in_order(tasks), cluster).schedule()
 

@@ -1,43 +1,43 @@
 """The command `mapper-survey`: many recordings become one map."""
 
 import argparse
+import math
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from mapper_survey import export_command, report_command, scaling_command
+import msgspec
+
+from mapper_survey.arguments import add_survey_arguments, progress_lines, resolve_arguments
+from mapper_survey.cluster_simulation import Cluster
 from mapper_survey.engine import Engine, InProcess
 from mapper_survey.errors import SurveyError
+from mapper_survey.export import PRODUCTS, ExportOptions, export_survey
 from mapper_survey.folder import Folder
 from mapper_survey.memory import bytes_of
+from mapper_survey.report import REPORT, Report, report_survey
 from mapper_survey.request import Request, read_survey
-from mapper_survey.running import Options, plan_survey, run_survey
+from mapper_survey.running import DIVES, MAP, RunOptions, dive_map, plan_survey, run_survey
+from mapper_survey.scaling import WORKERS, Run, draw_scaling, read_run, record_of, scaling, tables
+from mapper_survey.surface import CELL_VOXELS, RULES
 from mapperd.errors import MapperdError
+from mapperd.export.cells import Heights
 
 __all__ = ["main"]
+
 
 FAULT, NOT_ALL, INTERRUPTED = 2, 3, 130
 """Exit codes: something to mend; a dive of which not a ping is in the map, which is made of the
 others; Ctrl-C."""
 
-FURTHER = (
-    ("export", "write grids of depths, a cloud and soundings of the map", export_command),
-    ("report", "tell what the dives cover, and how far they disagree", report_command),
-    (
-        "scaling",
-        "simulate the survey on 1 to 1000 workers, and name the bottlenecks",
-        scaling_command,
-    ),
-)
-"""Sub-commands that take what `run` has left."""
-
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; what a person can mend is one line and exit code 2."""
-    said = _parser().parse_args(argv)
+    args = _parser().parse_args(argv)
     try:
-        return int(said.does(said))
+        return int(args.does(args))
     except (SurveyError, MapperdError, OSError) as error:
         sys.stderr.write(f"mapper-survey: {error}\n")
         return FAULT
@@ -62,10 +62,10 @@ def _parser() -> argparse.ArgumentParser:
         help="make a map of each dive alone, too: the report compares them",
     )
     run.set_defaults(does=_run)
-    for name, what, command in FURTHER:
+    for name, what, add_arguments, run_command in FURTHER:
         further = does.add_parser(name, help=what, description=what)
-        command.add_arguments(further)
-        further.set_defaults(does=command.run)
+        add_arguments(further)
+        further.set_defaults(does=run_command)
     return parser
 
 
@@ -92,21 +92,21 @@ def _add_survey(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _plan(said: argparse.Namespace) -> int:
-    request = read_survey(said.survey)
-    engine = _engine(said)
+def _plan(args: argparse.Namespace) -> int:
+    request = read_survey(args.survey)
+    engine = _engine(args)
     try:
-        record = plan_survey(request, Folder(said.out), engine, sys.stderr)
+        record = plan_survey(request, Folder(args.out), engine, sys.stderr)
     finally:
         engine.close()
     return _tell(record, request)
 
 
-def _run(said: argparse.Namespace) -> int:
-    request = read_survey(said.survey)
-    folder = Folder(said.out)
-    options = Options(bytes_of(said.memory_per_worker), by_dive=said.dives)
-    engine = _engine(said)
+def _run(args: argparse.Namespace) -> int:
+    request = read_survey(args.survey)
+    folder = Folder(args.out)
+    options = RunOptions(bytes_of(args.memory_per_worker), by_dive=args.dives)
+    engine = _engine(args)
     try:
         record = run_survey(request, folder, engine, options, sys.stderr)
     finally:
@@ -115,17 +115,17 @@ def _run(said: argparse.Namespace) -> int:
     return _tell(record, request)
 
 
-def _engine(said: argparse.Namespace) -> Engine:
-    if said.workers < 0:
-        raise SurveyError(f"--workers {said.workers}: allowed: 0 or more")
-    if said.scheduler is None and said.workers == 0:
+def _engine(args: argparse.Namespace) -> Engine:
+    if args.workers < 0:
+        raise SurveyError(f"--workers {args.workers}: allowed: 0 or more")
+    if args.scheduler is None and args.workers == 0:
         return InProcess()
     # Dask takes a second to import, and is not wanted by who does all in one process.
     from mapper_survey.engine_dask import local_pool, on_scheduler  # noqa: PLC0415
 
-    if said.scheduler is not None:
-        return on_scheduler(said.scheduler)
-    return local_pool(said.workers, bytes_of(said.memory_per_worker))
+    if args.scheduler is not None:
+        return on_scheduler(args.scheduler)
+    return local_pool(args.workers, bytes_of(args.memory_per_worker))
 
 
 def _tell(record: dict[str, Any], request: Request) -> int:
@@ -143,3 +143,237 @@ def _tell(record: dict[str, Any], request: Request) -> int:
             code = NOT_ALL
             sys.stderr.write(f"mapper-survey: dive {dive.name}: not a ping of it is in the map\n")
     return code
+
+
+EXPORT_FOLDER = "exports"
+
+
+def _add_export_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the sub-command."""
+    add_survey_arguments(parser, EXPORT_FOLDER)
+    add = parser.add_argument
+    add(
+        "--products",
+        nargs="+",
+        choices=PRODUCTS,
+        help="what to write; default: `outputs` of the survey, or all that can be",
+    )
+    add("--rule", choices=RULES, default="shoalest", help="what stands for a cell of the grid")
+    add(
+        "--cell-voxels",
+        type=int,
+        choices=CELL_VOXELS,
+        default=1,
+        help="edge of a cell in voxels; default: 1",
+    )
+    add(
+        "--vertical-uncertainty",
+        type=float,
+        default=0.0,
+        metavar="M",
+        help="standard deviation of heights by navigation and tide; default: 0",
+    )
+    add(
+        "--altitude",
+        type=float,
+        metavar="M",
+        help="height of the map's zero above what depths are below; default: the survey's, or 0",
+    )
+    add("--min-z", type=float, default=-math.inf, metavar="M", help="leave out what lies lower")
+    add("--max-z", type=float, default=math.inf, metavar="M", help="leave out what lies higher")
+
+
+def _export(args: argparse.Namespace) -> int:
+    """Write the products; returns the exit code.
+
+    Raises:
+        SurveyError, MapperdError: what a person can mend.
+        OSError: the folder cannot be reached.
+    """
+    asked = resolve_arguments(args, EXPORT_FOLDER)
+    able = [name for name in PRODUCTS if name != "positions" or asked.origin is not None]
+    options = ExportOptions(
+        config=asked.config,
+        cell_voxels=args.cell_voxels,
+        rule=args.rule,
+        vertical_uncertainty_m=args.vertical_uncertainty,
+        altitude_m=asked.altitude_m if args.altitude is None else args.altitude,
+        heights=Heights(args.min_z, args.max_z),
+    )
+    with asked.folder.fetched(MAP) as path:
+        done = export_survey(
+            path,
+            asked.out,
+            args.products or asked.outputs or able,
+            asked.origin,
+            progress_lines("export"),
+            options=options,
+        )
+    for product, path in done.files.items():
+        print(f"{path}: {path.stat().st_size} bytes; coordinates: {done.crs[product]}")
+    return 0
+
+
+REPORT_FOLDER = "report"
+
+TOLERANCE_M = 0.2
+"""That of the published mapper's analyser."""
+
+
+def _add_report_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the sub-command."""
+    add_survey_arguments(parser, REPORT_FOLDER)
+    parser.add_argument(
+        "--tolerance",
+        type=float,
+        default=TOLERANCE_M,
+        metavar="M",
+        help=f"within which voxels of two dives are the same; default: {TOLERANCE_M:g}",
+    )
+
+
+def _report(args: argparse.Namespace) -> int:
+    """Write the report; returns the exit code.
+
+    Raises:
+        SurveyError, MapperdError: what a person can mend.
+        OSError: the folder cannot be reached.
+    """
+    asked = resolve_arguments(args, REPORT_FOLDER)
+    names = sorted(asked.folder.names(DIVES))
+    dives = [name.removeprefix(f"{DIVES}/")[:-3] for name in names if name.endswith(".db")]
+    if not dives:
+        raise SurveyError(
+            f"{asked.folder.url}/{DIVES}: no map of a dive: run the survey with --dives first"
+        )
+    with ExitStack() as opened:
+        report = report_survey(
+            {d: opened.enter_context(asked.folder.fetched(dive_map(d))) for d in dives},
+            opened.enter_context(asked.folder.fetched(MAP)),
+            asked.out,
+            args.tolerance,
+            progress_lines("report"),
+            origin=asked.origin,
+            config=asked.config,
+        )
+    for line in _report_lines(report):
+        print(line)
+    print(asked.out / REPORT)
+    return 0
+
+
+def _report_lines(report: Report) -> list[str]:
+    """For a person: the ground, and each pair that looked at the same asked."""
+    ground = report.coverage
+    lines = [f"{ground.merged_m2:.0f} m2 mapped, {ground.overlap_m2:.0f} m2 by two dives or more"]
+    return lines + [
+        f"{pair.a}, {pair.b}: {pair.mean_missing_share:.1%} without a partner within "
+        f"{report.tolerance_m:g} m ({pair.grade}); "
+        f"{pair.a_to_b.conflicts + pair.b_to_a.conflicts} conflicts"
+        for pair in report.pairs
+        if pair.mean_missing_share is not None
+    ]
+
+
+SCHEDULER_MS = 3.0
+"""Of CPU time. Measured were 2.4 ms for a task that does nothing, 3.6 ms for one that brings 100 kB
+(Dask 2026.8, scheduler and client in one process). Dask's documentation says 0.2 to 1 ms (Best
+Practices, "Avoid very large graphs")."""
+
+STORAGE_MB_PER_S = 1250.0
+"""Of a file server behind ten-gigabit Ethernet."""
+
+LINK_MB_PER_S = 125.0
+"""Of a worker behind gigabit Ethernet."""
+
+MEGA, MILLI = 1e6, 1e-3
+
+
+def _add_scaling_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what may be args."""
+    add = parser.add_argument
+    add(
+        "runs",
+        nargs="+",
+        type=_run_argument,
+        metavar="WORKERS=SURVEY.JSON",
+        help="records of runs that began with nothing; the one of the fewest workers is simulated",
+    )
+    add("--out", type=Path, required=True, metavar="DIR", help="of scaling.json, .png and .md")
+    add("--workers", nargs="+", type=_count, default=list(WORKERS), metavar="N", help="to simulate")
+    add("--scheduler-ms", type=float, default=SCHEDULER_MS, metavar="MS", help="of each task")
+    storage = "of the shared storage, all workers together; 0 is without a bound"
+    add("--storage-mb-per-s", type=float, default=STORAGE_MB_PER_S, metavar="MB", help=storage)
+    link = "between the storage and one worker; 0 is without a bound"
+    add("--link-mb-per-s", type=float, default=LINK_MB_PER_S, metavar="MB", help=link)
+
+
+def _scaling(args: argparse.Namespace) -> int:
+    """Simulate, write, and say what limits most."""
+    try:
+        runs = sorted((read_run(*run) for run in args.runs), key=lambda run: run.workers)
+        cluster = Cluster(
+            1,
+            args.scheduler_ms * MILLI,
+            _bytes_per_s(args.storage_mb_per_s),
+            _bytes_per_s(args.link_mb_per_s),
+        )
+        return _write_scaling(runs, cluster, sorted(set(args.workers)), args.out)
+    except (OSError, ValueError) as error:
+        sys.stderr.write(f"mapper-survey scaling: {error}\n")
+        return FAULT
+
+
+def _write_scaling(runs: list[Run], cluster: Cluster, workers: list[int], out: Path) -> int:
+    record = record_of(runs, cluster, scaling(runs[0].tasks, cluster, workers))
+    out.mkdir(parents=True, exist_ok=True)
+    text = tables(record)
+    encoded = msgspec.json.format(msgspec.json.encode(record), indent=2)
+    (out / "scaling.json").write_bytes(encoded + b"\n")
+    (out / "scaling.md").write_text(text + "\n", encoding="utf-8")
+    print(text)
+    try:
+        draw_scaling(record, out / "scaling.png")
+    except ImportError as error:
+        sys.stderr.write(f"mapper-survey scaling: no picture: {error.name} is missing\n")
+    return 0
+
+
+def _bytes_per_s(mb_per_s: float) -> float:
+    return mb_per_s * MEGA if mb_per_s else math.inf
+
+
+def _run_argument(text: str) -> tuple[int, Path]:
+    workers, equals, path = text.partition("=")
+    if not equals:
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed: WORKERS=FILE, such as 2=survey.json")
+    return _count(workers), Path(path)
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed: whole numbers from 1")
+    return int(text)
+
+
+FURTHER = (
+    (
+        "export",
+        "write grids of depths, a cloud and soundings of the map",
+        _add_export_arguments,
+        _export,
+    ),
+    (
+        "report",
+        "compare what the dives cover, and how far they disagree",
+        _add_report_arguments,
+        _report,
+    ),
+    (
+        "scaling",
+        "simulate the survey on 1 to 1000 workers, and name the bottlenecks",
+        _add_scaling_arguments,
+        _scaling,
+    ),
+)
+"""Sub-commands that use the results of `run`."""

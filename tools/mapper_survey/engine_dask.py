@@ -7,6 +7,7 @@ place when they are whole: it does no harm to do one twice, and a worker may die
 import asyncio
 import contextlib
 import logging
+import pickle
 import queue
 import signal
 import time
@@ -20,10 +21,38 @@ from distributed.scheduler import KilledWorker
 
 from mapper_survey.engine import Done
 from mapper_survey.errors import SurveyError
-from mapper_survey.same_program import done_by_worker, sent
+from mapper_survey.fingerprint import program_digest
 from mapperd.errors import MapperdError
+from mapperd.version import version
 
-__all__ = ["DaskEngine", "Pool", "local_pool", "on_scheduler"]
+__all__ = ["DaskEngine", "Pool", "Sent", "done_by_worker", "local_pool", "on_scheduler", "sent"]
+
+
+Sent = tuple[str, str, bytes]
+"""Version and digest of who sends it; function and task, unpacked only where these are alike."""
+
+
+def sent(function: Callable[[Any], Any], task: Any) -> Sent:  # noqa: ANN401 any task
+    """What a worker is given."""
+    return version(), program_digest(), pickle.dumps((function, task))
+
+
+def done_by_worker(work: Sent) -> object:
+    """Do a task, in the worker.
+
+    Raises:
+        SurveyError: the worker has another program, whose shards would not be the same to the bit.
+    """
+    their_version, their_digest, packed = work
+    mine = program_digest()
+    if mine != their_digest:
+        raise SurveyError(
+            f"a worker has mapperd {version()} (program {mine[:8]}); allowed: the one of the "
+            f"command, {their_version} (program {their_digest[:8]}), of the same package"
+        )
+    function, task = pickle.loads(packed)  # noqa: S301 from who began the workers
+    return function(task)
+
 
 RETRIES = 3
 """Of a task that failed, as when a disk or a network does not answer."""

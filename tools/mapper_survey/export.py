@@ -1,8 +1,9 @@
 """The products of a survey: a grid of depths, a cloud and soundings, in one go over the map."""
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
@@ -10,19 +11,105 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapper_survey.errors import SurveyError
-from mapper_survey.products import PRODUCTS, Options, check_products, crs_of
-from mapper_survey.surface import Surface, surface_of
-from mapper_survey.windows import StoredMap, Tiling, Window, tiling_of
+from mapper_survey.surface import CELL_VOXELS, RULES, Rule, Surface, surface_of
+from mapper_survey.windows import WINDOW_BRICKS, StoredMap, Tiling, Window, tiling_of
+from mapperd.config.tree import Config
 from mapperd.export.cells import Heights
 from mapperd.export.clouds import write_points
 from mapperd.export.geotiff import NO_DATA, Band, GridPlace, write_tiles
 from mapperd.export.las import las_cloud
-from mapperd.geometry.geodesy import Origin, utm_zone
+from mapperd.geometry.geodesy import Origin, local_projection, utm_zone
 from mapperd.io import atomic_file, make_folder
 from mapperd.mapping.sonar_map import SonarMap, Voxels
 from mapperd.store.reader import BRICK_VOXELS
 
-__all__ = ["Exported", "Progress", "export_survey", "place_of"]
+__all__ = [
+    "PRODUCTS",
+    "ExportOptions",
+    "Exported",
+    "Progress",
+    "check_products",
+    "crs_of",
+    "export_survey",
+    "grid_place",
+]
+
+
+PRODUCTS = {
+    "grid": "depth.tif",
+    "cloud": "cloud.laz",
+    "soundings": "soundings.xyz",
+    "positions": "positions.xyz",
+}
+"""Names of products, and their files."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExportOptions:
+    """How products are made.
+
+    Attributes:
+        config: its thresholds say what is occupied; None takes the defaults.
+        cell_voxels: columns of voxels along the edge of a grid's cell.
+        rule: what stands for a cell.
+        vertical_uncertainty_m: standard deviation of heights by navigation and tide.
+        altitude_m: height of the map's zero above what depths are below.
+        heights: which voxels count, in the map's z.
+        window_bricks: along the edge of what is in memory at a time.
+
+    Raises:
+        SurveyError: a number is not allowed.
+    """
+
+    config: Config | None = None
+    cell_voxels: int = 1
+    rule: Rule = "shoalest"
+    vertical_uncertainty_m: float = 0.0
+    altitude_m: float = 0.0
+    heights: Heights = field(default_factory=Heights)
+    window_bricks: int = WINDOW_BRICKS
+
+    def __post_init__(self) -> None:
+        allowed = ", ".join(map(str, CELL_VOXELS))
+        if self.cell_voxels not in CELL_VOXELS:
+            raise SurveyError(f"cell_voxels: {self.cell_voxels} is not allowed; allowed: {allowed}")
+        if self.rule not in RULES:
+            raise SurveyError(f"rule: {self.rule!r} is none; allowed: {', '.join(RULES)}")
+        if not (math.isfinite(self.altitude_m) and 0 <= self.vertical_uncertainty_m < math.inf):
+            raise SurveyError(
+                "altitude_m must be a number, and vertical_uncertainty_m one from 0 on"
+            )
+
+
+def check_products(products: Sequence[str], *, known: bool) -> None:
+    """Refuse what cannot be made.
+
+    Args:
+        products: by their names.
+        known: whether somebody said where on Earth the map is.
+
+    Raises:
+        SurveyError: no such product, or one that needs an origin.
+    """
+    unknown = [product for product in products if product not in PRODUCTS]
+    if unknown or not products:
+        asked = ", ".join(unknown) or "nothing"
+        raise SurveyError(f"no such product: {asked}; allowed: {', '.join(PRODUCTS)}")
+    if "positions" in products and not known:
+        raise SurveyError("positions need an origin: say where on Earth the map's zero lies")
+
+
+def crs_of(product: str, origin: Origin | None) -> str:
+    """The system of coordinates that a product's file is in, for a person."""
+    if origin is None:
+        return "none: nobody said where on Earth the map is"
+    if product == "grid":
+        return local_projection(origin).name
+    if product == "positions":
+        return "WGS 84, EPSG:4326, longitude first"
+    zone = utm_zone(origin)
+    return f"{zone.name}, EPSG:{zone.epsg}"
+
 
 DEPTH_DIGITS, METRE_DIGITS, DEGREE_DIGITS = 3, 3, 9
 """After the point: a billionth of a degree is 0.1 mm."""
@@ -55,7 +142,7 @@ def export_survey(
     origin: Origin | None = None,
     progress: Progress = lambda _done, _all: None,
     *,
-    options: Options | None = None,
+    options: ExportOptions | None = None,
 ) -> Exported:
     """Write products of a map, each whole or not at all; one window of it is in memory at a time.
 
@@ -74,7 +161,7 @@ def export_survey(
     """
     check_products(products, known=origin is not None)
     files = {product: out_dir / PRODUCTS[product] for product in products}
-    with StoredMap(store_path, (options or Options()).config) as stored:
+    with StoredMap(store_path, (options or ExportOptions()).config) as stored:
         if not len(stored.keys):
             raise SurveyError(f"{store_path}: the map is empty: there is nothing to export")
         make_folder(out_dir)
@@ -82,7 +169,7 @@ def export_survey(
             open_files = {
                 product: opening.enter_context(atomic_file(path)) for product, path in files.items()
             }
-            written = _Export(stored, open_files, origin, progress, options or Options())
+            written = _Export(stored, open_files, origin, progress, options or ExportOptions())
             written.write()
             if not written.cells:
                 raise SurveyError(f"{store_path}: no voxel of it is occupied: nothing to export")
@@ -103,7 +190,7 @@ class _Export:
         files: dict[str, BinaryIO],
         origin: Origin | None,
         progress: Progress,
-        options: Options,
+        options: ExportOptions,
     ) -> None:
         self._stored = stored
         self._files = files
@@ -126,7 +213,9 @@ class _Export:
                 )
             tiles = self._tiles()
             if grid := self._files.get("grid"):
-                place = place_of(self._tiling, self._stored.resolution_m, self._options.cell_voxels)
+                place = grid_place(
+                    self._tiling, self._stored.resolution_m, self._options.cell_voxels
+                )
                 edge = self._tiling.edge // self._options.cell_voxels
                 write_tiles(grid, tiles, place, self._bands(), self._origin, edge=edge)
             for _ in tiles:
@@ -211,7 +300,7 @@ def _box_of(stored: StoredMap) -> Floats:
     return np.stack([stored.keys.min(axis=0), stored.keys.max(axis=0) + 1]) * edge_m
 
 
-def place_of(tiling: Tiling, resolution_m: float, cell_voxels: int) -> GridPlace:
+def grid_place(tiling: Tiling, resolution_m: float, cell_voxels: int) -> GridPlace:
     """Where the grid of a tiling lies."""
     across = tiling.edge // cell_voxels
     return GridPlace(

@@ -4,19 +4,70 @@ Files come into it whole or not at all: they are written elsewhere, then put.
 """
 
 import contextlib
+import fcntl
+import hashlib
 import os
 import shutil
+import socket
 import tempfile
+import time
+import uuid
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO, cast
+from typing import BinaryIO, TypeVar, cast
 
 import fsspec
+import msgspec
 
 from mapper_survey.errors import SurveyError
-from mapper_survey.scratch import scratch
 
-__all__ = ["Folder"]
+__all__ = ["LOCK", "Folder", "crc_of", "held", "mark", "marked", "scratch", "this_system"]
+
+
+def this_system() -> str:
+    """Name of this machine since its last start, and within a container."""
+    started = Path("/proc/sys/kernel/random/boot_id").read_text("ascii").strip()
+    return f"{started} {Path('/proc/self/ns/pid').readlink()}"
+
+
+PREFIX = ".mapper-survey-scratch."
+"""Nobody calls a folder of their own so; what follows is this machine, since its last start: others
+may share the folder of all these, and do not see its locks."""
+
+YOUNG_S = 60.0
+"""Since a folder was changed: it may be between being made and being locked."""
+
+
+@contextlib.contextmanager
+def scratch() -> Iterator[Path]:
+    """A folder of its own in the one that `TMPDIR` names; what the killed have left there goes."""
+    base = Path(tempfile.gettempdir())
+    machine = hashlib.blake2b(this_system().encode(), digest_size=8).hexdigest()
+    prefix = f"{PREFIX}{machine}."
+    _sweep(base, prefix)
+    with tempfile.TemporaryDirectory(prefix=prefix, dir=base) as temporary:
+        handle = os.open(temporary, os.O_RDONLY)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX)
+            yield Path(temporary)
+        finally:
+            os.close(handle)
+
+
+def _sweep(base: Path, prefix: str) -> None:
+    """Remove folders whose owner is gone: a lock ends with the process that has it."""
+    for path in base.glob(f"{prefix}*"):
+        with contextlib.suppress(OSError):  # somebody else's, or removed meanwhile
+            if path.stat().st_mtime > time.time() - YOUNG_S:
+                continue
+            handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(path)
+            finally:
+                os.close(handle)
+
 
 WORK = ".work"
 
@@ -147,3 +198,98 @@ def _sync(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+PIECE = 1 << 20
+"""Bytes of a file in memory at a time."""
+
+T = TypeVar("T", bound=msgspec.Struct)
+
+
+def mark(folder: Folder, name: str, told: msgspec.Struct) -> None:
+    """Say that a result is there."""
+    folder.write(name, msgspec.json.format(msgspec.json.encode(told), indent=2))
+
+
+def marked(folder: Folder, name: str, kind: type[T]) -> T | None:
+    """What was said of a result; None where nothing was, or nothing of this version."""
+    data = folder.read(name)
+    if data is None:
+        return None
+    try:
+        return msgspec.json.decode(data, type=kind)
+    except msgspec.DecodeError:
+        return None
+
+
+def crc_of(file: BinaryIO) -> int:
+    """CRC-32 of the rest of a file."""
+    crc = 0
+    while piece := file.read(PIECE):
+        crc = zlib.crc32(piece, crc)
+    return crc
+
+
+LOCK = "lock.json"
+
+
+class Holder(msgspec.Struct, frozen=True):
+    """A process that works in a folder.
+
+    Attributes:
+        host: name of its machine, for a person.
+        system: which run of which system counts its process ids.
+        pid: of it.
+        token: its own, among all.
+    """
+
+    host: str
+    system: str
+    pid: int
+    token: str
+
+
+@contextlib.contextmanager
+def held(folder: Folder) -> Iterator[None]:
+    """Say that this process works there, as long as it does.
+
+    Two that begin at the same moment may not see each other.
+
+    Raises:
+        SurveyError: another one does, or was killed and cannot say that it does not.
+    """
+    _refuse_another(folder)
+    me = Holder(socket.gethostname(), this_system(), os.getpid(), uuid.uuid4().hex)
+    folder.write(LOCK, msgspec.json.encode(me))
+    if _holder(folder) != me:
+        _refuse_another(folder)
+    try:
+        yield
+    finally:
+        if _holder(folder) == me:
+            folder.remove(LOCK)
+
+
+def _refuse_another(folder: Folder) -> None:
+    holder = _holder(folder)
+    if holder is None or _is_gone(holder):
+        return
+    raise SurveyError(
+        f"{folder.url}: another mapper-survey is at work, process {holder.pid} of {holder.host}; "
+        f"allowed: wait for it, or, if it was killed, remove {folder.url.rstrip('/')}/{LOCK}"
+    )
+
+
+def _holder(folder: Folder) -> Holder | None:
+    data = folder.read(LOCK)
+    if data is None:
+        return None
+    try:
+        return msgspec.json.decode(data, type=Holder)
+    except msgspec.DecodeError:
+        return Holder("an unknown machine", "", 0, "")
+
+
+def _is_gone(holder: Holder) -> bool:
+    """Known only of processes that are counted where this one is."""
+    return holder.system == this_system() and not Path(f"/proc/{holder.pid}").exists()

@@ -7,10 +7,8 @@ from collections.abc import Callable, Generator, Sequence
 from msgspec import Struct
 
 from mapper_survey.errors import SurveyError
-from mapper_survey.folder import Folder
-from mapper_survey.marks import crc_of
-from mapper_survey.scratch import scratch
-from mapper_survey.tile_stage import shard_mark
+from mapper_survey.folder import Folder, crc_of, scratch
+from mapper_survey.tiles import shard_mark
 from mapperd.config.tree import Config
 from mapperd.errors import StoreError
 from mapperd.store.maintenance import write_whole

@@ -1,16 +1,24 @@
-"""Planning one dive: its recording goes the ordinary way, but into a spool instead of a map."""
+"""Planning the dives: a recording goes the ordinary way, but into a spool instead of a map.
 
+Each dive is planned once: what did not change stays as it is.
+"""
+
+import io
 import time
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
+import numpy as np
 from msgspec import Struct
 
+from mapper_survey.engine import Engine
 from mapper_survey.errors import SurveyError
-from mapper_survey.folder import Folder
-from mapper_survey.frame import Frame
-from mapper_survey.request import Transform
-from mapper_survey.spool import RowFile, SpoolMap
+from mapper_survey.fingerprint import digest_of, facts_of, known_map_facts, program_digest
+from mapper_survey.folder import Folder, mark, marked
+from mapper_survey.request import Dive, Request, Transform
+from mapper_survey.spool import Frame, RowFile, Rows, SpoolMap
 from mapperd.config.tree import Config
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.decoder import PosedPing
@@ -18,7 +26,18 @@ from mapperd.session.recordings import RecordedSession, files_in, sessions_of
 from mapperd.session.replay import Window, as_asked
 from oculus_driver.errors import RecordingError
 
-__all__ = ["DivePlan", "Lost", "PlanTask", "index_name", "mark_name", "plan_dive", "spool_name"]
+__all__ = [
+    "DivePlan",
+    "Lost",
+    "PlanTask",
+    "index_name",
+    "mark_name",
+    "plan_all",
+    "plan_dive",
+    "rows_of",
+    "spool_name",
+]
+
 
 PIECE_BYTES = 1 << 20
 
@@ -228,3 +247,54 @@ def _spool(
             bytes_rejected=rejected,
         )
     ]
+
+
+Show = Callable[[float, int], None]
+
+
+def plan_all(request: Request, folder: Folder, engine: Engine, show: Show) -> list[DivePlan]:
+    """Plan what has to be; returns the plans of all dives, in the survey's order.
+
+    Raises:
+        SurveyError: a task cannot be done.
+    """
+    tasks = [_task(request, dive, folder) for dive in request.survey.dives]
+    there = folder.sizes("plan")
+    plans: dict[str, DivePlan] = {}
+    for task in tasks:
+        kept = _kept(folder, task, there)
+        if kept is None:
+            engine.submit(plan_dive, task)
+        else:
+            plans[task.name] = kept
+    for task, plan in engine.done():
+        mark(folder, mark_name(task), plan)
+        plans[task.name] = plan
+        show(len(plans) / len(tasks), sum(each.pings for each in plans.values()))
+    return [plans[task.name] for task in tasks]
+
+
+def rows_of(folder: Folder, plan: DivePlan) -> Rows:
+    """The index of a dive's spool."""
+    data = folder.read(index_name(plan))
+    assert data is not None  # noqa: S101 it was there, or has just been made
+    rows: Rows = np.load(io.BytesIO(data))
+    return rows
+
+
+def _task(request: Request, dive: Dive, folder: Folder) -> PlanTask:
+    config, recording = request.config_of(dive), request.path_of(dive)
+    at = dive.localization
+    known = "" if at is None else known_map_facts(request.folder / at)
+    fingerprint = digest_of(
+        program_digest(), facts_of(recording), config, msgspec.json.encode(dive.transform), known
+    )
+    return PlanTask(dive.name, str(recording), config, dive.transform, folder.url, fingerprint)
+
+
+def _kept(folder: Folder, task: PlanTask, there: dict[str, int]) -> DivePlan | None:
+    plan = marked(folder, mark_name(task), DivePlan) if mark_name(task) in there else None
+    if plan is None or there.get(spool_name(task)) != plan.spool_bytes:
+        return None
+    index = folder.read(index_name(task))
+    return plan if index is not None and zlib.crc32(index) == plan.index_crc else None

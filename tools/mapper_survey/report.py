@@ -2,28 +2,394 @@
 
 import itertools
 import json
+import math
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from mapper_survey.coverage import BANDS, Coverage, Pictures, cover
+from mapper_survey.coverage import BANDS, Coverage, Pictures, Raster, cover
 from mapper_survey.difference import Comparison, Way, cubes_of, differences
 from mapper_survey.errors import SurveyError
-from mapper_survey.export import Progress, place_of
-from mapper_survey.raster import Raster
-from mapper_survey.report_pictures import draw_pictures
-from mapper_survey.report_record import Report, report_of
+from mapper_survey.export import Progress, grid_place
 from mapper_survey.tally import Tally
 from mapper_survey.windows import WINDOW_BRICKS, StoredMap, Tiling, tiling_of
 from mapperd.config.tree import Config
+from mapperd.errors import ExportError
 from mapperd.export.geotiff import write_tiles
+from mapperd.export.picture import can_draw
 from mapperd.geometry.geodesy import Origin
 from mapperd.io import atomic_file, make_folder
 
-__all__ = ["DIFFERENCE", "REPORT", "report_survey"]
+__all__ = [
+    "COVERAGE",
+    "DIFFERENCE",
+    "DISAGREEMENT",
+    "DISTANCES",
+    "MISSING",
+    "OVERLAP",
+    "REPORT",
+    "VERSION",
+    "DiveRecord",
+    "PairRecord",
+    "Report",
+    "WayRecord",
+    "draw_pictures",
+    "report_of",
+    "report_survey",
+]
+
+
+VERSION = 1
+
+EXCELLENT, MODERATE = 0.1, 0.3
+"""Grades of the published mapper's analyser, by the share of voxels without a partner."""
+
+
+class DiveRecord(msgspec.Struct, frozen=True):
+    """Ground of one dive."""
+
+    name: str
+    observed_m2: float
+    mapped_m2: float
+    alone_m2: float
+
+
+class WayRecord(msgspec.Struct, frozen=True):
+    """From one dive's occupied voxels to the other's."""
+
+    voxels: int
+    common: int
+    only: int
+    only_share: float | None
+    compared: int
+    missing: int
+    missing_share: float | None
+    called_free: int
+    conflicts: int
+    farther: int
+    median_m: float | None
+    p95_m: float | None
+
+
+class HeightRecord(msgspec.Struct, frozen=True):
+    """Differences of surfaces where several dives have one."""
+
+    cells: int
+    median_m: float | None
+    p95_m: float | None
+
+
+class PairRecord(msgspec.Struct, frozen=True):
+    """Two dives."""
+
+    a: str
+    b: str
+    a_to_b: WayRecord
+    b_to_a: WayRecord
+    dz: HeightRecord
+    mean_only_share: float | None
+    published_grade: str | None
+    mean_missing_share: float | None
+    grade: str | None
+
+
+class CoverageRecord(msgspec.Struct, frozen=True):
+    """Ground of all dives."""
+
+    mapped_m2: float
+    overlap_m2: float
+    merged_m2: float
+    by_dives_m2: dict[str, float]
+
+
+class Report(msgspec.Struct, frozen=True):
+    """The whole document."""
+
+    version: int
+    resolution_m: float
+    tolerance_m: float
+    reach_m: float
+    occupied_threshold: float
+    free_threshold: float
+    coverage: CoverageRecord
+    spread: HeightRecord
+    dives: list[DiveRecord]
+    pairs: list[PairRecord]
+
+
+def report_of(
+    comparison: Comparison,
+    coverage: Coverage,
+    ways: Mapping[tuple[str, str], Way],
+    *,
+    tolerance_m: float,
+    thresholds: tuple[float, float],
+) -> Report:
+    """Put together what was counted."""
+    edge_m = comparison.resolution_m
+    cell_m2 = edge_m**2
+    return Report(
+        VERSION,
+        edge_m,
+        tolerance_m,
+        comparison.reach * edge_m,
+        *thresholds,
+        CoverageRecord(
+            len(coverage.by_dives) * cell_m2,
+            (len(coverage.by_dives) - coverage.by_dives.up_to(1)) * cell_m2,
+            coverage.merged * cell_m2,
+            {str(dives): cells * cell_m2 for dives, cells in coverage.by_dives},
+        ),
+        _heights(coverage.spread, coverage.spread, edge_m),
+        [
+            DiveRecord(
+                name,
+                coverage.observed[name] * cell_m2,
+                coverage.mapped[name] * cell_m2,
+                coverage.alone[name] * cell_m2,
+            )
+            for name in coverage.mapped
+        ],
+        [_pair(a, b, ways, tally, comparison) for (a, b), tally in coverage.dz.items()],
+    )
+
+
+def _pair(
+    a: str, b: str, ways: Mapping[tuple[str, str], Way], dz: Tally, comparison: Comparison
+) -> PairRecord:
+    there, back = (_way(ways[pair], comparison) for pair in ((a, b), (b, a)))
+    only, missing = (
+        _mean(getattr(there, share), getattr(back, share))
+        for share in ("only_share", "missing_share")
+    )
+    apart = Tally()
+    for number, count in dz:
+        apart.add_one(abs(number), count)
+    heights = _heights(dz, apart, comparison.resolution_m)
+    return PairRecord(a, b, there, back, heights, only, _grade(only), missing, _grade(missing))
+
+
+def _way(way: Way, comparison: Comparison) -> WayRecord:
+    missing, only = way.compared - way.common, way.voxels - way.common
+    return WayRecord(
+        way.voxels,
+        way.common,
+        only,
+        only / way.voxels if way.voxels else None,
+        way.compared,
+        missing,
+        missing / way.compared if way.compared else None,
+        way.called_free,
+        way.conflicts,
+        len(way.squares) - way.squares.up_to(comparison.reach**2),
+        _distance(way.squares.quantile(0.5), comparison),
+        _distance(way.squares.quantile(0.95), comparison),
+    )
+
+
+def _distance(square: int | None, comparison: Comparison) -> float | None:
+    """In metres; None where nobody knows more than that it is beyond the reach."""
+    if square is None or square > comparison.reach**2:
+        return None
+    return math.sqrt(square) * comparison.resolution_m
+
+
+def _heights(middle: Tally, high: Tally, edge_m: float) -> HeightRecord:
+    median, p95 = middle.quantile(0.5), high.quantile(0.95)
+    return HeightRecord(
+        len(middle),
+        None if median is None else median * edge_m,
+        None if p95 is None else p95 * edge_m,
+    )
+
+
+def _mean(a: float | None, b: float | None) -> float | None:
+    """Of both ways, or the one that there is."""
+    there = [share for share in (a, b) if share is not None]
+    return sum(there) / len(there) if there else None
+
+
+def _grade(share: float | None) -> str | None:
+    if share is None:
+        return None
+    return "excellent" if share < EXCELLENT else "moderate" if share < MODERATE else "poor"
+
+
+COVERAGE, OVERLAP = "coverage.png", "overlap.png"
+DISAGREEMENT, DISTANCES = "disagreement.png", "distances.png"
+
+MISSING = "no pictures: matplotlib cannot be imported (pip install 'mapperd[survey]')"
+
+DPI = 110
+PAPER, INK, LOOKED = "#ffffff", "#1b2733", "#d9e0e6"
+MOST_LINES = 6
+"""Pairs that are drawn for themselves; of more, the worst."""
+
+Floats = NDArray[np.float64]
+
+
+def draw_pictures(
+    out_dir: Path,
+    report: Report,
+    pictures: Pictures,
+    raster: Raster,
+    ways: Mapping[tuple[str, str], Way],
+) -> None:
+    """Write all four PNGs.
+
+    Raises:
+        ExportError: matplotlib is not there, or a file cannot be written.
+    """
+    if not can_draw():
+        raise ExportError(MISSING)
+    for name, figure in (
+        (COVERAGE, _coverage(report, pictures, raster)),
+        (OVERLAP, _overlap(report, pictures, raster)),
+        (DISAGREEMENT, _disagreement(report, pictures, raster)),
+        (DISTANCES, _distances(report, ways)),
+    ):
+        with atomic_file(out_dir / name) as file:
+            figure.savefig(file, format="png", dpi=DPI)
+
+
+def _coverage(report: Report, pictures: Pictures, raster: Raster) -> Any:  # noqa: ANN401 untyped
+    covered = report.coverage
+    figure, (axes,) = _maps(
+        f"{covered.merged_m2:,.0f} m² mapped by {len(report.dives)} dives; "
+        "grey: looked at, no surface",
+        pictures,
+        raster,
+    )
+    _put(axes, np.where(pictures.observed > 0, 0.0, np.nan), pictures, raster, cmap=_plain(LOOKED))
+    heights = np.where(np.isfinite(pictures.z_m), pictures.z_m, np.nan)
+    known = heights[np.isfinite(heights)]
+    low, high = (
+        np.percentile(known, [1, 99]) if len(known) else (0.0, 1.0)
+    )  # relief, not what sticks up
+    image = _put(axes, heights, pictures, raster, cmap="viridis", vmin=low, vmax=high)
+    bar = {"ax": axes, "label": "highest surface z [m]", "shrink": 0.8, "extend": "both"}
+    figure.colorbar(image, **bar)
+    return figure
+
+
+def _overlap(report: Report, pictures: Pictures, raster: Raster) -> Any:  # noqa: ANN401
+    covered = report.coverage
+    share = covered.overlap_m2 / covered.mapped_m2
+    figure, (axes,) = _maps(
+        f"{covered.overlap_m2:,.0f} m² seen by two or more dives, {share:.0%} of what is mapped",
+        pictures,
+        raster,
+    )
+    most = max(int(dives) for dives in covered.by_dives_m2)
+    from matplotlib import colormaps  # noqa: PLC0415 an extra
+    from matplotlib.colors import BoundaryNorm  # noqa: PLC0415
+
+    colours = colormaps["plasma"].resampled(max(most, 2))
+    norm = BoundaryNorm(np.arange(0.5, max(most, 2) + 1), colours.N)
+    dives = np.where(pictures.dives > 0, pictures.dives, np.nan)
+    image = _put(axes, dives, pictures, raster, cmap=colours, norm=norm)
+    ticks = np.unique(np.linspace(1, max(most, 2), min(max(most, 2), 10)).astype(int))
+    figure.colorbar(image, ax=axes, label="dives with a surface", shrink=0.8, ticks=ticks)
+    return figure
+
+
+def _disagreement(report: Report, pictures: Pictures, raster: Raster) -> Any:  # noqa: ANN401
+    figure, (left, right) = _maps(
+        f"disagreement where several dives looked; tolerance {report.tolerance_m:g} m",
+        pictures,
+        raster,
+        number=2,
+    )
+    spread = np.where(np.isfinite(pictures.spread_m), pictures.spread_m, np.nan)
+    high = max(5 * report.tolerance_m, report.resolution_m)
+    image = _put(left, spread, pictures, raster, cmap="magma_r", vmin=0.0, vmax=high)
+    left.set_title("highest less lowest surface, the most in a pixel", fontsize=10, loc="left")
+    bar = {"ax": left, "label": "spread [m]", "shrink": 0.8, "extend": "max"}
+    figure.colorbar(image, **bar)
+    with np.errstate(invalid="ignore"):
+        missing = pictures.missing / np.where(pictures.compared > 0, pictures.compared, np.nan)
+    image = _put(right, missing, pictures, raster, cmap="magma_r", vmin=0.0, vmax=1.0)
+    right.set_title("voxels that the other dive has not", fontsize=10, loc="left")
+    figure.colorbar(image, ax=right, label="share", shrink=0.8)
+    return figure
+
+
+def _distances(report: Report, ways: Mapping[tuple[str, str], Way]) -> Any:  # noqa: ANN401
+    figure = _figure(10.0, 5.0)
+    figure.suptitle("from each dive's voxels to the nearest of the other", color=INK, fontsize=12)
+    axes = figure.subplots()
+    pairs = [pair for pair in report.pairs if pair.a_to_b.compared or pair.b_to_a.compared]
+    pairs.sort(key=lambda pair: pair.mean_missing_share or 0.0, reverse=True)
+    for number, pair in enumerate(pairs[:MOST_LINES]):
+        for (a, b), style in (((pair.a, pair.b), "-"), ((pair.b, pair.a), "--")):
+            way = ways[a, b]
+            if way.compared:
+                steps = np.array(list(way.squares), dtype=np.float64)
+                x_m, y = np.sqrt(steps[:, 0]) * report.resolution_m, np.cumsum(steps[:, 1])
+                label = f"{a} to {b}: {way.common / way.compared:.1%}"
+                axes.step(x_m, y / y[-1], style, where="post", color=f"C{number}", label=label)
+    axes.axvline(report.tolerance_m, color=INK, linewidth=1, linestyle=":")
+    axes.set(xlim=(0, report.reach_m), ylim=(0, 1.02), xlabel="distance [m]")
+    axes.set_ylabel("share of compared voxels within it")
+    axes.grid(alpha=0.25)
+    if pairs:
+        chosen = f"; the worst {MOST_LINES} of {len(pairs)} pairs"
+        title = f"within {report.tolerance_m:g} m" + chosen * (len(pairs) > MOST_LINES)
+        axes.legend(title=title, fontsize=8, loc="lower right")
+    else:
+        axes.text(0.5, 0.5, "no two dives looked at the same place", ha="center", color=INK)
+    return figure
+
+
+def _maps(
+    title: str, pictures: Pictures, raster: Raster, *, number: int = 1
+) -> tuple[Any, list[Any]]:
+    """A figure with some maps beside each other, or above where they are wide."""
+    left, right, bottom, top = _shown(pictures, raster)
+    ratio = float(np.clip((top - bottom) / (right - left), 0.3, 1.6))
+    wide = ratio < 1
+    width, height = 9.0, 6.9 * ratio + 1.2  # the rest is the scale's, and the title's
+    size = (width, height * number) if wide else (width * number, height)
+    figure = _figure(*size)
+    figure.suptitle(title, color=INK, fontsize=12)
+    grid = figure.subplots(number, 1) if wide else figure.subplots(1, number)
+    maps = list(np.atleast_1d(grid))
+    for axes in maps:
+        axes.set(xlabel="x east [m]", ylabel="y north [m]", facecolor=PAPER, aspect="equal")
+    return figure, maps
+
+
+def _shown(pictures: Pictures, raster: Raster) -> tuple[float, float, float, float]:
+    return raster.shown_m((pictures.observed > 0) | (pictures.dives > 0))
+
+
+def _figure(width_in: float, height_in: float) -> Any:  # noqa: ANN401
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 an extra
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    figure = Figure(figsize=(width_in, height_in), facecolor=PAPER, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _put(axes: Any, picture: Floats, pictures: Pictures, raster: Raster, **how: Any) -> Any:  # noqa: ANN401
+    shown = _shown(pictures, raster)
+    left, right, bottom, top = raster.extent_m
+    image = axes.imshow(picture, extent=(left, right, bottom, top), interpolation="nearest", **how)
+    axes.set(xlim=shown[:2], ylim=shown[2:])
+    return image
+
+
+def _plain(colour: str) -> Any:  # noqa: ANN401
+    from matplotlib.colors import ListedColormap  # noqa: PLC0415 an extra
+
+    return ListedColormap([colour])
+
 
 REPORT, DIFFERENCE = "report.json", "difference.tif"
 
@@ -93,7 +459,7 @@ class _Comparing:
     def write(self, out_dir: Path, origin: Origin | None) -> Report:
         """Count everything, then write it."""
         tell = self._teller()
-        place = place_of(self._tiling, self._comparison.resolution_m, 1)
+        place = grid_place(self._tiling, self._comparison.resolution_m, 1)
         with atomic_file(out_dir / DIFFERENCE) as file:
             tiles = cover(
                 self._stores,

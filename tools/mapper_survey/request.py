@@ -12,7 +12,7 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from mapper_survey.errors import SurveyError
-from mapper_survey.products import check_products
+from mapper_survey.export import check_products
 from mapperd.config.catalog import parameters
 from mapperd.config.changes import with_values
 from mapperd.config.layers import load_files

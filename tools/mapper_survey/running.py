@@ -12,17 +12,13 @@ import msgspec
 from mapper_survey.engine import Engine
 from mapper_survey.errors import SurveyError
 from mapper_survey.fingerprint import digest_of
-from mapper_survey.folder import Folder
-from mapper_survey.lock_file import held
-from mapper_survey.marks import crc_of, mark, marked
+from mapper_survey.folder import Folder, crc_of, held, mark, marked
 from mapper_survey.memory import edge_for, edge_within, voxel_bytes_of
 from mapper_survey.merging import MergeResult, MergeTask, merge_shards
-from mapper_survey.plan_stage import plan_all, rows_of
-from mapper_survey.planning import DivePlan, index_name, mark_name, spool_name
+from mapper_survey.planning import DivePlan, index_name, mark_name, plan_all, rows_of, spool_name
 from mapper_survey.request import Request
 from mapper_survey.run_record import map_times, plan_times, recorded_s, told
-from mapper_survey.tile_stage import Scope, TileStage, shard_mark
-from mapper_survey.tile_task import TileResult
+from mapper_survey.tiles import Scope, TileResult, TileStage, shard_mark
 from mapperd.cli.progress import ProgressBar
 from mapperd.version import version
 
@@ -30,7 +26,7 @@ __all__ = [
     "DIVES",
     "MAP",
     "RECORD",
-    "Options",
+    "RunOptions",
     "dive_map",
     "plan_survey",
     "run_survey",
@@ -44,7 +40,7 @@ DIVES = "dives"
 RECORD = "survey.json"
 
 
-class Options(msgspec.Struct, frozen=True):
+class RunOptions(msgspec.Struct, frozen=True):
     """How a survey is run.
 
     Attributes:
@@ -91,7 +87,7 @@ def plan_survey(request: Request, folder: Folder, engine: Engine, out: TextIO) -
 
 
 def run_survey(
-    request: Request, folder: Folder, engine: Engine, options: Options, out: TextIO
+    request: Request, folder: Folder, engine: Engine, options: RunOptions, out: TextIO
 ) -> dict[str, Any]:
     """Make the map of all dives; returns what `survey.json` says.
 

@@ -116,7 +116,7 @@ NOT_MEASURED: dict[str, tuple[str, ...]] = {
     ),
     "hands on what other sources made": (
         "cpp/map/src/ping_box.cpp",
-        "tools/mapper_survey/records.py",
+        "tools/mapper_survey/spool.py",
         *_in(
             SIMULATOR,
             "product.py simulator.py products/arrays.py products/cells.py products/cloud.py "

@@ -21,7 +21,7 @@ import msgspec
 from mapper_survey import command
 from mapper_survey.memory import bytes_of
 from mapper_survey.request import read_survey
-from mapper_survey.task_times import TaskTime, read_task_times
+from mapper_survey.run_record import TaskTime, read_task_times
 
 from survey_study.make_dives import PLANS, damage, make
 from survey_study.runs import Watched, watch

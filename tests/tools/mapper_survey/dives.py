@@ -10,7 +10,7 @@ import numpy as np
 from mapper_survey.engine import InProcess
 from mapper_survey.folder import Folder
 from mapper_survey.request import read_survey
-from mapper_survey.running import Options, run_survey
+from mapper_survey.running import RunOptions, run_survey
 
 from mapperd.odometry.native import NativeRecord, encode_native
 from oculus_driver.encode import encode_ping
@@ -124,7 +124,7 @@ class Silent:
 
 def run_here(survey: Path, out: Path, *, by_dive: bool = False) -> dict[str, Any]:
     """The survey in this process."""
-    options = Options(MEMORY, by_dive=by_dive)
+    options = RunOptions(MEMORY, by_dive=by_dive)
     return run_survey(read_survey(survey), Folder(str(out)), InProcess(), options, Silent())  # type: ignore[arg-type]
 
 

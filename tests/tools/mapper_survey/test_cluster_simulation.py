@@ -6,7 +6,7 @@ from math import inf
 import numpy as np
 import pytest
 from mapper_survey.cluster_simulation import Cluster, simulate
-from mapper_survey.task_times import Kind, TaskTime
+from mapper_survey.run_record import Kind, TaskTime
 
 
 def task(

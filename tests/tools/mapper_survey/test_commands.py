@@ -9,9 +9,9 @@ import msgspec
 import numpy as np
 import pytest
 import rasterio
+from mapper_survey.arguments import _origin, progress_lines
 from mapper_survey.command import main
 from mapper_survey.errors import SurveyError
-from mapper_survey.place_arguments import _origin, shown
 from mapper_survey.request import read_survey
 
 from mapperd.config.changes import with_values
@@ -184,7 +184,7 @@ def test_one_rule_for_an_origin(text: str, allowed: bool, tmp_path: Path) -> Non
 
 def test_progress_says_the_time_that_is_left(capsys: pytest.CaptureFixture[str]) -> None:
     times = iter([0.0, 1.0, 10.0, 11.0])
-    show = shown("export", lambda: next(times))
+    show = progress_lines("export", lambda: next(times))
     for done in (1, 5, 6):
         show(done, 20)
     assert capsys.readouterr().err == "export: 25 %, 30 s left\n"

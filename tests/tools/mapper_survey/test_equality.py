@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mapper_survey.order import ordinals_of
 from mapper_survey.request import read_survey
 from mapper_survey.spool import NO_TIME, ROW
+from mapper_survey.tiles import ordinals_of
 
 from mapperd.config.tree import Config
 from mapperd.geometry.motion import PingMotion

@@ -10,8 +10,7 @@ import pyproj
 import pytest
 import rasterio
 from mapper_survey.errors import SurveyError
-from mapper_survey.export import Exported, export_survey
-from mapper_survey.products import Options
+from mapper_survey.export import Exported, ExportOptions, export_survey
 from mapper_survey.windows import StoredMap
 from numpy.typing import NDArray
 
@@ -40,7 +39,7 @@ def stored(bottom: SonarMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def export(
     stored: Path, out: Path, *products: str, origin: Origin | None = None, **how: Any
 ) -> Exported:
-    return export_survey(stored, out, products, origin, options=Options(**how))
+    return export_survey(stored, out, products, origin, options=ExportOptions(**how))
 
 
 def expected_cells(voxels: Voxels, edge: int, rule: str) -> dict[tuple[int, int], list[float]]:
@@ -183,7 +182,7 @@ def test_memory_holds_one_window(
         ["grid", "cloud"],
         None,
         lambda *at: told.append(at),
-        options=Options(window_bricks=1),
+        options=ExportOptions(window_bricks=1),
     )
     assert sum(sizes) == bottom.core.block_count
     assert max(sizes) < bottom.core.block_count / 8
@@ -241,4 +240,4 @@ def test_wrong_wishes_are_named(
 )
 def test_wrong_options_are_named(how: dict[str, Any], said: str) -> None:
     with pytest.raises(SurveyError, match=said):
-        Options(**how)
+        ExportOptions(**how)

@@ -14,7 +14,7 @@ from mapper_survey.engine import InProcess
 from mapper_survey.errors import SurveyError
 from mapper_survey.folder import Folder
 from mapper_survey.request import read_survey
-from mapper_survey.running import Options, run_survey
+from mapper_survey.running import RunOptions, run_survey
 
 from tests.tools.mapper_survey.dives import (
     MEMORY,
@@ -171,7 +171,7 @@ def test_whatever_changes_makes_another_map(tmp_path: Path, what: str) -> None:
     assert rows_in(tmp_path / "out/map.db") == rows_in(tmp_path / "fresh/map.db") != before
 
 
-@pytest.mark.parametrize("stage", ["plan_stage", "running"])
+@pytest.mark.parametrize("stage", ["planning", "running"])
 def test_what_a_stop_leaves_is_not_taken_for_what_was_there(
     whole: tuple[Path, list[tuple[Any, ...]]], tmp_path: Path, stage: str
 ) -> None:
@@ -189,7 +189,7 @@ def test_what_a_stop_leaves_is_not_taken_for_what_was_there(
                 with pytest.raises(KeyboardInterrupt):
                     run_here(mine, tmp_path / "out")
                 shutil.rmtree(tmp_path / "out/shards")
-                if stage == "plan_stage":  # what it leaves is seen in a map that is made again
+                if stage == "planning":  # what it leaves is seen in a map that is made again
                     (tmp_path / "out/map.db").unlink()
             else:
                 run_here(mine, tmp_path / "out")
@@ -260,7 +260,7 @@ def test_the_folder_may_lie_elsewhere(tmp_path: Path) -> None:
     elsewhere = Folder("memory://a-survey")
     request = read_survey(survey)
     for _ in range(2):
-        run_survey(request, elsewhere, InProcess(), Options(MEMORY), Silent())  # type: ignore[arg-type]
+        run_survey(request, elsewhere, InProcess(), RunOptions(MEMORY), Silent())  # type: ignore[arg-type]
     (tmp_path / "fetched.db").write_bytes(elsewhere.read("map.db") or b"")
     assert rows_in(tmp_path / "fetched.db") == rows_in(tmp_path / "out/map.db")
     with pytest.raises(SurveyError, match="cannot be reached"):

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from mapper_survey.engine import InProcess
 from mapper_survey.folder import Folder
-from mapper_survey.plan_stage import plan_all
+from mapper_survey.planning import plan_all
 from mapper_survey.request import read_survey
 
 from mapperd.mapping.sonar_map import SonarMap

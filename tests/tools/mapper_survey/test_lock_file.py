@@ -10,11 +10,9 @@ import pytest
 from mapper_survey.command import main
 from mapper_survey.engine import InProcess
 from mapper_survey.errors import SurveyError
-from mapper_survey.folder import Folder
-from mapper_survey.lock_file import LOCK, Holder, held
+from mapper_survey.folder import LOCK, Folder, Holder, held, this_system
 from mapper_survey.request import read_survey
-from mapper_survey.running import Options, run_survey
-from mapper_survey.this_system import this_system
+from mapper_survey.running import RunOptions, run_survey
 
 from tests.tools.mapper_survey.dives import MEMORY, Silent, write_survey
 
@@ -55,7 +53,7 @@ def test_an_error_leaves_no_lock(elsewhere: Folder, tmp_path: Path) -> None:
             read_survey(survey),
             elsewhere,
             InProcess(),
-            Options(MEMORY),
+            RunOptions(MEMORY),
             Silent(),  # type: ignore[arg-type]
         )
     assert not elsewhere.has(LOCK)

@@ -11,7 +11,7 @@ from mapper_survey.command import main
 from mapper_survey.engine import InProcess
 from mapper_survey.folder import Folder
 from mapper_survey.request import read_survey
-from mapper_survey.running import Options, run_survey
+from mapper_survey.running import RunOptions, run_survey
 
 from tests.tools.mapper_survey.dives import MEMORY, rows_in, run_here, write_dive, write_survey
 
@@ -35,7 +35,7 @@ def test_the_merge_says_how_far_it_is(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr("mapperd.cli.progress.TTY_PERIOD_S", 0.0)
     survey, out = write_survey(tmp_path, tile_size_m=12.8), Terminal()
     folder = Folder(str(tmp_path / "out"))
-    record = run_survey(read_survey(survey), folder, InProcess(), Options(MEMORY), out)
+    record = run_survey(read_survey(survey), folder, InProcess(), RunOptions(MEMORY), out)
     tiles = record["maps"][0]["tiles"]
     shown = re.findall(r"([\d.]+) %  (\d+) shards  [\d.]+ shards/s", out.getvalue())
     expected = [(f"{100 * n / tiles:.1f}", str(n)) for n in range(1, tiles + 1)]

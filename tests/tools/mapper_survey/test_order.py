@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mapper_survey.order import BLOCKS, PLACE, Tile, children_of, ordinals_of, tiles_of
 from mapper_survey.spool import NO_BOX, ROW, Rows
+from mapper_survey.tiles import BLOCKS, PLACE, Tile, children_of, ordinals_of, tiles_of
 
 
 def random_rows(seed: int, count: int) -> Rows:

@@ -5,10 +5,11 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from mapper_survey import report_pictures
-from mapper_survey.products import PRODUCTS
-from mapper_survey.report import DIFFERENCE, REPORT
-from mapper_survey.report_record import (
+from mapper_survey import report
+from mapper_survey.export import PRODUCTS
+from mapper_survey.report import (
+    DIFFERENCE,
+    REPORT,
     VERSION,
     CoverageRecord,
     DiveRecord,
@@ -32,8 +33,8 @@ def test_every_field_of_the_report_is_told(record: type[msgspec.Struct]) -> None
 
 
 def test_every_file_is_told() -> None:
-    pictures = [getattr(report_pictures, name) for name in ("COVERAGE", "OVERLAP", "DISAGREEMENT")]
-    for name in (*PRODUCTS.values(), *pictures, report_pictures.DISTANCES, REPORT, DIFFERENCE):
+    pictures = [getattr(report, name) for name in ("COVERAGE", "OVERLAP", "DISAGREEMENT")]
+    for name in (*PRODUCTS.values(), *pictures, report.DISTANCES, REPORT, DIFFERENCE):
         assert f"`{name}`" in PAGE
     assert f"`{MAP}`" in PAGE
     assert f"of this layout: {VERSION}" in PAGE

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from mapper_survey.raster import MOST_PIXELS, Raster
+from mapper_survey.coverage import MOST_PIXELS, Raster
 from mapper_survey.windows import Tiling
 
 

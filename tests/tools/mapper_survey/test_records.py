@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from mapper_survey.records import RecordReader, RecordWriter
+from mapper_survey.spool import RecordReader, RecordWriter
 
 from mapperd.config.tree import Config
 from mapperd.errors import MapperdError

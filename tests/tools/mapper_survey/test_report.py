@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 import rasterio
 from mapper_survey.errors import SurveyError
-from mapper_survey.report import report_survey
-from mapper_survey.report_record import Report
+from mapper_survey.report import Report, report_survey
 from mapper_survey.windows import StoredMap
 from numpy.typing import NDArray
 from PIL import Image

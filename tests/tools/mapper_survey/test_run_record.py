@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mapper_survey.cluster_simulation import Cluster, simulate
-from mapper_survey.run_record import PAUSE_S, recorded_s
+from mapper_survey.run_record import PAUSE_S, TaskTime, read_task_times, recorded_s
 from mapper_survey.scaling import LIMITS, scaling
 from mapper_survey.spool import NO_TIME, ROW, Rows
-from mapper_survey.task_times import TaskTime, read_task_times
 
 from tests.tools.mapper_survey.dives import SECOND, START_NS, run_here, write_dive, write_survey
 

@@ -2,8 +2,8 @@
 
 import pytest
 from mapper_survey.cluster_simulation import Cluster, simulate
+from mapper_survey.run_record import Kind, TaskTime
 from mapper_survey.scaling import LIMITS, scaling, without
-from mapper_survey.task_times import Kind, TaskTime
 
 
 def survey(

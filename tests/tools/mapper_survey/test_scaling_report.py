@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 from mapper_survey.command import main
-from mapper_survey.task_times import TaskTime
+from mapper_survey.run_record import TaskTime
 
 
 def survey_json(path: Path, wall_s: float, slower: float = 1.0) -> Path:

@@ -13,8 +13,7 @@ from typing import Any
 from urllib.parse import unquote
 
 import pytest
-from mapper_survey.folder import Folder
-from mapper_survey.scratch import PREFIX, YOUNG_S, scratch
+from mapper_survey.folder import PREFIX, YOUNG_S, Folder, scratch
 
 from tests.tools.mapper_survey.dives import rows_in, run_here, write_survey
 
@@ -23,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[3]
 KILLED = """
 import os, signal, sys
 sys.path.insert(0, sys.argv[1])
-from mapper_survey.scratch import scratch
+from mapper_survey.folder import scratch
 with scratch() as work:
     (work / "shard.db").write_bytes(b"1")
     print(work, flush=True)

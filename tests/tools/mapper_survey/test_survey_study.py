@@ -12,7 +12,7 @@ import psutil
 import pytest
 from mapper_survey.engine import Done, InProcess
 from mapper_survey.request import read_survey
-from mapper_survey.task_times import TaskTime
+from mapper_survey.run_record import TaskTime
 from survey_study.run import Judged, Single, kill_every_s, main, verdicts_of
 from survey_study.runs import Watched, peak_bytes, watch
 from survey_study.scheduler_time import SchedulerTime, time_of

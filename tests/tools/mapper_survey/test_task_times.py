@@ -2,7 +2,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from mapper_survey.task_times import Kind, TaskTime, in_order, read_task_times
+from mapper_survey.run_record import Kind, TaskTime, in_order, read_task_times
 
 
 def task(name: str, *after: str, cpu_s: float = 1.0, kind: Kind = "tile") -> TaskTime:

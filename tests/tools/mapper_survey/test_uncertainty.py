@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
-from mapper_survey.export import export_survey
-from mapper_survey.products import Options
+from mapper_survey.export import ExportOptions, export_survey
 from mapper_survey.surface import RULES, Rule
 
 from mapperd.geometry.frames import pose_from_rpy
@@ -51,7 +50,7 @@ class Judge:
         """Errors by uncertainties; 1 is what standard deviations promise."""
         squares_m2 = np.zeros(2)
         for floor_m in FLOORS_M:
-            options = Options(CONFIG, rule=rule, vertical_uncertainty_m=given_m)
+            options = ExportOptions(CONFIG, rule=rule, vertical_uncertainty_m=given_m)
             path = self._folder / f"{floor_m}.db"
             done = export_survey(path, self._folder, ["grid"], options=options)
             with rasterio.open(done.files["grid"]) as grid:

@@ -16,12 +16,18 @@ from distributed import Status
 from distributed.client import FutureCancelledError
 from mapper_survey import engine_dask
 from mapper_survey.engine import Done
-from mapper_survey.engine_dask import DaskEngine, Pool, local_pool, on_scheduler
+from mapper_survey.engine_dask import (
+    DaskEngine,
+    Pool,
+    done_by_worker,
+    local_pool,
+    on_scheduler,
+    sent,
+)
 from mapper_survey.errors import SurveyError
 from mapper_survey.folder import Folder
 from mapper_survey.request import read_survey
-from mapper_survey.running import Options, run_survey
-from mapper_survey.same_program import done_by_worker, sent
+from mapper_survey.running import RunOptions, run_survey
 
 from mapperd.errors import StoreError
 from tests.tools.mapper_survey.dives import MEMORY, Silent, rows_in, run_here, write_survey
@@ -117,7 +123,7 @@ def test_killed_workers_change_nothing(
 ) -> None:
     monkeypatch.setattr(engine_dask, "LOOK_S", 0.2)
     survey = write_survey(tmp_path, tile_size_m=12.8)
-    request, options = read_survey(survey), Options(MEMORY)
+    request, options = read_survey(survey), RunOptions(MEMORY)
     run_here(survey, tmp_path / "here")
     with first_worker_killed() as killed:
         engine = local_pool(2, MEMORY)
@@ -144,7 +150,7 @@ def test_killed_workers_change_nothing(
         with pytest.raises(SurveyError, match="ZeroDivisionError: ; the same command goes on"):
             list(theirs.done())
         with monkeypatch.context() as patch:
-            patch.setattr("mapper_survey.same_program.program_digest", lambda: "another")
+            patch.setattr("mapper_survey.engine_dask.program_digest", lambda: "another")
             theirs.submit(hears_interrupts, 1)
         with pytest.raises(SurveyError, match=r"a worker has mapperd .* \(program another\)"):
             list(theirs.done())

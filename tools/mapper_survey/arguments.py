@@ -1,4 +1,4 @@
-"""Arguments that exporting and reporting share: the survey's folder, where it lies, settings."""
+"""Arguments that exporting and reporting share, completed from the record of the run."""
 
 import argparse
 import contextlib
@@ -10,29 +10,72 @@ from pathlib import Path
 
 import msgspec
 
-from mapper_survey import request
 from mapper_survey.errors import SurveyError
 from mapper_survey.export import Progress
-from mapper_survey.finished import told_in
 from mapper_survey.folder import Folder
-from mapper_survey.running import MAP
+from mapper_survey.request import Origin as SurveyOrigin
+from mapper_survey.running import MAP, RECORD, was_begun
 from mapperd.config.loader import load_config
 from mapperd.config.tree import Config
 from mapperd.geometry.geodesy import Origin
 
-__all__ = ["Place", "add_place", "place_of", "shown"]
+__all__ = [
+    "SurveyArguments",
+    "SurveyRecord",
+    "add_survey_arguments",
+    "progress_lines",
+    "read_record",
+    "resolve_arguments",
+]
+
+
+class SurveyRecord(msgspec.Struct, frozen=True):
+    """The part of `survey.json` that exports and the report go by.
+
+    Attributes:
+        origin: the survey's zero on Earth; None where nobody args.
+        settings: that the map was made by; None where there is no record.
+        outputs: products that the survey asks for; none are all that can be made.
+    """
+
+    origin: SurveyOrigin | None = None
+    settings: Config | None = None
+    outputs: list[str] = []
+
+
+def read_record(folder: Folder) -> SurveyRecord:
+    """What the record says; nothing where maps were put together without one.
+
+    Raises:
+        SurveyError: it is no such record, or a run has not come to its end.
+    """
+    data = folder.read(RECORD)
+    if data is None:
+        if was_begun(folder):
+            raise SurveyError(
+                f"{folder.url}: no {RECORD} in it: its run has not come to its end; "
+                "the same mapper-survey run goes on"
+            )
+        return SurveyRecord()
+    try:
+        return msgspec.json.decode(data, type=SurveyRecord)
+    except msgspec.DecodeError as error:
+        raise SurveyError(
+            f"{folder.url}/{RECORD}: no record of a survey ({error}): run the survey again"
+        ) from error
+
 
 PERIOD_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """What is asked for, with what the survey itself says where nothing was said.
+class SurveyArguments:
+    """What is asked for, with what the survey itself says where nothing was args.
 
     Attributes:
         folder: the survey's.
         out: of what is written.
-        origin: where on Earth the map's zero lies; None where nobody said.
+        origin: where on Earth the map's zero lies; None where nobody args.
         altitude_m: of that zero, as the survey says; 0 where it does not.
         config: whose thresholds say what is occupied.
         outputs: products that the survey asks for; none are all that can be made.
@@ -46,7 +89,7 @@ class Place:
     outputs: list[str]
 
 
-def add_place(parser: argparse.ArgumentParser, part: str) -> None:
+def add_survey_arguments(parser: argparse.ArgumentParser, part: str) -> None:
     """Add the survey's folder, `--out`, `--origin` and `--config`; `part` of the folder is out."""
     parser.add_argument(
         "survey", metavar="FOLDER", help="that the survey was run into: a path, or an fsspec URL"
@@ -68,35 +111,35 @@ def add_place(parser: argparse.ArgumentParser, part: str) -> None:
     )
 
 
-def place_of(said: argparse.Namespace, part: str) -> Place:
+def resolve_arguments(args: argparse.Namespace, part: str) -> SurveyArguments:
     """What the arguments mean, together with the survey's record.
 
     Raises:
         SurveyError: no survey was run there, its record is damaged, or nothing can be written.
         ConfigError: the settings are not allowed, or cannot be read.
     """
-    folder = Folder(said.survey)
+    folder = Folder(args.survey)
     if not folder.has(MAP):
         raise SurveyError(f"{folder.url}: no {MAP} in it: run the survey first")
-    told = told_in(folder)
-    out = said.out or (folder.local and folder.local / part)
+    record = read_record(folder)
+    out = args.out or (folder.local and folder.local / part)
     if out is None:
         raise SurveyError(
             f"{folder.url}: lies elsewhere; allowed: --out DIR, a folder of this disk"
         )
-    zero = told.origin
+    zero = record.origin
     known = None if zero is None else Origin.of_degrees(zero.latitude, zero.longitude)
-    return Place(
+    return SurveyArguments(
         folder=folder,
         out=out,
-        origin=said.origin or known,
+        origin=args.origin or known,
         altitude_m=0.0 if zero is None else zero.altitude,
-        config=told.settings if said.config is None else load_config(said.config),
-        outputs=told.outputs,
+        config=record.settings if args.config is None else load_config(args.config),
+        outputs=record.outputs,
     )
 
 
-def shown(what: str, clock: Callable[[], float] = time.monotonic) -> Progress:
+def progress_lines(what: str, clock: Callable[[], float] = time.monotonic) -> Progress:
     """Progress as a line every few seconds, with the time left."""
     began_s = shown_s = clock()
 
@@ -115,9 +158,9 @@ def shown(what: str, clock: Callable[[], float] = time.monotonic) -> Progress:
 def _origin(text: str) -> Origin:
     try:
         latitude, longitude = (float(part) for part in text.split(","))
-        told = {"latitude": latitude, "longitude": longitude}
-        said = msgspec.convert(told, request.Origin)  # as in survey.yaml, by the same limits
+        values = {"latitude": latitude, "longitude": longitude}
+        origin = msgspec.convert(values, SurveyOrigin)  # as in survey.yaml, by the same limits
     except ValueError as error:
         expected = "latitude,longitude in degrees were expected"
         raise argparse.ArgumentTypeError(f"{text!r}: {expected}: {error}") from error
-    return Origin.of_degrees(said.latitude, said.longitude)
+    return Origin.of_degrees(origin.latitude, origin.longitude)
