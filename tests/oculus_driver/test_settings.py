@@ -137,7 +137,7 @@ def test_32_bit_need_version_2() -> None:
     assert settings.needs_version_2
     with pytest.raises(SettingsError, match="version 2"):
         settings.encode(version=1)
-    with pytest.raises(SettingsError, match="no fire message of version 3"):
+    with pytest.raises(SettingsError, match=r"version 3"):
         FireSettings().encode(version=3)
 
 
@@ -160,7 +160,7 @@ def test_no_model_is_refused_for_its_part_number() -> None:
 
 
 def test_a_mode_that_the_model_has_not_is_refused() -> None:
-    with pytest.raises(SettingsError, match="M370s has no mode 2: use mode 1"):
+    with pytest.raises(SettingsError, match=r"M370s .*mode 2.*mode 1"):
         FireSettings(mode=Mode.HIGH_FREQUENCY).limited_to(model_of(M370S))
 
 

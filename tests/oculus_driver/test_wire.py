@@ -166,7 +166,7 @@ def test_version_0_has_the_layout_of_version_1() -> None:
 def test_a_wrong_offset_is_found_when_the_layout_is_made() -> None:
     with pytest.raises(ProtocolError, match="declared at 5, is 4"):
         Layout("odd", 8, (Field("a", 0, U32), Field("b", 5, U32)))
-    with pytest.raises(ProtocolError, match="declared with 9 bytes, has 8"):
+    with pytest.raises(ProtocolError, match=r"\b9 bytes.*\b8\b"):
         Layout("odd", 9, (Field("a", 0, U32), Field("b", 4, U32)))
     with pytest.raises(ProtocolError, match="twice"):
         Layout("odd", 8, (Field("a", 0, U32), Field("a", 4, U32)))

@@ -42,7 +42,7 @@ def test_a_link_that_is_well_has_six_good_layers() -> None:
     layers = judge_link(evidence())
     assert [layer.name for layer in layers] == list(LAYERS)
     assert {layer.verdict for layer in layers} == {"ok"}
-    assert layers[-1].text == "position, attitude come from here, and poses can be had"
+    assert "position, attitude" in layers[-1].text
 
 
 SILENT = status(LinkPhase.SILENT, 0)

@@ -146,5 +146,5 @@ def test_other_changes_are_refused_with_their_reason(
 def test_mapper_without_a_handler_is_refused_at_once() -> None:
     node = ParameterNode(ConfigStore(Layered()))
     ParameterManager.declare_all(node, MAPPER_PARAMS)
-    with pytest.raises(ConfigError, match=r"min_range: the mapper has no update_min_range"):
+    with pytest.raises(ConfigError, match=r"min_range: .*update_min_range"):
         ParameterManager.create_callback(node, FILTERING, object())

@@ -150,7 +150,7 @@ def test_rule_that_never_settles_is_refused() -> None:
 def test_min_ratio_stays_below_max_ratio() -> None:
     assert Adaptive().min_ratio == 0.25
     assert Adaptive(min_ratio=0.3)
-    with pytest.raises(ValueError, match=r"min_ratio 0\.4 is above max_ratio 0\.3"):
+    with pytest.raises(ValueError, match=r"min_ratio 0\.4 .*max_ratio 0\.3"):
         Adaptive(min_ratio=0.4)
     with pytest.raises(ValueError, match="above max_ratio"):
         Adaptive(max_ratio=0.2)

@@ -63,9 +63,7 @@ def test_a_name_of_udev_is_looked_up_each_time(
 def test_settings_refuse_wrong_links_and_owners() -> None:
     with pytest.raises(ValueError, match="is no link"):
         OdometrySource(link="nowhere")
-    with pytest.raises(
-        ValueError, match=r"owners\.depth 'bar30' is no source; allowed: odometry, none"
-    ):
+    with pytest.raises(ValueError, match=r"owners\.depth 'bar30' .*odometry, none"):
         OdometryFusion(owners=Owners(depth="bar30"))
     with pytest.raises(ValueError, match="share a name"):
         OdometryFusion(sources=(OdometrySource(), OdometrySource()))

@@ -41,7 +41,7 @@ def test_values_are_read(text: str, resolution: float, tmp_path: Path) -> None:
 def test_floor_of_the_scale_is_read_and_bounded() -> None:
     assert config_from_text("adaptive: {min_ratio: 0}").adaptive.min_ratio == 0
     assert config_from_text("adaptive: {min_ratio: 0.1}").adaptive.min_ratio == 0.1
-    with pytest.raises(ConfigError, match=r"\$\.adaptive: min_ratio 0\.25 is above max_ratio 0\.1"):
+    with pytest.raises(ConfigError, match=r"\$\.adaptive: min_ratio 0\.25 .*max_ratio 0\.1"):
         config_from_text("adaptive: {max_ratio: 0.1}")
 
 

@@ -56,7 +56,7 @@ def test_files_that_became_wrong_leave_the_settings_as_they_are(tmp_path: Path) 
     path.write_text("filtering: {min_range: -1}", encoding="utf-8")
     result = asyncio.run(daemon.reload("test"))
     (line,) = texts(daemon)
-    assert line.startswith(f"settings stay as they are: {path}: $.filtering.min_range: -1 is not")
+    assert f"{path}: $.filtering.min_range: -1 " in line
     assert daemon.settings.current is before
     assert list(result["refused"]) == ["$.filtering.min_range"]
 

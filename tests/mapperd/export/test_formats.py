@@ -59,7 +59,7 @@ def test_map_comes_back_without_loss(large_map: SonarMap, saved: Saved) -> None:
 
 @pytest.mark.parametrize("name", ["harbour", "harbour.PLY", "harbour.png", ".ply"])
 def test_unknown_suffix_is_refused(sonar_map: SonarMap, tmp_path: Path, name: str) -> None:
-    with pytest.raises(ExportError, match=r"no format has such a name; known: \.bt \.ot"):
+    with pytest.raises(ExportError, match=r"\.bt \.ot"):
         write_map(sonar_map, tmp_path / name)
 
 

@@ -271,7 +271,7 @@ def test_a_full_disk_is_one_clear_error_and_leaves_whole_chunks(
         await until(lambda: recording.ended)
 
     monkeypatch.setattr(mcap_recorder, "ChunkFile", Full)
-    with pytest.raises(ExportError, match=r"a\.mcap: cannot be written: No space left"):
+    with pytest.raises(ExportError, match=r"a\.mcap: .*No space left"):
         recorded(path, told)
     assert path.read_bytes() == good[0]
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from unittest.mock import ANY
+
 import msgspec
 import numpy as np
 import pytest
@@ -56,7 +58,7 @@ def test_without_configuration_the_first_to_say_it_owns_it(circle: Circle) -> No
     feed(fusion, "one", 20, 1, lambda t: {"map_q_base": circle.quaternion(t)})
     feed(fusion, "two", 20, 1, lambda t: {"position_m": circle.position_m(t)})
     assert fusion.take("three", record(position_m=np.zeros(3)), T0 + 2 * S) == Reject(
-        "other_source", "'three' ('') owns nothing of what it says"
+        "other_source", ANY
     )
     assert fused_at(fusion, 0.5).pose.position_m == pytest.approx(circle.position_m(0.5), abs=1e-3)
     assert fusion.rejects == {"three": {"other_source": 1}}
@@ -115,9 +117,7 @@ def test_a_lost_bottom_lock_breaks_the_way(circle: Circle) -> None:
     feed(fusion, "ekf", 10, 1, lambda t: {"position_m": circle.position_m(t)})
     feed(fusion, "dvl", 10, 2, lambda _: {"velocity_mps": body_velocity(circle)})
     lost = record(valid=False)
-    assert fusion.take("dvl", lost, T0 + round(2.1 * S)) == Reject(
-        "no_lock", "the source says that its velocity is not valid"
-    )
+    assert fusion.take("dvl", lost, T0 + round(2.1 * S)) == Reject("no_lock", ANY)
     feed(fusion, "dvl", 10, 5, lambda _: {"velocity_mps": body_velocity(circle)}, start_s=2.2)
     assert isinstance(fusion.at(T0 + round(1.9 * S)), FusedPose)
     assert reason_at(fusion, 4.0) == "after_odometry"

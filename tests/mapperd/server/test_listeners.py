@@ -85,7 +85,7 @@ def test_what_is_no_socket_is_left_alone(short: Path, kind: str) -> None:
         path.mkdir()
     else:
         path.symlink_to("/etc/passwd")
-    with pytest.raises(LiveError, match="something is there that is no socket"):
+    with pytest.raises(LiveError, match="socket"):
         open_unix_listener(path, 0o600)
     assert path.is_symlink() == (kind == "link")
     assert sorted(one.name for one in short.iterdir()) == [".sock.lock", "sock"]

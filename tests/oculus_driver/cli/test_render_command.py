@@ -68,4 +68,5 @@ def test_what_cannot_be_is_one_line(oculus: Oculus, tmp_path: Path, words: tuple
 
 def test_a_failure_is_json_too(oculus: Oculus, tmp_path: Path) -> None:
     (facts,) = oculus("render", tmp_path / "no.raw", tmp_path / "o", "--json").facts
-    assert facts == {"error": f"{tmp_path / 'no.raw'}: no such file; check the name"}
+    assert facts.keys() == {"error"}
+    assert facts["error"].startswith(f"{tmp_path / 'no.raw'}: ")

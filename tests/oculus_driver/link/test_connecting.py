@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import pytest
@@ -62,7 +63,7 @@ def test_an_attempt_that_gets_no_answer_ends_with_advice(start: MakeBench) -> No
     bench.wait(3.0)
     assert bench.state is LinkState.BACKING_OFF
     assert bench.disconnects == [bench.reason]
-    assert "192.168.2.3:52100 did not answer within 3 s: check" in bench.reason
+    assert re.search(r"192\.168\.2\.3:52100 .*\b3 s\b", bench.reason)
 
 
 def test_without_an_address_a_status_is_waited_for(start: MakeBench) -> None:
@@ -101,7 +102,8 @@ def test_a_sonar_that_moved_is_followed(pinging: MakeBench) -> None:
     assert bench.connects == [HERE]  # pings still come: nothing is wrong
     bench.wait(2.2)
     assert bench.connects == [HERE, THERE]
-    assert bench.disconnects == ["the sonar moved from 192.168.2.3 to 192.168.2.4"]
+    (reason,) = bench.disconnects
+    assert re.search(r"192\.168\.2\.3 .*192\.168\.2\.4$", reason)
 
 
 @pytest.mark.parametrize("state", ["connecting", "configuring", "standby", "silent", "backing off"])

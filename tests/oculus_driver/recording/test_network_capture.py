@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import tracemalloc
 from typing import TYPE_CHECKING
@@ -111,7 +112,7 @@ def test_a_packet_that_was_not_captured_costs_its_ping_only(tmp_path: Path, wire
     del wire.frames[200]  # inside the second ping
     info = described(tmp_path / "c", pcap(wire.frames))
     assert [ping.id for ping in info.ping_list] == [415323, 415325]
-    assert info.damage == "1448 bytes of link 'sonar' were not captured"
+    assert re.match(r"1448 bytes .*'sonar'", info.damage or "")
     assert (info.faults, info.lost_pings) == (1, 1)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
 from typing import TYPE_CHECKING
@@ -169,7 +170,7 @@ def test_an_item_larger_than_any_message_is_a_gap(tmp_path: Path, make_ping: Mak
     data = log_header() + log_item(bytes(17 << 20)) + log_item(make_ping())
     chunks, recording = read(tmp_path / "log", data)
     assert [(chunk.data, chunk.gap_before) for chunk in chunks] == [(make_ping(), True)]
-    assert recording.damage == "damaged at byte 88: an item larger than any message"
+    assert re.search(r"\bbyte 88\b", recording.damage or "")
 
 
 @pytest.mark.parametrize("cut", [4, 30, 48, 60, 88, 100, 1000])

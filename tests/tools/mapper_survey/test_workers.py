@@ -147,17 +147,17 @@ def test_killed_workers_change_nothing(
         with pytest.raises(StoreError, match=r"a\.db: is damaged"):
             list(theirs.done())
         theirs.submit(faulty, 1)
-        with pytest.raises(SurveyError, match="ZeroDivisionError: ; the same command goes on"):
+        with pytest.raises(SurveyError, match="ZeroDivisionError"):
             list(theirs.done())
         with monkeypatch.context() as patch:
             patch.setattr("mapper_survey.engine_dask.program_digest", lambda: "another")
             theirs.submit(hears_interrupts, 1)
-        with pytest.raises(SurveyError, match=r"a worker has mapperd .* \(program another\)"):
+        with pytest.raises(SurveyError, match=r"worker .*mapperd .*\(program another\)"):
             list(theirs.done())
         cluster_of(engine).scale(0)
         monkeypatch.setattr(engine_dask, "ALONE_S", 0.5)
         theirs.submit(time.sleep, 1000)
-        with pytest.raises(SurveyError, match=r"no worker for 0\.5 s; allowed: "):
+        with pytest.raises(SurveyError, match=r"\b0\.5 s"):
             list(theirs.done())
         theirs.close()
     finally:
@@ -171,7 +171,7 @@ def test_killed_workers_change_nothing(
 def test_a_worker_of_another_program_refuses_before_it_unpacks_anything() -> None:
     their_version, digest, packed = sent(str, 3)
     assert done_by_worker((their_version, digest, packed)) == "3"
-    with pytest.raises(SurveyError, match=r"^a worker has mapperd .*; allowed: the one of"):
+    with pytest.raises(SurveyError, match=r"worker .*mapperd .*9\.9"):
         done_by_worker(("9.9", "f" * 24, b"no pickle of mine"))
 
 
@@ -183,7 +183,7 @@ class Lost:
 
 
 def test_a_lost_scheduler_is_told_in_one_line() -> None:
-    with pytest.raises(SurveyError, match=r"connection-lost.*; the same command goes on"):
+    with pytest.raises(SurveyError, match="connection-lost"):
         engine_dask._result_of(Lost())
 
 
@@ -218,7 +218,7 @@ def test_workers_that_always_die_end_the_run() -> None:
     pool = Pool(cluster, 2)
     for _ in range(engine_dask.MOST_BEGUN - 1):
         pool.fill_up(anew=False)
-    with pytest.raises(SurveyError, match="20 of them; allowed: --workers 0"):
+    with pytest.raises(SurveyError, match=r"\b20 .*--workers 0"):
         pool.fill_up(anew=False)
     pool.fill_up(anew=True)
 
