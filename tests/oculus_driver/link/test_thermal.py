@@ -55,7 +55,7 @@ def test_a_limit_counts_for_pings_and_statuses(ping_at: Callable[[float], Ping])
     guard.ping(ping_at(34.9))
     assert guard.reason is None
     guard.ping(ping_at(35.0))
-    assert re.match(r"35\.0 °C, .*\b35\b", guard.reason)
+    assert re.match(r"35\.0 °C, .*\b35\b", guard.reason or "")
     guard.status(status(32.1))
     assert guard.reason is not None
     guard.status(status(32.0))
