@@ -27,7 +27,7 @@ def json_schema() -> dict[str, Any]:
                 node = schema["$defs"][section.__name__]
                 field = inner.name.rpartition(".")[2]
                 node["properties"][field] |= _marks(unit=inner.unit, dynamic=inner.dynamic)
-    _add_other_names(schema["$defs"]["Amcl"]["properties"])
+    _add_other_names(schema["$defs"]["AmclConfig"]["properties"])
     return schema
 
 

@@ -14,24 +14,32 @@ import msgspec
 import numpy as np
 
 from mapperd.config.catalog import rule_text
-from mapperd.config.tree import Adaptive, Config, Crosstalk, Filtering, Iwlo, Octree, Sonar
-from mapperd.config.tree import Mapping as MappingSection
+from mapperd.config.tree import (
+    AdaptiveConfig,
+    Config,
+    CrosstalkConfig,
+    FilteringConfig,
+    IwloConfig,
+    MappingConfig,
+    OctreeConfig,
+    SonarConfig,
+)
 from mapperd.errors import ConfigError
 
 __all__ = ["config_from_flat"]
 
 _SECTIONS: dict[str, type[msgspec.Struct]] = {
-    "sonar": Sonar,
-    "filtering": Filtering,
-    "octree": Octree,
-    "mapping": MappingSection,
-    "iwlo": Iwlo,
-    "adaptive": Adaptive,
-    "crosstalk": Crosstalk,
+    "sonar": SonarConfig,
+    "filtering": FilteringConfig,
+    "octree": OctreeConfig,
+    "mapping": MappingConfig,
+    "iwlo": IwloConfig,
+    "adaptive": AdaptiveConfig,
+    "crosstalk": CrosstalkConfig,
 }
 
 _OWN_KEYS = {("crosstalk", "enabled"): "crosstalk_enabled"} | {
-    ("adaptive", field): f"adaptive_{field}" for field in Adaptive.__struct_fields__
+    ("adaptive", field): f"adaptive_{field}" for field in AdaptiveConfig.__struct_fields__
 }
 """Keys that are not the field's name."""
 

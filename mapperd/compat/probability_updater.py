@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapperd import _core
-from mapperd.config.tree import Adaptive
+from mapperd.config.tree import AdaptiveConfig
 from mapperd.mapping.probability import flags_of, log_odds_of, numbers_of, points_of
 from mapperd.mapping.queries import EVEN, MapQueries, MemoryStats, memory_stats, voxels_above
 
@@ -75,7 +75,7 @@ class ProbabilityUpdater:
             self._change(
                 adaptive_threshold=threshold,
                 adaptive_max_ratio=max_ratio,
-                adaptive_min_ratio=min(Adaptive().min_ratio, max_ratio)
+                adaptive_min_ratio=min(AdaptiveConfig().min_ratio, max_ratio)
                 if min_ratio is None
                 else min_ratio,
             )

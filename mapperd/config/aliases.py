@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from mapperd.config.catalog import parameters
-from mapperd.config.tree import Amcl
+from mapperd.config.tree import AmclConfig
 from mapperd.errors import ConfigError
 
 __all__ = [
@@ -146,7 +146,7 @@ def _value(name: str, value: object) -> object:
 RESTORE = "amcl.restore_defaults"
 
 
-def restored_changes(changes: Mapping[str, Any], start: Amcl) -> dict[str, Any]:
+def restored_changes(changes: Mapping[str, Any], start: AmclConfig) -> dict[str, Any]:
     """The changes that a request means.
 
     Args:

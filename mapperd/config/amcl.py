@@ -14,7 +14,7 @@ from msgspec import Struct, structs
 
 from mapperd.config.field import rule
 
-__all__ = ["CORRECTED", "Amcl"]
+__all__ = ["CORRECTED", "AmclConfig"]
 
 CORRECTED = MappingProxyType(
     {
@@ -34,7 +34,7 @@ FRAME = "^[A-Za-z0-9_./-]{1,64}$"
 TOPIC = "^/?[A-Za-z0-9_]{1,64}(/[A-Za-z0-9_]{1,64}){0,8}$"
 
 
-class Amcl(Struct, frozen=True, forbid_unknown_fields=True):
+class AmclConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """The particle filter, under the published names."""
 
     base_frame_id: Annotated[

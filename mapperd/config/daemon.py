@@ -14,23 +14,23 @@ from msgspec import Struct
 from mapperd.config.field import rule
 
 __all__ = [
-    "Behind",
-    "Control",
-    "Export",
-    "Frames",
-    "Mqtt",
-    "OutOfCore",
-    "Recording",
-    "Service",
-    "Stream",
-    "Topics",
-    "Visualization",
+    "BacklogConfig",
+    "ControlConfig",
+    "ExportConfig",
+    "FramesConfig",
+    "MqttConfig",
+    "OutOfCoreConfig",
+    "RecordingConfig",
+    "ServiceConfig",
+    "StreamConfig",
+    "TopicsConfig",
+    "VisualizationConfig",
 ]
 
 NAME_PATTERN = "[A-Za-z0-9][A-Za-z0-9_-]{0,63}"
 
 
-class Service(Struct, frozen=True, forbid_unknown_fields=True):
+class ServiceConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Folders of the daemon."""
 
     state_folder: Annotated[
@@ -42,7 +42,7 @@ class Service(Struct, frozen=True, forbid_unknown_fields=True):
     ] = ""
 
 
-class Recording(Struct, frozen=True, forbid_unknown_fields=True):
+class RecordingConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Everything that comes in while mapping live, on disk as it came."""
 
     enabled: Annotated[
@@ -66,7 +66,7 @@ class Recording(Struct, frozen=True, forbid_unknown_fields=True):
     free_floor: Annotated[int, rule("What stays free on the disk.", "MiB", ge=0, le=1 << 30)] = 1024
 
 
-class Behind(Struct, frozen=True, forbid_unknown_fields=True):
+class BacklogConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """What happens when pings come faster than they can be mapped: the oldest are dropped."""
 
     max_wait: Annotated[
@@ -80,7 +80,7 @@ class Behind(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 1.0
 
 
-class Control(Struct, frozen=True, forbid_unknown_fields=True):
+class ControlConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """The sockets that `mapperctl` talks to."""
 
     socket: Annotated[
@@ -112,7 +112,7 @@ class Control(Struct, frozen=True, forbid_unknown_fields=True):
     max_clients: Annotated[int, rule("At once, of all sockets.", "clients", ge=1, le=1000)] = 16
 
 
-class Stream(Struct, frozen=True, forbid_unknown_fields=True):
+class StreamConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """The live map for those who watch it: docs/map-stream.md."""
 
     socket: Annotated[
@@ -166,7 +166,7 @@ class Stream(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 20_000
 
 
-class Mqtt(Struct, frozen=True, forbid_unknown_fields=True):
+class MqttConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Telemetry to a broker."""
 
     host: Annotated[
@@ -203,7 +203,7 @@ class Mqtt(Struct, frozen=True, forbid_unknown_fields=True):
     ] = False
 
 
-class OutOfCore(Struct, frozen=True, forbid_unknown_fields=True):
+class OutOfCoreConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Tiles in a file, of which only some are in memory."""
 
     use: Annotated[bool, rule("Keep the map on disk.")] = False
@@ -217,7 +217,7 @@ class OutOfCore(Struct, frozen=True, forbid_unknown_fields=True):
     cache_size: Annotated[int, rule("Tiles in memory at most.", "tiles", ge=1, le=1000000)] = 16
 
 
-class Export(Struct, frozen=True, forbid_unknown_fields=True):
+class ExportConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Which heights the flat formats look at: `.asc`, `.tif` and `.pgm`."""
 
     min_z: Annotated[
@@ -249,7 +249,7 @@ INSTEAD = {
 CLOUD_RATE_HZ = 10.0
 
 
-class Frames(Struct, frozen=True, forbid_unknown_fields=True):
+class FramesConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """What telemetry, and bags of ROS 2, call the frames of reference."""
 
     sonar: Annotated[str, rule("Frame of the sonar.", "a name", pattern=f"^{FRAME_PATTERN}$")] = (
@@ -264,7 +264,7 @@ class Frames(Struct, frozen=True, forbid_unknown_fields=True):
     ] = True
 
 
-class Topics(Struct, frozen=True, forbid_unknown_fields=True):
+class TopicsConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Topics of ROS, which bags have: their defaults load, and nothing listens there."""
 
     sonar: Annotated[
@@ -285,7 +285,7 @@ class Topics(Struct, frozen=True, forbid_unknown_fields=True):
                 raise ValueError(f"{name} can only be {default}: {instead}")
 
 
-class Visualization(Struct, frozen=True, forbid_unknown_fields=True):
+class VisualizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """What is shown while mapping."""
 
     show_opencv_visualization: Annotated[

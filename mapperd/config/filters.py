@@ -6,10 +6,10 @@ from msgspec import Struct
 
 from mapperd.config.field import rule
 
-__all__ = ["Crosstalk", "RobotDetection", "TerrainDetection"]
+__all__ = ["CrosstalkConfig", "RobotDetectionConfig", "TerrainDetectionConfig"]
 
 
-class Crosstalk(Struct, frozen=True, forbid_unknown_fields=True):
+class CrosstalkConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Removal of stripes: rings at one range over all beams, from another sound source."""
 
     enabled: Annotated[
@@ -85,7 +85,7 @@ class Crosstalk(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.05
 
 
-class TerrainDetection(Struct, frozen=True, forbid_unknown_fields=True):
+class TerrainDetectionConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Intensities of terrain, while `robot_detection.enabled`; others are no terrain."""
 
     min_threshold: Annotated[
@@ -104,7 +104,7 @@ class TerrainDetection(Struct, frozen=True, forbid_unknown_fields=True):
             )
 
 
-class RobotDetection(Struct, frozen=True, forbid_unknown_fields=True):
+class RobotDetectionConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Other robots, told from terrain by their brightness."""
 
     enabled: Annotated[bool, rule("Tell robots and terrain apart.", live=True)] = False

@@ -6,10 +6,10 @@ from msgspec import Struct
 
 from mapperd.config.field import rule
 
-__all__ = ["Localization", "ScanExtraction"]
+__all__ = ["LocalizationConfig", "ScanExtractionConfig"]
 
 
-class ScanExtraction(Struct, frozen=True, forbid_unknown_fields=True):
+class ScanExtractionConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """From a ping to one range a beam: the first surface."""
 
     equalise: Annotated[
@@ -85,7 +85,7 @@ class ScanExtraction(Struct, frozen=True, forbid_unknown_fields=True):
     floor_quality: Annotated[float, rule("Factor of their quality.", live=True, ge=0, le=1)] = 0.3
 
 
-class Localization(Struct, frozen=True, forbid_unknown_fields=True):
+class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Where the vehicle is on a known map; `amcl` says how its filter works."""
 
     mode: Annotated[
@@ -274,4 +274,4 @@ class Localization(Struct, frozen=True, forbid_unknown_fields=True):
             le=1,
         ),
     ] = 0.4
-    scan: ScanExtraction = ScanExtraction()
+    scan: ScanExtractionConfig = ScanExtractionConfig()

@@ -9,16 +9,16 @@ from mapperd.config.link_address import parse_address
 
 __all__ = [
     "NOBODY",
-    "DeadReckoning",
+    "DeadReckoningConfig",
     "FormatName",
     "FormatSettings",
-    "GeoOrigin",
-    "Limits",
-    "OdometryFusion",
-    "Owners",
-    "SlamQuality",
-    "TimeSync",
-    "WorldInit",
+    "GeoOriginConfig",
+    "LimitsConfig",
+    "OdometryFusionConfig",
+    "OwnersConfig",
+    "SlamQualityConfig",
+    "TimeSyncConfig",
+    "WorldInitConfig",
 ]
 
 FormatName = Literal[
@@ -66,7 +66,7 @@ Name = Annotated[
 ]
 
 
-class TimeSync(Struct, frozen=True, forbid_unknown_fields=True):
+class TimeSyncConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """The pose at a ping's time."""
 
     policy: Annotated[
@@ -104,7 +104,7 @@ class TimeSync(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.5
 
 
-class SlamQuality(Struct, frozen=True, forbid_unknown_fields=True):
+class SlamQualityConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Pings are mapped only while the source is confident, where it says how much it is."""
 
     threshold: Annotated[float, rule("Least confidence.", "0-1", live=True, ge=0, le=1)] = 0.4
@@ -127,7 +127,7 @@ class SlamQuality(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 5.0
 
 
-class Owners(Struct, frozen=True, forbid_unknown_fields=True):
+class OwnersConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Which source each quantity comes from: one each, so that nothing counts twice."""
 
     position: Name = ""
@@ -145,7 +145,7 @@ class Owners(Struct, frozen=True, forbid_unknown_fields=True):
     velocity: Name = ""
 
 
-class Limits(Struct, frozen=True, forbid_unknown_fields=True):
+class LimitsConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """What is too much for this vehicle: such a record is a fault, not a motion."""
 
     max_speed: Annotated[float, rule("Of the vehicle.", "m/s", live=True, gt=0, le=1000)] = 5.0
@@ -164,7 +164,7 @@ class Limits(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 10.0
 
 
-class DeadReckoning(Struct, frozen=True, forbid_unknown_fields=True):
+class DeadReckoningConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """The way on by velocity and attitude, where no position comes."""
 
     max_sec: Annotated[
@@ -190,14 +190,14 @@ class DeadReckoning(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 0.05
 
 
-class GeoOrigin(Struct, frozen=True, forbid_unknown_fields=True):
+class GeoOriginConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """The map's zero on Earth."""
 
     latitude: Annotated[float, rule("North positive.", "deg", ge=-90, le=90)]
     longitude: Annotated[float, rule("East positive.", "deg", ge=-180, le=180)]
 
 
-class OdometrySource(FormatSettings, frozen=True, forbid_unknown_fields=True):
+class OdometrySourceConfig(FormatSettings, frozen=True, forbid_unknown_fields=True):
     """One sender of odometry."""
 
     name: Annotated[
@@ -232,21 +232,21 @@ class OdometrySource(FormatSettings, frozen=True, forbid_unknown_fields=True):
         parse_address(self.link)
 
 
-class OdometryFusion(Struct, frozen=True, forbid_unknown_fields=True):
+class OdometryFusionConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """From the sources' records to one pose."""
 
     sources: Annotated[
-        tuple[OdometrySource, ...],
+        tuple[OdometrySourceConfig, ...],
         Meta(
             description="Who sends odometry.",
             min_length=1,
             max_length=16,
             extra={"unit": "", "dynamic": False},
         ),
-    ] = (OdometrySource(),)
-    owners: Owners = Owners()
-    limits: Limits = Limits()
-    dead_reckoning: DeadReckoning = DeadReckoning()
+    ] = (OdometrySourceConfig(),)
+    owners: OwnersConfig = OwnersConfig()
+    limits: LimitsConfig = LimitsConfig()
+    dead_reckoning: DeadReckoningConfig = DeadReckoningConfig()
     at_jump: Annotated[
         Literal["continue", "follow"],
         rule(
@@ -256,7 +256,7 @@ class OdometryFusion(Struct, frozen=True, forbid_unknown_fields=True):
         ),
     ] = "continue"
     origin: Annotated[
-        GeoOrigin | None,
+        GeoOriginConfig | None,
         Meta(
             description="Where geographic positions have their zero; none is the map's first fix.",
             extra={"unit": "", "dynamic": False},
@@ -289,7 +289,7 @@ class OdometryFusion(Struct, frozen=True, forbid_unknown_fields=True):
                 )
 
 
-class WorldInit(Struct, frozen=True, forbid_unknown_fields=True):
+class WorldInitConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Levelling of an odometry whose world leans: by gravity, while the vehicle stands still."""
 
     enabled: Annotated[bool, rule("Level the odometry before anything is mapped.")] = False

@@ -11,58 +11,63 @@ from typing import Annotated, Literal
 
 from msgspec import Struct
 
-from mapperd.config.amcl import Amcl
+from mapperd.config.amcl import AmclConfig
 from mapperd.config.daemon import (
-    Behind,
-    Control,
-    Export,
-    Frames,
-    Mqtt,
-    OutOfCore,
-    Recording,
-    Service,
-    Stream,
-    Topics,
-    Visualization,
+    BacklogConfig,
+    ControlConfig,
+    ExportConfig,
+    FramesConfig,
+    MqttConfig,
+    OutOfCoreConfig,
+    RecordingConfig,
+    ServiceConfig,
+    StreamConfig,
+    TopicsConfig,
+    VisualizationConfig,
 )
 from mapperd.config.field import rule
-from mapperd.config.filters import Crosstalk, RobotDetection, TerrainDetection
-from mapperd.config.localization import Localization, ScanExtraction
-from mapperd.config.odometry import OdometryFusion, SlamQuality, TimeSync, WorldInit
+from mapperd.config.filters import CrosstalkConfig, RobotDetectionConfig, TerrainDetectionConfig
+from mapperd.config.localization import LocalizationConfig, ScanExtractionConfig
+from mapperd.config.odometry import (
+    OdometryFusionConfig,
+    SlamQualityConfig,
+    TimeSyncConfig,
+    WorldInitConfig,
+)
 
 __all__ = [
-    "Adaptive",
-    "Amcl",
-    "Behind",
+    "AdaptiveConfig",
+    "AmclConfig",
+    "BacklogConfig",
     "Config",
-    "Control",
-    "Crosstalk",
-    "Device",
-    "Export",
-    "Filtering",
-    "Frames",
-    "Iwlo",
-    "Localization",
-    "Mapping",
-    "Mounting",
-    "Mqtt",
-    "Octree",
-    "OdometryFusion",
-    "Orientation",
-    "OutOfCore",
-    "Position",
-    "Processing",
-    "Recording",
-    "RobotDetection",
-    "ScanExtraction",
-    "Service",
-    "SlamQuality",
-    "Sonar",
-    "TerrainDetection",
-    "TimeSync",
-    "Topics",
-    "Visualization",
-    "WorldInit",
+    "ControlConfig",
+    "CrosstalkConfig",
+    "DeviceConfig",
+    "ExportConfig",
+    "FilteringConfig",
+    "FramesConfig",
+    "IwloConfig",
+    "LocalizationConfig",
+    "MappingConfig",
+    "MountingConfig",
+    "MqttConfig",
+    "OctreeConfig",
+    "OdometryFusionConfig",
+    "OrientationConfig",
+    "OutOfCoreConfig",
+    "PositionConfig",
+    "ProcessingConfig",
+    "RecordingConfig",
+    "RobotDetectionConfig",
+    "ScanExtractionConfig",
+    "ServiceConfig",
+    "SlamQualityConfig",
+    "SonarConfig",
+    "TerrainDetectionConfig",
+    "TimeSyncConfig",
+    "TopicsConfig",
+    "VisualizationConfig",
+    "WorldInitConfig",
 ]
 
 MAX_COUNT = 65535  # observations that a voxel can count
@@ -75,7 +80,7 @@ IPV4 = r"((25[0-5]|2[0-4]\d|1?\d?\d)\.){3}(25[0-5]|2[0-4]\d|1?\d?\d)"
 """Pattern of an address in dotted decimals."""
 
 
-class Sonar(Struct, frozen=True, forbid_unknown_fields=True):
+class SonarConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """The sonar's fan."""
 
     horizontal_fov: Annotated[
@@ -94,7 +99,7 @@ class Sonar(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 14.0  # 20, as published, maps worse and slower: docs/accuracy-cost.md, "elevation"
 
 
-class Filtering(Struct, frozen=True, forbid_unknown_fields=True):
+class FilteringConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Which samples count."""
 
     min_range: Annotated[
@@ -112,7 +117,7 @@ class Filtering(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 35.0
 
 
-class Position(Struct, frozen=True, forbid_unknown_fields=True):
+class PositionConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Where the sonar sits on the vehicle (base frame)."""
 
     x: Annotated[float, rule("Offset forward.", "m", ge=-100, le=100)] = 0.0
@@ -120,7 +125,7 @@ class Position(Struct, frozen=True, forbid_unknown_fields=True):
     z: Annotated[float, rule("Offset up; negative is below.", "m", ge=-100, le=100)] = -0.5
 
 
-class Orientation(Struct, frozen=True, forbid_unknown_fields=True):
+class OrientationConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """How the sonar is turned: Rz(yaw) Ry(pitch) Rx(roll)."""
 
     roll: Annotated[
@@ -133,14 +138,14 @@ class Orientation(Struct, frozen=True, forbid_unknown_fields=True):
     yaw: Annotated[float, rule("Turn to port.", "deg", live=True, ge=-360, le=360)] = 0.0
 
 
-class Mounting(Struct, frozen=True, forbid_unknown_fields=True):
+class MountingConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """The sonar on the vehicle."""
 
-    position: Position = Position()
-    orientation: Orientation = Orientation()
+    position: PositionConfig = PositionConfig()
+    orientation: OrientationConfig = OrientationConfig()
 
 
-class Octree(Struct, frozen=True, forbid_unknown_fields=True):
+class OctreeConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """The grid."""
 
     voxel_resolution: Annotated[
@@ -159,7 +164,7 @@ class Octree(Struct, frozen=True, forbid_unknown_fields=True):
                 raise ValueError(f"{name} false is not there; allowed: true")
 
 
-class Mapping(Struct, frozen=True, forbid_unknown_fields=True):
+class MappingConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """From a ping to evidence, and from evidence to classes."""
 
     occupied_threshold: Annotated[
@@ -236,7 +241,7 @@ class Mapping(Struct, frozen=True, forbid_unknown_fields=True):
             )
 
 
-class Iwlo(Struct, frozen=True, forbid_unknown_fields=True):
+class IwloConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """The intensity-weighted log-odds rule."""
 
     L_occ: Annotated[float, rule("Step of an occupied observation.", "log-odds", ge=0, le=127)] = (
@@ -267,7 +272,7 @@ class Iwlo(Struct, frozen=True, forbid_unknown_fields=True):
             )
 
 
-class Adaptive(Struct, frozen=True, forbid_unknown_fields=True):
+class AdaptiveConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Protection of what is believed against single contrary observations."""
 
     update: Annotated[bool, rule("Scale steps that contradict the map.")] = True
@@ -301,7 +306,7 @@ class Adaptive(Struct, frozen=True, forbid_unknown_fields=True):
             )
 
 
-class Processing(Struct, frozen=True, forbid_unknown_fields=True):
+class ProcessingConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """Load."""
 
     frame_skip: Annotated[
@@ -310,7 +315,7 @@ class Processing(Struct, frozen=True, forbid_unknown_fields=True):
     ] = 1
 
 
-class Device(Struct, frozen=True, forbid_unknown_fields=True):
+class DeviceConfig(Struct, frozen=True, forbid_unknown_fields=True):
     """The sonar on the network and what it is asked for; a recording needs none of it."""
 
     address: Annotated[
@@ -355,35 +360,35 @@ class Device(Struct, frozen=True, forbid_unknown_fields=True):
 class Config(Struct, frozen=True, forbid_unknown_fields=True):
     """The whole tree; `Config()` is a working default."""
 
-    sonar: Sonar = Sonar()
-    filtering: Filtering = Filtering()
-    mounting: Mounting = Mounting()
-    octree: Octree = Octree()
-    mapping: Mapping = Mapping()
-    iwlo: Iwlo = Iwlo()
-    adaptive: Adaptive = Adaptive()
-    processing: Processing = Processing()
-    time_sync: TimeSync = TimeSync()
-    slam_quality: SlamQuality = SlamQuality()
-    odometry: OdometryFusion = OdometryFusion()
-    world_init: WorldInit = WorldInit()
-    crosstalk: Crosstalk = Crosstalk()
-    terrain_detection: TerrainDetection = TerrainDetection()
-    robot_detection: RobotDetection = RobotDetection()
-    outofcore: OutOfCore = OutOfCore()
-    localization: Localization = Localization()
-    amcl: Amcl = Amcl()
-    device: Device = Device()
-    recording: Recording = Recording()
-    service: Service = Service()
-    behind: Behind = Behind()
-    control: Control = Control()
-    stream: Stream = Stream()
-    mqtt: Mqtt = Mqtt()
-    export: Export = Export()
-    frames: Frames = Frames()
-    visualization: Visualization = Visualization()
-    topics: Topics = Topics()
+    sonar: SonarConfig = SonarConfig()
+    filtering: FilteringConfig = FilteringConfig()
+    mounting: MountingConfig = MountingConfig()
+    octree: OctreeConfig = OctreeConfig()
+    mapping: MappingConfig = MappingConfig()
+    iwlo: IwloConfig = IwloConfig()
+    adaptive: AdaptiveConfig = AdaptiveConfig()
+    processing: ProcessingConfig = ProcessingConfig()
+    time_sync: TimeSyncConfig = TimeSyncConfig()
+    slam_quality: SlamQualityConfig = SlamQualityConfig()
+    odometry: OdometryFusionConfig = OdometryFusionConfig()
+    world_init: WorldInitConfig = WorldInitConfig()
+    crosstalk: CrosstalkConfig = CrosstalkConfig()
+    terrain_detection: TerrainDetectionConfig = TerrainDetectionConfig()
+    robot_detection: RobotDetectionConfig = RobotDetectionConfig()
+    outofcore: OutOfCoreConfig = OutOfCoreConfig()
+    localization: LocalizationConfig = LocalizationConfig()
+    amcl: AmclConfig = AmclConfig()
+    device: DeviceConfig = DeviceConfig()
+    recording: RecordingConfig = RecordingConfig()
+    service: ServiceConfig = ServiceConfig()
+    behind: BacklogConfig = BacklogConfig()
+    control: ControlConfig = ControlConfig()
+    stream: StreamConfig = StreamConfig()
+    mqtt: MqttConfig = MqttConfig()
+    export: ExportConfig = ExportConfig()
+    frames: FramesConfig = FramesConfig()
+    visualization: VisualizationConfig = VisualizationConfig()
+    topics: TopicsConfig = TopicsConfig()
 
     def __post_init__(self) -> None:
         """Check what no single section can."""

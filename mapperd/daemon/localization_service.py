@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from mapperd.api import OperationError, PoseRequest
 from mapperd.config.live import ConfigStore
-from mapperd.config.tree import Amcl
+from mapperd.config.tree import AmclConfig
 from mapperd.errors import ExportError, MapError, Reject
 from mapperd.events import EventLog, Severity
 from mapperd.geometry.gaussian import PlanarGaussian
@@ -276,7 +276,7 @@ class PoseKeeper:
         self,
         path: Path,
         facts: Callable[[], LocalizationFacts | None],
-        amcl: Callable[[], Amcl],
+        amcl: Callable[[], AmclConfig],
         clock: Callable[[], int],
         events: EventLog | None = None,
     ) -> None:

@@ -14,7 +14,7 @@ import msgspec
 
 from mapperd.config.changes import changes_between
 from mapperd.config.link_address import parse_address
-from mapperd.config.tree import Config, Device
+from mapperd.config.tree import Config, DeviceConfig
 from mapperd.daemon.localization_service import Requests
 from mapperd.errors import ConfigError, Reject
 from mapperd.events import EventLog, Severity
@@ -52,7 +52,7 @@ def host_clock() -> Callable[[], int]:
     return lambda: time.monotonic_ns() + offset_ns
 
 
-def fire_settings(device: Device) -> FireSettings:
+def fire_settings(device: DeviceConfig) -> FireSettings:
     """What the sonar is asked for.
 
     Raises:

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config.tree import Crosstalk
+from mapperd.config.tree import CrosstalkConfig
 
 __all__ = ["without_stripes"]
 
@@ -42,7 +42,7 @@ Image = NDArray[np.float32]
 
 
 def without_stripes(
-    image: Image, bearings_rad: NDArray[np.float64], settings: Crosstalk, threshold: float
+    image: Image, bearings_rad: NDArray[np.float64], settings: CrosstalkConfig, threshold: float
 ) -> Image:
     """Take stripes out of an image.
 
@@ -75,7 +75,7 @@ def _sector_edges(beams: int) -> NDArray[np.intp]:
     return np.linspace(0, beams, min(SECTORS, beams) + 1).round().astype(np.intp)
 
 
-def _stands_out(mean: Image, settings: Crosstalk, threshold: float) -> NDArray[np.bool_]:
+def _stands_out(mean: Image, settings: CrosstalkConfig, threshold: float) -> NDArray[np.bool_]:
     """Where a sector's row is brighter than what is left of it by the opening across the rows."""
     behind = np.zeros_like(mean)
     if settings.morpho_enabled:
@@ -100,7 +100,7 @@ def _over_the_fan(
     return np.asarray(np.min(shares, axis=0) >= share)
 
 
-def _first_row(bearings_rad: NDArray[np.float64], settings: Crosstalk) -> int:
+def _first_row(bearings_rad: NDArray[np.float64], settings: CrosstalkConfig) -> int:
     """Nearer than this a plane that faces the sonar may look as flat as a stripe.
 
     To reach the share in the outer thirds it has to be seen up to some angle; by then its range

@@ -11,7 +11,7 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config.tree import Crosstalk
+from mapperd.config.tree import CrosstalkConfig
 
 __all__ = ["notched"]
 
@@ -26,7 +26,7 @@ FULL_SCALE = 255.0
 Image = NDArray[np.float32]
 
 
-def notched(image: Image, settings: Crosstalk) -> Image:
+def notched(image: Image, settings: CrosstalkConfig) -> Image:
     """Weaken what is constant over the beams.
 
     Args:

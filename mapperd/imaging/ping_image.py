@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapperd.config.tree import Sonar
+from mapperd.config.tree import SonarConfig
 from mapperd.errors import MapError
 from oculus_driver.ping import Ping
 
@@ -54,7 +54,7 @@ class PingImage:
         return len(self.intensity) * self.range_resolution_m
 
 
-def ping_image_of(ping: Ping, sonar: Sonar) -> PingImage:
+def ping_image_of(ping: Ping, sonar: SonarConfig) -> PingImage:
     """Scale the image and leave out beams beyond `sonar.horizontal_fov`.
 
     Raises:
@@ -71,7 +71,7 @@ def ping_image_of(ping: Ping, sonar: Sonar) -> PingImage:
     return PingImage(intensity, kept, ping.range_resolution_m)
 
 
-def beams_in_view(bearings_rad: NDArray[np.float64], sonar: Sonar) -> slice:
+def beams_in_view(bearings_rad: NDArray[np.float64], sonar: SonarConfig) -> slice:
     """The beams, of increasing bearings, within `sonar.horizontal_fov`.
 
     Raises:
@@ -96,7 +96,7 @@ def display_units(samples: NDArray[np.unsignedinteger], full_scale: int) -> NDAr
 MAX_RANGE_M = 10_000.0
 
 
-def uniform_bearings(beams: int, sonar: Sonar) -> NDArray[np.float64]:
+def uniform_bearings(beams: int, sonar: SonarConfig) -> NDArray[np.float64]:
     """Bearings uniform in sine over `sonar.horizontal_fov`, as the sonar spaces its beams.
 
     Returns:
@@ -107,7 +107,7 @@ def uniform_bearings(beams: int, sonar: Sonar) -> NDArray[np.float64]:
 
 
 def ping_image_of_array(
-    polar_image: ArrayLike, max_range: float, bearings: ArrayLike | None, sonar: Sonar
+    polar_image: ArrayLike, max_range: float, bearings: ArrayLike | None, sonar: SonarConfig
 ) -> PingImage:
     """Scale an image to 0..255 and leave out beams beyond `sonar.horizontal_fov`.
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config.tree import RobotDetection, TerrainDetection
+from mapperd.config.tree import RobotDetectionConfig, TerrainDetectionConfig
 from mapperd.imaging.robots import Robot
 
 __all__ = ["MAX_ROBOTS", "find_robots", "terrain_of"]
@@ -20,7 +20,7 @@ def find_robots(
     image: Image,
     bearings_rad: NDArray[np.float64],
     range_resolution_m: float,
-    settings: RobotDetection,
+    settings: RobotDetectionConfig,
 ) -> list[Robot]:
     """Find groups of samples from `min_threshold` on, at least `min_samples` that touch.
 
@@ -47,7 +47,9 @@ def find_robots(
     ]
 
 
-def terrain_of(image: Image, terrain: TerrainDetection, robots: RobotDetection) -> Image:
+def terrain_of(
+    image: Image, terrain: TerrainDetectionConfig, robots: RobotDetectionConfig
+) -> Image:
     """What the map is to see: terrain, and robots unless they are kept out; the rest is 0.
 
     Samples as bright as robots, but in groups too small for one, are terrain.
@@ -66,7 +68,7 @@ def terrain_of(image: Image, terrain: TerrainDetection, robots: RobotDetection) 
 
 
 def _groups(
-    image: Image, settings: RobotDetection
+    image: Image, settings: RobotDetectionConfig
 ) -> tuple[Ints, Ints, Ints, list[tuple[int, int]]]:
     """Rows and beams of the samples bright enough, the robot of each by label, and their sizes.
 

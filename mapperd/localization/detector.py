@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config.tree import ScanExtraction
+from mapperd.config.tree import ScanExtractionConfig
 from mapperd.imaging.ping_image import PingImage
 
 __all__ = ["FirstReturns", "Limits", "equalised", "first_returns", "levels_db"]
@@ -62,7 +62,7 @@ class FirstReturns:
 
 
 def first_returns(
-    levels: Levels, echo: PingImage, limits: Limits, settings: ScanExtraction
+    levels: Levels, echo: PingImage, limits: Limits, settings: ScanExtractionConfig
 ) -> FirstReturns:
     """Find them.
 
@@ -94,7 +94,9 @@ def first_returns(
     return FirstReturns(range_m, height_db)
 
 
-def _background(levels: Levels, look: slice, limits: Limits, settings: ScanExtraction) -> Levels:
+def _background(
+    levels: Levels, look: slice, limits: Limits, settings: ScanExtractionConfig
+) -> Levels:
     """Mean level of the window before each sample, the guard left out; of the rows to look in.
 
     Within a window's length of the nearest row it is what there is of the window.
@@ -122,7 +124,7 @@ def _summed(levels: Levels) -> Levels:
     return summed
 
 
-def _side_lobes(levels: Levels, settings: ScanExtraction) -> Levels:
+def _side_lobes(levels: Levels, settings: ScanExtractionConfig) -> Levels:
     """(rows, 1): level up to which the strongest echo of a row, or beside it, has side lobes."""
     strongest = levels.max(axis=1)
     near = np.pad(strongest, SIDE_LOBE_ROWS, mode="edge")
@@ -132,7 +134,7 @@ def _side_lobes(levels: Levels, settings: ScanExtraction) -> Levels:
 
 
 def _edges(
-    levels: Levels, first: NDArray[np.intp], beam: NDArray[np.intp], settings: ScanExtraction
+    levels: Levels, first: NDArray[np.intp], beam: NDArray[np.intp], settings: ScanExtractionConfig
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Place of each return in rows from the sonar, fractional, and the level of its top.
 

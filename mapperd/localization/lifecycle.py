@@ -21,7 +21,7 @@ from typing import Literal
 
 import numpy as np
 
-from mapperd.config.tree import Amcl
+from mapperd.config.tree import AmclConfig
 from mapperd.errors import Reject
 from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.maps import LocalizationMap
@@ -80,7 +80,9 @@ class Lifecycle:
             return "waiting for a map"
         return "localizing" if self.running else "waiting for a pose"
 
-    def take_map(self, new: LocalizationMap, amcl: Amcl) -> "tuple[Lifecycle, Start] | Reject":
+    def take_map(
+        self, new: LocalizationMap, amcl: AmclConfig
+    ) -> "tuple[Lifecycle, Start] | Reject":
         """A map has come."""
         if amcl.first_map_only and self.running:
             return Reject("first_map_only", "a map is in use and amcl.first_map_only holds it")
@@ -93,7 +95,7 @@ class Lifecycle:
         return replace(self, map=new), Start(new_map=True)
 
     def take_pose(
-        self, pose: PlanarGaussian, frame: str, amcl: Amcl
+        self, pose: PlanarGaussian, frame: str, amcl: AmclConfig
     ) -> "tuple[Lifecycle, Start] | Reject":
         """An initial pose has come.
 
@@ -116,7 +118,7 @@ class Lifecycle:
         return self._anywhere(self.map, new_map=False, publishing=True)
 
     def set_map(
-        self, new: LocalizationMap, pose: PlanarGaussian, frame: str, amcl: Amcl
+        self, new: LocalizationMap, pose: PlanarGaussian, frame: str, amcl: AmclConfig
     ) -> "tuple[Lifecycle, Start] | Reject":
         """Map and pose in one: both or neither. Needs a filter that runs."""
         if not self.running:
@@ -134,7 +136,7 @@ class Lifecycle:
         """The filter has an estimate, or one was saved before a restart."""
         return replace(self, last=estimate)
 
-    def _pose_for_map(self, amcl: Amcl) -> PlanarGaussian | None:
+    def _pose_for_map(self, amcl: AmclConfig) -> PlanarGaussian | None:
         again = amcl.always_reset_initial_pose and amcl.set_initial_pose
         if self.last is not None and not again:
             return self.last
@@ -155,7 +157,7 @@ class Lifecycle:
         return started, Start(new_map=new_map, anywhere=True)
 
 
-def parameter_pose(amcl: Amcl) -> PlanarGaussian:
+def parameter_pose(amcl: AmclConfig) -> PlanarGaussian:
     """The initial pose of the settings."""
     xx, yy, aa = amcl.initial_cov_xx, amcl.initial_cov_yy, amcl.initial_cov_aa
     xy, xa, ya = amcl.initial_cov_xy, amcl.initial_cov_xa, amcl.initial_cov_ya
@@ -163,7 +165,7 @@ def parameter_pose(amcl: Amcl) -> PlanarGaussian:
     return PlanarGaussian(amcl.initial_pose_x, amcl.initial_pose_y, amcl.initial_pose_a, covariance)
 
 
-def _wrong_frame(frame: str, amcl: Amcl) -> Reject | None:
+def _wrong_frame(frame: str, amcl: AmclConfig) -> Reject | None:
     if frame == amcl.global_frame_id:
         return None
     return Reject("wrong_frame", f"a pose in {frame!r}, not in {amcl.global_frame_id!r}")

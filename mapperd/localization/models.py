@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mapperd.config.tree import Amcl, Config
+from mapperd.config.tree import AmclConfig, Config
 from mapperd.errors import ConfigError
 from mapperd.localization.grid_map import GridMap
 from mapperd.localization.maps import LocalizationMap, VolumeMap
@@ -37,7 +37,7 @@ def filter_rule(config: Config) -> FilterRule:
     )
 
 
-def hit_model(amcl: Amcl, sigma_m: float | None = None) -> HitModel:
+def hit_model(amcl: AmclConfig, sigma_m: float | None = None) -> HitModel:
     """How likely a return is at a distance from the nearest surface; None is the settings'."""
     return HitModel(
         z_hit=amcl.laser_z_hit,
@@ -48,7 +48,7 @@ def hit_model(amcl: Amcl, sigma_m: float | None = None) -> HitModel:
     )
 
 
-def beam_model(amcl: Amcl) -> BeamModel:
+def beam_model(amcl: AmclConfig) -> BeamModel:
     """How likely a range is where another is expected."""
     return BeamModel(
         z_hit=amcl.laser_z_hit,

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mapperd.config.tree import Sonar
+from mapperd.config.tree import SonarConfig
 from mapperd.localization.levelling import fan_points
 
 __all__ = ["Scan", "decimated", "decimation", "heard_aperture_rad", "scan_of_ranges"]
@@ -139,6 +139,6 @@ def scan_of_ranges(
     )
 
 
-def heard_aperture_rad(sonar: Sonar) -> float:
+def heard_aperture_rad(sonar: SonarConfig) -> float:
     """Full vertical angle that a first return may come from: the beam's one-way width."""
     return math.sqrt(2.0) * math.radians(sonar.vertical_aperture)

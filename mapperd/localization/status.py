@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config.tree import Amcl
+from mapperd.config.tree import AmclConfig
 from mapperd.geometry.frames import Pose
 from mapperd.geometry.gaussian import Belief, PlanarGaussian
 from mapperd.localization.known_map import KnownMap
@@ -57,7 +57,7 @@ class Diagnosis:
     text: str
 
 
-def diagnose(estimate: PlanarGaussian | None, amcl: Amcl) -> Diagnosis:
+def diagnose(estimate: PlanarGaussian | None, amcl: AmclConfig) -> Diagnosis:
     """Compare an estimate's standard deviations with `amcl.std_warn_level_*`."""
     if estimate is None:
         return Diagnosis("OK", (), "no estimate yet")
@@ -74,7 +74,7 @@ def diagnose(estimate: PlanarGaussian | None, amcl: Amcl) -> Diagnosis:
     return Diagnosis("WARN", deviations, told)
 
 
-def weight_warning(amcl: Amcl) -> str | None:
+def weight_warning(amcl: AmclConfig) -> str | None:
     """What is to be said of observation weights that do not sum to 1; None where they do.
 
     Nothing makes them sum to 1: they are used as they are set.

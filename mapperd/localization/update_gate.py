@@ -9,7 +9,7 @@ and nothing is moved by what the vehicle drove before it, as in Nav2's.
 import math
 from dataclasses import dataclass, replace
 
-from mapperd.config.tree import Amcl
+from mapperd.config.tree import AmclConfig
 from mapperd.geometry.gaussian import wrapped
 
 __all__ = ["PlanarPose", "UpdateDecision", "UpdateGate"]
@@ -82,7 +82,7 @@ class UpdateGate:
         self,
         odom: PlanarPose,
         stamp_ns: int,
-        amcl: Amcl,
+        amcl: AmclConfig,
         *,
         max_interval_s: float = 0.0,
         max_step_m: float = math.inf,
@@ -113,7 +113,7 @@ class UpdateGate:
         reference = odom if fired else self.triggered
         return UpdateGate(reference, odom, stamp_ns), UpdateDecision(reason, self.updated or odom)
 
-    def _trigger(self, odom: PlanarPose, amcl: Amcl) -> str | None:
+    def _trigger(self, odom: PlanarPose, amcl: AmclConfig) -> str | None:
         if self.triggered is None:
             return "first"
         turned = abs(wrapped(odom.yaw_rad - self.triggered.yaw_rad))

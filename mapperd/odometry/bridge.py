@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from mapperd.config.link_address import parse_address
-from mapperd.config.odometry import FormatSettings, OdometrySource
+from mapperd.config.odometry import FormatSettings, OdometrySourceConfig
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, Reject
 from mapperd.odometry.decoder import Decoder
@@ -150,6 +150,6 @@ class OdometryBridge:
             return make_decoder(source, datagrams=datagrams)
         try:
             format_name = (encoding or "").removeprefix(ENCODING_PREFIX)
-            return make_decoder(OdometrySource(format=format_name))  # type: ignore[arg-type]
+            return make_decoder(OdometrySourceConfig(format=format_name))  # type: ignore[arg-type]
         except (ConfigError, KeyError):
             return None

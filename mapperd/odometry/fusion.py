@@ -13,7 +13,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config.odometry import NOBODY, OdometryFusion, SlamQuality, TimeSync, WorldInit
+from mapperd.config.odometry import (
+    NOBODY,
+    OdometryFusionConfig,
+    SlamQualityConfig,
+    TimeSyncConfig,
+    WorldInitConfig,
+)
 from mapperd.errors import Reject
 from mapperd.geometry.frames import Pose, quaternion_to_matrix
 from mapperd.odometry.clock import OdometryClock
@@ -87,14 +93,14 @@ class Fusion:
 
     def __init__(
         self,
-        settings: OdometryFusion | None = None,
-        time_sync: TimeSync | None = None,
-        quality: SlamQuality | None = None,
-        world_init: WorldInit | None = None,
+        settings: OdometryFusionConfig | None = None,
+        time_sync: TimeSyncConfig | None = None,
+        quality: SlamQualityConfig | None = None,
+        world_init: WorldInitConfig | None = None,
         latency_sec: dict[str, float] | None = None,
     ) -> None:
-        self._settings = settings or OdometryFusion()
-        time_sync = time_sync or TimeSync()
+        self._settings = settings or OdometryFusionConfig()
+        time_sync = time_sync or TimeSyncConfig()
         self._depth_is_named = self._settings.owners.depth not in ("", NOBODY)
         self._reach = Reach.of(time_sync)
         self._max_age_ns = round(time_sync.max_odom_age_sec * 1e9)
@@ -102,14 +108,14 @@ class Fusion:
             name: round(seconds * 1e9) for name, seconds in (latency_sec or {}).items()
         }
         self._clocks: dict[tuple[str, str, str], OdometryClock] = {}
-        self._gate = ConfidenceGate(quality or SlamQuality())
-        self._level = Levelling(world_init or WorldInit())
+        self._gate = ConfidenceGate(quality or SlamQualityConfig())
+        self._level = Levelling(world_init or WorldInitConfig())
         self._in = Intake(self._settings, self._reach.max_gap_ns)
         self.received: Counter[str] = Counter()
         self.rejects: dict[str, Counter[str]] = {}
 
     def reconfigure(
-        self, settings: OdometryFusion, time_sync: TimeSync, quality: SlamQuality
+        self, settings: OdometryFusionConfig, time_sync: TimeSyncConfig, quality: SlamQualityConfig
     ) -> None:
         """Judge records and moments to come by other settings.
 

@@ -7,7 +7,7 @@ by a program that uses the library; one NaN of such a one would stay in the seri
 beside it could not be made.
 """
 
-from mapperd.config.odometry import SlamQuality
+from mapperd.config.odometry import SlamQualityConfig
 from mapperd.errors import Reject
 from mapperd.geometry.frames import UNIT_TOLERANCE
 from mapperd.odometry.records import Odometry, bad_numbers
@@ -25,7 +25,7 @@ class ConfidenceGate:
         settings: may be set anew.
     """
 
-    def __init__(self, settings: SlamQuality) -> None:
+    def __init__(self, settings: SlamQualityConfig) -> None:
         self.settings = settings
         self._first_ns: int | None = None
         self._last: tuple[int, float] | None = None

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config.odometry import OdometryFusion
+from mapperd.config.odometry import OdometryFusionConfig
 from mapperd.errors import Reject
 from mapperd.geometry.frames import quaternion_to_matrix, rotation_from_rpy
 from mapperd.geometry.geodesy import Origin
@@ -39,7 +39,7 @@ class Intake:
         reckoning: the way by velocity.
     """
 
-    def __init__(self, settings: OdometryFusion, max_gap_ns: int) -> None:
+    def __init__(self, settings: OdometryFusionConfig, max_gap_ns: int) -> None:
         self._settings = settings
         self._anchor = Anchor.none()
         self._rejoin = False
@@ -54,7 +54,7 @@ class Intake:
         self.velocity: Track[Floats] = Track(owners.velocity)
         self.reckoning = DeadReckoning(max_gap_ns, settings.dead_reckoning.noise)
 
-    def reconfigure(self, settings: OdometryFusion, max_gap_ns: int) -> None:
+    def reconfigure(self, settings: OdometryFusionConfig, max_gap_ns: int) -> None:
         """Take other limits, noise, and another meaning of a jump; owners and origin stay."""
         self._settings = settings
         self.reckoning.max_gap_ns = max_gap_ns

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config.odometry import WorldInit
+from mapperd.config.odometry import WorldInitConfig
 from mapperd.errors import Reject
 from mapperd.geometry.frames import quaternion_product, quaternion_to_matrix
 
@@ -33,7 +33,7 @@ class Levelling:
         refused: samples that were thrown away because the vehicle moved.
     """
 
-    def __init__(self, settings: WorldInit) -> None:
+    def __init__(self, settings: WorldInitConfig) -> None:
         self._settings = settings
         self._forces: list[Floats] = []
         self.level_q_odometry: Floats | None = None

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from mapperd.config.odometry import TimeSync
+from mapperd.config.odometry import TimeSyncConfig
 from mapperd.errors import Reject
 
 __all__ = [
@@ -138,7 +138,7 @@ class Reach:
     max_reach_ns: int
 
     @classmethod
-    def of(cls, settings: TimeSync) -> "Reach":
+    def of(cls, settings: TimeSyncConfig) -> "Reach":
         """The limits as they are set."""
         return cls(
             settings.policy,

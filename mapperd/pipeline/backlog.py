@@ -4,7 +4,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TypeGuard
 
-from mapperd.config.daemon import Behind as Settings
+from mapperd.config.daemon import BacklogConfig
 from mapperd.errors import Reject
 from mapperd.pipeline.decoder import PosedPing, Work
 
@@ -42,7 +42,7 @@ class Backlog:
         late: it has fallen behind, and not caught up.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: BacklogConfig) -> None:
         self.pings = self.dropped = 0
         self.late = False
         self._max_wait_ns = round(settings.max_wait * 1e9)

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from mapperd.config.tree import Config, TimeSync
+from mapperd.config.tree import Config, TimeSyncConfig
 from mapperd.errors import Reject
 from mapperd.geometry.frames import Pose
 from mapperd.odometry.bridge import OdometryBridge
@@ -217,7 +217,7 @@ class OdometryPoses:
         return self.odometry.fusion.at(t_ns)
 
 
-def _patience_ns(settings: TimeSync) -> int:
+def _patience_ns(settings: TimeSyncConfig) -> int:
     """A record may be one gap away and late; after that it will not come."""
     return round((settings.max_gap_sec + settings.max_odom_age_sec) * 1e9)
 

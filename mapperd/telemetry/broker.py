@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Mapping
 from typing import TYPE_CHECKING
 
 from mapperd.config.paths import read_secret
-from mapperd.config.tree import Config, Mqtt
+from mapperd.config.tree import Config, MqttConfig
 from mapperd.errors import ConfigError
 from mapperd.telemetry.topics import Topics
 
@@ -68,7 +68,9 @@ def check_telemetry(config: Config, environment: Mapping[str, str]) -> None:
 
 
 @contextlib.asynccontextmanager
-async def connection(settings: Mqtt, environment: Mapping[str, str]) -> AsyncIterator["Client"]:
+async def connection(
+    settings: MqttConfig, environment: Mapping[str, str]
+) -> AsyncIterator["Client"]:
     """A connection whose will publishes `offline` if it breaks.
 
     Args:
@@ -90,7 +92,7 @@ async def connection(settings: Mqtt, environment: Mapping[str, str]) -> AsyncIte
                 await client.__aexit__(None, None, None)
 
 
-def _client(settings: Mqtt, environment: Mapping[str, str]) -> "Client":
+def _client(settings: MqttConfig, environment: Mapping[str, str]) -> "Client":
     from aiomqtt import Client, Will  # noqa: PLC0415 an extra
 
     status = Topics.of(settings).of_name("status")
@@ -110,11 +112,11 @@ def _client(settings: Mqtt, environment: Mapping[str, str]) -> "Client":
     )
 
 
-def _password(settings: Mqtt, environment: Mapping[str, str]) -> str | None:
+def _password(settings: MqttConfig, environment: Mapping[str, str]) -> str | None:
     return read_secret("mqtt.password_file", settings.password_file, CREDENTIAL, environment)
 
 
-def _tls(settings: Mqtt) -> ssl.SSLContext:
+def _tls(settings: MqttConfig) -> ssl.SSLContext:
     try:
         return ssl.create_default_context(cafile=settings.ca_file or None)
     except OSError as error:  # ssl.SSLError is one

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 
 from mapperd.api import DaemonApi
-from mapperd.config.tree import Config, Frames
+from mapperd.config.tree import Config, FramesConfig
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.telemetry.outbox import Kind, Message, Outbox
 from mapperd.telemetry.topics import Topics
@@ -51,7 +51,7 @@ def state_report(status: Facts) -> dict[str, Any]:
     }
 
 
-def pose_report(status: Facts, frames: Frames) -> dict[str, Any]:
+def pose_report(status: Facts, frames: FramesConfig) -> dict[str, Any]:
     """The vehicle's pose and its source."""
     odometry = status["odometry"] or {}
     owner = odometry.get("quantities", {}).get("position", {}).get("owner")

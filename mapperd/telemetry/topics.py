@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from mapperd.config.tree import Amcl, Mqtt
+from mapperd.config.tree import AmclConfig, MqttConfig
 
 __all__ = ["Asked", "Topics"]
 
@@ -37,7 +37,7 @@ class Topics:
     also: Mapping[str, str] = field(default_factory=dict, hash=False)
 
     @classmethod
-    def of(cls, settings: Mqtt, amcl: Amcl | None = None) -> "Topics":
+    def of(cls, settings: MqttConfig, amcl: AmclConfig | None = None) -> "Topics":
         """As the settings have it.
 
         Args:

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from mapperd.config.tree import Config, Crosstalk, RobotDetection, TerrainDetection
+from mapperd.config.tree import (
+    Config,
+    CrosstalkConfig,
+    RobotDetectionConfig,
+    TerrainDetectionConfig,
+)
 from mapperd.imaging.crosstalk import without_stripes
 from mapperd.imaging.fft_notch import notched
 from mapperd.imaging.filter_chain import filter_ping_image
@@ -19,7 +24,7 @@ from mapperd.imaging.robots import MAX_SIGHTINGS, Sighting, Sightings
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-USUAL = Crosstalk(enabled=True)
+USUAL = CrosstalkConfig(enabled=True)
 STRONGEST = replace(USUAL, filter_strength=1.0, filter_width=1.0, dc_preserve_ratio=0.0)
 SHAPES = [(1, 1), (1, 64), (64, 1), (2, 2), (3, 512), (512, 3), (5, 7)]
 
@@ -70,7 +75,7 @@ def test_an_image_of_silence_stays_silence() -> None:
     silence = np.zeros((128, 96), np.float32)
     assert without_stripes(silence, fan(96), USUAL, 0.0) is silence
     assert (notched(silence, STRONGEST) == 0).all()
-    assert find_robots(silence, fan(96), 0.1, RobotDetection(min_threshold=180.0)) == []
+    assert find_robots(silence, fan(96), 0.1, RobotDetectionConfig(min_threshold=180.0)) == []
 
 
 def test_stripes_at_full_scale_side_by_side_leave_what_is_between() -> None:
@@ -146,7 +151,7 @@ def test_a_robot_of_the_whole_image_has_its_middle_in_the_middle() -> None:
     16 million: the centre is metres off.
     """
     image = np.full((720, 512), 255, np.float32)
-    (robot,) = find_robots(image, fan(512), 0.1, RobotDetection(min_threshold=180.0))
+    (robot,) = find_robots(image, fan(512), 0.1, RobotDetectionConfig(min_threshold=180.0))
     assert robot.samples == 720 * 512
     assert robot.range_m == pytest.approx(36.0, abs=1e-9)
     assert robot.bearing_rad == pytest.approx(0.0, abs=1e-9)
@@ -159,7 +164,7 @@ def test_silence_is_no_robot_at_any_threshold() -> None:
 
     Naively they are a robot, whose centre is the mean of their places weighted by nothing: 0 / 0.
     """
-    settings = RobotDetection(min_threshold=0.0)
+    settings = RobotDetectionConfig(min_threshold=0.0)
     assert find_robots(np.zeros((20, 30), np.float32), fan(30), 0.1, settings) == []
     (robot,) = find_robots(np.full((20, 30), 1e-45, np.float32), fan(30), 0.1, settings)
     assert robot.range_m == pytest.approx(1.0)
@@ -172,8 +177,8 @@ def test_bands_that_touch_leave_no_sample_out_and_none_in_both() -> None:
     Naively the two bands compare in different precision, and a sample at the limit is neither.
     """
     limit = 179.9
-    terrain = TerrainDetection(min_threshold=0.0, max_threshold=limit)
-    robots = RobotDetection(min_threshold=limit, min_samples=1, keep_out=True)
+    terrain = TerrainDetectionConfig(min_threshold=0.0, max_threshold=limit)
+    robots = RobotDetectionConfig(min_threshold=limit, min_samples=1, keep_out=True)
     around = np.float32(limit)
     image = np.stack([np.nextafter(around, np.float32(0)), around, np.nextafter(around, 255)])
     image = np.repeat(image.astype(np.float32)[:, None], 9, axis=1)
@@ -191,7 +196,7 @@ def test_all_filters_together_take_any_fan_to_finite_samples() -> None:
     """
     config = Config(
         crosstalk=replace(STRONGEST, fft_enabled=True),
-        robot_detection=RobotDetection(enabled=True, min_samples=1),
+        robot_detection=RobotDetectionConfig(enabled=True, min_samples=1),
     )
     rng = np.random.default_rng(2)
     for shape in ((1, 2), (4, 4), (64, 48), (200, 3)):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.config.odometry import WorldInit
+from mapperd.config.odometry import WorldInitConfig
 from mapperd.errors import Reject
 from mapperd.geometry.frames import (
     compass_to_map,
@@ -262,7 +262,7 @@ def test_levelling_of_a_world_upside_down(tilt_rad: float) -> None:
 
     Naively the axis is the cross product of two opposite vectors, which is zero, divided by itself.
     """
-    level = Levelling(WorldInit(enabled=True, init_samples=1))
+    level = Levelling(WorldInitConfig(enabled=True, init_samples=1))
     force = 9.81 * np.array([math.sin(tilt_rad) * 0.6, math.sin(tilt_rad) * 0.8, -1.0])
     assert level.add(force, None, np.array([1.0, 0, 0, 0])) is None
     assert level.level_q_odometry is not None

@@ -9,7 +9,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from mapperd.config.odometry import OdometryFusion, Owners, TimeSync
+from mapperd.config.odometry import OdometryFusionConfig, OwnersConfig, TimeSyncConfig
 from mapperd.errors import Reject
 from mapperd.odometry.fusion import FusedPose, Fusion
 from mapperd.odometry.reckoning import DeadReckoning
@@ -141,7 +141,7 @@ def test_silence_of_ten_hours() -> None:
 
     Naively a velocity of 1 m/s is carried on for 36 km, or the way is one trapezoid of 10 hours.
     """
-    settings = OdometryFusion(owners=Owners(position="none"))
+    settings = OdometryFusionConfig(owners=OwnersConfig(position="none"))
     fusion = Fusion(settings)
     hours = 36_000 * S
     for start in (T0, T0 + hours):
@@ -161,7 +161,7 @@ def test_motion_of_one_nanosecond() -> None:
 
     Naively it does 1000 km/s, and a pose carried on by that for 10 ms lies 10 km away.
     """
-    fusion = Fusion(time_sync=TimeSync(max_stamp_diff_sec=0.2))
+    fusion = Fusion(time_sync=TimeSyncConfig(max_stamp_diff_sec=0.2))
     for t_ns, x_m in ((T0, 0.0), (T0 + 1, 0.001)):
         fusion.take("ekf", record(**ahead(x_m)), t_ns)
     for off_ns in (0, 1, 1000, 10_000_000, 100_000_000):
@@ -236,7 +236,7 @@ def test_moment_that_no_clock_says(t_ns: int) -> None:
     Naively the time is cast to 64 bits and wraps to some other moment, or motion is carried there.
     """
     for policy in ("interpolate", "nearest", "latest"):
-        fusion = Fusion(time_sync=TimeSync(policy=policy))
+        fusion = Fusion(time_sync=TimeSyncConfig(policy=policy))
         for k in range(5):
             fusion.take("ekf", record(**ahead(k * 0.1)), T0 + k * S // 10)
         found = fusion.at(t_ns)

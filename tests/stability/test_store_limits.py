@@ -14,7 +14,7 @@ import pytest
 import zstandard
 
 from mapperd import _core
-from mapperd.config.tree import Config, Iwlo, Octree
+from mapperd.config.tree import Config, IwloConfig, OctreeConfig
 from mapperd.errors import StoreError
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import StoreReader
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 WIDE = Config(
-    octree=Octree(voxel_resolution=0.1),
-    iwlo=Iwlo(L_min=-127.0, L_max=127.0, decay_rate=1.0, min_alpha=1 / 65536),
+    octree=OctreeConfig(voxel_resolution=0.1),
+    iwlo=IwloConfig(L_min=-127.0, L_max=127.0, decay_rate=1.0, min_alpha=1 / 65536),
 )
 BRICK_M = 0.1 * _core.BRICK_VOXELS
 BLOCKS = (_core.BRICK_VOXELS // _core.BLOCK_EDGE) ** 3

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from mapperd.config.tree import Config, Octree
+from mapperd.config.tree import Config, OctreeConfig
 from mapperd.mapping.sonar_map import SonarMap
 
-COARSE = Config(octree=Octree(voxel_resolution=0.25))
+COARSE = Config(octree=OctreeConfig(voxel_resolution=0.25))
 
 OCCUPIED = [(-3.125, 20.375, -7.875), (-3.125, 20.375, -6.125), (-2.625, 19.875, -7.125)]
 FREE = [(-3.125, 20.375, -5.125), (-2.375, 20.625, -7.125), (-2.875, 20.125, 4.125)]

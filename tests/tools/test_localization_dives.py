@@ -14,7 +14,7 @@ from dive_world import WORLDS
 from localization_dives import WITHIN_M, judged
 
 from mapperd.config.loader import config_from_text
-from mapperd.config.tree import Amcl, Localization
+from mapperd.config.tree import AmclConfig, LocalizationConfig
 from mapperd.geometry.gaussian import Belief, PlanarGaussian
 
 HARBOUR = WORLDS["harbour"]
@@ -25,13 +25,13 @@ PROFILE = (ROOT / "config" / "localization.yaml").read_text(encoding="utf-8")
 def test_profile_is_the_one_that_was_measured() -> None:
     """What it does not name keeps its default, there as in the dives."""
     dived, offered = settings(HARBOUR, 0), config_from_text(PROFILE)
-    for name in Amcl.__struct_fields__:
+    for name in AmclConfig.__struct_fields__:
         measured = getattr(dived.amcl, name)
         if isinstance(measured, float):
             assert getattr(offered.amcl, name) == pytest.approx(measured, rel=1e-3), name
         else:
             assert getattr(offered.amcl, name) == measured, name
-    for name in set(Localization.__struct_fields__) - {"mode", "scan"}:
+    for name in set(LocalizationConfig.__struct_fields__) - {"mode", "scan"}:
         wanted = getattr(dived.localization, name)
         # So many steps of way are 9.9 m there.
         about = pytest.approx(wanted, rel=0.02) if name == "rival_interval" else wanted

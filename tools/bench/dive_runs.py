@@ -10,7 +10,7 @@ from dive_track import Drift, Track, drifted, track_of
 from dive_world import Place, World
 from numpy.typing import NDArray
 
-from mapperd.config.tree import Amcl, Config, Localization
+from mapperd.config.tree import AmclConfig, Config, LocalizationConfig
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.geometry.gaussian import Belief, PlanarGaussian
 from mapperd.localization.localizer import Localizer
@@ -81,7 +81,7 @@ class Dive:
 
 def settings(place: Place, seed: int) -> Config:
     """A sonar's; docs/localization.md says why."""
-    amcl = Amcl(
+    amcl = AmclConfig(
         robot_model_type="omnidirectional_drive",
         odom_alpha1=0.002,
         odom_alpha2=0.0001,
@@ -105,7 +105,7 @@ def settings(place: Place, seed: int) -> Config:
         update_min_d=place.step_m,
         update_min_a=math.radians(10.0),
     )
-    ours = Localization(
+    ours = LocalizationConfig(
         mode="global",
         random_seed=seed,
         tempering=0.1,

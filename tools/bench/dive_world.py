@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sonar_sim import Scenario, load_scenario
 from sonar_sim.meshes import SEA, Meshes
 
-from mapperd.config.tree import Config, Octree
+from mapperd.config.tree import Config, OctreeConfig
 from mapperd.localization.maps import VolumeMap, volume_map
 from mapperd.mapping.queries import MapQueries
 from mapperd.mapping.sonar_map import SonarMap
@@ -128,7 +128,7 @@ class World:
 
         It has been in a file, as a known map has.
         """
-        settings = Config(octree=Octree(voxel_resolution=self.place.voxel_m))
+        settings = Config(octree=OctreeConfig(voxel_resolution=self.place.voxel_m))
         made, read = SonarMap(settings), SonarMap(settings)
         water = self._water_m()
         made.core.set_log_odds(water, np.full(len(water), -SURE))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sonar_sim import MATERIALS, Pose, Scene, Simulator, SonarSettings, Surface, load_scenario
 from sonar_sim.poses import rotation_of
 
-from mapperd.config.tree import Crosstalk, RobotDetection, TerrainDetection
+from mapperd.config.tree import CrosstalkConfig, RobotDetectionConfig, TerrainDetectionConfig
 from mapperd.imaging.crosstalk import without_stripes
 from mapperd.imaging.fft_notch import notched
 from mapperd.imaging.robot_bands import find_robots, terrain_of
@@ -63,8 +63,8 @@ def main() -> None:
     edge = math.sin(sonar.half_aperture_rad)
     bearings = np.asarray(np.arcsin(np.linspace(-edge, edge, sonar.beams)), dtype=np.float64)
     filters: dict[str, Callable[[Image], Image]] = {
-        "crosstalk": lambda image: without_stripes(image, bearings, Crosstalk(), THRESHOLD),
-        "notch": lambda image: notched(image, Crosstalk()),
+        "crosstalk": lambda image: without_stripes(image, bearings, CrosstalkConfig(), THRESHOLD),
+        "notch": lambda image: notched(image, CrosstalkConfig()),
     }
     print("| scene, pitch | filter | echoes lost without a stripe | stripes left | echoes lost |")
     print("|---|---|---:|---:|---:|")
@@ -82,7 +82,7 @@ def main() -> None:
                 numbers = (1 - plain[true].mean(), out[false].mean(), 1 - out[true].mean())
                 told = " | ".join(f"{100 * number:.1f} %" for number in numbers)
                 print(f"| {name}, {pitch_deg}° | {title} | {told} |")
-    robots, terrain = RobotDetection(keep_out=True), TerrainDetection()
+    robots, terrain = RobotDetectionConfig(keep_out=True), TerrainDetectionConfig()
     timed: dict[str, Callable[[], object]] = {
         "crosstalk": lambda: filters["crosstalk"](striped),
         "notch": lambda: filters["notch"](striped),

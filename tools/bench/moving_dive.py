@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from mapperd.config.tree import (
     Config,
-    Mapping,
-    Mounting,
-    Octree,
-    Orientation,
-    Position,
-    Sonar,
-    TimeSync,
+    MappingConfig,
+    MountingConfig,
+    OctreeConfig,
+    OrientationConfig,
+    PositionConfig,
+    SonarConfig,
+    TimeSyncConfig,
 )
 from mapperd.geometry.frames import Pose, pose_from_rpy
 from mapperd.mapping.sonar_map import SonarMap
@@ -85,13 +85,14 @@ class Dive:
         The sonar sits off the middle of the vehicle and looks aside.
         """
         return Config(
-            octree=Octree(voxel_resolution=self.voxel_m),
-            sonar=Sonar(vertical_aperture=1.0),
-            mapping=Mapping(within_ping_motion=motion),
-            mounting=Mounting(
-                position=Position(x=0.5, y=0.2, z=0.0), orientation=Orientation(pitch=0.0, yaw=30.0)
+            octree=OctreeConfig(voxel_resolution=self.voxel_m),
+            sonar=SonarConfig(vertical_aperture=1.0),
+            mapping=MappingConfig(within_ping_motion=motion),
+            mounting=MountingConfig(
+                position=PositionConfig(x=0.5, y=0.2, z=0.0),
+                orientation=OrientationConfig(pitch=0.0, yaw=30.0),
             ),
-            time_sync=TimeSync(policy=policy),  # type: ignore[arg-type]
+            time_sync=TimeSyncConfig(policy=policy),  # type: ignore[arg-type]
         )
 
     def base_at(self, t_s: float) -> Pose:

@@ -17,7 +17,7 @@ from typing import Any
 
 from marked import put_into
 
-from mapperd.config.odometry import FormatName, OdometryFusion, OdometrySource
+from mapperd.config.odometry import FormatName, OdometryFusionConfig, OdometrySourceConfig
 from mapperd.config.tree import Config
 from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.fusion import FusedPose
@@ -126,10 +126,10 @@ def formats() -> dict[FormatName, Says]:
 def config_of(name: FormatName) -> Config:
     """The source, and beside a DVL one of attitude."""
     link = "udp://127.0.0.1:52200" if name == "native" else "tcp://127.0.0.1:52200"
-    sources = [OdometrySource(name="vehicle", format=name, link=link)]
+    sources = [OdometrySourceConfig(name="vehicle", format=name, link=link)]
     if name == "water_linked_json":
-        sources.append(OdometrySource(name="ahrs", link="udp://127.0.0.1:52201"))
-    return Config(odometry=OdometryFusion(sources=tuple(sources)))
+        sources.append(OdometrySourceConfig(name="ahrs", link="udp://127.0.0.1:52201"))
+    return Config(odometry=OdometryFusionConfig(sources=tuple(sources)))
 
 
 def pieces(name: FormatName, says: Says, seconds: float) -> Iterator[tuple[str, bytes, int]]:

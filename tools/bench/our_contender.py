@@ -11,7 +11,7 @@ from bench_host import status_bytes
 from bench_pings import Pings, load
 from results import Measured
 
-from mapperd.config.tree import Config, Mapping, Octree, Sonar
+from mapperd.config.tree import Config, MappingConfig, OctreeConfig, SonarConfig
 from mapperd.geometry.motion import PingMotion
 from mapperd.mapping.sonar_map import SonarMap
 
@@ -31,17 +31,17 @@ def config_of(
 ) -> Config:
     """Settings of a contender; all but aperture, grid and integrator are the defaults."""
     if way == "rays":
-        mapping = Mapping(integrator="rays")
+        mapping = MappingConfig(integrator="rays")
     else:
-        mapping = Mapping(
+        mapping = MappingConfig(
             integrator="evidence_grid",
             detail=detail,
             threads=threads,
             carve_no_return=carve_no_return,
         )
     return Config(
-        sonar=Sonar(vertical_aperture=APERTURE_DEG),
-        octree=Octree(voxel_resolution=resolution_m),
+        sonar=SonarConfig(vertical_aperture=APERTURE_DEG),
+        octree=OctreeConfig(voxel_resolution=resolution_m),
         mapping=mapping,
     )
 

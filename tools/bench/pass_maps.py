@@ -19,7 +19,14 @@ from sonar_sim import Pose
 from sonar_sim.capture import EPOCH_NS
 from sonar_sim.trajectory import Trajectory
 
-from mapperd.config.tree import Config, Filtering, Mounting, Octree, Orientation, Position
+from mapperd.config.tree import (
+    Config,
+    FilteringConfig,
+    MountingConfig,
+    OctreeConfig,
+    OrientationConfig,
+    PositionConfig,
+)
 from mapperd.geometry.frames import Pose as BasePose
 from mapperd.localization.levelling import yaw_of
 from mapperd.localization.session import begun
@@ -69,14 +76,15 @@ class Course:
 def plain(place: Place, seed: int) -> Config:
     """Settings that map where the odometry says."""
     config = settings(place, seed)
-    mounting = Mounting(
-        Position(*AHEAD.position_m), Orientation(AHEAD.roll_deg, AHEAD.pitch_deg, AHEAD.yaw_deg)
+    mounting = MountingConfig(
+        PositionConfig(*AHEAD.position_m),
+        OrientationConfig(AHEAD.roll_deg, AHEAD.pitch_deg, AHEAD.yaw_deg),
     )
     return replace(
         config,
         mounting=mounting,
-        octree=Octree(voxel_resolution=place.voxel_m),
-        filtering=Filtering(intensity_threshold=THRESHOLD),
+        octree=OctreeConfig(voxel_resolution=place.voxel_m),
+        filtering=FilteringConfig(intensity_threshold=THRESHOLD),
         localization=replace(config.localization, mode="off"),
     )
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config.tree import Config, Mapping, Octree, Sonar
+from mapperd.config.tree import Config, MappingConfig, OctreeConfig, SonarConfig
 from mapperd.geometry.motion import PingMotion
 from mapperd.imaging.ping_image import PingImage
 from mapperd.mapping.sonar_map import SonarMap
@@ -116,9 +116,9 @@ def errors_m(run: Run, *, stops: bool, told: bool) -> Floats:
     """How far each occupied voxel's centre lies from the nearest post's surface."""
     axes_m = posts()
     config = Config(
-        sonar=Sonar(vertical_aperture=THIN_DEG),
-        octree=Octree(voxel_resolution=RESOLUTION_M),
-        mapping=Mapping(within_ping_motion=told),
+        sonar=SonarConfig(vertical_aperture=THIN_DEG),
+        octree=OctreeConfig(voxel_resolution=RESOLUTION_M),
+        mapping=MappingConfig(within_ping_motion=told),
     )
     sonar_map = SonarMap(config)
     middle_s = 0.0 if stops else RANGE_M / 2 / SOUND_MPS

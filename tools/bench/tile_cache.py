@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config.tree import Config, Octree
+from mapperd.config.tree import Config, OctreeConfig
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.imaging.ping_image import PingImage
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.tile_store import TileStore
 
-CONFIG = Config(octree=Octree(voxel_resolution=0.05))
+CONFIG = Config(octree=OctreeConfig(voxel_resolution=0.05))
 ROWS, BEAMS = 500, 512
 LEG_M = 60.0
 TILE_M = 10.0

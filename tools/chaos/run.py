@@ -23,7 +23,7 @@ from typing import Any
 from chaos.peers import Broker, Odometry, Sonar
 from chaos.script import Trouble, trouble
 from chaos.shim import Shim
-from mapperd.config.tree import Config, Octree
+from mapperd.config.tree import Config, OctreeConfig
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import StoreReader
 
@@ -183,7 +183,7 @@ def show(now_s: float, duration_s: float, happened: Counter[str]) -> None:
 def stored_map(world: World) -> str:
     """Fingerprint of the map on disk."""
     [path] = sorted(world.state.rglob("*.map"))
-    whole = SonarMap(Config(octree=Octree(voxel_resolution=RESOLUTION_M)))
+    whole = SonarMap(Config(octree=OctreeConfig(voxel_resolution=RESOLUTION_M)))
     with StoreReader(path) as reader:
         reader.load(whole)
     return whole.sha256()

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from mapperd.client.validation import places_of
-from mapperd.config.filters import Crosstalk
+from mapperd.config.filters import CrosstalkConfig
 from mapperd.config.tree import Config
 from mapperd.imaging.fft_notch import notched
 from mapperd.imaging.ping_image import PingImage
@@ -92,7 +92,7 @@ def _levels() -> Measured:
 def _notch() -> Measured:
     chance = np.random.default_rng(8)
     image = np.minimum(chance.rayleigh(20.0, (800, 256)), 255.0).astype(np.float32)
-    settings = Crosstalk(filter_strength=0.9)
+    settings = CrosstalkConfig(filter_strength=0.9)
     off = np.abs(notched(image, settings) - notched(image.astype(np.float64), settings)).max()
     return Measured(f"{off:.1e} of 255", "a step of an 8-bit image is 1")
 

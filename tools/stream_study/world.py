@@ -17,7 +17,7 @@ import numpy as np
 
 from mapperd.client.mirror import MapMirror
 from mapperd.config.loader import load_config
-from mapperd.config.tree import Config, Octree
+from mapperd.config.tree import Config, OctreeConfig
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
 from mapperd.wire.messages import BLOCK_EDGE, Interest, MapFacts
@@ -195,7 +195,7 @@ class World:
 
 def mirror_of(path: Path, facts: MapFacts) -> MapMirror:
     """What a client of everything should hold, made of a map's file by plain numpy."""
-    sonar_map = SonarMap(Config(octree=Octree(voxel_resolution=facts.resolution_m)))
+    sonar_map = SonarMap(Config(octree=OctreeConfig(voxel_resolution=facts.resolution_m)))
     sonar_map.load(path)
     keys, units, counts = sonar_map.core.blocks()
     mirror = MapMirror(facts, Interest())

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mapperd import SonarTo3DMapper
-from mapperd.config.tree import Sonar
+from mapperd.config.tree import SonarConfig
 from mapperd.errors import ConfigError, ExportError, MapError
 from mapperd.geometry.frames import Pose
 from mapperd.imaging.ping_image import PingImage, ping_image_of_array, uniform_bearings
@@ -102,7 +102,7 @@ def test_images_of_all_depths_are_one_image() -> None:
 
 
 def test_bearings_are_uniform_in_sine_unless_given() -> None:
-    table = uniform_bearings(256, Sonar(horizontal_fov=60.0))
+    table = uniform_bearings(256, SonarConfig(horizontal_fov=60.0))
     assert np.diff(np.sin(table)) == pytest.approx(1 / 255)
     assert table[[0, -1]] == pytest.approx([-math.pi / 6, math.pi / 6])
     given, default = SonarTo3DMapper(COARSE), mapped()

@@ -14,7 +14,7 @@ from mapperd.config.catalog import parameters
 from mapperd.config.layers import Layered
 from mapperd.config.live import Applied, ConfigStore, Refused
 from mapperd.config.loader import config_from_text
-from mapperd.config.tree import Amcl, Config
+from mapperd.config.tree import AmclConfig, Config
 from mapperd.errors import ConfigError
 
 PUBLISHED = {
@@ -99,7 +99,7 @@ ONLY_AT_START = {
 }
 
 
-def amcl_of(text: str) -> Amcl:
+def amcl_of(text: str) -> AmclConfig:
     return config_from_text("amcl: {" + text + "}").amcl
 
 
@@ -111,7 +111,7 @@ def following() -> ConfigStore:
 
 def test_all_58_published_parameters_are_there_with_their_defaults_but_the_swapped() -> None:
     assert len(PUBLISHED) == 58
-    assert msgspec.to_builtins(Amcl()) == PUBLISHED | SWAPPED
+    assert msgspec.to_builtins(AmclConfig()) == PUBLISHED | SWAPPED
 
 
 def test_what_is_otherwise_than_published_is_listed() -> None:
@@ -175,7 +175,7 @@ def test_names_of_other_releases_are_taken() -> None:
         "covariance_y: 0.09, covariance_yaw: 0.01, covariance_xy: 0.01, covariance_xyaw: 0.002, "
         "covariance_yyaw: 0.003}"
     )
-    said = {k: v for k, v in msgspec.to_builtins(amcl).items() if v != getattr(Amcl(), k)}
+    said = {k: v for k, v in msgspec.to_builtins(amcl).items() if v != getattr(AmclConfig(), k)}
     assert said == {
         "pf_err": 0.01,
         "pf_z": 3,
@@ -272,7 +272,7 @@ def test_defaults_of_the_start_are_restored_and_the_request_taken_back() -> None
         "amcl.pf_z",
         "amcl.tf_broadcast",
     }
-    assert store.current.amcl == Amcl(max_beams=90)
+    assert store.current.amcl == AmclConfig(max_beams=90)
     assert store.current.amcl.restore_defaults is False
 
 
@@ -285,14 +285,14 @@ def test_restoring_and_changing_at_once_is_refused() -> None:
 
 
 def test_other_sections_may_change_with_it() -> None:
-    changes = restored_changes({"amcl.restore_defaults": True, "mapping.threads": 2}, Amcl())
+    changes = restored_changes({"amcl.restore_defaults": True, "mapping.threads": 2}, AmclConfig())
     assert changes["mapping.threads"] == 2
     assert changes["amcl.restore_defaults"] is False
     assert not [name for name in changes if name.removeprefix("amcl.") in ONLY_AT_START]
 
 
 def test_asking_for_defaults_at_the_start_is_having_them() -> None:
-    assert amcl_of("restore_defaults: true") == Amcl()
+    assert amcl_of("restore_defaults: true") == AmclConfig()
 
 
 def test_all_settings_have_a_unit_or_need_none() -> None:

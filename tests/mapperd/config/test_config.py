@@ -7,7 +7,7 @@ import pytest
 from mapperd.config.catalog import rule_text
 from mapperd.config.layers import load_files
 from mapperd.config.loader import load_config
-from mapperd.config.tree import Adaptive, Config, Iwlo, Mapping, Orientation
+from mapperd.config.tree import AdaptiveConfig, Config, IwloConfig, MappingConfig, OrientationConfig
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -132,28 +132,28 @@ def test_config_cannot_be_changed() -> None:
 
 def test_free_threshold_stays_below_the_occupied_one() -> None:
     with pytest.raises(ValueError, match="free_threshold"):
-        Mapping(free_threshold=0.8)
+        MappingConfig(free_threshold=0.8)
 
 
 def test_rays_refuse_settings_they_do_not_know() -> None:
     with pytest.raises(ValueError, match="rays"):
-        Mapping(integrator="rays", carve_no_return=True)
+        MappingConfig(integrator="rays", carve_no_return=True)
 
 
 def test_rule_that_never_settles_is_refused() -> None:
     with pytest.raises(ValueError, match="65535"):
-        Iwlo(decay_rate=1e-5)
-    assert Iwlo(decay_rate=0.0)
-    assert Adaptive(threshold=1.0)
+        IwloConfig(decay_rate=1e-5)
+    assert IwloConfig(decay_rate=0.0)
+    assert AdaptiveConfig(threshold=1.0)
 
 
 def test_min_ratio_stays_below_max_ratio() -> None:
-    assert Adaptive().min_ratio == 0.25
-    assert Adaptive(min_ratio=0.3)
+    assert AdaptiveConfig().min_ratio == 0.25
+    assert AdaptiveConfig(min_ratio=0.3)
     with pytest.raises(ValueError, match=r"min_ratio 0\.4 .*max_ratio 0\.3"):
-        Adaptive(min_ratio=0.4)
+        AdaptiveConfig(min_ratio=0.4)
     with pytest.raises(ValueError, match="above max_ratio"):
-        Adaptive(max_ratio=0.2)
+        AdaptiveConfig(max_ratio=0.2)
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "config").glob("*.yaml")), ids=lambda p: p.name)
@@ -170,8 +170,8 @@ def test_short_sample_names_what_most_users_need() -> None:
 @pytest.mark.parametrize("tilt", [30, 60, 90])
 def test_preset_of_a_tilt_looks_that_way(tilt: int) -> None:
     config = load_config(ROOT / "config" / f"tilt_{tilt}.yaml")
-    assert config.mounting.orientation == Orientation(pitch=tilt)
-    assert config.iwlo == Iwlo()
+    assert config.mounting.orientation == OrientationConfig(pitch=tilt)
+    assert config.iwlo == IwloConfig()
 
 
 def test_robots_can_be_told_at_every_tilt() -> None:

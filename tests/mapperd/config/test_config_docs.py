@@ -67,11 +67,11 @@ def test_schema_knows_lists_sections_and_mistyped_names() -> None:
 
 def test_schema_says_unit_and_whether_it_is_live() -> None:
     definitions = json_schema()["$defs"]
-    assert definitions["Octree"]["properties"]["voxel_resolution"]["x-unit"] == "m"
-    assert definitions["Octree"]["properties"]["voxel_resolution"]["x-dynamic"] is False
-    assert definitions["Orientation"]["properties"]["pitch"]["x-dynamic"] is True
-    assert definitions["GeoOrigin"]["properties"]["latitude"]["x-unit"] == "deg"
-    assert definitions["OdometrySource"]["properties"]["latency_sec"]["x-dynamic"] is False
+    assert definitions["OctreeConfig"]["properties"]["voxel_resolution"]["x-unit"] == "m"
+    assert definitions["OctreeConfig"]["properties"]["voxel_resolution"]["x-dynamic"] is False
+    assert definitions["OrientationConfig"]["properties"]["pitch"]["x-dynamic"] is True
+    assert definitions["GeoOriginConfig"]["properties"]["latitude"]["x-unit"] == "deg"
+    assert definitions["OdometrySourceConfig"]["properties"]["latency_sec"]["x-dynamic"] is False
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "config").glob("*.yaml")), ids=lambda p: p.name)

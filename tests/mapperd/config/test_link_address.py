@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from mapperd.config.link_address import LinkAddress, parse_address, serial_path
-from mapperd.config.odometry import OdometryFusion, OdometrySource, Owners
+from mapperd.config.odometry import OdometryFusionConfig, OdometrySourceConfig, OwnersConfig
 
 
 @pytest.mark.parametrize(
@@ -62,8 +62,8 @@ def test_a_name_of_udev_is_looked_up_each_time(
 
 def test_settings_refuse_wrong_links_and_owners() -> None:
     with pytest.raises(ValueError, match="is no link"):
-        OdometrySource(link="nowhere")
+        OdometrySourceConfig(link="nowhere")
     with pytest.raises(ValueError, match=r"owners\.depth 'bar30' .*odometry, none"):
-        OdometryFusion(owners=Owners(depth="bar30"))
+        OdometryFusionConfig(owners=OwnersConfig(depth="bar30"))
     with pytest.raises(ValueError, match="share a name"):
-        OdometryFusion(sources=(OdometrySource(), OdometrySource()))
+        OdometryFusionConfig(sources=(OdometrySourceConfig(), OdometrySourceConfig()))

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mapperd.config.loader import MAX_FILE_BYTES, config_from_text, load_config
-from mapperd.config.tree import Behind, Config, Mapping
+from mapperd.config.tree import BacklogConfig, Config, MappingConfig
 from mapperd.errors import ConfigError
 
 BOMB = "a: &a [x, x]\n" + "\n".join(
@@ -106,7 +106,7 @@ def test_settings_of_an_earlier_version_load() -> None:
         "mapping: {integrator: projective, error_bound: 0.05, threads: 2}\n"
         "behind: {policy: coarser_first, error_bound: 0.5, max_wait: 2}\n"
     )
-    assert config == Config(mapping=Mapping(threads=2), behind=Behind(max_wait=2.0))
+    assert config == Config(mapping=MappingConfig(threads=2), behind=BacklogConfig(max_wait=2.0))
 
 
 @pytest.mark.parametrize(

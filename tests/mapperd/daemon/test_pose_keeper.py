@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mapperd.config.loader import config_from_text
-from mapperd.config.tree import Amcl
+from mapperd.config.tree import AmclConfig
 from mapperd.daemon.localization_service import PoseKeeper
 from mapperd.daemon.run import _localizing
 from mapperd.errors import ConfigError
@@ -30,7 +30,7 @@ class Told:
         localizing = begun(config_from_text(config_text))
         assert localizing is not None
         self.facts: LocalizationFacts | None = localizing.onboard.facts()
-        self.amcl = Amcl(save_pose_rate=50.0)
+        self.amcl = AmclConfig(save_pose_rate=50.0)
         self.events = EventLog(lambda: 0)
         self.path = path
         self.keeper = PoseKeeper(path, lambda: self.facts, lambda: self.amcl, int, self.events)
@@ -72,7 +72,7 @@ def test_ambiguous_estimate_is_not_saved(told: Told) -> None:
 
 
 def test_rate_of_zero_saves_nothing(told: Told) -> None:
-    told.amcl = Amcl(save_pose_rate=0.0)
+    told.amcl = AmclConfig(save_pose_rate=0.0)
     told.now_at(1.0, 1)
     told.keeper.save()
     assert told.saved_x_m is None

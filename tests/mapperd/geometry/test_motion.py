@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mapperd.config.tree import Config, Mapping, Mounting, Octree, Orientation, Position, Sonar
+from mapperd.config.tree import (
+    Config,
+    MappingConfig,
+    MountingConfig,
+    OctreeConfig,
+    OrientationConfig,
+    PositionConfig,
+    SonarConfig,
+)
 from mapperd.errors import MapError, Reject
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.geometry.motion import BaseMotion, PingMotion
@@ -19,9 +27,13 @@ from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]
 FORWARD = Config(
-    sonar=Sonar(vertical_aperture=20.0),  # so many voxels that their middle is known to 0.02 m
-    octree=Octree(voxel_resolution=0.05),
-    mounting=Mounting(position=Position(z=0.0), orientation=Orientation(pitch=0.0)),
+    sonar=SonarConfig(
+        vertical_aperture=20.0
+    ),  # so many voxels that their middle is known to 0.02 m
+    octree=OctreeConfig(voxel_resolution=0.05),
+    mounting=MountingConfig(
+        position=PositionConfig(z=0.0), orientation=OrientationConfig(pitch=0.0)
+    ),
 )
 ROWS, BEAMS, RANGE_M = 150, 33, 30.0
 
@@ -38,11 +50,11 @@ def middle(sonar_map: SonarMap) -> NDArray[np.float64]:
     return np.asarray(sonar_map.voxels("occupied").centres_m.mean(axis=0))
 
 
-def shift_by(motion: PingMotion, mapping: Mapping) -> NDArray[np.float64]:
+def shift_by(motion: PingMotion, mapping: MappingConfig) -> NDArray[np.float64]:
     """How far a wall at 27 m comes to lie from where a sonar at rest puts it."""
     middles = []
     for told in (None, motion):
-        config = msgspec.structs.replace(FORWARD, mapping=mapping, octree=Octree(0.1))
+        config = msgspec.structs.replace(FORWARD, mapping=mapping, octree=OctreeConfig(0.1))
         sonar_map = SonarMap(config)
         sonar_map.integrate(wall_echo(134), np.eye(4), told)
         middles.append(middle(sonar_map))
@@ -68,20 +80,22 @@ def motion(linear: tuple[float, ...], angular: tuple[float, ...], valid_s: float
 def test_samples_lie_where_the_sonar_was(
     moving: PingMotion, expected_m: tuple[float, ...], integrator: str
 ) -> None:
-    shift = shift_by(moving, Mapping(integrator=integrator))  # type: ignore[arg-type]
+    shift = shift_by(moving, MappingConfig(integrator=integrator))  # type: ignore[arg-type]
     assert shift == pytest.approx(expected_m, abs=0.02)
 
 
 @pytest.mark.parametrize("integrator", ["evidence_grid", "rays"])
 def test_the_setting_leaves_motion_out(integrator: str) -> None:
-    mapping = Mapping(integrator=integrator, within_ping_motion=False)  # type: ignore[arg-type]
+    mapping = MappingConfig(integrator=integrator, within_ping_motion=False)  # type: ignore[arg-type]
     shift = shift_by(motion((5, 5, 5), (0.5, 0.5, 0.5), 0.0), mapping)
     assert shift.tolist() == [0, 0, 0]
 
 
 def test_a_turning_base_swings_the_sonar_on_its_lever_arm() -> None:
     # Looking down, 2 m ahead and 1 m below; the base heads north and turns to port.
-    mounting = Mounting(position=Position(x=2.0, z=-1.0), orientation=Orientation(pitch=90))
+    mounting = MountingConfig(
+        position=PositionConfig(x=2.0, z=-1.0), orientation=OrientationConfig(pitch=90)
+    )
     base_T_sonar = SonarMap(Config(mounting=mounting)).base_T_sonar  # noqa: N806
     moving = BaseMotion(velocity_map_mps=(0.0, 1.0, 0.0), rate_radps=(0.0, 0.0, 0.5))
     pose = pose_from_rpy((100, 50, -10), (0, 0, 90))
@@ -99,7 +113,7 @@ def test_what_is_unknown_is_taken_as_at_rest() -> None:
 
 def test_the_step_holds_the_pose_at_the_middle_of_the_image(ping: MakePing) -> None:
     far = {"range_resolution_m": 0.6, "speed_of_sound_mps": 1450.0}  # 30 m; the wall at 18.6 m
-    coarse = msgspec.structs.replace(FORWARD, octree=Octree(0.2))
+    coarse = msgspec.structs.replace(FORWARD, octree=OctreeConfig(0.2))
     here = pose_from_rpy((0, 0, 0), (0, 0, 0))
     middles = []
     for rate in (None, (0.0, 0.0, 1.0)):
@@ -113,7 +127,7 @@ def test_the_step_holds_the_pose_at_the_middle_of_the_image(ping: MakePing) -> N
 
 
 def test_a_speed_of_sound_that_cannot_be_is_not_taken(ping: MakePing) -> None:
-    sonar_map = SonarMap(msgspec.structs.replace(FORWARD, octree=Octree(0.2)))
+    sonar_map = SonarMap(msgspec.structs.replace(FORWARD, octree=OctreeConfig(0.2)))
     here = pose_from_rpy((0, 0, 0), (0, 0, 0))
     moving = BaseMotion(velocity_map_mps=(1.0, 0.0, 0.0))
     result = process_ping(ping(speed_of_sound_mps=0.0), here, sonar_map, moving)
@@ -133,7 +147,7 @@ def test_a_speed_of_sound_that_cannot_be_is_not_taken(ping: MakePing) -> None:
 )
 @pytest.mark.parametrize("integrator", ["evidence_grid", "rays"])
 def test_motion_that_cannot_be_is_refused(moving: PingMotion, integrator: str) -> None:
-    mapping = Mapping(integrator=integrator)  # type: ignore[arg-type]
+    mapping = MappingConfig(integrator=integrator)  # type: ignore[arg-type]
     sonar_map = SonarMap(msgspec.structs.replace(FORWARD, mapping=mapping))
     with pytest.raises(MapError):
         sonar_map.integrate(wall_echo(100), np.eye(4), moving)

@@ -10,19 +10,19 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from mapperd.config.tree import Crosstalk
+from mapperd.config.tree import CrosstalkConfig
 from mapperd.imaging.crosstalk import without_stripes
 from tests.mapperd.imaging.conftest import BEAMS, Image, fan, flat_floor, speckled, striped
 
 WIDE = fan(130)
 THRESHOLD = 35.0
-DEFAULT = Crosstalk(enabled=True)
+DEFAULT = CrosstalkConfig(enabled=True)
 
 Simulated = Callable[[str, float], Image]
 
 
 def cleared(
-    image: Image, crosstalk: Crosstalk = DEFAULT, bearings: NDArray[np.float64] | None = None
+    image: Image, crosstalk: CrosstalkConfig = DEFAULT, bearings: NDArray[np.float64] | None = None
 ) -> Image:
     return without_stripes(image, WIDE if bearings is None else bearings, crosstalk, THRESHOLD)
 
@@ -86,7 +86,7 @@ def test_ring_thicker_than_the_kernel_is_no_stripe() -> None:
     image = np.full((600, BEAMS), 4, dtype=np.float32)
     image[300:305] = 200
     assert cleared(image) is image
-    assert (cleared(image, Crosstalk(morpho_kernel_size=6))[300:305] == 4).all()
+    assert (cleared(image, CrosstalkConfig(morpho_kernel_size=6))[300:305] == 4).all()
 
 
 def test_stripe_at_the_edges_of_the_image_goes() -> None:
@@ -94,7 +94,7 @@ def test_stripe_at_the_edges_of_the_image_goes() -> None:
     image[-2:] = 200
     assert (cleared(image)[-2:] <= 4).all()
     image[:2], image[-8:] = 200, 90
-    assert (cleared(image, Crosstalk(azimuth_enabled=False))[:2] <= 4).all()
+    assert (cleared(image, CrosstalkConfig(azimuth_enabled=False))[:2] <= 4).all()
 
 
 def test_near_stripe_in_a_narrow_fan_is_left_as_a_wall_may_look_so() -> None:
@@ -110,15 +110,15 @@ def test_share_of_the_sectors_decides() -> None:
     sectors = np.linspace(0, BEAMS, 25).round()
     sector = np.searchsorted(sectors, np.arange(BEAMS), side="right")
     image[300, sector % 2 == 0] = 200
-    assert cleared(image, Crosstalk(azimuth_threshold=0.6)) is image
-    assert (cleared(image, Crosstalk(azimuth_threshold=0.4))[300] == 4).all()
+    assert cleared(image, CrosstalkConfig(azimuth_threshold=0.6)) is image
+    assert (cleared(image, CrosstalkConfig(azimuth_threshold=0.4))[300] == 4).all()
 
 
 def test_without_azimuth_thin_echoes_go_as_well() -> None:
     image = np.full((600, BEAMS), 4, dtype=np.float32)
     image[300:302, :100] = 200
     image[400:420, :100] = 200
-    out = cleared(image, Crosstalk(azimuth_enabled=False))
+    out = cleared(image, CrosstalkConfig(azimuth_enabled=False))
     assert (out[300:302, :80] == 4).all()
     assert (out[400:420] == image[400:420]).all()
 
@@ -126,7 +126,7 @@ def test_without_azimuth_thin_echoes_go_as_well() -> None:
 def test_without_morpho_thick_rings_go_as_well() -> None:
     image = np.full((600, BEAMS), 4, dtype=np.float32)
     image[300:330] = 200
-    assert (cleared(image, Crosstalk(morpho_enabled=False)) == 4).all()
+    assert (cleared(image, CrosstalkConfig(morpho_enabled=False)) == 4).all()
 
 
 def test_kernel_s_shape_decides_what_is_an_echo_of_its_own() -> None:
@@ -135,7 +135,9 @@ def test_kernel_s_shape_decides_what_is_an_echo_of_its_own() -> None:
     image[[300, 304], 22 * 5 : 22 * 6] = 4  # the ring's corners, of a sector
     shapes: list[Literal["rect", "ellipse", "cross"]] = ["rect", "ellipse", "cross"]
     kept = [
-        (cleared(image, Crosstalk(morpho_kernel_shape=shape, azimuth_enabled=False)) > 100).sum()
+        (
+            cleared(image, CrosstalkConfig(morpho_kernel_shape=shape, azimuth_enabled=False)) > 100
+        ).sum()
         for shape in shapes
     ]
     assert kept[0] < kept[1] <= kept[2]
@@ -182,7 +184,9 @@ def test_any_image_comes_out_nowhere_brighter(
     azimuth: bool,  # noqa: FBT001
     kernel: int,
 ) -> None:
-    crosstalk = Crosstalk(morpho_enabled=morpho, azimuth_enabled=azimuth, morpho_kernel_size=kernel)
+    crosstalk = CrosstalkConfig(
+        morpho_enabled=morpho, azimuth_enabled=azimuth, morpho_kernel_size=kernel
+    )
     bearings = np.linspace(-1, 1, image.shape[1])
     out = without_stripes(image, bearings, crosstalk, THRESHOLD)
     assert out.shape == image.shape

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mapperd.config.tree import Crosstalk
+from mapperd.config.tree import CrosstalkConfig
 from mapperd.imaging.fft_notch import notched
 from tests.mapperd.imaging.conftest import BEAMS, Image, fan, flat_floor, speckled, striped
 
@@ -27,7 +27,7 @@ def test_notch_is_the_published_one(
     image = speckled(np.full(shape, 60, dtype=np.float32))
     ours = notched(
         image,
-        Crosstalk(filter_width=width, filter_strength=strength, dc_preserve_ratio=dc),
+        CrosstalkConfig(filter_width=width, filter_strength=strength, dc_preserve_ratio=dc),
     )
     assert np.abs(ours - by_the_book(image, width, strength, dc)).max() < 0.01
     assert ours.dtype == np.float32
@@ -35,19 +35,19 @@ def test_notch_is_the_published_one(
 
 def test_strength_zero_changes_nothing() -> None:
     image = speckled(np.full((60, 64), 60, dtype=np.float32))
-    assert np.abs(notched(image, Crosstalk(filter_strength=0)) - image).max() < 1e-3
+    assert np.abs(notched(image, CrosstalkConfig(filter_strength=0)) - image).max() < 1e-3
 
 
 def test_tiny_images_stay() -> None:
     image = np.full((3, 512), 9, dtype=np.float32)
-    assert notched(image, Crosstalk()) is image
+    assert notched(image, CrosstalkConfig()) is image
 
 
 def test_stripe_is_weakened_and_so_is_a_floor_seen_flat() -> None:
     """Its known limit, which is why it is off by default: echoes along the stripes go too."""
     bearings = fan(130)
     floor = flat_floor(bearings, 300)
-    out = notched(striped(floor, 420, 3, 160), Crosstalk())
+    out = notched(striped(floor, 420, 3, 160), CrosstalkConfig())
     assert out[421, :100].mean() < 0.6 * 160
     assert floor[301, BEAMS // 2] == 160
     assert out[301, BEAMS // 2] < 150

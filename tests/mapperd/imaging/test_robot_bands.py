@@ -3,14 +3,14 @@ import math
 import numpy as np
 import pytest
 
-from mapperd.config.tree import RobotDetection, TerrainDetection
+from mapperd.config.tree import RobotDetectionConfig, TerrainDetectionConfig
 from mapperd.imaging.robot_bands import MAX_ROBOTS, find_robots, terrain_of
 from mapperd.imaging.robots import MAX_SIGHTINGS, Robot, Sighting, Sightings
 
 BEARINGS = np.linspace(-1.0, 1.0, 101)
-ROBOTS = RobotDetection(enabled=True)
-KEPT_OUT = RobotDetection(enabled=True, keep_out=True)
-TERRAIN = TerrainDetection()
+ROBOTS = RobotDetectionConfig(enabled=True)
+KEPT_OUT = RobotDetectionConfig(enabled=True, keep_out=True)
+TERRAIN = TerrainDetectionConfig()
 
 
 def water() -> np.ndarray:
@@ -48,14 +48,14 @@ def test_groups_touch_at_corners_and_small_ones_are_none() -> None:
     image[50, 50:53] = 200
     (robot,) = find_robots(image, BEARINGS, 0.1, ROBOTS)
     assert robot.range_m == pytest.approx(1.2)
-    assert len(find_robots(image, BEARINGS, 0.1, RobotDetection(min_samples=3))) == 2
+    assert len(find_robots(image, BEARINGS, 0.1, RobotDetectionConfig(min_samples=3))) == 2
 
 
 def test_largest_come_first_and_no_more_than_the_bound() -> None:
     image = water()
     image[::4, ::4] = 200
     image[2:4, 2:4] = 200
-    robots = find_robots(image, BEARINGS, 0.1, RobotDetection(min_samples=1))
+    robots = find_robots(image, BEARINGS, 0.1, RobotDetectionConfig(min_samples=1))
     assert len(robots) == MAX_ROBOTS
     assert robots[0].samples > 1
     assert [robot.samples for robot in robots[1:]] == [1] * (MAX_ROBOTS - 1)
@@ -85,7 +85,7 @@ def test_robots_stay_out_of_the_map_on_request_but_single_bright_samples_do_not(
 
 def test_gap_between_the_bands_is_neither() -> None:
     image = np.full((10, 101), 170, dtype=np.float32)
-    terrain = TerrainDetection(max_threshold=160)
+    terrain = TerrainDetectionConfig(max_threshold=160)
     assert (terrain_of(image, terrain, ROBOTS) == 0).all()
     assert find_robots(image, BEARINGS, 0.1, ROBOTS) == []
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from mapperd.config.tree import Amcl
+from mapperd.config.tree import AmclConfig
 from mapperd.geometry.gaussian import Belief, PlanarGaussian
 from mapperd.localization.grid_map import FREE, OCCUPIED, UNKNOWN, GridMap
 from mapperd.localization.known_map import KnownMap
@@ -48,7 +48,7 @@ def facts(elsewhere: float | None = 0.0, *, std: float = 0.1, **more: Any) -> Lo
         "odom": None,
         "pose": None,
         "sure": belief is not None,
-        "diagnosis": diagnose(None if belief is None else best, Amcl()),
+        "diagnosis": diagnose(None if belief is None else best, AmclConfig()),
         "warning": None,
         "particle_count": 5000,
         "particles": particles,

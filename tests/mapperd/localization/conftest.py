@@ -4,7 +4,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from mapperd.config.tree import Sonar
+from mapperd.config.tree import SonarConfig
 from mapperd.imaging.ping_image import PingImage, ping_image_of_array
 
 MakeEcho = Callable[..., PingImage]
@@ -31,6 +31,6 @@ def make_echo() -> MakeEcho:
         shown = np.clip(np.rint(image), 0, 255).astype(np.uint8)
         half = math.radians(fov_deg / 2)
         bearings = np.arcsin(np.linspace(-math.sin(half), math.sin(half), beams))
-        return ping_image_of_array(shown, range_m, bearings, Sonar(horizontal_fov=180))
+        return ping_image_of_array(shown, range_m, bearings, SonarConfig(horizontal_fov=180))
 
     return make

@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from mapperd.config.tree import Config, Sonar
+from mapperd.config.tree import Config, SonarConfig
 from mapperd.localization.scan import heard_aperture_rad
 
 
 def test_a_return_may_come_from_the_data_sheet_s_one_way_width() -> None:
     assert math.degrees(heard_aperture_rad(Config().sonar)) == pytest.approx(20.0, abs=0.3)
-    narrow = Sonar(vertical_aperture=12.0 / math.sqrt(2.0))
+    narrow = SonarConfig(vertical_aperture=12.0 / math.sqrt(2.0))
     assert math.degrees(heard_aperture_rad(narrow)) == pytest.approx(12.0)
 
 

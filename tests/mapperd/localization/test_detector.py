@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.config.tree import ScanExtraction
+from mapperd.config.tree import ScanExtractionConfig
 from mapperd.imaging.ping_image import PingImage
 from mapperd.localization.detector import FirstReturns, Limits, equalised, first_returns, levels_db
 
@@ -14,7 +14,7 @@ ROW_M = 0.02
 def found(
     echo: PingImage, least_m: float = 0.5, most_m: float = 10.0, **changes: Any
 ) -> FirstReturns:
-    settings = msgspec.structs.replace(ScanExtraction(), **changes)
+    settings = msgspec.structs.replace(ScanExtractionConfig(), **changes)
     levels = equalised(levels_db(echo.intensity), echo.range_resolution_m)
     return first_returns(levels, echo, Limits(least_m, most_m, echo.range_resolution_m), settings)
 
@@ -112,7 +112,7 @@ def test_the_guard_keeps_a_surface_that_rises_slowly_out_of_its_background(make_
     levels = np.zeros(echo.intensity.shape, np.float32)
     levels[240:280] = 0.7 * np.arange(1, 41)[:, None]
     for guard_m, there in ((ROW_M, False), (5 * ROW_M, True)):
-        settings = msgspec.structs.replace(ScanExtraction(), guard=guard_m)
+        settings = msgspec.structs.replace(ScanExtractionConfig(), guard=guard_m)
         assert (np.isfinite(first_returns(levels, bright, limits, settings).range_m) == there).all()
 
 
@@ -122,7 +122,7 @@ def test_what_is_fainter_than_the_noise_is_no_surface(make_echo: Any) -> None:
     levels = np.full(echo.intensity.shape, -30, np.float32)
     for level_db, there in ((-3.0, False), (40.0, True)):
         levels[250:256] = level_db
-        returns = first_returns(levels, bright, limits, ScanExtraction())
+        returns = first_returns(levels, bright, limits, ScanExtractionConfig())
         assert (np.isfinite(returns.range_m) == there).all()
 
 

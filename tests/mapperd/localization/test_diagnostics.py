@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mapperd.config.tree import Amcl
+from mapperd.config.tree import AmclConfig
 from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.status import Deviation, diagnose, weight_warning
 
@@ -11,11 +11,11 @@ def estimate(*variances: float) -> PlanarGaussian:
 
 
 def test_before_the_first_estimate_all_is_well() -> None:
-    assert diagnose(None, Amcl()).level == "OK"
+    assert diagnose(None, AmclConfig()).level == "OK"
 
 
 def test_levels_are_strict() -> None:
-    amcl = Amcl(std_warn_level_x=0.5, std_warn_level_y=0.5, std_warn_level_yaw=0.5)
+    amcl = AmclConfig(std_warn_level_x=0.5, std_warn_level_y=0.5, std_warn_level_yaw=0.5)
     assert diagnose(estimate(0.25, 0.25, 0.25), amcl).level == "OK"
     assert diagnose(estimate(0.25, 0.25, 0.2501), amcl).level == "WARN"
 
@@ -24,7 +24,7 @@ def test_levels_are_strict() -> None:
 def test_any_of_the_three_warns_and_is_named(which: int) -> None:
     variances = [0.01] * 3
     variances[which] = 0.09
-    told = diagnose(estimate(*variances), Amcl())
+    told = diagnose(estimate(*variances), AmclConfig())
     name = ("std_x", "std_y", "std_yaw")[which]
     assert told.level == "WARN"
     assert told.text == f"{name} 0.3 above 0.2"
@@ -37,9 +37,9 @@ def test_no_number_is_too_large() -> None:
 
 
 def test_weights_that_do_not_sum_to_1_are_told_for_the_model_in_use() -> None:
-    assert weight_warning(Amcl()) is None
-    assert weight_warning(Amcl(laser_model_type="beam")) == (
+    assert weight_warning(AmclConfig()) is None
+    assert weight_warning(AmclConfig(laser_model_type="beam")) == (
         "amcl: laser_z_hit + laser_z_rand + laser_z_max + laser_z_short is 1.1, not 1"
     )
-    assert weight_warning(Amcl(laser_model_type="beam", laser_z_hit=0.4)) is None
-    assert "is 0.9, not 1" in str(weight_warning(Amcl(laser_z_hit=0.4)))
+    assert weight_warning(AmclConfig(laser_model_type="beam", laser_z_hit=0.4)) is None
+    assert "is 0.9, not 1" in str(weight_warning(AmclConfig(laser_z_hit=0.4)))

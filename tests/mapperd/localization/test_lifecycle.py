@@ -3,7 +3,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mapperd.config.tree import Amcl
+from mapperd.config.tree import AmclConfig
 from mapperd.errors import Reject
 from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.grid_map import GridMap
@@ -12,8 +12,8 @@ from mapperd.localization.lifecycle import Lifecycle, Start, parameter_pose
 GRID = GridMap(np.zeros((3, 3), dtype=np.int8), 1.0)
 OTHER = GridMap(np.zeros((4, 4), dtype=np.int8), 1.0)
 SOLID = GridMap(np.full((3, 3), 100, dtype=np.int8), 1.0)
-AMCL = Amcl()
-FROM_SETTINGS = Amcl(set_initial_pose=True, initial_pose_x=7.0, initial_cov_xx=0.5)
+AMCL = AmclConfig()
+FROM_SETTINGS = AmclConfig(set_initial_pose=True, initial_pose_x=7.0, initial_cov_xx=0.5)
 
 
 def pose(x: float) -> PlanarGaussian:
@@ -88,7 +88,7 @@ def test_pose_of_the_settings_begins_where_nothing_is_known() -> None:
 )
 def test_new_map_begins_at_the_last_estimate_or_anew(changes: dict[str, bool], x: float) -> None:
     life = running().estimated(pose(3))
-    _, start = done(life.take_map(OTHER, Amcl(initial_pose_x=7.0, **changes)))  # type: ignore[arg-type]
+    _, start = done(life.take_map(OTHER, AmclConfig(initial_pose_x=7.0, **changes)))  # type: ignore[arg-type]
     assert start.new_map
     assert start.at is not None
     assert start.at.x_m == x
@@ -108,7 +108,7 @@ def test_pose_counts_as_known_before_the_first_estimate() -> None:
 
 
 def test_first_map_only_holds_it_once_a_filter_is_there() -> None:
-    amcl = Amcl(first_map_only=True)
+    amcl = AmclConfig(first_map_only=True)
     life, _ = done(Lifecycle("track").take_map(GRID, amcl))
     life, _ = done(life.take_map(OTHER, amcl))
     assert life.map is OTHER
@@ -118,7 +118,7 @@ def test_first_map_only_holds_it_once_a_filter_is_there() -> None:
 def test_pose_in_another_frame_is_refused() -> None:
     assert why(Lifecycle("track").take_pose(pose(1), "odom", AMCL)) == "wrong_frame"
     assert why(running().set_map(OTHER, pose(1), "odom", AMCL)) == "wrong_frame"
-    done(Lifecycle("track").take_pose(pose(1), "harbour", Amcl(global_frame_id="harbour")))
+    done(Lifecycle("track").take_pose(pose(1), "harbour", AmclConfig(global_frame_id="harbour")))
 
 
 def test_global_localization_needs_a_map_with_free_cells() -> None:
@@ -159,7 +159,7 @@ def test_update_without_motion_needs_a_filter() -> None:
 
 def test_pose_of_the_settings_has_their_covariance() -> None:
     found = parameter_pose(
-        Amcl(
+        AmclConfig(
             initial_pose_y=2.0,
             initial_pose_a=1.0,
             initial_cov_xx=1.0,

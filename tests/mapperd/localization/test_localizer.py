@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mapperd.config.loader import config_from_text
-from mapperd.config.tree import Amcl, Config
+from mapperd.config.tree import AmclConfig, Config
 from mapperd.geometry.frames import Pose, pose_from_rpy
 from mapperd.geometry.gaussian import Belief, PlanarGaussian
 from mapperd.localization.grid_map import GridMap
@@ -120,7 +120,7 @@ def test_nothing_goes_out_between_a_new_start_and_its_first_update() -> None:
 
 @pytest.mark.parametrize("broadcast", [True, False])
 def test_broadcast_is_a_setting(broadcast: bool) -> None:  # noqa: FBT001 a parameter of the test
-    amcl = Amcl(tf_broadcast=broadcast)
+    amcl = AmclConfig(tf_broadcast=broadcast)
     localizer, _ = started(msgspec.structs.replace(TRACK, amcl=amcl))
     found = localizer.take_scan(scan(0), odom(0))
     assert (found.transform is not None) == broadcast
@@ -173,7 +173,9 @@ def test_filter_that_fails_leaves_the_rules_state() -> None:
 
 def test_settings_hold_from_the_next_scan_on() -> None:
     localizer, particles = started()
-    changed: Any = msgspec.structs.replace(TRACK, amcl=Amcl(max_beams=7, transform_tolerance=0.0))
+    changed: Any = msgspec.structs.replace(
+        TRACK, amcl=AmclConfig(max_beams=7, transform_tolerance=0.0)
+    )
     localizer.reconfigure(changed)
     found = localizer.take_scan(scan(3), odom(0))
     assert particles.beams == 7

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapperd.config.loader import config_from_text
-from mapperd.config.tree import Amcl
+from mapperd.config.tree import AmclConfig
 from mapperd.localization.grid_map import GridMap
 from mapperd.localization.models import beam_model, field_of
 
@@ -17,7 +17,7 @@ SET = (
 )
 
 
-def amcl() -> Amcl:
+def amcl() -> AmclConfig:
     return config_from_text(f"amcl: {{{SET}}}").amcl
 
 

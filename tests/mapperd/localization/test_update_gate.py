@@ -2,10 +2,10 @@ import math
 
 import pytest
 
-from mapperd.config.tree import Amcl
+from mapperd.config.tree import AmclConfig
 from mapperd.localization.update_gate import PlanarPose, UpdateGate
 
-AMCL = Amcl(update_min_d=0.1, update_min_a=0.05)
+AMCL = AmclConfig(update_min_d=0.1, update_min_a=0.05)
 
 
 def reasons(*poses: tuple[float, float, float], gate: UpdateGate | None = None) -> list[str]:

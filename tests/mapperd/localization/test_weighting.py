@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from mapperd.config.tree import Sonar
+from mapperd.config.tree import SonarConfig
 from mapperd.localization.models import filter_rule
 from mapperd.localization.particle_filter import ParticleFilter
 from mapperd.localization.scan import decimated, heard_aperture_rad
@@ -73,7 +73,7 @@ def test_scans_that_the_settings_thin_are_searched_by() -> None:
 def test_returns_are_tried_over_the_height_that_is_heard() -> None:
     """Two elevations halve the aperture's halves; a wall is as far as its lower one says."""
     settings = structs.replace(
-        changed("localization", elevations=2), sonar=Sonar(vertical_aperture=50.0)
+        changed("localization", elevations=2), sonar=SonarConfig(vertical_aperture=50.0)
     )
     weighing = MapWeighing(solid(), settings)
     ahead, at = len(SCAN) // 2, np.array([[4.0, 3.0, 0.2]])

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapperd import _core
-from mapperd.config.tree import Config, Iwlo, Mounting, Octree, Orientation
+from mapperd.config.tree import Config, IwloConfig, MountingConfig, OctreeConfig, OrientationConfig
 from mapperd.errors import ExportError, MapError
 from mapperd.imaging.ping_image import ping_image_of
 from mapperd.mapping.sonar_map import SonarMap
@@ -20,7 +20,8 @@ from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]
 CONFIG = Config(
-    octree=Octree(voxel_resolution=0.2), mounting=Mounting(orientation=Orientation(pitch=0.0))
+    octree=OctreeConfig(voxel_resolution=0.2),
+    mounting=MountingConfig(orientation=OrientationConfig(pitch=0.0)),
 )
 
 
@@ -68,9 +69,9 @@ def test_other_settings_are_refused_and_the_map_stays(
 ) -> None:
     _, path = saved
     for changes, because in (
-        ({"octree": Octree(voxel_resolution=0.1)}, "voxels are 0.2"),
-        ({"iwlo": Iwlo(L_max=8.0)}, "L_max"),
-        ({"iwlo": Iwlo(decay_rate=0.2)}, "decay_rate"),
+        ({"octree": OctreeConfig(voxel_resolution=0.1)}, "voxels are 0.2"),
+        ({"iwlo": IwloConfig(L_max=8.0)}, "L_max"),
+        ({"iwlo": IwloConfig(decay_rate=0.2)}, "decay_rate"),
     ):
         config = msgspec.structs.replace(CONFIG, **changes)
         other = SonarMap(config)

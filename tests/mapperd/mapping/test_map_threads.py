@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.config.tree import Config, Mounting, Octree, Orientation
+from mapperd.config.tree import Config, MountingConfig, OctreeConfig, OrientationConfig
 from mapperd.imaging.ping_image import ping_image_of
 from mapperd.mapping.queries import MapQueries, memory_stats
 from mapperd.mapping.sonar_map import SonarMap
@@ -15,7 +15,8 @@ from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]
 CONFIG = Config(
-    octree=Octree(voxel_resolution=0.2), mounting=Mounting(orientation=Orientation(pitch=0.0))
+    octree=OctreeConfig(voxel_resolution=0.2),
+    mounting=MountingConfig(orientation=OrientationConfig(pitch=0.0)),
 )
 PINGS = 30
 

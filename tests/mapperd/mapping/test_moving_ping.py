@@ -11,7 +11,15 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config.tree import Config, Mapping, Mounting, Octree, Orientation, Position, Sonar
+from mapperd.config.tree import (
+    Config,
+    MappingConfig,
+    MountingConfig,
+    OctreeConfig,
+    OrientationConfig,
+    PositionConfig,
+    SonarConfig,
+)
 from mapperd.geometry.frames import Pose, pose_from_rpy
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.pose_lookup import OdometryPoses
@@ -29,10 +37,11 @@ RANGE_M = (ROW + 0.5) * RESOLUTION_M
 SPEED_MPS, RATE_RADPS = 1.0, math.radians(20.0)
 VOXEL_M = 0.1
 CONFIG = Config(
-    octree=Octree(voxel_resolution=VOXEL_M),
-    sonar=Sonar(vertical_aperture=1.0),
-    mounting=Mounting(
-        position=Position(x=20.0, y=10.0, z=0.0), orientation=Orientation(pitch=0.0, yaw=40.0)
+    octree=OctreeConfig(voxel_resolution=VOXEL_M),
+    sonar=SonarConfig(vertical_aperture=1.0),
+    mounting=MountingConfig(
+        position=PositionConfig(x=20.0, y=10.0, z=0.0),
+        orientation=OrientationConfig(pitch=0.0, yaw=40.0),
     ),
 )
 SENT_NS = T0 + 500 * MS
@@ -92,7 +101,7 @@ def errors_m(sonar_map: SonarMap, points: Floats) -> Floats:
 def test_samples_lie_where_their_echoes_came_from(
     ping: MakePing, odometry_bytes: OdometryBytes
 ) -> None:
-    mapping = Mapping(detail=8.0)
+    mapping = MappingConfig(detail=8.0)
     config = msgspec.structs.replace(CONFIG, mapping=mapping)
     found = errors_m(*mapped(ping, odometry_bytes, config))
     assert found.max() < 0.03, found

@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 
 from mapperd import _core
-from mapperd.config.tree import Config, Iwlo, Mounting, Octree, Orientation
+from mapperd.config.tree import Config, IwloConfig, MountingConfig, OctreeConfig, OrientationConfig
 from mapperd.errors import MapError
 from mapperd.imaging.ping_image import ping_image_of
 from mapperd.mapping.sonar_map import SonarMap, iwlo_params
 from oculus_driver.ping import Ping
 
 COARSE = Config(
-    octree=Octree(voxel_resolution=0.2), mounting=Mounting(orientation=Orientation(pitch=0.0))
+    octree=OctreeConfig(voxel_resolution=0.2),
+    mounting=MountingConfig(orientation=OrientationConfig(pitch=0.0)),
 )
 TINY_OT = b"# Octomap OcTree file\nid %s\nsize %s\nres %s\ndata\n%s"
 
@@ -52,7 +53,7 @@ def test_binary_tree_comes_back_with_classes(sonar_map: SonarMap) -> None:
 
 
 def test_values_of_a_file_stay_within_the_clamps_of_the_map(sonar_map: SonarMap) -> None:
-    narrow = msgspec.structs.replace(COARSE, iwlo=Iwlo(L_min=-1.0, L_max=1.5))
+    narrow = msgspec.structs.replace(COARSE, iwlo=IwloConfig(L_min=-1.0, L_max=1.5))
     for file in (sonar_map.octomap_ot(), sonar_map.octomap_bt()):
         again = SonarMap(narrow)
         again.load_octomap(file)
@@ -60,9 +61,9 @@ def test_values_of_a_file_stay_within_the_clamps_of_the_map(sonar_map: SonarMap)
         assert (log_odds.min(), log_odds.max()) == (-1.0, 1.5)
 
 
-@pytest.mark.parametrize("iwlo", [Iwlo(decay_rate=0.0), Iwlo(min_alpha=1.0)])
+@pytest.mark.parametrize("iwlo", [IwloConfig(decay_rate=0.0), IwloConfig(min_alpha=1.0)])
 def test_loaded_voxels_are_known_where_counts_settle_at_once(
-    sonar_map: SonarMap, iwlo: Iwlo
+    sonar_map: SonarMap, iwlo: IwloConfig
 ) -> None:
     again = SonarMap(msgspec.structs.replace(COARSE, iwlo=iwlo))
     again.load_octomap(sonar_map.octomap_ot())

@@ -5,7 +5,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.config.tree import Config, Filtering, Iwlo, Mapping, Mounting, Octree, Orientation
+from mapperd.config.tree import (
+    Config,
+    FilteringConfig,
+    IwloConfig,
+    MappingConfig,
+    MountingConfig,
+    OctreeConfig,
+    OrientationConfig,
+)
 from mapperd.errors import MapError
 from mapperd.imaging.ping_image import PingImage, ping_image_of
 from mapperd.mapping.sonar_map import SonarMap, iwlo_params
@@ -13,7 +21,8 @@ from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]
 COARSE = Config(
-    octree=Octree(voxel_resolution=0.2), mounting=Mounting(orientation=Orientation(pitch=0.0))
+    octree=OctreeConfig(voxel_resolution=0.2),
+    mounting=MountingConfig(orientation=OrientationConfig(pitch=0.0)),
 )
 HERE = np.eye(4)
 
@@ -84,11 +93,13 @@ def test_integrators_differ_and_settings_reach_the_core(ping: MakePing) -> None:
         "rays": mapped(with_mapping(integrator="rays"), ping()).sha256(),
         "mean": mapped(with_mapping(aggregation="mean"), ping()).sha256(),
         "range": mapped(
-            msgspec.structs.replace(COARSE, filtering=Filtering(min_range=1.0)), ping()
+            msgspec.structs.replace(COARSE, filtering=FilteringConfig(min_range=1.0)), ping()
         ).sha256(),
-        "rule": mapped(msgspec.structs.replace(COARSE, iwlo=Iwlo(L_occ=1.0)), ping()).sha256(),
+        "rule": mapped(
+            msgspec.structs.replace(COARSE, iwlo=IwloConfig(L_occ=1.0)), ping()
+        ).sha256(),
         "size": mapped(
-            msgspec.structs.replace(COARSE, octree=Octree(voxel_resolution=0.25)), ping()
+            msgspec.structs.replace(COARSE, octree=OctreeConfig(voxel_resolution=0.25)), ping()
         ).sha256(),
     }
     assert len(set(prints.values())) == len(prints)
@@ -116,7 +127,7 @@ def test_fingerprint_is_of_the_content(ping: MakePing) -> None:
 
 
 def test_fan_of_too_many_voxels_is_refused_at_once(ping: MakePing) -> None:
-    fine = msgspec.structs.replace(COARSE, octree=Octree(voxel_resolution=0.001))
+    fine = msgspec.structs.replace(COARSE, octree=OctreeConfig(voxel_resolution=0.001))
     with pytest.raises(MapError, match="set a larger octree") as caught:
         mapped(fine, ping())
     assert caught.value.reason == "fan_too_large"
@@ -149,11 +160,11 @@ def test_octomap_refuses_what_it_cannot_hold(ping: MakePing) -> None:
 
 def test_every_allowed_extreme_of_the_rule_is_taken_by_the_core() -> None:
     for iwlo in (
-        Iwlo(L_occ=0.0, L_free=0.0, sharpness=0.0),
-        Iwlo(L_occ=127.0, L_free=-127.0, L_min=-127.0, L_max=127.0, sharpness=1000.0),
-        Iwlo(decay_rate=0.0, min_alpha=1.0),
-        Iwlo(decay_rate=1000.0, min_alpha=1e-6),
-        Iwlo(intensity_max=1e-9),
+        IwloConfig(L_occ=0.0, L_free=0.0, sharpness=0.0),
+        IwloConfig(L_occ=127.0, L_free=-127.0, L_min=-127.0, L_max=127.0, sharpness=1000.0),
+        IwloConfig(decay_rate=0.0, min_alpha=1.0),
+        IwloConfig(decay_rate=1000.0, min_alpha=1e-6),
+        IwloConfig(intensity_max=1e-9),
     ):
         assert iwlo_params(msgspec.structs.replace(Config(), iwlo=iwlo))
-    assert Mapping(free_threshold=0.7)
+    assert MappingConfig(free_threshold=0.7)

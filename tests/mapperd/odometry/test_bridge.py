@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mapperd.config.odometry import FormatName, OdometryFusion, OdometrySource
+from mapperd.config.odometry import FormatName, OdometryFusionConfig, OdometrySourceConfig
 from mapperd.config.tree import Config
 from mapperd.errors import Reject
 from mapperd.odometry.bridge import OdometryBridge
@@ -100,8 +100,8 @@ def test_any_bytes_on_any_link(name: FormatName, scheme: str, data: st.DataObjec
     if name == "native" and scheme != "udp":
         return  # refused by the settings: it has no frames
     link = "serial:/dev/ttyS0" if scheme == "serial" else f"{scheme}://127.0.0.1:52200"
-    source = OdometrySource(name="any", format=name, link=link, mavlink_system_id=0)
-    bridge = OdometryBridge(Config(odometry=OdometryFusion(sources=(source,))))
+    source = OdometrySourceConfig(name="any", format=name, link=link, mavlink_system_id=0)
+    bridge = OdometryBridge(Config(odometry=OdometryFusionConfig(sources=(source,))))
     arrival_ns = T0
     for piece in data.draw(pieces(name)):
         arrival_ns += data.draw(st.sampled_from([0, 1, 50_000_000, -(10**9), 10**11]))

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from mapperd.config.link_address import parse_address
-from mapperd.config.odometry import FormatName, OdometryFusion, OdometrySource
+from mapperd.config.odometry import FormatName, OdometryFusionConfig, OdometrySourceConfig
 from mapperd.config.tree import Config
 from mapperd.errors import Reject
 from mapperd.odometry.bridge import OdometryBridge
@@ -43,9 +43,9 @@ class Bench:
     """
 
     def __init__(self, name: FormatName, link: str) -> None:
-        source = OdometrySource(name="peer", format=name, link=link)
-        ahrs = OdometrySource(name="ahrs", link="udp://127.0.0.1:1")
-        self.bridge = OdometryBridge(Config(odometry=OdometryFusion(sources=(source, ahrs))))
+        source = OdometrySourceConfig(name="peer", format=name, link=link)
+        ahrs = OdometrySourceConfig(name="ahrs", link="udp://127.0.0.1:1")
+        self.bridge = OdometryBridge(Config(odometry=OdometryFusionConfig(sources=(source, ahrs))))
         self.now_ns = T0
         self.bytes = 0
         self.link = Link("peer", parse_address(link), self._take, lambda: self.now_ns)

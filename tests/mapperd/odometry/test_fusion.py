@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from mapperd.config.odometry import (
-    DeadReckoning,
-    GeoOrigin,
-    Limits,
-    OdometryFusion,
-    OdometrySource,
-    Owners,
-    TimeSync,
+    DeadReckoningConfig,
+    GeoOriginConfig,
+    LimitsConfig,
+    OdometryFusionConfig,
+    OdometrySourceConfig,
+    OwnersConfig,
+    TimeSyncConfig,
 )
 from mapperd.errors import Reject
 from mapperd.geometry.frames import rotation_from_rpy
@@ -23,9 +23,9 @@ from mapperd.odometry.fusion import FusedPose, Fusion
 from mapperd.odometry.records import GeoPoint, Odometry
 from tests.mapperd.odometry.conftest import T0, Circle, S, feed, fused_at, record, yaw_of
 
-OWNERS = OdometryFusion(
-    sources=tuple(OdometrySource(name=name) for name in ("ekf", "ahrs", "bar30", "dvl")),
-    owners=Owners("ekf", "ahrs", "bar30", "dvl"),
+OWNERS = OdometryFusionConfig(
+    sources=tuple(OdometrySourceConfig(name=name) for name in ("ekf", "ahrs", "bar30", "dvl")),
+    owners=OwnersConfig("ekf", "ahrs", "bar30", "dvl"),
 )
 
 
@@ -103,7 +103,7 @@ def test_reckoning_takes_over_from_a_silent_position_and_its_doubt_grows(circle:
 
 
 def test_reckoning_ends_after_its_time(circle: Circle) -> None:
-    fusion = Fusion(OdometryFusion(dead_reckoning=DeadReckoning(max_sec=3.0)))
+    fusion = Fusion(OdometryFusionConfig(dead_reckoning=DeadReckoningConfig(max_sec=3.0)))
     feed(fusion, "ekf", 10, 1, lambda t: {"position_m": circle.position_m(t)})
     feed(fusion, "ahrs", 50, 6, lambda t: {"map_q_base": circle.quaternion(t)})
     feed(fusion, "dvl", 10, 6, lambda _: {"velocity_mps": body_velocity(circle)})
@@ -127,7 +127,7 @@ def test_a_lost_bottom_lock_breaks_the_way(circle: Circle) -> None:
     ("policy", "expected_s"), [("interpolate", 1.034), ("nearest", 1.0), ("latest", 1.1)]
 )
 def test_policies_choose_the_record(circle: Circle, policy: str, expected_s: float) -> None:
-    settings = msgspec.structs.replace(TimeSync(), policy=policy)
+    settings = msgspec.structs.replace(TimeSyncConfig(), policy=policy)
     fusion = Fusion(time_sync=settings)
     feed(fusion, "ekf", 10, 1.1, circle.pose)
     fused = fused_at(fusion, 1.034)
@@ -159,7 +159,7 @@ def test_velocity_carries_positions_on_beyond_the_newest(circle: Circle) -> None
 
 
 def test_one_stray_record_is_dropped_and_two_that_agree_are_a_jump(circle: Circle) -> None:
-    fusion = Fusion(OdometryFusion(at_jump="follow"))
+    fusion = Fusion(OdometryFusionConfig(at_jump="follow"))
     feed(fusion, "ekf", 10, 1, circle.pose)
     stray = record(position_m=np.array([50.0, 0, 0]), map_q_base=circle.quaternion(1.1))
     fusion.take("ekf", stray, T0 + round(1.1 * S))
@@ -207,7 +207,7 @@ def test_a_jump_of_the_estimate_is_no_motion_of_the_vehicle(
 
 
 def test_implausible_speed_and_turn_rate_are_refused(circle: Circle) -> None:
-    fusion = Fusion(OdometryFusion(limits=Limits(max_speed=2.0, max_turn_rate=90.0)))
+    fusion = Fusion(OdometryFusionConfig(limits=LimitsConfig(max_speed=2.0, max_turn_rate=90.0)))
     feed(fusion, "ekf", 10, 1, lambda t: {"position_m": circle.position_m(t)})
     fast = record(position_m=circle.position_m(1.1), velocity_map_mps=np.array([3.0, 0, 0]))
     refused = fusion.take("ekf", fast, T0 + round(1.1 * S))
@@ -219,7 +219,7 @@ def test_implausible_speed_and_turn_rate_are_refused(circle: Circle) -> None:
 
 @pytest.mark.parametrize(("limit_dps", "told"), [(20.0, False), (90.0, True)])
 def test_a_turn_by_attitudes_that_no_vehicle_has_is_none(limit_dps: float, *, told: bool) -> None:
-    fusion = Fusion(OdometryFusion(limits=Limits(max_turn_rate=limit_dps)))
+    fusion = Fusion(OdometryFusionConfig(limits=LimitsConfig(max_turn_rate=limit_dps)))
 
     def turning(t_s: float) -> dict[str, np.ndarray]:
         return {"position_m": np.zeros(3), "map_q_base": rotation_from_rpy(0, 0, 30.0 * t_s)}
@@ -263,7 +263,7 @@ def test_a_covariance_that_says_nothing_is_replaced_by_ours(circle: Circle, noth
 
 
 def test_geographic_positions_have_their_origin_and_the_depth_its_height(circle: Circle) -> None:
-    origin = OdometryFusion(origin=GeoOrigin(60.0, 5.0))
+    origin = OdometryFusionConfig(origin=GeoOriginConfig(60.0, 5.0))
     fusion = Fusion(origin)
     feed(fusion, "ahrs", 10, 1, lambda t: {"map_q_base": circle.quaternion(t)})
     feed(fusion, "bar30", 10, 1, lambda _: {"depth_m": 4.0})

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapperd.config.odometry import DeadReckoning, OdometryFusion, TimeSync
+from mapperd.config.odometry import DeadReckoningConfig, OdometryFusionConfig, TimeSyncConfig
 from mapperd.errors import Reject
 from mapperd.geometry.frames import rotation_from_rpy
 from mapperd.odometry.fusion import FusedPose, Fusion
@@ -49,8 +49,8 @@ said = st.tuples(
 @given(story=st.lists(said, max_size=40))
 def test_any_story(policy: Any, at_jump: Any, story: list[tuple[str, dict[str, Any], int]]) -> None:
     fusion = Fusion(
-        OdometryFusion(at_jump=at_jump, dead_reckoning=DeadReckoning(max_sec=2.0)),
-        TimeSync(policy=policy),
+        OdometryFusionConfig(at_jump=at_jump, dead_reckoning=DeadReckoningConfig(max_sec=2.0)),
+        TimeSyncConfig(policy=policy),
     )
     t_ns = T0
     for source, told, step_ms in story:

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from mapperd.config.odometry import (
-    GeoOrigin,
-    OdometryFusion,
-    OdometrySource,
-    Owners,
-    SlamQuality,
-    TimeSync,
-    WorldInit,
+    GeoOriginConfig,
+    OdometryFusionConfig,
+    OdometrySourceConfig,
+    OwnersConfig,
+    SlamQualityConfig,
+    TimeSyncConfig,
+    WorldInitConfig,
 )
 from mapperd.errors import Reject
 from mapperd.odometry.fusion import FusedPose, Fusion
@@ -52,7 +52,7 @@ def test_motion_is_not_told_by_the_noise_of_neighbours(circle: Circle) -> None:
 
 
 def test_motion_of_rare_records_is_that_of_those_around(circle: Circle) -> None:
-    fusion = Fusion(time_sync=TimeSync(max_gap_sec=1.0))
+    fusion = Fusion(time_sync=TimeSyncConfig(max_gap_sec=1.0))
     feed(fusion, "ekf", 2, 3, circle.pose)
     fused = fused_at(fusion, 1.25)
     assert fused.velocity_mps == pytest.approx(circle.velocity_map_mps(1.25), abs=0.01)
@@ -71,13 +71,13 @@ def test_motion_that_cannot_be_is_unknown(circle: Circle) -> None:
     assert fused_at(fusion, 1.2).velocity_mps is None
 
 
-@pytest.mark.parametrize("owners", [Owners(), Owners(depth="bar30")])
-def test_a_silent_depth_is_no_height_of_zero(circle: Circle, owners: Owners) -> None:
+@pytest.mark.parametrize("owners", [OwnersConfig(), OwnersConfig(depth="bar30")])
+def test_a_silent_depth_is_no_height_of_zero(circle: Circle, owners: OwnersConfig) -> None:
     """Places on Earth have no height: without the depth they would lie at the surface."""
-    settings = OdometryFusion(
-        sources=tuple(OdometrySource(name=name) for name in ("gps", "ahrs", "bar30")),
+    settings = OdometryFusionConfig(
+        sources=tuple(OdometrySourceConfig(name=name) for name in ("gps", "ahrs", "bar30")),
         owners=owners,
-        origin=GeoOrigin(60.0, 5.0),
+        origin=GeoOriginConfig(60.0, 5.0),
     )
     fusion = Fusion(settings)
     place = GeoPoint(math.radians(60.0), math.radians(5.0), None)
@@ -89,9 +89,9 @@ def test_a_silent_depth_is_no_height_of_zero(circle: Circle, owners: Owners) -> 
 
 
 def test_a_ping_waits_for_the_depth_that_encloses_it(circle: Circle) -> None:
-    settings = OdometryFusion(
-        sources=(OdometrySource(name="ekf"), OdometrySource(name="bar30")),
-        owners=Owners(depth="bar30"),
+    settings = OdometryFusionConfig(
+        sources=(OdometrySourceConfig(name="ekf"), OdometrySourceConfig(name="bar30")),
+        owners=OwnersConfig(depth="bar30"),
     )
     fusion = Fusion(settings)
     feed(fusion, "ekf", 50, 2, circle.pose)
@@ -108,11 +108,11 @@ def test_depth_is_not_tilted_by_levelling() -> None:
     """An odometry that leans by 10° about y, driving ahead in it: pressure says 3 m throughout."""
     half = math.radians(-10.0) / 2
     leaning = np.array([math.cos(half), 0.0, math.sin(half), 0.0])  # base as its world has it
-    settings = OdometryFusion(
-        sources=(OdometrySource(name="slam"), OdometrySource(name="bar30")),
-        owners=Owners(depth="bar30"),
+    settings = OdometryFusionConfig(
+        sources=(OdometrySourceConfig(name="slam"), OdometrySourceConfig(name="bar30")),
+        owners=OwnersConfig(depth="bar30"),
     )
-    fusion = Fusion(settings, world_init=WorldInit(enabled=True, init_samples=5))
+    fusion = Fusion(settings, world_init=WorldInitConfig(enabled=True, init_samples=5))
     up = np.array([0.0, 0.0, 9.81])
     ahead = np.array([math.cos(2 * half), 0.0, -math.sin(2 * half)])
     feed(
@@ -131,7 +131,7 @@ def test_depth_is_not_tilted_by_levelling() -> None:
 
 
 def test_levelling_hears_the_owner_of_the_attitude_alone(circle: Circle) -> None:
-    fusion = Fusion(world_init=WorldInit(enabled=True, init_samples=3))
+    fusion = Fusion(world_init=WorldInitConfig(enabled=True, init_samples=3))
     feed(fusion, "ekf", 10, 0.2, circle.pose)
     force = {"specific_force_mps2": np.array([9.81, 0.0, 0.0])}
     feed(fusion, "other", 10, 2, lambda t: {**circle.pose(t), **force})
@@ -143,7 +143,7 @@ def test_a_position_that_returns_elsewhere_opens_a_segment(
     circle: Circle, at_jump: str, off_m: float
 ) -> None:
     """30 s of dead reckoning, then the position comes back, 2 m from where that has come to."""
-    fusion = Fusion(msgspec.structs.replace(OdometryFusion(), at_jump=at_jump))
+    fusion = Fusion(msgspec.structs.replace(OdometryFusionConfig(), at_jump=at_jump))
     gone = np.array([2.0, 0.0, 0.0])
     feed(fusion, "ahrs", 20, 40, lambda t: {"map_q_base": circle.quaternion(t)})
     feed(fusion, "dvl", 10, 40, lambda _: {"velocity_mps": np.array([circle.speed_mps, 0, 0])})
@@ -198,7 +198,7 @@ def test_a_report_without_a_velocity_does_not_own_velocities(circle: Circle) -> 
 
 def test_another_sources_doubt_does_not_stop_the_map(circle: Circle) -> None:
     """A DVL far from the bottom is not sure; the position comes from elsewhere, and is."""
-    fusion = Fusion(quality=SlamQuality(fail_mode="closed"))
+    fusion = Fusion(quality=SlamQualityConfig(fail_mode="closed"))
     feed(fusion, "ekf", 10, 3, lambda t: {**circle.pose(t), "confidence": 0.9})
     body = {"velocity_mps": np.array([1.0, 0, 0]), "confidence": 0.0}
     feed(fusion, "dvl", 10, 3, lambda _: body)
@@ -231,7 +231,7 @@ def test_late_records_do_not_look_like_a_clock_set_back(circle: Circle) -> None:
 
 @pytest.mark.parametrize("policy", ["latest", "nearest", "interpolate"])
 def test_covariances_are_finite_whatever_is_known(circle: Circle, policy: str) -> None:
-    sync = msgspec.structs.replace(TimeSync(), policy=policy)
+    sync = msgspec.structs.replace(TimeSyncConfig(), policy=policy)
     fusion = Fusion(time_sync=sync)
     unknown = np.full((6, 6), 0.0)
     np.fill_diagonal(unknown, [1e6, 0.01, 0.01, 0.02, 1e6, 0.02])
@@ -255,9 +255,9 @@ def test_a_sender_whose_clock_is_ahead_is_not_believed(circle: Circle) -> None:
 
 def test_a_quantity_can_be_left_out(circle: Circle) -> None:
     """A DVL's own dead reckoning has a heading of its own: only its velocity is of use."""
-    settings = OdometryFusion(
-        sources=(OdometrySource(name="dvl"), OdometrySource(name="ahrs")),
-        owners=Owners(position="none", attitude="ahrs", velocity="dvl"),
+    settings = OdometryFusionConfig(
+        sources=(OdometrySourceConfig(name="dvl"), OdometrySourceConfig(name="ahrs")),
+        owners=OwnersConfig(position="none", attitude="ahrs", velocity="dvl"),
     )
     fusion = Fusion(settings)
     own = record(position_m=np.array([7.0, 0, 0]), north_referenced=False)
@@ -270,9 +270,9 @@ def test_a_quantity_can_be_left_out(circle: Circle) -> None:
 
 def test_a_world_of_its_own_heading_does_not_keep_the_named_attitude_out(circle: Circle) -> None:
     """Whichever comes first: the attitude has a name, the position has none."""
-    settings = OdometryFusion(
-        sources=(OdometrySource(name="dvl"), OdometrySource(name="ahrs")),
-        owners=Owners(attitude="ahrs"),
+    settings = OdometryFusionConfig(
+        sources=(OdometrySourceConfig(name="dvl"), OdometrySourceConfig(name="ahrs")),
+        owners=OwnersConfig(attitude="ahrs"),
     )
     fusion = Fusion(settings)
     refused = fusion.take("dvl", record(position_m=np.zeros(3), north_referenced=False), T0)
@@ -353,8 +353,10 @@ def test_a_clock_set_back_on_the_way_is_noticed(circle: Circle) -> None:
 
 
 def test_only_the_owner_sets_the_origin_on_earth(circle: Circle) -> None:
-    sources = tuple(OdometrySource(name=name) for name in ("one", "two"))
-    fusion = Fusion(OdometryFusion(sources=sources, owners=Owners(position="one", attitude="two")))
+    sources = tuple(OdometrySourceConfig(name=name) for name in ("one", "two"))
+    fusion = Fusion(
+        OdometryFusionConfig(sources=sources, owners=OwnersConfig(position="one", attitude="two"))
+    )
     far, here = (GeoPoint(np.radians(d), 0.0, None) for d in (10.0, 60.0))
     fusion.take("two", record(geo=far, map_q_base=circle.quaternion(0)), T0)
     feed(fusion, "one", 10, 1, lambda _: {"geo": here})

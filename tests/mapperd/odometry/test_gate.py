@@ -1,7 +1,7 @@
 import msgspec
 import pytest
 
-from mapperd.config.odometry import SlamQuality
+from mapperd.config.odometry import SlamQualityConfig
 from mapperd.odometry.gate import ConfidenceGate
 
 S = 1_000_000_000
@@ -14,7 +14,7 @@ def reason(gate: ConfidenceGate, t_s: float) -> str | None:
 
 @pytest.mark.parametrize(("mode", "missed"), [("open", None), ("closed", "no_confidence")])
 def test_a_missing_confidence_is_what_the_mode_says(mode: str, missed: str | None) -> None:
-    gate = ConfidenceGate(msgspec.structs.replace(SlamQuality(), fail_mode=mode))
+    gate = ConfidenceGate(msgspec.structs.replace(SlamQualityConfig(), fail_mode=mode))
     assert reason(gate, 0) is None
     gate.heard(10 * S, None)
     assert reason(gate, 11) is None  # grace
@@ -26,7 +26,7 @@ def test_a_missing_confidence_is_what_the_mode_says(mode: str, missed: str | Non
 
 
 def test_low_confidence_drops_until_it_is_high_again() -> None:
-    gate = ConfidenceGate(SlamQuality())
+    gate = ConfidenceGate(SlamQualityConfig())
     for confidence, expected in ((0.39, "low_confidence"), (0.4, None), (0.0, "low_confidence")):
         gate.heard(S, confidence)
         assert reason(gate, 1) == expected

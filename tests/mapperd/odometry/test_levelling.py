@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.config.odometry import WorldInit
+from mapperd.config.odometry import WorldInitConfig
 from mapperd.errors import Reject
 from mapperd.geometry.frames import quaternion_to_matrix, rotation_from_rpy
 from mapperd.odometry.fusion import Fusion
@@ -15,7 +15,7 @@ from mapperd.odometry.native import decode_native
 from mapperd.odometry.records import Odometry
 from tests.mapperd.odometry.conftest import T0, S, feed, fused_at
 
-ON = WorldInit(enabled=True)
+ON = WorldInitConfig(enabled=True)
 UP = np.array([0.0, 0.0, 9.81])
 
 
@@ -108,7 +108,7 @@ def test_native_records_carry_accelerations_in_either_axes(
 
 def test_the_turn_of_levelling_has_an_exact_inverse_and_is_told() -> None:
     levelling = Levelling(msgspec.structs.replace(ON, init_samples=1))
-    assert Levelling(WorldInit()).status() is None
+    assert Levelling(WorldInitConfig()).status() is None
     levelling.add(quaternion_to_matrix(rotation_from_rpy(35, -40, 0)).T @ UP, None, np.eye(4)[0])
     told = levelling.status()
     assert told is not None

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.quaternion import Quaternion
 
-from mapperd.config.odometry import FormatSettings, OdometryFusion, OdometrySource
+from mapperd.config.odometry import FormatSettings, OdometryFusionConfig, OdometrySourceConfig
 from mapperd.config.tree import Config
 from mapperd.errors import Reject
 from mapperd.geometry.frames import quaternion_to_matrix
@@ -306,8 +306,8 @@ def test_a_place_on_earth_is_not_mixed_with_local_positions() -> None:
 
 def test_a_heading_does_not_level_a_vehicle_that_leans() -> None:
     """What an ArduSub sends all the time: attitude, local and global position, each in turn."""
-    source = OdometrySource(name="autopilot", format="mavlink", link="udp://0.0.0.0:27000")
-    bridge = OdometryBridge(Config(odometry=OdometryFusion(sources=(source,))))
+    source = OdometrySourceConfig(name="autopilot", format="mavlink", link="udp://0.0.0.0:27000")
+    bridge = OdometryBridge(Config(odometry=OdometryFusionConfig(sources=(source,))))
     autopilot, began_ns = Autopilot(), 1_700_000_000 * SECOND
 
     def say(data: bytes, after_ms: int) -> None:

@@ -3,7 +3,7 @@ from collections.abc import Callable
 
 import pytest
 
-from mapperd.config.daemon import Behind
+from mapperd.config.daemon import BacklogConfig
 from mapperd.errors import Reject
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.pipeline.backlog import Backlog
@@ -32,7 +32,7 @@ def settled(ping: MakePing) -> Callable[..., PosedPing]:
 def test_ping_that_waited_too_long_is_dropped_while_newer_ones_wait(
     settled: Callable[..., PosedPing],
 ) -> None:
-    backlog = Backlog(Behind(max_wait=1.0))
+    backlog = Backlog(BacklogConfig(max_wait=1.0))
     for t_s in (0.0, 0.2, 0.4):
         backlog.put(settled(), round(t_s * S))
     turns = [backlog.next(round(1.3 * S)) for _ in range(3)]
@@ -41,7 +41,7 @@ def test_ping_that_waited_too_long_is_dropped_while_newer_ones_wait(
 
 
 def test_newest_ping_is_mapped_however_long_it_waited(settled: Callable[..., PosedPing]) -> None:
-    backlog = Backlog(Behind(max_wait=1.0))
+    backlog = Backlog(BacklogConfig(max_wait=1.0))
     backlog.put(settled(), 0)
     assert not backlog.next(100 * S).dropped
 
@@ -49,7 +49,7 @@ def test_newest_ping_is_mapped_however_long_it_waited(settled: Callable[..., Pos
 def test_order_and_a_ping_without_pose_cost_nothing_and_are_never_dropped(
     settled: Callable[..., PosedPing],
 ) -> None:
-    backlog = Backlog(Behind(max_wait=1.0))
+    backlog = Backlog(BacklogConfig(max_wait=1.0))
     backlog.put(Reset(1), 0)
     backlog.put(settled(posed=False), 0)
     backlog.put(settled(), 0)
@@ -58,7 +58,7 @@ def test_order_and_a_ping_without_pose_cost_nothing_and_are_never_dropped(
 
 
 def test_backlog_is_late_until_it_has_caught_up(settled: Callable[..., PosedPing]) -> None:
-    backlog = Backlog(Behind(max_wait=1.0))
+    backlog = Backlog(BacklogConfig(max_wait=1.0))
     seen = []
     for wait_s in (0.9, 1.1, 0.3, 0.05):
         backlog.put(settled(), 0)
@@ -73,7 +73,7 @@ def test_backlog_is_late_until_it_has_caught_up(settled: Callable[..., PosedPing
 def test_images_that_wait_are_bounded(
     settled: Callable[..., PosedPing], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    backlog = Backlog(Behind(max_wait=60))
+    backlog = Backlog(BacklogConfig(max_wait=60))
     works = [settled() for _ in range(4)]
     monkeypatch.setattr("mapperd.pipeline.backlog.MAX_BYTES", works[0].ping.image.nbytes)
     for work in works:
@@ -82,7 +82,7 @@ def test_images_that_wait_are_bounded(
 
 
 def test_at_the_end_everything_is_mapped(settled: Callable[..., PosedPing]) -> None:
-    backlog = Backlog(Behind(max_wait=1.0))
+    backlog = Backlog(BacklogConfig(max_wait=1.0))
     for _ in range(3):
         backlog.put(settled(), 0)
     assert not any(backlog.next(9 * S, patient=True).dropped for _ in range(3))

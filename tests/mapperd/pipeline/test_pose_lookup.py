@@ -2,7 +2,7 @@ from collections.abc import Callable
 
 import pytest
 
-from mapperd.config.tree import Config, TimeSync
+from mapperd.config.tree import Config, TimeSyncConfig
 from mapperd.errors import Reject
 from mapperd.geometry.frames import Pose, pose_from_rpy
 from mapperd.odometry.fusion import FusedPose
@@ -52,7 +52,7 @@ def test_pings_keep_their_order(ping: MakePing, odometry_bytes: OdometryBytes) -
 def test_patience_ends_when_no_record_can_come_any_more(
     ping: MakePing, odometry_bytes: OdometryBytes
 ) -> None:
-    poses = OdometryPoses(Config(time_sync=TimeSync(max_gap_sec=0.2)))
+    poses = OdometryPoses(Config(time_sync=TimeSyncConfig(max_gap_sec=0.2)))
     poses.add_odometry("odometry", odometry_bytes(), T0 - 1000 * MS)
     poses.add_ping(at_ms(ping, 0))
     assert list(poses.resolved(T0 + 700 * MS)) == []

@@ -5,7 +5,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.config.tree import Config, Mounting, Octree, Orientation, Position
+from mapperd.config.tree import (
+    Config,
+    MountingConfig,
+    OctreeConfig,
+    OrientationConfig,
+    PositionConfig,
+)
 from mapperd.errors import Reject
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.mapping.sonar_map import SonarMap
@@ -14,8 +20,8 @@ from mapperd.pipeline.step import Mapped, process_ping
 from oculus_driver.ping import Ping
 
 MakePing = Callable[..., Ping]
-FORWARD = Mounting(orientation=Orientation(pitch=0.0))
-COARSE = Config(octree=Octree(voxel_resolution=0.2), mounting=FORWARD)
+FORWARD = MountingConfig(orientation=OrientationConfig(pitch=0.0))
+COARSE = Config(octree=OctreeConfig(voxel_resolution=0.2), mounting=FORWARD)
 HERE = pose_from_rpy((0, 0, 0), (0, 0, 0))
 
 
@@ -64,7 +70,7 @@ def test_ping_that_cannot_be_mapped_leaves_the_map_alone(
 
 
 def test_pose_beyond_the_reach_of_the_map_is_refused(ping: MakePing) -> None:
-    fine = msgspec.structs.replace(COARSE, octree=Octree(voxel_resolution=0.001))
+    fine = msgspec.structs.replace(COARSE, octree=OctreeConfig(voxel_resolution=0.001))
     result = process_ping(
         ping(range_resolution_m=0.001), pose_from_rpy((3e7, 0, 0), (0, 0, 0)), SonarMap(fine)
     )
@@ -73,7 +79,9 @@ def test_pose_beyond_the_reach_of_the_map_is_refused(ping: MakePing) -> None:
 
 
 def test_lever_arm_and_turned_mounting_are_of_the_base(ping: MakePing) -> None:
-    mounting = Mounting(position=Position(x=2.0, y=1.0, z=-0.5), orientation=Orientation(pitch=90))
+    mounting = MountingConfig(
+        position=PositionConfig(x=2.0, y=1.0, z=-0.5), orientation=OrientationConfig(pitch=90)
+    )
     sonar_map = SonarMap(msgspec.structs.replace(COARSE, mounting=mounting))
     process_ping(ping(), pose_from_rpy((100, 50, -10), (0, 0, 90)), sonar_map)
     centres = sonar_map.voxels("occupied").centres_m

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import trustme
 
-from mapperd.config.tree import Config, Control, Service
+from mapperd.config.tree import Config, ControlConfig, ServiceConfig
 from mapperd.daemon.servers import control_server
 from mapperd.errors import ConfigError, LiveError
 from mapperd.events import Severity
@@ -171,7 +171,7 @@ def test_token_is_found_among_the_credentials(tmp_path: Path) -> None:
 
 
 def test_place_of_the_socket() -> None:
-    config = Config(service=Service(state_folder="/state"))
+    config = Config(service=ServiceConfig(state_folder="/state"))
     user, service = {"XDG_RUNTIME_DIR": "/run/user/7"}, {"RUNTIME_DIRECTORY": "/run/m:/run/n"}
     assert socket_path(config, {}) == Path("/state/mapperd.sock")
     assert socket_path(config, user) == Path("/run/user/7/mapperd.sock")
@@ -181,7 +181,7 @@ def test_place_of_the_socket() -> None:
         Path("/run/mapperd/mapperd.sock"),
         Path("/state/mapperd.sock"),
     ]
-    said = Config(control=Control(socket="/a/b"))
+    said = Config(control=ControlConfig(socket="/a/b"))
     assert socket_path(said, user) == Path("/a/b")
     assert socket_places(said, user) == [Path("/a/b")]
 
@@ -198,7 +198,7 @@ class TestSetup:
     def test_network_without_tls_is_told(self, short: Path, host: str) -> None:
         (short / "token").write_bytes(TOKEN)
         (short / "token").chmod(0o600)
-        control = Control(address=f"{host}:0", token_file=f"{short}/token", mode="600")
+        control = ControlConfig(address=f"{host}:0", token_file=f"{short}/token", mode="600")
         daemon = FakeDaemon(Config(control=control))
         server = control_server(daemon, {"XDG_RUNTIME_DIR": str(short)})
         server._close_doors()
@@ -219,7 +219,7 @@ class TestSetup:
     def test_bad_settings_leave_no_socket(
         self, short: Path, said: dict[str, str], because: str
     ) -> None:
-        control = Control(**{"address": "127.0.0.1:0", "token_file": "/none"} | said)  # type: ignore[arg-type]
+        control = ControlConfig(**{"address": "127.0.0.1:0", "token_file": "/none"} | said)  # type: ignore[arg-type]
         with pytest.raises(ConfigError, match=because) as caught:
             control_server(FakeDaemon(Config(control=control)), {"XDG_RUNTIME_DIR": str(short)})
         assert caught.value.path.startswith("$.control.")

@@ -6,7 +6,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from mapperd.config.tree import Config, Mapping, Mounting, Octree, Orientation, Processing
+from mapperd.config.tree import (
+    Config,
+    MappingConfig,
+    MountingConfig,
+    OctreeConfig,
+    OrientationConfig,
+    ProcessingConfig,
+)
 from mapperd.errors import ReplayError
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.mapping.sonar_map import SonarMap
@@ -22,7 +29,8 @@ PingBytes = Callable[..., bytes]
 OdometryBytes = Callable[..., bytes]
 
 COARSE = Config(
-    octree=Octree(voxel_resolution=0.2), mounting=Mounting(orientation=Orientation(pitch=0.0))
+    octree=OctreeConfig(voxel_resolution=0.2),
+    mounting=MountingConfig(orientation=OrientationConfig(pitch=0.0)),
 )
 
 
@@ -88,7 +96,7 @@ def test_map_uses_the_pose_at_the_time_of_the_echo(
         ("odometry", odometry_bytes(p=(1.2, 0.0, 0.0)), 0.4),
     ]
     write_recording(tmp_path / "moving", events)
-    whole = msgspec.structs.replace(COARSE, mapping=Mapping(within_ping_motion=False))
+    whole = msgspec.structs.replace(COARSE, mapping=MappingConfig(within_ping_motion=False))
     _, moving = replayed(tmp_path / "moving", whole)
     fixed = FixedPose(pose_from_rpy((0.3, 0, 0), (0, 0, 0)))
     _, still = replayed(tmp_path / "moving", whole, poses=fixed)
@@ -144,7 +152,7 @@ def test_pings_without_a_pose_are_dropped_with_the_reason(
 def test_frame_skip_is_counted(tmp_path: Path, write_recording: Write, survey: Survey) -> None:
     write_recording(tmp_path / "a", survey(7))
     skipping = Config(
-        octree=COARSE.octree, mounting=COARSE.mounting, processing=Processing(frame_skip=3)
+        octree=COARSE.octree, mounting=COARSE.mounting, processing=ProcessingConfig(frame_skip=3)
     )
     counters, _ = replayed(tmp_path / "a", skipping)
     assert counters.pings_mapped == 3

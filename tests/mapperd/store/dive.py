@@ -15,17 +15,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config.tree import Config, Filtering, Mounting, Octree, Orientation, Sonar
+from mapperd.config.tree import (
+    Config,
+    FilteringConfig,
+    MountingConfig,
+    OctreeConfig,
+    OrientationConfig,
+    SonarConfig,
+)
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.imaging.ping_image import PingImage
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.tile_store import TileStore
 
 CONFIG = Config(
-    sonar=Sonar(vertical_aperture=20.0),
-    filtering=Filtering(min_range=0.2),
-    octree=Octree(voxel_resolution=0.1),
-    mounting=Mounting(orientation=Orientation(pitch=40.0)),
+    sonar=SonarConfig(vertical_aperture=20.0),
+    filtering=FilteringConfig(min_range=0.2),
+    octree=OctreeConfig(voxel_resolution=0.1),
+    mounting=MountingConfig(orientation=OrientationConfig(pitch=40.0)),
 )
 ROWS, BEAMS = 40, 24
 RANGE_M = 4.0

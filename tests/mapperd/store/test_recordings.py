@@ -4,7 +4,7 @@ import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 
-from mapperd.config.tree import Config, Mounting, Octree, Orientation
+from mapperd.config.tree import Config, MountingConfig, OctreeConfig, OrientationConfig
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.pose_lookup import FixedPose
@@ -15,7 +15,8 @@ from mapperd.store.tile_store import TileStore
 from oculus_driver.recording import open_recording
 
 CONFIG = Config(
-    octree=Octree(voxel_resolution=0.05), mounting=Mounting(orientation=Orientation(pitch=0.0))
+    octree=OctreeConfig(voxel_resolution=0.05),
+    mounting=MountingConfig(orientation=OrientationConfig(pitch=0.0)),
 )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from mapperd.config.tree import Amcl, Mqtt
+from mapperd.config.tree import AmclConfig, MqttConfig
 from mapperd.telemetry.payloads import SAMPLE
 from mapperd.telemetry.topics import Asked, Topics
 from tests.mapperd.localization.believed import STAMP_NS, facts
@@ -131,19 +131,19 @@ def test_not_a_number_is_no_json(daemon: FakeDaemon) -> None:
 
 
 def test_settings_name_the_topics() -> None:
-    amcl = Amcl(initial_pose_topic="/rviz/pose", map_topic="chart")
-    topics = Topics.of(Mqtt(vehicle="rov-1"), amcl)
+    amcl = AmclConfig(initial_pose_topic="/rviz/pose", map_topic="chart")
+    topics = Topics.of(MqttConfig(vehicle="rov-1"), amcl)
     assert topics.requests[2:] == (f"{ROOT}/cmd/rviz/pose",)
     assert topics.also == {"rviz/pose": "initial_pose", "chart": "set_map"}
     assert topics.asked(f"{ROOT}/cmd/rviz/pose") == Asked("cmd", "rviz/pose")
     assert topics.asked(f"{ROOT}/cmd/rviz/pose/result") is None
     assert topics.asked(f"{ROOT}/cmd/chart") == Asked("cmd", "chart")
-    bare = Topics.of(Mqtt(vehicle="rov-1"), Amcl(use_map_topic=False))
+    bare = Topics.of(MqttConfig(vehicle="rov-1"), AmclConfig(use_map_topic=False))
     assert bare.also == {"initialpose": "initial_pose"}
 
 
 def test_a_command_keeps_its_name(daemon: FakeDaemon) -> None:
-    asker = Asker(daemon, Amcl(map_topic="reset"))
+    asker = Asker(daemon, AmclConfig(map_topic="reset"))
     (answer,) = asker.ask("cmd/reset", {"id": 1})["cmd/reset/result"]
     assert answer["ok"]
     assert daemon.asked == [("reset", "mqtt")]

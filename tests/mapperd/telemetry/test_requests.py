@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapperd.config.tree import Amcl
+from mapperd.config.tree import AmclConfig
 from mapperd.telemetry.outbox import Kind, Outbox
 from mapperd.telemetry.requests import Requests
 from mapperd.telemetry.topics import Topics
@@ -19,7 +19,7 @@ RESULT = "config/filtering.min_range/result"
 class Asker:
     """Sends requests and collects the answers."""
 
-    def __init__(self, daemon: FakeDaemon, amcl: Amcl | None = None) -> None:
+    def __init__(self, daemon: FakeDaemon, amcl: AmclConfig | None = None) -> None:
         self.outbox = Outbox(1000)
         config = daemon.settings.current
         topics = Topics.of(config.mqtt, amcl or config.amcl)

@@ -1,10 +1,10 @@
 import pytest
 
-from mapperd.config.tree import Mqtt
+from mapperd.config.tree import MqttConfig
 from mapperd.telemetry.topics import Asked, Topics
 from tests.mapperd.telemetry.conftest import ROOT
 
-TOPICS = Topics.of(Mqtt(vehicle="rov-1"))
+TOPICS = Topics.of(MqttConfig(vehicle="rov-1"))
 
 
 def test_topics_are_those_of_the_convention() -> None:

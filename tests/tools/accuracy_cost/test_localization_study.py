@@ -16,7 +16,7 @@ from accuracy_cost.localization.settings import SCALES, config_for, published_ov
 from accuracy_cost.study import Dive, Setting
 from dive_world import WORLDS
 
-from mapperd.config.tree import Amcl, Config, Localization
+from mapperd.config.tree import AmclConfig, Config, LocalizationConfig
 from mapperd.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -41,8 +41,8 @@ def test_a_setting_that_does_not_exist_is_refused() -> None:
 
 def test_published_is_what_the_defaults_are_but_for_the_map_being_planar() -> None:
     config = config_for(WORLDS["harbour"], published_overrides(), 0)
-    assert config.amcl == Amcl()
-    ours = msgspec.structs.replace(Localization(), mode="global", geometry="2d")
+    assert config.amcl == AmclConfig()
+    ours = msgspec.structs.replace(LocalizationConfig(), mode="global", geometry="2d")
     assert config.localization == ours
 
 

@@ -17,7 +17,7 @@ from accuracy_cost.streaming.told import PlainTeller, StreamTeller
 from accuracy_cost.streaming.truth import Ages, Blocks, coded, distances_m
 from accuracy_cost.study import Dive, Setting
 
-from mapperd.config.tree import Config, Octree
+from mapperd.config.tree import Config, OctreeConfig
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.server import priority_queue
 from mapperd.server.pacer import Pacer
@@ -99,7 +99,7 @@ def test_no_more_is_on_its_way_than_the_wire_holds_twice() -> None:
 
 def random_map() -> SonarMap:
     """Blocks on both sides of zero, with voxels that are not known."""
-    sonar_map = SonarMap(Config(octree=Octree(voxel_resolution=VOXEL_M)))
+    sonar_map = SonarMap(Config(octree=OctreeConfig(voxel_resolution=VOXEL_M)))
     dice = np.random.default_rng(4)
     points = dice.uniform(-12.0, 12.0, (4000, 3))
     sonar_map.core.set_log_odds(points, dice.normal(0.0, 3.0, len(points)))

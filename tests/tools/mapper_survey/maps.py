@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.config.tree import Config, Octree
+from mapperd.config.tree import Config, OctreeConfig
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.tile_store import TileStore
 
 RESOLUTION_M = 0.1
-CONFIG = Config(octree=Octree(voxel_resolution=RESOLUTION_M))
+CONFIG = Config(octree=OctreeConfig(voxel_resolution=RESOLUTION_M))
 
 Ints = NDArray[np.int64]
 

@@ -5,7 +5,7 @@ import pytest
 from mapper_survey.memory import COPIES, edge_within, grid_bytes, ping_bytes, voxel_bytes_of
 from mapper_survey.spool import ROW, Rows
 
-from mapperd.config.tree import Config, Mapping
+from mapperd.config.tree import Config, MappingConfig
 from mapperd.geometry.frames import pose_from_rpy
 from mapperd.imaging.ping_image import PingImage
 from mapperd.mapping.sonar_map import BLOCK_VOXELS, SonarMap
@@ -31,7 +31,7 @@ def bright_ping(range_m: float) -> PingImage:
 
 @pytest.mark.parametrize("integrator", ["evidence_grid", "rays"])
 def test_no_ping_takes_more_than_is_reckoned(integrator: str) -> None:
-    config = Config(octree=CONFIG.octree, mapping=Mapping(integrator=integrator, threads=1))  # type: ignore[arg-type]
+    config = Config(octree=CONFIG.octree, mapping=MappingConfig(integrator=integrator, threads=1))  # type: ignore[arg-type]
     sonar_map = SonarMap(config)
     empty = sonar_map.memory_bytes
     echo = bright_ping(12.0)
@@ -67,11 +67,11 @@ def test_the_grid_of_a_ping_takes_a_few_megabytes() -> None:
     extents = np.array([[38, 68, 14]])
     config = Config()
     assert 5 << 20 < grid_bytes(extents, config) < 60 << 20
-    fine = Config(mapping=Mapping(detail=2.0))
+    fine = Config(mapping=MappingConfig(detail=2.0))
     assert grid_bytes(extents, fine) == pytest.approx(4 * grid_bytes(extents, config))
-    mean = Config(mapping=Mapping(aggregation="mean"))
+    mean = Config(mapping=MappingConfig(aggregation="mean"))
     assert grid_bytes(extents, mean) == pytest.approx(2 * grid_bytes(extents, config))
-    assert grid_bytes(extents, Config(mapping=Mapping(integrator="rays"))) == 0
+    assert grid_bytes(extents, Config(mapping=MappingConfig(integrator="rays"))) == 0
 
 
 def test_default_tiles_need_not_be_smaller_for_a_sonar_of_12_m() -> None:

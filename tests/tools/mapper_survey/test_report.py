@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from mapperd.config.tree import Config, Mapping, Octree
+from mapperd.config.tree import Config, MappingConfig, OctreeConfig
 from mapperd.errors import StoreError
 from mapperd.mapping.sonar_map import SonarMap
 from tests.tools.mapper_survey.maps import RESOLUTION_M, centres, map_of, store_of
@@ -216,7 +216,7 @@ def test_pieces_of_any_size_give_the_same(
 
 
 def test_maps_that_cannot_be_compared_are_named(files: dict[str, Path], tmp_path: Path) -> None:
-    coarse = SonarMap(Config(octree=Octree(voxel_resolution=0.2)))
+    coarse = SonarMap(Config(octree=OctreeConfig(voxel_resolution=0.2)))
     other = store_of(tmp_path / "coarse.db", coarse)
     for dives, tolerance_m, said in (
         ({"x": other}, 0.2, r"x: its voxels are 0\.2 m, those of the merged map 0\.1 m"),
@@ -232,7 +232,7 @@ def test_maps_that_cannot_be_compared_are_named(files: dict[str, Path], tmp_path
 
 @pytest.mark.usefixtures("undrawn")
 def test_thresholds_are_those_of_the_settings(files: dict[str, Path], tmp_path: Path) -> None:
-    strict = Config(mapping=Mapping(occupied_threshold=0.97))
+    strict = Config(mapping=MappingConfig(occupied_threshold=0.97))
     report = reported(files, tmp_path, config=strict)
     assert report.occupied_threshold == 0.97
     with StoredMap(files["a"], strict) as stored:

@@ -11,7 +11,7 @@ from dive_world import Place
 
 from accuracy_cost.study import Value
 from mapperd.config.loader import config_of
-from mapperd.config.tree import Config, Octree
+from mapperd.config.tree import Config, OctreeConfig
 
 __all__ = ["SCALES", "config_for", "profile_overrides", "published_overrides"]
 
@@ -40,7 +40,7 @@ def config_for(place: Place, overrides: Mapping[str, Value], seed: int) -> Confi
         ConfigError: no such setting, or a value that it does not take.
     """
     base = msgspec.structs.replace(
-        settings(place, seed), octree=Octree(voxel_resolution=place.voxel_m)
+        settings(place, seed), octree=OctreeConfig(voxel_resolution=place.voxel_m)
     )
     tree: dict[str, Any] = msgspec.to_builtins(base)
     for name, value in overrides.items():

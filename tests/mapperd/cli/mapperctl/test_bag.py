@@ -17,7 +17,7 @@ from rosbags.interfaces import QosDurability
 from rosbags.typesys import Stores, get_typestore
 
 from mapperd.cli.mapperd import main as mapperd
-from mapperd.config.tree import Config, Mounting
+from mapperd.config.tree import Config, MountingConfig
 from mapperd.mapping.sonar_map import SonarMap, mounting
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.recording import OCULUS, open_recording
@@ -199,7 +199,7 @@ def test_transforms_lead_from_the_map_to_the_sonar(
     (sits,) = static.transforms
     assert (sits.header.frame_id, sits.child_frame_id) == ("base_link", "eye")
     position = {"x": 0.3, "y": 0.1, "z": -0.2}
-    set_so = Config(mounting=Mounting(**_mounting(position, {"pitch": 40.0, "yaw": 10.0})))
+    set_so = Config(mounting=MountingConfig(**_mounting(position, {"pitch": 40.0, "yaw": 10.0})))
     assert np.abs(
         matrix(sits.transform.translation, sits.transform.rotation) - mounting(set_so)
     ).max() == pytest.approx(0.0, abs=1e-12)
@@ -216,7 +216,7 @@ def test_transforms_lead_from_the_map_to_the_sonar(
 
 
 def _mounting(position: dict[str, float], angles: dict[str, float]) -> dict[str, Any]:
-    sections = Mounting()
+    sections = MountingConfig()
     return {
         "position": type(sections.position)(**position),
         "orientation": type(sections.orientation)(**angles),

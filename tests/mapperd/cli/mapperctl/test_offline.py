@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mapperd.cli.mapperctl.command import main
-from mapperd.config.tree import Config, Iwlo, Octree
+from mapperd.config.tree import Config, IwloConfig, OctreeConfig
 from mapperd.export.formats import FORMATS
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.position import Position
@@ -17,7 +17,7 @@ from mapperd.store.tile_store import TileStore
 from tests.support.mapperctl import Call
 from tests.support.maps import FREE, OCCUPIED, UNSURE, map_of
 
-OTHER = Config(octree=Octree(voxel_resolution=0.25), iwlo=Iwlo(L_min=-8.0, L_max=6.5))
+OTHER = Config(octree=OctreeConfig(voxel_resolution=0.25), iwlo=IwloConfig(L_min=-8.0, L_max=6.5))
 
 
 def stored(sonar_map: SonarMap, path: Path, origin_deg: tuple[float, float] | None = None) -> Path:
