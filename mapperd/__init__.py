@@ -25,8 +25,11 @@ __all__ = [
     "PlanarGaussian",
     "ProbabilityUpdater",
     "SonarTo3DMapper",
+    "__version__",
     "scan_of_ranges",
 ]
+
+__version__ = "0.2.0"
 
 _MODULES = {
     "GridMap": "mapperd.localization.grid_map",

@@ -98,6 +98,7 @@ __all__ = [
     "StreamCounters",
     "StreamParser",
     "VirtualSonarCounters",
+    "__version__",
     "addresses_towards",
     "bearing_table_cdeg",
     "bind_finding",
@@ -119,6 +120,8 @@ __all__ = [
     "status_findings",
     "subnet_finding",
 ]
+
+__version__ = "0.2.0"
 
 
 # Modules that need asyncio, or import one that does.

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
+from mapperd import __version__
 from mapperd.geometry.frames import Pose, pose_from_rpy
-from mapperd.version import version
 
 __all__ = ["Arguments", "parse_arguments"]
 
@@ -145,7 +145,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--start", metavar="S", type=_seconds, default=0.0, help="skip the first S seconds of it")
     add("--duration", metavar="S", type=_positive, help="map S seconds and stop")
-    add("--version", action="version", version=f"mapperd {version()}")
+    add("--version", action="version", version=f"mapperd {__version__}")
     return parser
 
 

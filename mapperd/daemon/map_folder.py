@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 
+from mapperd import __version__
 from mapperd.api import OperationError
 from mapperd.config.live import ConfigStore
 from mapperd.config.tree import Config
@@ -27,7 +28,6 @@ from mapperd.mapping.sonar_map import SonarMap, Voxels
 from mapperd.pipeline.counters import PipelineCounters
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.session.recordings import RecordedSession
-from mapperd.version import version
 
 __all__ = [
     "MapFolder",
@@ -207,7 +207,7 @@ def summary_of(
     """
     voxels = sonar_map.counts()
     return {
-        "version": version(),
+        "version": __version__,
         "pings_total": counters.pings_total,
         "pings_outside": counters.pings_outside,
         "pings_mapped": counters.pings_mapped,

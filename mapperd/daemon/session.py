@@ -12,6 +12,7 @@ from typing import Any
 
 import msgspec
 
+from mapperd import __version__
 from mapperd.config.changes import changes_between
 from mapperd.config.link_address import parse_address
 from mapperd.config.tree import Config, DeviceConfig
@@ -35,7 +36,6 @@ from mapperd.pipeline.snapshot import snapshot_reader
 from mapperd.pipeline.step import StepRunner
 from mapperd.pipeline.worker import MappingThread
 from mapperd.session_log import LINK, Request, Session, Settings
-from mapperd.version import version
 from oculus_driver.link.state import LinkState, LinkStatus
 from oculus_driver.settings import FireSettings, Mode, PingRate
 from oculus_driver.sonar import OculusSonar
@@ -248,7 +248,7 @@ class Live:
         begun = self.localizing
         saved = None if begun is None else numbers_of(begun.saved)
         sha256 = "" if begun is None else begun.map_sha256
-        return Session(self.session, version(), settings, place, saved, sha256)
+        return Session(self.session, __version__, settings, place, saved, sha256)
 
     def _when_mapping_ends(self) -> "asyncio.Future[None]":
         loop = asyncio.get_running_loop()

@@ -5,6 +5,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from mapperd import __version__
 from mapperd.config.tree import Config
 from mapperd.daemon.session import Live
 from mapperd.events import EventLog, Severity
@@ -13,7 +14,6 @@ from mapperd.localization.status import LocalizationFacts
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.odometry.links import Link
 from mapperd.pipeline.worker import StatusSnapshot
-from mapperd.version import version
 
 __all__ = ["LocalizationWatch", "Watch", "status_of"]
 
@@ -25,7 +25,7 @@ def status_of(
     facts = live.mapping.facts
     return {
         "reason": live.link.reason,
-        "version": version(),
+        "version": __version__,
         "session": live.session,
         "uptime_s": uptime_s,
         "progress": facts.progress,

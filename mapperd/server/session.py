@@ -14,6 +14,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
+from mapperd import __version__
 from mapperd.events import EventLog
 from mapperd.server.admission import Newcomer, doubt
 from mapperd.server.outbox import ClientOutbox
@@ -22,7 +23,6 @@ from mapperd.server.resume import Ends, Parting, is_ticket
 from mapperd.server.schedule import Lines, Rooms, Turns
 from mapperd.server.source_protocol import FIRST, Line, MapView
 from mapperd.server.state_feed import Feed
-from mapperd.version import version
 from mapperd.wire.auth import FailureLimiter, TokenBucket
 from mapperd.wire.control_messages import plain
 from mapperd.wire.framing import StreamError, framed, server_inbox
@@ -382,7 +382,7 @@ class Session:
             self.portions.go_on(resume, same=same)
         welcome = Welcome(
             version=VERSION,
-            server=version(),
+            server=__version__,
             vehicle=self._common.vehicle,
             session=beginning.session,
             map=beginning.facts,

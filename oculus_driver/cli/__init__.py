@@ -6,6 +6,7 @@ import argparse
 import errno
 from typing import TYPE_CHECKING, NoReturn
 
+from oculus_driver import __version__
 from oculus_driver.cli import (
     convert,
     discover,
@@ -76,6 +77,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
+    parser.add_argument("--version", action="version", version=f"oculus {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for module in SUBCOMMANDS:
         command = commands.add_parser(

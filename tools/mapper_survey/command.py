@@ -22,6 +22,7 @@ from mapper_survey.request import Request, read_survey
 from mapper_survey.running import DIVES, MAP, RunOptions, dive_map, plan_survey, run_survey
 from mapper_survey.scaling import WORKERS, Run, draw_scaling, read_run, record_of, scaling, tables
 from mapper_survey.surface import CELL_VOXELS, RULES
+from mapperd import __version__
 from mapperd.errors import MapperdError
 from mapperd.export.cells import Heights
 
@@ -50,6 +51,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="mapper-survey", description="many recordings become one tiled map"
     )
+    parser.add_argument("--version", action="version", version=f"mapper-survey {__version__}")
     does = parser.add_subparsers(required=True, metavar="COMMAND")
     plan = does.add_parser("plan", help="read the recordings alone: where was which ping")
     _add_survey(plan)

@@ -22,8 +22,8 @@ from distributed.scheduler import KilledWorker
 from mapper_survey.engine import Done
 from mapper_survey.errors import SurveyError
 from mapper_survey.fingerprint import program_digest
+from mapperd import __version__
 from mapperd.errors import MapperdError
-from mapperd.version import version
 
 __all__ = ["DaskEngine", "Pool", "Sent", "done_by_worker", "local_pool", "on_scheduler", "sent"]
 
@@ -34,7 +34,7 @@ Sent = tuple[str, str, bytes]
 
 def sent(function: Callable[[Any], Any], task: Any) -> Sent:  # noqa: ANN401 any task
     """What a worker is given."""
-    return version(), program_digest(), pickle.dumps((function, task))
+    return __version__, program_digest(), pickle.dumps((function, task))
 
 
 def done_by_worker(work: Sent) -> object:
@@ -47,7 +47,7 @@ def done_by_worker(work: Sent) -> object:
     mine = program_digest()
     if mine != their_digest:
         raise SurveyError(
-            f"a worker has mapperd {version()} (program {mine[:8]}); allowed: the one of the "
+            f"a worker has mapperd {__version__} (program {mine[:8]}); allowed: the one of the "
             f"command, {their_version} (program {their_digest[:8]}), of the same package"
         )
     function, task = pickle.loads(packed)  # noqa: S301 from who began the workers

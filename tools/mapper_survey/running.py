@@ -19,8 +19,8 @@ from mapper_survey.planning import DivePlan, index_name, mark_name, plan_all, ro
 from mapper_survey.request import Request
 from mapper_survey.run_record import map_times, plan_times, recorded_s, told
 from mapper_survey.tiles import Scope, TileResult, TileStage, shard_mark
+from mapperd import __version__
 from mapperd.cli.progress import ProgressBar
-from mapperd.version import version
 
 __all__ = [
     "DIVES",
@@ -203,7 +203,7 @@ class _Running:
     ) -> dict[str, Any]:
         first = [plan.first_ns for plan in plans if plan.first_ns is not None]
         return {
-            "version": version(),
+            "version": __version__,
             "pings": whole.pings,
             "recorded_s": sum(recorded_s(rows) for rows in whole.rows),
             "first_ns": min(first, default=None),

@@ -4,6 +4,7 @@ Frames: map x east, y north, z up; base x forward, y port, z up; sonar x along t
 y to port, z up. Bearings are positive to starboard.
 """
 
+from oculus_driver import __version__
 from sonar_sim.capture import CaptureSettings, write_capture
 from sonar_sim.effects.plan import EffectPlan, EffectWarning
 from sonar_sim.engine import SonarMotion
@@ -62,6 +63,7 @@ __all__ = [
     "Vehicle",
     "Water",
     "Waypoint",
+    "__version__",
     "load_scenario",
     "scene_names",
     "simulate",

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
+from mapperd import __version__
 from mapperd.api import STD_XY_M, STD_YAW_RAD
 from mapperd.cli.mapperctl.errors import CtlError, Exit
 from mapperd.config.catalog import parameters
@@ -429,6 +430,7 @@ class _Parser(argparse.ArgumentParser):
 def parser() -> _Parser:
     """All commands."""
     top = _Parser("mapperctl", description="Look at a mapper and steer it.", epilog=EPILOG)
+    top.add_argument("--version", action="version", version=f"mapperctl {__version__}")
     commands = top.add_subparsers(metavar="COMMAND", required=True, dest="command")
     status = _command(commands, "status", "how it goes")
     status.add_argument("--once", action="store_true", help="do not go on")

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
+from oculus_driver import __version__
 from oculus_driver.errors import OculusError
 from sonar_sim.command import capture, explain, render, scene_list, serve, validate
 from sonar_sim.command.exit import FAULT, INTERRUPTED, USAGE
@@ -53,6 +54,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
+    parser.add_argument("--version", action="version", version=f"sonar-sim {__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for module in SUBCOMMANDS:
         command = commands.add_parser(

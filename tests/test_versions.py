@@ -1,0 +1,63 @@
+"""One version everywhere, and every command prints it."""
+
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+import sonar_sim
+import yaml
+
+import mapperd
+import oculus_driver
+
+ROOT = Path(__file__).resolve().parents[1]
+COMMANDS = {
+    "mapperd": "mapperd.cli.mapperd",
+    "mapperctl": "mapperd.cli.mapperctl.command",
+    "oculus": "oculus_driver.cli",
+    "sonar-sim": "sonar_sim.command",
+    "mapper-survey": "mapper_survey.command",
+}
+
+
+def project_version(path: str) -> str:
+    with (ROOT / path).open("rb") as file:
+        return str(tomllib.load(file)["project"]["version"])
+
+
+def cmake_version() -> str:
+    text = (ROOT / "cpp" / "CMakeLists.txt").read_text(encoding="utf-8")
+    found = re.search(r"project\(mapperd VERSION (\S+)", text)
+    assert found is not None
+    return found.group(1)
+
+
+def test_all_files_state_one_version() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert {
+        project_version("pyproject.toml"),
+        project_version("oculus_driver/pyproject.toml"),
+        cmake_version(),
+        citation["version"],
+        oculus_driver.__version__,
+        sonar_sim.__version__,
+    } == {mapperd.__version__}
+
+
+def test_changelog_begins_with_this_version() -> None:
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    found = re.search(r"^## (\S+)", text, re.MULTILINE)
+    assert found is not None
+    assert found.group(1) == mapperd.__version__
+
+
+@pytest.mark.parametrize("command", sorted(COMMANDS))
+def test_command_prints_its_version(command: str) -> None:
+    code = f"import sys; from {COMMANDS[command]} import main; sys.exit(main(['--version']))"
+    done = subprocess.run(  # noqa: S603 our own line
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == f"{command} {mapperd.__version__}\n"
