@@ -13,7 +13,7 @@ CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLi
 # Programs and tests start hundreds of Pythons, which must not compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study fuzz check cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install prerequisites clean
+.PHONY: demo test bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study fuzz docs check cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install prerequisites clean
 
 demo: $(STAMP)
 	$(BIN)/python tools/demo.py --out out/demo
@@ -28,16 +28,16 @@ test:
 	+$(MAKE) python-test
 
 # Compares the integrators with OctoMap, OpenVDB and, given BONXAI_PATH=<checkout>, with Bonxai;
-# writes docs/performance.md. Some minutes.
+# writes docs/reports/performance.md. Some minutes.
 bench: $(STAMP)
 	$(BIN)/python tools/bench/rivals.py
 
-# Times the simulator's pings in the harbour; writes docs/performance.md. A minute or two.
+# Times the simulator's pings in the harbour; writes docs/reports/performance.md. A minute or two.
 sim-bench: $(STAMP)
 	$(BIN)/python tools/bench/simulator_speed.py --write
 
 # Compares what the simulator's rules leave out and compute with everything, on all its scenes;
-# writes the figures into docs/simulator.md. Some minutes.
+# writes the figures into docs/concepts/simulator.md. Some minutes.
 sim-check: $(STAMP)
 	$(BIN)/python tools/sim_check.py --write
 
@@ -72,20 +72,21 @@ out/chaos/tank.mcap: | $(STAMP)
 	$(BIN)/sonar-sim capture tank --out $@
 
 # The map stream on a bad link, with a hundred clients, and what twenty cost; writes the figures into
-# docs/map-stream.md. A quarter of an hour; wants the right to make network namespaces for a real link.
+# docs/reference/map-stream.md. A quarter of an hour; wants the right to make network namespaces for
+# a real link.
 stream-study: $(STAMP) out/demo/capture.bin
 	PYTHONPATH=tools $(BIN)/python -m stream_study.run --write
 
 # Measures what accuracy costs in time, and how errors grow, from nothing; draws every figure of
-# docs/accuracy-cost.md and docs/numerical-stability.md. Less than an hour of two cores; after a
-# stop the same command goes on.
+# docs/reports/accuracy-cost.md and docs/reports/numerical-stability.md. Less than an hour of two
+# cores; after a stop the same command goes on.
 accuracy-cost: $(STAMP)
 	$(BIN)/accuracy-cost run --write
 	$(BIN)/accuracy-cost plot --write
 	$(MAKE) numerical-growth
 
 # Errors of rounding over a million updates, and what single precision costs; writes the figure and
-# the tables of docs/numerical-stability.md. One minute of one core.
+# the tables of docs/reports/numerical-stability.md. One minute of one core.
 numerical-growth: $(STAMP)
 	PYTHONPATH=tools $(BIN)/python -m numerical_growth.run --write
 
@@ -118,12 +119,16 @@ survey-dives: $(STAMP)
 survey-study: survey-dives
 	PYTHONPATH=tools $(BIN)/python -m survey_study.run --out out/survey
 
-# Breaks each guarded formula once and has a test notice; writes docs/mutations.md. An hour of one
-# core; what is as it was when it was measured is not measured again.
+# Breaks each guarded formula once and has a test notice; writes docs/reports/mutations.md. An hour
+# of one core; what is as it was when it was measured is not measured again.
 mutations: $(STAMP)
 	PYTHONPATH=tools $(BIN)/python -m mutations.run --write
 
 install: $(STAMP)
+
+# The site of docs/, into out/site; warnings and broken links are errors.
+docs: $(STAMP)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 check: $(STAMP)
 	scripts/check
@@ -160,7 +165,7 @@ $(TOOLS): pyproject.toml | prerequisites
 # own tools are installed before and stay: in a new environment for every build, as pip makes them,
 # the compiler would begin anew too, and the C++ tests could not share the tree.
 $(STAMP): pyproject.toml $(CPP_SOURCES) $(TOOLS)
-	env -u MAKEFLAGS $(PIP) --no-build-isolation -e '.[dev,octomap,render,sim,topside]'
+	env -u MAKEFLAGS $(PIP) --no-build-isolation -e '.[dev,docs,octomap,render,sim,topside]'
 	touch $@
 
 clean:

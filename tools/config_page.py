@@ -1,4 +1,4 @@
-"""docs/configuration.md: every setting, from the types."""
+"""docs/reference/configuration.md: every setting, from the types."""
 
 from collections.abc import Iterator
 from itertools import groupby
@@ -83,7 +83,7 @@ them; a setting that is said under two names is an error.
 TAIL = """\
 All parameters of the published mapper are here under their names and with their defaults, except
 `outofcore.map_path`, whose default named a folder of its developers, and `sonar.vertical_aperture`,
-whose 20 degrees map worse and slower ([accuracy-cost.md](accuracy-cost.md#mapping)).
+whose 20 degrees map worse and slower ([accuracy-cost.md](../reports/accuracy-cost.md#mapping)).
 """
 
 

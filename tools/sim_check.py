@@ -17,7 +17,7 @@ from sonar_sim.tolerance import Tolerance
 from tqdm import tqdm
 
 PARTS = (0.05, 0.5, 0.95)
-MANUAL = Path(__file__).resolve().parents[1] / "docs" / "simulator.md"
+MANUAL = Path(__file__).resolve().parents[1] / "docs" / "concepts" / "simulator.md"
 
 
 def main() -> int:
@@ -25,7 +25,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="check the rules of the simulator's effects")
     parser.add_argument("scenes", nargs="*", default=scene_names())
     parser.add_argument("--at", type=float, nargs="*", default=PARTS, help="parts of each path")
-    parser.add_argument("--write", action="store_true", help="into docs/simulator.md")
+    parser.add_argument("--write", action="store_true", help="into docs/concepts/simulator.md")
     arguments = parser.parse_args()
     checks = {}
     stops = [(name, part) for name in arguments.scenes for part in arguments.at]

@@ -1,4 +1,4 @@
-"""Write what is generated from the settings' types: docs/configuration.md, config/schema.json."""
+"""Write docs/reference/configuration.md and config/schema.json from the settings' types."""
 
 import json
 from pathlib import Path
@@ -9,6 +9,8 @@ from config_schema import json_schema
 ROOT = Path(__file__).resolve().parents[1]
 
 if __name__ == "__main__":
-    (ROOT / "docs" / "configuration.md").write_text(configuration_page(), encoding="utf-8")
+    (ROOT / "docs" / "reference" / "configuration.md").write_text(
+        configuration_page(), encoding="utf-8"
+    )
     schema = json.dumps(json_schema(), indent=2) + "\n"
     (ROOT / "config" / "schema.json").write_text(schema, encoding="utf-8")

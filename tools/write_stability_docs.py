@@ -1,4 +1,4 @@
-"""Write the catalogue of hard cases into docs/numerical-stability.md, from their docstrings."""
+"""Write the catalogue of hard cases into docs/reports/numerical-stability.md."""
 
 import ast
 import re
@@ -9,7 +9,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 CASES = ROOT / "tests" / "stability"
-PAGE = ROOT / "docs" / "numerical-stability.md"
+PAGE = ROOT / "docs" / "reports" / "numerical-stability.md"
 
 AREAS = ("mapping", "store", "stream", "filters", "fusion", "clock", "localization", "simulation")
 """In the order of the page; others follow by name."""

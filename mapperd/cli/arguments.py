@@ -117,7 +117,7 @@ def _parser() -> argparse.ArgumentParser:
         "--config",
         metavar="YAML",
         type=Path,
-        help="settings, above all other files (docs/configuration.md)",
+        help="settings, above all other files (docs/reference/configuration.md)",
     )
     add(
         "--out",

@@ -70,7 +70,7 @@ def _parser() -> argparse.ArgumentParser:
         "--config",
         metavar="YAML",
         type=Path,
-        help="settings, above all other files (docs/configuration.md)",
+        help="settings, above all other files (docs/reference/configuration.md)",
     )
     add("--seconds", metavar="S", type=_seconds, default=5.0, help="to watch (default: 5)")
     add("--ping", action="store_true", help="ask the sonar for pings: only under water")

@@ -1,6 +1,6 @@
 """The live map of a daemon, mirrored: watch it grow, ask it, or steer the daemon.
 
-docs/map-stream.md has an example, and the protocol.
+docs/reference/map-stream.md has an example, and the protocol.
 """
 
 from mapperd.client.block_table import Cells

@@ -198,7 +198,7 @@ class MapClient(Known):
                 await self._news.wait()
 
     async def ask(self, do: str, *, timeout_s: float = 60.0, **fields: Any) -> dict[str, Any]:  # noqa: ANN401 plain values
-        """Make a request of docs/control.md; returns its result.
+        """Make a request of docs/reference/control.md; returns its result.
 
         Raises:
             AskError: it was not done.

@@ -23,8 +23,8 @@ class AskError(MapperdError):
     """The daemon did not do what was asked.
 
     Attributes:
-        reason: as docs/control.md says them, or `not_connected`, `link_lost`, `no_answer`,
-            `too_long`: of ours.
+        reason: one of docs/reference/control.md, or of the client itself: `not_connected`,
+            `link_lost`, `no_answer`, `too_long`.
         details: plain values.
     """
 

@@ -115,7 +115,7 @@ class MapFollower(Known):
         self._wait_for(self._client.complete(timeout_s))
 
     def ask(self, do: str, *, timeout_s: float = 60.0, **fields: Any) -> dict[str, Any]:  # noqa: ANN401 plain values
-        """Make a request of docs/control.md; returns its result.
+        """Make a request of docs/reference/control.md; returns its result.
 
         Raises:
             AskError: it was not done.

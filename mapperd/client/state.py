@@ -377,7 +377,7 @@ class Known:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Name to facts, as the answer to `params` of docs/control.md."""
+        """Name to facts, as the answer to `params` of docs/reference/control.md."""
         return self._knowledge.settings
 
     @property

@@ -94,8 +94,8 @@ class SonarTo3DMapper:
     """A map that images of a sonar are added to.
 
     Args:
-        config: the published mapper's flat keys, such as `voxel_resolution`; docs/library.md has
-            them all. What is not named has its default.
+        config: the published mapper's flat keys, such as `voxel_resolution`, listed in
+            docs/reference/library.md. Each key has a default.
         clock: seconds, for the processing times.
 
     Raises:

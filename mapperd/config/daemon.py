@@ -113,7 +113,7 @@ class ControlConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class StreamConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """The live map for those who watch it: docs/map-stream.md."""
+    """The live map for those who watch it: docs/reference/map-stream.md."""
 
     socket: Annotated[
         str,

@@ -56,7 +56,7 @@ class CrosstalkConfig(Struct, frozen=True, forbid_unknown_fields=True):
         bool,
         rule(
             "Also notch what is constant over the beams in the image's spectrum; dims floors seen "
-            "flat, see docs/filters.md.",
+            "flat, see docs/guides/filters.md.",
             live=True,
         ),
     ] = False

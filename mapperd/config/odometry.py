@@ -35,7 +35,9 @@ FormatName = Literal[
 class FormatSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """One source's format."""
 
-    format: Annotated[FormatName, rule("What the bytes are, see docs/odometry.md.")] = "native"
+    format: Annotated[FormatName, rule("What the bytes are, see docs/guides/odometry.md.")] = (
+        "native"
+    )
     mavlink_system_id: Annotated[
         int, rule("Only this MAVLink system is heard; 0 hears all.", ge=0, le=255)
     ] = 1

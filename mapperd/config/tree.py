@@ -96,7 +96,7 @@ class SonarConfig(Struct, frozen=True, forbid_unknown_fields=True):
             gt=0,
             le=90,
         ),
-    ] = 14.0  # 20, as published, maps worse and slower: docs/accuracy-cost.md, "elevation"
+    ] = 14.0  # 20, as published, maps worse and slower: docs/reports/accuracy-cost.md, "elevation"
 
 
 class FilteringConfig(Struct, frozen=True, forbid_unknown_fields=True):

@@ -83,7 +83,7 @@ def open_map(
     if sessions:
         text = (
             f"the map of {len(sessions)} earlier sessions goes on: the odometry's world has to be "
-            "theirs (docs/store.md)"
+            "theirs (docs/reference/store.md)"
         )
         events.add(Severity.NOTICE, "map_continued", text, sessions=len(sessions))
     origin_deg = None if position is None else position.origin_deg

@@ -1,4 +1,4 @@
-"""Messages of the map stream: docs/map-stream.md.
+"""Messages of the map stream: docs/reference/map-stream.md.
 
 Each message is one MessagePack map whose key `t` names its kind; times are Unix nanoseconds,
 lengths metres, angles radians, arrays bytes in little endian.
@@ -193,7 +193,7 @@ class Ack(Message, frozen=True, kw_only=True):
 
 
 class Ask(Message, frozen=True, kw_only=True):
-    """A request of docs/control.md: `{"do": "set", "id": 7, "changes": {...}}`."""
+    """A request of docs/reference/control.md: `{"do": "set", "id": 7, "changes": {...}}`."""
 
     ask: msgspec.Raw
 
@@ -402,7 +402,7 @@ class Robots(Message, frozen=True, kw_only=True):
 
 
 class Localization(Message, frozen=True, kw_only=True):
-    """As the answer to `localization` of docs/control.md says it.
+    """As the answer to `localization` of docs/reference/control.md says it.
 
     Attributes:
         report: plain values.
@@ -420,7 +420,7 @@ class Status(Message, frozen=True, kw_only=True):
 
     Attributes:
         stamp_ns: now.
-        status: as the answer to `status` of docs/control.md.
+        status: as the answer to `status` of docs/reference/control.md.
         link: of this client: `bytes`, `bytes_per_s`, `round_trip_s`, `in_flight`, `left` (blocks
             still to be sent), `skipped` (kind of message to those that were too much),
             `second_line` (a second line would help).
@@ -442,14 +442,14 @@ class Settings(Message, frozen=True, kw_only=True):
     """Settings and all about them: the first time all, then those that changed.
 
     Attributes:
-        facts: name to facts, as the answer to `params` of docs/control.md.
+        facts: name to facts, as the answer to `params` of docs/reference/control.md.
     """
 
     facts: dict[str, Any]
 
 
 class Answer(Message, frozen=True, kw_only=True):
-    """What became of a request, as docs/control.md says."""
+    """What became of a request, as docs/reference/control.md says."""
 
     id: int | None = None
     result: dict[str, Any] | None = None

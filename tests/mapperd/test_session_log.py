@@ -102,7 +102,9 @@ def test_skipped_bytes_are_left_out_however_they_were_cut() -> None:
 
 
 def test_every_kind_is_explained() -> None:
-    page = (Path(__file__).resolve().parents[2] / "docs" / "recordings.md").read_text("utf-8")
+    page = (Path(__file__).resolve().parents[2] / "docs" / "reference" / "recordings.md").read_text(
+        "utf-8"
+    )
     for kind in get_args(Decision):
         assert f"| `{kind.__struct_config__.tag}` |" in page
         assert {kind} <= {type(one) for one in ALL}

@@ -1,4 +1,4 @@
-"""What docs/driver.md says can be done as it stands."""
+"""What docs/guides/driver.md says can be done as it stands."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.oculus_driver.cli.sonar_thread import played
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-GUIDE = Path(__file__).resolve().parents[2] / "docs" / "driver.md"
+GUIDE = Path(__file__).resolve().parents[2] / "docs" / "guides" / "driver.md"
 TEXT = GUIDE.read_text(encoding="utf-8")
 COMMANDS = re.findall(r"^oculus .*$", TEXT, re.MULTILINE)
 

@@ -1,4 +1,4 @@
-"""docs/models.md says what the driver knows about models, no more and no less."""
+"""docs/reference/models.md says what the driver knows about models, no more and no less."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import pytest
 from oculus_driver.models import BEAMS, FAMILIES, MAX_RATE_HZ, MODELS, ModeSpec, max_rate_hz
 from oculus_driver.wire import PingRate
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "models.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "reference" / "models.md").read_text(
+    encoding="utf-8"
+)
 RANGES_M = (5, 10, 20, 30, 40, 60, 80, 100, 120, 200)
 
 

@@ -8,7 +8,7 @@ from sonar_sim.command import main
 from sonar_sim.effects.registry import EFFECTS
 from sonar_sim.effects.table import effects_markdown
 
-MANUAL = Path(__file__).resolve().parents[2] / "docs" / "simulator.md"
+MANUAL = Path(__file__).resolve().parents[2] / "docs" / "concepts" / "simulator.md"
 
 
 def test_explain_tells_every_effect(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""The update rule of docs/mapping.md in fifty digits, and as the map holds it: in whole units."""
+"""The update rule of docs/concepts/mapping.md in fifty digits and in the map's whole units."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""The tables of docs/localization.md name tests that exist, and all hard cases are in them."""
+"""The tables of docs/guides/localization.md name existing tests and all hard cases."""
 
 import re
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = (ROOT / "docs" / "localization.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "guides" / "localization.md").read_text(encoding="utf-8")
 
 
 def names_in(folder: str, files: str, pattern: str) -> set[str]:

@@ -99,6 +99,6 @@ def test_sysusers_are_understood() -> None:
 
 
 def test_names_in_the_documents_are_those_of_the_files() -> None:
-    page = (FOLDER.parent / "docs" / "service.md").read_text()
+    page = (FOLDER.parent / "docs" / "getting-started" / "service.md").read_text()
     for path in FOLDER.iterdir():
         assert path.name in page, path.name

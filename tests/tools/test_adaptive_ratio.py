@@ -23,7 +23,9 @@ from accuracy_cost.adaptive_ratio import (
     reclassification_table,
 )
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "mapping.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "concepts" / "mapping.md").read_text(
+    encoding="utf-8"
+)
 
 
 @pytest.mark.parametrize("least", [1, 2, 3, 4, 5, 63, 64, 65, 1000])

@@ -39,7 +39,7 @@ def test_profile_is_the_one_that_was_measured() -> None:
 
 
 def test_profile_is_the_one_of_the_page() -> None:
-    page = (ROOT / "docs" / "localization.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "guides" / "localization.md").read_text(encoding="utf-8")
     text = page.split("into `/etc/mapperd/conf.d`:")[1].split("```yaml\n")[1].split("```")[0]
     assert yaml.safe_load(text) == yaml.safe_load(PROFILE)
 

@@ -158,7 +158,7 @@ def test_a_survivor_is_measured_again_when_any_of_its_tests_is_new(tmp_path: Pat
 
 
 def test_the_page_counts_the_whole_catalogue(tmp_path: Path) -> None:
-    page = (REPOSITORY / "docs" / "mutations.md").read_text()
+    page = (REPOSITORY / "docs" / "reports" / "mutations.md").read_text()
     measured = page.partition(BEGIN)[2].partition(END)[0].strip()
     rows = [line.strip("| ").split(" | ") for line in measured.splitlines() if line[:1] == "|"]
     counts = {row[0]: [int(number) for number in row[1:]] for row in rows[2:]}

@@ -61,7 +61,7 @@ def sources() -> set[Path]:
 
 def test_the_picture_is_on_the_page() -> None:
     assert (ROOT / PICTURE).is_file()
-    assert f"({PICTURE.relative_to('docs')})" in PAGE.read_text(encoding="utf-8")
+    assert f"(../{PICTURE.relative_to('docs')})" in PAGE.read_text(encoding="utf-8")
 
 
 def test_tables_say_where_numbers_end() -> None:

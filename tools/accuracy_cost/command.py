@@ -18,7 +18,7 @@ from accuracy_cost.study import Study
 
 __all__ = ["RECORDED", "main"]
 
-RECORDED = ROOT / "docs/accuracy-cost"
+RECORDED = ROOT / "docs/reports/accuracy-cost"
 FAULT, USAGE, INTERRUPTED = 1, 2, 130
 
 
@@ -106,7 +106,7 @@ def _parser() -> argparse.ArgumentParser:
     measure.add_argument("--quick", action="store_true", help="only the subset of check")
     measure.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     measure.add_argument(
-        "--write", action="store_true", help="copy whole results to docs/accuracy-cost"
+        "--write", action="store_true", help="copy whole results to docs/reports/accuracy-cost"
     )
     measure.set_defaults(does=_run)
     plot = commands.add_parser("plot", help="draw what is measured")
@@ -114,7 +114,7 @@ def _parser() -> argparse.ArgumentParser:
     plot.add_argument(
         "--write",
         action="store_true",
-        help="of what is recorded, with the tables of docs/accuracy-cost.md",
+        help="of what is recorded, with the tables of docs/reports/accuracy-cost.md",
     )
     plot.set_defaults(does=_plot)
     check = commands.add_parser("check", help="fail where a default is not worth choosing")

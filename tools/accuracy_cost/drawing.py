@@ -14,7 +14,7 @@ from accuracy_cost.tables import section
 
 __all__ = ["PAGE", "draw"]
 
-PAGE = ROOT / "docs/accuracy-cost.md"
+PAGE = ROOT / "docs/reports/accuracy-cost.md"
 
 
 def draw(

@@ -39,7 +39,7 @@ class Knob:
         settings: in order; one of them has no overrides and is the default.
         published: label of the setting that the published system has, if any.
         margin: how far, as a share of the error, the default may lie behind the front.
-        advice: a sentence for docs/accuracy-cost.md: what turning it buys and costs.
+        advice: a sentence for docs/reports/accuracy-cost.md: what turning it buys and costs.
         error: column on its error axis, where turning it shows in another one than the study's.
         quick: whether the subset of `accuracy-cost check` turns it.
     """

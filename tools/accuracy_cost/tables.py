@@ -1,4 +1,4 @@
-"""The figures of docs/accuracy-cost.md: one row a knob, one a whole configuration."""
+"""The figures of docs/reports/accuracy-cost.md: one row a knob, one a whole configuration."""
 
 import math
 import textwrap
@@ -14,7 +14,7 @@ from accuracy_cost.study import Knob, Study
 
 __all__ = ["IMAGES", "section"]
 
-IMAGES = "images/accuracy-cost"
+IMAGES = "../images/accuracy-cost"
 LITTLE = 0.1
 """More error that somebody gladly takes for a faster computer."""
 FIRST = f"""\

@@ -80,7 +80,7 @@ class Dive:
 
 
 def settings(place: Place, seed: int) -> Config:
-    """A sonar's; docs/localization.md says why."""
+    """A sonar's; docs/guides/localization.md says why."""
     amcl = AmclConfig(
         robot_model_type="omnidirectional_drive",
         odom_alpha1=0.002,

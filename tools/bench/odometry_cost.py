@@ -2,7 +2,7 @@
 
 For each format the bytes of a minute are made beforehand. What is timed is the whole way: decode,
 carry the clock over, fuse, and ask for the pose and the motion at each ping's time. Processor time,
-the least of three runs. Prints the table; --write puts it into docs/odometry.md.
+the least of three runs. Prints the table; --write puts it into docs/guides/odometry.md.
 
 Usage: python tools/bench/odometry_cost.py [--seconds N] [--write]
 """
@@ -23,7 +23,7 @@ from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.fusion import FusedPose
 from mapperd.odometry.native import NativeRecord, encode_native, encode_native_serial
 
-PAGE = Path("docs/odometry.md")
+PAGE = Path("docs/guides/odometry.md")
 RECORDS_HZ, PINGS_HZ = 400, 40
 TARGET = 0.10
 START_NS = 1_700_000_000 * 10**9

@@ -2,7 +2,8 @@
 
 The dive is that of moving_dive.py: 1 m/s, 20 degrees a second, arrivals of records and pings late
 by up to 30 ms, clocks that drift by 30 ppm. Everything goes the way of live data: bytes, decoder,
-clock fit, fusion, pairing, step, map. Prints the table; --write puts it into docs/odometry.md.
+clock fit, fusion, pairing, step, map. Prints the table; --write puts it into
+docs/guides/odometry.md.
 
 Usage: python tools/bench/pose_error.py [--write]
 """
@@ -25,7 +26,7 @@ from oculus_driver.clock import SonarClock
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.stream import StreamParser
 
-PAGE = Path("docs/odometry.md")
+PAGE = Path("docs/guides/odometry.md")
 TARGET = 1.2
 
 

@@ -1,8 +1,8 @@
 """Our integrators against OctoMap, OpenVDB and Bonxai, on the same simulated pings, in one run.
 
 Usage: python tools/bench/rivals.py [--bonxai PATH] [--looks down] [--only WORD ...]. Prints the
-tables and writes them to docs/performance.md, with docs/images/performance.png; docs/performance.md
-says what is measured. A part of the whole (--looks, --only) leaves docs/ as it is.
+tables and writes them to docs/reports/performance.md, with docs/images/performance.png. The page
+describes what is measured. A part of the whole (--looks, --only) leaves docs/ as it is.
 """
 
 import argparse
@@ -25,7 +25,10 @@ from results import CaseResult, DetailDifference, Measured, Results
 
 ROOT = BENCH.parent.parent
 PROGRAM = "tools/bench/rivals.py"
-PAGE, PICTURE = ROOT / "docs" / "performance.md", ROOT / "docs" / "images" / "performance.png"
+PAGE, PICTURE = (
+    ROOT / "docs" / "reports" / "performance.md",
+    ROOT / "docs" / "images" / "performance.png",
+)
 RESOLUTIONS_M = (0.1, 0.05)
 DETAIL_BUDGET_S = 4.0
 

@@ -2,7 +2,7 @@
 
 Each worker is a process and makes one ping at a time. Pings follow one another at the asked rate,
 in stretches of the scenario's trajectory. `--write` puts the tables into
-docs/performance.md.
+docs/reports/performance.md.
 """
 
 import argparse
@@ -32,7 +32,7 @@ SIZES = ((256, 500, 40.0), (512, 1000, 20.0))
 """Beams, rows, and the pings a second that are asked for."""
 STRETCHES = 4
 """Parts of the trajectory that are pinged at the asked rate: their pings follow one another."""
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "performance.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "reports" / "performance.md"
 BEGIN = "<!-- simulator: written by tools/bench/simulator_speed.py, do not edit -->"
 END = "<!-- end of simulator -->"
 
@@ -161,7 +161,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--pings", type=int, default=100)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--write", action="store_true", help="into docs/performance.md")
+    parser.add_argument("--write", action="store_true", help="into docs/reports/performance.md")
     said = parser.parse_args()
     scenario = load_scenario(SCENE)
     load = os.getloadavg()[0]

@@ -118,7 +118,7 @@ class Odometry:
 
 
 def record(now_ns: int) -> bytes:
-    """Where the vehicle is at a time, as a native record (docs/odometry.md)."""
+    """Where the vehicle is at a time, as a native record (docs/guides/odometry.md)."""
     angle = 2 * math.pi * (now_ns / 1e9 / TURN_S % 1.0)
     yaw = angle + math.pi / 2
     speed_mps = 2 * math.pi * RADIUS_M / TURN_S

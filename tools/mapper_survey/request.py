@@ -220,7 +220,11 @@ def _values_of(survey: Survey, path: Path) -> dict[str, object]:
                 walk(value, f"{name}.")
             else:
                 near = difflib.get_close_matches(name, list(parameters()), n=1)
-                hint = f"did you mean {near[0]}?" if near else "docs/configuration.md has them all"
+                hint = (
+                    f"did you mean {near[0]}?"
+                    if near
+                    else "docs/reference/configuration.md has them all"
+                )
                 raise SurveyError(f"{path}: $.settings.{name}: there is no such setting; {hint}")
 
     walk(survey.settings, "")

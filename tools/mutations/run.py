@@ -24,7 +24,7 @@ from mutations.judge import End, program_of, run_test, targets_of
 from mutations.results import Result, Results, is_well, table
 from mutations.stamp import stamp
 
-PAGE = REPOSITORY / "docs" / "mutations.md"
+PAGE = REPOSITORY / "docs" / "reports" / "mutations.md"
 BEGIN = "<!-- measured: make mutations -->\n"
 END = "<!-- end of measured -->\n"
 MOST_BYTES = 8 << 30

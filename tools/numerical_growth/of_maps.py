@@ -58,7 +58,7 @@ def _held(kind: NDArray[np.bool_], intensity: Floats, at: NDArray[np.int64]) -> 
 def _followed(
     kind: NDArray[np.bool_], intensity: Floats, at: NDArray[np.int64], *, single: bool
 ) -> Floats:
-    """The rule of docs/mapping.md, written down a second time; `single` rounds what is stored."""
+    """The rule of docs/concepts/mapping.md, a second time; `single` rounds what is stored."""
     wanted, held = set(at.tolist()), []
     for count, value in enumerate(_states(kind.tolist(), intensity.tolist(), single=single), 1):
         if count in wanted:

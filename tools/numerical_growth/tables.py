@@ -1,4 +1,4 @@
-"""The tables of docs/numerical-stability.md that are measured."""
+"""The tables of docs/reports/numerical-stability.md that are measured."""
 
 from collections.abc import Sequence
 

@@ -120,7 +120,7 @@ class SonarSettings:
 def sonar_preset(model: str = "M750d", mode: int = 1, **changes: Any) -> SonarSettings:  # noqa: ANN401 any field
     """One of the sonars that can be had, in one of its modes.
 
-    Frequencies, ranges and angles are those that the driver knows (docs/models.md).
+    Frequencies, ranges and angles are those that the driver knows (docs/reference/models.md).
 
     Args:
         model: M370s, M750d, M1200d or M3000d.

@@ -1,4 +1,4 @@
-"""Log-odds as the map stream tells them, by plain numpy: docs/map-stream.md."""
+"""Log-odds as the map stream tells them, by plain numpy: docs/reference/map-stream.md."""
 
 from typing import Any
 

@@ -30,7 +30,7 @@ __all__ = [
 SIX = 6
 LEVELS = range(4)
 MAX = 1e6
-HELP_FORMATS = "the suffix says the format: docs/export.md"
+HELP_FORMATS = "the suffix says the format: docs/guides/export.md"
 
 
 def add_convert(command: argparse.ArgumentParser) -> None:
@@ -441,7 +441,9 @@ def parser() -> _Parser:
     change = _command(commands, "set", "change settings of the running daemon, all or none")
     change.add_argument("changes", metavar="NAME=VALUE", nargs="+", type=_change)
     save = _command(commands, "save", "write the map into the daemon's folder for maps")
-    save.add_argument("name", metavar="FILE", help="the suffix says the format: docs/control.md")
+    save.add_argument(
+        "name", metavar="FILE", help="the suffix says the format: docs/reference/control.md"
+    )
     reset = _command(commands, "reset", "empty the map")
     reset.add_argument("--yes", action="store_true", help="do not ask")
     _command(commands, "reload", "read the settings' files again")

@@ -1,4 +1,4 @@
-"""A client made from docs/map-stream.md alone, with nothing of ours, holds the same map."""
+"""A client written from docs/reference/map-stream.md alone holds the same map."""
 
 import asyncio
 import hashlib

@@ -1,4 +1,4 @@
-"""docs/map-stream.md says what the code does."""
+"""docs/reference/map-stream.md says what the code does."""
 
 import re
 import typing
@@ -15,7 +15,7 @@ from mapperd.wire.framing import framed
 from mapperd.wire.messages import FromClient, FromServer, Greeting
 from tests.conftest import ROOT
 
-PAGE = (ROOT / "docs" / "map-stream.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "reference" / "map-stream.md").read_text(encoding="utf-8")
 
 
 def test_every_message_and_every_key_has_its_row() -> None:
@@ -48,11 +48,11 @@ def test_limits_are_those_of_the_code() -> None:
 
 
 def test_greeting_is_byte_for_byte_as_shown() -> None:
-    assert framed(Greeting()) == _bytes(_block("hex greeting"))
+    assert framed(Greeting()) == _bytes(_block("hex-greeting"))
 
 
 def test_body_is_as_shown() -> None:
-    shown = _bytes(_block("hex body"))
+    shown = _bytes(_block("hex-body"))
     blocks = decode_blocks(zstandard.ZstdCompressor().compress(shown), counts=False)
     assert blocks.keys.tolist() == [[1, -1, 0], [2, 0, 0], [0, 0, -3]]
     assert blocks.ages_ms.tolist() == [1000, 0, 0]

@@ -1,4 +1,4 @@
-"""docs/library.md runs as it stands, and names what there is."""
+"""docs/reference/library.md runs as it stands, and names what there is."""
 
 import re
 from pathlib import Path
@@ -11,7 +11,9 @@ from mapperd import Localizer, SonarTo3DMapper
 from mapperd.compat.flat_config import config_from_flat
 from mapperd.config.tree import Config
 
-PAGE = (Path(__file__).resolve().parents[3] / "docs" / "library.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "reference" / "library.md").read_text(
+    encoding="utf-8"
+)
 
 
 def test_examples_run_and_find_something(

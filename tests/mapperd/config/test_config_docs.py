@@ -17,7 +17,7 @@ from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
 
 ROOT = Path(__file__).resolve().parents[3]
-PAGE = ROOT / "docs" / "configuration.md"
+PAGE = ROOT / "docs" / "reference" / "configuration.md"
 JUDGE = jsonschema.Draft202012Validator(json_schema())
 
 

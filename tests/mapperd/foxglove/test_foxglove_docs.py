@@ -1,4 +1,4 @@
-"""docs/foxglove.md says what there is."""
+"""docs/guides/foxglove.md says what there is."""
 
 import re
 from pathlib import Path
@@ -6,7 +6,9 @@ from pathlib import Path
 from mapperd.cli.mapperctl.arguments import parser
 from mapperd.foxglove.channels import CHANNELS
 
-PAGE = (Path(__file__).resolve().parents[3] / "docs" / "foxglove.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "guides" / "foxglove.md").read_text(
+    encoding="utf-8"
+)
 
 
 def test_every_channel_is_in_the_table() -> None:

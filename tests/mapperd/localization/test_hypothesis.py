@@ -21,7 +21,7 @@ SIGMA = np.diag([0.1**2, 0.1**2, 0.05**2])
 
 
 def profile(ours: str = "rival_interval: 2.0", policy: str = "seq") -> Config:
-    """The settings that docs/localization.md recommends, for a small room."""
+    """The settings that docs/guides/localization.md recommends, for a small room."""
     return config_from_text(f"""
 amcl:
   execution_policy: {policy}

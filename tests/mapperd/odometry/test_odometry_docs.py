@@ -1,4 +1,4 @@
-"""docs/odometry.md says what the decoders do."""
+"""docs/guides/odometry.md says what the decoders do."""
 
 import ast
 import re
@@ -14,7 +14,7 @@ from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.links import LinkPhase
 
 ROOT = Path(__file__).resolve().parents[3]
-PAGE = (ROOT / "docs" / "odometry.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "guides" / "odometry.md").read_text(encoding="utf-8")
 CODECS = [
     path
     for path in sorted((ROOT / "mapperd" / "odometry").glob("*.py"))
@@ -48,7 +48,7 @@ def test_every_format_and_setting_is_explained() -> None:
 
 
 def test_settings_load_as_they_stand_there() -> None:
-    live = (ROOT / "docs" / "live.md").read_text(encoding="utf-8")
+    live = (ROOT / "docs" / "getting-started" / "live.md").read_text(encoding="utf-8")
     rov, dvl = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
     device, *_ = re.findall(r"```yaml\n(.*?)```", live, re.DOTALL)
     assert config_from_text(rov).odometry.sources[0].format == "mavlink"

@@ -1,4 +1,4 @@
-"""docs/control.md says what there is, and its example is answered."""
+"""docs/reference/control.md says what there is, and its example is answered."""
 
 import asyncio
 import json
@@ -16,7 +16,7 @@ from mapperd.wire.control_messages import Answer, Ask, Events, Greeting
 from tests.support.control_server import Line, served
 
 ROOT = Path(__file__).resolve().parents[3]
-PAGE = (ROOT / "docs" / "control.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "reference" / "control.md").read_text(encoding="utf-8")
 SOURCES = [
     ROOT / "mapperd" / f"{name}.py"
     for name in (

@@ -14,7 +14,7 @@ Delivery = tuple[Blocks | Reset, int]
 
 
 class TwoLines:
-    """Of each block it keeps the order of what it holds, as docs/map-stream.md says."""
+    """Of each block it keeps the order of what it holds, as docs/reference/map-stream.md says."""
 
     def __init__(self, source: MapSource, interest: Interest, most_bytes: int = 1500) -> None:
         self.source = source

@@ -1,4 +1,4 @@
-"""docs/replay.md says what the program does."""
+"""docs/guides/replay.md says what the program does."""
 
 import re
 from collections.abc import Callable
@@ -15,7 +15,9 @@ from mapperd.session.recordings import RecordedSession
 from mapperd.session.replay import Replay, Window
 from oculus_driver.ping import Ping
 
-PAGE = (Path(__file__).resolve().parents[3] / "docs" / "replay.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "guides" / "replay.md").read_text(
+    encoding="utf-8"
+)
 
 
 def test_library_example_runs(ping: Callable[..., Ping]) -> None:

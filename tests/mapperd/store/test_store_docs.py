@@ -1,4 +1,4 @@
-"""docs/store.md says what the store does."""
+"""docs/reference/store.md says what the store does."""
 
 import re
 from pathlib import Path
@@ -9,7 +9,9 @@ import pytest
 from mapperd.errors import StoreError
 from mapperd.store.database import ADVICE, FIRST
 
-PAGE = (Path(__file__).resolve().parents[3] / "docs" / "store.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "reference" / "store.md").read_text(
+    encoding="utf-8"
+)
 
 
 def test_the_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

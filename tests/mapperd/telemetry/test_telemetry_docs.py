@@ -14,7 +14,9 @@ from mapperd.telemetry.topics import MAX_NAME, Topics
 from tests.mapperd.localization.believed import facts
 from tests.mapperd.telemetry.conftest import POSE, ROBOT, T0_S, FakeDaemon, below
 
-PAGE = (Path(__file__).resolve().parents[3] / "docs" / "telemetry.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "guides" / "telemetry.md").read_text(
+    encoding="utf-8"
+)
 
 
 def test_table_has_every_topic_with_its_quality_and_whether_it_is_kept(daemon: FakeDaemon) -> None:

@@ -5,7 +5,7 @@ import pytest
 from sonar_sim.classic.defect import Defect
 from sonar_sim.classic.defects import defect_table, defects
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "simulator-classic.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "reports" / "simulator-classic.md"
 
 
 @pytest.fixture(scope="module")

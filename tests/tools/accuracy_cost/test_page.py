@@ -1,4 +1,4 @@
-"""docs/accuracy-cost.md shows what is recorded: all of it, and nothing else."""
+"""docs/reports/accuracy-cost.md shows what is recorded: all of it, and nothing else."""
 
 import pytest
 from accuracy_cost.command import RECORDED

@@ -1,4 +1,4 @@
-"""docs/survey-products.md says what the programs write."""
+"""docs/reference/survey-products.md says what the programs write."""
 
 import re
 from pathlib import Path
@@ -21,7 +21,9 @@ from mapper_survey.report import (
 from mapper_survey.running import MAP
 from mapper_survey.surface import CELL_VOXELS, RULES
 
-PAGE = (Path(__file__).resolve().parents[3] / "docs/survey-products.md").read_text("utf-8")
+PAGE = (Path(__file__).resolve().parents[3] / "docs/reference/survey-products.md").read_text(
+    "utf-8"
+)
 
 
 @pytest.mark.parametrize(

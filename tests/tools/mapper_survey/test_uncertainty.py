@@ -73,4 +73,4 @@ def test_larger_noise_of_all_beams_has_to_be_given(tmp_path: Path) -> None:
     judge = Judge(tmp_path, 0.3, 0.0)
     for rule in RULES:
         assert 0.8 < judge.ratio(rule, 0.3) < 1.2
-        assert judge.ratio(rule, 0.0) > 2.0  # as docs/survey-products.md says
+        assert judge.ratio(rule, 0.0) > 2.0  # as docs/reference/survey-products.md says

@@ -55,7 +55,7 @@ KNOBS = (
         "A vehicle that is followed needs some hundred, which a number that follows the cloud's "
         "spread gives; 300 always are less exact in small places. What the most may be changes "
         "little here; with 5000, rivals that are thinly drawn take over now and then in half an "
-        "hour's dives (docs/localization.md).",
+        "hour's dives (docs/guides/localization.md).",
     ),
     Knob(
         "fewest-particles",

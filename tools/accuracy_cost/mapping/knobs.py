@@ -182,7 +182,7 @@ KNOBS = (
             "Motion within the ping",
             [("true", {}), ("false", {"mapping.within_ping_motion": False})],
             "Costs a third to a half more time and moves no surface up to 10 m: it shows in what "
-            "voxels are told, and in surfaces at 30 m and fast turns (docs/mapping.md).",
+            "voxels are told, and in surfaces at 30 m and fast turns (docs/concepts/mapping.md).",
             published="false",
         )
     ),

@@ -31,7 +31,8 @@ where probabilities differ, none with fewer voxels."""
 KEPT = 0.02
 """Log-odds by which the points of the file may differ from the fit."""
 HEAD = """\
-# Turns the probabilities of a map into shares: `mapperctl convert --calibration`, docs/export.md.
+# Turns the probabilities of a map into shares: `mapperctl convert --calibration`,
+# docs/guides/export.md.
 # For the profile survey and a sonar that looks ahead into a harbour; fitted by
 # python -m accuracy_cost.mapping.recalibration --write"""
 

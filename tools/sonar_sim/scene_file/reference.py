@@ -10,7 +10,7 @@ from sonar_sim.material import MATERIALS
 from sonar_sim.scene_file import SHIPPED, load_scenario, scene_names, schema, shape_schema
 from sonar_sim.scene_file.sections import Section
 
-PAGE = Path("docs/simulator-scenes.md")
+PAGE = Path("docs/reference/scene-files.md")
 SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
 INTRODUCTION = """# Scenes of the simulator
 

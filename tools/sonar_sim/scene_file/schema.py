@@ -1,6 +1,6 @@
 """What may stand in a scene's file: one type a section, one field a setting.
 
-Each field carries its meaning and unit, from which docs/simulator-scenes.md is made.
+Each field carries its meaning and unit, from which docs/reference/scene-files.md is made.
 """
 
 from typing import Annotated, Literal

@@ -1,4 +1,4 @@
-"""docs/export.md and docs/ros2.md say what there is."""
+"""docs/guides/export.md and docs/guides/ros-bags.md say what there is."""
 
 import re
 import tomllib
@@ -13,7 +13,9 @@ from mapperd.export.formats import FORMATS
 from mapperd.export.rosbag import GRID_TOPIC
 
 ROOT = Path(__file__).resolve().parents[4]
-EXPORT, ROS = ((ROOT / "docs" / name).read_text("utf-8") for name in ("export.md", "ros2.md"))
+EXPORT, ROS = (
+    (ROOT / "docs" / name).read_text("utf-8") for name in ("guides/export.md", "guides/ros-bags.md")
+)
 
 
 def test_table_and_formats_are_the_same() -> None:
