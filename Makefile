@@ -13,17 +13,23 @@ CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLi
 # Programs and tests start hundreds of Pythons, which must not compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study fuzz docs check cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install prerequisites clean
+.PHONY: demo test test-all bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study fuzz docs check cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install prerequisites clean
 
 demo: $(STAMP)
 	$(BIN)/python tools/demo.py --out out/demo
 
-# The demo is a test too: it fails when the map is worse than it promises. Two jobs at a time, of
-# which each says what it did when it ends: while one waits, links or has work for one core only, the
-# other computes. The sanitizers' builds come first, they need nothing that is being installed. The
-# Python tests have the machine for themselves: some wait for programs for so many seconds and no more.
-test:
-	@echo "Two stages at a time, each says what it did when it ends; the first takes minutes."
+# Everything that decides whether a change lands, in less than ten minutes of two cores: static checks,
+# the C++ tests, and all Python tests but the slow ones, with a short series of kills. The Python tests
+# run alone: some of them have time limits.
+test: $(STAMP)
+	@echo "Static checks and C++ tests run side by side; each prints its output when it ends."
+	+$(MAKE) -j 2 --output-sync=target cpp-test check
+	CRASH_KILLS=10 STORE_KILLS=2 $(BIN)/python -m pytest tests -m "not slow" -n 3
+
+# All tests: also the sanitizers, the demo, the slow tests and the long series of kills. The demo fails
+# if its map is worse than promised. The sanitizers are built first: they need no installation.
+test-all:
+	@echo "Two stages run side by side; each prints its output when it ends, the first after minutes."
 	+$(MAKE) -j 2 --output-sync=target cpp-test-asan cpp-test-tsan demo cpp-test check
 	+$(MAKE) python-test
 
@@ -146,11 +152,9 @@ cpp-test-tsan: $(TOOLS)
 cpp-test-aarch64: $(TOOLS)
 	scripts/cpp-test aarch64
 
-# More workers than cores: many tests wait, for a daemon's next save or a client's time-out. A worker
-# begins with a part of its own, which keeps a module's fixtures in one place, and helps where others
-# have more to do.
+# More workers than cores: many tests wait for a save or a timeout.
 python-test: $(STAMP)
-	$(BIN)/python -m pytest -n 3 --dist worksteal
+	$(BIN)/python -m pytest tests -n 3
 
 prerequisites:
 	@PYTHON="$(PYTHON)" scripts/prerequisites

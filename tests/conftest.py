@@ -1,7 +1,8 @@
-"""What all tests share."""
+"""Shared by all tests: tiers, hypothesis profiles, folders."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,9 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# A test takes as long as it takes: no example fails because the machine is busy.
+QUICK = "not slow and not net and not browser and not crash"
+
+# A busy machine fails no example: there is no deadline.
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 # The same examples in every run; `pytest --hypothesis-profile=random` looks for new ones.
 settings.register_profile("seeded", settings.get_profile("untimed"), derandomize=True)
@@ -21,9 +24,26 @@ settings.register_profile("random", settings.get_profile("untimed"), derandomize
 settings.load_profile("seeded")
 
 
+def _is_whole_suite(config: pytest.Config) -> bool:
+    """Whether the command line names no file or folder."""
+    return config.args_source is not pytest.Config.ArgsSource.ARGS
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Run the quick tests unless the command line selects others by path or marker."""
+    if _is_whole_suite(config) and not config.option.markexpr:
+        config.option.markexpr = QUICK
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """Use all cores for the whole suite, and this process for named files."""
+    return (os.cpu_count() or 1) if _is_whole_suite(config) else 0
+
+
 @pytest.fixture(scope="session", autouse=True)
-def _state_of_its_own(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """No test leaves a recording or a map in the user's folders."""
+def _own_state_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep recordings and maps of tests out of the user's folders."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         for name in ("STATE_DIRECTORY", "LOGS_DIRECTORY"):
@@ -33,7 +53,7 @@ def _state_of_its_own(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """Folder of the real captures, beside the repository; without it such tests are skipped."""
+    """Folder of the real captures, beside the repository; skip the test without it."""
     folder = ROOT / ".." / "shared" / "data"
     if not folder.is_dir():
         pytest.skip("the real captures are not beside this repository (../shared/data)")

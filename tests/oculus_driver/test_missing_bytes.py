@@ -68,6 +68,7 @@ def test_bytes_missing_in_a_captured_ping_cost_that_ping(capture: bytes, *, conf
     assert not counters.warnings
 
 
+@pytest.mark.slow
 @MODES
 @pytest.mark.parametrize("length", [2, 3, 4, 5, 13, 15, 16, 17, 121, 122, 201, 202, 703, 4900])
 @pytest.mark.parametrize("index", [1, 2])
@@ -243,6 +244,7 @@ def nested(count: int, size: int, layout_size: int) -> bytes:
     return bytes(head) * count
 
 
+@pytest.mark.slow
 @MODES
 @pytest.mark.parametrize("tail", [b"", b"?"])
 @pytest.mark.parametrize("inner", [b"", b"SO\xd4\x1e", b"SO\xd4\x1e\0\0\x23\0\1\0\0\1\0\0\0\0"])

@@ -11,12 +11,15 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pytest
 
 from oculus_driver import Faults, FireSettings, LinkTimeouts, OculusSonar, PlaybackSonar
 from oculus_driver.wire import MessageId
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+pytestmark = pytest.mark.net
 
 # `make soak` plays a whole night of 200 000 pings.
 PINGS, LOOPS = 500, int(os.environ.get("NIGHT_LOOPS", "8"))

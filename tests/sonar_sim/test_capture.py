@@ -58,6 +58,7 @@ def pings(chunks: list[Chunk]) -> list[Ping]:
     return [ping for ping in decoded if isinstance(ping, Ping)]
 
 
+@pytest.mark.slow
 def test_every_ping_parses_back(pings: list[Ping]) -> None:
     assert [ping.ping_id for ping in pings] == list(range(len(pings)))
     assert len(pings) == 4
@@ -116,6 +117,7 @@ def test_odometry_is_the_path_and_encloses_the_pings(
         assert len(record["u"]) == len(record["r"]) == 3
 
 
+@pytest.mark.slow
 def test_equal_seeds_give_equal_files_whatever_the_processes(
     recorded: Path, tmp_path: Path
 ) -> None:

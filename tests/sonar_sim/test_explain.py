@@ -11,6 +11,7 @@ from sonar_sim.effects.table import effects_markdown
 MANUAL = Path(__file__).resolve().parents[2] / "docs" / "concepts" / "simulator.md"
 
 
+@pytest.mark.slow
 def test_explain_tells_every_effect(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explain", "flat_floor", "--json", "--repeats", "1", "--time", "5"]) == 0
     rows = json.loads(capsys.readouterr().out)
@@ -21,6 +22,7 @@ def test_explain_tells_every_effect(capsys: pytest.CaptureFixture[str]) -> None:
     assert not on["multipath"]
 
 
+@pytest.mark.slow
 def test_explain_warns_of_what_is_switched_off(capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["explain", "flat_floor", "--effects", "auto,-noise", "--repeats", "1"]
     assert main(arguments) == 0

@@ -8,6 +8,7 @@ from sonar_sim.scene_file import load_scenario, scene_names
 from sonar_sim.tolerance import Tolerance
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", scene_names())
 def test_what_is_left_out_does_not_show_and_what_is_computed_does(name: str) -> None:
     scenario = load_scenario(name)

@@ -49,6 +49,7 @@ def test_bias_drift_and_scale_add_up() -> None:
     assert samples[300].velocity_mps[0] == pytest.approx(1.02, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_random_walk_grows_with_the_root_of_time() -> None:
     walks = [off_m(records(seed, 1.0, walk_m_per_sqrt_s=0.1)) for seed in range(120)]
     spread = np.std([walk[[9, 49]] for walk in walks], axis=(0, 2))

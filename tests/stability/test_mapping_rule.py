@@ -58,6 +58,7 @@ def worst_of(rule: Rule, *, occupied: bool, counts: tuple[int, ...] = (0, 7, 100
 WIDE = Rule(L_min=-127.0, L_max=127.0)
 
 
+@pytest.mark.slow
 def test_a_free_step_is_exact_where_the_probability_rounds_to_one() -> None:
     """From log-odds 37 on p is 1 in a double, and 1 - p in the protection of what is occupied is 0.
 
@@ -70,6 +71,7 @@ def test_a_free_step_is_exact_where_the_probability_rounds_to_one() -> None:
         assert worst_of(rule, occupied=False) <= 0.501
 
 
+@pytest.mark.slow
 def test_an_occupied_step_is_exact_where_the_probability_vanishes() -> None:
     """At log-odds -127 p is 7e-56, and the published rule's step goes with it.
 
@@ -250,6 +252,7 @@ def test_a_million_tiny_steps_add_up_in_whole_units() -> None:
     assert singles[0] != singles[1]
 
 
+@pytest.mark.slow
 def test_a_slow_learner_s_steps_are_whole_units_and_its_sum_is_theirs() -> None:
     """A learning rate of a thousandth makes steps of less than a unit, each of which is a whole one
     or none: the map holds exactly their sum, which after a million is 3 where the rule says 74.

@@ -58,6 +58,7 @@ def test_page_shows_the_tables(table: Callable[[], list[str]]) -> None:
     assert "\n".join(table()) in PAGE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [0.05, 0.3])
 def test_page_shows_the_noise(rate: float) -> None:
     alarms = [false_alarms(ratio, rate, PROMISED_PINGS) for ratio in (PUBLISHED, DEFAULT)]
@@ -66,6 +67,7 @@ def test_page_shows_the_noise(rate: float) -> None:
         assert alarms == [FalseAlarms(0.0, 0.0)] * 2
 
 
+@pytest.mark.slow
 def test_picture_is_drawn(tmp_path: Path) -> None:
     none = [FalseAlarms(0.0, 0.0)] * len(NOISE)
     draw(tmp_path / "new" / "a.png", {PUBLISHED: none, DEFAULT: none})

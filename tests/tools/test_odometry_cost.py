@@ -1,10 +1,12 @@
 from typing import get_args
 
+import pytest
 from odometry_cost import formats, table
 
 from mapperd.config.odometry import FormatName
 
 
+@pytest.mark.slow
 def test_every_format_gives_its_pings_poses() -> None:
     """The times are the machine's. That the work was done is not: `table` raises otherwise."""
     text = table(2.0)

@@ -79,6 +79,7 @@ def test_odometry_begins_at_the_truth_and_drifts_while_the_sonar_is_silent() -> 
     assert turned_deg == pytest.approx(DRIFT_DPM * quiet_s / 60, abs=0.4)
 
 
+@pytest.mark.slow
 def test_second_pass_lands_on_the_first(tmp_path: Path) -> None:
     found = run(Study(HARBOUR, FIRST, SECOND, truth_voxels=200), tmp_path)
     assert found.place_end_m < 0.5 * found.odometry_end_m  # it begins half a metre off

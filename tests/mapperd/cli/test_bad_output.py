@@ -52,6 +52,7 @@ def test_picture_in_the_way_that_cannot_be_removed_is_named(
     assert (ran.out / "map.bt").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("redirection", "code", "said"),
     [
@@ -88,6 +89,7 @@ def test_standard_streams_that_take_nothing(
     assert (tmp_path / "out" / "summary.json").exists()
 
 
+@pytest.mark.slow
 def test_the_real_program_has_no_traceback_either(tmp_path: Path) -> None:
     (tmp_path / "zeros").write_bytes(bytes(1000))
     for words in (

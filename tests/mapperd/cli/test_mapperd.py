@@ -75,6 +75,7 @@ def test_recording_becomes_a_folder_of_results(
     assert "mapped 5 of 5 pings" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_two_runs_give_one_fingerprint_and_integrators_two(
     recording: Path, quick_config: Path, tmp_path: Path
 ) -> None:
@@ -123,6 +124,7 @@ def test_pose_on_the_command_line_overrules_odometry_and_says_so(
     assert summary_in(tmp_path)["poses"] == {"source": "fixed", "odometry_ignored": 6}
 
 
+@pytest.mark.slow
 def test_program_runs_as_a_module(recording: Path, quick_config: Path, tmp_path: Path) -> None:
     words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(tmp_path)]
     done = subprocess.run(  # noqa: S603 our own program

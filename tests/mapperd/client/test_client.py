@@ -26,6 +26,8 @@ from mapperd.wire.messages import Bye, Pose, Status
 from tests.conftest import ROOT
 from tests.support.stream_server import TOKEN, Served, Server, a_block
 
+pytestmark = pytest.mark.net
+
 POSE = Pose(
     stamp_ns=1,
     position_m=(1.0, 2.0, 3.0),

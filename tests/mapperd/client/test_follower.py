@@ -9,6 +9,8 @@ import pytest
 from mapperd.client import AskError, LinkChanged, MapChanged, MapFollower, MapReset
 from tests.support.stream_server import Served, Server, a_block
 
+pytestmark = pytest.mark.net
+
 
 def follow(served: Served, work: Callable[[Server, MapFollower], None]) -> None:
     """Run a test's work in a thread beside the server."""

@@ -10,12 +10,15 @@ from typing import Any
 
 import msgpack
 import numpy as np
+import pytest
 import zstandard
 
 from mapperd.client import MapMirror
 from mapperd.wire.blocks import path_message
 from mapperd.wire.messages import Interest
 from tests.support.stream_server import FACTS, TOKEN, Served, Server, a_block
+
+pytestmark = pytest.mark.net
 
 Key = tuple[int, int, int]
 

@@ -204,6 +204,7 @@ def test_spoiled_bytes_are_taken_or_refused(
     assert len(dialogue.outgoing()) < 100
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_through_thousands_of_rounds() -> None:
     dialogue = a_dialogue(most_blocks=100)
     served = Served()

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from mapperd.client import MapClient
 from mapperd.client.changes import ClientChange
@@ -21,6 +22,8 @@ from mapperd.wire.messages import Event, Localization, Robots, Want
 from tests.mapperd.localization.believed import facts as believed
 from tests.mapperd.server.watched import PlainSource, run
 from tests.support.control_server import FakeDaemon
+
+pytestmark = pytest.mark.net
 
 
 @dataclass

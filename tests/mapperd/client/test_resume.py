@@ -12,6 +12,8 @@ from mapperd.client import MapChanged, MapClient, MapReset, connect
 from mapperd.server.stream_server import StreamServer
 from tests.mapperd.client.test_with_server import a_map, go, observe, served, until_equal
 
+pytestmark = pytest.mark.net
+
 RATE = 6_000
 CUT_AFTER = 2_000
 """Bytes of a connection: much less than the map, which is never complete within one."""

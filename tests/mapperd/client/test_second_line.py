@@ -16,6 +16,8 @@ from tests.mapperd.client.test_client import POSE, go, pair, until
 from tests.mapperd.client.test_second_dialogue import a_first
 from tests.support.stream_server import TOKEN, Connection, Served, Server
 
+pytestmark = pytest.mark.net
+
 
 @pytest.fixture(autouse=True)
 def _soon(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,8 @@ from mapperd.client import LinkChanged, MapClient
 from mapperd.wire.auth import Limits
 from tests.mapperd.server.watched import bed_of, run
 
+pytestmark = pytest.mark.net
+
 
 @pytest.mark.parametrize(
     ("door", "speaks_tls", "hint"),

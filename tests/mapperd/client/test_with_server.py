@@ -28,6 +28,8 @@ from tests.support.control_server import FakeDaemon
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+pytestmark = pytest.mark.net
+
 STEP = 0.25
 
 

@@ -26,6 +26,8 @@ from mapperd.pipeline.persistence import MemoryPersistence
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from oculus_driver import Faults, PlaybackSonar
 
+pytestmark = pytest.mark.net
+
 MakeBytes = Callable[..., bytes]
 LIMIT_S = 60.0
 STATUS_KEYS = [

@@ -25,6 +25,8 @@ from mapperd.pipeline.pose_lookup import OdometryPoses
 from oculus_driver import PlaybackSonar
 from tests.mapperd.daemon.test_daemon import drive, free_port, run
 
+pytestmark = pytest.mark.net
+
 MakeBytes = Callable[..., bytes]
 POSE = PoseRequest(0.0, 0.0, 0.0, std_xy_m=0.1, std_yaw_rad=0.05)
 

@@ -155,6 +155,7 @@ def replayed(folder: Path, out: Path) -> tuple[int, dict[str, Any]]:
     return code, json.loads((out / "summary.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_requests_are_recorded_and_done_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

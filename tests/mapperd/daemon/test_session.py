@@ -27,6 +27,8 @@ from oculus_driver.ping import Ping
 from oculus_driver.recording import open_recording
 from oculus_driver.wire import PingRate
 
+pytestmark = pytest.mark.net
+
 PingBytes = Callable[..., bytes]
 LIMIT_S = 20.0
 

@@ -24,6 +24,7 @@ def drawn(centres: np.ndarray, resolution_m: float) -> tuple[int, int]:
     return int.from_bytes(data[16:20]), int.from_bytes(data[20:24])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("centres", "resolution_m"),
     [

@@ -29,6 +29,8 @@ from tests.mapperd.foxglove.foxglove_fakes import (
     until,
 )
 
+pytestmark = pytest.mark.net
+
 
 class Viewer:
     """What Foxglove would do, as its protocol says."""

@@ -143,6 +143,7 @@ def test_kernel_s_shape_decides_what_is_an_echo_of_its_own() -> None:
     assert kept[0] < kept[1] <= kept[2]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["floor", "harbour"])
 @pytest.mark.parametrize("pitch_deg", [0, 30, 60, 90])
 def test_simulated_images_keep_every_sample(

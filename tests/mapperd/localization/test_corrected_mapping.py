@@ -132,6 +132,7 @@ class Interrupted(Exception):  # noqa: N818 no error of ours
     """As a kill between two chunks."""
 
 
+@pytest.mark.slow
 def test_map_after_interruptions_is_that_of_the_whole(tmp_path: Path, recording: Path) -> None:
     """Interrupted at any chunk, with saves in between: the particles go on as they were."""
     path = written(tmp_path, mapping="corrected")

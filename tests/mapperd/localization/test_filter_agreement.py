@@ -76,6 +76,7 @@ def test_log_products(
     assert logs == pytest.approx(bundle[f"particles_{count}_lnw_lfprob"], abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", CLOUDS)
 def test_beam_weights_of_the_same_cells(
     bundle: Bundle, occupancy: NDArray[np.int8], count: int

@@ -90,6 +90,7 @@ def pieces(name: FormatName) -> st.SearchStrategy[list[bytes]]:
     return st.lists(st.one_of(good, good, damaged, cut, st.binary(max_size=60)), max_size=25)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("scheme", ["udp", "tcp", "serial"])
 @settings(

@@ -28,6 +28,8 @@ from tests.support.peers.dvl import Dvl
 from tests.support.peers.nmea_talker import NmeaTalker
 from tests.support.peers.serial_pty import SerialPty
 
+pytestmark = pytest.mark.net
+
 S = 1_000_000_000
 T0 = 1_700_000_000 * S  # 22:13:20 UTC
 STEP_S = 0.1

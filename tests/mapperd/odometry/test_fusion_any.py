@@ -43,6 +43,7 @@ said = st.tuples(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("policy", ["interpolate", "nearest", "latest"])
 @pytest.mark.parametrize("at_jump", ["continue", "follow"])
 @settings(max_examples=60, deadline=None, derandomize=True)

@@ -14,6 +14,8 @@ import pytest
 from mapperd.config.link_address import parse_address
 from mapperd.odometry.links import Link, LinkStatus
 
+pytestmark = pytest.mark.net
+
 Told = list[tuple[str, str]]
 Heard = list[tuple[bytes, bool]]
 

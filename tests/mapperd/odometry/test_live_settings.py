@@ -117,6 +117,7 @@ def test_setting_taken_later_is_as_good_as_one_from_the_start(name: str, circle:
     assert taken != outcomes(fusion_of(before), drive)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OTHER)
 def test_setting_changes_on_the_way_and_back(name: str, circle: Circle) -> None:
     """Between two changes that undo each other before any record, nothing is other."""

@@ -18,6 +18,8 @@ from tests.mapperd.server.told import expected, scatter, source_of
 from tests.mapperd.server.watched import Bed, bed_of, run
 from tests.support.control_server import TOKEN
 
+pytestmark = pytest.mark.net
+
 LOOKS = 120
 
 
@@ -61,6 +63,7 @@ def same(client: MapClient, bed: Bed, sonar_map: SonarMap, interest: Interest) -
     return held == {key: cells for key, (cells, _) in told.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("any_line")
 @pytest.mark.parametrize("kind", ["token", "tls"])
 def test_a_client_holds_the_map_whatever_its_lines_do(

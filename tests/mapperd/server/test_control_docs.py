@@ -15,6 +15,8 @@ from mapperd.wire.auth import Limits
 from mapperd.wire.control_messages import Answer, Ask, Events, Greeting
 from tests.support.control_server import Line, served
 
+pytestmark = pytest.mark.net
+
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = (ROOT / "docs" / "reference" / "control.md").read_text(encoding="utf-8")
 SOURCES = [

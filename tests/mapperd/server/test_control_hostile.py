@@ -21,6 +21,8 @@ from tests.support.control_server import (
     until,
 )
 
+pytestmark = pytest.mark.net
+
 Contexts = tuple[ssl.SSLContext, ssl.SSLContext]
 KINDS = ["unix", "tcp", "tls"]
 
@@ -246,6 +248,7 @@ def test_proof_of_another_connection_is_worth_nothing(short: Path) -> None:
     go(work, short)
 
 
+@pytest.mark.slow
 def test_nothing_grows_under_all_of_it(short: Path, tls: Contexts) -> None:
     """Hundreds of bad clients on every socket; what the server holds afterwards is as before."""
     rounds = int(os.environ.get("HOSTILE_ROUNDS", "3"))

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from tests.support.control_server import FREE, MALFORMED, Served, go, until
 
+pytestmark = pytest.mark.net
+
 
 @pytest.mark.parametrize("data", MALFORMED, ids=range(len(MALFORMED)))
 def test_malformed_request_is_an_answer(short: Path, data: bytes) -> None:

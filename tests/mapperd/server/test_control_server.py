@@ -15,6 +15,8 @@ from mapperd.events import Severity
 from mapperd.wire.auth import Limits
 from tests.support.control_server import Line, Served, refusal, served, until
 
+pytestmark = pytest.mark.net
+
 Contexts = tuple[ssl.SSLContext, ssl.SSLContext]
 KINDS = ["unix", "tcp", "tls"]
 

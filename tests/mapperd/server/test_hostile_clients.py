@@ -12,6 +12,8 @@ from mapperd.wire.framing import framed
 from mapperd.wire.messages import Ack, Answer, Ask, Box, Change, Hello, Interest
 from tests.mapperd.server.watched import as_bytes, bed_of, run
 
+pytestmark = pytest.mark.net
+
 NAN = float("nan")
 HELLO = framed(Hello(version=1, wants=["map"]))
 

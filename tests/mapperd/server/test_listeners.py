@@ -20,6 +20,8 @@ from mapperd.wire.auth import CREDENTIAL, read_token, token_file
 from mapperd.wire.socket_paths import socket_path, socket_places
 from tests.support.control_server import TOKEN, FakeDaemon, is_listening
 
+pytestmark = pytest.mark.net
+
 
 @pytest.mark.parametrize("mode", [0o600, 0o660, 0o666])
 def test_socket_has_its_permissions_whatever_the_umask(short: Path, mode: int) -> None:

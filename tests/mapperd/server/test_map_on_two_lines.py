@@ -27,6 +27,7 @@ def begun(voxels: int = 300, reach_m: float = 3.0) -> tuple[SonarMap, TwoLines]:
     return sonar_map, lines
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize(
     "interest",
@@ -155,6 +156,7 @@ def test_what_was_read_before_a_reset_is_not_told_after_it() -> None:
     assert lines.client.holds() == expected(sonar_map.core, source.facts(), Interest())
 
 
+@pytest.mark.slow
 def test_a_second_line_of_which_too_much_is_unknown_has_all_told_anew() -> None:
     sonar_map = SonarMap(Config())
     scatter(sonar_map, 1, 200)

@@ -196,6 +196,7 @@ def test_who_comes_back_with_a_second_line_is_one_client(short: Path) -> None:
     run(work())
 
 
+@pytest.mark.slow
 def test_a_map_that_begins_anew_does_not_pile_up_on_the_first_line(short: Path) -> None:
     """It may begin on no other, whose room is not this one's."""
 

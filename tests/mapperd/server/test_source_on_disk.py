@@ -75,6 +75,7 @@ def told_all(daemon: Daemon, client: Client) -> None:
     assert client.mirror.complete == daemon.source.revision == daemon.map.core.revision
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [1, 7, 100])
 def test_tiles_that_come_and_go_between_looks_are_told(tmp_path: Path, every: int) -> None:
     with daemon_of(tmp_path / "dive.map") as daemon:
@@ -104,6 +105,7 @@ class Interrupted:
         return getattr(self._core, name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("saved", [False, True])
 @pytest.mark.parametrize("asked", ["changed_blocks", "stream_digests", "stream_blocks"])
 def test_tiles_that_leave_in_the_middle_are_told(tmp_path: Path, asked: str, saved: bool) -> None:  # noqa: FBT001

@@ -15,6 +15,8 @@ from mapperd.wire.messages import Change, Event, Hello, Interest, Resume, Settin
 from tests.mapperd.server.watched import Watcher, as_bytes, bed_of, run
 from tests.support.control_server import TOKEN
 
+pytestmark = pytest.mark.net
+
 
 def fill(bed: object, blocks: int, layer: int = 0) -> None:
     for n in range(blocks):

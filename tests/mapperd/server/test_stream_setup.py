@@ -25,6 +25,8 @@ from tests.mapperd.daemon.test_daemon import bench_of, run
 from tests.mapperd.server.watched import Key, Watcher
 from tests.support.control_server import TOKEN
 
+pytestmark = pytest.mark.net
+
 MakeBytes = Callable[..., bytes]
 
 

@@ -19,6 +19,8 @@ from mapperd.wire.auth import Limits
 from tests.mapperd.server.watched import Bed, Watcher, bed_of, run
 from tests.support.control_server import TOKEN
 
+pytestmark = pytest.mark.net
+
 Pair = tuple[socket.socket, socket.socket]
 
 

@@ -80,6 +80,7 @@ SETTINGS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FORMATS)
 def test_every_format(name: str) -> None:
     config, chunks = Config(), chunks_of(name)
@@ -97,6 +98,7 @@ def test_every_format(name: str) -> None:
         assert again.rest(chunks[at:]) == outs[before:], at
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", SETTINGS.values(), ids=SETTINGS)
 def test_other_settings(text: str) -> None:
     config = config_from_text(text)

@@ -52,6 +52,7 @@ CHANGES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", CHANGES)
 def test_a_changed_row_is_quarantined_and_rebuilt_from_the_recordings(
     tmp_path: Path, change: str

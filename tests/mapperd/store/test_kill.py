@@ -8,9 +8,13 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import StoreReader
 from tests.mapperd.store import dive
+
+pytestmark = pytest.mark.crash
 
 ROOT = Path(__file__).resolve().parents[3]
 PINGS = 100

@@ -13,6 +13,8 @@ from mapperd.telemetry.telemetry import Phase, Telemetry
 from tests.mapperd.telemetry.conftest import FakeDaemon
 from tests.support.peers.mosquitto import free_port
 
+pytestmark = pytest.mark.net
+
 LONG_S = 30.0
 
 
@@ -92,6 +94,7 @@ async def _refusing(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) 
 Server = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("server", [_silent, _closing, _babbling, _refusing])
 def test_somebody_else_listens(server: Server) -> None:
     served = ended = 0

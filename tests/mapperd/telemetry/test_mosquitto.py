@@ -22,9 +22,12 @@ from mapperd.telemetry.telemetry import Phase, Telemetry
 from tests.mapperd.telemetry.conftest import POSE, ROBOT, ROOT, FakeDaemon
 from tests.support.peers.mosquitto import Cable, free_port, mosquitto_path, running_mosquitto
 
-pytestmark = pytest.mark.skipif(
-    mosquitto_path() is None, reason="Mosquitto is not installed: apt install mosquitto"
-)
+pytestmark = [
+    pytest.mark.net,
+    pytest.mark.skipif(
+        mosquitto_path() is None, reason="Mosquitto is not installed: apt install mosquitto"
+    ),
+]
 
 LONG_S = 60.0
 

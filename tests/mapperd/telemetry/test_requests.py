@@ -154,6 +154,7 @@ ANYTHING = st.recursive(
 PAYLOADS = st.binary(max_size=60) | ANYTHING.map(lambda one: json.dumps(one).encode())
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(TEXT, st.sampled_from(("cmd/reset", SET, "cmd/save")), PAYLOADS)
 def test_any_payload_is_answered_and_does_no_harm(name: str, below: str, payload: bytes) -> None:

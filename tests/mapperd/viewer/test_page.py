@@ -19,6 +19,8 @@ from tests.mapperd.viewer.view_pictures import camera_towards, picture_of, quate
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
+pytestmark = pytest.mark.browser
+
 WIDTH, HEIGHT = 1000, 620
 FRAMES = """async () => {
     for (let n = 0; n < 5; n++) await new Promise(done => requestAnimationFrame(done));

@@ -24,6 +24,8 @@ from tests.support.control_server import FakeDaemon
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
+pytestmark = pytest.mark.browser
+
 __all__ = ["short"]
 
 

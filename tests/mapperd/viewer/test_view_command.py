@@ -12,6 +12,8 @@ from mapperd.cli.mapperctl.command import main
 from mapperd.cli.mapperctl.errors import CtlError, Exit
 from mapperd.cli.mapperctl.view import open_page, run_view, same_origin
 
+pytestmark = pytest.mark.net
+
 
 def test_only_pages_of_our_own_may_connect() -> None:
     assert same_origin("http://127.0.0.1:8080", "127.0.0.1:8080")

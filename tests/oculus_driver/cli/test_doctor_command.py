@@ -6,6 +6,8 @@ import socket
 import threading
 from typing import TYPE_CHECKING
 
+import pytest
+
 from oculus_driver import Faults
 from tests.oculus_driver.cli.sonar_thread import free_udp_port, played
 
@@ -13,6 +15,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from tests.oculus_driver.cli.conftest import Oculus
+
+pytestmark = pytest.mark.net
 
 
 def verdicts(oculus: Oculus, *words: object) -> tuple[int, dict[str, str]]:

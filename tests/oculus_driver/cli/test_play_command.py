@@ -10,6 +10,8 @@ import sys
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+import pytest
+
 from oculus_driver import encode_fire
 
 if TYPE_CHECKING:
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from tests.oculus_driver.cli.conftest import Oculus
+
+pytestmark = pytest.mark.net
 
 OCULUS = (sys.executable, "-m", "oculus_driver.cli")
 

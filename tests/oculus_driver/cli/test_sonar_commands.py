@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from oculus_driver import PlaybackSonar
     from tests.oculus_driver.cli.conftest import Oculus
 
+pytestmark = pytest.mark.net
+
 NEAR = ("--range", "2", "--mode", "2")
 
 

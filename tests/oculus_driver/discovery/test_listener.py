@@ -18,6 +18,8 @@ from oculus_driver.discovery.listener import ANY_HOST
 if TYPE_CHECKING:
     from collections.abc import Coroutine, Iterator
 
+pytestmark = pytest.mark.net
+
 EVERYBODY_HERE = "127.255.255.255"
 """The broadcast address of the loopback network."""
 

@@ -73,6 +73,7 @@ def test_a_file_cut_in_its_last_bytes_yields_everything(written: Written) -> Non
         check_cut(written, size)
 
 
+@pytest.mark.slow
 def test_a_file_cut_around_any_record_yields_all_before(written: Written) -> None:
     for end in written.ends:
         for size in (end - 32, end - 1, end, end + 1, end + 8, end + 9, end + 31, end + 32):

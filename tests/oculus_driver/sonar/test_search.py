@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from oculus_driver import LinkTimeouts
     from tests.oculus_driver.sonar.conftest import MakeSonar, Run
 
+pytestmark = pytest.mark.net
+
 FREE = FireSettings(range_m=5.0)
 OURS, OTHER = 7892, 1234
 TOO_HOT = 0x03 | 3 << 14

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from oculus_driver import LinkStatus, LinkTimeouts, Ping
     from tests.oculus_driver.sonar.conftest import MakeSonar, Run
 
+pytestmark = pytest.mark.net
+
 HOST = "127.0.0.1"
 FREE = FireSettings(range_m=5.0)
 

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from tests.oculus_driver.conftest import MakePing
     from tests.oculus_driver.sonar.conftest import MakeSonar, Run
 
+pytestmark = pytest.mark.net
+
 HOST = "127.0.0.1"
 FREE = FireSettings(range_m=5.0)
 

@@ -18,6 +18,8 @@ from oculus_driver import (
 from oculus_driver.wire import MessageId
 from tests.oculus_driver.virtual_sonar.client import STANDBY, Client, run
 
+pytestmark = pytest.mark.net
+
 
 def test_a_cut_ends_the_connection_inside_a_ping(pings: list[bytes]) -> None:
     async def work() -> None:

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+pytestmark = pytest.mark.net
+
 VENDOR_FIRE = bytes.fromhex(
     "534f00000000150000000000000000000100ff7f4d"
     "0000000000003e4000000000000049400000000000000000"

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
     from oculus_driver import Message
 
+pytestmark = pytest.mark.net
+
 
 def test_the_real_capture_comes_out_byte_for_byte(capture_path: Path, capture: bytes) -> None:
     async def work() -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import socket
 
+import pytest
+
 from oculus_driver import (
     Faults,
     Identity,
@@ -18,6 +20,8 @@ from oculus_driver.virtual_sonar.faults import FaultInjector
 from oculus_driver.virtual_sonar.server import broadcast
 from oculus_driver.wire import MessageId
 from tests.oculus_driver.virtual_sonar.client import Client, run
+
+pytestmark = pytest.mark.net
 
 
 class Statuses(asyncio.DatagramProtocol):

@@ -35,6 +35,7 @@ def test_render_writes_a_ping(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert fan.shape[0] == 200
 
 
+@pytest.mark.slow
 def test_several_pings_have_folders_of_their_own(tmp_path: Path) -> None:
     said = ["render", "flat_floor", "--out", str(tmp_path), "--only", "polar", "--pings", "2"]
     assert main(said) == 0
@@ -43,6 +44,7 @@ def test_several_pings_have_folders_of_their_own(tmp_path: Path) -> None:
     assert not np.array_equal(first["image"], second["image"])
 
 
+@pytest.mark.slow
 def test_equal_seeds_give_equal_pings(tmp_path: Path) -> None:
     images = []
     for name, seed in (("a", "5"), ("b", "5"), ("c", "6")):

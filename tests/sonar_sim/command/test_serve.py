@@ -16,6 +16,8 @@ from oculus_driver.recording import ODOMETRY_NATIVE, open_recording
 from oculus_driver.recording.chunk import messages_of
 from tests.oculus_driver.virtual_sonar.client import FIRE, Client
 
+pytestmark = pytest.mark.net
+
 SCENE = """
 terrain:
   relief: {kind: flat, depth_m: 4.0}

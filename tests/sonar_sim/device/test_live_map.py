@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 from sonar_sim.device.serving import ServedScenario, ServeSettings
 from sonar_sim.navigation.sending import output_named
 from sonar_sim.scenario import Scenario
@@ -18,6 +19,8 @@ from mapperd.daemon.session import Live
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.pose_lookup import OdometryPoses
 from tests.sonar_sim.device.conftest import FLOOR_M
+
+pytestmark = pytest.mark.net
 
 VOXEL_M = 0.1
 MakeScenario = Callable[..., Scenario]
@@ -37,6 +40,7 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
+@pytest.mark.slow
 def test_the_live_map_is_the_scene(floor_scenario: MakeScenario) -> None:
     async def work() -> SonarMap:
         port = free_port()

@@ -33,6 +33,8 @@ from oculus_driver import (
 )
 from tests.oculus_driver.virtual_sonar.client import Client
 
+pytestmark = pytest.mark.net
+
 MakeScenario = Callable[..., Scenario]
 LIMIT_S = 30.0
 QUICK = FireSettings(range_m=3.0, beams=256, ping_rate=PingRate.HIGHEST)

@@ -74,6 +74,7 @@ def test_nothing_configured_is_the_default_physics() -> None:
     assert all(getattr(bare, n) == getattr(default, n) for n in Physics.__slots__)
 
 
+@pytest.mark.slow
 def test_each_effect_changes_the_settings() -> None:
     view = view_of(floor())
     idle = {

@@ -66,6 +66,7 @@ def test_refraction_goes_with_the_gradient() -> None:
     assert found(1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("warmer_mps", "on"), [(0.5, False), (12.0, True)])
 def test_the_engine_agrees_on_what_a_thermocline_does(warmer_mps: float, *, on: bool) -> None:
     """With and without bent paths, through the whole simulator: shown iff called for."""

@@ -1,5 +1,6 @@
 from pathlib import Path
 
+import pytest
 from sonar_sim.scene_file import schema
 from sonar_sim.scene_file.reference import PAGE, reference
 from sonar_sim.scene_file.sections import Section
@@ -7,6 +8,7 @@ from sonar_sim.scene_file.sections import Section
 ROOT = Path(__file__).resolve().parents[3]
 
 
+@pytest.mark.slow
 def test_page_is_what_the_types_say() -> None:
     page = (ROOT / PAGE).read_text(encoding="utf-8")
     assert page == reference(), "write it anew: python -m sonar_sim.scene_file.reference"

@@ -21,6 +21,7 @@ def test_shipped_scene_is_whole(name: str) -> None:
         assert surface.vertices_m[surface.faces][..., 2].min(axis=1).max() < 0.0, surface.name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_shipped_scene_is_the_same_every_time_and_can_be_sent(name: str) -> None:
     one, again = load_scenario(name), load_scenario(name)

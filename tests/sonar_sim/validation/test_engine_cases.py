@@ -14,6 +14,7 @@ from sonar_sim.validation.v17_no_wrap import v17_no_wrap
 from sonar_sim.validation.v19_determinism import v19_determinism
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case",
     [

@@ -17,6 +17,8 @@ from tests.support.peers.nmea_talker import NmeaTalker
 from tests.support.peers.serial_pty import SerialPty
 from tests.support.peers.wire import send_udp, tcp_server
 
+pytestmark = pytest.mark.net
+
 LIMIT_S = 20.0
 
 

@@ -9,6 +9,7 @@ from accuracy_cost.results import read_results
 from accuracy_cost.studies import MODULES, load
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODULES)
 def test_no_default_leaves_the_front_by_more_than_its_margin(name: str, tmp_path: Path) -> None:
     study = load(MODULES[name])

@@ -33,6 +33,7 @@ def accuracy_cost(folder: Path, *words: str) -> int:
     return main([*words, *out, *pictures])
 
 
+@pytest.mark.slow
 def test_run_plot_and_check_make_everything(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -144,6 +144,7 @@ def test_what_is_prepared_is_kept(tank: tuple[Dive, Path]) -> None:
     assert {path.name: path.stat().st_mtime_ns for path in folder.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_a_dive_is_localized_alike_every_time_and_better_than_by_odometry(
     tank: tuple[Dive, Path],
 ) -> None:
@@ -156,6 +157,7 @@ def test_a_dive_is_localized_alike_every_time_and_better_than_by_odometry(
     assert 0 < once["cpu_ms_per_ping"] <= 1e3
 
 
+@pytest.mark.slow
 def test_errors_are_those_of_the_pose_that_the_vehicle_would_use(
     tank: tuple[Dive, Path],
 ) -> None:

@@ -52,6 +52,7 @@ def first_ping(folder: Path) -> Ping:
     raise AssertionError
 
 
+@pytest.mark.slow
 def test_every_ping_is_mapped_and_all_figures_are_there(folder: Path) -> None:
     row = STUDY.measure(Setting("coarse", COARSE), BASIN, folder)
     assert list(row) == [column.name for column in STUDY.columns]

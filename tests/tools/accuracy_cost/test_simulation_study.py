@@ -143,6 +143,7 @@ def measured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Measured:
     )
 
 
+@pytest.mark.slow
 def test_measuring_a_setting_fills_each_column_the_same_way_each_time(measured: Measured) -> None:
     default = measured()
     assert set(default) == {column.name for column in STUDY.columns}
@@ -154,6 +155,7 @@ def test_measuring_a_setting_fills_each_column_the_same_way_each_time(measured: 
         assert not column.repeatable or again[column.name] == default[column.name], column.name
 
 
+@pytest.mark.slow
 def test_each_shortcut_is_an_error_of_its_own_kind(measured: Measured) -> None:
     whole = measured(**ALL)
     assert whole["image_rms_db"] < 0.05
@@ -172,6 +174,7 @@ def test_each_shortcut_is_an_error_of_its_own_kind(measured: Measured) -> None:
     assert whole["grain_spread_db"] < 3.0 * whole["grain_spread_chance_db"]
 
 
+@pytest.mark.slow
 def test_settings_that_change_nothing_of_the_surfaces_share_a_grain(
     measured: Measured, tmp_path: Path
 ) -> None:
@@ -208,6 +211,7 @@ def test_published_pipeline_is_measured_by_the_same_figures(measured: Measured) 
     assert theirs["ping_cpu_ms"] > 0.0
 
 
+@pytest.mark.slow
 def test_reference_is_made_once_and_is_the_engines_own_picture_nearly(
     measured: Measured, tmp_path: Path
 ) -> None:

@@ -150,6 +150,7 @@ def test_a_client_that_was_told_all_has_the_highest_of_each_cell(level: int) -> 
     assert np.nanmax(np.abs(found[inside] - wanted[inside])) < 0.004
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("interest", [Interest(level=k) for k in range(4)], ids=str)
 def test_what_an_interest_should_be_told_is_what_it_is_told(interest: Interest) -> None:
     """Else a block would never be as new as the judge has it."""
@@ -270,6 +271,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Dive, Path
         yield dive, folder
 
 
+@pytest.mark.slow
 def test_a_dive_is_told_alike_every_time(short: tuple[Dive, Path]) -> None:
     dive, folder = short
     kept = (folder / "pings.npz").stat().st_mtime_ns

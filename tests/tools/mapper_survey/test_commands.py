@@ -62,6 +62,7 @@ def test_export_does_what_it_is_told(folder: Path, tmp_path: Path) -> None:
     assert run("export", folder, "--config", settings) == 2
 
 
+@pytest.mark.slow
 def test_report_says_how_the_dives_agree(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("report", folder, "--tolerance", 0.2) == 0
     told = capsys.readouterr().out

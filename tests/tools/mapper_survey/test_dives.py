@@ -70,6 +70,7 @@ def test_a_recording_is_the_same_each_time_and_is_not_made_twice(tmp_path: Path)
     assert heard == []
 
 
+@pytest.mark.slow
 def test_processes_make_the_same_recordings(tmp_path: Path) -> None:
     todo = [replace(short(), name=name, seed=seed) for seed, name in enumerate("ab")]
     made = record_all(todo, tmp_path / "processes", 2)

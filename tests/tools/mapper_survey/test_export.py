@@ -64,6 +64,7 @@ def expected_cells(voxels: Voxels, edge: int, rule: str) -> dict[tuple[int, int]
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("edge", "rule"), [(1, "shoalest"), (1, "median"), (4, "median")])
 def test_grid_is_what_the_columns_hold(
     bottom: SonarMap, stored: Path, tmp_path: Path, edge: int, rule: str

@@ -55,6 +55,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[tuple[An
     return survey, rows_in(folder / "out/map.db")
 
 
+@pytest.mark.crash
 @pytest.mark.parametrize("files", [1, 9])
 def test_killed_between_any_two_files_it_goes_on(
     whole: tuple[Path, list[tuple[Any, ...]]], tmp_path: Path, files: int
@@ -118,6 +119,7 @@ def test_a_later_dive_touches_only_its_own_tiles(tmp_path: Path) -> None:
     assert fresh["pings"] == 36
 
 
+@pytest.mark.slow
 def test_an_earlier_dive_gives_all_pings_other_numbers(tmp_path: Path) -> None:
     one = [{"name": "a", "recording": "a.mcap"}]
     survey = write_survey(tmp_path, dives=one, tile_size_m=6.4)

@@ -4,12 +4,14 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 import rasterio
 from mapper_survey.command import main
 
 from tests.tools.mapper_survey.dives import write_survey
 
 
+@pytest.mark.slow
 def test_a_survey_from_its_recordings_to_its_products(tmp_path: Path) -> None:
     origin = {"latitude": 54.36, "longitude": 10.16, "altitude": 1.5}
     survey, out = write_survey(tmp_path, origin=origin), tmp_path / "out"

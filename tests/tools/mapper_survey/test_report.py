@@ -94,6 +94,7 @@ def tops(sonar_map: SonarMap) -> dict[tuple[int, int], int]:
     return found
 
 
+@pytest.mark.slow
 def test_distances_are_those_of_a_tree(made: tuple[Report, Path], maps: Maps) -> None:
     ways = {}
     for pair in made[0].pairs:

@@ -135,6 +135,7 @@ def test_a_run_that_failed_is_no_result(tmp_path: Path) -> None:
         watch(tmp_path / "none.yaml", tmp_path / "out", 0, "1GiB")
 
 
+@pytest.mark.slow
 def test_the_study_goes_through_to_its_report(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

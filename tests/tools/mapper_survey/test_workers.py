@@ -118,6 +118,7 @@ def faulty(_: object) -> None:
     raise ZeroDivisionError
 
 
+@pytest.mark.crash
 def test_killed_workers_change_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -22,6 +22,8 @@ from mapperd.events import Severity
 from tests.mapperd.cli.mapperctl.conftest import Running
 from tests.support.control_server import refusal
 
+pytestmark = pytest.mark.net
+
 Call = Callable[..., tuple[int, list[str], str]]
 THRESHOLD = "filtering.intensity_threshold"
 

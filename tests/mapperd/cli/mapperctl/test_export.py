@@ -27,6 +27,8 @@ from tests.mapperd.client.conftest import short
 from tests.mapperd.foxglove.test_recording import read
 from tests.support.stream_server import FACTS, Connection, Served, Server, a_block
 
+pytestmark = pytest.mark.net
+
 __all__ = ["short"]
 
 Call = Callable[..., tuple[int, list[str], str]]

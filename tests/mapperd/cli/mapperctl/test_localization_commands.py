@@ -18,6 +18,8 @@ from tests.mapperd.cli.mapperctl.test_commands import Terminal
 from tests.mapperd.localization.believed import facts
 from tests.support.control_server import refusal
 
+pytestmark = pytest.mark.net
+
 Call = Callable[..., tuple[int, list[str], str]]
 CONFIG = config_of({"localization": {"mode": "global"}}, "")
 

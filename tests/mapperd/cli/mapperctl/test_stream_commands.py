@@ -21,6 +21,8 @@ from tests.mapperd.client.conftest import short
 from tests.mapperd.foxglove.foxglove_fakes import message_class, points_of_cloud, until
 from tests.support.stream_server import Served, Server, a_block
 
+pytestmark = pytest.mark.net
+
 __all__ = ["short"]
 
 

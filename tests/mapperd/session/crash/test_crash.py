@@ -30,6 +30,8 @@ from mapperd.store.position import position_in
 from mapperd.store.reader import StoreReader
 from tests.mapperd.session.crash.client import ROOT, Daemons, World
 
+pytestmark = pytest.mark.crash
+
 KILLS = int(os.environ.get("CRASH_KILLS", "50"))
 
 

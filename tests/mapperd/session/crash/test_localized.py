@@ -28,6 +28,8 @@ from tests.mapperd.session.crash.test_crash import (
     wait_for_bytes,
 )
 
+pytestmark = pytest.mark.crash
+
 KILLS = int(os.environ.get("CRASH_KILLS", "50")) // 5
 
 

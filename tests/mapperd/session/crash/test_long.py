@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from mapperd.config.loader import config_from_text
 from mapperd.mapping.sonar_map import SonarMap
@@ -20,6 +21,8 @@ from mapperd.store.position import RecordingOffset
 from mapperd.store.tile_store import TileStore
 from oculus_driver.recording import OCULUS, Chunk
 from tests.mapperd.conftest import START_NS, make_odometry, make_ping
+
+pytestmark = pytest.mark.crash
 
 PINGS = int(os.environ.get("SOAK_PINGS", "1000"))
 LONG = 20_000

@@ -38,6 +38,8 @@ from mapperd.store.tile_store import TileStore
 from oculus_driver.recording import OCULUS, RecordingWriter
 from tests.mapperd.conftest import START_NS, make_odometry, make_ping
 
+pytestmark = pytest.mark.crash
+
 S = 1_000_000_000
 
 
