@@ -62,32 +62,32 @@ def parse_arguments(argv: Sequence[str]) -> Arguments:
         SystemExit: with code 2 and one line on stderr; with 0 after --help and --version.
     """
     parser = _parser()
-    said = parser.parse_args(_with_joined_pose(argv))
-    if not said.replay and said.start:
+    args = parser.parse_args(_with_joined_pose(argv))
+    if not args.replay and args.start:
         parser.error("--start is of a recording: it needs --replay")
-    if said.store is not None and (not said.replay or said.start or said.duration):
+    if args.store is not None and (not args.replay or args.start or args.duration):
         parser.error("--store is of whole recordings: it needs --replay, without a part of it")
-    if said.as_recorded and (problem := _contradiction(said)) is not None:
+    if args.as_recorded and (problem := _contradiction(args)) is not None:
         parser.error(problem)
     return Arguments(
-        replay=tuple(said.replay),
-        as_recorded=said.as_recorded,
-        config=said.config,
-        out=said.out or Path("mapperd-replay" if said.replay else "mapperd-live"),
-        store=said.store,
-        pose=said.pose,
-        integrator=said.integrator,
-        start_s=said.start,
-        duration_s=said.duration,
+        replay=tuple(args.replay),
+        as_recorded=args.as_recorded,
+        config=args.config,
+        out=args.out or Path("mapperd-replay" if args.replay else "mapperd-live"),
+        store=args.store,
+        pose=args.pose,
+        integrator=args.integrator,
+        start_s=args.start,
+        duration_s=args.duration,
     )
 
 
-def _contradiction(said: argparse.Namespace) -> str | None:
+def _contradiction(args: argparse.Namespace) -> str | None:
     """What cannot be said beside --as-recorded, which takes all from the recording."""
-    if not said.replay:
+    if not args.replay:
         return "--as-recorded is of recordings: it needs --replay"
     others = ("config", "store", "pose", "integrator", "start", "duration")
-    found = [f"--{name}" for name in others if getattr(said, name)]
+    found = [f"--{name}" for name in others if getattr(args, name)]
     return f"--as-recorded leaves no room for {', '.join(found)}" if found else None
 
 

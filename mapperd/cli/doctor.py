@@ -35,22 +35,22 @@ BACK_S = 0.2
 
 def doctor(argv: Sequence[str]) -> int:
     """Run `mapperd doctor`; exit code 0 where every link is well, 1 where one is not."""
-    said = _parser().parse_args(argv)
+    args = _parser().parse_args(argv)
     try:
-        layered = load_settings([] if said.config is None else [said.config], os.environ)
+        layered = load_settings([] if args.config is None else [args.config], os.environ)
     except ConfigError as error:
         print(f"mapperd: {error}", file=sys.stderr)  # noqa: T201 a command speaks
         return BAD_CONFIG
     if layered.notice:
         print(f"mapperd: {layered.notice}", file=sys.stderr)  # noqa: T201
     try:
-        found = asyncio.run(_examined(layered.config, said.seconds, ping=said.ping))
+        found = asyncio.run(_examined(layered.config, args.seconds, ping=args.ping))
     except KeyboardInterrupt:
         return INTERRUPTED
     failed = [
         name for name, layers in found.items() if any(layer.verdict == "failed" for layer in layers)
     ]
-    if said.json:
+    if args.json:
         facts = {name: [asdict(layer) for layer in layers] for name, layers in found.items()}
         print(json.dumps({"links": facts, "failed": failed}))  # noqa: T201
     else:

@@ -9,7 +9,7 @@ __all__ = ["ProgressBar"]
 WIDTH = 28
 TTY_PERIOD_S = 0.1
 LOG_PERIOD_S = 5.0
-"""Where nobody looks on (a file, a pipe), a line every now and then is enough."""
+"""Period of progress lines where the output is not a terminal."""
 
 
 class ProgressBar:
@@ -68,7 +68,7 @@ class ProgressBar:
             self._write(f"{self._name}: {text}\n")
 
     def _write(self, text: str) -> None:
-        with contextlib.suppress(OSError):  # nobody can look on: no reason to stop the work
+        with contextlib.suppress(OSError):  # output closed: not a reason to stop the work
             self._out.write(text)
             self._out.flush()
 

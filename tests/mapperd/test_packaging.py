@@ -56,7 +56,7 @@ def test_vehicle_gets_what_it_imports_and_nothing_else() -> None:
     ],
     ids=["shim", "half a shim", "old"],
 )
-def test_python_that_will_not_do_is_told_why(tmp_path: Path, body: str, words: str) -> None:
+def test_python_that_will_not_do_is_reported_why(tmp_path: Path, body: str, words: str) -> None:
     shim = tmp_path / "python3"
     shim.write_text(f"#!/bin/sh\n{body}\n", encoding="utf-8")
     shim.chmod(0o755)

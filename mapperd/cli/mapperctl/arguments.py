@@ -15,7 +15,6 @@ from mapperd.errors import ConfigError
 from mapperd.wire.messages import MAX_LEVEL, WANTS
 
 __all__ = [
-    "MOST_LEVEL",
     "add_bag",
     "add_convert",
     "add_export",
@@ -24,17 +23,17 @@ __all__ = [
     "add_record",
     "add_view",
     "parser",
-    "pose_said",
+    "pose_from_args",
 ]
 
 SIX = 6
 LEVELS = range(4)
 MAX = 1e6
-HELP_FORMATS = "the suffix says the format: docs/guides/export.md"
+HELP_FORMATS = "the suffix selects the format (docs/guides/export.md)"
 
 
 def add_convert(command: argparse.ArgumentParser) -> None:
-    """Of `convert`."""
+    """Add the arguments of `convert`."""
     command.add_argument(
         "source", metavar="SOURCE", type=Path, help="a daemon's map, .map, .bt, .ot"
     )
@@ -45,7 +44,7 @@ def add_convert(command: argparse.ArgumentParser) -> None:
 
 
 def add_export(command: argparse.ArgumentParser) -> None:
-    """Of `export`."""
+    """Add the arguments of `export`."""
     add = command.add_argument
     add("file", metavar="FILE", type=Path, help=f"{HELP_FORMATS}; .mcap too")
     add(
@@ -59,21 +58,21 @@ def add_export(command: argparse.ArgumentParser) -> None:
         "--box",
         metavar="X,Y,Z,X,Y,Z",
         type=_box,
-        help="inside these two corners alone, metres in the map",
+        help="only inside these two corners, metres in the map",
     )
     add(
         "--radius",
         metavar="M",
         type=_positive_metres,
         default=0.0,
-        help="around the vehicle alone; default: no limit",
+        help="only within this radius of the vehicle; default: no limit",
     )
     add(
         "--timeout",
         metavar="S",
         type=_positive_seconds,
         default=0.0,
-        help="give up when the map is not complete by then; default: never",
+        help="fail if the map is not complete by then; default: never",
     )
     _add_origin(command)
     _add_probability(command)
@@ -81,19 +80,26 @@ def add_export(command: argparse.ArgumentParser) -> None:
 
 
 def add_bag(command: argparse.ArgumentParser) -> None:
-    """Of `bag`."""
+    """Add the arguments of `bag`."""
     add = command.add_argument
     add("source", metavar="SOURCE", type=Path, help="a recording, a folder of them, or a map")
-    add("bag", metavar="BAG", type=Path, help="folder that is made")
+    add("bag", metavar="BAG", type=Path, help="folder to create")
     add("--storage", choices=("mcap", "sqlite3"), default="mcap", help="default: mcap")
-    add("--as-recorded", action="store_true", help="map recordings as they were mapped live")
-    add("--pose", metavar="X,Y,Z,ROLL,PITCH,YAW", type=_pose, help="of a vehicle that stood still")
+    add(
+        "--as-recorded", action="store_true", help="map recordings with their own settings, as live"
+    )
+    add(
+        "--pose",
+        metavar="X,Y,Z,ROLL,PITCH,YAW",
+        type=_pose,
+        help="pose of a vehicle that did not move",
+    )
     add(
         "--every",
         metavar="S",
         type=_positive_seconds,
         default=0.0,
-        help="tell the map's cloud that often; default: at the end alone",
+        help="period of the map's cloud; default: only at the end",
     )
     _add_probability(command)
 
@@ -103,7 +109,7 @@ def _add_origin(command: argparse.ArgumentParser) -> None:
         "--origin",
         metavar="LAT,LON",
         type=_origin,
-        help="where on Earth the map's zero lies, in degrees; default: what the map says, else "
+        help="geographic position of the map's origin, in degrees; default: that of the map, or "
         "odometry.origin",
     )
 
@@ -113,7 +119,7 @@ def _add_probability(command: argparse.ArgumentParser) -> None:
         "--min-probability",
         metavar="P",
         type=_probability,
-        help="of occupied voxels; default: mapping.occupied_threshold",
+        help="minimum probability of occupied voxels; default: mapping.occupied_threshold",
     )
 
 
@@ -122,8 +128,8 @@ def _add_calibration(command: argparse.ArgumentParser) -> None:
         "--calibration",
         metavar="FILE",
         type=Path,
-        help="curve that turns probabilities into shares, such as config/calibration/harbour.yaml; "
-        "default: as they are in the map",
+        help="calibration curve of the probabilities, such as config/calibration/harbour.yaml; "
+        "default: none",
     )
 
 
@@ -138,7 +144,7 @@ def _origin(text: str) -> tuple[float, float]:
 
 
 def _pose(text: str) -> tuple[float, ...]:
-    """Metres and degrees."""
+    """Parse metres and degrees."""
     return _six(text, "x,y,z,roll,pitch,yaw")
 
 
@@ -193,31 +199,31 @@ MAX_M = 1e6
 
 
 def add_foxglove(command: argparse.ArgumentParser) -> None:
-    """Of `foxglove`."""
+    """Add the arguments of `foxglove`."""
     add = command.add_argument
     add("--port", metavar="N", type=_port, default=8765, help="default: 8765")
     add(
         "--host",
         metavar="NAME",
         default="127.0.0.1",
-        help="address to listen on; default: 127.0.0.1, for this computer alone",
+        help="address to listen on; default: 127.0.0.1, only this computer",
     )
     add(
         "--allow-changes",
         action="store_true",
-        help="viewers may change settings; so may any page in a browser that reaches the port",
+        help="viewers may change settings; so may any web page whose browser reaches the port",
     )
     _add_interest(command)
 
 
 def add_record(command: argparse.ArgumentParser) -> None:
-    """Of `record`."""
+    """Add the arguments of `record`."""
     add = command.add_argument
     add(
         "file",
         metavar="FILE",
         type=Path,
-        help=".mcap: all that happens; another suffix: the map as it is at the end",
+        help=".mcap: everything that is received; another suffix: the map at the end",
     )
     add("--duration", metavar="S", type=_duration, help="default: until interrupted")
     add(
@@ -225,7 +231,7 @@ def add_record(command: argparse.ArgumentParser) -> None:
         metavar="KIND,...",
         type=_wants,
         default=WANTS,
-        help=f"some of {', '.join(WANTS)}; default: all",
+        help=f"what to record, of {', '.join(WANTS)}; default: all",
     )
     _add_interest(command)
 
@@ -240,7 +246,13 @@ def _add_interest(command: argparse.ArgumentParser) -> None:
         default=0,
         help=f"cells of 2**N voxels along an edge, 0 to {MAX_LEVEL}: less data",
     )
-    add("--radius", metavar="M", type=_radius, default=0.0, help="of the map around the vehicle")
+    add(
+        "--radius",
+        metavar="M",
+        type=_radius,
+        default=0.0,
+        help="only the map within this radius of the vehicle",
+    )
 
 
 def _wants(text: str) -> tuple[str, ...]:
@@ -285,48 +297,52 @@ def add_localization(add: Add) -> None:
     """Add the commands.
 
     Args:
-        add: makes a command of a name, what it is about, and more about it.
+        add: creates a command from its name, summary and description.
     """
     look = add("localization", "where the vehicle is on the known map")
-    look.add_argument("--watch", action="store_true", help="again and again, until interrupted")
+    look.add_argument("--watch", action="store_true", help="repeat until interrupted")
     look.add_argument(
-        "--particles", metavar="N", type=_particles, default=0, help="with --json: some of them"
+        "--particles",
+        metavar="N",
+        type=_particles,
+        default=0,
+        help="with --json: number of particles to print",
     )
     look.set_defaults(every=1.0)
-    _add_pose(add("initial_pose", "begin localization at a pose"))
-    add("global_localization", "begin localization anywhere on the map")
-    add("request_nomotion_update", "have the next scan be an update, even if nothing moves")
-    change = add("set_map", "localize on another map; with a pose from there on")
-    change.add_argument("name", metavar="FILE", help="in the daemon's folder for maps")
+    _add_pose(add("initial_pose", "start localization at a pose"))
+    add("global_localization", "start localization anywhere on the map")
+    add("request_nomotion_update", "update the filter with the next scan even without motion")
+    change = add("set_map", "switch to another map, and to a pose if one is given")
+    change.add_argument("name", metavar="FILE", help="file in the daemon's maps folder")
     _add_pose(change, nargs="?")
 
 
-def pose_said(said: argparse.Namespace) -> dict[str, Any] | None:
-    """The pose of a command, as the daemon takes it; None where none is said.
+def pose_from_args(args: argparse.Namespace) -> dict[str, Any] | None:
+    """Return the pose on the command line as the daemon expects it, or None without one.
 
     Raises:
-        CtlError: a part of one is.
+        CtlError: the pose is incomplete.
     """
-    if said.yaw_deg is None:
-        if any(part is not None for part in (said.x, said.std_xy, said.std_yaw_deg)):
+    if args.yaw_deg is None:
+        if any(part is not None for part in (args.x, args.std_xy, args.std_yaw_deg)):
             raise CtlError("a pose is X Y YAW_DEG", Exit.USAGE)
         return None
-    pose = {"x_m": said.x, "y_m": said.y, "yaw_rad": math.radians(said.yaw_deg)}
-    if said.frame:
-        pose["frame"] = said.frame
-    if said.covariance:
-        xx, xy, xa, yy, ya, aa = said.covariance
+    pose = {"x_m": args.x, "y_m": args.y, "yaw_rad": math.radians(args.yaw_deg)}
+    if args.frame:
+        pose["frame"] = args.frame
+    if args.covariance:
+        xx, xy, xa, yy, ya, aa = args.covariance
         return pose | {"covariance": [[xx, xy, xa], [xy, yy, ya], [xa, ya, aa]]}
-    if said.std_xy is not None:
-        pose["std_xy_m"] = said.std_xy
-    if said.std_yaw_deg is not None:
-        pose["std_yaw_rad"] = math.radians(said.std_yaw_deg)
+    if args.std_xy is not None:
+        pose["std_xy_m"] = args.std_xy
+    if args.std_yaw_deg is not None:
+        pose["std_yaw_rad"] = math.radians(args.std_yaw_deg)
     return pose
 
 
 def _add_pose(command: argparse.ArgumentParser, nargs: Literal["?"] | None = None) -> None:
     add = command.add_argument
-    add("x", metavar="X", type=_coordinate, help="m, in the map's frame", nargs=nargs)
+    add("x", metavar="X", type=_coordinate, help="m, map frame", nargs=nargs)
     add("y", metavar="Y", type=_coordinate, help="m", nargs=nargs)
     about = "heading, counter-clockwise from x"
     add("yaw_deg", metavar="YAW_DEG", type=_degrees, help=about, nargs=nargs)
@@ -337,7 +353,7 @@ def _add_pose(command: argparse.ArgumentParser, nargs: Literal["?"] | None = Non
         "--covariance",
         metavar="XX,XY,XA,YY,YA,AA",
         type=_covariance,
-        help="instead of both, in m2, m rad and rad2",
+        help="instead of the standard deviations, in m2, m rad and rad2",
     )
     add("--frame", metavar="NAME", default="", help="default: amcl.global_frame_id")
 
@@ -384,43 +400,46 @@ def _particles(text: str) -> int:
     return int(text)
 
 
-MOST_LEVEL = 3
-
-
 def add_view(command: argparse.ArgumentParser) -> None:
-    """Of `view`."""
+    """Add the arguments of `view`."""
     add = command.add_argument
-    add("--port", metavar="N", type=_port, default=8080, help="of the page; default: 8080")
+    add("--port", metavar="N", type=_port, default=8080, help="port of the page; default: 8080")
     add(
         "--host",
         metavar="NAME",
         default="127.0.0.1",
-        help="address that the page is served on; default: 127.0.0.1, for this computer alone",
+        help="address of the page; default: 127.0.0.1, only this computer",
     )
     add(
         "--allow-changes",
         action="store_true",
-        help="browsers of other computers may change settings too",
+        help="browsers on other computers may change settings",
     )
     add(
         "--level",
         metavar="N",
         type=int,
-        choices=range(MOST_LEVEL + 1),
+        choices=range(MAX_LEVEL + 1),
         default=0,
         help="cells of 2**N voxels along an edge, 0 to 3: less data",
     )
-    add("--radius", metavar="M", type=_radius, default=0.0, help="of the map around the vehicle")
+    add(
+        "--radius",
+        metavar="M",
+        type=_radius,
+        default=0.0,
+        help="only the map within this radius of the vehicle",
+    )
     add("--open", action="store_true", help="open the page in a browser")
 
 
-EPILOG = """exit codes: 0 done; 1 the daemon refuses; 2 the command cannot be done as given; 69 no
-daemon answers; 73 it cannot write; 75 try again later; 76 it speaks another language; 77 you may
-not; 78 the settings are wrong; 130 interrupted"""
+EPILOG = """exit codes: 0 success; 1 refused by the daemon; 2 usage error; 69 no daemon answers; 73
+cannot write; 75 try again later; 76 protocol mismatch; 77 permission denied; 78 invalid settings;
+130 interrupted"""
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line."""
+    """Reports errors in one line."""
 
     def error(self, message: str) -> NoReturn:
         """Exit with code 2."""
@@ -428,42 +447,42 @@ class _Parser(argparse.ArgumentParser):
 
 
 def parser() -> _Parser:
-    """All commands."""
-    top = _Parser("mapperctl", description="Look at a mapper and steer it.", epilog=EPILOG)
+    """Return the parser of all commands."""
+    top = _Parser("mapperctl", description="Observe and control a running mapperd.", epilog=EPILOG)
     top.add_argument("--version", action="version", version=f"mapperctl {__version__}")
     commands = top.add_subparsers(metavar="COMMAND", required=True, dest="command")
-    status = _command(commands, "status", "how it goes")
-    status.add_argument("--once", action="store_true", help="do not go on")
+    status = _command(commands, "status", "state of the daemon")
+    status.add_argument("--once", action="store_true", help="print once and exit")
     status.add_argument("--every", metavar="S", type=_period, default=1.0, help="default: 1 s")
     _params(commands)
-    get = _command(commands, "get", "values of settings in force")
+    get = _command(commands, "get", "print settings in force")
     get.add_argument("names", metavar="NAME", nargs="+", type=_name, help="a setting or a section")
     change = _command(commands, "set", "change settings of the running daemon, all or none")
     change.add_argument("changes", metavar="NAME=VALUE", nargs="+", type=_change)
-    save = _command(commands, "save", "write the map into the daemon's folder for maps")
+    save = _command(commands, "save", "write the map into the daemon's maps folder")
     save.add_argument(
-        "name", metavar="FILE", help="the suffix says the format: docs/reference/control.md"
+        "name", metavar="FILE", help="name without a folder; the suffix selects the format"
     )
     reset = _command(commands, "reset", "empty the map")
     reset.add_argument("--yes", action="store_true", help="do not ask")
-    _command(commands, "reload", "read the settings' files again")
-    _command(commands, "snapshot", "bring the map and the recording to the disk now")
+    _command(commands, "reload", "reload the settings files")
+    _command(commands, "snapshot", "flush the map and the recording to disk")
     stream = "--socket and --address are those of the map stream."
     about = "the live map as a page in the browser"
     add_view(_command(commands, "view", about, f"{about.capitalize()}. {stream}"))
     about = "serve Foxglove and Lichtblick"
     add_foxglove(_command(commands, "foxglove", about, f"{about}. {stream}"))
-    about = "record what the map stream says"
+    about = "record the map stream"
     add_record(_command(commands, "record", about, f"{about.capitalize()}. {stream}"))
-    about = "the live map as a file here, in any format"
+    about = "save the live map as a file on this computer"
     add_export(_command(commands, "export", about, f"{about.capitalize()}. {stream}"))
-    add_convert(_offline(commands, "convert", "a map's file to one of another format"))
-    add_bag(_offline(commands, "bag", "a recording or a map to a ROS 2 bag, without ROS"))
-    add_localization(lambda *said: _command(commands, *said))
-    events = _command(commands, "events", "what happened")
-    events.add_argument("--follow", action="store_true", help="and what happens, until interrupted")
+    add_convert(_offline(commands, "convert", "convert a map file to another format"))
+    add_bag(_offline(commands, "bag", "convert a recording or a map to a ROS 2 bag, without ROS"))
+    add_localization(lambda *args: _command(commands, *args))
+    events = _command(commands, "events", "print events")
+    events.add_argument("--follow", action="store_true", help="print new events until interrupted")
     events.add_argument(
-        "--since", metavar="N", type=_count, default=0, help="after the event of this number"
+        "--since", metavar="N", type=_count, default=0, help="only events after this number"
     )
     return top
 
@@ -472,14 +491,14 @@ def _params(commands: "argparse._SubParsersAction[_Parser]") -> None:
     params = _command(
         commands,
         "params",
-        "all about the settings",
-        "The settings that a mapper started now would have, by its files; with --running, --socket "
-        "or --address those in force in the running one.",
+        "print settings with their descriptions",
+        "Print the settings of the configuration files; with --running, --socket or --address, the "
+        "settings in force in the running daemon.",
     )
     add = params.add_argument
     add("names", metavar="NAME", nargs="*", type=_name, help="a setting or a section of them")
-    add("--origin", action="store_true", help="also who said each")
-    add("--running", action="store_true", help="of the running daemon")
+    add("--origin", action="store_true", help="also print where each value comes from")
+    add("--running", action="store_true", help="settings of the running daemon")
 
 
 def _command(
@@ -490,11 +509,11 @@ def _command(
 ) -> _Parser:
     command = _offline(commands, name, about, more)
     add = command.add_argument
-    add("--json", action="store_true", help="for programs: objects, one a line")
+    add("--json", action="store_true", help="print JSON, one object a line")
     add("--socket", metavar="PATH", type=Path, help="Unix socket of the daemon")
-    add("--address", metavar="HOST:PORT", help="its TCP socket instead")
+    add("--address", metavar="HOST:PORT", help="TCP address of the daemon instead")
     add("--token-file", metavar="FILE", type=Path, help="token of the TCP socket")
-    add("--tls-ca", metavar="PEM", type=Path, help="TLS, by an authority or certificate of these")
+    add("--tls-ca", metavar="PEM", type=Path, help="use TLS and trust these certificates")
     return command
 
 
@@ -514,7 +533,7 @@ def _offline(
         type=Path,
         action="append",
         default=[],
-        help="as mapperd was given; may be said again, the last one on top",
+        help="settings file of mapperd; repeat to layer files, the last one wins",
     )
     return command
 

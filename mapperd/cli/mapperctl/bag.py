@@ -1,4 +1,4 @@
-"""`mapperctl bag`: recordings and maps become ROS 2 bags, without ROS."""
+"""`mapperctl bag`: convert recordings and maps to ROS 2 bags, without ROS."""
 
 import sys
 import time
@@ -34,17 +34,17 @@ __all__ = ["bag_of_map", "bag_of_recordings"]
 def bag_of_map(
     source: Path, path: Path, config: Config, values: Mapping[str, Any], storage: Storage
 ) -> Iterator[str]:
-    """A map's file as a cloud and a grid, stamped with the time at which the file was written.
+    """Write a map file as a cloud and a grid, stamped with the file's modification time.
 
     Raises:
-        MapperdError: what is wrong with the map, the settings or the bag.
+        MapperdError: the map, the settings or the bag are invalid.
     """
     found = map_in(source, config, values)
     stamp_ns = source.stat().st_mtime_ns
     with open_bag(path, found.map.config, storage) as bag:
         bag.cloud(stamp_ns, found.map)
         bag.grid(stamp_ns, found.map)
-    yield from _told(path, bag)
+    yield from _report(path, bag)
 
 
 def bag_of_recordings(
@@ -57,19 +57,20 @@ def bag_of_recordings(
     every_s: float = 0.0,
     storage: Storage = "mcap",
 ) -> Iterator[str]:
-    """Recordings as images, odometry, transforms and the map, mapped by the ordinary step.
+    """Write recordings as images, odometry, transforms and the map, through the pipeline.
 
     Args:
         source: a recording, or a folder of them.
-        path: of the bag.
-        config: settings of today; None maps them as they were mapped.
-        values: settings above these.
-        pose: of a vehicle that stood still.
-        every_s: the map's cloud is told that often, and at the end; 0 is at the end alone.
-        storage: of the bag.
+        path: path of the bag.
+        config: settings; None uses those of the recordings.
+        values: settings that override `config`.
+        pose: pose of a vehicle that did not move.
+        every_s: period of the map's cloud; 0 writes it only at the end.
+        storage: storage of the bag.
 
     Raises:
-        MapperdError: what is wrong with the recordings, the settings or the bag; RecordingError.
+        MapperdError: the recordings, the settings or the bag are invalid.
+        RecordingError: a recording cannot be read.
     """
     sessions = sessions_of(files_in([source], begun=True))
     if not sessions:
@@ -77,12 +78,12 @@ def bag_of_recordings(
     runs = [_run(session, config, values, pose) for session in not_empty(sessions)]
     sonar_map = SonarMap(runs[0].config)
     with open_bag(path, runs[0].config, storage) as bag:
-        teller = _Teller(bag, sonar_map, round(every_s * 1e9))
-        _mapped(runs, sonar_map, teller)
-        teller.end()
-    yield from _told(path, bag)
-    if teller.unstamped:
-        yield f"{teller.unstamped} pings without a time are left out"
+        writer = _BagWriter(bag, sonar_map, round(every_s * 1e9))
+        _mapped(runs, sonar_map, writer)
+        writer.end()
+    yield from _report(path, bag)
+    if writer.unstamped:
+        yield f"{writer.unstamped} pings without a time were left out"
 
 
 def _run(
@@ -93,38 +94,38 @@ def _run(
     return as_asked(session, pose, with_values(config, values))
 
 
-def _mapped(runs: Sequence[Run], sonar_map: SonarMap, teller: "_Teller") -> None:
+def _mapped(runs: Sequence[Run], sonar_map: SonarMap, writer: "_BagWriter") -> None:
     counters = PipelineCounters()
     size_bytes = sum(run.session.size_bytes for run in runs)
     bar = ProgressBar(sys.stderr, time.perf_counter)
     done_bytes = 0
     for run in runs:
         replay = run.replay(sonar_map, Window(), counters)
-        replay.on_settled = teller.ping
-        replay.integration.on_ping = teller.placed
+        replay.on_settled = writer.ping
+        replay.integration.on_ping = writer.placed
         for _ in replay.run(run.session):
             bar.show((done_bytes + run.session.bytes_read) / size_bytes, counters.pings_mapped)
         done_bytes += run.session.bytes_read
     bar.close(counters.pings_mapped)
 
 
-def _told(path: Path, bag: Bag) -> Iterator[str]:
+def _report(path: Path, bag: Bag) -> Iterator[str]:
     size = sum(file.stat().st_size for file in path.iterdir())
     yield f"{path}: {size} bytes"
     for topic, count in sorted(bag.counts.items()):
         yield f"{topic}: {count} messages"
 
 
-class _Teller:
-    """Writes what becomes of pings into a bag.
+class _BagWriter:
+    """Writes pings, poses and the map into a bag.
 
     Args:
-        bag: where to.
-        sonar_map: that they go into.
-        every_ns: between clouds; 0 is at the end alone.
+        bag: the bag.
+        sonar_map: the map.
+        every_ns: period of the map's cloud; 0 writes it only at the end.
 
     Attributes:
-        unstamped: pings whose time nobody knows.
+        unstamped: number of pings without a time.
     """
 
     def __init__(self, bag: Bag, sonar_map: SonarMap, every_ns: int) -> None:
@@ -137,7 +138,7 @@ class _Teller:
         self._mounting: Pose | None = None
 
     def ping(self, settled: PosedPing) -> None:
-        """Tell its image, whatever becomes of it."""
+        """Write the image of a ping, mapped or not."""
         if settled.t_ns is None:
             self.unstamped += 1
             return
@@ -145,13 +146,13 @@ class _Teller:
         self._bag.image(settled.t_ns, settled.ping.image)
 
     def placed(self, treated: PingResult) -> None:
-        """Tell where the vehicle was, and where the map has that."""
+        """Write the pose by odometry, and in the map."""
         t_ns, odometry = treated.settled.t_ns, treated.settled.pose
         if t_ns is None:
             return
-        self._tell_mounting(t_ns)
+        self._write_mounting(t_ns)
         if isinstance(odometry, FusedPose):
-            self._tell_pose(t_ns, odometry, treated)
+            self._write_pose(t_ns, odometry, treated)
         if self._every_ns:
             self._cloud_ns = t_ns if self._cloud_ns is None else self._cloud_ns
             if t_ns - self._cloud_ns >= self._every_ns:
@@ -159,12 +160,12 @@ class _Teller:
                 self._bag.cloud(t_ns, self._map)
 
     def end(self) -> None:
-        """Tell the map as it is at the end."""
+        """Write the final map."""
         if self._newest_ns is not None:
             self._bag.cloud(self._newest_ns, self._map)
             self._bag.grid(self._newest_ns, self._map)
 
-    def _tell_pose(self, t_ns: int, odometry: FusedPose, treated: PingResult) -> None:
+    def _write_pose(self, t_ns: int, odometry: FusedPose, treated: PingResult) -> None:
         frames, odom = self._bag.config.frames, self._bag.config.amcl.odom_frame_id
         turned = [Turned(odom, frames.base, odometry.pose)]
         if isinstance(treated.pose, FusedPose):
@@ -173,8 +174,8 @@ class _Teller:
         self._bag.odometry(t_ns, odometry)
         self._bag.transforms(t_ns, turned)
 
-    def _tell_mounting(self, t_ns: int) -> None:
-        """Tell where the sonar sits, and again when that changes."""
+    def _write_mounting(self, t_ns: int) -> None:
+        """Write the mounting, and again when it changes."""
         settings = self._map.config.mounting
         place, angles = settings.position, settings.orientation
         mounting = Pose(
@@ -190,7 +191,7 @@ class _Teller:
 
 
 def _map_of_odometry(in_map: Pose, in_odometry: Pose) -> Pose:
-    """The odometry's frame in the map's, from the vehicle in both."""
+    """Transform from odometry to map frame, from the vehicle's pose in both."""
     back = in_odometry.map_q_base * (1, -1, -1, -1)
     turn = quaternion_product(in_map.map_q_base, back)
     turn /= np.linalg.norm(turn)

@@ -30,9 +30,9 @@ OFFLINE = ("bag", "convert")
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; what is wrong is one line and an exit code."""
-    said = parser().parse_args(argv)
+    args = parser().parse_args(argv)
     try:
-        for line in _lines(said):
+        for line in _lines(args):
             print(line, flush=True)  # noqa: T201 a command speaks
     except CtlError as error:
         return _fail(error, error.code)
@@ -41,75 +41,75 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # `mapperctl params | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
-        endless = said.command in ("status", "foxglove", "view") or any(
-            getattr(said, name, False) for name in ("follow", "watch")
+        endless = args.command in ("status", "foxglove", "view") or any(
+            getattr(args, name, False) for name in ("follow", "watch")
         )
         return Exit.OK if endless else Exit.INTERRUPTED
     return Exit.OK
 
 
-def _lines(said: argparse.Namespace) -> Iterator[str]:
-    if said.command == "view":
+def _lines(args: argparse.Namespace) -> Iterator[str]:
+    if args.command == "view":
         from mapperd.cli.mapperctl.view import run_view  # noqa: PLC0415 only it needs numpy
 
-        yield from run_view(said, *_stream(said))
+        yield from run_view(args, *_stream(args))
         return
-    if said.command == "foxglove":
+    if args.command == "foxglove":
         from mapperd.cli.mapperctl.foxglove import run_foxglove  # noqa: PLC0415 needs numpy
 
-        run_foxglove(said, *_stream(said))
+        run_foxglove(args, *_stream(args))
         return
-    if said.command == "record":
+    if args.command == "record":
         from mapperd.cli.mapperctl.record import run_record  # noqa: PLC0415 needs numpy
 
-        yield from run_record(said, _settings(said).config, *_stream(said))
+        yield from run_record(args, _settings(args).config, *_stream(args))
         return
-    if said.command == "export":
+    if args.command == "export":
         from mapperd.cli.mapperctl.export import run_export  # noqa: PLC0415 needs numpy
 
-        yield from run_export(said, _settings(said).config, *_stream(said))
+        yield from run_export(args, _settings(args).config, *_stream(args))
         return
-    if said.command in OFFLINE:
+    if args.command in OFFLINE:
         from mapperd.cli.mapperctl import offline  # noqa: PLC0415 the core, which others do not need
 
-        yield from offline.run(said, _settings(said).config)
+        yield from offline.run(args, _settings(args).config)
         return
-    remote = said.command != "params" or said.running or said.socket or said.address
+    remote = args.command != "params" or args.running or args.socket or args.address
     if remote:
-        yield from run(said, _target(said))
+        yield from run(args, _target(args))
         return
-    layered = load_settings(said.config, os.environ)
-    facts = facts_of(layered.config, layered.origin_of, said.names)
-    if said.json:
+    layered = load_settings(args.config, os.environ)
+    facts = facts_of(layered.config, layered.origin_of, args.names)
+    if args.json:
         yield json.dumps(facts, indent=2)
     else:
-        yield from params_lines(facts, origin=said.origin)
+        yield from params_lines(facts, origin=args.origin)
 
 
-def _stream(said: argparse.Namespace) -> tuple[str, bytes | None, ssl.SSLContext | None]:
+def _stream(args: argparse.Namespace) -> tuple[str, bytes | None, ssl.SSLContext | None]:
     """Where the map stream is, as `mapperd.client` takes it, with its token and TLS."""
-    if said.address and said.socket:
+    if args.address and args.socket:
         raise CtlError("--socket or --address, not both", Exit.USAGE)
-    if said.address:
+    if args.address:
         try:
-            token = None if said.token_file is None else read_token(said.token_file)
+            token = None if args.token_file is None else read_token(args.token_file)
         except ConfigError as error:
             raise CtlError(str(error), Exit.USAGE) from error
-        return said.address, token, _tls(said.tls_ca)
-    if said.socket:
-        return str(said.socket.absolute()), None, None
+        return args.address, token, _tls(args.tls_ca)
+    if args.socket:
+        return str(args.socket.absolute()), None, None
     return "", None, None
 
 
-def _target(said: argparse.Namespace) -> Target:
-    """Where the daemon is: as said, else as the settings say, else where daemons usually are."""
-    if said.address and said.socket:
+def _target(args: argparse.Namespace) -> Target:
+    """Address of the daemon: from the arguments, the settings, or the usual places."""
+    if args.address and args.socket:
         raise CtlError("--socket or --address, not both", Exit.USAGE)
-    if said.socket:
-        return Target(said.socket)
-    config = _settings(said).config
-    if said.address:
-        return _over_tcp(said, config)
+    if args.socket:
+        return Target(args.socket)
+    config = _settings(args).config
+    if args.address:
+        return _over_tcp(args, config)
     places = socket_places(config, os.environ)
     for path in places:
         if _is_socket(path):
@@ -118,26 +118,26 @@ def _target(said: argparse.Namespace) -> Target:
     raise CtlError(f"no daemon is running: no socket at {looked}", Exit.UNAVAILABLE)
 
 
-def _settings(said: argparse.Namespace) -> Layered:
+def _settings(args: argparse.Namespace) -> Layered:
     """Those of the files, where they can be read: who looks may be somebody else."""
     try:
-        return load_settings(said.config, os.environ)
+        return load_settings(args.config, os.environ)
     except ConfigError:
-        if said.config:
+        if args.config:
             raise
         return Layered(Config())
 
 
-def _over_tcp(said: argparse.Namespace, config: Config) -> Target:
+def _over_tcp(args: argparse.Namespace, config: Config) -> Target:
     try:
-        host, port = address_of(said.address)
-        path = said.token_file or (
+        host, port = address_of(args.address)
+        path = args.token_file or (
             Path(config.control.token_file) if config.control.token_file else None
         )
         token = b"" if path is None else read_token(path)
     except ConfigError as error:
         raise CtlError(str(error), Exit.USAGE) from error
-    return Target(None, str(host), port, token, _tls(said.tls_ca))
+    return Target(None, str(host), port, token, _tls(args.tls_ca))
 
 
 def _tls(authorities: Path | None) -> ssl.SSLContext | None:

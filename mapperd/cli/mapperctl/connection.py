@@ -47,7 +47,7 @@ class Target:
         path: of a Unix socket; None where it is an address.
         host, port: of TCP.
         token: that a TCP socket asks for.
-        tls: encrypts TCP.
+        tls: TLS context for TCP.
     """
 
     path: Path | None
@@ -79,7 +79,7 @@ class Connection:
             self._socket = _connected(target)
             self._lines = self._socket.makefile("rb")
         try:
-            self._say_hello()
+            self._send_hello()
             self._socket.settimeout(patience_s)
         except BaseException:
             self.close()
@@ -118,13 +118,13 @@ class Connection:
 
     def follow(self, since: int) -> Iterator[dict[str, Any]]:
         """Events after one, and from then on all; each with those that were missed before it."""
-        told = self.ask("events", since=since, follow=True)
+        batch = self.ask("events", since=since, follow=True)
         self._socket.settimeout(None)
         while True:
-            yield told
-            told = self._hear()
+            yield batch
+            batch = self._hear()
 
-    def _say_hello(self) -> None:
+    def _send_hello(self) -> None:
         greeting = self._hear()
         if greeting.get("mapperd") != "control" or VERSION not in greeting.get("versions", ()):
             what = f"speaks versions {greeting.get('versions')}, not {VERSION}"

@@ -9,7 +9,7 @@ __all__ = ["CtlError", "Exit", "plain", "refused"]
 
 
 class Exit(IntEnum):
-    """Exit codes; those above 64 are of sysexits.h."""
+    """Exit codes; those above 64 follow sysexits.h."""
 
     OK = 0
     REFUSED = 1
@@ -24,10 +24,10 @@ class Exit(IntEnum):
 
 
 class CtlError(MapperdError):
-    """A command is not done; the text is one line for a person.
+    """A command failed; the text is one line for people.
 
     Attributes:
-        code: of the exit.
+        code: exit code.
     """
 
     def __init__(self, message: str, code: Exit) -> None:
@@ -36,7 +36,7 @@ class CtlError(MapperdError):
 
 
 def plain(text: object) -> str:
-    """Text of a daemon without anything that would move a terminal's cursor."""
+    """Replace unprintable characters, such as a terminal's escape sequences."""
     return "".join(letter if letter.isprintable() else "?" for letter in str(text))
 
 
@@ -44,6 +44,6 @@ NO_PERMISSION = frozenset({"wrong_token", "needs_token", "no_permission", "not_t
 
 
 def refused(error: StreamError) -> CtlError:
-    """What the command says, and ends with."""
+    """Convert an error of the stream to an error with an exit code."""
     code = Exit.NO_PERMISSION if error.reason in NO_PERMISSION else Exit.PROTOCOL
     return CtlError(str(error), code)

@@ -1,4 +1,4 @@
-"""`mapperctl export`: the live map becomes a file on this computer."""
+"""`mapperctl export`: save the live map as a file on this computer."""
 
 import argparse
 import asyncio
@@ -40,63 +40,63 @@ WITH_VEHICLE: tuple[Want, ...] = ("map", "pose", "path", "fan")
 
 TTY_PERIOD_S = 0.1
 LOG_PERIOD_S = 5.0
-"""Where nobody looks on (a file, a pipe), a line every now and then is enough."""
+"""Period of progress lines where the output is not a terminal."""
 
 MIB = 1 << 20
 
 
 def run_export(
-    said: argparse.Namespace,
+    args: argparse.Namespace,
     config: Config,
     address: str,
     token: bytes | None,
     tls: ssl.SSLContext | None,
 ) -> Iterator[str]:
-    """Wait until all of the map is here, and write it; yields what there is to say.
+    """Wait until the map is complete and write it; yield the lines to print.
 
     Args:
-        said: the arguments.
+        args: parsed command line.
         config: heights and origin; the map's own settings are the daemon's.
-        address: of the map stream, as `MapClient` takes it.
-        token: that its TCP socket asks for.
-        tls: encrypts TCP.
+        address: address of the map stream, as in `MapClient`.
+        token: token of the TCP socket.
+        tls: TLS context for TCP.
 
     Raises:
-        CtlError: it is not done; no file is made.
+        CtlError: the export failed; no file is left.
         ConfigError: the settings do not allow it.
     """
     try:
-        calibration = _checked(said)
+        calibration = _checked(args)
         client = MapClient(
             address,
             token=token,
             tls=tls,
-            wants=WITH_VEHICLE if said.file.suffix == MCAP else MAP_ALONE,
-            interest=Interest(level=said.level, radius_m=said.radius, box=_box(said.box)),
+            wants=WITH_VEHICLE if args.file.suffix == MCAP else MAP_ALONE,
+            interest=Interest(level=args.level, radius_m=args.radius, box=_box(args.box)),
             name="mapperctl export",
         )
-        if said.file.suffix == MCAP:
-            asyncio.run(_recorded(client, said.file, said.timeout or None))
-            made = MapOutput({str(said.file): said.file.stat().st_size})
+        if args.file.suffix == MCAP:
+            asyncio.run(_recorded(client, args.file, args.timeout or None))
+            made = MapOutput({str(args.file): args.file.stat().st_size})
         else:
-            asyncio.run(_followed(client, said.timeout or None))
-            made = _made(client, said, config, calibration)
+            asyncio.run(_followed(client, args.timeout or None))
+            made = _made(client, args, config, calibration)
     except ExportError as error:
         raise CtlError(str(error), Exit.CANNOT_WRITE) from error
     except StreamError as error:
         raise refused(error) from error
     except (MapError, ValueError) as error:  # ValueError: no address
         raise CtlError(str(error), Exit.USAGE) from error
-    yield from [json.dumps(made.plain())] if said.json else map(plain, made.lines())
+    yield from [json.dumps(made.plain())] if args.json else map(plain, made.lines())
 
 
-def _checked(said: argparse.Namespace) -> Calibration | None:
-    """Refuse what cannot be done before the map is waited for; the calibration is read by then."""
-    check_suffix(said.file, (MCAP,))
-    if said.file.suffix == MCAP and (said.origin or said.min_probability):
+def _checked(args: argparse.Namespace) -> Calibration | None:
+    """Check the arguments and read the calibration before waiting for the map."""
+    check_suffix(args.file, (MCAP,))
+    if args.file.suffix == MCAP and (args.origin or args.min_probability):
         raise ExportError(f"{MCAP} knows neither --origin nor --min-probability")
-    calibration = None if said.calibration is None else load_calibration(said.calibration)
-    check_calibration(said.file, calibration)
+    calibration = None if args.calibration is None else load_calibration(args.calibration)
+    check_calibration(args.file, calibration)
     return calibration
 
 
@@ -108,24 +108,24 @@ def _box(corners: tuple[float, ...] | None) -> Box | None:
 
 
 def _made(
-    client: MapClient, said: argparse.Namespace, config: Config, calibration: Calibration | None
+    client: MapClient, args: argparse.Namespace, config: Config, calibration: Calibration | None
 ) -> MapOutput:
     mirror = client.mirror
     if mirror is None:
-        raise CtlError("the daemon told no map", Exit.PROTOCOL)
+        raise CtlError("the daemon sent no map", Exit.PROTOCOL)
     sonar_map = mirror.to_map(config)
-    _choose(sonar_map, said.min_probability)
+    _choose(sonar_map, args.min_probability)
     origin_deg = mirror.facts.origin_deg
     origin = origin_among(
-        None if said.origin is None else Origin.of_degrees(*said.origin),
+        None if args.origin is None else Origin.of_degrees(*args.origin),
         None if origin_deg is None else Origin.of_degrees(*origin_deg),
         config,
     )
-    return make_files(sonar_map, said.file, origin, calibration)
+    return make_files(sonar_map, args.file, origin, calibration)
 
 
 def _choose(sonar_map: SonarMap, least: float | None) -> None:
-    """Have another probability decide what is occupied."""
+    """Change the probability threshold of occupied voxels."""
     if least is not None:
         free = min(sonar_map.config.mapping.free_threshold, least)
         values = {"mapping.occupied_threshold": least, "mapping.free_threshold": free}
@@ -133,16 +133,16 @@ def _choose(sonar_map: SonarMap, least: float | None) -> None:
 
 
 async def _followed(client: MapClient, timeout_s: float | None) -> None:
-    """Be connected until the map is complete."""
+    """Stay connected until the map is complete."""
     async with client:
         await _complete(client, timeout_s)
 
 
 async def _recorded(client: MapClient, path: Path, timeout_s: float | None) -> None:
-    """Record what is told until the map is complete; nothing stays of a file that is not whole."""
+    """Record until the map is complete; an incomplete file is removed."""
     partial = path.with_name(f".{path.name}.partial")
     try:
-        partial.unlink(missing_ok=True)  # of somebody who was killed
+        partial.unlink(missing_ok=True)  # of a killed process
         async with client:
             recording = Recording(client, partial)
             recording.start()
@@ -159,7 +159,7 @@ async def _recorded(client: MapClient, path: Path, timeout_s: float | None) -> N
 
 
 async def _complete(client: MapClient, timeout_s: float | None) -> None:
-    """Wait until the map is complete, and show how far it is."""
+    """Wait until the map is complete and show the progress."""
     progress = _Progress(sys.stderr)
     parts = [
         asyncio.create_task(client.complete(timeout_s)),
@@ -171,7 +171,7 @@ async def _complete(client: MapClient, timeout_s: float | None) -> None:
             part.result()
     except TimeoutError:
         raise CtlError(
-            f"the map is not complete after {timeout_s:g} s: {progress.told()}", Exit.TRY_AGAIN
+            f"the map is not complete after {timeout_s:g} s: {progress.text()}", Exit.TRY_AGAIN
         ) from None
     finally:
         for part in parts:
@@ -181,7 +181,7 @@ async def _complete(client: MapClient, timeout_s: float | None) -> None:
 
 
 async def _watch(client: MapClient, progress: "_Progress") -> None:
-    """Show how far it is; where nobody answers at first, there is nothing to wait for."""
+    """Show the progress; fail if no daemon answers the first attempt."""
     async for change in client.changes():
         if isinstance(change, LinkChanged):
             link = change.link
@@ -189,25 +189,25 @@ async def _watch(client: MapClient, progress: "_Progress") -> None:
                 raise CtlError(f"{link.address}: {link.reason}", Exit.UNAVAILABLE)
             progress.link = "" if link.state == "connected" else f"  {link.state}: {link.reason}"
         elif isinstance(change, MapChanged):
-            progress.came += len(change.keys)
+            progress.received += len(change.keys)
             progress.left = change.left
         progress.show(client.link.bytes)
 
 
 class _Progress:
-    """A line that says how far it is, redrawn on a terminal.
+    """A progress line, redrawn on a terminal.
 
     Args:
-        out: where to.
+        out: output stream.
 
     Attributes:
-        came: blocks that are here.
-        left: that are still to come; None while nobody said.
-        link: what is wrong with the connection.
+        received: blocks received.
+        left: blocks still to come; None if unknown.
+        link: problem of the connection.
     """
 
     def __init__(self, out: TextIO) -> None:
-        self.came = 0
+        self.received = 0
         self.left: int | None = None
         self.link = ""
         self._out = out
@@ -215,30 +215,30 @@ class _Progress:
         self._shown_s = time.monotonic()
         self._bytes = 0
 
-    def told(self) -> str:
-        """How far it is."""
+    def text(self) -> str:
+        """The line."""
         if self.left is None:
-            return f"nothing came{self.link}"
-        whole = self.came + self.left
-        percent = 100 * self.came / whole if whole else 100.0
+            return f"nothing received{self.link}"
+        whole = self.received + self.left
+        percent = 100 * self.received / whole if whole else 100.0
         size = f"{self._bytes / MIB:.1f} MiB"
         return f"{percent:.0f} %, {self.left} blocks left, {size}{self.link}"
 
     def show(self, size: int) -> None:
-        """Say it, if it is time to; `size` is bytes received."""
+        """Show the line if it is due; `size` is bytes received."""
         self._bytes = size
         now_s = time.monotonic()
         if now_s - self._shown_s >= (TTY_PERIOD_S if self._tty else LOG_PERIOD_S):
             self._shown_s = now_s
-            text = plain(self.told())
+            text = plain(self.text())
             self._write(f"\r{text}\x1b[K" if self._tty else f"mapperctl: {text}\n")
 
     def end(self) -> None:
-        """Leave the line."""
+        """Clear the line."""
         if self._tty:
             self._write("\r\x1b[K")
 
     def _write(self, text: str) -> None:
-        with contextlib.suppress(OSError):  # nobody can look on: no reason to stop
+        with contextlib.suppress(OSError):  # output closed: not a reason to stop
             self._out.write(text)
             self._out.flush()

@@ -1,4 +1,4 @@
-"""`mapperctl foxglove`: serves viewers until it is told to stop."""
+"""`mapperctl foxglove`: serve viewers until stopped."""
 
 import argparse
 import asyncio
@@ -6,7 +6,7 @@ import json
 import ssl
 
 from mapperd.cli.mapperctl.errors import CtlError, Exit, refused
-from mapperd.cli.mapperctl.record import told_to_stop
+from mapperd.cli.mapperctl.record import stop_requested
 from mapperd.client import Interest, MapClient
 from mapperd.errors import LiveError
 from mapperd.foxglove.recording import foxglove_missing
@@ -16,21 +16,21 @@ __all__ = ["run_foxglove"]
 
 
 def run_foxglove(
-    said: argparse.Namespace, address: str, token: bytes | None, tls: ssl.SSLContext | None
+    args: argparse.Namespace, address: str, token: bytes | None, tls: ssl.SSLContext | None
 ) -> None:
-    """Serve, and say where.
+    """Serve viewers; print the address.
 
     Args:
-        said: on the command line.
-        address: of the map stream, as `MapClient` takes it.
-        token: that its TCP socket asks for.
-        tls: encrypts TCP.
+        args: parsed command line.
+        address: address of the map stream, as in `MapClient`.
+        token: token of the TCP socket.
+        tls: TLS context for TCP.
 
     Raises:
         CtlError: nobody can listen there, or the daemon will not have us.
     """
     try:
-        asyncio.run(_serve(said, address, token, tls))
+        asyncio.run(_serve(args, address, token, tls))
     except ModuleNotFoundError as error:
         raise CtlError(foxglove_missing(error), Exit.USAGE) from error
     except LiveError as error:
@@ -42,29 +42,29 @@ def run_foxglove(
 
 
 async def _serve(
-    said: argparse.Namespace, address: str, token: bytes | None, tls: ssl.SSLContext | None
+    args: argparse.Namespace, address: str, token: bytes | None, tls: ssl.SSLContext | None
 ) -> None:
     from mapperd.foxglove.server import FIRST_WANTS, serve  # noqa: PLC0415 an extra
 
     def ready(port: int) -> None:
-        host = f"[{said.host}]" if ":" in said.host else said.host
+        host = f"[{args.host}]" if ":" in args.host else args.host
         url = f"ws://{host}:{port}"
         text = f"Foxglove and Lichtblick: open a connection to {url}"
-        print(json.dumps({"url": url}) if said.json else text, flush=True)  # noqa: T201 a command
+        print(json.dumps({"url": url}) if args.json else text, flush=True)  # noqa: T201 a command
 
     client = MapClient(
         address,
         token=token,
         tls=tls,
         wants=FIRST_WANTS,
-        interest=Interest(level=said.level, radius_m=said.radius),
+        interest=Interest(level=args.level, radius_m=args.radius),
         name="mapperctl foxglove",
     )
     async with client:
         serving = asyncio.create_task(
-            serve(client, said.host, said.port, ready, may_change=said.allow_changes)
+            serve(client, args.host, args.port, ready, may_change=args.allow_changes)
         )
-        stopping = asyncio.create_task(told_to_stop())
+        stopping = asyncio.create_task(stop_requested())
         await asyncio.wait((serving, stopping), return_when=asyncio.FIRST_COMPLETED)
         ended = serving.done()
         for task in (serving, stopping):

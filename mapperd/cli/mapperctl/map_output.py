@@ -1,4 +1,4 @@
-"""Files that a command makes of a map, and what it says about them."""
+"""Map files that a command writes, and how it reports them."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,50 +18,50 @@ __all__ = ["MapOutput", "check_suffix", "make_files", "origin_among"]
 
 @dataclass(frozen=True, slots=True)
 class MapOutput:
-    """Files that were written.
+    """Written map files.
 
     Attributes:
-        files: name to bytes.
-        crs: the system of coordinates that they say they have; None where they cannot say.
+        files: sizes in bytes by name.
+        crs: coordinate reference system of the files; None if the format has none.
     """
 
     files: dict[str, int]
     crs: str | None = None
 
     def lines(self) -> Iterator[str]:
-        """For a person."""
+        """Lines for people."""
         for name, size in self.files.items():
             yield f"{name}: {size} bytes"
         if self.crs is not None:
-            yield f"system of coordinates: {self.crs}"
+            yield f"coordinate reference system: {self.crs}"
 
     def plain(self) -> dict[str, Any]:
-        """For a program."""
+        """Values for JSON."""
         return {"files": self.files} if self.crs is None else {"files": self.files, "crs": self.crs}
 
 
 def check_suffix(path: Path, others: tuple[str, ...] = ()) -> None:
-    """Refuse a name that no format has, before any work is done.
+    """Check the suffix of a file before any work is done.
 
     Args:
-        path: of a file.
-        others: suffixes that are allowed beside those of maps.
+        path: path of the file.
+        others: allowed suffixes in addition to those of maps.
 
     Raises:
-        ExportError: it is one.
+        ExportError: no format has this suffix.
     """
     known = (*FORMATS, *others)
     if path.suffix not in known:
-        raise ExportError(f"{path.name}: no format has such a name; known: {' '.join(known)}")
+        raise ExportError(f"{path.name}: unknown format; known suffixes: {' '.join(known)}")
 
 
 def make_files(
     sonar_map: SonarMap, path: Path, origin: Origin | None, calibration: Calibration | None = None
 ) -> MapOutput:
-    """Write a map, with the heights of its settings.
+    """Write a map within the heights of its settings.
 
     Raises:
-        ExportError: as `write_map`, and MapError.
+        ExportError, MapError: as `write_map`.
     """
     heights = sonar_map.config.export
     window = Heights(heights.min_z, heights.max_z)
@@ -69,8 +69,8 @@ def make_files(
     return MapOutput({str(file): file.stat().st_size for file in files}, crs_of(path, origin))
 
 
-def origin_among(asked: Origin | None, said: Origin | None, config: Config) -> Origin | None:
-    """The origin that was asked for, else the map's own, else that of the settings."""
+def origin_among(asked: Origin | None, own: Origin | None, config: Config) -> Origin | None:
+    """Return the requested origin, or the map's own, or that of the settings."""
     geo = config.odometry.origin
     of_settings = None if geo is None else Origin.of_degrees(geo.latitude, geo.longitude)
-    return asked or said or of_settings
+    return asked or own or of_settings

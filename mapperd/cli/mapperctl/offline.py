@@ -1,4 +1,4 @@
-"""The commands of `mapperctl` that make files without a daemon."""
+"""Commands of `mapperctl` that write files without a daemon."""
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping
@@ -30,18 +30,18 @@ def convert(
     *,
     calibration: Calibration | None = None,
 ) -> Iterator[str]:
-    """Read a map and write it; yields what there is to say.
+    """Convert a map file; yield the lines to print.
 
     Args:
-        source: as `map_in` takes it.
-        path: of the new file; its suffix says the format.
+        source: as in `map_in`.
+        path: new file; its suffix selects the format.
         config: thresholds and heights.
-        values: settings above these.
-        origin: where the map's zero lies on Earth, whatever the file says.
-        calibration: of the probabilities; None leaves them as they are.
+        values: settings that override `config`.
+        origin: geographic position of the map's origin; overrides the file's.
+        calibration: calibration of the probabilities, if any.
 
     Raises:
-        MapperdError: what is wrong with the map, the settings or the new file.
+        MapperdError: the map, the settings or the new file are invalid.
     """
     check_suffix(path)
     check_calibration(path, calibration)
@@ -53,19 +53,19 @@ def convert(
     yield from make_files(found.map, path, place, calibration).lines()
 
 
-def run(said: argparse.Namespace, config: Config) -> Iterator[str]:
-    """Do a command; yields what there is to print, as it comes.
+def run(args: argparse.Namespace, config: Config) -> Iterator[str]:
+    """Run a command; yield the lines to print.
 
     Args:
-        said: the arguments.
-        config: the settings.
+        args: parsed command line.
+        config: settings.
 
     Raises:
-        CtlError: it is not done.
+        CtlError: the command failed.
         ConfigError: the settings do not allow it.
     """
     try:
-        for line in _COMMANDS[said.command](said, config):
+        for line in _COMMANDS[args.command](args, config):
             yield plain(line)
     except ExportError as error:
         raise CtlError(str(error), Exit.CANNOT_WRITE) from error
@@ -75,42 +75,40 @@ def run(said: argparse.Namespace, config: Config) -> Iterator[str]:
         raise CtlError(str(error), Exit.USAGE) from error
 
 
-def _convert(said: argparse.Namespace, config: Config) -> Iterator[str]:
-    curve = None if said.calibration is None else load_calibration(said.calibration)
-    values = _values(said, config)
-    return convert(said.source, said.file, config, values, _origin(said), calibration=curve)
+def _convert(args: argparse.Namespace, config: Config) -> Iterator[str]:
+    curve = None if args.calibration is None else load_calibration(args.calibration)
+    values = _values(args, config)
+    return convert(args.source, args.file, config, values, _origin(args), calibration=curve)
 
 
-def _bag(said: argparse.Namespace, config: Config) -> Iterator[str]:
-    if said.as_recorded and (said.pose or said.config or said.min_probability):
-        raise CtlError(
-            "--as-recorded leaves no room for --config, --pose and --min-probability", Exit.USAGE
-        )
-    values = _values(said, config)
-    if holds_map(said.source):
-        return bag_of_map(said.source, said.bag, config, values, said.storage)
+def _bag(args: argparse.Namespace, config: Config) -> Iterator[str]:
+    if args.as_recorded and (args.pose or args.config or args.min_probability):
+        raise CtlError("--as-recorded excludes --config, --pose and --min-probability", Exit.USAGE)
+    values = _values(args, config)
+    if holds_map(args.source):
+        return bag_of_map(args.source, args.bag, config, values, args.storage)
     return bag_of_recordings(
-        said.source,
-        said.bag,
-        None if said.as_recorded else config,
+        args.source,
+        args.bag,
+        None if args.as_recorded else config,
         values,
-        pose=None if said.pose is None else pose_from_rpy(said.pose[:3], said.pose[3:]),
-        every_s=said.every,
-        storage=said.storage,
+        pose=None if args.pose is None else pose_from_rpy(args.pose[:3], args.pose[3:]),
+        every_s=args.every,
+        storage=args.storage,
     )
 
 
-def _values(said: argparse.Namespace, config: Config) -> dict[str, Any]:
-    """Settings that the arguments stand for."""
-    least = said.min_probability
+def _values(args: argparse.Namespace, config: Config) -> dict[str, Any]:
+    """Settings from the arguments."""
+    least = args.min_probability
     if least is None:
         return {}
     free = min(config.mapping.free_threshold, least)
     return {"mapping.occupied_threshold": least, "mapping.free_threshold": free}
 
 
-def _origin(said: argparse.Namespace) -> Origin | None:
-    return None if said.origin is None else Origin.of_degrees(*said.origin)
+def _origin(args: argparse.Namespace) -> Origin | None:
+    return None if args.origin is None else Origin.of_degrees(*args.origin)
 
 
 _COMMANDS: Mapping[str, Callable[[argparse.Namespace, Config], Iterator[str]]] = MappingProxyType(

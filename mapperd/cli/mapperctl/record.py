@@ -1,4 +1,4 @@
-"""`mapperctl record`: write the map stream to a file until told to stop."""
+"""`mapperctl record`: write the map stream to a file until stopped."""
 
 import argparse
 import asyncio
@@ -20,22 +20,22 @@ from mapperd.foxglove.recording import Recording
 from mapperd.geometry.geodesy import Origin
 from mapperd.wire.framing import StreamError
 
-__all__ = ["run_record", "told_to_stop"]
+__all__ = ["run_record", "stop_requested"]
 
 
-async def told_to_stop() -> None:
-    """Wait for SIGINT or SIGTERM, which do nothing else meanwhile."""
+async def stop_requested() -> None:
+    """Wait for SIGINT or SIGTERM; they have no other effect meanwhile."""
     loop = asyncio.get_running_loop()
-    told = asyncio.Event()
+    stopped = asyncio.Event()
     handled = []
     try:
         for number in (signal.SIGINT, signal.SIGTERM):
             try:
-                loop.add_signal_handler(number, told.set)
+                loop.add_signal_handler(number, stopped.set)
             except (NotImplementedError, RuntimeError, ValueError):  # a thread, or no Unix
                 continue
             handled.append(number)
-        await told.wait()
+        await stopped.wait()
     finally:
         for number in handled:
             loop.remove_signal_handler(number)
@@ -44,43 +44,43 @@ async def told_to_stop() -> None:
 MIB = 1 << 20
 TTY_PERIOD_S = 0.5
 LOG_PERIOD_S = 10.0
-"""Where nobody looks on (a file, a pipe), a line every now and then is enough."""
+"""Period of progress lines where the output is not a terminal."""
 
 MCAP = ".mcap"
 MAP_ALONE: tuple[Want, ...] = ("map",)
 
 
 def run_record(
-    said: argparse.Namespace,
+    args: argparse.Namespace,
     config: Config,
     address: str,
     token: bytes | None,
     tls: ssl.SSLContext | None,
 ) -> Iterator[str]:
-    """Record; yields what became of it.
+    """Record the stream; yield the lines to print.
 
     Args:
-        said: on the command line.
-        config: heights and origin of a map's file; its other settings are the daemon's.
-        address: of the map stream, as `MapClient` takes it.
-        token: that its TCP socket asks for.
-        tls: encrypts TCP.
+        args: parsed command line.
+        config: heights and origin of a map file; its other settings are the daemon's.
+        address: address of the map stream, as in `MapClient`.
+        token: token of the TCP socket.
+        tls: TLS context for TCP.
 
     Raises:
-        CtlError: it cannot be written, or no daemon would have us.
+        CtlError: the file cannot be written, or no daemon accepts the client.
     """
     try:
-        check_suffix(said.file, (MCAP,))
+        check_suffix(args.file, (MCAP,))
         client = MapClient(
             address,
             token=token,
             tls=tls,
-            wants=said.wants if said.file.suffix == MCAP else MAP_ALONE,
-            interest=Interest(level=said.level, radius_m=said.radius),
+            wants=args.wants if args.file.suffix == MCAP else MAP_ALONE,
+            interest=Interest(level=args.level, radius_m=args.radius),
             name="mapperctl record",
         )
-        record = _all if said.file.suffix == MCAP else _map
-        yield from record(said, config, client)
+        record = _all if args.file.suffix == MCAP else _map
+        yield from record(args, config, client)
     except ExportError as error:
         raise CtlError(str(error), Exit.CANNOT_WRITE) from error
     except StreamError as error:
@@ -89,69 +89,69 @@ def run_record(
         raise CtlError(str(error), Exit.USAGE) from error
 
 
-def _all(said: argparse.Namespace, _: Config, client: MapClient) -> Iterator[str]:
-    """All that happens."""
+def _all(args: argparse.Namespace, _: Config, client: MapClient) -> Iterator[str]:
+    """Record everything."""
     began_s = time.monotonic()
-    recording = Recording(client, said.file)
+    recording = Recording(client, args.file)
     try:
-        asyncio.run(_record(said, client, recording))
+        asyncio.run(_record(args, client, recording))
         if not client.link.connects:
             raise _nobody(client)
     except (CtlError, StreamError):
-        if not client.link.connects:  # nothing is in it
-            said.file.unlink()
+        if not client.link.connects:  # the file is empty
+            args.file.unlink()
         raise
     passed_s = time.monotonic() - began_s
-    done = {"path": str(said.file), "bytes": recording.bytes, "messages": recording.messages}
-    text = f"{said.file}: {_time(passed_s)}  {_how_much(recording)}"
-    yield json.dumps(done | {"seconds": passed_s}) if said.json else plain(text)
+    done = {"path": str(args.file), "bytes": recording.bytes, "messages": recording.messages}
+    text = f"{args.file}: {_time(passed_s)}  {_how_much(recording)}"
+    yield json.dumps(done | {"seconds": passed_s}) if args.json else plain(text)
 
 
-def _map(said: argparse.Namespace, config: Config, client: MapClient) -> Iterator[str]:
-    """The map as it is at the end."""
-    asyncio.run(_follow(said, client))
+def _map(args: argparse.Namespace, config: Config, client: MapClient) -> Iterator[str]:
+    """Save the map at the end."""
+    asyncio.run(_follow(args, client))
     mirror = client.mirror
     if mirror is None:
         raise _nobody(client)
     origin_deg = mirror.facts.origin_deg
     own = None if origin_deg is None else Origin.of_degrees(*origin_deg)
-    made = make_files(mirror.to_map(config), said.file, origin_among(None, own, config))
-    yield from [json.dumps(made.plain())] if said.json else map(plain, made.lines())
+    made = make_files(mirror.to_map(config), args.file, origin_among(None, own, config))
+    yield from [json.dumps(made.plain())] if args.json else map(plain, made.lines())
 
 
 def _nobody(client: MapClient) -> CtlError:
     return CtlError(f"{client.link.address}: no daemon answered", Exit.UNAVAILABLE)
 
 
-async def _record(said: argparse.Namespace, client: MapClient, recording: Recording) -> None:
+async def _record(args: argparse.Namespace, client: MapClient, recording: Recording) -> None:
     async with client:
         recording.start()
         try:
-            await _until_told(said, client, recording.wait(), lambda: _how_much(recording))
+            await _until_stopped(args, client, recording.wait(), lambda: _how_much(recording))
         finally:
             await recording.stop()
 
 
-async def _follow(said: argparse.Namespace, client: MapClient) -> None:
+async def _follow(args: argparse.Namespace, client: MapClient) -> None:
     async with client:
-        await _until_told(
-            said, client, _ended(client), lambda: f"{len(client.mirror or ())} blocks"
+        await _until_stopped(
+            args, client, _ended(client), lambda: f"{len(client.mirror or ())} blocks"
         )
 
 
-async def _until_told(
-    said: argparse.Namespace,
+async def _until_stopped(
+    args: argparse.Namespace,
     client: MapClient,
     ended: Coroutine[Any, Any, None],
     how_much: Callable[[], str],
 ) -> None:
-    """Until a signal, the end of the time, or `ended`, whose error is raised."""
+    """Wait for a signal, the end of the duration, or `ended`, whose error is raised."""
     parts = [
         asyncio.create_task(ended),
-        asyncio.create_task(told_to_stop()),
+        asyncio.create_task(stop_requested()),
         asyncio.create_task(_show(client, how_much, sys.stderr)),
     ]
-    done, _ = await asyncio.wait(parts, timeout=said.duration, return_when=asyncio.FIRST_COMPLETED)
+    done, _ = await asyncio.wait(parts, timeout=args.duration, return_when=asyncio.FIRST_COMPLETED)
     for part in parts:
         part.cancel()
     await asyncio.wait(parts)
@@ -165,7 +165,7 @@ async def _ended(client: MapClient) -> None:
 
 
 async def _show(client: MapClient, how_much: Callable[[], str], out: TextIO) -> None:
-    """How it goes, on one line of a terminal, or now and then elsewhere."""
+    """Show the progress, on one line of a terminal or as lines now and then."""
     began_s = time.monotonic()
     tty = out.isatty()
     try:
@@ -181,7 +181,7 @@ async def _show(client: MapClient, how_much: Callable[[], str], out: TextIO) -> 
 
 
 def _write(out: TextIO, text: str) -> None:
-    with contextlib.suppress(OSError):  # nobody can look on: no reason to stop
+    with contextlib.suppress(OSError):  # output closed: not a reason to stop
         out.write(text)
         out.flush()
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from mapperd.cli.mapperctl.arguments import pose_said
+from mapperd.cli.mapperctl.arguments import pose_from_args
 from mapperd.cli.mapperctl.connection import Connection, Target
 from mapperd.cli.mapperctl.errors import CtlError, Exit, plain
 from mapperd.cli.mapperctl.views import event_line, localization_lines, params_lines, status_lines
@@ -25,49 +25,49 @@ HOME_AND_CLEAR = "\x1b[H\x1b[J"
 Lines = Iterator[str]
 
 
-def run(said: argparse.Namespace, target: Target) -> Lines:
+def run(args: argparse.Namespace, target: Target) -> Lines:
     """Do a command; yields what there is to print, as it comes.
 
     Raises:
         CtlError: it is not done.
     """
-    if said.command == "status" and not said.once and (said.json or sys.stdout.isatty()):
-        yield from _watch(said, target)
+    if args.command == "status" and not args.once and (args.json or sys.stdout.isatty()):
+        yield from _watch(args, target)
         return
-    if said.command == "localization" and said.watch:
-        yield from _watch(said, target)
+    if args.command == "localization" and args.watch:
+        yield from _watch(args, target)
         return
-    slow = said.command in SLOW
-    if said.command == "reset" and not said.yes:
+    slow = args.command in SLOW
+    if args.command == "reset" and not args.yes:
         _ask_first(target)
     with Connection(target, PATIENCE_WITH_DISKS_S if slow else PATIENCE_S) as daemon:
-        if said.command == "events":
-            yield from _events(said, daemon)
+        if args.command == "events":
+            yield from _events(args, daemon)
             return
-        result = daemon.ask(said.command, **_arguments(said))
-        yield from [json.dumps(result)] if said.json else _PEOPLE[said.command](said, result)
+        result = daemon.ask(args.command, **_arguments(args))
+        yield from [json.dumps(result)] if args.json else _PEOPLE[args.command](args, result)
 
 
-def _arguments(said: argparse.Namespace) -> dict[str, Any]:
-    if said.command in ("params", "get"):
-        return {"names": said.names}
-    if said.command == "set":
-        return {"changes": dict(said.changes)}
-    if said.command == "initial_pose":
-        return {"pose": pose_said(said)}
-    if said.command == "set_map":
-        return {"name": said.name, "pose": pose_said(said)}
-    if said.command == "localization":
-        return {"particles": said.particles}
-    return {"name": said.name} if said.command == "save" else {}
+def _arguments(args: argparse.Namespace) -> dict[str, Any]:
+    if args.command in ("params", "get"):
+        return {"names": args.names}
+    if args.command == "set":
+        return {"changes": dict(args.changes)}
+    if args.command == "initial_pose":
+        return {"pose": pose_from_args(args)}
+    if args.command == "set_map":
+        return {"name": args.name, "pose": pose_from_args(args)}
+    if args.command == "localization":
+        return {"particles": args.particles}
+    return {"name": args.name} if args.command == "save" else {}
 
 
 def _status(_: argparse.Namespace, result: dict[str, Any]) -> Lines:
     yield from status_lines(result, None)
 
 
-def _params(said: argparse.Namespace, result: dict[str, Any]) -> Lines:
-    yield from params_lines(result, origin=said.origin)
+def _params(args: argparse.Namespace, result: dict[str, Any]) -> Lines:
+    yield from params_lines(result, origin=args.origin)
 
 
 def _get(_: argparse.Namespace, result: dict[str, Any]) -> Lines:
@@ -85,7 +85,7 @@ def _changed(_: argparse.Namespace, result: dict[str, Any]) -> Lines:
 def _saved(_: argparse.Namespace, result: dict[str, Any]) -> Lines:
     yield plain(f"{result.get('path')}: {result.get('bytes')} bytes")
     if "crs" in result:
-        yield plain(f"system of coordinates: {result['crs']}")
+        yield plain(f"coordinate reference system: {result['crs']}")
 
 
 def _reset(_: argparse.Namespace, __: dict[str, Any]) -> Lines:
@@ -112,8 +112,8 @@ def _localization(_: argparse.Namespace, result: dict[str, Any]) -> Lines:
     yield from localization_lines(result)
 
 
-def _begun(said: argparse.Namespace, _: dict[str, Any]) -> Lines:
-    yield _BEGUN[said.command]
+def _begun(args: argparse.Namespace, _: dict[str, Any]) -> Lines:
+    yield _BEGUN[args.command]
 
 
 _BEGUN: Mapping[str, str] = MappingProxyType(
@@ -148,57 +148,57 @@ _PEOPLE: Mapping[str, Callable[[argparse.Namespace, dict[str, Any]], Lines]] = M
 )
 
 
-def _events(said: argparse.Namespace, daemon: Connection) -> Lines:
-    for told in daemon.follow(said.since) if said.follow else _kept(said.since, daemon):
-        if told["missed"]:
+def _events(args: argparse.Namespace, daemon: Connection) -> Lines:
+    for batch in daemon.follow(args.since) if args.follow else _kept(args.since, daemon):
+        if batch["missed"]:
             yield (
-                json.dumps({"missed": told["missed"]})
-                if said.json
-                else f"({told['missed']} events are not kept any more)"
+                json.dumps({"missed": batch["missed"]})
+                if args.json
+                else f"({batch['missed']} events were discarded)"
             )
-        for event in told["events"]:
+        for event in batch["events"]:
             clock = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(event["t_s"]))
-            yield json.dumps(event) if said.json else event_line(event, clock)
+            yield json.dumps(event) if args.json else event_line(event, clock)
 
 
 def _kept(since: int, daemon: Connection) -> Iterator[dict[str, Any]]:
     more = True
     while more:
-        told = daemon.ask("events", since=since)
-        yield told
-        more = told["more"]
-        since = told["events"][-1]["number"] if told["events"] else since
+        batch = daemon.ask("events", since=since)
+        yield batch
+        more = batch["more"]
+        since = batch["events"][-1]["number"] if batch["events"] else since
 
 
-def _watch(said: argparse.Namespace, target: Target) -> Lines:
+def _watch(args: argparse.Namespace, target: Target) -> Lines:
     """Look again and again; a daemon that is restarted is found again."""
     before: dict[str, Any] | None = None
     while True:
         try:
             with Connection(target, PATIENCE_S) as daemon:
                 while True:
-                    status = daemon.ask(said.command, **_arguments(said))
-                    yield json.dumps(status) if said.json else _screen(said, status, before)
+                    status = daemon.ask(args.command, **_arguments(args))
+                    yield json.dumps(status) if args.json else _screen(args, status, before)
                     before = status
-                    time.sleep(said.every)
+                    time.sleep(args.every)
         except CtlError as error:
-            if said.json or before is None or error.code != Exit.UNAVAILABLE:
+            if args.json or before is None or error.code != Exit.UNAVAILABLE:
                 raise
             yield f"{HOME_AND_CLEAR}{error}; looking for it"
-        time.sleep(said.every)
+        time.sleep(args.every)
 
 
-def _screen(said: argparse.Namespace, status: dict[str, Any], before: dict[str, Any] | None) -> str:
+def _screen(args: argparse.Namespace, status: dict[str, Any], before: dict[str, Any] | None) -> str:
     columns, rows = shutil.get_terminal_size()
-    of_status = said.command == "status"
-    told = status_lines(status, before) if of_status else localization_lines(status)
-    lines = [line[:columns] for line in told]
+    of_status = args.command == "status"
+    batch = status_lines(status, before) if of_status else localization_lines(status)
+    lines = [line[:columns] for line in batch]
     return HOME_AND_CLEAR + "\n".join(lines[: max(1, rows - 1)])
 
 
 def _ask_first(target: Target) -> None:
     if not sys.stdin.isatty():
-        raise CtlError("reset empties the map: say --yes", Exit.USAGE)
+        raise CtlError("reset empties the map; confirm with --yes", Exit.USAGE)
     sys.stderr.write(f"Empty the map of {target}? [y/N] ")
     sys.stderr.flush()
     if os.read(sys.stdin.fileno(), 100).strip().lower() not in (b"y", b"yes"):

@@ -68,7 +68,7 @@ def open_page(host: str, port: int) -> "ViserServer":
 
 
 def same_origin(origin: str | None, host: str | None) -> bool:
-    """Whether a connection comes from our own page: no browser lets other pages say so.
+    """Return whether a connection comes from our own page; browsers let no page forge this.
 
     Args:
         origin: header of the request; None where it comes from no browser.
@@ -111,7 +111,7 @@ def _only_from_here() -> Iterator[None]:
 
 
 def _never_shared(*_: object, **__: object) -> None:
-    """Nothing goes to other computers, whoever asks."""
+    """Never share the page with other computers."""
     return
 
 
@@ -119,34 +119,34 @@ REFUSED = ("wrong_token", "needs_token", "no_permission", "not_trusted")
 
 
 def run_view(
-    said: argparse.Namespace, address: str, token: bytes | None, tls: "ssl.SSLContext | None"
+    args: argparse.Namespace, address: str, token: bytes | None, tls: "ssl.SSLContext | None"
 ) -> Iterator[str]:
     """Serve the page; yields where it is, and ends with the command.
 
     Args:
-        said: on the command line.
-        address: of the map stream, as `MapClient` takes it.
-        token: that its TCP socket asks for.
-        tls: encrypts TCP.
+        args: parsed command line.
+        address: address of the map stream, as in `MapClient`.
+        token: token of the TCP socket.
+        tls: TLS context for TCP.
 
     Raises:
         CtlError: the page cannot be served, or the daemon will not have us.
     """
-    server = open_page(said.host, said.port)
+    server = open_page(args.host, args.port)
     try:
-        url = f"http://{_named(said.host)}:{server.get_port()}"
-        if said.open:
+        url = f"http://{_named(args.host)}:{server.get_port()}"
+        if args.open:
             webbrowser.open(url)
-        yield json.dumps({"url": url}) if said.json else f"the map is shown at {url}"
+        yield json.dumps({"url": url}) if args.json else f"the map is shown at {url}"
         client = MapClient(
             address,
             token=token,
             tls=tls,
             wants=VIEW_WANTS,
-            interest=Interest(level=said.level, radius_m=said.radius),
+            interest=Interest(level=args.level, radius_m=args.radius),
             name="mapperctl view",
         )
-        asyncio.run(_follow(server, client, may_change=is_local(said.host) or said.allow_changes))
+        asyncio.run(_follow(server, client, may_change=is_local(args.host) or args.allow_changes))
     except StreamError as error:
         code = Exit.NO_PERMISSION if error.reason in REFUSED else Exit.PROTOCOL
         raise CtlError(str(error), code) from error

@@ -15,11 +15,11 @@ NAME_LETTERS = 10
 
 
 def status_lines(status: Mapping[str, Any], before: Mapping[str, Any] | None) -> Iterator[str]:
-    """A headline, and a line for each part that has something to say.
+    """A headline, and a line for each part that is not empty.
 
     Args:
-        status: as the daemon says it.
-        before: said earlier, for rates; None is nothing.
+        status: status of the daemon.
+        before: earlier status, for rates; None omits them.
     """
     name = " ".join(filter(None, ("mapperd", status.get("version"), status.get("phase"))))
     reason = status.get("reason")
@@ -27,27 +27,27 @@ def status_lines(status: Mapping[str, Any], before: Mapping[str, Any] | None) ->
     yield plain(f"{head}, up {_duration(status.get('uptime_s', 0.0))}{_rate(status, before)}")
     for name, part in status.items():
         if isinstance(part, Mapping):
-            said = ", ".join(_said("", part))
-            if said:
-                yield plain(f"{name:<{NAME_LETTERS}} {said}")
+            text = ", ".join(_described("", part))
+            if text:
+                yield plain(f"{name:<{NAME_LETTERS}} {text}")
 
 
 def event_line(event: Mapping[str, Any], clock: str) -> str:
-    """One event; `clock` is its time for a person."""
+    """A line for an event; `clock` is its time as text."""
     return plain(f"{clock} {event.get('severity', ''):<7} {event.get('text', '')}")
 
 
-def _said(prefix: str, part: Mapping[str, Any]) -> Iterator[str]:
+def _described(prefix: str, part: Mapping[str, Any]) -> Iterator[str]:
     for key, value in part.items():
         name = f"{prefix} {key}".strip()
         if isinstance(value, Mapping):
-            yield from _said(name, value)
+            yield from _described(name, value)
         elif value not in (None, "", []) and value is not False and not _is_table(value):
             yield _with_unit(name, value)
 
 
 def _is_table(value: object) -> bool:
-    """Rows of facts are for programs: they are in `--json`."""
+    """Whether a value is a table, which only `--json` prints."""
     return isinstance(value, list) and isinstance(value[0], Mapping)
 
 
@@ -89,7 +89,7 @@ def _rate(status: Mapping[str, Any], before: Mapping[str, Any] | None) -> str:
         return ""
     passed_s = status.get("uptime_s", 0.0) - before.get("uptime_s", 0.0)
     mapped = _mapped(status) - _mapped(before)
-    if passed_s <= 0 or mapped < 0:  # it was started anew
+    if passed_s <= 0 or mapped < 0:  # the daemon restarted
         return ""
     return f", {mapped / passed_s:.1f} pings/s"
 
@@ -99,31 +99,31 @@ def _mapped(status: Mapping[str, Any]) -> int:
     return int(pings.get("mapped", 0)) if isinstance(pings, Mapping) else 0
 
 
-Said = Mapping[str, Any]
+Values = Mapping[str, Any]
 
 
-def localization_lines(said: Said) -> Iterator[str]:
-    """A headline, and a line each for the pose, how sure it is, the clusters and the transform."""
-    if said.get("mode") == "off":
+def localization_lines(state: Values) -> Iterator[str]:
+    """A headline, and lines for pose, ambiguity, clusters and transform."""
+    if state.get("mode") == "off":
         yield "localization is off: localization.mode"
         return
-    on = said.get("map") or "no map"
-    yield plain(f"{said.get('state')}, mode {said.get('mode')}, {on}")
-    if said.get("pose"):
-        yield plain(f"pose      {_pose(said['pose'])}, of {said['particles']} particles")
-        share = 100 * said["elsewhere"]
-        yield plain(f"elsewhere {share:.1f} % of the weight{_ambiguous(said)}")
-    diagnostics = said.get("diagnostics") or {}
+    on = state.get("map") or "no map"
+    yield plain(f"{state.get('state')}, mode {state.get('mode')}, {on}")
+    if state.get("pose"):
+        yield plain(f"pose      {_pose(state['pose'])}, of {state['particles']} particles")
+        share = 100 * state["elsewhere"]
+        yield plain(f"elsewhere {share:.1f} % of the weight{_ambiguous(state)}")
+    diagnostics = state.get("diagnostics") or {}
     yield plain(f"levels    {diagnostics.get('level')}: {diagnostics.get('text')}")
-    for cluster in said.get("clusters") or ():
+    for cluster in state.get("clusters") or ():
         yield plain(f"cluster   {100 * cluster['mass']:.1f} % at {_pose(cluster)}")
-    if said.get("map_odom"):
-        yield plain(f"map_odom  {_transform(said['map_odom'])}")
-    counts = ", ".join(f"{name} {count}" for name, count in (said.get("counts") or {}).items())
+    if state.get("map_odom"):
+        yield plain(f"map_odom  {_transform(state['map_odom'])}")
+    counts = ", ".join(f"{name} {count}" for name, count in (state.get("counts") or {}).items())
     yield plain(f"scans     {counts or 'none'}")
 
 
-def _pose(pose: Said) -> str:
+def _pose(pose: Values) -> str:
     x_m, y_m, yaw_rad = (math.sqrt(max(pose["covariance"][k][k], 0.0)) for k in range(3))
     return (
         f"x {pose['x_m']:.2f} ± {x_m:.2f} m, y {pose['y_m']:.2f} ± {y_m:.2f} m, "
@@ -131,11 +131,11 @@ def _pose(pose: Said) -> str:
     )
 
 
-def _ambiguous(said: Said) -> str:
-    return ": ambiguous" if said.get("ambiguous") else ""
+def _ambiguous(state: Values) -> str:
+    return ": ambiguous" if state.get("ambiguous") else ""
 
 
-def _transform(transform: Said) -> str:
+def _transform(transform: Values) -> str:
     x_m, y_m, _ = transform["position_m"]
     w, _, _, z = transform["orientation_wxyz"]
     yaw_deg = math.degrees(2 * math.atan2(z, w))
@@ -143,20 +143,20 @@ def _transform(transform: Said) -> str:
 
 
 def params_lines(facts: Mapping[str, Mapping[str, Any]], *, origin: bool) -> Iterator[str]:
-    """One line a setting: name, value, unit, and who said it.
+    """A line for each setting: name, value, unit, and where the value comes from.
 
     Args:
-        facts: of `mapperd.config.changes.facts_of`.
-        origin: tell who said it.
+        facts: from `mapperd.config.changes.facts_of`.
+        origin: include where the value comes from.
     """
     for name, fact in facts.items():
         unit = f" {fact['unit']}" if _is_measure(fact) else ""
-        said = f"  # {plain(fact['origin'])}" if origin else ""
-        yield f"{name} = {json.dumps(fact['value'])}{unit}{said}"
+        source = f"  # {plain(fact['origin'])}" if origin else ""
+        yield f"{name} = {json.dumps(fact['value'])}{unit}{source}"
 
 
 def _is_measure(fact: Mapping[str, Any]) -> bool:
-    """A number with a unit; of a text the unit says what it is, of a ratio its scale."""
+    """Whether a setting is a number with a unit, not a text or a ratio with a scale."""
     default, unit = fact["default"], fact["unit"]
     number = isinstance(default, int | float) and not isinstance(default, bool)
     return number and not unit[:1].isdigit() and unit != ""

@@ -8,17 +8,17 @@ from mapperd.geometry.frames import pose_from_rpy
 
 
 def test_only_the_recording_is_needed() -> None:
-    said = parse_arguments(["--replay", "a.bin"])
-    assert said.replay == (Path("a.bin"),)
-    assert said.out == Path("mapperd-replay")
-    assert (said.config, said.pose, said.integrator, said.duration_s) == (None,) * 4
-    assert said.start_s == 0
+    output = parse_arguments(["--replay", "a.bin"])
+    assert output.replay == (Path("a.bin"),)
+    assert output.out == Path("mapperd-replay")
+    assert (output.config, output.pose, output.integrator, output.duration_s) == (None,) * 4
+    assert output.start_s == 0
 
 
 def test_without_a_recording_it_is_live() -> None:
-    said = parse_arguments(["--duration", "5"])
-    assert (said.replay, said.duration_s) == ((), 5)
-    assert said.out == Path("mapperd-live")
+    output = parse_arguments(["--duration", "5"])
+    assert (output.replay, output.duration_s) == ((), 5)
+    assert output.out == Path("mapperd-live")
 
 
 def test_a_start_is_of_a_recording(capsys: pytest.CaptureFixture[str]) -> None:
@@ -60,9 +60,9 @@ def test_bad_word_is_one_line_and_exit_2(
     with pytest.raises(SystemExit) as caught:
         parse_arguments(["--replay", "a", *words])
     assert caught.value.code == 2
-    said = capsys.readouterr().err
-    assert said.startswith("mapperd: ")
-    assert said.count("\n") == 1
+    output = capsys.readouterr().err
+    assert output.startswith("mapperd: ")
+    assert output.count("\n") == 1
 
 
 def test_help_names_the_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
@@ -73,9 +73,9 @@ def test_help_names_the_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_several_recordings_are_replayed_in_their_order() -> None:
-    said = parse_arguments(["--replay", "b", "a", "--as-recorded", "--out", "x"])
-    assert said.replay == (Path("b"), Path("a"))
-    assert said.as_recorded
+    output = parse_arguments(["--replay", "b", "a", "--as-recorded", "--out", "x"])
+    assert output.replay == (Path("b"), Path("a"))
+    assert output.as_recorded
 
 
 @pytest.mark.parametrize(

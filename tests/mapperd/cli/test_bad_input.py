@@ -52,10 +52,10 @@ def test_file_that_is_no_recording(
     path.write_bytes(content)
     ran = run(path, *pose)
     assert ran.code == Exit.BAD_DATA
-    assert words in ran.said
-    assert ran.said.startswith("mapperd: ")
-    assert str(path) in ran.said
-    assert ran.said.count("\n") == 1, ran.said
+    assert words in ran.output
+    assert ran.output.startswith("mapperd: ")
+    assert str(path) in ran.output
+    assert ran.output.count("\n") == 1, ran.output
 
 
 @pytest.mark.parametrize("pose", [[], [STILL]], ids=["odometry", "pose"])
@@ -69,8 +69,8 @@ def test_path_that_is_no_file(tmp_path: Path, run: Run, pose: list[str]) -> None
     ):
         ran = run(path, *pose)
         assert ran.code == Exit.NO_INPUT
-        assert words in ran.said
-        assert ran.said.count("\n") == 1
+        assert words in ran.output
+        assert ran.output.count("\n") == 1
 
 
 @pytest.mark.usefixtures("no_picture")
@@ -87,17 +87,17 @@ def test_recording_cut_anywhere_maps_every_ping_before_the_cut(
     for size in sorted({*range(0, len(data), 1499), *near_ends, len(data) - 1, len(data)}):
         cut.write_bytes(data[:size])
         ran = run(cut)
-        assert "Traceback" not in ran.said
+        assert "Traceback" not in ran.output
         expected = sum(end <= size for end in ends)
         if expected:
-            assert ran.code == Exit.OK, (size, ran.said)
+            assert ran.code == Exit.OK, (size, ran.output)
             assert ran.summary["pings_mapped"] == expected, size
             assert_finite(ran.out)
         elif size >= first_odometry_end:
-            assert ran.code == Exit.BAD_DATA, (size, ran.said)
+            assert ran.code == Exit.BAD_DATA, (size, ran.output)
         else:
-            assert ran.code in (Exit.BAD_DATA, Exit.USAGE), (size, ran.said)
-            assert ran.said.count("\n") == 1
+            assert ran.code in (Exit.BAD_DATA, Exit.USAGE), (size, ran.output)
+            assert ran.output.count("\n") == 1
 
 
 @pytest.mark.usefixtures("no_picture")
@@ -113,8 +113,8 @@ def test_recording_damaged_anywhere_never_ends_in_a_traceback(
         changed[int(place)] ^= int(rng.integers(1, 256))
         damaged.write_bytes(changed)
         ran = run(damaged)
-        assert ran.code in (Exit.OK, Exit.BAD_DATA, Exit.USAGE), ran.said
-        assert "Traceback" not in ran.said
+        assert ran.code in (Exit.OK, Exit.BAD_DATA, Exit.USAGE), ran.output
+        assert "Traceback" not in ran.output
         if ran.code == Exit.OK:
             assert_finite(ran.out)
 
@@ -190,7 +190,7 @@ def test_bad_odometry_is_counted_and_never_reaches_the_map(
     assert_finite(ran.out)
 
 
-def test_recording_whose_odometry_is_all_bad_says_why(
+def test_recording_whose_odometry_is_all_bad_reports_the_reason(
     tmp_path: Path,
     run: Run,
     write_recording: Write,
@@ -202,7 +202,7 @@ def test_recording_whose_odometry_is_all_bad_says_why(
     write_recording(path, [("odometry", zero, 0.0), ("ping", ping_bytes(1), 0.05)])
     ran = run(path)
     assert ran.code == Exit.BAD_DATA
-    assert "no_odometry 1" in ran.said
+    assert "no_odometry 1" in ran.output
     assert ran.summary["poses"]["odometry_rejected"] == {"zero_quaternion": 1}
 
 
@@ -213,7 +213,7 @@ def test_recording_without_a_ping_names_the_bytes(
     write_recording(path, [("odometry", odometry_bytes(), 0.0), ("ping", b"x" * 1234, 0.1)])
     ran = run(path)
     assert ran.code == Exit.BAD_DATA
-    assert "1234 of 1234 bytes" in ran.said
+    assert "1234 of 1234 bytes" in ran.output
     assert ran.summary["pings_total"] == 0
     assert ran.summary["bytes_rejected"] == 1234
 
@@ -225,7 +225,7 @@ def test_recording_without_odometry_is_refused_without_a_pose(
     write_recording(path, [("ping", ping_bytes(1), 0.0)])
     ran = run(path)
     assert ran.code == Exit.USAGE
-    assert "no odometry" in ran.said
+    assert "no odometry" in ran.output
     assert not ran.out.exists()
     assert run(path, STILL).code == Exit.OK
 
@@ -238,8 +238,8 @@ def test_part_of_a_recording_without_stamps_is_refused(
     path.write_bytes(ping_bytes(1))
     ran = run(path, STILL, *more)
     assert ran.code == Exit.USAGE
-    assert "no time stamps" in ran.said
-    assert ran.said.count("\n") == 1
+    assert "no time stamps" in ran.output
+    assert ran.output.count("\n") == 1
 
 
 @pytest.mark.parametrize(
@@ -262,9 +262,9 @@ def test_bad_settings_are_one_line_and_exit_78(
     config.write_text(text, encoding="utf-8")
     ran = run(recording, STILL, config=config)
     assert ran.code == 78
-    assert words in ran.said
-    assert str(config) in ran.said
-    assert ran.said.count("\n") == 1
+    assert words in ran.output
+    assert str(config) in ran.output
+    assert ran.output.count("\n") == 1
     assert not ran.out.exists()
 
 
@@ -272,7 +272,7 @@ def test_missing_settings_file_is_exit_78(tmp_path: Path, run: Run, ping_bytes: 
     (tmp_path / "raw").write_bytes(ping_bytes(1))
     ran = run(tmp_path / "raw", STILL, config=tmp_path / "none.yaml")
     assert ran.code == Exit.BAD_CONFIG
-    assert ran.said.count("\n") == 1
+    assert ran.output.count("\n") == 1
 
 
 def test_results_that_cannot_be_written_are_exit_73(
@@ -297,7 +297,7 @@ def test_map_beyond_octomap_keeps_its_other_files(
     write_recording(tmp_path / "a", track)
     ran = run(tmp_path / "a")
     assert ran.code == Exit.CANNOT_WRITE
-    assert "map.bt" in ran.said
+    assert "map.bt" in ran.output
     assert ran.summary["pings_mapped"] == 1
     assert_finite(ran.out)
     assert not (ran.out / "map.bt").exists()
@@ -316,12 +316,12 @@ def test_pose_beyond_octomap_is_refused_at_once(
 ) -> None:
     (tmp_path / "raw").write_bytes(ping_bytes(1))
     ran = run(tmp_path / "raw", f"--pose={pose}")
-    assert ran.code == code, ran.said
+    assert ran.code == code, ran.output
     assert ran.out.exists() == (code == Exit.OK)
-    assert ("reach of map.bt" in ran.said) == (code == Exit.USAGE)
+    assert ("reach of map.bt" in ran.output) == (code == Exit.USAGE)
 
 
-def test_part_without_a_ping_says_so(
+def test_part_without_a_ping_is_reported(
     tmp_path: Path, run: Run, write_recording: Write, survey: Survey
 ) -> None:
     write_recording(tmp_path / "a", survey(3))
@@ -341,11 +341,11 @@ def test_recording_without_a_sonar_is_refused_at_once(
     write_recording(tmp_path / "a", [("odometry", odometry_bytes(), 0.1 * k) for k in range(5)])
     ran = run(tmp_path / "a", *pose)
     assert ran.code == Exit.BAD_DATA
-    assert "no sonar data in it" in ran.said
+    assert "no sonar data in it" in ran.output
     assert not ran.out.exists()
 
 
 def test_name_that_is_too_long_is_one_line(tmp_path: Path, run: Run) -> None:
     ran = run(tmp_path / ("a" * 300), STILL)
     assert ran.code == Exit.NO_INPUT
-    assert ran.said.count("\n") == 1
+    assert ran.output.count("\n") == 1

@@ -30,9 +30,9 @@ def test_result_that_cannot_be_written_costs_only_itself(
     (tmp_path / "out" / name / "inside").mkdir(parents=True)
     ran = run(tmp_path / "raw", STILL)
     assert ran.code == Exit.CANNOT_WRITE
-    assert ran.said.count("\n") == 1
+    assert ran.output.count("\n") == 1
     lost = name.removeprefix(".").removesuffix(".partial")
-    assert lost in ran.said
+    assert lost in ran.output
     written = {path.name for path in ran.out.iterdir() if path.is_file()}
     assert written == {"map.bt", "map.ply", "map.png", "summary.json"} - {lost}
 
@@ -48,13 +48,13 @@ def test_picture_in_the_way_that_cannot_be_removed_is_named(
     (tmp_path / "out" / "map.png").mkdir(parents=True)
     ran = run(tmp_path / "raw", STILL)
     assert ran.code == Exit.CANNOT_WRITE
-    assert "map.png: cannot be removed" in ran.said
+    assert "map.png: cannot be removed" in ran.output
     assert (ran.out / "map.bt").exists()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("redirection", "code", "said"),
+    ("redirection", "code", "output"),
     [
         (">&-", Exit.OK, ""),
         ("2>&-", Exit.OK, ""),
@@ -72,7 +72,7 @@ def test_standard_streams_that_take_nothing(
     ping_bytes: PingBytes,
     redirection: str,
     code: int,
-    said: str,
+    output: str,
 ) -> None:
     (tmp_path / "raw").write_bytes(ping_bytes(1))
     words = f"--replay {tmp_path}/raw --out {tmp_path}/out {STILL}"
@@ -84,7 +84,7 @@ def test_standard_streams_that_take_nothing(
         check=False,
         timeout=120,
     )
-    assert done.stderr == said
+    assert done.stderr == output
     assert done.returncode == code
     assert (tmp_path / "out" / "summary.json").exists()
 

@@ -1,4 +1,4 @@
-"""`mapperd doctor`: each layer fails by itself, is named, and says what to do."""
+"""`mapperd doctor`: each failing layer is named with a remedy."""
 
 import json
 import socket
@@ -138,9 +138,10 @@ def test_the_command_watches_real_links(
         finally:
             stop.set()
             sender.join()
-    told = json.loads(capsys.readouterr().out)
-    assert (code, told["failed"]) == (1, ["sonar"])
-    assert {layer["verdict"] for layer in told["links"]["nav"]} == {"ok"}
+    reported = json.loads(capsys.readouterr().out)
+    assert (code, reported["failed"]) == (1, ["sonar"])
+    assert {layer["verdict"] for layer in reported["links"]["nav"]} == {"ok"}
     assert (
-        next(one for one in told["links"]["sonar"] if one["verdict"] == "failed")["name"] == "port"
+        next(one for one in reported["links"]["sonar"] if one["verdict"] == "failed")["name"]
+        == "port"
     )

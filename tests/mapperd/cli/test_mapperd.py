@@ -91,7 +91,7 @@ def test_two_runs_give_one_fingerprint_and_integrators_two(
 
 
 @pytest.mark.usefixtures("no_picture")
-def test_settings_of_an_earlier_version_are_told_once(
+def test_settings_of_an_earlier_version_are_reported_once(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = tmp_path / "old.yaml"
@@ -102,10 +102,10 @@ def test_settings_of_an_earlier_version_are_told_once(
     )
     words = ["--replay", str(recording), "--config", str(config), "--out", str(tmp_path / "out")]
     assert main(words) == Exit.OK
-    told = [line for line in capsys.readouterr().err.splitlines() if str(config) in line]
-    assert len(told) == 1
+    reported = [line for line in capsys.readouterr().err.splitlines() if str(config) in line]
+    assert len(reported) == 1
     for name in ("mapping.error_bound", "mapping.integrator", "behind.policy"):
-        assert name in told[0]
+        assert name in reported[0]
 
 
 def test_window_is_taken_from_the_command_line(
@@ -116,7 +116,7 @@ def test_window_is_taken_from_the_command_line(
     assert summary_in(tmp_path)["pings_total"] == 2
 
 
-def test_pose_on_the_command_line_overrules_odometry_and_says_so(
+def test_pose_on_the_command_line_overrules_odometry_and_is_reported(
     recording: Path, quick_config: Path, tmp_path: Path
 ) -> None:
     words = ["--replay", str(recording), "--config", str(quick_config), "--out", str(tmp_path)]
@@ -176,7 +176,7 @@ def test_broken_matplotlib_costs_the_picture_only(
     assert {path.name for path in out.iterdir()} == {"map.bt", "map.ply", "summary.json"}
 
 
-def test_interrupt_writes_nothing_and_says_so(
+def test_interrupt_writes_nothing_and_is_reported(
     recording: Path,
     quick_config: Path,
     tmp_path: Path,
@@ -277,17 +277,17 @@ class TestRealCapture:
     ) -> None:
         capture = shared_data / "oculus" / "three_pings_8bit.raw"
         assert main(["--replay", str(capture), "--out", str(tmp_path / "out")]) == Exit.USAGE
-        said = capsys.readouterr().err
-        assert "--pose" in said
-        assert said.count("\n") == 1
+        output = capsys.readouterr().err
+        assert "--pose" in output
+        assert output.count("\n") == 1
         assert not (tmp_path / "out").exists()
 
 
 def test_the_journal_knows_an_error_from_a_remark(tmp_path: Path) -> None:
     config = tmp_path / "bad.yaml"
     config.write_text("nope: 1", encoding="utf-8")
-    said = tmp_path / "journal"
-    with said.open("wb") as stream:
+    output = tmp_path / "journal"
+    with output.open("wb") as stream:
         facts = os.fstat(stream.fileno())
         code = subprocess.call(  # noqa: S603
             [sys.executable, "-m", "mapperd", "--config", str(config), "--out", str(tmp_path)],
@@ -295,4 +295,4 @@ def test_the_journal_knows_an_error_from_a_remark(tmp_path: Path) -> None:
             stderr=stream,
         )
     assert code == Exit.BAD_CONFIG
-    assert said.read_text(encoding="utf-8").startswith(f"<3>{config}: $.nope: ")
+    assert output.read_text(encoding="utf-8").startswith(f"<3>{config}: $.nope: ")

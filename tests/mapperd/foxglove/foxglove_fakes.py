@@ -110,7 +110,7 @@ WAY = np.arange(30, dtype=np.float64).reshape(10, 3)
 
 
 class FakeClient:
-    """Has all that a client has; `tell` makes it know something."""
+    """Has all that a client has; `feed` makes it know something."""
 
     def __init__(self) -> None:
         self.mirror: MapMirror | None = MapMirror(FACTS, Interest())
@@ -130,7 +130,7 @@ class FakeClient:
         self.error: Exception | None = None
         self._waiting: asyncio.Queue[ClientChange | None] = asyncio.Queue()
 
-    def tell(self, change: ClientChange | None) -> None:
+    def feed(self, change: ClientChange | None) -> None:
         """None is the end."""
         if isinstance(change, LinkChanged):
             self.link = change.link
@@ -142,7 +142,7 @@ class FakeClient:
             setattr(self, type(change).__name__.lower(), change)
         self._waiting.put_nowait(change)
 
-    def tell_all(self) -> None:
+    def feed_all(self) -> None:
         """One of each."""
         for change in (
             LinkChanged(CONNECTED),
@@ -158,16 +158,16 @@ class FakeClient:
             STATUS,
             EVENT,
         ):
-            self.tell(change)
+            self.feed(change)
 
     def occupy(self, key: tuple[int, int, int], cells: Mapping[int, int], stamp_ns: int) -> None:
         """A block has these cells; without any it is unknown."""
         assert self.mirror is not None
         self.mirror.put(block(key, cells), stamp_ns)
-        self.tell(MapChanged(np.array([key], np.int32), stamp_ns, 0))
+        self.feed(MapChanged(np.array([key], np.int32), stamp_ns, 0))
 
     @property
-    def untold(self) -> int:
+    def unread(self) -> int:
         """Changes that nobody took yet."""
         return self._waiting.qsize()
 

@@ -67,7 +67,7 @@ def _vector(v: Any) -> np.ndarray[Any, Any]:
     return np.array([v.x, v.y, v.z])
 
 
-def test_cells_tell_their_age_and_how_often_they_were_seen() -> None:
+def test_cells_report_their_age_and_how_often_they_were_seen() -> None:
     cells = Cells(
         np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]),
         np.zeros(2, np.float32),
@@ -124,29 +124,29 @@ def test_doubt_is_an_ellipse_of_two_deviations() -> None:
     assert (len(gone.deletions), len(gone.entities)) == (1, 0)
 
 
-def test_only_pieces_of_the_path_that_changed_are_told() -> None:
+def test_only_pieces_of_the_path_that_changed_are_reported() -> None:
     way = np.cumsum(np.ones((3500, 3), np.float32), axis=0)
     drawing = PathDrawing()
 
-    def told(path: Any) -> Any:
+    def changing(path: Any) -> Any:
         update = drawing.update(path, "map", T0)
         return None if update is None else decoded(update)
 
-    first = told(way[:2500])
+    first = changing(way[:2500])
     assert [entity.id for entity in first.entities] == ["path 0", "path 1", "path 2"]
     drawn = np.concatenate([xyz(entity.lines[0]) for entity in first.entities])
     np.testing.assert_array_equal(np.unique(drawn, axis=0), way[:2500])
     ends = [xyz(entity.lines[0])[[0, -1]] for entity in first.entities]
     np.testing.assert_array_equal(ends[0][1], ends[1][0])  # no gap between pieces
-    assert told(way[:2500]) is None
-    assert [entity.id for entity in told(way[:3500]).entities] == ["path 2", "path 3"]
-    shorter = told(way[:1200])
+    assert changing(way[:2500]) is None
+    assert [entity.id for entity in changing(way[:3500]).entities] == ["path 2", "path 3"]
+    shorter = changing(way[:1200])
     assert [deletion.id for deletion in shorter.deletions] == ["path 2", "path 3"]
     assert [entity.id for entity in shorter.entities] == ["path 1"]
     other = way[:1200].copy()
     other[3] += 1
-    assert [entity.id for entity in told(other).entities] == ["path 0", "path 1"]
-    assert [deletion.id for deletion in told(way[:1]).deletions] == ["path 0", "path 1"]
+    assert [entity.id for entity in changing(other).entities] == ["path 0", "path 1"]
+    assert [deletion.id for deletion in changing(way[:1]).deletions] == ["path 0", "path 1"]
 
 
 def test_polar_image_becomes_a_fan_image() -> None:
@@ -202,15 +202,15 @@ def test_another_shape_gets_another_lookup_table() -> None:
         {"x_m": "1", "y_m": 2.0, "yaw_rad": 0.0, "covariance": np.eye(3).tolist()},
     ],
 )
-def test_an_estimate_that_is_none_is_not_drawn(pose: Any) -> None:
+def test_an_estimate_that_is_invalid_is_not_drawn(pose: Any) -> None:
     client = FakeClient()
-    client.tell(msgspec.structs.replace(LOCALIZATION, report={"pose": pose}))
+    client.feed(msgspec.structs.replace(LOCALIZATION, report={"pose": pose}))
     state = StateMessages(client)
     assert state.message("/localization/pose", S) is None
     assert not decoded(state.message("/localization/covariance", S)).entities
 
 
-def test_nothing_is_said_of_what_nobody_knows() -> None:
+def test_nothing_is_reported_of_what_nobody_knows() -> None:
     state = StateMessages(FakeClient())
-    told = {topic for topic in state.topics if state.message(topic, S) is not None}
-    assert told == {"/status", "/settings"}
+    changing = {topic for topic in state.topics if state.message(topic, S) is not None}
+    assert changing == {"/status", "/settings"}

@@ -12,8 +12,8 @@ PAGE = (Path(__file__).resolve().parents[3] / "docs" / "guides" / "foxglove.md")
 
 
 def test_every_channel_is_in_the_table() -> None:
-    told = re.findall(r"^\| `(/[^`]+)` \| `([^`]+)` \|", PAGE, re.MULTILINE)
-    assert told == [(channel.topic, channel.schema_name) for channel in CHANNELS]
+    changing = re.findall(r"^\| `(/[^`]+)` \| `([^`]+)` \|", PAGE, re.MULTILINE)
+    assert changing == [(channel.topic, channel.schema_name) for channel in CHANNELS]
 
 
 def test_commands_of_the_page_are_understood() -> None:

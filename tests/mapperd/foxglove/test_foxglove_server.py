@@ -39,7 +39,7 @@ class Viewer:
         self._socket = socket
         self.channels: dict[str, Any] = {}
         self.texts: list[Any] = []
-        self.said: list[tuple[str, int, bytes]] = []
+        self.messages: list[tuple[str, int, bytes]] = []
         self.times: list[int] = []
         self._topics: dict[int, str] = {}
 
@@ -80,14 +80,14 @@ class Viewer:
     def newest(self, topic: str) -> Any:
         """Decoded by the schema that was advertised."""
         channel = self.channels[topic]
-        data = next(data for name, _, data in reversed(self.said) if name == topic)
+        data = next(data for name, _, data in reversed(self.messages) if name == topic)
         if channel["encoding"] == "json":
             return json.loads(data)
         schema = base64.b64decode(channel["schema"])
         return message_class(schema, channel["schemaName"]).FromString(data)
 
     def count(self, topic: str) -> int:
-        return [name for name, _, _ in self.said].count(topic)
+        return [name for name, _, _ in self.messages].count(topic)
 
     def _take(self, message: str | bytes) -> None:
         if isinstance(message, str):
@@ -97,7 +97,7 @@ class Viewer:
             self.texts.append(text)
         elif message[0] == 1:
             number, time_ns = struct.unpack_from("<IQ", message, 1)
-            self.said.append((self._topics[number], time_ns, message[13:]))
+            self.messages.append((self._topics[number], time_ns, message[13:]))
         elif message[0] == 2:
             self.times.append(struct.unpack_from("<Q", message, 1)[0])
 
@@ -109,7 +109,9 @@ async def viewer(port: int) -> AsyncIterator[Viewer]:
         yield Viewer(socket)
 
 
-def served(told: Callable[[FakeClient, int], Awaitable[None]], *, may_change: bool = True) -> None:
+def served(
+    changing: Callable[[FakeClient, int], Awaitable[None]], *, may_change: bool = True
+) -> None:
     """Serve while something is done."""
 
     async def run() -> None:
@@ -119,7 +121,7 @@ def served(told: Callable[[FakeClient, int], Awaitable[None]], *, may_change: bo
         )
         try:
             await until(lambda: ports)
-            await told(client, ports[0])
+            await changing(client, ports[0])
         finally:
             serving.cancel()
             await asyncio.wait((serving,))
@@ -130,7 +132,7 @@ def served(told: Callable[[FakeClient, int], Awaitable[None]], *, may_change: bo
 
 
 def test_all_channels_are_advertised() -> None:
-    async def told(_: FakeClient, port: int) -> None:
+    async def changing(_: FakeClient, port: int) -> None:
         async with viewer(port) as eye:
             info = await eye.of("serverInfo")
             await eye.hear(lambda: len(eye.channels) == len(CHANNELS))
@@ -138,24 +140,24 @@ def test_all_channels_are_advertised() -> None:
         advertised = {topic: channel["schemaName"] for topic, channel in eye.channels.items()}
         assert advertised == {channel.topic: channel.schema_name for channel in CHANNELS}
 
-    served(told)
+    served(changing)
 
 
 def test_an_older_viewers_protocol_is_refused() -> None:
-    async def told(_: FakeClient, port: int) -> None:
+    async def changing(_: FakeClient, port: int) -> None:
         with pytest.raises(InvalidStatus, match="400"):
             await connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.websocket.v1"])  # type: ignore[list-item]
 
-    served(told)
+    served(changing)
 
 
 def test_a_late_viewer_sees_the_map_as_the_mirror_has_it() -> None:
-    async def told(client: FakeClient, port: int) -> None:
-        client.tell_all()
+    async def changing(client: FakeClient, port: int) -> None:
+        client.feed_all()
         rng = np.random.default_rng(1)
         for x in range(3):
             client.occupy((x, -1, 0), {int(k): 8 for k in rng.integers(0, 512, 60)}, T0 + 9)
-        await until(lambda: not client.untold)
+        await until(lambda: not client.unread)
         async with viewer(port) as eye:
             await eye.watch("/map")
             await eye.hear(lambda: eye.count("/map"))
@@ -169,21 +171,21 @@ def test_a_late_viewer_sees_the_map_as_the_mirror_has_it() -> None:
         assert _sorted(got).tobytes() == _sorted(want).tobytes()
         assert (cloud.frame_id, cloud.timestamp.seconds) == ("map", T0 // S)
 
-    served(told)
+    served(changing)
 
 
-def test_what_does_not_change_is_told_to_every_new_viewer() -> None:
-    async def told(client: FakeClient, port: int) -> None:
-        client.tell_all()
+def test_what_does_not_change_is_reported_to_every_new_viewer() -> None:
+    async def changing(client: FakeClient, port: int) -> None:
+        client.feed_all()
         client.occupy((0, 0, 0), {0: 8}, T0 + 9)
-        await until(lambda: not client.untold)
+        await until(lambda: not client.unread)
         topics = ("/map", "/path", "/fan", "/settings")
         for _ in range(2):
             async with viewer(port) as eye:
                 await eye.watch(*topics)
                 await eye.hear(lambda eye=eye: all(map(eye.count, topics)))  # type: ignore[misc]
 
-    served(told)
+    served(changing)
 
 
 def _sorted(rows: Any) -> Any:
@@ -191,19 +193,19 @@ def _sorted(rows: Any) -> Any:
 
 
 def test_viewers_see_what_they_watch_and_the_daemons_time() -> None:
-    async def told(client: FakeClient, port: int) -> None:
+    async def changing(client: FakeClient, port: int) -> None:
         async with viewer(port) as one, viewer(port) as other:
             await one.watch("/pose", "/tf")
             await other.watch("/status", "/fan", "/path", "/robots", "/log", "/settings")
             await asyncio.gather(one.of("serverInfo"), other.of("serverInfo"))
-            client.tell_all()
+            client.feed_all()
             await one.hear(lambda: one.count("/tf") and one.count("/pose"))
             await other.hear(
-                lambda: {"/fan", "/path", "/robots"} <= {name for name, *_ in other.said}
+                lambda: {"/fan", "/path", "/robots"} <= {name for name, *_ in other.messages}
             )
             await one.hear(lambda: one.times)
         assert one.newest("/pose").pose.position.y == 20.0
-        assert {name for name, *_ in one.said} == {"/pose", "/tf"}
+        assert {name for name, *_ in one.messages} == {"/pose", "/tf"}
         assert T0 <= one.times[-1] < T0 + S
         map_to_base, base_to_sonar = one.newest("/tf").transforms
         assert (map_to_base.parent_frame_id, map_to_base.child_frame_id) == ("map", "base_link")
@@ -211,11 +213,11 @@ def test_viewers_see_what_they_watch_and_the_daemons_time() -> None:
         assert (lever.x, lever.y, lever.z) == pytest.approx((1.0, 0.5, -0.5))
         assert base_to_sonar.child_frame_id == "oculus"
 
-    served(told)
+    served(changing)
 
 
 def test_costly_kinds_are_wanted_only_while_somebody_watches() -> None:
-    async def told(client: FakeClient, port: int) -> None:
+    async def changing(client: FakeClient, port: int) -> None:
         async with viewer(port) as eye:
             await eye.watch("/sonar/fan", "/returns")
             await until(lambda: "image" in client.wants and "returns" in client.wants)
@@ -223,13 +225,13 @@ def test_costly_kinds_are_wanted_only_while_somebody_watches() -> None:
         await until(lambda: "image" not in client.wants)
         assert set(client.wants) == set(server.FIRST_WANTS)
 
-    served(told)
+    served(changing)
 
 
 def test_parameters_go_both_ways() -> None:
-    async def told(client: FakeClient, port: int) -> None:
-        client.tell_all()
-        await until(lambda: not client.untold)
+    async def changing(client: FakeClient, port: int) -> None:
+        client.feed_all()
+        await until(lambda: not client.unread)
         async with viewer(port) as eye:
             await eye.ask("getParameters", parameterNames=[], id="all")
             assert _values(await eye.of("parameterValues", "all")) == {
@@ -249,17 +251,17 @@ def test_parameters_go_both_ways() -> None:
             await eye.ask("getParameters", parameterNames=["filtering.min_range"], id="now")
             await eye.of("parameterValues", "now")
             eye.texts.clear()
-            client.tell(Settings(facts={"filtering.min_range": {"value": 3.5, "dynamic": True}}))
+            client.feed(Settings(facts={"filtering.min_range": {"value": 3.5, "dynamic": True}}))
             update = await eye.of("parameterValues")
             assert _values(update) == {"filtering.min_range": 3.5}
 
-    served(told)
+    served(changing)
 
 
 def test_a_refused_parameter_goes_back_with_a_warning() -> None:
-    async def told(client: FakeClient, port: int) -> None:
-        client.tell_all()
-        await until(lambda: not client.untold)
+    async def changing(client: FakeClient, port: int) -> None:
+        client.feed_all()
+        await until(lambda: not client.unread)
         async with viewer(port) as eye:
             await eye.watch("/log")
             for name, why in (
@@ -277,13 +279,13 @@ def test_a_refused_parameter_goes_back_with_a_warning() -> None:
             assert eye.newest("/log").level == 3
             assert len(client.asked) == 1
 
-    served(told)
+    served(changing)
 
 
 def test_viewers_may_look_and_change_nothing_where_it_is_not_allowed() -> None:
-    async def told(client: FakeClient, port: int) -> None:
-        client.tell_all()
-        await until(lambda: not client.untold)
+    async def changing(client: FakeClient, port: int) -> None:
+        client.feed_all()
+        await until(lambda: not client.unread)
         async with viewer(port) as eye:
             one = [{"name": "filtering.min_range", "value": 2.5}]
             await eye.ask("setParameters", parameters=one, id="set")
@@ -292,47 +294,47 @@ def test_viewers_may_look_and_change_nothing_where_it_is_not_allowed() -> None:
             assert "--allow-changes" in (await eye.of("status"))["message"]
         assert client.asked == []
 
-    served(told, may_change=False)
+    served(changing, may_change=False)
 
 
 def _values(answer: Any) -> dict[str, Any]:
     return {one["name"]: one["value"] for one in answer["parameters"]}
 
 
-def test_a_lost_link_is_said_and_taken_back() -> None:
-    async def told(client: FakeClient, port: int) -> None:
+def test_a_lost_link_is_reported_and_taken_back() -> None:
+    async def changing(client: FakeClient, port: int) -> None:
         async with viewer(port) as eye:
             await eye.of("serverInfo")
-            client.tell(LinkChanged(LinkStatus("waiting", "sub:1", "nobody answers", 0.0)))
+            client.feed(LinkChanged(LinkStatus("waiting", "sub:1", "nobody answers", 0.0)))
             status = await eye.of("status")
             assert status["message"] == "waiting: sub:1 nobody answers"
-            client.tell(LinkChanged(LinkStatus("connected", "sub:1", "", 0.0)))
+            client.feed(LinkChanged(LinkStatus("connected", "sub:1", "", 0.0)))
             removed = await eye.of("removeStatus")
             assert removed["statusIds"] == [status["id"]]
 
-    served(told)
+    served(changing)
 
 
 def test_a_daemons_clock_that_is_set_back_begins_a_session() -> None:
-    async def told(client: FakeClient, port: int) -> None:
-        client.tell_all()
-        await until(lambda: not client.untold)
+    async def changing(client: FakeClient, port: int) -> None:
+        client.feed_all()
+        await until(lambda: not client.unread)
         async with viewer(port) as eye:
             first = (await eye.of("serverInfo"))["sessionId"]
             await eye.watch("/status")
-            client.tell(Status(stamp_ns=S))
+            client.feed(Status(stamp_ns=S))
             assert (await eye.of("serverInfo"))["sessionId"] != first
-            await eye.hear(lambda: any(time_ns == S for _, time_ns, _ in eye.said))
-            client.tell(POSE)
-            client.tell(Status(stamp_ns=T0 + S))
-            await eye.hear(lambda: any(time_ns == T0 + S for _, time_ns, _ in eye.said))
+            await eye.hear(lambda: any(time_ns == S for _, time_ns, _ in eye.messages))
+            client.feed(POSE)
+            client.feed(Status(stamp_ns=T0 + S))
+            await eye.hear(lambda: any(time_ns == T0 + S for _, time_ns, _ in eye.messages))
 
-    served(told)
+    served(changing)
 
 
 def test_a_port_in_use_is_one_clear_error() -> None:
-    async def told(_: FakeClient, port: int) -> None:
+    async def changing(_: FakeClient, port: int) -> None:
         with pytest.raises(LiveError, match=f"127.0.0.1:{port}: cannot listen"):
             await serve(FakeClient(), "127.0.0.1", port)
 
-    served(told)
+    served(changing)

@@ -38,7 +38,7 @@ from tests.mapperd.foxglove.foxglove_fakes import (
 )
 
 
-def recorded(path: Path, told: Callable[[FakeClient, Recording], Awaitable[None]]) -> None:
+def recorded(path: Path, changing: Callable[[FakeClient, Recording], Awaitable[None]]) -> None:
     """Record while something is told."""
 
     async def run() -> None:
@@ -46,30 +46,30 @@ def recorded(path: Path, told: Callable[[FakeClient, Recording], Awaitable[None]
         recording = Recording(client, path)
         recording.start()
         try:
-            await told(client, recording)
+            await changing(client, recording)
         finally:
             await recording.stop()
 
     asyncio.run(run())
 
 
-async def tell_all(client: FakeClient, recording: Recording) -> None:
-    client.tell_all()
+async def feed_all(client: FakeClient, recording: Recording) -> None:
+    client.feed_all()
     client.occupy((0, 0, 0), {0: 8, 1: -8}, T0 + 9)
     before = recording.messages
-    client.tell(STATUS)
-    await until(lambda: recording.messages > before and not client.untold)
+    client.feed(STATUS)
+    await until(lambda: recording.messages > before and not client.unread)
 
 
 def read(path: Path) -> dict[str, list[tuple[Message, Any]]]:
     """Every topic's messages, decoded."""
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
-        said: dict[str, list[tuple[Message, Any]]] = {}
+        messages: dict[str, list[tuple[Message, Any]]] = {}
         for schema, channel, message in reader.iter_messages(log_time_order=False):
             assert schema is not None
-            said.setdefault(channel.topic, []).append((message, decoded(schema, message)))
-    return said
+            messages.setdefault(channel.topic, []).append((message, decoded(schema, message)))
+    return messages
 
 
 def decoded(schema: Schema, message: Message) -> Any:
@@ -98,7 +98,7 @@ def test_every_channel_is_in_the_file_with_its_schema(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(mcap_recorder, "RECORDING", Pace(shortest_s=0.0, share=math.inf))
-    recorded(tmp_path / "a.mcap", tell_all)
+    recorded(tmp_path / "a.mcap", feed_all)
     with (tmp_path / "a.mcap").open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
@@ -111,47 +111,47 @@ def test_every_channel_is_in_the_file_with_its_schema(
     assert sum(name.startswith("foxglove.") for name in schemas.values()) == len(wanted) - 3
 
 
-def test_what_is_told_is_what_is_written(tmp_path: Path) -> None:
-    recorded(tmp_path / "a.mcap", tell_all)
-    said = read(tmp_path / "a.mcap")
-    pose = MessageToDict(said["/pose"][0][1])["pose"]
+def test_what_is_reported_is_what_is_written(tmp_path: Path) -> None:
+    recorded(tmp_path / "a.mcap", feed_all)
+    messages = read(tmp_path / "a.mcap")
+    pose = MessageToDict(messages["/pose"][0][1])["pose"]
     assert pose["position"] == {"x": 10.0, "y": 20.0, "z": -3.0}
-    odometry = said["/odometry"][0][1]
+    odometry = messages["/odometry"][0][1]
     assert odometry.body_frame_id == "base_link"
     assert list(odometry.pose_covariance) == list(range(36))
     assert odometry.linear_velocity.x == pytest.approx(1.5)  # ahead, though north in the map
     assert odometry.linear_velocity.y == pytest.approx(0.0)
-    polar = said["/sonar/polar"][0][1]
+    polar = messages["/sonar/polar"][0][1]
     assert (polar.width, polar.height, polar.encoding, polar.step) == (3, 4, "mono8", 3)
     assert polar.data == PIXELS.tobytes()
     assert polar.frame_id == "oculus"
-    returns = said["/returns"][0][1]
+    returns = messages["/returns"][0][1]
     assert points_of_cloud(returns)["intensity"].tolist() == [7, 200]
     assert points_of_cloud(returns)["z"].tolist() == [3, 6]
     assert (returns.pose.position.x, returns.frame_id) == (9.5, "map")
-    path = said["/path"][-1][1].entities[0].lines[0].points
+    path = messages["/path"][-1][1].entities[0].lines[0].points
     np.testing.assert_array_equal([(p.x, p.y, p.z) for p in path], WAY)
-    logs = [message for _, message in said["/log"]]
+    logs = [message for _, message in messages["/log"]]
     assert [(log.message, log.level) for log in logs[-2:]] == [
         ("2 events were lost", 3),
         ("sonar lost", 3),
     ]
-    assert said["/status"][-1][1]["daemon"] == {"phase": "mapping"}
-    assert said["/status"][-1][1]["connection"]["state"] == "connected"
-    assert said["/settings"][0][1]["filtering.min_range"] == 1.5
-    particles = said["/localization/particles"][0][1].poses
+    assert messages["/status"][-1][1]["daemon"] == {"phase": "mapping"}
+    assert messages["/status"][-1][1]["connection"]["state"] == "connected"
+    assert messages["/settings"][0][1]["filtering.min_range"] == 1.5
+    particles = messages["/localization/particles"][0][1].poses
     assert [(p.position.x, p.position.z) for p in particles] == [(1.0, -3.0), (3.0, -3.0)]
-    assert said["/localization/report"][0][1]["state"] == "localized"
+    assert messages["/localization/report"][0][1]["state"] == "localized"
 
 
 def test_stamps_are_the_daemons_and_logs_go_forward(tmp_path: Path) -> None:
-    async def told(client: FakeClient, recording: Recording) -> None:
-        await tell_all(client, recording)
+    async def changing(client: FakeClient, recording: Recording) -> None:
+        await feed_all(client, recording)
         before = recording.messages
-        client.tell(POSE)  # older than what was told
+        client.feed(POSE)  # older than what was told
         await until(lambda: recording.messages == before + 3)
 
-    recorded(tmp_path / "a.mcap", told)
+    recorded(tmp_path / "a.mcap", changing)
     with (tmp_path / "a.mcap").open("rb") as file:
         messages = list(make_reader(file).iter_messages(log_time_order=False))
     times = [message.log_time for _, _, message in messages]
@@ -168,20 +168,20 @@ def test_changes_after_a_whole_map_give_the_map(
     monkeypatch.setattr(mcap_recorder, "RECORDING", Pace(shortest_s=0.0, share=math.inf))
     rng = np.random.default_rng(3)
 
-    async def told(client: FakeClient, recording: Recording) -> None:
-        await tell_all(client, recording)
+    async def changing(client: FakeClient, recording: Recording) -> None:
+        await feed_all(client, recording)
         for _ in range(150):
             await asyncio.sleep(0)
             x, y = (int(k) for k in rng.integers(-2, 3, 2))
             cells = {int(at): int(v) for at, v in rng.integers(-8, 9, (40, 2)) if at >= 0}
             client.occupy((x, y, 0), cells, T0 + 10)
         before = recording.messages
-        client.tell(POSE)
+        client.feed(POSE)
         await until(lambda: recording.messages > before)
         wanted.update(_of_mirror(client))
 
     wanted: dict[tuple[float, ...], float] = {}
-    recorded(tmp_path / "a.mcap", told)
+    recorded(tmp_path / "a.mcap", changing)
     order: list[tuple[str, Any]] = []
     with (tmp_path / "a.mcap").open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages(log_time_order=False):
@@ -213,12 +213,12 @@ def test_a_file_that_was_never_ended_is_read_up_to_its_last_chunk(
     monkeypatch.setattr(mcap_recorder, "KEEP_S", 0.0)
     whole: list[bytes] = []
 
-    async def told(client: FakeClient, recording: Recording) -> None:
-        await tell_all(client, recording)
+    async def changing(client: FakeClient, recording: Recording) -> None:
+        await feed_all(client, recording)
         await until(lambda: path.stat().st_size == recording.bytes)
         whole.append(path.read_bytes())
 
-    recorded(path, told)
+    recorded(path, changing)
     topics = {channel.topic for channel in CHANNELS}
     assert _salvaged(whole[0], tmp_path) == topics
     assert _salvaged(whole[0] + path.read_bytes()[len(whole[0]) :][:30], tmp_path) == topics
@@ -263,16 +263,16 @@ def test_a_full_disk_is_one_clear_error_and_leaves_whole_chunks(
             finally:
                 self._file = file
 
-    async def told(client: FakeClient, recording: Recording) -> None:
-        await tell_all(client, recording)
+    async def changing(client: FakeClient, recording: Recording) -> None:
+        await feed_all(client, recording)
         await until(lambda: path.stat().st_size == recording.bytes)
         good.append(path.read_bytes())
-        client.tell(POSE)
+        client.feed(POSE)
         await until(lambda: recording.ended)
 
     monkeypatch.setattr(mcap_recorder, "ChunkFile", Full)
     with pytest.raises(ExportError, match=r"a\.mcap: .*No space left"):
-        recorded(path, told)
+        recorded(path, changing)
     assert path.read_bytes() == good[0]
 
 
@@ -292,8 +292,8 @@ class _FullFile:
 
 
 def test_attempts_to_connect_are_logged_once(tmp_path: Path) -> None:
-    async def told(client: FakeClient, recording: Recording) -> None:
-        await tell_all(client, recording)
+    async def changing(client: FakeClient, recording: Recording) -> None:
+        await feed_all(client, recording)
         for state, reason in (
             ("waiting", "nobody answers"),
             ("connecting", ""),
@@ -301,10 +301,10 @@ def test_attempts_to_connect_are_logged_once(tmp_path: Path) -> None:
             ("waiting", "no route"),
             ("connected", ""),
         ):
-            client.tell(LinkChanged(LinkStatus(state, "sub:1", reason, 0.0)))  # type: ignore[arg-type]
-        await until(lambda: not client.untold)
+            client.feed(LinkChanged(LinkStatus(state, "sub:1", reason, 0.0)))  # type: ignore[arg-type]
+        await until(lambda: not client.unread)
 
-    recorded(tmp_path / "a.mcap", told)
+    recorded(tmp_path / "a.mcap", changing)
     texts = [log.message for _, log in read(tmp_path / "a.mcap")["/log"]]
     assert texts[-3:] == [
         "waiting: sub:1 nobody answers",
@@ -313,18 +313,18 @@ def test_attempts_to_connect_are_logged_once(tmp_path: Path) -> None:
     ]
 
 
-def test_another_map_is_told_as_one_that_is_empty(tmp_path: Path) -> None:
-    async def told(client: FakeClient, recording: Recording) -> None:
-        await tell_all(client, recording)
+def test_another_map_is_reported_as_one_that_is_empty(tmp_path: Path) -> None:
+    async def changing(client: FakeClient, recording: Recording) -> None:
+        await feed_all(client, recording)
         assert client.mirror is not None
         client.mirror.forget()
         before = recording.messages
-        client.tell(MapReset(FACTS))
+        client.feed(MapReset(FACTS))
         await until(lambda: recording.messages > before)
         client.occupy((4, 4, 4), {0: 8, 1: 8}, T0 + 11)
-        await until(lambda: not client.untold)
+        await until(lambda: not client.unread)
 
-    recorded(tmp_path / "a.mcap", told)
+    recorded(tmp_path / "a.mcap", changing)
     clouds = [cloud for _, cloud in read(tmp_path / "a.mcap")["/map"]]
     assert [len(points_of_cloud(cloud)) for cloud in clouds] == [1, 0, 2]
 
@@ -341,14 +341,14 @@ def test_a_file_that_is_there_is_left_alone(tmp_path: Path) -> None:
     assert path.read_bytes() == b"mine"
 
 
-def test_it_ends_with_the_client_and_says_why(tmp_path: Path) -> None:
+def test_it_ends_with_the_client_and_reports_the_reason(tmp_path: Path) -> None:
     async def run() -> None:
         client = FakeClient()
         client.error = StreamError("no such token", "wrong_token")
         recording = Recording(client, tmp_path / "a.mcap")
         recording.start()
-        client.tell_all()
-        client.tell(None)
+        client.feed_all()
+        client.feed(None)
         with pytest.raises(StreamError, match="no such token"):
             await recording.wait()
         assert recording.ended

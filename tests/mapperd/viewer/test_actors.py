@@ -35,7 +35,7 @@ def way(length: int, x: float) -> NDArray[np.float64]:
     return np.column_stack([np.full(length, x), np.arange(length), np.zeros(length)])
 
 
-def test_a_path_that_begins_anew_leaves_nothing_of_the_one_before(server: "ViserServer") -> None:
+def test_a_path_that_starts_again_leaves_nothing_of_the_one_before(server: "ViserServer") -> None:
     actors = Actors(server.scene)
     actors.take(Path(first=0, points=b""), way(3 * PATH_PIECE, 1.0), 0.0)
     longer = way(4 * PATH_PIECE, 2.0)
@@ -72,12 +72,12 @@ def test_an_ellipse_goes_with_the_covariance(server: "ViserServer") -> None:
     actors.pose(sure)
 
 
-def test_what_moves_is_moved_and_not_made_anew(server: "ViserServer") -> None:
+def test_what_moves_is_moved_and_not_made_again(server: "ViserServer") -> None:
     actors = Actors(server.scene)
     names = ["localization/pose", "localization/particles", "localization/scan", "sonar/fan"]
     names += ["returns/last", "robots/0", "robots/0_label", "path/0"]
 
-    def tell(step: int) -> dict[str, Any]:
+    def feed(step: int) -> dict[str, Any]:
         pose = pose_at(step, 2, -4, 0.0)
         plane = tuple((np.eye(6) * (1 + step)).ravel().tolist())
         actors.pose(msgspec.structs.replace(pose, covariance=plane))
@@ -102,7 +102,7 @@ def test_what_moves_is_moved_and_not_made_anew(server: "ViserServer") -> None:
         actors.path(way(5 + step, 1.0), 5)
         return {name: server.scene.get_handle_by_name(f"/{name}") for name in names}
 
-    first, second = tell(0), tell(1)
+    first, second = feed(0), feed(1)
     for name in names:
         assert first[name] is second[name], name
     np.testing.assert_array_equal(second["localization/pose"].position, (1, 2, -4))

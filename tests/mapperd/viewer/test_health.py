@@ -13,7 +13,7 @@ def linked(state: str, reason: str = "", connects: int = 1) -> Health:
     return Health(LinkStatus(state, "10.0.0.2:52300", reason, 100.0, connects))  # type: ignore[arg-type]
 
 
-def test_a_rate_is_of_the_last_seconds_and_begins_anew_with_the_daemon() -> None:
+def test_a_rate_is_of_the_last_seconds_and_starts_again_with_the_daemon() -> None:
     rate = Rate()
     assert rate.per_s is None
     for second in range(10):
@@ -25,7 +25,7 @@ def test_a_rate_is_of_the_last_seconds_and_begins_anew_with_the_daemon() -> None
     assert rate.per_s == pytest.approx(5.0)
 
 
-def test_a_lost_link_is_said_in_big_letters_and_for_how_long() -> None:
+def test_a_lost_link_is_reported_in_big_letters_and_for_how_long() -> None:
     health = linked("waiting", "connection refused")
     text = banner_html(health, 175.0)
     assert "LINK LOST 1:15" in text
@@ -56,7 +56,7 @@ def test_rates_drops_and_latencies_are_shown() -> None:
         health.kilobytes.add(float(second), 55.5 * second)
     health.pose_ns = 10 * SECOND
     text = health_html(health, 102.0, 14 * SECOND)
-    for said in (
+    for message in (
         "CONNECTED",
         "mapping",
         "12.0 /s",
@@ -65,7 +65,7 @@ def test_rates_drops_and_latencies_are_shown() -> None:
         "no_odometry 3",
         "4.0 s",
     ):
-        assert said in text
+        assert message in text
     assert ">42<" in text
     assert ">9<" in text
     assert "too_slow" not in text

@@ -176,7 +176,7 @@ def test_a_setting_arrives_at_the_daemon_and_a_refusal_is_shown(
     press(page, "View", "tab")
 
 
-def test_a_lost_link_is_said_and_found_again(serving: Serving, page: "Page") -> None:
+def test_a_lost_link_is_reported_and_found_again(serving: Serving, page: "Page") -> None:
     serving.do(lambda: serving.client.lose("connection refused"))
     banner = page.locator("[data-banner]")
     banner.wait_for(state="attached")
@@ -203,13 +203,13 @@ def test_a_screenshot_is_a_png(page: "Page", tmp_path: Path) -> None:
 
 def test_cameras_follow_the_vehicle_and_two_clicks_measure(serving: Serving, page: "Page") -> None:
     (client,) = serving.server.get_clients().values()
-    serving.do(lambda: serving.client.tell(pose_at(0, 0, -4, 0.0)))
+    serving.do(lambda: serving.client.feed(pose_at(0, 0, -4, 0.0)))
     serving.until(lambda: serving.view._pose is not None, page)
     press(page, "follow")
     behind = np.array([-7.0, -4.0, 1.0])
     serving.until(lambda: np.allclose(client.camera.position, behind, atol=0.05), page)
     time.sleep(0.11)  # poses are drawn ten times a second
-    serving.do(lambda: serving.client.tell(pose_at(2, 1, -4, 0.5)))
+    serving.do(lambda: serving.client.feed(pose_at(2, 1, -4, 0.5)))
     serving.until(
         lambda: np.allclose(client.camera.position, np.add(behind, (2, 1, 0)), atol=0.05), page
     )

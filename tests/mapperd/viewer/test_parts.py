@@ -78,7 +78,7 @@ def test_a_ray_picks_the_first_cell_that_it_meets() -> None:
     assert pick([], (0, 0, 0), (1, 0, 0)) is None
 
 
-def test_two_points_are_a_distance_and_a_third_begins_anew() -> None:
+def test_two_points_are_a_distance_and_a_third_starts_again() -> None:
     assert distance_text((1, 1, 1), (4, 5, 1)) == "5.00 m   dx +3.00  dy +4.00  dz +0.00"
     measuring = Measuring()
     assert "pick the other" in measuring.add(np.zeros(3))

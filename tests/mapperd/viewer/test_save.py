@@ -71,8 +71,8 @@ def test_two_presses_make_a_recording(tmp_path: Path) -> None:
     async def press(keep: SaveControls, notes: Notes, client: Any) -> None:
         await keep._record(cast("Any", notes))
         await asyncio.sleep(0)
-        client.tell_all()
-        await fakes.until(lambda: not client.untold)
+        client.feed_all()
+        await fakes.until(lambda: not client.unread)
         await keep.update()
         assert keep._button.label.startswith("Stop recording (")
         await keep._record(cast("Any", notes))
@@ -104,7 +104,7 @@ def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_recording_that_ends_by_itself_is_said(tmp_path: Path) -> None:
+def test_a_recording_that_ends_by_itself_is_reported(tmp_path: Path) -> None:
     async def press(keep: SaveControls, notes: Notes, _: Any) -> None:
         await keep._record(cast("Any", notes))
         running = cast("Any", keep._running)
@@ -136,8 +136,8 @@ class NoView:
 
 def test_the_command_s_page_can_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(view, "View", NoView)
-    said = argparse.Namespace(
+    message = argparse.Namespace(
         host="127.0.0.1", port=0, open=False, json=True, level=0, radius=0.0, allow_changes=False
     )
-    list(view.run_view(said, str(tmp_path / "none.sock"), None, None))
+    list(view.run_view(message, str(tmp_path / "none.sock"), None, None))
     assert NoView.made == [Recording]

@@ -67,8 +67,8 @@ def test_the_command_prints_the_address_and_opens_it(
     pytest.importorskip("viser", reason="the extra `topside` is not installed")
     opened: list[str] = []
     monkeypatch.setattr(webbrowser, "open", opened.append)
-    said = parser().parse_args(["view", "--port", "0", "--open"])
-    lines = run_view(said, str(tmp_path / "map.sock"), None, None)
+    message = parser().parse_args(["view", "--port", "0", "--open"])
+    lines = run_view(message, str(tmp_path / "map.sock"), None, None)
     url = next(lines).rpartition(" ")[2]
     assert url.startswith("http://127.0.0.1:")
     lines.close()  # type: ignore[attr-defined]

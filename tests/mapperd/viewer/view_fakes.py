@@ -75,7 +75,7 @@ class FakeClient:
         while (change := await self._queue.get()) is not None:
             yield change
 
-    def tell(self, change: ClientChange | None) -> None:
+    def feed(self, change: ClientChange | None) -> None:
         self._queue.put_nowait(change)
 
     def connect(self, *, facts: MapFacts = FACTS) -> None:
@@ -91,10 +91,10 @@ class FakeClient:
             resumed=False,
             may_change=True,
         )
-        self.tell(MapReset(facts))
+        self.feed(MapReset(facts))
         self.mirror.put(self._blocks, time.time_ns())
-        self.tell(MapChanged(self._blocks.keys, time.time_ns(), 0))
-        self.tell(Settings(facts=facts_of(Config(), lambda _: "default", [])))
+        self.feed(MapChanged(self._blocks.keys, time.time_ns(), 0))
+        self.feed(Settings(facts=facts_of(Config(), lambda _: "default", [])))
 
     def lose(self, reason: str) -> None:
         self._be("waiting", reason)
@@ -102,7 +102,7 @@ class FakeClient:
     def _be(self, state: Any, reason: str) -> None:
         connects = self.link.connects + (state == "connected")
         self.link = LinkStatus(state, self.link.address, reason, time.monotonic(), connects)
-        self.tell(LinkChanged(self.link))
+        self.feed(LinkChanged(self.link))
 
     async def set(self, changes: Mapping[str, Any]) -> dict[str, Any]:
         if self.refuses.keys() & changes.keys():

@@ -28,7 +28,7 @@ from tests.support.mapperctl import Call
 IMAGE, ODOMETRY, CLOUD = "/sensor/sonar/oculus/m750d/image", "/fast_lio/odometry", "/sonar_3d_map"
 HEADING_DEG = 30.0
 VARIANCES = (0.01, 0.02, 0.03, 0.004, 0.005, 0.006)
-Told = dict[str, list[tuple[int, Any]]]
+Messages = dict[str, list[tuple[int, Any]]]
 
 
 def upper(diagonal: tuple[float, ...]) -> tuple[float, ...]:
@@ -69,13 +69,15 @@ def in_folder(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(recording.parent)
 
 
-def read(bag: Path) -> Told:
-    """What a bag tells, by topic: log time and message."""
-    told: Told = defaultdict(list)
+def read(bag: Path) -> Messages:
+    """Log time and message of each message in a bag, by topic."""
+    reported: Messages = defaultdict(list)
     with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
         for connection, stamp_ns, data in reader.messages():
-            told[connection.topic].append((stamp_ns, reader.deserialize(data, connection.msgtype)))
-    return told
+            reported[connection.topic].append(
+                (stamp_ns, reader.deserialize(data, connection.msgtype))
+            )
+    return reported
 
 
 def pings_in(recording: Path) -> list[Ping]:
@@ -103,7 +105,7 @@ def matrix(position: Any, rotation: Any) -> np.ndarray:
 
 
 def points_of(cloud: Any) -> np.ndarray:
-    """Of a PointCloud2, by what its fields say."""
+    """Of a PointCloud2, by its fields."""
     kinds = {7: "<f4", 4: "<u2"}
     dtype = np.dtype(
         {
@@ -137,9 +139,9 @@ def test_images_are_those_of_the_recording(
         {"mcap": ".mcap", "sqlite3": ".db3"}[storage]
     ]
     assert f"{IMAGE}: 5 messages" in lines
-    pings, told = pings_in(recording), read(bag)[IMAGE]
-    assert len(pings) == len(told) == 5
-    for ping, (logged_ns, image) in zip(pings, told, strict=True):
+    pings, reported = pings_in(recording), read(bag)[IMAGE]
+    assert len(pings) == len(reported) == 5
+    for ping, (logged_ns, image) in zip(pings, reported, strict=True):
         assert (image.height, image.width, image.step) == (ROWS, BEAMS, BEAMS)
         assert (image.encoding, image.is_bigendian) == ("mono8", 0)
         assert image.data.tobytes() == ping.image.tobytes()
@@ -152,10 +154,10 @@ def test_images_are_those_of_the_recording(
 
 def test_odometry_is_in_the_axes_of_ros(tmp_path: Path, call: Call, recording: Path) -> None:
     call("bag", recording, tmp_path / "bag")
-    told = read(tmp_path / "bag")
+    reported = read(tmp_path / "bag")
     yaw = math.radians(90 - HEADING_DEG)
-    assert [stamp for stamp, _ in told[ODOMETRY]] == [stamp for stamp, _ in told[IMAGE]]
-    for stamp_ns, message in told[ODOMETRY]:
+    assert [stamp for stamp, _ in reported[ODOMETRY]] == [stamp for stamp, _ in reported[IMAGE]]
+    for stamp_ns, message in reported[ODOMETRY]:
         assert (message.header.frame_id, message.child_frame_id) == ("odom", "base_link")
         pose, twist = message.pose.pose, message.twist.twist
         way_m = 0.5 * (stamp_ns - START_NS) / 1e9
@@ -194,8 +196,8 @@ def test_transforms_lead_from_the_map_to_the_sonar(
         encoding="utf-8",
     )
     call("bag", recording, tmp_path / "bag", "--config", settings)
-    told = read(tmp_path / "bag")
-    ((_, static),) = told["/tf_static"]
+    reported = read(tmp_path / "bag")
+    ((_, static),) = reported["/tf_static"]
     (sits,) = static.transforms
     assert (sits.header.frame_id, sits.child_frame_id) == ("base_link", "eye")
     position = {"x": 0.3, "y": 0.1, "z": -0.2}
@@ -203,7 +205,7 @@ def test_transforms_lead_from_the_map_to_the_sonar(
     assert np.abs(
         matrix(sits.transform.translation, sits.transform.rotation) - mounting(set_so)
     ).max() == pytest.approx(0.0, abs=1e-12)
-    for (_, frames), (_, odometry) in zip(told["/tf"], told[ODOMETRY], strict=True):
+    for (_, frames), (_, odometry) in zip(reported["/tf"], reported[ODOMETRY], strict=True):
         base, odom = frames.transforms
         assert (base.header.frame_id, base.child_frame_id) == ("odom", "base_link")
         assert (odom.header.frame_id, odom.child_frame_id) == ("world", "odom")
@@ -226,10 +228,10 @@ def _mounting(position: dict[str, float], angles: dict[str, float]) -> dict[str,
 @pytest.mark.usefixtures("no_picture")
 def test_map_is_that_of_an_ordinary_replay(tmp_path: Path, call: Call, recording: Path) -> None:
     call("bag", recording, tmp_path / "bag")
-    told = read(tmp_path / "bag")
+    reported = read(tmp_path / "bag")
     sonar_map = mapped(recording, tmp_path / "out")
-    ((cloud_ns, cloud),), ((_, grid),) = told[CLOUD], told["/map"]
-    assert cloud_ns == told[IMAGE][-1][0]
+    ((cloud_ns, cloud),), ((_, grid),) = reported[CLOUD], reported["/map"]
+    assert cloud_ns == reported[IMAGE][-1][0]
     points = points_of(cloud)
     found = np.stack([points["x"], points["y"], points["z"]], axis=1)
     expected = sonar_map.voxels("occupied").centres_m.astype(np.float32)
@@ -253,7 +255,7 @@ def test_map_is_that_of_an_ordinary_replay(tmp_path: Path, call: Call, recording
     assert seen == classes
 
 
-def test_cloud_is_told_again_and_again(tmp_path: Path, call: Call, recording: Path) -> None:
+def test_cloud_is_sent_again_and_again(tmp_path: Path, call: Call, recording: Path) -> None:
     call("bag", recording, tmp_path / "bag", "--every", "0.15")
     clouds = read(tmp_path / "bag")[CLOUD]
     assert len(clouds) == 3  # of the third ping, the fifth, and the end
@@ -271,7 +273,7 @@ def test_maps_and_fixed_frames_are_kept_for_those_who_come_late(
             connection.topic: connection.ext.offered_qos_profiles[0].durability  # type: ignore[union-attr]
             for connection in reader.connections
         }
-    late = {topic for topic, said in kept.items() if said is QosDurability.TRANSIENT_LOCAL}
+    late = {topic for topic, output in kept.items() if output is QosDurability.TRANSIENT_LOCAL}
     assert late == {"/tf_static", CLOUD, "/map"}
 
 
@@ -280,8 +282,8 @@ def test_ping_without_a_pose_has_its_image_all_the_same(
 ) -> None:
     write_recording(tmp_path / "a.mcap", [*dive(2), ("ping", make_ping(9), 60.0)])
     call("bag", tmp_path / "a.mcap", tmp_path / "bag")
-    told = read(tmp_path / "bag")
-    assert (len(told[IMAGE]), len(told[ODOMETRY]), len(told["/tf"])) == (3, 2, 2)
+    reported = read(tmp_path / "bag")
+    assert (len(reported[IMAGE]), len(reported[ODOMETRY]), len(reported["/tf"])) == (3, 2, 2)
 
 
 def test_samples_of_two_bytes_are_kept(
@@ -290,12 +292,12 @@ def test_samples_of_two_bytes_are_kept(
     image = np.arange(ROWS * BEAMS, dtype=np.uint16).reshape(ROWS, BEAMS)
     write_recording(tmp_path / "a.mcap", [("ping", make_ping(1, image=image), 0.0)])
     call("bag", tmp_path / "a.mcap", tmp_path / "bag", "--pose", "0,0,0,0,0,0")
-    ((_, told),) = read(tmp_path / "bag")[IMAGE]
-    assert (told.encoding, told.step, told.is_bigendian) == ("mono16", 2 * BEAMS, 0)
-    assert (told.data.view("<u2").reshape(ROWS, BEAMS) == image).all()
+    ((_, reported),) = read(tmp_path / "bag")[IMAGE]
+    assert (reported.encoding, reported.step, reported.is_bigendian) == ("mono16", 2 * BEAMS, 0)
+    assert (reported.data.view("<u2").reshape(ROWS, BEAMS) == image).all()
 
 
-def test_pings_without_a_time_are_said(tmp_path: Path, call: Call) -> None:
+def test_pings_without_a_time_are_reported(tmp_path: Path, call: Call) -> None:
     (tmp_path / "raw.oculus").write_bytes(make_ping(1) + make_ping(2) + make_ping(3))
     lines = call("bag", tmp_path / "raw.oculus", tmp_path / "bag", "--pose", "0,0,0,0,0,0")[1]
     assert re.match(r"3 pings\b", lines[-1])
@@ -303,9 +305,9 @@ def test_pings_without_a_time_are_said(tmp_path: Path, call: Call) -> None:
 
 def test_bag_that_is_there_is_left_alone(tmp_path: Path, call: Call, recording: Path) -> None:
     (tmp_path / "bag").mkdir()
-    code, _, said = call("bag", recording, tmp_path / "bag")
+    code, _, output = call("bag", recording, tmp_path / "bag")
     assert (code, list((tmp_path / "bag").iterdir())) == (73, [])
-    assert "is there already" in said
+    assert "is there already" in output
 
 
 @pytest.mark.parametrize(
@@ -323,34 +325,34 @@ def test_bag_of_what_fails_is_not_there(
         raise error
 
     monkeypatch.setattr("rosbags.rosbag2.Writer.write", full)
-    code, _, said = call("bag", recording, tmp_path / "bag")
+    code, _, output = call("bag", recording, tmp_path / "bag")
     assert code == 73
-    assert said.rstrip().endswith(str(error.args[-1]))
+    assert output.rstrip().endswith(str(error.args[-1]))
     assert [path.name for path in tmp_path.iterdir()] == ["dive.mcap"]
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "told"),
+    ("words", "code", "reported"),
     [
         (["nowhere.mcap", "bag"], 2, "nowhere.mcap"),
         (["dive.mcap", "bag", "--as-recorded"], 2, "how it was mapped"),
-        (["dive.mcap", "bag", "--as-recorded", "--pose", "0,0,0,0,0,0"], 2, "leaves no room"),
+        (["dive.mcap", "bag", "--as-recorded", "--pose", "0,0,0,0,0,0"], 2, "--as-recorded"),
         (["dive.mcap", "missing/bag"], 73, "No such file"),
     ],
 )
 @pytest.mark.usefixtures("in_folder")
 def test_what_cannot_be_done_is_one_line(
-    recording: Path, call: Call, words: list[str], code: int, told: str
+    recording: Path, call: Call, words: list[str], code: int, reported: str
 ) -> None:
     assert (done := call("bag", *words))[0] == code
-    assert told in done[2]
+    assert reported in done[2]
     assert [path.name for path in recording.parent.iterdir()] == ["dive.mcap"]
 
 
-def test_library_that_is_missing_is_told_by_its_extra(
+def test_library_that_is_missing_is_reported_by_its_extra(
     tmp_path: Path, call: Call, recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
-    code, _, said = call("bag", recording, tmp_path / "bag")
+    code, _, output = call("bag", recording, tmp_path / "bag")
     assert code == 73
-    assert "pip install 'mapperd[ros]'" in said
+    assert "pip install 'mapperd[ros]'" in output

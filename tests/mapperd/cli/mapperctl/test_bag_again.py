@@ -33,8 +33,8 @@ def test_map_becomes_a_cloud_and_a_grid(tmp_path: Path, call: Call) -> None:
     code, lines, _ = call("bag", tmp_path / "a.map", tmp_path / "bag", "--storage", "sqlite3")
     assert code == 0
     assert lines[1:] == ["/map: 1 messages", "/sonar_3d_map: 1 messages"]
-    told = read(tmp_path / "bag")
-    ((stamp_ns, cloud),), ((_, grid),) = told[CLOUD], told["/map"]
+    reported = read(tmp_path / "bag")
+    ((stamp_ns, cloud),), ((_, grid),) = reported[CLOUD], reported["/map"]
     assert stamp_ns == (tmp_path / "a.map").stat().st_mtime_ns
     points = points_of(cloud)
     assert sorted(zip(*(points[axis].tolist() for axis in "xyz"), strict=True)) == sorted(OCCUPIED)
@@ -64,7 +64,7 @@ def test_odometry_frame_in_the_map_takes_the_vehicle_to_its_place(turned_deg: fl
     assert np.abs(found - in_map.map_T_base).max() < 1e-12
 
 
-def test_session_is_told_as_it_was_mapped(tmp_path: Path, call: Call) -> None:
+def test_session_is_reported_as_it_was_mapped(tmp_path: Path, call: Call) -> None:
     folder = tmp_path / "recordings"
     sonar_map = SonarMap(config_from_text(SETTINGS.format(folder=folder)))
     live = Live(
@@ -86,14 +86,14 @@ def test_session_is_told_as_it_was_mapped(tmp_path: Path, call: Call) -> None:
     asyncio.run(work())
     code, lines, _ = call("bag", folder, tmp_path / "bag", "--as-recorded")
     assert code == 0, lines
-    told = read(tmp_path / "bag")
-    assert len(told[IMAGE]) == len(told[ODOMETRY]) == 3
-    ((_, cloud),) = told[CLOUD]
+    reported = read(tmp_path / "bag")
+    assert len(reported[IMAGE]) == len(reported[ODOMETRY]) == 3
+    ((_, cloud),) = reported[CLOUD]
     assert cloud.header.frame_id == "harbour"
     points = points_of(cloud)
     found = np.stack([points["x"], points["y"], points["z"]], axis=1)
     expected = sonar_map.voxels("occupied").centres_m.astype(np.float32)
     assert len(found) > 10
     assert (found[np.lexsort(found.T)] == expected[np.lexsort(expected.T)]).all()
-    position = told[ODOMETRY][0][1].pose.pose.position
+    position = reported[ODOMETRY][0][1].pose.pose.position
     assert (position.x, position.y, position.z) == (1.0, 2.0, 3.0)

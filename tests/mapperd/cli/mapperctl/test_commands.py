@@ -32,21 +32,21 @@ THRESHOLD = "filtering.intensity_threshold"
 def call(running: Running, capsys: pytest.CaptureFixture[str]) -> Call:
     def run(*words: str) -> tuple[int, list[str], str]:
         code = main([*words, "--socket", str(running.socket)])
-        said = capsys.readouterr()
-        assert said.err.count("\n") == (0 if code == 0 else 1)
-        assert code == 0 or said.err.startswith("mapperctl: ")
-        return code, said.out.splitlines(), said.err
+        output = capsys.readouterr()
+        assert output.err.count("\n") == (0 if code == 0 else 1)
+        assert code == 0 or output.err.startswith("mapperctl: ")
+        return code, output.out.splitlines(), output.err
 
     return run
 
 
-def test_status_is_told_once_where_nobody_watches(call: Call) -> None:
+def test_status_is_reported_once_where_nobody_watches(call: Call) -> None:
     code, lines, _ = call("status")
     assert code == 0
     assert lines == ["mapperd mapping, up 0:00:00", "pings      total 7"]
 
 
-def test_settings_are_told_and_changed(call: Call, running: Running) -> None:
+def test_settings_are_reported_and_changed(call: Call, running: Running) -> None:
     assert call("get", THRESHOLD)[1] == [f"{THRESHOLD} = 35.0"]
     assert call("set", f"{THRESHOLD}=50", "filtering.min_range=1e0")[1] == [
         f"{THRESHOLD}: 35.0 is now 50",
@@ -60,9 +60,9 @@ def test_settings_are_told_and_changed(call: Call, running: Running) -> None:
 
 
 def test_refused_change_is_one_line(call: Call) -> None:
-    code, lines, said = call("set", f"{THRESHOLD}=50", "octree.voxel_resolution=1")
+    code, lines, output = call("set", f"{THRESHOLD}=50", "octree.voxel_resolution=1")
     assert (code, lines) == (1, [])
-    assert re.search(r"octree\.voxel_resolution: .*restart", said)
+    assert re.search(r"octree\.voxel_resolution: .*restart", output)
 
 
 def test_operations_are_done(call: Call, running: Running) -> None:
@@ -74,9 +74,9 @@ def test_operations_are_done(call: Call, running: Running) -> None:
 
 
 def test_reset_asks_first(call: Call, running: Running) -> None:
-    code, _, said = call("reset")
+    code, _, output = call("reset")
     assert code == 2
-    assert "--yes" in said
+    assert "--yes" in output
     assert running.one.daemon.done == []
 
 
@@ -111,7 +111,7 @@ def test_json_is_one_object(call: Call, words: list[str]) -> None:
     assert isinstance(json.loads(line), dict)
 
 
-def test_events_are_told(call: Call, running: Running) -> None:
+def test_events_are_reported(call: Call, running: Running) -> None:
     log = running.one.daemon.events
     for number in range(450):
         log.add(Severity.WARNING, "code", f"event {number}\x1b[2J", depth_m=number)
@@ -138,10 +138,10 @@ def test_tcp_with_a_token(
     token_file.write_text("another-token-of-somebody", encoding="ascii")
     assert main(["snapshot", *there, *more]) == 77
     assert main(["snapshot", *there[:2], *more]) == 77
-    said = capsys.readouterr().err.splitlines()
-    assert said[0].startswith("mapperctl: ")
-    assert "token" in said[0]
-    assert "--token-file" in said[1]
+    output = capsys.readouterr().err.splitlines()
+    assert output[0].startswith("mapperctl: ")
+    assert "token" in output[0]
+    assert "--token-file" in output[1]
 
 
 def test_certificate_of_somebody_else_is_not_trusted(
@@ -161,9 +161,9 @@ def test_as_many_as_allowed(call: Call, running: Running) -> None:
     from mapperd.cli.mapperctl.connection import Connection, Target  # noqa: PLC0415
 
     others = [Connection(Target(running.socket), 30.0) for _ in range(4)]
-    code, _, said = call("status")
+    code, _, output = call("status")
     assert code == 75
-    assert "as many clients as allowed" in said
+    assert "as many clients as allowed" in output
     for other in others:
         other.close()
 
@@ -177,13 +177,13 @@ def test_no_daemon_is_one_line(capsys: pytest.CaptureFixture[str], short: Path) 
 
 
 @pytest.mark.parametrize(
-    "said",
+    "output",
     [b"", b"HTTP/1.1 400 Bad Request\r\n\r\n", b"[]\n", b"\xff\n", b"[" * 50000 + b"\n",
      b'{"mapperd": "map", "versions": [1]}\n', b'{"mapperd": "control", "versions": [9]}\n',
      b'{"mapperd": "control", "versions": [1]}\n{"id": 1}\n'],
 )  # fmt: skip
 def test_peer_that_is_no_mapperd_is_one_line(
-    short: Path, said: bytes, capsys: pytest.CaptureFixture[str]
+    short: Path, output: bytes, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(short / "odd"))
@@ -192,7 +192,7 @@ def test_peer_that_is_no_mapperd_is_one_line(
         def answer() -> None:
             peer, _ = listening.accept()
             with peer:
-                peer.sendall(said)
+                peer.sendall(output)
 
         thread = threading.Thread(target=answer)
         thread.start()
@@ -273,13 +273,13 @@ def test_live_view_goes_on_until_interrupted(running: Running) -> None:
     assert person.end() == 0
 
 
-@pytest.mark.parametrize(("said", "code"), [(b"y\n", 0), (b"\n", 1), (b"no\n", 1)])
+@pytest.mark.parametrize(("output", "code"), [(b"y\n", 0), (b"\n", 1), (b"no\n", 1)])
 def test_person_is_asked_before_the_map_is_emptied(
-    running: Running, said: bytes, code: int
+    running: Running, output: bytes, code: int
 ) -> None:
     person = Terminal("reset", "--socket", str(running.socket))
     person.see(b"? [y/N] ")
-    os.write(person.screen, said)
+    os.write(person.screen, output)
     assert person.process.wait(60) == code
     os.close(person.screen)
     assert len(running.one.daemon.done) == (code == 0)

@@ -79,9 +79,9 @@ def export(
 
     def run(*words: str | Path) -> tuple[int, list[str], str]:
         code = main(["export", *map(str, words), "--socket", str(watched.path)])
-        said = capsys.readouterr()
-        assert said.err.count("\n") == (code != 0)
-        return code, said.out.splitlines(), said.err
+        output = capsys.readouterr()
+        assert output.err.count("\n") == (code != 0)
+        return code, output.out.splitlines(), output.err
 
     return run
 
@@ -134,9 +134,9 @@ def test_probabilities_are_calibrated(tmp_path: Path, export: Call) -> None:
     curve = tmp_path / "curve.yaml"
     curve.write_text("log_odds: [0.0]\ncalibrated: [0.0]\n")
     assert export(tmp_path / "live.ply", "--calibration", curve)[0] == 0
-    told = PlyData.read(str(tmp_path / "live.ply"))["vertex"]["probability"]
-    assert len(told) > 500
-    assert (told == 0.5).all()
+    reported = PlyData.read(str(tmp_path / "live.ply"))["vertex"]["probability"]
+    assert len(reported) > 500
+    assert (reported == 0.5).all()
     assert export(tmp_path / "live.mcap", "--calibration", curve)[0] == 73
 
 
@@ -160,7 +160,7 @@ def test_part_and_fineness_are_asked_of_the_daemon(
     tmp_path: Path, export: Call, watched: Watched
 ) -> None:
     words = ["--level", "2", "--radius", "25.5", "--box=-8,-7,-6,8,7,6"]
-    watched.served.blocks.clear()  # it tells finer blocks whatever is asked
+    watched.served.blocks.clear()  # it sends finer blocks than requested
     code, lines, _ = export(tmp_path / "live.ply", *words)
     assert code == 0, lines
     assert watched.served.hellos[0].interest == Interest(
@@ -171,12 +171,12 @@ def test_part_and_fineness_are_asked_of_the_daemon(
 def test_place_on_earth_is_the_maps(tmp_path: Path, export: Call, watched: Watched) -> None:
     watched.served.facts = replace(FACTS, origin_deg=(-33.9, 151.2))
     code, lines, _ = export(tmp_path / "live.laz")
-    assert (code, lines[1]) == (0, "system of coordinates: WGS 84 / UTM zone 56S, EPSG:32756")
+    assert (code, lines[1]) == (0, "coordinate reference system: WGS 84 / UTM zone 56S, EPSG:32756")
     assert laspy.read(tmp_path / "live.laz").header.parse_crs().to_epsg() == 32756
     assert "32N" in export(tmp_path / "live.laz", "--origin", "54.3,10.1")[1][1]
-    told = json.loads(export(tmp_path / "live.laz", "--json")[1][0])
+    reported = json.loads(export(tmp_path / "live.laz", "--json")[1][0])
     size = (tmp_path / "live.laz").stat().st_size
-    assert told == {
+    assert reported == {
         "files": {str(tmp_path / "live.laz"): size},
         "crs": "WGS 84 / UTM zone 56S, EPSG:32756",
     }
@@ -186,20 +186,20 @@ def test_place_on_earth_is_the_maps(tmp_path: Path, export: Call, watched: Watch
 def test_map_that_does_not_come_whole_is_no_file(
     tmp_path: Path, export: Call, monkeypatch: pytest.MonkeyPatch, suffix: str
 ) -> None:
-    def tell(self: Connection) -> None:
+    def send(self: Connection) -> None:
         one = BlockSet(
             np.zeros((1, 3), np.int32), np.zeros(1, np.uint32), a_block(3).reshape(1, CELLS)
         )
         self.say(Blocks(revision=3, stamp_ns=10**18, left=3, body=encode_blocks(one)))
 
-    monkeypatch.setattr(Connection, "tell", tell)
-    code, lines, said = export(tmp_path / f"live{suffix}", "--timeout", "0.3")
+    monkeypatch.setattr(Connection, "tell", send)
+    code, lines, output = export(tmp_path / f"live{suffix}", "--timeout", "0.3")
     assert (code, lines) == (75, [])
-    assert re.search(r"0\.3 s: 25 %, 3 blocks left, 0\.0 MiB", said)
+    assert re.search(r"0\.3 s: 25 %, 3 blocks left, 0\.0 MiB", output)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_daemon_that_is_not_there_is_told_at_once(
+def test_daemon_that_is_not_there_is_reported_at_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     nowhere = tmp_path / "map.sock"
@@ -210,23 +210,23 @@ def test_daemon_that_is_not_there_is_told_at_once(
 @pytest.mark.parametrize(
     ("reason", "code"), [("wrong_token", 77), ("bad_version", 76), ("bad_interest", 76)]
 )
-def test_daemon_that_refuses_is_told(
+def test_daemon_that_refuses_is_reported(
     tmp_path: Path, export: Call, watched: Watched, reason: str, code: int
 ) -> None:
     watched.served.refusal = Bye(reason=reason, message="it will not")
-    assert (told := export(tmp_path / "live.ply"))[0] == code
-    assert "it will not" in told[2]
+    assert (reported := export(tmp_path / "live.ply"))[0] == code
+    assert "it will not" in reported[2]
     assert list(tmp_path.iterdir()) == []
 
 
-def test_empty_map_is_told(tmp_path: Path, export: Call, watched: Watched) -> None:
+def test_empty_map_is_reported(tmp_path: Path, export: Call, watched: Watched) -> None:
     watched.served.blocks.clear()
     assert export(tmp_path / "live.ply")[0] == 0
-    code, _, said = export(tmp_path / "live.tif")
-    assert (code, "no occupied voxel" in said) == (73, True)
+    code, _, output = export(tmp_path / "live.tif")
+    assert (code, "no occupied voxel" in output) == (73, True)
 
 
-def test_recording_holds_the_map_that_was_told(
+def test_recording_holds_the_map_that_was_reported(
     tmp_path: Path, export: Call, watched: Watched
 ) -> None:
     path = tmp_path / "live.mcap"
@@ -241,11 +241,11 @@ def test_recording_holds_the_map_that_was_told(
 
 
 @pytest.mark.parametrize("words", [["--origin", "1,2"], ["--min-probability", "0.6"]])
-def test_recording_is_as_it_was_told(
+def test_recording_is_as_received(
     tmp_path: Path, export: Call, watched: Watched, words: list[str]
 ) -> None:
-    code, _, said = export(tmp_path / "live.mcap", *words)
-    assert (code, "knows neither" in said) == (73, True)
+    code, _, output = export(tmp_path / "live.mcap", *words)
+    assert (code, "knows neither" in output) == (73, True)
     assert watched.served.hellos == []
 
 
@@ -262,9 +262,9 @@ def test_progress_is_a_line_now_and_then(
     now = [0.0]
     monkeypatch.setattr("mapperd.cli.mapperctl.export.time.monotonic", lambda: now[0])
     progress = _Progress(sys.stderr)
-    assert progress.told() == "nothing came"
+    assert progress.text() == "nothing received"
     for now[0], came, left in ((4.0, 10, 90), (6.0, 50, 50), (7.0, 99, 1), (12.0, 99, 1)):
-        progress.came, progress.left = came, left
+        progress.received, progress.left = came, left
         progress.show(3 << 20)
     progress.end()
     assert capsys.readouterr().err.splitlines() == [

@@ -1,4 +1,4 @@
-"""docs/guides/export.md and docs/guides/ros-bags.md say what there is."""
+"""The export and ROS 2 pages match the code."""
 
 import re
 import tomllib
@@ -26,11 +26,11 @@ def test_table_and_formats_are_the_same() -> None:
     assert {"las", "geo", "foxglove", "ros"} <= project["optional-dependencies"].keys()
 
 
-def test_every_topic_is_told() -> None:
+def test_every_topic_is_reported() -> None:
     topics = Config().topics
-    told = re.findall(r"^\| `(/\S+)` \|", ROS, re.MULTILINE)
+    reported = re.findall(r"^\| `(/\S+)` \|", ROS, re.MULTILINE)
     expected = [topics.sonar, topics.odometry, "/tf", "/tf_static", topics.pointcloud, GRID_TOPIC]
-    assert told == expected
+    assert reported == expected
 
 
 @pytest.mark.parametrize("page", [EXPORT, ROS], ids=["export", "ros2"])
@@ -41,8 +41,8 @@ def test_every_command_of_a_page_is_one(page: str) -> None:
         parser().parse_args(line.split())
 
 
-def test_every_option_of_an_export_is_told() -> None:
-    said = vars(parser().parse_args(["export", "a.ply"]))
+def test_every_option_of_an_export_is_reported() -> None:
+    output = vars(parser().parse_args(["export", "a.ply"]))
     others = {"command", "file", "json", "socket", "address", "token_file", "tls_ca", "config"}
-    for name in said.keys() - others:
+    for name in output.keys() - others:
         assert f"--{name.replace('_', '-')}" in EXPORT, name

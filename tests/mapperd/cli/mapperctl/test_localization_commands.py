@@ -28,8 +28,8 @@ CONFIG = config_of({"localization": {"mode": "global"}}, "")
 def call(running: Running, capsys: pytest.CaptureFixture[str]) -> Call:
     def run(*words: str) -> tuple[int, list[str], str]:
         code = main([*words, "--socket", str(running.socket)])
-        said = capsys.readouterr()
-        return int(code), said.out.splitlines(), said.err
+        output = capsys.readouterr()
+        return int(code), output.out.splitlines(), output.err
 
     return run
 
@@ -52,7 +52,7 @@ def test_commands_are_done(call: Call, running: Running) -> None:
     assert daemon.poses == [PoseRequest(1.5, -2.0, -math.pi / 2)] * 2 + [None]
 
 
-def test_how_sure_a_pose_is_can_be_said(call: Call, running: Running) -> None:
+def test_how_sure_a_pose_is_can_be_reported(call: Call, running: Running) -> None:
     call("initial_pose", "0", "0", "0", "--std-xy", "0.1", "--std-yaw-deg", "180")
     call("initial_pose", "0", "0", "0", "--covariance", "1,-0.5,0,2,0.1,3", "--frame", "tank")
     first, second = running.one.daemon.poses
@@ -100,11 +100,11 @@ def test_command_that_makes_no_sense_exits_2(
 
 
 @pytest.mark.parametrize("words", [["a.map", "1"], ["a.map", "1", "2"], ["a.map", "--std-xy", "1"]])
-def test_part_of_a_pose_is_none(call: Call, running: Running, words: list[str]) -> None:
-    code, _, said = call("set_map", *words)
+def test_part_of_a_pose_is_invalid(call: Call, running: Running, words: list[str]) -> None:
+    code, _, output = call("set_map", *words)
     assert code == 2
-    assert said.startswith("mapperctl: ")
-    assert "X Y YAW_DEG" in said
+    assert output.startswith("mapperctl: ")
+    assert "X Y YAW_DEG" in output
     assert running.one.daemon.done == []
 
 
@@ -125,7 +125,7 @@ def lines(**more: Any) -> list[str]:
     return list(localization_lines(localization_report(facts(**more), CONFIG, 0)))
 
 
-def test_lines_say_where_and_how_sure() -> None:
+def test_lines_report_where_and_how_sure() -> None:
     assert lines(elsewhere=0.2) == [
         "ambiguous, mode global, tank.yaml",
         "pose      x 1.00 ± 0.10 m, y 2.00 ± 0.20 m, yaw 28.6 ± 0.6°, of 5000 particles",
@@ -148,7 +148,7 @@ def test_lines_before_there_is_anything() -> None:
 
 
 def test_status_has_a_line_of_it() -> None:
-    said = {"localization": localization_summary(facts(0.0), CONFIG)}
-    _, line = status_lines(said, None)
+    output = {"localization": localization_summary(facts(0.0), CONFIG)}
+    _, line = status_lines(output, None)
     assert line.startswith("localization mode global, state localized, map tank.yaml")
     assert "x 1 m, y 2 m, yaw 28.65 deg" in line

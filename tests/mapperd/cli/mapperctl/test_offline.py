@@ -1,4 +1,4 @@
-"""`mapperctl convert`: maps of all kinds of files, with no settings but what they say."""
+"""`mapperctl convert`: maps in all formats, with the settings in the files."""
 
 import re
 from collections.abc import Callable
@@ -88,11 +88,11 @@ def test_place_on_earth_is_the_files_unless_another_is_asked_for(
     path = tmp_path / "a.laz"
     assert (
         call("convert", source, path)[1][2]
-        == "system of coordinates: WGS 84 / UTM zone 56S, EPSG:32756"
+        == "coordinate reference system: WGS 84 / UTM zone 56S, EPSG:32756"
     )
     assert laspy.read(path).header.parse_crs().to_epsg() == 32756
-    said = call("convert", source, path, "--origin", "54.3,10.1")[1][2]
-    assert said == "system of coordinates: WGS 84 / UTM zone 32N, EPSG:32632"
+    output = call("convert", source, path, "--origin", "54.3,10.1")[1][2]
+    assert output == "coordinate reference system: WGS 84 / UTM zone 32N, EPSG:32632"
     settings = tmp_path / "a.yaml"
     settings.write_text("odometry: {origin: {latitude: 60.0, longitude: 20.0}}", encoding="utf-8")
     bare = files_of(map_of(OCCUPIED), tmp_path)[".map"]
@@ -137,19 +137,19 @@ def test_file_that_is_no_map_is_one_line(
 ) -> None:
     source = files_of(map_of(OCCUPIED), tmp_path)[kind]
     harm(source)
-    code, _, said = call("convert", source, tmp_path / "out.ply")
+    code, _, output = call("convert", source, tmp_path / "out.ply")
     assert code == 2
-    assert str(source) in said
-    assert any(word in said for word in words.split("|"))
+    assert str(source) in output
+    assert any(word in output for word in words.split("|"))
     assert not (tmp_path / "out.ply").exists()
 
 
 def test_name_without_a_format_is_refused_before_anything_is_read(
     tmp_path: Path, call: Call
 ) -> None:
-    code, lines, said = call("convert", tmp_path / "nowhere.map", tmp_path / "out.obj")
+    code, lines, output = call("convert", tmp_path / "nowhere.map", tmp_path / "out.obj")
     assert (code, lines) == (73, [])
-    assert re.search(r"out\.obj: .*\.bt", said)
+    assert re.search(r"out\.obj: .*\.bt", output)
 
 
 @pytest.mark.parametrize(
@@ -161,12 +161,12 @@ def test_numbers_that_cannot_be_are_refused(tmp_path: Path, words: list[str]) ->
     assert caught.value.code == 2
 
 
-def test_settings_of_a_map_that_cannot_be_are_told(tmp_path: Path, call: Call) -> None:
+def test_settings_of_a_map_that_cannot_be_are_reported(tmp_path: Path, call: Call) -> None:
     source = files_of(map_of(OCCUPIED), tmp_path)[".map"]
     data = bytearray(source.read_bytes())
     at = data.index(np.float64(0.25).tobytes())
     data[at : at + 8] = np.float64(np.nan).tobytes()
     source.write_bytes(data)
-    code, _, said = call("convert", source, tmp_path / "out.ply")
+    code, _, output = call("convert", source, tmp_path / "out.ply")
     assert code == 2
-    assert "settings that cannot be" in said
+    assert "settings that cannot be" in output

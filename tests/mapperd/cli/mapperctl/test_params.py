@@ -23,7 +23,7 @@ def high(tmp_path: Path) -> Path:
     return path
 
 
-def test_all_settings_are_told_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:
+def test_all_settings_are_reported_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["params"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.partition(" = ")[0] for line in lines] == list(parameters())
@@ -33,7 +33,7 @@ def test_all_settings_are_told_a_line_each(capsys: pytest.CaptureFixture[str]) -
     assert "odometry.origin = null" in lines
 
 
-def test_origin_is_the_last_file_that_says_it(
+def test_origin_is_the_last_file_that_reports_it(
     low: Path, high: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MAPPERD_CONFIG", str(low))
@@ -53,11 +53,11 @@ def test_later_config_lies_on_top(
     assert capsys.readouterr().out == "octree.voxel_resolution = 0.2 m\n"
 
 
-def test_json_tells_everything(low: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_reports_everything(low: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["params", "--json", "--config", str(low)]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert list(told) == list(parameters())
-    assert told["octree.voxel_resolution"] == {
+    reported = json.loads(capsys.readouterr().out)
+    assert list(reported) == list(parameters())
+    assert reported["octree.voxel_resolution"] == {
         "value": 0.2,
         "default": 0.05,
         "unit": "m",
@@ -74,10 +74,10 @@ def test_wrong_settings_are_one_line_and_exit_78(
     path = tmp_path / "bad.yaml"
     path.write_text("octree: {voxel_resolution: 0}", encoding="utf-8")
     assert main(["params", "--config", str(path)]) == 78
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.startswith(f"mapperctl: {path}: $.octree.voxel_resolution: 0 ")
-    assert said.err.count("\n") == 1
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.startswith(f"mapperctl: {path}: $.octree.voxel_resolution: 0 ")
+    assert output.err.count("\n") == 1
 
 
 def test_unknown_name_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:

@@ -58,7 +58,7 @@ def clouds(path: Path) -> list[Any]:
         ]
 
 
-def test_a_recording_ends_cleanly_when_told(short: Path) -> None:
+def test_a_recording_ends_cleanly_on_request(short: Path) -> None:
     path = short / "a.mcap"
 
     async def act(served: Served, server: Server) -> None:
@@ -66,8 +66,8 @@ def test_a_recording_ends_cleanly_when_told(short: Path) -> None:
         await until(lambda: served.acked)
         served.put((1, 2, 3), a_block(2))
         server.tell()
-        told = served.sent
-        await until(lambda: served.acked >= told)
+        sent_bytes = served.sent
+        await until(lambda: served.acked >= sent_bytes)
         program.send_signal(signal.SIGTERM)
         out, err = await program.communicate()
         assert (program.returncode, err) == (0, b"")
@@ -83,7 +83,7 @@ def test_a_recording_ends_cleanly_when_told(short: Path) -> None:
     assert last["x"].max() == pytest.approx((2 * 8 - 0.5) * 0.1, abs=0.11)
 
 
-def test_a_recording_lasts_as_long_as_it_is_told_to(
+def test_a_recording_lasts_as_long_as_it_is_reported_to(
     short: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = short / "a.mcap"
@@ -120,17 +120,17 @@ def test_what_cannot_be_recorded_is_one_line(
     nobody = ["--socket", str(tmp_path / "none.sock")]
     (tmp_path / "there.mcap").write_bytes(b"mine")
     for name, code, why in (
-        ("there.mcap", 73, "is there already"),
+        ("there.mcap", 73, "file exists"),
         ("no/a.mcap", 73, "No such file or directory"),
-        ("a.docx", 73, "no format has such a name"),
+        ("a.docx", 73, "unknown format"),
         ("a.ply", 69, "no daemon answered"),
         ("a.mcap", 69, "no daemon answered"),
     ):
         given = ["record", str(tmp_path / name), "--duration", "0.1", *nobody]
         assert main(given) == code
-        said = capsys.readouterr().err
-        assert why in said
-        assert said.count("\n") == 1
+        output = capsys.readouterr().err
+        assert why in output
+        assert output.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["there.mcap"]
 
 
@@ -163,7 +163,7 @@ def test_a_library_that_is_missing_is_named(
     assert "pip install 'mapperd[foxglove]'" in capsys.readouterr().err
 
 
-def test_viewers_are_served_until_told_to_stop(short: Path) -> None:
+def test_viewers_are_served_until_stopped(short: Path) -> None:
     async def act(served: Served, server: Server) -> None:
         program = await started(
             "foxglove", "--port", "0", "--json", "--socket", server.address, "--radius", "30"
@@ -187,7 +187,7 @@ def test_viewers_are_served_until_told_to_stop(short: Path) -> None:
 def test_settings_are_changed_only_where_that_is_allowed(
     host: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The server does not say which page a viewer is: on this computer it may be any."""
+    """The server cannot tell viewers apart: on this computer any page may connect."""
     allowed: list[bool] = []
 
     async def serve(*_: object, may_change: bool) -> None:
@@ -199,7 +199,7 @@ def test_settings_are_changed_only_where_that_is_allowed(
     assert allowed == [False, True]
 
 
-def test_wrong_arguments_are_told(capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_arguments_are_reported(capsys: pytest.CaptureFixture[str]) -> None:
     for given, why in (
         (["record", "a.mcap", "--wants", "map,tea"], "tea: some of map"),
         (["record", "a.mcap", "--duration", "-1"], "seconds were expected"),
@@ -222,8 +222,8 @@ def test_a_daemon_that_is_restarted_is_followed_on(short: Path) -> None:
         server.cut()
         before, served.acked = served.sent, 0
         await until(lambda: len(served.hellos) == 2)
-        told = served.sent - before
-        await until(lambda: served.acked >= told)
+        reported = served.sent - before
+        await until(lambda: served.acked >= reported)
         program.send_signal(signal.SIGINT)
         _, err = await program.communicate()
         assert (program.returncode, err) == (0, b"")

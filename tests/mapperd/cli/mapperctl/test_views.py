@@ -21,7 +21,7 @@ STATUS = {
 }
 
 
-def test_what_there_is_is_said_with_its_units() -> None:
+def test_what_there_is_is_reported_with_its_units() -> None:
     assert list(status_lines(STATUS, None)) == [
         "mapperd 1.2.3 mapping: sonar pings, up 1:02:05",
         "sonar      state pinging, range 10 m, temperature 21.25 °C, 3.0 MiB",
