@@ -5,7 +5,7 @@ from itertools import groupby
 
 import msgspec
 
-from mapperd.config.aliases import ALIASES, VALUE_ALIASES
+from mapperd.config.aliases import ALIASES, IGNORED, VALUE_ALIASES
 from mapperd.config.amcl import CORRECTED
 from mapperd.config.catalog import Parameter, hint_at, inner_parameters, parameters
 
@@ -65,7 +65,7 @@ another way since; settings that need a restart are named and left.
 AMCL = """\
 ## Localization under the names of the published AMCL node
 
-All 58 parameters of the node are in `amcl`, with their defaults but for these, which its document
+The parameters of the node are in `amcl`, with their defaults but for these, which its document
 has wrong. `pf_z` keeps its 0.99, which looks like a probability and is a quantile.
 
 | setting | published | here | what is wrong |
@@ -81,9 +81,17 @@ them; a setting that is said under two names is an error.
 """
 
 TAIL = """\
-All parameters of the published mapper are here under their names and with their defaults, except
-`outofcore.map_path`, whose default named a folder of its developers, and `sonar.vertical_aperture`,
-whose 20 degrees map worse and slower ([accuracy-cost.md](../reports/accuracy-cost.md#mapping)).
+## Ignored settings
+
+Files of the programs that mapperd replaces may hold these settings. They have no effect, whatever
+their value; `mapperd` names them in one line of its log.
+
+{ignored}
+
+All other parameters of the published mapper are here under their names and with their defaults,
+except `outofcore.map_path`, whose default named a folder of its developers, and
+`sonar.vertical_aperture`, whose 20 degrees map worse and slower
+([accuracy-cost.md](../reports/accuracy-cost.md#mapping)).
 """
 
 
@@ -91,7 +99,8 @@ def configuration_page() -> str:
     """The page as it should be in docs/."""
     sections = groupby(parameters().values(), lambda one: one.name.partition(".")[0])
     body = "".join("\n".join(_section(name, list(found))) + "\n\n" for name, found in sections)
-    return HEAD + body + _amcl() + TAIL
+    ignored = "\n".join(f"- `{name}`" for name in IGNORED)
+    return HEAD + body + _amcl() + TAIL.format(ignored=ignored)
 
 
 def _amcl() -> str:

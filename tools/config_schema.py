@@ -4,7 +4,7 @@ from typing import Any
 
 import msgspec
 
-from mapperd.config.aliases import ALIASES, VALUE_ALIASES
+from mapperd.config.aliases import ALIASES, IGNORED, VALUE_ALIASES
 from mapperd.config.catalog import inner_parameters, parameters, section_of
 from mapperd.config.tree import Config
 
@@ -28,6 +28,11 @@ def json_schema() -> dict[str, Any]:
                 field = inner.name.rpartition(".")[2]
                 node["properties"][field] |= _marks(unit=inner.unit, dynamic=inner.dynamic)
     _add_other_names(schema["$defs"]["AmclConfig"]["properties"])
+    for name in IGNORED:
+        section, field = name.split(".")
+        place = schema["$defs"]["Config"]["properties"][section]["$ref"].rpartition("/")[2]
+        ignored = {"deprecated": True, "description": "Ignored: it has no effect."}
+        schema["$defs"][place]["properties"][field] = ignored
     return schema
 
 

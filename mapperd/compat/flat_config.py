@@ -57,6 +57,8 @@ _VECTORS = {
 
 _ONLY = {
     "frame_skip": (1, "leave out calls instead"),
+    "dynamic_expansion": (True, "the map always grows"),
+    "use_cpp_backend": (True, "the core is in C++"),
     "use_outofcore": (False, "maps on disk are not there yet"),
 }
 """The one value that says what happens anyway, and why there is no other."""

@@ -31,7 +31,6 @@ HANDLERS = {
     "filtering.intensity_threshold": "update_intensity",
     "mapping.occupied_threshold": "update_occupied_threshold",
     "mapping.angular_cone_width": "update_angular_cone",
-    "octree.dynamic_expansion": "update_dynamic_expansion",
     "processing.frame_skip": "update_frame_skip",
 }
 """Methods that the published mapper has; other parameters are `update_` and their own name."""

@@ -1,8 +1,9 @@
 """Other names of settings, former settings, and `amcl.restore_defaults`.
 
 A setting has one name. What a file or a caller says under another one (of other releases of the
-published AMCL node, and of Nav2's) is renamed before it is checked. Settings that were removed are
-ignored, and renamed values replaced, in files and in the settings of old recordings and stores.
+published AMCL node, and of Nav2's) is renamed before it is checked. Settings that were removed or
+have no effect are ignored, and renamed values replaced, in files and in the settings of old
+recordings and stores.
 """
 
 from collections.abc import Mapping
@@ -17,6 +18,7 @@ from mapperd.errors import ConfigError
 
 __all__ = [
     "ALIASES",
+    "IGNORED",
     "RESTORE",
     "VALUE_ALIASES",
     "change_renamed",
@@ -65,6 +67,16 @@ VALUE_ALIASES = MappingProxyType(
 
 REMOVED = ("mapping.error_bound", "behind.policy", "behind.error_bound")
 """Settings of earlier versions."""
+
+IGNORED = (
+    "octree.dynamic_expansion",
+    "octree.use_cpp_backend",
+    "amcl.scan_topic",
+    "amcl.map_service",
+    "topics.marker",
+    "visualization.pointcloud_publish_rate",
+)
+"""Settings of the programs this one replaces that have no counterpart here; any value loads."""
 
 REPLACED = MappingProxyType({"mapping.integrator": ("projective", "evidence_grid")})
 """Value of an earlier version and the one that replaces it, by setting."""
@@ -119,19 +131,20 @@ def tree_updated(tree: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[str, ..
         tree: sections and values; what is no section stays.
 
     Returns:
-        the tree without removed settings and with replaced values, and what was changed: one
+        the tree without ignored settings and with replaced values, and what was changed: one
         phrase a setting, for people.
     """
     updated = dict(tree)
     phrases = []
-    for name in (*REMOVED, *REPLACED):
+    for name in (*REMOVED, *IGNORED, *REPLACED):
         section, field = name.split(".")
         fields = updated.get(section)
         if not isinstance(fields, dict) or field not in fields:
             continue
-        if name in REMOVED:
+        if name not in REPLACED:
             updated[section] = {key: value for key, value in fields.items() if key != field}
-            phrases.append(f"{name} was removed and is ignored")
+            why = "was removed" if name in REMOVED else "has no effect"
+            phrases.append(f"{name} {why} and is ignored")
         elif fields[field] == REPLACED[name][0]:
             updated[section] = fields | {field: REPLACED[name][1]}
             phrases.append("{}: {} is now {}".format(name, *REPLACED[name]))

@@ -51,18 +51,12 @@ class AmclConfig(Struct, frozen=True, forbid_unknown_fields=True):
             pattern=FRAME,
         ),
     ] = "map"
-    scan_topic: Annotated[
-        str, rule("Name under which scans, made of pings, are shown.", "a topic", pattern=TOPIC)
-    ] = "scan"
     map_topic: Annotated[
         str, rule("Name under which maps come while running.", "a topic", pattern=TOPIC)
     ] = "map"
-    map_service: Annotated[
-        str,
-        rule("Name of what is asked for the map instead, once.", "a topic", pattern=TOPIC),
-    ] = "static_map"
     use_map_topic: Annotated[
-        bool, rule("Maps come under map_topic; otherwise one, from map_service.")
+        bool,
+        rule("Accept new maps on map_topic; otherwise the map of localization.map_path stays."),
     ] = True
     initial_pose_topic: Annotated[
         str, rule("Name under which initial poses come.", "a topic", pattern=TOPIC)

@@ -242,11 +242,8 @@ INSTEAD = {
     "sonar": ("/sensor/sonar/oculus/m750d/image", "set device.address: the sonar itself"),
     "odometry": ("/fast_lio/odometry", "set odometry.sources"),
     "pointcloud": ("/sonar_3d_map", NO_NODE),
-    "marker": ("/sonar_3d_map_markers", NO_NODE),
 }
 """Topic to its default, and what to do instead of saying another."""
-
-CLOUD_RATE_HZ = 10.0
 
 
 class FramesConfig(Struct, frozen=True, forbid_unknown_fields=True):
@@ -276,7 +273,6 @@ class TopicsConfig(Struct, frozen=True, forbid_unknown_fields=True):
     pointcloud: Annotated[str, rule("The map as a cloud of points.", "the default")] = INSTEAD[
         "pointcloud"
     ][0]
-    marker: Annotated[str, rule("The map as markers.", "the default")] = INSTEAD["marker"][0]
 
     def __post_init__(self) -> None:
         """Refuse what would be waited for in vain."""
@@ -296,25 +292,7 @@ class VisualizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
             live=True,
         ),
     ] = False
-    pointcloud_publish_rate: Annotated[
-        float,
-        rule(
-            "Of clouds of points, which nothing publishes: only the default.",
-            "Hz",
-            live=True,
-            gt=0,
-            le=1000,
-        ),
-    ] = CLOUD_RATE_HZ
     tile_save_interval: Annotated[
         float,
         rule("Between saves of the map on disk.", "s", live=True, gt=0, le=3600),
     ] = 5.0
-
-    def __post_init__(self) -> None:
-        """Refuse what would do nothing."""
-        if self.pointcloud_publish_rate != CLOUD_RATE_HZ:
-            raise ValueError(
-                f"pointcloud_publish_rate can only be {CLOUD_RATE_HZ:g}: no cloud is published; "
-                "mqtt.pose_rate is the telemetry's"
-            )

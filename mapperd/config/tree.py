@@ -152,16 +152,6 @@ class OctreeConfig(Struct, frozen=True, forbid_unknown_fields=True):
         float,
         rule("Voxel edge; smaller shows more, costs memory and time.", "m", ge=0.001, le=100),
     ] = 0.05
-    dynamic_expansion: Annotated[
-        bool, rule("The map grows where the sonar looks; it always does.", live=True)
-    ] = True
-    use_cpp_backend: Annotated[bool, rule("The core is in C++; there is no other.")] = True
-
-    def __post_init__(self) -> None:
-        """Refuse what the published names could say and nothing here does."""
-        for name in ("dynamic_expansion", "use_cpp_backend"):
-            if not getattr(self, name):
-                raise ValueError(f"{name} false is not there; allowed: true")
 
 
 class MappingConfig(Struct, frozen=True, forbid_unknown_fields=True):

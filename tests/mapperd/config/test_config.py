@@ -36,8 +36,6 @@ PUBLISHED_DEFAULTS = {
     "adaptive.threshold": 0.5,
     "adaptive.max_ratio": 0.3,
     "processing.frame_skip": 1,
-    "octree.dynamic_expansion": True,
-    "octree.use_cpp_backend": True,
     "outofcore.use": False,
     "outofcore.tile_size": 10.0,
     "outofcore.cache_size": 16,
@@ -101,8 +99,6 @@ def test_every_default_keeps_its_own_rule(path: str) -> None:
 @pytest.mark.parametrize(
     ("section", "words"),
     [
-        ({"octree": {"use_cpp_backend": False}}, "use_cpp_backend false is not there"),
-        ({"octree": {"dynamic_expansion": False}}, "dynamic_expansion false is not there"),
         ({"terrain_detection": {"min_threshold": 180}}, "min_threshold 180 is not below"),
         ({"robot_detection": {"enabled": True, "min_threshold": 179}}, "min_threshold 179 is"),
         (

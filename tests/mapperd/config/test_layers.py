@@ -3,6 +3,8 @@ from pathlib import Path
 
 import pytest
 
+from mapperd.config.aliases import IGNORED
+from mapperd.config.catalog import parameters
 from mapperd.config.layers import DEFAULT, load_files, load_settings, settings_files
 from mapperd.config.tree import Config
 from mapperd.errors import ConfigError
@@ -73,6 +75,21 @@ def test_settings_of_an_earlier_version_are_told_in_one_line(tmp_path: Path) -> 
     )
     assert layered.origins == {"mapping.integrator": str(low)}
     assert load_files([write(tmp_path / "new.yaml", "mapping: {detail: 2}")]).notice == ""
+
+
+def test_ignored_settings_load_with_any_value_and_are_reported(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
+    write(
+        path,
+        "octree: {use_cpp_backend: false, dynamic_expansion: 3}\n"
+        "amcl: {scan_topic: /scan, map_service: [1]}\n"
+        "topics: {marker: /m}\nvisualization: {pointcloud_publish_rate: 2}\n",
+    )
+    layered = load_files([path])
+    assert layered.config == Config()
+    assert layered.origins == {}
+    assert [name for name in IGNORED if f"{name} has no effect" in layered.notice] == list(IGNORED)
+    assert not set(IGNORED) & set(parameters())
 
 
 def test_lists_are_said_as_a_whole(tmp_path: Path) -> None:
