@@ -29,8 +29,8 @@ def json_schema() -> dict[str, Any]:
                 node["properties"][field] |= _marks(unit=inner.unit, dynamic=inner.dynamic)
     _add_other_names(schema["$defs"]["AmclConfig"]["properties"])
     for name in IGNORED:
-        section, field = name.split(".")
-        place = schema["$defs"]["Config"]["properties"][section]["$ref"].rpartition("/")[2]
+        place, _, field = name.partition(".")
+        place = schema["$defs"]["Config"]["properties"][place]["$ref"].rpartition("/")[2]
         ignored = {"deprecated": True, "description": "Ignored: it has no effect."}
         schema["$defs"][place]["properties"][field] = ignored
     return schema

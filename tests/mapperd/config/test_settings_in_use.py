@@ -22,7 +22,7 @@ def names_read(path: Path) -> Iterator[str]:
         elif isinstance(node, ast.Call) and ast.unparse(node.func) == "getattr":
             name = node.args[1]
             if isinstance(name, ast.JoinedStr) and isinstance(name.values[0], ast.Constant):
-                yield f"{name.values[0].value}*"
+                yield f"{ast.literal_eval(name.values[0])}*"
 
 
 def test_every_setting_is_read_somewhere() -> None:
