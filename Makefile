@@ -108,11 +108,11 @@ crash-soak: $(STAMP)
 	CRASH_KILLS=500 SOAK_PINGS=500000 $(BIN)/python -m pytest -s -o timeout=0 tests/mapperd/session/crash
 
 # Ten minutes of the coverage-guided fuzzer on the driver's parser, and ten on both ends of the map
-# stream; their corpora grow and are kept.
+# stream. The corpora in out/fuzz grow and are kept.
 fuzz: $(STAMP)
 	$(PIP) --no-build-isolation -e '.[fuzz]'
-	$(BIN)/python tests/fuzz/fuzz_stream.py tests/fuzz/corpus -max_total_time=600 -max_len=8192
-	$(BIN)/python tests/fuzz/fuzz_map_stream.py tests/fuzz/corpus-map-stream -max_total_time=600 -max_len=4096
+	$(BIN)/python -m tests.fuzz.fuzz_stream out/fuzz/stream -max_total_time=600 -max_len=8192
+	$(BIN)/python -m tests.fuzz.fuzz_map_stream out/fuzz/map-stream -max_total_time=600 -max_len=4096
 
 # The dives of the survey study: two hours in ten recordings, 7 GB; damaged copies of two. Half an
 # hour of one core; what was finished is kept.

@@ -1,15 +1,13 @@
 """Coverage-guided fuzzing of both ends of the map stream, with atheris.
 
-Usage: python tests/fuzz/fuzz_map_stream.py CORPUS [-max_total_time=600] [options of libFuzzer]
+Usage: python -m tests.fuzz.fuzz_map_stream CORPUS [-max_total_time=600] [options of libFuzzer]
 
-Not collected by pytest: `make fuzz` runs it. An input that breaks a promise ends the run and is
-left in the working folder; put it into the corpus once it is mended.
+`make fuzz` runs it. An input that breaks a check ends the run and is left in the working folder.
+Minimise it (-minimize_crash=1), and add it to `map_stream.cases` together with the repair.
 """
 
 import contextlib
-import sys
 
-import atheris
 import msgspec
 import numpy as np
 import zstandard
@@ -28,6 +26,7 @@ from mapperd.wire.messages import (
     MapFacts,
     Welcome,
 )
+from tests.fuzz.cases import fuzz
 
 FACTS = MapFacts("map", 0.1, 0.25, 0.6, -1.4)
 WELCOME = Welcome(
@@ -35,14 +34,14 @@ WELCOME = Welcome(
 )
 BEGIN = framed(Greeting()) + framed(WELCOME)
 BEGIN_BESIDE = framed(Greeting()) + framed(msgspec.structs.replace(WELCOME, resumed=True))
-MOST_BLOCKS = 4096
+BLOCK_LIMIT = 4096
 INTERESTS = (Interest(detail="classes"), Interest(level=3), Interest(detail="counts"))
 
 
 def _client_survives(data: bytes, choice: int) -> None:
-    """Whatever a server says is taken or ends the connection, and what is held stays sound."""
+    """Check that a client accepts bytes or disconnects, and that its state stays sound."""
     interest = INTERESTS[choice % 3]
-    knowledge = Knowledge(interest, lambda _: None, MOST_BLOCKS)
+    knowledge = Knowledge(interest, lambda _: None, BLOCK_LIMIT)
     dialogue = Dialogue(Wishes(WANTS, interest), knowledge, None, lambda _: None)
     if choice & 1:
         dialogue.receive(BEGIN)
@@ -54,9 +53,9 @@ def _client_survives(data: bytes, choice: int) -> None:
 
 
 def _client_survives_beside(data: bytes, choice: int) -> None:
-    """The same of what is said on a second line, or on both at once."""
+    """Check the same with bytes on a second connection, or on both at once."""
     interest = INTERESTS[choice % 3]
-    knowledge = Knowledge(interest, lambda _: None, MOST_BLOCKS)
+    knowledge = Knowledge(interest, lambda _: None, BLOCK_LIMIT)
     first = Dialogue(Wishes(WANTS, interest), knowledge, None, lambda _: None)
     first.receive(BEGIN)
     second = SecondDialogue("", knowledge, None)
@@ -72,30 +71,30 @@ def _client_survives_beside(data: bytes, choice: int) -> None:
 
 
 def _is_sound(knowledge: Knowledge) -> None:
-    """What is held is a path and a map, and not too much."""
+    """Check that the state is a path and a map of bounded size."""
     if knowledge.path.shape[1:] != (3,) or not np.isfinite(knowledge.path).all():
-        raise AssertionError("a path that is none")
+        raise AssertionError("the path is not finite")
     mirror = knowledge.mirror
     if mirror is not None:
         mirror.digest()
         mirror.cells("known")
-        if len(mirror) > MOST_BLOCKS + MAX_BLOCKS:
+        if len(mirror) > BLOCK_LIMIT + MAX_BLOCKS:
             raise AssertionError(f"{len(mirror)} blocks")
         if mirror.forgotten > MAX_FORGOTTEN + MAX_BLOCKS:
             raise AssertionError(f"{mirror.forgotten} orders of forgotten blocks")
 
 
 def _server_survives(data: bytes) -> None:
-    """Whatever a client says is a message or refused, and little of it is held back."""
+    """Check that bytes of a client are messages or refused, and that few of them are buffered."""
     inbox = server_inbox()
     with contextlib.suppress(StreamError):
         inbox.feed(data)
         if len(inbox) > MAX_FROM_CLIENT + 4:
-            raise AssertionError(f"{len(inbox)} bytes are held back")
+            raise AssertionError(f"{len(inbox)} bytes are buffered")
 
 
 def _blocks_are_blocks(data: bytes, *, counts: bool) -> None:
-    """Any columns are blocks of the right shape or refused."""
+    """Check that any columns are blocks of the right shape or refused."""
     try:
         blocks = decode_blocks(zstandard.compress(data), counts=counts)
     except StreamError:
@@ -104,30 +103,22 @@ def _blocks_are_blocks(data: bytes, *, counts: bool) -> None:
     if number > MAX_BLOCKS or blocks.cells.shape != (number, CELLS):
         raise AssertionError(f"{number} blocks")
     if number and abs(blocks.keys.astype("i8")).max() >= MAX_KEY:
-        raise AssertionError("a key beyond the reach")
+        raise AssertionError("a key out of range")
 
 
 def one_input(data: bytes) -> None:
-    """Everything that is promised of any bytes."""
+    """Check one input; raise an error where a check fails."""
     if not data:
         return
-    choice, said = data[0], data[1:]
-    _client_survives(said, choice)
-    _client_survives(len(said).to_bytes(4, "big") + said, choice)
-    _client_survives_beside(said, choice)
-    _client_survives_beside(len(said).to_bytes(4, "big") + said, choice)
-    _server_survives(said)
-    _server_survives(len(said).to_bytes(4, "big") + said)
-    _blocks_are_blocks(said, counts=bool(choice & 1))
-
-
-def main() -> None:
-    """Hand over to libFuzzer."""
-    # And not at import: an editable install hides its imports from atheris.
-    atheris.instrument_all()
-    atheris.Setup(sys.argv, one_input)
-    atheris.Fuzz()
+    choice, body = data[0], data[1:]
+    _client_survives(body, choice)
+    _client_survives(len(body).to_bytes(4, "big") + body, choice)
+    _client_survives_beside(body, choice)
+    _client_survives_beside(len(body).to_bytes(4, "big") + body, choice)
+    _server_survives(body)
+    _server_survives(len(body).to_bytes(4, "big") + body)
+    _blocks_are_blocks(body, counts=bool(choice & 1))
 
 
 if __name__ == "__main__":
-    main()
+    fuzz("map_stream", one_input)

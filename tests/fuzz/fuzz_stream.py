@@ -1,14 +1,11 @@
 """Coverage-guided fuzzing of the driver's stream parser, with atheris.
 
-Usage: python tests/fuzz/fuzz_stream.py CORPUS [-max_total_time=600] [other options of libFuzzer]
+Usage: python -m tests.fuzz.fuzz_stream CORPUS [-max_total_time=600] [options of libFuzzer]
 
-Not collected by pytest: `make fuzz` runs it. An input that breaks a promise ends the run and is
-left in the working folder; put it into the corpus once it is mended.
+`make fuzz` runs it. An input that breaks a check ends the run and is left in the working folder.
+Minimise it (-minimize_crash=1), and add it to `stream.cases` together with the repair.
 """
 
-import sys
-
-import atheris
 import numpy as np
 
 from oculus_driver import (
@@ -20,6 +17,7 @@ from oculus_driver import (
     decode_status,
     encode_ping,
 )
+from tests.fuzz.cases import fuzz
 
 MAX_PENDING = (16 << 20) + (1 << 16)
 
@@ -45,27 +43,27 @@ INTACT = [_ping(index) for index in (1, 2, 3, 4)]
 
 
 def _account(stream: bytes, piece: int, *, confirm: bool) -> None:
-    """Every byte is in a message or counted as rejected, however the stream is cut."""
+    """Check that every byte is in a message or counted as rejected, in pieces of any size."""
     parser = StreamParser(confirm=confirm)
     messages = []
     for at in range(0, len(stream), piece):
         messages += parser.feed(stream[at : at + piece], at)
         if parser.pending_bytes > MAX_PENDING:
-            raise AssertionError(f"{parser.pending_bytes} bytes are held back")
+            raise AssertionError(f"{parser.pending_bytes} bytes are buffered")
     messages += parser.finish()
     taken = sum(len(message.data) for message in messages)
     counters = parser.counters
     if counters.bytes_total != len(stream) or taken + counters.bytes_rejected != len(stream):
-        raise AssertionError(f"{taken} taken, {counters}, {len(stream)} fed")
+        raise AssertionError(f"{taken} in messages, {counters}, {len(stream)} received")
     for message in messages:
         if not isinstance(decode_ping(message), Ping | Reject):
             raise TypeError("a message is neither ping nor reject")
 
 
 def _finds_what_follows(garbage: bytes) -> None:
-    """Intact pings behind garbage are found, all from the first one found on.
+    """Check that intact pings after garbage are found, all of them from the first one found.
 
-    What the garbage claims to hold may swallow those before it, but never all of them.
+    A size that the garbage declares may cover pings before that one, but never all of them.
     """
     parser = StreamParser(confirm=True)
     behind = b"".join(INTACT) * 4
@@ -78,7 +76,7 @@ def _finds_what_follows(garbage: bytes) -> None:
 
 
 def one_input(data: bytes) -> None:
-    """Everything that is promised of any bytes."""
+    """Check one input; raise an error where a check fails."""
     if not data:
         return
     piece = 1 + data[0] * 16
@@ -89,13 +87,5 @@ def one_input(data: bytes) -> None:
     decode_status(stream)
 
 
-def main() -> None:
-    """Hand over to libFuzzer."""
-    # And not at import: an editable install hides its imports from atheris.
-    atheris.instrument_all()
-    atheris.Setup(sys.argv, one_input)
-    atheris.Fuzz()
-
-
 if __name__ == "__main__":
-    main()
+    fuzz("stream", one_input)
