@@ -8,6 +8,8 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 TOOLS := $(VENV)/.tools
 STAMP := $(VENV)/.installed
+# Programs of the tools, which run from a checkout alone.
+TOOL := PYTHONPATH=tools $(BIN)/python -m
 CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLists.txt' -o -name 'CMakePresets.json')
 
 # Programs and tests start hundreds of Pythons, which must not compile every module anew.
@@ -16,7 +18,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .PHONY: demo test test-all bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study fuzz docs check cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install prerequisites clean
 
 demo: $(STAMP)
-	$(BIN)/python tools/demo.py --out out/demo
+	$(TOOL) demo --out out/demo
 
 # Everything that decides whether a change lands, in less than ten minutes of two cores: static checks,
 # the C++ tests, and all Python tests but the slow ones, with a short series of kills. The Python tests
@@ -36,30 +38,30 @@ test-all:
 # Compares the integrators with OctoMap, OpenVDB and, given BONXAI_PATH=<checkout>, with Bonxai;
 # writes docs/reports/performance.md. Some minutes.
 bench: $(STAMP)
-	$(BIN)/python tools/bench/rivals.py
+	$(TOOL) bench integrators
 
 # Times the simulator's pings in the harbour; writes docs/reports/performance.md. A minute or two.
 sim-bench: $(STAMP)
-	$(BIN)/python tools/bench/simulator_speed.py --write
+	$(TOOL) bench simulator-speed --write
 
 # Compares what the simulator's rules leave out and compute with everything, on all its scenes;
 # writes the figures into docs/concepts/simulator.md. Some minutes.
 sim-check: $(STAMP)
-	$(BIN)/python tools/sim_check.py --write
+	$(TOOL) studies sim-check --write
 
 # Times the particle filter beside the reference's plain loops. A minute.
 localization-bench: $(STAMP)
-	$(BIN)/python tools/bench/localization.py
+	$(TOOL) bench localization
 
 # Follows simulated dives, starts anywhere, is carried off; with pictures. Half an hour of one core.
 localization-dives: $(STAMP)
-	$(BIN)/python tools/bench/localization_dives.py --scenes harbour --runs 100 --carried-off 100
-	$(BIN)/python tools/bench/localization_dives.py --scenes pile_field --runs 100
-	$(BIN)/python tools/bench/localization_dives.py --scenes tank
+	$(TOOL) studies localization-dives --scenes harbour --runs 100 --carried-off 100
+	$(TOOL) studies localization-dives --scenes pile_field --runs 100
+	$(TOOL) studies localization-dives --scenes tank
 
 # Maps a place twice, the second time at poses that localization corrects; with a picture. Minutes.
 second-pass: $(STAMP)
-	$(BIN)/python tools/bench/second_pass.py
+	$(TOOL) studies second-pass
 
 # Ten million updates of the particle filter. A minute or two.
 localization-soak: $(STAMP)
@@ -71,7 +73,7 @@ soak: $(STAMP)
 
 # A daemon for ten minutes among a sonar, odometry, broker, clock and disk that fail at random.
 chaos: $(STAMP) out/chaos/tank.mcap
-	PYTHONPATH=tools $(BIN)/python -m chaos.run out/chaos/tank.mcap
+	$(TOOL) studies chaos out/chaos/tank.mcap
 
 out/chaos/tank.mcap: | $(STAMP)
 	mkdir -p out/chaos
@@ -81,23 +83,23 @@ out/chaos/tank.mcap: | $(STAMP)
 # docs/reference/map-stream.md. A quarter of an hour; wants the right to make network namespaces for
 # a real link.
 stream-study: $(STAMP) out/demo/capture.bin
-	PYTHONPATH=tools $(BIN)/python -m stream_study.run --write
+	$(TOOL) studies stream --write
 
 # Measures what accuracy costs in time, and how errors grow, from nothing; draws every figure of
 # docs/reports/accuracy-cost.md and docs/reports/numerical-stability.md. Less than an hour of two
 # cores; after a stop the same command goes on.
 accuracy-cost: $(STAMP)
-	$(BIN)/accuracy-cost run --write
-	$(BIN)/accuracy-cost plot --write
+	$(TOOL) studies accuracy-cost run --write
+	$(TOOL) studies accuracy-cost plot --write
 	$(MAKE) numerical-growth
 
 # Errors of rounding over a million updates, and what single precision costs; writes the figure and
 # the tables of docs/reports/numerical-stability.md. One minute of one core.
 numerical-growth: $(STAMP)
-	PYTHONPATH=tools $(BIN)/python -m numerical_growth.run --write
+	$(TOOL) studies numerical-growth --write
 
 out/demo/capture.bin: | $(STAMP)
-	$(BIN)/python tools/demo.py --out out/demo
+	$(TOOL) demo --out out/demo
 
 # The map's file: 500 deaths at any instant, and half a million pings through a tiny cache. Hours.
 store-soak: $(STAMP)
@@ -117,18 +119,18 @@ fuzz: $(STAMP)
 # The dives of the survey study: two hours in ten recordings, 7 GB; damaged copies of two. Half an
 # hour of one core; what was finished is kept.
 survey-dives: $(STAMP)
-	PYTHONPATH=tools $(BIN)/python -m survey_study.make_dives --out out/survey --damage
+	$(TOOL) studies survey-dives --out out/survey --damage
 
 # The survey study: the dives mapped with one and two workers, with workers killed, on damaged
 # recordings, and in one process; the maps compared, and how the survey scales. An hour or two of two
 # cores that have nothing else to do; after a stop the same command goes on.
 survey-study: survey-dives
-	PYTHONPATH=tools $(BIN)/python -m survey_study.run --out out/survey
+	$(TOOL) studies survey --out out/survey
 
 # Breaks each guarded formula once and has a test notice; writes docs/reports/mutations.md. An hour
 # of one core; what is as it was when it was measured is not measured again.
 mutations: $(STAMP)
-	PYTHONPATH=tools $(BIN)/python -m mutations.run --write
+	$(TOOL) studies mutations --write
 
 install: $(STAMP)
 

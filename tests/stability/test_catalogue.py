@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from write_stability_docs import CASES, PAGE, case_of, cases, catalogue, page_with
+from studies.numerics.catalogue import CASES, case_of, cases, catalogue
+from studies.report import PAGES, section
 
 LEAST_CASES = 80
 
@@ -27,9 +28,9 @@ def test_every_test_is_a_case_of_its_own() -> None:
 
 
 def test_the_page_is_up_to_date() -> None:
-    """`python tools/write_stability_docs.py` writes it."""
-    page = PAGE.read_text(encoding="utf-8")
-    assert page_with(page, "catalogue", catalogue(list(cases()))) == page
+    """`PYTHONPATH=tools python -m studies hard-cases` writes it."""
+    page = PAGES["numerical-stability"].read_text(encoding="utf-8")
+    assert section(page, "catalogue", catalogue(list(cases()))) == page
 
 
 @pytest.mark.parametrize(
@@ -64,5 +65,5 @@ def test_a_bar_in_a_sentence_is_no_column() -> None:
 
 @pytest.mark.parametrize("page", ["", "<!-- other: begin, x -->\n<!-- other: end -->"])
 def test_a_page_without_a_place_is_refused(page: str) -> None:
-    with pytest.raises(ValueError, match="no one place"):
-        page_with(page, "catalogue", "")
+    with pytest.raises(ValueError, match="no section to write into"):
+        section(page, "catalogue", "")

@@ -1,7 +1,6 @@
-"""The programs in tools/ are no package: put their folders where they look for each other."""
+"""The programs of the tools run from a checkout alone: put their packages on the path."""
 
 import sys
 from pathlib import Path
 
-TOOLS = Path(__file__).resolve().parents[2] / "tools"
-sys.path[:0] = [str(TOOLS), str(TOOLS / "bench")]
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))

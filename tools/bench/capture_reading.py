@@ -1,6 +1,6 @@
 """How fast network captures are read: our reader beside dpkt, which does less.
 
-`python tools/bench/capture_reading.py` writes a capture of an M750d into a temporary folder and
+`python -m bench capture-reading` writes a capture of an M750d into a temporary folder and
 reads it. dpkt parses each packet and appends its payload to its flow, in the order of the file:
 no reordering, no repeats, no bounds.
 """

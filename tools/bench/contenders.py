@@ -64,8 +64,7 @@ class Contender:
         if not self.is_ours:
             program, *way = self.words
             return [build / program, case.rays_file, *given, *way]
-        where = (BENCH / "our_contender.py", case.pings_file)
-        return [sys.executable, *where, *given, *self.words]
+        return [sys.executable, "-m", "bench.our_contender", case.pings_file, *given, *self.words]
 
 
 def _rival(program: str, map_name: str, *way: str) -> Contender:

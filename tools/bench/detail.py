@@ -11,11 +11,11 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from bench_pings import load
 from numpy.typing import NDArray
-from our_contender import config_of
-from results import DetailDifference
 
+from bench.our_contender import config_of
+from bench.pings import load
+from bench.results import DetailDifference
 from mapperd.mapping.sonar_map import SonarMap
 
 CONVERGED = 8.0

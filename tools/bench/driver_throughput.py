@@ -4,7 +4,7 @@ Feeds version 2 pings of 512 beams and 8 bit to `StreamParser` and `decode_ping`
 socket gives them, on one core. Prints a table, with the ratio to the largest rate that an M750d can
 send, and draws docs/images/driver-throughput.png.
 
-Usage: python tools/bench/driver_throughput.py [--picture FILE]
+Usage: python -m bench driver-throughput [--picture FILE]
 """
 
 import argparse

@@ -16,7 +16,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import msgspec
-from bench_host import say
+
+from bench.host import say
 
 CPP = Path(__file__).resolve().parents[2] / "cpp"
 BEAMS = 60

@@ -4,7 +4,7 @@ For each format the bytes of a minute are made beforehand. What is timed is the 
 carry the clock over, fuse, and ask for the pose and the motion at each ping's time. Processor time,
 the least of three runs. Prints the table; --write puts it into docs/guides/odometry.md.
 
-Usage: python tools/bench/odometry_cost.py [--seconds N] [--write]
+Usage: python -m bench odometry-cost [--seconds N] [--write]
 """
 
 import argparse
@@ -12,10 +12,9 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
-from marked import put_into
+from studies.report import PAGES, write_section
 
 from mapperd.config.odometry import FormatName, OdometryFusionConfig, OdometrySourceConfig
 from mapperd.config.tree import Config
@@ -23,7 +22,6 @@ from mapperd.odometry.bridge import OdometryBridge
 from mapperd.odometry.fusion import FusedPose
 from mapperd.odometry.native import NativeRecord, encode_native, encode_native_serial
 
-PAGE = Path("docs/guides/odometry.md")
 RECORDS_HZ, PINGS_HZ = 400, 40
 TARGET = 0.10
 START_NS = 1_700_000_000 * 10**9
@@ -184,12 +182,12 @@ def main() -> None:
     """Measure, print, and write where asked."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--seconds", type=float, default=60.0, help="of odometry a format")
-    parser.add_argument("--write", action="store_true", help=f"put the table into {PAGE}")
+    parser.add_argument("--write", action="store_true", help="put the table into its page")
     said = parser.parse_args()
     text = table(said.seconds)
     print(text)
     if said.write:
-        put_into(PAGE, "tools/bench/odometry_cost.py", text)
+        write_section(PAGES["odometry"], "odometry cost", text, "python -m bench odometry-cost")
 
 
 if __name__ == "__main__":

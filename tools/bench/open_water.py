@@ -8,10 +8,10 @@ import time
 
 import msgspec
 import numpy as np
-from bench_input import SETTINGS
-from bench_scene import mounting, path
-from our_contender import config_of
 
+from bench.inputs import SETTINGS
+from bench.our_contender import config_of
+from bench.scene import mounting, path
 from mapperd.imaging.ping_image import PingImage
 from mapperd.mapping.sonar_map import SonarMap
 from oculus_driver.encode import bearing_table_cdeg

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from bench_host import status_bytes
-from bench_pings import Pings, load
-from results import Measured
 
+from bench.host import status_bytes
+from bench.pings import Pings, load
+from bench.results import Measured
 from mapperd.config.tree import Config, MappingConfig, OctreeConfig, SonarConfig
 from mapperd.geometry.motion import PingMotion
 from mapperd.mapping.sonar_map import SonarMap

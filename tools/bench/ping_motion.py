@@ -7,7 +7,7 @@ from the posts is compared with a sonar that stops for every ping. The fan is th
 elevation that a sonar cannot tell does not hide the rest. What motion costs is measured by
 `make bench`.
 
-Usage: python tools/bench/ping_motion.py [--pings N]
+Usage: python -m bench ping-motion [--pings N]
 """
 
 import argparse

@@ -13,15 +13,16 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from simulator_tables import tables
 from sonar_sim import Simulator, load_scenario
 from sonar_sim.effects.cost import measured_costs_ms
 from sonar_sim.engine import Engine
 from sonar_sim.scenario import Scenario
 from sonar_sim.sonar_motion import sonar_motion, sonar_pose
+from studies.report import PAGES, write_section
+
+from bench.simulator_tables import tables
 
 if TYPE_CHECKING:
     from multiprocessing.queues import Queue
@@ -32,9 +33,6 @@ SIZES = ((256, 500, 40.0), (512, 1000, 20.0))
 """Beams, rows, and the pings a second that are asked for."""
 STRETCHES = 4
 """Parts of the trajectory that are pinged at the asked rate: their pings follow one another."""
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "reports" / "performance.md"
-BEGIN = "<!-- simulator: written by tools/bench/simulator_speed.py, do not edit -->"
-END = "<!-- end of simulator -->"
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,10 +170,7 @@ def main() -> None:
     text = tables(speeds, triangles=triangles, workers=said.workers, load=load)
     print(text)
     if said.write:
-        page = PAGE.read_text(encoding="utf-8")
-        before, _, rest = page.partition(BEGIN)
-        after = rest.partition(END)[2] or "\n"
-        PAGE.write_text(f"{before}{BEGIN}\n\n{text}\n{END}{after}", encoding="utf-8")
+        write_section(PAGES["performance"], "simulator", text, "python -m bench simulator-speed")
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from simulator_speed import Speed
+    from bench.simulator_speed import Speed
 
 PUBLISHED = (
     ("NPS / DAVE raster", "i9-9900K, RTX 2080 Ti", "512 beams, 60 m, 114 rays a beam", "0.5"),

@@ -5,7 +5,7 @@ that changed; bytes are those of one. The measure of bytes is what tells the sam
 a probability as four float32 each voxel: every voxel whose value or count is another than at the
 tick before, and, in brackets, those alone whose quantised value is. Prints the tables.
 
-Usage: python tools/bench/stream_source.py [RECORDING] [--config FILE]
+Usage: python -m bench stream-source [RECORDING] [--config FILE]
 """
 
 import argparse

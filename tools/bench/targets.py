@@ -4,8 +4,7 @@ import statistics
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from bench_input import AHEAD, DOWN
-from contenders import (
+from bench.contenders import (
     BONXAI,
     GRID_FIRST,
     GRID_FULL,
@@ -15,7 +14,8 @@ from contenders import (
     RAYS_FULL,
     Contender,
 )
-from results import CaseResult, Measured, figure, p95, times_faster
+from bench.inputs import AHEAD, DOWN
+from bench.results import CaseResult, Measured, figure, p95, times_faster
 
 FINE_M = 0.05
 Measure = Callable[[CaseResult], float | None]

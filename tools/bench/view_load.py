@@ -1,6 +1,6 @@
 """What a map of many cells costs the page of `mapperctl view`, and the browser that shows it.
 
-    python tools/bench/view_load.py [--cells 2000000] [--chromium /usr/bin/chromium]
+    python -m bench view-load [--cells 2000000] [--chromium /usr/bin/chromium]
 
 A rough sea floor with walls is mirrored and shown; then blocks near a vehicle change as while it
 maps. Told are the bytes that a browser gets, the processor time that the page's server takes, and

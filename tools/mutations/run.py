@@ -1,6 +1,7 @@
 """Breaks each formula of the catalogue once in a copy, and has a test notice.
 
-    python -m mutations.run [--only 'localization/*'] [--language cpp] [--again] [--write]
+    PYTHONPATH=tools python -m studies mutations [--only 'localization/*'] [--language cpp]
+        [--again] [--write]
 
 The last commit is looked at, not what is uncommitted. The copy and its build lie in
 build/mutations, those of one language beside it, so that both may be looked at at once. Results lie
@@ -16,6 +17,7 @@ import sys
 import time
 from collections.abc import Sequence
 
+from studies.report import PAGES, write_section
 from tqdm import tqdm
 
 from mutations.broken_copy import Copy, NotBuiltError
@@ -24,9 +26,6 @@ from mutations.judge import End, program_of, run_test, targets_of
 from mutations.results import Result, Results, is_well, table
 from mutations.stamp import stamp
 
-PAGE = REPOSITORY / "docs" / "reports" / "mutations.md"
-BEGIN = "<!-- measured: make mutations -->\n"
-END = "<!-- end of measured -->\n"
 MOST_BYTES = 8 << 30
 """Of a program's memory: a loop that lost its end must not take the machine's with it."""
 
@@ -109,7 +108,7 @@ def main(words: Sequence[str] | None = None) -> int:
     print(f"{len(due)} of {len(chosen)} mutations to measure at {copy.commit}")
     _measure(copy, due, results)
     if told.write:
-        _write_page(table(mutations, results))
+        write_section(PAGES["mutations"], "mutations", table(mutations, results))
     unwell = [one for one in chosen if not is_well(one, results.of(one))]
     for one in unwell:
         print(f"{one.name}: {results.of(one)}\n  {one.survives or one.breaks}")
@@ -135,14 +134,6 @@ def _measure(copy: Copy, mutations: Sequence[Mutation], results: Results) -> Non
             results.add(result)
             if not is_well(mutation, result):
                 bar.write(f"{mutation.name}: {result.outcome} {result.words}")
-
-
-def _write_page(tables: str) -> None:
-    before, begin, rest = PAGE.read_text().partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise SystemExit(f"{PAGE} has no place for the tables")
-    PAGE.write_text(f"{before}{BEGIN}\n{tables}\n\n{END}{after}")
 
 
 if __name__ == "__main__":

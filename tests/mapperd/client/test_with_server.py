@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from stream_study.told_steps import told_steps
+from studies.stream.told_steps import told_steps
 
 from mapperd import _core
 from mapperd.client import Interest, MapClient, connect

@@ -6,7 +6,7 @@ from typing import Any
 import jsonschema
 import msgspec
 import pytest
-from config_schema import json_schema
+from config_docs.schema import json_schema
 
 from mapperd.config.aliases import ALIASES, IGNORED, change_renamed, restored_changes
 from mapperd.config.amcl import CORRECTED

@@ -9,8 +9,8 @@ import jsonschema
 import msgspec
 import pytest
 import yaml
-from config_page import configuration_page
-from config_schema import json_schema
+from config_docs.page import configuration_page
+from config_docs.schema import json_schema
 
 from mapperd.config.catalog import Parameter, inner_parameters, parameters
 from mapperd.config.loader import config_from_text
@@ -80,7 +80,7 @@ def test_schema_takes_the_files_to_start_from(path: Path) -> None:
 
 
 def test_written_files_are_those_of_the_types() -> None:
-    again = "run tools/write_config_docs.py"
+    again = "run PYTHONPATH=tools python -m config_docs"
     assert PAGE.read_text(encoding="utf-8") == configuration_page(), again
     written = (ROOT / "config" / "schema.json").read_text(encoding="utf-8")
     assert json.loads(written) == json.loads(json.dumps(json_schema())), again

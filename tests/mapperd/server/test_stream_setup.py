@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from stream_study.told_steps import told_steps
+from studies.stream.told_steps import told_steps
 
 from mapperd.config.loader import config_from_text
 from mapperd.daemon.servers import map_listeners, stream_server

@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from stream_study.told_steps import told_steps
+from studies.stream.told_steps import told_steps
 
 from mapperd import _core
 from mapperd.client.mirror import MapMirror

@@ -10,12 +10,12 @@ import pytest
 from mapper_survey.request import read_survey
 from numpy.typing import NDArray
 from sonar_sim.errors import SceneError
-from survey_study.damage import cut, flip
-from survey_study.dives import ALTITUDE_M, FULL, PAUSE_S, SMALL, Dive, dives
-from survey_study.make_dives import record_all
-from survey_study.recorder import record
-from survey_study.seabed import DEPTH_M
-from survey_study.survey_file import write_survey
+from studies.survey.damage import cut, flip
+from studies.survey.dives import ALTITUDE_M, FULL, PAUSE_S, SMALL, Dive, dives
+from studies.survey.make_dives import record_all
+from studies.survey.recorder import record
+from studies.survey.seabed import DEPTH_M
+from studies.survey.survey_file import write_survey
 
 from oculus_driver.recording import describe, open_recording
 

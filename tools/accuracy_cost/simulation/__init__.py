@@ -1,5 +1,0 @@
-"""Study of the simulator: what each effect, ray and decibel of tolerance buys and costs."""
-
-from accuracy_cost.simulation.study import STUDY
-
-__all__ = ["STUDY"]

@@ -1,0 +1,1 @@
+"""Benchmarks: speed and memory of the driver, the map and the simulator."""

@@ -1,0 +1,1 @@
+"""The settings' page and their JSON schema, from the types."""

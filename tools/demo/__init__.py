@@ -1,0 +1,1 @@
+"""The demo: one simulated dive, mapped and compared with the true surface."""

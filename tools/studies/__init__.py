@@ -1,0 +1,1 @@
+"""Studies: what the project measures about itself, and the reports of the documentation."""

@@ -1,0 +1,201 @@
+"""What is turned in the study of localization."""
+
+from studies.accuracy_cost.localization.settings import profile_overrides, published_overrides
+from studies.accuracy_cost.study import Knob, Setting, Value
+
+__all__ = ["KNOBS", "WHOLES"]
+
+PROFILES = ("low_power", "balanced", "survey")
+MARGIN = 0.15
+"""Errors of two runs with other random numbers differ by about so much."""
+
+
+def _turned(name: str, default: str, *values: Value) -> tuple[Setting, ...]:
+    """Positions of one setting; the one that `default` says has no overrides."""
+    said = [str(value) for value in values]
+    return tuple(
+        Setting(label, {} if label == default else {name: value})
+        for label, value in zip(said, values, strict=True)
+    )
+
+
+def _always(count: int) -> Setting:
+    return Setting(str(count), {"amcl.max_particles": count, "amcl.min_particles": count})
+
+
+def _resampled(label: str, interval: int, *, selective: bool) -> Setting:
+    return Setting(
+        label, {"amcl.resample_interval": interval, "amcl.selective_resampling": selective}
+    )
+
+
+def _scaled(name: str, *factors: float) -> tuple[Setting, ...]:
+    """Factors of settings that differ between places."""
+    return tuple(Setting(f"x {f:g}", {} if f == 1 else {name: f}) for f in factors)
+
+
+KNOBS = (
+    Knob(
+        "particles",
+        "Particles; one number: always as many",
+        (
+            _always(100),
+            _always(300),
+            _always(1000),
+            _always(3000),
+            _always(10000),
+            _always(20000),
+            Setting("100 to 5000", {"amcl.min_particles": 100, "amcl.max_particles": 5000}),
+            Setting("500 to 5000", {"amcl.max_particles": 5000}),
+            Setting("500 to 10000", {}),
+            Setting("500 to 30000", {"amcl.max_particles": 30000}),
+        ),
+        "100 to 5000",
+        MARGIN,
+        "A vehicle that is followed needs some hundred, which a number that follows the cloud's "
+        "spread gives; 300 always are less exact in small places. What the most may be changes "
+        "little here; with 5000, rivals that are thinly drawn take over now and then in half an "
+        "hour's dives (docs/guides/localization.md).",
+    ),
+    Knob(
+        "fewest-particles",
+        "Particles of a cloud that has found its place",
+        _turned("amcl.min_particles", "500", 50, 100, 200, 500, 1000, 2000),
+        "100",
+        MARGIN,
+        "Hardly moves error or time per ping: what costs is finding a place, not keeping it.",
+    ),
+    Knob(
+        "beams",
+        "Beams of a scan that are weighed",
+        _turned("amcl.max_beams", "60", 5, 10, 20, 30, 60, 120),
+        "60",
+        MARGIN,
+        "Leave it. Below 30 a vehicle that is lost is found less often, and the large cloud that "
+        "looks for it costs more than the beams save.",
+        quick=True,
+    ),
+    Knob(
+        "cells",
+        "Edge of the map's cells, in times of 0.1 m (tank 0.05 m)",
+        _scaled("scale.cells", 1.0, 1.5, 2.0, 3.0, 5.0),
+        None,
+        MARGIN,
+        "Larger cells cost precision; twice as large they save a third of the time, and memory by "
+        "their cube.",
+    ),
+    Knob(
+        "model",
+        "How scans are weighed",
+        _turned(
+            "amcl.laser_model_type",
+            "likelihood_field_prob",
+            "likelihood_field",
+            "likelihood_field_prob",
+            "beam",
+        ),
+        "likelihood_field",
+        MARGIN,
+        "The product over a field; the sum of cubes can neither be tempered nor tell when it is "
+        "lost, and rays on a planar map hardly find who is.",
+        quick=True,
+    ),
+    Knob(
+        "tempering",
+        "Exponent of a scan's likelihood",
+        _turned("localization.tempering", "0.1", 0.02, 0.05, 0.1, 0.2, 0.4, 1.0),
+        "1.0",
+        MARGIN,
+        "Costs no time. Beams that overlap are not as many votes; with 1 the cloud is sure of "
+        "itself where it is wrong, three times as often.",
+        quick=True,
+    ),
+    Knob(
+        "geometry",
+        "A planar slice of the map against all of it",
+        _turned("localization.geometry", "3d", "2d", "3d"),
+        "2d",
+        MARGIN,
+        "A slice saves memory and the elevations; it is right where walls are upright.",
+    ),
+    Knob(
+        "elevations",
+        "Elevations that a return is tried at, 3D",
+        _turned("localization.elevations", "5", 1, 3, 5, 9, 17),
+        None,
+        MARGIN,
+        "Too few lose the vehicle among things that stand above and below each other.",
+    ),
+    Knob(
+        "resampling",
+        "When particles are drawn anew",
+        (
+            _resampled("every update", 1, selective=False),
+            Setting("when half is lost", {}),
+            _resampled("every second update", 2, selective=False),
+            _resampled("every fourth, when half is lost", 4, selective=True),
+        ),
+        "every second update",
+        MARGIN,
+        "Hardly costs time; drawing only when half of the effective particles are lost keeps them.",
+    ),
+    Knob(
+        "step",
+        "Way and time between updates, in times of 0.15 m (tank 0.03 m) and 1 s",
+        _scaled("scale.step", 0.5, 1.0, 2.0, 4.0, 8.0),
+        None,
+        MARGIN,
+        "Fewer updates save no time: odometry drifts between them, and the cloud that spreads "
+        "needs more particles.",
+    ),
+    Knob(
+        "cloud-error",
+        "Error that the number of particles is chosen by (pf_err)",
+        _turned("amcl.pf_err", "0.05", 0.01, 0.02, 0.05, 0.1, 0.2),
+        "0.05",
+        MARGIN,
+        "Matters while the cloud is spread, at a start that is not known.",
+    ),
+    Knob(
+        "search",
+        "Poses that the first scan is tried at, for a start anywhere",
+        _turned("localization.search_poses", "300000", 0, 30000, 100000, 300000, 1000000),
+        "0",
+        MARGIN,
+        "Paid once, at a start that is not known; without it hardly any such start succeeds.",
+    ),
+    Knob(
+        "rivals",
+        "A second cloud, tried every so much way, in times of 9.9 m (tank 2 m)",
+        (
+            Setting("never", {"scale.rivals": 0.0}),
+            *_scaled("scale.rivals", 0.5, 1.0, 2.0, 4.0),
+        ),
+        "never",
+        MARGIN,
+        "The first to turn on a weak computer where the start is known: a followed dive takes a "
+        "sixth to a third of the time without. A vehicle that was carried off, or began at a "
+        "wrong place, is found by it.",
+    ),
+    Knob(
+        "sharpness",
+        "Standard deviation of a hit, in times of two cells",
+        _scaled("scale.sigma", 0.5, 1.0, 2.0, 4.0),
+        None,
+        MARGIN,
+        "Sharper or blunter, the cloud takes longer to settle, and time with it.",
+    ),
+    Knob(
+        "drawing",
+        "Power of the weights that particles are drawn by",
+        _turned("localization.draw_exponent", "0.5", 0.25, 0.5, 0.75, 1.0),
+        "1.0",
+        MARGIN,
+        "Costs no time; below 1 light modes stay alive.",
+    ),
+)
+
+WHOLES = (
+    Setting("published", published_overrides()),
+    *(Setting(name, said) for name in PROFILES if (said := profile_overrides(name))),
+)

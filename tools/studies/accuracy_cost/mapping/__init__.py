@@ -1,0 +1,38 @@
+"""What accuracy costs in mapping: surfaces and probabilities against CPU time a ping."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from studies.accuracy_cost.mapping.dives import DIVES, make_dive
+from studies.accuracy_cost.mapping.knobs import KNOBS, WHOLES
+from studies.accuracy_cost.mapping.measuring import COLUMNS, COST, ERROR, measure
+from studies.accuracy_cost.mapping.oracle import make_oracle
+from studies.accuracy_cost.study import Column, Dive, Knob, Setting
+
+__all__ = ["STUDY", "MappingStudy"]
+
+
+@dataclass(frozen=True, slots=True)
+class MappingStudy:
+    """As `studies.accuracy_cost.study.Study` says."""
+
+    name: str = "mapping"
+    knobs: tuple[Knob, ...] = KNOBS
+    dives: tuple[Dive, ...] = DIVES
+    wholes: tuple[Setting, ...] = WHOLES
+    columns: tuple[Column, ...] = COLUMNS
+    error: str = ERROR
+    cost: str = COST
+
+    def prepare(self, dive: Dive, folder: Path) -> None:
+        """Simulate the dive and make its converged map."""
+        folder.mkdir(parents=True, exist_ok=True)
+        make_dive(dive, folder)
+        make_oracle(dive, folder)
+
+    def measure(self, setting: Setting, dive: Dive, folder: Path) -> dict[str, float]:
+        """Map the dive with a setting and compare."""
+        return measure(setting, dive, folder)
+
+
+STUDY = MappingStudy()

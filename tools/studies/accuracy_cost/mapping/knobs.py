@@ -1,0 +1,273 @@
+"""What is turned in the study of mapping, and the whole configurations beside it."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from studies.accuracy_cost.mapping.settings import profile
+from studies.accuracy_cost.study import Knob, Setting, Value
+
+__all__ = ["KNOBS", "PUBLISHED", "PUBLISHED_FILE", "PUBLISHED_SHIPPED", "WHOLES"]
+
+DEFAULT = Setting("default", {})
+MARGIN = 0.05
+"""Share of the error by which a default may lie behind the front: what chance makes of a lag. With
+other random seeds of the basin's speckle, noise and odometry, how much another setting saves of the
+default's error differs by 0.01 to 0.03 (standard deviation over six seeds); two of them."""
+APERTURE_MARGIN = 0.1
+"""That default is where half of an echo's power is left, whichever way the sonar looks. Narrower
+ones err some 6 % less looking ahead, as the quick dives do, and 12 % more looking straight down."""
+QUICK = (
+    *("voxel-size", "detail", "within-ping-motion", "pose-policy", "aggregation"),
+    *("adaptive", "occupied-threshold", "intensity-threshold", "elevation"),
+)
+"""Knobs that every test run turns: those whose default is a choice of ours."""
+
+PUBLISHED_RULE: dict[str, Value] = {
+    "sonar.vertical_aperture": 20.0,
+    "mapping.integrator": "rays",
+    "mapping.within_ping_motion": False,
+    "adaptive.min_ratio": 0.0,
+    "time_sync.policy": "latest",
+}
+"""The published sonar mapper: sampled sub-rays, one pose a ping, the newest, all of the aperture of
+the data sheet; its other constants are those of its page of parameters, which are our defaults."""
+
+PUBLISHED = Setting("published", PUBLISHED_RULE | {"processing.frame_skip": 5})
+"""With the frame skip of its file of settings: four pings of five are thrown away."""
+
+PUBLISHED_SHIPPED = Setting("published, every ping", PUBLISHED_RULE)
+"""With the frame skip of 1 that its page of parameters names as the default."""
+
+PUBLISHED_FILE = Setting(
+    "published, its file at 0.2 m",
+    PUBLISHED_RULE
+    | {
+        "processing.frame_skip": 5,
+        "octree.voxel_resolution": 0.2,
+        "filtering.intensity_threshold": 100.0,
+        "filtering.min_range": 1.0,
+        "iwlo.L_occ": 2.0,
+        "iwlo.L_free": -4.0,
+        "iwlo.L_min": -12.0,
+        "iwlo.L_max": 8.0,
+        "iwlo.sharpness": 0.1,
+        "iwlo.min_alpha": 0.3,
+    },
+)
+"""What it runs with as it is shipped: voxels and frame skip of its file of settings, and the
+constants that its node declares, where they differ from its page of parameters."""
+
+PROFILES = ("low_power", "balanced", "survey")
+WHOLES = (PUBLISHED, PUBLISHED_SHIPPED, PUBLISHED_FILE, *(profile(name) for name in PROFILES))
+
+
+def _knob(
+    name: str,
+    title: str,
+    settings: Sequence[tuple[str, dict[str, Value]]],
+    advice: str,
+    *,
+    published: str | None = None,
+    margin: float = MARGIN,
+) -> Knob:
+    made = tuple(Setting(label, overrides) for label, overrides in settings)
+    return Knob(name, title, made, published, margin, advice, quick=name in QUICK)
+
+
+def _values(
+    field: str, values: Sequence[Value], default: Value, unit: str = ""
+) -> list[tuple[str, dict[str, Value]]]:
+    """One setting a value; the default's has no overrides."""
+    return [(f"{v}{unit}", {} if v == default else {field: v}) for v in values]
+
+
+def _told(knob: Knob) -> Knob:
+    """Its error is in what voxels are told: turning it moves log-odds, and surfaces hardly."""
+    return replace(knob, error="log_odds_error")
+
+
+def _together(edge_m: float, skip: int) -> tuple[str, dict[str, Value]]:
+    return f"{edge_m} m, 256 beams, ping {skip}", {
+        "octree.voxel_resolution": edge_m,
+        "device.beams": 256,
+        "processing.frame_skip": skip,
+    }
+
+
+KNOBS = (
+    _knob(
+        "voxel-size",
+        "Voxel size",
+        _values("octree.voxel_resolution", (0.05, 0.075, 0.1, 0.15, 0.2, 0.4), 0.05, " m"),
+        "The first to turn: 0.1 m instead of 0.05 m takes a third of the time and a fifth of the "
+        "memory, and moves surfaces by 1 to 2 cm; from 0.2 m on there is little more to save.",
+        published="0.05 m",
+    ),
+    _knob(
+        "together",
+        "Coarser voxels, fewer beams and fewer pings together",
+        [
+            ("0.05 m", {}),
+            ("0.05 m, ping 2", {"processing.frame_skip": 2}),
+            ("0.05 m, ping 5", {"processing.frame_skip": 5}),
+            *(
+                _together(edge_m, skip)
+                for edge_m, skip in (
+                    *((0.1, skip) for skip in (1, 2, 5)),
+                    *((0.2, skip) for skip in (1, 2, 5)),
+                    (0.4, 1),
+                )
+            ),
+        ],
+        "Coarser first, then fewer beams, then fewer pings.",
+    ),
+    _knob(
+        "integrator",
+        "Integrator",
+        [
+            ("evidence_grid", {}),
+            ("rays", {"mapping.integrator": "rays"}),
+            ("evidence_grid, 0.1 m", {"octree.voxel_resolution": 0.1}),
+            ("rays, 0.1 m", {"octree.voxel_resolution": 0.1, "mapping.integrator": "rays"}),
+        ],
+        "Rays are cheap because they look at every second beam, at some of the aperture and at 50 "
+        "rows behind the first return; what they leave out is missing, false surface too, and the "
+        "log-odds of the rest are off by hundreds of times as much.",
+        published="rays",
+    ),
+    _knob(
+        "detail",
+        "Detail of the evidence grid",
+        _values("mapping.detail", (0.25, 0.5, 1.0, 2.0, 4.0, 8.0), 1.0),
+        "A finer grid takes more time and tells voxels more exactly what the image says of them.",
+    ),
+    _knob(
+        "beams",
+        "Beams used",
+        [
+            ("512", {}),
+            ("256", {"device.beams": 256}),
+            ("128", {"study.beams": 4}),
+            ("64", {"study.beams": 8}),
+        ],
+        "The sonar's own setting (`device.beams`), here by leaving out columns: half of them save "
+        "an eighth of the time at 0.05 m and a third at 0.2 m, and surfaces hardly move.",
+        published="256",
+    ),
+    _knob(
+        "rows",
+        "Rows used",
+        [
+            ("all", {}),
+            ("every 2", {"study.rows": 2}),
+            ("every 4", {"study.rows": 4}),
+            ("every 8", {"study.rows": 8}),
+        ],
+        "Rows put together, as loud as the loudest of them, save no time: what is thick in range "
+        "fills more voxels. Surfaces thicken, and less of them is missing.",
+    ),
+    _knob(
+        "elevation",
+        "Vertical aperture that an echo is spread over",
+        _values("sonar.vertical_aperture", (5.0, 10.0, 14.0, 17.0, 20.0, 25.0), 14.0, "°"),
+        "What an echo may be anywhere in. The data sheet's 20° are one way; an echo goes both, and "
+        "half its power is left at 14°: sharper and cheaper looking ahead. Looking down, 20° see a "
+        "little more, and below 14° ever more goes missing.",
+        published="20.0°",
+        margin=APERTURE_MARGIN,
+    ),
+    _told(
+        _knob(
+            "within-ping-motion",
+            "Motion within the ping",
+            [("true", {}), ("false", {"mapping.within_ping_motion": False})],
+            "Costs a third to a half more time and moves no surface up to 10 m: it shows in what "
+            "voxels are told, and in surfaces at 30 m and fast turns (docs/concepts/mapping.md).",
+            published="false",
+        )
+    ),
+    _told(
+        _knob(
+            "pose-policy",
+            "Pose of a ping",
+            _values("time_sync.policy", ("interpolate", "nearest", "latest"), "interpolate"),
+            "Costs no time; the newest pose is the wrong one, which shows in what voxels are told.",
+            published="latest",
+        )
+    ),
+    _knob(
+        "frame-skip",
+        "Frame skip",
+        _values("processing.frame_skip", (1, 2, 3, 5, 10), 1),
+        "Time falls with every ping that is left out, and so does what has been seen.",
+        published="5",
+    ),
+    _knob(
+        "crosstalk",
+        "Crosstalk filter",
+        [
+            ("off", {}),
+            ("on", {"crosstalk.enabled": True}),
+            ("on, notch too", {"crosstalk.enabled": True, "crosstalk.fft_enabled": True}),
+        ],
+        "Costs little time; turn it on where another sonar draws stripes. The notch takes away "
+        "surface that is there.",
+        published="off",
+    ),
+    _knob(
+        "intensity-threshold",
+        "Intensity threshold",
+        _values("filtering.intensity_threshold", (15.0, 25.0, 35.0, 50.0, 70.0, 100.0), 35.0),
+        "Higher is cheaper and sharper until the floor falls silent, which is then carved away: it "
+        "belongs to the gain, and to the water.",
+        published="35.0",
+    ),
+    _knob(
+        "occupied-threshold",
+        "Probability from which a voxel is occupied",
+        _values("mapping.occupied_threshold", (0.5, 0.6, 0.7, 0.8, 0.9, 0.95), 0.7),
+        "Costs no time; higher is less surface, and less of it false.",
+        published="0.7",
+    ),
+    _knob(
+        "aggregation",
+        "Both kinds of evidence in one ping",
+        [("occupied_first", {}), ("mean", {"mapping.aggregation": "mean"})],
+        "With the mean more surface is missing.",
+    ),
+    _knob(
+        "adaptive",
+        "Adaptive rule",
+        [
+            ("on, min_ratio 0.25", {}),
+            ("on, min_ratio 0", {"adaptive.min_ratio": 0.0}),
+            ("on, min_ratio 0.1", {"adaptive.min_ratio": 0.1}),
+            ("off", {"adaptive.update": False}),
+            ("occupied unprotected", {"adaptive.protect_occupied": False}),
+        ],
+        "Costs no time; off, one wrong echo counts for as much as it says.",
+        published="on, min_ratio 0",
+    ),
+    _knob(
+        "sharpness",
+        "Slope from intensity to weight",
+        _values("iwlo.sharpness", (0.5, 1.5, 3.0, 6.0, 12.0), 3.0),
+        "Costs no time; above 3 weak echoes hardly count, so that a floor seen at an angle goes "
+        "missing.",
+        published="3.0",
+    ),
+    _knob(
+        "decay-rate",
+        "How fast the learning rate falls",
+        _values("iwlo.decay_rate", (0.02, 0.05, 0.1, 0.2, 0.5), 0.1),
+        "Costs no time.",
+        published="0.1",
+    ),
+    _knob(
+        "min-alpha",
+        "Lowest learning rate",
+        _values("iwlo.min_alpha", (0.02, 0.05, 0.1, 0.2, 0.4), 0.1),
+        "Costs no time; it decides how long a change takes, which a short dive cannot show.",
+        published="0.1",
+    ),
+)

@@ -1,0 +1,86 @@
+"""Dives that the stream is measured on: simulated pings of a basin, and a link."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from bench import scene
+from bench.pings import Pings, load
+from numpy.typing import NDArray
+from sonar_sim import Simulator, SonarSettings
+
+from oculus_driver.encode import bearing_table_cdeg
+from studies.accuracy_cost.streaming.link import LinkShape
+from studies.accuracy_cost.study import Dive
+
+__all__ = ["DIVES", "PING_S", "PLANS", "Plan", "load_dive", "position_of", "prepare_dive"]
+
+PING_S = 0.2
+RANGE_M, GAIN_PERCENT = 20.0, 50.0
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is dived and over which link it is told.
+
+    Attributes:
+        pings: five a second.
+        joins: ping at which the client connects.
+        beams, rows: of the sonar's images.
+        link: to the client.
+        voxel_m: of the map.
+        judged_every: so many pings.
+    """
+
+    pings: int
+    joins: int
+    beams: int
+    rows: int
+    link: LinkShape
+    voxel_m: float = 0.2
+    judged_every: int = 5
+
+
+WIDE = LinkShape(rate=1_000_000.0, delay_s=0.02)
+RADIO = LinkShape(rate=32_000.0, delay_s=0.15)
+PLANS = {
+    "wide": Plan(120, 30, 256, 250, WIDE),
+    "radio": Plan(120, 30, 256, 250, RADIO),
+    "short": Plan(24, 3, 64, 50, WIDE, 0.4, 2),
+}
+DIVES = (Dive("wide", 1), Dive("radio", 1), Dive("short", 2, quick=True))
+
+
+def prepare_dive(dive: Dive, folder: Path) -> None:
+    """Simulate the pings; a file that is there is whole."""
+    path = _path(folder)
+    if path.exists():
+        return
+    plan = PLANS[dive.name]
+    row_m = RANGE_M / plan.rows
+    sonar = SonarSettings(
+        demanded_range_m=RANGE_M, base_row_m=row_m, gain_percent=GAIN_PERCENT, beams=plan.beams
+    )
+    simulator = Simulator(scene.basin(), sonar, dive.seed, threads=1)
+    poses = scene.poses(30.0, plan.pings)
+    images = [simulator.ping(pose, k).image for k, pose in enumerate(poses)]
+    bearings_rad = np.radians(bearing_table_cdeg(sonar.beams, sonar.half_aperture_rad) / 100.0)
+    map_T_sonar = np.tile(np.eye(4), (plan.pings, 1, 1))  # noqa: N806 frames are named
+    map_T_sonar[:, :3, :3] = [pose.rotation for pose in poses]
+    map_T_sonar[:, :3, 3] = [pose.position_m for pose in poses]
+    made = np.stack(images).astype(np.uint8)
+    Pings(made, bearings_rad, sonar.range_resolution_m, map_T_sonar).save(path)
+
+
+def load_dive(folder: Path) -> Pings:
+    """The prepared pings."""
+    return load(_path(folder))
+
+
+def position_of(pings: Pings, number: int) -> NDArray[np.float64]:
+    """(3,) of the sonar."""
+    return np.asarray(pings.map_T_sonar[number, :3, 3])
+
+
+def _path(folder: Path) -> Path:
+    return folder / "pings.npz"

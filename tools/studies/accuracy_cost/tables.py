@@ -1,0 +1,150 @@
+"""The figures of docs/reports/accuracy-cost.md: one row a knob, one a whole configuration."""
+
+import math
+import textwrap
+from collections.abc import Sequence
+
+from studies.accuracy_cost.checking import verdict
+from studies.accuracy_cost.front import SAME_COST, Plane, Point, mean_point, plane_of
+from studies.accuracy_cost.reliability import BIN, has_bins
+from studies.accuracy_cost.remarks import remarks
+from studies.accuracy_cost.results import Results
+from studies.accuracy_cost.studies import DEFAULT
+from studies.accuracy_cost.study import Knob, Study
+
+__all__ = ["IMAGES", "section"]
+
+IMAGES = "../images/accuracy-cost"
+LITTLE = 0.1
+"""More error that somebody gladly takes for a faster computer."""
+FIRST = f"""\
+What to turn first on a weak computer: the cheapest setting of each knob with at most
+{100 * LITTLE:g} % more error than the default."""
+
+
+def section(study: Study, results: Results) -> str:
+    """All that stands between a study's marks, as Markdown."""
+    head = results.head
+    dives = ", ".join(f"{dive.name} (random seed {dive.seed})" for dive in study.dives)
+    columns = {column.name: column.title for column in study.columns}
+    about = (
+        f"Error: {columns[study.error]}. Cost: {columns[study.cost]}. Means over the dives "
+        f"{dives}. Commit {head.get('commit')} on {head.get('machine')}; all figures: "
+        f"[{study.name}.csv](accuracy-cost/{study.name}.csv)."
+    )
+    command = (
+        f"python -m studies accuracy-cost run --only {study.name} --knob KNOB\n"
+        f"python -m studies accuracy-cost plot --only {study.name} --knob KNOB"
+    )
+    parts = [f"![All settings of {study.name}]({IMAGES}/{study.name}.png)", _wrapped(about)]
+    if has_bins(results):
+        parts.append(f"![Reliability]({IMAGES}/{study.name}-reliability.png)")
+    parts += [
+        "\n".join(_whole_rows(study, results)),
+        FIRST,
+        "\n".join(_saving_rows(study, results)),
+        *remarks(study, results),
+        "All knobs; each figure is the error at the cost.",
+        "\n".join(_knob_rows(study, results)),
+        f"Each picture is drawn again, from nothing, by\n\n```sh\n{command}\n```",
+    ]
+    return "\n\n".join(parts)
+
+
+def _wrapped(text: str) -> str:
+    return textwrap.fill(text, 100, break_on_hyphens=False)
+
+
+def _whole_rows(study: Study, results: Results) -> list[str]:
+    """All figures of the default and of whole configurations."""
+    wholes = (DEFAULT, *study.wholes)
+    rows = [f"| | {' | '.join(whole.label for whole in wholes)} |", "|---|" + "---:|" * len(wholes)]
+    for column in study.columns:
+        if not column.name.startswith(BIN):
+            plane = Plane(column.name, column.name)
+            means = [mean_point(plane, results, whole, study.dives).error for whole in wholes]
+            rows.append(f"| {column.title} | {' | '.join(map(_figure, means))} |")
+    return rows
+
+
+def _saving_rows(study: Study, results: Results) -> list[str]:
+    """Knobs that save anything, those that save most first."""
+    found = [(knob, _saving(study, results, knob)) for knob in study.knobs]
+    savings = sorted(
+        ((knob, point) for knob, point in found if point is not None),
+        key=lambda pair: pair[1].cost,
+    )
+    rows = ["| knob | turned to | cost, times the default's | error |", "|---|---|---:|---:|"]
+    for knob, point in savings:
+        default = mean_point(plane_of(study, knob), results, DEFAULT, study.dives)
+        error = 100.0 * (point.error / default.error - 1.0) if default.error else 0.0
+        cost = point.cost / default.cost
+        rows.append(f"| {knob.name} | {point.setting.label} | {cost:.2f} | {error:+.0f} % |")
+    return rows if savings else ["No knob saves time at so little error."]
+
+
+def _saving(study: Study, results: Results, knob: Knob) -> Point | None:
+    """The cheapest setting that is nearly as good as the default, if it is cheaper at all."""
+    points = _points(study, results, knob)
+    (default,) = (point for point in points if not point.setting.overrides)
+    good = [
+        point
+        for point in points
+        if point.error <= default.error * (1.0 + LITTLE) and point.cost * SAME_COST < default.cost
+    ]
+    return min(good, key=lambda point: point.cost, default=None)
+
+
+def _knob_rows(study: Study, results: Results) -> list[str]:
+    rows = [
+        "| knob | default | published | least error | least cost | the default | what it does |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    return rows + [_knob_row(study, results, knob) for knob in study.knobs]
+
+
+def _knob_row(study: Study, results: Results, knob: Knob) -> str:
+    points = _points(study, results, knob)
+    known = [point for point in points if point.known]
+    (default,) = (point for point in points if not point.setting.overrides)
+    own = {column.name: f", {column.title}" for column in study.columns}.get(knob.error or "", "")
+    cells = [
+        f"[{knob.name}]({IMAGES}/{study.name}-{knob.name}.png){own}",
+        _text(default),
+        _text(_labelled(points, knob.published)),
+        _text(min(known, key=lambda point: point.error, default=None)),
+        _text(min(known, key=lambda point: point.cost, default=None)),
+        _place(study, results, knob),
+        knob.advice,
+    ]
+    return f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |"
+
+
+def _points(study: Study, results: Results, knob: Knob) -> list[Point]:
+    plane = plane_of(study, knob)
+    return [mean_point(plane, results, setting, study.dives) for setting in knob.settings]
+
+
+def _place(study: Study, results: Results, knob: Knob) -> str:
+    """Whether the default is on the front, by how much it is not, and by how much it may."""
+    judged = verdict(study, knob, study.dives, results, results).lag
+    if judged is None:
+        return "not measured"
+    if judged.better is None:
+        return "on the front"
+    margin = f"margin {100 * knob.margin:g} %"
+    return f"{100 * judged.share:.2g} % behind {judged.better.label} ({margin})"
+
+
+def _labelled(points: Sequence[Point], label: str | None) -> Point | None:
+    return next((point for point in points if point.setting.label == label), None)
+
+
+def _text(point: Point | None) -> str:
+    if point is None:
+        return "-"
+    return f"{point.setting.label}: {_figure(point.error)} at {_figure(point.cost)}"
+
+
+def _figure(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.3g}"

@@ -1,0 +1,181 @@
+"""How well simulated dives are localized: following, finding oneself, and being carried off.
+
+    .venv/bin/python tools/studies/localization/dives.py --scenes harbour --runs 100 --out out/dives
+
+Odometry errs by 2 % of the way and turns by a degree a minute; a current of 0.05 m/s turns the bow
+off the way. The map is the scene's true surface in voxels, from a map file; scans are cast in the
+scene with the errors that scans of simulated pings have, or with `--pings` taken out of such pings.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from mapperd.localization.maps import VolumeMap
+from studies.localization.pictures import draw_clouds, draw_errors
+from studies.localization.pings import ping_scans
+from studies.localization.runs import Dive, Moment, dive, settings
+from studies.localization.world import WORLDS, World
+
+WITHIN_M = 150.0
+"""Of track: by then a vehicle is to have found itself."""
+
+LASTING_M = 25.0
+"""An estimate that stays right so long is the right mode."""
+
+TURN_RAD = 0.2
+CARRIED_OFF_S = 60.0
+INSTANTS = 5
+FINDING_S = (0.0, 4.0, 7.0, 10.0, 30.0)
+"""After a start anywhere: when its particles are drawn."""
+
+
+class Followed(msgspec.Struct, frozen=True):
+    """Of one dive from a known start; metres, degrees."""
+
+    scene: str
+    minutes: float
+    way_m: float
+    median_m: float
+    p95_m: float
+    most_m: float
+    median_deg: float
+    reckoned_m: float
+    """Odometry alone at the end."""
+    cpu_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Of one dive that begins anywhere, or from where the vehicle was carried off.
+
+    Attributes:
+        after_m: of track, from where on the estimate was right and sure; None within `WITHIN_M`.
+        wrong_and_sure: updates before that said a wrong place without calling it ambiguous.
+        wrong: updates before that were wrong at all.
+    """
+
+    after_m: float | None
+    wrong_and_sure: int
+    wrong: int
+
+
+def follow(
+    world: World, known: VolumeMap, minutes: float, seed: int, *, pings: bool = False
+) -> tuple[Followed, list[Moment]]:
+    """Dive from a start that is known."""
+    config, duration_s = settings(world.place, seed), 60.0 * minutes
+    began_s = time.process_time()
+    instants = tuple(duration_s * k / INSTANTS for k in range(INSTANTS))
+    scans = ping_scans(world, config, seed) if pings else None
+    what = Dive(duration_s=duration_s, seed=seed)
+    moments = list(dive(world, known, what, config, scans=scans, keep_particles_s=instants))
+    errors = np.array([m.error_m for m in moments])
+    turns = np.degrees([m.turn_error_rad for m in moments])
+    median, p95, most = np.quantile(errors, (0.5, 0.95, 1.0))
+    last = moments[-1]
+    row = Followed(
+        world.place.scene,
+        minutes,
+        round(last.way_m, 1),
+        median_m=round(float(median), 3),
+        p95_m=round(float(p95), 3),
+        most_m=round(float(most), 3),
+        median_deg=round(float(np.median(turns)), 3),
+        reckoned_m=round(last.reckoned_m, 3),
+        cpu_s=round(time.process_time() - began_s, 1),
+    )
+    return row, moments
+
+
+def find(world: World, known: VolumeMap, seed: int, *, carried_off: bool = False) -> Found:
+    """Dive from anywhere, or be carried off, until the right mode lasts."""
+    off_s = CARRIED_OFF_S if carried_off else None
+    longest_s = 4.0 * WITHIN_M / (2.0 * world.place.speed_mps) + (off_s or 0.0)
+    start = "known" if carried_off else "anywhere"
+    what = Dive(start, longest_s, seed, off_s)
+    moments = dive(world, known, what, settings(world.place, seed))
+    return judged(moments, world.place.right_m, off_s or 0.0)
+
+
+def draw_finding(path: Path, world: World, known: VolumeMap, seed: int) -> None:
+    """Particles of a dive that begins anywhere."""
+    what = Dive("anywhere", FINDING_S[-1] + 2.0, seed)
+    config = settings(world.place, seed)
+    moments = list(dive(world, known, what, config, keep_particles_s=FINDING_S))
+    draw_clouds(path, known, moments, world.place.scene)
+
+
+def judged(moments: Iterable[Moment], right_m: float, after_s: float = 0.0) -> Found:
+    """When the right mode was found, and what was said before."""
+    begin_m, since_m, sure, wrong = None, None, 0, 0
+    for moment in moments:
+        if moment.time_s < after_s:
+            continue
+        begin_m = moment.way_m if begin_m is None else begin_m
+        way_m = moment.way_m - begin_m
+        right = moment.error_m < right_m and moment.turn_error_rad < TURN_RAD
+        wrong += not right
+        sure += not right and not moment.belief.ambiguous
+        if not right or moment.belief.ambiguous:
+            since_m = None
+        elif since_m is None:
+            since_m = way_m
+        if since_m is None and way_m > WITHIN_M:
+            break
+        if since_m is not None and way_m - since_m > LASTING_M:
+            break
+    return Found(since_m, sure, wrong)
+
+
+def told(name: str, found: list[Found]) -> str:
+    """One line."""
+    after_m = sorted(one.after_m for one in found if one.after_m is not None)
+    wrong, sure = sum(one.wrong for one in found), sum(one.wrong_and_sure for one in found)
+    middle = f"{after_m[len(after_m) // 2]:.0f} m" if after_m else "never"
+    share = sure / wrong if wrong else 0.0
+    return (
+        f"{name}: {len(after_m)} of {len(found)} within {WITHIN_M:g} m of track, half of them "
+        f"after {middle}; of {wrong} wrong updates {share:.0%} did not call themselves ambiguous"
+    )
+
+
+def main() -> int:
+    """Dive, print, draw."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--scenes", nargs="*", default=list(WORLDS), choices=list(WORLDS))
+    parser.add_argument("--minutes", type=float, default=30.0, help="of following; 0 for none")
+    parser.add_argument("--runs", type=int, default=0, help="that begin anywhere")
+    parser.add_argument("--carried-off", type=int, default=0, help="runs")
+    parser.add_argument("--seed", type=int, default=1, help="of the first run")
+    parser.add_argument("--pings", action="store_true", help="follow with scans of simulated pings")
+    parser.add_argument("--out", type=Path, default=Path("out/dives"))
+    said = parser.parse_args()
+    said.out.mkdir(parents=True, exist_ok=True)
+    for scene in said.scenes:
+        world = World(WORLDS[scene])
+        known = world.known(20 * world.place.voxel_m)
+        if said.minutes > 0:
+            row, moments = follow(world, known, said.minutes, said.seed, pings=said.pings)
+            print(msgspec.json.encode(row).decode(), flush=True)
+            draw_errors(said.out / f"{scene}-error.png", moments, scene)
+            draw_clouds(said.out / f"{scene}-particles.png", known, moments, scene)
+        seeds = range(said.seed, said.seed + said.runs)
+        if seeds:
+            draw_finding(said.out / f"{scene}-finding.png", world, known, said.seed)
+            print(told(f"{scene}, anywhere", [find(world, known, k) for k in seeds]), flush=True)
+        seeds = range(said.seed, said.seed + said.carried_off)
+        if seeds:
+            found = [find(world, known, k, carried_off=True) for k in seeds]
+            print(told(f"{scene}, carried off", found), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,105 @@
+"""Write the catalogue of hard cases into docs/reports/numerical-stability.md."""
+
+import ast
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+from studies.report import PAGES, ROOT, write_section
+
+CASES = ROOT / "tests" / "stability"
+
+AREAS = ("mapping", "store", "stream", "filters", "fusion", "clock", "localization", "simulation")
+"""In the order of the page; others follow by name."""
+
+_FORM = re.compile(r"(?P<guard>[^\s].*?[.?!]) (?P<naive>Naively,? .+\.)")
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One hard case.
+
+    Attributes:
+        file: name of the test's file, `test_<area>_<rest>.py`.
+        name: of the test.
+        guard: what holds, and so which failure is guarded against.
+        naive: what would happen without care; begins with "Naively".
+    """
+
+    file: str
+    name: str
+    guard: str
+    naive: str
+
+    @property
+    def area(self) -> str:
+        """What the case is of, by its file's name."""
+        return self.file.removesuffix(".py").split("_")[1]
+
+
+def case_of(file: str, name: str, docstring: str | None) -> Case:
+    """A test's docstring taken apart.
+
+    Raises:
+        ValueError: it does not have the two parts.
+    """
+    match = _FORM.fullmatch(" ".join((docstring or "").split()))
+    if match is None or match["naive"].count("Naively") > 1:
+        raise ValueError(
+            f"{file}: {name}: the docstring of a hard case says what it guards against, and then, "
+            'in a sentence that begins with "Naively", what would happen without care'
+        )
+    return Case(file, name, match["guard"], match["naive"])
+
+
+def cases(folder: Path = CASES) -> Iterator[Case]:
+    """All hard cases, in the order of files and lines; tests of catalogues are none.
+
+    Raises:
+        ValueError: one is not of the form.
+    """
+    for path in sorted(folder.glob("test_*.py")):
+        if path.stem.endswith("catalogue"):
+            continue
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
+                yield case_of(path.name, node.name, ast.get_docstring(node))
+
+
+def catalogue(found: list[Case]) -> str:
+    """The tables, a section an area."""
+    rank = {area: (place, "") for place, area in enumerate(AREAS)}
+    last = len(AREAS)
+    ordered = sorted(found, key=lambda case: rank.get(case.area, (last, case.area)))
+    counted = f"{len(found)} cases, in `tests/stability/`; the tables are their docstrings."
+    return "\n".join([counted, *(_section(a, list(c)) for a, c in groupby(ordered, _area_of))])
+
+
+def _area_of(case: Case) -> str:
+    return case.area
+
+
+def _section(area: str, found: list[Case]) -> str:
+    rows = "\n".join(f"| `{c.name}` | {_cell(c.guard)} | {_cell(_bare(c.naive))} |" for c in found)
+    head = "| case | what holds | naively |\n|---|---|---|"
+    return f"\n### {area.capitalize()} ({len(found)})\n\n{head}\n{rows}"
+
+
+def _bare(naive: str) -> str:
+    return naive.removeprefix("Naively").lstrip(", ")
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+def main() -> None:
+    """Write the catalogue into its page."""
+    text = catalogue(list(cases()))
+    write_section(PAGES["numerical-stability"], "catalogue", text, "python -m studies hard-cases")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,77 @@
+"""Check the simulator's rules on every shipped scene, and write what came out into the manual.
+
+Three pings of each scene, of the beginning, middle and end of its path, are simulated with what
+the rules chose, with all effects, and without each of the chosen ones; `sonar_sim.rule_check` tells
+what must hold. Some five minutes of one core.
+"""
+
+import argparse
+import sys
+
+from sonar_sim.effects.registry import EFFECTS
+from sonar_sim.effects.table import effects_markdown
+from sonar_sim.rule_check import Change, RuleCheck, RuleChecker
+from sonar_sim.scene_file import load_scenario, scene_names
+from sonar_sim.tolerance import Tolerance
+from tqdm import tqdm
+
+from studies.report import PAGES, write_section
+
+PARTS = (0.05, 0.5, 0.95)
+
+
+def main() -> int:
+    """Check; 1 if a rule is wrong."""
+    parser = argparse.ArgumentParser(description="check the rules of the simulator's effects")
+    parser.add_argument("scenes", nargs="*", default=scene_names())
+    parser.add_argument("--at", type=float, nargs="*", default=PARTS, help="parts of each path")
+    parser.add_argument("--write", action="store_true", help="into docs/concepts/simulator.md")
+    arguments = parser.parse_args()
+    checks = {}
+    stops = [(name, part) for name in arguments.scenes for part in arguments.at]
+    for name, part in tqdm(stops, unit="ping", disable=None):
+        scenario = load_scenario(name)
+        check = RuleChecker(scenario).check(part * scenario.trajectory.duration_s)
+        checks[f"{name} at {part:.0%}"] = check
+        for fault in check.faults:
+            print(f"{name} at {part:.0%}: {fault}", flush=True)
+    text = figures(checks)
+    print(text)
+    if arguments.write:
+        write_section(PAGES["simulator"], "effects", effects_markdown())
+        write_section(PAGES["simulator"], "check", text)
+    return 1 if any(check.faults for check in checks.values()) else 0
+
+
+def figures(checks: dict[str, RuleCheck]) -> str:
+    """A row a ping: what `auto` leaves out of `all`, and the effect that matters least."""
+    lines = [
+        "| ping | effects on | left out: dB, cells, texture | the least of those on, without it |",
+        "|---|---|---|---|",
+    ]
+    for name, check in checks.items():
+        least = min(check.without, key=lambda n: _weight(check.without[n], check.tolerance))
+        idle = " (idle)" if check.without[least].within(check.tolerance) else ""
+        wrong = "" if check.left_out.within(check.tolerance) else " (too much)"
+        lines.append(
+            f"| {name} | {len(check.without)} of {len(EFFECTS)} | {_told(check.left_out)}{wrong} "
+            f"| `{least}`: {_told(check.without[least])}{idle} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _told(change: Change) -> str:
+    return f"{change.level_db:.2f}, {change.cells:.2f}, {change.texture:.3f}"
+
+
+def _weight(change: Change, tolerance: Tolerance) -> float:
+    """The largest of a change's three over its tolerance."""
+    return max(
+        change.level_db / tolerance.level_db,
+        change.cells / tolerance.cells,
+        change.texture / tolerance.texture,
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

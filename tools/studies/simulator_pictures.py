@@ -1,0 +1,139 @@
+"""Draw the simulator's pages: `python -m studies simulator-pictures [--out docs/images]`."""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from sonar_sim.classic import classic_camera, classic_images
+from sonar_sim.pinhole import Onlooker, pinhole_of
+from sonar_sim.poses import Pose, rotation_of
+from sonar_sim.products import Sounder, Sounding
+from sonar_sim.products.arrays import snr_arrays
+from sonar_sim.products.cells import looked_up
+from sonar_sim.products.fan import fan_picture
+from sonar_sim.products.pictures import label_picture, level_picture, normal_picture
+from sonar_sim.products.raw_scan import raw_scan
+from sonar_sim.scenario import Scenario
+from sonar_sim.scene_file import load_scenario, scene_names
+from sonar_sim.sonar_motion import sonar_pose
+from sonar_sim.validation import tank, v20_tank
+
+from oculus_driver.render import Style
+
+Picture = tuple[str, NDArray[Any]]
+LOOKING_AHEAD = Pose(np.array([1.5, -10.5, -3.6]), rotation_of(0.0, 0.16, np.pi / 2.0))
+"""Over the harbour's floor, at the wreck, the piles and the quay."""
+AHEAD_M = 17.0
+FAN_PX = 640
+COLUMN_IN, TITLE_IN = 4.4, 0.35
+PLAIN = Style(height_px=FAN_PX, gamma=0.5, labels=False)
+
+
+def main() -> None:
+    """Draw all."""
+    parser = argparse.ArgumentParser(description="Draw the simulator's pages.")
+    parser.add_argument("--out", type=Path, default=Path("docs/images"))
+    out: Path = parser.parse_args().out
+    out.mkdir(parents=True, exist_ok=True)
+    ahead = harbour_ahead()
+    draw(out / "simulator-classic.png", classic_page(ahead), 2)
+    draw(out / "simulator-products.png", product_page(ahead), 3)
+    draw(out / "simulator-tank.png", tank_page(), 4)
+    draw(out / "simulator-pings.png", [scene_ping(name) for name in scene_names()], 4)
+
+
+def harbour_ahead() -> Sounding:
+    """One ping of the harbour from a pose that shows all of it."""
+    scenario = load_scenario("harbour")
+    sonar = replace(scenario.sonar, demanded_range_m=AHEAD_M, gain_percent=50.0)
+    return one_ping(replace(scenario, sonar=sonar), LOOKING_AHEAD, 0.0)
+
+
+def one_ping(scenario: Scenario, map_T_sonar: Pose, time_s: float) -> Sounding:  # noqa: N803
+    """One ping of a scenario."""
+    camera = pinhole_of(scenario.sonar)
+    return Sounder(scenario.scene, scenario.sonar, camera).at(map_T_sonar, time_s=time_s)
+
+
+def classic_page(ours: Sounding) -> list[Picture]:
+    """The published pipeline above, the simulator below: the same scene from the same place."""
+    camera = classic_camera()
+    view = Onlooker(ours.scene).look(camera, ours.map_T_sonar)
+    theirs = classic_images(view.depth_m, camera.horizontal_rad)
+    snr_db = looked_up(ours.snr_db, view, ours.sonar)
+    return [
+        ("published pipeline: normals", theirs.normals),
+        ("here: normals", rgb(normal_picture(view.normals))),
+        ("published pipeline: SNR, on this frame's own scale", theirs.snr),
+        ("here: expected SNR, -20 to 60 dB", rgb(level_picture(snr_db, "grey"))),
+        ("published pipeline: fan, 17 m", theirs.fan),
+        ("here: fan of an M750d, 17 m", rgb(fan_picture(ours, PLAIN))),
+    ]
+
+
+def product_page(ours: Sounding) -> list[Picture]:
+    """All products of one ping."""
+    depth = ours.view.depth_m
+    return [
+        ("polar ping: rows x beams", np.sqrt(ours.level)),
+        ("truth of its pixels: surface", rgb(label_picture(ours.truth.surface))),
+        ("truth of its pixels: incidence", ours.truth.incidence_rad),
+        ("depth", np.where(depth > 0.0, depth, np.nan)),
+        ("normals", rgb(normal_picture(ours.view.normals))),
+        ("SNR of what the camera sees", rgb(level_picture(snr_arrays(ours)["camera_db"]))),
+        ("truth of the camera's pixels: surface", rgb(label_picture(ours.view.surface))),
+        ("raw scan", np.sqrt(raw_scan(ours.level, ours.sonar))),
+        ("fan picture", rgb(fan_picture(ours, Style(height_px=FAN_PX, gamma=0.5)))),
+    ]
+
+
+def tank_page() -> list[Picture]:
+    """V20: each target in both bands."""
+    return [
+        (
+            f"{target}, {v20_tank.band(mode).frequency_hz / 1e6:.1f} MHz",
+            rgb(v20_tank.picture(target, mode)),
+        )
+        for mode in (1, 2)
+        for target in tank.TARGETS
+    ]
+
+
+def scene_ping(name: str) -> Picture:
+    """The ping in the middle of a scene's trajectory."""
+    scenario = load_scenario(name)
+    time_s = scenario.trajectory.duration_s / 2.0
+    ping = one_ping(scenario, sonar_pose(scenario, time_s), time_s)
+    return name, rgb(fan_picture(ping, PLAIN))
+
+
+def draw(path: Path, pictures: Sequence[Picture], columns: int) -> None:
+    """Lay pictures out in rows, each under its title, rows as high as their pictures."""
+    rows = [pictures[start : start + columns] for start in range(0, len(pictures), columns)]
+    heights = [max(p.shape[0] / p.shape[1] for _, p in row) * COLUMN_IN + TITLE_IN for row in rows]
+    figure = Figure(figsize=(COLUMN_IN * columns, sum(heights)), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(len(rows), columns, squeeze=False, height_ratios=heights)
+    colours = mpl.colormaps["gray"].with_extremes(bad=(0.08, 0.10, 0.13))
+    for axes, (title, picture) in zip(grid.ravel(), pictures, strict=True):
+        axes.imshow(picture, cmap=colours)
+        axes.set_title(title, fontsize=10)
+        axes.set_axis_off()
+    figure.savefig(path, dpi=80)
+
+
+def rgb(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Turn OpenCV's order of colours round."""
+    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB).astype(np.uint8)
+
+
+if __name__ == "__main__":
+    main()
