@@ -15,7 +15,7 @@ CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLi
 # Programs and tests start hundreds of Pythons, which must not compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study fuzz docs check cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install prerequisites clean
+.PHONY: demo test test-all bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study fuzz docs check cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install prerequisites test-prerequisites clean
 
 demo: $(STAMP)
 	$(TOOL) demo --out out/demo
@@ -23,14 +23,14 @@ demo: $(STAMP)
 # Everything that decides whether a change lands, in less than ten minutes of two cores: static checks,
 # the C++ tests, and all Python tests but the slow ones, with a short series of kills. The Python tests
 # run alone: some of them have time limits.
-test: $(STAMP)
+test: test-prerequisites $(STAMP)
 	@echo "Static checks and C++ tests run side by side; each prints its output when it ends."
 	+$(MAKE) -j 2 --output-sync=target cpp-test check
 	CRASH_KILLS=10 STORE_KILLS=2 $(BIN)/python -m pytest tests -m "not slow" -n 3
 
 # All tests: also the sanitizers, the demo, the slow tests and the long series of kills. The demo fails
 # if its map is worse than promised. The sanitizers are built first: they need no installation.
-test-all:
+test-all: test-prerequisites
 	@echo "Two stages run side by side; each prints its output when it ends, the first after minutes."
 	+$(MAKE) -j 2 --output-sync=target cpp-test-asan cpp-test-tsan demo cpp-test check
 	+$(MAKE) python-test
@@ -160,6 +160,9 @@ python-test: $(STAMP)
 
 prerequisites:
 	@PYTHON="$(PYTHON)" scripts/prerequisites
+
+test-prerequisites:
+	@PYTHON="$(PYTHON)" scripts/prerequisites tests
 
 # What compiles: all that the sanitizers' builds need.
 $(TOOLS): pyproject.toml | prerequisites

@@ -84,9 +84,9 @@ def test_pytest_counts_as_failed_only_where_a_test_failed(code: int, out: str, h
 @pytest.mark.parametrize(
     ("code", "out", "how"),
     [
-        (0, "0 failures in 2 cases", "passed"),
-        (1, "a.cpp:7: x == y\nFAIL case\n3 failures in 1 cases\n", "failed"),
-        (2, 'no case has "x" in its name\n', "broken"),
+        (0, "[doctest] test cases: 2 | 2 passed | 0 failed | 7 skipped\n", "passed"),
+        (1, "a.cpp:7: ERROR: x == y\n[doctest] test cases:  1 | 0 passed | 1 failed |\n", "failed"),
+        (0, "[doctest] test cases: 0 | 0 passed | 0 failed | 9 skipped\n", "broken"),
         (1, "something else\n", "broken"),
         (-6, "", "crash"),
     ],

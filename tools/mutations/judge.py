@@ -58,7 +58,7 @@ def run_test(copy: Copy, test: str, mutation: Mutation | None) -> End:
     folder = copy.whole if mutation is None else copy.build_tree / "test"
     try:
         ended = subprocess.run(  # noqa: S603
-            [str(folder / program), case],
+            [str(folder / program), f"--test-case={_pattern(case)}", "--no-colors"],
             cwd=copy.root,
             env=environment,
             capture_output=True,
@@ -86,14 +86,19 @@ def judge_pytest(code: int, out: str) -> End:
     return End("broken" if NO_FAILURE.search(failed[0]) else "failed", failed[0])
 
 
+def _pattern(case: str) -> str:
+    """Return doctest's filter for the cases whose names contain `case`."""
+    return f"*{case.replace(',', chr(92) + ',')}*"
+
+
 def judge_cpp(code: int, out: str) -> End:
-    """By the harness's exit code and last line."""
-    if code == 0:
-        return End("passed")
+    """By doctest's exit code and its summary."""
     if code < 0:
         return End("crash", f"signal {-code}")
-    lines = out.splitlines()
-    if code != 1 or not lines or not re.fullmatch(r"\d+ failures in \d+ cases", lines[-1]):
+    summary = re.search(r"^\[doctest\] test cases: +(\d+) ", out, re.MULTILINE)
+    if code not in (0, 1) or summary is None or summary[1] == "0":
         return End("broken", out[-1500:])
-    first = next((line for line in lines if ".cpp:" in line or "exception" in line), lines[-1])
-    return End("failed", Path(first).name)
+    if code == 0:
+        return End("passed")
+    first = re.search(r"^(\S+\.cpp:\d+): (?:FATAL )?ERROR: .*$", out, re.MULTILINE)
+    return End("failed", Path(first[0]).name if first else summary[0])

@@ -1,8 +1,8 @@
 #include <cmath>
 #include <vector>
 
-#include "check.hpp"
 #include "mapperd/acoustics/complex_gaussian.hpp"
+#include "testing.hpp"
 
 namespace acoustics = mapperd::acoustics;
 
@@ -28,7 +28,7 @@ TEST_CASE("one number of a key and a row of them are the same") {
   const std::vector<float> row = numbers(77, 1000);
   for (std::size_t i = 0; i < 1000; ++i) {
     const std::complex<float> one = acoustics::complex_gaussian(mapperd::mix(77) + i);
-    CHECK(one.real() == row[2 * i] && one.imag() == row[2 * i + 1]);
+    CHECK((one.real() == row[2 * i] && one.imag() == row[2 * i + 1]));
   }
 }
 
@@ -47,10 +47,10 @@ TEST_CASE("the parts are Gaussian with half a unit of power each") {
     for (double& sum : powers) sum += power *= static_cast<double>(part);
   }
   for (double& sum : powers) sum /= static_cast<double>(parts.size());
-  CHECK_NEAR(powers[0], 0.0, 0.003);
-  CHECK_NEAR(powers[1], 0.5, 0.003);
-  CHECK_NEAR(powers[2], 0.0, 0.005);
-  CHECK_NEAR(powers[3], 0.75, 0.01);  // 3 sigma^4
+  CHECK(powers[0] == near(0.0, 0.003));
+  CHECK(powers[1] == near(0.5, 0.003));
+  CHECK(powers[2] == near(0.0, 0.005));
+  CHECK(powers[3] == near(0.75, 0.01));  // 3 sigma^4
 }
 
 TEST_CASE("the power is exponential, out to its tail") {
@@ -63,7 +63,7 @@ TEST_CASE("the power is exponential, out to its tail") {
       if (re * re + im * im > level) above += 1.0;
     }
     const double expected = 1e6 * std::exp(-level);
-    CHECK_NEAR(above, expected, 4.0 * std::sqrt(expected));
+    CHECK(above == near(expected, 4.0 * std::sqrt(expected)));
   }
 }
 
@@ -77,16 +77,16 @@ TEST_CASE("the eight octants come equally often and the angle within one is even
         0.5;
     counts[std::min(31, static_cast<int>(turn * 32.0))] += 1.0;
   }
-  for (const double count : counts) CHECK_NEAR(count, 25000.0, 4.0 * std::sqrt(25000.0));
+  for (const double count : counts) CHECK(count == near(25000.0, 4.0 * std::sqrt(25000.0)));
 }
 
 TEST_CASE("neighbours, rows and keys are independent") {
   const std::vector<float> row = numbers(9, 200000);
   for (const std::size_t lag : {1U, 2U, 3U, 64U, 512U}) {
-    CHECK_NEAR(correlation(row, row, lag), 0.0, 0.008);
+    CHECK(correlation(row, row, lag) == near(0.0, 0.008));
   }
   for (const std::uint64_t key : {std::uint64_t{8}, std::uint64_t{10}, std::uint64_t{9} << 32}) {
-    CHECK_NEAR(correlation(row, numbers(key, 200000), 0), 0.0, 0.008);
+    CHECK(correlation(row, numbers(key, 200000), 0) == near(0.0, 0.008));
   }
 }
 
@@ -99,7 +99,7 @@ TEST_CASE("the rarest bits give finite numbers") {
   for (const std::uint32_t upper : {0U, 0xFFU, 0xFFFFFFFFU}) {
     for (const std::uint32_t lower : {0U, 0x1FFFFFU, 0xFFFFFFFFU}) {
       const acoustics::Gaussian number = acoustics::gaussian_of(upper, lower);
-      CHECK(std::isfinite(number.re) && std::isfinite(number.im));
+      CHECK((std::isfinite(number.re) && std::isfinite(number.im)));
     }
   }
 }

@@ -1,7 +1,7 @@
 #include <cmath>
 
-#include "check.hpp"
 #include "mapperd/acoustics/hearing.hpp"
+#include "testing.hpp"
 
 namespace acoustics = mapperd::acoustics;
 
@@ -12,7 +12,7 @@ const acoustics::Hearing kHearing{nullptr, kVertical, 3, nullptr, 8, 4};
 
 TEST_CASE("a beam is heard alike above and below its axis, and no farther than its pattern goes") {
   for (const double w : {0.0, 0.25, 0.5, 0.75, 1.0}) {
-    CHECK_NEAR(static_cast<double>(acoustics::vertical_at(kHearing, w)), 1.0 - w, 1e-6);
+    CHECK(static_cast<double>(acoustics::vertical_at(kHearing, w)) == near(1.0 - w, 1e-6));
     CHECK(acoustics::vertical_at(kHearing, -w) == acoustics::vertical_at(kHearing, w));
   }
   for (const double w : {1.0 + 1e-15, -1.5, 40.0}) {
@@ -23,12 +23,12 @@ TEST_CASE("a beam is heard alike above and below its axis, and no farther than i
 TEST_CASE("a point where the sonar is has a direction of numbers") {
   const acoustics::Leg leg{{4, 5, 6}, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0, 0, 0}, 1.0};
   const acoustics::Sight at = acoustics::sight_of(leg, {4, 5, 6});
-  CHECK(at.range_m > 0.0 && at.s == 0.0 && at.w == 0.0);
+  CHECK((at.range_m > 0.0 && at.s == 0.0 && at.w == 0.0));
   for (const double part : at.direction) CHECK(part == 0.0);
   const acoustics::Sight beside = acoustics::sight_of(leg, {4, 2, 10});
-  CHECK_NEAR(beside.range_m, 5.0, 1e-12);
-  CHECK_NEAR(beside.s, 0.6, 1e-12);
-  CHECK_NEAR(beside.w, 0.8, 1e-12);
+  CHECK(beside.range_m == near(5.0, 1e-12));
+  CHECK(beside.s == near(0.6, 1e-12));
+  CHECK(beside.w == near(0.8, 1e-12));
 }
 
 TEST_CASE("an echo between columns has taps of its own fraction, beside the first column too") {

@@ -1,8 +1,8 @@
 #include <cmath>
 #include <cstdint>
 
-#include "check.hpp"
 #include "mapperd/acoustics/lattice.hpp"
+#include "testing.hpp"
 
 namespace acoustics = mapperd::acoustics;
 

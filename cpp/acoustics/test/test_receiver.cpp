@@ -2,8 +2,8 @@
 #include <limits>
 #include <vector>
 
-#include "check.hpp"
 #include "mapperd/acoustics/receiver.hpp"
+#include "testing.hpp"
 
 namespace acoustics = mapperd::acoustics;
 
@@ -38,11 +38,11 @@ TEST_CASE("what is no number is silence, what is endless is finite") {
   const float gain = 1.0F;
   std::vector<float> out(4);
   acoustics::amplitudes(power.data(), 1, 1, 4, {&gain, 1.0F, false}, out.data(), 1);
-  CHECK(out[0] == 0.0F && std::isfinite(out[1]) && out[2] == 0.0F && out[3] == 1.0F);
+  CHECK((out[0] == 0.0F && std::isfinite(out[1]) && out[2] == 0.0F && out[3] == 1.0F));
   CHECK(pixels<std::uint8_t>(out, 0.5F)[1] == 255);
   const std::vector<float> field{nan, 1.0F, endless, 0.0F};
   acoustics::amplitudes(field.data(), 2, 1, 2, {&gain, 1.0F, false}, out.data(), 1);
-  CHECK(out[0] == 0.0F && std::isfinite(out[1]) && out[1] > 1.0F);
+  CHECK((out[0] == 0.0F && std::isfinite(out[1]) && out[1] > 1.0F));
 }
 
 TEST_CASE("the pixel is the nearest integer of the power law") {
@@ -54,8 +54,8 @@ TEST_CASE("the pixel is the nearest integer of the power law") {
     for (std::size_t i = 0; i < amplitude.size(); ++i) {
       const double curve =
           std::pow(std::min(1.0, static_cast<double>(amplitude[i])), static_cast<double>(gamma));
-      CHECK_NEAR(static_cast<double>(eight[i]), 255.0 * curve, 0.5001);
-      CHECK_NEAR(static_cast<double>(sixteen[i]), 65535.0 * curve, 0.55);
+      CHECK(static_cast<double>(eight[i]) == near(255.0 * curve, 0.5001));
+      CHECK(static_cast<double>(sixteen[i]) == near(65535.0 * curve, 0.55));
     }
   }
 }
@@ -74,9 +74,9 @@ TEST_CASE("floats keep what exceeds full scale unless the receiver clips") {
   const std::vector<float> amplitude{0.25F, 4.0F};
   std::vector<float> out(2);
   acoustics::curved(amplitude.data(), 2, {nullptr, 1.0F, true}, out.data(), 1);
-  CHECK(out[0] == 0.25F && out[1] == 1.0F);
+  CHECK((out[0] == 0.25F && out[1] == 1.0F));
   acoustics::curved(amplitude.data(), 2, {nullptr, 0.5F, false}, out.data(), 1);
-  CHECK_NEAR(static_cast<double>(out[1]), 2.0, 1e-6);
+  CHECK(static_cast<double>(out[1]) == near(2.0, 1e-6));
 }
 
 TEST_CASE("pixels are the same for any number of threads") {

@@ -1,9 +1,9 @@
 #include <cmath>
 #include <vector>
 
-#include "check.hpp"
 #include "mapperd/acoustics/footprint.hpp"
 #include "mapperd/acoustics/scatter.hpp"
+#include "testing.hpp"
 
 namespace acoustics = mapperd::acoustics;
 
@@ -102,7 +102,7 @@ TEST_CASE("the mean power of a wall is Lambert's integral over it, however it le
   for (const double lean_rad : {0.0, 0.4, -0.4, 0.8}) {
     Wall wall;
     wall.planes = {-std::cos(lean_rad), 0.0, std::sin(lean_rad), -kWallM * std::cos(lean_rad)};
-    CHECK_NEAR(sum_of(wall.power(2)) / expected_power(lean_rad), 1.0, 0.01);
+    CHECK(sum_of(wall.power(2)) / expected_power(lean_rad) == near(1.0, 0.01));
   }
 }
 
@@ -111,13 +111,13 @@ TEST_CASE("a wall that leans has the field's power too") {
   wall.planes = {-std::cos(0.8), 0.0, std::sin(0.8), -kWallM * std::cos(0.8)};
   double sum = 0.0;
   for (std::uint64_t key = 0; key < 100; ++key) sum += sum_of(wall.field(key, 2));
-  CHECK_NEAR(sum / 100 / expected_power(0.8), 1.0, 0.03);
+  CHECK(sum / 100 / expected_power(0.8) == near(1.0, 0.03));
 }
 
 TEST_CASE("what an echo spreads to the columns beside it is lost nowhere") {
   Wall wide;
   wide.taps = {0.1F, 0.2F, 0.3F, 0.4F};
-  CHECK_NEAR(sum_of(wide.power(2)) / sum_of(Wall().power(2)), 1.0, 1e-5);
+  CHECK(sum_of(wide.power(2)) / sum_of(Wall().power(2)) == near(1.0, 1e-5));
 }
 
 // One cell's patch on a plane.
@@ -136,18 +136,18 @@ TEST_CASE("a floor seen along has a patch that ends where its face does") {
   const std::vector<double> floor{0.0, 0.0, 1.0, -1.0};
   const std::vector<float> to_the_sky{-0.01F, 0.01F, -0.05F, 0.01F};
   const acoustics::Footprint far = footprint(floor, to_the_sky, {0.1F, 100.0F});
-  CHECK_NEAR(far.near_m, 20.0, 1e-4);
-  CHECK(far.far_m > 60.0 && far.far_m < 100.0);
+  CHECK(far.near_m == near(20.0, 1e-4));
+  CHECK((far.far_m > 60.0 && far.far_m < 100.0));
   const acoustics::Footprint face = footprint(floor, to_the_sky, {30.0F, 60.0F});
-  CHECK_NEAR(face.near_m, 30.0, 1e-9);
-  CHECK_NEAR(face.far_m, 60.0, 1e-9);
+  CHECK(face.near_m == near(30.0, 1e-9));
+  CHECK(face.far_m == near(60.0, 1e-9));
 }
 
 TEST_CASE("a cell ends where directions do") {
   const acoustics::Footprint abeam =
       footprint({0.0, 1.0, 0.0, -5.0}, {0.95F, 1.05F, -0.01F, 0.01F}, {0.1F, 100.0F});
-  CHECK_NEAR(abeam.near_m, 5.0, 1e-3);
-  for (std::size_t k = 0; k < 4; ++k) CHECK_NEAR(abeam.corner_m[1][k], -5.0, 1e-6);
+  CHECK(abeam.near_m == near(5.0, 1e-3));
+  for (std::size_t k = 0; k < 4; ++k) CHECK(abeam.corner_m[1][k] == near(-5.0, 1e-6));
 }
 
 TEST_CASE("a beam counts there and back, and like losses and gains it is one of amplitudes") {
@@ -158,8 +158,8 @@ TEST_CASE("a beam counts there and back, and like losses and gains it is one of 
   faint.gain.assign(faint.gain.size(), 0.5F);
   mirrored.leg.gain = 0.5;  // of the way there, and of the way back
   const auto check_share = [&whole](const Wall& wall, double share) {
-    CHECK_NEAR(sum_of(wall.power(1)) / sum_of(whole.power(1)), share, 1e-5);
-    CHECK_NEAR(sum_of(wall.field(3, 1)) / sum_of(whole.field(3, 1)), share, 1e-5);
+    CHECK(sum_of(wall.power(1)) / sum_of(whole.power(1)) == near(share, 1e-5));
+    CHECK(sum_of(wall.field(3, 1)) / sum_of(whole.field(3, 1)) == near(share, 1e-5));
   };
   check_share(beam, 1.0 / 16.0);
   check_share(lossy, 1.0 / 4.0);
@@ -170,13 +170,13 @@ TEST_CASE("a beam counts there and back, and like losses and gains it is one of 
 TEST_CASE("the field's power is the mean power, over many keys, however wide the rays' cells") {
   constexpr int kKeys = 100;
   for (const int side : {kSide, kSide / 2, kSide / 4, kSide / 8}) {
-    if (check::sanitized() && side > kSide / 4) continue;  // the same ways, sixteen times as often
+    if (kSanitized && side > kSide / 4) continue;  // the same ways, sixteen times as often
     const Wall wall(side);
     double sum = 0.0;
     for (std::uint64_t key = 0; key < kKeys; ++key) {
       sum += sum_of(wall.field(key, 2));
     }
-    CHECK_NEAR(sum / kKeys / expected_power(), 1.0, 0.03);
+    CHECK(sum / kKeys / expected_power() == near(1.0, 0.03));
   }
 }
 

@@ -1,15 +1,10 @@
-#include <cstdio>
-#include <cstdlib>
+// The main function of each test program. Options are those of doctest, e.g. --test-case='*text*'.
+#define DOCTEST_CONFIG_IMPLEMENT
+#include <doctest/doctest.h>
 
-#include "check.hpp"
-
-// Without arguments all cases; with `TEXT` those whose names hold it; with `PART PARTS`, counted
-// from 0, its share of them.
-int main(int count, char** words) {
-  if (count == 2 && check::keep(words[1]) == 0) {
-    std::printf("no case has \"%s\" in its name\n", words[1]);
-    return 2;
-  }
-  if (count != 3) return check::run(0, 1);
-  return check::run(std::atoi(words[1]), std::atoi(words[2]));
+int main(int argc, char** argv) {
+  doctest::Context context;
+  context.setOption("abort-after", 20);  // a broken formula fails in every turn of a loop
+  context.applyCommandLine(argc, argv);
+  return context.run();
 }

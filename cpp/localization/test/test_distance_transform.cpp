@@ -1,9 +1,9 @@
 // The distance transform against the distance to every marked cell.
 #include <algorithm>
 
-#include "check.hpp"
 #include "mapperd/localization/distance_transform.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 

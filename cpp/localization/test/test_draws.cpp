@@ -1,7 +1,7 @@
 #include <cmath>
 
-#include "check.hpp"
 #include "mapperd/localization/draws.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -27,10 +27,10 @@ TEST_CASE("normal numbers have the moments of normal numbers, whatever their blo
     }
   }
   const double count = static_cast<double>(4 * blocks * kBlock);
-  CHECK_NEAR(sum[1] / count, 0.0, 4.0 / std::sqrt(count));
-  CHECK_NEAR(sum[2] / count, 1.0, 4.0 * std::sqrt(2.0 / count));
-  CHECK_NEAR(sum[3] / count, 0.0, 4.0 * std::sqrt(15.0 / count));
-  CHECK_NEAR(sum[4] / count, 3.0, 4.0 * std::sqrt(96.0 / count));
+  CHECK(sum[1] / count == near(0.0, 4.0 / std::sqrt(count)));
+  CHECK(sum[2] / count == near(1.0, 4.0 * std::sqrt(2.0 / count)));
+  CHECK(sum[3] / count == near(0.0, 4.0 * std::sqrt(15.0 / count)));
+  CHECK(sum[4] / count == near(3.0, 4.0 * std::sqrt(96.0 / count)));
 }
 
 }  // namespace

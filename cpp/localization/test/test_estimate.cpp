@@ -1,8 +1,8 @@
 // Estimates against the formulas, far from the origin and in degenerate clouds.
 #include <cmath>
 
-#include "check.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -22,12 +22,12 @@ TEST_CASE("a cloud's moments are found again, also at 1e7 m from the origin") {
     particles.resize(100000);
     draw_about({far, -far, kPi - 0.01}, square_root_of(truth), {4, 4}, particles);
     const Estimate e = estimate_of(particles, std::vector<double>(100000, 1e-5));
-    CHECK_NEAR(e.mean.x, far, 0.01);
-    CHECK_NEAR(wrapped(e.mean.yaw - (kPi - 0.01)), 0.0, 0.002);
+    CHECK(e.mean.x == near(far, 0.01));
+    CHECK(wrapped(e.mean.yaw - (kPi - 0.01)) == near(0.0, 0.002));
     for (std::size_t i = 0; i < 3; ++i) {
-      for (std::size_t j = 0; j < 3; ++j) CHECK_NEAR(e.covariance[i][j], truth[i][j], 0.01);
+      for (std::size_t j = 0; j < 3; ++j) CHECK(e.covariance[i][j] == near(truth[i][j], 0.01));
     }
-    CHECK_NEAR(e.covariance[0][2], 0.02, 0.001);
+    CHECK(e.covariance[0][2] == near(0.02, 0.001));
   }
 }
 
@@ -53,7 +53,7 @@ TEST_CASE("the matrix is one of covariance where a few particles head the other 
     particles.set(i, {other ? 1.0 : 0.0, 0.001 * static_cast<double>(i % 7), other ? 3.1 : 0.0});
   }
   const Estimate e = estimate_of(particles, std::vector<double>(100, 0.01));
-  CHECK(smallest_pivot(e.covariance) > -1e-12 && e.covariance[0][2] > 0.0);
+  CHECK((smallest_pivot(e.covariance) > -1e-12 && e.covariance[0][2] > 0.0));
 }
 
 TEST_CASE("a cloud on a slanting line has finite numbers and a correlation of 1 at the most") {
@@ -80,14 +80,14 @@ TEST_CASE("one particle, all weight on one, equal ones and opposite headings") {
   two.set(0, {1, 2, 0.5});
   two.set(1, {5, 5, 0.5 + kPi});
   const Estimate one = estimate_of(two, {1.0, 0.0});
-  CHECK(!one.spread_known && one.covariance[0][0] == kLeastVariance);
-  CHECK(one.covariance[2][2] == kLeastVariance && one.covariance[0][1] == 0.0);
+  CHECK((!one.spread_known && one.covariance[0][0] == kLeastVariance));
+  CHECK((one.covariance[2][2] == kLeastVariance && one.covariance[0][1] == 0.0));
   const Estimate opposite = estimate_of(two, {0.5, 0.5});
-  CHECK(!opposite.heading_known && opposite.mean.yaw == 0.0);
-  CHECK(std::isinf(opposite.covariance[2][2]) && opposite.covariance[0][2] == 0.0);
+  CHECK((!opposite.heading_known && opposite.mean.yaw == 0.0));
+  CHECK((std::isinf(opposite.covariance[2][2]) && opposite.covariance[0][2] == 0.0));
   two.set(1, {1, 2, 0.5});
   const Estimate equal = estimate_of(two, {0.5, 0.5});
-  CHECK(equal.spread_known && equal.covariance[1][1] == kLeastVariance);
+  CHECK((equal.spread_known && equal.covariance[1][1] == kLeastVariance));
   CHECK(estimate_of({}, {}).particles == 0);
 }
 
@@ -99,9 +99,9 @@ TEST_CASE("headings that cancel do not go with places, wherever those are") {
   square.set(2, {0, 1, kPi});
   square.set(3, {1, 1, -0.5 * kPi});
   const Estimate e = estimate_of(square, std::vector<double>(4, 0.25));
-  CHECK(!e.heading_known && std::isinf(e.covariance[2][2]));
-  CHECK(e.covariance[0][2] == 0.0 && e.covariance[2][0] == 0.0);
-  CHECK(e.covariance[1][2] == 0.0 && e.covariance[2][1] == 0.0);
+  CHECK((!e.heading_known && std::isinf(e.covariance[2][2])));
+  CHECK((e.covariance[0][2] == 0.0 && e.covariance[2][0] == 0.0));
+  CHECK((e.covariance[1][2] == 0.0 && e.covariance[2][1] == 0.0));
 }
 
 TEST_CASE("square roots: correlated, of lower rank, nothing; and what is refused") {
@@ -111,14 +111,14 @@ TEST_CASE("square roots: correlated, of lower rank, nothing; and what is refused
     const Matrix3 r = square_root_of(c);
     for (std::size_t i = 0; i < 3; ++i) {
       for (std::size_t j = 0; j < 3; ++j) {
-        CHECK_NEAR(r[i][0] * r[j][0] + r[i][1] * r[j][1] + r[i][2] * r[j][2], c[i][j], 1e-9);
+        CHECK(r[i][0] * r[j][0] + r[i][1] * r[j][1] + r[i][2] * r[j][2] == near(c[i][j], 1e-9));
       }
     }
   }
-  CHECK_THROWS(square_root_of(diagonal(1.0, -1e-6, 0.0)), std::invalid_argument);
-  CHECK_THROWS(square_root_of(diagonal(-1.0, -1.0, -1.0)), std::invalid_argument);
-  CHECK_THROWS(square_root_of(diagonal(std::nan(""), 1.0, 1.0)), std::invalid_argument);
-  CHECK_THROWS(square_root_of({{{1, 0.1, 0}, {0, 1, 0}, {0, 0, 1}}}), std::invalid_argument);
+  CHECK_THROWS_AS(square_root_of(diagonal(1.0, -1e-6, 0.0)), std::invalid_argument);
+  CHECK_THROWS_AS(square_root_of(diagonal(-1.0, -1.0, -1.0)), std::invalid_argument);
+  CHECK_THROWS_AS(square_root_of(diagonal(std::nan(""), 1.0, 1.0)), std::invalid_argument);
+  CHECK_THROWS_AS(square_root_of({{{1, 0.1, 0}, {0, 1, 0}, {0, 0, 1}}}), std::invalid_argument);
 }
 
 }  // namespace

@@ -2,8 +2,8 @@
 #include <cmath>
 #include <limits>
 
-#include "check.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -49,8 +49,8 @@ void compare(const LikelihoodField& field, const Endpoints& ends) {
       sum += p * p * p;
       logs += std::log(p);
     }
-    CHECK_NEAR(cubes[i], std::log(sum), 1e-12 * std::max(1.0, std::log(sum)));
-    CHECK_NEAR(products[i], 0.3 * logs, 1e-11);
+    CHECK(cubes[i] == near(std::log(sum), 1e-12 * std::max(1.0, std::log(sum))));
+    CHECK(products[i] == near(0.3 * logs, 1e-11));
   }
 }
 
@@ -77,7 +77,7 @@ TEST_CASE("a thousand hopeless beams leave a finite log-likelihood") {
   double logs[3];
   field_log_likelihoods(field, ends, BeamAggregation::kProduct, 1.0, particles, 0, 3, logs);
   const double expected = 1000.0 * std::log(field.background());
-  for (const double log : logs) CHECK_NEAR(log, expected, 1e-9 * std::abs(expected));
+  for (const double log : logs) CHECK(log == near(expected, 1e-9 * std::abs(expected)));
 }
 
 TEST_CASE("of a fan of elevations the likeliest counts, at its height") {
@@ -101,12 +101,12 @@ TEST_CASE("of a fan of elevations the likeliest counts, at its height") {
     return log;
   };
   const Endpoints fan{3, {2.0, 2.0, 2.0}, {0.0, 0.0, 0.0}, {0.5, 1.5, 2.5}, {1.0}};
-  CHECK_NEAR(logs(fan), std::log(model.density(0.0)), 1e-6);
+  CHECK(logs(fan) == near(std::log(model.density(0.0)), 1e-6));
   const Endpoints low{1, {2.0}, {0.0}, {0.5}, {1.0}};
-  CHECK_NEAR(logs(low), std::log(model.density(1.0)), 1e-6);
+  CHECK(logs(low) == near(std::log(model.density(1.0)), 1e-6));
   const Endpoints above{1, {2.0}, {0.0}, {3.5}, {1.0}};
-  CHECK_NEAR(logs(above), std::log(model.density(99.0)), 1e-6);
-  CHECK_THROWS(logs({1, {2.0}, {0.0}, {}, {1.0}}), std::invalid_argument);
+  CHECK(logs(above) == near(std::log(model.density(99.0)), 1e-6));
+  CHECK_THROWS_AS(logs({1, {2.0}, {0.0}, {}, {1.0}}), std::invalid_argument);
 }
 
 TEST_CASE("poses that are no numbers count as off the map") {
@@ -120,7 +120,7 @@ TEST_CASE("poses that are no numbers count as off the map") {
   const Endpoints ends{1, {1.0}, {1.0}, {}, {1.0}};
   double logs[3];
   field_log_likelihoods(field, ends, BeamAggregation::kProduct, 1.0, particles, 0, 3, logs);
-  for (const double log : logs) CHECK_NEAR(log, std::log(field.background()), 1e-9);
+  for (const double log : logs) CHECK(log == near(std::log(field.background()), 1e-9));
 }
 
 }  // namespace

@@ -2,8 +2,8 @@
 #include <cmath>
 #include <cstdlib>
 
-#include "check.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -13,7 +13,7 @@ using namespace scenes;
 long updates_wished() {
   const char* said = std::getenv("MAPPERD_LONG_UPDATES");
   if (said != nullptr) return std::atol(said);
-  return check::sanitized() ? 5000 : 100000;
+  return kSanitized ? 5000 : 100000;
 }
 
 TEST_CASE("a vehicle that circles for ever stays where it is, and its numbers sound") {
@@ -62,31 +62,31 @@ TEST_CASE("ten million reweightings leave weights of sum 1") {
   std::vector<double> log_weight{std::log(0.25), std::log(0.25), std::log(0.5)};
   const std::vector<double> likely{-1.0, -2.0, -300.0};
   const std::vector<double> unlikely{-2.0, -1.0, 300.0};
-  for (int k = 0; k < (check::sanitized() ? 50'000 : 5'000'000); ++k) {
+  for (int k = 0; k < (kSanitized ? 50'000 : 5'000'000); ++k) {
     reweight(log_weight, likely);
     reweight(log_weight, unlikely);
   }
   const auto weight = linear_weights(log_weight);
-  CHECK_NEAR(weight[0] + weight[1] + weight[2], 1.0, 1e-12);
-  CHECK_NEAR(weight[0], weight[1], 1e-9);
+  CHECK(weight[0] + weight[1] + weight[2] == near(1.0, 1e-12));
+  CHECK(weight[0] == near(weight[1], 1e-9));
 }
 
 TEST_CASE("a weight that became no number is none, and the others sum to 1") {
   std::vector<double> log_weight{std::log(0.5), std::nan(""), std::log(0.25)};
   const Reweighted done = reweight(log_weight, {-1.0, -1.0, -1.0});
-  CHECK(done.informative && done.not_a_number == 0);
+  CHECK((done.informative && done.not_a_number == 0));
   const auto weight = linear_weights(log_weight);
-  CHECK(weight[1] == 0.0 && std::isinf(log_weight[1]));
-  CHECK_NEAR(weight[0], 2.0 / 3.0, 1e-12);
-  CHECK_NEAR(done.log_evidence, std::log(0.75) - 1.0, 1e-12);
+  CHECK((weight[1] == 0.0 && std::isinf(log_weight[1])));
+  CHECK(weight[0] == near(2.0 / 3.0, 1e-12));
+  CHECK(done.log_evidence == near(std::log(0.75) - 1.0, 1e-12));
 }
 
 TEST_CASE("the effective size is that of weights of any sum, and 0 of none") {
   for (const double sum : {1e-9, 1.0, 7.0}) {
-    CHECK_NEAR(effective_size({0.25 * sum, 0.25 * sum, 0.25 * sum, 0.25 * sum}), 4.0, 1e-12);
-    CHECK_NEAR(effective_size({0.5 * sum, 0.0, 0.5 * sum}), 2.0, 1e-12);
+    CHECK(effective_size({0.25 * sum, 0.25 * sum, 0.25 * sum, 0.25 * sum}) == near(4.0, 1e-12));
+    CHECK(effective_size({0.5 * sum, 0.0, 0.5 * sum}) == near(2.0, 1e-12));
   }
-  CHECK(effective_size({}) == 0.0 && effective_size({0.0, 0.0}) == 0.0);
+  CHECK((effective_size({}) == 0.0 && effective_size({0.0, 0.0}) == 0.0));
 }
 
 }  // namespace

@@ -2,8 +2,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include "check.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -47,7 +47,7 @@ TEST_CASE("a ray ends where it enters the first occupied cell, to a nanometre") 
       const double expected = entered <= most ? 0.5 * entered
                               : leaves        ? kNoExpectation
                                               : 0.5 * most;
-      CHECK_NEAR(found, expected, 2e-9);
+      CHECK(found == near(expected, 2e-9));
     }
   }
 }
@@ -61,12 +61,12 @@ TEST_CASE("rays along the axes, from within a wall, from outside, in a map witho
   grid.cells[10 * 30 + 20] = kOccupied;
   grid.cells[4] = kUnknown;
   const RangeMap map(grid, false, 1);
-  CHECK_NEAR(map.cast({2.25, 5.25, 0.0}, 30.0), 7.75, 1e-9);
-  CHECK_NEAR(map.cast({14.0, 5.25, kPi}, 30.0), 3.5, 1e-6);
-  CHECK_NEAR(map.cast({10.25, 1.0, 0.5 * kPi}, 30.0), 4.0, 1e-6);
+  CHECK(map.cast({2.25, 5.25, 0.0}, 30.0) == near(7.75, 1e-9));
+  CHECK(map.cast({14.0, 5.25, kPi}, 30.0) == near(3.5, 1e-6));
+  CHECK(map.cast({10.25, 1.0, 0.5 * kPi}, 30.0) == near(4.0, 1e-6));
   CHECK(map.cast({10.2, 5.2, 1.0}, 30.0) == 0.0);
   CHECK(map.cast({0.25, 0.25, 0.0}, 30.0) == kNoExpectation);
-  CHECK_NEAR(RangeMap(grid, true, 1).cast({0.25, 0.25, 0.0}, 30.0), 1.75, 1e-6);
+  CHECK(RangeMap(grid, true, 1).cast({0.25, 0.25, 0.0}, 30.0) == near(1.75, 1e-6));
 }
 
 TEST_CASE("a ray exactly along an axis goes through a passage of one cell to its end") {
@@ -75,7 +75,7 @@ TEST_CASE("a ray exactly along an axis goes through a passage of one cell to its
   grid.cells[40 + 35] = kOccupied;
   const RangeMap along(grid, false, 1);
   for (const double y : {0.501, 0.75, 0.999}) {
-    CHECK_NEAR(along.cast({1.25, y, 0.0}, 30.0), 16.25, 1e-8);
+    CHECK(along.cast({1.25, y, 0.0}, 30.0) == near(16.25, 1e-8));
   }
 }
 
@@ -94,7 +94,7 @@ TEST_CASE("rays cross water wider than a cell can count, and meet the one cell a
                                   : std::atan2(680.0 - v, 680.0 + uniform_of(w.word[2]) - u);
     const double entered = nearest_entry(grid, u, v, yaw);
     const double found = map.cast({u, v, yaw}, 900.0);
-    CHECK_NEAR(found, entered < 900.0 ? entered : kNoExpectation, 2e-8);
+    CHECK(found == near(entered < 900.0 ? entered : kNoExpectation, 2e-8));
   }
 }
 
@@ -104,8 +104,8 @@ TEST_CASE("rays that run along the cells' edges, all but exactly, end as well") 
   const RangeMap map(grid, false, 1);
   for (int k = -40; k <= 40; ++k) {
     const double yaw = k * 1e-17 * std::pow(10.0, std::abs(k) % 12);
-    CHECK_NEAR(map.cast({20.0, 10.0, yaw}, 100.0), 19.0, 1e-6);
-    CHECK_NEAR(map.cast({20.0, 10.0, wrapped(kPi + yaw)}, 100.0), 19.0, 1e-6);
+    CHECK(map.cast({20.0, 10.0, yaw}, 100.0) == near(19.0, 1e-6));
+    CHECK(map.cast({20.0, 10.0, wrapped(kPi + yaw)}, 100.0) == near(19.0, 1e-6));
   }
 }
 
@@ -142,8 +142,8 @@ TEST_CASE("the vector loop's densities are the formula's") {
       sum += density * density * density;
       logs += std::log(density);
     }
-    CHECK_NEAR(cubes[i], std::log(sum), 1e-8);
-    CHECK_NEAR(products[i], 0.5 * logs, 1e-6);
+    CHECK(cubes[i] == near(std::log(sum), 1e-8));
+    CHECK(products[i] == near(0.5 * logs, 1e-6));
   }
 }
 
@@ -159,7 +159,7 @@ TEST_CASE("the mixture's parts sum to 1 over all readings") {
     const int steps = 200000;
     for (int i = 0; i < steps; ++i)
       sum += model.density(20.0 * (i + 0.5) / steps, expected) * 20.0 / steps;
-    CHECK_NEAR(sum, 0.95, 1e-4);
+    CHECK(sum == near(0.95, 1e-4));
   }
 }
 
@@ -167,12 +167,12 @@ TEST_CASE("a reading at the largest range, and beyond it, is z_max") {
   BeamModel model;
   model.max_range_m = 20.0;
   model.z_max = 0.07;
-  CHECK_NEAR(model.density(20.0, 5.0), 0.07, 1e-12);
-  CHECK_NEAR(model.density(99.0, 5.0), 0.07, 1e-12);
+  CHECK(model.density(20.0, 5.0) == near(0.07, 1e-12));
+  CHECK(model.density(99.0, 5.0) == near(0.07, 1e-12));
   const double hit = 2.0 * 0.5 / (0.2 * std::sqrt(2.0 * kPi));  // half of the Gaussian is cut off
-  CHECK_NEAR(model.density(20.0, 20.0), hit + 0.07, 1e-9);
+  CHECK(model.density(20.0, 20.0) == near(hit + 0.07, 1e-9));
   CHECK(model.density(99.0, 20.0) == model.density(20.0, 20.0));
-  CHECK_NEAR(model.density(5.0, 5.0 + 1e-8), model.density(5.0, 5.0), 1e-9);  // not a short one
+  CHECK(model.density(5.0, 5.0 + 1e-8) == near(model.density(5.0, 5.0), 1e-9));  // not a short one
 }
 
 }  // namespace

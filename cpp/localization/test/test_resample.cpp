@@ -3,8 +3,8 @@
 #include <cmath>
 #include <map>
 
-#include "check.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -53,7 +53,7 @@ TEST_CASE("independent draws come as often as their weights say (chi-square)") {
     const Drawn drawn = draw_parents(in_a_row(101), weight, rule, false, 0.0, nullptr, {seed, 1});
     CHECK(drawn.parent.size() == 50000);
     const double chi = chi_square(drawn.parent, weight);  // 79 degrees: sigma 0.16
-    CHECK(chi > 0.5 && chi < 1.5);
+    CHECK((chi > 0.5 && chi < 1.5));
   }
 }
 
@@ -65,7 +65,7 @@ TEST_CASE("weights of any sum are drawn as those of sum 1 are") {
     const ResampleRule rule{20000, 20000, {}, Scheme::kMultinomial};
     const Drawn drawn = draw_parents(in_a_row(101), weight, rule, false, 0.0, nullptr, {1, 1});
     const double chi = chi_square(drawn.parent, share);
-    CHECK(chi > 0.5 && chi < 1.5);
+    CHECK((chi > 0.5 && chi < 1.5));
     std::vector<double> times(101);
     for (const std::size_t parent : comb(weight, 1777, 0.3)) times[parent] += 1.0;
     for (std::size_t i = 0; i < 101; ++i) CHECK(std::abs(times[i] - 1777 * share[i]) < 1.0 + 1e-9);
@@ -102,7 +102,7 @@ TEST_CASE("offsets of the comb are uniform: means over many combs are the weight
   }
   std::vector<double> times(23);
   for (const std::size_t parent : all) times[parent] += 1.0;
-  for (std::size_t i = 0; i < 23; ++i) CHECK_NEAR(times[i] / 200000.0, weight[i], 0.003);
+  for (std::size_t i = 0; i < 23; ++i) CHECK(times[i] / 200000.0 == near(weight[i], 0.003));
 }
 
 TEST_CASE("a weight of 1 among zeros is every particle's parent, in first and last place") {
@@ -158,7 +158,7 @@ TEST_CASE("random particles are the share asked for, fill buckets and lie in fre
     double random = 0.0;
     for (const std::size_t parent : drawn.parent) random += parent == kRandom ? 1.0 : 0.0;
     CHECK(drawn.parent.front() != kRandom);
-    CHECK_NEAR(random / 20000.0, 0.25, 0.0125);
+    CHECK(random / 20000.0 == near(0.25, 0.0125));
   }
 }
 
@@ -177,9 +177,9 @@ TEST_CASE("draws of free water are uniform over its cells and within them") {
     square += pose.yaw * pose.yaw * 1e-5;
   }
   CHECK(times.size() == 4);
-  for (const int cell : {1, 3, 5, 7}) CHECK_NEAR(times[cell], 0.25, 0.01);
-  CHECK_NEAR(along, 0.5, 0.005);
-  CHECK_NEAR(square, kPi * kPi / 3.0, 0.05);
+  for (const int cell : {1, 3, 5, 7}) CHECK(times[cell] == near(0.25, 0.01));
+  CHECK(along == near(0.5, 0.005));
+  CHECK(square == near(kPi * kPi / 3.0, 0.05));
 }
 
 }  // namespace

@@ -1,6 +1,6 @@
 // One seed, one run: whatever the number of threads, bit by bit.
-#include "check.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 

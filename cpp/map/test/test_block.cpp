@@ -3,11 +3,11 @@
 #include <cstdint>
 #include <vector>
 
-#include "check.hpp"
 #include "mapperd/map/block.hpp"
 #include "maps.hpp"
 #include "rules.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -76,7 +76,7 @@ class Pair {
     CHECK((block_.held() | same) == kAllCells);
     Voxel one;
     const bool all_alike = std::count(plain_.begin(), plain_.end(), plain_[0]) == kBlockVoxels;
-    CHECK(!block_.all_alike(rule_, one) || (all_alike && one == plain_[0]));
+    CHECK((!block_.all_alike(rule_, one) || (all_alike && one == plain_[0])));
     for (int cell = 0; cell < kBlockCells; ++cell) {
       const auto first = static_cast<std::size_t>(mapperd::map::offset_of_cell(cell));
       if (!block_.is_held(cell)) CHECK(block_.alike(rule_, cell) == plain_[first]);
@@ -112,7 +112,7 @@ TEST_CASE("pending, opened and uniform cells hold the same bits as plain voxels"
     Pair pair(params);
     const IwloRule& rule = pair.rule();
     const int span = rule.max_units() - rule.min_units();
-    for (int ping = 0; ping < (check::sanitized() ? 150 : 600); ++ping) {
+    for (int ping = 0; ping < (kSanitized ? 150 : 600); ++ping) {
       const int kind = random.integer(0, 9);
       if (kind < 7) pair.free(random_cells(random));
       for (int i = 0; kind >= 7 && i < 20; ++i) {
@@ -146,10 +146,10 @@ TEST_CASE("a cell that comes down from where steps are scaled takes one step a p
 TEST_CASE("free space costs one state a cell, and a settled one does not change") {
   VoxelMap map(0.1, {});
   const std::uint32_t steps = map.rule().free_steps_to_floor();
-  CHECK(steps > 90 && steps < 200);
+  CHECK((steps > 90 && steps < 200));
   for (std::uint32_t i = 0; i < 300; ++i) CHECK(maps::see_free(map, {}) == (i < steps));
   const Block& block = *map.find({});
-  CHECK(block.held() == 0 && map.held_count() == 0);
+  CHECK((block.held() == 0 && map.held_count() == 0));
   CHECK(block.at_floor() == kAllCells);
   CHECK((block.alike(map.rule(), 9) == Voxel{map.rule().min_units(), map.rule().settled_count()}));
 }
@@ -159,7 +159,7 @@ TEST_CASE("a cell that ends up free throughout gives its memory back") {
   map.set({5, 0, 0}, {0.5F, 1});
   CHECK(map.held_count() == kCellVoxels);
   for (int i = 0; i < 300; ++i) maps::see_free(map, {});
-  CHECK(map.held_count() == 0 && !maps::see_free(map, {}));
+  CHECK((map.held_count() == 0 && !maps::see_free(map, {})));
   CHECK(map.at(mapperd::map::VoxelIndex{5, 0, 0}).log_odds == -10.0F);
 }
 
@@ -187,7 +187,7 @@ TEST_CASE("slots that were given back are taken again before the pool grows") {
     CHECK(map.known_count() == 0);
   }
   for (int i = 0; i < 64; ++i) map.set({16 * i, 0, 0}, {1.0F, 1});
-  CHECK(map.pool().memory_bytes() <= bytes + 2048 && map.held_count() == 64U * kCellVoxels);
+  CHECK((map.pool().memory_bytes() <= bytes + 2048 && map.held_count() == 64U * kCellVoxels));
 }
 
 }  // namespace

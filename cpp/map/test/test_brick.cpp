@@ -7,7 +7,6 @@
 #include <string>
 #include <vector>
 
-#include "check.hpp"
 #include "mapperd/map/brick.hpp"
 #include "mapperd/map/bytes.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
@@ -15,6 +14,7 @@
 #include "mapperd/map/rays.hpp"
 #include "maps.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -83,7 +83,7 @@ void check_paged(const Integrate& integrate) {
     integrate(whole, shot);
     integrate(paged, shot);
   }
-  CHECK(shelf.dropped > 20 && shelf.fetched > 20);
+  CHECK((shelf.dropped > 20 && shelf.fetched > 20));
   CHECK(paged.known_count() < whole.known_count());
   CHECK(paged.revision() == whole.revision());
   shelf.fetch({});  // the last go to the shelf too
@@ -118,25 +118,25 @@ TEST_CASE("a ping whose tiles cannot be fetched leaves the map alone") {
                       }});
   mapperd::map::PingParams settings;
   settings.vertical_aperture_rad = 0.5;
-  CHECK_THROWS(integrate_evidence_grid(map, shot.ping.image(), shot.pose, settings),
-               std::runtime_error);
-  CHECK(asked > 0 && map.block_count() == 0 && map.revision() == 0);
+  CHECK_THROWS_AS(integrate_evidence_grid(map, shot.ping.image(), shot.pose, settings),
+                  std::runtime_error);
+  CHECK((asked > 0 && map.block_count() == 0 && map.revision() == 0));
 }
 
 TEST_CASE("who does not ask for a tile cannot write into it, and others are left alone") {
   VoxelMap map(0.1, {});
   map.cut_into_tiles({2, [](const std::vector<BlockKey>&) {}});
-  CHECK_THROWS(map.set({0, 0, 0}, {1.0F, 1}), std::logic_error);
+  CHECK_THROWS_AS(map.set({0, 0, 0}, {1.0F, 1}), std::logic_error);
   put_bricks(map, {}, {{0, 0, 0}});
   map.set({31, 0, 0}, {1.0F, 1});
-  CHECK_THROWS(map.set({32, 0, 0}, {1.0F, 1}), std::logic_error);
-  CHECK_THROWS(map.set({-1, 0, 0}, {1.0F, 1}), std::logic_error);
-  CHECK_THROWS(clear(map), std::logic_error);
-  CHECK_THROWS(load_map(encode_map(VoxelMap(0.1, {})), map), std::logic_error);
-  CHECK_THROWS(map.cut_into_tiles({2, [](const std::vector<BlockKey>&) {}}), std::logic_error);
+  CHECK_THROWS_AS(map.set({32, 0, 0}, {1.0F, 1}), std::logic_error);
+  CHECK_THROWS_AS(map.set({-1, 0, 0}, {1.0F, 1}), std::logic_error);
+  CHECK_THROWS_AS(clear(map), std::logic_error);
+  CHECK_THROWS_AS(load_map(encode_map(VoxelMap(0.1, {})), map), std::logic_error);
+  CHECK_THROWS_AS(map.cut_into_tiles({2, [](const std::vector<BlockKey>&) {}}), std::logic_error);
   CHECK(map.known_count() == 1);
   drop_tiles(map, {{0, 0, 0}});
-  CHECK(map.block_count() == 0 && map.at(mapperd::map::VoxelIndex{31, 0, 0}).count == 0);
+  CHECK((map.block_count() == 0 && map.at(mapperd::map::VoxelIndex{31, 0, 0}).count == 0));
 }
 
 TEST_CASE("tiles are counted from the origin to both sides") {
@@ -155,13 +155,13 @@ TEST_CASE("only bricks with a changed block are asked for, and each comes back w
   map.set({-1, 0, 0}, {2.0F, 9});
   map.set({70, 0, 0}, {2.0F, 9});
   const mapperd::map::ChangedBricks changed = bricks_since(map, before);
-  CHECK(changed.bricks.size() == 2 && changed.revision == map.revision());
+  CHECK((changed.bricks.size() == 2 && changed.revision == map.revision()));
   CHECK(
       (changed.bricks[0].key == BlockKey{-1, 0, 0} && changed.bricks[1].key == BlockKey{1, 0, 0}));
-  CHECK(changed.bricks[0].revision == before + 1 && changed.bricks[1].revision == before + 2);
+  CHECK((changed.bricks[0].revision == before + 1 && changed.bricks[1].revision == before + 2));
   VoxelMap copy(0.1, {});
   put_bricks(copy, views(bricks_since(map, 0)));
-  CHECK(encode_map(copy) == encode_map(map) && copy.revision() == map.revision());
+  CHECK((encode_map(copy) == encode_map(map) && copy.revision() == map.revision()));
   for (const mapperd::map::Block* block : map.sorted_blocks()) {
     CHECK(copy.find(block->key)->revision == block->revision);
   }
@@ -193,7 +193,7 @@ TEST_CASE("dropping tiles finds the others again, wherever they were held") {
   CHECK(map.block_count() == tiles.size() - even.size());
   for (const BlockKey& tile : tiles) {
     CHECK((map.find(tile) != nullptr) == (tile.x % 2 != 0));
-    CHECK(map.find(tile) == nullptr || map.find(tile)->known_count(map.pool()) == 1);
+    CHECK((map.find(tile) == nullptr || map.find(tile)->known_count(map.pool()) == 1));
   }
 }
 

@@ -4,9 +4,9 @@
 #include <stdexcept>
 #include <vector>
 
-#include "check.hpp"
 #include "mapperd/map/distance_field.hpp"
 #include "maps.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -31,7 +31,7 @@ void compare(const VoxelMap& map, const VoxelBox& box, double max_distance_m) {
     for (std::int64_t y = box.first.y; y < box.first.y + box.size[1]; ++y) {
       for (std::int64_t z = box.first.z; z < box.first.z + box.size[2]; ++z) {
         const VoxelIndex voxel{x, y, z};
-        CHECK_NEAR(field[box.place_of(voxel)], nearest(map, voxel, max_distance_m), 1e-6);
+        CHECK(field[box.place_of(voxel)] == near(nearest(map, voxel, max_distance_m), 1e-6));
       }
     }
   }
@@ -56,7 +56,7 @@ TEST_CASE("far truncation, an empty map, an empty box") {
   one.set({100, 0, 0}, {3.0F, 1});
   const auto line = distance_field(one, {{0, 0, 0}, {100, 1, 1}}, 20.0, 0.8);
   for (std::size_t x = 0; x < 100; ++x) {
-    CHECK_NEAR(line[x], 0.1 * (100.0 - static_cast<double>(x)), 1e-5);
+    CHECK(line[x] == near(0.1 * (100.0 - static_cast<double>(x)), 1e-5));
   }
 }
 
@@ -64,12 +64,12 @@ TEST_CASE("a field too large or without a distance is refused") {
   const VoxelMap map(0.1, {});
   const VoxelBox small{{0, 0, 0}, {2, 2, 2}};
   const double nan = std::numeric_limits<double>::quiet_NaN();
-  CHECK_THROWS(distance_field(map, small, 0.0, 0.8), std::invalid_argument);
-  CHECK_THROWS(distance_field(map, small, nan, 0.8), std::invalid_argument);
-  CHECK_THROWS(distance_field(map, small, 1.0, nan), std::invalid_argument);
-  CHECK_THROWS(distance_field(map, small, 26.0, 0.8), std::invalid_argument);
-  CHECK_THROWS(distance_field(map, {{0, 0, 0}, {5000, 5000, 5000}}, 0.1, 0.8),
-               std::invalid_argument);
+  CHECK_THROWS_AS(distance_field(map, small, 0.0, 0.8), std::invalid_argument);
+  CHECK_THROWS_AS(distance_field(map, small, nan, 0.8), std::invalid_argument);
+  CHECK_THROWS_AS(distance_field(map, small, 1.0, nan), std::invalid_argument);
+  CHECK_THROWS_AS(distance_field(map, small, 26.0, 0.8), std::invalid_argument);
+  CHECK_THROWS_AS(distance_field(map, {{0, 0, 0}, {5000, 5000, 5000}}, 0.1, 0.8),
+                  std::invalid_argument);
 }
 
 }  // namespace

@@ -8,12 +8,12 @@
 #include <unordered_map>
 #include <vector>
 
-#include "check.hpp"
 #include "mapperd/map/evidence_grid.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
 #include "oracle.hpp"
 #include "oracle_motion.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -185,7 +185,7 @@ class Nodes {
   std::unordered_map<std::int64_t, Evidence> known_;
 };
 
-int scene_count(int released) { return check::sanitized() ? 2 : released; }
+int scene_count(int released) { return kSanitized ? 2 : released; }
 
 TEST_CASE("the grid holds the definition's values at its nodes") {
   int compared = 0, occupied = 0, free = 0, off = 0;
@@ -239,7 +239,7 @@ TEST_CASE("the grid holds the definition's values at its nodes") {
     CHECK(wrong == 0);
   }
   std::printf("  %d nodes, %d occupied, %d free, %d off\n", compared, occupied, free, off);
-  CHECK(check::sanitized() || (occupied > 10000 && free > 10000));
+  CHECK((kSanitized || (occupied > 10000 && free > 10000)));
 }
 
 TEST_CASE("points that are looked up together say what each says alone") {
@@ -263,14 +263,14 @@ TEST_CASE("points that are looked up together say what each says alone") {
     int occupied = 0, free = 0;
     for (std::size_t i = 0; i < CellPoints::kCount; ++i) {
       const EvidenceGrid::Evidence alone = grid.at(points.at(i));
-      CHECK(codes[i] == alone.code && shares[i] == alone.share);
+      CHECK((codes[i] == alone.code && shares[i] == alone.share));
       occupied += alone.code >= mapperd::map::kCodeOccupied ? 1 : 0;
       free += alone.code == mapperd::map::kCodeFree ? 1 : 0;
     }
-    CHECK(found.occupied == occupied && found.free == free);
+    CHECK((found.occupied == occupied && found.free == free));
     said += occupied + free;
   }
-  CHECK(check::sanitized() || said > 500);
+  CHECK((kSanitized || said > 500));
 }
 
 // One ping into an empty map, voxel by voxel.
@@ -437,7 +437,7 @@ TEST_CASE("every voxel takes the value of a node within one pitch of its centre"
     wrong += comparison.wrong;
   }
   std::printf("  %d voxels, %d occupied, %d wrong\n", compared, occupied, wrong);
-  CHECK(check::sanitized() || (compared > 100000 && occupied > 10000));
+  CHECK((kSanitized || (compared > 100000 && occupied > 10000)));
 }
 
 // A sonar's usual ping: 20 degrees of aperture, 128 beams, some rows of a wandering surface.
@@ -468,7 +468,7 @@ TEST_CASE("of a moving sonar that is said to be at rest many voxels take other v
     without.run();
     std::printf("  %d voxels: %d of another class than their centres, %d if said to be at rest\n",
                 with.compared, with.other_class, without.other_class);
-    CHECK(with.wrong == 0 && without.wrong > with.wrong);
+    CHECK((with.wrong == 0 && without.wrong > with.wrong));
     CHECK(without.other_class > 2 * with.other_class);
   }
 }
@@ -476,7 +476,7 @@ TEST_CASE("of a moving sonar that is said to be at rest many voxels take other v
 // Open water up to a wall, over a hundred voxels and more: whole blocks are free, and what is
 // settled for all of a block must hold for its outermost voxels.
 TEST_CASE("open water is free up to the wall and the aperture's faces, and nothing beyond is") {
-  for (std::uint64_t seed = 340; seed < 340 + (check::sanitized() ? 1 : 6); ++seed) {
+  for (std::uint64_t seed = 340; seed < 340 + (kSanitized ? 1 : 6); ++seed) {
     scenes::Random random(seed);
     scenes::Ping ping = scenes::empty_ping(100, 64, random.uniform(0.4, 1.2), 10.0);
     for (std::size_t j = 0; j < 64; ++j) ping.intensity[90 * 64 + j] = 200.0F;
@@ -527,7 +527,7 @@ TEST_CASE("open water is free up to the wall and the aperture's faces, and nothi
         }
       }
     }
-    CHECK(free > 100000 && missing == 0 && beyond == 0);
+    CHECK((free > 100000 && missing == 0 && beyond == 0));
   }
 }
 
@@ -537,7 +537,7 @@ TEST_CASE("far away a moving sonar is as near to the definition as one at rest")
   double at_rest = 0.0;
   for (const double rate_radps : {0.0, 0.8, 9.0}) {
     int compared = 0, others = 0;
-    for (std::uint64_t seed = 320; seed < 320 + (check::sanitized() ? 1 : 3); ++seed) {
+    for (std::uint64_t seed = 320; seed < 320 + (kSanitized ? 1 : 3); ++seed) {
       scenes::Random random(seed);
       Scene scene;
       scenes::Ragged want;
@@ -576,7 +576,7 @@ TEST_CASE("the grid's rows meet the ping's rows at all phases") {
     mapperd::map::GridMemory memory;
     const mapperd::map::IwloRule rule({});
     const EvidenceGrid grid(memory, ping.image(), {}, rule, edge_m);
-    CHECK(grid.row_pitch_m() <= 0.3 * edge_m && grid.row_pitch_m() >= 0.27 * edge_m);
+    CHECK((grid.row_pitch_m() <= 0.3 * edge_m && grid.row_pitch_m() >= 0.27 * edge_m));
     std::vector<double> phases;
     for (int row = 0; row < 100; ++row) {
       const double at = (row + 0.5) * grid.row_pitch_m() / ping.range_resolution_m;
@@ -595,7 +595,7 @@ TEST_CASE("a finer grid comes nearer to the definition at each voxel's centre") 
   double last = 0.035;
   for (const double detail : {1.0, 2.0, 4.0, 8.0}) {
     int compared = 0, others = 0, occupied = 0;
-    for (std::uint64_t seed = 300; seed < 300 + (check::sanitized() ? 1 : 4); ++seed) {
+    for (std::uint64_t seed = 300; seed < 300 + (kSanitized ? 1 : 4); ++seed) {
       Scene scene = usual_scene(seed);
       scene.settings.ping.detail = detail;
       Comparison comparison(scene);
@@ -618,7 +618,7 @@ TEST_CASE("a finer grid comes nearer to the definition at each voxel's centre") 
 TEST_CASE("the definition's classes are those of parts of the voxel's volume") {
   for (const double edge_m : {0.3, 0.12}) {
     int compared = 0, others = 0, apart = 0;
-    for (std::uint64_t seed = 300; seed < 300 + (check::sanitized() ? 1 : 3); ++seed) {
+    for (std::uint64_t seed = 300; seed < 300 + (kSanitized ? 1 : 3); ++seed) {
       Scene scene = usual_scene(seed);
       scene.settings.edge_m = edge_m;
       Comparison comparison(scene);
@@ -632,7 +632,7 @@ TEST_CASE("the definition's classes are those of parts of the voxel's volume") {
     }
     std::printf("  voxels of %.2f m: %d, %.2f %% of another class by volume, %.2f %% by the grid\n",
                 edge_m, compared, 100.0 * others / compared, 100.0 * apart / compared);
-    CHECK(check::sanitized() || others < compared * (edge_m < 0.2 ? 0.04 : 0.08));
+    CHECK((kSanitized || others < compared * (edge_m < 0.2 ? 0.04 : 0.08)));
   }
 }
 

@@ -5,12 +5,12 @@
 #include <stdexcept>
 #include <thread>
 
-#include "check.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/map_file.hpp"
 #include "mapperd/map/rays.hpp"
 #include "maps.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -26,9 +26,9 @@ TEST_CASE("a bad ping or pose is refused and leaves the map alone") {
   scenes::Ping ping = scenes::empty_ping(10, 8, 0.5, 2.0);
   ping.intensity.assign(80, 200.0F);
   const auto refuses = [&](const scenes::Ping& p, const mapperd::Transform& pose) {
-    CHECK_THROWS(integrate_evidence_grid(map, p.image(), pose, {}), std::logic_error);
-    CHECK_THROWS(integrate_rays(map, p.image(), pose, {}), std::logic_error);
-    CHECK(map.block_count() == 0 && map.revision() == 0);
+    CHECK_THROWS_AS(integrate_evidence_grid(map, p.image(), pose, {}), std::logic_error);
+    CHECK_THROWS_AS(integrate_rays(map, p.image(), pose, {}), std::logic_error);
+    CHECK((map.block_count() == 0 && map.revision() == 0));
   };
   mapperd::Transform pose;
   pose.translation.y = not_a_number;
@@ -57,7 +57,8 @@ TEST_CASE("a bad ping or pose is refused and leaves the map alone") {
   for (const double detail : {not_a_number, 0.0, 100.0, -1.0}) {
     PingParams settings;
     settings.detail = detail;
-    CHECK_THROWS(integrate_evidence_grid(map, ping.image(), {}, settings), std::invalid_argument);
+    CHECK_THROWS_AS(integrate_evidence_grid(map, ping.image(), {}, settings),
+                    std::invalid_argument);
   }
 }
 
@@ -65,8 +66,8 @@ TEST_CASE("a grid too fine for the memory is refused before anything is changed"
   VoxelMap map(0.001, {});
   scenes::Ping ping = scenes::empty_ping(200, 512, 1.1, 200.0);
   ping.intensity.assign(200 * 512, 200.0F);
-  CHECK_THROWS(integrate_evidence_grid(map, ping.image(), {}, {}), std::invalid_argument);
-  CHECK(map.block_count() == 0 && map.revision() == 0);
+  CHECK_THROWS_AS(integrate_evidence_grid(map, ping.image(), {}, {}), std::invalid_argument);
+  CHECK((map.block_count() == 0 && map.revision() == 0));
 }
 
 TEST_CASE("no intensity brings a NaN into the map") {
@@ -142,11 +143,11 @@ TEST_CASE("the numbers returned are those of the voxels changed") {
       ++(state.log_odds > 0 ? occupied : free);
       CHECK(state.count == 1);
     });
-    CHECK(stats.occupied == occupied && stats.free == free && occupied > 0);
+    CHECK((stats.occupied == occupied && stats.free == free && occupied > 0));
     CHECK(stats.blocks_created == map.block_count());
     CHECK(stats.blocks_visited >= stats.blocks_created);
     for (const mapperd::map::Block* block : map.sorted_blocks()) {
-      CHECK(block->known_count(map.pool()) > 0 && block->revision == 1);
+      CHECK((block->known_count(map.pool()) > 0 && block->revision == 1));
     }
   }
 }
@@ -167,7 +168,7 @@ TEST_CASE("a ping does not depend on those before it, but for the voxels") {
     integrate_evidence_grid(after, ping.image(), pose, settings);
     // A thread of its own has memory of its own.
     std::thread([&] { integrate_evidence_grid(alone, ping.image(), pose, settings); }).join();
-    CHECK(alone.known_count() > 100 && encode_map(alone) == encode_map(after));
+    CHECK((alone.known_count() > 100 && encode_map(alone) == encode_map(after)));
   }
 }
 

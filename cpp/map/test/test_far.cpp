@@ -4,7 +4,6 @@
 #include <stdexcept>
 #include <vector>
 
-#include "check.hpp"
 #include "mapperd/map/distance_field.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/point_updates.hpp"
@@ -12,6 +11,7 @@
 #include "mapperd/map/rays.hpp"
 #include "mapperd/map/snapshot.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -58,7 +58,7 @@ void check_equal_but_shifted(const VoxelMap& near, const VoxelMap& far, const Sh
            key.z - shift.z * kFarBlocks};
   }
   CHECK(near.known_count() > 1000);
-  CHECK(a.keys == b.keys && a.units == b.units && a.counts == b.counts);
+  CHECK((a.keys == b.keys && a.units == b.units && a.counts == b.counts));
 }
 
 void project(VoxelMap& map, const mapperd::map::PingImage& image, const Transform& pose) {
@@ -131,12 +131,12 @@ TEST_CASE(
     return voxels_between(map, -200, 200);
   };
   const auto near = known(0.0), far = known(kFar);
-  CHECK(near.size() == far.size() && near.size() > 1000);
+  CHECK((near.size() == far.size() && near.size() > 1000));
   for (std::size_t i = 0; i < std::min(near.size(), far.size()); ++i) {
     CHECK(far[i].voxel.x - near[i].voxel.x == 100000000);
-    CHECK(far[i].voxel.y == near[i].voxel.y && far[i].voxel.z == near[i].voxel.z);
+    CHECK((far[i].voxel.y == near[i].voxel.y && far[i].voxel.z == near[i].voxel.z));
     CHECK(far[i].state.count == near[i].state.count);
-    CHECK_NEAR(far[i].state.log_odds, near[i].state.log_odds, 1e-5);
+    CHECK(far[i].state.log_odds == ::near(near[i].state.log_odds, 1e-5));
   }
 }
 
@@ -178,7 +178,8 @@ TEST_CASE("a pose that would overflow is refused and the map is as before") {
     CHECK(!refusal_of([&] { integrate_rays(map, ping.image(), pose, {}); }).empty());
   }
   const auto after = dense_blocks(map, 0, map.block_count());
-  CHECK(after.keys == before.keys && after.units == before.units && after.counts == before.counts);
+  CHECK(
+      (after.keys == before.keys && after.units == before.units && after.counts == before.counts));
   CHECK(map.revision() == revision);
 }
 
@@ -204,20 +205,20 @@ TEST_CASE("keys and points beyond the reach are refused, those at its end are no
   VoxelMap map(kResolution, {});
   for (const BlockKey& key :
        {BlockKey{last + 1, 0, 0}, BlockKey{0, -last - 1, 0}, BlockKey{0, 0, lowest}}) {
-    CHECK_THROWS(map.get_or_create(key), std::out_of_range);
+    CHECK_THROWS_AS(map.get_or_create(key), std::out_of_range);
     CHECK(map.find(key) == nullptr);
   }
   const std::int64_t beyond = (std::int64_t{last} + 1) * 16;
   for (const std::int64_t far : {beyond, -beyond - 1, std::numeric_limits<std::int64_t>::max(),
                                  std::numeric_limits<std::int64_t>::min()}) {
-    CHECK_THROWS(map.set({0, far, 0}, {1.0F, 1}), std::out_of_range);
+    CHECK_THROWS_AS(map.set({0, far, 0}, {1.0F, 1}), std::out_of_range);
     CHECK(map.at(mapperd::map::VoxelIndex{0, far, 0}).count == 0);
   }
   const double point[] = {0, 0, kResolution * 16.0 * last};
   const double one = 1.0;
   CHECK(refusal_of([&] { set_log_odds(map, {point, 1}, &one); }).find("reach in row 0") !=
         std::string::npos);
-  CHECK(map.block_count() == 0 && map.revision() == 0);
+  CHECK((map.block_count() == 0 && map.revision() == 0));
   map.set({beyond - 1, -beyond + 16, 0}, {1.0F, 1});
   CHECK(map.at(mapperd::map::VoxelIndex{beyond - 1, -beyond + 16, 0}).log_odds == 1.0F);
   CHECK(map.find({last, -last, 0}) != nullptr);

@@ -8,10 +8,10 @@
 #include <string>
 #include <vector>
 
-#include "check.hpp"
 #include "mapperd/map/bytes.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/map_file.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -86,7 +86,7 @@ std::uint32_t checksum_of(const PingParams& settings, const PingMotion& motion, 
     const Scene scene = scene_of(seed);
     integrate_evidence_grid(map, scene.image(), pose_of(seed % 7), settings, motion);
   }
-  CHECK(map.known_count() > 10000 && map.held_count() > 10000);
+  CHECK((map.known_count() > 10000 && map.held_count() > 10000));
   const std::string file = encode_map(map);
   return mapperd::map::crc32(file.substr(0, file.size() - 4));  // it ends with its own
 }

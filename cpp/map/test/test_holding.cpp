@@ -4,7 +4,6 @@
 #include <string>
 #include <vector>
 
-#include "check.hpp"
 #include "mapperd/map/distance_field.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/map_file.hpp"
@@ -14,6 +13,7 @@
 #include "mapperd/map/snapshot.hpp"
 #include "maps.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -87,9 +87,9 @@ void check_pending(const mapperd::map::PingParams& settings) {
     ask_everything(asked);
   }
   CHECK(pending.known_count() > 20000);
-  CHECK(equal(pending, opened) && equal(pending, asked));
+  CHECK((equal(pending, opened) && equal(pending, asked)));
   const auto a = dense_blocks(pending, 0, 10000), b = dense_blocks(opened, 0, 10000);
-  CHECK(a.keys == b.keys && a.units == b.units && a.counts == b.counts);
+  CHECK((a.keys == b.keys && a.units == b.units && a.counts == b.counts));
   CHECK(known_count(pending) == known_count(opened));
 }
 
@@ -114,7 +114,7 @@ TEST_CASE("saved and loaded at any time, a map goes on as if it had not been") {
     CHECK(equal(loaded, saved));
     load_map(encode_map(loaded), saved);  // back into one that has pending blocks
   }
-  CHECK(equal(straight, saved) && straight.known_count() > 20000);
+  CHECK((equal(straight, saved) && straight.known_count() > 20000));
 }
 
 TEST_CASE("the order in which blocks come about does not show") {
@@ -127,7 +127,7 @@ TEST_CASE("the order in which blocks come about does not show") {
   for (const Shot& shot : apart) integrate(forth, shot);
   std::reverse(apart.begin(), apart.end());
   for (const Shot& shot : apart) integrate(back, shot);
-  CHECK(equal(forth, back) && forth.known_count() > 20000);
+  CHECK((equal(forth, back) && forth.known_count() > 20000));
 
   const auto by_rays = [](VoxelMap& map, const Shot& shot) {
     integrate_rays(map, shot.ping.image(), shot.pose, {});
@@ -135,7 +135,7 @@ TEST_CASE("the order in which blocks come about does not show") {
   VoxelMap rays_forth(kResolution, {}), rays_back(kResolution, {});
   for (auto shot = apart.begin(); shot != apart.end(); ++shot) by_rays(rays_forth, *shot);
   for (auto shot = apart.rbegin(); shot != apart.rend(); ++shot) by_rays(rays_back, *shot);
-  CHECK(equal(rays_forth, rays_back) && rays_forth.known_count() > 1000);
+  CHECK((equal(rays_forth, rays_back) && rays_forth.known_count() > 1000));
 }
 
 TEST_CASE("merged in any order, pending or opened, the sum is the same") {
@@ -152,7 +152,7 @@ TEST_CASE("merged in any order, pending or opened, the sum is the same") {
   for (VoxelMap& part : parts) open_and_close_all(part);
   VoxelMap third(kResolution, {});
   merge(third, {&parts[1], &parts[2], &parts[0]});
-  CHECK(equal(first, second) && equal(first, third) && first.known_count() > 20000);
+  CHECK((equal(first, second) && equal(first, third) && first.known_count() > 20000));
 }
 
 }  // namespace

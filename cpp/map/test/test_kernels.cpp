@@ -9,11 +9,11 @@
 #include <string>
 #include <vector>
 
-#include "check.hpp"
 #include "mapperd/map/block.hpp"
 #include "mapperd/map/kernels.hpp"
 #include "rules.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -105,7 +105,7 @@ struct Built {
 TEST_CASE("rows of the grid, to the bit, whatever the memory held before") {
   scenes::Random random(201);
   std::size_t occupied = 0, free = 0;
-  for (int i = 0; i < (check::sanitized() ? 20 : 150); ++i) {
+  for (int i = 0; i < (kSanitized ? 20 : 150); ++i) {
     const Rows rows(random, i % 3 == 0 ? 0.0 : random.uniform(0, 0.1));
     const bool averages = i % 4 == 1;
     const Built fast(kernels(), rows.task, 64, averages, 0);
@@ -130,7 +130,7 @@ TEST_CASE("rows of the grid, to the bit, whatever the memory held before") {
     }
     CHECK(classes == plain.classes);
   }
-  CHECK(check::sanitized() || (occupied > 100000 && free > 100000));
+  CHECK((kSanitized || (occupied > 100000 && free > 100000)));
 }
 
 struct RandomGrid {
@@ -252,7 +252,7 @@ struct RandomCells {
 TEST_CASE("look-ups of a block's voxels, to the bit, and those of double precision") {
   scenes::Random random(220);
   long compared = 0, told = 0;
-  for (int turn = 0; turn < (check::sanitized() ? 50 : 1500); ++turn) {
+  for (int turn = 0; turn < (kSanitized ? 50 : 1500); ++turn) {
     const RandomGrid grid(random);
     const RandomCells cells(random, grid.view);
     CellPlaces fast, plain;
@@ -271,8 +271,8 @@ TEST_CASE("look-ups of a block's voxels, to the bit, and those of double precisi
       const CodeCounts b =
           plain_kernels().look_up(cells.task, grid.view, plain, cell, plain_codes.data(),
                                   averages ? plain_shares.data() : nullptr);
-      CHECK(codes == plain_codes && shares == plain_shares);
-      CHECK(a.occupied == b.occupied && a.free == b.free);
+      CHECK((codes == plain_codes && shares == plain_shares));
+      CHECK((a.occupied == b.occupied && a.free == b.free));
       CHECK(b.free == std::count(codes.begin(), codes.end(), kCodeFree));
       CHECK(b.occupied == std::count_if(codes.begin(), codes.end(),
                                         [](std::uint8_t code) { return code >= kCodeOccupied; }));
@@ -285,7 +285,7 @@ TEST_CASE("look-ups of a block's voxels, to the bit, and those of double precisi
       }
     }
   }
-  CHECK(check::sanitized() || (compared > 100000 && told > 20000));
+  CHECK((kSanitized || (compared > 100000 && told > 20000)));
 }
 
 // A cell's voxels, as the pool holds them.
@@ -398,7 +398,7 @@ TEST_CASE("updates of a cell are those of the scalar rule, in every state") {
         }
       }
     }
-    CHECK(tally.voxels > 2000 && tally.changed > tally.voxels / 10);
+    CHECK((tally.voxels > 2000 && tally.changed > tally.voxels / 10));
   }
 }
 
@@ -414,7 +414,7 @@ TEST_CASE("averaged evidence of both kinds lies between them") {
       const double exact =
           units + (share * (up.units - units) + (255 - share) * (down.units - units)) / 255.0;
       // A share of 255ths is made one of 2^15 by shifts, off by 1 / 500; each product is rounded.
-      CHECK_NEAR(mean.units, exact, 1.0 + (up.units - down.units) / 256.0);
+      CHECK(mean.units == near(exact, 1.0 + (up.units - down.units) / 256.0));
     }
   }
 }

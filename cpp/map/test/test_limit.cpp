@@ -2,11 +2,11 @@
 #include <cstddef>
 #include <vector>
 
-#include "check.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/rays.hpp"
 #include "mapperd/map/snapshot.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -76,11 +76,11 @@ void check_parts_are_the_whole(const MotionOf& motion_of, const Integrate& integ
     for (const mapperd::map::Block* block : part.sorted_blocks()) {
       CHECK(box.holds(block->key));
       const mapperd::map::Block* same = whole.find(block->key);
-      CHECK(same != nullptr && same->revision == block->revision);
+      CHECK((same != nullptr && same->revision == block->revision));
       for (int i = 0; same != nullptr && i < mapperd::map::kBlockVoxels; ++i) {
         const mapperd::map::Voxel a = part.voxel(*block, i);
         const mapperd::map::Voxel b = whole.voxel(*same, i);
-        CHECK(a.units == b.units && a.count == b.count);
+        CHECK((a.units == b.units && a.count == b.count));
       }
     }
   }
@@ -126,7 +126,7 @@ TEST_CASE("sampled rays, too, change only the box") {
 
 TEST_CASE("a box without blocks is refused") {
   VoxelMap map(kResolution, {});
-  CHECK_THROWS(map.limit_to({{1, 0, 0}, {0, 0, 0}}), std::invalid_argument);
+  CHECK_THROWS_AS(map.limit_to({{1, 0, 0}, {0, 0, 0}}), std::invalid_argument);
 }
 
 }  // namespace

@@ -5,11 +5,11 @@
 #include <string>
 #include <vector>
 
-#include "check.hpp"
 #include "mapperd/map/bytes.hpp"
 #include "mapperd/map/map_file.hpp"
 #include "mapperd/map/snapshot.hpp"
 #include "maps.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -48,7 +48,7 @@ std::string refusal_of(const std::string& file, VoxelMap& map) {
   try {
     load_map(file, map);
   } catch (const std::invalid_argument& error) {
-    CHECK(encode_map(map) == before && map.revision() == revision);
+    CHECK((encode_map(map) == before && map.revision() == revision));
     return error.what();
   }
   return "";
@@ -108,7 +108,7 @@ TEST_CASE("equal blocks are equal bytes, whether they know that they are alike o
     maps::see_free(pending, {0, 0, 0});
     maps::see_free(plain, {0, 0, 0});
   }
-  CHECK(pending.find({0, 0, 0})->held() != 0 && plain.find({0, 0, 0})->held() == 0);
+  CHECK((pending.find({0, 0, 0})->held() != 0 && plain.find({0, 0, 0})->held() == 0));
   CHECK(encode_map(pending) == encode_map(plain));
 }
 
@@ -237,7 +237,7 @@ TEST_CASE("every form of a block is read, with the state of every voxel") {
     }
     CHECK(state(one_by_one, i) == expected);
   }
-  CHECK(next == known.size() && next > 100);
+  CHECK((next == known.size() && next > 100));
 
   // In units of 2^-8, of a map with wider clamps: eight of ours each.
   std::string new_alike("\3\x08", 2);
@@ -288,7 +288,7 @@ TEST_CASE("counts of two bytes come back") {
              static_cast<std::uint16_t>(random.integer(1, 49900))});
   }
   load_map(encode_map(map), loaded);
-  CHECK(maps::content(loaded) == maps::content(map) && encode_map(loaded) == encode_map(map));
+  CHECK((maps::content(loaded) == maps::content(map) && encode_map(loaded) == encode_map(map)));
 }
 
 TEST_CASE("mutated contents are read or refused, never more") {
@@ -316,10 +316,10 @@ TEST_CASE("mutated contents are read or refused, never more") {
     CHECK(encode_map(map).size() <= mutated.size() + 4);
     map.for_each_known(
         [&map](const mapperd::map::VoxelIndex&, const mapperd::map::VoxelState& state) {
-          CHECK(std::abs(state.log_odds) <= 10.0F && state.count <= map.rule().settled_count());
+          CHECK((std::abs(state.log_odds) <= 10.0F && state.count <= map.rule().settled_count()));
         });
   }
-  CHECK(taken > 30 && taken < 2000);
+  CHECK((taken > 30 && taken < 2000));
 }
 
 }  // namespace

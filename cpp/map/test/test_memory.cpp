@@ -4,13 +4,13 @@
 #include <vector>
 
 #include "allocations.hpp"
-#include "check.hpp"
 #include "mapperd/map/brick.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/snapshot.hpp"
 #include "mapperd/map/voxel_map.hpp"
 #include "maps.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -60,7 +60,7 @@ TEST_CASE("a voxel that is held takes four bytes at most, all overhead counted")
 TEST_CASE("space that is alike cell by cell takes a few bytes a cell") {
   VoxelMap map(0.1, {});
   fill(map, 0, 1, 5000);
-  CHECK(map.known_count() == 5000U * kBlockVoxels && map.held_count() == 0);
+  CHECK((map.known_count() == 5000U * kBlockVoxels && map.held_count() == 0));
   const double each = (bytes_of(map) - bytes_of(VoxelMap(0.1, {}))) / (5000.0 * kBlockCells);
   std::printf("  %.2f bytes a cell, %.3f a voxel\n", each, each / kCellVoxels);
   CHECK(each <= 7.5);
@@ -81,7 +81,7 @@ TEST_CASE("the map of a usual ping takes less than four bytes a held voxel in al
   const auto known = static_cast<double>(map.known_count());
   std::printf("  %.2f bytes a held voxel, %.2f a known one\n", bytes_of(map) / held,
               bytes_of(map) / known);
-  CHECK(held > 1e5 && bytes_of(map) <= 4.0 * held);
+  CHECK((held > 1e5 && bytes_of(map) <= 4.0 * held));
 }
 
 #ifdef MAPPERD_COUNTS_ALLOCATIONS
@@ -91,9 +91,9 @@ class Watch {
  public:
   void check(const VoxelMap& map) const {
     const double told = bytes_of(map);
-    CHECK_NEAR(told / static_cast<double>(allocations::counted() - counted_), 1.0, 0.05);
+    CHECK((told / static_cast<double>(allocations::counted() - counted_)) == near(1.0, 0.05));
     if (told > 1e6)
-      CHECK_NEAR(told / static_cast<double>(allocations::in_use() - in_use_), 1.0, 0.05);
+      CHECK((told / static_cast<double>(allocations::in_use() - in_use_)) == near(1.0, 0.05));
   }
 
  private:
@@ -175,12 +175,12 @@ TEST_CASE("tiles that are dropped give their memory back") {
   drop_tiles(*map, most);
   watch.check(*map);
   CHECK(bytes_of(*map) - empty < 0.15 * full);
-  CHECK(voxels_of() == kept && map->block_count() == 120);
+  CHECK((voxels_of() == kept && map->block_count() == 120));
   put_bricks(*map, {}, most);
   fill(*map, 1000, 1, 200);
   watch.check(*map);
   drop_tiles(*map, all);
-  CHECK(map->held_count() == 0 && map->block_count() == 0);
+  CHECK((map->held_count() == 0 && map->block_count() == 0));
 }
 
 #endif

@@ -1,9 +1,9 @@
 #include <algorithm>
 #include <stdexcept>
 
-#include "check.hpp"
 #include "mapperd/map/merge.hpp"
 #include "maps.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -21,7 +21,7 @@ TEST_CASE("merging adds log-odds and counts, between the clamps") {
       for (std::int64_t z = -9; z < 9; ++z) {
         const mapperd::map::VoxelIndex voxel{x, y, z};
         const auto a = before.at(voxel), b = other.at(voxel), sum = map.at(voxel);
-        CHECK_NEAR(sum.log_odds, std::clamp(a.log_odds + b.log_odds, -10.0F, 10.0F), 1e-6);
+        CHECK(sum.log_odds == near(std::clamp(a.log_odds + b.log_odds, -10.0F, 10.0F), 1e-6));
         CHECK(sum.count == std::min<int>(a.count + b.count, map.rule().settled_count()));
         if (a.count > 0 && b.count > 0) ++in_both;
       }
@@ -43,7 +43,7 @@ TEST_CASE("the order of the merged maps does not matter, to the bit, even at the
     VoxelMap empty(0.1, tight);
     merge(empty, {&parts[order[0]], &parts[order[1]], &parts[order[2]], &parts[order[3]]});
     if (first.empty()) first = maps::content(empty);
-    CHECK(!first.empty() && maps::content(empty) == first);
+    CHECK((!first.empty() && maps::content(empty) == first));
   } while (std::next_permutation(std::begin(order), std::end(order)));
   // Which map takes the others does not matter either.
   VoxelMap taker = maps::random_map(2, 1500, 6, tight);
@@ -72,10 +72,10 @@ TEST_CASE("maps of different kinds are refused and nothing changes") {
   clamps.L_max = 9.0;
   counts.decay_rate = 0.2;
   const VoxelMap clamped(0.1, clamps), counted(0.1, counts);
-  CHECK_THROWS(merge(map, {&good, &coarse}), std::invalid_argument);
-  CHECK_THROWS(merge(map, {&good, &clamped}), std::invalid_argument);
-  CHECK_THROWS(merge(map, {&good, &counted}), std::invalid_argument);
-  CHECK_THROWS(merge(map, {&good, &map}), std::invalid_argument);
+  CHECK_THROWS_AS(merge(map, {&good, &coarse}), std::invalid_argument);
+  CHECK_THROWS_AS(merge(map, {&good, &clamped}), std::invalid_argument);
+  CHECK_THROWS_AS(merge(map, {&good, &counted}), std::invalid_argument);
+  CHECK_THROWS_AS(merge(map, {&good, &map}), std::invalid_argument);
   CHECK(maps::content(map) == before);
 }
 

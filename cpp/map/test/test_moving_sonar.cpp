@@ -5,7 +5,6 @@
 #include <stdexcept>
 #include <vector>
 
-#include "check.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/map_file.hpp"
 #include "mapperd/map/rays.hpp"
@@ -13,6 +12,7 @@
 #include "oracle.hpp"
 #include "oracle_motion.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -61,7 +61,7 @@ TEST_CASE("no motion is the ping as ever, to the bit, whatever else it says") {
     const Shot shot = shot_of(820 + scene);
     const VoxelMap plain = mapped(shot, shot.settings.ping, {});
     const VoxelMap still = mapped(shot, shot.settings.ping, {{}, {}, 0.03, 1480.0});
-    CHECK(plain.known_count() > 1000 && encode_map(plain) == encode_map(still));
+    CHECK((plain.known_count() > 1000 && encode_map(plain) == encode_map(still)));
   }
 }
 
@@ -111,7 +111,7 @@ TEST_CASE("far from the origin a moving sonar makes the same blocks") {
     for (maps::Entry& entry : found[1]) {
       entry.voxel = {entry.voxel.x - 80000000, entry.voxel.y + 80000000, entry.voxel.z - 80000000};
     }
-    CHECK(found[0].size() > 1000 && found[0] == found[1]);
+    CHECK((found[0].size() > 1000 && found[0] == found[1]));
   }
 }
 
@@ -128,7 +128,7 @@ TEST_CASE("a pose may be given at any time of the ping") {
     ++known;
     if (std::abs(a.log_odds - other.at(voxel).log_odds) > 1e-4F) ++differ;
   });
-  CHECK(known > 1000 && differ * 2000 < known);
+  CHECK((known > 1000 && differ * 2000 < known));
 }
 
 TEST_CASE("rays: each return lies where its row's own pose puts it") {
@@ -157,10 +157,10 @@ TEST_CASE("a motion that cannot be is refused and leaves the map alone") {
   const PingMotion fast{{100, 0, 0}, {}, 0.0, 1500.0};
   const PingMotion spinning{{}, {0, 60, 0}, 0.0, 1500.0};
   for (const PingMotion& motion : {fast, spinning}) {
-    CHECK_THROWS(integrate_evidence_grid(map, shot.ping.image(), shot.pose, {}, motion),
-                 std::invalid_argument);
-    CHECK_THROWS(integrate_rays(map, shot.ping.image(), shot.pose, {}, motion),
-                 std::invalid_argument);
+    CHECK_THROWS_AS(integrate_evidence_grid(map, shot.ping.image(), shot.pose, {}, motion),
+                    std::invalid_argument);
+    CHECK_THROWS_AS(integrate_rays(map, shot.ping.image(), shot.pose, {}, motion),
+                    std::invalid_argument);
   }
   CHECK(map.block_count() == 0);
 }

@@ -2,9 +2,9 @@
 #include <stdexcept>
 #include <string>
 
-#include "check.hpp"
 #include "mapperd/map/octomap_file.hpp"
 #include "maps.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -93,7 +93,7 @@ TEST_CASE("a block of one state and the same block voxel by voxel are the same f
     }
     map->set({5, 5, 40}, {2.0F, 1});
   }
-  CHECK(uniform.find({0, 0, 0})->held() == 0 && dense.find({0, 0, 0})->held() != 0);
+  CHECK((uniform.find({0, 0, 0})->held() == 0 && dense.find({0, 0, 0})->held() != 0));
   CHECK(octomap_bt(uniform, 0.8, -0.8) == octomap_bt(dense, 0.8, -0.8));
   CHECK(octomap_ot(uniform) == octomap_ot(dense));
 }
@@ -114,8 +114,8 @@ TEST_CASE("a voxel beyond OctoMap's keys is refused, the last one inside is not"
   for (const VoxelIndex& far : {VoxelIndex{32768, 0, 0}, VoxelIndex{0, -32769, 0}}) {
     VoxelMap outside(0.5, {});
     set(outside, far, 2.0F);
-    CHECK_THROWS(octomap_bt(outside, 0.8, 0.0), std::out_of_range);
-    CHECK_THROWS(octomap_ot(outside), std::out_of_range);
+    CHECK_THROWS_AS(octomap_bt(outside, 0.8, 0.0), std::out_of_range);
+    CHECK_THROWS_AS(octomap_ot(outside), std::out_of_range);
   }
 }
 

@@ -7,9 +7,9 @@
 #include <string>
 #include <string_view>
 
-#include "check.hpp"
 #include "mapperd/map/octomap_file.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -99,9 +99,8 @@ std::string refusal_of(std::string_view file,
 
 void check_refused(std::string_view file, const std::string& because) {
   const std::string refusal = refusal_of(file);
-  if (refusal.find(because) == std::string::npos) {
-    check::fail(__FILE__, __LINE__, "'" + refusal + "' does not say '" + because + "'");
-  }
+  CAPTURE(refusal);
+  CHECK(refusal.find(because) != std::string::npos);
   CHECK(refusal.find("OctoMap file, byte ") == 0);
 }
 
@@ -129,7 +128,7 @@ TEST_CASE("a .bt comes back with its classes") {
   CHECK(actual.size() == expected.size());
   for (const auto& [voxel, log_odds] : actual) {
     CHECK(expected.count(voxel) == 1);
-    CHECK_NEAR(log_odds, expected[voxel] > kOccupied ? kBtOccupied : kBtFree, 0.02);
+    CHECK(log_odds == near(expected[voxel] > kOccupied ? kBtOccupied : kBtFree, 0.02));
   }
 }
 
@@ -177,7 +176,7 @@ TEST_CASE("values beyond the map's clamps are clamped") {
   }
   load_octomap(octomap_bt(wide, kOccupied, 0.0), map);
   map.for_each_known([](const VoxelIndex&, const VoxelState& state) {
-    CHECK(state.log_odds == -1.5F || state.log_odds == 2.5F);
+    CHECK((state.log_odds == -1.5F || state.log_odds == 2.5F));
   });
   // Infinite is what OctoMap makes of a probability of 1.
   load_octomap(header(false, "17") + ot_chain(16) + ot_record(0x7F800000, 0), map);
@@ -190,8 +189,9 @@ TEST_CASE("leaves above the finest level become voxels, up to the limit") {
   VoxelMap map(0.5, {});
   load_octomap(file, map, 2 * 32 * 32 * 32);
   CHECK(contents_of(map).size() == 2 * 32 * 32 * 32);
-  CHECK_NEAR(map.at(VoxelIndex{-32768 + 31, -32768 + 31, -32768}).log_odds, kBtFree, 0.02);
-  CHECK_NEAR(map.at(VoxelIndex{-32768 + 32, -32768 + 32, -32768 + 63}).log_odds, kBtOccupied, 0.02);
+  CHECK(map.at(VoxelIndex{-32768 + 31, -32768 + 31, -32768}).log_odds == near(kBtFree, 0.02));
+  CHECK(map.at(VoxelIndex{-32768 + 32, -32768 + 32, -32768 + 63}).log_odds ==
+        near(kBtOccupied, 0.02));
   CHECK(map.at(VoxelIndex{-32768 + 32, -32768 + 31, -32768}).count == 0);
   CHECK(refusal_of(file, 2 * 32 * 32 * 32 - 1).find("max_voxels") != std::string::npos);
 }
@@ -257,7 +257,7 @@ TEST_CASE("another resolution is refused, the same one to OctoMap's six digits i
   }
   VoxelMap map(0.12345678, {});
   load_octomap(header(true, "0", "0.123457"), map);
-  CHECK_THROWS(load_octomap(header(true, "0", "0.123459"), map), std::invalid_argument);
+  CHECK_THROWS_AS(load_octomap(header(true, "0", "0.123459"), map), std::invalid_argument);
 }
 
 TEST_CASE("a tree that ends early, late, or has another size is refused with the place") {

@@ -8,10 +8,10 @@
 #include <memory>
 #include <sstream>
 
-#include "check.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/octomap_file.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -62,7 +62,7 @@ void check_equal(const Contents& actual, const Contents& expected, double rounde
   auto a = actual.begin();
   for (auto e = expected.begin(); e != expected.end() && a != actual.end(); ++e, ++a) {
     CHECK(a->first == e->first);
-    CHECK_NEAR(a->second, e->second, rounded + 1e-7 + 1e-7 * std::abs(e->second));
+    CHECK(a->second == near(e->second, rounded + 1e-7 + 1e-7 * std::abs(e->second)));
   }
 }
 
@@ -71,7 +71,7 @@ void check_points(const octomap::OcTree& tree, const VoxelMap& map) {
   for (const auto& [voxel, log_odds] : contents_of(tree)) {
     const mapperd::Vec3 centre = map.centre_of({voxel[0], voxel[1], voxel[2]});
     const octomap::OcTreeNode* node = tree.search(centre.x, centre.y, centre.z);
-    CHECK(node != nullptr && node->getLogOdds() == log_odds);
+    CHECK((node != nullptr && node->getLogOdds() == log_odds));
   }
 }
 

@@ -1,9 +1,9 @@
 // The box told beforehand of what a ping may change.
-#include "check.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/ping_box.hpp"
 #include "mapperd/map/rays.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -48,7 +48,7 @@ void check_pings(double speed_mps, double rate_radps, bool carve) {
     blocks += checked_blocks(map, *box) + checked_blocks(sampled, *box);
     // No farther than the ping reaches, with room for motion and a few blocks.
     const double reach = (1.3 * ping.image().max_range_m()) / kBlock + 3;
-    CHECK(box->last.x - box->first.x <= 2 * reach && box->last.z - box->first.z <= 2 * reach);
+    CHECK((box->last.x - box->first.x <= 2 * reach && box->last.z - box->first.z <= 2 * reach));
   }
   CHECK(blocks > 1000);
 }
@@ -70,11 +70,11 @@ TEST_CASE("the box ends where the last return does") {
   CHECK(!mapperd::map::blocks_of_ping(map, ping.image(), {}, settings));
   ping.intensity[20 * 32 + 16] = 200.0F;
   const auto near = mapperd::map::blocks_of_ping(map, ping.image(), {}, settings);
-  CHECK(near && near->last.x <= static_cast<int>(2.2 / kBlock) + 2);
-  CHECK(near && near->last.x >= static_cast<int>(2.1 / kBlock));
+  CHECK((near && near->last.x <= static_cast<int>(2.2 / kBlock) + 2));
+  CHECK((near && near->last.x >= static_cast<int>(2.1 / kBlock)));
   settings.carve_no_return = true;
   const auto far = mapperd::map::blocks_of_ping(map, ping.image(), {}, settings);
-  CHECK(far && far->last.x >= static_cast<int>(9.9 / kBlock));
+  CHECK((far && far->last.x >= static_cast<int>(9.9 / kBlock)));
 }
 
 TEST_CASE("a ping that the map would refuse has no box") {
@@ -82,13 +82,14 @@ TEST_CASE("a ping that the map would refuse has no box") {
   const VoxelMap map(kResolution, {});
   mapperd::Transform far;
   far.translation.y = 1e12;
-  CHECK_THROWS(mapperd::map::blocks_of_ping(map, ping.image(), far, {}), std::out_of_range);
+  CHECK_THROWS_AS(mapperd::map::blocks_of_ping(map, ping.image(), far, {}), std::out_of_range);
   mapperd::Transform skewed;
   skewed.rows[0].y = 0.1;
-  CHECK_THROWS(mapperd::map::blocks_of_ping(map, ping.image(), skewed, {}), std::invalid_argument);
+  CHECK_THROWS_AS(mapperd::map::blocks_of_ping(map, ping.image(), skewed, {}),
+                  std::invalid_argument);
   const PingMotion fast{{100.0, 0, 0}, {}, 0.0, 1500.0};
-  CHECK_THROWS(mapperd::map::blocks_of_ping(map, ping.image(), {}, {}, fast),
-               std::invalid_argument);
+  CHECK_THROWS_AS(mapperd::map::blocks_of_ping(map, ping.image(), {}, {}, fast),
+                  std::invalid_argument);
 }
 
 }  // namespace

@@ -3,11 +3,11 @@
 #include <cmath>
 #include <stdexcept>
 
-#include "check.hpp"
 #include "mapperd/map/ping_motion.hpp"
 #include "mapperd/map/rays.hpp"
 #include "oracle_motion.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -39,7 +39,7 @@ Scene scene_of(scenes::Random& random) {
 }
 
 void check_near(const Vec3& a, const Vec3& b, double tolerance) {
-  CHECK_NEAR(norm(a - b), 0.0, tolerance);
+  CHECK(norm(a - b) == near(0.0, tolerance));
 }
 
 TEST_CASE("a moving sonar sees a place where poses in time say that it does") {
@@ -90,7 +90,7 @@ TEST_CASE("without motion a place is seen where it is") {
     const Vec3 place = random.uniform(0.1, 50) * scenes::random_direction(random);
     check_near(still.seen(place), place, 1e-13);
     const MotionBound none = still.motion_bound(place, 0.5);
-    CHECK(none.stretch == 0 && none.bend == 0);
+    CHECK((none.stretch == 0 && none.bend == 0));
   }
   check_near(still.seen({}), {}, 0.0);
 }
@@ -109,7 +109,7 @@ TEST_CASE("places that are seen together are seen as each alone, to the bit") {
     scene.view.see(together);
     for (std::size_t k = 0; k < CellPoints::kCount; ++k) {
       const Vec3 alone = scene.view.seen(places.at(k));
-      CHECK(together.x[k] == alone.x && together.y[k] == alone.y && together.z[k] == alone.z);
+      CHECK((together.x[k] == alone.x && together.y[k] == alone.y && together.z[k] == alone.z));
     }
   }
 }
@@ -138,19 +138,19 @@ TEST_CASE("axes are the slopes of what is seen, and the bounds hold") {
       const Vec3 moved = scene.view.seen(place + shift) - seen.at;
       const double bend = norm(moved - seen.axes.apply(shift));
       const double stretch = norm(moved - shift) / radius;
-      CHECK(bend <= bound.bend && stretch <= bound.stretch);
+      CHECK((bend <= bound.bend && stretch <= bound.stretch));
       fullest_bend = std::max(fullest_bend, bend / bound.bend);
       fullest_stretch = std::max(fullest_stretch, stretch / bound.stretch);
     }
   }
   std::printf("  of the bounds: stretch %.2f, bend %.2f\n", fullest_stretch, fullest_bend);
-  CHECK(fullest_stretch > 0.3 && fullest_bend > 0.2);  // nor are they far too wide
+  CHECK((fullest_stretch > 0.3 && fullest_bend > 0.2));  // nor are they far too wide
 }
 
 TEST_CASE("motion that is none is refused") {
   const double not_a_number = std::nan("");
   const auto refused = [](const PingMotion& motion) {
-    CHECK_THROWS(mapperd::map::check_motion(motion, 30.0), std::invalid_argument);
+    CHECK_THROWS_AS(mapperd::map::check_motion(motion, 30.0), std::invalid_argument);
   };
   refused({{not_a_number, 0, 0}, {}, 0.0, 1500.0});
   refused({{}, {0, not_a_number, 0}, 0.0, 1500.0});

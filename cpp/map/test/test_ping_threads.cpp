@@ -2,11 +2,11 @@
 #include <cstdint>
 #include <vector>
 
-#include "check.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/map_file.hpp"
 #include "mapperd/map/snapshot.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -56,8 +56,8 @@ std::vector<std::uint64_t> revisions(const VoxelMap& map) {
 void check_equal(const VoxelMap& a, const VoxelMap& b) {
   const auto one = dense_blocks(a, 0, a.block_count());
   const auto other = dense_blocks(b, 0, b.block_count());
-  CHECK(one.keys == other.keys && one.units == other.units && one.counts == other.counts);
-  CHECK(revisions(a) == revisions(b) && a.revision() == b.revision());
+  CHECK((one.keys == other.keys && one.units == other.units && one.counts == other.counts));
+  CHECK((revisions(a) == revisions(b) && a.revision() == b.revision()));
 }
 
 std::vector<PingParams> all_settings() {
@@ -75,7 +75,7 @@ TEST_CASE("one, two, three or five threads make the same map, to the bit") {
     const VoxelMap alone = mapped(shots, settings);
     CHECK(alone.known_count() > 10000);
     for (const int threads : {2, 3, 5}) {
-      if (check::sanitized() && threads != 3) continue;  // the same ways
+      if (kSanitized && threads != 3) continue;  // the same ways
       settings.threads = threads;
       const VoxelMap shared = mapped(shots, settings);
       check_equal(alone, shared);

@@ -4,10 +4,10 @@
 #include <stdexcept>
 #include <vector>
 
-#include "check.hpp"
 #include "mapperd/map/queries.hpp"
 #include "mapperd/map/voxel_walk.hpp"
 #include "maps.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -26,15 +26,15 @@ TEST_CASE("a box holds the voxels whose centres lie in it, and boxes share none"
   const VoxelMap map(0.1, {});
   const VoxelBox box = box_of(map, {-0.3, 0.0, 0.0}, {0.7, 0.1, 0.0});
   CHECK(box.first == (VoxelIndex{-3, 0, 0}));
-  CHECK(box.size == (std::array<std::int64_t, 3>{10, 1, 0}) && box.count() == 0);
+  CHECK((box.size == (std::array<std::int64_t, 3>{10, 1, 0}) && box.count() == 0));
   const VoxelBox half = box_of(map, {0.04, 0.06, 0.0}, {0.16, 0.16, 0.05});
   CHECK(half.first == (VoxelIndex{0, 1, 0}));
   CHECK(half.size == (std::array<std::int64_t, 3>{2, 1, 0}));
-  CHECK_THROWS(box_of(map, {1, 0, 0}, {0, 1, 1}), std::invalid_argument);
-  CHECK_THROWS(box_of(map, {kNaN, 0, 0}, {1, 1, 1}), std::invalid_argument);
-  CHECK_THROWS(box_of(map, {-kInfinity, 0, 0}, {1, 1, 1}), std::invalid_argument);
-  CHECK_THROWS(box_of(map, {0, 0, 0}, {1e12, 1, 1}), std::invalid_argument);
-  CHECK_THROWS(layer_of(map, {0, 0, 0}, {1, 1, 0}, kNaN), std::invalid_argument);
+  CHECK_THROWS_AS(box_of(map, {1, 0, 0}, {0, 1, 1}), std::invalid_argument);
+  CHECK_THROWS_AS(box_of(map, {kNaN, 0, 0}, {1, 1, 1}), std::invalid_argument);
+  CHECK_THROWS_AS(box_of(map, {-kInfinity, 0, 0}, {1, 1, 1}), std::invalid_argument);
+  CHECK_THROWS_AS(box_of(map, {0, 0, 0}, {1e12, 1, 1}), std::invalid_argument);
+  CHECK_THROWS_AS(layer_of(map, {0, 0, 0}, {1, 1, 0}, kNaN), std::invalid_argument);
   CHECK(layer_of(map, {0, 0, 0}, {1, 1, 0}, -0.01).first.z == -1);
 }
 
@@ -42,7 +42,7 @@ TEST_CASE("a box too large for a grid is refused before anything is allocated") 
   const VoxelMap map(0.1, {});
   const VoxelBox huge = box_of(map, {-1e8, -1e8, -1e8}, {1e8, 1e8, 1e8});
   CHECK(huge.count() == std::numeric_limits<std::size_t>::max());
-  CHECK_THROWS(classify_box(map, huge, kThresholds), std::invalid_argument);
+  CHECK_THROWS_AS(classify_box(map, huge, kThresholds), std::invalid_argument);
   CHECK(occupied_in(map, huge, 0.0).empty());
 }
 
@@ -59,7 +59,7 @@ TEST_CASE("walking the box and walking the map visit the same voxels in the same
     for_each_known_in(map, box, [&](const VoxelIndex& voxel, const mapperd::map::VoxelState&) {
       visited.push_back(voxel);
     });
-    CHECK(!expected.empty() && visited == expected);
+    CHECK((!expected.empty() && visited == expected));
   }
 }
 
@@ -86,7 +86,7 @@ TEST_CASE("points and boxes are classified as their voxels are") {
       }
     }
   }
-  CHECK(seen[0] > 100 && seen[1] > 100 && seen[2] > 100);
+  CHECK((seen[0] > 100 && seen[1] > 100 && seen[2] > 100));
   CHECK(grid == expected);
   CHECK(classify(map, {xyz.data(), xyz.size() / 3}, kThresholds) == expected);
 }
@@ -96,9 +96,9 @@ TEST_CASE("points beyond the reach are unknown, points that are no numbers are r
   const double far[] = {1e30, 0, 0};
   CHECK(classify(map, {far, 1}, kThresholds)[0] == Occupancy::kUnknown);
   const double bad[] = {0, 0, 0, 0, kNaN, 0};
-  CHECK_THROWS(classify(map, {bad, 2}, kThresholds), std::invalid_argument);
-  CHECK_THROWS(classify(map, {far, 1}, {0.0, 0.1}), std::invalid_argument);
-  CHECK_THROWS(classify(map, {far, 1}, {0.0, kNaN}), std::invalid_argument);
+  CHECK_THROWS_AS(classify(map, {bad, 2}, kThresholds), std::invalid_argument);
+  CHECK_THROWS_AS(classify(map, {far, 1}, {0.0, 0.1}), std::invalid_argument);
+  CHECK_THROWS_AS(classify(map, {far, 1}, {0.0, kNaN}), std::invalid_argument);
   CHECK(classify(map, {nullptr, 0}, kThresholds).empty());
 }
 
@@ -136,10 +136,10 @@ TEST_CASE("a ray's depth is where it enters the nearest occupied voxel of all") 
     const double scale = std::pow(10.0, random.integer(-200, 200));
     const double along[] = {unit.x * scale, unit.y * scale, unit.z * scale};
     const double depth = ray_cast_depth(map, {from, 1}, {along, 1}, 1.5, 0.8)[0];
-    CHECK_NEAR(depth, expected <= 1.5 ? expected : -1.0, 1e-12);
+    CHECK(depth == near(expected <= 1.5 ? expected : -1.0, 1e-12));
     ++(depth < 0 ? misses : hits);
   }
-  CHECK(hits > 200 && misses > 200);
+  CHECK((hits > 200 && misses > 200));
 }
 
 TEST_CASE("a vector of any length has one of length 1 along it") {
@@ -148,8 +148,8 @@ TEST_CASE("a vector of any length has one of length 1 along it") {
   for (const double length : {1.0, 1e-200, 1e200, kLargest, kSmallest}) {
     const Vec3 along = mapperd::map::unit_vector({0.0, -length, length});
     CHECK(along.x == 0.0);
-    CHECK_NEAR(along.y, -std::sqrt(0.5), 1e-15);
-    CHECK_NEAR(along.z, std::sqrt(0.5), 1e-15);
+    CHECK(along.y == near(-std::sqrt(0.5), 1e-15));
+    CHECK(along.z == near(std::sqrt(0.5), 1e-15));
   }
 }
 
@@ -163,22 +163,22 @@ TEST_CASE("rays along axes, from inside, through edges, and of no length") {
     const double along[] = {d.x, d.y, d.z};
     return ray_cast_depth(map, {from, 1}, {along, 1}, range, 0.8)[0];
   };
-  CHECK_NEAR(depth({0.05, 0.05, 0.05}, {1, 0, 0}, 10), 0.45, 1e-15);
-  CHECK_NEAR(depth({0.05, 0.05, 0.05}, {0, 7, 0}, 10), 0.45, 1e-15);
-  CHECK_NEAR(depth({0.95, 0.05, 0.05}, {-1, 0, 0}, 10), 0.35, 1e-15);
+  CHECK(depth({0.05, 0.05, 0.05}, {1, 0, 0}, 10) == near(0.45, 1e-15));
+  CHECK(depth({0.05, 0.05, 0.05}, {0, 7, 0}, 10) == near(0.45, 1e-15));
+  CHECK(depth({0.95, 0.05, 0.05}, {-1, 0, 0}, 10) == near(0.35, 1e-15));
   CHECK(depth({0.05, 0.05, 0.05}, {-1, 0, 0}, 10) == -1.0);
   CHECK(depth({0.55, 0.05, 0.05}, {0, 0, -1}, 10) == 0.0);
   CHECK(depth({0.55, 0.05, 0.05}, {0, 0, -1}, 0) == 0.0);
   CHECK(depth({0.05, 0.05, 0.05}, {1, 0, 0}, 0.449) == -1.0);
   // The diagonal touches the voxel (2, 3) in an edge alone.
   CHECK(depth({0.0, 0.0, 0.05}, {1, 1, 0}, 10) == -1.0);
-  CHECK_THROWS(depth({0, 0, 0}, {0, 0, 0}, 1), std::invalid_argument);
-  CHECK_THROWS(depth({0, 0, 0}, {kNaN, 0, 1}, 1), std::invalid_argument);
-  CHECK_THROWS(depth({0, kInfinity, 0}, {1, 0, 0}, 1), std::invalid_argument);
-  CHECK_THROWS(depth({1e30, 0, 0}, {1, 0, 0}, 1), std::invalid_argument);
-  CHECK_THROWS(depth({0, 0, 0}, {1, 0, 0}, kNaN), std::invalid_argument);
-  CHECK_THROWS(depth({0, 0, 0}, {1, 0, 0}, -1), std::invalid_argument);
-  CHECK_THROWS(depth({0, 0, 0}, {1, 0, 0}, kInfinity), std::invalid_argument);
+  CHECK_THROWS_AS(depth({0, 0, 0}, {0, 0, 0}, 1), std::invalid_argument);
+  CHECK_THROWS_AS(depth({0, 0, 0}, {kNaN, 0, 1}, 1), std::invalid_argument);
+  CHECK_THROWS_AS(depth({0, kInfinity, 0}, {1, 0, 0}, 1), std::invalid_argument);
+  CHECK_THROWS_AS(depth({1e30, 0, 0}, {1, 0, 0}, 1), std::invalid_argument);
+  CHECK_THROWS_AS(depth({0, 0, 0}, {1, 0, 0}, kNaN), std::invalid_argument);
+  CHECK_THROWS_AS(depth({0, 0, 0}, {1, 0, 0}, -1), std::invalid_argument);
+  CHECK_THROWS_AS(depth({0, 0, 0}, {1, 0, 0}, kInfinity), std::invalid_argument);
 }
 
 TEST_CASE("a threshold below 0 is of what was seen: rays run on through what was not") {
@@ -187,7 +187,7 @@ TEST_CASE("a threshold below 0 is of what was seen: rays run on through what was
   map.set({5, 0, 0}, {-0.2F, 1});
   const double from[] = {0.05, 0.05, 0.05};
   const double along[] = {1, 0, 0};
-  CHECK_NEAR(ray_cast_depth(map, {from, 1}, {along, 1}, 10.0, -0.5)[0], 0.45, 1e-15);
+  CHECK(ray_cast_depth(map, {from, 1}, {along, 1}, 10.0, -0.5)[0] == near(0.45, 1e-15));
   CHECK(ray_cast_depth(map, {from, 1}, {along, 1}, 10.0, -0.1)[0] == -1.0);
 }
 
@@ -200,7 +200,7 @@ TEST_CASE("depths far from the origin equal those at it") {
   const double along[] = {9.3, 3.4, 2.5, 9.3, 3.4, 2.5};
   const auto depths = ray_cast_depth(map, {from, 2}, {along, 2}, 5.0, 0.8);
   CHECK(depths[0] > 0);
-  CHECK_NEAR(depths[1], depths[0], 1e-8);
+  CHECK(depths[1] == near(depths[0], 1e-8));
 }
 
 TEST_CASE("occupied voxels of a region, and the number of known ones") {
@@ -211,15 +211,15 @@ TEST_CASE("occupied voxels of a region, and the number of known ones") {
   for (const maps::Entry& entry : maps::content(map)) {
     if (box.contains(entry.voxel) && entry.state.log_odds > 0.8F) ++expected;
   }
-  CHECK(expected > 10 && found.size() == expected);
+  CHECK((expected > 10 && found.size() == expected));
   for (const auto& [voxel, state] : found) {
-    CHECK(box.contains(voxel) && state.log_odds > 0.8F);
+    CHECK((box.contains(voxel) && state.log_odds > 0.8F));
     CHECK((maps::Entry{voxel, state} == maps::Entry{voxel, map.at(voxel)}));
   }
   CHECK(known_count(map) == maps::content(map).size());
   VoxelMap one(0.1, {});
   one.set({0, 0, 0}, {0.5F, 1});
-  CHECK(occupied_in(one, box, 0.5).empty() && occupied_in(one, box, 0.499).size() == 1);
+  CHECK((occupied_in(one, box, 0.5).empty() && occupied_in(one, box, 0.499).size() == 1));
 }
 
 }  // namespace

@@ -1,9 +1,9 @@
 // The sampling integrator: its geometry, steps and quirks.
 #include <cmath>
 
-#include "check.hpp"
 #include "mapperd/map/rays.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -14,9 +14,9 @@ using mapperd::map::VoxelMap;
 constexpr double kDegree = 3.141592653589793 / 180;
 
 void check_point(const Vec3& actual, const Vec3& expected) {
-  CHECK_NEAR(actual.x, expected.x, 1e-4);
-  CHECK_NEAR(actual.y, expected.y, 1e-4);
-  CHECK_NEAR(actual.z, expected.z, 1e-4);
+  CHECK(actual.x == near(expected.x, 1e-4));
+  CHECK(actual.y == near(expected.y, 1e-4));
+  CHECK(actual.z == near(expected.z, 1e-4));
 }
 
 TEST_CASE("the published geometry examples hold") {
@@ -39,7 +39,7 @@ TEST_CASE("a return is one step of the rule at its row's near edge") {
   integrate_rays(map, ping.image(), {}, {});
   const auto hit = map.at(mapperd::map::fan_point(60 * 0.05, ping.bearings_rad[32], 0));
   CHECK(hit.count == 1);
-  CHECK_NEAR(hit.log_odds, 1.75, 1e-6);
+  CHECK(hit.log_odds == near(1.75, 1e-6));
 }
 
 TEST_CASE("free space is sampled in every tenth row, from the sonar on") {
@@ -111,7 +111,7 @@ TEST_CASE("the first occupied intensity of a ping counts, and occupied beats fre
   integrate_rays(map, ping.image(), pose, {});
   const auto hit = map.at(mapperd::Vec3{3.05, 0.5, 0.5});
   CHECK(hit.count == 1);
-  CHECK_NEAR(hit.log_odds, 1.75, 1e-6);
+  CHECK(hit.log_odds == near(1.75, 1e-6));
 }
 
 TEST_CASE("an occupied sample beats the free ones before it and behind it in a voxel") {
@@ -126,7 +126,7 @@ TEST_CASE("an occupied sample beats the free ones before it and behind it in a v
   integrate_rays(map, ping.image(), pose, {});
   const auto hit = map.at(mapperd::Vec3{3.4, 0.5, 0.5});
   CHECK(hit.count == 1);
-  CHECK_NEAR(hit.log_odds, 1.75, 1e-6);
+  CHECK(hit.log_odds == near(1.75, 1e-6));
 }
 
 }  // namespace

@@ -3,13 +3,13 @@
 #include <cmath>
 #include <vector>
 
-#include "check.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/snapshot.hpp"
 #include "maps.hpp"
 #include "oracle.hpp"
 #include "rules.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -21,7 +21,7 @@ using mapperd::map::VoxelMap;
 // Nearly all pings see a block free throughout, which is only counted; now and then some, or many
 // in a row, have a surface in its first 64 voxels.
 void million_into_block(const IwloParams& params) {
-  const int pings = check::sanitized() ? 20000 : 1000000;
+  const int pings = kSanitized ? 20000 : 1000000;
   VoxelMap map(0.1, params);
   const IwloRule& rule = map.rule();
   const std::int16_t full = rule.full_step_of_code(255);
@@ -47,7 +47,7 @@ void million_into_block(const IwloParams& params) {
     }
     see(sees_wall, wall.units, wall.count);
     see(false, water.units, water.count);
-    CHECK(wall.units >= rule.min_units() && wall.units <= rule.max_units());
+    CHECK((wall.units >= rule.min_units() && wall.units <= rule.max_units()));
     if (ping == 300 || ping == pings / 2 + 299 || ping % 99999 == 0) check_all();
   }
   check_all();
@@ -86,13 +86,13 @@ void many_real_pings(const IwloParams& params, float dark, float bright, int pin
     // On the way from one clamp to none the roundings of all steps add up, 1.55 units at most each,
     // before alpha makes them less; half a code of weight is as much as three.
     const double steps = std::min(pings, 40);
-    CHECK_NEAR(is.log_odds, state.log_odds, 2 * steps * rule.unit());
+    CHECK(is.log_odds == near(state.log_odds, 2 * steps * rule.unit()));
     CHECK(is.count == std::min<int>(state.count, rule.settled_count()));
     ++(is_free ? free : occupied);
   });
   const bool returns = rule.is_return(bright);
-  CHECK(returns ? occupied > 10 : occupied + free == 0);
-  CHECK(!returns || dark > 0 || free > 20);
+  CHECK((returns ? occupied > 10 : occupied + free == 0));
+  CHECK((!returns || dark > 0 || free > 20));
 }
 
 TEST_CASE("thousands of real pings of extreme images end where the rule does") {
@@ -104,7 +104,7 @@ TEST_CASE("thousands of real pings of extreme images end where the rule does") {
   unchanging.min_alpha = 1.0;
   unchanging.L_min = -127.0;
   unchanging.L_max = 127.0;
-  many_real_pings({}, 0.0F, 255.0F, check::sanitized() ? 500 : 5000);
+  many_real_pings({}, 0.0F, 255.0F, kSanitized ? 500 : 5000);
   for (const IwloParams& params : {IwloParams{}, full_scale, slow, unchanging}) {
     for (const int pings : {1, 10, 100}) {
       many_real_pings(params, 0.0F, 255.0F, pings);

@@ -7,13 +7,13 @@
 #include <tuple>
 #include <vector>
 
-#include "check.hpp"
 #include "mapperd/map/brick.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/key_index.hpp"
 #include "mapperd/map/stream_view.hpp"
 #include "maps.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -105,7 +105,7 @@ bool agree(const VoxelMap& map, const StreamView& view) {
 }
 
 TEST_CASE("cells and counts are those of all voxels, at every level and detail") {
-  const VoxelMap map = maps::random_map(5, check::sanitized() ? 1500 : 6000, 70);
+  const VoxelMap map = maps::random_map(5, kSanitized ? 1500 : 6000, 70);
   for (int level = 0; level <= 3; ++level) {
     for (const auto detail :
          {StreamDetail::kClasses, StreamDetail::kLogOdds, StreamDetail::kCounts}) {
@@ -132,7 +132,7 @@ TEST_CASE("blocks all alike, and free pings that are only counted, are told as t
 
   VoxelMap pending(0.1, {});
   pending.set({1, 2, 3}, {-1.0F, 4});
-  CHECK(maps::see_free(pending, {}) && pending.find({})->held() != 0);
+  CHECK((maps::see_free(pending, {}) && pending.find({})->held() != 0));
   for (int level = 0; level <= 3; ++level)
     CHECK(agree(pending, view_of(level, StreamDetail::kCounts)));
 }
@@ -160,13 +160,13 @@ TEST_CASE("a digest changes with what is told, and with nothing else") {
   const auto classes = digest(StreamDetail::kClasses);
   const auto log_odds = digest(StreamDetail::kLogOdds);
   const auto counts = digest(StreamDetail::kCounts);
-  CHECK(classes != 0 && log_odds != 0 && counts != 0);
+  CHECK((classes != 0 && log_odds != 0 && counts != 0));
   map.set({3, 0, 0}, {2.1F, 5});  // the same step, as many bits
   CHECK(digest(StreamDetail::kCounts) == counts);
   map.set({3, 0, 0}, {2.1F, 9});
-  CHECK(digest(StreamDetail::kCounts) != counts && digest(StreamDetail::kLogOdds) == log_odds);
+  CHECK((digest(StreamDetail::kCounts) != counts && digest(StreamDetail::kLogOdds) == log_odds));
   map.set({3, 0, 0}, {2.6F, 9});
-  CHECK(digest(StreamDetail::kLogOdds) != log_odds && digest(StreamDetail::kClasses) == classes);
+  CHECK((digest(StreamDetail::kLogOdds) != log_odds && digest(StreamDetail::kClasses) == classes));
   map.set({3, 0, 0}, {-2.6F, 9});
   CHECK(digest(StreamDetail::kClasses) != classes);
   CHECK(stream_digests(map, view_of(0, StreamDetail::kCounts), key).revisions[0] == map.revision());
@@ -185,10 +185,10 @@ TEST_CASE("blocks that changed after a revision, and when all were replaced") {
   map.set({0, 0, 0}, {1.0F, 1});
   map.set({100, 0, 0}, {1.0F, 1});
   const auto first = changed_blocks(map, 0, {});
-  CHECK(first.keys.size() == 2 && first.revision == 2 && first.replaced_at == 0);
+  CHECK((first.keys.size() == 2 && first.revision == 2 && first.replaced_at == 0));
   map.set({-1, 0, 0}, {1.0F, 1});
   const auto next = changed_blocks(map, first.revision, {});
-  CHECK(next.keys.size() == 1 && next.keys[0] == (BlockKey{-1, 0, 0}) && next.revisions[0] == 3);
+  CHECK((next.keys.size() == 1 && next.keys[0] == (BlockKey{-1, 0, 0}) && next.revisions[0] == 3));
   CHECK(changed_blocks(map, next.revision, {}).keys.empty());
   clear(map);
   CHECK(changed_blocks(map, next.revision, {}).replaced_at == 4);
@@ -207,7 +207,7 @@ TEST_CASE("what is not in memory is unknown, and said to be elsewhere") {
     const std::vector<BlockKey> keys{{0, 0, 0}, {across - 1, 0, 0}, {across, 0, 0}, {-1, 0, 0}};
     const auto told = stream_digests(map, view, keys);
     CHECK((told.resident == std::vector<std::uint8_t>{1, 1, 0, 0}));
-    CHECK(told.digests[0] != 0 && told.digests[2] == 0);
+    CHECK((told.digests[0] != 0 && told.digests[2] == 0));
     CHECK(stream_blocks(map, view, keys).resident == told.resident);
   }
 }
@@ -219,12 +219,14 @@ TEST_CASE("keys at the map's end are unknown, and bad views refused") {
   for (int level = 0; level <= 3; ++level) {
     const auto told = stream_digests(map, view_of(level, StreamDetail::kLogOdds),
                                      {{far, far, far}, {-far - 1, 0, 0}});
-    CHECK(told.digests[0] == 0 && told.digests[1] == 0);
+    CHECK((told.digests[0] == 0 && told.digests[1] == 0));
   }
-  CHECK_THROWS(stream_digests(map, view_of(4, StreamDetail::kLogOdds), {}), std::invalid_argument);
-  CHECK_THROWS(stream_blocks(map, view_of(-1, StreamDetail::kLogOdds), {}), std::invalid_argument);
-  CHECK_THROWS(stream_blocks(map, view_of(0, StreamDetail::kLogOdds, 0.0), {}),
-               std::invalid_argument);
+  CHECK_THROWS_AS(stream_digests(map, view_of(4, StreamDetail::kLogOdds), {}),
+                  std::invalid_argument);
+  CHECK_THROWS_AS(stream_blocks(map, view_of(-1, StreamDetail::kLogOdds), {}),
+                  std::invalid_argument);
+  CHECK_THROWS_AS(stream_blocks(map, view_of(0, StreamDetail::kLogOdds, 0.0), {}),
+                  std::invalid_argument);
 }
 
 TEST_CASE("keys keep their numbers") {
@@ -237,9 +239,9 @@ TEST_CASE("keys keep their numbers") {
     CHECK((index.find(key) == mapperd::map::KeyIndex::kNone) == (expected_numbers.count(key) == 0));
     const auto next = static_cast<std::uint32_t>(expected_numbers.size());
     const std::uint32_t number = expected_numbers.try_emplace(key, next).first->second;
-    CHECK(index.find_or_add(key) == number && index[number] == key);
+    CHECK((index.find_or_add(key) == number && index[number] == key));
   }
-  CHECK(index.size() == expected_numbers.size() && index.size() > 2000);
+  CHECK((index.size() == expected_numbers.size() && index.size() > 2000));
 }
 
 }  // namespace

@@ -7,7 +7,6 @@
 #include <thread>
 #include <vector>
 
-#include "check.hpp"
 #include "mapperd/map/brick.hpp"
 #include "mapperd/map/distance_field.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
@@ -20,6 +19,7 @@
 #include "mapperd/map/snapshot.hpp"
 #include "mapperd/map/stream_view.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 

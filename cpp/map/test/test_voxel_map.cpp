@@ -4,10 +4,10 @@
 #include <map>
 #include <stdexcept>
 
-#include "check.hpp"
 #include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/voxel_map.hpp"
 #include "scenes.hpp"
+#include "testing.hpp"
 
 namespace {
 
@@ -27,7 +27,7 @@ TEST_CASE("voxels are found again among thousands of blocks, near and far") {
     expected[at] = value;
   }
   for (const auto& [at, value] : expected) {
-    CHECK_NEAR(map.at(VoxelIndex{at[0], at[1], at[2]}).log_odds, value, 1e-6);
+    CHECK(map.at(VoxelIndex{at[0], at[1], at[2]}).log_odds == near(value, 1e-6));
     CHECK(map.at(map.centre_of({at[0], at[1], at[2]})).count == 1);
   }
   std::size_t known = 0;
@@ -51,7 +51,7 @@ TEST_CASE("points and blocks beyond the reach are unknown or refused") {
     CHECK(!map.index_of({0, none, 0}, voxel));
     CHECK(!map.index_of({0, 0, none}, voxel));
   }
-  CHECK_THROWS(map.get_or_create({mapperd::map::kMaxBlock + 1, 0, 0}), std::out_of_range);
+  CHECK_THROWS_AS(map.get_or_create({mapperd::map::kMaxBlock + 1, 0, 0}), std::out_of_range);
   CHECK(map.block_count() == 0);
 }
 
@@ -73,7 +73,7 @@ TEST_CASE("a block's revision tells when it last changed, and it stops with the 
   for (int i = 0; i < 2; ++i) integrate_evidence_grid(map, wall.image(), here, settings);
   const std::uint64_t of_wall = map.revision();
   const mapperd::map::BlockKey key{2, 0, 0};
-  CHECK(map.find(key)->held() != 0 && map.find(key)->revision == of_wall);
+  CHECK((map.find(key)->held() != 0 && map.find(key)->revision == of_wall));
   integrate_evidence_grid(map, water.image(), there, settings);
   CHECK(map.revision() > of_wall);
   CHECK(map.find(key)->revision == of_wall);
@@ -81,7 +81,7 @@ TEST_CASE("a block's revision tells when it last changed, and it stops with the 
   for (int i = 0; i < 30; ++i) integrate_evidence_grid(map, water.image(), here, settings);
   CHECK(map.find(key)->held() == 0);
   const std::uint64_t settled = map.find(key)->revision;
-  CHECK(settled > of_wall && settled < map.revision());
+  CHECK((settled > of_wall && settled < map.revision()));
   // Nor does a ping change it that ends within it.
   integrate_evidence_grid(map, scenes::empty_ping(14, 8, 1.0, 2.8).image(), here, settings);
   CHECK(map.find(key)->revision == settled);
@@ -97,10 +97,10 @@ TEST_CASE("states from elsewhere are brought inside the clamps and the settled c
 }
 
 TEST_CASE("a resolution that is no length is refused") {
-  CHECK_THROWS(VoxelMap(0.0, {}), std::invalid_argument);
-  CHECK_THROWS(VoxelMap(-0.1, {}), std::invalid_argument);
-  CHECK_THROWS(VoxelMap(std::numeric_limits<double>::quiet_NaN(), {}), std::invalid_argument);
-  CHECK_THROWS(VoxelMap(std::numeric_limits<double>::infinity(), {}), std::invalid_argument);
+  CHECK_THROWS_AS(VoxelMap(0.0, {}), std::invalid_argument);
+  CHECK_THROWS_AS(VoxelMap(-0.1, {}), std::invalid_argument);
+  CHECK_THROWS_AS(VoxelMap(std::numeric_limits<double>::quiet_NaN(), {}), std::invalid_argument);
+  CHECK_THROWS_AS(VoxelMap(std::numeric_limits<double>::infinity(), {}), std::invalid_argument);
 }
 
 TEST_CASE("another threshold changes later pings as if the map had always had it") {
@@ -126,7 +126,8 @@ TEST_CASE("another threshold changes later pings as if the map had always had it
         equal = equal && other.log_odds == state.log_odds && other.count == state.count;
       });
   CHECK(equal);
-  CHECK_THROWS(mapperd::map::set_intensity_threshold(changed, std::nan("")), std::invalid_argument);
+  CHECK_THROWS_AS(mapperd::map::set_intensity_threshold(changed, std::nan("")),
+                  std::invalid_argument);
   CHECK(changed.rule().params().intensity_threshold == 40);
 }
 
