@@ -47,6 +47,18 @@ def test_vehicle_gets_what_it_imports_and_nothing_else() -> None:
     assert "msgpack" in required(project["optional-dependencies"]["sim"])
 
 
+def test_wheel_holds_four_import_names_and_their_commands() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    packages = project["tool"]["scikit-build"]["wheel"]["packages"]
+    assert set(packages) == {"mapperd", "oculus_driver", "sonar_sim", "mapper_survey"}
+    commands = project["project"]["scripts"].values()
+    assert {command.partition(".")[0] for command in commands} == set(packages)
+    checkout_only = {path.name for path in (ROOT / "tools").iterdir()} - set(packages)
+    assert {"bench", "studies"} <= checkout_only
+    for folder in packages.values():
+        assert not imported(ROOT / folder) & checkout_only
+
+
 @pytest.mark.parametrize(
     ("body", "words"),
     [
