@@ -1,8 +1,18 @@
 """The contenders, and the command that runs each."""
 
+import os
+import subprocess
 import sys
+import sysconfig
+import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+import msgspec
+from studies.report import cpu_model
+
+from bench.results import Machine
 
 BENCH = Path(__file__).resolve().parent
 
@@ -96,3 +106,86 @@ CONTENDERS = (
     *(RAYS_FIRST, RAYS_FULL),
     *(GRID_FIRST, GRID_FULL, GRID_FIRST_2, GRID_FULL_2),
 )
+
+
+PACKAGES = {
+    "octomap_rival": "OctoMap (pip install 'mapperd[octomap]')",
+    "openvdb_rival": "OpenVDB (apt install libopenvdb-dev libboost-dev)",
+    "bonxai_rival": "Bonxai (--bonxai with a checkout, apt install libeigen3-dev)",
+}
+BEGAN_S = time.perf_counter()
+
+
+def build_rivals(out: Path, bonxai: Path | None) -> Path:
+    """Build the programs in C++; returns their folder.
+
+    Args:
+        out: the build's folder lies in it.
+        bonxai: a checkout of Bonxai; None keeps the one of an earlier build, if any.
+    """
+    say("building the rivals")
+    build = out / "build"
+    octomap = Path(sysconfig.get_path("purelib")) / "cmeel.prefix"  # where the wheel keeps it
+    tools = Path(sys.executable).parent
+    environment = os.environ | {"PATH": f"{tools}{os.pathsep}{os.environ['PATH']}"}
+    configure = f"cmake -G Ninja -S {BENCH / 'cpp'} -B {build} -DCMAKE_BUILD_TYPE=Release"
+    options = [f"-DCMAKE_PREFIX_PATH={octomap}"]
+    options += [] if bonxai is None else [f"-DBONXAI_PATH={bonxai.resolve()}"]
+    build_all = f"cmake --build {build} -- -k 0"  # one that does not build spares the others
+    with (out / "build.log").open("wb") as log:
+        for words in ([*configure.split(), *options], build_all.split()):
+            done = subprocess.run(words, env=environment, check=False, stdout=log, stderr=log)  # noqa: S603
+            if done.returncode != 0:
+                say(f"not everything builds: {out / 'build.log'}")
+    for program, package in PACKAGES.items():
+        if not (build / program).exists():
+            say(f"left out: {package} was not found or does not build")
+    return build
+
+
+def describe_machine(build: Path, load_before: float) -> Machine:
+    """What the reader must know to compare, and the memory's bandwidth."""
+    say("measuring the memory's bandwidth")
+    bandwidth = msgspec.json.decode(run_json([build / "bandwidth"]))
+    compiler = _first_line(["c++", "--version"])
+    commit = _first_line(["git", "-C", str(BENCH), "describe", "--always", "--dirty"])
+    return Machine(
+        cpu=cpu_model(),
+        cores=os.cpu_count() or 1,
+        compiler=compiler,
+        commit=commit,
+        load=load_before,
+        bytes_a_second=bandwidth["bytes_per_s"],
+    )
+
+
+def say(line: str) -> None:
+    """Progress, with the seconds since the start."""
+    print(f"[{time.perf_counter() - BEGAN_S:5.0f} s] {line}", file=sys.stderr, flush=True)
+
+
+def status_bytes(name: str) -> int:
+    """A line of /proc/self/status, such as VmHWM, in bytes."""
+    for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+        if line.startswith(name + ":"):
+            return int(line.split()[1]) * 1024
+    raise LookupError(name)
+
+
+def run_json(command: Sequence[str | Path]) -> bytes:
+    """Run a program in a process of its own; returns its standard output.
+
+    Raises:
+        RuntimeError: it failed; with its standard error.
+    """
+    words = [str(word) for word in command]
+    environment = os.environ | {"PYTHONPATH": str(BENCH.parent)}
+    done = subprocess.run(words, env=environment, capture_output=True, check=False)  # noqa: S603
+    if done.returncode != 0:
+        raise RuntimeError(f"{' '.join(words)}: {done.stderr.decode(errors='replace').strip()}")
+    return done.stdout
+
+
+def _first_line(command: list[str]) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
+    return done.stdout.partition("\n")[0]

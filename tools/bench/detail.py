@@ -13,8 +13,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.inputs import load
 from bench.our_contender import config_of
-from bench.pings import load
 from bench.results import DetailDifference
 from mapperd.mapping.sonar_map import SonarMap
 

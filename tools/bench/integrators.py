@@ -15,13 +15,19 @@ from pathlib import Path
 import msgspec
 from studies.report import IMAGES, PAGES, ROOT, write_section
 
-from bench.contenders import BENCH, CONTENDERS, Case, Contender
-from bench.host import build_rivals, describe_machine, run_json, say
-from bench.inputs import LOOKS, SETTINGS, cached
+from bench.contenders import (
+    BENCH,
+    CONTENDERS,
+    Case,
+    Contender,
+    build_rivals,
+    describe_machine,
+    run_json,
+    say,
+)
+from bench.inputs import LOOKS, SETTINGS, cached, load, loud_share, write_rays
 from bench.our_contender import APERTURE_DEG
-from bench.pings import load, loud_share, write_rays
-from bench.plot import draw
-from bench.report import markdown
+from bench.report import draw, markdown
 from bench.results import CaseResult, DetailDifference, Measured, Results
 
 PROGRAM = "python -m bench integrators"

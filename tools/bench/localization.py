@@ -17,7 +17,7 @@ from pathlib import Path
 
 import msgspec
 
-from bench.host import say
+from bench.contenders import say
 
 CPP = Path(__file__).resolve().parents[2] / "cpp"
 BEAMS = 60

@@ -8,8 +8,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from bench.host import status_bytes
-from bench.pings import Pings, load
+from bench.contenders import status_bytes
+from bench.inputs import Pings, load
 from bench.results import Measured
 from mapperd.config.tree import Config, MappingConfig, OctreeConfig, SonarConfig
 from mapperd.geometry.motion import PingMotion

@@ -10,17 +10,137 @@ edges from the surface point to the centre, and the stricter 1 edge is reported 
 
 import argparse
 import json
+import math
+import re
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from demo.ply_points import read_voxels
-from demo.true_surface import TrueSurface, read_triangles
+_DTYPES = {
+    "char": "i1",
+    "uchar": "u1",
+    "short": "<i2",
+    "ushort": "<u2",
+    "int": "<i4",
+    "uint": "<u4",
+    "float": "<f4",
+    "double": "<f8",
+}
+END = b"end_header\n"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VoxelCloud:
+    """Occupied voxels.
+
+    Attributes:
+        centres_m: (N, 3), map frame.
+        edge_m: of one voxel.
+    """
+
+    centres_m: NDArray[np.float64]
+    edge_m: float
+
+
+def read_voxels(path: Path) -> VoxelCloud:
+    """Read a binary PLY of voxel centres, whose comment says the voxels' edge.
+
+    Raises:
+        ValueError: it is no such file.
+    """
+    data = path.read_bytes()
+    head, mark, body = data.partition(END)
+    lines = head.decode("ascii", "replace").splitlines()
+    if not mark or lines[:2] != ["ply", "format binary_little_endian 1.0"]:
+        raise ValueError(f"{path}: not a binary little-endian PLY")
+    count = re.search(r"^element vertex (\d+)$", "\n".join(lines), re.MULTILINE)
+    edge = re.search(r"edge (\S+) m", "\n".join(lines))
+    if count is None or edge is None:
+        raise ValueError(f"{path}: says neither how many voxels nor how large they are")
+    fields = [line.split()[1:] for line in lines if line.startswith("property ")]
+    dtype = np.dtype([(name, _DTYPES[kind]) for kind, name in fields])
+    vertices = np.frombuffer(body, dtype, int(count[1]))
+    centres = np.stack([vertices[axis] for axis in "xyz"], axis=1).astype(np.float64)
+    return VoxelCloud(centres, float(edge[1]))
+
+
+LARGEST_EDGE_M = 0.12
+POINTS_A_TURN = 2000
+"""Bounds the memory: each point brings some tens of triangles."""
+
+
+class TrueSurface:
+    """A mesh cut into small triangles, which a tree of their middles finds.
+
+    A triangle nearer than a known upper bound has its middle within that bound plus the largest
+    triangle's reach: so the search is exact, whatever the shape. Far from the surface that takes
+    many triangles a point; there the triangle of the nearest middle may stand for all.
+
+    Args:
+        triangles_m: (F, 3, 3).
+        exact_within_m: farther off, distances may be too large by a small triangle's reach, 7 cm.
+    """
+
+    def __init__(self, triangles_m: NDArray[np.float64], exact_within_m: float = math.inf) -> None:
+        self._exact_within_m = exact_within_m
+        faces = np.arange(3 * len(triangles_m)).reshape(-1, 3)
+        vertices, small = trimesh.remesh.subdivide_to_size(  # type: ignore[no-untyped-call]
+            triangles_m.reshape(-1, 3), faces, LARGEST_EDGE_M
+        )
+        self.triangles_m: NDArray[np.float64] = np.asarray(vertices[small], dtype=np.float64)
+        middles = self.triangles_m.mean(axis=1)
+        self._reach_m = float(
+            np.linalg.norm(self.triangles_m - middles[:, None], axis=2).max(initial=0.0)
+        )
+        self._tree = cKDTree(middles)
+
+    def distance_m(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distance of each point (N, 3) to the nearest triangle, (N,)."""
+        turns = range(0, len(points_m), POINTS_A_TURN)
+        parts = [self._distance_m(points_m[i : i + POINTS_A_TURN]) for i in turns]
+        return np.concatenate(parts) if parts else np.empty(0)
+
+    def _distance_m(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        _, nearest = self._tree.query(points_m)
+        bound = _to_triangles(points_m, self.triangles_m[nearest])
+        close = bound <= self._exact_within_m
+        bound[close] = self._smallest(points_m[close], bound[close])
+        return bound
+
+    def _smallest(
+        self, points_m: NDArray[np.float64], bound: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Exact distance of points whose distance is at most `bound`."""
+        if len(points_m) == 0:
+            return bound
+        near = self._tree.query_ball_point(points_m, bound + self._reach_m)
+        counts = np.array([len(found) for found in near])
+        triangles = self.triangles_m[np.concatenate([np.asarray(f, dtype=int) for f in near])]
+        distance = _to_triangles(np.repeat(points_m, counts, axis=0), triangles)
+        starts = np.cumsum(counts) - counts
+        smallest: NDArray[np.float64] = np.minimum.reduceat(distance, starts)
+        return smallest
+
+
+def read_triangles(path: Path) -> NDArray[np.float64]:
+    """Read the triangles (F, 3, 3) of a file that trimesh knows."""
+    mesh = trimesh.load_mesh(path, process=False)
+    return np.asarray(mesh.triangles, dtype=np.float64)
+
+
+def _to_triangles(
+    points_m: NDArray[np.float64], triangles_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    closest = trimesh.triangles.closest_point(triangles_m, points_m)  # type: ignore[no-untyped-call]
+    distance: NDArray[np.float64] = np.linalg.norm(points_m - closest, axis=1)
+    return distance
+
 
 NEAR_VOXELS = 1.5
 

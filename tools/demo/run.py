@@ -13,9 +13,14 @@ from pathlib import Path
 
 from sonar_sim import CaptureSettings, load_scenario, write_capture
 
-from demo.map_truth import MapAccuracy, measure, write_json
-from demo.ply_points import read_voxels
-from demo.true_surface import TrueSurface, read_triangles
+from demo.map_truth import (
+    MapAccuracy,
+    TrueSurface,
+    measure,
+    read_triangles,
+    read_voxels,
+    write_json,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config" / "demo.yaml"

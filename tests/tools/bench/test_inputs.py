@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from bench import seabed
 from bench.contenders import CONTENDERS, GRID_FIRST, GRID_FULL
-from bench.inputs import AHEAD, DOWN, LOOKS, SETTINGS, Setting, simulate
+from bench.inputs import AHEAD, DOWN, LOOKS, SETTINGS, Setting, first_rows, loud_share, simulate
 from bench.integrators import RESOLUTIONS_M, chosen, parse
-from bench.pings import first_rows, loud_share
 
 LOOKING_DOWN = [setting for setting in SETTINGS if setting.look == DOWN]
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from bench.detail import Difference
+from bench.inputs import Pings
 from bench.our_contender import Run, config_of
-from bench.pings import Pings
 
 from mapperd.mapping.sonar_map import SonarMap
 

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bench.pings import (
+from bench.inputs import (
     ELEVATIONS,
     MAGIC,
     Pings,

@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 from demo.map_truth import MapAccuracy
-from demo.render import Camera, cubes, render
+from demo.picture import Camera, cubes, render
 from demo.run import LEAST_COVERAGE, MOST_MEDIAN_M, SCENE, report
 from sonar_sim import CaptureSettings, load_scenario
 from sonar_sim.capture import ping_times_s

@@ -4,9 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from demo.map_truth import compare, main
-from demo.ply_points import read_voxels
-from demo.true_surface import TrueSurface
+from demo.map_truth import TrueSurface, compare, main, read_voxels
 
 FLOOR = np.array(
     [[[0, 0, 0], [4, 0, 0], [4, 4, 0]], [[0, 0, 0], [4, 4, 0], [0, 4, 0]]], dtype=np.float64

@@ -10,12 +10,8 @@ import pytest
 from mapper_survey.request import read_survey
 from numpy.typing import NDArray
 from sonar_sim.errors import SceneError
-from studies.survey.damage import cut, flip
-from studies.survey.dives import ALTITUDE_M, FULL, PAUSE_S, SMALL, Dive, dives
-from studies.survey.make_dives import record_all
-from studies.survey.recorder import record
-from studies.survey.seabed import DEPTH_M
-from studies.survey.survey_file import write_survey
+from studies.survey.dives import ALTITUDE_M, DEPTH_M, FULL, PAUSE_S, SMALL, Dive, dives
+from studies.survey.make_dives import cut, flip, record, record_all, write_survey
 
 from oculus_driver.recording import describe, open_recording
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO
 
 import pytest
-from studies.chaos.script import FAULTS, trouble
+from studies.chaos.run import FAULTS, trouble
 from studies.chaos.shim import Shim
 
 CHILD = """

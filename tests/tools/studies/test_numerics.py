@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studies.numerics.panel import Curve, Panel
-from studies.numerics.place import Measured
-from studies.numerics.run import GROWTHS, PAGE, PICTURE, PLACES
+from studies.numerics.growth import Curve, Panel
+from studies.numerics.run import GROWTHS, PAGE, PICTURE, PLACES, growth_table, places_table
+from studies.numerics.single_places import Measured
 from studies.numerics.sources import MEASURED, NOT_MEASURED
-from studies.numerics.tables import growth_table, places_table
 
 ROOT = Path(__file__).resolve().parents[3]
 MOST = {"log-odds": 0.05, "rad; part": 1e-13, "m": 1e-10, "s": 2e-3, "part of the weight": 1e-10}

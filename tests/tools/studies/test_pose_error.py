@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studies.moving_dive import START_NS, Dive
-from studies.pose_error import TARGET, by_odometry, by_truth, pings_of, rms, table
+from studies.pose_error import START_NS, TARGET, Dive, by_odometry, by_truth, pings_of, rms, table
 from studies.report import write_section
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from studies.stream.shaped_link import LinkShape, ShapedLink
+from studies.stream.link import LinkShape, ShapedLink
 from studies.stream.staleness import Knowledge, staleness
 
 SECOND = 10**9

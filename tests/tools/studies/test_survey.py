@@ -13,11 +13,18 @@ import pytest
 from mapper_survey.engine import Done, InProcess
 from mapper_survey.request import read_survey
 from mapper_survey.run_record import TaskTime
+from studies.survey.make_dives import write_survey as write_study
 from studies.survey.run import Judged, Single, kill_every_s, main, verdicts_of
-from studies.survey.runs import Watched, peak_bytes, watch
-from studies.survey.scheduler_time import SchedulerTime, time_of
-from studies.survey.single_process import Fingerprint, fingerprint, map_in_one_process
-from studies.survey.survey_file import write_survey as write_study
+from studies.survey.runs import (
+    Fingerprint,
+    SchedulerTime,
+    Watched,
+    fingerprint,
+    map_in_one_process,
+    peak_bytes,
+    time_of,
+    watch,
+)
 
 from tests.tools.mapper_survey.dives import run_here, write_dive, write_survey
 

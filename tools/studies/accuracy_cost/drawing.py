@@ -3,11 +3,15 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from studies.accuracy_cost.plots import draw_knob, draw_summary, measured_knob
-from studies.accuracy_cost.reliability import draw_reliability, has_bins
+from studies.accuracy_cost.plots import (
+    draw_knob,
+    draw_reliability,
+    draw_summary,
+    has_bins,
+    measured_knob,
+)
 from studies.accuracy_cost.results import Results
-from studies.accuracy_cost.studies import Selection
-from studies.accuracy_cost.study import Study
+from studies.accuracy_cost.study import Selection, Study
 from studies.accuracy_cost.tables import section
 from studies.report import PAGES, write_section
 

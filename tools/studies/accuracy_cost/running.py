@@ -1,26 +1,187 @@
 """Measuring what is missing of the studies, in processes, so that a stop loses nothing."""
 
 import fcntl
+import hashlib
+import multiprocessing
 import os
+import signal
+import subprocess
 import sys
-from collections import Counter
-from collections.abc import Iterator, Mapping
+import time
+from collections import Counter, deque
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnContext
 from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
-from studies.accuracy_cost.errors import AccuracyCostError
-from studies.accuracy_cost.machine import commit
-from studies.accuracy_cost.pool import Job, Outcome, outcomes
 from studies.accuracy_cost.results import Key, Results, append, key_of, open_results
-from studies.accuracy_cost.studies import Selection
-from studies.accuracy_cost.study import Study
-from studies.report import machine
+from studies.accuracy_cost.study import AccuracyCostError, Dive, Selection, Setting, Study, load
+from studies.report import ROOT, machine
 
-__all__ = ["Tally", "run", "wanted_keys"]
+__all__ = ["Job", "Outcome", "Tally", "commit", "outcomes", "perform", "run", "wanted_keys"]
+
+
+MEASURED = (
+    *("cpp", "mapperd", "oculus_driver", "tools", "config", "pyproject.toml"),
+    ":(exclude,glob)tools/studies/accuracy_cost/*.py",
+)
+"""What figures depend on: changes of texts, of tests, or of how they are drawn leave them valid."""
+
+
+def commit(root: Path = ROOT) -> str:
+    """The last commit that changed what is measured; `+` and a digest where it is changed since.
+
+    Raises:
+        AccuracyCostError: this is no checkout of git.
+    """
+    last = _git(root, "log", "-1", "--format=%h", "--abbrev=12", "--", *MEASURED).strip()
+    if not _git(root, "status", "--porcelain", "--", *MEASURED):
+        return last
+    names = _git(root, "ls-files", "-co", "--exclude-standard", "-z", "--", *MEASURED)
+    digest = hashlib.sha256()
+    for name in sorted(filter(None, names.split("\0"))):
+        file = root / name
+        digest.update(name.encode() + b"\0" + (file.read_bytes() if file.is_file() else b""))
+    return f"{last}+{digest.hexdigest()[:8]}"
+
+
+def _git(root: Path, *words: str) -> str:
+    command = ["git", "-C", str(root), *words]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603
+    except (OSError, subprocess.CalledProcessError) as error:
+        raise AccuracyCostError(f"{root} is no checkout of git: its commit is unknown") from error
+    return done.stdout
+
+
+JOBS_EACH = 20
+"""After them a process is replaced: what a library keeps must not slow the next ones."""
+LONGEST_S = 900.0
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What a process does: measure a setting on a dive, or prepare the dive for that.
+
+    Attributes:
+        module: of the study.
+        setting: none prepares the dive.
+        folder: of the dive's files.
+    """
+
+    module: str
+    dive: Dive
+    setting: Setting | None
+    folder: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of a job: its figures, or why there are none."""
+
+    job: Job
+    figures: dict[str, float] | None = None
+    failure: str = ""
+
+
+def perform(job: Job) -> Outcome:
+    """Do a job here; whatever a study raises is its failure, in one line."""
+    try:
+        study = load(job.module)
+        if job.setting is None:
+            job.folder.mkdir(parents=True, exist_ok=True)
+            study.prepare(job.dive, job.folder)
+            return Outcome(job, {})
+        return Outcome(job, dict(study.measure(job.setting, job.dive, job.folder)))
+    except Exception as error:  # noqa: BLE001 the other settings are measured all the same
+        text = " ".join(str(error).split())
+        return Outcome(job, failure=f"{type(error).__name__}: {text}")
+
+
+def outcomes(jobs: Iterable[Job], workers: int, longest_s: float = LONGEST_S) -> Generator[Outcome]:
+    """Do jobs in processes, and yield what came of each as it comes."""
+    context = multiprocessing.get_context("spawn")
+    waiting, busy = deque(jobs), list[_Worker]()
+    idle = list[_Worker]()
+    try:
+        while waiting or busy:
+            while waiting and len(busy) < workers:
+                worker = idle.pop() if idle else _Worker(context)
+                worker.begin(waiting.popleft())
+                busy.append(worker)
+            for worker in _ready(busy, longest_s):
+                busy.remove(worker)
+                outcome = worker.outcome(longest_s)
+                if worker.jobs_left > 0:
+                    idle.append(worker)
+                else:
+                    worker.end()
+                yield outcome
+    finally:
+        for worker in (*busy, *idle):
+            worker.end()
+
+
+class _Worker:
+    """A process and the pipe to it."""
+
+    def __init__(self, context: SpawnContext) -> None:
+        self.pipe, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs,))
+        self._process.start()
+        theirs.close()
+        self.jobs_left = JOBS_EACH
+
+    def begin(self, job: Job) -> None:
+        self._job, self.began_s = job, time.monotonic()
+        self.pipe.send(job)
+
+    def outcome(self, longest_s: float) -> Outcome:
+        self.jobs_left -= 1
+        try:
+            if not self.pipe.poll():
+                self.jobs_left = 0
+                return Outcome(self._job, failure=f"not done after {longest_s:g} s")
+            received: Outcome = self.pipe.recv()
+        except (EOFError, OSError):
+            self.jobs_left = 0
+            self._process.join()
+            return Outcome(self._job, failure=f"its process ended with {_ended(self._process)}")
+        return received
+
+    def end(self) -> None:
+        self.pipe.close()
+        self._process.kill()
+        self._process.join()
+
+
+def _ready(busy: list[_Worker], longest_s: float) -> list[_Worker]:
+    """Wait for the workers that have an answer, or are dead, or have had their time."""
+    last_s = min(worker.began_s for worker in busy) + longest_s
+    answered = wait([worker.pipe for worker in busy], max(0.0, last_s - time.monotonic()))
+    late_s = time.monotonic() - longest_s
+    return [worker for worker in busy if worker.pipe in answered or worker.began_s <= late_s]
+
+
+def _ended(process: multiprocessing.process.BaseProcess) -> str:
+    code = process.exitcode or 0
+    return signal.Signals(-code).name if code < 0 else f"exit code {code}"
+
+
+def _serve(pipe: "Connection[Outcome, Job]") -> None:
+    """Do jobs until the pipe ends; Ctrl-C is the parent's business."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        while True:
+            pipe.send(perform(pipe.recv()))
+    except (EOFError, OSError):
+        return
+
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Threads that a library starts by itself would be counted in the CPU time of a ping."""

@@ -8,20 +8,112 @@ scene with the errors that scans of simulated pings have, or with `--pings` take
 """
 
 import argparse
+import math
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+import matplotlib as mpl
+import matplotlib.pyplot as plt
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
+from sonar_sim import Pose, Simulator
+from sonar_sim.poses import quaternion_of, rotation_of
 
+from mapperd.config.tree import Config
+from mapperd.errors import Reject
+from mapperd.imaging.ping_image import ping_image_of_array
+from mapperd.localization.extraction import Surroundings, scan_of
+from mapperd.localization.levelling import level_T_base
 from mapperd.localization.maps import VolumeMap
-from studies.localization.pictures import draw_clouds, draw_errors
-from studies.localization.pings import ping_scans
+from mapperd.localization.scan import Scan
 from studies.localization.runs import Dive, Moment, dive, settings
 from studies.localization.world import WORLDS, World
+
+__all__ = ["ping_scans"]
+
+
+mpl.use("Agg")
+
+MINUTE_S = 60.0
+NEAR_M = 0.5
+"""Above and below the vehicle's height: surfaces drawn as the map."""
+
+
+def draw_errors(path: Path, moments: list[Moment], title: str) -> None:
+    """Place and heading of the best mode, against the odometry alone."""
+    minutes = [m.time_s / 60.0 for m in moments]
+    picture, (place, heading) = plt.subplots(2, 1, figsize=(9, 5), sharex=True)
+    place.semilogy(minutes, [m.reckoned_m for m in moments], color="#9a9a9a", label="odometry")
+    place.semilogy(minutes, [m.error_m for m in moments], color="#1f77b4", lw=0.7, label="filter")
+    place.set_ylim(0.01, None)
+    place.set_ylabel("error, m")
+    place.set_title(title)
+    place.legend(loc="lower right")
+    turns = np.degrees([m.turn_error_rad for m in moments])
+    heading.plot(minutes, turns, color="#1f77b4", lw=0.7)
+    heading.set_ylabel("heading error, deg")
+    heading.set_xlabel("minutes")
+    picture.tight_layout()
+    picture.savefig(path, dpi=90)
+    plt.close(picture)
+
+
+def draw_clouds(path: Path, known: VolumeMap, moments: list[Moment], title: str) -> None:
+    """Particles on the map at some instants, the true place a cross."""
+    shown = [m for m in moments if m.particles is not None]
+    picture, panels = plt.subplots(1, len(shown), figsize=(3.4 * len(shown), 3.2), squeeze=False)
+    first, edge_m = known.first_centre_m, known.resolution_m
+    nearest = known.distances_m.min(axis=2).T
+    rows, columns = nearest.shape
+    extent = (first[0], first[0] + columns * edge_m, first[1], first[1] + rows * edge_m)
+    wall = (known.distances_m < edge_m).sum(axis=2).T * edge_m > NEAR_M
+    for panel, moment in zip(panels[0], shown, strict=True):
+        panel.imshow(wall, origin="lower", extent=extent, cmap="Greys", vmin=0, vmax=1.5)
+        particles = moment.particles
+        if particles is not None:
+            panel.scatter(particles[:, 0], particles[:, 1], s=1, color="#d62728", lw=0)
+        panel.plot(*moment.true[:2], "x", color="#1f77b4")
+        panel.set(xlim=extent[:2], ylim=extent[2:])
+        seconds, minutes = moment.time_s, moment.time_s / MINUTE_S
+        at = f"{seconds:.0f} s" if seconds < MINUTE_S else f"{minutes:.0f} min"
+        panel.set_title(f"{title}, {at}, {moment.way_m:.1f} m", fontsize=8)
+    picture.tight_layout()
+    picture.savefig(path, dpi=90)
+    plt.close(picture)
+
+
+Floats = NDArray[np.float64]
+
+
+def ping_scans(world: World, config: Config, seed: int) -> Callable[[int, Floats, int], Scan]:
+    """What makes the scan of a ping's number, place (6,) and stamp; some 0.2 s of one core each."""
+    sonar = world.scenario.sonar
+    simulator = Simulator(world.scenario.scene, sonar, seed)
+    sines = np.linspace(-1.0, 1.0, sonar.beams) * math.sin(sonar.half_aperture_rad)
+    bearing = np.arcsin(sines)
+
+    def scan(number: int, place: Floats, stamp_ns: int) -> Scan:
+        pose = Pose(place[:3], rotation_of(*place[3:]))
+        ping = simulator.ping(pose, number)
+        echo = ping_image_of_array(ping.image, sonar.range_m, bearing, config.sonar)
+        around = Surroundings(
+            stamp_ns,
+            level_T_base(quaternion_of(pose.rotation)),
+            height_m=float(place[2]) - world.place.floor_m,
+            depth_m=-float(place[2]),
+            gamma_byte=sonar.gamma_byte,
+        )
+        made = scan_of(echo, around, config)
+        if isinstance(made, Reject):
+            raise TypeError("nobody watches for bursts here")
+        return made
+
+    return scan
+
 
 WITHIN_M = 150.0
 """Of track: by then a vehicle is to have found itself."""

@@ -15,8 +15,7 @@ from mapperd.localization.map_filter import MapFilter
 from mapperd.localization.maps import VolumeMap
 from mapperd.localization.scan import Scan
 from studies.localization.scans import cast_scan
-from studies.localization.track import Drift, Track, drifted, track_of
-from studies.localization.world import Place, World
+from studies.localization.world import Drift, Place, Track, World, drifted, track_of
 
 __all__ = ["Dive", "Moment", "dive", "settings"]
 

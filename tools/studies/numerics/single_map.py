@@ -12,8 +12,8 @@ from mapperd.geometry.frames import pose_from_rpy
 from mapperd.imaging.ping_image import PingImage, display_units
 from mapperd.mapping.queries import MapQueries
 from mapperd.mapping.sonar_map import BLOCK_VOXELS, SonarMap
-from studies.numerics.of_maps import UNIT
-from studies.numerics.place import Measured, Place
+from studies.numerics.growth import UNIT
+from studies.numerics.single_places import Measured, Place
 
 __all__ = ["PLACES"]
 

@@ -1,6 +1,8 @@
 """Single precision in localization, filters, the map stream and exports."""
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +24,41 @@ from mapperd.localization.particle_filter import (
 )
 from mapperd.server.state_messages import first_returns
 from mapperd.wire.blocks import path_message
-from studies.numerics.place import Measured, Place
 
-__all__ = ["PLACES"]
+__all__ = ["PLACES", "Measured", "Place"]
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What was found.
+
+    Attributes:
+        worst: largest error against double precision or better, with its unit.
+        so: what that means for who uses the numbers.
+    """
+
+    worst: str
+    so: str
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """One of them.
+
+    Attributes:
+        where: for people, and the sources of `studies.numerics.sources`.
+        what: is single precision there.
+        measure: gives the error and its consequence.
+        enough: why it does, and what it saves.
+        numpy: why the same arithmetic is measured in numpy, where it is not the product's own.
+    """
+
+    where: str
+    what: str
+    measure: Callable[[], Measured]
+    enough: str
+    numpy: str = ""
+
 
 Floats = NDArray[np.float64]
 CELLS, EDGE_M = 200, 0.1

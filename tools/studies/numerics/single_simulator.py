@@ -12,7 +12,7 @@ from sonar_sim.receiver import amplitude, quantise
 from sonar_sim.scene import Scene, Surface
 from sonar_sim.sonar import SonarSettings
 
-from studies.numerics.place import Measured, Place
+from studies.numerics.single_places import Measured, Place
 
 __all__ = ["PLACES"]
 

@@ -14,7 +14,7 @@ import random
 import sys
 from typing import Self
 
-from studies.stream.shaped_link import LinkShape
+from studies.stream.link import LinkShape
 
 __all__ = ["Relay"]
 

@@ -24,9 +24,15 @@ from mapper_survey.request import read_survey
 from mapper_survey.run_record import TaskTime, read_task_times
 
 from studies.survey.make_dives import PLANS, damage, make
-from studies.survey.runs import Watched, watch
-from studies.survey.scheduler_time import SchedulerTime, scheduler_time
-from studies.survey.single_process import Fingerprint, fingerprint, map_in_one_process
+from studies.survey.runs import (
+    Fingerprint,
+    SchedulerTime,
+    Watched,
+    fingerprint,
+    map_in_one_process,
+    scheduler_time,
+    watch,
+)
 
 Step = TypeVar("Step", bound=msgspec.Struct)
 

@@ -1,14 +1,118 @@
 """Runs of `mapper-survey`, watched: what they take, and with workers killed at random."""
 
+import hashlib
 import random
 import re
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
 import psutil
+from mapper_survey.engine import Engine
+from mapper_survey.memory import bytes_of
+
+from mapperd.config.tree import Config
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.session.recordings import sessions_of
+from mapperd.session.replay import Window, as_asked
+from mapperd.store.reader import StoreReader
+from mapperd.store.tile_store import TileStore
+
+TASKS = 1000
+PAYLOAD_BYTES = 10_000
+"""As a tile's task brings places of 400 pings."""
+
+WORKERS, MEMORY = 2, "1GiB"
+
+
+class SchedulerTime(msgspec.Struct, frozen=True):
+    """CPU time for which the process of scheduler and client was busy, a task."""
+
+    ms: float
+
+
+def scheduler_time() -> SchedulerTime:
+    """Measure Dask's, with workers of our own."""
+    from mapper_survey.engine_dask import local_pool  # noqa: PLC0415 Dask takes a second to import
+
+    engine = local_pool(WORKERS, bytes_of(MEMORY))
+    try:
+        time_of(engine, TASKS // 10)  # what is done once
+        return time_of(engine, TASKS)
+    finally:
+        engine.close()
+
+
+def time_of(engine: Engine, tasks: int) -> SchedulerTime:
+    """Measure an engine.
+
+    Raises:
+        RuntimeError: tasks were lost.
+    """
+    began_s = time.process_time()
+    for number in range(tasks):
+        engine.submit(_nothing, (number, bytes(PAYLOAD_BYTES)))
+    ended = sum(1 for _ in engine.done())
+    if ended != tasks:
+        raise RuntimeError(f"{ended} of {tasks} tasks ended")
+    return SchedulerTime(1e3 * (time.process_time() - began_s) / tasks)
+
+
+def _nothing(_: tuple[int, bytes]) -> None:
+    """Done at once."""
+
+
+CACHE_TILES = 64
+TILE_M = 12.8
+
+
+class Fingerprint(msgspec.Struct, frozen=True):
+    """Of the bricks in a map's file, in whatever order they stand in it.
+
+    Attributes:
+        bricks: how many.
+        voxel_bytes: of all their voxels, unpacked.
+        total: sum of the rows' digests, in hexadecimal.
+    """
+
+    bricks: int
+    voxel_bytes: int
+    total: str
+
+
+def map_in_one_process(recordings: Sequence[Path], config: Config, path: Path) -> int:
+    """Map recordings one after the other, with a bounded part of the map in memory.
+
+    Returns:
+        How many pings are in the map.
+    """
+    sonar_map, mapped = SonarMap(config), 0
+    with TileStore(path, sonar_map, tile_size_m=TILE_M, cache_tiles=CACHE_TILES) as store:
+        for recording in recordings:
+            (session,) = sessions_of([recording])
+            replay = as_asked(session, None, config).replay(sonar_map, Window())
+            for _ in replay.run(session):
+                store.advance(b"")
+            store.advance(b"")  # what was pending at the recording's end
+            mapped += replay.counters.pings_mapped
+    return mapped
+
+
+def fingerprint(path: Path) -> Fingerprint:
+    """Of a map's file: keys, revisions and voxels, to the bit; memory for one brick."""
+    bricks = voxel_bytes = total = 0
+    with StoreReader(path) as reader:
+        for row in reader.rows():
+            words = f"{row.key} {row.revision} {row.size} {row.crc} ".encode()
+            digest = hashlib.blake2b(words + row.data, digest_size=16).digest()
+            total += int.from_bytes(digest, "little")
+            bricks += 1
+            voxel_bytes += row.size
+    return Fingerprint(bricks, voxel_bytes, f"{total % (1 << 128):032x}")
+
 
 LOOK_S = 0.1
 ALONE_S = 120.0

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from studies.accuracy_cost import studies
+from studies.accuracy_cost import study
 from studies.accuracy_cost.study import Study
 
 
@@ -14,6 +14,6 @@ from studies.accuracy_cost.study import Study
 def fake(monkeypatch: pytest.MonkeyPatch) -> Iterator[Study]:
     """The only study there is."""
     monkeypatch.syspath_prepend(str(Path(__file__).parent))
-    monkeypatch.setattr(studies, "MODULES", {"fake": "fake_study"})
+    monkeypatch.setattr(study, "MODULES", {"fake": "fake_study"})
     yield importlib.import_module("fake_study").STUDY
     del sys.modules["fake_study"]

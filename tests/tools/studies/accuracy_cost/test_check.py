@@ -3,10 +3,9 @@
 from pathlib import Path
 
 import pytest
-from studies.accuracy_cost.checking import measure_quick, verdicts
-from studies.accuracy_cost.command import RECORDED
+from studies.accuracy_cost.command import RECORDED, measure_quick, verdicts
 from studies.accuracy_cost.results import read_results
-from studies.accuracy_cost.studies import MODULES, load
+from studies.accuracy_cost.study import MODULES, load
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
-from studies.accuracy_cost import command, drawing, running, studies
+from studies.accuracy_cost import command, drawing, running, study
 from studies.accuracy_cost.command import main
 from studies.accuracy_cost.results import read_results
 from studies.accuracy_cost.study import Study
@@ -18,8 +18,8 @@ PAGE = f"# A page\n\n{MARK}\nold\n<!-- fake: end -->\n\nThe end.\n"
 @pytest.fixture
 def recorded(fake: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Folder of what is committed, and a page beside it."""
-    assert fake.name in studies.MODULES
-    monkeypatch.setattr(command, "MODULES", studies.MODULES)
+    assert fake.name in study.MODULES
+    monkeypatch.setattr(command, "MODULES", study.MODULES)
     monkeypatch.setattr(running, "commit", lambda: "abc")
     monkeypatch.setattr(command, "RECORDED", tmp_path / "docs")
     monkeypatch.setattr(drawing, "PAGE", tmp_path / "page.md")

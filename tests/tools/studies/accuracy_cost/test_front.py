@@ -19,8 +19,7 @@ from studies.accuracy_cost.front import (
     plane_of,
 )
 from studies.accuracy_cost.results import Results, key_of
-from studies.accuracy_cost.studies import DEFAULT
-from studies.accuracy_cost.study import Setting, Study
+from studies.accuracy_cost.study import DEFAULT, Setting, Study
 
 NAN = math.nan
 FIGURES = st.integers(0, 4).map(float) | st.just(NAN)

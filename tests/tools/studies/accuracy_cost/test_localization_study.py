@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 import pytest
-from studies.accuracy_cost.localization import STUDY, dives, runs
+from studies.accuracy_cost.localization import STUDY, dives, measuring
 from studies.accuracy_cost.localization.dives import PLANS, Plan, Run
-from studies.accuracy_cost.localization.figures import figures_of
-from studies.accuracy_cost.localization.runs import Moments
-from studies.accuracy_cost.localization.settings import SCALES, config_for, published_overrides
+from studies.accuracy_cost.localization.knobs import SCALES, config_for, published_overrides
+from studies.accuracy_cost.localization.measuring import Moments, figures_of
 from studies.accuracy_cost.study import Dive, Setting
 from studies.localization.world import WORLDS
 
@@ -167,7 +166,7 @@ def test_errors_are_those_of_the_pose_that_the_vehicle_would_use(
     moved = Run(run.scans, true, run.odometry, run.start)
     config = config_for(TANK, COARSE.overrides, 1)
     path = dives.map_path(folder, 5.0)
-    ((here,), _), ((there,), _) = (runs.localize(path, [r], 1, config) for r in (run, moved))
+    ((here,), _), ((there,), _) = (measuring.localize(path, [r], 1, config) for r in (run, moved))
     assert there.error_m == pytest.approx(7.0, abs=2 * here.error_m.max())
     assert there.turn_rad == pytest.approx(1.0, abs=2 * here.turn_rad.max())
     assert there.nees.min() > here.nees.max()

@@ -4,8 +4,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from studies.accuracy_cost.errors import AccuracyCostError
-from studies.accuracy_cost.machine import commit
+from studies.accuracy_cost.running import commit
+from studies.accuracy_cost.study import AccuracyCostError
 
 TOOL = "tools/studies/accuracy_cost"
 

@@ -4,9 +4,15 @@ import math
 
 import numpy as np
 import pytest
-from studies.accuracy_cost.mapping.metrics import reliability, roc_area, sampled, surfaces
-from studies.accuracy_cost.mapping.oracle import mean_difference
-from studies.accuracy_cost.mapping.solids import Box, World
+from studies.accuracy_cost.mapping.measuring import mean_difference
+from studies.accuracy_cost.mapping.metrics import (
+    Box,
+    World,
+    reliability,
+    roc_area,
+    sampled,
+    surfaces,
+)
 
 PLANE = World((Box((0.0, 0.0, -5.0), (100.0, 100.0, 10.0)),))
 """Its top is the plane z = 0."""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-from studies.accuracy_cost.mapping.solids import Box, Floor, Pile, Solid, World
+from studies.accuracy_cost.mapping.metrics import Box, Floor, Pile, Solid, World
 
 AROUND = np.random.default_rng(5).uniform(-2.5, 2.5, (120, 3))
 

@@ -7,12 +7,18 @@ import numpy as np
 import pytest
 from studies.accuracy_cost.mapping import STUDY
 from studies.accuracy_cost.mapping.dives import capture_of, made_by
-from studies.accuracy_cost.mapping.driving import Driven, drive
-from studies.accuracy_cost.mapping.knobs import KNOBS, PUBLISHED, PUBLISHED_FILE, WHOLES
+from studies.accuracy_cost.mapping.knobs import (
+    KNOBS,
+    PROFILE_FOLDER,
+    PUBLISHED,
+    PUBLISHED_FILE,
+    WHOLES,
+    Thinning,
+    config_for,
+)
+from studies.accuracy_cost.mapping.measuring import CONVERGED, Driven, drive, same_rule
 from studies.accuracy_cost.mapping.metrics import reliability
-from studies.accuracy_cost.mapping.oracle import CONVERGED, same_rule
 from studies.accuracy_cost.mapping.recalibration import FILE, told_and_true
-from studies.accuracy_cost.mapping.settings import PROFILES, Thinning, config_for
 from studies.accuracy_cost.study import Dive, Setting
 
 from mapperd.config.loader import load_config
@@ -108,7 +114,7 @@ def test_frame_skip_costs_pings_and_their_time_counts_for_all(folder: Path) -> N
 
 @pytest.mark.parametrize("name", ["low_power", "balanced", "survey"])
 def test_a_profile_is_a_file_of_settings(name: str) -> None:
-    assert load_config(PROFILES / f"{name}.yaml").octree.voxel_resolution in (0.05, 0.1, 0.2)
+    assert load_config(PROFILE_FOLDER / f"{name}.yaml").octree.voxel_resolution in (0.05, 0.1, 0.2)
 
 
 def test_pose_policies_give_different_maps(folder: Path) -> None:

@@ -5,8 +5,7 @@ from studies.accuracy_cost.command import RECORDED
 from studies.accuracy_cost.drawing import PAGE
 from studies.accuracy_cost.results import Results, read_results
 from studies.accuracy_cost.running import wanted_keys
-from studies.accuracy_cost.studies import MODULES, Selection, load
-from studies.accuracy_cost.study import Study
+from studies.accuracy_cost.study import MODULES, Selection, Study, load
 from studies.accuracy_cost.tables import IMAGES, section
 
 MOST_BYTES = 80_000

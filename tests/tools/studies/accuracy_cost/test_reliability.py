@@ -4,10 +4,9 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
-from studies.accuracy_cost.reliability import bins_of, draw_reliability, has_bins
+from studies.accuracy_cost.plots import bins_of, draw_reliability, has_bins
 from studies.accuracy_cost.results import Results, key_of
-from studies.accuracy_cost.studies import DEFAULT
-from studies.accuracy_cost.study import Study
+from studies.accuracy_cost.study import DEFAULT, Study
 
 
 def figures(voxels: int, solid: float = 0.5) -> dict[str, float]:

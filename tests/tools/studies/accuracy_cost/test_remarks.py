@@ -2,10 +2,9 @@
 
 from studies.accuracy_cost.mapping import STUDY
 from studies.accuracy_cost.mapping.knobs import PUBLISHED
-from studies.accuracy_cost.remarks import remarks
 from studies.accuracy_cost.results import Results, key_of
-from studies.accuracy_cost.studies import DEFAULT, Selection
-from studies.accuracy_cost.study import Study
+from studies.accuracy_cost.study import DEFAULT, Selection, Study
+from studies.accuracy_cost.tables import remarks
 
 
 def test_each_dive_has_its_own_figures() -> None:

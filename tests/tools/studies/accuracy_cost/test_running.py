@@ -6,12 +6,9 @@ from pathlib import Path
 
 import pytest
 from studies.accuracy_cost import running
-from studies.accuracy_cost.errors import AccuracyCostError
-from studies.accuracy_cost.pool import Job, outcomes
 from studies.accuracy_cost.results import Key, read_results
-from studies.accuracy_cost.running import Tally, run, wanted_keys
-from studies.accuracy_cost.studies import DEFAULT, Selection
-from studies.accuracy_cost.study import Study
+from studies.accuracy_cost.running import Job, Tally, outcomes, run, wanted_keys
+from studies.accuracy_cost.study import DEFAULT, AccuracyCostError, Selection, Study
 
 QUICK = Selection(quick=True)
 

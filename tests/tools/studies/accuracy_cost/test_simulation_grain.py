@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from studies.accuracy_cost.simulation.grain import Grain, grain_errors, grain_of, kept_grain
+from studies.accuracy_cost.simulation.error import Grain, grain_errors, grain_of, kept_grain
 
 
 def speckle_db(seed: int, rows: int, leak: float = 0.0) -> NDArray[np.float64]:

@@ -15,9 +15,14 @@ from sonar_sim.errors import EffectError
 from sonar_sim.fan import ELEVATIONS, MARGIN_BEAMS
 from studies.accuracy_cost.simulation import STUDY, ours, scenes
 from studies.accuracy_cost.simulation.ours import widened
-from studies.accuracy_cost.simulation.published import in_cells, levelled
-from studies.accuracy_cost.simulation.reference import finer, load_reference, margin_beams
-from studies.accuracy_cost.simulation.settings import making_of
+from studies.accuracy_cost.simulation.reference import (
+    finer,
+    in_cells,
+    levelled,
+    load_reference,
+    margin_beams,
+)
+from studies.accuracy_cost.simulation.scenes import making_of
 from studies.accuracy_cost.study import Dive, Setting
 
 

@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from studies.accuracy_cost.streaming import STUDY, dives
-from studies.accuracy_cost.streaming.clients import PlainClient, StreamClient
-from studies.accuracy_cost.streaming.dives import PLANS
-from studies.accuracy_cost.streaming.figures import Moment, moment, summary
-from studies.accuracy_cost.streaming.link import Link, LinkShape
-from studies.accuracy_cost.streaming.settings import constants, told_by
-from studies.accuracy_cost.streaming.told import PlainTeller, StreamTeller
+from studies.accuracy_cost.streaming.clients import (
+    PlainClient,
+    PlainTeller,
+    StreamClient,
+    StreamTeller,
+)
+from studies.accuracy_cost.streaming.dives import PLANS, Link, LinkShape
+from studies.accuracy_cost.streaming.knobs import constants, told_by
+from studies.accuracy_cost.streaming.measuring import Moment, moment, summary
 from studies.accuracy_cost.streaming.truth import Ages, Blocks, coded, distances_m
 from studies.accuracy_cost.study import Dive, Setting
 

@@ -4,9 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from studies.accuracy_cost.errors import AccuracyCostError
-from studies.accuracy_cost.studies import load
-from studies.accuracy_cost.study import Setting, Study
+from studies.accuracy_cost.study import AccuracyCostError, Setting, Study, load
 
 
 def test_a_good_study_is_loaded(fake: Study) -> None:

@@ -5,10 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from studies.accuracy_cost.checking import measure_quick, verdict, verdicts
-from studies.accuracy_cost.errors import AccuracyCostError
+from studies.accuracy_cost.command import measure_quick, verdict, verdicts
 from studies.accuracy_cost.results import Results, key_of
-from studies.accuracy_cost.study import Study
+from studies.accuracy_cost.study import AccuracyCostError, Study
 
 
 def recorded(fake: Study, figures: dict[str, tuple[float, float]]) -> Results:

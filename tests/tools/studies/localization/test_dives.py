@@ -10,8 +10,7 @@ import pytest
 import yaml
 from studies.localization.dives import WITHIN_M, judged
 from studies.localization.runs import Moment, settings
-from studies.localization.track import Drift, Track, drifted, track_of
-from studies.localization.world import WORLDS
+from studies.localization.world import WORLDS, Drift, Track, drifted, track_of
 
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import AmclConfig, LocalizationConfig

@@ -11,11 +11,9 @@ import pytest
 from sonar_sim import Pose, SonarSettings
 from sonar_sim.capture import CaptureSettings, ping_times_s
 from sonar_sim.poses import rotation_of
-from studies.localization.pass_dive import FRESH, Pass, navigation
-from studies.localization.pass_metric import Fans, agreement, in_fans, to_nearest
-from studies.localization.second_pass import Study, run
-from studies.localization.track import Drift
-from studies.localization.world import WORLDS, World
+from studies.localization.pass_maps import FRESH, Pass, navigation
+from studies.localization.second_pass import Fans, Study, agreement, in_fans, run, to_nearest
+from studies.localization.world import WORLDS, Drift, World
 
 if TYPE_CHECKING:
     from pathlib import Path

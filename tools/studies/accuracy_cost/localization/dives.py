@@ -13,8 +13,7 @@ from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.scan import Scan
 from studies.accuracy_cost.study import Dive
 from studies.localization.scans import cast_scan
-from studies.localization.track import Drift, drifted, track_of
-from studies.localization.world import WORLDS, Place, World
+from studies.localization.world import WORLDS, Drift, Place, World, drifted, track_of
 
 __all__ = ["CELLS", "DIVES", "PLANS", "Plan", "Run", "load_runs", "map_path", "prepare_dive"]
 

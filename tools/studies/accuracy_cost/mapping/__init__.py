@@ -5,8 +5,7 @@ from pathlib import Path
 
 from studies.accuracy_cost.mapping.dives import DIVES, make_dive
 from studies.accuracy_cost.mapping.knobs import KNOBS, WHOLES
-from studies.accuracy_cost.mapping.measuring import COLUMNS, COST, ERROR, measure
-from studies.accuracy_cost.mapping.oracle import make_oracle
+from studies.accuracy_cost.mapping.measuring import COLUMNS, COST, ERROR, make_oracle, measure
 from studies.accuracy_cost.study import Column, Dive, Knob, Setting
 
 __all__ = ["STUDY", "MappingStudy"]

@@ -31,7 +31,7 @@ from sonar_sim import (
     write_capture,
 )
 
-from studies.accuracy_cost.mapping.solids import Box, Floor, Pile, World
+from studies.accuracy_cost.mapping.metrics import Box, Floor, Pile, World
 from studies.accuracy_cost.study import Dive
 
 __all__ = ["DIVES", "FIT", "Made", "capture_of", "made_by", "make_dive", "once", "truth_of"]

@@ -1,18 +1,164 @@
 """One setting on one dive: all figures."""
 
 import math
-from dataclasses import asdict
+import time
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mapperd.mapping.sonar_map import SonarMap
+from mapperd.pipeline.counters import PipelineCounters
+from mapperd.pipeline.decoder import PosedPing, SessionDecoder
+from mapperd.pipeline.executor import PingExecutor
+from mapperd.pipeline.persistence import MemoryPersistence
+from mapperd.pipeline.pose_lookup import OdometryPoses
+from mapperd.pipeline.step import StepRunner
+from oculus_driver.recording import open_recording
 from studies.accuracy_cost.mapping import metrics
-from studies.accuracy_cost.mapping.dives import capture_of, made_by, truth_of
-from studies.accuracy_cost.mapping.driving import Driven, drive
-from studies.accuracy_cost.mapping.oracle import CONVERGED, log_odds_error, oracle_of, same_rule
+from studies.accuracy_cost.mapping.dives import Made, capture_of, made_by, once, truth_of
+from studies.accuracy_cost.mapping.knobs import config_for
 from studies.accuracy_cost.study import Column, Dive, Setting
 
-__all__ = ["COLUMNS", "COST", "ERROR", "measure"]
+__all__ = [
+    "COLUMNS",
+    "CONVERGED",
+    "COST",
+    "ERROR",
+    "Driven",
+    "drive",
+    "log_odds_error",
+    "make_oracle",
+    "mean_difference",
+    "measure",
+    "oracle_of",
+    "same_rule",
+]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Driven:
+    """A map and what it took.
+
+    Attributes:
+        map: the result.
+        mapped_ms: CPU time of each ping that was mapped.
+        pings: that came.
+    """
+
+    map: SonarMap
+    mapped_ms: list[float]
+    pings: int
+
+    @property
+    def ms_per_ping(self) -> float:
+        """CPU time over all pings that came, skipped ones too."""
+        return sum(self.mapped_ms) / max(self.pings, 1)
+
+
+def drive(setting: Setting, made: Made, capture: Path) -> Driven:
+    """Map a capture with a setting; what is timed is a ping's filters and its integration."""
+    config, thinning = config_for(setting, made)
+    sonar_map = SonarMap(config)
+    counters = PipelineCounters()
+    integration = PingExecutor(
+        StepRunner(sonar_map, time.thread_time), MemoryPersistence(sonar_map)
+    )
+    engine = SessionDecoder(config, OdometryPoses(config), counters, confirm=False, obey=False)
+    mapped_ms: list[float] = []
+
+    def do(work: object) -> None:
+        if not isinstance(work, PosedPing):
+            raise TypeError(f"a capture of the simulator asks for {work}")
+        settled = replace(work, ping=thinning.of(work.ping))
+        before = integration.stepping.counters.pings_mapped
+        began_s = time.thread_time()
+        integration.do(settled)
+        took_ms = 1e3 * (time.thread_time() - began_s)
+        if integration.stepping.counters.pings_mapped > before:
+            mapped_ms.append(took_ms)
+
+    with open_recording(capture) as recording:
+        for chunk in recording:
+            for work in engine.feed(chunk):
+                do(work)
+        for work in engine.end():
+            do(work)
+    return Driven(sonar_map, mapped_ms, engine.pings)
+
+
+CONVERGED = Setting("converged", {"mapping.detail": 8.0})
+
+OTHER_RULE = ("octree.", "iwlo.", "adaptive.", "filtering.", "sonar.", "mapping.aggregation")
+"""Settings that change what the log-odds mean, not how well they are known."""
+
+Voxels = tuple[NDArray[np.int64], NDArray[np.float64]]
+
+
+def _files(dive: Dive, folder: Path) -> tuple[Path, Path]:
+    """The map, and what it took."""
+    name = f"mapping-{dive.name}-{dive.seed}-finest"
+    return folder / f"{name}.map", folder / f"{name}.npz"
+
+
+def make_oracle(dive: Dive, folder: Path) -> None:
+    """Map a dive's capture with the finest evidence grid, unless that is done."""
+    map_file, times_file = _files(dive, folder)
+    if map_file.exists() and times_file.exists():
+        return
+    driven = drive(CONVERGED, made_by(dive), capture_of(dive, folder))
+    map_part, times_part = once(map_file), once(times_file)
+    driven.map.save(map_part)
+    with times_part.open("wb") as stream:
+        np.savez(stream, mapped_ms=driven.mapped_ms, pings=driven.pings)
+    map_part.rename(map_file)
+    times_part.rename(times_file)
+
+
+def oracle_of(dive: Dive, folder: Path) -> Driven:
+    """What `make_oracle` made."""
+    map_file, times_file = _files(dive, folder)
+    config, _ = config_for(CONVERGED, made_by(dive))
+    sonar_map = SonarMap(config)
+    sonar_map.load(map_file)
+    with np.load(times_file) as archive:
+        return Driven(sonar_map, archive["mapped_ms"].tolist(), int(archive["pings"]))
+
+
+def same_rule(setting: Setting, default: Setting) -> bool:
+    """Whether the log-odds of two settings mean the same."""
+    names = {*setting.overrides, *default.overrides}
+    return not any(
+        name.startswith(OTHER_RULE) and setting.overrides.get(name) != default.overrides.get(name)
+        for name in names
+    )
+
+
+def log_odds_error(sonar_map: SonarMap, dive: Dive, folder: Path) -> float:
+    """Mean absolute difference of log-odds from the converged map's, over voxels of either."""
+    return mean_difference(_known(sonar_map), _known(oracle_of(dive, folder).map))
+
+
+def mean_difference(one: Voxels, other: Voxels) -> float:
+    """Of log-odds, absolute, over all voxels of either; what is not known has 0.
+
+    Args:
+        one: keys (N,), each once, and log-odds (N,).
+        other: the same of another map.
+    """
+    _, here, there = np.intersect1d(one[0], other[0], assume_unique=True, return_indices=True)
+    total = np.abs(one[1]).sum() + np.abs(other[1]).sum()
+    total -= np.abs(one[1][here]).sum() + np.abs(other[1][there]).sum()
+    total += np.abs(one[1][here] - other[1][there]).sum()
+    return float(total / max(len(one[0]) + len(other[0]) - len(here), 1))
+
+
+def _known(sonar_map: SonarMap) -> Voxels:
+    centres_m, log_odds, _ = sonar_map.core.voxels()
+    place = np.floor(centres_m / sonar_map.resolution_m).astype(np.int64) + (1 << 20)
+    return place[:, 0] << 42 | place[:, 1] << 21 | place[:, 2], log_odds.astype(np.float64)
+
 
 ERROR, COST = "surface_error_m", "ping_cpu_ms"
 

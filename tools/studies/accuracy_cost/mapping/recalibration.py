@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from mapperd.export.calibration import Calibration, load_calibration
 from studies.accuracy_cost.mapping.dives import DIVES, FIT, capture_of, made_by, make_dive
-from studies.accuracy_cost.mapping.driving import drive
+from studies.accuracy_cost.mapping.knobs import PROFILE_FOLDER, profile
+from studies.accuracy_cost.mapping.measuring import drive
 from studies.accuracy_cost.mapping.metrics import BINS, reliability, sampled
-from studies.accuracy_cost.mapping.settings import PROFILES, profile
 from studies.accuracy_cost.study import Dive
 
 __all__ = ["FILE", "fit", "table", "told_and_true"]
 
-FILE = PROFILES / "calibration" / "harbour.yaml"
+FILE = PROFILE_FOLDER / "calibration" / "harbour.yaml"
 STEPS = 60
 FINE, FINE_TO = 0.2, 4.0
 LEAST = 50

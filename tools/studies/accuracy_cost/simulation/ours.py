@@ -17,9 +17,8 @@ from sonar_sim.physics import Physics
 from sonar_sim.picture_change import expected_clipped, gamma_of
 from sonar_sim.sonar import SonarSettings
 
-from studies.accuracy_cost.simulation.grain import Grain, grain_of
-from studies.accuracy_cost.simulation.scenes import Moment, moments_of, scenario_of
-from studies.accuracy_cost.simulation.settings import Making
+from studies.accuracy_cost.simulation.error import Grain, grain_of
+from studies.accuracy_cost.simulation.scenes import Making, Moment, moments_of, scenario_of
 from studies.accuracy_cost.study import Dive
 
 Picture = NDArray[np.float64]

@@ -1,15 +1,88 @@
 """The scenes that settings are measured in, and the moments of their paths that are pinged."""
 
 import functools
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 
 from sonar_sim import load_scenario
-from sonar_sim.engine import SonarMotion
+from sonar_sim.effects.plan import Wish
+from sonar_sim.engine import NODES_PER_BEAM, SonarMotion
+from sonar_sim.fan import ELEVATIONS
 from sonar_sim.poses import Pose
 from sonar_sim.scenario import Scenario
 from sonar_sim.sonar_motion import sonar_motion, sonar_pose
+from sonar_sim.tolerance import Tolerance
 
-from studies.accuracy_cost.study import Dive
+from studies.accuracy_cost.study import Dive, Value
+
+EFFECT, TOLERANCE = "sim.effect.", "sim.tolerance."
+
+
+@dataclass(frozen=True, slots=True)
+class Making:
+    """How pings are made.
+
+    Attributes:
+        effects: which.
+        tolerance: by which rules decide.
+        elevations: rays of a column.
+        nodes_per_beam: scatterers in a row of a beam's width.
+        beams: of the picture; None: the scene's own.
+        camera: width and height of the published pipeline's depth image; None is our own engine.
+    """
+
+    effects: Wish
+    tolerance: Tolerance
+    elevations: int
+    nodes_per_beam: float
+    beams: int | None
+    camera: tuple[int, int] | None
+
+
+def making_of(overrides: Mapping[str, Value]) -> Making:
+    """Read a setting's overrides.
+
+    Raises:
+        ValueError: a name is none of the above.
+        EffectError: an effect is not known.
+    """
+    plain = {n: v for n, v in overrides.items() if not n.startswith((EFFECT, TOLERANCE))}
+    ground = str(plain.pop("sim.effects", "auto"))
+    switched = [
+        f"{'+' if on else '-'}{name.removeprefix(EFFECT)}"
+        for name, on in sorted(overrides.items())
+        if name.startswith(EFFECT)
+    ]
+    elevations = int(plain.pop("sim.elevations", ELEVATIONS))
+    nodes_per_beam = float(plain.pop("sim.nodes_per_beam", NODES_PER_BEAM))
+    beams, camera = plain.pop("sim.beams", None), plain.pop("sim.camera", None)
+    if plain:
+        raise ValueError(f"the simulator's study knows no {', '.join(sorted(plain))}")
+    return Making(
+        Wish.read(",".join([ground, *switched])),
+        _tolerance(overrides),
+        elevations,
+        nodes_per_beam,
+        None if beams is None else int(beams),
+        None if camera is None else _size(str(camera)),
+    )
+
+
+def _tolerance(overrides: Mapping[str, Value]) -> Tolerance:
+    given = {
+        name.removeprefix(TOLERANCE): float(value)
+        for name, value in overrides.items()
+        if name.startswith(TOLERANCE)
+    }
+    unknown = given.keys() - {field.name for field in fields(Tolerance)}
+    if unknown:
+        raise ValueError(f"a tolerance has no {', '.join(sorted(unknown))}")
+    return Tolerance(**given)
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.partition("x")
+    return int(width), int(height)
 
 
 @dataclass(frozen=True, slots=True)
