@@ -2,7 +2,7 @@
 
 Every key is one setting of `mapperd.config.tree` under its own name (`adaptive.*` carries its
 section: `adaptive_threshold`), so that ranges and defaults stand in one place. Keys of functions
-that do not exist yet are taken only when they say "off": no setting is ever read and then ignored.
+that do not exist yet are accepted only with the value "off": no setting is silently ignored.
 """
 
 import difflib
@@ -61,14 +61,14 @@ _ONLY = {
     "use_cpp_backend": (True, "the core is in C++"),
     "use_outofcore": (False, "maps on disk are not there yet"),
 }
-"""The one value that says what happens anyway, and why there is no other."""
+"""The only accepted value, which describes the behaviour, and why there is no other."""
 
 _RESTING = {
     "outofcore_map_path": "use_outofcore",
     "outofcore_tile_size": "use_outofcore",
     "outofcore_cache_size": "use_outofcore",
 }
-"""Details of a function, taken where the same dictionary says that the function is off."""
+"""Details of a function, accepted if the same dictionary turns the function off."""
 
 
 def config_from_flat(flat: Mapping[str, Any]) -> Config:
@@ -122,7 +122,7 @@ def _vector(key: str, value: object) -> list[float]:
 
 
 def _check_fixed(key: str, value: object, flat: Mapping[str, Any]) -> None:
-    """Take a key that changes nothing only if it says so."""
+    """Accept a key without effect only with its neutral value."""
     switch = _RESTING.get(key)
     if switch is not None and flat.get(switch) is False:
         return

@@ -1,7 +1,7 @@
 """`OctreeMapper`: occupancy by points and rays, with a probability for hit and for miss.
 
 The names and defaults are the published mapper's. The map beneath is the one of `SonarMap`; where
-their class had defects this one deliberately differs, and says so.
+their class had defects this one deliberately differs; the docstrings state where.
 """
 
 from os import PathLike
@@ -30,8 +30,8 @@ class OctreeMapper:
 
     Args:
         resolution: edge of a voxel, metres.
-        prob_hit: what an occupied observation says, 0.5 or more.
-        prob_miss: what a free observation says, 0.5 or less.
+        prob_hit: probability of an occupied observation, 0.5 or more.
+        prob_miss: probability of a free observation, 0.5 or less.
         prob_thres_min: hits and misses do not move a voxel below this probability,
         prob_thres_max: nor above this one.
 
@@ -142,7 +142,7 @@ class OctreeMapper:
         return memory_stats(self._map)
 
     def get_num_nodes(self) -> int:
-        """Observed voxels and the blocks that hold them; counted anew by each call."""
+        """Observed voxels and the blocks that hold them; counted by each call."""
         return memory_stats(self._map).num_nodes
 
     def get_resolution(self) -> float:
@@ -150,7 +150,7 @@ class OctreeMapper:
         return self._map.resolution_m
 
     def set_probability_params(self, prob_hit: float, prob_miss: float) -> None:
-        """Set what hits and misses say from now on.
+        """Set the probabilities of hits and misses.
 
         Raises:
             ValueError: not 0 < prob_miss <= 0.5 <= prob_hit < 1.

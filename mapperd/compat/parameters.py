@@ -42,7 +42,7 @@ class ParameterDef:
 
     Attributes:
         name: such as `iwlo.sharpness`.
-        default: what it is where nobody says anything.
+        default: default value.
         description: what it does.
         read_only: it cannot change at run time.
         handler: method of the mapper that takes a new value; "" for read-only ones.
@@ -117,7 +117,7 @@ class ParameterNode:
 
         Raises:
             ConfigError: there is no such setting, it may not change while running though the
-                definition says so, or it is declared already.
+                definition forbids it, or it is already declared.
         """
         name = definition.name
         setting = parameters().get(name)
@@ -155,7 +155,7 @@ class ParameterNode:
         return SetParametersResult(not reasons, reason)
 
     def add_on_set_parameters_callback(self, callback: Callback) -> None:
-        """Have a callback told of every change of what is declared by now."""
+        """Call a callback with every change of the declared parameters."""
         names = [name for name, one in self._declared.items() if not one.read_only]
         last = {name: self.get_parameter(name) for name in names}
 

@@ -176,7 +176,7 @@ class ProbabilityUpdater:
         return voxels_above(self._map, min_probability)
 
     def get_observation_count(self, key: Sequence[int]) -> int:
-        """Observations of the voxel with index (ix, iy, iz); 0 when there are none.
+        """Observations of the voxel with index (ix, iy, iz); 0 if it was never observed.
 
         It saturates, without loss, where the learning rate no longer changes. The published
         mapper's key was the text "ix_iy_iz".
@@ -205,7 +205,7 @@ class ProbabilityUpdater:
         return memory_stats(self._map)
 
     def get_num_nodes(self) -> int:
-        """Observed voxels and the blocks that hold them; counted anew by each call."""
+        """Observed voxels and the blocks that hold them; counted by each call."""
         return memory_stats(self._map).num_nodes
 
     def get_resolution(self) -> float:

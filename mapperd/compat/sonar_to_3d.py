@@ -144,8 +144,8 @@ class SonarTo3DMapper:
                 in sine over `horizontal_fov`.
 
         Raises:
-            MapError: the image, pose, range or bearings are none, or leave the map's reach; its
-                `reason` says which. The map is as it was.
+            MapError: the image, pose, range or bearings are invalid or outside the map; its
+                `reason` states which. The map is unchanged.
         """
         start = self._clock()
         self._frames += 1

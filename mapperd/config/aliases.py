@@ -1,6 +1,6 @@
 """Other names of settings, former settings, and `amcl.restore_defaults`.
 
-A setting has one name. What a file or a caller says under another one (of other releases of the
+A setting has one name. What a file or a caller sets under another one (of other releases of the
 published AMCL node, and of Nav2's) is renamed before it is checked. Settings that were removed or
 have no effect are ignored, and renamed values replaced, in files and in the settings of old
 recordings and stores.
@@ -89,13 +89,13 @@ def change_renamed(changes: Mapping[str, Any]) -> dict[str, Any]:
         changes: by name or other name, `amcl.kld_err`.
 
     Raises:
-        ConfigError: a setting is said under two names.
+        ConfigError: a setting is given under two names.
     """
     renamed: dict[str, Any] = {}
     for given, value in changes.items():
         name = ALIASES.get(given, given)
         if name in renamed:
-            raise ConfigError(f"$.{given}: is {name}, which is said as well", f"$.{given}")
+            raise ConfigError(f"$.{given}: is an alias of {name}, which is also set", f"$.{given}")
         renamed[name] = _value(name, value)
     return renamed
 
@@ -104,7 +104,7 @@ def tree_renamed(tree: Mapping[str, Any]) -> dict[str, Any]:
     """A file's sections and values by the settings' own names; what is no section stays.
 
     Raises:
-        ConfigError: a setting is said under two names.
+        ConfigError: a setting is given under two names.
     """
     section = tree.get("amcl")
     if not isinstance(section, dict):
@@ -112,7 +112,7 @@ def tree_renamed(tree: Mapping[str, Any]) -> dict[str, Any]:
     flat: dict[Any, Any] = {}
     for field, value in section.items():
         inner = value if field == "initial_pose" and isinstance(value, dict) else None
-        # Only what has a name of its own leaves its place: the rest is told as it stands.
+        # Only aliases move; the rest stays in place, for messages.
         known = {k: v for k, v in (inner or {}).items() if f"amcl.initial_pose.{k}" in ALIASES}
         if inner is None or len(known) < len(inner):
             flat[field] = value

@@ -96,7 +96,7 @@ class AmclConfig(Struct, frozen=True, forbid_unknown_fields=True):
     always_reset_initial_pose: Annotated[
         bool,
         rule(
-            "A new map begins at the initial pose again, where set_initial_pose says so; "
+            "A new map begins at the initial pose again, if set_initial_pose is true; "
             "otherwise at the last estimate.",
             live=True,
         ),

@@ -32,7 +32,7 @@ class Parameter:
     Attributes:
         name: its place in the tree, `octree.voxel_resolution`; fields of the sections of a list
             have `[]` behind the list's name.
-        default: as plain values; `msgspec.UNSET` where it must be said.
+        default: as plain values; `msgspec.UNSET` if it is required.
         unit: or the scale, or nothing.
         allowed: the values that it takes, for people.
         description: one sentence or two.

@@ -44,7 +44,7 @@ def facts_of(
 
     Args:
         config: the settings.
-        origin_of: who said a setting.
+        origin_of: returns where a value comes from.
         names: settings or sections; none is all.
     """
     return {

@@ -150,7 +150,7 @@ class StreamConfig(Struct, frozen=True, forbid_unknown_fields=True):
         float, rule("Looks for changes of the map a second.", "Hz", live=True, gt=0, le=20)
     ] = 5.0
     log_odds_step: Annotated[
-        float, rule("Log-odds are told in multiples of this.", "log-odds", ge=0.01, le=5)
+        float, rule("Log-odds are sent in multiples of this value.", "log-odds", ge=0.01, le=5)
     ] = 0.25
     bytes_per_s: Annotated[
         int, rule("To one client at most; 0 has no limit.", "bytes/s", ge=0, le=1 << 40)
@@ -158,7 +158,7 @@ class StreamConfig(Struct, frozen=True, forbid_unknown_fields=True):
     path_points: Annotated[
         int,
         rule(
-            "Of the vehicle's path; a longer one is told with every second of them.",
+            "Maximum number of points of the vehicle's path; a longer path is thinned by two.",
             "points",
             ge=100,
             le=100_000,
@@ -243,7 +243,7 @@ INSTEAD = {
     "odometry": ("/fast_lio/odometry", "set odometry.sources"),
     "pointcloud": ("/sonar_3d_map", NO_NODE),
 }
-"""Topic to its default, and what to do instead of saying another."""
+"""Topics with their default, and what to use instead of another value."""
 
 
 class FramesConfig(Struct, frozen=True, forbid_unknown_fields=True):

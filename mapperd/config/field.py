@@ -1,4 +1,4 @@
-"""How a setting says what it is."""
+"""Metadata of settings: description, unit, limits."""
 
 from typing import Any
 
@@ -8,6 +8,6 @@ __all__ = ["rule"]
 
 
 def rule(description: str, unit: str = "", *, live: bool = False, **limits: float | str) -> Meta:
-    """Say what a field means, its unit, its limits, and whether it may change at run time."""
+    """Annotate a field with its description, unit, limits, and whether it may change live."""
     known: dict[str, Any] = {**limits, "extra": {"unit": unit, "dynamic": live}}
     return Meta(description=description, **known)

@@ -105,9 +105,9 @@ class TerrainDetectionConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RobotDetectionConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """Other robots, told from terrain by their brightness."""
+    """Detection of other robots by their brightness."""
 
-    enabled: Annotated[bool, rule("Tell robots and terrain apart.", live=True)] = False
+    enabled: Annotated[bool, rule("Detect other robots.", live=True)] = False
     min_threshold: Annotated[
         float,
         rule(

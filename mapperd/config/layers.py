@@ -1,4 +1,4 @@
-"""Settings files on top of each other, and which of them said what."""
+"""Layers of settings files, and which file each value comes from."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -36,7 +36,7 @@ class Layered:
     notice: str = ""
 
     def origin_of(self, name: str) -> str:
-        """The file that says a setting, or `DEFAULT`."""
+        """The file that sets a value, or `DEFAULT`."""
         return self.origins.get(name, DEFAULT)
 
 
@@ -80,8 +80,8 @@ def load_files(files: Sequence[Path]) -> Layered:
     """Read files on top of each other; each setting is the one of the last file that names it.
 
     Raises:
-        ConfigError: a file cannot be read, or something in it is wrong, even if a later file says
-            it anew; or all together break a rule about several settings.
+        ConfigError: a file cannot be read, or something in it is wrong, even if a later file
+            overrides it; or the files together violate a rule about several settings.
     """
     merged: dict[str, Any] = {}
     origins: dict[str, str] = {}
@@ -115,10 +115,10 @@ def _put(tree: dict[str, Any], name: str, value: object) -> None:
 
 
 def _named(error: ConfigError, origins: Mapping[str, str]) -> str:
-    """The message about several settings, with the files that had a say in them."""
+    """The message about several settings, with the files that set them."""
     section = error.path.removeprefix("$").removeprefix(".")
-    said = [file for name, file in origins.items() if name.startswith(section)]
-    files = " with ".join(dict.fromkeys(said)) or "settings"
+    involved = [file for name, file in origins.items() if name.startswith(section)]
+    files = " with ".join(dict.fromkeys(involved)) or "settings"
     return f"{files}: {str(error).removeprefix('settings: ')}"
 
 
@@ -146,5 +146,5 @@ def _files_of(folder: Path | None) -> list[Path]:
     except (FileNotFoundError, NotADirectoryError):
         return fragments
     except OSError:
-        pass  # it is there, and reading it says what is wrong
+        pass  # it exists; reading it reports the error
     return [first, *fragments]

@@ -55,7 +55,7 @@ def parse_address(text: str) -> LinkAddress:
     """Read the text of a link.
 
     Raises:
-        ValueError: it is none; the message says what is allowed.
+        ValueError: it is invalid; the message states what is allowed.
     """
     scheme, _, rest = text.partition(":")
     if scheme == "serial":
@@ -75,7 +75,7 @@ def parse_address(text: str) -> LinkAddress:
 
 
 def serial_path(device: str) -> Path:
-    """The path of a serial line; a name of udev's is looked up anew, as it moves when replugged.
+    """Return the path of a serial line; udev names are resolved, as they change when replugged.
 
     Raises:
         FileNotFoundError: nothing of that name is plugged in.

@@ -61,7 +61,7 @@ class Refused:
 
 @dataclass(frozen=True, slots=True)
 class Reloaded:
-    """What became of settings that were read anew.
+    """Result of reloading the settings.
 
     Attributes:
         result: of those that may change while running.
@@ -102,7 +102,7 @@ class ConfigStore:
         return self._current
 
     def origin_of(self, name: str) -> str:
-        """Who said a setting last: a file, a command's name, or the defaults."""
+        """Where a value comes from: a file, a command, or the defaults."""
         return self._origins.get(name, DEFAULT)
 
     def follow(
@@ -111,13 +111,13 @@ class ConfigStore:
         take: Callable[[Config], None],
         check: Callable[[Config], None] = lambda _: None,
     ) -> None:
-        """Tell someone about changes. A setting that nobody follows cannot change.
+        """Follow changes. A setting without a follower cannot change.
 
         Args:
             names: settings or sections.
-            take: is given the new settings. If it raises `ConfigError`, everybody who was told is
-                given the old ones again, it included, and the change is refused.
-            check: is asked first; raises `ConfigError` for settings that `take` could not take.
+            take: called with the new settings. If it raises `ConfigError`, the change is refused
+                and every follower called so far, this one included, gets the old settings again.
+            check: called first; raises `ConfigError` for settings that `take` would refuse.
         """
         self._followers.append(_Follower(tuple(names), check, take))
 
@@ -165,9 +165,9 @@ class ConfigStore:
             return Applied(origin, tuple(changed))
 
     def reload(self, layered: Layered, origin: str) -> Reloaded:
-        """Take settings read anew: what the files say holds, whatever was changed since.
+        """Apply reloaded settings: the files override earlier changes.
 
-        What needs a restart is told and left; the rest is applied, all or none.
+        Changes that need a restart are reported and not applied; the rest is applied, all or none.
 
         Args:
             layered: the files' settings.
@@ -221,19 +221,19 @@ class ConfigStore:
         return with_values(self._current, {change.name: change.after for change in changed})
 
     def _commit(self, config: Config, names: list[str]) -> None:
-        """Ask, then tell, all that follow; undone where one of them cannot."""
+        """Check with all followers, then apply to all; undo if one fails."""
         followers = [one for one in self._followers if any(map(one.follows, names))]
         for follower in followers:
             follower.check(config)
         old, self._current = self._current, config
-        told: list[_Follower] = []
+        applied: list[_Follower] = []
         try:
             for follower in followers:
-                told.append(follower)
+                applied.append(follower)
                 follower.take(config)
         except BaseException:
             self._current = old
-            for follower in reversed(told):
+            for follower in reversed(applied):
                 follower.take(old)
             raise
 

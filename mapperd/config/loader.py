@@ -90,7 +90,7 @@ def parse_yaml(text: str) -> object:
     """Parse one YAML document into plain dicts, lists and scalars.
 
     Raises:
-        YamlProblem: one line that says where and what.
+        YamlProblem: one line with place and reason.
     """
     try:
         return yaml.load(text, _Loader)  # noqa: S506 a subclass of the safe loader
@@ -137,13 +137,13 @@ def config_from_text(text: str, name: str = "config") -> Config:
 
 
 def read_tree(path: Path) -> dict[str, Any]:
-    """Read what a YAML file says, and nothing else: sections, and in them values.
+    """Read the sections and values of a YAML file, without defaults.
 
     Settings of earlier versions are in it as they stand: see `tree_updated`.
 
     Raises:
         ConfigError: as `load_config`, but for rules about several settings, as long as others may
-            be said elsewhere.
+            be set elsewhere.
     """
     try:
         if path.exists() and not path.is_file():  # a pipe would keep us waiting
@@ -168,7 +168,7 @@ def check_value(value: object, path: str, name: str) -> None:
     Args:
         value: plain.
         path: `$.octree.voxel_resolution`.
-        name: who says so, for messages.
+        name: name of the source, for messages.
 
     Raises:
         ConfigError: it is not allowed.
@@ -200,7 +200,7 @@ def _tree_of(text: str, name: str) -> dict[str, Any]:
 
 
 def config_of(tree: dict[str, Any], name: str) -> Config:
-    """Settings from sections and values, all that is not said at its default.
+    """Build settings from sections and values; missing ones get their default.
 
     Args:
         tree: as of `read_tree`, or the settings in a recording or a store; those of earlier

@@ -86,7 +86,7 @@ class ScanExtractionConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """Where the vehicle is on a known map; `amcl` says how its filter works."""
+    """Localization on a known map; `amcl` configures the filter."""
 
     mode: Annotated[
         Literal["off", "track", "global"],
@@ -123,7 +123,7 @@ class LocalizationConfig(Struct, frozen=True, forbid_unknown_fields=True):
     mapping: Annotated[
         Literal["odometry", "corrected", "off"],
         rule(
-            "Where pings are mapped: where the odometry says; where localization says, and only "
+            "Pose of mapped pings: from odometry; from localization, and only "
             "while it is sure; or not at all."
         ),
     ] = "odometry"

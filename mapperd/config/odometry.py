@@ -61,7 +61,7 @@ NOBODY = "none"
 Name = Annotated[
     str,
     rule(
-        "Name of a source; empty is the first one that says it, none leaves it out.",
+        "Name of a source; empty selects the first one that provides it, none disables it.",
         "a name, none, or nothing",
         pattern=f"^({NAME_PATTERN})?$",
     ),
@@ -107,7 +107,7 @@ class TimeSyncConfig(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SlamQualityConfig(Struct, frozen=True, forbid_unknown_fields=True):
-    """Pings are mapped only while the source is confident, where it says how much it is."""
+    """Pings are mapped only while the source is confident, if it reports its confidence."""
 
     threshold: Annotated[float, rule("Least confidence.", "0-1", live=True, ge=0, le=1)] = 0.4
     fail_mode: Annotated[
@@ -224,7 +224,7 @@ class OdometrySourceConfig(FormatSettings, frozen=True, forbid_unknown_fields=Tr
         """Check what no single field can.
 
         Raises:
-            ValueError: the link is none, or cannot carry the format.
+            ValueError: the link is invalid, or cannot carry the format.
         """
         if self.format == "native" and parse_address(self.link).kind != "udp":
             raise ValueError(
@@ -253,7 +253,7 @@ class OdometryFusionConfig(Struct, frozen=True, forbid_unknown_fields=True):
         Literal["continue", "follow"],
         rule(
             "When an estimate jumps: continue maps on where the vehicle was, as it did not jump; "
-            "follow goes where the source says. Either way a new segment begins.",
+            "follow uses the source's new position. Either way a new segment begins.",
             live=True,
         ),
     ] = "continue"

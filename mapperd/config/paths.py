@@ -56,10 +56,10 @@ def read_secret(
     """Read a secret: the first line of a file.
 
     Args:
-        setting: name of the setting that says the path, for messages.
+        setting: name of the setting with the path, for messages.
         path: the file; "" takes systemd's credential where there is one.
         credential: its name among systemd's.
-        environment: says where systemd has put credentials.
+        environment: gives the systemd credentials directory.
 
     Returns:
         None where neither is there.

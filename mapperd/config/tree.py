@@ -1,7 +1,7 @@
 """All settings: one immutable tree.
 
 Names and defaults are those of the published sonar mapper that this project grew from; a default
-that differs says why.
+that differs states why.
 Every field carries one sentence, its unit, its range, and whether it may change while the
 program runs. A parameter stands here only if it does something. Reading YAML is the business
 of `mapperd.config.loader`.
@@ -339,7 +339,7 @@ class DeviceConfig(Struct, frozen=True, forbid_unknown_fields=True):
         float,
         rule(
             "Least time from the last echo to the first byte's arrival, which nothing in the "
-            "stream tells; pings are placed that much earlier.",
+            "stream contains; ping times are corrected by this latency.",
             "s",
             ge=0,
             le=1,

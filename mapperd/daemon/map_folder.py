@@ -59,7 +59,7 @@ def checked_name(name: str) -> str:
     suffix = Path(name).suffix
     if suffix not in FORMATS:
         raise OperationError(
-            f"{name}: no format has such a name; allowed: {' '.join(FORMATS)}", "bad_format"
+            f"{name}: unknown format; allowed suffixes: {' '.join(FORMATS)}", "bad_format"
         )
     return name
 

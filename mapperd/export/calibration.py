@@ -1,4 +1,4 @@
-"""Probabilities that are said as often as they are true: a table of log-odds, for exports.
+"""Calibration of probabilities for exports: a table of log-odds.
 
 The rule of update is no Bayesian's: pings are not independent, and an echo may be anywhere in the
 vertical aperture, so that a voxel's probability is a rank more than a share. A calibration turns it
@@ -41,7 +41,7 @@ class Calibration:
         calibrated: (N,) log-odds that stand for them, not falling.
 
     Raises:
-        ValueError: it is no such curve; the text says why.
+        ValueError: the curve is invalid; the text states why.
     """
 
     log_odds: NDArray[np.float64]
@@ -82,7 +82,7 @@ def load_calibration(path: Path) -> Calibration:
     """Read a calibration: YAML with the lists `log_odds` and `calibrated`.
 
     Raises:
-        ConfigError: it cannot be read, or is none; one line.
+        ConfigError: it cannot be read, or is invalid; one line.
     """
     try:
         with path.open("rb") as file:
@@ -90,8 +90,8 @@ def load_calibration(path: Path) -> Calibration:
         if len(data) > MAX_FILE_BYTES:
             raise ConfigError(f"{path}: larger than {MAX_FILE_BYTES // 1024} KiB, no calibration")
         tree: Any = parse_yaml(data.decode())
-        said = msgspec.convert(tree, _File)
-        return Calibration(np.array(said.log_odds), np.array(said.calibrated))
+        curve = msgspec.convert(tree, _File)
+        return Calibration(np.array(curve.log_odds), np.array(curve.calibrated))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     except (YamlProblem, msgspec.ValidationError, ValueError) as error:

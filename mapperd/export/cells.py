@@ -173,7 +173,7 @@ class Tops:
 
     Attributes:
         window: which columns.
-        rows: (height, width) into `voxels`, -1 where there is none; row 0 is the south.
+        rows: (height, width) into `voxels`, -1 for empty cells; row 0 is the south.
         voxels: that they are of.
     """
 

@@ -16,7 +16,7 @@ from mapperd.geometry.geodesy import Origin, local_projection, utm_zone
 from mapperd.io import atomic_file
 from mapperd.mapping.sonar_map import SonarMap, Voxels
 
-__all__ = ["FORMATS", "SAY_PROBABILITY", "check_calibration", "crs_of", "write_map"]
+__all__ = ["FORMATS", "PROBABILITY_FORMATS", "check_calibration", "crs_of", "write_map"]
 
 ALL = Heights()
 
@@ -46,9 +46,8 @@ def write_map(
         sonar_map: in memory as a whole.
         path: its suffix is one of `FORMATS`.
         heights: what the flat formats, `.asc`, `.tif` and `.pgm`, look at.
-        origin: where the map's zero lies on Earth; None where nobody knows.
-        calibration: of the probabilities in the formats of `SAY_PROBABILITY`; None leaves them as
-            they are.
+        origin: geographic position of the map's origin; None if unknown.
+        calibration: calibration of probabilities in `PROBABILITY_FORMATS`, if any.
 
     Returns:
         the files: `.pgm` has a `.yaml` beside it.
@@ -60,7 +59,7 @@ def write_map(
     """
     write = FORMATS.get(path.suffix)
     if write is None:
-        raise ExportError(f"{path.name}: no format has such a name; known: {' '.join(FORMATS)}")
+        raise ExportError(f"{path.name}: unknown format; known suffixes: {' '.join(FORMATS)}")
     check_calibration(path, calibration)
     if sonar_map.core.is_in_tiles:
         raise MapError("the map is in tiles: read it from its file", "in_tiles")
@@ -75,20 +74,20 @@ def check_calibration(path: Path, calibration: Calibration | None) -> None:
     Raises:
         ExportError: it is one.
     """
-    if calibration is not None and path.suffix not in SAY_PROBABILITY:
+    if calibration is not None and path.suffix not in PROBABILITY_FORMATS:
         raise ExportError(
             f"{path.name}: {path.suffix} takes no calibration; those that do: "
-            f"{' '.join(SAY_PROBABILITY)}"
+            f"{' '.join(PROBABILITY_FORMATS)}"
         )
 
 
 def crs_of(path: Path, origin: Origin | None) -> str | None:
-    """The system of coordinates that a file says it has, for a person; None if it cannot say."""
+    """Coordinate reference system of a file as text; None for formats without one."""
     projection = _PROJECTIONS.get(path.suffix)
     if projection is None:
         return None
     if origin is None:
-        return "none: nobody said where on Earth the map is"
+        return "none: the geographic position of the map is unknown"
     found = projection(origin)
     return f"{found.name}, EPSG:{found.epsg}" if found.epsg else found.name
 
@@ -168,8 +167,8 @@ def _bytes(data: bytes, path: Path) -> list[Path]:
     return [path]
 
 
-SAY_PROBABILITY = (".ply", ".pcd", ".las", ".laz")
-"""Formats that say each voxel's probability, and are no map again when they are read."""
+PROBABILITY_FORMATS = (".ply", ".pcd", ".las", ".laz")
+"""Formats with a probability per voxel that are not read back as maps."""
 
 FORMATS: Mapping[str, Callable[[SonarMap, Path, _Asked], list[Path]]] = MappingProxyType(
     {

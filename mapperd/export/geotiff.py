@@ -65,7 +65,7 @@ class GridPlace:
 
 TOPS = (
     Band("height of the highest occupied voxel's centre", "m"),
-    Band("pings that told something about that voxel"),
+    Band("pings that observed that voxel"),
 )
 
 
@@ -149,7 +149,7 @@ def write_tiles(
 
 
 def _with_a_first(tiles: Iterator[Floats32 | None], empty: Floats32) -> Iterator[Floats32 | None]:
-    """The library tells from the first tile what the others are: that one is never None."""
+    """The library derives the tile type from the first tile, which is never None."""
     for first in tiles:
         yield empty if first is None else first
         yield from tiles

@@ -36,7 +36,7 @@ def write_las(file: BinaryIO, voxels: Voxels, origin: Origin | None, *, packed: 
     Args:
         file: where to.
         voxels: occupied ones.
-        origin: with it the coordinates are those of its UTM zone and the file says so; without,
+        origin: with it the coordinates are in its UTM zone and the file names it; without,
             the map's, and the file names no system. Heights are the map's z either way.
         packed: as LAZ.
 

@@ -63,11 +63,11 @@ COLOURS = "viridis"
 MARGIN = 0.03
 """Share of a side left empty around a map, so that no voxel sticks to the frame."""
 FLATTEST = 1 / 8
-"""A side view flatter than this is stretched upwards, and says so."""
+"""A flatter side view is stretched vertically, with a note."""
 
 
 def can_draw() -> bool:
-    """Whether matplotlib is there and works, which only an import can tell."""
+    """Return whether matplotlib can be imported."""
     try:
         import matplotlib.backends.backend_agg  # noqa: F401, PLC0415 an extra
     except Exception:  # noqa: BLE001 an installation can be broken in any way

@@ -202,7 +202,7 @@ GRID_TOPIC = "/map"
 """Where Nav2 looks for one."""
 
 VERSION: Literal[8] = 8
-"""Of the bag: releases of ROS from Humble on read it; 9 says services of quality as lists."""
+"""Version of the bag: readable from ROS 2 Humble on; version 9 stores QoS as lists."""
 
 
 class Bag:
@@ -241,7 +241,7 @@ class Bag:
         self._write(config.topics.odometry, stamp_ns, message)
 
     def transforms(self, stamp_ns: int, turned: Iterable[Turned], *, static: bool = False) -> None:
-        """Frames in other frames; static ones are told to whoever comes later, too."""
+        """Write transforms; static ones are latched."""
         message = self._messages.transforms(stamp_ns, turned)
         self._write("/tf_static" if static else "/tf", stamp_ns, message, keep=static)
 
@@ -306,7 +306,7 @@ def open_bag(path: Path, config: Config, storage: Storage) -> Iterator[Bag]:
 
 
 def _quality(*, keep: bool) -> Any:  # noqa: ANN401
-    """Reliable; what is kept is told to whoever comes later: maps and static transforms."""
+    """Reliable QoS; maps and static transforms are transient local."""
     from rosbags import interfaces as ros  # noqa: PLC0415
 
     endless = ros.QosTime(2147483647, 4294967295)

@@ -16,8 +16,8 @@ NEGATIVE_EIGENVALUE = 1e-9
 
 ELSEWHERE_M = 1.0
 AMBIGUOUS_SHARE = 0.1
-"""Particles of one mode are cut into clusters, so that their number alone says little; a tenth of
-the weight a metre off says that there is another mode."""
+"""Particles of one mode are cut into clusters, so that their number alone means little; a tenth of
+the weight a metre away indicates another mode."""
 
 
 def wrapped(angle_rad: float) -> float:
@@ -56,15 +56,15 @@ class PlanarGaussian:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Belief:
-    """Where the particles say that the vehicle is.
+    """Pose estimate of a particle cloud.
 
     Attributes:
-        best: of the heaviest cluster of at least two particles; of all where there is none.
-        overall: of all particles. A mean between two modes is where nobody is: see `elsewhere`.
+        best: Gaussian of the heaviest cluster of at least two particles, or of all particles.
+        overall: Gaussian of all particles. Its mean may lie between two modes: see `elsewhere`.
         masses: (clusters,) weight of each cluster, falling; their sum is 1.
         elsewhere: weight of the particles that the best cluster does not explain: farther from its
             mean than `ELSEWHERE_M` and than three of its standard deviations.
-        effective_size: how many equal particles would tell as much.
+        effective_size: effective sample size.
         fits: recent scans lie on the map where the particles are. Where they do not, the vehicle
             is elsewhere, even if no particle is.
     """

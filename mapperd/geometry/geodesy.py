@@ -29,7 +29,7 @@ class Origin:
 
     @classmethod
     def of_degrees(cls, latitude_deg: float, longitude_deg: float) -> "Origin":
-        """At a place that is said in degrees."""
+        """Create from a position in degrees."""
         return cls(math.radians(latitude_deg), math.radians(longitude_deg))
 
     def enu_m(self, latitude_rad: float, longitude_rad: float, height_m: float) -> Floats:
@@ -162,10 +162,10 @@ class TransverseMercator:
             "false_easting": self.east_m,
             "false_northing": self.north_m,
         }
-        told = ",".join(f'PARAMETER["{key}",{value!r}]' for key, value in parameters.items())
+        text = ",".join(f'PARAMETER["{key}",{value!r}]' for key, value in parameters.items())
         code = f',AUTHORITY["EPSG","{self.epsg}"]' if self.epsg else ""
         return (
-            f'PROJCS["{self.name}",{WGS84_WKT},PROJECTION["Transverse_Mercator"],{told},'
+            f'PROJCS["{self.name}",{WGS84_WKT},PROJECTION["Transverse_Mercator"],{text},'
             'UNIT["metre",1,AUTHORITY["EPSG","9001"]],AXIS["Easting",EAST],AXIS["Northing",NORTH]'
             f"{code}]"
         )

@@ -10,7 +10,7 @@ angle B, changes by the factor 1 / cos B at least. So a row is a stripe where it
   farther. Nearer, what may be a stripe is left.
 
 Everything else stays as it is, sample by sample: thin echoes because they do not span the fan,
-floors seen flat because they are curved in range or thicker. What cannot be told apart is a thin
+floors seen flat because they are curved in range or thicker. What cannot be distinguished is a thin
 arc around the sonar itself, such as the wall of a round tank with the sonar in its middle.
 """
 
@@ -34,7 +34,7 @@ RELATIVE_CONTRAST = 0.5
 """And by this part of what is behind it: speckle, averaged over a sector, does not."""
 
 MIN_BEND = 1e-6
-"""Of a fan so narrow that nothing can be told."""
+"""Below this width of the field of view stripes cannot be detected."""
 
 SHAPES = {"rect": cv2.MORPH_RECT, "ellipse": cv2.MORPH_ELLIPSE, "cross": cv2.MORPH_CROSS}
 

@@ -2,7 +2,7 @@
 
 Stripes are horizontal lines of the image, so all they are in its spectrum lies where the frequency
 over the beams is zero. So is everything else that a row has in common: a floor seen flat loses as
-much as a stripe does. `mapperd.imaging.crosstalk` tells them apart; this is for stripes that are
+much as a stripe does. `mapperd.imaging.crosstalk` distinguishes them; this is for stripes that are
 thicker than its kernel or do not span the fan.
 """
 

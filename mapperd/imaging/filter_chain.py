@@ -31,7 +31,7 @@ def check_filters(config: Config) -> None:
 
 
 def filter_ping_image(echo: PingImage, config: Config) -> tuple[PingImage, tuple[Robot, ...]]:
-    """Take stripes out of an echo, tell robots from terrain; the echo itself if all is off.
+    """Remove stripes from an image and separate robots from terrain.
 
     Args:
         echo: intensities and geometry.

@@ -1,4 +1,4 @@
-"""Other robots in an image, told from terrain by their brightness."""
+"""Detects other robots in an image by their brightness."""
 
 import cv2
 import numpy as np
@@ -72,7 +72,7 @@ def _groups(
 ) -> tuple[Ints, Ints, Ints, list[tuple[int, int]]]:
     """Rows and beams of the samples bright enough, the robot of each by label, and their sizes.
 
-    Label 0 is none: the group is too small. Sizes are by label, the largest first.
+    Label 0 marks groups that are too small. Sizes are by label, the largest first.
     """
     bright = (image >= settings.min_threshold) & (image > 0)  # silence weighs nothing
     count, labels, stats, _ = cv2.connectedComponentsWithStats(

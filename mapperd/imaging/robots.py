@@ -31,7 +31,7 @@ class Robot:
     peak: float
 
     def position_m(self, map_T_sonar: NDArray[np.float64]) -> Point:  # noqa: N803 frames are named
-        """Where it is in the map, if in the middle of the vertical aperture: no image tells."""
+        """Position in the map at zero elevation, which images do not resolve."""
         x_m = self.range_m * math.cos(self.bearing_rad)
         y_m = -self.range_m * math.sin(self.bearing_rad)
         x, y, z = (map_T_sonar @ (x_m, y_m, 0.0, 1.0))[:3]

@@ -16,7 +16,7 @@ __all__ = ["BurstWatch", "unexplained_share"]
 Floats = NDArray[np.float64]
 
 MIN_RETURNS = 16
-"""Of fewer returns no share is told."""
+"""Fewer returns give no share."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

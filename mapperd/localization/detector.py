@@ -3,8 +3,8 @@
 A sample is part of a return where it stands above the mean level of the water before it (in
 decibels, so that one bright sample does not hide the next), above the noise, and not too far below
 the strongest echo at its range, whose side lobe it would be. The test looks towards the sonar only:
-what lies behind the first surface is its shadow or another surface, and says nothing about the
-water before it. A return begins with the first run of such samples.
+what lies behind the first surface is its shadow or another surface, and contains no information
+about the water before it. A return begins with the first run of such samples.
 """
 
 import math
@@ -165,7 +165,7 @@ MIN_INTENSITY = 0.5
 
 DB_PER_DECADE = 20.0
 LINEAR = (0, 255)
-"""Bytes that say that no exponent was applied to an image."""
+"""Header bytes of images without a gamma exponent."""
 
 EVERY = 8
 """Noise is measured on every so many beams or rows."""

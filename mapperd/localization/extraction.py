@@ -112,7 +112,7 @@ def scan_of(
         watch: has seen the pings before; None takes the ping as it is.
 
     Returns:
-        The scan, perhaps without a return; or why there is none: `burst`.
+        The scan, possibly without returns, or a reject: `burst`.
     """
     settings, cell_m = config.localization.scan, echo.range_resolution_m
     limits = Limits(
@@ -169,7 +169,7 @@ UNNAMED = ("", "none")
 
 
 def burst_watch(config: Config) -> BurstWatch:
-    """What tells bursts from what the vehicle's motion changes."""
+    """Distinguishes bursts from changes by the vehicle's motion."""
     limits = config.odometry.limits
     return BurstWatch(limits.max_speed, math.radians(limits.max_turn_rate))
 
@@ -187,7 +187,7 @@ def scan_of_ping(
         watch: has seen the pings before.
 
     Returns:
-        The scan, or why there is none: `burst`, or as the map would refuse the ping.
+        The scan, or a reject: `burst`, or the reason for which the map would refuse the ping.
     """
     try:
         echo, _ = filter_ping_image(ping_image_of(ping, config.sonar), config)

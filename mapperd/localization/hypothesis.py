@@ -4,9 +4,9 @@ Particles that are sure of a wrong place never find the right one, and random on
 too few to be near it. So a cloud of its own is drawn anywhere on the map, from a scan, and both are
 weighed by the same scans. Their odds follow Bayes' rule: the rival begins at long odds, so a
 vehicle that is followed well is not thrown off, and where it becomes the likelier one the two
-change places. Odds fade: scans of a minute ago tell less of where the vehicle is now.
+change places. Odds fade: older scans contain less information about the present pose.
 
-Whether scans lie on the map where the particles are: told by the scans' fit alone.
+Whether scans fit the map at the particles is judged by the fit alone.
 
 A cloud that is at one wrong place is as sure of itself as one at the right place, so weights do not
 tell. Of returns at the right place most lie on a surface of the map: with a share h of them, the
@@ -72,8 +72,8 @@ class AlternativeHypothesis:
         """After a scan of so many independent beams, by both clouds' fit for a beam."""
         if not (fit > 0.0 and first_fit > 0.0):
             return self
-        told = votes * math.log(fit / first_fit)
-        odds = (1.0 - FADE) * self.log_odds + told
+        evidence = votes * math.log(fit / first_fit)
+        odds = (1.0 - FADE) * self.log_odds + evidence
         return replace(self, log_odds=min(max(odds, -50.0), 50.0))
 
     def changed(self, first: ParticleFilter) -> "AlternativeHypothesis":
@@ -94,7 +94,7 @@ def spread_m(estimate: Estimate) -> float:
 
 
 GAIN = 0.1
-"""Of a scan in the running mean: a few bad scans, as behind a hull, are none yet."""
+"""Weight of a scan in the running mean: a few bad scans, as behind a hull, do not count."""
 
 
 def hit_share(fit: float, model: HitModel, max_distance_m: float) -> float:

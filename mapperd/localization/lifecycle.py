@@ -5,7 +5,7 @@ the published node's:
 
 - A new map begins at a waiting initial pose; else at the last estimate, or with
   `always_reset_initial_pose` and `set_initial_pose` at the parameters' pose; else, where nothing is
-  known yet, at the parameters' pose if `set_initial_pose` says so.
+  known yet, at the configured pose if `set_initial_pose` is true.
 - `first_map_only` ignores maps once a filter is there.
 - A pose in another frame is refused. Without a map it waits, the newest of several.
 - The transform is published from the first pose, or request for global localization, on; a start
@@ -47,7 +47,7 @@ class Start:
 
     @property
     def is_start(self) -> bool:
-        """Whether particles are drawn anew."""
+        """Whether to draw new particles."""
         return self.anywhere or self.at is not None
 
 
@@ -59,7 +59,7 @@ class Lifecycle:
         mode: `localization.mode`.
         map: the map in use.
         running: the filter has particles.
-        publishing: the transform is published, if `tf_broadcast` says so as well.
+        publishing: the transform is published, if `tf_broadcast` is true.
         waiting: an initial pose that waits for a map.
         last: the last estimate, also one of before a restart.
     """

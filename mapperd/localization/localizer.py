@@ -28,10 +28,10 @@ class PoseFilter(Protocol):
         """Use another map from now on; the particles are as they were."""
 
     def start_at(self, pose: PlanarGaussian) -> None:
-        """Draw all particles anew around a pose; averages and counters begin anew."""
+        """Draw new particles around a pose; averages and counters restart."""
 
     def start_anywhere(self) -> None:
-        """Draw all particles anew on the map's free cells."""
+        """Draw new particles on the map's free cells."""
 
     def update(
         self, before: PlanarPose, now: PlanarPose, scan: Scan, base_height_m: float
@@ -88,7 +88,7 @@ class LocalizerState:
 
 
 class Localizer:
-    """Asks the rules, and has the filter do what they say. One thread at a time.
+    """Applies the update rules to the filter. Not thread-safe.
 
     Args:
         particles: the filter.

@@ -42,7 +42,7 @@ class FilterState:
         cloud: the particles.
         stamp_ns: of the last scan; None before the first.
         watch: how well scans lie on the map.
-        rival: cloud, odds and way of the rival; None where there is none.
+        rival: cloud, odds and way of the rival; or None.
         rivals: how many there have been.
         blind: particles are anywhere, and no scan was searched by yet.
         alone_m: way since the last rival.
@@ -96,7 +96,7 @@ class MapFilter:
             particles.set_threads(threads_of(config))
         self._config, self._map = config, weighing
         if weighing is not None and not weighing.is_product:
-            # Nothing is told of hits then, for or against: no verdict of before may stay.
+            # Without evidence about hits an earlier verdict must not stay.
             self.watch, self.rival = FitWatch(), None
 
     def take_map(self, known: LocalizationMap) -> None:

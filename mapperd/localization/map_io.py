@@ -6,7 +6,7 @@ or pixel / 255 with `negate`. Row 0 of the image is the far end of y.
 - trinary: occupied where darkness is above `occupied_thresh`, free below `free_thresh`, else
   unknown;
 - scale: the same two, and percent between them; without an alpha channel nothing is unknown;
-- raw: the pixel is the cell, above 100 unknown; `negate` and the thresholds say nothing.
+- raw: the pixel is the cell, above 100 unknown; `negate` and the thresholds are ignored.
 """
 
 import math
@@ -92,7 +92,7 @@ Share = Annotated[float, Meta(ge=0, le=1)]
 
 
 class _Description(Struct, frozen=True, forbid_unknown_fields=True):
-    """What the .yaml says."""
+    """Contents of the .yaml."""
 
     image: Annotated[str, Meta(min_length=1, max_length=1000)]
     resolution: Annotated[float, Meta(gt=0, le=1000)]
@@ -114,10 +114,10 @@ def read_nav2_map(path: Path) -> GridMap:
     """Read a map.
 
     Args:
-        path: of the .yaml; its image lies where it says, from the .yaml's folder.
+        path: of the .yaml; the image path in it is relative to its folder.
 
     Raises:
-        MapError: a file cannot be read, or is no such map; the text says which and why
+        MapError: a file cannot be read, or is not such a map; the text states which and why
             (`bad_map_file`).
     """
     about = _described(_read(path, MAX_YAML_BYTES), str(path))
@@ -127,7 +127,7 @@ def read_nav2_map(path: Path) -> GridMap:
 
 
 def image_of(path: Path) -> str:
-    """What a .yaml says of where its image lies; nothing there is opened.
+    """Return the image path in a .yaml without opening the image.
 
     Raises:
         MapError: it cannot be read, or is no such map (`bad_map_file`).

@@ -153,7 +153,7 @@ def volume_map(
         max_distance_m: where distances end, `amcl.laser_likelihood_max_dist`.
 
     Raises:
-        MapError: corners or a band that are none (`bad_slice`).
+        MapError: invalid corners or band (`bad_slice`).
         ValueError: a distance of over 255 voxels, or too large a box.
     """
     low, high = (np.array(corner, dtype=np.float64) for corner in (low_m, high_m))

@@ -52,7 +52,7 @@ def belief(
     bucket_xy_m: float = 0.2,
     bucket_yaw_rad: float = 0.524,
 ) -> Belief:
-    """What the particles say together; the buckets are those that clusters are made of."""
+    """Estimate of the particles; clusters are made of the given buckets."""
     found, masses, _ = particles.modes(bucket_xy_m, bucket_yaw_rad)
     best = gaussian_of(found)
     offset = particles.poses[:, :2] - (best.x_m, best.y_m)

@@ -48,7 +48,7 @@ class Trail:
         self._places: deque[tuple[float, float]] = deque(maxlen=most)
 
     def add(self, pose: PlanarGaussian) -> None:
-        """Note a place; one that has not moved is none."""
+        """Add a position, unless it has not moved."""
         place = (pose.x_m, pose.y_m)
         if not self._places or place != self._places[-1]:
             self._places.append(place)

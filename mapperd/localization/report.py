@@ -18,7 +18,7 @@ LOST_SHARE = 0.5
 def state_of(facts: LocalizationFacts) -> str:
     """In one word or two, for people and programs.
 
-    As `LocalizationFacts.state` says before there is a belief; then `localized`, `ambiguous`, or
+    As `LocalizationFacts.state` before there is a belief; then `localized`, `ambiguous`, or
     `lost`: more than half of the weight is elsewhere than the best cluster.
     """
     belief = facts.belief
@@ -52,7 +52,7 @@ def localization_summary(facts: LocalizationFacts | None, config: Config) -> dic
 def localization_report(
     facts: LocalizationFacts | None, config: Config, particles: int
 ) -> dict[str, Any]:
-    """All there is to say.
+    """Build the full report.
 
     Args:
         facts: None where localization is off.
@@ -92,12 +92,12 @@ def localization_report(
 
 def _of_belief(facts: LocalizationFacts) -> dict[str, Any]:
     belief: Belief | None = facts.belief
-    said: dict[str, Any] = {"particles": facts.particle_count}
+    report: dict[str, Any] = {"particles": facts.particle_count}
     if belief is None:
-        return said
+        return report
     best = belief.best
     std_x_m, std_y_m, std_yaw_rad = _deviations(best)
-    return said | {
+    return report | {
         "x_m": best.x_m,
         "y_m": best.y_m,
         "yaw_deg": math.degrees(best.yaw_rad),

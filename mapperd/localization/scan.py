@@ -1,4 +1,4 @@
-"""A scan: the surfaces that one ping, or a caller's ranges, tell of.
+"""A scan: the surfaces in one ping or in a caller's ranges.
 
 From how high a part of the water a return may come.
 
@@ -38,9 +38,9 @@ class Scan:
         points_m: (N, 3) float64, level frame.
         quality: (N,) float64, 0..1: how far the return stands out, less where it may be floor.
         beam: (N,) int64, the beams' columns in the ping.
-        misses_bearing_rad: (M,) float64 of the beams without a return. They say nothing: a smooth
-            surface reflects sound away.
-        max_range_m: farther away nothing was looked for.
+        misses_bearing_rad: (M,) float64 bearings of the beams without a return. They carry no
+            information: a smooth surface reflects sound away.
+        max_range_m: range limit of the search for returns.
         level_T_sonar: (4, 4) rigid transform, sonar x along the centre beam, y to port, z up.
     """
 

@@ -1,6 +1,6 @@
 """How a session's localization begins: its map is loaded, its saved pose is read.
 
-A session that is mapped again begins with what its recording says, not with what lies on the disk
+A replayed session begins with the state in its recording, not with what lies on the disk
 now: the saved pose stands in the recording, and of the map its fingerprint.
 """
 
@@ -113,7 +113,7 @@ def begun(config: Config, saved: PlanarGaussian | None = None) -> LocalizationSe
 
     Args:
         config: the settings.
-        saved: estimate of before a restart; None where there is none.
+        saved: estimate from before a restart, or None.
 
     Raises:
         ConfigError: the map cannot be used.
@@ -147,7 +147,7 @@ def begun_again(config: Config, session: Session) -> LocalizationSession | None:
 
 
 def poses_depend_on(localizing: LocalizationSession | None) -> LocalizationSession | None:
-    """It, if it says where pings are mapped; None where the map is the same without it."""
+    """Return `localizing` if it affects the map, otherwise None."""
     if localizing is None or localizing.maps.config.localization.mapping == "odometry":
         return None
     return localizing

@@ -2,7 +2,7 @@
 
 What comes out depends on the pings, their poses and the requests between them alone, so that a
 recording gives it again. A scan is made of every ping while a filter runs, not only where an update
-is due: bursts are told by the two pings before, and whoever looks on sees each scan.
+is due: bursts are detected with the two pings before, and viewers show each scan.
 """
 
 import math
@@ -41,7 +41,7 @@ __all__ = ["LocalizationStage", "OnboardState", "gaussian_of"]
 Floats = NDArray[np.float64]
 
 NO_ODOMETRY = ("bad_odometry", "odometry_jump")
-"""What a scan is passed over for says that its pose is none to map at."""
+"""Reasons to skip a scan that also make its pose unusable for mapping."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +79,7 @@ class LocalizationStage:
     Args:
         config: the settings; `localization.mode` is not off.
         known: the map to begin with; None waits for one.
-        saved: the estimate to go on from; None where there is none.
+        saved: estimate to continue from, or None.
         load: finds the map that a request names by path and fingerprint, in any thread.
 
     Raises:
@@ -120,7 +120,7 @@ class LocalizationStage:
     def take(self, config: Config) -> None:
         """Take other settings for the pings to come; those that the filter refuses change nothing.
 
-        Whoever changes settings has asked `check_localization` before.
+        Call `check_localization` before changing settings.
         """
         try:
             self._localizer.reconfigure(config)
@@ -134,7 +134,7 @@ class LocalizationStage:
 
         Args:
             ping: what the sonar heard.
-            pose: of the odometry at its time, or why there is none.
+            pose: odometry pose at its time, or a reject.
             t_ns: that time.
         """
         if isinstance(pose, Reject):
@@ -239,7 +239,7 @@ class LocalizationStage:
         return placed(pose, correction, last.belief.best)
 
     def _unsure(self) -> Reject | None:
-        """Why the belief is none to map by; None where it is one."""
+        """Reason why the belief cannot be used for mapping, or None."""
         if self._localizer.correction is None or self._updated is None:
             return Reject("not_localized", "the vehicle is not localized yet")
         belief = self._updated.belief

@@ -38,7 +38,7 @@ class Deviation:
 
     @property
     def is_too_large(self) -> bool:
-        """Strictly above; a number that is none is too large as well."""
+        """Strictly above; NaN counts as too large."""
         return not self.value <= self.warn_level
 
 
@@ -70,12 +70,12 @@ def diagnose(estimate: PlanarGaussian | None, amcl: AmclConfig) -> Diagnosis:
     large = [one for one in deviations if one.is_too_large]
     if not large:
         return Diagnosis("OK", deviations, "the estimate is within its levels")
-    told = ", ".join(f"{one.name} {one.value:.3g} above {one.warn_level:g}" for one in large)
-    return Diagnosis("WARN", deviations, told)
+    text = ", ".join(f"{one.name} {one.value:.3g} above {one.warn_level:g}" for one in large)
+    return Diagnosis("WARN", deviations, text)
 
 
 def weight_warning(amcl: AmclConfig) -> str | None:
-    """What is to be said of observation weights that do not sum to 1; None where they do.
+    """Describe observation weights that do not sum to 1; None if they do.
 
     Nothing makes them sum to 1: they are used as they are set.
     """
@@ -91,7 +91,7 @@ def weight_warning(amcl: AmclConfig) -> str | None:
 Floats = NDArray[np.float64]
 
 MAX_SAMPLE = 500
-"""Particles that are told."""
+"""Maximum number of particles in a report."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,7 +140,7 @@ class LocalizationFacts:
 def sample_of(particles: ParticleFilter, most: int = MAX_SAMPLE) -> Floats:
     """Particles (N, 4) that stand for all: all, or as many by weight; no draw of the filter's.
 
-    Of many, every particle stands in it as often as its weight says, in even steps through the sum
+    A larger cloud is resampled by weight, in even steps through the sum
     of the weights, so that equal clouds give equal samples.
     """
     poses, weights = particles.poses, particles.weights

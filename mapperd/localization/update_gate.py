@@ -94,8 +94,8 @@ class UpdateGate:
             stamp_ns: that time.
             amcl: `update_min_d`, `update_min_a`.
             max_interval_s: an update is due after so long in any case; 0 is never.
-            max_step_m: odometry that steps farther from the last update is at fault. The reference
-                is held; if odometry goes on from there it has jumped, and is the reference anew.
+            max_step_m: a larger step of odometry since the last update is a fault. The reference is
+                held; if odometry continues from there it has jumped and is the new reference.
 
         Returns:
             The gate after it, and the decision.

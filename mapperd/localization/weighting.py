@@ -64,7 +64,7 @@ def ends_on_cones(scan: Scan, elevation_rad: Floats, base_height_m: float) -> Fl
 
 
 SEARCH_BEAMS, SEARCH_ELEVATIONS = 30, 3
-"""Enough to tell where to look; all beams tell where it is."""
+"""Enough for a coarse search; all beams refine the pose."""
 
 MIN_BEAMS = 15
 """A scan of fewer is no scan to search by, unless the settings thin all scans to fewer."""
@@ -108,7 +108,7 @@ class MapWeighing:
         self.is_product = config.amcl.laser_model_type == "likelihood_field_prob"
 
     def with_settings(self, config: Config) -> "MapWeighing":
-        """The same map by other settings; fields are made anew only where those shape them."""
+        """The same map by other settings; fields are rebuilt only if the settings affect them."""
         same = _shaping(config) == _shaping(self._config)
         return MapWeighing(self._known, config, self._fields if same else None)
 
@@ -141,7 +141,7 @@ class MapWeighing:
         return particles.weigh_field(self._against, ends, *how)
 
     def hit_share(self, weighed: Weighed) -> float | None:
-        """Share of the beams that lie on the map; None where the model or the scan tells none."""
+        """Share of the beams that lie on the map; None if the model or the scan gives none."""
         if not (self.is_product and weighed.informative):
             return None
         amcl = self._config.amcl
@@ -155,7 +155,7 @@ class MapWeighing:
 
 
 def threads_of(config: Config) -> int:
-    """As many as the execution policy says."""
+    """Number of threads by the execution policy."""
     return (os.cpu_count() or 1) if config.amcl.execution_policy == "par" else 1
 
 

@@ -35,7 +35,7 @@ def fan_arguments(config: Config, motion: PingMotion | None) -> Fan:
     """What both integrators want to know beside the ping.
 
     Raises:
-        ValueError: the motion is none.
+        ValueError: the motion is invalid.
     """
     return {
         "vertical_aperture_rad": math.radians(config.sonar.vertical_aperture),
@@ -64,7 +64,7 @@ def check_size(echo: PingImage, config: Config) -> None:
 
 @contextmanager
 def refusals() -> Iterator[None]:
-    """Turn what the core says of a ping that it refuses into ours."""
+    """Convert the core's refusal of a ping into a `MapError`."""
     try:
         yield
     except (ValueError, IndexError, OverflowError) as error:

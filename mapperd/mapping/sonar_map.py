@@ -59,7 +59,7 @@ class Voxels:
     Attributes:
         centres_m: (N, 3) float64, map frame.
         probability: (N,) float32, of being occupied.
-        count: (N,) uint16, pings that told something about it (it saturates without loss).
+        count: (N,) uint16, number of pings that observed it (saturates).
     """
 
     centres_m: Floats
@@ -183,7 +183,7 @@ class SonarMap:
         """Where `integrate` may change anything: a box, first and last block, from geometry alone.
 
         Returns:
-            the box in blocks of `BLOCK_VOXELS` voxels an edge; None for a ping that says nothing.
+            the box in blocks of `BLOCK_VOXELS` voxels an edge; None for a ping without evidence.
 
         Raises:
             MapError: as `integrate`, for the same pings.
@@ -297,7 +297,7 @@ class SonarMap:
         thresholds further out would call uncertain.
 
         Raises:
-            MapError: not a whole tree of this map's resolution, or one too large; the text says
+            MapError: not a whole tree of this map's resolution, or one too large; the text states
                 what and at which byte. The map is as before.
         """
         self._check_whole()

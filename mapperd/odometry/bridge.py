@@ -63,8 +63,8 @@ class OdometryBridge:
         Args:
             link: name of a source, or of a recorded link.
             data: of a stream any piece, of datagrams exactly one.
-            arrival_ns: when they came, host clock; None where a recording does not say.
-            encoding: of a recorded link, which says its format where no source has its name.
+            arrival_ns: arrival, host clock; None if the recording has no time.
+            encoding: encoding of a recorded link; gives the format if no source has its name.
             gap_before: bytes before them are missing.
         """
         decoder = self._decoders.get(link)

@@ -1,6 +1,6 @@
 """The time of an odometry record on the host, and the best of several messages.
 
-One estimate of one sender told by several messages: the best of them is taken.
+If several messages of one sender carry the same quantity, the best one is used.
 
 An autopilot may send its attitude as angles and as a quaternion. Both in one series would only
 make it noisier, and out of order.
@@ -30,15 +30,15 @@ class OdometryClock:
     """Carries the stamps of one source over to the host's clock.
 
     Unix stamps are taken as they are while they agree with the arrivals; others are fitted. A
-    clock that was always behind by less than `max_age_ns` agrees: nobody can tell it from a slow
-    sender. One that is set back on the way is noticed.
+    clock that was always behind by less than `max_age_ns` agrees: it cannot be
+    distinguished from a slow sender. A clock that is set back is noticed.
 
     Args:
         max_age_ns: stamps further than this from their arrival are refused.
         latency_ns: least delay of the link, which no fit can see; it is taken off.
 
     Attributes:
-        max_age_ns: may be set anew.
+        max_age_ns: may change.
     """
 
     def __init__(self, max_age_ns: int, latency_ns: int = 0) -> None:
@@ -55,7 +55,7 @@ class OdometryClock:
 
         Args:
             odometry: the record.
-            arrival_ns: when it arrived; None where the recording does not say, which leaves
+            arrival_ns: arrival; None if the recording has no time, which leaves
                 only "unix" stamps of use.
         """
         if arrival_ns is None:
@@ -78,7 +78,7 @@ class OdometryClock:
         ):
             self._distrusted = True
             return Reject("clock_off", "the sender's clock was set back; it is fitted from now on")
-        # A clock that was never set: what it says of the time between records is still good.
+        # A clock that was never set still gives valid intervals between records.
         self._distrusted = self._distrusted or self._off >= DISTRUST_AFTER
         if stamp is None or off:
             return Reject("clock_off", "the stamp and the arrival are too far apart")
@@ -118,11 +118,11 @@ QUANTITIES = {
     "heading_rad": "attitude",
     "rate_radps": "attitude",
 }
-"""Of the fields that several messages tell."""
+"""Quantity of each field that several messages carry."""
 
 
 class Precedence:
-    """Remembers which message tells each quantity.
+    """Remembers which message provides each quantity.
 
     Args:
         order: messages, best first.
@@ -133,17 +133,17 @@ class Precedence:
         self._leaders: dict[str, tuple[int, int | None]] = {}
 
     def filtered(self, name: str, odometry: Odometry, arrival_ns: int | None) -> Odometry | None:
-        """The record without what a better message tells; None when nothing is left."""
-        told = {
+        """Remove what a better message provides; None when nothing is left."""
+        carried = {
             field: quantity
             for field, quantity in QUANTITIES.items()
             if getattr(odometry, field) is not None
         }
-        if name not in self._rank or not told:
+        if name not in self._rank or not carried:
             return odometry
         better = {
             quantity
-            for quantity in set(told.values())
+            for quantity in set(carried.values())
             if not self._leads(
                 quantity,
                 self._rank[name],
@@ -151,14 +151,14 @@ class Precedence:
                 None if quantity == "attitude" and odometry.map_q_base is None else arrival_ns,
             )
         }
-        without: dict[str, Any] = {field: None for field, q in told.items() if q in better}
+        without: dict[str, Any] = {field: None for field, q in carried.items() if q in better}
         if not without:
             return odometry
         rest = replace(odometry, **without)
-        return rest if len(without) < len(told) else None
+        return rest if len(without) < len(carried) else None
 
     def _leads(self, quantity: str, rank: int, arrival_ns: int | None) -> bool:
-        """Whether this message tells the quantity now; remembers it, if so."""
+        """Return whether this message provides the quantity now, and remember it."""
         leader, heard_ns = self._leaders.get(quantity, (rank, None))
         silent = (
             arrival_ns is not None and heard_ns is not None and arrival_ns - heard_ns > SILENCE_NS

@@ -48,7 +48,7 @@ class DecoderCounters:
         self.messages[_bounded(self.messages, name)] += 1
 
     def ignore(self, name: str) -> None:
-        """Count a whole frame that says nothing about where the vehicle is."""
+        """Count a valid frame without navigation data."""
         self.ignored[_bounded(self.ignored, name)] += 1
 
     def out(self, result: Odometry | Reject) -> Odometry | Reject:

@@ -22,7 +22,7 @@ def make_decoder(settings: FormatSettings, *, datagrams: bool = False) -> Decode
     """The decoder of one link.
 
     Args:
-        settings: which format, and what its bytes do not say.
+        settings: the format, and what its bytes do not contain.
         datagrams: the bytes come in whole datagrams, not as a stream.
 
     Raises:

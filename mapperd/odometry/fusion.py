@@ -139,7 +139,7 @@ class Fusion:
         Args:
             source: configured name of where it came from.
             odometry: the record.
-            arrival_ns: host time; None where the recording does not say.
+            arrival_ns: host time; None if the recording has none.
         """
         self.received[source] += 1
         reject = self._taken(source, odometry, arrival_ns)
@@ -210,7 +210,7 @@ class Fusion:
         if isinstance(t_ns, Reject):
             return t_ns
         reject = self._in.take(who, odometry, t_ns)
-        # Of the source that says where the vehicle is: another's doubts are about something else.
+        # Only of the source of the position: confidence of other sources is about other quantities.
         placer = self._in.position.owner or self._in.velocity.owner
         self._gate.heard(t_ns, odometry.confidence if who == placer else None)
         force, orientation = odometry.specific_force_mps2, odometry.map_q_base
@@ -336,7 +336,7 @@ class Fusion:
 
 
 def _speed_mps(odometry: Odometry) -> float | None:
-    """How fast the record says that the vehicle goes; None where it does not say."""
+    """Speed in the record, or None."""
     velocity = odometry.velocity_mps
     if velocity is None:
         velocity = odometry.velocity_map_mps

@@ -22,7 +22,7 @@ class ConfidenceGate:
         settings: threshold, times, and what a missing confidence means.
 
     Attributes:
-        settings: may be set anew.
+        settings: may change.
     """
 
     def __init__(self, settings: SlamQualityConfig) -> None:
@@ -34,7 +34,7 @@ class ConfidenceGate:
 
     @property
     def confidence(self) -> float | None:
-        """The newest one; None where none was ever said."""
+        """The newest confidence, or None before the first."""
         return None if self._last is None else self._last[1]
 
     def heard(self, t_ns: int, confidence: float | None) -> None:
@@ -51,7 +51,7 @@ class ConfidenceGate:
             grace_ns = round(settings.grace_period_sec * 1e9)
             if self._first_ns is None or t_ns - self._first_ns <= grace_ns:
                 return None
-            return self._missing("the odometry never said how sure it is")
+            return self._missing("the odometry never reported its confidence")
         age_s = (t_ns - self._last[0]) / 1e9
         if age_s > settings.stale_timeout_sec:
             return self._missing(f"the last confidence is {age_s:.1f} s old")
@@ -93,8 +93,8 @@ def bad_record(odometry: Odometry) -> Reject | None:
     scalars = [getattr(odometry, key) for key in NUMBERS]
     if (geo := odometry.geo) is not None:
         scalars += [geo.latitude_rad, geo.longitude_rad, geo.altitude_m]
-    said = [number for number in scalars if number is not None]
-    if bad := bad_numbers("the record", said, LARGEST):
+    given = [number for number in scalars if number is not None]
+    if bad := bad_numbers("the record", given, LARGEST):
         return bad
     if (turn := odometry.map_q_base) is None:
         return None

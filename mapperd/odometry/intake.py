@@ -32,7 +32,7 @@ class Intake:
 
     Args:
         settings: owners, limits, what a jump means.
-        max_gap_ns: velocities further apart than this do not tell the way between.
+        max_gap_ns: longest interval between velocities to integrate over.
 
     Attributes:
         position, attitude, depth, velocity: the tracks.
@@ -69,23 +69,23 @@ class Intake:
         if orientation is not None and self.attitude.owned_by(who, t_ns):
             taken = self._take_attitude(odometry, orientation, t_ns)
             results.append(self.attitude.counted(taken))
-        if _says_position(odometry) and self.position.owned_by(who, t_ns):
+        if _has_position(odometry) and self.position.owned_by(who, t_ns):
             taken = self._take_position(odometry, self._source_position(odometry), t_ns)
             results.append(self.position.counted(taken))
         if odometry.depth_m is not None and self.depth.owned_by(who, t_ns):
             results.append(self.depth.counted(self._take_depth(odometry.depth_m, t_ns)))
         # A report without a velocity may break the way of its owner, not make it one.
         mine = self.velocity.owner == who or _velocity(odometry)[0] is not None
-        if _says_velocity(odometry) and mine and self.velocity.owned_by(who, t_ns):
+        if _has_velocity(odometry) and mine and self.velocity.owned_by(who, t_ns):
             results.append(self.velocity.counted(self._take_velocity(who, odometry, t_ns)))
         self.reckoning.go_on(self._matrix_at, self._attitude_until_ns())
         if not results:
-            if not _says_anything(odometry):
+            if not _has_anything(odometry):
                 return Reject("no_pose", "no position, attitude, depth or velocity in it")
-            return Reject("other_source", f"{who[0]!r} ({who[1]!r}) owns nothing of what it says")
+            return Reject("other_source", f"{who[0]!r} ({who[1]!r}) owns none of its quantities")
         if None not in results:
             return results[0]
-        if _says_heading(odometry):
+        if _has_heading(odometry):
             self._north_of[who] = odometry.north_referenced
         return None
 
@@ -95,7 +95,7 @@ class Intake:
 
     def _mixed(self, who: Owner, odometry: Odometry) -> Reject | None:
         """A world of arbitrary heading and a compass do not make one pose."""
-        if not _says_heading(odometry):
+        if not _has_heading(odometry):
             return None
         owners = {track.owner for track in (self.position, self.attitude, self.velocity)}
         others = {
@@ -175,14 +175,14 @@ class Intake:
         if (problem := self._too_fast(odometry)) is not None:
             return problem
         velocity, in_map = _velocity(odometry)
-        anew = self.velocity.judge(t_ns, np.zeros(3), 0)
-        if isinstance(anew, Reject):
-            return anew
-        if anew:
-            self.reckoning.begin_anew()
+        restarted = self.velocity.judge(t_ns, np.zeros(3), 0)
+        if isinstance(restarted, Reject):
+            return restarted
+        if restarted:
+            self.reckoning.restart()
         if velocity is None:
             self.reckoning.add(t_ns, None, in_map=in_map)
-            return Reject("no_lock", "the source says that its velocity is not valid")
+            return Reject("no_lock", "the source marks its velocity as invalid")
         if in_map and who in (self.position.owner, self.attitude.owner):
             velocity = self._anchor.direction(velocity)  # of the world that jumped, no other's
         self.velocity.take(t_ns, velocity, jumped=False)
@@ -259,7 +259,7 @@ class Intake:
         return math.degrees(self._origin.latitude_rad), math.degrees(self._origin.longitude_rad)
 
     def _source_position(self, odometry: Odometry) -> Floats:
-        """A position that is said; the owner's first place on Earth is the map's origin."""
+        """Position of a record; the owner's first geographic position is the map's origin."""
         if (geo := odometry.geo) is None:
             return np.asarray(odometry.position_m)
         if self._origin is None:
@@ -308,22 +308,22 @@ def _orientation(odometry: Odometry) -> Floats | None:
     return odometry.map_q_base
 
 
-def _says_position(odometry: Odometry) -> bool:
+def _has_position(odometry: Odometry) -> bool:
     return odometry.valid and not (odometry.geo is None and odometry.position_m is None)
 
 
-def _says_heading(odometry: Odometry) -> bool:
+def _has_heading(odometry: Odometry) -> bool:
     """Whether it holds directions in a world: they mean something only beside the same north."""
-    said = (odometry.position_m, odometry.velocity_map_mps, _orientation(odometry))
-    return any(quantity is not None for quantity in said)
+    given = (odometry.position_m, odometry.velocity_map_mps, _orientation(odometry))
+    return any(quantity is not None for quantity in given)
 
 
-def _says_anything(odometry: Odometry) -> bool:
-    said = (odometry.position_m, odometry.geo, odometry.depth_m, _orientation(odometry))
-    return _says_velocity(odometry) or any(quantity is not None for quantity in said)
+def _has_anything(odometry: Odometry) -> bool:
+    given = (odometry.position_m, odometry.geo, odometry.depth_m, _orientation(odometry))
+    return _has_velocity(odometry) or any(quantity is not None for quantity in given)
 
 
-def _says_velocity(odometry: Odometry) -> bool:
+def _has_velocity(odometry: Odometry) -> bool:
     """Whether it is a report of a velocity, even of one that was not had."""
     return not odometry.valid or _velocity(odometry)[0] is not None
 
@@ -348,7 +348,7 @@ def _velocity_noise(odometry: Odometry) -> float | None:
 
 
 def _known(covariance: Floats | None, part: slice, own_std: float) -> Floats:
-    """A block (3, 3) of the source's covariance, or our own figure where it says nothing."""
+    """Block (3, 3) of the source's covariance, or the configured value without one."""
     if covariance is not None:
         block = covariance[part, part]
         variances = block.diagonal().tolist()

@@ -38,7 +38,7 @@ async def listen_to(address: LinkAddress, on_open: OnOpen, on_bytes: OnBytes) ->
         on_bytes: called with each datagram, or each piece of the stream.
 
     Raises:
-        OSError: it cannot be opened, or was lost; its text says why.
+        OSError: it cannot be opened, or was lost; the text states the reason.
         ConfigError: a library that it needs is not installed.
     """
     if address.kind == "udp":
@@ -137,7 +137,7 @@ def _opened(address: LinkAddress) -> "Serial":
 SECOND_NS = 1_000_000_000
 SILENT_NS = 5 * SECOND_NS
 RECONNECT_NS = 15 * SECOND_NS
-"""A connection that says nothing for so long may be dead without anybody having said so."""
+"""A connection that is silent for this time may be dead."""
 BACK_OFF_NS = tuple(round(s * SECOND_NS) for s in (0.5, 1.0, 2.0, 5.0))
 
 
@@ -182,7 +182,7 @@ class LinkState:
 
     Args:
         where: the link, for the reasons.
-        connects: whether silence may mean a dead connection, to be made anew.
+        connects: reconnect after silence, which may mean a dead connection.
     """
 
     def __init__(self, where: str, *, connects: bool) -> None:
@@ -204,7 +204,7 @@ class LinkState:
 
     @property
     def overdue_ns(self) -> int | None:
-        """When `tick` has something to say; None where only an event can change anything."""
+        """Next time for `tick`; None if only an event can change the state."""
         if self._phase in (LinkPhase.WAITING, LinkPhase.RECEIVING):
             return self._heard_ns + SILENT_NS
         if self._phase is LinkPhase.SILENT and self._connects:
@@ -279,7 +279,7 @@ class Link:
         address: where it is.
         take: gets what comes.
         clock: the host's, nanoseconds.
-        on_status: is told when it does something else.
+        on_status: called with each new state.
     """
 
     def __init__(
@@ -330,7 +330,7 @@ class Link:
         await asyncio.sleep((retry_ns - self._clock()) / SECOND_NS)
 
     async def _watch(self, reading: "asyncio.Future[NoReturn]") -> str:
-        """Wait until it is lost, which is raised, or so silent that it must be dead: says so."""
+        """Wait until the link is lost, which is raised, or too silent to be alive."""
         while not self._change(self._state.tick):
             due_ns = self._state.overdue_ns
             wait_s = LOOK_S if due_ns is None else max(due_ns - self._clock(), 0) / SECOND_NS
@@ -349,7 +349,7 @@ class Link:
         self._take(data, self._clock(), gap=gap)
 
     def _change(self, change: "Callable[[int], T]") -> "T":
-        """Change the state, and say so where it became another."""
+        """Change the state, and report a new one."""
         before = self._state.status.phase
         result = change(self._clock())
         status = self._state.status

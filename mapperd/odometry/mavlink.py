@@ -94,7 +94,7 @@ class MavlinkFrames:
             return None
 
     def _is_likely(self, place: int, end: int) -> bool:
-        """Whether this is a frame of another dialect: their checks cannot be told.
+        """Whether this is a frame of another dialect: their checksums are unknown.
 
         It stands between others, and no frame of ours begins within it.
         """
@@ -111,7 +111,7 @@ class MavlinkFrames:
 
 
 def _frame_size(buffer: bytearray, place: int) -> int | None:
-    """Bytes of the frame that begins at `place`, 0 where none can; None: too few to tell."""
+    """Length of the frame at `place`; 0 if none begins there, None with too few bytes."""
     if place >= len(buffer):
         return None
     if buffer[place] not in (V1, V2):
@@ -138,7 +138,7 @@ class BootClock:
     """Follows the 32-bit counter of one system.
 
     Attributes:
-        reboots: times that it began anew.
+        reboots: number of restarts.
     """
 
     def __init__(self) -> None:

@@ -1,7 +1,7 @@
 """MAVLink messages in our frames, one function each.
 
 Fields, units and frames: the common message set of MAVLink (mavlink.io). World frames are NED
-unless the message says otherwise, bodies are FRD, angles are radians but for those named so.
+unless the message states otherwise, body frames are FRD and angles radians.
 """
 
 import math
@@ -47,7 +47,7 @@ Floats = NDArray[np.float64]
 
 GRAVITY_MPS2 = 9.80665
 HPA_PA = 100.0
-MIN_AIR_HPA = 500.0  # thinner air is above all lakes: a sensor without power says 0
+MIN_AIR_HPA = 500.0  # thinner air is above all lakes: an unpowered sensor reports 0
 MAX_TIME_US = 9e15  # in nanoseconds it still has 64 bits
 UNKNOWN_HEADING = 65535
 DOWN = 25  # MAV_SENSOR_ROTATION_PITCH_270
@@ -66,7 +66,7 @@ ORDER = (
     "ATTITUDE",
     "GLOBAL_POSITION_INT",
 )
-"""Messages that tell the same, best first."""
+"""Messages with the same quantity, best first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +206,7 @@ def _distance(m: Any, _: FormatSettings) -> Fields | Reject | None:  # noqa: ANN
     if m.orientation != DOWN:
         return None
     if not m.min_distance <= m.current_distance <= m.max_distance:
-        return Reject("out_of_range", f"{m.current_distance} cm is beyond what the sensor can tell")
+        return Reject("out_of_range", f"{m.current_distance} cm exceeds the sensor's range")
     return {"altitude_m": m.current_distance * 0.01}
 
 

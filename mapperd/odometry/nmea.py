@@ -36,7 +36,7 @@ _TIME = re.compile(r"([01]\d|2[0-3])([0-5]\d)([0-5]\d|60)(?:\.(\d{0,9})\d*)?")
 
 
 class UtcDay:
-    """Remembers the last date that the sender told, and the last stamp made from it."""
+    """Remembers the last date of the sender, and the last stamp made from it."""
 
     def __init__(self) -> None:
         self._midnight_ns: int | None = None
@@ -56,7 +56,7 @@ class UtcDay:
             self._midnight_ns, self._last_ns = midnight_ns, None
 
     def stamp(self, text: str, arrival_ns: int | None) -> tuple[int, Clock]:
-        """Stamp and clock of a time of day; (0, "arrival") where it cannot be told.
+        """Stamp and clock of a time of day; (0, "arrival") if unknown.
 
         Args:
             text: hhmmss or hhmmss.ss, or nothing.
@@ -74,7 +74,7 @@ class UtcDay:
         of_day_ns = seconds * 10**9 + int((match[4] or "").ljust(9, "0"))
         if self._midnight_ns is not None:
             stamp_ns = self._midnight_ns + of_day_ns
-            # The date is told more rarely than the time: midnight may have passed since.
+            # The date is sent less often than the time: midnight may have passed since.
             self._last_ns = _nearest(stamp_ns, self._last_ns or stamp_ns)
             return self._last_ns, "unix"
         if arrival_ns is not None and arrival_ns >= UNIX_FROM_NS:
@@ -88,10 +88,10 @@ def _nearest(stamp_ns: int, near_ns: int) -> int:
 
 
 MAX_LINE_BYTES = 512
-"""The standard says 82; longer ones exist."""
+"""The standard allows 82; longer ones exist."""
 
 ORDER = ("PASHR", "PRDID", "GGA", "RMC", "VTG", "HDT")
-"""Sentences that tell the same, best first."""
+"""Sentences with the same quantity, best first."""
 
 SOURCE = "nmea"
 KNOT_MPS = 1852 / 3600
@@ -108,7 +108,7 @@ Floats = NDArray[np.float64]
 
 
 class _NoFixError(ValueError):
-    """The receiver itself says that it does not know where it is."""
+    """Whether the receiver reports no fix."""
 
 
 class NmeaReader:

@@ -36,11 +36,11 @@ class DeadReckoning:
     """Sums the way up, by the trapezoid rule, from velocities whose attitude is known.
 
     Args:
-        max_gap_ns: velocities further apart than this do not tell the way between.
+        max_gap_ns: longest interval between velocities to integrate over.
         noise: growth of the standard deviation, m per square root of a second.
 
     Attributes:
-        max_gap_ns, noise: may be set anew.
+        max_gap_ns, noise: may change.
         ways: what was summed up.
     """
 
@@ -62,14 +62,14 @@ class DeadReckoning:
             t_ns: host time, later than all before.
             velocity_mps: (3,).
             in_map: in map axes, else in base axes.
-            noise: standard deviation that the source says, m/s.
+            noise: standard deviation by the source, m/s.
         """
         if len(self._waiting) >= MAX_WAITING:
             self._waiting.popleft()
             self.unattended += 1
         self._waiting.append((t_ns, velocity_mps, in_map, noise))
 
-    def begin_anew(self) -> None:
+    def restart(self) -> None:
         """Forget the way: time was set back."""
         self._waiting.clear()
         self.ways.clear()

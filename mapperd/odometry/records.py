@@ -46,7 +46,7 @@ class GeoPoint:
     Attributes:
         latitude_rad: north positive.
         longitude_rad: east positive.
-        altitude_m: above mean sea level; None where the sender does not say.
+        altitude_m: above mean sea level; None if unknown.
     """
 
     latitude_rad: float
@@ -76,7 +76,7 @@ class Odometry:
         heading_rad: the base's forward axis from east, counter-clockwise, without the other angles.
         altitude_m: above the bottom.
         confidence: the sender's own, 0 (none) to 1.
-        valid: False where the sender itself says that it has lost track. Such a record holds a
+        valid: False if the sender reports that it has lost track. Such a record holds a
             time and breaks dead reckoning.
         sent_ns: when the record left, on the same clock; None where stamp_ns is all there is.
             The clock is fitted with it: arrival minus this is the delay of the link alone.

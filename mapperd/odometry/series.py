@@ -58,7 +58,7 @@ class Series(Generic[V]):
 
     @property
     def newest(self) -> Sample[V] | None:
-        """The newest sample; None while there is none."""
+        """The newest sample, or None."""
         return self._samples[-1] if self._samples else None
 
     def problem(self, t_ns: int) -> Reject | None:
@@ -69,7 +69,7 @@ class Series(Generic[V]):
         return None
 
     def add(self, t_ns: int, value: V, segment: int) -> None:
-        """Take a sample that is newer than all before it (`problem` says whether it is)."""
+        """Add a sample that is newer than all before it (see `problem`)."""
         self._samples.append(Sample(t_ns, value, segment))
 
     def clear(self) -> None:
@@ -188,13 +188,13 @@ def is_settled(series: Series[V], t_ns: int, reach: Reach) -> bool:
         return False
     if reach.policy != "interpolate" or enclosing(before, after, reach) is not None:
         return True
-    # After a silence, one record does not tell the motion that led to it.
+    # After a gap, one record does not determine the motion before it.
     back_ns = after.t_ns - t_ns
     return back_ns > reach.max_reach_ns or newest.t_ns - after.t_ns >= back_ns
 
 
 def stretch(series: Series[V], t_ns: int, reach: Reach) -> "tuple[Sample[V], Sample[V]] | None":
-    """The ends of the motion around a moment, to tell its velocity by; None where none is known.
+    """Samples around a moment that determine its velocity, or None.
 
     As far as `STRETCH_NS` to either side; where records are rarer, or one of them jumps, the two
     that enclose the moment.

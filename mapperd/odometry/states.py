@@ -102,7 +102,7 @@ def carry_attitude(attitude: Attitude, seconds: float) -> Attitude | None:
 
 
 def _carry_nothing(value: Floats, seconds: float) -> Floats | None:  # noqa: ARG001 as every carry
-    """Of a quantity whose rate of change nobody says."""
+    """Time constant of a quantity whose rate of change is unknown."""
     return None
 
 

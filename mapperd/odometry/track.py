@@ -19,7 +19,7 @@ V = TypeVar("V")
 
 
 class JumpWatch(Generic[V]):
-    """Tells motion, faults and jumps apart.
+    """Distinguishes motion, faults and jumps.
 
     Args:
         excess: how far two values are apart beyond what so many seconds of motion explain, as a
@@ -61,13 +61,13 @@ Owner = tuple[str, str]
 """Name of the source, and of the sender on it."""
 
 AUTO = ""
-"""As a configured owner: the first source that says it."""
+"""As a configured owner: the first source that provides the quantity."""
 
 TAKE_OVER_NS = 2_000_000_000
 """So long a sender is silent before another one on the same source takes its place."""
 
-ANEW_NS = 1_000_000_000
-ANEW_RECORDS = 10
+RESTART_NS = 1_000_000_000
+RESTART_RECORDS = 10
 """So many records in a row, in order, and all so much before the newest one: the host's clock was
 set back, or a stamp far ahead was believed. Without this nothing would be taken any more."""
 
@@ -82,7 +82,7 @@ class Track(Generic[V]):
     Attributes:
         series: what was taken.
         segment: counts up where the quantity jumped.
-        owner: who says it; None while nobody has.
+        owner: source and format that provide it; None before the first.
         taken: records that were used.
         rejects: reason to count, of the owner's records that were not.
     """
@@ -102,7 +102,7 @@ class Track(Generic[V]):
         self.rejects: Counter[str] = Counter()
 
     def owned_by(self, who: Owner, t_ns: int) -> bool:
-        """Whether a source may say this quantity; the first that may owns it.
+        """Return whether a source may provide this quantity; the first that may owns it.
 
         Another sender on the owner's own source takes over once that is silent: a bridge that was
         started again under another name.
@@ -116,7 +116,7 @@ class Track(Generic[V]):
         return self.owner == who
 
     def open_to(self, who: Owner) -> bool:
-        """Whether the settings let a source say this quantity."""
+        """Return whether the settings let a source provide this quantity."""
         return self._named in (AUTO, who[0])
 
     def judge(self, t_ns: int, raw: Floats, reset_count: int) -> Reject | bool:
@@ -131,7 +131,7 @@ class Track(Generic[V]):
             Why not, else whether a new segment begins with it.
         """
         if (problem := self.series.problem(t_ns)) is not None:
-            if not self._begins_anew(t_ns):
+            if not self._restarts(t_ns):
                 return problem
             self.series.clear()
             if self._watch is not None:
@@ -151,12 +151,12 @@ class Track(Generic[V]):
         self._reset_count, self._taken_over = reset_count, False
         return jumped
 
-    def _begins_anew(self, t_ns: int) -> bool:
+    def _restarts(self, t_ns: int) -> bool:
         newest, (records, last_ns) = self.series.newest, self._behind
-        if newest is None or newest.t_ns - t_ns < ANEW_NS:
+        if newest is None or newest.t_ns - t_ns < RESTART_NS:
             return False
         self._behind = (records + 1 if t_ns > last_ns else 1, t_ns)
-        return self._behind[0] >= ANEW_RECORDS
+        return self._behind[0] >= RESTART_RECORDS
 
     def take(self, t_ns: int, value: V, *, jumped: bool) -> None:
         """Follow a value that was judged good."""

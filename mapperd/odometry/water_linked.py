@@ -4,7 +4,7 @@ Fields, units and axes: the maker's protocol pages, "DVL A50/A125 TCP JSON API" 
 protocol". The reports are in the frame of the DVL or, once a mounting rotation offset is set in
 it, of the vehicle: x forward, y to starboard, z down. Positions count from where and how the DVL
 stood at its last reset. Of its times, those of a velocity are in microseconds, that of a
-position in seconds; before the DVL is told the time they count from some zero of its own.
+position in seconds; before its clock is set they count from an arbitrary zero.
 
 The serial protocol of Water Linked DVLs: sentences such as `wrz,...*50`.
 
@@ -62,7 +62,7 @@ OVERHEATING = 1
 SOURCE = "water_linked"
 MAX_STAMP_S = 9e9
 _UNIX_FROM_NS = 10**18
-"""A stamp of the year 2001 or later tells the time; a smaller one that nobody told the DVL."""
+"""Smaller stamps, before 2001, mean that the DVL's clock was never set."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ class Velocity:
     Attributes:
         velocity_mps: vx, vy, vz.
         valid: whether the DVL saw the bottom; else velocity and altitude mean nothing.
-        altitude_m: along z; negative is none.
+        altitude_m: along z; negative if unknown.
         fom_mps: figure of merit.
         covariance: 9 numbers, (m/s)^2, row by row.
         validity_us: when the sound met the bottom; None from old firmware.
@@ -123,7 +123,7 @@ class Velocity:
         )
 
     def _covariance(self) -> Floats | None:
-        """(6, 6); from the figure of merit where the matrix is none."""
+        """(6, 6) covariance; from the figure of merit if the matrix is invalid."""
         matrix = np.array(self.covariance, dtype=np.float64)
         if matrix.size == 9 and np.diag(matrix.reshape(3, 3)).min() > 0:  # noqa: PLR2004 3 x 3
             matrix = matrix.reshape(3, 3)
@@ -303,7 +303,9 @@ def read_water_linked_serial(
     if not body.startswith(b"wr") or len(check) != 2:  # noqa: PLR2004 hex digits
         return Reject("not_a_sentence", f"{len(line)} bytes that are no wr...*hh")
     if check != b"%02x" % crc8(body):
-        return Reject("bad_checksum", f"says {check.decode('latin-1')!r}, is {crc8(body):02x}")
+        return Reject(
+            "bad_checksum", f"received {check.decode('latin-1')!r}, computed {crc8(body):02x}"
+        )
     name, *fields = body.decode("latin-1").split(",")
     counters.heard(name, len(line))
     reader = _READERS.get(name)

@@ -1,7 +1,7 @@
 """Files of maps: rebuild lost bricks, put damaged files aside, write whole maps.
 
-What a ping says does not depend on the map, and a brick on no other: mapping the same pings again
-while keeping only the lost bricks gives them back as they were, to the bit.
+The evidence of a ping does not depend on the map, and bricks are independent. Mapping the same
+pings again and keeping only the lost bricks restores them bit by bit.
 """
 
 import sqlite3
@@ -72,7 +72,7 @@ BESIDE = ("", "-wal", "-shm")
 
 
 def put_aside(path: Path) -> Path:
-    """Rename a store that nobody has open; whoever can, maps its recordings into a new one.
+    """Rename a store that is not open, so that its recordings can be mapped into a new one.
 
     Returns:
         its new name.
@@ -103,7 +103,7 @@ def packed(bricks: Iterable[tuple[Key, int, bytes]]) -> Iterator[BrickRow]:
 def write_whole(path: Path, config: Config, revision: int, rows: Iterable[BrickRow]) -> int:
     """Make a map's file that `TileStore` and `StoreReader` open like any other.
 
-    Whoever calls it gives the file its name when it is whole: a stop half way leaves it damaged.
+    The caller renames the file when it is complete: an interruption leaves it damaged.
 
     Args:
         path: of the file; nothing is there yet.

@@ -35,7 +35,7 @@ class SourcedMap:
 
     Attributes:
         map: in memory as a whole, with the settings that its voxels came about by.
-        origin: where its zero lies on Earth, if the file says so.
+        origin: geographic position of the map's origin, if the file has one.
     """
 
     map: SonarMap
@@ -45,11 +45,11 @@ class SourcedMap:
 def map_in(
     path: Path, config: Config, values: Mapping[str, Any] = MappingProxyType({})
 ) -> SourcedMap:
-    """Read a map: a daemon's file, a `.map`, or a tree of OctoMap, told by their content.
+    """Read a map: a daemon's file, a `.map`, or a tree of OctoMap, recognized by content.
 
     Args:
         path: of the file.
-        config: all settings but those that the file says itself.
+        config: settings that the file does not contain.
         values: more of them, by name.
 
     Raises:
@@ -96,10 +96,10 @@ def _beginning(path: Path) -> bytes:
 
 
 def _settings(
-    path: Path, config: Config, said: Mapping[str, Any], values: Mapping[str, Any]
+    path: Path, config: Config, stored: Mapping[str, Any], values: Mapping[str, Any]
 ) -> Config:
     try:
-        of_file = with_values(config, said)
+        of_file = with_values(config, stored)
     except ConfigError as error:
         raise MapError(f"{path}: is of settings that cannot be: {error}", "bad_map_file") from error
     return with_values(of_file, values)
@@ -133,8 +133,8 @@ def _kind_of_map(path: Path, begin: bytes) -> dict[str, Any]:
 
 
 def _kind_of_octomap(path: Path, begin: bytes) -> dict[str, Any]:
-    told = OCTOMAP_RESOLUTION.search(begin.partition(b"\ndata\n")[0])
+    found = OCTOMAP_RESOLUTION.search(begin.partition(b"\ndata\n")[0])
     try:
-        return {"octree.voxel_resolution": float(told[1])} if told else {}
+        return {"octree.voxel_resolution": float(found[1])} if found else {}
     except ValueError:
         raise MapError(f"{path}: its resolution is no number", "bad_octomap_file") from None

@@ -96,7 +96,7 @@ def _put(connection: sqlite3.Connection, identity: Identity) -> None:
 
 
 def _decoded(text: str) -> Identity | None:
-    """None for what is damaged: then it is another map, and everybody is told all of it."""
+    """None if it is damaged: clients then receive the whole map again."""
     try:
         return msgspec.json.decode(text, type=Identity)
     except msgspec.DecodeError:
@@ -120,7 +120,7 @@ def kind_of(config: Config) -> dict[str, str]:
 
 
 def write_kind(connection: sqlite3.Connection, config: Config) -> None:
-    """Say in a new file what its map is."""
+    """Write the metadata of a new file."""
     connection.executemany("INSERT INTO fact VALUES (?, ?)", kind_of(config).items())
 
 
@@ -131,8 +131,8 @@ def kind_in(connection: sqlite3.Connection) -> dict[str, Any]:
         ValueError: one of them is not as it was written.
     """
     known = kind_of(Config()).keys()
-    told = connection.execute("SELECT name, value FROM fact")
-    return {name: json.loads(value) for name, value in told if name in known}
+    rows = connection.execute("SELECT name, value FROM fact")
+    return {name: json.loads(value) for name, value in rows if name in known}
 
 
 def check_kind(connection: sqlite3.Connection, path: Path, config: Config) -> None:
@@ -165,7 +165,7 @@ def progress_in(connection: sqlite3.Connection, path: Path) -> tuple[int, bytes]
     """Revision and position of the last save; None in a new file.
 
     Raises:
-        StoreError: they are none, as after a bit of the file has turned.
+        StoreError: they are invalid, as after a flipped bit.
     """
     found = connection.execute("SELECT revision, position FROM progress").fetchone()
     if found is None:

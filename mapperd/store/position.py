@@ -48,8 +48,7 @@ class Position(Struct, frozen=True):
         checkpoint: the estimators.
         localization: its state when the work before the checkpoint was done; empty where the map
             does not depend on it.
-        origin_deg: latitude and longitude of the map's zero; None where nobody said a place on
-            Earth.
+        origin_deg: latitude and longitude of the map's origin; None if unknown.
     """
 
     session: str
@@ -72,7 +71,7 @@ _DECODER = msgspec.msgpack.Decoder(Position)
 
 
 def position_in(data: bytes) -> Position | None:
-    """What a map's file says; None where it says nothing, or something of another program."""
+    """Read the position in a map file; None if it is absent or of another program."""
     try:
         return _DECODER.decode(data)
     except msgspec.DecodeError:

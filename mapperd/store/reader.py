@@ -53,7 +53,7 @@ class StoreReader:
             which a network's folder may not have.
 
     Raises:
-        StoreError: it cannot be read, or is none of this version.
+        StoreError: it cannot be read, or has another version.
     """
 
     def __init__(self, path: Path, *, finished: bool = False) -> None:

@@ -2,7 +2,7 @@
 
 A tile leaves memory only when the file holds it as it is. Whenever something is saved, all that
 changed is, together with the place in the input up to which the map is complete: at every moment
-the file holds the whole map as it was between two pings, and says between which.
+the file holds the whole map between two pings, and records which.
 """
 
 import sqlite3
@@ -151,7 +151,7 @@ class TileStore:
         return frozenset(self._lost)
 
     def advance(self, position: Position) -> None:
-        """Say, after each ping, up to where in the input the map is complete now.
+        """Record, after each ping, up to where in the input the map is complete.
 
         Args:
             position: or what makes it when it is about to be written, in the thread that writes.
@@ -168,7 +168,9 @@ class TileStore:
         noted_revision, position = self._noted
         revision, bricks = self._core.bricks_since(self._saved_revision)
         if revision != noted_revision:
-            raise StoreError(f"{self.path}: nobody said up to where the map is", "out_of_step")
+            raise StoreError(
+                f"{self.path}: the map changed without a record of its progress", "out_of_step"
+            )
         self._numbers += 1
         return Snapshot(self._numbers, revision, position, bricks, dict(self._damaged))
 

@@ -39,7 +39,7 @@ COLUMNS = "x, y, z, revision, size, crc, data"
 
 
 class DamagedBrickError(Exception):
-    """A row is not what was written; its text says how."""
+    """A row differs from what was written; the text states how."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ def unpack(decompressor: zstandard.ZstdDecompressor, row: BrickRow) -> bytes:
     except zstandard.ZstdError as error:
         raise DamagedBrickError(f"cannot be decompressed: {error}") from error
     if len(brick) != row.size:
-        raise DamagedBrickError("shorter than it says")
+        raise DamagedBrickError("shorter than its header states")
     return brick
 
 

@@ -8,7 +8,7 @@ from plyfile import PlyData
 
 from mapperd.errors import ConfigError, ExportError
 from mapperd.export.calibration import Calibration, load_calibration
-from mapperd.export.formats import FORMATS, SAY_PROBABILITY, write_map
+from mapperd.export.formats import FORMATS, PROBABILITY_FORMATS, write_map
 from tests.support.mapperctl import Call, call
 from tests.support.maps import FREE, OCCUPIED, map_of
 
@@ -54,7 +54,7 @@ def test_only_numbers_change_in_a_file(tmp_path: Path) -> None:
     assert sonar_map.sha256() == before
 
 
-@pytest.mark.parametrize("suffix", SAY_PROBABILITY)
+@pytest.mark.parametrize("suffix", PROBABILITY_FORMATS)
 def test_every_format_that_says_probabilities_takes_it(tmp_path: Path, suffix: str) -> None:
     sonar_map = map_of(OCCUPIED, FREE)
     files = [tmp_path / f"{name}{suffix}" for name in ("raw", "told")]
@@ -63,7 +63,7 @@ def test_every_format_that_says_probabilities_takes_it(tmp_path: Path, suffix: s
     assert files[0].read_bytes() != files[1].read_bytes()
 
 
-@pytest.mark.parametrize("suffix", sorted(set(FORMATS) - set(SAY_PROBABILITY)))
+@pytest.mark.parametrize("suffix", sorted(set(FORMATS) - set(PROBABILITY_FORMATS)))
 def test_the_others_refuse_it(tmp_path: Path, suffix: str) -> None:
     with pytest.raises(ExportError, match=f"{suffix} takes no calibration"):
         write_map(map_of(OCCUPIED, FREE), tmp_path / f"a{suffix}", calibration=HALVED)
