@@ -74,7 +74,7 @@ has wrong. `pf_z` keeps its 0.99, which looks like a probability and is a quanti
 
 ALSO = """
 Other releases of the node and Nav2 have other names for some settings. Files and changes may say
-them; a setting that is said under two names is an error.
+them; a setting given under two names is an error.
 
 | name elsewhere | setting |
 |---|---|

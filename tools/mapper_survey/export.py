@@ -102,7 +102,7 @@ def check_products(products: Sequence[str], *, known: bool) -> None:
 def crs_of(product: str, origin: Origin | None) -> str:
     """The system of coordinates that a product's file is in, for a person."""
     if origin is None:
-        return "none: nobody said where on Earth the map is"
+        return "none: the geographic position of the map is unknown"
     if product == "grid":
         return local_projection(origin).name
     if product == "positions":

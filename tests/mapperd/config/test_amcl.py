@@ -217,7 +217,7 @@ def test_motion_models_of_other_releases_are_taken(other: str, ours: str) -> Non
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("kld_err: 0.01, pf_err: 0.02", r"amcl\.pf_err.* said as well"),
+        ("kld_err: 0.01, pf_err: 0.02", r"amcl\.pf_err.* also set"),
         ("kld_err: 2", r"\$\.amcl\.pf_err: 2 is not allowed"),
         ("initial_pose: {x: 1, z: 2}", r"\$\.amcl\.initial_pose: there is no such setting"),
         ("initial_pose: 3", r"\$\.amcl\.initial_pose: there is no such setting"),
@@ -252,7 +252,7 @@ def test_store_takes_other_names_and_refuses_two_for_one() -> None:
     assert store.origin_of("amcl.pf_z") == "x"
     refused = store.apply({"amcl.kld_z": 2.4, "amcl.pf_z": 2.4}, "x")
     assert isinstance(refused, Refused)
-    assert "said as well" in next(iter(refused.reasons.values()))
+    assert "also set" in next(iter(refused.reasons.values()))
     assert store.current.amcl.pf_z == 2.3
 
 

@@ -153,7 +153,7 @@ def test_packer_that_is_missing_is_told_by_its_extra(
     [
         ("a.laz", KIEL, "WGS 84 / UTM zone 32N, EPSG:32632"),
         ("a.tif", KIEL, "WGS 84 / mapperd local 54.3600000 10.1600000"),
-        ("a.las", None, "none: nobody said where on Earth the map is"),
+        ("a.las", None, "none: the geographic position of the map is unknown"),
         ("a.ply", KIEL, None),
     ],
 )

@@ -97,7 +97,7 @@ def test_place_on_earth_is_the_files_unless_another_is_asked_for(
     settings.write_text("odometry: {origin: {latitude: 60.0, longitude: 20.0}}", encoding="utf-8")
     bare = files_of(map_of(OCCUPIED), tmp_path)[".map"]
     assert "34N" in call("convert", bare, path, "--config", settings)[1][2]
-    assert "nobody said where" in call("convert", bare, path)[1][2]
+    assert "geographic position" in call("convert", bare, path)[1][2]
 
 
 def test_heights_of_the_settings_hold(tmp_path: Path, call: Call) -> None:
