@@ -5,12 +5,13 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sonar_sim.engine import Engine, SonarMotion
+from sonar_sim.engine import Engine
 from sonar_sim.errors import SceneError
 from sonar_sim.material import Material
 from sonar_sim.meshes import NOTHING, SEA
 from sonar_sim.motions import Drift
 from sonar_sim.physics import Cloud, Layers, Mirror, Physics
+from sonar_sim.poses import SonarMotion
 from sonar_sim.scene import PointTarget, Scene, Sea, Surface
 from sonar_sim.sonar import SonarSettings
 from sonar_sim.validation.simple import (

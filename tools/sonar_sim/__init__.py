@@ -7,10 +7,9 @@ y to port, z up. Bearings are positive to starboard.
 from oculus_driver import __version__
 from sonar_sim.capture import CaptureSettings, write_capture
 from sonar_sim.effects.plan import EffectPlan, EffectWarning
-from sonar_sim.engine import SonarMotion
 from sonar_sim.material import MATERIALS, Material
 from sonar_sim.motions import Drift, ObjectMotion, Tour
-from sonar_sim.poses import Mounting, Pose
+from sonar_sim.poses import Mounting, Pose, SonarMotion
 from sonar_sim.scenario import Scenario
 from sonar_sim.scene import (
     Bubbles,

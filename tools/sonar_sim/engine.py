@@ -22,21 +22,19 @@ from sonar_sim.cells import (
 )
 from sonar_sim.clouds import cloud_power
 from sonar_sim.fan import ELEVATIONS, MARGIN_BEAMS, fan_of
-from sonar_sim.legs import SonarMotion
 from sonar_sim.meshes import Meshes
 from sonar_sim.paths import Situation, direct_ways, heard_faces, mirror_ways
 from sonar_sim.pattern import vertical_two_way_power
 from sonar_sim.physics import Physics
-from sonar_sim.poses import Pose
+from sonar_sim.poses import Pose, SonarMotion
 from sonar_sim.receiver import amplitude as received
 from sonar_sim.receiver import quantise, row_gain
 from sonar_sim.scene import Scene
+from sonar_sim.seen import seen_points
 from sonar_sim.sonar import SonarSettings
 from sonar_sim.targets import add_targets
 from sonar_sim.tracing import Trace, trace
-from sonar_sim.truth import Truth, seen_points, truth_of
-
-__all__ = ["Engine", "EnginePing", "SonarMotion"]
+from sonar_sim.truth import Truth, truth_of
 
 Image = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.uint32] | NDArray[np.float32]
 Cells = NDArray[np.complex64] | NDArray[np.float32]

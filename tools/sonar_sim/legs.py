@@ -1,7 +1,5 @@
 """Legs of the sound's way: where it leaves and where it is heard, as the kernels want them."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,36 +7,6 @@ from sonar_sim.poses import Pose
 
 LEG = 16
 """Numbers of a leg: origin (3), rotation (9), drift (3), gain (1)."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SonarMotion:
-    """How the sonar moves while it listens.
-
-    Attributes:
-        linear_mps: velocity, map frame, (3,).
-        angular_rps: turn rates, sonar frame, (3,).
-    """
-
-    linear_mps: NDArray[np.float64]
-    angular_rps: NDArray[np.float64]
-
-    def pose(self, start: Pose, time_s: float) -> Pose:
-        """The sonar's pose a while after `start`."""
-        turn = rotation_by(np.asarray(self.angular_rps) * time_s)
-        moved = start.position_m + np.asarray(self.linear_mps) * time_s
-        return Pose(moved, start.rotation @ turn)
-
-
-def rotation_by(vector_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation about a vector by its length (Rodrigues), (3, 3)."""
-    x, y, z = vector_rad
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    angle = float(np.linalg.norm(vector_rad))
-    sine = np.sinc(angle / np.pi)
-    versine = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
-    rotation: NDArray[np.float64] = np.eye(3) + sine * skew + versine * skew @ skew
-    return rotation
 
 
 def leg_in(

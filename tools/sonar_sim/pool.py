@@ -5,8 +5,7 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
-from sonar_sim.engine import SonarMotion
-from sonar_sim.poses import Pose
+from sonar_sim.poses import Pose, SonarMotion
 from sonar_sim.scene import Scene
 from sonar_sim.simulator import Ping, Simulator
 from sonar_sim.sonar import SonarSettings

@@ -88,3 +88,33 @@ def quaternion_of(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     row = products[int(np.argmax(squares))]
     unit: NDArray[np.float64] = row / np.linalg.norm(row)
     return -unit if unit[0] < 0.0 else unit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SonarMotion:
+    """How the sonar moves while it listens.
+
+    Attributes:
+        linear_mps: velocity, map frame, (3,).
+        angular_rps: turn rates, sonar frame, (3,).
+    """
+
+    linear_mps: NDArray[np.float64]
+    angular_rps: NDArray[np.float64]
+
+    def pose(self, start: Pose, time_s: float) -> Pose:
+        """The sonar's pose a while after `start`."""
+        turn = rotation_by(np.asarray(self.angular_rps) * time_s)
+        moved = start.position_m + np.asarray(self.linear_mps) * time_s
+        return Pose(moved, start.rotation @ turn)
+
+
+def rotation_by(vector_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation about a vector by its length (Rodrigues), (3, 3)."""
+    x, y, z = vector_rad
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    angle = float(np.linalg.norm(vector_rad))
+    sine = np.sinc(angle / np.pi)
+    versine = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
+    rotation: NDArray[np.float64] = np.eye(3) + sine * skew + versine * skew @ skew
+    return rotation

@@ -11,6 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sonar_sim.sonar import SonarSettings
+from sonar_sim.tracing import Trace
+
 CELL_M = 0.05
 """At most one point a cell of this edge is kept: the points stand for about equal areas."""
 PINGS_A_MERGE = 16
@@ -55,3 +58,18 @@ def _cell_keys(points_m: NDArray[np.float64]) -> NDArray[np.int64]:
     cells = np.floor(points_m / CELL_M).astype(np.int64) + KEY_OFFSET
     keys: NDArray[np.int64] = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
     return keys
+
+
+def seen_points(rays: Trace, sonar: SonarSettings) -> NDArray[np.float64]:
+    """First hits inside the -3 dB aperture, map frame, whether or not their echo can be heard."""
+    met = rays.met[0]
+    direction = rays.fan.directions
+    inside = (
+        (met.face >= 0)
+        & (met.range_m < sonar.range_m)
+        & (np.abs(direction[:, 1]) <= np.sin(sonar.half_aperture_rad))
+        & (np.abs(direction[:, 2]) <= np.sin(sonar.vertical_width_rad / 2.0))
+    )
+    reach = met.range_m[inside, None].astype(np.float64)
+    points: NDArray[np.float64] = rays.origin_m + reach * rays.direction[inside]
+    return points

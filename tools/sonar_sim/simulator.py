@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from sonar_sim.effects.look import Look
 from sonar_sim.effects.plan import AUTO, Choice, Wish
 from sonar_sim.effects.planner import Planned, Planner
-from sonar_sim.engine import NODES_PER_BEAM, Engine, Image, SonarMotion
+from sonar_sim.engine import NODES_PER_BEAM, Engine, Image
 from sonar_sim.fan import ELEVATIONS
-from sonar_sim.poses import Pose
+from sonar_sim.poses import Pose, SonarMotion
 from sonar_sim.scene import Scene
 from sonar_sim.sonar import SonarSettings
 from sonar_sim.tolerance import Tolerance

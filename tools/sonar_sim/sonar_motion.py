@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from sonar_sim.engine import SonarMotion
-from sonar_sim.poses import Pose
+from sonar_sim.poses import Pose, SonarMotion
 from sonar_sim.scenario import Scenario
 
 

@@ -160,18 +160,3 @@ def _reach(
     along = range_m / facing * np.abs(local[:, 2] - local[:, 0] * z / x) * (cell[:, 3] - cell[:, 2])
     reach: NDArray[np.float64] = np.minimum(along, 0.5 * range_m)
     return reach
-
-
-def seen_points(rays: Trace, sonar: SonarSettings) -> NDArray[np.float64]:
-    """First hits inside the -3 dB aperture, map frame, whether or not their echo can be heard."""
-    met = rays.met[0]
-    direction = rays.fan.directions
-    inside = (
-        (met.face >= 0)
-        & (met.range_m < sonar.range_m)
-        & (np.abs(direction[:, 1]) <= np.sin(sonar.half_aperture_rad))
-        & (np.abs(direction[:, 2]) <= np.sin(sonar.vertical_width_rad / 2.0))
-    )
-    reach = met.range_m[inside, None].astype(np.float64)
-    points: NDArray[np.float64] = rays.origin_m + reach * rays.direction[inside]
-    return points

@@ -5,9 +5,8 @@ from sonar_sim.effects.effect import Verdict
 from sonar_sim.effects.look import Look
 from sonar_sim.effects.registry import EFFECTS
 from sonar_sim.effects.view import View
-from sonar_sim.engine import SonarMotion
 from sonar_sim.material import MATERIALS, Material
-from sonar_sim.poses import Pose
+from sonar_sim.poses import Pose, SonarMotion
 from sonar_sim.scene import Scene, Surface
 from sonar_sim.sonar import SonarSettings
 from sonar_sim.tolerance import Tolerance

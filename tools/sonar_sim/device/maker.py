@@ -15,8 +15,7 @@ from oculus_driver.virtual_sonar.resample import with_settings_echo
 from oculus_driver.wire import FireFlags
 from sonar_sim.device.demands import BITS_32, part_number_of, settings_for
 from sonar_sim.effects.plan import AUTO, EffectWarning
-from sonar_sim.engine import SonarMotion
-from sonar_sim.poses import Mounting, Pose
+from sonar_sim.poses import Mounting, Pose, SonarMotion
 from sonar_sim.receiver import gain_db
 from sonar_sim.scene import Scene
 from sonar_sim.simulator import Simulator

@@ -9,9 +9,8 @@ from sonar_sim.effects.echoes import COLUMNS, Echoes, coarse_fan, echoes_of
 from sonar_sim.effects.planes import mirror_planes
 from sonar_sim.effects.rays import NOTHING, SKIP_M, Met, cast
 from sonar_sim.effects.view import View
-from sonar_sim.engine import SonarMotion
 from sonar_sim.meshes import Meshes
-from sonar_sim.poses import Pose
+from sonar_sim.poses import Pose, SonarMotion
 from sonar_sim.product import product
 from sonar_sim.scene import Scene, Surface
 from sonar_sim.sonar import SonarSettings

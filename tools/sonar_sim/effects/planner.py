@@ -23,9 +23,8 @@ from sonar_sim.effects.movers import MOVERS
 from sonar_sim.effects.plan import EffectPlan, Wish
 from sonar_sim.effects.registry import EFFECTS
 from sonar_sim.effects.view import OwnPing, View
-from sonar_sim.engine import SonarMotion
 from sonar_sim.physics import Physics
-from sonar_sim.poses import Pose
+from sonar_sim.poses import Pose, SonarMotion
 from sonar_sim.tolerance import Tolerance
 
 CELLS_IN_RANGE = (16, 48)

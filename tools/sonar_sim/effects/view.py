@@ -21,11 +21,10 @@ from sonar_sim.effects.echoes import COLUMNS, Echoes, Fan
 from sonar_sim.effects.matter import Matter, cloud_matter, path_in_box_m, sediment_strength
 from sonar_sim.effects.planes import Plane
 from sonar_sim.effects.plumes import filled_by
-from sonar_sim.engine import SonarMotion
 from sonar_sim.meshes import Meshes
 from sonar_sim.pattern import vertical_two_way_power
 from sonar_sim.physics import Cloud
-from sonar_sim.poses import Pose
+from sonar_sim.poses import Pose, SonarMotion
 from sonar_sim.receiver import FULL_SCALE_DB, GAIN_DB_PER_PERCENT, noise_level_db
 from sonar_sim.scene import Bubbles, CloudSpec, Scene, Sediment
 from sonar_sim.sediment import sediment_db_per_m

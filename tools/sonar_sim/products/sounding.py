@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.effects.plan import AUTO, Choice
-from sonar_sim.engine import Engine, SonarMotion
+from sonar_sim.engine import Engine
 from sonar_sim.physics import Physics
 from sonar_sim.pinhole import Onlooker, Pinhole, View
-from sonar_sim.poses import Pose
+from sonar_sim.poses import Pose, SonarMotion
 from sonar_sim.receiver import FULL_SCALE_DB, noise_level_db
 from sonar_sim.scene import Scene
 from sonar_sim.simulator import Simulator

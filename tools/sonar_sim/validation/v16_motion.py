@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sonar_sim.engine import Engine, SonarMotion
+from sonar_sim.engine import Engine
+from sonar_sim.poses import SonarMotion
 from sonar_sim.scene import Scene
 from sonar_sim.sonar import SonarSettings
 from sonar_sim.validation.case import CaseResult, Check
