@@ -7,13 +7,14 @@ import pytest
 from numpy.typing import NDArray
 from sonar_sim.engine import Engine
 from sonar_sim.errors import SceneError
+from sonar_sim.geometry.pose import SonarMotion
 from sonar_sim.material import Material
-from sonar_sim.meshes import NOTHING, SEA
 from sonar_sim.motions import Drift
-from sonar_sim.physics import Cloud, Layers, Mirror, Physics
-from sonar_sim.poses import SonarMotion
-from sonar_sim.scene import PointTarget, Scene, Sea, Surface
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.propagation.physics import Cloud, Layers, Mirror, Physics
+from sonar_sim.raycast.meshes import NOTHING, SEA
+from sonar_sim.scene.scene import PointTarget, Scene, Sea, Surface
+from sonar_sim.scene.sonar import SonarSettings
+from sonar_sim.scene.water import Water
 from sonar_sim.validation.simple import (
     CHALK,
     DULL,
@@ -27,7 +28,6 @@ from sonar_sim.validation.simple import (
     sphere,
     target,
 )
-from sonar_sim.water import Water
 
 HERE = pose_at((0.0, 0.0, 0.0))
 SPECKLED = dataclasses.replace(MEAN, speckle=True)

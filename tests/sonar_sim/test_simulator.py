@@ -3,10 +3,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from sonar_sim.poses import Mounting, Pose, rotation_of
-from sonar_sim.scene import Scene
+from sonar_sim.geometry.pose import Mounting, Pose, rotation_of
+from sonar_sim.scene.scene import Scene
+from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.simulator import Simulator
-from sonar_sim.sonar import SonarSettings
 
 from oculus_driver.encode import bearing_table_cdeg
 

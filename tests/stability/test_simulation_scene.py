@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from mpmath import mpf
 from numpy.typing import NDArray
-from sonar_sim.bent import _rotations, _turned
 from sonar_sim.engine import Engine
+from sonar_sim.geometry.pose import Pose, quaternion_of, rotation_of
 from sonar_sim.material import MATERIALS
-from sonar_sim.meshes import NOTHING, Meshes
-from sonar_sim.physics import Layers
-from sonar_sim.poses import Pose, quaternion_of, rotation_of
-from sonar_sim.scene import Scene, Sea, Surface
+from sonar_sim.propagation.physics import Layers
+from sonar_sim.propagation.refraction import _rotations, _turned
+from sonar_sim.raycast.meshes import NOTHING, Meshes
+from sonar_sim.scene.scene import Scene, Sea, Surface
+from sonar_sim.scene.water import Water
 from sonar_sim.trajectory import Motion, Trajectory, Waypoint
 from sonar_sim.validation.simple import (
     CHALK,
@@ -29,7 +30,6 @@ from sonar_sim.validation.simple import (
     sphere,
     target,
 )
-from sonar_sim.water import Water
 
 Floats = NDArray[np.float64]
 UTM = (566_000.0, 4_649_776.0, 0.0)

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 from sonar_sim import MATERIALS, Pose, Scene, Simulator, SonarSettings, Surface, load_scenario
-from sonar_sim.poses import rotation_of
+from sonar_sim.geometry.pose import rotation_of
 
 from mapperd.config.tree import CrosstalkConfig, RobotDetectionConfig, TerrainDetectionConfig
 from mapperd.imaging.crosstalk import without_stripes

@@ -7,11 +7,11 @@ y to port, z up. Bearings are positive to starboard.
 from oculus_driver import __version__
 from sonar_sim.capture import CaptureSettings, write_capture
 from sonar_sim.effects.plan import EffectPlan, EffectWarning
+from sonar_sim.geometry.pose import Mounting, Pose, SonarMotion
 from sonar_sim.material import MATERIALS, Material
 from sonar_sim.motions import Drift, ObjectMotion, Tour
-from sonar_sim.poses import Mounting, Pose, SonarMotion
 from sonar_sim.scenario import Scenario
-from sonar_sim.scene import (
+from sonar_sim.scene.scene import (
     Bubbles,
     CloudSpec,
     Emitter,
@@ -21,13 +21,13 @@ from sonar_sim.scene import (
     Sediment,
     Surface,
 )
+from sonar_sim.scene.sonar import SonarSettings, sonar_preset
+from sonar_sim.scene.water import Water
 from sonar_sim.scene_file import load_scenario, scene_names
 from sonar_sim.simulator import Ping, Simulator, simulate
-from sonar_sim.sonar import SonarSettings, sonar_preset
 from sonar_sim.tolerance import Tolerance
 from sonar_sim.trajectory import Motion, Trajectory, Waypoint
 from sonar_sim.vehicle import Odometry, OdometryErrors, OdometrySample, Vehicle
-from sonar_sim.water import Water
 
 __all__ = [
     "MATERIALS",

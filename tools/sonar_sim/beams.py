@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim import _core
-from sonar_sim.pattern import azimuth_amplitude, main_lobe_end
-from sonar_sim.physics import Physics
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.propagation.beam_pattern import azimuth_amplitude, main_lobe_end
+from sonar_sim.propagation.physics import Physics
+from sonar_sim.scene.sonar import SonarSettings
 
 ROW_LEAK = 0.26
 """Field that leaks into the neighbouring row, against a row's own; gives the amplitude correlation

@@ -5,9 +5,9 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.pattern import azimuth_amplitude, main_lobe_end
-from sonar_sim.physics import Physics
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.propagation.beam_pattern import azimuth_amplitude, main_lobe_end
+from sonar_sim.propagation.physics import Physics
+from sonar_sim.scene.sonar import SonarSettings
 
 FRACTIONS = 64
 TAPS = 6

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.poses import Pose
+from sonar_sim.geometry.pose import Pose
 
 LEG = 16
 """Numbers of a leg: origin (3), rotation (9), drift (3), gain (1)."""

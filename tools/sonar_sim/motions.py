@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sonar_sim.poses import Pose, rotation_of
+from sonar_sim.geometry.pose import Pose, rotation_of
 from sonar_sim.trajectory import Trajectory
 
 Triple = tuple[float, float, float]

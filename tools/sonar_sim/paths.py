@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim import _core
-from sonar_sim.bounce import OFF_M, TOUCH_M, bounces
-from sonar_sim.clouds import cloud_gain
+from sonar_sim.geometry.matmul import along, product
+from sonar_sim.geometry.pose import Pose, SonarMotion
 from sonar_sim.legs import LEG, leg_in
-from sonar_sim.meshes import NOTHING, Meshes, Met
-from sonar_sim.physics import Mirror, Physics
-from sonar_sim.poses import Pose, SonarMotion
-from sonar_sim.product import along, product
+from sonar_sim.propagation.clouds import cloud_gain
+from sonar_sim.propagation.mirror import OFF_M, TOUCH_M, bounces
+from sonar_sim.propagation.physics import Mirror, Physics
+from sonar_sim.raycast.meshes import NOTHING, Meshes, Met
 from sonar_sim.spans import span_about, spans
 from sonar_sim.tracing import Trace
 

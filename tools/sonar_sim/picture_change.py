@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.scene.sonar import SonarSettings
 
 LOUDEST = 1e18
 """Of full scale: louder is not told apart, and pixels of 32 bits stay within single precision."""

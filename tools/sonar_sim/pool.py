@@ -5,10 +5,10 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
-from sonar_sim.poses import Pose, SonarMotion
-from sonar_sim.scene import Scene
+from sonar_sim.geometry.pose import Pose, SonarMotion
+from sonar_sim.scene.scene import Scene
+from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.simulator import Ping, Simulator
-from sonar_sim.sonar import SonarSettings
 
 PINGS_A_TASK = 4
 

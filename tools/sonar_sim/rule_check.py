@@ -13,22 +13,22 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.effects.look import Look
 from sonar_sim.effects.plan import EffectPlan, Wish
 from sonar_sim.effects.planner import Planner
+from sonar_sim.effects.preview import View
+from sonar_sim.effects.previewer import Look
 from sonar_sim.effects.registry import EFFECTS
-from sonar_sim.effects.view import View
+from sonar_sim.effects.texture import Grain, displacement_cells, grain_of, texture_change, together
 from sonar_sim.engine import Engine
-from sonar_sim.physics import Physics
 from sonar_sim.picture_change import (
     expected_clipped,
     gamma_of,
     level_change_db,
     quantiser_change_db,
 )
+from sonar_sim.propagation.physics import Physics
 from sonar_sim.scenario import Scenario
 from sonar_sim.sonar_motion import sonar_motion, sonar_pose
-from sonar_sim.texture import Grain, displacement_cells, grain_of, texture_change, together
 from sonar_sim.tolerance import Tolerance
 
 SEEDS = (0, 1, 2)

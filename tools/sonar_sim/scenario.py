@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass, field
 
-from sonar_sim.poses import Mounting
-from sonar_sim.scene import Scene
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.geometry.pose import Mounting
+from sonar_sim.scene.scene import Scene
+from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.trajectory import Trajectory
 from sonar_sim.vehicle import Vehicle
 

@@ -5,16 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.effects.look import Look
 from sonar_sim.effects.plan import AUTO, Choice, Wish
 from sonar_sim.effects.planner import Planned, Planner
+from sonar_sim.effects.previewer import Look
 from sonar_sim.engine import NODES_PER_BEAM, Engine, Image
-from sonar_sim.fan import ELEVATIONS
-from sonar_sim.poses import Pose, SonarMotion
-from sonar_sim.scene import Scene
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.geometry.pose import Pose, SonarMotion
+from sonar_sim.propagation.ground_truth import Truth
+from sonar_sim.raycast.fan import ELEVATIONS
+from sonar_sim.scene.scene import Scene
+from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.tolerance import Tolerance
-from sonar_sim.truth import Truth
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sonar_sim.poses import Pose, SonarMotion
+from sonar_sim.geometry.pose import Pose, SonarMotion
 from sonar_sim.scenario import Scenario
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim import _core
-from sonar_sim.fan import Fan
-from sonar_sim.meshes import Meshes, Met
+from sonar_sim.raycast.fan import Fan
+from sonar_sim.raycast.meshes import Meshes, Met
 
 
 def spans(meshes: Meshes, fan: Fan, met: Met) -> NDArray[np.float32]:

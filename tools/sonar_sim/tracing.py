@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim import _core
-from sonar_sim.fan import Fan, finer
-from sonar_sim.meshes import NOTHING, Meshes, Met
-from sonar_sim.poses import Pose
-from sonar_sim.product import product
+from sonar_sim.geometry.matmul import product
+from sonar_sim.geometry.pose import Pose
+from sonar_sim.raycast.fan import Fan, finer
+from sonar_sim.raycast.meshes import NOTHING, Meshes, Met
 
 Number = TypeVar("Number", np.float32, np.int32)
 

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
 from sonar_sim.errors import SceneError
-from sonar_sim.poses import Pose, rotation_of
+from sonar_sim.geometry.pose import Pose, rotation_of
 
 KNOT_S = 0.05
 SHORTEST_S, LONGEST_S = 0.01, 1e5

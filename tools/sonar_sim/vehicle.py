@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.errors import SceneError
-from sonar_sim.poses import Pose, rotation_of
+from sonar_sim.geometry.pose import Pose, rotation_of
 from sonar_sim.trajectory import Trajectory
 
 Triple = tuple[float, float, float]

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oculus_driver.encode import bearing_table_cdeg, encode_ping
-from sonar_sim.sonar import SonarSettings
-from sonar_sim.water import Water
+from sonar_sim.scene.sonar import SonarSettings
+from sonar_sim.scene.water import Water
 
 SOURCE_ID = 750
 

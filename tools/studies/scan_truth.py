@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from sonar_sim import Ping, Pose, Scenario, Simulator, SonarSettings, load_scenario
-from sonar_sim.poses import quaternion_of, rotation_of
-from sonar_sim.truth import Truth
+from sonar_sim.geometry.pose import quaternion_of, rotation_of
+from sonar_sim.propagation.ground_truth import Truth
 
 from mapperd.config.tree import Config
 from mapperd.errors import Reject

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from sonar_sim import MATERIALS, Pose, Scene, Simulator, SonarSettings, Surface, load_scenario
-from sonar_sim.poses import rotation_of
+from sonar_sim.geometry.pose import rotation_of
 
 ROWS, BEAMS = 600, 512
 

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from sonar_sim.effects.doubt import judged
 from sonar_sim.effects.effect import Verdict
-from sonar_sim.effects.look import Look
 from sonar_sim.effects.plan import Wish
 from sonar_sim.effects.planner import Planner
+from sonar_sim.effects.preview import View
+from sonar_sim.effects.previewer import Look
 from sonar_sim.effects.registry import EFFECTS
-from sonar_sim.effects.view import View
-from sonar_sim.poses import Pose
-from sonar_sim.scene import Bubbles, CloudSpec, Scene
+from sonar_sim.geometry.pose import Pose
+from sonar_sim.scene.scene import Bubbles, CloudSpec, Scene
 from sonar_sim.tolerance import Tolerance
 
-from tests.sonar_sim.effects.views import LOUD, floor, pose, view_of
+from tests.sonar_sim.effects.previews import LOUD, floor, pose, view_of
 
 NAME = "crosstalk"
 

@@ -12,10 +12,10 @@ from sonar_sim.effects.interference import arrivals
 from sonar_sim.effects.matter import path_in_box_m, sediment_strength
 from sonar_sim.effects.motion import configure
 from sonar_sim.paths import mirrored
-from sonar_sim.physics import Mirror, Physics
-from sonar_sim.scene import Emitter, Scene
+from sonar_sim.propagation.physics import Mirror, Physics
+from sonar_sim.scene.scene import Emitter, Scene
 
-from tests.sonar_sim.effects.views import SONAR, floor, motion, pose, view_of, wall
+from tests.sonar_sim.effects.previews import SONAR, floor, motion, pose, view_of, wall
 
 if TYPE_CHECKING:
     from sonar_sim.effects.echoes import Echoes

@@ -4,12 +4,12 @@ import pytest
 from sonar_sim.effects.plan import EffectPlan, EffectWarning, Wish
 from sonar_sim.effects.registry import EFFECTS
 from sonar_sim.errors import EffectError
-from sonar_sim.physics import Physics
-from sonar_sim.scene import Scene
+from sonar_sim.propagation.physics import Physics
+from sonar_sim.scene.scene import Scene
 from sonar_sim.simulator import Simulator
 from sonar_sim.tolerance import Tolerance
 
-from tests.sonar_sim.effects.views import LOUD, floor, pose, view_of
+from tests.sonar_sim.effects.previews import LOUD, floor, pose, view_of
 
 NAMES = """
 spreading absorption sound_speed refraction turbidity bubbles azimuth_pattern side_lobes

@@ -6,14 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from sonar_sim.geometry.pose import rotation_of
 from sonar_sim.material import MATERIALS, Material
-from sonar_sim.poses import rotation_of
-from sonar_sim.scene import Bubbles, CloudSpec, Emitter, Scene, Sea, Sediment, Surface
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.scene.scene import Bubbles, CloudSpec, Emitter, Scene, Sea, Sediment, Surface
+from sonar_sim.scene.sonar import SonarSettings
+from sonar_sim.scene.water import Water
 from sonar_sim.validation.simple import sphere
-from sonar_sim.water import Water
 
-from tests.sonar_sim.effects.views import LOUD, SONAR, floor, pose, verdict, view_of, wall
+from tests.sonar_sim.effects.previews import LOUD, SONAR, floor, pose, verdict, view_of, wall
 
 QUIET = replace(SONAR, noise_excess_db=-60.0, bits=16)
 STILL_WATER = Water(volume_strength_db=-200.0)

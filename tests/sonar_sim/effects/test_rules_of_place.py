@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from sonar_sim.effects.bending import bending
-from sonar_sim.poses import Mounting
+from sonar_sim.geometry.pose import Mounting
 from sonar_sim.rule_check import RuleChecker
 from sonar_sim.scenario import Scenario
-from sonar_sim.scene import Scene
+from sonar_sim.scene.scene import Scene
+from sonar_sim.scene.water import Water
 from sonar_sim.tolerance import Tolerance
 from sonar_sim.trajectory import Motion, Trajectory, Waypoint
-from sonar_sim.water import Water
 
-from tests.sonar_sim.effects.views import SONAR, floor, motion, pose, verdict, view_of, wall
+from tests.sonar_sim.effects.previews import SONAR, floor, motion, pose, verdict, view_of, wall
 
 STILL = Trajectory(
     [Waypoint(0.0, 0.0, -3.0, 0.0), Waypoint(0.1, 0.0, -3.0, 0.0)],

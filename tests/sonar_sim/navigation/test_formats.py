@@ -11,12 +11,12 @@ import pynmea2
 import pytest
 from pymavlink.dialects.v20 import common
 from sonar_sim.errors import SonarSimError
+from sonar_sim.geometry.pose import Pose, rotation_of
 from sonar_sim.navigation.fix import Fix
 from sonar_sim.navigation.formats import FORMATS, format_named
 from sonar_sim.navigation.water_linked_words import crc8, sentence
-from sonar_sim.poses import Pose, rotation_of
+from sonar_sim.scene.water import Water
 from sonar_sim.vehicle import OdometryErrors, OdometrySample, Vehicle
-from sonar_sim.water import Water
 
 from mapperd.geometry.frames import rotation_from_rpy
 from mapperd.odometry.native import decode_native

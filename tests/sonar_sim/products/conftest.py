@@ -2,12 +2,12 @@ import math
 
 import numpy as np
 import pytest
+from sonar_sim.geometry.pose import Pose
 from sonar_sim.material import MATERIALS
-from sonar_sim.pinhole import Pinhole
-from sonar_sim.poses import Pose
 from sonar_sim.products import Sounder, Sounding
-from sonar_sim.scene import Scene, Surface
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.raycast.depth_camera import Pinhole
+from sonar_sim.scene.scene import Scene, Surface
+from sonar_sim.scene.sonar import SonarSettings
 
 FACES = np.array([[0, 1, 2], [0, 2, 3]])
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from sonar_sim.motions import Drift, Tour
 from sonar_sim.scenario import Scenario
-from sonar_sim.scene import Surface
+from sonar_sim.scene.scene import Surface
 
 Load = Callable[..., Scenario]
 

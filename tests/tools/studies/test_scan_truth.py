@@ -10,7 +10,7 @@ from studies.scan_picture import draw_scan
 from studies.scan_truth import PLACES, Look, look
 
 if TYPE_CHECKING:
-    from sonar_sim.truth import Truth
+    from sonar_sim.propagation.ground_truth import Truth
 
 PINGS = 6
 

@@ -8,10 +8,10 @@ from sonar_sim.classic import level_defects as level
 from sonar_sim.classic import shape_defects as shape
 from sonar_sim.classic.defect import Defect
 from sonar_sim.classic.pipeline import ClassicImages, classic_camera, classic_images
+from sonar_sim.geometry.pose import Pose
 from sonar_sim.material import MATERIALS
-from sonar_sim.pinhole import Onlooker
-from sonar_sim.poses import Pose
-from sonar_sim.scene import Scene, Surface
+from sonar_sim.raycast.depth_camera import Onlooker
+from sonar_sim.scene.scene import Scene, Surface
 
 BOARD_M = np.array([[8.0, -1.0, -1.0], [9.0, 1.0, -1.0], [9.0, 1.0, 1.0], [8.0, -1.0, 1.0]])
 FACES = np.array([[0, 1, 2], [0, 2, 3]])

@@ -8,8 +8,8 @@ import numpy as np
 from sonar_sim.classic import normals, scan, shapes, snr, visual
 from sonar_sim.classic.defect import Defect
 from sonar_sim.classic.pipeline import classic_camera, classic_images
-from sonar_sim.pattern import vertical_two_way_power
-from sonar_sim.water import Water
+from sonar_sim.propagation.beam_pattern import vertical_two_way_power
+from sonar_sim.scene.water import Water
 
 RAYLEIGH_CV = math.sqrt(4.0 / math.pi - 1.0)
 """Coefficient of variation of the amplitude of fully developed speckle."""

@@ -10,7 +10,7 @@ from sonar_sim.classic import normals as first
 from sonar_sim.classic import scan as third
 from sonar_sim.classic import snr as second
 from sonar_sim.classic import visual as fourth
-from sonar_sim.pinhole import Pinhole
+from sonar_sim.raycast.depth_camera import Pinhole
 
 HORIZONTAL_RAD = 1.54719755
 """Field of view of the plugin's example, 88.65°."""

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.pinhole import Pinhole
+from sonar_sim.raycast.depth_camera import Pinhole
 
 FAR_M = 1e4
 

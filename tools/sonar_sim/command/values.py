@@ -6,7 +6,7 @@ import math
 import numpy as np
 
 from sonar_sim.errors import SonarSimError
-from sonar_sim.poses import Pose, rotation_of
+from sonar_sim.geometry.pose import Pose, rotation_of
 from sonar_sim.trajectory import Trajectory
 
 POSE_NUMBERS = 6

@@ -5,7 +5,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.poses import Pose
+from sonar_sim.geometry.pose import Pose
 from sonar_sim.trajectory import Trajectory
 
 Ends = Literal["stop", "stay", "back"]

@@ -14,7 +14,7 @@ from oculus_driver.virtual_sonar.faults import Faults
 from oculus_driver.virtual_sonar.playback import advertised_address
 from oculus_driver.virtual_sonar.server import VirtualSonar
 from sonar_sim.device.route import Ends, Route
-from sonar_sim.device.simulated import SimulatedDevice
+from sonar_sim.device.simulated_device import SimulatedDevice
 from sonar_sim.effects.plan import AUTO, Wish
 from sonar_sim.errors import SonarSimError
 from sonar_sim.navigation.sending import OdometrySender, Output

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.effects.view import View
+from sonar_sim.effects.preview import View
 
 STEPS = 8
 """Places along a path at which the profile is read."""

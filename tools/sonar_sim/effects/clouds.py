@@ -1,8 +1,8 @@
 """Clouds as the engine takes them."""
 
-from sonar_sim.effects.view import View
-from sonar_sim.physics import Cloud
-from sonar_sim.scene import Bubbles, Sediment
+from sonar_sim.effects.preview import View
+from sonar_sim.propagation.physics import Cloud
+from sonar_sim.scene.scene import Bubbles, Sediment
 
 
 def clouds_of(view: View, kind: type[Bubbles] | type[Sediment]) -> tuple[Cloud, ...]:

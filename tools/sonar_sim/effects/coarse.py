@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.effects.echoes import COLUMNS, Echoes
-from sonar_sim.pattern import azimuth_amplitude, main_lobe_end
+from sonar_sim.geometry.matmul import product
 from sonar_sim.picture_change import level_change_db
-from sonar_sim.product import product
-from sonar_sim.receiver import MOST_DB
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.propagation.beam_pattern import azimuth_amplitude, main_lobe_end
+from sonar_sim.receiver.gain import MOST_DB
+from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.tolerance import Tolerance
 
 MOST_ROWS = 128

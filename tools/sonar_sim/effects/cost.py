@@ -5,9 +5,9 @@ from dataclasses import replace
 from statistics import median
 
 from sonar_sim.effects.plan import Decision, EffectPlan
-from sonar_sim.effects.view import View
+from sonar_sim.effects.preview import View
 from sonar_sim.engine import Engine
-from sonar_sim.physics import Physics
+from sonar_sim.propagation.physics import Physics
 
 
 def measured_costs_ms(

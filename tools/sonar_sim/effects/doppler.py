@@ -3,8 +3,8 @@
 from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
 from sonar_sim.effects.listening import speed_mps
 from sonar_sim.effects.movers import doppler_shift_s, move_verdict
-from sonar_sim.effects.view import View
-from sonar_sim.physics import Physics
+from sonar_sim.effects.preview import View
+from sonar_sim.propagation.physics import Physics
 from sonar_sim.tolerance import Tolerance
 
 

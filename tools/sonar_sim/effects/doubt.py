@@ -10,7 +10,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 from sonar_sim.effects.plan import AUTO, Decision, EffectPlan, Wish
-from sonar_sim.effects.view import View
+from sonar_sim.effects.preview import View
 from sonar_sim.tolerance import Tolerance
 
 MARGIN_DB = 1.5

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.effects.rays import SEA, Met
-from sonar_sim.fan import solid_angle_sr
+from sonar_sim.geometry.pose import Pose
 from sonar_sim.lobe import lobe_strength
-from sonar_sim.poses import Pose
-from sonar_sim.scene import Scene
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.raycast.fan import solid_angle_sr
+from sonar_sim.scene.scene import Scene
+from sonar_sim.scene.sonar import SonarSettings
 
 COLUMNS = 96
 ELEVATIONS = 64

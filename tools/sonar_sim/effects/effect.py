@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-from sonar_sim.effects.view import View
-from sonar_sim.physics import Physics
+from sonar_sim.effects.preview import View
+from sonar_sim.propagation.physics import Physics
 from sonar_sim.tolerance import Tolerance
 
 

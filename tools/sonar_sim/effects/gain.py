@@ -2,10 +2,10 @@
 
 from sonar_sim.effects.coarse import Gains, change_db
 from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
+from sonar_sim.effects.preview import View
 from sonar_sim.effects.verdicts import by_level
-from sonar_sim.effects.view import View
-from sonar_sim.physics import Physics
-from sonar_sim.receiver import GAIN_DB_PER_PERCENT
+from sonar_sim.propagation.physics import Physics
+from sonar_sim.receiver.gain import GAIN_DB_PER_PERCENT
 from sonar_sim.tolerance import Tolerance
 
 

@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.bounce import bounces
 from sonar_sim.effects.echoes import COLUMNS, GRAZING
 from sonar_sim.effects.planes import Plane, coherence
+from sonar_sim.effects.preview import View
 from sonar_sim.effects.rays import cast
-from sonar_sim.effects.view import View
-from sonar_sim.pattern import vertical_two_way_power
-from sonar_sim.physics import Mirror
-from sonar_sim.product import along
+from sonar_sim.geometry.matmul import along
+from sonar_sim.propagation.beam_pattern import vertical_two_way_power
+from sonar_sim.propagation.mirror import bounces
+from sonar_sim.propagation.physics import Mirror
 
 LEAST_REFLECTION = 0.01
 """Of pressure: a bounce that keeps less is 40 dB down."""

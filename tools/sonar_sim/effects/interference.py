@@ -5,11 +5,11 @@ import math
 import numpy as np
 
 from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
+from sonar_sim.effects.preview import View
 from sonar_sim.effects.verdicts import by_level
-from sonar_sim.effects.view import View
-from sonar_sim.pattern import azimuth_amplitude, vertical_two_way_power
-from sonar_sim.physics import Arrival, Physics
-from sonar_sim.scene import Emitter
+from sonar_sim.propagation.beam_pattern import azimuth_amplitude, vertical_two_way_power
+from sonar_sim.propagation.physics import Arrival, Physics
+from sonar_sim.scene.scene import Emitter
 from sonar_sim.tolerance import Tolerance
 
 

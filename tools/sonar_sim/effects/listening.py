@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.effects.view import View
+from sonar_sim.effects.preview import View
 
 STEP_S = 1e-3
 """Of the difference that gives an object's velocity."""

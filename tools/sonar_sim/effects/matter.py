@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.scene import Bubbles, CloudSpec
+from sonar_sim.scene.scene import Bubbles, CloudSpec
+from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.sediment import GRAIN_DENSITY, sediment_db_per_m
-from sonar_sim.sonar import SonarSettings
 
 NEPER_POWER_DB = 10.0 / math.log(10.0)
 EXTINCTION = 2.0

@@ -5,8 +5,8 @@ import math
 from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
 from sonar_sim.effects.listening import speed_mps, turn_rps
 from sonar_sim.effects.movers import move_verdict, moved_cells
-from sonar_sim.effects.view import View
-from sonar_sim.physics import Physics
+from sonar_sim.effects.preview import View
+from sonar_sim.propagation.physics import Physics
 from sonar_sim.tolerance import Tolerance
 
 LEAST_BLOCKS, MOST_BLOCKS = 4, 16

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from sonar_sim.effects.effect import Verdict
 from sonar_sim.effects.parts import parts_of
+from sonar_sim.effects.preview import View
+from sonar_sim.effects.texture import FARTHEST
 from sonar_sim.effects.verdicts import displaced_db
-from sonar_sim.effects.view import View
-from sonar_sim.sonar import SonarSettings
-from sonar_sim.texture import FARTHEST
+from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.tolerance import Tolerance
 
 MOVERS = ("sound_speed", "motion", "doppler", "refraction")

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from sonar_sim.effects.bending import bending
 from sonar_sim.effects.echoes import COLUMNS, Echoes
 from sonar_sim.effects.listening import leaving_mps
-from sonar_sim.effects.view import View
+from sonar_sim.effects.preview import View
+from sonar_sim.effects.texture import LEAST_STEPS
 from sonar_sim.picture_change import full_scale, gamma_of
-from sonar_sim.texture import LEAST_STEPS
 
 MOST_PARTS = 1024
 """More say no more of how far nine in ten of them move."""

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.bounce import FLAT_M, PARALLEL
-from sonar_sim.meshes import SEA
-from sonar_sim.scene import Scene, Surface
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.propagation.mirror import FLAT_M, PARALLEL
+from sonar_sim.raycast.meshes import SEA
+from sonar_sim.scene.scene import Scene, Surface
+from sonar_sim.scene.sonar import SonarSettings
 
 MOST_PLANES = 8
 LEAST_AREA_M2 = 0.2

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sonar_sim.effects.doubt import judged
-from sonar_sim.effects.look import Look
 from sonar_sim.effects.movers import MOVERS
 from sonar_sim.effects.plan import EffectPlan, Wish
+from sonar_sim.effects.preview import OwnPing, View
+from sonar_sim.effects.previewer import Look
 from sonar_sim.effects.registry import EFFECTS
-from sonar_sim.effects.view import OwnPing, View
-from sonar_sim.physics import Physics
-from sonar_sim.poses import Pose, SonarMotion
+from sonar_sim.geometry.pose import Pose, SonarMotion
+from sonar_sim.propagation.physics import Physics
 from sonar_sim.tolerance import Tolerance
 
 CELLS_IN_RANGE = (16, 48)

@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.clouds import passage
 from sonar_sim.effects.coarse import CoarseGrid
 from sonar_sim.effects.echoes import COLUMNS, Fan
-from sonar_sim.pattern import vertical_two_way_power
-from sonar_sim.physics import Cloud
-from sonar_sim.poses import Pose
+from sonar_sim.geometry.pose import Pose
+from sonar_sim.propagation.beam_pattern import vertical_two_way_power
+from sonar_sim.propagation.clouds import passage
+from sonar_sim.propagation.physics import Cloud
 
 
 def filled_by(

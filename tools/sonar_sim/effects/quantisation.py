@@ -3,9 +3,9 @@
 import numpy as np
 
 from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
-from sonar_sim.effects.view import View
-from sonar_sim.physics import Physics
+from sonar_sim.effects.preview import View
 from sonar_sim.picture_change import quantiser_change_db
+from sonar_sim.propagation.physics import Physics
 from sonar_sim.tolerance import Tolerance
 
 

@@ -1,9 +1,9 @@
 """Range spread: an echo sounds in the neighbouring rows too."""
 
 from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
+from sonar_sim.effects.preview import View
 from sonar_sim.effects.verdicts import LEVEL_SPREAD_DB, ROW_CORRELATION
-from sonar_sim.effects.view import View
-from sonar_sim.physics import Physics
+from sonar_sim.propagation.physics import Physics
 from sonar_sim.tolerance import Tolerance
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim import meshes
+from sonar_sim.raycast import meshes
 
 SEA = -1
 """Surface number of the sea's surface."""

@@ -9,11 +9,11 @@ from sonar_sim.effects.bending import bending
 from sonar_sim.effects.echoes import GRAZING
 from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
 from sonar_sim.effects.movers import move_verdict
+from sonar_sim.effects.preview import View
 from sonar_sim.effects.verdicts import by_level, displaced_db
-from sonar_sim.effects.view import View
-from sonar_sim.fan import CENTRE_SINE, ELEVATIONS
-from sonar_sim.pattern import vertical_two_way_power
-from sonar_sim.physics import Layers, Physics
+from sonar_sim.propagation.beam_pattern import vertical_two_way_power
+from sonar_sim.propagation.physics import Layers, Physics
+from sonar_sim.raycast.fan import CENTRE_SINE, ELEVATIONS
 from sonar_sim.tolerance import Tolerance
 
 RAY_RAD = 2.0 * CENTRE_SINE / ELEVATIONS

@@ -3,10 +3,10 @@
 from dataclasses import replace
 
 from sonar_sim.effects.effect import Cost, Effect, Verdict
+from sonar_sim.effects.preview import View
 from sonar_sim.effects.verdicts import by_level
-from sonar_sim.effects.view import View
-from sonar_sim.pattern import vertical_two_way_power
-from sonar_sim.physics import Physics
+from sonar_sim.propagation.beam_pattern import vertical_two_way_power
+from sonar_sim.propagation.physics import Physics
 from sonar_sim.tolerance import Tolerance
 
 

@@ -2,8 +2,8 @@
 
 from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
 from sonar_sim.effects.movers import move_verdict, range_scale
-from sonar_sim.effects.view import View
-from sonar_sim.physics import Physics
+from sonar_sim.effects.preview import View
+from sonar_sim.propagation.physics import Physics
 from sonar_sim.tolerance import Tolerance
 
 

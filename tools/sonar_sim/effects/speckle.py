@@ -1,9 +1,9 @@
 """Speckle: the scatterers of a cell add with random phases that belong to the surface."""
 
 from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
+from sonar_sim.effects.preview import View
 from sonar_sim.effects.verdicts import LEVEL_SPREAD_DB
-from sonar_sim.effects.view import View
-from sonar_sim.physics import Physics
+from sonar_sim.propagation.physics import Physics
 from sonar_sim.tolerance import Tolerance
 
 VARIATION = 0.5227

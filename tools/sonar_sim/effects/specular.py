@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
+from sonar_sim.effects.preview import View
 from sonar_sim.effects.verdicts import by_level
-from sonar_sim.effects.view import View
-from sonar_sim.physics import Physics
+from sonar_sim.propagation.physics import Physics
 from sonar_sim.tolerance import Tolerance
 
 

@@ -4,8 +4,8 @@ import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
-from sonar_sim.poses import Pose
-from sonar_sim.scene import Scene
+from sonar_sim.geometry.pose import Pose
+from sonar_sim.scene.scene import Scene
 
 
 class Altimeter:

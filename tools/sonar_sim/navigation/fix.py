@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oculus_driver.sound_speed import pressure_bar_at
-from sonar_sim.poses import Pose, quaternion_of
+from sonar_sim.geometry.pose import Pose, quaternion_of
+from sonar_sim.scene.water import Water
 from sonar_sim.vehicle import OdometryErrors, OdometrySample, Vehicle
-from sonar_sim.water import Water
 
 NED_R_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FRD_R_FLU = np.diag([1.0, -1.0, -1.0])

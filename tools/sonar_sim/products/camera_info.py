@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from sonar_sim.pinhole import Pinhole
+from sonar_sim.raycast.depth_camera import Pinhole
 
 
 def camera_info(camera: Pinhole, frame_id: str = "sonar_optical") -> dict[str, Any]:

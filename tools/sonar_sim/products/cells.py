@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.pinhole import View
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.raycast.depth_camera import View
+from sonar_sim.scene.sonar import SonarSettings
 
 
 def cells_of(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.scene import Scene
+from sonar_sim.scene.scene import Scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oculus_driver.render import COLOURS
-from sonar_sim import meshes
+from sonar_sim.raycast import meshes
 
 DEPTH_UNIT_M = 0.001
 """Of a grey step of depth pictures, as in ROS' 16UC1."""

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oculus_driver.render import fit_fan, warp_to_fan
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.scene.sonar import SonarSettings
 
 
 def raw_scan(

@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 
 from sonar_sim.effects.plan import AUTO, Choice
 from sonar_sim.engine import Engine
-from sonar_sim.physics import Physics
-from sonar_sim.pinhole import Onlooker, Pinhole, View
-from sonar_sim.poses import Pose, SonarMotion
-from sonar_sim.receiver import FULL_SCALE_DB, noise_level_db
-from sonar_sim.scene import Scene
+from sonar_sim.geometry.pose import Pose, SonarMotion
+from sonar_sim.propagation.ground_truth import Truth
+from sonar_sim.propagation.physics import Physics
+from sonar_sim.raycast.depth_camera import Onlooker, Pinhole, View
+from sonar_sim.receiver.gain import FULL_SCALE_DB, noise_level_db
+from sonar_sim.scene.scene import Scene
+from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.simulator import Simulator
-from sonar_sim.sonar import SonarSettings
 from sonar_sim.tolerance import Tolerance
-from sonar_sim.truth import Truth
 
 TINY = 1e-30
 """Amplitude under which there is no echo at all."""

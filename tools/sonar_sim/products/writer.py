@@ -16,7 +16,6 @@ from sonar_sim.errors import SonarSimError
 from sonar_sim.products import arrays
 from sonar_sim.products.camera_info import camera_info
 from sonar_sim.products.cells import looked_up
-from sonar_sim.products.cloud import cloud_of, write_cloud
 from sonar_sim.products.fan import fan_picture
 from sonar_sim.products.pictures import (
     coloured,
@@ -25,6 +24,7 @@ from sonar_sim.products.pictures import (
     level_picture,
     normal_picture,
 )
+from sonar_sim.products.point_cloud import cloud_of, write_cloud
 from sonar_sim.products.raw_scan import raw_scan
 from sonar_sim.products.sounding import Sounding
 

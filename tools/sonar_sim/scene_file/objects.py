@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from trimesh.ray.ray_util import contains_points
 
 from sonar_sim.errors import SceneError
+from sonar_sim.geometry.pose import rotation_of
 from sonar_sim.material import Material
 from sonar_sim.motions import ObjectMotion
-from sonar_sim.poses import rotation_of
-from sonar_sim.scene import Surface
+from sonar_sim.scene.scene import Surface
 from sonar_sim.scene_file import schema, shape_schema
 from sonar_sim.scene_file.meshes import read_mesh
 from sonar_sim.scene_file.paths import motion_of

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.beams import BeamFormer, beam_former
-from sonar_sim.cells import add_random, stream_key
-from sonar_sim.physics import Physics
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.propagation.physics import Physics
+from sonar_sim.receiver.noise import add_random, stream_key
+from sonar_sim.scene.sonar import SonarSettings
 
 MARGIN = 24
 """Columns beyond the outermost beams, so that those hear as much as the middle."""

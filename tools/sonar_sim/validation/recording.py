@@ -18,12 +18,12 @@ from scipy.ndimage import gaussian_filter
 from oculus_driver import Ping, StreamParser, decode_ping
 from sonar_sim import _core
 from sonar_sim.beams import beam_former
-from sonar_sim.cells import add_random, noise_rms, stream_key
-from sonar_sim.physics import Physics
-from sonar_sim.receiver import amplitude, quantise, row_gain
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.propagation.physics import Physics
+from sonar_sim.receiver.gain import amplitude, quantise, row_gain
+from sonar_sim.receiver.noise import add_random, noise_rms, stream_key
+from sonar_sim.scene.sonar import SonarSettings
+from sonar_sim.scene.water import Water
 from sonar_sim.validation.statistics import linear_amplitude, noise_power
-from sonar_sim.water import Water
 
 MARGIN = 12
 SMOOTHING = (6.0, 5.0)

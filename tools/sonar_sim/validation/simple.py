@@ -7,12 +7,12 @@ import trimesh
 from numpy.typing import NDArray
 
 from sonar_sim.engine import Engine
+from sonar_sim.geometry.pose import Pose
 from sonar_sim.material import Material
-from sonar_sim.physics import Physics
-from sonar_sim.poses import Pose
-from sonar_sim.receiver import FULL_SCALE_DB
-from sonar_sim.scene import PointTarget, Scene, Surface
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.propagation.physics import Physics
+from sonar_sim.receiver.gain import FULL_SCALE_DB
+from sonar_sim.scene.scene import PointTarget, Scene, Surface
+from sonar_sim.scene.sonar import SonarSettings
 
 Vector = tuple[float, float, float]
 DULL = Material("dull", -27.0)

@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 import trimesh
 
+from sonar_sim.geometry.pose import Pose
 from sonar_sim.material import MATERIALS
-from sonar_sim.poses import Pose
-from sonar_sim.scene import Scene, Sea, Surface
+from sonar_sim.scene.scene import Scene, Sea, Surface
 
 TANK_RADIUS_M: Final = 2.2
 TANK_DEPTH_M: Final = 2.0

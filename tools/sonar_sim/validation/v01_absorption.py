@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sonar_sim.scene.water import Water
 from sonar_sim.validation.case import CaseResult, Check
-from sonar_sim.water import Water
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sonar_sim.scene import Scene
+from sonar_sim.scene.scene import Scene
 from sonar_sim.validation.case import CaseResult, Check
 from sonar_sim.validation.simple import (
     MEAN,

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.engine import Engine
-from sonar_sim.fan import ELEVATIONS
-from sonar_sim.scene import Scene
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.raycast.fan import ELEVATIONS
+from sonar_sim.scene.scene import Scene
+from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.validation.case import CaseResult, Check
 from sonar_sim.validation.simple import (
     CHALK,

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.beams import beam_former
-from sonar_sim.pattern import azimuth_amplitude, main_lobe_end
-from sonar_sim.physics import Physics
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.propagation.beam_pattern import azimuth_amplitude, main_lobe_end
+from sonar_sim.propagation.physics import Physics
+from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.validation.case import CaseResult, Check
 from sonar_sim.validation.homogeneous import Homogeneous
 from sonar_sim.validation.statistics import correlation

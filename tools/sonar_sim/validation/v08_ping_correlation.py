@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.validation.case import CaseResult, Check
 from sonar_sim.validation.homogeneous import Homogeneous
 from sonar_sim.validation.statistics import correlation

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.engine import Engine
-from sonar_sim.physics import Physics
-from sonar_sim.scene import PointTarget, Scene
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.propagation.physics import Physics
+from sonar_sim.scene.scene import PointTarget, Scene
+from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.validation.case import CaseResult, Check
 from sonar_sim.validation.simple import MEAN, decibel, narrow_sonar, pose_at, target
 

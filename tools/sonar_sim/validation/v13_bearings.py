@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.beams import beam_sines
-from sonar_sim.physics import Physics
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.propagation.physics import Physics
+from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.validation.case import CaseResult, Check
 
 if TYPE_CHECKING:

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sonar_sim import _core
-from sonar_sim.physics import Physics
-from sonar_sim.receiver import quantise
+from sonar_sim.propagation.physics import Physics
+from sonar_sim.receiver.gain import quantise
 from sonar_sim.validation.case import CaseResult, Check
 
 if TYPE_CHECKING:

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sonar_sim.poses import Mounting
+from sonar_sim.geometry.pose import Mounting
 from sonar_sim.scenario import Scenario
-from sonar_sim.scene import Scene
-from sonar_sim.sonar import sonar_preset
+from sonar_sim.scene.scene import Scene
+from sonar_sim.scene.sonar import sonar_preset
 from sonar_sim.trajectory import Trajectory, Waypoint
 from sonar_sim.validation.case import CaseResult, Check
 

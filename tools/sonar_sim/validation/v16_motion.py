@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sonar_sim.engine import Engine
-from sonar_sim.poses import SonarMotion
-from sonar_sim.scene import Scene
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.geometry.pose import SonarMotion
+from sonar_sim.scene.scene import Scene
+from sonar_sim.scene.sonar import SonarSettings
+from sonar_sim.scene.water import Water
 from sonar_sim.validation.case import CaseResult, Check
 from sonar_sim.validation.simple import DULL, MEAN, pose_at, rectangle, target
-from sonar_sim.water import Water
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

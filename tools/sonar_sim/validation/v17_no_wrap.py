@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.engine import Engine
-from sonar_sim.scene import Scene, Surface
+from sonar_sim.scene.scene import Scene, Surface
 from sonar_sim.validation.case import CaseResult, Check
 from sonar_sim.validation.simple import (
     MEAN,

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from oculus_driver.render import Style
 from sonar_sim.engine import Engine
-from sonar_sim.physics import Physics
-from sonar_sim.pinhole import pinhole_of
 from sonar_sim.products.fan import fan_picture
 from sonar_sim.products.sounding import Sounder
-from sonar_sim.sonar import SonarSettings, sonar_preset
+from sonar_sim.propagation.physics import Physics
+from sonar_sim.raycast.depth_camera import pinhole_of
+from sonar_sim.scene.sonar import SonarSettings, sonar_preset
 from sonar_sim.validation import tank
 from sonar_sim.validation.case import CaseResult, Check
 

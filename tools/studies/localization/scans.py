@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from sonar_sim.poses import rotation_of
+from sonar_sim.geometry.pose import rotation_of
 
 from mapperd.localization.extraction import floor_gate_m
 from mapperd.localization.levelling import fan_points

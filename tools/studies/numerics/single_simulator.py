@@ -4,13 +4,13 @@ import numpy as np
 from numpy.typing import NDArray
 from sonar_sim.beams import beam_former
 from sonar_sim.engine import Engine
+from sonar_sim.geometry.pose import Pose
 from sonar_sim.material import MATERIALS
-from sonar_sim.meshes import Meshes
-from sonar_sim.physics import Physics
-from sonar_sim.poses import Pose
-from sonar_sim.receiver import amplitude, quantise
-from sonar_sim.scene import Scene, Surface
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.propagation.physics import Physics
+from sonar_sim.raycast.meshes import Meshes
+from sonar_sim.receiver.gain import amplitude, quantise
+from sonar_sim.scene.scene import Scene, Surface
+from sonar_sim.scene.sonar import SonarSettings
 
 from studies.numerics.single_places import Measured, Place
 

@@ -12,7 +12,7 @@ from sonar_sim import load_scenario, sonar_preset
 from sonar_sim.effects.registry import EFFECTS
 from sonar_sim.engine import NODES_PER_BEAM
 from sonar_sim.errors import EffectError
-from sonar_sim.fan import ELEVATIONS, MARGIN_BEAMS
+from sonar_sim.raycast.fan import ELEVATIONS, MARGIN_BEAMS
 from studies.accuracy_cost.simulation import STUDY, ours, scenes
 from studies.accuracy_cost.simulation.ours import widened
 from studies.accuracy_cost.simulation.reference import (

@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from sonar_sim.effects.look import Look
 from sonar_sim.effects.planner import Planner
+from sonar_sim.effects.previewer import Look
 from sonar_sim.engine import Engine, EnginePing
-from sonar_sim.physics import Physics
 from sonar_sim.picture_change import expected_clipped, gamma_of
-from sonar_sim.sonar import SonarSettings
+from sonar_sim.propagation.physics import Physics
+from sonar_sim.scene.sonar import SonarSettings
 
 from studies.accuracy_cost.simulation.error import Grain, grain_of
 from studies.accuracy_cost.simulation.scenes import Making, Moment, moments_of, scenario_of

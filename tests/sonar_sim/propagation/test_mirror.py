@@ -1,0 +1,136 @@
+"""Ghosts of finite mirrors: there is one where the bounce's point lies on the mirror, else none."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from sonar_sim.effects.planes import mirror_planes
+from sonar_sim.engine import Engine
+from sonar_sim.material import MATERIALS, Material
+from sonar_sim.propagation.physics import Mirror
+from sonar_sim.raycast.meshes import SEA
+from sonar_sim.scene.scene import Scene, Sea, Surface
+from sonar_sim.validation.simple import (
+    CHALK,
+    MEAN,
+    Vector,
+    narrow_sonar,
+    pose_at,
+    rectangle,
+    target,
+)
+
+HERE = pose_at((0.0, 0.0, 0.0))
+BELOW_M = 1.0
+"""The mirror's plane lies so far below the sonar and the target."""
+AWAY_M = 6.0
+BOUNCED_M = math.hypot(AWAY_M, 2.0 * BELOW_M)
+ROW_M = 0.01
+SILENT = Material("silent", -200.0, 0.9, 0.0, 0.01)
+ONCE_ROW, TWICE_ROW = (int(m / ROW_M) for m in ((AWAY_M + BOUNCED_M) / 2.0, BOUNCED_M))
+
+
+def plate(from_m: float, to_m: float) -> Surface:
+    """Level, between two distances ahead."""
+    centre: Vector = ((from_m + to_m) / 2.0, 0.0, -BELOW_M)
+    return rectangle(centre, (to_m - from_m, 0.0, 0.0), (0.0, 4.0, 0.0), SILENT)
+
+
+MIRROR = Mirror(np.array([0.0, 0.0, -BELOW_M]), np.array([0.0, 0.0, 1.0]), 0.9, 0)
+
+
+def rows(scene: Scene, *mirrors: Mirror, speckle: bool = False) -> NDArray[np.float32]:
+    """Loudest amplitude of each row."""
+    physics = dataclasses.replace(MEAN, specular=False, mirrors=mirrors, speckle=speckle)
+    engine = Engine(scene, narrow_sonar(7.0, ROW_M), elevations=448)
+    loudest: NDArray[np.float32] = engine.ping(HERE, physics).amplitude.max(axis=1)
+    return loudest
+
+
+def ghosts(level: NDArray[np.float32], reach: int = 2) -> tuple[bool, bool]:
+    """Whether there is an echo half by the mirror, and one wholly by it."""
+    least = 1e-3 * level.max()
+    once, twice = (level[r - reach : r + reach + 1].max() > least for r in (ONCE_ROW, TWICE_ROW))
+    return bool(once), bool(twice)
+
+
+def small() -> Surface:
+    return rectangle((AWAY_M, 0.0, 0.0), (0.0, 0.2, 0.0), (0.0, 0.0, 0.05), CHALK)
+
+
+@pytest.mark.parametrize("speckle", [False, True])
+@pytest.mark.parametrize(
+    ("from_m", "to_m", "there"),
+    [(2.8, 3.2, True), (2.6, 2.9, False), (3.1, 3.5, False), (-50.0, 50.0, True)],
+)
+def test_a_plate_mirrors_where_it_is(
+    *, from_m: float, to_m: float, there: bool, speckle: bool
+) -> None:
+    """The bounce's point is half-way, 3 m ahead."""
+    for scene in (
+        Scene((plate(from_m, to_m), small())),
+        Scene((plate(from_m, to_m),), targets=(target((AWAY_M, 0.0, 0.0)),)),
+    ):
+        level = rows(scene, MIRROR, speckle=speckle)
+        assert ghosts(level) == (there, there)
+
+
+def test_a_screen_before_or_after_the_bounce_hides_the_ghost() -> None:
+    for x in (1.5, 4.5):
+        screen = rectangle((x, 0.0, -0.5), (0.0, 4.0, 0.0), (0.0, 0.0, 0.3), SILENT)
+        surfaces = (plate(2.5, 3.5), screen)
+        point = target((AWAY_M, 0.0, 0.0))
+        for scene in (Scene((*surfaces, small())), Scene(surfaces, targets=(point,))):
+            assert ghosts(rows(scene, MIRROR)) == (False, False)
+
+
+def test_what_lies_close_before_a_mirror_is_no_part_of_it() -> None:
+    """Not a box's far side either: its near side is met first."""
+    near = dataclasses.replace(plate(2.8, 3.2), name="cover")
+    lifted = dataclasses.replace(near, vertices_m=near.vertices_m + np.array([0.0, 0.0, 0.01]))
+    scene = Scene((plate(2.8, 3.2), lifted, small()))
+    assert ghosts(rows(scene, MIRROR)) == (False, False)
+    one = dataclasses.replace(
+        near,
+        vertices_m=np.concatenate([near.vertices_m, lifted.vertices_m]),
+        faces=np.concatenate([near.faces, lifted.faces + len(near.vertices_m)]),
+    )
+    scene = Scene((one, small()))
+    assert ghosts(rows(scene, MIRROR)) == (False, False)
+
+
+def test_sonar_and_mirror_must_see_the_same_side() -> None:
+    """A mirror on the floor shows a level sheet's underside; the sonar hears its upper side."""
+    sheet = rectangle((4.04, 0.0, -0.5), (0.08, 0.0, 0.0), (0.0, 0.4, 0.0), CHALK)
+    scene = Scene((plate(1.0, 6.0), sheet))
+    seen = np.flatnonzero(rows(scene, MIRROR) > 1e-9) * ROW_M
+    direct_m, bounced_m = (np.hypot([4.0, 4.08], height_m) for height_m in (0.5, 1.5))
+    assert np.any(np.abs(seen - direct_m.mean()) < 0.1)
+    assert np.any(np.abs(seen - bounced_m.mean()) < 0.1)
+    # A whole ray's cell belongs to the sheet or not: so high up in the fan that is 3 cm.
+    ways_m = [(seen > m[0] - 0.03) & (seen < m[1] + 0.03) for m in (direct_m, bounced_m)]
+    assert np.all(ways_m[0] | ways_m[1])
+
+
+def test_the_sea_mirrors_all_over() -> None:
+    calm = Sea(rms_height_m=0.0)
+    deep = dataclasses.replace(small(), vertices_m=small().vertices_m - [0.0, 0.0, 2.0])
+    mirror = Mirror(np.zeros(3), np.array([0.0, 0.0, -1.0]), -1.0, SEA)
+    scene = Scene((deep,), sea=calm)
+    physics = dataclasses.replace(MEAN, mirrors=(mirror,))
+    engine = Engine(scene, narrow_sonar(8.0, ROW_M), elevations=448)
+    level = engine.ping(pose_at((0.0, 0.0, -2.0)), physics).amplitude.max(axis=1)
+    bounced_m = math.hypot(AWAY_M, 4.0)
+    assert level[int(bounced_m / ROW_M) - 2 : int(bounced_m / ROW_M) + 3].max() > 0.0
+
+
+def test_a_face_belongs_to_one_mirror_only() -> None:
+    """Whichever way its triangles turn, and wherever its offset is rounded."""
+    sheet = rectangle((2.005, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 2.0), MATERIALS["glass"], 4)
+    turned = sheet.faces.copy()
+    turned[::3] = turned[::3, ::-1]
+    wobbly = sheet.vertices_m + [1e-5, 0.0, 0.0] * (np.arange(len(sheet.vertices_m)) % 2)[:, None]
+    scene = Scene((dataclasses.replace(sheet, vertices_m=wobbly, faces=turned),))
+    assert len(mirror_planes(scene, narrow_sonar(7.0))) == 1

@@ -1,0 +1,75 @@
+"""Where the fan of directions ends: beside the sonar, where its array's cones close."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from sonar_sim.engine import Engine
+from sonar_sim.raycast.fan import fan_of, solid_angle_sr
+from sonar_sim.scene.scene import Scene
+from sonar_sim.scene.sonar import SonarSettings
+from sonar_sim.validation.simple import MEAN, cell_power, floor, pose_at
+
+HEIGHT_M = 2.0
+SONAR = SonarSettings(beams=192, demanded_range_m=5.0, forced_rows=200)
+SEEDS = range(6)
+
+
+def floor_power() -> NDArray[np.float64]:
+    """Of each cell, (rows, beams).
+
+    On the circle where a range meets the floor, whose radius over the range is a, a direction of
+    sine s = a sin(turn) stands for R dR dturn of floor: mu cos² i R dR dturn / R⁴ of power.
+    """
+    fine = 8
+    range_m = (np.arange(SONAR.rows * fine) + 0.5) * SONAR.range_resolution_m / fine
+    circle = np.sqrt(np.maximum(1.0 - (HEIGHT_M / range_m) ** 2, 0.0))[:, None]
+    edges = (np.arange(SONAR.beams + 1) - SONAR.beams / 2.0) * SONAR.sine_pitch
+    turn = np.diff(np.arcsin(np.clip(edges / np.maximum(circle, 1e-12), -1.0, 1.0)), axis=1)
+    step_m = SONAR.range_resolution_m / fine
+    weight = floor().material.mu * HEIGHT_M**2 * step_m / range_m**5
+    power: NDArray[np.float64] = np.where(circle > 0.0, turn, 0.0) * weight[:, None]
+    cells: NDArray[np.float64] = power.reshape(SONAR.rows, fine, SONAR.beams).sum(axis=1)
+    return cells
+
+
+def at_the_edge(power: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of the outermost three beams that hold floor, by ranges of ten rows, (bands,)."""
+    bands = []
+    for first in range(130, 180, 10):
+        rows = slice(first, first + 10)
+        last = np.flatnonzero(floor_power()[rows].sum(axis=0))[-3:]
+        bands.append(power[rows][:, last].sum())
+    return np.array(bands)
+
+
+def test_the_mean_power_at_the_edge_is_the_floor_s_own() -> None:
+    power = cell_power(Engine(Scene((floor(),)), SONAR), pose_at((0.0, 0.0, HEIGHT_M)), MEAN)
+    assert at_the_edge(power) == pytest.approx(at_the_edge(floor_power()), rel=0.1)
+    rows = slice(130, 180)
+    assert power[rows].sum() == pytest.approx(floor_power()[rows].sum(), rel=0.01)
+
+
+def test_the_field_s_power_at_the_edge_is_the_floor_s_own() -> None:
+    physics = replace(MEAN, speckle=True)
+    pose, scene = pose_at((0.0, 0.0, HEIGHT_M)), Scene((floor(),))
+    powers = [cell_power(Engine(scene, SONAR, seed=seed), pose, physics) for seed in SEEDS]
+    got, expected = at_the_edge(np.mean(powers, axis=0)), at_the_edge(floor_power())
+    assert got.sum() == pytest.approx(expected.sum(), rel=0.1)
+
+
+def test_the_fan_covers_all_directions_ahead() -> None:
+    sonar = replace(SONAR, half_aperture_rad=math.radians(85.0), beams=180)
+    fan = fan_of(sonar)
+    top, left = float(fan.cell[:, 3].max()), float(fan.cell[:, 0].min())
+    up = (np.arange(100_000) + 0.5) / 100_000 * 2.0 * top - top
+    most = np.sqrt(1.0 - up**2)
+    expected = np.mean(2.0 * np.arcsin(np.minimum(-left / most, 1.0))) * 2.0 * top
+    assert fan.solid_angle_sr.sum() == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_cell_ends_with_the_directions() -> None:
+    one = (np.array([value]) for value in (0.0, 2.0, -1.0, 1.0))
+    assert solid_angle_sr(*one)[0] == pytest.approx(math.pi)

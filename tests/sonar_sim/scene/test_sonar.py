@@ -1,0 +1,65 @@
+import numpy as np
+import pytest
+from sonar_sim.errors import SceneError
+from sonar_sim.scene.sonar import SonarSettings, sonar_preset
+
+from oculus_driver.models import FAMILIES
+
+PRESETS = [
+    (model, mode)
+    for model in ("M370s", "M750d", "M1200d", "M3000d")
+    for mode in (1, 2)
+    if (model, mode) != ("M370s", 2)
+]
+
+
+@pytest.mark.parametrize(("model", "mode"), PRESETS)
+def test_presets_are_the_drivers_models(model: str, mode: int) -> None:
+    known = next(f for f in FAMILIES if f.name == model).modes[mode - 1]
+    sonar = sonar_preset(model, mode)
+    assert sonar.frequency_hz == pytest.approx(known.frequency_hz)
+    assert sonar.most_range_m == known.max_range_m
+    assert (sonar.model, sonar.mode) == (model, mode)
+    expected_deg = (known.aperture_deg or 130.0, known.resolution_deg or 2.0)
+    found_rad = (2.0 * sonar.half_aperture_rad, sonar.beam_width_rad)
+    assert np.degrees(found_rad) == pytest.approx(expected_deg)
+
+
+def test_bands_have_the_published_beams() -> None:
+    """Nobody publishes the M370s' own."""
+    low, high = sonar_preset("M750d", 1), sonar_preset("M750d", 2)
+    assert np.degrees([low.beam_width_rad, high.beam_width_rad]) == pytest.approx([1.0, 0.6])
+    assert (low.base_row_m, high.base_row_m) == (0.004, 0.0025)
+
+
+def test_preset_of_the_default_is_the_default() -> None:
+    assert sonar_preset() == SonarSettings()
+    assert sonar_preset("M750d", 1, beams=256).beams == 256
+
+
+def test_rows_follow_the_range_as_an_oculus_chooses_them_unless_forced() -> None:
+    assert sonar_preset(demanded_range_m=2.0).rows == 500
+    assert sonar_preset(demanded_range_m=10.0).range_resolution_m == 0.016
+    forced = sonar_preset(demanded_range_m=20.0, forced_rows=1000)
+    assert forced.rows == 1000
+    assert forced.range_resolution_m == pytest.approx(0.02)
+    assert forced.range_m == pytest.approx(20.0)
+    assert forced.row_centres_m[[0, -1]] == pytest.approx([0.01, 19.99])
+
+
+@pytest.mark.parametrize(
+    ("model", "mode", "changes", "word"),
+    [
+        ("M750d", 3, {}, "there are M370s mode 1"),
+        ("M999", 1, {}, "no M999"),
+        ("M750d", 2, {"demanded_range_m": 41.0}, "0.1 to 40 m"),
+        ("M750d", 1, {"demanded_range_m": 0.05}, "0.1 to 120 m"),
+        ("M750d", 1, {"bits": 24}, "24 bits"),
+        ("M750d", 1, {"forced_rows": 0}, "no image"),
+    ],
+)
+def test_what_no_sonar_can_is_refused(
+    model: str, mode: int, changes: dict[str, float], word: str
+) -> None:
+    with pytest.raises(SceneError, match=word):
+        sonar_preset(model, mode, **changes)

@@ -1,0 +1,128 @@
+"""What a fire message makes of a sonar's settings, and how fast it may ping with them."""
+
+import math
+from dataclasses import replace
+
+from oculus_driver.models import FAMILIES, MAX_RATE_HZ, MODELS
+from oculus_driver.virtual_sonar.device import FireRequest
+from oculus_driver.virtual_sonar.resample import requested_bits, requested_range_m
+from oculus_driver.wire import FireFlags, PingRate
+from sonar_sim.errors import SceneError
+from sonar_sim.scene.sonar import SonarSettings, sonar_preset
+from sonar_sim.scene.water import Water
+
+FULL_BEAMS, HALF_BEAMS = 512, 256
+BITS_32 = 32
+SPEEDS_MPS = (1300.0, 1700.0)
+MOST_SALT_PPT = 42.0
+LINK_SPEED = (0, 255)
+"""Bytes that mean: as fast as the link."""
+
+PROCESSING_S = 0.002
+"""Between the last echo and the first byte."""
+
+
+def part_number_of(model: str) -> int:
+    """The part number of a model's plain version.
+
+    Raises:
+        SceneError: no such sonar.
+    """
+    for number, known in MODELS.items():
+        if known.name == model:
+            return number
+    names = ", ".join(family.name for family in FAMILIES)
+    raise SceneError(f"sonar: no part number of {model}; known: {names}")
+
+
+def first_demand(sonar: SonarSettings, ping_rate_hz: float) -> FireRequest:
+    """What the sonar was told last: the scenario's own settings.
+
+    Args:
+        sonar: of the scenario.
+        ping_rate_hz: the slowest setting that allows it is taken.
+    """
+    flags = FireFlags.RANGE_IN_METRES | FireFlags.SIMPLE_RETURN
+    flags |= FireFlags.FULL_BEAMS if sonar.beams > HALF_BEAMS else 0
+    flags |= FireFlags.SIXTEEN_BIT if sonar.bits > 8 else 0  # noqa: PLR2004 bits of a byte
+    allowing = [rate for rate, most_hz in MAX_RATE_HZ.items() if most_hz >= ping_rate_hz]
+    return FireRequest(
+        mode=sonar.mode,
+        ping_rate=min(allowing, key=MAX_RATE_HZ.__getitem__, default=PingRate.HIGHEST),
+        gamma=sonar.gamma_byte,
+        flags=flags,
+        range_demand=sonar.demanded_range_m,
+        gain_percent=sonar.gain_percent,
+        extended_flags=0x200 if sonar.bits == BITS_32 else 0,
+    )
+
+
+def settings_for(demand: FireRequest, sonar: SonarSettings, water: Water) -> SonarSettings:
+    """The sonar as a fire message sets it.
+
+    Ranges are cut at what the mode can do and a mode that the model has not got is taken for its
+    first one: what firmware does with such demands is not documented.
+
+    Args:
+        demand: the fire message.
+        sonar: of the scenario; what no fire message says stays.
+        water: tells the speed of sound where the sonar computes it.
+    """
+    part = part_number_of(sonar.model)
+    mode = demand.mode if _has_mode(sonar.model, demand.mode) else 1
+    base = sonar if mode == sonar.mode else sonar_preset(sonar.model, mode)
+    gain = demand.gain_percent if math.isfinite(demand.gain_percent) else base.gain_percent
+    return replace(
+        base,
+        demanded_range_m=min(
+            requested_range_m(replace(demand, mode=mode), part), base.most_range_m
+        ),
+        beams=FULL_BEAMS if demand.flags & FireFlags.FULL_BEAMS else HALF_BEAMS,
+        gain_percent=min(max(gain, 0.0), 100.0),
+        gamma_byte=demand.gamma,
+        bits=requested_bits(demand),
+        told_speed_mps=_told_speed_mps(demand, water),
+        source_level_db=sonar.source_level_db,
+        noise_excess_db=sonar.noise_excess_db,
+    )
+
+
+def period_s(demand: FireRequest, sonar: SonarSettings, water: Water, message_bytes: int) -> float:
+    """Least time from ping to ping: the rate, the sound's way there and back, the network's limit.
+
+    Args:
+        demand: the fire message.
+        sonar: as it sets it.
+        water: of the scene.
+        message_bytes: of a ping.
+    """
+    known = demand.ping_rate in set(MAX_RATE_HZ)
+    rate_hz = MAX_RATE_HZ[PingRate(demand.ping_rate)] if known else MAX_RATE_HZ[PingRate.NORMAL]
+    waits = [0.0 if demand.triggered or not rate_hz else 1.0 / rate_hz]
+    waits.append(listening_s(sonar, water) + PROCESSING_S)
+    if demand.network_speed_mbps not in LINK_SPEED:
+        waits.append(8e-6 * message_bytes / demand.network_speed_mbps)
+    return max(waits)
+
+
+def listening_s(sonar: SonarSettings, water: Water) -> float:
+    """Time until the last echo is back."""
+    return 2.0 * sonar.range_m / water.speed_of_sound_mps
+
+
+def _has_mode(model: str, mode: int) -> bool:
+    try:
+        sonar_preset(model, mode)
+    except SceneError:
+        return False
+    return True
+
+
+def _told_speed_mps(demand: FireRequest, water: Water) -> float | None:
+    """What the sonar reckons with: told, or computed for the salinity told; None is the truth."""
+    slowest_mps, fastest_mps = SPEEDS_MPS
+    if slowest_mps <= demand.speed_of_sound_demand_mps <= fastest_mps:
+        return demand.speed_of_sound_demand_mps
+    if demand.salinity_ppt == water.salinity_ppt or not 0 <= demand.salinity_ppt <= MOST_SALT_PPT:
+        return None
+    return replace(water, salinity_ppt=demand.salinity_ppt, profile=None).speed_of_sound_mps

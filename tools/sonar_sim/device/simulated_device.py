@@ -1,0 +1,167 @@
+"""The sonar that is simulated ping by ping, in real time, while it is served."""
+
+import asyncio
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+from oculus_driver.sound_speed import pressure_bar_at
+from oculus_driver.virtual_sonar.device import FireRequest, Identity, VirtualDevice
+from sonar_sim.capture import POWER_UP_S
+from sonar_sim.device.fire_settings import PROCESSING_S, first_demand, listening_s, period_s
+from sonar_sim.device.ping_generator import PingMaker, When
+from sonar_sim.effects.plan import AUTO
+from sonar_sim.scenario import Scenario
+from sonar_sim.trajectory import Trajectory
+
+FIRST_ID = 1
+STALE_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class _Ready:
+    """A ping that waits for its last echo: the fire message it obeys, and when it may leave."""
+
+    demand: FireRequest
+    message: bytes
+    ping_id: int
+    due_s: float
+
+
+class SimulatedDevice(VirtualDevice):
+    """Obeys fire messages with simulated pings, each of the pose where it is transmitted.
+
+    It transmits as fast as the rate, the sound's way there and back, and this computer allow:
+    where simulating takes longer than that, the next ping is transmitted later, not sent late.
+    Until a fire message comes it pings as the scenario says, or is in standby.
+
+    Args:
+        scenario: scene, sonar and mounting.
+        route: of the vehicle.
+        clock: seconds on the route.
+        identity: of the sonar; its part number is that of the scenario's model.
+        standby: be silent until a fire message asks for pings.
+        seed: of speckle and noise.
+        effects: as for `sonar_sim.Simulator`.
+        ignored_fire_version: version of fire messages that are not understood.
+
+    Attributes:
+        simulated: pings that were simulated.
+        late: pings whose simulation took longer than their echoes.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        route: Trajectory,
+        clock: Callable[[], float],
+        identity: Identity,
+        *,
+        standby: bool = False,
+        seed: int = 0,
+        effects: str = AUTO,
+        ignored_fire_version: int | None = None,
+    ) -> None:
+        device_id = identity.device_id or 1
+        self._maker = PingMaker(
+            scenario.scene,
+            scenario.sonar,
+            scenario.mounting,
+            seed=seed,
+            source_id=device_id & 0xFFFF,
+            effects=effects,
+        )
+        super().__init__(identity, device_id, self._maker.part_number, ignored_fire_version)
+        self._water = scenario.scene.water
+        self._route = route
+        self._clock = clock
+        self._standby = standby
+        self._first_demand = first_demand(scenario.sonar, scenario.ping_rate_hz)
+        self._thread = ThreadPoolExecutor(1, "simulator")
+        self._ready: _Ready | None = None
+        self._transmit_s = 0.0  # the earliest next one, on the route
+        self._boot_s = -POWER_UP_S  # of power-up, on the route
+        self._next_id = FIRST_ID
+        self.simulated = 0
+        self.late = 0
+        self.temperature_c = self._water.temperature_c
+
+    @property
+    def pinging(self) -> bool:
+        """Whether it transmits by itself or on triggers."""
+        silent = self._standby if self.request is None else self.request.standby
+        return self.can_ping and not silent and not self.ended
+
+    @property
+    def ended(self) -> bool:
+        """Whether the route is at its end."""
+        return self._clock() >= self._route.duration_s
+
+    @property
+    def next_is_ping(self) -> bool:
+        """True: it says nothing else by itself."""
+        return True
+
+    @property
+    def seconds_since_boot(self) -> float:
+        """The sonar's own clock."""
+        return self._clock() - self._boot_s
+
+    async def prepare(self) -> None:
+        """Simulate the next ping, then wait until its last echo would be back."""
+        demand = self.request or self._first_demand
+        ready = self._ready
+        # One that was left when the client went, or standby came, is of long ago.
+        if ready is None or ready.demand != demand or self._clock() - ready.due_s > STALE_S:
+            await self._simulate(demand)
+        if self._ready is not None:
+            await asyncio.sleep(self._ready.due_s - self._clock())
+
+    def wait_ns(self) -> int:
+        """Return 0: `prepare` has waited."""
+        return 0
+
+    def take(self) -> tuple[bytes, int | None]:
+        """Return the ping that is ready, and its id.
+
+        Raises:
+            LookupError: none is ready.
+        """
+        ready, self._ready = self._ready, None
+        if ready is None:
+            raise LookupError("no ping is ready: await prepare() first")
+        self.triggers = max(0, self.triggers - 1)
+        return ready.message, ready.ping_id
+
+    def restart(self) -> None:
+        """Begin ids and device time anew; settings stay."""
+        self._ready = None
+        self._next_id = FIRST_ID
+        self._boot_s = self._clock()
+
+    def close(self) -> None:
+        """Let the ping that is being simulated be the last one."""
+        self._thread.shutdown(wait=True, cancel_futures=True)
+
+    async def _simulate(self, demand: FireRequest) -> None:
+        transmit_s = max(self._transmit_s, self._clock())
+        sonar = self._maker.settings(demand)
+        map_T_base = self._route.pose(transmit_s)  # noqa: N806 frames are named
+        when = When(
+            self._next_id,
+            transmit_s - self._boot_s,
+            transmit_s,
+            map_T_base,
+            self._route.velocity_mps(transmit_s),
+            self._route.turn_rates_rps(transmit_s),
+        )
+        loop = asyncio.get_running_loop()
+        message = await loop.run_in_executor(self._thread, self._maker.make, demand, when)
+        due_s = transmit_s + listening_s(sonar, self._water) + PROCESSING_S
+        self.simulated += 1
+        self.late += self._clock() > due_s
+        self._transmit_s = transmit_s + period_s(demand, sonar, self._water, len(message))
+        self._next_id += 1
+        depth_m = max(0.0, -float(map_T_base.position_m[2]))
+        self.pressure_bar = pressure_bar_at(depth_m, self._water.salinity_ppt)
+        self._ready = _Ready(demand, message, when.ping_id, due_s)

@@ -1,0 +1,316 @@
+"""What the rules know before a ping is computed: settings, poses, and a coarse cast with levels."""
+
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonar_sim.effects.coarse import (
+    MOST_ROWS,
+    CoarseGrid,
+    Gains,
+    change_db,
+    equivalent_beams,
+    left_by,
+)
+from sonar_sim.effects.echoes import COLUMNS, Echoes, Fan
+from sonar_sim.effects.matter import Matter, cloud_matter, path_in_box_m, sediment_strength
+from sonar_sim.effects.planes import Plane
+from sonar_sim.effects.plumes import filled_by
+from sonar_sim.geometry.pose import Pose, SonarMotion
+from sonar_sim.propagation.beam_pattern import vertical_two_way_power
+from sonar_sim.propagation.physics import Cloud
+from sonar_sim.raycast.meshes import Meshes
+from sonar_sim.receiver.gain import FULL_SCALE_DB, GAIN_DB_PER_PERCENT, noise_level_db
+from sonar_sim.scene.scene import Bubbles, CloudSpec, Scene, Sediment
+from sonar_sim.scene.sonar import SonarSettings
+from sonar_sim.sediment import sediment_db_per_m
+from sonar_sim.tolerance import Tolerance
+
+LEAST_RANGE_M = 0.05
+FINE_ROWS = 512
+"""Most rows of the fine picture."""
+
+
+@dataclass(frozen=True, slots=True)
+class CloudInSight:
+    """A cloud and what it does at the sonar's frequency."""
+
+    spec: CloudSpec
+    matter: Matter
+
+    @property
+    def box(self) -> Cloud:
+        """As the engine takes it."""
+        return Cloud(
+            np.array(self.spec.low_m, dtype=np.float64),
+            np.array(self.spec.high_m, dtype=np.float64),
+            self.matter.db_per_m,
+            10.0 * math.log10(max(self.matter.strength, 1e-30)),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OwnPing:
+    """What a ping has of its own when several are decided by one look."""
+
+    map_T_sonar: Pose  # noqa: N815 frames in the name
+    ping_id: int
+    time_s: float
+    motion: SonarMotion | None
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One ping before it is computed. Its levels contain every effect of level.
+
+    Attributes:
+        scene, sonar: as the simulator's.
+        map_T_sonar: at the transmission.
+        motion: while the sonar listens.
+        time_s, ping_id: of the ping.
+        meshes: the scene, ready to be cast.
+        planes: that could mirror.
+        bottoms: names of the surfaces that are the floor.
+        fan: the coarse rays.
+        end_m: where each met something, infinite for nothing, (N,).
+        echoes: what they met in range, points included.
+        look_behind: casts once more, from behind the first hits.
+        most_rows: of the coarse picture.
+        ping: if it was looked from near the ping's own pose and time; None: from there.
+    """
+
+    scene: Scene
+    sonar: SonarSettings
+    map_T_sonar: Pose  # noqa: N815 frames in the name
+    motion: SonarMotion | None
+    time_s: float
+    ping_id: int
+    meshes: Meshes
+    planes: tuple[Plane, ...]
+    bottoms: frozenset[str]
+    fan: Fan
+    end_m: NDArray[np.float64]
+    echoes: Echoes
+    look_behind: Callable[[], Echoes]
+    most_rows: int = MOST_ROWS
+    ping: "OwnPing | None" = None
+
+    def of_ping(self, ping: "OwnPing") -> "View":
+        """The same, for a ping of its own motion; what is already worked out is kept."""
+        own = copy.copy(self)
+        vars(own).update(ping=ping, motion=ping.motion, ping_id=ping.ping_id)
+        return own
+
+    @property
+    def own_pose(self) -> Pose:
+        """Of the ping itself."""
+        return self.map_T_sonar if self.ping is None else self.ping.map_T_sonar
+
+    @property
+    def own_time_s(self) -> float:
+        """Of the ping itself."""
+        return self.time_s if self.ping is None else self.ping.time_s
+
+    @cached_property
+    def hidden(self) -> Echoes:
+        """What lies behind the first hits."""
+        return self.look_behind()
+
+    @cached_property
+    def fine(self) -> "View":
+        """The same with a coarse picture of the sonar's own rows, or the most that are worth it."""
+        return replace(self, most_rows=FINE_ROWS)
+
+    @cached_property
+    def grid(self) -> CoarseGrid:
+        """The coarse picture's rows and columns."""
+        return CoarseGrid(self.sonar, self.most_rows)
+
+    @property
+    def speed_mps(self) -> float:
+        """True speed of sound."""
+        return self.scene.water.speed_of_sound_mps
+
+    @cached_property
+    def water_db_per_m(self) -> float:
+        """One-way absorption of the water itself."""
+        return self.scene.water.absorption_db_per_m(self.sonar.frequency_hz)
+
+    @cached_property
+    def sediment_db_per_m(self) -> float:
+        """One-way attenuation by what is suspended everywhere."""
+        water = self.scene.water
+        if water.sediment_kg_per_m3 <= 0.0:
+            return 0.0
+        return sediment_db_per_m(
+            self.sonar.frequency_hz,
+            water.sediment_kg_per_m3,
+            water.sediment_radius_m,
+            self.speed_mps,
+        )
+
+    @cached_property
+    def far_m(self) -> float:
+        """Farthest echo, 0 without one."""
+        return float(self.echoes.range_m.max(initial=0.0))
+
+    @cached_property
+    def source_power(self) -> float:
+        """Of the transmission, at 1 m."""
+        return float(10.0 ** (self.sonar.source_level_db / 10.0))
+
+    @cached_property
+    def pattern(self) -> NDArray[np.float64]:
+        """Two-way vertical pattern of each echo, (N,)."""
+        return vertical_two_way_power(self.echoes.up, self.sonar.vertical_width_rad)
+
+    @cached_property
+    def unscattered(self) -> NDArray[np.float64]:
+        """Received power of each echo over its cross section, (N,)."""
+        return self.travelled(self.echoes) * self.pattern
+
+    def travelled(self, echoes: Echoes) -> NDArray[np.float64]:
+        """Source, spreading, absorption, sediment and clouds, (N,)."""
+        range_m = np.maximum(echoes.range_m, LEAST_RANGE_M)
+        loss_db = 2.0 * (self.water_db_per_m + self.sediment_db_per_m) * range_m
+        loss_db += self.two_way_cloud_db(self.clouds, echoes)
+        power: NDArray[np.float64] = self.source_power * left_by(loss_db) / range_m**4
+        return power
+
+    @cached_property
+    def clouds(self) -> tuple[CloudInSight, ...]:
+        """The scene's clouds and what they do at this frequency."""
+        return tuple(
+            CloudInSight(spec, cloud_matter(spec, self.sonar, self.speed_mps))
+            for spec in self.scene.clouds
+        )
+
+    def two_way_cloud_db(
+        self, clouds: tuple[CloudInSight, ...], echoes: Echoes
+    ) -> NDArray[np.float64]:
+        """What clouds take on the way to each echo and back, (N,)."""
+        loss_db = np.zeros(len(echoes.range_m))
+        for cloud in clouds:
+            low_m, high_m = np.array(cloud.spec.low_m), np.array(cloud.spec.high_m)
+            path_m = path_in_box_m(self.map_T_sonar.position_m, echoes.point_m, low_m, high_m)
+            loss_db += 2.0 * cloud.matter.db_per_m * path_m
+        return loss_db
+
+    def clouds_of(self, kind: type[Bubbles] | type[Sediment]) -> tuple[CloudInSight, ...]:
+        """The clouds of one kind."""
+        return tuple(cloud for cloud in self.clouds if isinstance(cloud.spec.matter, kind))
+
+    def heard_without(self, kind: type[Bubbles] | type[Sediment]) -> NDArray[np.float64]:
+        """What would be heard of a pixel if the clouds of one kind were not, (rows, COLUMNS)."""
+        gone = self.clouds_of(kind)
+        left = tuple(cloud for cloud in self.clouds if cloud not in gone)
+        power = self.echo_power / left_by(self.two_way_cloud_db(gone, self.echoes))
+        return self.grid.picture(self.echoes, power) + self._of_the_water(left)
+
+    def _of_the_water(self, clouds: tuple[CloudInSight, ...]) -> NDArray[np.float64]:
+        return self.volume_picture + self.picture_of_clouds(clouds)
+
+    @cached_property
+    def echo_power(self) -> NDArray[np.float64]:
+        """Received power of each echo, (N,)."""
+        return self.echoes.section_m2 * self.unscattered
+
+    @cached_property
+    def echo_picture(self) -> NDArray[np.float64]:
+        """Expected power of a pixel by surfaces and points, (rows, COLUMNS)."""
+        return self.grid.picture(self.echoes, self.echo_power)
+
+    @cached_property
+    def noise_power(self) -> float:
+        """Of a pixel."""
+        return float(10.0 ** (noise_level_db(self.sonar, self.scene.water) / 10.0))
+
+    @cached_property
+    def listened_sr(self) -> float:
+        """Solid angle that a beam hears, two-way vertical pattern and azimuth beam together."""
+        w = np.linspace(-1.0, 1.0, 401)
+        up = float(np.trapezoid(vertical_two_way_power(w, self.sonar.vertical_width_rad), w))
+        return up * equivalent_beams(self.sonar) * self.sonar.sine_pitch
+
+    @cached_property
+    def open_water(self) -> NDArray[np.float64]:
+        """Power that scatterers of 0 dB re 1/m in all the water would send, (rows, 1)."""
+        range_m = np.maximum(self.grid.range_m, LEAST_RANGE_M)
+        loss_db = 2.0 * (self.water_db_per_m + self.sediment_db_per_m) * range_m
+        cell_m3 = self.listened_sr * range_m**2 * self.sonar.range_resolution_m
+        power = self.source_power * cell_m3 * left_by(loss_db) / range_m**4
+        column: NDArray[np.float64] = power[:, None]
+        return column
+
+    @cached_property
+    def volume_strength(self) -> float:
+        """Back scattering of a cubic metre of the open water, sediment included, 1/m."""
+        water = self.scene.water
+        grains = sediment_strength(
+            self.sonar.frequency_hz,
+            water.sediment_kg_per_m3,
+            water.sediment_radius_m,
+            self.speed_mps,
+        )
+        return float(10.0 ** (water.volume_strength_db / 10.0) + grains)
+
+    @cached_property
+    def volume_picture(self) -> NDArray[np.float64]:
+        """Expected power of a pixel by the water's own scatterers, (rows, COLUMNS)."""
+        power = self.volume_strength * self.open_water * np.ones(COLUMNS)
+        picture: NDArray[np.float64] = power
+        return picture
+
+    def picture_of_clouds(self, clouds: tuple[CloudInSight, ...]) -> NDArray[np.float64]:
+        """Expected power of a pixel by bubbles and sediment in clouds, (rows, COLUMNS)."""
+        picture = np.zeros((self.grid.rows, COLUMNS))
+        for cloud in clouds:
+            filled = filled_by(cloud.box, self.grid, self.fan, self.map_T_sonar, self.end_m)
+            picture += self.open_water * cloud.matter.strength * filled
+        return picture
+
+    @cached_property
+    def heard(self) -> NDArray[np.float64]:
+        """Expected power of a pixel before the noise, beside which the faint is lost."""
+        return self.echo_picture + self._of_the_water(self.clouds)
+
+    @cached_property
+    def picture(self) -> NDArray[np.float64]:
+        """Expected power of a pixel, all told, (rows, COLUMNS)."""
+        return self.heard + self.noise_power
+
+    @cached_property
+    def gains(self) -> Gains:
+        """The receiver's gains; its time-varied gain knows the water's absorption."""
+        range_m = self.grid.range_m
+        varied_db = self.sonar.tvg_spreading_log * np.log10(range_m)
+        varied_db += 2.0 * self.water_db_per_m * range_m
+        operator_db = GAIN_DB_PER_PERCENT * self.sonar.gain_percent
+        return Gains(varied_db, operator_db, FULL_SCALE_DB)
+
+    @cached_property
+    def amplitude(self) -> NDArray[np.float64]:
+        """Of full scale, (rows, COLUMNS)."""
+        return self.gains.amplitude(self.picture)
+
+    def change_db(self, power: NDArray[np.float64], tolerance: Tolerance) -> float:
+        """How much the coarse picture differs from one of these powers, (rows, COLUMNS)."""
+        return change_db(self.amplitude, self.gains.amplitude(power), self.sonar, tolerance)
+
+    def change_in_place_db(self, power: NDArray[np.float64], tolerance: Tolerance) -> float:
+        """The same for what changes whole rows smoothly: no displacement explains it.
+
+        One might seem to, as neighbouring coarse cells differ by the luck of their few rays.
+        """
+        other = self.gains.amplitude(power)
+        return change_db(self.amplitude, other, self.sonar, tolerance, displaced=False)
+
+    def change_of_echoes_db(self, power: NDArray[np.float64], tolerance: Tolerance) -> float:
+        """The same where only the echoes' powers (N,) differ."""
+        other = self.picture - self.echo_picture + self.grid.picture(self.echoes, power)
+        return self.change_db(np.maximum(other, 0.0), tolerance)

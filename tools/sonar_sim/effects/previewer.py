@@ -1,0 +1,187 @@
+"""Looking before the ping: the coarse cast that the rules see."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonar_sim.effects.echoes import COLUMNS, Echoes, coarse_fan, echoes_of
+from sonar_sim.effects.planes import mirror_planes
+from sonar_sim.effects.preview import View
+from sonar_sim.effects.rays import NOTHING, SKIP_M, Met, cast
+from sonar_sim.geometry.matmul import product
+from sonar_sim.geometry.pose import Pose, SonarMotion
+from sonar_sim.raycast.meshes import Meshes
+from sonar_sim.scene.scene import Scene, Surface
+from sonar_sim.scene.sonar import SonarSettings
+
+LEVEL = 0.7
+"""A floor's mean |vertical part of the normal|, at least."""
+BEHIND = 3
+"""Every so manieth ray goes on behind what it met: what lies there is wide, or hardly hidden."""
+FOOT_M = 0.5
+"""How far above the scene's lowest point a floor's lowest point may lie."""
+
+
+class Look:
+    """A scene and a sonar, ready to be looked at from any pose."""
+
+    def __init__(self, scene: Scene, sonar: SonarSettings, meshes: Meshes | None = None) -> None:
+        self._scene = scene
+        self._sonar = sonar
+        self._meshes = meshes or Meshes(scene)
+        self._fan = coarse_fan(sonar)
+        self._planes = mirror_planes(scene, sonar)
+        self._bottoms = bottoms_of(scene)
+
+    @property
+    def scene(self) -> Scene:
+        """What is looked at."""
+        return self._scene
+
+    @property
+    def sonar(self) -> SonarSettings:
+        """What looks."""
+        return self._sonar
+
+    @property
+    def changes(self) -> bool:
+        """Whether anything in the scene moves."""
+        moving = [s.motion for s in self._scene.surfaces] + [t.motion for t in self._scene.targets]
+        return any(motion is not None for motion in moving)
+
+    def clear(self, from_m: NDArray[np.float64], to_m: NDArray[np.float64], time_s: float) -> bool:
+        """Whether nothing stands between two points, map frame."""
+        way_m = to_m - from_m
+        length_m = float(np.linalg.norm(way_m))
+        if length_m == 0.0:
+            return True
+        direction = (way_m / length_m).reshape(1, 3)
+        return not np.isfinite(cast(self._meshes, from_m, direction, time_s, length_m).range_m[0])
+
+    @property
+    def bottoms(self) -> frozenset[str]:
+        """Names of the surfaces that are the floor."""
+        return self._bottoms
+
+    def at(
+        self,
+        map_T_sonar: Pose,  # noqa: N803
+        ping_id: int = 0,
+        time_s: float = 0.0,
+        motion: SonarMotion | None = None,
+    ) -> View:
+        """Cast the coarse rays; once more from behind what they met if that is asked for."""
+        turned = product(self._fan.directions, map_T_sonar.rotation.T)
+        origin_m = map_T_sonar.position_m
+        met = cast(self._meshes, origin_m, turned, time_s, self._sonar.range_m)
+        echoes = echoes_of(self._scene, self._sonar, self._fan, map_T_sonar, met)
+
+        def hidden() -> Echoes:
+            some = slice(None, None, BEHIND)
+            behind = self._behind(origin_m, turned[some], time_s, met.range_m[some])
+            fan = replace(
+                self._fan,
+                directions=self._fan.directions[some],
+                column=self._fan.column[some],
+                up_step=BEHIND * self._fan.up_step,
+                solid_angle_sr=BEHIND * self._fan.solid_angle_sr[some],
+            )
+            return echoes_of(self._scene, self._sonar, fan, map_T_sonar, behind)
+
+        points = self._points(map_T_sonar, time_s)
+        return View(
+            scene=self._scene,
+            sonar=self._sonar,
+            map_T_sonar=map_T_sonar,
+            motion=motion,
+            time_s=time_s,
+            ping_id=ping_id,
+            meshes=self._meshes,
+            planes=self._planes,
+            bottoms=self._bottoms,
+            fan=self._fan,
+            end_m=met.range_m,
+            echoes=_joined(echoes, points),
+            look_behind=hidden,
+        )
+
+    def _behind(
+        self,
+        origin_m: NDArray[np.float64],
+        direction: NDArray[np.float64],
+        time_s: float,
+        range_m: NDArray[np.float64],
+    ) -> Met:
+        behind = Met(
+            np.full(len(range_m), np.inf),
+            np.zeros((len(range_m), 3)),
+            np.full(len(range_m), NOTHING, dtype=np.int64),
+            np.zeros((len(range_m), 3)),
+        )
+        hit = np.flatnonzero(range_m < self._sonar.range_m)
+        if len(hit) == 0:
+            return behind
+        past_m = range_m[hit] + SKIP_M
+        start_m = origin_m + direction[hit] * past_m[:, None]
+        met = cast(self._meshes, start_m, direction[hit], time_s, self._sonar.range_m)
+        behind.range_m[hit] = past_m + met.range_m
+        behind.normal[hit] = met.normal
+        behind.surface[hit] = met.surface
+        behind.turn[hit] = met.turn
+        return behind
+
+    def _points(self, map_T_sonar: Pose, time_s: float) -> Echoes:  # noqa: N803
+        """The scene's point targets ahead and in range; what hides them is not asked."""
+        targets = self._scene.targets
+        point_m = np.array([t.position_at_m(time_s) for t in targets]).reshape(-1, 3)
+        section_m2 = 10.0 ** (np.array([t.target_strength_db for t in targets]) / 10.0)
+        away_m = (point_m - map_T_sonar.position_m) @ map_T_sonar.rotation
+        range_m = np.maximum(np.linalg.norm(away_m, axis=1), 1e-6)
+        direction = away_m / range_m[:, None]
+        column = np.floor((-direction[:, 1] - self._fan.left_sine) / self._fan.sine_step)
+        column = column.astype(np.int64)
+        kept = (range_m < self._sonar.range_m) & (direction[:, 0] > 0.0)
+        kept &= (column >= 0) & (column < COLUMNS)
+        none, one = np.zeros(int(kept.sum())), np.ones(int(kept.sum()))
+        return Echoes(
+            column=column[kept],
+            direction=direction[kept],
+            point_m=point_m[kept],
+            normal=np.zeros((len(none), 3)),
+            range_m=range_m[kept],
+            extent_m=none,
+            surface=np.full(len(none), NOTHING, dtype=np.int64),
+            cos_incidence=one,
+            lambert_m2=section_m2[kept],
+            even_m2=section_m2[kept],
+            lobe_m2=none,
+        )
+
+
+def bottoms_of(scene: Scene) -> frozenset[str]:
+    """Names of the surfaces that are the floor: they lie level, and at the scene's foot."""
+    solid = [s for s in scene.surfaces if s.motion is None and len(s.faces)]
+    if not solid:
+        return frozenset()
+    foot_m = min(float(s.vertices_m[:, 2].min()) for s in solid)
+    return frozenset(
+        s.name
+        for s in solid
+        if s.vertices_m[:, 2].min() < foot_m + FOOT_M and _levelness(s) > LEVEL
+    )
+
+
+def _levelness(surface: Surface) -> float:
+    """Mean |vertical part of the normal| by area."""
+    triangles = surface.vertices_m[surface.faces]
+    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    area = float(np.linalg.norm(across, axis=1).sum())
+    return float(np.abs(across[:, 2]).sum()) / area if area > 0.0 else 0.0
+
+
+def _joined(first: Echoes, second: Echoes) -> Echoes:
+    if len(second.range_m) == 0:
+        return first
+    names = (field.name for field in fields(Echoes))
+    return Echoes(**{n: np.concatenate([getattr(first, n), getattr(second, n)]) for n in names})

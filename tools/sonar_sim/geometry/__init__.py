@@ -1,0 +1,1 @@
+"""Poses, motions and trajectories in space."""

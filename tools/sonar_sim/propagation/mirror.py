@@ -1,0 +1,42 @@
+"""Where a mirror is: sound bounces off its own faces, and nowhere else on its plane."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonar_sim.propagation.physics import Mirror
+from sonar_sim.raycast.meshes import Meshes
+
+FLAT_M = 2e-3
+"""A face of the mirror's surface belongs to the mirror if it lies no farther off its plane."""
+PARALLEL = 0.9999
+"""Cosine between a mirror's normal and its faces', at least."""
+TOUCH_M = 0.02
+"""An endless mirror is met though a mesh lies so near before it: the mesh stands for it."""
+OFF_M = 1e-3
+
+
+def bounces(
+    meshes: Meshes,
+    mirror: Mirror,
+    face: NDArray[np.int32],
+    range_m: NDArray[np.float32],
+    crossing_m: NDArray[np.float64],
+) -> NDArray[np.bool_]:
+    """Which rays get to the mirror unhindered, and find it there, (N,).
+
+    Args:
+        meshes: of the scene; mirrors stand still, so their faces are given in the map's frame.
+        mirror: a plane, or some faces in it.
+        face: that each ray met first; negative where none.
+        range_m: to it.
+        crossing_m: range at which each ray crosses the mirror's plane.
+    """
+    if mirror.surface is None:
+        free: NDArray[np.bool_] = (face < 0) | (range_m > crossing_m * (1.0 - OFF_M) - TOUCH_M)
+        return free
+    found = np.zeros(len(face), dtype=np.bool_)
+    own = np.flatnonzero((face >= 0) & (meshes.surface[face] == mirror.surface))
+    plane = meshes.planes[face[own]]
+    flat = np.abs(plane[:, :3] @ mirror.point_m - plane[:, 3]) < FLAT_M
+    found[own] = flat & (np.abs(plane[:, :3] @ mirror.normal) > PARALLEL)
+    return found

@@ -1,0 +1,164 @@
+"""Point targets: exact echoes of things too small for a mesh."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonar_sim.geometry.pose import Pose
+from sonar_sim.paths import Situation, mirrored, pair_gain
+from sonar_sim.propagation.beam_pattern import vertical_two_way_power
+from sonar_sim.propagation.clouds import cloud_gain
+from sonar_sim.propagation.mirror import OFF_M, bounces
+from sonar_sim.propagation.physics import Mirror
+from sonar_sim.scene.scene import PointTarget
+from sonar_sim.scene.sonar import SonarSettings
+
+HIDDEN_M = 0.01
+"""A surface hides a target that lies farther than this behind it."""
+LEAST_SPREAD_M = 0.01
+"""Right before the transducer nothing spreads as from a point, and no echo is infinite."""
+
+
+def add_targets(
+    cells: NDArray[np.complex64] | NDArray[np.float32],
+    targets: tuple[PointTarget, ...],
+    here: Situation,
+    sonar: SonarSettings,
+    *,
+    loss: NDArray[np.float32],
+    taps: NDArray[np.float32],
+    turns_per_m: float,
+) -> None:
+    """Add each target's echo by each way, in place.
+
+    Args:
+        cells: field or mean power, (rows, columns).
+        targets: that may echo.
+        here: the ping.
+        sonar: settings.
+        loss: pressure that the way to each row and back leaves, source included, (rows,).
+        taps: spread of an echo between columns, (F, even).
+        turns_per_m: 1 / wavelength.
+    """
+    for target in targets:
+        position = target.position_at_m(here.time_s)
+        for there, back, gain in _ways(here, position):
+            way = _Way(here, there, back, position)
+            pressure = gain * 10.0 ** (target.target_strength_db / 20.0) * way.factor
+            _deposit(cells, way, pressure, sonar, loss=loss, taps=taps, turns_per_m=turns_per_m)
+
+
+class _Way:
+    """Where a target shows by one way, and what the way leaves of its pressure."""
+
+    def __init__(
+        self,
+        here: Situation,
+        there: Pose,
+        back: Pose,
+        position_m: NDArray[np.float64],
+    ) -> None:
+        physics = here.physics
+        out = there.rotation.T @ (position_m - there.position_m)
+        heard = back.rotation.T @ (position_m - back.position_m)
+        out_m, heard_m = (max(float(np.linalg.norm(v)), 1e-6) for v in (out, heard))
+        self.way_m = 0.5 * (out_m + heard_m)
+        self.sine = -heard[1] / heard_m
+        closing = 0.0
+        if here.motion is not None:
+            closing = float(here.motion.linear_mps @ (there.rotation @ out)) / out_m
+        self.apparent_m = self.way_m * physics.range_scale + physics.doppler_shift_s * closing
+        self.factor = 1.0
+        if physics.vertical_width_rad is not None:
+            up = np.array([out[2] / out_m, heard[2] / heard_m])
+            two_way = vertical_two_way_power(up, physics.vertical_width_rad)
+            self.factor = float(np.prod(two_way)) ** 0.25
+        if physics.spreading:
+            self.factor /= max(out_m, LEAST_SPREAD_M) * max(heard_m, LEAST_SPREAD_M)
+
+
+def _ways(here: Situation, position_m: NDArray[np.float64]) -> list[tuple[Pose, Pose, float]]:
+    """Pairs of poses there and back, with the mirrors' gain."""
+    ways: list[tuple[Pose, Pose, float]] = []
+    visible = not here.physics.shadows or _free(here, here.pose.position_m, position_m)
+    if visible:
+        gain = _swallowed(here, position_m)
+        ways.append((here.pose, _later(here, position_m), gain))
+    for mirror in here.physics.mirrors:
+        image = mirrored(here.pose, mirror)
+        if image is None or not _bounced(here, mirror, image, position_m):
+            continue
+        if visible:
+            once = mirror.reflection * pair_gain(here, mirror)
+            ways += [(here.pose, image, once), (image, here.pose, once)]
+        ways.append((image, image, mirror.reflection**2))
+    return ways
+
+
+def _bounced(here: Situation, mirror: Mirror, image: Pose, position_m: NDArray[np.float64]) -> bool:
+    """Whether sound gets to a target by a mirror, unhindered on both parts of the way."""
+    height = float(np.dot(mirror.normal, position_m - mirror.point_m))
+    image_height = float(np.dot(mirror.normal, image.position_m - mirror.point_m))
+    if height <= 0.0:
+        return False
+    along = image_height / (image_height - height)
+    foot = image.position_m + along * (position_m - image.position_m)
+    way = foot - here.pose.position_m
+    range_m = np.linalg.norm(way[None, :], axis=1)
+    direction = (way / range_m).astype(np.float32)[None, :]
+    reach_m = 2.0 * here.range_m
+    met = here.meshes.cast(here.pose.position_m, direction, here.time_s, reach_m, 1)
+    if not bounces(here.meshes, mirror, met.face, met.range_m, range_m)[0]:
+        return False
+    return not here.physics.shadows or _free(here, foot + OFF_M * mirror.normal, position_m)
+
+
+def _free(here: Situation, start_m: NDArray[np.float64], position_m: NDArray[np.float64]) -> bool:
+    """Whether nothing stands between a point and a target."""
+    way = position_m - start_m
+    range_m = max(float(np.linalg.norm(way)), 1e-9)
+    direction = (way / range_m).astype(np.float32)[None, :]
+    met = here.meshes.cast(start_m, direction, here.time_s, range_m, 1)
+    return bool(met.face[0] < 0 or met.range_m[0] > range_m - HIDDEN_M)
+
+
+def _later(here: Situation, position_m: NDArray[np.float64]) -> Pose:
+    """The sonar when the echo is back."""
+    if here.motion is None or here.physics.pose_blocks == 1:
+        return here.pose
+    range_m = float(np.linalg.norm(position_m - here.pose.position_m))
+    return here.motion.pose(here.pose, here.listening_s * range_m / here.range_m)
+
+
+def _swallowed(here: Situation, position_m: NDArray[np.float64]) -> float:
+    way = position_m - here.pose.position_m
+    range_m = np.array([max(float(np.linalg.norm(way)), 1e-9)])
+    direction = (way / range_m).astype(np.float32)[None, :]
+    return float(cloud_gain(here.physics.clouds, here.pose.position_m, direction, range_m)[0])
+
+
+def _deposit(
+    cells: NDArray[np.complex64] | NDArray[np.float32],
+    way: _Way,
+    pressure: float,
+    sonar: SonarSettings,
+    *,
+    loss: NDArray[np.float32],
+    taps: NDArray[np.float32],
+    turns_per_m: float,
+) -> None:
+    rows, columns = cells.shape
+    row = int(way.apparent_m / sonar.range_resolution_m)
+    place = way.sine / sonar.sine_pitch + (columns - 1) / 2.0
+    whole = int(np.floor(place))
+    count = taps.shape[1]
+    first = whole - (count // 2 - 1)
+    if not 0 <= row < rows or first < 0 or first + count > columns:
+        return
+    weights = taps[min(int((place - whole) * len(taps)), len(taps) - 1)]
+    heard = pressure * float(loss[row])
+    if np.iscomplexobj(cells):
+        turns = 2.0 * way.way_m * turns_per_m
+        wave = heard * np.exp(2j * np.pi * (turns - np.floor(turns)))
+        cells[row, first : first + count] += (weights * wave).astype(np.complex64)
+    else:
+        cells[row, first : first + count] += (weights * heard**2).astype(np.float32)

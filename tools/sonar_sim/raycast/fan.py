@@ -1,0 +1,141 @@
+"""The directions into which a ping is traced, and the cell of directions that each stands for.
+
+A line array measures the component of a direction along itself, which is cos(e) sin(b) and not
+sin(b): an echo off the fan's plane shows at the bearing of its cone. So directions are counted in
+s = -y (starboard) and w = z (up), and a cell covers ds dw / x of solid angle.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonar_sim.scene.sonar import SonarSettings
+
+MAX_ELEVATION_RAD = math.radians(40.0)
+"""Out to the vertical pattern's first side lobe and a little beyond."""
+ELEVATIONS = 128
+CENTRE_SINE = 0.3
+"""Half of a column would reach so high if all its rays were as close as on the fan's plane."""
+MARGIN_BEAMS = 12
+"""Columns traced beyond each outermost beam: their main lobes reach out there."""
+STRIPS = 4
+INSIDE = 1e-5
+"""A cell whose part of directions is narrower than this is left out."""
+FINER = 8
+"""Rays cast between two neighbours that met different things."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fan:
+    """Rays, column after column, each column from below upwards.
+
+    Attributes:
+        directions: unit vectors in the sonar frame, (N, 3), float32.
+        cell: s from, s to, w from, w to of each ray's cell, (N, 4), float32.
+        column: of the echo grid, (N,), from 0.
+        columns: beams and a margin on both sides.
+        sine_pitch: of the columns.
+    """
+
+    directions: NDArray[np.float32]
+    cell: NDArray[np.float32]
+    column: NDArray[np.int32]
+    columns: int
+    sine_pitch: float
+
+    @property
+    def first_sine(self) -> float:
+        """Of the bearing of column 0."""
+        return -0.5 * (self.columns - 1) * self.sine_pitch
+
+    @property
+    def solid_angle_sr(self) -> NDArray[np.float64]:
+        """Of each ray's cell, (N,)."""
+        return solid_angle_sr(*self.cell.T.astype(np.float64))
+
+
+def solid_angle_sr(
+    s_from: NDArray[np.float64],
+    s_to: NDArray[np.float64],
+    w_from: NDArray[np.float64],
+    w_to: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Solid angle of cells, that part of them where s² + w² < 1, (N,).
+
+    ds dw / x integrates to an arc sine over s, which stays right where x becomes 0; over w it is
+    taken at the middles of `STRIPS`.
+    """
+    angle = np.zeros(np.shape(s_from))
+    for part in (np.arange(STRIPS) + 0.5) / STRIPS:
+        w = w_from + part * (w_to - w_from)
+        most = np.sqrt(np.maximum(1.0 - w**2, 1e-12))
+        sweep = np.arcsin(np.clip(s_to / most, -1.0, 1.0))
+        angle += sweep - np.arcsin(np.clip(s_from / most, -1.0, 1.0))
+    whole: NDArray[np.float64] = angle * (w_to - w_from) / STRIPS
+    return whole
+
+
+def fan_of(sonar: SonarSettings, elevations: int = ELEVATIONS) -> Fan:
+    """Lay the rays: one a beam pitch across, closest in the vertical pattern's main lobe."""
+    columns = sonar.beams + 2 * MARGIN_BEAMS
+    column = np.arange(columns, dtype=np.int32)
+    s = (column - (columns - 1) / 2.0) * sonar.sine_pitch
+    edges = _up_sines(elevations)
+    w, w_half = (edges[1:] + edges[:-1]) / 2.0, np.diff(edges) / 2.0
+    ss, ww = (grid.ravel() for grid in np.meshgrid(s, w, indexing="ij"))
+    # Cones near the array's axis hold no direction at high elevation: the last cells of a row are
+    # cut, and looked into where they hold some.
+    half = sonar.sine_pitch / 2.0
+    halves = np.tile(w_half, columns)
+    lowest = np.maximum(np.abs(ww) - halves, 0.0)
+    real = np.abs(ss) - half < np.sqrt(1.0 - lowest**2) - INSIDE
+    ss, ww, halves = ss[real], ww[real], halves[real]
+    most = np.sqrt(1.0 - ww**2)
+    middle = (np.clip(ss - half, -most, most) + np.clip(ss + half, -most, most)) / 2.0
+    return Fan(
+        *_rays(middle, ww, (ss - half, ss + half), halves),
+        np.repeat(column, elevations)[real],
+        columns,
+        sonar.sine_pitch,
+    )
+
+
+def _up_sines(elevations: int) -> NDArray[np.float64]:
+    """Edges of a column's cells, sines of elevation, (elevations + 1,)."""
+    part = np.linspace(-1.0, 1.0, elevations + 1)
+    sines: NDArray[np.float64] = (
+        CENTRE_SINE * part + (math.sin(MAX_ELEVATION_RAD) - CENTRE_SINE) * part**5
+    )
+    return sines
+
+
+def finer(fan: Fan, below: NDArray[np.int64]) -> Fan:
+    """Rays between each of the given rays and the next one of its column.
+
+    Returns:
+        `FINER` rays for each, together covering what lies between the two.
+    """
+    start = fan.directions[below].astype(np.float64)
+    step = (fan.directions[below + 1, 2] - start[:, 2]) / FINER
+    ww = (start[:, 2, None] + (np.arange(FINER) + 0.5) * step[:, None]).ravel()
+    ss = np.repeat(-start[:, 1], FINER)
+    edges = np.repeat(fan.cell[below, :2].astype(np.float64), FINER, axis=0)
+    directions, cell = _rays(ss, ww, (edges[:, 0], edges[:, 1]), np.repeat(step / 2.0, FINER))
+    return Fan(directions, cell, np.repeat(fan.column[below], FINER), fan.columns, fan.sine_pitch)
+
+
+def _rays(
+    s: NDArray[np.float64],
+    w: NDArray[np.float64],
+    edges: tuple[NDArray[np.float64], NDArray[np.float64]],
+    half_w: NDArray[np.float64],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Directions and cells of rays at given sines, the cells between edges in s."""
+    most = np.sqrt(1.0 - w**2) * (1.0 - INSIDE)
+    s = np.clip(s, -most, most)
+    ahead = np.sqrt(1.0 - s**2 - w**2)
+    directions = np.stack([ahead, -s, w], axis=1).astype(np.float32)
+    cell = np.stack([*edges, w - half_w, w + half_w], axis=1)
+    return directions, cell.astype(np.float32)

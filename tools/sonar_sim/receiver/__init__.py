@@ -1,0 +1,1 @@
+"""The receiver: noise, beamforming, gains and quantiser."""
