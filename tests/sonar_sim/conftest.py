@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from sonar_sim.geometry.pose import Pose
-from sonar_sim.material import MATERIALS
+from sonar_sim.scene.material import MATERIALS
 from sonar_sim.scene.scene import Scene, Surface
 
 Plate = Callable[..., Scene]

@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 from sonar_sim.engine import Engine
 from sonar_sim.errors import SceneError
 from sonar_sim.geometry.pose import SonarMotion
-from sonar_sim.material import Material
-from sonar_sim.motions import Drift
+from sonar_sim.geometry.trajectory import Drift
 from sonar_sim.propagation.physics import Cloud, Layers, Mirror, Physics
 from sonar_sim.raycast.meshes import NOTHING, SEA
+from sonar_sim.scene.material import Material
 from sonar_sim.scene.scene import PointTarget, Scene, Sea, Surface
 from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.scene.water import Water
-from sonar_sim.validation.simple import (
+from sonar_sim.validation.setups import (
     CHALK,
     DULL,
     MEAN,

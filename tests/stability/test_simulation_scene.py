@@ -12,14 +12,14 @@ from mpmath import mpf
 from numpy.typing import NDArray
 from sonar_sim.engine import Engine
 from sonar_sim.geometry.pose import Pose, quaternion_of, rotation_of
-from sonar_sim.material import MATERIALS
+from sonar_sim.geometry.trajectory import Motion, Trajectory, Waypoint
 from sonar_sim.propagation.physics import Layers
 from sonar_sim.propagation.refraction import _rotations, _turned
 from sonar_sim.raycast.meshes import NOTHING, Meshes
+from sonar_sim.scene.material import MATERIALS
 from sonar_sim.scene.scene import Scene, Sea, Surface
 from sonar_sim.scene.water import Water
-from sonar_sim.trajectory import Motion, Trajectory, Waypoint
-from sonar_sim.validation.simple import (
+from sonar_sim.validation.setups import (
     CHALK,
     DULL,
     MEAN,

@@ -10,19 +10,23 @@ import numpy as np
 import pytest
 from mpmath import mpf
 from sonar_sim import _core
+from sonar_sim.effects.image_difference import (
+    expected_clipped,
+    level_change_db,
+    quantiser_change_db,
+)
 from sonar_sim.engine import Engine
-from sonar_sim.lobe import lobe_strength
-from sonar_sim.picture_change import expected_clipped, level_change_db, quantiser_change_db
 from sonar_sim.propagation.beam_pattern import azimuth_amplitude, vertical_two_way_power
 from sonar_sim.propagation.clouds import cloud_gain, passage
 from sonar_sim.propagation.physics import Cloud, Physics
 from sonar_sim.receiver.gain import FULL_SCALE_DB, quantise, row_gain
+from sonar_sim.scene.material import lobe_strength
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
+from sonar_sim.scene.suspended_matter import sediment_db_per_m
 from sonar_sim.scene.water import Water, thermal_noise_db
-from sonar_sim.sediment import sediment_db_per_m
 from sonar_sim.simulator import Simulator
-from sonar_sim.validation.simple import MEAN, narrow_sonar, pose_at, rectangle
+from sonar_sim.validation.setups import MEAN, narrow_sonar, pose_at, rectangle
 
 WALL = rectangle((5e4, 0.0, 0.0), (0.0, 2e4, 0.0), (0.0, 0.0, 2e4))
 

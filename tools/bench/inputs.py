@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from sonar_sim import Pose, Scene, SonarSettings
-from sonar_sim.pool import Shot, SimulatorRecipe, simulate_pings
+from sonar_sim.simulator import Shot, SimulatorRecipe, simulate_pings
 
 from bench import scene, seabed
 from mapperd.config.tree import Config

@@ -6,11 +6,12 @@ y to port, z up. Bearings are positive to starboard.
 
 from oculus_driver import __version__
 from sonar_sim.capture import CaptureSettings, write_capture
+from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import EffectPlan, EffectWarning
 from sonar_sim.geometry.pose import Mounting, Pose, SonarMotion
-from sonar_sim.material import MATERIALS, Material
-from sonar_sim.motions import Drift, ObjectMotion, Tour
-from sonar_sim.scenario import Scenario
+from sonar_sim.geometry.trajectory import Drift, Motion, ObjectMotion, Tour, Trajectory, Waypoint
+from sonar_sim.scene.material import MATERIALS, Material
+from sonar_sim.scene.scenario import Scenario
 from sonar_sim.scene.scene import (
     Bubbles,
     CloudSpec,
@@ -22,12 +23,10 @@ from sonar_sim.scene.scene import (
     Surface,
 )
 from sonar_sim.scene.sonar import SonarSettings, sonar_preset
+from sonar_sim.scene.vehicle import Odometry, OdometryErrors, OdometrySample, Vehicle
 from sonar_sim.scene.water import Water
 from sonar_sim.scene_file import load_scenario, scene_names
 from sonar_sim.simulator import Ping, Simulator, simulate
-from sonar_sim.tolerance import Tolerance
-from sonar_sim.trajectory import Motion, Trajectory, Waypoint
-from sonar_sim.vehicle import Odometry, OdometryErrors, OdometrySample, Vehicle
 
 __all__ = [
     "MATERIALS",

@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oculus_driver.recording import OCULUS, ODOMETRY_NATIVE, RecordingWriter
-from sonar_sim.odometry import odometry_record
-from sonar_sim.pool import Shot, SimulatorRecipe, simulate_pings
 from sonar_sim.raycast.visible_surface import SeenSurface
-from sonar_sim.scenario import Scenario
-from sonar_sim.sonar_motion import sonar_motion, sonar_pose
-from sonar_sim.vehicle import Odometry, OdometrySample, in_order_of_arrival
+from sonar_sim.scene.scenario import Scenario, sonar_motion, sonar_pose
+from sonar_sim.scene.vehicle import Odometry, OdometrySample, in_order_of_arrival, odometry_record
+from sonar_sim.simulator import Shot, SimulatorRecipe, simulate_pings
 from sonar_sim.wire import Network, compass_heading_deg, delivered, ping_message
 
 EPOCH_NS = 1_767_225_600_000_000_000

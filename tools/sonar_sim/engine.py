@@ -9,19 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim import _core
-from sonar_sim.beams import BeamFormer, beam_former
-from sonar_sim.between import column_taps
 from sonar_sim.geometry.pose import Pose, SonarMotion
-from sonar_sim.paths import Situation, direct_ways, heard_faces, mirror_ways
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.clouds import cloud_power
 from sonar_sim.propagation.ground_truth import Truth, truth_of
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.propagation.point_targets import add_targets
+from sonar_sim.propagation.propagation_path import Situation, direct_ways, heard_faces, mirror_ways
 from sonar_sim.propagation.refraction import bent_ways
 from sonar_sim.raycast.fan import ELEVATIONS, MARGIN_BEAMS, fan_of
 from sonar_sim.raycast.meshes import Meshes
+from sonar_sim.raycast.tracing import Trace, trace
 from sonar_sim.raycast.visible_surface import seen_points
+from sonar_sim.receiver.beamformer import BeamFormer, beam_former, column_taps
 from sonar_sim.receiver.gain import amplitude as received
 from sonar_sim.receiver.gain import quantise, row_gain
 from sonar_sim.receiver.noise import (
@@ -34,7 +34,6 @@ from sonar_sim.receiver.noise import (
 )
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
-from sonar_sim.tracing import Trace, trace
 
 Image = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.uint32] | NDArray[np.float32]
 Cells = NDArray[np.complex64] | NDArray[np.float32]

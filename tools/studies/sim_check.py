@@ -1,18 +1,17 @@
 """Check the simulator's rules on every shipped scene, and write what came out into the manual.
 
 Three pings of each scene, of the beginning, middle and end of its path, are simulated with what
-the rules chose, with all effects, and without each of the chosen ones; `sonar_sim.rule_check` tells
-what must hold. Some five minutes of one core.
+the rules chose, with all effects, and without each of the chosen ones;
+`sonar_sim.effects.rule_check` states what must hold. Some five minutes of one core.
 """
 
 import argparse
 import sys
 
-from sonar_sim.effects.registry import EFFECTS
-from sonar_sim.effects.table import effects_markdown
-from sonar_sim.rule_check import Change, RuleCheck, RuleChecker
+from sonar_sim.effects.image_difference import Tolerance
+from sonar_sim.effects.registry import EFFECTS, effects_markdown
+from sonar_sim.effects.rule_check import Change, RuleCheck, RuleChecker
 from sonar_sim.scene_file import load_scenario, scene_names
-from sonar_sim.tolerance import Tolerance
 from tqdm import tqdm
 
 from studies.report import PAGES, write_section

@@ -15,16 +15,13 @@ from numpy.typing import NDArray
 from sonar_sim.classic import classic_camera, classic_images
 from sonar_sim.geometry.pose import Pose, rotation_of
 from sonar_sim.products import Sounder, Sounding
-from sonar_sim.products.arrays import snr_arrays
-from sonar_sim.products.cells import looked_up
-from sonar_sim.products.fan import fan_picture
-from sonar_sim.products.pictures import label_picture, level_picture, normal_picture
-from sonar_sim.products.raw_scan import raw_scan
+from sonar_sim.products.arrays import looked_up, raw_scan, snr_arrays
+from sonar_sim.products.images import fan_picture, label_picture, level_picture, normal_picture
 from sonar_sim.raycast.depth_camera import Onlooker, pinhole_of
-from sonar_sim.scenario import Scenario
+from sonar_sim.scene.scenario import Scenario, sonar_pose
 from sonar_sim.scene_file import load_scenario, scene_names
-from sonar_sim.sonar_motion import sonar_pose
-from sonar_sim.validation import tank, v20_tank
+from sonar_sim.validation import tank
+from sonar_sim.validation import tank as v20_tank
 
 from oculus_driver.render import Style
 

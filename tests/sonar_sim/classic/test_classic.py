@@ -1,7 +1,9 @@
 import cv2
 import numpy as np
 import pytest
-from sonar_sim.classic import classic_camera, classic_images, normals, scan, shapes, visual
+from sonar_sim.classic import classic_camera, classic_images, defects, scan
+from sonar_sim.classic import pipeline as normals
+from sonar_sim.classic import scan as visual
 from sonar_sim.classic.pipeline import places
 
 
@@ -27,7 +29,7 @@ def test_gradients_vanish_well_inside_what_is_nothing() -> None:
 
 
 def test_each_channel_spans_its_range() -> None:
-    depth, _ = shapes.seen(classic_camera(), shapes.floor(2.0), shapes.sphere(5.0, 0.5))
+    depth, _ = defects.seen(classic_camera(), defects.floor(2.0), defects.sphere(5.0, 0.5))
     bent = normals.normals(depth, classic_camera().focal_px)
     assert bent.reshape(-1, 3).min(axis=0) == pytest.approx(0.0, abs=1e-6)
     assert bent.reshape(-1, 3).max(axis=0) == pytest.approx(1.0, abs=1e-6)
@@ -58,7 +60,7 @@ def test_colours_are_the_published_ones() -> None:
 
 
 def test_the_same_depth_gives_the_same_pictures_and_another_stream_other_speckle() -> None:
-    depth, _ = shapes.seen(classic_camera(), shapes.floor(2.0), shapes.sphere(8.0, 0.5))
+    depth, _ = defects.seen(classic_camera(), defects.floor(2.0), defects.sphere(8.0, 0.5))
     first, again = classic_images(depth), classic_images(depth)
     other = classic_images(depth, generator=np.random.default_rng(2))
     assert np.array_equal(first.fan, again.fan)

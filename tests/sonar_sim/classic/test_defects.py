@@ -2,8 +2,7 @@ import math
 from pathlib import Path
 
 import pytest
-from sonar_sim.classic.defect import Defect
-from sonar_sim.classic.defects import defect_table, defects
+from sonar_sim.classic.defects import Defect, defect_table, defects
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "reports" / "simulator-classic.md"
 

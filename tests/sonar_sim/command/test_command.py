@@ -8,8 +8,7 @@ from matplotlib.axes import Axes
 from sonar_sim.command import main
 from sonar_sim.scene_file import scene_names
 from sonar_sim.validation.case import CaseResult, Check
-from sonar_sim.validation.cases import CASES
-from sonar_sim.validation.page import draw_page
+from sonar_sim.validation.cases import CASES, draw_page
 
 
 def test_list_names_every_scene(capsys: pytest.CaptureFixture[str]) -> None:

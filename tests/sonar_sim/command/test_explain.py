@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 from sonar_sim.command import main
-from sonar_sim.effects.registry import EFFECTS
-from sonar_sim.effects.table import effects_markdown
+from sonar_sim.effects.registry import EFFECTS, effects_markdown
 
 MANUAL = Path(__file__).resolve().parents[2] / "docs" / "concepts" / "simulator.md"
 

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 from sonar_sim.geometry.pose import Mounting
-from sonar_sim.material import MATERIALS
-from sonar_sim.scenario import Scenario
+from sonar_sim.geometry.trajectory import Motion, Trajectory, Waypoint
+from sonar_sim.scene.material import MATERIALS
+from sonar_sim.scene.scenario import Scenario
 from sonar_sim.scene.scene import Scene, Surface
 from sonar_sim.scene.sonar import sonar_preset
-from sonar_sim.trajectory import Motion, Trajectory, Waypoint
-from sonar_sim.vehicle import OdometryErrors, Vehicle
+from sonar_sim.scene.vehicle import OdometryErrors, Vehicle
 
 FLOOR_M = -4.0
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sonar_sim.device.serving import ServedScenario, ServeSettings
-from sonar_sim.navigation.sending import output_named
-from sonar_sim.scenario import Scenario
+from sonar_sim.device.server import ServedScenario, ServeSettings
+from sonar_sim.navigation.odometry_output import output_named
+from sonar_sim.scene.scenario import Scenario
 
 from mapperd.config.loader import config_from_text
 from mapperd.daemon.session import Live

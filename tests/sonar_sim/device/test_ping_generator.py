@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from sonar_sim.device.fire_settings import first_demand
 from sonar_sim.device.ping_generator import PingMaker, When
-from sonar_sim.scenario import Scenario
+from sonar_sim.scene.scenario import Scenario
 
 from oculus_driver import Ping, StreamParser, decode_ping
 from oculus_driver.virtual_sonar.device import FireRequest

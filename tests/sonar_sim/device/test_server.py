@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sonar_sim.device.serving import ServedScenario, ServeSettings
+from sonar_sim.device.server import ServedScenario, ServeSettings
 from sonar_sim.errors import SonarSimError
-from sonar_sim.navigation.sending import by_arrival, output_named
-from sonar_sim.scenario import Scenario
-from sonar_sim.vehicle import OdometrySample
+from sonar_sim.navigation.odometry_output import by_arrival, output_named
+from sonar_sim.scene.scenario import Scenario
+from sonar_sim.scene.vehicle import OdometrySample
 
 from mapperd.odometry.native import decode_native
 from mapperd.odometry.records import Odometry

@@ -2,14 +2,14 @@
 
 import numpy as np
 from sonar_sim.effects.effect import Verdict
+from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.preview import View
 from sonar_sim.effects.previewer import Look
 from sonar_sim.effects.registry import EFFECTS
 from sonar_sim.geometry.pose import Pose, SonarMotion
-from sonar_sim.material import MATERIALS, Material
+from sonar_sim.scene.material import MATERIALS, Material
 from sonar_sim.scene.scene import Scene, Surface
 from sonar_sim.scene.sonar import SonarSettings
-from sonar_sim.tolerance import Tolerance
 
 SONAR = SonarSettings()
 LOUD = SonarSettings(gain_percent=75.0)

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from sonar_sim.effects.coarse import change_db
-from sonar_sim.tolerance import Tolerance
+from sonar_sim.effects.coarse_picture import change_db
+from sonar_sim.effects.image_difference import Tolerance
 
 from tests.sonar_sim.effects.previews import SONAR
 

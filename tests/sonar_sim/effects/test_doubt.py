@@ -5,16 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sonar_sim.effects.doubt import judged
 from sonar_sim.effects.effect import Verdict
+from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import Wish
-from sonar_sim.effects.planner import Planner
+from sonar_sim.effects.planner import Planner, judged
 from sonar_sim.effects.preview import View
 from sonar_sim.effects.previewer import Look
 from sonar_sim.effects.registry import EFFECTS
 from sonar_sim.geometry.pose import Pose
 from sonar_sim.scene.scene import Bubbles, CloudSpec, Scene
-from sonar_sim.tolerance import Tolerance
 
 from tests.sonar_sim.effects.previews import LOUD, floor, pose, view_of
 

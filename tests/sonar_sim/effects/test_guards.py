@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import pytest
-from sonar_sim.effects.coarse import CoarseGrid, Gains
+from sonar_sim.effects.coarse_picture import CoarseGrid, Gains
 from sonar_sim.effects.interference import arrivals
-from sonar_sim.effects.matter import path_in_box_m, sediment_strength
-from sonar_sim.effects.motion import configure
-from sonar_sim.paths import mirrored
+from sonar_sim.effects.travel_time import configure_motion
 from sonar_sim.propagation.physics import Mirror, Physics
+from sonar_sim.propagation.propagation_path import mirrored
 from sonar_sim.scene.scene import Emitter, Scene
+from sonar_sim.scene.suspended_matter import path_in_box_m, sediment_strength
 
 from tests.sonar_sim.effects.previews import SONAR, floor, motion, pose, view_of, wall
 
@@ -80,7 +80,7 @@ def test_another_sonar_is_heard_from_ahead_once_it_sounds_and_not_infinitely() -
 @pytest.mark.parametrize(("forward_mps", "blocks"), [(0.01, 4), (500.0, 16)])
 def test_a_ping_has_a_few_poses_however_slow_or_fast(forward_mps: float, blocks: int) -> None:
     physics = Physics()
-    configure(physics, view_of(wall(9.0), at=pose(0.0), moving=motion(forward_mps)))
+    configure_motion(physics, view_of(wall(9.0), at=pose(0.0), moving=motion(forward_mps)))
     assert physics.pose_blocks == blocks
 
 

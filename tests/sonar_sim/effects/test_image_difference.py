@@ -5,8 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from sonar_sim.effects.image_difference import (
+    expected_clipped,
+    level_change_db,
+    quantiser_change_db,
+)
 from sonar_sim.effects.texture import displacement_cells, grain_of, texture_change
-from sonar_sim.picture_change import expected_clipped, level_change_db, quantiser_change_db
 from sonar_sim.scene.sonar import SonarSettings
 
 SONAR = SonarSettings(bits=16)

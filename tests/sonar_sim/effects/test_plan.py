@@ -1,13 +1,13 @@
 """The plan: rules first, then what the user wants."""
 
 import pytest
+from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import EffectPlan, EffectWarning, Wish
 from sonar_sim.effects.registry import EFFECTS
 from sonar_sim.errors import EffectError
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.scene.scene import Scene
 from sonar_sim.simulator import Simulator
-from sonar_sim.tolerance import Tolerance
 
 from tests.sonar_sim.effects.previews import LOUD, floor, pose, view_of
 

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import Wish
 from sonar_sim.effects.planner import Planned, Planner
 from sonar_sim.effects.previewer import Look
 from sonar_sim.geometry.pose import Pose, rotation_of
 from sonar_sim.scene.scene import Emitter, Scene
-from sonar_sim.tolerance import Tolerance
 
 from tests.sonar_sim.effects.previews import LOUD, SONAR, floor, motion, wall
 

@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import pytest
-from sonar_sim.rule_check import Change, RuleChecker
+from sonar_sim.effects.image_difference import Tolerance
+from sonar_sim.effects.rule_check import Change, RuleChecker
 from sonar_sim.scene_file import load_scenario, scene_names
-from sonar_sim.tolerance import Tolerance
 
 
 @pytest.mark.slow

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import trimesh
 from sonar_sim.geometry.pose import rotation_of
-from sonar_sim.material import MATERIALS, Material
+from sonar_sim.scene.material import MATERIALS, Material
 from sonar_sim.scene.scene import Bubbles, CloudSpec, Emitter, Scene, Sea, Sediment, Surface
 from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.scene.water import Water
-from sonar_sim.validation.simple import sphere
+from sonar_sim.validation.setups import sphere
 
 from tests.sonar_sim.effects.previews import LOUD, SONAR, floor, pose, verdict, view_of, wall
 

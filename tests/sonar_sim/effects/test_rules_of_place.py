@@ -5,14 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sonar_sim.effects.bending import bending
+from sonar_sim.effects.displacement import bending
+from sonar_sim.effects.image_difference import Tolerance
+from sonar_sim.effects.rule_check import RuleChecker
 from sonar_sim.geometry.pose import Mounting
-from sonar_sim.rule_check import RuleChecker
-from sonar_sim.scenario import Scenario
+from sonar_sim.geometry.trajectory import Motion, Trajectory, Waypoint
+from sonar_sim.scene.scenario import Scenario
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.water import Water
-from sonar_sim.tolerance import Tolerance
-from sonar_sim.trajectory import Motion, Trajectory, Waypoint
 
 from tests.sonar_sim.effects.previews import SONAR, floor, motion, pose, verdict, view_of, wall
 

@@ -2,8 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from sonar_sim.motions import Drift, Tour
-from sonar_sim.trajectory import Motion, Trajectory, Waypoint
+from sonar_sim.geometry.trajectory import Drift, Motion, Tour, Trajectory, Waypoint
 
 
 def test_drift_goes_on_steadily_and_swings_about_it() -> None:

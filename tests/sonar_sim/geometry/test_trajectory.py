@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 from sonar_sim.geometry.pose import Mounting, quaternion_of, rotation_of
+from sonar_sim.geometry.trajectory import Motion, Trajectory, Waypoint
 from sonar_sim.scene_file import load_scenario
-from sonar_sim.trajectory import Motion, Trajectory, Waypoint
 
 CALM = Motion(speed_mps=0.5, sway_deg=0.0, heave_m=0.0)
 

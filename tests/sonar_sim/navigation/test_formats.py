@@ -14,9 +14,9 @@ from sonar_sim.errors import SonarSimError
 from sonar_sim.geometry.pose import Pose, rotation_of
 from sonar_sim.navigation.fix import Fix
 from sonar_sim.navigation.formats import FORMATS, format_named
-from sonar_sim.navigation.water_linked_words import crc8, sentence
+from sonar_sim.navigation.water_linked import crc8, sentence
+from sonar_sim.scene.vehicle import OdometryErrors, OdometrySample, Vehicle
 from sonar_sim.scene.water import Water
-from sonar_sim.vehicle import OdometryErrors, OdometrySample, Vehicle
 
 from mapperd.geometry.frames import rotation_from_rpy
 from mapperd.odometry.native import decode_native

@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 from sonar_sim.geometry.pose import Pose
-from sonar_sim.material import MATERIALS
 from sonar_sim.products import Sounder, Sounding
 from sonar_sim.raycast.depth_camera import Pinhole
+from sonar_sim.scene.material import MATERIALS
 from sonar_sim.scene.scene import Scene, Surface
 from sonar_sim.scene.sonar import SonarSettings
 

@@ -8,11 +8,8 @@ import trimesh
 import yaml
 from sonar_sim.errors import SonarSimError
 from sonar_sim.products import Sounder, Sounding, write_products
-from sonar_sim.products.cells import cells_of, looked_up
-from sonar_sim.products.fan import ping_of
-from sonar_sim.products.labels import labels_of
-from sonar_sim.products.pictures import depth_picture, label_picture, normal_picture
-from sonar_sim.products.raw_scan import raw_scan
+from sonar_sim.products.arrays import cells_of, labels_of, looked_up, raw_scan
+from sonar_sim.products.images import depth_picture, label_picture, normal_picture, ping_of
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.receiver.gain import noise_level_db
 from sonar_sim.scene.scene import Scene

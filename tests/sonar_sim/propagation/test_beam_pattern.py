@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from sonar_sim.beams import beam_former
 from sonar_sim.propagation.beam_pattern import (
     azimuth_amplitude,
     main_lobe_end,
@@ -12,6 +11,7 @@ from sonar_sim.propagation.beam_pattern import (
 )
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.raycast.fan import MARGIN_BEAMS
+from sonar_sim.receiver.beamformer import beam_former
 from sonar_sim.scene.sonar import SonarSettings
 
 SONAR = SonarSettings()

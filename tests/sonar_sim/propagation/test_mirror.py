@@ -8,11 +8,11 @@ import pytest
 from numpy.typing import NDArray
 from sonar_sim.effects.planes import mirror_planes
 from sonar_sim.engine import Engine
-from sonar_sim.material import MATERIALS, Material
 from sonar_sim.propagation.physics import Mirror
 from sonar_sim.raycast.meshes import SEA
+from sonar_sim.scene.material import MATERIALS, Material
 from sonar_sim.scene.scene import Scene, Sea, Surface
-from sonar_sim.validation.simple import (
+from sonar_sim.validation.setups import (
     CHALK,
     MEAN,
     Vector,

@@ -9,7 +9,7 @@ from sonar_sim.engine import Engine
 from sonar_sim.propagation.physics import Cloud, Layers
 from sonar_sim.scene.scene import Scene, Surface
 from sonar_sim.scene.water import Water
-from sonar_sim.validation.simple import (
+from sonar_sim.validation.setups import (
     MEAN,
     MIRROR,
     floor,

@@ -10,7 +10,7 @@ from sonar_sim.engine import Engine
 from sonar_sim.raycast.fan import fan_of, solid_angle_sr
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
-from sonar_sim.validation.simple import MEAN, cell_power, floor, pose_at
+from sonar_sim.validation.setups import MEAN, cell_power, floor, pose_at
 
 HEIGHT_M = 2.0
 SONAR = SonarSettings(beams=192, demanded_range_m=5.0, forced_rows=200)

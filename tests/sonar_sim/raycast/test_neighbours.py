@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from sonar_sim import _core
 from sonar_sim.raycast.meshes import Meshes, Met
-from sonar_sim.spans import span_about
+from sonar_sim.raycast.tracing import span_about
 
 RNG = np.random.default_rng(5)
 COLUMN = np.repeat(np.arange(3, dtype=np.int32), [4, 5, 3])

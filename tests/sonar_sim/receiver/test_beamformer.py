@@ -4,9 +4,9 @@ import math
 import numpy as np
 import pytest
 from sonar_sim import _core
-from sonar_sim.beams import beam_former, beam_sines, range_response
 from sonar_sim.propagation.beam_pattern import azimuth_amplitude, main_lobe_end
 from sonar_sim.propagation.physics import Physics
+from sonar_sim.receiver.beamformer import beam_former, beam_sines, range_response
 from sonar_sim.scene.sonar import SonarSettings
 
 SONAR = SonarSettings()

@@ -3,8 +3,8 @@ import math
 
 import numpy as np
 import pytest
-from sonar_sim.beams import beam_former
 from sonar_sim.propagation.physics import Arrival, Physics
+from sonar_sim.receiver.beamformer import beam_former
 from sonar_sim.receiver.noise import (
     add_arrival,
     add_crosstalk,

@@ -1,6 +1,6 @@
 import pytest
 from sonar_sim.errors import SceneError
-from sonar_sim.material import MATERIALS, Material
+from sonar_sim.scene.material import MATERIALS, Material
 
 WATER_MRAYL = 1.54
 

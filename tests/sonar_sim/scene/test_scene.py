@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import trimesh
 from sonar_sim.errors import SceneError
-from sonar_sim.material import MATERIALS
-from sonar_sim.motions import Drift
+from sonar_sim.geometry.trajectory import Drift
+from sonar_sim.scene.material import MATERIALS
 from sonar_sim.scene.scene import Bubbles, CloudSpec, PointTarget, Scene, Sea, Surface
 
 CORNERS = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])

@@ -4,8 +4,8 @@ import math
 import numpy as np
 import pytest
 from sonar_sim.errors import SceneError
-from sonar_sim.trajectory import Motion, Trajectory, Waypoint
-from sonar_sim.vehicle import (
+from sonar_sim.geometry.trajectory import Motion, Trajectory, Waypoint
+from sonar_sim.scene.vehicle import (
     Odometry,
     OdometryErrors,
     OdometrySample,

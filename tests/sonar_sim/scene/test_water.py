@@ -2,8 +2,8 @@ import dataclasses
 
 import pytest
 from sonar_sim.errors import SceneError
+from sonar_sim.scene.suspended_matter import sediment_db_per_m
 from sonar_sim.scene.water import Water, thermal_noise_db
-from sonar_sim.sediment import sediment_db_per_m
 
 
 def test_absorption_is_by_the_chosen_model() -> None:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from sonar_sim.scenario import Scenario
+from sonar_sim.scene.scenario import Scenario
 from sonar_sim.scene_file import load_scenario
 
 MINIMUM = """

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import trimesh
 from sonar_sim.errors import SceneError
-from sonar_sim.scenario import Scenario
-from sonar_sim.scene_file.meshes import clean_mesh, read_mesh
+from sonar_sim.scene.scenario import Scenario
+from sonar_sim.scene_file.objects import clean_mesh, read_mesh
 
 Load = Callable[..., Scenario]
 

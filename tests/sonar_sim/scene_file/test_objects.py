@@ -2,8 +2,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from sonar_sim.motions import Drift, Tour
-from sonar_sim.scenario import Scenario
+from sonar_sim.geometry.trajectory import Drift, Tour
+from sonar_sim.scene.scenario import Scenario
 from sonar_sim.scene.scene import Surface
 
 Load = Callable[..., Scenario]

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 from sonar_sim.scene_file import schema
 from sonar_sim.scene_file.reference import PAGE, reference
-from sonar_sim.scene_file.sections import Section
+from sonar_sim.scene_file.schema import Section
 
 ROOT = Path(__file__).resolve().parents[3]
 

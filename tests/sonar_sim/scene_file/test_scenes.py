@@ -2,8 +2,8 @@ import pickle
 
 import numpy as np
 import pytest
+from sonar_sim.geometry.trajectory import Trajectory
 from sonar_sim.scene_file import load_scenario, scene_names
-from sonar_sim.trajectory import Trajectory
 
 NAMES = scene_names()
 

@@ -4,39 +4,39 @@ import numpy as np
 import pytest
 import trimesh
 from sonar_sim.errors import SceneError
-from sonar_sim.scene_file import shape_schema
+from sonar_sim.scene_file import schema
 from sonar_sim.scene_file.shapes import sheet, triangles_of
 
 
-def build(shape: shape_schema.BuiltShape) -> trimesh.Trimesh:
+def build(shape: schema.BuiltShape) -> trimesh.Trimesh:
     return triangles_of(shape, None)
 
 
 def test_box_and_sphere_have_their_volume() -> None:
-    assert build(shape_schema.Box(size_m=(1.0, 2.0, 3.0))).volume == pytest.approx(6.0)
-    sphere = build(shape_schema.Sphere(radius_m=0.5, subdivisions=5))
+    assert build(schema.Box(size_m=(1.0, 2.0, 3.0))).volume == pytest.approx(6.0)
+    sphere = build(schema.Sphere(radius_m=0.5, subdivisions=5))
     assert sphere.volume == pytest.approx(4.0 / 3.0 * math.pi * 0.125, rel=0.005)
     assert np.linalg.norm(sphere.vertices, axis=1) == pytest.approx(0.5)
-    bent = build(shape_schema.Sphere(radius_m=(1.0, 0.5, 0.25), subdivisions=5))
+    bent = build(schema.Sphere(radius_m=(1.0, 0.5, 0.25), subdivisions=5))
     assert np.abs(bent.vertices).max(axis=0) == pytest.approx([1.0, 0.5, 0.25], abs=0.01)
 
 
 def test_cylinder_is_closed_or_a_tube_and_may_taper() -> None:
-    whole = build(shape_schema.Cylinder(radius_m=0.5, height_m=2.0, facets=256))
+    whole = build(schema.Cylinder(radius_m=0.5, height_m=2.0, facets=256))
     assert whole.is_watertight
     assert abs(whole.volume) == pytest.approx(math.pi * 0.25 * 2.0, rel=0.001)
-    tube = build(shape_schema.Cylinder(radius_m=0.5, height_m=2.0, open=True, facets=256))
+    tube = build(schema.Cylinder(radius_m=0.5, height_m=2.0, open=True, facets=256))
     assert not tube.is_watertight
     assert tube.area == pytest.approx(math.pi * 2.0, rel=0.001)
     assert np.linalg.norm(tube.vertices[:, :2], axis=1) == pytest.approx(0.5)
-    cone = build(shape_schema.Cylinder(radius_m=0.5, height_m=2.0, top_radius_m=0.0, facets=256))
+    cone = build(schema.Cylinder(radius_m=0.5, height_m=2.0, top_radius_m=0.0, facets=256))
     assert cone.is_watertight
     assert abs(cone.volume) == pytest.approx(math.pi * 0.25 * 2.0 / 3.0, rel=0.001)
 
 
 @pytest.mark.parametrize("end_m", [(3.0, 4.0, 0.0), (0.0, 0.0, 5.0), (0.0, 0.0, -5.0)])
 def test_capsule_is_all_at_its_radius_from_its_line(end_m: tuple[float, float, float]) -> None:
-    rod = build(shape_schema.Capsule(start_m=(0.0, 0.0, 0.0), end_m=end_m, radius_m=0.2))
+    rod = build(schema.Capsule(start_m=(0.0, 0.0, 0.0), end_m=end_m, radius_m=0.2))
     along = np.array(end_m) / 5.0
     place = np.clip(rod.vertices @ along, 0.0, 5.0)
     off = np.linalg.norm(rod.vertices - place[:, None] * along, axis=1)
@@ -46,7 +46,7 @@ def test_capsule_is_all_at_its_radius_from_its_line(end_m: tuple[float, float, f
 
 def test_pipe_keeps_its_radius_and_follows_the_floor() -> None:
     points = tuple((float(x), 0.0, 0.1) for x in range(11))
-    shape = shape_schema.Pipe(points_m=points, radius_m=0.3, follow_floor=True, facets=64)
+    shape = schema.Pipe(points_m=points, radius_m=0.3, follow_floor=True, facets=64)
     pipe = triangles_of(shape, lambda x_m, y_m: 0.02 * x_m + 0.0 * y_m - 7.0)
     axis_z = 0.02 * pipe.vertices[:, 0] - 6.9
     off = np.hypot(pipe.vertices[:, 1], pipe.vertices[:, 2] - axis_z)
@@ -56,12 +56,12 @@ def test_pipe_keeps_its_radius_and_follows_the_floor() -> None:
 
 
 def test_pipe_may_stand_and_bend() -> None:
-    bent = shape_schema.Pipe(points_m=((0, 0, -5), (0, 0, -3), (2, 0, -1)), radius_m=0.1)
+    bent = schema.Pipe(points_m=((0, 0, -5), (0, 0, -3), (2, 0, -1)), radius_m=0.1)
     assert np.isfinite(build(bent).vertices).all()
 
 
 def test_hull_has_wigleys_lines() -> None:
-    hull = build(shape_schema.Hull(length_m=20.0, beam_m=4.0, draught_m=2.0, freeboard_m=1.0))
+    hull = build(schema.Hull(length_m=20.0, beam_m=4.0, draught_m=2.0, freeboard_m=1.0))
     assert hull.bounds[0] == pytest.approx([-10.0, -2.0, -2.0], abs=0.01)
     assert hull.bounds[1] == pytest.approx([10.0, 2.0, 1.0], abs=0.01)
     x, y, z = hull.vertices.T
@@ -74,12 +74,10 @@ def test_hull_has_wigleys_lines() -> None:
 
 
 def test_sheet_and_disc_lie_flat() -> None:
-    plate = build(shape_schema.Sheet(size_m=(0.5, 0.6)))
+    plate = build(schema.Sheet(size_m=(0.5, 0.6)))
     assert plate.area == pytest.approx(0.3)
     assert np.ptp(plate.vertices[:, 2]) == 0.0
-    assert build(shape_schema.Disc(radius_m=2.0, facets=512)).area == pytest.approx(
-        4 * math.pi, rel=1e-3
-    )
+    assert build(schema.Disc(radius_m=2.0, facets=512)).area == pytest.approx(4 * math.pi, rel=1e-3)
 
 
 def test_triangles_without_an_area_are_left_out() -> None:
@@ -93,16 +91,16 @@ def test_triangles_without_an_area_are_left_out() -> None:
 @pytest.mark.parametrize(
     ("shape", "word"),
     [
-        (shape_schema.Sphere(radius_m=-1.0), "radius_m"),
-        (shape_schema.Capsule(start_m=(1, 1, 1), end_m=(1, 1, 1), radius_m=0.1), "same point"),
-        (shape_schema.Pipe(points_m=((0, 0, 0),), radius_m=0.1), "two points"),
-        (shape_schema.Pipe(points_m=((0, 0, 0), (0, 0, 0)), radius_m=0.1), "same point twice"),
+        (schema.Sphere(radius_m=-1.0), "radius_m"),
+        (schema.Capsule(start_m=(1, 1, 1), end_m=(1, 1, 1), radius_m=0.1), "same point"),
+        (schema.Pipe(points_m=((0, 0, 0),), radius_m=0.1), "two points"),
+        (schema.Pipe(points_m=((0, 0, 0), (0, 0, 0)), radius_m=0.1), "same point twice"),
         (
-            shape_schema.Pipe(points_m=((0, 0, 0), (1, 0, 0)), radius_m=0.1, follow_floor=True),
+            schema.Pipe(points_m=((0, 0, 0), (1, 0, 0)), radius_m=0.1, follow_floor=True),
             "terrain",
         ),
     ],
 )
-def test_impossible_shape_is_refused(shape: shape_schema.BuiltShape, word: str) -> None:
+def test_impossible_shape_is_refused(shape: schema.BuiltShape, word: str) -> None:
     with pytest.raises(SceneError, match=word):
         build(shape)

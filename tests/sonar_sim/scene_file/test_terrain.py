@@ -4,9 +4,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from sonar_sim.errors import SceneError
-from sonar_sim.scenario import Scenario
+from sonar_sim.scene.scenario import Scenario
 from sonar_sim.scene_file import schema
-from sonar_sim.scene_file.terrain import floor_of, height_of
+from sonar_sim.scene_file.shapes import floor_of, height_of
 
 Load = Callable[..., Scenario]
 GRID = np.meshgrid(np.linspace(0.0, 200.0, 401), np.linspace(0.0, 200.0, 401), indexing="ij")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 from sonar_sim.errors import SceneError
-from sonar_sim.scenario import Scenario
+from sonar_sim.scene.scenario import Scenario
 from sonar_sim.scene.scene import Bubbles, Sea, Sediment
 from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.scene.water import Water

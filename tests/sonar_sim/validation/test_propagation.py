@@ -1,4 +1,4 @@
-from sonar_sim.validation.v01_absorption import v01_absorption
+from sonar_sim.validation.propagation import v01_absorption
 
 
 def test_both_absorption_formulas_give_the_published_table() -> None:

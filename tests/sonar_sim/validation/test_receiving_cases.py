@@ -4,12 +4,8 @@ from collections.abc import Callable
 
 import pytest
 from sonar_sim.validation.case import CaseResult
-from sonar_sim.validation.v06_beam_pattern import v06_beam_pattern
-from sonar_sim.validation.v07_speckle import v07_speckle
-from sonar_sim.validation.v08_ping_correlation import v08_ping_correlation
-from sonar_sim.validation.v09_range_lines import v09_range_lines
-from sonar_sim.validation.v13_bearings import v13_bearings
-from sonar_sim.validation.v14_quantiser import v14_quantiser
+from sonar_sim.validation.receiver import v06_beam_pattern, v13_bearings, v14_quantiser
+from sonar_sim.validation.speckle import v07_speckle, v08_ping_correlation, v09_range_lines
 
 CASES = (
     v06_beam_pattern,

@@ -1,4 +1,4 @@
-from sonar_sim.validation.v18_classic import v18_classic
+from sonar_sim.validation.repeatability import v18_classic
 
 
 def test_constants_of_the_published_pipeline() -> None:

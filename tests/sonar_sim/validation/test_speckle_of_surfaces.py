@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from sonar_sim.engine import Engine, EnginePing
 from sonar_sim.geometry.pose import Pose
-from sonar_sim.material import Material
 from sonar_sim.propagation.physics import Physics
+from sonar_sim.scene.material import Material
 from sonar_sim.scene.scene import Scene, Surface
 from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.validation.statistics import correlation, speckle

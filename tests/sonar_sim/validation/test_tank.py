@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from sonar_sim.simulator import Simulator
 from sonar_sim.validation import tank
-from sonar_sim.validation.v20_tank import band, v20_tank
+from sonar_sim.validation.tank import band, v20_tank
 
 
 def test_rods_and_plate_are_where_and_as_wide_as_they_are() -> None:

@@ -1,4 +1,4 @@
-from sonar_sim.validation.v15_timing import v15_timing
+from sonar_sim.validation.timing import v15_timing
 
 
 def test_a_ping_lasts_as_long_as_the_sound_is_under_way() -> None:

@@ -7,8 +7,7 @@ import yaml
 
 from oculus_driver.render.files import write_png
 from sonar_sim.classic.pipeline import CLOUD_FROM_M, classic_images
-from sonar_sim.products.camera_info import camera_info
-from sonar_sim.products.pictures import depth_picture
+from sonar_sim.products.images import camera_info, depth_picture
 from sonar_sim.products.point_cloud import cloud_of, write_cloud
 from sonar_sim.raycast.depth_camera import View
 

@@ -8,7 +8,7 @@ from typing import NoReturn
 from oculus_driver import __version__
 from oculus_driver.errors import OculusError
 from sonar_sim.command import capture, explain, render, scene_list, serve, validate
-from sonar_sim.command.exit import FAULT, INTERRUPTED, USAGE
+from sonar_sim.command.arguments import FAULT, INTERRUPTED, USAGE
 from sonar_sim.errors import SonarSimError
 
 __all__ = ["main"]

@@ -9,8 +9,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from sonar_sim.capture import CaptureSettings, write_capture
-from sonar_sim.command.exit import OK
-from sonar_sim.command.values import count, seed
+from sonar_sim.command.arguments import OK, count, seed
 from sonar_sim.scene_file import load_scenario
 
 NAME = "capture"

@@ -4,16 +4,15 @@ import argparse
 import json
 import sys
 
-from sonar_sim.command.exit import OK
-from sonar_sim.command.values import count, positive, time_on
-from sonar_sim.effects.cost import measured_costs_ms
+from sonar_sim.command.arguments import OK, count, positive, time_on
+from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import Decision, EffectPlan, Wish
 from sonar_sim.effects.planner import Planner
 from sonar_sim.effects.previewer import Look
+from sonar_sim.effects.rule_check import measured_costs_ms
 from sonar_sim.engine import Engine
+from sonar_sim.scene.scenario import sonar_motion, sonar_pose
 from sonar_sim.scene_file import load_scenario
-from sonar_sim.sonar_motion import sonar_motion, sonar_pose
-from sonar_sim.tolerance import Tolerance
 
 NAME = "explain"
 HELP = "tell which effects a scene calls for, why, and what they cost"

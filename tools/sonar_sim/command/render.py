@@ -11,15 +11,13 @@ from tqdm import tqdm
 from oculus_driver.render import COLOURS, Style
 from sonar_sim.classic import classic_camera
 from sonar_sim.classic.writer import write_classic
-from sonar_sim.command.exit import OK
-from sonar_sim.command.values import count, names, pose, positive, seed, size, time_on
+from sonar_sim.command.arguments import OK, count, names, pose, positive, seed, size, time_on
 from sonar_sim.geometry.pose import Pose
 from sonar_sim.products import PRODUCTS, Sounder, write_products
 from sonar_sim.products.writer import Look
 from sonar_sim.raycast.depth_camera import Onlooker, pinhole_of
-from sonar_sim.scenario import Scenario
+from sonar_sim.scene.scenario import Scenario, sonar_motion, sonar_pose
 from sonar_sim.scene_file import load_scenario
-from sonar_sim.sonar_motion import sonar_motion, sonar_pose
 
 NAME = "render"
 HELP = "write pings of a scene, and the truth behind them, as PNG, NPZ and PLY"

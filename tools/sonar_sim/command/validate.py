@@ -5,12 +5,10 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from sonar_sim.command.exit import FAULT, OK
-from sonar_sim.command.values import names
+from sonar_sim.command.arguments import FAULT, OK, names
 from sonar_sim.errors import SonarSimError
 from sonar_sim.validation.case import CaseResult
-from sonar_sim.validation.cases import CASES
-from sonar_sim.validation.page import draw_page
+from sonar_sim.validation.cases import CASES, draw_page
 
 NAME = "validate"
 HELP = "work out the validation cases, draw them, and fail if one does not hold"

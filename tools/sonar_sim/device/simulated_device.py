@@ -11,8 +11,8 @@ from sonar_sim.capture import POWER_UP_S
 from sonar_sim.device.fire_settings import PROCESSING_S, first_demand, listening_s, period_s
 from sonar_sim.device.ping_generator import PingMaker, When
 from sonar_sim.effects.plan import AUTO
-from sonar_sim.scenario import Scenario
-from sonar_sim.trajectory import Trajectory
+from sonar_sim.geometry.trajectory import Trajectory
+from sonar_sim.scene.scenario import Scenario
 
 FIRST_ID = 1
 STALE_S = 0.1

@@ -1,12 +1,13 @@
-"""What every effect is: a formula with its source, a rule, and the settings it fills in."""
+"""An effect: a formula with its source, a rule that decides on it, and its settings."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
+from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.preview import View
 from sonar_sim.propagation.physics import Physics
-from sonar_sim.tolerance import Tolerance
 
 
 class Cost(Enum):
@@ -81,3 +82,28 @@ class Effect:
     decide: Callable[[View, Tolerance], Verdict]
     configure: Callable[[Physics, View], None]
     anywhere: bool = False
+
+
+ROW_CORRELATION = 0.19
+"""Of the powers of neighbouring rows of speckle, as a public recording shows."""
+LEVEL_SPREAD_DB = 5.57
+"""Standard deviation of speckle's level."""
+
+
+def by_level(predicted_db: float, tolerance: Tolerance, reason: str) -> Verdict:
+    """On if the picture would change by more than the tolerated level."""
+    return Verdict(predicted_db > tolerance.level_db, reason, predicted_db)
+
+
+def by_cells(cells: float, tolerance: Tolerance, reason: str) -> Verdict:
+    """On if the picture would be displaced by more than the tolerated part of a cell."""
+    return Verdict(cells > tolerance.cells, f"{reason}: {cells:.2g} cells", displaced_db(cells))
+
+
+def displaced_db(cells: float) -> float:
+    """Rms difference of level between speckle and the same speckle displaced.
+
+    Two levels of spread 5.57 dB whose correlation falls with the displacement as rows' does.
+    """
+    correlation = ROW_CORRELATION ** (cells**2)
+    return LEVEL_SPREAD_DB * math.sqrt(2.0 * (1.0 - correlation))

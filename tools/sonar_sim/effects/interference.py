@@ -4,13 +4,12 @@ import math
 
 import numpy as np
 
-from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
+from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict, by_level
+from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.preview import View
-from sonar_sim.effects.verdicts import by_level
 from sonar_sim.propagation.beam_pattern import azimuth_amplitude, vertical_two_way_power
 from sonar_sim.propagation.physics import Arrival, Physics
 from sonar_sim.scene.scene import Emitter
-from sonar_sim.tolerance import Tolerance
 
 
 def arrivals(view: View) -> tuple[Arrival, ...]:
@@ -77,7 +76,7 @@ def configure(physics: Physics, view: View) -> None:
     physics.arrivals = arrivals(view)
 
 
-EFFECT = Effect(
+INTERFERENCE = Effect(
     name="interference",
     does="draws spokes and drifting arcs of other sonars",
     needs="emitters in band",

@@ -1,21 +1,156 @@
-"""Multipath: a calm surface or a smooth wall throws echoes on, and ghosts appear behind."""
+"""Multipath: a calm surface or a smooth wall reflects echoes; ghosts appear."""
 
+import math
+from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sonar_sim.effects.echoes import Echoes
-from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict
-from sonar_sim.effects.ghosts import Ghosts, ghosts_of
+from sonar_sim.effects.echoes import COLUMNS, GRAZING, Echoes, cast
+from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict, by_level
+from sonar_sim.effects.image_difference import Tolerance
+from sonar_sim.effects.planes import Plane, coherence
 from sonar_sim.effects.preview import View
-from sonar_sim.effects.verdicts import by_level
-from sonar_sim.propagation.physics import Physics
-from sonar_sim.tolerance import Tolerance
+from sonar_sim.geometry.matmul import along
+from sonar_sim.propagation.beam_pattern import vertical_two_way_power
+from sonar_sim.propagation.mirror import bounces
+from sonar_sim.propagation.physics import Mirror, Physics
+
+LEAST_REFLECTION = 0.01
+"""Of pressure: a bounce that keeps less is 40 dB down."""
+NEAR_M = 0.02
+"""How near a ray must come to the point it was sent to."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ghosts:
+    """What a plane adds.
+
+    Attributes:
+        mirror: the plane with the coherence of its strongest ghosts.
+        picture: expected power of a pixel, (rows, COLUMNS).
+    """
+
+    mirror: Mirror
+    picture: NDArray[np.float64]
+
+
+def ghosts_of(view: View, plane: Plane) -> Ghosts | None:
+    """Work out the ghosts; None if there is none in range."""
+    sonar_m, echoes = view.map_T_sonar.position_m, view.echoes
+    sonar_height = float((sonar_m - plane.point_m) @ plane.normal)
+    k = 2.0 * math.pi * view.sonar.frequency_hz / view.speed_mps
+    # A bounce is no farther off than half of the whole way there and back.
+    away_m = np.clip(sonar_m, plane.low_m, plane.high_m) - sonar_m
+    if np.linalg.norm(away_m) > view.sonar.range_m:
+        return None
+    if abs(sonar_height) > 2.0 * view.sonar.range_m * _steepest_cosine(plane, k):
+        return None
+    normal = plane.normal * math.copysign(1.0, sonar_height)
+    height = along(echoes.point_m - plane.point_m, normal)
+    away = echoes.point_m - 2.0 * height[:, None] * normal - sonar_m
+    bounced_m = np.linalg.norm(away, axis=1)
+    away /= bounced_m[:, None]
+    cos_bounce = np.maximum(-along(away, normal), GRAZING)
+    foot = sonar_m + away * (abs(sonar_height) / cos_bounce)[:, None]
+    on_plane = np.all((foot > plane.low_m - NEAR_M) & (foot < plane.high_m + NEAR_M), axis=1)
+    local = away @ view.map_T_sonar.rotation
+    usable = (height > NEAR_M) & on_plane & (local[:, 0] > 0.0)
+    usable &= (echoes.range_m + bounced_m) / 2.0 < view.sonar.range_m
+    gamma = abs(plane.reflection) * coherence(k, plane.roughness_m, cos_bounce)
+    usable &= gamma > LEAST_REFLECTION
+    if not usable.any():
+        return None
+    usable[usable] &= _bounces(view, plane, foot[usable])
+    usable[usable] &= _free(view, foot[usable] + NEAR_M * normal, echoes.point_m[usable])
+    if not usable.any():
+        return None
+    ratio = _ratio(view, local, away, bounced_m) * np.square(gamma) * usable
+    beside = np.clip(_column(view, local), 0, COLUMNS - 1)
+    usable = (_column(view, local) == beside) & usable
+    half = replace(echoes, range_m=(echoes.range_m + bounced_m) / 2.0)
+    whole = replace(echoes, range_m=bounced_m, column=beside)
+    # There by one way and back by the other, and the other way round: alike in phase.
+    same = np.where(beside == echoes.column, 2.0, 1.0)
+    picture = view.grid.picture(half, view.echo_power * ratio * same)
+    picture += view.grid.picture(
+        replace(half, column=beside), view.echo_power * ratio * same * usable
+    )
+    picture += view.grid.picture(whole, view.echo_power * ratio**2 * usable)
+    weight = view.echo_power * ratio
+    mean_gamma = float(np.sum(gamma * weight) / max(np.sum(weight), 1e-300))
+    return Ghosts(
+        Mirror(plane.point_m, normal, math.copysign(mean_gamma, plane.reflection), plane.surface),
+        picture,
+    )
+
+
+def _steepest_cosine(plane: Plane, wave_number_per_m: float) -> float:
+    """Cosine of incidence above which the plane keeps less than `LEAST_REFLECTION`."""
+    margin = math.log(max(abs(plane.reflection), LEAST_REFLECTION) / LEAST_REFLECTION) / 2.0
+    phase = wave_number_per_m * plane.roughness_m
+    return 1.0 if phase**2 <= margin else math.sqrt(margin) / phase
+
+
+def _ratio(
+    view: View,
+    local: NDArray[np.float64],
+    away: NDArray[np.float64],
+    bounced_m: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Power by the mirrored way over the direct way, one way: range, pattern, incidence."""
+    echoes = view.echoes
+    width = view.sonar.vertical_width_rad
+    pattern = np.sqrt(vertical_two_way_power(local[:, 2], width) / np.maximum(view.pattern, 1e-12))
+    point = ~np.any(echoes.normal, axis=1)
+    facing = np.abs(np.sum(echoes.normal * away, axis=1)) / np.maximum(
+        echoes.cos_incidence, GRAZING
+    )
+    absorbed = 10.0 ** (-0.1 * view.water_db_per_m * (bounced_m - echoes.range_m))
+    ratio: NDArray[np.float64] = (
+        np.square(echoes.range_m / bounced_m) * pattern * np.where(point, 1.0, facing) * absorbed
+    )
+    return ratio
+
+
+def _column(view: View, local: NDArray[np.float64]) -> NDArray[np.int64]:
+    step = view.grid.sine[1] - view.grid.sine[0]
+    column: NDArray[np.int64] = np.floor((-local[:, 1] - view.grid.sine[0]) / step + 0.5).astype(
+        np.int64
+    )
+    return column
+
+
+def _bounces(view: View, plane: Plane, foot_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether the sonar sees the plane's own surface at points of the plane."""
+    sonar_m = view.map_T_sonar.position_m
+    way = foot_m - sonar_m
+    length = np.linalg.norm(way, axis=1)
+    direction = way / np.maximum(length, 1e-9)[:, None]
+    reach_m = 2.0 * view.sonar.range_m
+    met = view.meshes.cast(sonar_m, direction.astype(np.float32), view.time_s, reach_m, 1)
+    mirror = Mirror(plane.point_m, plane.normal, plane.reflection, plane.surface)
+    return bounces(view.meshes, mirror, met.face, met.range_m, length)
+
+
+def _free(
+    view: View, start_m: NDArray[np.float64], end_m: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Whether nothing stands between points."""
+    way = end_m - start_m
+    length = np.linalg.norm(way, axis=1)
+    direction = way / np.maximum(length, 1e-9)[:, None]
+    reach_m = 2.0 * view.sonar.range_m
+    met = cast(view.meshes, start_m, direction, view.time_s, reach_m)
+    free: NDArray[np.bool_] = met.range_m > length * 0.98 - NEAR_M
+    return free
+
 
 _KNOWN: WeakKeyDictionary[Echoes, list[Ghosts]] = WeakKeyDictionary()
 
 
-def decide(view: View, tolerance: Tolerance) -> Verdict:
+def decide_multipath(view: View, tolerance: Tolerance) -> Verdict:
     """On if the ghosts in all planes together show."""
     if not view.planes:
         return Verdict(on=False, reason="no plane is smooth enough to mirror", predicted_db=0.0)
@@ -34,12 +169,12 @@ def _ghosts(view: View) -> list[Ghosts]:
     return known
 
 
-def configure(physics: Physics, view: View) -> None:
+def configure_multipath(physics: Physics, view: View) -> None:
     """List the planes that have ghosts in range."""
     physics.mirrors = tuple(ghosts.mirror for ghosts in _ghosts(view))
 
 
-EFFECT = Effect(
+MULTIPATH = Effect(
     name="multipath",
     does="repeats echoes behind themselves, by way of the surface or a wall",
     needs="planes smooth against the wavelength",
@@ -52,6 +187,6 @@ EFFECT = Effect(
         Parameter("material.reflection", "1", "of pressure, signed"),
         Parameter("material.roughness_m", "m", "standard deviation of a wall's height"),
     ),
-    decide=decide,
-    configure=configure,
+    decide=decide_multipath,
+    configure=configure_multipath,
 )

@@ -5,11 +5,11 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 from sonar_sim.effects.effect import Effect, Verdict
+from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.preview import View
 from sonar_sim.effects.registry import EFFECTS
 from sonar_sim.errors import EffectError
 from sonar_sim.propagation.physics import Physics
-from sonar_sim.tolerance import Tolerance
 
 AUTO, ALL = "auto", "all"
 HIDING = "shadows"

@@ -9,18 +9,18 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.effects.coarse import (
+from sonar_sim.effects.coarse_picture import (
     MOST_ROWS,
     CoarseGrid,
     Gains,
     change_db,
     equivalent_beams,
+    filled_by,
     left_by,
 )
 from sonar_sim.effects.echoes import COLUMNS, Echoes, Fan
-from sonar_sim.effects.matter import Matter, cloud_matter, path_in_box_m, sediment_strength
+from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.planes import Plane
-from sonar_sim.effects.plumes import filled_by
 from sonar_sim.geometry.pose import Pose, SonarMotion
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.physics import Cloud
@@ -28,8 +28,13 @@ from sonar_sim.raycast.meshes import Meshes
 from sonar_sim.receiver.gain import FULL_SCALE_DB, GAIN_DB_PER_PERCENT, noise_level_db
 from sonar_sim.scene.scene import Bubbles, CloudSpec, Scene, Sediment
 from sonar_sim.scene.sonar import SonarSettings
-from sonar_sim.sediment import sediment_db_per_m
-from sonar_sim.tolerance import Tolerance
+from sonar_sim.scene.suspended_matter import (
+    Matter,
+    cloud_matter,
+    path_in_box_m,
+    sediment_db_per_m,
+    sediment_strength,
+)
 
 LEAST_RANGE_M = 0.05
 FINE_ROWS = 512

@@ -5,10 +5,18 @@ from dataclasses import fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.effects.echoes import COLUMNS, Echoes, coarse_fan, echoes_of
+from sonar_sim.effects.echoes import (
+    COLUMNS,
+    NOTHING,
+    SKIP_M,
+    Echoes,
+    Met,
+    cast,
+    coarse_fan,
+    echoes_of,
+)
 from sonar_sim.effects.planes import mirror_planes
 from sonar_sim.effects.preview import View
-from sonar_sim.effects.rays import NOTHING, SKIP_M, Met, cast
 from sonar_sim.geometry.matmul import product
 from sonar_sim.geometry.pose import Pose, SonarMotion
 from sonar_sim.raycast.meshes import Meshes

@@ -2,35 +2,29 @@
 
 from types import MappingProxyType
 
-from sonar_sim.effects.absorption import EFFECT as ABSORPTION
-from sonar_sim.effects.azimuth_pattern import EFFECT as AZIMUTH_PATTERN
-from sonar_sim.effects.bearing_table import EFFECT as BEARING_TABLE
-from sonar_sim.effects.bottom_reverberation import EFFECT as BOTTOM_REVERBERATION
-from sonar_sim.effects.bubbles import EFFECT as BUBBLES
-from sonar_sim.effects.crosstalk import EFFECT as CROSSTALK
-from sonar_sim.effects.doppler import EFFECT as DOPPLER
-from sonar_sim.effects.gain import EFFECT as GAIN
-from sonar_sim.effects.gamma import EFFECT as GAMMA
-from sonar_sim.effects.interference import EFFECT as INTERFERENCE
-from sonar_sim.effects.lambert import EFFECT as LAMBERT
-from sonar_sim.effects.motion import EFFECT as MOTION
-from sonar_sim.effects.multipath import EFFECT as MULTIPATH
-from sonar_sim.effects.noise import EFFECT as NOISE
-from sonar_sim.effects.quantisation import EFFECT as QUANTISATION
-from sonar_sim.effects.range_spread import EFFECT as RANGE_SPREAD
-from sonar_sim.effects.refraction import EFFECT as REFRACTION
-from sonar_sim.effects.saturation import EFFECT as SATURATION
-from sonar_sim.effects.shadows import EFFECT as SHADOWS
-from sonar_sim.effects.side_lobes import EFFECT as SIDE_LOBES
-from sonar_sim.effects.sound_speed import EFFECT as SOUND_SPEED
-from sonar_sim.effects.speckle import EFFECT as SPECKLE
-from sonar_sim.effects.specular import EFFECT as SPECULAR
-from sonar_sim.effects.spreading import EFFECT as SPREADING
-from sonar_sim.effects.surface_reverberation import EFFECT as SURFACE_REVERBERATION
-from sonar_sim.effects.turbidity import EFFECT as TURBIDITY
-from sonar_sim.effects.tvg import EFFECT as TVG
-from sonar_sim.effects.vertical_pattern import EFFECT as VERTICAL_PATTERN
-from sonar_sim.effects.volume import EFFECT as VOLUME
+from sonar_sim.effects.directivity import (
+    AZIMUTH_PATTERN,
+    BEARING_TABLE,
+    CROSSTALK,
+    RANGE_SPREAD,
+    SIDE_LOBES,
+    VERTICAL_PATTERN,
+)
+from sonar_sim.effects.effect import Effect
+from sonar_sim.effects.interference import INTERFERENCE
+from sonar_sim.effects.multipath import MULTIPATH
+from sonar_sim.effects.receiver_chain import GAIN, GAMMA, NOISE, QUANTISATION, SATURATION, TVG
+from sonar_sim.effects.scattering import (
+    BOTTOM_REVERBERATION,
+    LAMBERT,
+    SHADOWS,
+    SPECKLE,
+    SPECULAR,
+    SURFACE_REVERBERATION,
+    VOLUME,
+)
+from sonar_sim.effects.transmission_loss import ABSORPTION, BUBBLES, SPREADING, TURBIDITY
+from sonar_sim.effects.travel_time import DOPPLER, MOTION, REFRACTION, SOUND_SPEED
 
 _IN_ORDER = (
     SPREADING,
@@ -66,3 +60,28 @@ _IN_ORDER = (
 
 EFFECTS = MappingProxyType({effect.name: effect for effect in _IN_ORDER})
 """By name."""
+
+
+HEADINGS = ("effect", "what it does", "formula", "source", "computed if", "cost", "parameters")
+
+
+def effects_markdown() -> str:
+    """All effects, a row each, in Markdown."""
+    lines = [f"| {' | '.join(HEADINGS)} |", "|" + "---|" * len(HEADINGS)]
+    lines += [f"| {' | '.join(_cells(effect))} |" for effect in EFFECTS.values()]
+    return "\n".join(lines) + "\n"
+
+
+def _cells(effect: Effect) -> tuple[str, ...]:
+    parameters = "; ".join(f"`{p.name}` ({p.unit}): {p.meaning}" for p in effect.parameters)
+    cells = (
+        f"`{effect.name}`",
+        effect.does,
+        effect.formula,
+        effect.source,
+        effect.rule,
+        effect.cost.value,
+        parameters or "none",
+    )
+    # A bar inside of a cell would end it.
+    return tuple(cell.replace("|", "\\|") for cell in cells)

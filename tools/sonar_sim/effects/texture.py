@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.picture_change import full_scale, gamma_of
+from sonar_sim.effects.image_difference import full_scale, gamma_of
 from sonar_sim.scene.sonar import SonarSettings
 
 LEAST_STEPS = 3.0

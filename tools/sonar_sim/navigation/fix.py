@@ -1,4 +1,4 @@
-"""What the navigation says at one time, in the conventions of those who speak of it.
+"""A navigation fix, as all odometry formats take it, and their rates.
 
 The simulator's map is ENU and its base FLU; vehicles speak NED and FRD.
 """
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from oculus_driver.sound_speed import pressure_bar_at
 from sonar_sim.geometry.pose import Pose, quaternion_of
+from sonar_sim.scene.vehicle import OdometryErrors, OdometrySample, Vehicle
 from sonar_sim.scene.water import Water
-from sonar_sim.vehicle import OdometryErrors, OdometrySample, Vehicle
 
 NED_R_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FRD_R_FLU = np.diag([1.0, -1.0, -1.0])
@@ -127,3 +127,26 @@ def angles_rad(rotation: NDArray[np.float64]) -> tuple[float, float, float]:
         math.asin(float(np.clip(-rotation[2, 0], -1.0, 1.0))),
         math.atan2(rotation[1, 0], rotation[0, 0]),
     )
+
+
+EARLY = 1e-6
+
+
+class Every:
+    """Says when a message is due.
+
+    Args:
+        period_s: between two of them.
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._due_s: float | None = None
+
+    def due(self, time_s: float) -> bool:
+        """Whether it is due now; it then counts as sent."""
+        if self._due_s is not None and time_s < self._due_s - EARLY:
+            return False
+        late = self._due_s is None or time_s > self._due_s + self._period_s
+        self._due_s = (time_s if late or self._due_s is None else self._due_s) + self._period_s
+        return True

@@ -1,14 +1,22 @@
-"""The formats by name; each makes of a fix what one vehicle would send."""
+"""Odometry formats by name."""
 
 from typing import Protocol
 
 from sonar_sim.errors import SonarSimError
 from sonar_sim.navigation.fix import Fix
-from sonar_sim.navigation.native import Native
 from sonar_sim.navigation.nmea import Nmea
 from sonar_sim.navigation.water_linked import WaterLinkedJson, WaterLinkedSerial
+from sonar_sim.scene.vehicle import odometry_record
 
 __all__ = ["FORMATS", "Format", "format_named"]
+
+
+class Native:
+    """Every fix, stamped with Unix time."""
+
+    def encode(self, fix: Fix) -> list[bytes]:
+        """Return one record."""
+        return [odometry_record(fix.sample, fix.valid_ns)]
 
 
 class Format(Protocol):

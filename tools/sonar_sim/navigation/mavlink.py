@@ -7,8 +7,7 @@ import math
 
 from pymavlink.dialects.v20 import common as dialect
 
-from sonar_sim.navigation.fix import ATMOSPHERE_BAR, Fix
-from sonar_sim.navigation.pace import Every
+from sonar_sim.navigation.fix import ATMOSPHERE_BAR, Every, Fix
 
 AUTOPILOT = 1
 """System and component id."""

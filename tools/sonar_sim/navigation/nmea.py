@@ -5,8 +5,7 @@ from datetime import UTC, datetime
 from functools import reduce
 from operator import xor
 
-from sonar_sim.navigation.fix import Fix
-from sonar_sim.navigation.pace import Every
+from sonar_sim.navigation.fix import Every, Fix
 
 POSITION_S = 1.0
 """Between position fixes; the gyro's sentences come with every fix."""

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import AUTO, Choice
 from sonar_sim.engine import Engine
 from sonar_sim.geometry.pose import Pose, SonarMotion
@@ -16,7 +17,6 @@ from sonar_sim.receiver.gain import FULL_SCALE_DB, noise_level_db
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.simulator import Simulator
-from sonar_sim.tolerance import Tolerance
 
 TINY = 1e-30
 """Amplitude under which there is no echo at all."""

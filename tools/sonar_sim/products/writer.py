@@ -14,18 +14,17 @@ from oculus_driver.render import Style
 from oculus_driver.render.files import write_png
 from sonar_sim.errors import SonarSimError
 from sonar_sim.products import arrays
-from sonar_sim.products.camera_info import camera_info
-from sonar_sim.products.cells import looked_up
-from sonar_sim.products.fan import fan_picture
-from sonar_sim.products.pictures import (
+from sonar_sim.products.arrays import looked_up, raw_scan
+from sonar_sim.products.images import (
+    camera_info,
     coloured,
     depth_picture,
+    fan_picture,
     label_picture,
     level_picture,
     normal_picture,
 )
 from sonar_sim.products.point_cloud import cloud_of, write_cloud
-from sonar_sim.products.raw_scan import raw_scan
 from sonar_sim.products.sounding import Sounding
 
 

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.physics import Cloud, Physics
+from sonar_sim.raycast.tracing import Trace
 from sonar_sim.scene.sonar import SonarSettings
-from sonar_sim.tracing import Trace
 
 
 def passage(

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.lobe import LEAST_COSINE, lobe_strength
-from sonar_sim.paths import Situation
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
+from sonar_sim.propagation.propagation_path import Situation
 from sonar_sim.raycast.meshes import NOTHING, Meshes
+from sonar_sim.raycast.tracing import Trace
+from sonar_sim.scene.material import LEAST_COSINE, lobe_strength
 from sonar_sim.scene.sonar import SonarSettings
-from sonar_sim.tracing import Trace
 
 LEAST_RANGE_M = 0.01
 

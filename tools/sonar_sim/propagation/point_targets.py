@@ -4,11 +4,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.geometry.pose import Pose
-from sonar_sim.paths import Situation, mirrored, pair_gain
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.clouds import cloud_gain
 from sonar_sim.propagation.mirror import OFF_M, bounces
 from sonar_sim.propagation.physics import Mirror
+from sonar_sim.propagation.propagation_path import Situation, mirrored, pair_gain
 from sonar_sim.scene.scene import PointTarget
 from sonar_sim.scene.sonar import SonarSettings
 

@@ -12,14 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim import _core
-from sonar_sim.legs import LEG
-from sonar_sim.paths import Situation
 from sonar_sim.propagation.clouds import cloud_gain
 from sonar_sim.propagation.physics import Layers
+from sonar_sim.propagation.propagation_path import LEG, Situation
 from sonar_sim.raycast.fan import Fan, finer
 from sonar_sim.raycast.meshes import NOTHING, Met
-from sonar_sim.spans import spans
-from sonar_sim.tracing import BEHIND, Trace, edges_of, joined_fan
+from sonar_sim.raycast.tracing import BEHIND, Trace, edges_of, joined_fan, spans
 
 Number = TypeVar("Number", np.float32, np.float64, np.int32)
 

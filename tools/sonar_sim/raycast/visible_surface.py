@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sonar_sim.raycast.tracing import Trace
 from sonar_sim.scene.sonar import SonarSettings
-from sonar_sim.tracing import Trace
 
 CELL_M = 0.05
 """At most one point a cell of this edge is kept: the points stand for about equal areas."""

@@ -8,8 +8,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from sonar_sim.errors import SceneError
-from sonar_sim.material import Material
-from sonar_sim.motions import ObjectMotion
+from sonar_sim.geometry.trajectory import ObjectMotion
+from sonar_sim.scene.material import Material
 from sonar_sim.scene.water import Water
 
 Triple = tuple[float, float, float]

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from sonar_sim.errors import SceneError
-from sonar_sim.scenario import Scenario
+from sonar_sim.scene.scenario import Scenario
 from sonar_sim.scene_file.build import build_scenario
-from sonar_sim.scene_file.reading import read_scene_file
+from sonar_sim.scene_file.yaml_reader import read_scene_file
 
 SHIPPED = Path(__file__).resolve().parent.parent / "scenes"
 

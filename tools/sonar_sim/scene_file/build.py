@@ -8,8 +8,8 @@ import msgspec
 
 from sonar_sim.errors import SceneError
 from sonar_sim.geometry.pose import Mounting
-from sonar_sim.material import MATERIALS, Material
-from sonar_sim.scenario import Scenario
+from sonar_sim.scene.material import MATERIALS, Material
+from sonar_sim.scene.scenario import Scenario
 from sonar_sim.scene.scene import (
     Bubbles,
     CloudSpec,
@@ -21,12 +21,18 @@ from sonar_sim.scene.scene import (
     Surface,
 )
 from sonar_sim.scene.sonar import SonarSettings, sonar_preset
+from sonar_sim.scene.vehicle import OdometryErrors, Vehicle
 from sonar_sim.scene.water import Water
 from sonar_sim.scene_file import schema
-from sonar_sim.scene_file.objects import Placed, place, surface_of, without_hidden
-from sonar_sim.scene_file.paths import motion_of, path_of
-from sonar_sim.scene_file.terrain import floor_of, height_of
-from sonar_sim.vehicle import OdometryErrors, Vehicle
+from sonar_sim.scene_file.objects import (
+    Placed,
+    motion_of,
+    path_of,
+    place,
+    surface_of,
+    without_hidden,
+)
+from sonar_sim.scene_file.shapes import floor_of, height_of
 
 FLOOR = "floor"
 MICRO, MILLI, KILO = 1e6, 1e3, 1e3

@@ -1,4 +1,4 @@
-"""Objects of a scene's file as meshes at their places, with what the floor hides left out."""
+"""Build a scene's objects: shapes and mesh files, placed and moving."""
 
 import math
 from collections.abc import Iterator
@@ -14,15 +14,113 @@ from trimesh.ray.ray_util import contains_points
 
 from sonar_sim.errors import SceneError
 from sonar_sim.geometry.pose import rotation_of
-from sonar_sim.material import Material
-from sonar_sim.motions import ObjectMotion
+from sonar_sim.geometry.trajectory import Drift, Motion, ObjectMotion, Tour, Trajectory, Waypoint
+from sonar_sim.scene.material import Material
 from sonar_sim.scene.scene import Surface
-from sonar_sim.scene_file import schema, shape_schema
-from sonar_sim.scene_file.meshes import read_mesh
-from sonar_sim.scene_file.paths import motion_of
+from sonar_sim.scene_file import schema
+from sonar_sim.scene_file import schema as shape_schema
 from sonar_sim.scene_file.shapes import HeightOf, triangles_of
 
+FORMATS = {".stl", ".obj", ".ply", ".glb"}
+SLIVER_M = 1e-9
+"""Triangles less high than this have no area worth the name."""
+
+
+def read_mesh(path: Path, scale: float = 1.0) -> trimesh.Trimesh:
+    """Read a mesh; triangles without an area are left out, and all parts become one.
+
+    Args:
+        path: of an STL, OBJ, PLY or GLB file.
+        scale: metres a unit of the file.
+
+    Raises:
+        SceneError: no such file or format, not finite, or nothing left of it.
+    """
+    if path.suffix.lower() not in FORMATS:
+        raise SceneError(f"{path}: meshes are read from {', '.join(sorted(FORMATS))}")
+    if not path.is_file():
+        raise SceneError(f"{path}: there is no such file")
+    try:
+        mesh = trimesh.load_mesh(path, process=False)
+        if isinstance(mesh, trimesh.Scene):
+            mesh = mesh.to_mesh()
+        vertices = np.asarray(mesh.vertices, dtype=np.float64).reshape(-1, 3) * scale
+        faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
+    except Exception as error:  # its readers raise whatever their formats' bytes lead them to
+        raise SceneError(f"{path}: not a mesh: {error}") from error
+    return clean_mesh(vertices, faces, str(path))
+
+
+def clean_mesh(vertices: np.ndarray, faces: np.ndarray, name: str) -> trimesh.Trimesh:
+    """Leave out triangles without an area.
+
+    Raises:
+        SceneError: a vertex is not finite, an index is out of range, or nothing is left.
+    """
+    if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
+        raise SceneError(f"{name}: a triangle names a vertex that does not exist")
+    used = vertices[np.unique(faces)]
+    if not np.isfinite(used).all():
+        raise SceneError(f"{name}: {np.sum(~np.isfinite(used).all(axis=1))} vertices not finite")
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    mesh.remove_unreferenced_vertices()
+    if len(mesh.faces):
+        mesh.update_faces(mesh.nondegenerate_faces(height=SLIVER_M))
+    if not len(mesh.faces):
+        raise SceneError(f"{name}: no triangle with an area")
+    return mesh
+
+
 Triple = tuple[float, float, float]
+
+
+def path_of(section: schema.PathSection) -> Trajectory:
+    """Build a path.
+
+    Raises:
+        SceneError: it has no two waypoints that differ.
+    """
+    waypoints = [Waypoint(*w.position_m, w.yaw_deg, w.roll_deg) for w in section.waypoints]
+    if len(set(waypoints)) < 2:  # noqa: PLR2004 a path has two ends
+        raise SceneError("a path needs two waypoints that differ")
+    motion = Motion(
+        section.speed_mps,
+        section.turn_rate_dps,
+        section.smoothing_s,
+        section.sway_deg,
+        section.heave_m,
+    )
+    return Trajectory(waypoints, motion)
+
+
+def motion_of(
+    section: schema.DriftMotion | schema.TourMotion | None,
+    position_m: Triple,
+    roll_pitch_yaw_deg: Triple,
+) -> ObjectMotion | None:
+    """Build a motion that begins at a place; a tour has its own.
+
+    Raises:
+        SceneError: its path cannot be.
+    """
+    match section:
+        case None:
+            return None
+        case schema.TourMotion(path=path):
+            return Tour(path_of(path))
+        case schema.DriftMotion():
+            return Drift(
+                position_m,
+                *roll_pitch_yaw_deg,
+                velocity_mps=section.velocity_mps,
+                yaw_rate_dps=section.yaw_rate_dps,
+                swing_m=section.swing_m,
+                swing_deg=section.swing_deg,
+                period_s=section.period_s,
+                phase_deg=section.phase_deg,
+            )
+
+
 MOST_ROUNDS = 20
 """Of cutting triangles in halves."""
 LOOKS = ((0.44, 0.62, 0.65), (-0.27, 0.83, 0.48), (0.71, -0.19, 0.67))

@@ -6,9 +6,10 @@ from typing import Any
 import msgspec.inspect as mi
 from msgspec import NODEFAULT, UNSET
 
-from sonar_sim.material import MATERIALS
-from sonar_sim.scene_file import SHIPPED, load_scenario, scene_names, schema, shape_schema
-from sonar_sim.scene_file.sections import Section
+from sonar_sim.scene.material import MATERIALS
+from sonar_sim.scene_file import SHIPPED, load_scenario, scene_names, schema
+from sonar_sim.scene_file import schema as shape_schema
+from sonar_sim.scene_file.schema import Section
 
 PAGE = Path("docs/reference/scene-files.md")
 SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}

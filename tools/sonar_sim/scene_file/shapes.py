@@ -1,15 +1,18 @@
-"""Shapes of a scene's file as triangles, each in its object's frame."""
+"""Build shapes and terrain as meshes."""
 
 import math
+import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import cast
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
 
 from sonar_sim.errors import SceneError
-from sonar_sim.scene_file import shape_schema
+from sonar_sim.scene_file import schema
 
 Floats = NDArray[np.float64]
 HeightOf = Callable[[Floats, Floats], Floats]
@@ -17,7 +20,7 @@ HeightOf = Callable[[Floats, Floats], Floats]
 HULL_STATIONS, HULL_LINES = 64, 24
 
 
-def triangles_of(shape: shape_schema.BuiltShape, floor_m: HeightOf | None) -> trimesh.Trimesh:
+def triangles_of(shape: schema.BuiltShape, floor_m: HeightOf | None) -> trimesh.Trimesh:
     """Build a shape that needs no file.
 
     Args:
@@ -28,21 +31,21 @@ def triangles_of(shape: shape_schema.BuiltShape, floor_m: HeightOf | None) -> tr
         SceneError: the shape cannot be.
     """
     match shape:
-        case shape_schema.Box():
+        case schema.Box():
             mesh = _solid(trimesh.creation.box(extents=shape.size_m))
-        case shape_schema.Cylinder():
+        case schema.Cylinder():
             mesh = _cylinder(shape)
-        case shape_schema.Sphere():
+        case schema.Sphere():
             mesh = _sphere(shape)
-        case shape_schema.Capsule():
+        case schema.Capsule():
             mesh = _capsule(shape)
-        case shape_schema.Pipe():
+        case schema.Pipe():
             mesh = _pipe(shape, floor_m)
-        case shape_schema.Sheet():
+        case schema.Sheet():
             mesh = _rectangle(shape)
-        case shape_schema.Disc():
+        case schema.Disc():
             mesh = _turned(((0.0, 0.0), (shape.radius_m, 0.0)), shape.facets)
-        case shape_schema.Hull():
+        case schema.Hull():
             mesh = _hull(shape)
     return mesh
 
@@ -59,7 +62,7 @@ def sheet(points_m: Floats) -> trimesh.Trimesh:
     return mesh
 
 
-def _rectangle(shape: shape_schema.Sheet) -> trimesh.Trimesh:
+def _rectangle(shape: schema.Sheet) -> trimesh.Trimesh:
     half = np.array(shape.size_m) / 2.0
     corners = np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]]) * half
     return sheet(np.pad(corners, ((0, 0), (0, 1))).reshape(2, 2, 3))
@@ -76,7 +79,7 @@ def _turned(profile: tuple[tuple[float, float], ...], facets: int) -> trimesh.Tr
     return mesh
 
 
-def _cylinder(shape: shape_schema.Cylinder) -> trimesh.Trimesh:
+def _cylinder(shape: schema.Cylinder) -> trimesh.Trimesh:
     top_m = shape.radius_m if shape.top_radius_m is None else shape.top_radius_m
     half_m = shape.height_m / 2.0
     side = ((shape.radius_m, -half_m), (top_m, half_m))
@@ -85,7 +88,7 @@ def _cylinder(shape: shape_schema.Cylinder) -> trimesh.Trimesh:
     return _turned(((0.0, -half_m), *side, (0.0, half_m)), shape.facets)
 
 
-def _sphere(shape: shape_schema.Sphere) -> trimesh.Trimesh:
+def _sphere(shape: schema.Sphere) -> trimesh.Trimesh:
     radii = np.broadcast_to(np.asarray(shape.radius_m, dtype=np.float64), 3)
     if not np.all((radii > 0.0) & (radii <= 1e4)):  # noqa: PLR2004 the message says it
         raise SceneError(f"radius_m {radii.tolist()} is not 0 to 10000 m")
@@ -94,7 +97,7 @@ def _sphere(shape: shape_schema.Sphere) -> trimesh.Trimesh:
     return mesh
 
 
-def _capsule(shape: shape_schema.Capsule) -> trimesh.Trimesh:
+def _capsule(shape: schema.Capsule) -> trimesh.Trimesh:
     start, end = np.array(shape.start_m), np.array(shape.end_m)
     length_m = float(np.linalg.norm(end - start))
     if length_m == 0.0:
@@ -110,7 +113,7 @@ def _capsule(shape: shape_schema.Capsule) -> trimesh.Trimesh:
     return mesh
 
 
-def _pipe(shape: shape_schema.Pipe, floor_m: HeightOf | None) -> trimesh.Trimesh:
+def _pipe(shape: schema.Pipe, floor_m: HeightOf | None) -> trimesh.Trimesh:
     """Rings about the axis, carried along it without twist."""
     axis = np.array(shape.points_m, dtype=np.float64)
     if len(axis) < 2:  # noqa: PLR2004 a line has two ends
@@ -141,7 +144,7 @@ def _pipe(shape: shape_schema.Pipe, floor_m: HeightOf | None) -> trimesh.Trimesh
     return mesh
 
 
-def _hull(shape: shape_schema.Hull) -> trimesh.Trimesh:
+def _hull(shape: schema.Hull) -> trimesh.Trimesh:
     """Y = ± B/2 (1 - (2x/L)²)(1 - (z/T)²) below the water line, upright above (Wigley 1934)."""
     x = np.linspace(-shape.length_m / 2.0, shape.length_m / 2.0, HULL_STATIONS)
     z = np.linspace(-shape.draught_m, 0.0, HULL_LINES)
@@ -162,3 +165,115 @@ def _hull(shape: shape_schema.Hull) -> trimesh.Trimesh:
 
 def _solid(made: object) -> trimesh.Trimesh:
     return cast("trimesh.Trimesh", made)
+
+
+OCTAVE_WAVES = 12
+MOST_OCTAVES = 12
+"""Between the longest and the shortest waves: each costs as many sines of all points again."""
+MOST_CELLS = 20_000_000
+
+
+def height_of(terrain: schema.TerrainSection, folder: Path) -> HeightOf:
+    """The floor's height, z up, as a function of x and y.
+
+    Args:
+        terrain: what the file says.
+        folder: where its files are.
+
+    Raises:
+        SceneError: the terrain cannot be.
+    """
+    match terrain.relief:
+        case schema.Flat(depth_m=depth_m):
+            return lambda x_m, y_m: np.full(np.broadcast_shapes(x_m.shape, y_m.shape), -depth_m)
+        case schema.Procedural() as relief:
+            return _waves(relief)
+        case schema.HeightField() as field:
+            return _table(field, terrain, folder)
+
+
+def floor_of(terrain: schema.TerrainSection, height_m: HeightOf) -> trimesh.Trimesh:
+    """The floor's triangles.
+
+    Raises:
+        SceneError: the terrain has no area, or too many cells.
+    """
+    axes = [_steps(span, terrain.cell_m) for span in (terrain.x_m, terrain.y_m)]
+    if len(axes[0]) * len(axes[1]) > MOST_CELLS:
+        raise SceneError(f"{len(axes[0])} x {len(axes[1])} points: cell_m is too small")
+    x, y = np.meshgrid(*axes, indexing="ij")
+    return sheet(np.stack([x, y, height_m(x, y)], axis=-1))
+
+
+def _steps(span_m: tuple[float, float], cell_m: float) -> Floats:
+    low, high = span_m
+    if not low < high:
+        raise SceneError(f"a span from {low:g} to {high:g} m has no length")
+    return np.linspace(low, high, max(1, round((high - low) / cell_m)) + 1)
+
+
+def _waves(relief: schema.Procedural) -> HeightOf:
+    """Sum of plane waves with random directions and phases, some an octave of length.
+
+    Their amplitudes go as length^hurst, which makes a self-affine surface (Saupe 1988).
+    """
+    if relief.shortest_m > relief.longest_m:
+        raise SceneError("the shortest waves are longer than the longest")
+    least_m = relief.longest_m / 2.0**MOST_OCTAVES
+    if relief.shortest_m < least_m:
+        raise SceneError(
+            f"shortest_m is {relief.shortest_m:g} m; with longest_m of {relief.longest_m:g} m it "
+            f"must be at least {least_m:g} m"
+        )
+    octaves = math.log2(relief.longest_m / relief.shortest_m)
+    count = OCTAVE_WAVES * (math.floor(octaves) + 1)
+    generator = np.random.Generator(np.random.PCG64(relief.seed))
+    length_m = relief.longest_m * 2.0 ** (-octaves * (np.arange(count) + 0.5) / count)
+    direction = generator.uniform(0.0, 2.0 * math.pi, count)
+    phase = generator.uniform(0.0, 2.0 * math.pi, count)
+    amplitude_m = length_m**relief.hurst
+    amplitude_m *= relief.relief_m / math.sqrt(np.sum(amplitude_m**2) / 2.0)
+    waves = list(zip(2.0 * math.pi / length_m, direction, phase, amplitude_m, strict=True))
+    if relief.ripples is not None:
+        ripples = relief.ripples
+        turn = math.radians(ripples.direction_deg)
+        waves.append((2.0 * math.pi / ripples.length_m, turn, 0.0, ripples.height_m / 2.0))
+
+    def height_m(x_m: Floats, y_m: Floats) -> Floats:
+        east, north = relief.slope
+        height: Floats = -relief.depth_m + east * x_m + north * y_m
+        for k, turn, phase, amplitude in waves:
+            along = math.cos(turn) * x_m + math.sin(turn) * y_m
+            height = height + amplitude * np.sin(k * along + phase)
+        return height
+
+    return height_m
+
+
+def _table(field: schema.HeightField, terrain: schema.TerrainSection, folder: Path) -> HeightOf:
+    """Heights between the points of a table that fills the terrain's spans."""
+    path = folder / field.file
+    heights_m = _read_table(path) * field.scale + field.offset_m
+    y_m, x_m = (
+        np.linspace(*span, count)
+        for span, count in zip((terrain.y_m, terrain.x_m), heights_m.shape, strict=True)
+    )
+    between = RegularGridInterpolator((y_m, x_m), heights_m, bounds_error=False, fill_value=None)
+    return lambda x_m, y_m: np.asarray(between((y_m, x_m)), dtype=np.float64)
+
+
+def _read_table(path: Path) -> Floats:
+    try:
+        if path.suffix == ".npy":
+            table = np.load(path, allow_pickle=False)
+        elif path.suffix == ".csv":
+            with warnings.catch_warnings(action="error"):  # an empty file is no table
+                table = np.loadtxt(path, delimiter=",", ndmin=2)
+        else:
+            raise SceneError(f"{path}: heights are read from .npy and .csv")
+        heights = np.asarray(table, dtype=np.float64)
+    except (OSError, ValueError, TypeError, EOFError, UserWarning) as error:
+        raise SceneError(f"{path}: no table of heights: {error}") from error
+    if heights.ndim != 2 or min(heights.shape) < 2 or not np.isfinite(heights).all():  # noqa: PLR2004 a table
+        raise SceneError(f"{path}: heights must be a table of at least 2 x 2 finite numbers")
+    return heights

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.beams import beam_sines
 from sonar_sim.propagation.physics import Physics
+from sonar_sim.receiver.beamformer import beam_sines
 from sonar_sim.validation.recording import Recorded, band_centres_m, noise_level_db, noisy_bands
 from sonar_sim.validation.statistics import (
     beam_correlation,

@@ -1,29 +1,27 @@
-"""The list of cases, in the order of their numbers; a new case is given its place here."""
+"""All validation cases, in the order of their numbers, and the page of their pictures."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from types import MappingProxyType
 
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
 from sonar_sim.validation.case import CaseResult
-from sonar_sim.validation.v01_absorption import v01_absorption
-from sonar_sim.validation.v02_range_slopes import v02_range_slopes
-from sonar_sim.validation.v03_lambert_floor import v03_lambert_floor
-from sonar_sim.validation.v04_spheres import v04_spheres
-from sonar_sim.validation.v05_plate import v05_plate
-from sonar_sim.validation.v06_beam_pattern import v06_beam_pattern
-from sonar_sim.validation.v07_speckle import v07_speckle
-from sonar_sim.validation.v08_ping_correlation import v08_ping_correlation
-from sonar_sim.validation.v09_range_lines import v09_range_lines
-from sonar_sim.validation.v10_mirror_ghosts import v10_mirror_ghosts
-from sonar_sim.validation.v11_shadow import v11_shadow
-from sonar_sim.validation.v12_elevation import v12_elevation
-from sonar_sim.validation.v13_bearings import v13_bearings
-from sonar_sim.validation.v14_quantiser import v14_quantiser
-from sonar_sim.validation.v15_timing import v15_timing
-from sonar_sim.validation.v16_motion import v16_motion
-from sonar_sim.validation.v17_no_wrap import v17_no_wrap
-from sonar_sim.validation.v18_classic import v18_classic
-from sonar_sim.validation.v19_determinism import v19_determinism
-from sonar_sim.validation.v20_tank import v20_tank
+from sonar_sim.validation.propagation import (
+    v01_absorption,
+    v02_range_slopes,
+    v10_mirror_ghosts,
+    v11_shadow,
+    v17_no_wrap,
+)
+from sonar_sim.validation.receiver import v06_beam_pattern, v13_bearings, v14_quantiser
+from sonar_sim.validation.repeatability import v18_classic, v19_determinism
+from sonar_sim.validation.scattering import v03_lambert_floor, v04_spheres, v05_plate, v12_elevation
+from sonar_sim.validation.speckle import v07_speckle, v08_ping_correlation, v09_range_lines
+from sonar_sim.validation.tank import v20_tank
+from sonar_sim.validation.timing import v15_timing, v16_motion
 
 CASES: MappingProxyType[str, Callable[[], CaseResult]] = MappingProxyType(
     {
@@ -49,3 +47,32 @@ CASES: MappingProxyType[str, Callable[[], CaseResult]] = MappingProxyType(
         "V20": v20_tank,
     }
 )
+
+
+COLUMNS = 4
+GOOD, BAD = "#1b7f3b", "#b3261e"
+
+
+def draw_page(path: Path, results: Sequence[CaseResult]) -> None:
+    """Draw each case with its verdict.
+
+    Args:
+        path: PNG file.
+        results: in order.
+    """
+    rows = max(1, math.ceil(len(results) / COLUMNS))
+    figure = Figure(figsize=(4.2 * COLUMNS, 3.5 * rows), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(rows, COLUMNS, squeeze=False).ravel()
+    for axes, result in zip(grid, results, strict=False):
+        held = sum(check.holds for check in result.checks)
+        colour = GOOD if held == len(result.checks) else BAD
+        axes.tick_params(labelsize=7)
+        result.draw(axes)
+        axes.set_title(f"{result.name}: {held} of {len(result.checks)}", color=colour, fontsize=10)
+        axes.xaxis.label.set_fontsize(8)
+        axes.yaxis.label.set_fontsize(8)
+    for axes in grid[len(results) :]:
+        axes.set_axis_off()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=80)

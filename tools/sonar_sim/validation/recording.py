@@ -17,8 +17,8 @@ from scipy.ndimage import gaussian_filter
 
 from oculus_driver import Ping, StreamParser, decode_ping
 from sonar_sim import _core
-from sonar_sim.beams import beam_former
 from sonar_sim.propagation.physics import Physics
+from sonar_sim.receiver.beamformer import beam_former
 from sonar_sim.receiver.gain import amplitude, quantise, row_gain
 from sonar_sim.receiver.noise import add_random, noise_rms, stream_key
 from sonar_sim.scene.sonar import SonarSettings

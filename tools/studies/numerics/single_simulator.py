@@ -2,13 +2,13 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from sonar_sim.beams import beam_former
 from sonar_sim.engine import Engine
 from sonar_sim.geometry.pose import Pose
-from sonar_sim.material import MATERIALS
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.raycast.meshes import Meshes
+from sonar_sim.receiver.beamformer import beam_former
 from sonar_sim.receiver.gain import amplitude, quantise
+from sonar_sim.scene.material import MATERIALS
 from sonar_sim.scene.scene import Scene, Surface
 from sonar_sim.scene.sonar import SonarSettings
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.scene.sonar import SonarSettings
-from sonar_sim.tolerance import Tolerance
 
 Picture = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from sonar_sim.effects.image_difference import expected_clipped, gamma_of
 from sonar_sim.effects.planner import Planner
 from sonar_sim.effects.previewer import Look
 from sonar_sim.engine import Engine, EnginePing
-from sonar_sim.picture_change import expected_clipped, gamma_of
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.scene.sonar import SonarSettings
 

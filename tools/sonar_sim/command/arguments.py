@@ -1,0 +1,84 @@
+"""Types of command-line arguments, and exit codes."""
+
+import argparse
+import math
+from typing import Final
+
+import numpy as np
+
+from sonar_sim.errors import SonarSimError
+from sonar_sim.geometry.pose import Pose, rotation_of
+from sonar_sim.geometry.trajectory import Trajectory
+
+POSE_NUMBERS = 6
+MOST_PIXELS = 1 << 24
+"""Of a camera: some GB of arrays."""
+
+
+def pose(text: str) -> Pose:
+    """Read `x,y,z,roll,pitch,yaw` in metres and degrees."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != POSE_NUMBERS or not all(map(math.isfinite, numbers)):
+        raise argparse.ArgumentTypeError(f"{text!r} is not x,y,z,roll,pitch,yaw (metres, degrees)")
+    roll, pitch, yaw = (math.radians(number) for number in numbers[3:])
+    return Pose(np.array(numbers[:3]), rotation_of(roll, pitch, yaw))
+
+
+def size(text: str) -> tuple[int, int]:
+    """Read `WIDTHxHEIGHT`."""
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal() and int(width) > 1 and int(height) > 1):
+        raise argparse.ArgumentTypeError(f"{text!r} is no WIDTHxHEIGHT in pixels")
+    if int(width) * int(height) > MOST_PIXELS:
+        raise argparse.ArgumentTypeError(f"{text!r} are more than {MOST_PIXELS} pixels")
+    return int(width), int(height)
+
+
+def count(text: str) -> int:
+    """Read a number of at least 1."""
+    if not (text.isdecimal() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of at least 1")
+    return int(text)
+
+
+def positive(text: str) -> float:
+    """Read a number above 0."""
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not 0.0 < number < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number above 0")
+    return number
+
+
+def seed(text: str) -> int:
+    """Read a whole number of at least 0, which is what random numbers can begin with."""
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number of at least 0")
+    return int(text)
+
+
+def time_on(path: Trajectory, time_s: float) -> float:
+    """Check a time: before its begin and after its end a path is nowhere.
+
+    Raises:
+        SonarSimError: the path does not last so long, or the time is no number.
+    """
+    if not 0.0 <= time_s <= path.duration_s:
+        raise SonarSimError(f"time {time_s:g} s is not 0 to {path.duration_s:.3f} s of the path")
+    return time_s
+
+
+def names(text: str) -> tuple[str, ...]:
+    """Read `a,b,c`."""
+    return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+OK: Final = 0
+FAULT: Final = 1
+USAGE: Final = 2
+INTERRUPTED: Final = 130

@@ -1,0 +1,235 @@
+"""A coarse picture of a ping: expected power of surfaces and clouds."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonar_sim.effects.echoes import COLUMNS, Echoes, Fan
+from sonar_sim.effects.image_difference import Tolerance, level_change_db
+from sonar_sim.geometry.matmul import product
+from sonar_sim.geometry.pose import Pose
+from sonar_sim.propagation.beam_pattern import (
+    azimuth_amplitude,
+    main_lobe_end,
+    vertical_two_way_power,
+)
+from sonar_sim.propagation.clouds import passage
+from sonar_sim.propagation.physics import Cloud
+from sonar_sim.receiver.gain import MOST_DB
+from sonar_sim.scene.sonar import SonarSettings
+
+MOST_ROWS = 128
+MOST_LOSS_DB = 2000.0
+"""Beyond it all is silent, but not so that nobody could tell what was there without the loss."""
+
+
+@dataclass(frozen=True, eq=False)
+class CoarseGrid:
+    """Rows and columns of the coarse picture, and how echoes fall into it.
+
+    Attributes:
+        sonar: whose picture it is.
+        most_rows: of the coarse picture.
+    """
+
+    sonar: SonarSettings
+    most_rows: int = MOST_ROWS
+
+    @property
+    def rows(self) -> int:
+        """Number of coarse rows."""
+        return min(self.most_rows, self.sonar.rows)
+
+    @property
+    def row_m(self) -> float:
+        """Height of a coarse row."""
+        return self.sonar.range_m / self.rows
+
+    @cached_property
+    def range_m(self) -> NDArray[np.float64]:
+        """Range of each row's middle, (rows,)."""
+        centres: NDArray[np.float64] = (np.arange(self.rows, dtype=np.float64) + 0.5) * self.row_m
+        return centres
+
+    @cached_property
+    def sine(self) -> NDArray[np.float64]:
+        """Starboard sine of each column's middle, (COLUMNS,)."""
+        edge = math.sin(self.sonar.half_aperture_rad) + self.sonar.sine_pitch / 2.0
+        middles: NDArray[np.float64] = ((np.arange(COLUMNS) + 0.5) / COLUMNS * 2.0 - 1.0) * edge
+        return middles
+
+    @property
+    def column_beams(self) -> float:
+        """Beams that a column stands for."""
+        return self.sonar.beams / COLUMNS
+
+    def picture(self, echoes: Echoes, power: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Expected power of a pixel in each coarse cell, side lobes included, (rows, COLUMNS)."""
+        main = self.main_lobes(echoes, power)
+        leaked = product(main.astype(np.float32), side_lobe_matrix(self.sonar))
+        picture: NDArray[np.float64] = main + leaked
+        return picture
+
+    def main_lobes(self, echoes: Echoes, power: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The same through the main lobes alone.
+
+        A patch spreads evenly over the ranges that it covers, and over the beams of its column;
+        a beam hears several columns of the fine grid, more than one by its equivalent width.
+        """
+        reach = np.maximum(echoes.extent_m, self.row_m)
+        density = power * self.sonar.range_resolution_m / reach
+        density *= equivalent_beams(self.sonar) / max(self.column_beams, 1.0)
+        first = np.floor((echoes.range_m - reach / 2.0) / self.row_m + 0.5).astype(np.int64)
+        count = np.maximum(np.rint(reach / self.row_m).astype(np.int64), 1)
+        first, last = np.clip(first, 0, self.rows), np.clip(first + count, 0, self.rows)
+        size = (self.rows + 1) * COLUMNS
+        begun = np.bincount(first * COLUMNS + echoes.column, density, size)
+        ended = np.bincount(last * COLUMNS + echoes.column, density, size)
+        filled = np.cumsum((begun - ended).reshape(self.rows + 1, COLUMNS), axis=0)
+        picture: NDArray[np.float64] = np.maximum(filled[:-1], 0.0)
+        return picture
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gains:
+    """From power at the receiver to amplitude of full scale.
+
+    Attributes:
+        varied_db: time-varied gain of each coarse row, (rows,).
+        operator_db: the operator's gain.
+        full_scale_db: level after gains that fills the scale.
+    """
+
+    varied_db: NDArray[np.float64]
+    operator_db: float
+    full_scale_db: float
+
+    def amplitude(self, power: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Amplitude of full scale, not clipped, (rows, COLUMNS)."""
+        gain_db = np.minimum(self.varied_db + self.operator_db - self.full_scale_db, MOST_DB)
+        shown: NDArray[np.float64] = np.sqrt(power) * (10.0 ** (gain_db / 20.0))[:, None]
+        return shown
+
+
+def left_by(loss_db: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What a loss leaves of a power, any shape."""
+    ratio: NDArray[np.float64] = 10.0 ** (-np.minimum(loss_db, MOST_LOSS_DB) / 10.0)
+    return ratio
+
+
+def change_db(
+    before: NDArray[np.float64],
+    after: NDArray[np.float64],
+    sonar: SonarSettings,
+    tolerance: Tolerance,
+    *,
+    displaced: bool = True,
+) -> float:
+    """How much two coarse pictures of amplitude differ; clipped as the receiver would.
+
+    What a displacement by the tolerated part of the sonar's own cells explains does not count,
+    unless `displaced` is off.
+    """
+    rows, columns = before.shape
+    cells = tolerance.cells * rows / sonar.rows, tolerance.cells * columns / sonar.beams
+    brighter = 10.0 ** (tolerance.brighter_db / 20.0)
+    return level_change_db(
+        np.minimum(before, 1.0) * brighter,
+        np.minimum(after, 1.0) * brighter,
+        sonar,
+        tolerance.share,
+        cells if displaced else (0.0, 0.0),
+    )
+
+
+@lru_cache(maxsize=32)
+def equivalent_beams(sonar: SonarSettings) -> float:
+    """Sum of the squared weights by which a beam hears the columns: its width in beams."""
+    return float(np.sum(np.square(_pattern(sonar, _offsets(sonar)))))
+
+
+@lru_cache(maxsize=32)
+def side_lobe_matrix(sonar: SonarSettings) -> NDArray[np.float32]:
+    """Power that a column of the coarse picture leaks into the others, (COLUMNS, COLUMNS).
+
+    The picture's powers include the main lobe's equivalent width: divided out here.
+    """
+    steps = np.arange(-COLUMNS + 1, COLUMNS) * sonar.beams / COLUMNS
+    fine = np.arange(0, max(round(sonar.beams / COLUMNS), 1)) - (sonar.beams / COLUMNS - 1.0) / 2.0
+    sine = (steps[:, None] + fine) * sonar.sine_pitch
+    squared = np.square(_pattern(sonar, sine))
+    squared[np.abs(sine) < main_lobe_end(sonar.beam_width_rad, sonar.side_lobe_db)] = 0.0
+    leak = squared.mean(axis=1) * sonar.beams / COLUMNS / equivalent_beams(sonar)
+    index = np.arange(COLUMNS)
+    # Sums of powers lose nothing in single precision.
+    matrix: NDArray[np.float32] = leak[index[:, None] - index + COLUMNS - 1].astype(np.float32)
+    matrix.setflags(write=False)
+    return matrix
+
+
+def _offsets(sonar: SonarSettings) -> NDArray[np.float64]:
+    offsets: NDArray[np.float64] = np.arange(-256.0, 257.0) * sonar.sine_pitch
+    return offsets
+
+
+def _pattern(sonar: SonarSettings, sine: NDArray[np.float64]) -> NDArray[np.float64]:
+    return azimuth_amplitude(sonar.beam_width_rad, sonar.side_lobe_db)(sine)
+
+
+def filled_by(
+    cloud: Cloud,
+    grid: CoarseGrid,
+    fan: Fan,
+    map_T_sonar: Pose,  # noqa: N803 frames in the name
+    end_m: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Part of each cell's listened water that a cloud fills, as bright as it is, (rows, COLUMNS).
+
+    Each ray fills its cone between entry and exit; the cloud swallows on the way what it does.
+
+    Args:
+        cloud: its box and what it does.
+        grid: of the picture.
+        fan: the coarse rays.
+        map_T_sonar: where they start.
+        end_m: where each ends, (N,).
+    """
+    direction = fan.directions @ map_T_sonar.rotation.T
+    enter_m, leave_m = passage(
+        cloud, map_T_sonar.position_m, direction.astype(np.float32), np.minimum(end_m, 1e6)
+    )
+    inside = np.flatnonzero(leave_m > enter_m)
+    if len(inside) == 0:
+        return np.zeros((grid.rows, COLUMNS))
+    up, column = fan.directions[inside, 2], fan.column[inside]
+    width_rad = grid.sonar.vertical_width_rad
+    weight = vertical_two_way_power(up, width_rad) * fan.solid_angle_sr[inside] / fan.sine_step
+    filled = _from(enter_m[inside] / grid.row_m, column, weight, grid.rows)
+    filled -= _from(leave_m[inside] / grid.row_m, column, weight, grid.rows)
+    total = np.maximum(np.bincount(column, weight, COLUMNS), 1e-30)
+    mean_enter_m = np.bincount(column, weight * enter_m[inside], COLUMNS) / total
+    depth_m = np.maximum(grid.range_m[:, None] - mean_enter_m, 0.0)
+    swallowed = 10.0 ** (-0.2 * cloud.attenuation_db_per_m * depth_m)
+    w = np.linspace(-1.0, 1.0, 401)
+    whole = float(np.trapezoid(vertical_two_way_power(w, width_rad), w))
+    part: NDArray[np.float64] = np.maximum(filled, 0.0) * swallowed / whole
+    return part
+
+
+def _from(
+    start_row: NDArray[np.float64],
+    column: NDArray[np.int64],
+    weight: NDArray[np.float64],
+    rows: int,
+) -> NDArray[np.float64]:
+    """Weights of rays summed over all rows from each one's start on, (rows, COLUMNS)."""
+    whole = np.minimum(start_row, rows).astype(np.int64)
+    part = np.where(whole < rows, start_row - whole, 0.0)
+    size = (rows + 2) * COLUMNS
+    steps = np.bincount(whole * COLUMNS + column, weight * (1.0 - part), size)
+    steps = steps + np.bincount((whole + 1) * COLUMNS + column, weight * part, size)
+    summed = np.cumsum(steps.reshape(rows + 2, COLUMNS), axis=0, dtype=np.float64)
+    return summed[:rows]

@@ -1,0 +1,203 @@
+"""Effects of directivity: beam patterns, bearings, range spread, crosstalk."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from sonar_sim.effects.coarse_picture import equivalent_beams
+from sonar_sim.effects.effect import (
+    LEVEL_SPREAD_DB,
+    ROW_CORRELATION,
+    Cost,
+    Effect,
+    Parameter,
+    Verdict,
+    by_cells,
+    by_level,
+)
+from sonar_sim.effects.image_difference import Tolerance
+from sonar_sim.effects.preview import View
+from sonar_sim.propagation.physics import Physics
+
+
+def decide_azimuth_pattern(view: View, tolerance: Tolerance) -> Verdict:
+    """On if a beam is wider than half the beams' distance."""
+    del tolerance
+    width = 2.0 * math.sin(view.sonar.beam_width_rad / 2.0)
+    pitch = view.sonar.sine_pitch
+    predicted_db = abs(10.0 * math.log10(equivalent_beams(view.sonar)))
+    reason = f"a beam is {width / pitch:.1f} times as wide as the beams' distance"
+    return Verdict(width > pitch / 2.0, reason, predicted_db)
+
+
+def configure_azimuth_pattern(physics: Physics, view: View) -> None:
+    """Give the beam its width."""
+    physics.beam_width_rad = view.sonar.beam_width_rad
+
+
+AZIMUTH_PATTERN = Effect(
+    name="azimuth_pattern",
+    does="blurs the picture across the beams, the more so in angle the farther out",
+    needs="beam width",
+    formula="Gaussian main lobe over the difference of sines",
+    source="line array shaded by a Gaussian, receive only: as a public recording shows",
+    rule="beam width above half the beams' distance",
+    cost=Cost.CELL,
+    parameters=(Parameter("sonar.beam_width_rad", "rad", "-3 dB full width at broadside"),),
+    decide=decide_azimuth_pattern,
+    configure=configure_azimuth_pattern,
+)
+
+
+def decide_side_lobes(view: View, tolerance: Tolerance) -> Verdict:
+    """On if arcs rise out of what is in their rows anyway.
+
+    An arc is as thin as its echo is short, and thinner ones are brighter: rows are those of the
+    sonar.
+    """
+    fine = view.fine
+    main = fine.grid.main_lobes(fine.echoes, fine.echo_power)
+    # A single arc is an artefact to be seen, however few its pixels.
+    anywhere = replace(tolerance, share=0.0)
+    predicted_db = fine.change_db(fine.picture - fine.echo_picture + main, anywhere)
+    reason = f"lobes {view.sonar.side_lobe_db:.0f} dB down of each row's echoes over its background"
+    return by_level(predicted_db, tolerance, reason)
+
+
+def configure_side_lobes(physics: Physics, view: View) -> None:
+    """Give the lobes their level."""
+    physics.side_lobe_db = view.sonar.side_lobe_db
+
+
+SIDE_LOBES = Effect(
+    name="side_lobes",
+    does="draws arcs through bright echoes",
+    needs="side lobe level, contrast within rows",
+    formula="the azimuth pattern beyond its main lobe: a sinc of the side lobes' level",
+    source="line array shaded by a Gaussian on a pedestal",
+    rule="the arcs change any pixel by more than the tolerance",
+    cost=Cost.CELL,
+    parameters=(Parameter("sonar.side_lobe_db", "dB", "under the main lobe, positive"),),
+    decide=decide_side_lobes,
+    configure=configure_side_lobes,
+    anywhere=True,
+)
+
+
+def decide_vertical_pattern(view: View, tolerance: Tolerance) -> Verdict:
+    """On if echoes lie so far off the fan's plane that the picture changes."""
+    echoes = view.echoes
+    power = view.echo_power / np.maximum(view.pattern, 1e-12)
+    low, high = (
+        math.degrees(math.asin(v)) for v in (echoes.up.min(initial=0.0), echoes.up.max(initial=0.0))
+    )
+    reason = f"echoes at {low:.0f} to {high:.0f}° off the fan's plane"
+    return by_level(view.change_of_echoes_db(power, tolerance), tolerance, reason)
+
+
+def configure_vertical_pattern(physics: Physics, view: View) -> None:
+    """Give the aperture its width."""
+    physics.vertical_width_rad = view.sonar.vertical_width_rad
+
+
+VERTICAL_PATTERN = Effect(
+    name="vertical_pattern",
+    does="darkens what is above or below the fan; leaves a dark ring at its null",
+    needs="elevations",
+    formula="sinc²(0.443 sin e / sin(width / 2)) each way, in power",
+    source="unshaded aperture",
+    rule="the picture without it differs by more than the tolerance",
+    cost=Cost.FREE,
+    parameters=(Parameter("sonar.vertical_width_rad", "rad", "-3 dB full width, one way"),),
+    decide=decide_vertical_pattern,
+    configure=configure_vertical_pattern,
+)
+
+
+def decide_bearing_table(view: View, tolerance: Tolerance) -> Verdict:
+    """On if equal angles would put any direction into another beam."""
+    half_rad = view.sonar.half_aperture_rad
+    place = np.linspace(-1.0, 1.0, view.sonar.beams)
+    off = np.abs(np.sin(place * half_rad) - place * math.sin(half_rad)) / view.sonar.sine_pitch
+    reason = f"equal angles are off over a fan of {2.0 * math.degrees(half_rad):.0f}°"
+    return by_cells(float(off.max()), tolerance, reason)
+
+
+def configure_bearing_table(physics: Physics, view: View) -> None:
+    """Lay the beams by sine."""
+    del view
+    physics.sine_bearings = True
+
+
+BEARING_TABLE = Effect(
+    name="bearing_table",
+    does="packs beams closely ahead and widely at the edges",
+    needs="aperture",
+    formula="asin(sin(half aperture) (2 i / (N - 1) - 1))",
+    source="public Oculus recording, to 0.01°",
+    rule="equal angles displace any direction by more than the tolerated part of a beam",
+    cost=Cost.FREE,
+    parameters=(Parameter("sonar.half_aperture_rad", "rad", "bearing of the outermost beams"),),
+    decide=decide_bearing_table,
+    configure=configure_bearing_table,
+)
+
+
+def decide_range_spread(view: View, tolerance: Tolerance) -> Verdict:
+    """On if the resolution of the pulse is not much finer than a row."""
+    bandwidth_hz = view.sonar.bandwidth_hz(view.speed_mps)
+    resolution_rows = view.speed_mps / (2.0 * bandwidth_hz) / view.sonar.range_resolution_m
+    on = resolution_rows >= 0.5 and tolerance.texture < ROW_CORRELATION  # noqa: PLR2004 half a row
+    reason = f"the pulse resolves {resolution_rows:.1f} rows; rows correlate {ROW_CORRELATION}"
+    leak_db = LEVEL_SPREAD_DB * (2.0 * ROW_CORRELATION) ** 0.5
+    return Verdict(on, reason, leak_db)
+
+
+def configure_range_spread(physics: Physics, view: View) -> None:
+    """Let neighbouring rows overlap."""
+    del view
+    physics.range_spread = True
+
+
+RANGE_SPREAD = Effect(
+    name="range_spread",
+    does="makes the speckle of neighbouring rows alike (correlation 0.19)",
+    needs="bandwidth",
+    formula="matched filter of width c / (2 B); a field leaks 0.24 into each neighbour",
+    source="public Oculus recording: correlation of neighbouring rows 0.19",
+    rule="c / (2 B) of at least half a row, and a tolerance of texture below the correlation",
+    cost=Cost.CELL,
+    parameters=(Parameter("sonar.base_row_m", "m", "finest row, which the bandwidth resolves"),),
+    decide=decide_range_spread,
+    configure=configure_range_spread,
+)
+
+
+def decide_crosstalk(view: View, tolerance: Tolerance) -> Verdict:
+    """On if the leak rises out of what is in the rows anyway."""
+    level_db = view.sonar.crosstalk_db
+    if level_db is None:
+        return Verdict(on=False, reason="the sonar has none", predicted_db=0.0)
+    leak = 10.0 ** (level_db / 10.0) * view.picture.mean(axis=1, keepdims=True)
+    reason = f"{level_db:.0f} dB of each row's mean over its background"
+    return by_level(view.change_db(view.picture + leak, tolerance), tolerance, reason)
+
+
+def configure_crosstalk(physics: Physics, view: View) -> None:
+    """Give the level."""
+    physics.crosstalk_db = view.sonar.crosstalk_db
+
+
+CROSSTALK = Effect(
+    name="crosstalk",
+    does="lifts whole rows that hold bright echoes",
+    needs="the sonar's crosstalk",
+    formula="a part of the row's mean power in every beam",
+    source="electrical leakage of -40 to -60 dB",
+    rule="the leak changes the picture by more than the tolerance",
+    cost=Cost.ROW,
+    parameters=(Parameter("sonar.crosstalk_db", "dB", "of the row's mean power, negative"),),
+    decide=decide_crosstalk,
+    configure=configure_crosstalk,
+)

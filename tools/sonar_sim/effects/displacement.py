@@ -1,0 +1,303 @@
+"""Displacement of the picture by motion and by the profile of sound speed.
+
+Motion is small while a ping listens, so displacements are linear in velocity and turn rate: what
+they are multiplied with is worked out once a look.
+
+Effects that move the picture: how far each does, and which can be left out together.
+
+Displacements add up, so what is left out is judged by its sum: the farthest mover is called for
+first, until the rest together stay within the tolerance.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonar_sim.effects.echoes import COLUMNS, Echoes
+from sonar_sim.effects.effect import Verdict, displaced_db
+from sonar_sim.effects.image_difference import Tolerance, full_scale, gamma_of
+from sonar_sim.effects.preview import View
+from sonar_sim.effects.texture import FARTHEST, LEAST_STEPS
+from sonar_sim.scene.sonar import SonarSettings
+
+STEP_S = 1e-3
+"""Of the difference that gives an object's velocity."""
+
+
+def leaving_mps(view: View) -> NDArray[np.float64]:
+    """Velocity of what each echo came from, map frame, (N, 3)."""
+    velocity = np.zeros((len(view.echoes.range_m), 3))
+    for number, surface in enumerate(view.scene.surfaces):
+        if surface.motion is not None:
+            now, soon = (surface.motion.pose(view.time_s + after) for after in (0.0, STEP_S))
+            its = view.echoes.surface == number
+            velocity[its] = (soon.position_m - now.position_m) / STEP_S
+    return velocity
+
+
+def speed_mps(view: View) -> float:
+    """Of the sonar."""
+    return 0.0 if view.motion is None else float(np.linalg.norm(view.motion.linear_mps))
+
+
+def turn_rps(view: View) -> float:
+    """Rate of turn, rad/s."""
+    return 0.0 if view.motion is None else float(np.linalg.norm(view.motion.angular_rps))
+
+
+STEPS = 8
+"""Places along a path at which the profile is read."""
+HALF_STEP_M = 0.05
+"""Depth over which a gradient is taken, each way."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bending:
+    """What the profile does to each echo's path, (N,) each.
+
+    Attributes:
+        turn_rad: how much steeper down the path leaves than the straight line to its echo.
+        stretch: apparent range over true range, by the mean slowness along the straight line.
+    """
+
+    turn_rad: NDArray[np.float64]
+    stretch: NDArray[np.float64]
+
+
+def bending(view: View) -> Bending:
+    """Follow the straight paths through the profile.
+
+    In a constant gradient g a path is an arc of curvature g cos / c, whose chord leaves it by half
+    of the bend: g R cos / (2 c). The gradient is the mean one between sonar and echo, weighted as
+    the arc sees it: the end of the path is reached by (1 - t) of what bends at t.
+    """
+    profile, echoes = view.scene.water.profile, view.echoes
+    if profile is None:
+        return Bending(np.zeros(len(echoes.range_m)), np.ones(len(echoes.range_m)))
+    depths_m, speeds_mps = np.array(profile, dtype=np.float64).T
+    steps = (np.arange(STEPS) + 0.5) / STEPS
+    depth_s = -float(view.map_T_sonar.position_m[2])
+    along_m = depth_s + np.outer(-echoes.point_m[:, 2] - depth_s, steps)
+    below, above = (
+        np.interp(along_m + off, depths_m, speeds_mps) for off in (HALF_STEP_M, -HALF_STEP_M)
+    )
+    mean = ((below - above) / (2.0 * HALF_STEP_M) * (1.0 - steps)).mean(axis=1) * 2.0
+    level_m = np.hypot(*(echoes.point_m - view.map_T_sonar.position_m)[:, :2].T)
+    speed = np.interp(along_m, depths_m, speeds_mps)
+    return Bending(-mean * level_m / (2.0 * view.speed_mps), (view.speed_mps / speed).mean(axis=1))
+
+
+MOST_PARTS = 1024
+"""More say no more of how far nine in ten of them move."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Parts:
+    """Coarse cells bright enough to be seen, each by its echoes' mean weighted by their powers.
+
+    Echoes that share a cell move as one: what lies above and below can move to and fro. u is the
+    direction to an echo in the sonar's frame, R its range; a column for each axis of the frame.
+
+    Attributes:
+        range_m: R, (P,).
+        stretched_m: apparent less true range by the profile of sound speed, (P,).
+        away: u, (P, 3).
+        away_m: R u, (P, 3).
+        leaving_mps: speed at which moving objects leave, along u, (P,).
+        leaving_m2ps: the same times R, (P,).
+        turned_m: what turns the echo's starboard sine, times R, (P, 3).
+        passed: what moves it by passing, (P, 3).
+        passing_mps: the same of moving objects, (P,).
+    """
+
+    range_m: NDArray[np.float64]
+    stretched_m: NDArray[np.float64]
+    away: NDArray[np.float64]
+    away_m: NDArray[np.float64]
+    leaving_mps: NDArray[np.float64]
+    leaving_m2ps: NDArray[np.float64]
+    turned_m: NDArray[np.float64]
+    passed: NDArray[np.float64]
+    passing_mps: NDArray[np.float64]
+
+
+_PARTS_KNOWN: WeakKeyDictionary[Echoes, Parts] = WeakKeyDictionary()
+
+
+def parts_of(view: View) -> Parts:
+    """The parts of what a look saw, whatever the motion."""
+    known = _PARTS_KNOWN.get(view.echoes)
+    if known is None:
+        known = _PARTS_KNOWN[view.echoes] = _parts_of(view)
+    return known
+
+
+def _parts_of(view: View) -> Parts:
+    place, its, total = _seen(view)
+    u, range_m = view.echoes.direction[its], view.echoes.range_m[its]
+    leaving = leaving_mps(view)[its] @ view.map_T_sonar.rotation
+    along = np.sum(leaving * u, axis=1)
+    # s = -y; the direction to a fixed point turns by -omega x u and passes by -(v - (v u) u) / R.
+    turned = np.stack([-u[:, 2], np.zeros(len(u)), u[:, 0]], axis=1)
+    passed = -u[:, 1, None] * u
+    passed[:, 1] += 1.0
+    values = np.column_stack(
+        [
+            range_m,
+            range_m * (bending(view).stretch[its] - 1.0),
+            u,
+            range_m[:, None] * u,
+            along,
+            range_m * along,
+            range_m[:, None] * turned,
+            passed,
+            np.sum(leaving * passed, axis=1),
+        ]
+    )
+    values *= view.echo_power[its, None]
+    sums = [np.bincount(place, each, len(total)) for each in values.T]
+    mean: NDArray[np.float64] = np.column_stack(sums) / total[:, None]
+    return Parts(
+        mean[:, 0],
+        mean[:, 1],
+        mean[:, 2:5],
+        mean[:, 5:8],
+        mean[:, 8],
+        mean[:, 9],
+        mean[:, 10:13],
+        mean[:, 13:16],
+        mean[:, 16],
+    )
+
+
+def _seen(view: View) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Part of each echo in one (M,), those echoes (M,), and each part's power (P,)."""
+    grid, echoes = view.grid, view.echoes
+    row = np.clip((echoes.range_m / grid.row_m).astype(np.int64), 0, grid.rows - 1)
+    cell = row * COLUMNS + echoes.column
+    total = np.bincount(cell, view.echo_power, grid.rows * COLUMNS)
+    least = (LEAST_STEPS / full_scale(view.sonar)) ** (1.0 / gamma_of(view.sonar))
+    bright = view.gains.amplitude(view.echo_picture).ravel() > least
+    seen = np.flatnonzero((total > 0.0) & bright)
+    seen = seen[:: max(1, -(-len(seen) // MOST_PARTS))]
+    number = np.full(len(total), -1, dtype=np.int64)
+    number[seen] = np.arange(len(seen))
+    part: NDArray[np.int64] = number[cell]
+    its: NDArray[np.int64] = np.flatnonzero(part >= 0)
+    return part[its], its, total[seen].astype(np.float64)
+
+
+MOVERS = ("sound_speed", "motion", "doppler", "refraction")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Move:
+    """Displacement of the picture's parts, (P,) each: to farther rows, and to starboard beams."""
+
+    rows: NDArray[np.float64]
+    beams: NDArray[np.float64]
+
+    @property
+    def cells(self) -> float:
+        """How far all but a few of the parts move, by rows or by beams."""
+        return max(_farthest(self.rows), _farthest(self.beams))
+
+
+def moves(view: View) -> dict[str, Move]:
+    """What each mover does to each part of the picture.
+
+    Sound that comes back from range R after 2 R / c meets a sonar that has come v R / c nearer, on
+    the way there and back together, and has turned by omega 2 R / c.
+    """
+    sonar, speed_mps, parts = view.sonar, view.speed_mps, parts_of(view)
+    row_m, none = sonar.range_resolution_m, np.zeros(len(parts.range_m))
+    velocity_mps, turn_rps = np.zeros(3), np.zeros(3)
+    if view.motion is not None:
+        velocity_mps = view.map_T_sonar.rotation.T @ np.asarray(view.motion.linear_mps)
+        turn_rps = np.asarray(view.motion.angular_rps)
+    closing_mps = parts.away @ velocity_mps - parts.leaving_mps
+    closing_m2ps = parts.away_m @ velocity_mps - parts.leaving_m2ps
+    sines = parts.turned_m @ turn_rps + parts.passed @ velocity_mps - parts.passing_mps
+    return {
+        "sound_speed": Move(parts.range_m * (range_scale(view) - 1.0) / row_m, none),
+        "motion": Move(
+            -closing_m2ps / speed_mps / row_m, 2.0 / speed_mps * sines / sonar.sine_pitch
+        ),
+        "doppler": Move(closing_mps * doppler_shift_s(sonar, speed_mps) / row_m, none),
+        "refraction": Move(parts.stretched_m / row_m, none),
+    }
+
+
+def range_scale(view: View) -> float:
+    """Apparent range over true range, by the speed of sound that the sonar was told."""
+    told_mps = view.sonar.told_speed_mps
+    return 1.0 if told_mps is None else told_mps / view.speed_mps
+
+
+def doppler_shift_s(sonar: SonarSettings, speed_mps: float) -> float:
+    """Apparent range over closing speed, by the coupling of a chirp: f T / B."""
+    return sonar.frequency_hz * sonar.pulse_s / sonar.bandwidth_hz(speed_mps)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Movers:
+    """What moves one ping's picture.
+
+    Attributes:
+        moves: of each mover.
+        cells: how far each mover takes all but a few of the picture's parts.
+        left_out: movers whose displacements together stay within the tolerance, at `cells`.
+    """
+
+    moves: dict[str, Move]
+    cells: dict[str, float]
+    left_out: dict[float, frozenset[str]]
+
+
+_MOVERS_KNOWN: WeakKeyDictionary[View, Movers] = WeakKeyDictionary()
+
+
+def moved_cells(view: View, name: str) -> float:
+    """How far one mover takes all but a few of the picture's parts."""
+    return _movers(view).cells[name]
+
+
+def move_verdict(name: str, view: View, tolerance: Tolerance, reason: str) -> Verdict:
+    """On if the picture would be displaced too far without this one of the movers."""
+    movers = _movers(view)
+    left = movers.left_out.get(tolerance.cells)
+    if left is None:
+        left = movers.left_out[tolerance.cells] = _left_out(movers, tolerance.cells)
+    cells = movers.cells[name]
+    return Verdict(name not in left, f"{reason}: {cells:.2g} cells", displaced_db(cells))
+
+
+def _movers(view: View) -> Movers:
+    known = _MOVERS_KNOWN.get(view)
+    if known is None:
+        found = moves(view)
+        known = Movers(found, {name: move.cells for name, move in found.items()}, {})
+        _MOVERS_KNOWN[view] = known
+    return known
+
+
+def _left_out(movers: Movers, cells: float) -> frozenset[str]:
+    """Drop the farthest mover until the rest together stay within the tolerance."""
+    left = sorted(movers.cells, key=lambda mover: (movers.cells[mover], mover))
+    if sum(movers.cells.values()) <= cells:
+        return frozenset(left)
+    while left and _sum(movers.moves[mover] for mover in left).cells > cells:
+        left.pop()
+    return frozenset(left)
+
+
+def _sum(parts: Iterable[Move]) -> Move:
+    rows, beams = zip(*((move.rows, move.beams) for move in parts), strict=True)
+    return Move(np.sum(rows, axis=0), np.sum(beams, axis=0))
+
+
+def _farthest(cells: NDArray[np.float64]) -> float:
+    return float(np.quantile(np.abs(cells), FARTHEST)) if cells.any() else 0.0

@@ -1,0 +1,219 @@
+"""Effects of the receiver: noise, gains, saturation, gamma, quantisation."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonar_sim.effects.coarse_picture import Gains, change_db
+from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict, by_level
+from sonar_sim.effects.image_difference import (
+    Tolerance,
+    expected_clipped,
+    gamma_of,
+    level_change_db,
+    quantiser_change_db,
+)
+from sonar_sim.effects.preview import View
+from sonar_sim.propagation.physics import Physics
+from sonar_sim.receiver.gain import GAIN_DB_PER_PERCENT, noise_level_db
+
+
+def decide_noise(view: View, tolerance: Tolerance) -> Verdict:
+    """On if the noise, after the gains, shows anywhere."""
+    silence = np.maximum(view.picture - view.noise_power, 0.0)
+    floor = view.gains.amplitude(np.full_like(view.picture, view.noise_power)).max()
+    reason = f"after gains the noise reaches {20.0 * math.log10(floor):.0f} dB of full scale"
+    return by_level(view.change_db(silence, tolerance), tolerance, reason)
+
+
+def configure_noise(physics: Physics, view: View) -> None:
+    """Give the level in a cell."""
+    physics.noise_level_db = noise_level_db(view.sonar, view.scene.water)
+
+
+NOISE = Effect(
+    name="noise",
+    does="fills what is silent, the more so the farther out; new in every ping",
+    needs="bandwidth, array gain, the receiver's own noise",
+    formula="-15 + 20 log f_kHz dB re 1 µPa²/Hz in band, less array gain, plus self noise",
+    source="Mellen 1952",
+    rule="the picture without noise differs by more than the tolerance",
+    cost=Cost.CELL,
+    parameters=(
+        Parameter("sonar.array_gain_db", "dB", "against ambient noise"),
+        Parameter("sonar.noise_excess_db", "dB", "of the receiver's own noise over ambient noise"),
+    ),
+    decide=decide_noise,
+    configure=configure_noise,
+)
+
+
+def decide_tvg(view: View, tolerance: Tolerance) -> Verdict:
+    """On if the picture without it differs."""
+    gains = view.gains
+    flat = Gains(np.zeros_like(gains.varied_db), gains.operator_db, gains.full_scale_db)
+    predicted_db = change_db(view.amplitude, flat.amplitude(view.picture), view.sonar, tolerance)
+    reason = f"{gains.varied_db[0]:.0f} to {gains.varied_db[-1]:.0f} dB over the rows"
+    return by_level(predicted_db, tolerance, reason)
+
+
+def configure_tvg(physics: Physics, view: View) -> None:
+    """Switch the receiver's gain on."""
+    del view
+    physics.tvg = True
+
+
+TVG = Effect(
+    name="tvg",
+    does="levels near and far",
+    needs="the receiver's law",
+    formula="a log R + 2 alpha R dB",
+    source="public Oculus recording: 30 log R + 2 alpha R",
+    rule="the picture without it differs by more than the tolerance",
+    cost=Cost.ROW,
+    parameters=(Parameter("sonar.tvg_spreading_log", "dB a decade", "a"),),
+    decide=decide_tvg,
+    configure=configure_tvg,
+)
+
+
+def decide_gain(view: View, tolerance: Tolerance) -> Verdict:
+    """On if the picture without it differs."""
+    none = Gains(view.gains.varied_db, 0.0, view.gains.full_scale_db)
+    predicted_db = change_db(view.amplitude, none.amplitude(view.picture), view.sonar, tolerance)
+    reason = f"{view.sonar.gain_percent:.0f} % are {view.gains.operator_db:.0f} dB"
+    return by_level(predicted_db, tolerance, reason)
+
+
+def configure_gain(physics: Physics, view: View) -> None:
+    """Switch the operator's gain on."""
+    del view
+    physics.gain = True
+
+
+GAIN = Effect(
+    name="gain",
+    does="makes the whole picture brighter",
+    needs="the operator's setting",
+    formula=f"{GAIN_DB_PER_PERCENT} dB a percent",
+    source="a choice: the device's own law is not published",
+    rule="the picture without it differs by more than the tolerance",
+    cost=Cost.ROW,
+    parameters=(Parameter("sonar.gain_percent", "%", "the operator's gain"),),
+    decide=decide_gain,
+    configure=configure_gain,
+)
+
+
+UNCLIPPED = 0.5
+"""Amplitude of full scale, rms, below which clipping takes less than 0.05 dB."""
+ROW_LEAK = 0.24
+"""Part of a row's amplitude in each neighbour (see `range_spread`)."""
+
+
+def decide_saturation(view: View, tolerance: Tolerance) -> Verdict:
+    """On if speckle's peaks are clipped so that what is expected of a pixel falls.
+
+    A flash is thin, and brighter than its mean over a coarse row: rows are those of the sonar.
+    """
+    brighter = 10.0 ** (tolerance.brighter_db / 20.0)
+    loudest = float(view.amplitude.max(initial=0.0)) * brighter
+    loudest_db = 20.0 * math.log10(max(loudest, 1e-6))
+    reason = f"the loudest echo is at {loudest_db:+.0f} dB of full scale"
+    if loudest * math.sqrt(view.fine.grid.rows / view.grid.rows) <= UNCLIPPED:
+        return by_level(0.0, tolerance, reason)
+    sonar = view.sonar
+    shown = view.fine.gains.amplitude(_spread(view.fine.picture)) * brighter
+    cells = (
+        tolerance.cells * shown.shape[0] / sonar.rows,
+        tolerance.cells * shown.shape[1] / sonar.beams,
+    )
+    limited = expected_clipped(shown)
+    # To clip costs next to nothing.
+    predicted_db = level_change_db(limited, shown, sonar, 0.0, cells)
+    return by_level(predicted_db, tolerance, reason)
+
+
+def _spread(picture: NDArray[np.float64]) -> NDArray[np.float64]:
+    """With what a loud row leaks into its neighbours."""
+    spread = picture.copy()
+    spread[1:] += ROW_LEAK**2 * picture[:-1]
+    spread[:-1] += ROW_LEAK**2 * picture[1:]
+    return spread
+
+
+def configure_saturation(physics: Physics, view: View) -> None:
+    """Clip."""
+    del view
+    physics.saturation = True
+
+
+SATURATION = Effect(
+    name="saturation",
+    does="cuts bright echoes off at full scale",
+    needs="gains",
+    formula="min(amplitude, full scale); of speckle of rms m expected m erf(1 / m)",
+    source="the converter's end",
+    rule="clipped speckle lowers any pixel's expected level by more than the tolerance",
+    cost=Cost.CELL,
+    parameters=(Parameter("sonar.gain_percent", "%", "the operator's gain"),),
+    decide=decide_saturation,
+    configure=configure_saturation,
+    anywhere=True,
+)
+
+
+def decide_gamma(view: View, tolerance: Tolerance) -> Verdict:
+    """On if linear pixels, read by the sonar's curve, show other levels."""
+    gamma = gamma_of(view.sonar)
+    shown = np.minimum(view.amplitude, 1.0)
+    predicted_db = change_db(shown, shown ** (1.0 / gamma), view.sonar, tolerance)
+    return by_level(predicted_db, tolerance, f"pixels go with the amplitude's power {gamma:.2f}")
+
+
+def configure_gamma(physics: Physics, view: View) -> None:
+    """Obey the byte."""
+    del view
+    physics.gamma = True
+
+
+GAMMA = Effect(
+    name="gamma",
+    does="brings a wider range of levels into the pixels",
+    needs="the gamma byte",
+    formula="pixel = full scale * amplitude^(byte / 255); 0 and 255 are linear",
+    source="public Oculus recording: byte 127 shows the amplitude's square root",
+    rule="linear pixels differ by more than the tolerance",
+    cost=Cost.CELL,
+    parameters=(Parameter("sonar.gamma_byte", "1", "0 to 255"),),
+    decide=decide_gamma,
+    configure=configure_gamma,
+)
+
+
+def decide_quantisation(view: View, tolerance: Tolerance) -> Verdict:
+    """On: an Oculus sends integers. What rounding does to the picture is told."""
+    shown = np.minimum(view.amplitude, 1.0)
+    predicted_db = quantiser_change_db(shown, view.sonar, tolerance.share)
+    return Verdict(on=True, reason=f"{view.sonar.bits} bits a sample", predicted_db=predicted_db)
+
+
+def configure_quantisation(physics: Physics, view: View) -> None:
+    """Round to integers."""
+    del view
+    physics.quantised = True
+
+
+QUANTISATION = Effect(
+    name="quantisation",
+    does="rounds, which shows in what is dark",
+    needs="width of a sample",
+    formula="round(full scale * amplitude^gamma)",
+    source="Oculus data format: 8, 16 or 32 bits",
+    rule="always, since an Oculus sends integers",
+    cost=Cost.CELL,
+    parameters=(Parameter("sonar.bits", "bit", "of a sample"),),
+    decide=decide_quantisation,
+    configure=configure_quantisation,
+)

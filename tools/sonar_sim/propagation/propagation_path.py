@@ -1,0 +1,258 @@
+"""Propagation paths of the sound: direct, in motion, and by way of a mirror."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sonar_sim import _core
+from sonar_sim.geometry.matmul import along, product
+from sonar_sim.geometry.pose import Pose, SonarMotion
+from sonar_sim.propagation.clouds import cloud_gain
+from sonar_sim.propagation.mirror import OFF_M, TOUCH_M, bounces
+from sonar_sim.propagation.physics import Mirror, Physics
+from sonar_sim.raycast.meshes import NOTHING, Meshes, Met
+from sonar_sim.raycast.tracing import Trace, span_about, spans
+
+LEG = 16
+"""Numbers of a leg: origin (3), rotation (9), drift (3), gain (1)."""
+
+
+def leg_in(
+    map_T_object: Pose,  # noqa: N803
+    origin_m: NDArray[np.float64],
+    rotation: NDArray[np.float64],
+    drift_m: NDArray[np.float64] | None = None,
+    gain: float = 1.0,
+) -> NDArray[np.float64]:
+    """A leg of the map in an object's frame, (16,).
+
+    Args:
+        map_T_object: the object.
+        origin_m: of the leg, map frame, (3,).
+        rotation: map from sonar; may mirror, (3, 3).
+        drift_m: growth of the apparent range per unit of direction, map frame, (3,).
+        gain: of pressure.
+    """
+    back = map_T_object.rotation.T
+    drift = np.zeros(3) if drift_m is None else back @ drift_m
+    origin = back @ (origin_m - map_T_object.position_m)
+    return np.concatenate([origin, (back @ rotation).ravel(), drift, [gain]])
+
+
+OBJECT_STEP_S = 1e-3
+SAME_COLUMN = 0.1
+"""A mirror that leans no more than this along the array keeps the bearing."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Situation:
+    """What the ways of one ping share.
+
+    Attributes:
+        meshes: of the scene.
+        physics: what to compute.
+        pose: of the sonar at the transmission.
+        motion: while it listens; None stands still.
+        time_s: of the transmission.
+        listening_s: from the transmission to the last row's echo.
+        range_m: true range of the last row's end.
+        heard: faces that send something back, (F,).
+        threads: that share the rays.
+    """
+
+    meshes: Meshes
+    physics: Physics
+    pose: Pose
+    motion: SonarMotion | None
+    time_s: float
+    listening_s: float
+    range_m: float
+    heard: NDArray[np.bool_]
+    threads: int
+
+
+def heard_faces(meshes: Meshes, names: tuple[str, ...], physics: Physics) -> NDArray[np.bool_]:
+    """Faces that send something back: not the silent surfaces', and the sea's if it scatters."""
+    surfaces = [name not in physics.silent for name in names]
+    by_surface = np.array([*surfaces, physics.sea_surface])
+    return by_surface[meshes.material]
+
+
+def direct_ways(here: Situation, trace: Trace) -> list[_core.Rays]:
+    """Straight to what was met and straight back to where the sonar is by then."""
+    legs = _LegTable(here)
+    ways = []
+    for met in trace.met:
+        echoes = (met.face >= 0) & here.heard[met.face]
+        gain = np.ones(len(met.face), dtype=np.float32)
+        if here.physics.clouds:
+            hit = np.flatnonzero(echoes)
+            path = met.range_m[hit].astype(np.float64)
+            direction = trace.direction[hit]
+            gain[hit] = cloud_gain(here.physics.clouds, trace.origin_m, direction, path)
+        ways.append(
+            _core.Rays(
+                face=np.where(echoes, met.face, np.int32(NOTHING)),
+                seen=met.group,
+                transmit=met.group,
+                receive=legs.receive(met.group, met.range_m),
+                cell=trace.fan.cell,
+                span_m=spans(here.meshes, trace.fan, met),
+                gain=gain,
+                legs=legs.rows,
+            )
+        )
+    return ways
+
+
+class _LegTable:
+    """Legs of each group at the transmission, then of each block of the listening time."""
+
+    def __init__(self, here: Situation) -> None:
+        self._blocks = here.physics.pose_blocks if here.motion is not None else 1
+        self._block_m = here.range_m / self._blocks
+        start = here.meshes.poses(here.time_s)
+        self._groups = len(start)
+        drifts = [_drift(here, number) for number in range(self._groups)]
+        rows = [
+            leg_in(frame, here.pose.position_m, here.pose.rotation, drift)
+            for frame, drift in zip(start, drifts, strict=True)
+        ]
+        if self._blocks > 1 and here.motion is not None:
+            for block in range(self._blocks):
+                after_s = (block + 0.5) / self._blocks * here.listening_s
+                pose = here.motion.pose(here.pose, after_s)
+                rows += [
+                    leg_in(frame, pose.position_m, pose.rotation, drift)
+                    for frame, drift in zip(
+                        here.meshes.poses(here.time_s + after_s), drifts, strict=True
+                    )
+                ]
+        self.rows = np.array(rows)
+
+    def receive(self, group: NDArray[np.int32], range_m: NDArray[np.float32]) -> NDArray[np.int32]:
+        """Leg by which an echo from a range comes back."""
+        if self._blocks == 1:
+            return group
+        # In float until it fits: the range to nothing is infinite.
+        last = np.float32(self._blocks - 1)
+        block = np.minimum(range_m / np.float32(self._block_m), last).astype(np.int32)
+        legs: NDArray[np.int32] = ((block + 1) * self._groups + group).astype(np.int32)
+        return legs
+
+
+def _drift(here: Situation, group: int) -> NDArray[np.float64]:
+    """Growth of the apparent range by a closing speed of each direction's own, map frame."""
+    if here.physics.doppler_shift_s == 0.0:
+        return np.zeros(3)
+    own = np.zeros(3) if here.motion is None else np.asarray(here.motion.linear_mps)
+    now = here.meshes.poses(here.time_s)[group].position_m
+    soon = here.meshes.poses(here.time_s + OBJECT_STEP_S)[group].position_m
+    drift: NDArray[np.float64] = here.physics.doppler_shift_s * (own - (soon - now) / OBJECT_STEP_S)
+    return drift
+
+
+def mirror_ways(here: Situation, trace: Trace, mirror: Mirror) -> list[_core.Rays]:
+    """By a mirror there or back or both; the sonar is taken to stand still.
+
+    The mirror's image of the sonar sees what the sonar sees in the mirror. Its rays begin on the
+    mirror, where the sonar's own ray got there unhindered.
+    """
+    image = mirrored(here.pose, mirror)
+    if image is None:
+        return []
+    met, ray = _seen_in_mirror(here, trace, mirror)
+    hit = np.flatnonzero((met.face >= 0) & here.heard[met.face])
+    frames = here.meshes.poses(here.time_s)
+    direct = [leg_in(f, here.pose.position_m, here.pose.rotation) for f in frames]
+    bounced = [leg_in(f, image.position_m, image.rotation, gain=mirror.reflection) for f in frames]
+    legs = np.array([*direct, *bounced]).reshape(-1, LEG)
+    point = image.position_m + met.range_m[hit, None].astype(np.float64) * (
+        product(trace.direction[ray[hit]].astype(np.float64), _reflector(mirror))
+    )
+    group = met.group[hit]
+    span = span_about(here.meshes, met, met.range_m, met.range_m)
+    twice = group + np.int32(len(frames))
+    once = _in_sight(here, point, 2.0 * here.range_m - met.range_m[hit])
+
+    def way(
+        which: NDArray[np.bool_],
+        there: NDArray[np.int32],
+        back: NDArray[np.int32],
+        gain: float = 1.0,
+    ) -> _core.Rays:
+        return _core.Rays(
+            face=met.face[hit[which]],
+            seen=twice[which],
+            transmit=there[which],
+            receive=back[which],
+            cell=trace.fan.cell[ray[hit[which]]],
+            span_m=span[hit[which]],
+            gain=np.full(np.count_nonzero(which), gain, dtype=np.float32),
+            legs=legs,
+        )
+
+    both = met.range_m[hit] < here.range_m
+    pair = pair_gain(here, mirror)
+    return [
+        way(once, group, twice, pair),
+        way(once, twice, group, pair),
+        way(both, twice, twice),
+    ]
+
+
+def pair_gain(here: Situation, mirror: Mirror) -> float:
+    """Gain of the two ways that use a mirror once: there or back.
+
+    They are equally long, so their pressures add: where both are heard in one column, the sum of
+    their mean powers is 3 dB too small.
+    """
+    across = abs(float(np.dot(mirror.normal, here.pose.rotation[:, 1])))
+    return math.sqrt(2.0) if not here.physics.speckle and across < SAME_COLUMN else 1.0
+
+
+def mirrored(pose: Pose, mirror: Mirror) -> Pose | None:
+    """The mirror's image of a pose, or None behind the mirror."""
+    height = float(np.dot(mirror.normal, pose.position_m - mirror.point_m))
+    if height <= 0.0:
+        return None
+    moved = pose.position_m - 2.0 * height * mirror.normal
+    return Pose(moved, _reflector(mirror) @ pose.rotation)
+
+
+def _reflector(mirror: Mirror) -> NDArray[np.float64]:
+    reflector: NDArray[np.float64] = np.eye(3) - 2.0 * np.outer(mirror.normal, mirror.normal)
+    return reflector
+
+
+def _seen_in_mirror(here: Situation, trace: Trace, mirror: Mirror) -> tuple[Met, NDArray[np.int64]]:
+    """What rays meet after the mirror: ranges from the image, and which rays they are."""
+    falling = along(trace.direction, mirror.normal)
+    height = float(np.dot(mirror.normal, here.pose.position_m - mirror.point_m))
+    crossing = height / np.maximum(-falling, 1e-9)
+    first = trace.met[0]
+    there = bounces(here.meshes, mirror, first.face, first.range_m, crossing)
+    ray = np.flatnonzero((falling < 0.0) & (crossing < 2.0 * here.range_m) & there)
+    direction = trace.direction[ray].astype(np.float64)
+    start = here.pose.position_m + crossing[ray, None] * direction + OFF_M * mirror.normal
+    onward = product(direction, _reflector(mirror)).astype(np.float32)
+    met = here.meshes.cast(start, onward, here.time_s, 2.0 * here.range_m, here.threads)
+    range_m = (met.range_m + crossing[ray]).astype(np.float32)
+    return Met(range_m, met.face, met.group), ray
+
+
+def _in_sight(
+    here: Situation, point_m: NDArray[np.float64], reach_m: NDArray[np.float32]
+) -> NDArray[np.bool_]:
+    """Which points the sonar sees directly, no farther than their reach."""
+    way = point_m - here.pose.position_m
+    range_m = np.maximum(np.linalg.norm(way, axis=1), 1e-9)
+    direction = (way / range_m[:, None]).astype(np.float32)
+    met = here.meshes.cast(
+        here.pose.position_m, direction, here.time_s, 2.0 * here.range_m, here.threads
+    )
+    clear = (met.face < 0) | (met.range_m > range_m * (1.0 - OFF_M) - TOUCH_M)
+    sight: NDArray[np.bool_] = clear & (range_m < reach_m)
+    return sight
