@@ -65,8 +65,10 @@ MEASURED: dict[str, tuple[str, ...]] = {
         HEARD + "neighbours.hpp",
         *_in(
             SIMULATOR,
-            "bent.py bounce.py fan.py meshes.py paths.py pinhole.py spans.py tracing.py truth.py "
-            "navigation/altimeter.py",
+            "navigation/odometry_output.py propagation/ground_truth.py "
+            "propagation/mirror.py propagation/propagation_path.py "
+            "propagation/refraction.py raycast/depth_camera.py raycast/fan.py "
+            "raycast/meshes.py raycast/tracing.py",
         ),
     ),
     "`footprint`, `placing`, `nodes`, `scatter_*`": (
@@ -80,19 +82,22 @@ MEASURED: dict[str, tuple[str, ...]] = {
     "`deposit`, `random`, `hearing`": (
         *_in(ACOUSTICS, "complex_gaussian.cpp deposit.cpp cells.cpp"),
         *_in(HEARD, "cells.hpp complex_gaussian.hpp deposit.hpp hearing.hpp"),
-        *_in(SIMULATOR, "between.py cells.py clouds.py engine.py targets.py"),
+        *_in(
+            SIMULATOR,
+            "engine.py propagation/clouds.py propagation/point_targets.py receiver/noise.py",
+        ),
     ),
     "`convolution`, `beams`": (
         "cpp/python/acoustics/receiving.cpp",
         *_in(ACOUSTICS, "convolution.cpp convolution.hpp beams.cpp"),
         HEARD + "beams.hpp",
-        SIMULATOR + "beams.py",
+        SIMULATOR + "receiver/beamformer.py",
     ),
     "`receiver`, `fast_math`": (
         ACOUSTICS + "receiver.cpp",
         HEARD + "receiver.hpp",
         "cpp/common/include/mapperd/common/fast_math.hpp",
-        SIMULATOR + "receiver.py",
+        SIMULATOR + "receiver/gain.py",
     ),
 }
 """Sources by the row that measures them."""
@@ -106,27 +111,25 @@ NOT_MEASURED: dict[str, tuple[str, ...]] = {
     ),
     "serves the rules that decide on effects, to tenths of a decibel": _in(
         SIMULATOR,
-        "picture_change.py rule_check.py texture.py effects/coarse.py effects/ghosts.py "
-        "effects/plumes.py effects/rays.py",
+        "effects/coarse_picture.py effects/echoes.py effects/image_difference.py "
+        "effects/multipath.py effects/rule_check.py effects/texture.py",
     ),
     "the published plugin's arithmetic in the widths that it has": _in(
         SIMULATOR + "classic/",
-        "level_defects.py normals.py pipeline.py scan.py shape_defects.py shapes.py snr.py "
-        "visual.py writer.py",
+        "defects.py pipeline.py scan.py writer.py",
     ),
     "hands on what other sources made": (
         "cpp/map/src/ping_box.cpp",
         "tools/mapper_survey/spool.py",
         *_in(
             SIMULATOR,
-            "product.py simulator.py products/arrays.py products/cells.py products/cloud.py "
-            "products/pictures.py products/raw_scan.py products/sounding.py",
+            "geometry/matmul.py products/arrays.py products/images.py "
+            "products/point_cloud.py products/sounding.py simulator.py",
         ),
     ),
     "checks of the simulator, which run beside it": _in(
         SIMULATOR + "validation/",
-        "homogeneous.py recording.py v05_plate.py v06_beam_pattern.py v10_mirror_ghosts.py "
-        "v14_quantiser.py v17_no_wrap.py v18_classic.py v19_determinism.py v20_tank.py",
+        "propagation.py receiver.py recording.py repeatability.py scattering.py setups.py tank.py",
     ),
 }
 """Those that no row measures, by the reason."""
