@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING
 from sonar_sim import Simulator, load_scenario
 from sonar_sim.effects.rule_check import measured_costs_ms
 from sonar_sim.engine import Engine
-from sonar_sim.scene.scenario import Scenario
-from sonar_sim.scene.scenario import sonar_motion, sonar_pose
+from sonar_sim.scene.scenario import Scenario, sonar_motion, sonar_pose
 from studies.report import PAGES, write_section
 
 if TYPE_CHECKING:

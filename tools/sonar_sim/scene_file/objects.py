@@ -18,7 +18,6 @@ from sonar_sim.geometry.trajectory import Drift, Motion, ObjectMotion, Tour, Tra
 from sonar_sim.scene.material import Material
 from sonar_sim.scene.scene import Surface
 from sonar_sim.scene_file import schema
-from sonar_sim.scene_file import schema as shape_schema
 from sonar_sim.scene_file.shapes import HeightOf, triangles_of
 
 FORMATS = {".stl", ".obj", ".ply", ".glb"}
@@ -241,11 +240,11 @@ def _mesh(section: schema.ObjectSection, floor_m: HeightOf | None, folder: Path)
     return fine
 
 
-def _shaped(shape: shape_schema.Shape, floor_m: HeightOf | None, folder: Path) -> trimesh.Trimesh:
+def _shaped(shape: schema.Shape, floor_m: HeightOf | None, folder: Path) -> trimesh.Trimesh:
     match shape:
-        case shape_schema.Mesh(file=file, scale=scale):
+        case schema.Mesh(file=file, scale=scale):
             mesh = read_mesh(folder / file, scale)
-        case shape_schema.Group(parts=parts):
+        case schema.Group(parts=parts):
             meshes = [_part(part, floor_m, folder) for part in parts]
             mesh = cast("trimesh.Trimesh", trimesh.util.concatenate(meshes))
         case _:
@@ -253,7 +252,7 @@ def _shaped(shape: shape_schema.Shape, floor_m: HeightOf | None, folder: Path) -
     return mesh
 
 
-def _part(part: shape_schema.Part, floor_m: HeightOf | None, folder: Path) -> trimesh.Trimesh:
+def _part(part: schema.Part, floor_m: HeightOf | None, folder: Path) -> trimesh.Trimesh:
     mesh = _shaped(part.shape, floor_m, folder)
     return _turned(mesh, np.array(part.position_m), (part.roll_deg, part.pitch_deg, part.yaw_deg))
 

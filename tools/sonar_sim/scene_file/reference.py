@@ -1,14 +1,13 @@
 """The reference of the scenes' files, made from their types: `python -m` this writes the page."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import msgspec.inspect as mi
 from msgspec import NODEFAULT, UNSET
 
 from sonar_sim.scene.material import MATERIALS
 from sonar_sim.scene_file import SHIPPED, load_scenario, scene_names, schema
-from sonar_sim.scene_file import schema as shape_schema
 from sonar_sim.scene_file.schema import Section
 
 PAGE = Path("docs/reference/scene-files.md")
@@ -73,12 +72,12 @@ def _sections() -> list[type[Section]]:
     """The whole file first, then in the order of their definition, shapes last."""
     types = [
         one
-        for module in (schema, shape_schema)
-        for one in vars(module).values()
-        if isinstance(one, type) and one.__module__ == module.__name__
+        for one in vars(schema).values()
+        if isinstance(one, type) and issubclass(one, Section) and one is not Section
     ]
-    known = [one for one in types if issubclass(one, Section)]
-    return [schema.SceneFile, *(s for s in known if s is not schema.SceneFile)]
+    shapes = {*get_args(schema.Shape), schema.Part}
+    types.sort(key=lambda one: (one is not schema.SceneFile, one in shapes))
+    return types
 
 
 def _section(section: type[Section]) -> str:
