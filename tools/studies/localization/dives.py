@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from sonar_sim import Pose, Simulator
-from sonar_sim.poses import quaternion_of, rotation_of
+from sonar_sim.geometry.pose import quaternion_of, rotation_of
 
 from mapperd.config.tree import Config
 from mapperd.errors import Reject

@@ -15,9 +15,9 @@ import yaml
 from numpy.typing import NDArray
 from sonar_sim import Pose, Scenario
 from sonar_sim.capture import EPOCH_NS, CaptureSettings, ping_times_s, write_capture
-from sonar_sim.poses import Mounting, rotation_of
-from sonar_sim.trajectory import Motion, Trajectory, Waypoint
-from sonar_sim.vehicle import OdometrySample
+from sonar_sim.geometry.pose import Mounting, rotation_of
+from sonar_sim.geometry.trajectory import Motion, Trajectory, Waypoint
+from sonar_sim.scene.vehicle import OdometrySample
 from tqdm import tqdm
 
 from mapperd.config.tree import (

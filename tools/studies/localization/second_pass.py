@@ -25,8 +25,8 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from sonar_sim import Pose
-from sonar_sim.sonar import SonarSettings
-from sonar_sim.sonar_motion import sonar_pose
+from sonar_sim.scene.scenario import sonar_pose
+from sonar_sim.scene.sonar import SonarSettings
 
 from studies.localization.pass_maps import (
     FIRST,

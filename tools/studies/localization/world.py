@@ -10,8 +10,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 from sonar_sim import Scenario, load_scenario
-from sonar_sim.meshes import SEA, Meshes
-from sonar_sim.trajectory import Motion, Trajectory, Waypoint
+from sonar_sim.geometry.trajectory import Motion, Trajectory, Waypoint
+from sonar_sim.raycast.meshes import SEA, Meshes
 
 from mapperd.config.tree import Config, OctreeConfig
 from mapperd.localization.maps import VolumeMap, volume_map

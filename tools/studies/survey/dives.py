@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from sonar_sim.scene_file.paths import path_of
+from sonar_sim.scene_file.objects import path_of
 from sonar_sim.scene_file.schema import PathSection
 
 Tree = dict[str, Any]

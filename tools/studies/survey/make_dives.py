@@ -24,11 +24,9 @@ import numpy as np
 import yaml
 from sonar_sim import load_scenario
 from sonar_sim.capture import EPOCH_NS, POWER_UP_S, CaptureSettings, ping_times_s
-from sonar_sim.odometry import odometry_record
-from sonar_sim.scenario import Scenario
+from sonar_sim.scene.scenario import Scenario, sonar_motion, sonar_pose
+from sonar_sim.scene.vehicle import Odometry, in_order_of_arrival, odometry_record
 from sonar_sim.simulator import Simulator
-from sonar_sim.sonar_motion import sonar_motion, sonar_pose
-from sonar_sim.vehicle import Odometry, in_order_of_arrival
 from sonar_sim.wire import Network, compass_heading_deg, delivered, ping_message
 from tqdm import tqdm
 

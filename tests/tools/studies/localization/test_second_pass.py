@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from sonar_sim import Pose, SonarSettings
 from sonar_sim.capture import CaptureSettings, ping_times_s
-from sonar_sim.poses import rotation_of
+from sonar_sim.geometry.pose import rotation_of
 from studies.localization.pass_maps import FRESH, Pass, navigation
 from studies.localization.second_pass import Fans, Study, agreement, in_fans, run, to_nearest
 from studies.localization.world import WORLDS, Drift, World

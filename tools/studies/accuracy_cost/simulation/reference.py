@@ -20,14 +20,14 @@ import numpy as np
 from sonar_sim.classic import ClassicImages, classic_camera, classic_images
 from sonar_sim.classic import scan as plan_view
 from sonar_sim.classic.pipeline import places
-from sonar_sim.effects.look import Look
+from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import Wish
 from sonar_sim.effects.planner import Planner
+from sonar_sim.effects.previewer import Look
 from sonar_sim.engine import Engine
-from sonar_sim.fan import MARGIN_BEAMS
-from sonar_sim.pinhole import Onlooker, View
-from sonar_sim.sonar import SonarSettings
-from sonar_sim.tolerance import Tolerance
+from sonar_sim.raycast.depth_camera import Onlooker, View
+from sonar_sim.raycast.fan import MARGIN_BEAMS
+from sonar_sim.scene.sonar import SonarSettings
 
 from studies.accuracy_cost.simulation.error import Grain, Picture, grain_of, step
 from studies.accuracy_cost.simulation.ours import Ours, expected

@@ -5,13 +5,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 from sonar_sim import load_scenario
+from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import Wish
-from sonar_sim.engine import NODES_PER_BEAM, SonarMotion
-from sonar_sim.fan import ELEVATIONS
-from sonar_sim.poses import Pose
-from sonar_sim.scenario import Scenario
-from sonar_sim.sonar_motion import sonar_motion, sonar_pose
-from sonar_sim.tolerance import Tolerance
+from sonar_sim.engine import NODES_PER_BEAM
+from sonar_sim.geometry.pose import Pose, SonarMotion
+from sonar_sim.raycast.fan import ELEVATIONS
+from sonar_sim.scene.scenario import Scenario, sonar_motion, sonar_pose
 
 from studies.accuracy_cost.study import Dive, Value
 
