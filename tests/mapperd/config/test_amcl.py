@@ -5,6 +5,7 @@ from typing import Any
 
 import jsonschema
 import msgspec
+import numpy as np
 import pytest
 from config_docs.schema import json_schema
 
@@ -164,7 +165,12 @@ def test_what_no_filter_could_work_with_is_refused(text: str, words: str) -> Non
     ],
 )
 def test_singular_covariances_are_covariances(text: str) -> None:
-    amcl_of(text)
+    amcl = msgspec.to_builtins(amcl_of(text))
+    names = [["".join(sorted(a + b, key="xya".index)) for b in "xya"] for a in "xya"]
+    rows = [[amcl[f"initial_cov_{name}"] for name in row] for row in names]
+    least, *_, largest = np.linalg.eigvalsh(rows)
+    assert least == pytest.approx(0.0, abs=1e-9 * largest)
+    assert largest > 0
 
 
 def test_names_of_other_releases_are_taken() -> None:

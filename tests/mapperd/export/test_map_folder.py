@@ -1,12 +1,11 @@
 """Whatever the name, nothing is written outside of the folder for maps."""
 
-import contextlib
 import os
 import threading
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from mapperd.api import OperationError
@@ -51,10 +50,17 @@ def test_bad_name_is_refused(folder: MapFolder, sonar_map: SonarMap, name: str) 
     assert str(caught.value).isprintable()
 
 
-@given(st.text(max_size=40) | st.text(alphabet="./\\ab ply\0\n", max_size=20))
-def test_name_that_is_taken_is_a_name_in_the_folder(name: str) -> None:
-    with contextlib.suppress(OperationError):
-        assert is_inside(checked_name(name))
+@given(st.text(max_size=40) | st.text("./\\ab ply\0\n", max_size=20), st.sampled_from(["", ".ply"]))
+@example("a", ".ply")
+def test_name_that_is_accepted_is_a_name_in_the_folder(stem: str, suffix: str) -> None:
+    name = stem + suffix
+    try:
+        checked = checked_name(name)
+    except OperationError:
+        assert name != "a.ply"
+        return
+    assert checked == name
+    assert is_inside(checked)
 
 
 def is_inside(name: str) -> bool:

@@ -1,11 +1,11 @@
-import contextlib
 import math
+import re
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -120,11 +120,21 @@ def test_comments_and_other_scales_are_images() -> None:
     assert pgm_pixels(b"P5\n3 1\n2\n\x00\x01\x02", "x").tolist() == [[0, 128, 255]]
 
 
-@given(st.binary(max_size=60))
-def test_any_bytes_are_an_image_or_refused(data: bytes) -> None:
-    with contextlib.suppress(MapError):
-        pixels = pgm_pixels(b"P5" + data, "x")
-        assert pixels.ndim == 2
+IMAGE = (b"\n2 1\n255\n", b"\1\2")
+headers = st.tuples(*[st.integers(0, 9)] * 2, st.sampled_from([0, 1, 9, 255, 300]))
+
+
+@given(st.binary(max_size=60) | headers.map(lambda h: b"\n%d %d\n%d\n" % h), st.binary(max_size=81))
+@example(*IMAGE)
+def test_any_bytes_are_an_image_or_refused(head: bytes, body: bytes) -> None:
+    try:
+        pixels = pgm_pixels(b"P5" + head + body, "x")
+    except MapError:
+        assert (head, body) != IMAGE
+        return
+    width, height = map(int, re.sub(rb"#.*", b"", head + body).split()[:2])
+    assert pixels.shape == (height, width)
+    assert pixels.dtype == np.uint8
 
 
 def random_cells(values: list[int]) -> NDArray[np.int8]:
