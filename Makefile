@@ -45,7 +45,7 @@ sim-bench: $(STAMP)
 	$(TOOL) bench simulator-speed --write
 
 # Compares what the simulator's rules leave out and compute with everything, on all its scenes;
-# writes the figures into docs/concepts/simulator.md. Some minutes.
+# writes the figures into docs/reports/simulator.md. Some minutes.
 sim-check: $(STAMP)
 	$(TOOL) studies sim-check --write
 
@@ -80,7 +80,7 @@ out/chaos/tank.mcap: | $(STAMP)
 	$(BIN)/sonar-sim capture tank --out $@
 
 # The map stream on a bad link, with a hundred clients, and what twenty cost; writes the figures into
-# docs/reference/map-stream.md. A quarter of an hour; wants the right to make network namespaces for
+# docs/reports/map-stream.md. A quarter of an hour; wants the right to make network namespaces for
 # a real link.
 stream-study: $(STAMP) out/demo/capture.bin
 	$(TOOL) studies stream --write

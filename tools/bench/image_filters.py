@@ -1,4 +1,4 @@
-"""What the filters on an image cost, take away and leave: the tables of docs/guides/filters.md.
+"""What the filters on an image cost, take away and leave: the tables of docs/reports/mapping.md.
 
 A simulated M750d (512 beams, 625 rows, 10 m) over sand and in the harbour, at three pitches;
 stripes of Rayleigh amplitude are added. A return is a sample above the threshold.

@@ -2,7 +2,7 @@
 
 For each format the bytes of a minute are made beforehand. What is timed is the whole way: decode,
 carry the clock over, fuse, and ask for the pose and the motion at each ping's time. Processor time,
-the least of three runs. Prints the table; --write puts it into docs/guides/odometry.md.
+the least of three runs. Prints the table; --write puts it into docs/reports/odometry.md.
 
 Usage: python -m bench odometry-cost [--seconds N] [--write]
 """

@@ -1,4 +1,4 @@
-"""What motion within the ping gains; prints the table of docs/concepts/mapping.md.
+"""What motion within the ping gains; prints the table of docs/reports/mapping.md.
 
 Posts are seen by a sonar that moves and turns while it listens. Each of their points is found in
 the image by going to and fro between its range and the sonar's pose at that time; the map then

@@ -2,7 +2,7 @@
 
 A sonar looks down on a flat seabed and goes to and fro over it. Each round is mapped in memory and
 through a store, ping by ping in turn, so that what else the machine does falls on both alike.
-Prints the table of docs/reference/store.md, in some five minutes.
+Prints the table of docs/reports/performance.md, in some five minutes.
 
 Usage: python -m bench tile-cache [--pings N] [--range METRES]
 """

@@ -1,6 +1,6 @@
 """What `adaptive.min_ratio` buys and costs: pings until a changed voxel is seen, and false alarms.
 
-Draws docs/images/adaptive-ratio.png and prints the tables of docs/concepts/mapping.md, in about two
+Draws docs/images/adaptive-ratio.png and prints the tables of docs/reports/mapping.md, in about two
 minutes. The rule is the map's own, through `mapperd.ProbabilityUpdater`, with the defaults of the
 settings. The published rule's way back is computed in real numbers: the map holds log-odds in 16
 bits, and rounds most of its steps to nothing.

@@ -3,7 +3,7 @@
 The dive is that of moving_dive.py: 1 m/s, 20 degrees a second, arrivals of records and pings late
 by up to 30 ms, clocks that drift by 30 ppm. Everything goes the way of live data: bytes, decoder,
 clock fit, fusion, pairing, step, map. Prints the table; --write puts it into
-docs/guides/odometry.md.
+docs/reports/odometry.md.
 
 Usage: python -m studies pose-error [--write]
 """

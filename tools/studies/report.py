@@ -17,13 +17,14 @@ IMAGES = ROOT / "docs/images"
 
 PAGES = {
     "accuracy-cost": ROOT / "docs/reports/accuracy-cost.md",
-    "map-stream": ROOT / "docs/reference/map-stream.md",
-    "mapping": ROOT / "docs/concepts/mapping.md",
+    "map-stream": ROOT / "docs/reports/map-stream.md",
+    "mapping": ROOT / "docs/reports/mapping.md",
     "mutations": ROOT / "docs/reports/mutations.md",
     "numerical-stability": ROOT / "docs/reports/numerical-stability.md",
-    "odometry": ROOT / "docs/guides/odometry.md",
+    "odometry": ROOT / "docs/reports/odometry.md",
     "performance": ROOT / "docs/reports/performance.md",
-    "simulator": ROOT / "docs/concepts/simulator.md",
+    "simulator": ROOT / "docs/reports/simulator.md",
+    "simulator-effects": ROOT / "docs/reference/simulator-effects.md",
 }
 """Pages that hold measured sections."""
 

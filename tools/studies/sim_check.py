@@ -1,4 +1,4 @@
-"""Check the simulator's rules on every shipped scene, and write what came out into the manual.
+"""Check the simulator's rules on every shipped scene, and write the figures into docs/.
 
 Three pings of each scene, of the beginning, middle and end of its path, are simulated with what
 the rules chose, with all effects, and without each of the chosen ones;
@@ -24,7 +24,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="check the rules of the simulator's effects")
     parser.add_argument("scenes", nargs="*", default=scene_names())
     parser.add_argument("--at", type=float, nargs="*", default=PARTS, help="parts of each path")
-    parser.add_argument("--write", action="store_true", help="into docs/concepts/simulator.md")
+    parser.add_argument("--write", action="store_true", help="into docs/reports/simulator.md")
     arguments = parser.parse_args()
     checks = {}
     stops = [(name, part) for name in arguments.scenes for part in arguments.at]
@@ -37,7 +37,7 @@ def main() -> int:
     text = figures(checks)
     print(text)
     if arguments.write:
-        write_section(PAGES["simulator"], "effects", effects_markdown())
+        write_section(PAGES["simulator-effects"], "effects", effects_markdown())
         write_section(PAGES["simulator"], "check", text)
     return 1 if any(check.faults for check in checks.values()) else 0
 

@@ -7,7 +7,7 @@ import pytest
 from sonar_sim.command import main
 from sonar_sim.effects.registry import EFFECTS, effects_markdown
 
-MANUAL = Path(__file__).resolve().parents[3] / "docs" / "concepts" / "simulator.md"
+MANUAL = Path(__file__).resolve().parents[3] / "docs" / "reference" / "simulator-effects.md"
 
 
 @pytest.mark.slow

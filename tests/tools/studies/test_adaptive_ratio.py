@@ -23,7 +23,7 @@ from studies.adaptive_ratio import (
     reclassification_table,
 )
 
-PAGE = (Path(__file__).resolve().parents[3] / "docs/concepts/mapping.md").read_text(
+PAGE = (Path(__file__).resolve().parents[3] / "docs/reports/mapping.md").read_text(
     encoding="utf-8"
 )
 

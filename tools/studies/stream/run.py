@@ -1,7 +1,7 @@
 """`make stream-study`: what the map stream does on a bad link and with many clients.
 
 Plays the demo's dive, live, into a daemon; writes out/stream/stream.json and the pictures, and with
-`--write` the figures and the picture of docs/reference/map-stream.md. A quarter of an hour; wants
+`--write` the figures and the picture of docs/reports/map-stream.md. A quarter of an hour; wants
 out/demo/capture.bin (`make demo`).
 """
 
@@ -136,7 +136,7 @@ def main() -> int:
     parser.add_argument("--tethers", type=int, default=3, help="runs, each with other losses")
     parser.add_argument("--clients", type=int, default=100, help="of the fleet")
     parser.add_argument("--seconds", type=float, default=60.0, help="of the fleet")
-    parser.add_argument("--write", action="store_true", help="into docs/reference/map-stream.md")
+    parser.add_argument("--write", action="store_true", help="into docs/reports/map-stream.md")
     said = parser.parse_args()
     said.out.mkdir(parents=True, exist_ok=True)
     file = said.out / "stream.json"
