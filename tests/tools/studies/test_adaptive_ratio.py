@@ -23,9 +23,7 @@ from studies.adaptive_ratio import (
     reclassification_table,
 )
 
-PAGE = (Path(__file__).resolve().parents[3] / "docs/reports/mapping.md").read_text(
-    encoding="utf-8"
-)
+PAGE = (Path(__file__).resolve().parents[3] / "docs/reports/mapping.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("least", [1, 2, 3, 4, 5, 63, 64, 65, 1000])
