@@ -122,7 +122,7 @@ def test_wrong_keys_and_values_are_named(flat: dict[str, Any], message: str) -> 
     assert "\n" not in str(caught.value)
 
 
-def test_what_is_off_may_be_said() -> None:
+def test_what_is_off_may_be_reported() -> None:
     assert config_from_flat({"use_outofcore": False, "frame_skip": np.int32(1)}) == Config()
 
 

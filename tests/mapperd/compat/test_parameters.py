@@ -27,15 +27,15 @@ class Mapper:
     """Takes what the handlers of `filtering` give it; no threshold above 100."""
 
     def __init__(self) -> None:
-        self.told: list[tuple[str, float]] = []
+        self.reported: list[tuple[str, float]] = []
 
     def update_min_range(self, value: float) -> None:
-        self.told.append(("min_range", value))
+        self.reported.append(("min_range", value))
 
     def update_intensity(self, value: float) -> None:
         if value > 100:
             raise ValueError("too high for me")
-        self.told.append(("intensity", value))
+        self.reported.append(("intensity", value))
 
 
 def following() -> tuple[ParameterNode, ConfigStore, Mapper]:
@@ -88,11 +88,11 @@ def test_what_cannot_be_declared_is_refused(definition: ParameterDef, words: str
         node.declare_parameter(definition)
 
 
-def test_handlers_hear_of_changes_whoever_makes_them() -> None:
+def test_handlers_hear_of_changes_anyone_who_makes_them() -> None:
     node, store, mapper = following()
     assert node.set_parameters({MIN_RANGE: 1.0, THRESHOLD: 50}) == SetParametersResult(True)  # noqa: FBT003
     assert isinstance(store.apply({THRESHOLD: 60}, "broker"), Applied)
-    assert mapper.told == [("min_range", 1.0), ("intensity", 50), ("intensity", 60)]
+    assert mapper.reported == [("min_range", 1.0), ("intensity", 50), ("intensity", 60)]
     assert node.get_parameter(THRESHOLD) == 60
 
 
@@ -101,12 +101,12 @@ def test_handler_that_refuses_undoes_all() -> None:
     result = node.set_parameters({MIN_RANGE: 1.0, THRESHOLD: 200})
     assert not result.successful
     assert "too high for me" in result.reason
-    assert mapper.told == [("min_range", 1.0), ("min_range", 0.5)]
+    assert mapper.reported == [("min_range", 1.0), ("min_range", 0.5)]
     assert store.current == Config()
     assert node.set_parameters({MIN_RANGE: 1.0}).successful
-    assert mapper.told[-1] == ("min_range", 1.0)
+    assert mapper.reported[-1] == ("min_range", 1.0)
     assert not node.set_parameters({MIN_RANGE: 2.0, THRESHOLD: 200}).successful
-    assert mapper.told[-2:] == [("min_range", 2.0), ("min_range", 1.0)]
+    assert mapper.reported[-2:] == [("min_range", 2.0), ("min_range", 1.0)]
 
 
 def test_refusal_elsewhere_takes_the_handlers_back() -> None:
@@ -118,7 +118,7 @@ def test_refusal_elsewhere_takes_the_handlers_back() -> None:
 
     store.follow(["filtering"], no)
     assert isinstance(store.apply({MIN_RANGE: 1}, "x"), Refused)
-    assert mapper.told == [("min_range", 1.0), ("min_range", 0.5)]
+    assert mapper.reported == [("min_range", 1.0), ("min_range", 0.5)]
     assert node.get_parameter(MIN_RANGE) == 0.5
 
 

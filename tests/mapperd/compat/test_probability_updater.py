@@ -86,7 +86,7 @@ def test_changed_voxel_comes_back_within_30_pings() -> None:
 
 
 def published_pings_back(free_pings: int, unit: float) -> int:
-    """Of the published rule, with steps of whole units; 0 if a step is none and it stays so."""
+    """Of the published rule, with steps of whole units; 0 if a step has no effect."""
     value = 0.0
     for ping in range(free_pings + 10_000):
         p, alpha = 1 / (1 + math.exp(-value)), max(0.1, 1 / (1 + 0.1 * ping))
@@ -117,7 +117,7 @@ def test_min_ratio_of_zero_is_the_published_rule(
     assert pings_back(without_min_ratio(), free_pings) == pings
 
 
-def test_without_min_ratio_steps_below_half_a_unit_are_none() -> None:
+def test_without_min_ratio_steps_below_half_a_unit_are_invalid() -> None:
     assert published_pings_back(3, UNIT) == 0
     updater = without_min_ratio()
     updater.batch_update_iwlo(HERE * 3, [0] * 3, [False] * 3)

@@ -45,7 +45,7 @@ def test_image_becomes_voxels_as_the_map_itself_would() -> None:
     assert "free_points" not in cloud
 
 
-def test_statistics_tell_what_happened() -> None:
+def test_statistics_report_what_happened() -> None:
     ticks = itertools.count(0.0, 0.25)
     mapper = SonarTo3DMapper(COARSE, clock=lambda: next(ticks))
     first = mapper.process_sonar_image(wall(), *HOME, max_range=5.0)
@@ -173,7 +173,7 @@ def test_reset_forgets_the_map_and_keeps_the_settings() -> None:
     assert mapper.config.octree.voxel_resolution == 0.2
 
 
-def test_memory_is_told() -> None:
+def test_memory_is_reported() -> None:
     stats = mapped().get_memory_stats()
     assert (stats["backend"], stats["resolution"]) == ("memory", 0.2)
     assert stats["memory_mb"] == stats["memory_bytes"] / 2**20 > 0

@@ -181,8 +181,8 @@ def test_names_of_other_releases_are_taken() -> None:
         "covariance_y: 0.09, covariance_yaw: 0.01, covariance_xy: 0.01, covariance_xyaw: 0.002, "
         "covariance_yyaw: 0.003}"
     )
-    said = {k: v for k, v in msgspec.to_builtins(amcl).items() if v != getattr(AmclConfig(), k)}
-    assert said == {
+    stated = {k: v for k, v in msgspec.to_builtins(amcl).items() if v != getattr(AmclConfig(), k)}
+    assert stated == {
         "pf_err": 0.01,
         "pf_z": 3,
         "robot_model_type": "omnidirectional_drive",

@@ -78,7 +78,7 @@ def test_defaults_are_the_published_ones(path: str, default: Any) -> None:
 
 
 @pytest.mark.parametrize(("path", "hint"), fields().items())
-def test_every_field_says_what_it_is(path: str, hint: Any) -> None:
+def test_every_field_reports_what_it_is(path: str, hint: Any) -> None:
     meta = hint.__metadata__[0]
     assert meta.description.endswith("."), path
     assert isinstance(meta.extra["dynamic"], bool)
@@ -170,7 +170,7 @@ def test_preset_of_a_tilt_looks_that_way(tilt: int) -> None:
     assert config.iwlo == IwloConfig()
 
 
-def test_robots_can_be_told_at_every_tilt() -> None:
+def test_robots_can_be_reported_at_every_tilt() -> None:
     robots = ROOT / "config" / "robot_detection.yaml"
     for tilt in (30, 60, 90):
         config = load_files([ROOT / "config" / f"tilt_{tilt}.yaml", robots]).config

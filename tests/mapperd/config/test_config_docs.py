@@ -65,7 +65,7 @@ def test_schema_knows_lists_sections_and_mistyped_names() -> None:
     assert not JUDGE.is_valid({"octree": {"resolution": 1}})
 
 
-def test_schema_says_unit_and_whether_it_is_live() -> None:
+def test_schema_reports_unit_and_whether_it_is_live() -> None:
     definitions = json_schema()["$defs"]
     assert definitions["OctreeConfig"]["properties"]["voxel_resolution"]["x-unit"] == "m"
     assert definitions["OctreeConfig"]["properties"]["voxel_resolution"]["x-dynamic"] is False
@@ -108,7 +108,7 @@ def test_page_s_example_loads() -> None:
     assert config.mounting.orientation.pitch == 30
 
 
-def test_defaults_are_what_the_parameters_say() -> None:
+def test_defaults_are_what_the_parameters_report() -> None:
     tree: dict[str, Any] = msgspec.to_builtins(Config())
     for name, one in parameters().items():
         value: Any = tree

@@ -50,7 +50,7 @@ def test_no_home_is_no_folder(tmp_path: Path) -> None:
     assert settings_files([], {}, tmp_path) == []
 
 
-def test_last_file_that_names_a_setting_says_it(tmp_path: Path) -> None:
+def test_last_file_that_names_a_setting_reports_it(tmp_path: Path) -> None:
     low = write(tmp_path / "low.yaml", "mounting: {position: {x: 1, y: 2}}\niwlo:\n")
     high = write(tmp_path / "high.yaml", "mounting: {position: {y: 3}, orientation: {pitch: 30}}")
     layered = load_files([low, high])
@@ -62,7 +62,7 @@ def test_last_file_that_names_a_setting_says_it(tmp_path: Path) -> None:
     assert layered.origin_of("mounting.orientation.pitch") == str(high)
 
 
-def test_settings_of_an_earlier_version_are_told_in_one_line(tmp_path: Path) -> None:
+def test_settings_of_an_earlier_version_are_reported_in_one_line(tmp_path: Path) -> None:
     low = write(tmp_path / "low.yaml", "mapping: {integrator: projective, error_bound: 0.1}")
     high = write(tmp_path / "high.yaml", "behind: {policy: coarser_first, error_bound: 0.5}")
     layered = load_files([low, high])
@@ -92,7 +92,7 @@ def test_ignored_settings_load_with_any_value_and_are_reported(tmp_path: Path) -
     assert not set(IGNORED) & set(parameters())
 
 
-def test_lists_are_said_as_a_whole(tmp_path: Path) -> None:
+def test_lists_are_reported_as_a_whole(tmp_path: Path) -> None:
     low = write(tmp_path / "low.yaml", "odometry: {sources: [{name: a}, {name: b}]}")
     high = write(tmp_path / "high.yaml", "odometry: {sources: [{name: c}]}")
     layered = load_files([low, high])

@@ -29,24 +29,24 @@ def reasons_of(result: Applied | Refused) -> dict[str, str]:
     return dict(result.reasons)
 
 
-def test_change_holds_is_told_and_has_its_origin() -> None:
-    told: list[Config] = []
-    store = store_with(take=told.append)
+def test_change_holds_is_reported_and_has_its_origin() -> None:
+    reported: list[Config] = []
+    store = store_with(take=reported.append)
     result = store.apply({THRESHOLD: 50, "processing.frame_skip": 2}, "command")
     changes = (Change(THRESHOLD, 35.0, 50), Change("processing.frame_skip", 1, 2))
     assert result == Applied("command", changes)
     assert store.current.filtering.intensity_threshold == 50
-    assert told == [store.current]
+    assert reported == [store.current]
     assert store.origin_of(THRESHOLD) == "command"
     assert store.origin_of("octree.voxel_resolution") == DEFAULT
 
 
-def test_nothing_new_is_applied_and_nobody_is_told() -> None:
-    told: list[Config] = []
-    store = store_with(take=told.append)
+def test_nothing_new_is_applied_and_nobody_is_reported() -> None:
+    reported: list[Config] = []
+    store = store_with(take=reported.append)
     assert store.apply({THRESHOLD: 35, "octree.voxel_resolution": 0.05}, "x") == Applied("x", ())
     assert store.origin_of(THRESHOLD) == DEFAULT
-    assert told == []
+    assert reported == []
 
 
 def test_every_mistake_is_named_and_nothing_changes() -> None:
@@ -116,17 +116,17 @@ def test_refusal_of_one_undoes_it_for_all() -> None:
     assert store.origin_of(THRESHOLD) == DEFAULT
 
 
-def test_who_is_asked_first_stops_it_before_anyone_is_told() -> None:
-    told: list[Config] = []
+def test_who_is_asked_first_stops_it_before_anyone_is_reported() -> None:
+    reported: list[Config] = []
 
     def never(_: Config) -> None:
         raise ConfigError("OpenCV is missing", "$.crosstalk.enabled")
 
-    store = store_with(take=told.append)
-    store.follow(["crosstalk"], told.append, check=never)
+    store = store_with(take=reported.append)
+    store.follow(["crosstalk"], reported.append, check=never)
     result = store.apply({"crosstalk.enabled": True}, "x")
     assert reasons_of(result) == {"crosstalk.enabled": "OpenCV is missing"}
-    assert told == []
+    assert reported == []
 
 
 def test_fault_of_a_follower_undoes_the_change_and_is_not_hidden() -> None:
@@ -147,7 +147,7 @@ def layered_of(tmp_path: Path, text: str) -> Layered:
     return load_files([path])
 
 
-def test_files_read_anew_hold_and_what_needs_a_restart_is_told(tmp_path: Path) -> None:
+def test_files_read_again_hold_and_what_needs_a_restart_is_reported(tmp_path: Path) -> None:
     text = "filtering: {intensity_threshold: 60}"
     store = store_with(layered=layered_of(tmp_path, text))
     store.apply({"processing.frame_skip": 5, THRESHOLD: 70}, "command")
@@ -200,7 +200,7 @@ def test_any_values_are_applied_or_refused_with_reasons(changes: dict[str, objec
     assert msgspec.convert(msgspec.to_builtins(store.current), Config) == store.current
 
 
-def test_what_the_maps_file_knows_holds_until_the_files_say_otherwise(tmp_path: Path) -> None:
+def test_what_the_maps_file_knows_holds_until_the_files_report_otherwise(tmp_path: Path) -> None:
     store = store_with()
     zero = {"latitude": 54.0, "longitude": 10.5}
     config = store.settle("odometry.origin", zero, "the map's file")

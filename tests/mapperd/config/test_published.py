@@ -120,7 +120,7 @@ def test_published_live_parameter_changes_while_running(name: str) -> None:
         ("topics: {sonar: /my/sonar}", r"set device\.address"),
     ],
 )
-def test_published_name_without_an_effect_says_what_to_do_instead(text: str, words: str) -> None:
+def test_published_name_without_an_effect_reports_what_to_do_instead(text: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         config_from_text(text)
 

@@ -25,39 +25,41 @@ def written(tmp_path: Path, text: str) -> Path:
 
 
 def test_straight_between_points_and_level_beyond() -> None:
-    told = HALVED.log_odds_of(np.array([-100.0, -4.0, -1.0, 0.0, 3.0, 4.0, 50.0]))
-    assert told == pytest.approx([-2.0, -2.0, -0.5, 0.0, 1.5, 2.0, 2.0])
+    reported = HALVED.log_odds_of(np.array([-100.0, -4.0, -1.0, 0.0, 3.0, 4.0, 50.0]))
+    assert reported == pytest.approx([-2.0, -2.0, -0.5, 0.0, 1.5, 2.0, 2.0])
 
 
 def test_probabilities_go_through_log_odds_and_certainty_is_no_trouble() -> None:
-    told = HALVED.probability_of(np.array([0.0, 0.5, 0.9, 1.0]))
+    reported = HALVED.probability_of(np.array([0.0, 0.5, 0.9, 1.0]))
     nine = 1 / (1 + 9**-0.5)  # odds of 9 become odds of 3
-    assert told == pytest.approx([1 / (1 + np.exp(2.0)), 0.5, nine, 1 / (1 + np.exp(-2.0))])
+    assert reported == pytest.approx([1 / (1 + np.exp(2.0)), 0.5, nine, 1 / (1 + np.exp(-2.0))])
 
 
 def test_more_stays_more() -> None:
     level = Calibration(np.array([-1.0, 0.0, 1.0]), np.array([-1.0, 0.5, 0.5]))
-    told = level.probability_of(np.linspace(0.0, 1.0, 201))
-    assert (np.diff(told) >= 0).all()
+    reported = level.probability_of(np.linspace(0.0, 1.0, 201))
+    assert (np.diff(reported) >= 0).all()
 
 
 def test_only_numbers_change_in_a_file(tmp_path: Path) -> None:
     sonar_map = map_of(OCCUPIED, FREE)
     before = sonar_map.sha256()
     write_map(sonar_map, tmp_path / "raw.ply")
-    write_map(sonar_map, tmp_path / "told.ply", calibration=HALVED)
-    raw, told = (PlyData.read(str(tmp_path / f"{n}.ply"))["vertex"] for n in ("raw", "told"))
+    write_map(sonar_map, tmp_path / "calibrated.ply", calibration=HALVED)
+    raw, reported = (
+        PlyData.read(str(tmp_path / f"{n}.ply"))["vertex"] for n in ("raw", "calibrated")
+    )
     for name in ("x", "y", "z", "count"):
-        assert np.array_equal(raw[name], told[name])
-    assert told["probability"] == pytest.approx(1 / (1 + np.exp(-1.5)), abs=1e-6)
+        assert np.array_equal(raw[name], reported[name])
+    assert reported["probability"] == pytest.approx(1 / (1 + np.exp(-1.5)), abs=1e-6)
     assert raw["probability"] == pytest.approx(1 / (1 + np.exp(-3.0)), abs=1e-6)
     assert sonar_map.sha256() == before
 
 
 @pytest.mark.parametrize("suffix", PROBABILITY_FORMATS)
-def test_every_format_that_says_probabilities_takes_it(tmp_path: Path, suffix: str) -> None:
+def test_every_format_that_reports_probabilities_takes_it(tmp_path: Path, suffix: str) -> None:
     sonar_map = map_of(OCCUPIED, FREE)
-    files = [tmp_path / f"{name}{suffix}" for name in ("raw", "told")]
+    files = [tmp_path / f"{name}{suffix}" for name in ("raw", "calibrated")]
     write_map(sonar_map, files[0])
     write_map(sonar_map, files[1], calibration=HALVED)
     assert files[0].read_bytes() != files[1].read_bytes()
@@ -113,8 +115,8 @@ def test_convert_applies_it_and_refuses_it_before_any_work(tmp_path: Path, call:
     curve = written(tmp_path, TEXT)
     words = ("convert", tmp_path / "a.map")
     assert call(*words, tmp_path / "a.ply", "--calibration", curve)[0] == 0
-    told = PlyData.read(str(tmp_path / "a.ply"))["vertex"]["probability"]
-    assert told == pytest.approx(1 / (1 + np.exp(-1.5)), abs=1e-6)
+    reported = PlyData.read(str(tmp_path / "a.ply"))["vertex"]["probability"]
+    assert reported == pytest.approx(1 / (1 + np.exp(-1.5)), abs=1e-6)
     code, lines, error = call(*words, tmp_path / "a.xyz", "--calibration", curve)
     assert (code, lines) == (73, [])
     assert "takes no calibration" in error

@@ -68,7 +68,7 @@ def test_asc_of_a_band_of_heights(sonar_map: SonarMap, saved: Saved) -> None:
     assert elevation(path, -3.125, 20.375) == -7.875
 
 
-def test_nav2_tells_occupied_free_and_unknown(sonar_map: SonarMap, saved: Saved) -> None:
+def test_nav2_reports_occupied_free_and_unknown(sonar_map: SonarMap, saved: Saved) -> None:
     path = saved(sonar_map, "harbour.pgm").with_suffix(".yaml")
     for x, y, _ in OCCUPIED:
         assert occupancy(path, x, y) == 100

@@ -21,16 +21,16 @@ def folder(tmp_path: Path) -> MapFolder:
     return MapFolder(tmp_path / "state" / "maps", ConfigStore(Layered()), clock=lambda: 1.0)
 
 
-def test_map_is_saved_and_told(folder: MapFolder, sonar_map: SonarMap) -> None:
-    told = folder.save("Ålesund 2.ply", lambda: sonar_map)
+def test_map_is_saved_and_reported(folder: MapFolder, sonar_map: SonarMap) -> None:
+    reported = folder.save("Ålesund 2.ply", lambda: sonar_map)
     path = folder.folder / "Ålesund 2.ply"
-    assert told == {"path": str(path), "bytes": path.stat().st_size, "seconds": 0.0}
+    assert reported == {"path": str(path), "bytes": path.stat().st_size, "seconds": 0.0}
 
 
 def test_both_files_of_a_grid_are_counted(folder: MapFolder, sonar_map: SonarMap) -> None:
-    told = folder.save("a.pgm", lambda: sonar_map)
+    reported = folder.save("a.pgm", lambda: sonar_map)
     files = [folder.folder / "a.pgm", folder.folder / "a.yaml"]
-    assert told["bytes"] == sum(file.stat().st_size for file in files)
+    assert reported["bytes"] == sum(file.stat().st_size for file in files)
     assert sorted(folder.folder.iterdir()) == files
 
 
@@ -98,7 +98,7 @@ def test_what_cannot_be_written_leaves_what_was_there(
     assert [path.name for path in folder.folder.iterdir()] == ["a.ply"]
 
 
-def test_store_that_cannot_be_read_is_told(folder: MapFolder) -> None:
+def test_store_that_cannot_be_read_is_reported(folder: MapFolder) -> None:
     def unreadable() -> SonarMap:
         raise StoreError("the disk is gone", "io_error")
 

@@ -43,7 +43,7 @@ def test_any_map_is_a_picture(centres: np.ndarray, resolution_m: float) -> None:
     assert height > 700
 
 
-def test_missing_matplotlib_is_told_with_the_extra() -> None:
+def test_missing_matplotlib_is_reported_with_the_extra() -> None:
     assert "mapperd[topside]" in picture.MISSING
 
 

@@ -130,7 +130,7 @@ def test_map_that_a_cloud_cannot_hold_is_refused(saved: Saved) -> None:
 @pytest.mark.parametrize(
     ("name", "library", "extra"), [("a.laz", "laspy", "las"), ("a.tif", "tifffile", "geo")]
 )
-def test_library_that_is_missing_is_told_by_its_extra(
+def test_library_that_is_missing_is_reported_by_its_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, library: str, extra: str
 ) -> None:
     monkeypatch.setitem(sys.modules, library, None)
@@ -139,7 +139,7 @@ def test_library_that_is_missing_is_told_by_its_extra(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_packer_that_is_missing_is_told_by_its_extra(
+def test_packer_that_is_missing_is_reported_by_its_extra(
     sonar_map: SonarMap, saved: Saved, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(laspy.LazBackend, "is_available", lambda _: False)
@@ -157,7 +157,7 @@ def test_packer_that_is_missing_is_told_by_its_extra(
         ("a.ply", KIEL, None),
     ],
 )
-def test_saving_says_the_system(
+def test_saving_reports_the_system(
     sonar_map: SonarMap, tmp_path: Path, name: str, origin: Origin | None, crs: str | None
 ) -> None:
     assert crs_of(Path(name), origin) == crs

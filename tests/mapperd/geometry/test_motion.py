@@ -53,10 +53,10 @@ def middle(sonar_map: SonarMap) -> NDArray[np.float64]:
 def shift_by(motion: PingMotion, mapping: MappingConfig) -> NDArray[np.float64]:
     """How far a wall at 27 m comes to lie from where a sonar at rest puts it."""
     middles = []
-    for told in (None, motion):
+    for reported in (None, motion):
         config = msgspec.structs.replace(FORWARD, mapping=mapping, octree=OctreeConfig(0.1))
         sonar_map = SonarMap(config)
-        sonar_map.integrate(wall_echo(134), np.eye(4), told)
+        sonar_map.integrate(wall_echo(134), np.eye(4), reported)
         middles.append(middle(sonar_map))
     return middles[1] - middles[0]
 

@@ -41,7 +41,7 @@ def test_threshold_is_the_first_intensity_of_robots() -> None:
     assert len(find_robots(image, BEARINGS, 0.1, ROBOTS)) == 1
 
 
-def test_groups_touch_at_corners_and_small_ones_are_none() -> None:
+def test_groups_touch_at_corners_and_small_ones_are_invalid() -> None:
     image = water()
     for k in range(4):
         image[10 + k, 10 + k] = 200
@@ -117,7 +117,7 @@ def test_clock_set_back_leaves_no_sighting_for_ever() -> None:
     assert sightings.since(0, 10) == []
 
 
-def test_memory_is_bounded_and_says_what_it_lost() -> None:
+def test_memory_is_bounded_and_reports_what_it_lost() -> None:
     sightings = Sightings()
     sightings.add(sighting(k * 1e-3) for k in range(MAX_SIGHTINGS + 10))
     assert len(sightings.since(round(4e9), 10)) == MAX_SIGHTINGS

@@ -29,7 +29,7 @@ def known(path: str = "/maps/tank.yaml") -> KnownMap:
 
 
 def facts(elsewhere: float | None = 0.0, *, std: float = 0.1, **more: Any) -> LocalizationFacts:
-    """What there is with a belief of which so much lies elsewhere; None is none yet."""
+    """A status whose belief has this share elsewhere; None has no belief yet."""
     best = gaussian(std=std)
     belief = None
     if elsewhere is not None:

@@ -39,7 +39,7 @@ def room() -> GridMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Dive:
-    """Poses (N, 3) of x, y, yaw: where the vehicle was, and where its odometry says."""
+    """Poses (N, 3) of x, y, yaw: true and by odometry."""
 
     truth: Floats
     odometry: Floats
@@ -104,7 +104,7 @@ def events(grid: GridMap, track: Dive) -> list[tuple[str, bytes, float]]:
 
 def settings(map_path: Path | str, **ours: object) -> str:
     """YAML of a vehicle that knows where it begins."""
-    told = "".join(f", {name}: {value}" for name, value in ours.items())
+    reported = "".join(f", {name}: {value}" for name, value in ours.items())
     return (
         "octree: {voxel_resolution: 0.1}\nmounting: {orientation: {pitch: 0}}\n"
         "sonar: {vertical_aperture: 4}\n"
@@ -114,7 +114,7 @@ def settings(map_path: Path | str, **ours: object) -> str:
         "  odom_alpha1: 0.02, odom_alpha2: 0.02, odom_alpha3: 0.02, odom_alpha4: 0.02,\n"
         "  recovery_alpha_slow: 0, recovery_alpha_fast: 0,\n"
         "  laser_sigma_hit: 0.1, laser_max_range: 8.0}\n"
-        f"localization: {{mode: track, map_path: '{map_path}'{told}}}\n"
+        f"localization: {{mode: track, map_path: '{map_path}'{reported}}}\n"
     )
 
 

@@ -1,4 +1,4 @@
-"""What the particles say together: the weight that the best cluster does not explain."""
+"""The belief: weight that the best cluster does not explain."""
 
 import math
 
@@ -38,9 +38,9 @@ def test_weight_a_metre_off_a_narrow_mode_is_elsewhere() -> None:
 
 
 def test_a_gaussian_s_heading_is_wrapped_and_its_rounding_mended() -> None:
-    told = PlanarGaussian(1, 2, 4.0, np.diag([1.0, -1e-17, 2.0]))
-    assert told.yaw_rad == pytest.approx(4.0 - math.tau)
-    assert np.linalg.eigvalsh(told.covariance)[0] >= 0.0
+    reported = PlanarGaussian(1, 2, 4.0, np.diag([1.0, -1e-17, 2.0]))
+    assert reported.yaw_rad == pytest.approx(4.0 - math.tau)
+    assert np.linalg.eigvalsh(reported.covariance)[0] >= 0.0
 
 
 @pytest.mark.parametrize("wrong", [math.nan, math.inf])

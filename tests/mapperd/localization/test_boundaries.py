@@ -65,7 +65,7 @@ def test_distances_are_to_the_front(tmp_path: Path, only: bool, behind_m: float)
     assert known.map.distances_m[row - 2, 10, 10] == 0.0
 
 
-def test_map_is_told_by_what_the_file_holds(tmp_path: Path) -> None:
+def test_map_is_reported_by_what_the_file_holds(tmp_path: Path) -> None:
     config = config_of(boundaries_only=False)
     walled(config).save(tmp_path / "wall.map")
     path = tmp_path / "wall.map"

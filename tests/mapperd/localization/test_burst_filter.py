@@ -55,7 +55,7 @@ def test_returns_out_of_open_water_are_unexplained_and_missing_ones_are_no_retur
     assert shares(half, half)[1] == 0
 
 
-def test_of_few_returns_nothing_is_said() -> None:
+def test_of_few_returns_nothing_is_reported() -> None:
     few = np.full(121, np.nan)
     few[:10] = 3.0
     assert shares(WALL, few)[1] == 0

@@ -1,6 +1,6 @@
-"""Whether the filter's covariance tells its error: NEES over seeded runs.
+"""Consistency of the filter's covariance: NEES over seeded runs.
 
-NEES is e' P^-1 e of the error e and the covariance P; of three numbers told truly its mean is 3.
+NEES is e' P^-1 e of the error e and the covariance P; of three consistent numbers its mean is 3.
 Beams of a multibeam sonar overlap: neighbours hear one echo, and are wrong together. To a log
 product each is a witness of its own, so that it is too sure; tempering takes that back.
 """
@@ -82,9 +82,9 @@ def nees_of_run(seed: int, kappa: float) -> float:
     particles = ParticleFilter(filter_rule(1000, 1000), seed)
     particles.start_about(truth + random.normal(0.0, sigma), np.diag(sigma**2))
     for _ in range(STEPS):
-        told = np.array(STEP)
-        truth = moved(truth, told + random.normal(0.0, 1.0, 3) * (0.03, 0.03, 0.007))
-        before, odom = odom, moved(odom, told)
+        reported = np.array(STEP)
+        truth = moved(truth, reported + random.normal(0.0, 1.0, 3) * (0.03, 0.03, 0.007))
+        before, odom = odom, moved(odom, reported)
         particles.predict(before, odom, "omnidirectional_drive", ALPHAS)
         particles.weigh_field(FIELD, scan_at(truth, random), "product", kappa)
         estimate = particles.estimate()

@@ -1,4 +1,4 @@
-"""Pings are mapped where localization says: nearer the truth, again to the bit, after kills too."""
+"""Pings mapped at localized poses: closer to the truth, bit-exact in replay and after kills."""
 
 import math
 from collections.abc import Callable
@@ -62,11 +62,13 @@ def test_corrected_pings_lie_nearer_the_truth(tmp_path: Path, recording: Path, r
         ran = run(recording, config=written(tmp_path, mapping=mapping))
         assert ran.code == 0, ran.said
         shares[mapping] = share_in_place(tmp_path, ran.out)
-        told = ran.summary["localization"]
-        assert told["state"] == "localizing"
-        assert told["updates"] > 100
+        reported = ran.summary["localization"]
+        assert reported["state"] == "localizing"
+        assert reported["updates"] > 100
         truth = dive().truth[-1]
-        assert math.hypot(told["pose"]["x_m"] - truth[0], told["pose"]["y_m"] - truth[1]) < 0.3
+        assert (
+            math.hypot(reported["pose"]["x_m"] - truth[0], reported["pose"]["y_m"] - truth[1]) < 0.3
+        )
     assert shares["corrected"] > 0.8
     assert shares["odometry"] < 0.65
 
@@ -93,7 +95,7 @@ def test_pings_before_the_first_belief_are_held_out(
 
 
 @pytest.mark.parametrize("bound", ["mapping_max_std", "mapping_max_std_yaw"])
-def test_unsure_estimate_is_none_to_map_by(
+def test_unsure_estimate_is_invalid_to_map_by(
     bound: str, tmp_path: Path, recording: Path, run: Runs
 ) -> None:
     ran = run(recording, config=written(tmp_path, mapping="corrected", **{bound: 0.001}))

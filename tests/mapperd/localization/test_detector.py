@@ -47,7 +47,7 @@ def test_nothing_is_looked_for_outside_the_limits(make_echo: Any) -> None:
     assert np.isnan(found(echo, least_m=50.0, most_m=60.0).range_m).all()
 
 
-def test_an_echo_shorter_than_the_run_is_none(make_echo: Any) -> None:
+def test_an_echo_shorter_than_the_run_is_invalid(make_echo: Any) -> None:
     echo = make_echo((5.0, 100, 0, 127))
     image = echo.intensity.copy()
     image[251:256] = 2.0

@@ -24,11 +24,11 @@ def test_levels_are_strict() -> None:
 def test_any_of_the_three_warns_and_is_named(which: int) -> None:
     variances = [0.01] * 3
     variances[which] = 0.09
-    told = diagnose(estimate(*variances), AmclConfig())
+    reported = diagnose(estimate(*variances), AmclConfig())
     name = ("std_x", "std_y", "std_yaw")[which]
-    assert told.level == "WARN"
-    assert told.text == f"{name} 0.3 above 0.2"
-    assert [one.value for one in told.deviations] == pytest.approx(np.sqrt(variances))
+    assert reported.level == "WARN"
+    assert reported.text == f"{name} 0.3 above 0.2"
+    assert [one.value for one in reported.deviations] == pytest.approx(np.sqrt(variances))
 
 
 def test_no_number_is_too_large() -> None:
@@ -36,7 +36,7 @@ def test_no_number_is_too_large() -> None:
     assert Deviation("std_yaw", np.inf, 0.2).is_too_large
 
 
-def test_weights_that_do_not_sum_to_1_are_told_for_the_model_in_use() -> None:
+def test_weights_that_do_not_sum_to_1_are_reported_for_the_model_in_use() -> None:
     assert weight_warning(AmclConfig()) is None
     assert weight_warning(AmclConfig(laser_model_type="beam")) == (
         "amcl: laser_z_hit + laser_z_rand + laser_z_max + laser_z_short is 1.1, not 1"

@@ -1,4 +1,4 @@
-"""What changes in localization is said once."""
+"""Changes of localization are reported once."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from mapperd.localization.status import LocalizationFacts
 from tests.mapperd.localization.believed import facts, known
 
 
-def told(*all_facts: LocalizationFacts) -> list[tuple[str, str]]:
+def reported(*all_facts: LocalizationFacts) -> list[tuple[str, str]]:
     events = EventLog(lambda: 0)
     watch = LocalizationWatch(events)
     for one in all_facts:
@@ -16,8 +16,8 @@ def told(*all_facts: LocalizationFacts) -> list[tuple[str, str]]:
     return [(event.code, str(event.severity)) for event in events.since(0)[0]]
 
 
-def test_a_dive_is_told_in_order() -> None:
-    assert told(
+def test_a_dive_is_reported_in_order() -> None:
+    assert reported(
         facts(None, known=None),
         facts(None),
         facts(0.6),
@@ -36,9 +36,9 @@ def test_a_dive_is_told_in_order() -> None:
     ]
 
 
-def test_another_map_and_a_level_are_told() -> None:
+def test_another_map_and_a_level_are_reported() -> None:
     first, other = known("/maps/a.yaml"), known("/maps/b.yaml")
-    assert told(
+    assert reported(
         facts(0.0, known=first),
         facts(0.0, known=other),
         facts(0.0, known=other, std=0.5),
@@ -53,7 +53,7 @@ def test_another_map_and_a_level_are_told() -> None:
     ]
 
 
-def test_text_says_what_and_where() -> None:
+def test_text_reports_what_and_where() -> None:
     events = EventLog(lambda: 0)
     LocalizationWatch(events).told(facts(0.7, std=0.5))
     texts = [event.text for event in events.since(0)[0]]

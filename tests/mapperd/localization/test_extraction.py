@@ -55,7 +55,7 @@ def test_limits_are_the_narrowest_of_the_settings(make_echo: Any) -> None:
     assert (len(near), near.max_range_m) == (0, 5)
 
 
-def test_a_surface_that_rises_beyond_the_largest_range_is_none(make_echo: Any) -> None:
+def test_a_surface_that_rises_beyond_the_largest_range_is_invalid(make_echo: Any) -> None:
     echo = make_echo()
     image = echo.intensity.copy()
     image[246:250] += 40

@@ -23,7 +23,7 @@ def test_no_fit_is_no_hit(fit: float) -> None:
     assert hit_share(fit, HIT, FAR_M) == 0.0
 
 
-def test_few_bad_scans_are_none_and_many_are() -> None:
+def test_few_bad_scans_are_invalid_and_many_are() -> None:
     watch = FitWatch()
     assert watch.fits(0.4)
     for _ in range(20):

@@ -84,11 +84,11 @@ def cloud_at(x: float, spread_m: float = 0.01) -> ParticleFilter:
 def test_odds_follow_bayes_and_fade() -> None:
     rival = AlternativeHypothesis(cloud_at(0))
     assert rival.share == pytest.approx(1e-3, rel=2e-3)
-    told = rival.weighed(0.6, 0.2, 6.0)
-    assert told.log_odds == pytest.approx((1 - FADE) * LONG_ODDS + 6.0 * math.log(3.0))
+    reported = rival.weighed(0.6, 0.2, 6.0)
+    assert reported.log_odds == pytest.approx((1 - FADE) * LONG_ODDS + 6.0 * math.log(3.0))
     assert rival.weighed(0.0, 0.2, 6.0) == rival.weighed(0.2, 0.0, 6.0) == rival
     assert not rival.leads
-    assert told.weighed(0.6, 0.2, 6.0).leads
+    assert reported.weighed(0.6, 0.2, 6.0).leads
     assert rival.weighed(1e-300, 1.0, 1e6).share < 1e-20
 
 
@@ -115,7 +115,7 @@ def test_clouds_that_head_along_pi_are_at_the_same_place() -> None:
     assert same_place(*clouds)
 
 
-def test_vehicle_that_is_carried_off_says_so_and_is_found_again() -> None:
+def test_vehicle_that_is_carried_off_is_reported_and_is_found_again() -> None:
     particles = MapFilter(profile())
     particles.take_map(room())
     there = path(90)
@@ -130,7 +130,7 @@ def test_vehicle_that_is_carried_off_says_so_and_is_found_again() -> None:
     assert not found[-1].ambiguous
 
 
-def test_without_rivals_it_stays_lost_and_says_so() -> None:
+def test_without_rivals_it_stays_lost_and_is_reported() -> None:
     particles = MapFilter(profile("rival_interval: 0"))
     particles.take_map(room())
     there = path(60)
@@ -141,7 +141,7 @@ def test_without_rivals_it_stays_lost_and_says_so() -> None:
     assert found[-1].ambiguous
 
 
-def test_model_that_tells_no_hits_keeps_no_verdict_of_one_that_did() -> None:
+def test_model_that_reports_no_hits_keeps_no_verdict_of_one_that_did() -> None:
     particles = MapFilter(profile("rival_interval: 1"))
     particles.take_map(room())
     there = path(40)
@@ -197,7 +197,7 @@ def test_odometry_that_is_no_number_neither_moves_nor_counts() -> None:
     assert off_m(found[-1], there[-1]) < 0.15
 
 
-def test_cloud_that_found_itself_by_few_beams_is_not_drawn_anew() -> None:
+def test_cloud_that_found_itself_by_few_beams_is_not_drawn_again() -> None:
     particles = MapFilter(profile())
     particles.take_map(room())
     particles.start_anywhere()

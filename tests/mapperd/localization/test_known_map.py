@@ -22,9 +22,9 @@ HEIGHTS_M = (-3.75, -3.25, -2.75, -2.25)
 
 
 def config_of(**ours: object) -> Config:
-    told = ", ".join(f"{name}: {value}" for name, value in ours.items())
+    reported = ", ".join(f"{name}: {value}" for name, value in ours.items())
     return config_from_text(
-        f"octree: {{voxel_resolution: {VOXEL_M}}}\nlocalization: {{mode: track, {told}}}\n"
+        f"octree: {{voxel_resolution: {VOXEL_M}}}\nlocalization: {{mode: track, {reported}}}\n"
     )
 
 
@@ -67,7 +67,7 @@ def test_3d_map_has_all_heights_and_free_cells_where_the_vehicle_drives(
     assert (known.grid.occupancy == OCCUPIED).sum() == 80 - 48
 
 
-def test_band_of_the_settings_says_where_the_vehicle_drives(tmp_path: Path) -> None:
+def test_band_of_the_settings_reports_where_the_vehicle_drives(tmp_path: Path) -> None:
     basin(config_of()).save(tmp_path / "basin.map")
     known = load_known_map(tmp_path / "basin.map", config_of(band_low=-2.5, band_high=-2.0))
     assert (known.grid.occupancy == FREE).sum() == 4 * 6  # the narrow layer
@@ -101,7 +101,7 @@ def test_what_is_too_large_is_refused_before_it_is_made(
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "said"),
+    ("name", "content", "stated"),
     [
         ("none.map", None, "there is no such file"),
         ("bad.map", b"nothing", "bad.map"),
@@ -112,11 +112,11 @@ def test_what_is_too_large_is_refused_before_it_is_made(
     ],
 )
 def test_what_is_no_map_is_one_clear_message(
-    tmp_path: Path, name: str, content: bytes | None, said: str
+    tmp_path: Path, name: str, content: bytes | None, stated: str
 ) -> None:
     if content is not None:
         (tmp_path / name).write_bytes(content)
-    with pytest.raises(MapError, match=said) as caught:
+    with pytest.raises(MapError, match=stated) as caught:
         load_known_map(tmp_path / name, config_of())
     assert "\n" not in str(caught.value)
 

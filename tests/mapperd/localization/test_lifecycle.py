@@ -86,7 +86,7 @@ def test_pose_of_the_settings_begins_where_nothing_is_known() -> None:
         ({"set_initial_pose": True, "always_reset_initial_pose": True}, 7.0),
     ],
 )
-def test_new_map_begins_at_the_last_estimate_or_anew(changes: dict[str, bool], x: float) -> None:
+def test_new_map_begins_at_the_last_estimate_or_again(changes: dict[str, bool], x: float) -> None:
     life = running().estimated(pose(3))
     _, start = done(life.take_map(OTHER, AmclConfig(initial_pose_x=7.0, **changes)))  # type: ignore[arg-type]
     assert start.new_map

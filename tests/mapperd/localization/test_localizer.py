@@ -20,7 +20,7 @@ TRACK = config_from_text("localization: {mode: track}")
 
 
 class Particles:
-    """Says what it was asked, and estimates where it was last told to be, plus what was driven."""
+    """Records its calls; estimates the pose it was last given plus the motion since."""
 
     def __init__(self) -> None:
         self.asked: list[str] = []

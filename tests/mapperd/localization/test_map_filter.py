@@ -187,7 +187,7 @@ def test_noise_floors_grow_with_the_root_of_time() -> None:
 
 
 def test_log_product_is_tempered() -> None:
-    told = []
+    reported = []
     for tempering in (1.0, 0.2):
         model = "amcl: {laser_model_type: likelihood_field_prob}"
         text = f"{{{model}, localization: {{tempering: {tempering}}}}}"
@@ -196,8 +196,8 @@ def test_log_product_is_tempered() -> None:
         particles.start_at(PlanarGaussian(4, 3, 0.3, np.zeros((3, 3))))
         particles.update(AT_REST, AT_REST, scan_from((4.0, 3.0, 0.3)), -2.0)
         assert particles.weighed is not None
-        told.append(particles.weighed.log_evidence)
-    assert told[1] == pytest.approx(0.2 * told[0], rel=1e-9)
+        reported.append(particles.weighed.log_evidence)
+    assert reported[1] == pytest.approx(0.2 * reported[0], rel=1e-9)
 
 
 def test_settings_are_taken_whole_and_keep_the_particles() -> None:

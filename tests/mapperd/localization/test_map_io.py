@@ -61,7 +61,7 @@ def test_scale_has_percents_between_the_thresholds(tmp_path: Path) -> None:
     assert found[1] == [0, 0, expected[3], 100, expected[5]]
 
 
-def test_raw_is_the_cell_whatever_else_is_said(tmp_path: Path) -> None:
+def test_raw_is_the_cell_whatever_else_is_reported(tmp_path: Path) -> None:
     text = YAML.replace("negate: 0", "negate: 1") + "mode: raw\n"
     assert cells(tmp_path, text) == [[0, 89, 90, -1, -1], [-1, -1, 100, 50, -1]]
 
@@ -89,7 +89,7 @@ def test_raw_is_the_cell_whatever_else_is_said(tmp_path: Path) -> None:
         ("# " + 70_000 * "x", "larger than"),
     ],
 )
-def test_files_that_are_no_map_are_told_why(tmp_path: Path, text: str, words: str) -> None:
+def test_files_that_are_no_map_are_reported_why(tmp_path: Path, text: str, words: str) -> None:
     with pytest.raises(MapError, match=words) as caught:
         read_nav2_map(written(tmp_path, text))
     assert caught.value.reason == "bad_map_file"
@@ -110,7 +110,7 @@ def test_files_that_are_no_map_are_told_why(tmp_path: Path, text: str, words: st
         (b"P5\n2 1\n10\n\x0a\x0b", "above its brightest"),
     ],
 )
-def test_images_that_are_none_are_told_why(tmp_path: Path, image: bytes, words: str) -> None:
+def test_images_that_are_invalid_are_reported_why(tmp_path: Path, image: bytes, words: str) -> None:
     with pytest.raises(MapError, match=words):
         read_nav2_map(written(tmp_path, image=image))
 

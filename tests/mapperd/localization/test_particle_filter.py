@@ -1,4 +1,4 @@
-"""What the particle filter says of a scan, and what it refuses."""
+"""Results of the particle filter for a scan, and what it refuses."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def test_fit_does_not_depend_on_the_tempering() -> None:
 
 
 @pytest.mark.parametrize("kappa", [0.0, -0.1, 1.1, np.nan])
-def test_tempering_that_is_none_is_refused(kappa: float) -> None:
+def test_tempering_that_is_invalid_is_refused(kappa: float) -> None:
     particles = one_particle()
     with pytest.raises(ValueError, match="tempering"):
         particles.weigh_field(FIELD, ENDS, "product", kappa)

@@ -1,4 +1,4 @@
-"""What localization says of itself, in plain values."""
+"""The report of localization in plain values."""
 
 import json
 import math
@@ -20,36 +20,36 @@ CONFIG = config_of({"localization": {"mode": "global"}}, "")
     [(0.0, "localized"), (0.1, "localized"), (0.11, "ambiguous"), (0.5, "ambiguous"),
      (0.51, "lost"), (None, "waiting for a map")],
 )  # fmt: skip
-def test_state_says_how_far_it_can_be_trusted(elsewhere: float | None, state: str) -> None:
+def test_state_reports_how_far_it_can_be_trusted(elsewhere: float | None, state: str) -> None:
     assert state_of(facts(elsewhere, state="waiting for a map")) == state
 
 
 def test_report_has_all_there_is() -> None:
-    said = localization_report(facts(0.2), CONFIG, 50)
-    assert json.loads(json.dumps(said)) == said  # plain values alone
-    assert (said["mode"], said["state"], said["map"]) == ("global", "ambiguous", "tank.yaml")
-    pose = said["pose"]
+    stated = localization_report(facts(0.2), CONFIG, 50)
+    assert json.loads(json.dumps(stated)) == stated  # plain values alone
+    assert (stated["mode"], stated["state"], stated["map"]) == ("global", "ambiguous", "tank.yaml")
+    pose = stated["pose"]
     assert pose["t_s"] == STAMP_NS / 1e9
     assert (pose["x_m"], pose["y_m"], pose["yaw_rad"]) == (1.0, 2.0, 0.5)
     assert (pose["frame"], pose["child_frame"]) == ("map", "base_footprint")
     assert np.diag(pose["covariance"]) == pytest.approx([0.01, 0.04, 0.0001])
-    assert said["overall"]["x_m"] == 1.5
-    assert said["clusters"][0]["mass"] == 0.8
-    assert (said["std_y_m"], said["yaw_deg"]) == pytest.approx((0.2, math.degrees(0.5)))
-    assert (said["ambiguous"], said["elsewhere"], said["particles"]) == (True, 0.2, 5000)
-    moved = said["map_odom"]
+    assert stated["overall"]["x_m"] == 1.5
+    assert stated["clusters"][0]["mass"] == 0.8
+    assert (stated["std_y_m"], stated["yaw_deg"]) == pytest.approx((0.2, math.degrees(0.5)))
+    assert (stated["ambiguous"], stated["elsewhere"], stated["particles"]) == (True, 0.2, 5000)
+    moved = stated["map_odom"]
     assert moved["t_s"] == STAMP_NS / 1e9 + 1
     assert moved["position_m"] == [3.0, -4.0, 0.0]
     assert moved["orientation_wxyz"] == pytest.approx([math.sqrt(0.5), 0, 0, math.sqrt(0.5)])
     assert (moved["frame"], moved["child_frame"]) == ("map", "odom")
-    assert said["diagnostics"]["std_y"] == {"value": 0.2, "warn_level": 0.2, "level": "OK"}
-    assert said["counts"] == {"moved": 3, "no_filter": 1}
+    assert stated["diagnostics"]["std_y"] == {"value": 0.2, "warn_level": 0.2, "level": "OK"}
+    assert stated["counts"] == {"moved": 3, "no_filter": 1}
 
 
 def test_before_a_belief_nothing_is_made_up() -> None:
-    said = localization_report(facts(None, transform=None, known=None), CONFIG, 0)
-    assert said["pose"] is said["overall"] is said["map_odom"] is said["t_s"] is None
-    assert (said["clusters"], said["sample"], said["map"]) == ([], [], "")
+    stated = localization_report(facts(None, transform=None, known=None), CONFIG, 0)
+    assert stated["pose"] is stated["overall"] is stated["map_odom"] is stated["t_s"] is None
+    assert (stated["clusters"], stated["sample"], stated["map"]) == ([], [], "")
     assert localization_report(None, CONFIG, 9) == {"mode": "global", "state": "off"}
     assert localization_summary(None, CONFIG) is None
 
@@ -59,9 +59,13 @@ def test_sample_is_bounded(most: int, count: int) -> None:
     assert len(localization_report(facts(), CONFIG, most)["sample"]) == count
 
 
-def test_a_level_that_is_passed_is_said() -> None:
-    said = localization_report(facts(std=0.15), CONFIG, 0)["diagnostics"]
-    assert (said["level"], said["std_x"]["level"], said["std_y"]["level"]) == ("WARN", "OK", "WARN")
+def test_a_level_that_is_passed_is_reported() -> None:
+    stated = localization_report(facts(std=0.15), CONFIG, 0)["diagnostics"]
+    assert (stated["level"], stated["std_x"]["level"], stated["std_y"]["level"]) == (
+        "WARN",
+        "OK",
+        "WARN",
+    )
 
 
 def test_clusters_have_their_own_means() -> None:

@@ -54,7 +54,7 @@ def broken(**changes: Any) -> str:
         (broken(frame="m" * 5000), "no saved pose"),
     ],
 )
-def test_damaged_files_are_told_and_not_believed(tmp_path: Path, text: str, words: str) -> None:
+def test_damaged_files_are_reported_and_not_believed(tmp_path: Path, text: str, words: str) -> None:
     path = tmp_path / "pose.json"
     path.write_text(text)
     with pytest.raises(MapError, match=words) as caught:

@@ -56,7 +56,7 @@ def near(poses: NDArray[np.float64]) -> float:
     return float(np.mean((off < (0.4, 0.4, 0.2)).all(axis=1)))
 
 
-def test_scan_says_where_to_look() -> None:
+def test_scan_reports_where_to_look() -> None:
     """Blindly a 500th of the cloud is near the truth, by the scan ten times as much."""
     free, field, ends = ends_of(room())
     blind, drawn = ParticleFilter(rule(), 3), ParticleFilter(rule(), 3)
@@ -94,7 +94,7 @@ def test_search_needs_as_many_poses_as_particles() -> None:
 
 
 def test_search_without_a_surface_in_sight_keeps_all_poses() -> None:
-    """A scan that says nothing, and one of no beams, leave the cloud spread."""
+    """Uninformative scans and scans without beams leave the cloud spread."""
     known = GridMap(np.zeros((60, 80), np.int8), 0.1)
     free, field, _ = ends_of(known)
     for ends in (ends_of(room())[2], Endpoints(np.empty((0, 1, 2)), np.empty(0))):
@@ -109,8 +109,8 @@ def test_search_without_a_surface_in_sight_keeps_all_poses() -> None:
 def test_sparse_cloud_keeps_its_share_of_the_effective_size(share: float) -> None:
     particles = ParticleFilter(rule(share=share), 3)
     particles.start_with(np.random.default_rng(1).normal(size=(2000, 3)))
-    told = -50.0 * np.random.default_rng(2).uniform(size=2000)
-    weighed = particles.weigh(told, 60)
+    reported = -50.0 * np.random.default_rng(2).uniform(size=2000)
+    weighed = particles.weigh(reported, 60)
     size = particles.effective_size()
     if share == 0.0:
         assert weighed.exponent == 1.0
@@ -118,18 +118,18 @@ def test_sparse_cloud_keeps_its_share_of_the_effective_size(share: float) -> Non
         return
     assert share * 2000 <= size < 1.1 * share * 2000
     assert particles.log_weights - particles.log_weights.max() == pytest.approx(
-        weighed.exponent * (told - told.max())
+        weighed.exponent * (reported - reported.max())
     )
-    assert weighed.log_evidence == pytest.approx(math.log(np.exp(told).mean()))
+    assert weighed.log_evidence == pytest.approx(math.log(np.exp(reported).mean()))
 
 
 def test_scan_that_a_cloud_can_bear_counts_in_full() -> None:
     particles = ParticleFilter(rule(share=0.3), 3)
     particles.start_with(np.zeros((2000, 3)))
-    told = np.random.default_rng(2).uniform(-1, 0, 2000)
-    assert particles.weigh(told, 60).exponent == 1.0
-    told[5] = np.nan
-    assert particles.weigh(told, 60).exponent == 1.0
+    reported = np.random.default_rng(2).uniform(-1, 0, 2000)
+    assert particles.weigh(reported, 60).exponent == 1.0
+    reported[5] = np.nan
+    assert particles.weigh(reported, 60).exponent == 1.0
     assert np.isfinite(particles.poses).all()
 
 

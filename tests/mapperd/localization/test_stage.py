@@ -1,4 +1,4 @@
-"""Each ping with a pose passes here: what is localized, what is mapped where, what is told."""
+"""The localization stage: what is localized, at which pose pings are mapped, what is reported."""
 
 import dataclasses
 import math
@@ -92,7 +92,7 @@ def test_scan_without_an_update_is_mapped_by_the_last_correction(
     after = onboard.facts()
     assert after.updates == before.updates
     assert after.counts["still"] == 1
-    assert after.particles is before.particles  # drawn anew only where something has changed
+    assert after.particles is before.particles  # resampled only after a change
     assert isinstance(where, FusedPose)
     assert before.pose is not None
     moved = where.pose.position_m - before.pose.position_m
@@ -262,7 +262,7 @@ def test_restored_one_tries_the_same_rival(config: Config, heard: list[Ping]) ->
 
 
 def test_all_that_a_filter_knows_is_in_its_state(config: Config) -> None:
-    """Whoever adds to the filter adds to its state, or says here why a restart need not know it."""
+    """Each attribute of the filter is in its state, or listed here with the reason why not."""
     given, to_look_at = {"_config", "_map"}, {"weighed"}
     held = {"_particles", "_stamp_ns", "watch", "rival", "rivals", "_blind", "_alone_m"}
     assert set(vars(MapFilter(config))) - given - to_look_at == held

@@ -61,7 +61,7 @@ def test_a_hovering_vehicle_has_its_updates_in_time() -> None:
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_odometry_that_is_none_leaves_the_gate(bad: float) -> None:
+def test_odometry_that_is_invalid_leaves_the_gate(bad: float) -> None:
     gate, _ = UpdateGate().decide(PlanarPose(0, 0, 0), 0, AMCL)
     after, decision = gate.force().decide(PlanarPose(bad, 0, 0), 1, AMCL)
     assert decision.reason == "bad_odometry"

@@ -1,4 +1,4 @@
-"""A prepared map under other settings: what is made anew, and what is not."""
+"""A prepared map under other settings: what is rebuilt, and what is not."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def cloud(weighing: MapWeighing) -> NDArray[np.float64]:
     [changed("localization", search_sigma=1.0), changed("amcl", laser_sigma_hit=0.4)],
     ids=["search", "hit"],
 )
-def test_settings_that_shape_fields_make_them_anew(other: Config) -> None:
+def test_settings_that_shape_fields_make_them_again(other: Config) -> None:
     """As if the map had been prepared by them from the beginning."""
     before = MapWeighing(room(), profile())
     after = before.with_settings(other)
@@ -71,7 +71,7 @@ def test_scans_that_the_settings_thin_are_searched_by() -> None:
 
 
 def test_returns_are_tried_over_the_height_that_is_heard() -> None:
-    """Two elevations halve the aperture's halves; a wall is as far as its lower one says."""
+    """Two elevations halve the aperture's halves; a wall is as far as in its lower one."""
     settings = structs.replace(
         changed("localization", elevations=2), sonar=SonarConfig(vertical_aperture=50.0)
     )

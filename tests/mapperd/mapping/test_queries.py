@@ -36,7 +36,7 @@ def core() -> _core.VoxelMap:
     return cube_map(1, 3000, 10)
 
 
-def test_points_are_classified_as_the_map_says(core: _core.VoxelMap) -> None:
+def test_points_are_classified_as_the_map_reports(core: _core.VoxelMap) -> None:
     points = np.random.default_rng(2).uniform(-1.3, 1.3, size=(5000, 3))
     log_odds, count = core.query(points)
     expected = np.where(log_odds > OCCUPIED_ABOVE, OCCUPIED, np.where(log_odds < 0, FREE, UNKNOWN))

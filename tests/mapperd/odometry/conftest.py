@@ -1,4 +1,4 @@
-"""A vehicle that drives a known circle, and what its sensors say of it."""
+"""A vehicle that drives a known circle, and its sensors' messages."""
 
 from __future__ import annotations
 

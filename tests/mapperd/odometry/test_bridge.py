@@ -27,13 +27,13 @@ JSON = (
 
 
 def _native() -> list[NativeRecord]:
-    said: dict[str, Any] = {"v": 1, "w": "enu", "b": "flu"}
+    stated: dict[str, Any] = {"v": 1, "w": "enu", "b": "flu"}
     return [
-        NativeRecord(**said, clk="boot", t=10**9, p=(0.0, 0.0, 0.0), q=(1.0, 0.0, 0.0, 0.0)),
-        NativeRecord(**said, clk="boot", t=2**63 - 1, p=(9e6, 0.0, 0.0), q=(0.0, 1.0, 0.0, 0.0)),
-        NativeRecord(**said, clk="arrival", u=(900.0, -900.0, 0.0), r=(0.0, 900.0, 0.0)),
-        NativeRecord(**said, clk="unix", t=T0, q=(1.0, 0.0, 0.0, 0.0), a=(0.0, 0.0, 9.81)),
-        NativeRecord(**said, clk="unix", t=T0, q=(1e-9, 0.0, 0.0, 0.0)),
+        NativeRecord(**stated, clk="boot", t=10**9, p=(0.0, 0.0, 0.0), q=(1.0, 0.0, 0.0, 0.0)),
+        NativeRecord(**stated, clk="boot", t=2**63 - 1, p=(9e6, 0.0, 0.0), q=(0.0, 1.0, 0.0, 0.0)),
+        NativeRecord(**stated, clk="arrival", u=(900.0, -900.0, 0.0), r=(0.0, 900.0, 0.0)),
+        NativeRecord(**stated, clk="unix", t=T0, q=(1.0, 0.0, 0.0, 0.0), a=(0.0, 0.0, 9.81)),
+        NativeRecord(**stated, clk="unix", t=T0, q=(1e-9, 0.0, 0.0, 0.0)),
     ]
 
 

@@ -66,7 +66,7 @@ class Bench:
         self.now_ns += round(seconds * S)
 
     def attitude(self) -> None:
-        """A sensor of attitude elsewhere says: level, facing east."""
+        """Another attitude sensor reports: level, facing east."""
         record = NativeRecord(v=1, clk="arrival", w="enu", b="flu", q=(1.0, 0.0, 0.0, 0.0))
         self.bridge.feed("ahrs", encode_native(record), self.now_ns)
 
@@ -79,7 +79,7 @@ class Bench:
     @staticmethod
     async def until(true: Callable[[], bool]) -> None:
         async with asyncio.timeout(LIMIT_S):
-            while not true():  # noqa: ASYNC110 counters tell nobody
+            while not true():  # noqa: ASYNC110 counters have no event
                 await asyncio.sleep(0.002)
 
     def pose(self, ago_s: float = 0.15) -> FusedPose:
@@ -156,7 +156,7 @@ def test_autopilot_over_udp() -> None:
             check(0.01)
             assert bench.reason(ago_s=8.0) == "odometry_gap"
             before = bench.pose().segment
-            autopilot.boot_ms = 3000  # it is rebooted, and its world begins anew where it is
+            autopilot.boot_ms = 3000  # it is rebooted, and its world restarts where it is
             await drive(send, 20, bench.t_s)
             check(0.15)  # what is lost is the motion of two records
             assert bench.pose().segment > before
@@ -189,13 +189,15 @@ async def callers(port: int) -> Any:
         await asyncio.gather(*(w.wait_closed() for w in writers), return_exceptions=True)
 
 
-async def dvl_drive(bench: Bench, send: Send, say: Callable[[Dvl], bytes], messages: int) -> None:
+async def dvl_drive(
+    bench: Bench, send: Send, message: Callable[[Dvl], bytes], messages: int
+) -> None:
     dvl = Dvl(latency_us=100_000)
     for _ in range(messages):
-        # What is said now was true 100 ms ago.
+        # Messages describe the state 100 ms ago.
         dvl.unix_us = bench.now_ns // 1000 - dvl.latency_us
         bench.attitude()
-        await bench.heard(send, say(dvl))
+        await bench.heard(send, message(dvl))
         bench.wait(STEP_S)
 
 
@@ -213,9 +215,9 @@ def test_dvl_over_tcp_is_reset_and_comes_back() -> None:
 
     async def work() -> None:
         async with callers(port) as calls:
-            say = lambda dvl: dvl.velocity((0.4, 0.0, 0.0))  # noqa: E731 two words
+            message = lambda dvl: dvl.velocity((0.4, 0.0, 0.0))  # noqa: E731 two words
             writer = await calls.get()
-            await dvl_drive(bench, to(writer), say, 20)
+            await dvl_drive(bench, to(writer), message, 20)
             way_m = check_dvl(bench, 0.0, 1.7)
             first = bench.pose(0.35).segment
             await bench.heard(to(writer), Dvl().velocity()[:60])
@@ -223,7 +225,7 @@ def test_dvl_over_tcp_is_reset_and_comes_back() -> None:
             await bench.until(lambda: bench.link.status.losses == 1)
             bench.wait(10.0)
             assert bench.reason() in ("after_odometry", "no_odometry")
-            await dvl_drive(bench, to(await calls.get()), say, 20)
+            await dvl_drive(bench, to(await calls.get()), message, 20)
             check_dvl(bench, way_m, 1.9)
             assert bench.pose(0.35).segment > first  # nobody knows the way in between
             assert bench.bridge.rejects.total() == 0  # the half report spoilt none after it
@@ -252,10 +254,10 @@ def test_dvl_on_a_serial_line_is_unplugged_and_comes_back(
             async def send(data: bytes) -> None:
                 line.send(data)
 
-            say = lambda dvl: dvl.velocity_sentence((0.4, 0.0, 0.0))  # noqa: E731
+            message = lambda dvl: dvl.velocity_sentence((0.4, 0.0, 0.0))  # noqa: E731
             plug.symlink_to(line.path)
             await bench.until(lambda: bench.link.status.opened == 1)
-            await dvl_drive(bench, send, say, 20)
+            await dvl_drive(bench, send, message, 20)
             way_m = check_dvl(bench, 0.0, 1.7)
             plug.unlink()
             line.unplug()
@@ -265,7 +267,7 @@ def test_dvl_on_a_serial_line_is_unplugged_and_comes_back(
             line.plug()
             plug.symlink_to(line.path)
             await bench.until(lambda: bench.link.status.opened == 2)
-            await dvl_drive(bench, send, say, 20)
+            await dvl_drive(bench, send, message, 20)
             check_dvl(bench, way_m, 1.9)
 
     run(bench, work)
@@ -277,7 +279,7 @@ def test_nmea_talker_over_tcp_is_cut_and_comes_back() -> None:
     talker = NmeaTalker()
     minute_m = 1856.94  # one minute of latitude at 60° north, WGS-84
 
-    def said() -> bytes:
+    def stated() -> bytes:
         """North at 0.5 m/s, nose north."""
         seconds = bench.now_ns / S % 60
         talker.time = time.strftime("%H%M", time.gmtime(bench.now_ns // S)) + f"{seconds:05.2f}"
@@ -293,7 +295,7 @@ def test_nmea_talker_over_tcp_is_cut_and_comes_back() -> None:
             for cuts in (1, 2):
                 writer = await calls.get()
                 for _ in range(20):
-                    await bench.heard(to(writer), said())
+                    await bench.heard(to(writer), stated())
                     bench.wait(STEP_S)
                 fused = bench.pose()
                 t_s = bench.t_s - 0.15

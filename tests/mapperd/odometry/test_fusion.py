@@ -53,7 +53,7 @@ def test_each_quantity_comes_from_its_owner(circle: Circle) -> None:
     assert owners == {"position": "ekf", "attitude": "ahrs", "depth": "bar30", "velocity": None}
 
 
-def test_without_configuration_the_first_to_say_it_owns_it(circle: Circle) -> None:
+def test_without_configuration_the_first_to_report_it_owns_it(circle: Circle) -> None:
     fusion = Fusion()
     feed(fusion, "one", 20, 1, lambda t: {"map_q_base": circle.quaternion(t)})
     feed(fusion, "two", 20, 1, lambda t: {"position_m": circle.position_m(t)})
@@ -184,11 +184,11 @@ def test_one_stray_record_is_dropped_and_two_that_agree_are_a_jump(circle: Circl
 def test_a_jump_of_the_estimate_is_no_motion_of_the_vehicle(
     circle: Circle, *, by_counter: bool
 ) -> None:
-    """The source starts anew at zero, facing its own x: the map goes on where it was."""
+    """The source restarts at zero, facing its own x: the map continues where it was."""
     fusion = Fusion()
     jump_s = 8.0  # 92 degrees around
 
-    def says(t: float) -> dict[str, object]:
+    def source_record(t: float) -> dict[str, object]:
         if t < jump_s:
             return {"position_m": circle.position_m(t), "map_q_base": circle.quaternion(t)}
         again = t - jump_s
@@ -198,7 +198,7 @@ def test_a_jump_of_the_estimate_is_no_motion_of_the_vehicle(
             "reset_count": int(by_counter),
         }
 
-    feed(fusion, "ekf", 20, 14, says)
+    feed(fusion, "ekf", 20, 14, source_record)
     fused = fused_at(fusion, 12.0)
     # What is lost is the motion of one or two records, at the velocity that was not reported.
     assert fused.pose.position_m == pytest.approx(circle.position_m(12.0), abs=0.15)
@@ -217,8 +217,10 @@ def test_implausible_speed_and_turn_rate_are_refused(circle: Circle) -> None:
     assert refused == Reject("turns_too_fast", "115 deg/s; at most 90")
 
 
-@pytest.mark.parametrize(("limit_dps", "told"), [(20.0, False), (90.0, True)])
-def test_a_turn_by_attitudes_that_no_vehicle_has_is_none(limit_dps: float, *, told: bool) -> None:
+@pytest.mark.parametrize(("limit_dps", "reported"), [(20.0, False), (90.0, True)])
+def test_a_turn_by_attitudes_that_no_vehicle_has_is_invalid(
+    limit_dps: float, *, reported: bool
+) -> None:
     fusion = Fusion(OdometryFusionConfig(limits=LimitsConfig(max_turn_rate=limit_dps)))
 
     def turning(t_s: float) -> dict[str, np.ndarray]:
@@ -226,7 +228,7 @@ def test_a_turn_by_attitudes_that_no_vehicle_has_is_none(limit_dps: float, *, to
 
     feed(fusion, "ekf", 20, 2, turning)
     rate = fused_at(fusion, 1.0).rate_radps
-    assert (rate is None) != told
+    assert (rate is None) != reported
     assert rate is None or rate == pytest.approx(np.radians([0, 0, 30.0]), abs=1e-6)
 
 
@@ -255,10 +257,10 @@ def test_stamps_of_two_clocks_of_one_sender_are_fitted_apart(circle: Circle) -> 
 
 
 @pytest.mark.parametrize("nothing", [0.0, -1.0])
-def test_a_covariance_that_says_nothing_is_replaced_by_ours(circle: Circle, nothing: float) -> None:
+def test_a_covariance_that_is_silent_is_replaced_by_ours(circle: Circle, nothing: float) -> None:
     fusion = Fusion()
-    told = nothing * np.eye(6)
-    feed(fusion, "ekf", 20, 2, lambda t: {**circle.pose(t), "pose_covariance": told})
+    reported = nothing * np.eye(6)
+    feed(fusion, "ekf", 20, 2, lambda t: {**circle.pose(t), "pose_covariance": reported})
     assert (np.diag(fused_at(fusion, 1.0).covariance) > 0.0).all()
 
 

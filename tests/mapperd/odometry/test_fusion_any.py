@@ -1,4 +1,4 @@
-"""Whatever three sources say, in whatever order: a pose is one, or there is a reason."""
+"""Any records of three sources in any order give a valid pose or a reason."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ fields: st.SearchStrategy[dict[str, Any]] = st.fixed_dictionaries(
         "valid": st.booleans(),
     },
 )
-said = st.tuples(
+stated = st.tuples(
     st.sampled_from(["a", "b", "c"]),
     fields,
     st.sampled_from([0, 1, 20, 20, 20, 100, 100, 700, 5000, -10, -3000]),
@@ -47,16 +47,16 @@ said = st.tuples(
 @pytest.mark.parametrize("policy", ["interpolate", "nearest", "latest"])
 @pytest.mark.parametrize("at_jump", ["continue", "follow"])
 @settings(max_examples=60, deadline=None, derandomize=True)
-@given(story=st.lists(said, max_size=40))
+@given(story=st.lists(stated, max_size=40))
 def test_any_story(policy: Any, at_jump: Any, story: list[tuple[str, dict[str, Any], int]]) -> None:
     fusion = Fusion(
         OdometryFusionConfig(at_jump=at_jump, dead_reckoning=DeadReckoningConfig(max_sec=2.0)),
         TimeSyncConfig(policy=policy),
     )
     t_ns = T0
-    for source, told, step_ms in story:
+    for source, reported, step_ms in story:
         t_ns += step_ms * MS
-        record = Odometry(stamp_ns=0, clock="arrival", **told)
+        record = Odometry(stamp_ns=0, clock="arrival", **reported)
         taken = fusion.take(source, record, t_ns)
         assert taken is None or isinstance(taken, Reject)
         for asked_ns in (t_ns, t_ns - 30 * MS, t_ns + 50 * MS):

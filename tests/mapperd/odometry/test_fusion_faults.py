@@ -33,8 +33,8 @@ def reason_at(fusion: Fusion, t_s: float) -> str:
     return reject.reason
 
 
-def test_motion_is_not_told_by_the_noise_of_neighbours(circle: Circle) -> None:
-    """400 Hz and 1 cm: two neighbours would say 6 m/s, and two attitudes of 0.1° 60°/s."""
+def test_motion_is_not_reported_by_the_noise_of_neighbours(circle: Circle) -> None:
+    """400 Hz and 1 cm: two neighbours would give 6 m/s, and two attitudes of 0.1° 60°/s."""
     fusion, chance = Fusion(), np.random.default_rng(3)
 
     def noisy(t: float) -> dict[str, object]:
@@ -105,7 +105,7 @@ def test_a_ping_waits_for_the_depth_that_encloses_it(circle: Circle) -> None:
 
 
 def test_depth_is_not_tilted_by_levelling() -> None:
-    """An odometry that leans by 10° about y, driving ahead in it: pressure says 3 m throughout."""
+    """An odometry that leans by 10° about y, driving ahead in it: pressure gives 3 m throughout."""
     half = math.radians(-10.0) / 2
     leaning = np.array([math.cos(half), 0.0, math.sin(half), 0.0])  # base as its world has it
     settings = OdometryFusionConfig(
@@ -220,7 +220,7 @@ def test_a_clock_that_is_set_back_costs_some_records_and_no_more(circle: Circle)
 
 
 def test_late_records_do_not_look_like_a_clock_set_back(circle: Circle) -> None:
-    """Every second record is 2 s late, as over a radio: none of them begins anything anew."""
+    """Every second record is 2 s late, as over a radio: none of them restarts anything."""
     fusion = Fusion()
     for k in range(100):
         t_s = 0.1 * k - 2.0 * (k % 2)
@@ -242,12 +242,12 @@ def test_covariances_are_finite_whatever_is_known(circle: Circle, policy: str) -
 
 
 def test_a_sender_whose_clock_is_ahead_is_not_believed(circle: Circle) -> None:
-    """Its stamps come from the future by 0.2 s: the arrivals tell how far its clock is off."""
+    """Its stamps come from the future by 0.2 s: the arrivals give its clock offset."""
     fusion = Fusion()
     for k in range(200):
         t_ns = at_s(0.02 * k)
-        told = Odometry(stamp_ns=t_ns + S // 5, clock="unix", **circle.pose(0.02 * k))
-        fusion.take("ekf", told, t_ns + 3_000_000)
+        reported = Odometry(stamp_ns=t_ns + S // 5, clock="unix", **circle.pose(0.02 * k))
+        fusion.take("ekf", reported, t_ns + 3_000_000)
     fused = fused_at(fusion, 3.0)
     # The 3 ms of the link itself are what no fit can see.
     assert fused.pose.position_m == pytest.approx(circle.position_m(3.0 - 0.003), abs=1e-3)
@@ -291,7 +291,7 @@ def test_dead_reckoning_outlives_a_clock_that_is_set_back(circle: Circle) -> Non
 
 
 def test_a_jump_turns_the_world_of_its_source_and_no_others(circle: Circle) -> None:
-    """The estimate begins anew, facing its own x; the velocity comes from fixes on Earth."""
+    """The estimate restarts, facing its own x; the velocity comes from geographic fixes."""
     fusion = Fusion()
     feed(fusion, "gps", 10, 14, lambda t: {"velocity_map_mps": circle.velocity_map_mps(t)})
     feed(fusion, "ekf", 20, 8, circle.pose)

@@ -13,7 +13,7 @@ def reason(gate: ConfidenceGate, t_s: float) -> str | None:
 
 
 @pytest.mark.parametrize(("mode", "missed"), [("open", None), ("closed", "no_confidence")])
-def test_a_missing_confidence_is_what_the_mode_says(mode: str, missed: str | None) -> None:
+def test_a_missing_confidence_is_what_the_mode_reports(mode: str, missed: str | None) -> None:
     gate = ConfidenceGate(msgspec.structs.replace(SlamQualityConfig(), fail_mode=mode))
     assert reason(gate, 0) is None
     gate.heard(10 * S, None)

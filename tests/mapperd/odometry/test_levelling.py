@@ -62,7 +62,7 @@ def test_a_moving_vehicle_is_refused_and_starts_again() -> None:
 
 
 def test_shaking_about_another_direction_is_no_standing_still() -> None:
-    """Gravity that swings keeps its strength: only its direction tells."""
+    """Swinging gravity keeps its magnitude: only its direction changes."""
     levelling = Levelling(ON)
     level = np.array([1.0, 0.0, 0.0, 0.0])
     for k in range(50):
@@ -106,12 +106,12 @@ def test_native_records_carry_accelerations_in_either_axes(
     assert odometry.specific_force_mps2 == pytest.approx([0, 0, 9.81])
 
 
-def test_the_turn_of_levelling_has_an_exact_inverse_and_is_told() -> None:
+def test_the_turn_of_levelling_has_an_exact_inverse_and_is_reported() -> None:
     levelling = Levelling(msgspec.structs.replace(ON, init_samples=1))
     assert Levelling(WorldInitConfig()).status() is None
     levelling.add(quaternion_to_matrix(rotation_from_rpy(35, -40, 0)).T @ UP, None, np.eye(4)[0])
-    told = levelling.status()
-    assert told is not None
-    assert (told["parent_frame"], told["child_frame"]) == ("world_init", "camera_init")
-    level = quaternion_to_matrix(told["parent_q_child"])
+    reported = levelling.status()
+    assert reported is not None
+    assert (reported["parent_frame"], reported["child_frame"]) == ("world_init", "camera_init")
+    level = quaternion_to_matrix(reported["parent_q_child"])
     assert level @ level.T == pytest.approx(np.eye(3), abs=1e-15)

@@ -34,7 +34,7 @@ def test_a_port_that_only_listens_is_silent_for_ever() -> None:
     assert not link.tick(10_000 * S)
 
 
-def test_pauses_grow_and_begin_anew_once_bytes_came() -> None:
+def test_pauses_grow_and_start_again_once_bytes_came() -> None:
     link = LinkState("x", connects=True)
     assert [link.lost("refused", 0) for _ in range(5)] == [
         S // 2,

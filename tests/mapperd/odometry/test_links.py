@@ -1,4 +1,4 @@
-"""Real sockets and a real pseudo terminal: bytes in, losses told, links opened again."""
+"""Real sockets and a real pseudo terminal: bytes in, losses reported, links reopened."""
 
 import asyncio
 import os
@@ -16,41 +16,41 @@ from mapperd.odometry.links import Link, LinkStatus
 
 pytestmark = pytest.mark.net
 
-Told = list[tuple[str, str]]
+States = list[tuple[str, str]]
 Heard = list[tuple[bytes, bool]]
 
 
 async def until(true: Callable[[], bool]) -> None:
     async with asyncio.timeout(15):
-        while not true():  # noqa: ASYNC110 counters tell nobody
+        while not true():  # noqa: ASYNC110 counters have no event
             await asyncio.sleep(0.005)
 
 
-def run(text: str, work: Callable[[Link, Heard, Told], Awaitable[None]]) -> Told:
+def run(text: str, work: Callable[[Link, Heard, States], Awaitable[None]]) -> States:
     """Run a link while `work` plays its other end; returns every state it went through."""
     heard: Heard = []
-    told: Told = []
+    reported: States = []
 
     def take(data: bytes, arrival_ns: int, *, gap: bool) -> None:
         assert abs(time.monotonic_ns() - arrival_ns) < 10**10
         heard.append((data, gap))
 
-    def tell(name: str, status: LinkStatus) -> None:
+    def report(name: str, status: LinkStatus) -> None:
         assert name == "dvl"
-        told.append((str(status.phase), status.reason))
+        reported.append((str(status.phase), status.reason))
 
     async def both() -> None:
-        link = Link("dvl", parse_address(text), take, time.monotonic_ns, tell)
+        link = Link("dvl", parse_address(text), take, time.monotonic_ns, report)
         task = asyncio.create_task(link.run())
         try:
-            await work(link, heard, told)
+            await work(link, heard, reported)
         finally:
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)
         assert asyncio.all_tasks() == {asyncio.current_task()}
 
     asyncio.run(both())
-    return told
+    return reported
 
 
 def test_datagrams_come_one_by_one() -> None:
@@ -58,7 +58,7 @@ def test_datagrams_come_one_by_one() -> None:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
 
-    async def work(link: Link, heard: Heard, _: Told) -> None:
+    async def work(link: Link, heard: Heard, _: States) -> None:
         await until(lambda: link.status.opened == 1)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
             for data in (b"a", b"", b"bcd"):
@@ -66,8 +66,8 @@ def test_datagrams_come_one_by_one() -> None:
         await until(lambda: len(heard) == 3)
         assert [data for data, _ in heard] == [b"a", b"", b"bcd"]
 
-    told = run(f"udp://127.0.0.1:{port}", work)
-    assert [phase for phase, _ in told] == ["opening", "waiting", "receiving", "closed"]
+    reported = run(f"udp://127.0.0.1:{port}", work)
+    assert [phase for phase, _ in reported] == ["opening", "waiting", "receiving", "closed"]
 
 
 def test_a_sender_that_goes_away_and_comes_back_is_heard_again() -> None:
@@ -75,7 +75,7 @@ def test_a_sender_that_goes_away_and_comes_back_is_heard_again() -> None:
     port = listener.getsockname()[1]
     listener.setblocking(False)  # noqa: FBT003 the socket's own argument
 
-    async def work(link: Link, heard: Heard, told: Told) -> None:
+    async def work(link: Link, heard: Heard, reported: States) -> None:
         loop = asyncio.get_running_loop()
         client, _ = await loop.sock_accept(listener)
         await loop.sock_sendall(client, b"one")
@@ -85,22 +85,22 @@ def test_a_sender_that_goes_away_and_comes_back_is_heard_again() -> None:
         await loop.sock_sendall(client, b"two")
         await until(lambda: len(heard) == 2)
         client.close()
-        assert heard == [(b"one", False), (b"two", True)]  # the cut is told to who parses
+        assert heard == [(b"one", False), (b"two", True)]  # the parser learns of the cut
         assert link.status.losses == 1
-        assert ("backing off", f"TCP 127.0.0.1:{port}: closed by the other side") in told
+        assert ("backing off", f"TCP 127.0.0.1:{port}: closed by the other side") in reported
 
     run(f"tcp://127.0.0.1:{port}", work)
     listener.close()
 
 
-def test_nobody_there_is_told_and_tried_again() -> None:
+def test_nobody_there_is_reported_and_tried_again() -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
 
-    async def work(link: Link, _: Heard, told: Told) -> None:
+    async def work(link: Link, _: Heard, reported: States) -> None:
         await until(lambda: link.status.losses == 2)
-        assert "Connect call failed" in told[1][1] or "refused" in told[1][1]
+        assert "Connect call failed" in reported[1][1] or "refused" in reported[1][1]
 
     run(f"tcp://127.0.0.1:{port}", work)
 
@@ -118,7 +118,7 @@ def test_a_serial_line_is_unplugged_and_plugged_in_again(
         plug.symlink_to(os.ttyname(theirs))
         return ours, theirs
 
-    async def work(link: Link, heard: Heard, told: Told) -> None:
+    async def work(link: Link, heard: Heard, reported: States) -> None:
         ours, theirs = plug_in()
         await until(lambda: link.status.opened == 1)
         os.close(theirs)
@@ -127,7 +127,7 @@ def test_a_serial_line_is_unplugged_and_plugged_in_again(
         plug.unlink()
         os.close(ours)
         await until(lambda: link.status.losses >= 2)  # lost, then looked for in vain
-        assert any("is it plugged in" in reason for _, reason in told)
+        assert any("is it plugged in" in reason for _, reason in reported)
         heard.clear()
         ours, theirs = plug_in()
         await until(lambda: link.status.opened == 2)

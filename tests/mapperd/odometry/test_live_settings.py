@@ -64,15 +64,15 @@ def rough_drive(circle: Circle) -> Iterator[tuple[str, Odometry, int]]:
             continue
         jumped = k >= 25
         turn = np.array([math.cos(0.9), 0.0, 0.0, math.sin(0.9)]) if k >= 30 else None
-        said: dict[str, Any] = {
+        stated: dict[str, Any] = {
             "map_q_base": circle.quaternion(t_s) if turn is None else turn,
             "rate_radps": np.array([0.0, 0.0, circle.rate_radps if turn is None else 0.0]),
             "confidence": 0.5 if 15 < k < 20 or k > 40 else None,
         }
         if k < 40 or k > 50:
-            said["position_m"] = circle.position_m(t_s) + np.array([2.0 * jumped, 0.0, 0.0])
+            stated["position_m"] = circle.position_m(t_s) + np.array([2.0 * jumped, 0.0, 0.0])
         late_ns = round(0.3 * S) if k == 8 else 0
-        yield "ekf", Odometry(stamp_ns=arrival_ns - late_ns, clock="unix", **said), arrival_ns
+        yield "ekf", Odometry(stamp_ns=arrival_ns - late_ns, clock="unix", **stated), arrival_ns
 
 
 def outcomes(fusion: Fusion, records: list[tuple[str, Odometry, int]]) -> list[Any]:
@@ -138,7 +138,7 @@ def test_patience_follows() -> None:
     assert poses._patience_ns == 5_500_000_000
 
 
-def test_a_sender_that_is_known_already_is_judged_anew(circle: Circle) -> None:
+def test_a_sender_that_is_known_already_is_judged_again(circle: Circle) -> None:
     name, late_ns = "time_sync.max_odom_age_sec", round(0.3 * S)
     poses = OdometryPoses(config_of(BASE, ""))
 

@@ -66,7 +66,7 @@ def test_local_position_is_ned_in_metres(
 
 
 @given(angles, triples, versions)
-def test_attitude_and_its_quaternion_say_the_same(
+def test_attitude_and_its_quaternion_report_the_same(
     rpy: tuple[float, ...], rates: tuple[float, ...], version: int
 ) -> None:
     autopilot = Autopilot(version=version)
@@ -208,7 +208,7 @@ def test_bad_odometry_is_rejected_with_a_reason(changes: dict[str, Any], reason:
 
 
 @pytest.mark.parametrize(
-    ("say", "reason"),
+    ("message", "reason"),
     [
         (lambda a: a.attitude((NAN, 0, 0)), "not_finite"),
         (lambda a: a.attitude((7.0, 0, 0)), "out_of_range"),
@@ -227,9 +227,9 @@ def test_bad_odometry_is_rejected_with_a_reason(changes: dict[str, Any], reason:
     ],
 )
 def test_bad_message_is_rejected_with_a_reason(
-    say: Callable[[Autopilot], bytes], reason: str | None
+    message: Callable[[Autopilot], bytes], reason: str | None
 ) -> None:
-    result = one(say(Autopilot()))
+    result = one(message(Autopilot()))
     assert (result.reason if isinstance(result, Reject) else None) == reason
 
 
@@ -254,7 +254,7 @@ def test_pressure_is_depth_by_the_waters_density() -> None:
     assert odometry(Autopilot().pressure(hpa), fresh).depth_m == pytest.approx(10, abs=1e-5)
 
 
-def test_only_a_distance_sensor_that_looks_down_tells_the_altitude() -> None:
+def test_only_a_distance_sensor_that_looks_down_reports_the_altitude() -> None:
     assert odometry(Autopilot().distance(250)).altitude_m == pytest.approx(2.5)
     decoder = MavlinkDecoder(SETTINGS)
     assert list(decoder.feed(Autopilot().distance(250, orientation=0), None)) == []
@@ -310,14 +310,14 @@ def test_a_heading_does_not_level_a_vehicle_that_leans() -> None:
     bridge = OdometryBridge(Config(odometry=OdometryFusionConfig(sources=(source,))))
     autopilot, began_ns = Autopilot(), 1_700_000_000 * SECOND
 
-    def say(data: bytes, after_ms: int) -> None:
+    def feed(data: bytes, after_ms: int) -> None:
         autopilot.boot_ms += after_ms
         bridge.feed("autopilot", data, began_ns + autopilot.boot_ms * SECOND // 1000)
 
     for _ in range(20):
-        say(autopilot.attitude((0.0, math.radians(6), 1.0)), 10)
-        say(autopilot.local_position((5, 3, 2)), 10)
-        say(autopilot.global_position(hdg=5730), 30)
+        feed(autopilot.attitude((0.0, math.radians(6), 1.0)), 10)
+        feed(autopilot.local_position((5, 3, 2)), 10)
+        feed(autopilot.global_position(hdg=5730), 30)
     for ago_ms in range(100, 150, 10):
         fused = bridge.fusion.at(began_ns + (autopilot.boot_ms - ago_ms) * SECOND // 1000)
         assert isinstance(fused, FusedPose)
@@ -325,7 +325,7 @@ def test_a_heading_does_not_level_a_vehicle_that_leans() -> None:
     assert bridge.status()["quantities"]["position"]["rejected"] == {}
 
 
-def test_reset_counter_and_reboots_are_told_apart() -> None:
+def test_reset_counter_and_reboots_are_distinguished() -> None:
     autopilot, decoder = Autopilot(boot_ms=100_000), MavlinkDecoder(SETTINGS)
 
     def count(data: bytes) -> int:

@@ -75,7 +75,7 @@ def test_ned_frd_record_is_converted() -> None:
 
 
 @pytest.mark.parametrize(("world", "place"), [("local_flu", [1, 2, 3]), ("local_frd", [1, -2, -3])])
-def test_world_of_arbitrary_heading_says_so(world: str, place: list[float]) -> None:
+def test_world_of_arbitrary_heading_is_reported(world: str, place: list[float]) -> None:
     odometry = accepted(w=world)
     assert odometry.position_m == pytest.approx(place)
     assert not odometry.north_referenced

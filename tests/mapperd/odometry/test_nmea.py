@@ -67,7 +67,7 @@ def test_place_is_what_pynmea2_makes_of_it(lat: float, lon: float, north: str, e
     assert geo.altitude_m == 545.4
 
 
-def test_altitude_that_is_not_told_is_unknown() -> None:
+def test_altitude_that_is_not_reported_is_unknown() -> None:
     geo = record(NmeaTalker().gga(altitude="")).geo
     assert geo is not None
     assert geo.altitude_m is None
@@ -134,7 +134,7 @@ def test_date_of_the_sender_comes_before_the_hosts() -> None:
     assert record(talker.rmc(), None, decoder).stamp_ns == past_midnight.stamp_ns
 
 
-def test_zda_tells_the_date() -> None:
+def test_zda_reports_the_date() -> None:
     decoder = link()
     assert list(decoder.feed(NmeaTalker().zda(), None)) == []
     assert record(NmeaTalker().gga(), None, decoder).stamp_ns == NOON_NS + SECOND // 2
@@ -234,8 +234,8 @@ def test_bad_line_loses_only_what_it_spoils() -> None:
 def test_a_heading_does_not_level_a_vehicle_that_leans() -> None:
     talker = NmeaTalker()
     decoder = make_decoder(FormatSettings(format="nmea"))
-    said = talker.hdt("90.0") + talker.prdid("6.0", "0.0", "90.0") + talker.hdt("90.0")
-    alone, leaning = decoder.feed(said, 0)
+    stated = talker.hdt("90.0") + talker.prdid("6.0", "0.0", "90.0") + talker.hdt("90.0")
+    alone, leaning = decoder.feed(stated, 0)
     assert isinstance(alone, Odometry)
     assert alone.heading_rad is not None
     assert isinstance(leaning, Odometry)

@@ -1,4 +1,4 @@
-"""docs/guides/odometry.md says what the decoders do."""
+"""The odometry guide matches the decoders."""
 
 import ast
 import re
@@ -37,9 +37,9 @@ FUSING = [
 def test_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     (example,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     exec(example, {})  # noqa: S102 our own page
-    said = capsys.readouterr().out
-    assert "[ 0.12  0.4  -2.  ] 1.3 True" in said
-    assert "records=1" in said
+    stated = capsys.readouterr().out
+    assert "[ 0.12  0.4  -2.  ] 1.3 True" in stated
+    assert "records=1" in stated
 
 
 def test_every_format_and_setting_is_explained() -> None:

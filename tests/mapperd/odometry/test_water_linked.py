@@ -102,7 +102,7 @@ def test_velocity_of_the_makers_page() -> None:
 def test_position_of_the_makers_page() -> None:
     found = record(json_link(), PAGE_POSITION + b"\n")
     assert found.position_m == pytest.approx([12.4356361, -64.6176312, -1.7676419])
-    assert (found.stamp_ns, found.clock) == (49_056_809_000_000, "boot")  # nobody told it the time
+    assert (found.stamp_ns, found.clock) == (49_056_809_000_000, "boot")  # its clock is not set
     assert found.sent_ns is None
     assert not found.north_referenced
 
@@ -129,7 +129,9 @@ def test_sentences_of_the_makers_page() -> None:
     assert velocity.altitude_m == 1.3
     assert velocity.confidence == 0.0  # 1.855 m/s
     assert (velocity.stamp_ns, velocity.clock, velocity.sent_ns) == (7000, "boot", 14000)
-    assert velocity.twist_covariance == pytest.approx(UNKNOWN_VARIANCE * np.eye(6))  # said 1e9
+    assert velocity.twist_covariance == pytest.approx(
+        UNKNOWN_VARIANCE * np.eye(6)
+    )  # it reports 1e9
     assert isinstance(bad, Reject)
     assert bad.reason == "bad_checksum"
     assert isinstance(first, Odometry)
@@ -339,12 +341,12 @@ def test_any_field_gives_a_record_or_a_reject(key: str, value: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("link", "say"), [(json_link, "velocity"), (serial_link, "velocity_sentence")]
+    ("link", "message"), [(json_link, "velocity"), (serial_link, "velocity_sentence")]
 )
-def test_bad_line_loses_only_what_it_spoils(link: Callable[[], Decoder], say: str) -> None:
+def test_bad_line_loses_only_what_it_spoils(link: Callable[[], Decoder], message: str) -> None:
     dvl, decoder = Dvl(), link()
     bad = Misbehaviour(drop=0.1, garble=0.1, noise=0.1, most_bytes=200)
-    messages = [getattr(dvl, say)() for _ in range(300)]
+    messages = [getattr(dvl, message)() for _ in range(300)]
     found = [r for piece in bad.pieces(messages) for r in decoder.feed(piece, None)]
     assert sum(isinstance(result, Odometry) for result in found) > 200
     assert decoder.counters.rejects.total() > 20

@@ -1,4 +1,4 @@
-"""What a vehicle and its sonar say in each format: chunks to cut a dive between."""
+"""Streams of a vehicle and its sonar in each format: chunks between which a dive is cut."""
 
 import json
 import math

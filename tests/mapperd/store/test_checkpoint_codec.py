@@ -115,7 +115,7 @@ def test_what_cannot_be_saved_is_a_mistake_of_ours() -> None:
         written(np.array([object()]))
 
 
-def test_a_program_with_other_attributes_says_so() -> None:
+def test_a_program_with_other_attributes_is_reported() -> None:
     saved = msgspec.msgpack.decode(written(Fusion()))
     held = saved[1][0][2]
     held[0] = "_older"

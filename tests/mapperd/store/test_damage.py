@@ -1,4 +1,4 @@
-"""What is damaged on disk is found, kept, said, and rebuilt; it never just becomes water."""
+"""Damage on disk is found, kept, reported and rebuilt; it never silently becomes free space."""
 
 import sqlite3
 from collections.abc import Callable
@@ -61,7 +61,7 @@ def test_a_changed_row_is_quarantined_and_rebuilt_from_the_recordings(
     make_store(path)
     whole = content(path)[0]
     keys = damage(path, change)
-    assert content(path)[1] == keys  # the reader says so, too
+    assert content(path)[1] == keys  # the reader reports it, too
 
     sonar_map, store = dive.open_store(path)
     with store:

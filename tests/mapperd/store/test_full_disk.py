@@ -1,4 +1,4 @@
-"""A disk that takes nothing: the map stays in memory, everybody is told, and nothing is lost."""
+"""A full disk: the map stays in memory, the problem is reported, and nothing is lost."""
 
 import os
 import resource

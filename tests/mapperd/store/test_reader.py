@@ -135,7 +135,7 @@ def test_boxes_side_by_side_are_the_whole_map(tmp_path: Path) -> None:
     assert (keys == of_whole).all()
 
 
-def test_damage_in_a_box_is_told_by_its_brick(tmp_path: Path) -> None:
+def test_damage_in_a_box_is_reported_by_its_brick(tmp_path: Path) -> None:
     path = tmp_path / "dive.map"
     sonar_map, store = dive.open_store(path)
     with store:

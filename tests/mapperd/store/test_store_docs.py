@@ -1,4 +1,4 @@
-"""docs/reference/store.md says what the store does."""
+"""The store page matches the code."""
 
 import re
 from pathlib import Path

@@ -191,7 +191,7 @@ def with_section(section: str, **changes: object) -> Config:
 
 
 @pytest.mark.parametrize(
-    ("config", "said"),
+    ("config", "stated"),
     [
         (
             with_section("octree", voxel_resolution=0.05),
@@ -202,7 +202,7 @@ def with_section(section: str, **changes: object) -> Config:
     ],
 )
 def test_other_parameters_are_refused_by_name_and_nothing_is_touched(
-    tmp_path: Path, config: Config, said: str
+    tmp_path: Path, config: Config, stated: str
 ) -> None:
     path = tmp_path / "dive.map"
     sonar_map, store = open_store(path)
@@ -212,7 +212,7 @@ def test_other_parameters_are_refused_by_name_and_nothing_is_touched(
     with pytest.raises(StoreError) as refused:
         TileStore(path, SonarMap(config), tile_size_m=6.4, cache_tiles=2)
     assert refused.value.reason == "other_parameters"
-    assert said in str(refused.value)
+    assert stated in str(refused.value)
     with StoreReader(path) as reader, pytest.raises(StoreError, match="of other settings"):
         reader.load(SonarMap(config))
     assert path.read_bytes() == before
