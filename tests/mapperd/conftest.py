@@ -1,12 +1,15 @@
-"""Small pings, odometry records and recordings to test with."""
+"""Small pings, odometry records, recordings, certificates and folders of sockets."""
 
 import json
-from collections.abc import Callable, Iterable
+import ssl
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import trustme
 
 from mapperd.cli.mapperd import main
 from mapperd.odometry.native import NativeRecord, encode_native
@@ -64,6 +67,29 @@ def own_folders(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Mo
     folder = tmp_path_factory.mktemp("own")
     for name in ("STATE_DIRECTORY", "LOGS_DIRECTORY", "RUNTIME_DIRECTORY"):
         monkeypatch.setenv(name, str(folder))
+
+
+@pytest.fixture
+def short() -> Iterator[Path]:
+    """Return a folder whose path leaves room for a socket: 107 bytes at most."""
+    with tempfile.TemporaryDirectory(prefix="m") as folder:
+        yield Path(folder)
+
+
+@pytest.fixture(scope="session")
+def authority() -> trustme.CA:
+    """Return an authority that issues certificates."""
+    return trustme.CA()
+
+
+@pytest.fixture(scope="session")
+def tls(authority: trustme.CA) -> tuple[ssl.SSLContext, ssl.SSLContext]:
+    """Return the contexts of a server and of a client that trusts it."""
+    server = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    authority.issue_cert("localhost", "127.0.0.1").configure_cert(server)
+    client = ssl.create_default_context()
+    authority.configure_trust(client)
+    return server, client
 
 
 @pytest.fixture(scope="session")

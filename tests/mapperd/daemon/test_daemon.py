@@ -25,11 +25,11 @@ from mapperd.pipeline.decoder import Work
 from mapperd.pipeline.persistence import MemoryPersistence
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from oculus_driver import Faults, PlaybackSonar
+from tests.support.process import free_port, run
 
 pytestmark = pytest.mark.net
 
 MakeBytes = Callable[..., bytes]
-LIMIT_S = 60.0
 STATUS_KEYS = [
     "phase",
     "reason",
@@ -47,20 +47,6 @@ STATUS_KEYS = [
     "robots",
     "servers",
 ]
-
-
-def run(work: Coroutine[Any, Any, None]) -> None:
-    async def limited() -> None:
-        async with asyncio.timeout(LIMIT_S):
-            await work
-
-    asyncio.run(limited())
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class Keep(MemoryPersistence):

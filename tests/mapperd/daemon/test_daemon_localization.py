@@ -23,7 +23,8 @@ from mapperd.localization.session import begun
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.pose_lookup import OdometryPoses
 from oculus_driver import PlaybackSonar
-from tests.mapperd.daemon.test_daemon import drive, free_port, run
+from tests.mapperd.daemon.test_daemon import drive
+from tests.support.process import free_port, run
 
 pytestmark = pytest.mark.net
 

@@ -21,7 +21,7 @@ from mapperd.telemetry.outbox import Outbox
 from mapperd.telemetry.publisher import Reporter
 from mapperd.telemetry.topics import Topics
 from tests.mapperd.telemetry.conftest import drained
-from tests.support.peers.mosquitto import free_port
+from tests.support.process import free_tcp_port
 
 CLOCK = host_clock()
 
@@ -46,7 +46,7 @@ def test_the_status_of_a_real_daemon_can_be_told(tmp_path: Path) -> None:
 
 
 def test_a_dead_broker_is_in_the_status_and_the_daemon_goes_on(tmp_path: Path) -> None:
-    daemon = daemon_of(tmp_path, {"host": "127.0.0.1", "port": free_port()})
+    daemon = daemon_of(tmp_path, {"host": "127.0.0.1", "port": free_tcp_port()})
 
     async def run() -> None:
         async with serving(daemon, tmp_path, {}, CLOCK):

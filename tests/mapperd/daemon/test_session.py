@@ -26,6 +26,7 @@ from oculus_driver import PlaybackSonar
 from oculus_driver.ping import Ping
 from oculus_driver.recording import open_recording
 from oculus_driver.wire import PingRate
+from tests.support.process import free_port
 
 pytestmark = pytest.mark.net
 
@@ -40,12 +41,6 @@ def run(work: Coroutine[Any, Any, None]) -> None:
         assert asyncio.all_tasks() == {asyncio.current_task()}
 
     asyncio.run(limited())
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def config_of(sonar: PlaybackSonar, odometry_port: int, more: str = "") -> Config:

@@ -27,6 +27,7 @@ from tests.support.peers.autopilot import Autopilot
 from tests.support.peers.dvl import Dvl
 from tests.support.peers.nmea_talker import NmeaTalker
 from tests.support.peers.serial_pty import SerialPty
+from tests.support.process import free_port
 
 pytestmark = pytest.mark.net
 
@@ -116,12 +117,6 @@ def yaw_of(fused: FusedPose) -> float:
     w, x, y, z = fused.pose.map_q_base.tolist()
     assert (x, y) == pytest.approx((0.0, 0.0), abs=1e-9)
     return math.remainder(2 * math.atan2(z, w), math.tau)
-
-
-def free_port(kind: int = socket.SOCK_DGRAM) -> int:
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def test_autopilot_over_udp() -> None:

@@ -21,9 +21,10 @@ from mapperd.wire.blocks import UNKNOWN
 from mapperd.wire.messages import Fan, Image, MapFacts, Pose, Returns
 from mapperd.wire.messages import Path as Trace
 from mapperd.wire.socket_paths import map_socket_places
-from tests.mapperd.daemon.test_daemon import bench_of, run
+from tests.mapperd.daemon.test_daemon import bench_of
 from tests.mapperd.server.watched import Key, Watcher
 from tests.support.control_server import TOKEN
+from tests.support.process import run
 
 pytestmark = pytest.mark.net
 

@@ -10,20 +10,12 @@ from pathlib import Path
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.store.reader import StoreReader
 from tests.mapperd.store import dive
+from tests.support.process import open_files, resident_bytes
 
 PINGS = int(os.environ.get("STORE_PINGS", "330"))
 ROUND = 300
 LONG = 5_000
 """Pings from which on the process has taken all the memory that it will ever need."""
-
-
-def resident_bytes() -> int:
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE")
-
-
-def open_files() -> int:
-    return len(list(Path("/proc/self/fd").iterdir()))
 
 
 def test_nothing_grows_however_long_it_goes_on(tmp_path: Path) -> None:

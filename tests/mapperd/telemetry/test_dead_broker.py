@@ -11,7 +11,7 @@ from mapperd.telemetry import broker
 from mapperd.telemetry.payloads import BackOff
 from mapperd.telemetry.telemetry import Phase, Telemetry
 from tests.mapperd.telemetry.conftest import FakeDaemon
-from tests.support.peers.mosquitto import free_port
+from tests.support.process import free_tcp_port
 
 pytestmark = pytest.mark.net
 
@@ -43,7 +43,7 @@ async def running_telemetry(daemon: FakeDaemon) -> AsyncIterator[Telemetry]:
 
 
 def test_nobody_listens() -> None:
-    daemon = FakeDaemon({"port": free_port()})
+    daemon = FakeDaemon({"port": free_tcp_port()})
 
     async def run() -> None:
         async with running_telemetry(daemon) as telemetry:

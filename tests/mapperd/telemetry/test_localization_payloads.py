@@ -15,7 +15,8 @@ from tests.mapperd.localization.believed import STAMP_NS, facts
 from tests.mapperd.telemetry.conftest import ROOT, T0_S, FakeDaemon, drained
 from tests.mapperd.telemetry.test_publisher import PublisherHarness
 from tests.mapperd.telemetry.test_requests import Asker
-from tests.support.peers.mosquitto import free_port, mosquitto_path, running_mosquitto
+from tests.support.peers.mosquitto import mosquitto_path, running_mosquitto
+from tests.support.process import free_tcp_port
 
 POSE = {"x_m": 1.5, "y_m": -2, "yaw_rad": 0.5}
 OURS = ("amcl_pose", "map_odom", "particle_cloud", "diagnostics")
@@ -156,7 +157,7 @@ def test_mosquitto_carries_it(tmp_path: Path) -> None:
 
     if mosquitto_path() is None:
         pytest.skip("Mosquitto is not installed")
-    port = free_port()
+    port = free_tcp_port()
     daemon = FakeDaemon({"port": port, "commands": True})
     daemon.localized = facts(0.2)
 

@@ -20,7 +20,8 @@ from mapperd.telemetry import broker
 from mapperd.telemetry.payloads import BackOff
 from mapperd.telemetry.telemetry import Phase, Telemetry
 from tests.mapperd.telemetry.conftest import POSE, ROBOT, ROOT, FakeDaemon
-from tests.support.peers.mosquitto import Cable, free_port, mosquitto_path, running_mosquitto
+from tests.support.peers.mosquitto import Cable, mosquitto_path, running_mosquitto
+from tests.support.process import free_tcp_port
 
 pytestmark = [
     pytest.mark.net,
@@ -109,7 +110,7 @@ async def running_telemetry(daemon: FakeDaemon, **more: Any) -> AsyncIterator[Te
 
 @pytest.fixture
 def port(tmp_path: Path) -> Any:
-    number = free_port()
+    number = free_tcp_port()
     with running_mosquitto(tmp_path, number):
         yield number
 
@@ -198,7 +199,7 @@ def test_a_jammed_cable_costs_telemetry_and_no_event(
 
 
 def test_a_broker_that_starts_again_has_all_that_is_kept(tmp_path: Path) -> None:
-    port = free_port()
+    port = free_tcp_port()
     daemon = FakeDaemon({"port": port})
 
     async def run() -> None:
@@ -281,7 +282,7 @@ def test_a_password_is_asked_for_and_wrong_ones_are_a_reason(tmp_path: Path) -> 
     tool = shutil.which("mosquitto_passwd")
     if tool is None:
         pytest.skip("mosquitto_passwd is not installed")
-    users, secret, port = tmp_path / "users", tmp_path / "mqtt-password", free_port()
+    users, secret, port = tmp_path / "users", tmp_path / "mqtt-password", free_tcp_port()
     subprocess.run([tool, "-b", "-c", str(users), "rov", "right"], check=True)  # noqa: S603 ours
     secret.write_text("wrong\n", encoding="utf-8")
     daemon = FakeDaemon({"port": port, "username": "rov"})
@@ -305,7 +306,7 @@ def test_tls_is_checked(tmp_path: Path) -> None:
     tool = shutil.which("openssl")
     if tool is None:
         pytest.skip("openssl is not installed")
-    key, certificate, port = tmp_path / "key.pem", tmp_path / "cert.pem", free_port()
+    key, certificate, port = tmp_path / "key.pem", tmp_path / "cert.pem", free_tcp_port()
     words = ["req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
     names = ["-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost,IP:127.0.0.1"]
     files = ["-keyout", str(key), "-out", str(certificate), "-days", "2"]

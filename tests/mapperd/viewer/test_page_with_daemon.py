@@ -17,7 +17,6 @@ from mapperd.server.map_source import MapSource
 from mapperd.server.state_feed import Feed
 from mapperd.server.stream_server import StreamServer
 from mapperd.viewer.app import VIEW_WANTS
-from tests.mapperd.server.conftest import short
 from tests.mapperd.viewer.view_browser import Serving, chromium
 from tests.support.control_server import FakeDaemon
 
@@ -25,8 +24,6 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 pytestmark = pytest.mark.browser
-
-__all__ = ["short"]
 
 
 class InMemory:

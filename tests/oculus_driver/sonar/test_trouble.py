@@ -12,6 +12,7 @@ import pytest
 
 from oculus_driver import FireSettings, LinkState, LinkTimeouts, OculusSonar
 from oculus_driver.wire import MessageId
+from tests.support.process import free_tcp_port
 
 if TYPE_CHECKING:
     from oculus_driver import LinkStatus, Ping
@@ -31,12 +32,6 @@ async def take(sonar: OculusSonar, count: int) -> list[Ping]:
         if len(pings) == count:
             break
     return pings
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind((HOST, 0))
-        return int(probe.getsockname()[1])
 
 
 def test_a_cut_connection_is_made_again_with_the_settings(
@@ -66,7 +61,7 @@ def test_a_sonar_that_is_switched_on_later_is_found(
 ) -> None:
     async def main() -> None:
         device = fake()
-        device.port = free_port()
+        device.port = free_tcp_port()
         async with OculusSonar(HOST, FREE, port=device.port, times=quick) as sonar:
             await sonar.wait_for(LinkState.BACKING_OFF)
             assert "refused: another client" in sonar.link.reason

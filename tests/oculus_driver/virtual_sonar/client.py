@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 from oculus_driver import (
     Ping,
@@ -14,21 +14,10 @@ from oculus_driver import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Coroutine
-
     from oculus_driver import Message
 
-LIMIT_S = 20.0
 FIRE = encode_fire()
 STANDBY = encode_fire(ping_rate=5)
-
-
-def run(work: Coroutine[Any, Any, None]) -> None:
-    async def limited() -> None:
-        async with asyncio.timeout(LIMIT_S):
-            await work
-
-    asyncio.run(limited())
 
 
 class Client:

@@ -16,7 +16,8 @@ from oculus_driver import (
     encode_fire,
 )
 from oculus_driver.wire import MessageId
-from tests.oculus_driver.virtual_sonar.client import STANDBY, Client, run
+from tests.oculus_driver.virtual_sonar.client import STANDBY, Client
+from tests.support.process import run
 
 pytestmark = pytest.mark.net
 

@@ -20,7 +20,8 @@ from oculus_driver import (
     encode_user_config,
 )
 from oculus_driver.wire import USER_CONFIG, MessageId
-from tests.oculus_driver.virtual_sonar.client import FIRE, STANDBY, Client, run
+from tests.oculus_driver.virtual_sonar.client import FIRE, STANDBY, Client
+from tests.support.process import run
 
 if TYPE_CHECKING:
     from collections.abc import Callable

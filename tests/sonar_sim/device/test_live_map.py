@@ -3,7 +3,6 @@
 import asyncio
 import json
 import signal
-import socket
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +18,7 @@ from mapperd.daemon.session import Live
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.pose_lookup import OdometryPoses
 from tests.sonar_sim.device.conftest import FLOOR_M
+from tests.support.process import free_port
 
 pytestmark = pytest.mark.net
 
@@ -32,12 +32,6 @@ def config_text(sonar_port: int, odometry_port: int) -> str:
         f"device: {{address: 127.0.0.1, port: {sonar_port}, range: 3.0, beams: 256}}\n"
         f"odometry: {{sources: [{{link: 'udp://127.0.0.1:{odometry_port}'}}]}}\n"
     )
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Self
 
-__all__ = ["Cable", "free_port", "mosquitto_path", "running_mosquitto"]
+__all__ = ["Cable", "mosquitto_path", "running_mosquitto"]
 
 BEGIN_S = 20.0
 
@@ -18,11 +18,6 @@ BEGIN_S = 20.0
 def mosquitto_path() -> str | None:
     """Where the broker is installed; Debian puts it where only root looks."""
     return shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return int(listener.getsockname()[1])
 
 
 @contextlib.contextmanager

@@ -10,11 +10,10 @@ import pytest
 import trustme
 
 from mapperd.wire.auth import Limits
-from tests.mapperd.server.conftest import authority, short, tls
 from tests.support.control_server import TOKEN, Served, served
 from tests.support.mapperctl import call
 
-__all__ = ["authority", "call", "short", "tls"]
+__all__ = ["call"]
 
 
 @pytest.fixture(autouse=True)

@@ -23,13 +23,11 @@ from mapperd.export.formats import FORMATS
 from mapperd.mapping.sonar_map import SonarMap
 from mapperd.wire.blocks import CELLS, BlockSet, encode_blocks
 from mapperd.wire.messages import MAX_LEVEL, Blocks, Bye
-from tests.mapperd.client.conftest import short
 from tests.mapperd.foxglove.test_recording import read
 from tests.support.stream_server import FACTS, Connection, Served, Server, a_block
 
 pytestmark = pytest.mark.net
 
-__all__ = ["short"]
 
 Call = Callable[..., tuple[int, list[str], str]]
 

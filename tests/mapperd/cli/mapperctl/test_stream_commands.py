@@ -17,13 +17,10 @@ from websockets.asyncio.client import connect
 from mapperd.cli.mapperctl.command import main
 from mapperd.foxglove import server as foxglove_server
 from mapperd.wire.messages import Bye
-from tests.mapperd.client.conftest import short
 from tests.mapperd.foxglove.foxglove_fakes import message_class, points_of_cloud, until
 from tests.support.stream_server import Served, Server, a_block
 
 pytestmark = pytest.mark.net
-
-__all__ = ["short"]
 
 
 async def started(*arguments: str) -> asyncio.subprocess.Process:

@@ -21,6 +21,7 @@ from mapperd.store.position import RecordingOffset
 from mapperd.store.tile_store import TileStore
 from oculus_driver.recording import OCULUS, Chunk
 from tests.mapperd.conftest import START_NS, make_odometry, make_ping
+from tests.support.process import open_files, resident_bytes
 
 pytestmark = pytest.mark.crash
 
@@ -58,15 +59,6 @@ class Round(Tail):
                 yield Chunk("vehicle", "odometry-native", t_ns + k * S // 50, record)
             self.place = RecordingOffset(1, ping)
             yield Chunk("sonar", OCULUS, t_ns + S // 20, self._pings[at])
-
-
-def resident_bytes() -> int:
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE")
-
-
-def open_files() -> int:
-    return len(list(Path("/proc/self/fd").iterdir()))
 
 
 def test_nothing_grows_however_long_the_dive_is(tmp_path: Path) -> None:
