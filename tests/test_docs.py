@@ -1,4 +1,4 @@
-"""The site: every link and image of docs/ exists, and mkdocs builds it without a warning."""
+"""The site: links lead somewhere, shell blocks run, and mkdocs builds it without a warning."""
 
 import re
 import subprocess
@@ -7,10 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.shell_blocks import blocks_of, follow
+
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
-MAX_WORDS = 95_000
+MANUALS = [page for page in PAGES if page.parent.name in ("getting-started", "guides")]
+MAX_WORDS = 75_000
 
 
 def anchors(page: Path) -> set[str]:
@@ -45,3 +48,37 @@ def test_the_site_builds_strictly(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "index.html").is_file()
+
+
+@pytest.mark.parametrize("page", MANUALS, ids=lambda page: page.relative_to(DOCS).as_posix())
+def test_blocks_that_do_not_run_have_a_reason(page: Path) -> None:
+    listed = [f"{block.reason}: {block.code}" for block in blocks_of(page) if block.reason]
+    assert len(listed) == page.read_text("utf-8").count("<!-- not run"), listed
+
+
+def test_a_marker_without_a_reason_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "page.md").write_text("<!-- not run -->\n```sh\ntrue\n```\n")
+    with pytest.raises(ValueError, match="unknown marker"):
+        blocks_of(tmp_path / "page.md")
+
+
+def test_a_block_that_fails_is_noticed(tmp_path: Path) -> None:
+    (tmp_path / "page.md").write_text("```sh\nfalse\ntrue\n```\n")
+    with pytest.raises(AssertionError, match="false"):
+        follow(tmp_path / "page.md", tmp_path)
+
+
+def test_commands_of_the_installation_page_run(tmp_path: Path) -> None:
+    follow(DOCS / "getting-started" / "install.md", tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.net
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize(
+    "page",
+    [page for page in MANUALS if any(not block.reason for block in blocks_of(page))],
+    ids=lambda page: page.relative_to(DOCS).as_posix(),
+)
+def test_shell_blocks_of_a_page_run(page: Path, tmp_path: Path) -> None:
+    follow(page, tmp_path)

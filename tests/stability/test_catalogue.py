@@ -60,7 +60,7 @@ def test_the_two_parts_are_two_sentences_or_paragraphs(gap: str) -> None:
 
 def test_a_bar_in_a_sentence_is_no_column() -> None:
     case = case_of("test_clock_any.py", "test_any", "|q| is 1. Naively it is not.")
-    assert "| `test_any` | \\|q\\| is 1. | it is not. |" in catalogue([case])
+    assert "| `test_any` | \\|q\\| is 1. |" in catalogue([case])
 
 
 @pytest.mark.parametrize("page", ["", "<!-- other: begin, x -->\n<!-- other: end -->"])

@@ -1,0 +1,192 @@
+"""Shell blocks of a page of docs/, and a folder in which they run as a reader would run them."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+ROOT = Path(__file__).resolve().parents[2]
+TIMEOUT_S = 240.0
+READY_TIMEOUT_S = 90.0
+STOP_TIMEOUT_S = 60.0
+
+_BLOCK = re.compile(
+    r"^(?:<!-- (?P<marker>[^\n]*?) -->\n)?^```(?:sh|console)\n(?P<code>.*?)^```$",
+    re.DOTALL | re.MULTILINE,
+)
+_FILE = re.compile(r'^```\w+ title="(?P<name>[^"]+)"\n(?P<text>.*?)^```$', re.DOTALL | re.MULTILINE)
+
+SCENE = """
+description: A level floor and a short path above it.
+water: {temperature_c: 12, salinity_ppt: 33, depth_m: 4}
+terrain:
+  relief: {kind: flat, depth_m: 6.0}
+  x_m: [-12, 12]
+  y_m: [-12, 12]
+  cell_m: 0.5
+  material: sand
+sonar: {model: M750d, mode: 1, range_m: 8, ping_rate_hz: 5}
+mounting: {position_m: [0.0, 0.0, -0.3], pitch_deg: 90}
+trajectory:
+  waypoints:
+    - {position_m: [-1, 0, -2.5], yaw_deg: 0}
+    - {position_m: [1, 0, -2.5], yaw_deg: 0}
+vehicle:
+  name: survey boat
+  odometry: {position_noise_m: 0.01, attitude_noise_deg: 0.1}
+"""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A shell block of a page.
+
+    Attributes:
+        code: its commands.
+        reason: why the tests do not run it, or "".
+        ready: command that succeeds once the block's program answers; only of programs that run
+            in the background until the page ends.
+    """
+
+    code: str
+    reason: str = ""
+    ready: str = ""
+
+
+def blocks_of(page: Path) -> list[Block]:
+    """The shell blocks of a page, in order.
+
+    Raises:
+        ValueError: a marker is neither `not run: REASON` nor `background: COMMAND`.
+    """
+    return [_block(match) for match in _BLOCK.finditer(page.read_text("utf-8"))]
+
+
+def _block(match: re.Match[str]) -> Block:
+    marker = match["marker"] or ""
+    kind, _, rest = marker.partition(": ")
+    code = re.sub(r"^\$ ", "", match["code"], flags=re.MULTILINE)
+    if not marker:
+        return Block(code)
+    if kind == "not run" and len(rest.split()) > 1:
+        return Block(code, reason=rest)
+    if kind == "background" and rest:
+        return Block(code, ready=rest)
+    raise ValueError(f"unknown marker: {marker}")
+
+
+class Reader:
+    """Somebody who follows a page in an empty folder, with the project's commands installed."""
+
+    def __init__(self, folder: Path, runtime: Path) -> None:
+        """Prepare the commands of pyproject.toml and folders of its own."""
+        self.folder = folder / "work"
+        self.folder.mkdir()
+        commands = folder / "bin"
+        commands.mkdir()
+        self._install(commands)
+        self.environment = os.environ | {
+            "PATH": f"{commands}{os.pathsep}{os.environ['PATH']}",
+            "HOME": str(folder),
+            "XDG_STATE_HOME": str(folder / "state"),
+            "XDG_RUNTIME_DIR": str(runtime),
+            "PYTHONPATH": os.pathsep.join(str(ROOT / part) for part in (".", "tools")),
+        }
+
+    @staticmethod
+    def _install(commands: Path) -> None:
+        scripts = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["scripts"]
+        for name, place in scripts.items():
+            module, _, function = place.partition(":")
+            text = f"#!{sys.executable}\nimport sys\nfrom {module} import {function}\n"
+            (commands / name).write_text(f"{text}sys.exit({function}())\n")
+            (commands / name).chmod(0o755)
+
+    def run(self, code: str) -> subprocess.CompletedProcess[str]:
+        """Run commands; stop at the first that fails."""
+        return subprocess.run(  # noqa: S603 commands of our own pages
+            ["/bin/bash", "-euo", "pipefail", "-c", code],
+            cwd=self.folder,
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            timeout=TIMEOUT_S,
+            check=False,
+        )
+
+    def simulate_dive(self) -> None:
+        """Record dive.mcap, four seconds above a floor."""
+        (self.folder / "scene.yaml").write_text(SCENE)
+        done = self.run("sonar-sim capture scene.yaml --out dive.mcap")
+        assert done.returncode == 0, done.stderr
+
+    @contextmanager
+    def background(self, block: Block) -> Iterator[None]:
+        """A program that answers `block.ready` inside, and ends properly at an interrupt."""
+        log = (self.folder / f"background-{time.monotonic_ns()}.log").open("w+")
+        process = subprocess.Popen(  # noqa: S603 commands of our own pages
+            ["/bin/bash", "-c", f"exec {block.code}"],
+            cwd=self.folder,
+            env=self.environment,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+        )
+        try:
+            end = time.monotonic() + READY_TIMEOUT_S
+            while self.run(block.ready).returncode != 0:
+                log.seek(0)
+                assert process.poll() is None, log.read()
+                assert time.monotonic() < end, f"{block.ready} failed for {READY_TIMEOUT_S} s"
+            yield
+            process.send_signal(signal.SIGINT)
+            assert process.wait(STOP_TIMEOUT_S) in (0, 130)
+        finally:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+            log.close()
+
+
+def follow(page: Path, folder: Path) -> None:
+    """Run the shell blocks of a page one after the other.
+
+    Files that the page shows with a title are there from the beginning, and so is dive.mcap if
+    the page reads it without recording it.
+
+    Raises:
+        AssertionError: a block failed.
+    """
+    blocks = [block for block in blocks_of(page) if not block.reason]
+    with ExitStack() as stack:
+        runtime = stack.enter_context(tempfile.TemporaryDirectory(prefix="mapperd-docs-"))
+        if any(block.ready for block in blocks):  # the ports of a sonar are there once
+            lock = stack.enter_context(
+                (Path(tempfile.gettempdir()) / "mapperd-docs.lock").open("w")
+            )
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        reader = Reader(folder, Path(runtime))
+        for match in _FILE.finditer(page.read_text("utf-8")):
+            (reader.folder / match["name"]).write_text(match["text"])
+        code = "".join(block.code for block in blocks)
+        if "dive.mcap" in code and "--out dive.mcap" not in code:
+            reader.simulate_dive()
+        for block in blocks:
+            if block.ready:
+                stack.enter_context(reader.background(block))
+                continue
+            done = reader.run(block.code)
+            assert done.returncode == 0, f"{block.code}\n{done.stdout}\n{done.stderr}"
