@@ -123,7 +123,7 @@ def build_rivals(out: Path, bonxai: Path | None) -> Path:
         out: the build's folder lies in it.
         bonxai: a checkout of Bonxai; None keeps the one of an earlier build, if any.
     """
-    say("building the rivals")
+    log("building the rivals")
     build = out / "build"
     octomap = Path(sysconfig.get_path("purelib")) / "cmeel.prefix"  # where the wheel keeps it
     tools = Path(sys.executable).parent
@@ -132,20 +132,22 @@ def build_rivals(out: Path, bonxai: Path | None) -> Path:
     options = [f"-DCMAKE_PREFIX_PATH={octomap}"]
     options += [] if bonxai is None else [f"-DBONXAI_PATH={bonxai.resolve()}"]
     build_all = f"cmake --build {build} -- -k 0"  # one that does not build spares the others
-    with (out / "build.log").open("wb") as log:
+    with (out / "build.log").open("wb") as out_file:
         for words in ([*configure.split(), *options], build_all.split()):
-            done = subprocess.run(words, env=environment, check=False, stdout=log, stderr=log)  # noqa: S603
+            done = subprocess.run(  # noqa: S603 our own programs
+                words, env=environment, check=False, stdout=out_file, stderr=subprocess.STDOUT
+            )
             if done.returncode != 0:
-                say(f"not everything builds: {out / 'build.log'}")
+                log(f"not everything builds: {out / 'build.log'}")
     for program, package in PACKAGES.items():
         if not (build / program).exists():
-            say(f"left out: {package} was not found or does not build")
+            log(f"left out: {package} was not found or does not build")
     return build
 
 
 def describe_machine(build: Path, load_before: float) -> Machine:
     """What the reader must know to compare, and the memory's bandwidth."""
-    say("measuring the memory's bandwidth")
+    log("measuring the memory's bandwidth")
     bandwidth = msgspec.json.decode(run_json([build / "bandwidth"]))
     compiler = _first_line(["c++", "--version"])
     commit = _first_line(["git", "-C", str(BENCH), "describe", "--always", "--dirty"])
@@ -159,7 +161,7 @@ def describe_machine(build: Path, load_before: float) -> Machine:
     )
 
 
-def say(line: str) -> None:
+def log(line: str) -> None:
     """Progress, with the seconds since the start."""
     print(f"[{time.perf_counter() - BEGAN_S:5.0f} s] {line}", file=sys.stderr, flush=True)
 

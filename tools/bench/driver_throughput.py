@@ -133,7 +133,7 @@ def main() -> None:
     """Measure, print and draw."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--picture", type=Path, default=PICTURE)
-    said = parser.parse_args()
+    args = parser.parse_args()
     largest_mb_per_s = len(message_of(LARGEST_ROWS)) * FASTEST_HZ / 1e6
     print(f"largest rate of an M750d: {largest_mb_per_s:.1f} MB/s\n")
     print("| rows | message, kB | MB/s | times largest | pings/s | last byte to ping | peak, kB |")
@@ -148,8 +148,8 @@ def main() -> None:
             f"{t.median_us:.0f} µs | {t.peak_kb:.0f} |",
             flush=True,
         )
-    said.picture.parent.mkdir(parents=True, exist_ok=True)
-    draw(found, largest_mb_per_s, said.picture)
+    args.picture.parent.mkdir(parents=True, exist_ok=True)
+    draw(found, largest_mb_per_s, args.picture)
 
 
 if __name__ == "__main__":

@@ -80,8 +80,8 @@ def main() -> None:
             for title, work in filters.items():
                 plain, out = work(image) > THRESHOLD, work(striped) > THRESHOLD
                 numbers = (1 - plain[true].mean(), out[false].mean(), 1 - out[true].mean())
-                told = " | ".join(f"{100 * number:.1f} %" for number in numbers)
-                print(f"| {name}, {pitch_deg}° | {title} | {told} |")
+                cells = " | ".join(f"{100 * number:.1f} %" for number in numbers)
+                print(f"| {name}, {pitch_deg}° | {title} | {cells} |")
     robots, terrain = RobotDetectionConfig(keep_out=True), TerrainDetectionConfig()
     timed: dict[str, Callable[[], object]] = {
         "crosstalk": lambda: filters["crosstalk"](striped),

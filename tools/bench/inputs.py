@@ -99,8 +99,8 @@ def only_first_returns(image: NDArray[np.uint8], range_resolution_m: float) -> N
 def ray_ends_m(pings: Pings, i: int, vertical_aperture_rad: float) -> Floats:
     """Ends of a ping's rays in the map frame, (N, 3): each first return at 11 elevations.
 
-    The range is that of the row's middle. Beams without a return have no rays, as they say nothing
-    to our map by default.
+    The range is that of the row's middle. Beams without a return have no rays: our map ignores them
+    by default.
     """
     rows = first_rows(pings.images[i], pings.range_resolution_m)
     beams = np.flatnonzero(rows >= 0)
@@ -193,7 +193,7 @@ def simulate(setting: Setting, pings: int, seed: int) -> Pings:
 
 
 def cached(folder: Path, setting: Setting, pings: int, seed: int) -> Path:
-    """File of the simulated pings, made anew only if what makes them has changed."""
+    """File of the simulated pings, simulated again only if what makes them has changed."""
     scenes = [BENCH / f"{part}.py" for part in ("scene", "seabed", "shapes")]
     sources = [*sorted((BENCH.parent / "sonar_sim").rglob("*.py")), *scenes, Path(__file__)]
     stamp = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:8]

@@ -22,8 +22,8 @@ from bench.contenders import (
     Contender,
     build_rivals,
     describe_machine,
+    log,
     run_json,
-    say,
 )
 from bench.inputs import LOOKS, SETTINGS, cached, load, loud_share, write_rays
 from bench.our_contender import APERTURE_DEG
@@ -100,7 +100,7 @@ def make_cases(out: Path, looks: Sequence[str], pings: int, seed: int) -> list[C
     for setting in SETTINGS:
         if setting.look not in looks:
             continue
-        say(f"simulating {pings} pings, looking {setting.look}, {setting.range_m:g} m")
+        log(f"simulating {pings} pings, looking {setting.look}, {setting.range_m:g} m")
         file = cached(out, setting, pings, seed)
         rays, simulated = file.with_suffix(".rays"), load(file)
         write_rays(rays, simulated, aperture_rad)
@@ -121,7 +121,7 @@ def measure_case(case: Case, build: Path, budget_s: float, only: Sequence[str]) 
         command = contender.command(case, build, budget_s)
         run = msgspec.json.decode(run_json(command), type=Measured)
         runs[contender.name] = run
-        say(f"{case.name}: {run.median_ms:8.2f} ms  {contender.label}")
+        log(f"{case.name}: {run.median_ms:8.2f} ms  {contender.label}")
     detail = None if only else measure_detail(case)
     size = (case.range_m, case.resolution_m)
     return CaseResult(case.name, case.look, *size, case.loud_share, runs, detail)
@@ -134,7 +134,7 @@ def chosen(only: Sequence[str]) -> list[Contender]:
 
 def measure_detail(case: Case) -> DetailDifference:
     """Compare in a process of its own."""
-    say(f"{case.name}: comparing with the converged grid")
+    log(f"{case.name}: comparing with the converged grid")
     given = (f"{case.resolution_m}", f"{DETAIL_BUDGET_S:g}")
     found = run_json([sys.executable, "-m", "bench.detail", case.pings_file, *given])
     return msgspec.json.decode(found, type=DetailDifference)
@@ -142,7 +142,7 @@ def measure_detail(case: Case) -> DetailDifference:
 
 def measure_open_water() -> dict[str, float]:
     """Time pings without returns."""
-    say("open water")
+    log("open water")
     return msgspec.json.decode(
         run_json([sys.executable, BENCH / "open_water.py"]), type=dict[str, float]
     )

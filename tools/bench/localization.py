@@ -17,7 +17,7 @@ from pathlib import Path
 
 import msgspec
 
-from bench.contenders import say
+from bench.contenders import log
 
 CPP = Path(__file__).resolve().parents[2] / "cpp"
 BEAMS = 60
@@ -82,12 +82,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--share", type=int, default=1, help="divides the repetitions")
     parser.add_argument("--map", type=Path, help="a (1000, 1000) int8 .npy map instead of ours")
-    said = parser.parse_args()
+    args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        say("building")
+        log("building")
         program = build(Path(folder))
-        say("measuring")
-        arguments = [str(program), str(said.share), *([str(said.map)] if said.map else [])]
+        log("measuring")
+        arguments = [str(program), str(args.share), *([str(args.map)] if args.map else [])]
         done = subprocess.run(arguments, check=True, capture_output=True)  # noqa: S603
     print(table(laps_of(done.stdout.splitlines())))
 

@@ -28,7 +28,7 @@ START_NS = 1_700_000_000 * 10**9
 DELAY_NS = 20_000_000
 RUNS = 3
 
-Says = Callable[[int, float], bytes]
+Encode = Callable[[int, float], bytes]
 
 
 def _native(t_ns: int, t_s: float) -> NativeRecord:
@@ -48,16 +48,16 @@ def _native(t_ns: int, t_s: float) -> NativeRecord:
 
 def _json_line(t_ns: int, t_s: float) -> bytes:
     record = _native(t_ns, t_s)
-    told = {key: value for key in record.__struct_fields__ if (value := getattr(record, key))}
-    return json.dumps(told).encode() + b"\n"
+    fields = {key: value for key in record.__struct_fields__ if (value := getattr(record, key))}
+    return json.dumps(fields).encode() + b"\n"
 
 
-def _autopilot() -> Says:
+def _autopilot() -> Encode:
     from pymavlink.dialects.v20 import common  # noqa: PLC0415 an extra
 
     codec: Any = common.MAVLink(None, srcSystem=1, srcComponent=1)
 
-    def says(t_ns: int, t_s: float) -> bytes:
+    def encode(t_ns: int, t_s: float) -> bytes:
         """Position and attitude in turns: each at half the rate."""
         boot_ms, turned = (t_ns - START_NS) // 1_000_000 + 5000, 0.2 * t_s
         x, y = 5 * math.sin(turned), 5 * (1 - math.cos(turned))
@@ -67,7 +67,7 @@ def _autopilot() -> Says:
         message = place if round(t_s * RECORDS_HZ) % 2 else attitude
         return bytes(message.pack(codec))
 
-    return says
+    return encode
 
 
 def _dvl(t_ns: int, t_s: float) -> bytes:  # noqa: ARG001 it drives straight on
@@ -109,8 +109,8 @@ def _heading(t_ns: int, t_s: float) -> bytes:
     return f"${body}*{check:02X}\r\n".encode()
 
 
-def formats() -> dict[FormatName, Says]:
-    """Format to what its sender says at a time."""
+def formats() -> dict[FormatName, Encode]:
+    """Map each format to the bytes that its sender sends at a time."""
     return {
         "native": lambda t_ns, t_s: encode_native(_native(t_ns, t_s)),
         "native_json": _json_line,
@@ -130,7 +130,7 @@ def config_of(name: FormatName) -> Config:
     return Config(odometry=OdometryFusionConfig(sources=tuple(sources)))
 
 
-def pieces(name: FormatName, says: Says, seconds: float) -> Iterator[tuple[str, bytes, int]]:
+def pieces(name: FormatName, encode: Encode, seconds: float) -> Iterator[tuple[str, bytes, int]]:
     """Link, bytes, arrival."""
     for k in range(round(seconds * RECORDS_HZ)):
         t_s = k / RECORDS_HZ
@@ -140,16 +140,16 @@ def pieces(name: FormatName, says: Says, seconds: float) -> Iterator[tuple[str, 
                 v=1, clk="unix", t=t_ns, w="enu", b="flu", q=_native(t_ns, t_s).q
             )
             yield "ahrs", encode_native(attitude), t_ns + 1_000_000
-        yield "vehicle", says(t_ns, t_s), t_ns + 1_000_000
+        yield "vehicle", encode(t_ns, t_s), t_ns + 1_000_000
 
 
-def spent_s(config: Config, said: list[tuple[str, bytes, int]]) -> tuple[float, int, int]:
+def spent_s(config: Config, chunks: list[tuple[str, bytes, int]]) -> tuple[float, int, int]:
     """Processor time; pings asked, and those that got a pose."""
     bridge = OdometryBridge(config)
     each = RECORDS_HZ // PINGS_HZ
     asked = found = 0
     began_s = time.process_time()
-    for k, (link, data, arrival_ns) in enumerate(said):
+    for k, (link, data, arrival_ns) in enumerate(chunks):
         bridge.feed(link, data, arrival_ns)
         if k % each == 0:
             t_ns = arrival_ns - DELAY_NS
@@ -163,17 +163,17 @@ def table(seconds: float) -> str:
     """Markdown.
 
     Raises:
-        ValueError: pings had no pose, so that less was done than is told.
+        ValueError: pings had no pose, so that less was done than is reported.
     """
     lines = ["| format | of one core | a record, with its part of the poses |", "|---|---:|---:|"]
-    for name, says in formats().items():
-        said = list(pieces(name, says, seconds))
-        runs = [spent_s(config_of(name), said) for _ in range(RUNS)]
+    for name, encode in formats().items():
+        chunks = list(pieces(name, encode, seconds))
+        runs = [spent_s(config_of(name), chunks) for _ in range(RUNS)]
         _, asked, found = runs[0]
         if found < 0.95 * asked:
             raise ValueError(f"{name}: {found} of {asked} pings had a pose")
         least_s = min(run[0] for run in runs)
-        share, each_us = least_s / seconds, 1e6 * least_s / len(said)
+        share, each_us = least_s / seconds, 1e6 * least_s / len(chunks)
         lines.append(f"| `{name}` | {100 * share:.1f} % | {each_us:.0f} µs |")
     return "\n".join(lines)
 
@@ -183,10 +183,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--seconds", type=float, default=60.0, help="of odometry a format")
     parser.add_argument("--write", action="store_true", help="put the table into its page")
-    said = parser.parse_args()
-    text = table(said.seconds)
+    args = parser.parse_args()
+    text = table(args.seconds)
     print(text)
-    if said.write:
+    if args.write:
         write_section(PAGES["odometry"], "odometry cost", text, "python -m bench odometry-cost")
 
 

@@ -4,7 +4,7 @@ Posts are seen by a sonar that moves and turns while it listens. Each of their p
 the image by going to and fro between its range and the sonar's pose at that time; the map then
 gets the pose at the middle of the image, which is true. How far the occupied voxels' centres lie
 from the posts is compared with a sonar that stops for every ping. The fan is thin, so that the
-elevation that a sonar cannot tell does not hide the rest. What motion costs is measured by
+elevation that a sonar cannot measure does not hide the rest. What motion costs is measured by
 `make bench`.
 
 Usage: python -m bench ping-motion [--pings N]
@@ -112,13 +112,13 @@ def echo(run: Run, sent_s: float, axes_m: Floats, *, stops: bool) -> PingImage:
     return PingImage(intensity, bearings, RANGE_M / ROWS)
 
 
-def errors_m(run: Run, *, stops: bool, told: bool) -> Floats:
+def errors_m(run: Run, *, stops: bool, corrected: bool) -> Floats:
     """How far each occupied voxel's centre lies from the nearest post's surface."""
     axes_m = posts()
     config = Config(
         sonar=SonarConfig(vertical_aperture=THIN_DEG),
         octree=OctreeConfig(voxel_resolution=RESOLUTION_M),
-        mapping=MappingConfig(within_ping_motion=told),
+        mapping=MappingConfig(within_ping_motion=corrected),
     )
     sonar_map = SonarMap(config)
     middle_s = 0.0 if stops else RANGE_M / 2 / SOUND_MPS
@@ -126,7 +126,7 @@ def errors_m(run: Run, *, stops: bool, told: bool) -> Floats:
     for i in range(run.pings):
         sent_s = run.sent_s(i)
         image = echo(run, sent_s, axes_m, stops=stops)
-        sonar_map.integrate(image, run.pose(sent_s + middle_s), motion if told else None)
+        sonar_map.integrate(image, run.pose(sent_s + middle_s), motion if corrected else None)
     centres_m = sonar_map.voxels("occupied").centres_m[:, :2]
     distance_m = np.full(len(centres_m), np.inf)
     for axis_m in axes_m:
@@ -144,8 +144,8 @@ def gain_table(pings: int) -> str:
     for speed_mps, rate_dps in MOTIONS:
         run = Run(speed_mps, math.radians(rate_dps), pings)
         found = [
-            errors_m(run, stops=stops, told=told)
-            for stops, told in ((True, False), (False, True), (False, False))
+            errors_m(run, stops=stops, corrected=corrected)
+            for stops, corrected in ((True, False), (False, True), (False, False))
         ]
         cells = [f"{1e3 * np.quantile(error, q):.0f} mm" for q in (0.5, 0.95) for error in found]
         lines.append(f"| {speed_mps:g} | {rate_dps:g} | {' | '.join(cells)} |")

@@ -92,9 +92,9 @@ def markdown(results: Results) -> str:
     """All tables of a run."""
     fine = fine_cases(results.cases)
     asked = [target for target in TARGETS if target.asked]
-    told = [target for target in TARGETS if not target.asked]
+    informative = [target for target in TARGETS if not target.asked]
     parts = [_machine(results), "## Asked and found", _summary(asked, fine), _targets(asked, fine)]
-    parts += ["For information:", _targets(told, fine)]
+    parts += ["For information:", _targets(informative, fine)]
     for look in dict.fromkeys(case.look for case in results.cases):
         cases = [case for case in results.cases if case.look == look]
         parts += [f"## Looking {look}", _loud(cases), _overview(cases)]

@@ -172,7 +172,7 @@ def _work(
     ready: "Barrier",
     results: "Queue[tuple[Counter[str], float]]",
 ) -> None:
-    """In a process of its own: make every so manieth ping; tells effects and CPU time."""
+    """In a process of its own: make every so manieth ping; reports effects and CPU time."""
     scenario = _scenario(*size)
     simulator = Simulator(scenario.scene, scenario.sonar, threads=1)
     used: Counter[str] = Counter()
@@ -231,16 +231,16 @@ def main() -> None:
     parser.add_argument("--pings", type=int, default=100)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--write", action="store_true", help="into docs/reports/performance.md")
-    said = parser.parse_args()
+    args = parser.parse_args()
     scenario = load_scenario(SCENE)
     load = os.getloadavg()[0]
     speeds = []
     for beams, rows, wished_hz in SIZES:
-        speeds.append(measure(_scenario(beams, rows), wished_hz, said.pings, said.workers))
+        speeds.append(measure(_scenario(beams, rows), wished_hz, args.pings, args.workers))
     triangles = sum(len(surface.faces) for surface in scenario.scene.surfaces)
-    text = tables(speeds, triangles=triangles, workers=said.workers, load=load)
+    text = tables(speeds, triangles=triangles, workers=args.workers, load=load)
     print(text)
-    if said.write:
+    if args.write:
         write_section(PAGES["performance"], "simulator", text, "python -m bench simulator-speed")
 
 

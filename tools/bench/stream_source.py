@@ -1,7 +1,7 @@
 """What the map stream costs: bytes a changed voxel, and processor time, on a recorded dive.
 
-The recording is mapped as fast as it can be; at each tick of its own clock clients are told all
-that changed; bytes are those of one. The measure of bytes is what tells the same with x, y, z and
+The recording is mapped as fast as it can be; at each tick of its own clock clients are sent all
+that changed; bytes are those of one. The measure of bytes is a message of the same with x, y, z and
 a probability as four float32 each voxel: every voxel whose value or count is another than at the
 tick before, and, in brackets, those alone whose quantised value is. Prints the tables.
 
@@ -31,7 +31,7 @@ from oculus_driver.recording import Chunk, open_recording
 STEPS = (0.1, 0.25, 0.5)
 RATES_HZ = (5.0, 0.5)
 PLAIN_BYTES = 16
-MOST_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
 BLOCKS = 100_000
 BLOCK_VOXELS = 16
 LOG_ODDS_UNIT = 2.0**-24
@@ -45,8 +45,8 @@ class Watched:
     """One client's view of a dive.
 
     Attributes:
-        others: clients that are told the same.
-        told_bytes, messages: that it was sent.
+        others: clients that are sent the same.
+        sent_bytes, messages: that it was sent.
         look_s, tell_s: processor time of the looks, and of making messages.
         most_s: of the longest tick.
         ticks: so many.
@@ -55,7 +55,7 @@ class Watched:
     source: MapSource
     client: Subscription
     others: list[Subscription]
-    told_bytes: int = 0
+    sent_bytes: int = 0
     messages: int = 0
     look_s: float = 0.0
     tell_s: float = 0.0
@@ -63,15 +63,15 @@ class Watched:
     ticks: int = 0
 
     def tick(self, now_ns: int) -> None:
-        """Find and tell what changed."""
+        """Find and send what changed."""
         began_s = time.process_time()
         self.source.look(now_ns)
         looked_s = time.process_time()
-        while (told := self.client.next(None, MOST_BYTES)) is not None:
-            self.told_bytes += len(told)
+        while (message := self.client.next(None, MAX_BYTES)) is not None:
+            self.sent_bytes += len(message)
             self.messages += 1
         for other in self.others:
-            while other.next(None, MOST_BYTES) is not None:
+            while other.next(None, MAX_BYTES) is not None:
                 pass
         ended_s = time.process_time()
         self.look_s += looked_s - began_s
@@ -86,7 +86,7 @@ class Changes:
 
     step: float
     changed: int = 0
-    told: int = 0
+    sent: int = 0
     _seen: dict[bytes, tuple[NDArray[np.int32], NDArray[np.uint16]]] = field(default_factory=dict)
 
     def tick(self, blocks: Blocks) -> None:
@@ -96,9 +96,9 @@ class Changes:
             old_units, old_counts = self._seen.get(name, (0 * units, 0 * counts))
             self.changed += int(((units != old_units) | (counts != old_counts)).sum())
             known = (counts > 0) != (old_counts > 0)
-            told = np.rint(units * (LOG_ODDS_UNIT / self.step))
+            steps = np.rint(units * (LOG_ODDS_UNIT / self.step))
             before = np.rint(old_units * (LOG_ODDS_UNIT / self.step))
-            self.told += int((known | (told != before)).sum())
+            self.sent += int((known | (steps != before)).sum())
             self._seen[name] = units, counts
 
 
@@ -133,12 +133,12 @@ def dive(
     for step, one, count in zip(steps, watched, changes, strict=True):
         seconds = clock.seconds
         print(
-            f"{clients:7d} {rate_hz:4.1f} {step:5.2f} {one.told_bytes:10d}"
-            f" {one.told_bytes / seconds / 1e3:7.1f}"
-            f" {count.changed:10d} {one.told_bytes / count.changed:6.2f}"
-            f" ({one.told_bytes / max(count.told, 1):5.2f})"
-            f" {PLAIN_BYTES * count.changed / one.told_bytes:6.1f}"
-            f" ({PLAIN_BYTES * count.told / one.told_bytes:5.1f})"
+            f"{clients:7d} {rate_hz:4.1f} {step:5.2f} {one.sent_bytes:10d}"
+            f" {one.sent_bytes / seconds / 1e3:7.1f}"
+            f" {count.changed:10d} {one.sent_bytes / count.changed:6.2f}"
+            f" ({one.sent_bytes / max(count.sent, 1):5.2f})"
+            f" {PLAIN_BYTES * count.changed / one.sent_bytes:6.1f}"
+            f" ({PLAIN_BYTES * count.sent / one.sent_bytes:5.1f})"
             f" {1e3 * one.look_s / one.ticks:6.2f} {1e3 * one.tell_s / one.ticks:6.2f}"
             f" {1e3 * one.most_s:6.1f} {100 * (one.look_s + one.tell_s) / seconds:5.2f}"
             f" {100 * one.source.memory_bytes / sonar_map.memory_bytes:5.1f}"
@@ -157,7 +157,7 @@ class _Clock:
         return (self.now_ns - (self.first_ns or 0)) / 1e9
 
     def watching(self, chunks: Iterable[Chunk]) -> Iterator[Chunk]:
-        """Chunks that tell the time as they pass."""
+        """Chunks that report the time as they pass."""
         for chunk in chunks:
             if chunk.arrival_ns is not None:
                 self.now_ns = max(self.now_ns, chunk.arrival_ns)
@@ -193,7 +193,7 @@ def main() -> None:
     config = load_config(arguments.config)
     print(
         "clients   Hz  step      bytes    kB/s    changed  B/voxel        times smaller  look ms"
-        " tell ms most ms  core % memory %"
+        " send ms most ms  core % memory %"
     )
     for rate_hz in RATES_HZ:
         dive(arguments.recording, config, STEPS, rate_hz)

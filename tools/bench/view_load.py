@@ -3,8 +3,8 @@
     python -m bench view-load [--cells 2000000] [--chromium /usr/bin/chromium]
 
 A rough sea floor with walls is mirrored and shown; then blocks near a vehicle change as while it
-maps. Told are the bytes that a browser gets, the processor time that the page's server takes, and
-with a browser the frames a second that it draws, without a graphics card.
+maps. The report has the bytes that a browser gets, the processor time of the page's server, and,
+with a browser, the frames a second that it draws without a graphics card.
 """
 
 import argparse
@@ -55,15 +55,15 @@ def main() -> None:
     parser.add_argument("--shape", choices=("auto", "cubes", "points"), default="auto")
     parser.add_argument("--chromium", help="of a browser; none measures the server alone")
     parser.add_argument("--picture", help="PNG of the page")
-    said = parser.parse_args()
+    args = parser.parse_args()
     mirror = MapMirror(FACTS, Interest(detail="log_odds"))
-    mirror.put(_floor(said.cells), time.time_ns())
+    mirror.put(_floor(args.cells), time.time_ns())
     occupied = len(mirror.cells("occupied"))
     server = open_page("127.0.0.1", 0)
-    view = MapView(server.scene, Look(Filter(), Scale("height", -10.0, 0.0), said.shape))
+    view = MapView(server.scene, Look(Filter(), Scale("height", -10.0, 0.0), args.shape))
     try:
-        if said.chromium:
-            with _page(said.chromium, f"http://127.0.0.1:{server.get_port()}") as page:
+        if args.chromium:
+            with _page(args.chromium, f"http://127.0.0.1:{server.get_port()}") as page:
                 print(f"frames a second of an empty page: {page.evaluate(FRAMES_JS, 5):.1f}")
                 begun = time.monotonic()
                 _show(mirror, view, occupied)
@@ -73,8 +73,8 @@ def main() -> None:
                 begun = time.monotonic()
                 updated = _update(mirror, view, page)
                 print(f"{UPDATES} updates took {time.monotonic() - begun:.1f} s with the browser")
-                if said.picture:
-                    page.screenshot(path=said.picture, timeout=120_000)
+                if args.picture:
+                    page.screenshot(path=args.picture, timeout=120_000)
         else:
             _show(mirror, view, occupied)
             updated = _update(mirror, view, None)
@@ -103,7 +103,7 @@ def _update(mirror: MapMirror, view: MapView, page: "Page | None") -> str:
     """Blocks around a vehicle that moves change; what each update is."""
     generator = np.random.default_rng(7)
     keys = mirror.keys()
-    told, spent_s = [], 0.0
+    sizes, spent_s = [], 0.0
     for number in range(UPDATES):
         vehicle = np.array([0.1 * number, 0.0, -5.0])
         near = np.linalg.norm(keys * 0.8 - vehicle, axis=1) < 12.0  # noqa: PLR2004 of a fan
@@ -116,13 +116,13 @@ def _update(mirror: MapMirror, view: MapView, page: "Page | None") -> str:
         sent = 0
         while view.stale:
             sent += view.draw(mirror, vehicle, 0, 1 << 40, 4)
-        told.append(sent)
+        sizes.append(sent)
         spent_s += (time.process_time() - begun_s) / UPDATES
         if page is not None:
             page.wait_for_timeout(250)
     return (
-        f"an update of {BLOCKS_AN_UPDATE} blocks: {np.median(told) / 1e3:.0f} kB (median), "
-        f"{max(told) / 1e3:.0f} kB (most), {spent_s * 1e3:.0f} ms of one core; "
+        f"an update of {BLOCKS_AN_UPDATE} blocks: {np.median(sizes) / 1e3:.0f} kB (median), "
+        f"{max(sizes) / 1e3:.0f} kB (most), {spent_s * 1e3:.0f} ms of one core; "
         f"all of the map is {view.cells * 9 / 1e6:.1f} MB"
     )
 

@@ -37,7 +37,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def _add_other_names(fields: dict[str, Any]) -> None:
-    """Let files through that say settings or values of `amcl` under their other names."""
+    """Accept files with settings or values of `amcl` under their other names."""
     inner: dict[str, Any] = {}
     for other, name in ALIASES.items():
         known = {k: v for k, v in fields[_last(name)].items() if k != "default"}

@@ -49,7 +49,7 @@ class VoxelCloud:
 
 
 def read_voxels(path: Path) -> VoxelCloud:
-    """Read a binary PLY of voxel centres, whose comment says the voxels' edge.
+    """Read a binary PLY of voxel centres, whose comment states the voxels' edge.
 
     Raises:
         ValueError: it is no such file.
@@ -62,7 +62,7 @@ def read_voxels(path: Path) -> VoxelCloud:
     count = re.search(r"^element vertex (\d+)$", "\n".join(lines), re.MULTILINE)
     edge = re.search(r"edge (\S+) m", "\n".join(lines))
     if count is None or edge is None:
-        raise ValueError(f"{path}: says neither how many voxels nor how large they are")
+        raise ValueError(f"{path}: states neither the number of voxels nor their size")
     fields = [line.split()[1:] for line in lines if line.startswith("property ")]
     dtype = np.dtype([(name, _DTYPES[kind]) for kind, name in fields])
     vertices = np.frombuffer(body, dtype, int(count[1]))
@@ -238,11 +238,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("scene", type=Path, help="scene.ply of the simulator")
     parser.add_argument("seen", type=Path, help="seen.npz of the simulator")
     parser.add_argument("--json", type=Path, help="file for the numbers")
-    said = parser.parse_args(argv)
-    accuracy = measure(said.map, said.scene, said.seen)
+    args = parser.parse_args(argv)
+    accuracy = measure(args.map, args.scene, args.seen)
     print(accuracy.sentences())
-    if said.json is not None:
-        write_json(said.json, accuracy)
+    if args.json is not None:
+        write_json(args.json, accuracy)
     return 0
 
 

@@ -27,8 +27,8 @@ CONFIG = ROOT / "config" / "demo.yaml"
 SCENE = "harbour"
 PICTURED_PING = 62
 """On the first leg, abreast of a pile, with the quay to port and the wreck to starboard."""
-MOST_MEDIAN_M = 0.1
-LEAST_COVERAGE = 0.9
+MAX_MEDIAN_M = 0.1
+MIN_COVERAGE = 0.9
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -36,10 +36,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="demo", description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder of the results")
     parser.add_argument("--seed", type=int, default=CaptureSettings().seed, help="of the noise")
-    said = parser.parse_args(argv)
-    out: Path = said.out
+    args = parser.parse_args(argv)
+    out: Path = args.out
     out.mkdir(parents=True, exist_ok=True)
-    record(out, CaptureSettings(seed=said.seed))
+    record(out, CaptureSettings(seed=args.seed))
     code = replay(out)
     if code != 0:
         return code
@@ -90,11 +90,9 @@ def report(accuracy: MapAccuracy, pictures: Sequence[Path]) -> int:
     """Say how good the map is; 0 if it is good enough."""
     print(accuracy.sentences())
     print("pictures:", *pictures)
-    if accuracy.median_m <= MOST_MEDIAN_M and accuracy.coverage >= LEAST_COVERAGE:
+    if accuracy.median_m <= MAX_MEDIAN_M and accuracy.coverage >= MIN_COVERAGE:
         return 0
-    print(
-        f"not as promised: median at most {MOST_MEDIAN_M} m, coverage at least {LEAST_COVERAGE:.0%}"
-    )
+    print(f"not as promised: median at most {MAX_MEDIAN_M} m, coverage at least {MIN_COVERAGE:.0%}")
     return 1
 
 

@@ -44,7 +44,7 @@ class SurveyRecord(msgspec.Struct, frozen=True):
 
 
 def read_record(folder: Folder) -> SurveyRecord:
-    """What the record says; nothing where maps were put together without one.
+    """Read the record; empty where maps were put together without one.
 
     Raises:
         SurveyError: it is no such record, or a run has not come to its end.
@@ -70,14 +70,14 @@ PERIOD_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class SurveyArguments:
-    """What is asked for, with what the survey itself says where nothing was args.
+    """The arguments, completed by the record of the survey where they are absent.
 
     Attributes:
         folder: the survey's.
         out: of what is written.
         origin: where on Earth the map's zero lies; None where nobody args.
-        altitude_m: of that zero, as the survey says; 0 where it does not.
-        config: whose thresholds say what is occupied.
+        altitude_m: of that zero, from the survey; 0 by default.
+        config: its thresholds determine what is occupied.
         outputs: products that the survey asks for; none are all that can be made.
     """
 
@@ -101,13 +101,13 @@ def add_survey_arguments(parser: argparse.ArgumentParser, part: str) -> None:
         "--origin",
         metavar="LAT,LON",
         type=_origin,
-        help="where on Earth the map's zero lies, in degrees; default: as the survey says",
+        help="where on Earth the map's zero lies, in degrees; default: that of the survey",
     )
     parser.add_argument(
         "--config",
         type=Path,
         metavar="FILE",
-        help="settings, whose thresholds say what is occupied; default: those of the survey",
+        help="settings, whose thresholds determine what is occupied; default: those of the survey",
     )
 
 

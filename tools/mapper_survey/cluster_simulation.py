@@ -70,13 +70,13 @@ class _SharedStorage:
     """Transfers that share a bandwidth alike.
 
     All of them run at the same rate at any moment, so what a single one would have carried since
-    the beginning says when each is over: at its own start's value plus its size.
+    the beginning gives the end of each: at its own start's value plus its size.
     """
 
     def __init__(self, cluster: Cluster) -> None:
         self._cluster = cluster
         self._carried = 0.0
-        self._told_s = 0.0
+        self._updated_s = 0.0
         self._over: list[tuple[float, int]] = []
 
     def start(self, now_s: float, size: int, task: int) -> None:
@@ -87,18 +87,18 @@ class _SharedStorage:
         """When the next transfer ends, if nothing else begins; infinite if there is none."""
         if not self._over:
             return inf
-        return self._told_s + max(self._over[0][0] - self._carried, 0.0) / self._rate()
+        return self._updated_s + max(self._over[0][0] - self._carried, 0.0) / self._rate()
 
     def end_next(self, now_s: float) -> int:
         """Take out the transfer that ends now; returns its task."""
-        self._told_s = now_s
+        self._updated_s = now_s
         self._carried, task = heapq.heappop(self._over)
         return task
 
     def _advance(self, now_s: float) -> None:
-        if now_s > self._told_s and self._over:
-            self._carried += self._rate() * (now_s - self._told_s)
-        self._told_s = now_s
+        if now_s > self._updated_s and self._over:
+            self._carried += self._rate() * (now_s - self._updated_s)
+        self._updated_s = now_s
 
     def _rate(self) -> float:
         share = self._cluster.storage_bytes_per_s / len(self._over)
@@ -154,8 +154,8 @@ class _Run:
 
     def _begin_transfer(self, now_s: float, task: int, *, writing: bool) -> None:
         self._writing[task] = writing
-        told = self._tasks[task]
-        self._storage.start(now_s, told.written_bytes if writing else told.read_bytes, task)
+        times = self._tasks[task]
+        self._storage.start(now_s, times.written_bytes if writing else times.read_bytes, task)
 
     def _transferred(self, now_s: float, task: int) -> None:
         if not self._writing[task]:

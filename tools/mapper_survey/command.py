@@ -101,7 +101,7 @@ def _plan(args: argparse.Namespace) -> int:
         record = plan_survey(request, Folder(args.out), engine, sys.stderr)
     finally:
         engine.close()
-    return _tell(record, request)
+    return _report_losses(record, request)
 
 
 def _run(args: argparse.Namespace) -> int:
@@ -114,7 +114,7 @@ def _run(args: argparse.Namespace) -> int:
     finally:
         engine.close()
     print(f"{record['pings']} pings of {record['recorded_s']:.0f} s: {folder.url}/map.db")
-    return _tell(record, request)
+    return _report_losses(record, request)
 
 
 def _engine(args: argparse.Namespace) -> Engine:
@@ -130,18 +130,18 @@ def _engine(args: argparse.Namespace) -> Engine:
     return local_pool(args.workers, bytes_of(args.memory_per_worker))
 
 
-def _tell(record: dict[str, Any], request: Request) -> int:
-    """Say what was lost and what was dropped, all else is in the files; returns the exit code."""
+def _report_losses(record: dict[str, Any], request: Request) -> int:
+    """Report what was lost and what was dropped; return the exit code."""
     code = 0
-    for dive, told in zip(request.survey.dives, record["dives"], strict=True):
-        for lost in told["lost"]:
+    for dive, record_of_dive in zip(request.survey.dives, record["dives"], strict=True):
+        for lost in record_of_dive["lost"]:
             sys.stderr.write(f"mapper-survey: dive {dive.name}: {lost['recording']}: ")
             sys.stderr.write(f"{lost['reason']}\n")
-        for reason, count in told["pings_dropped"].items():
-            detail = told["dropped_details"].get(reason, "")
+        for reason, count in record_of_dive["pings_dropped"].items():
+            detail = record_of_dive["dropped_details"].get(reason, "")
             sys.stderr.write(f"mapper-survey: dive {dive.name}: {count} pings dropped, ")
             sys.stderr.write(f"{reason}: {detail}\n")
-        if told["pings"] == 0:
+        if record_of_dive["pings"] == 0:
             code = NOT_ALL
             sys.stderr.write(f"mapper-survey: dive {dive.name}: not a ping of it is in the map\n")
     return code
@@ -279,7 +279,7 @@ def _report_lines(report: Report) -> list[str]:
 
 SCHEDULER_MS = 3.0
 """Of CPU time. Measured were 2.4 ms for a task that does nothing, 3.6 ms for one that brings 100 kB
-(Dask 2026.8, scheduler and client in one process). Dask's documentation says 0.2 to 1 ms (Best
+(Dask 2026.8, scheduler and client in one process). Dask's documentation states 0.2 to 1 ms (Best
 Practices, "Avoid very large graphs")."""
 
 STORAGE_MB_PER_S = 1250.0
@@ -311,7 +311,7 @@ def _add_scaling_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _scaling(args: argparse.Namespace) -> int:
-    """Simulate, write, and say what limits most."""
+    """Simulate, write and print the tables."""
     try:
         runs = sorted((read_run(*run) for run in args.runs), key=lambda run: run.workers)
         cluster = Cluster(

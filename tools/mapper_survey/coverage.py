@@ -14,10 +14,10 @@ from mapperd.export.cells import UNKNOWN, Heights, known_cells
 from mapperd.export.geotiff import NO_DATA, Band
 from mapperd.mapping.sonar_map import SonarMap
 
-__all__ = ["BANDS", "MOST_PIXELS", "Coverage", "Pictures", "Raster", "cover"]
+__all__ = ["BANDS", "MAX_PIXELS", "Coverage", "Pictures", "Raster", "cover"]
 
 
-MOST_PIXELS = 1200
+MAX_PIXELS = 1200
 """Along the longer side; a wider map gets more columns to a pixel."""
 
 MARGIN = 0.03
@@ -41,7 +41,7 @@ class Raster:
 
     def __init__(self, tiling: Tiling, resolution_m: float) -> None:
         width, height = tiling.columns * tiling.edge, tiling.rows * tiling.edge
-        self.columns = max(1, math.ceil(max(width, height) / MOST_PIXELS))
+        self.columns = max(1, math.ceil(max(width, height) / MAX_PIXELS))
         self.shape = math.ceil(height / self.columns), math.ceil(width / self.columns)
         self._x, self._north = tiling.x, tiling.north
         pixel_m = self.columns * resolution_m
@@ -167,7 +167,7 @@ def cover(
     pictures: Pictures,
     *,
     raster: Raster,
-    tell: Callable[[], None],
+    progress: Callable[[], None],
 ) -> Iterator[Floats32 | None]:
     """Look at all columns, window by window; one dive's window is in memory at a time.
 
@@ -183,7 +183,7 @@ def cover(
         of_merged = merged.columns(window)
         if of_merged is not None:
             coverage.merged += _draw_merged(of_merged, window, raster, pictures)
-        tell()
+        progress()
         yield _together(tops, merged.resolution_m, window, coverage, (raster, pictures))
 
 

@@ -26,11 +26,11 @@ __all__ = ["Comparison", "Disagreement", "Way", "cubes_of", "differences"]
 CUBE_BRICKS = 2
 """Along an edge of what is compared at a time; what lies around it within the reach is read too."""
 
-MOST_REACH_VOXELS = 60
+MAX_REACH_VOXELS = 60
 """A distance that is looked for: less than a brick, and than the core's field of distances."""
 
 REACH_TOLERANCES = 5
-"""Distances are told up to so many tolerances, and beyond as `farther`."""
+"""Distances are reported up to this number of tolerances, and beyond as `farther`."""
 
 Ints = NDArray[np.int64]
 
@@ -59,7 +59,7 @@ class Way:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Disagreement:
-    """What a cube of space tells.
+    """Differences within a cube of space.
 
     Attributes:
         index: (N, 2) columns of the voxels that were compared.
@@ -82,7 +82,7 @@ class Comparison:
     """
 
     def __init__(self, resolution_m: float, tolerance_m: float) -> None:
-        most_m = MOST_REACH_VOXELS * resolution_m
+        most_m = MAX_REACH_VOXELS * resolution_m
         if not 0 < tolerance_m <= most_m:
             raise SurveyError(
                 f"tolerance: {tolerance_m:g} m is not allowed; allowed: up to {most_m:g} m"
@@ -90,7 +90,7 @@ class Comparison:
         self.resolution_m = resolution_m
         self.near = math.floor((tolerance_m / resolution_m) ** 2 + 1e-6)  # squared, in voxels
         far = math.ceil(REACH_TOLERANCES * tolerance_m / resolution_m)
-        self.reach = min(far, MOST_REACH_VOXELS)
+        self.reach = min(far, MAX_REACH_VOXELS)
 
     def squares(self, other: SonarMap, index: Ints, occupied_log_odds: float) -> Ints:
         """Squared distances (N,), in voxels, to the nearest occupied voxel of another map.
@@ -122,7 +122,7 @@ def differences(
     stores: Mapping[str, StoredMap],
     ways: Mapping[tuple[str, str], Way],
     comparison: Comparison,
-    tell: Callable[[], None],
+    progress: Callable[[], None],
 ) -> Iterator[Disagreement]:
     """Compare every two dives, cube by cube; one dive's cube is in memory at a time.
 
@@ -130,7 +130,7 @@ def differences(
         stores: of the dives, by name.
         ways: counts, from the first dive to the second; they are added to.
         comparison: what counts as near.
-        tell: is called when a cube is done.
+        progress: is called when a cube is done.
     """
     for cube in cubes_of(stores):
         occupied = {name: _occupied(stored, cube) for name, stored in stores.items()}
@@ -140,7 +140,7 @@ def differences(
             others = {a: of for a, of in occupied.items() if a != b and len(of)}
             if others:
                 yield from _compared(stored, others, {a: ways[a, b] for a in others}, comparison)
-        tell()
+        progress()
 
 
 def _occupied(stored: StoredMap, cube: Key) -> Ints:

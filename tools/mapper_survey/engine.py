@@ -11,7 +11,7 @@ Done = tuple[Any, Any]
 
 
 class Engine(Protocol):
-    """Does tasks in any order, each at least once, and says when one is done."""
+    """Does tasks in any order, each at least once, and reports when one is done."""
 
     def submit(self, function: Callable[[Any], Any], task: Any) -> None:  # noqa: ANN401 any task
         """Have a task done."""

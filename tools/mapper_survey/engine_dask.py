@@ -66,8 +66,8 @@ LOOK_S = 5.0
 ALONE_S = 600.0
 """Without any worker: a cluster's own may take minutes to begin, but none comes of itself."""
 
-MOST_BEGUN = 10
-"""Times that all workers of a pool are begun anew while no task ends."""
+MAX_BEGUN = 10
+"""Times that all workers of a pool are started again while no task ends."""
 
 OUR_WORKERS = {
     # They are not looked into a hundred times a second.
@@ -84,7 +84,7 @@ OUR_WORKERS = {
 """With what Dask sets else, planning a recording takes twice as long."""
 
 QUIET = logging.CRITICAL
-"""What workers lose is told by the survey, and that they die is no news."""
+"""The survey reports what workers lose; the death of a worker is not reported."""
 
 GONE = {Status.closed, Status.failed}
 
@@ -144,7 +144,7 @@ class DaskEngine:
             SurveyError: there are none, and none come.
         """
         if self._pool is not None:
-            self._pool.fill_up(anew=some_ended)
+            self._pool.fill_up(reset=some_ended)
         elif some_ended or self._client.scheduler_info()["workers"]:
             self._seen_s = time.monotonic()
         elif time.monotonic() - self._seen_s > ALONE_S:
@@ -157,7 +157,7 @@ class DaskEngine:
 class Pool:
     """Workers on this machine, whatever becomes of them.
 
-    Dask's nannies begin a worker anew that died, unless it dies while it begins: it is forgotten,
+    Dask's nannies restart a worker that died, unless it dies while it begins: it is forgotten,
     or ends what began it.
 
     Args:
@@ -169,22 +169,22 @@ class Pool:
         self.cluster = cluster
         self._workers = workers
         self._begun = 0
-        self.fill_up(anew=True)
+        self.fill_up(reset=True)
 
-    def fill_up(self, *, anew: bool) -> None:
+    def fill_up(self, *, reset: bool) -> None:
         """Begin the workers that are missing.
 
         Args:
-            anew: forget how many were begun already: they do something.
+            reset: forget how many were begun already: they do something.
 
         Raises:
             SurveyError: they die as often as they are begun.
         """
-        self._begun = 0 if anew else self._begun
-        if self._begun >= MOST_BEGUN * self._workers:
+        self._begun = 0 if reset else self._begun
+        if self._begun >= MAX_BEGUN * self._workers:
             raise SurveyError(
                 f"workers die before they do anything: {self._begun} of them; allowed: --workers 0 "
-                "does all in one process, and says what is wrong"
+                "does all in one process and reports what is wrong"
             )
         try:
             self._begun += self.cluster.sync(self._fill_up)
@@ -214,7 +214,7 @@ class Pool:
 
 
 def local_pool(workers: int, memory_bytes: int) -> DaskEngine:
-    """Workers of our own: processes that are ended, and begun anew, when they take more memory.
+    """Workers of our own: processes that are ended and restarted when they take more memory.
 
     Raises:
         SurveyError: none can be begun.
@@ -280,5 +280,5 @@ def _result_of(future: Future) -> object:
     except Exception as error:  # a scheduler that is gone has errors of its own, workers have any
         raise SurveyError(
             f"a task did not end: {type(error).__name__}: {error}; the same command goes on; "
-            "--workers 0 does all in one process, and says what is wrong"
+            "--workers 0 does all in one process and reports what is wrong"
         ) from error

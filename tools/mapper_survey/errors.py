@@ -4,4 +4,4 @@ __all__ = ["SurveyError"]
 
 
 class SurveyError(Exception):
-    """Told in one line."""
+    """An error that the user can correct; its message is one line."""

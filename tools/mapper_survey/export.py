@@ -49,7 +49,7 @@ class ExportOptions:
     """How products are made.
 
     Attributes:
-        config: its thresholds say what is occupied; None takes the defaults.
+        config: its thresholds determine what is occupied; None takes the defaults.
         cell_voxels: columns of voxels along the edge of a grid's cell.
         rule: what stands for a cell.
         vertical_uncertainty_m: standard deviation of heights by navigation and tide.
@@ -74,7 +74,7 @@ class ExportOptions:
         if self.cell_voxels not in CELL_VOXELS:
             raise SurveyError(f"cell_voxels: {self.cell_voxels} is not allowed; allowed: {allowed}")
         if self.rule not in RULES:
-            raise SurveyError(f"rule: {self.rule!r} is none; allowed: {', '.join(RULES)}")
+            raise SurveyError(f"rule: {self.rule!r} is not a rule; allowed: {', '.join(RULES)}")
         if not (math.isfinite(self.altitude_m) and 0 <= self.vertical_uncertainty_m < math.inf):
             raise SurveyError(
                 "altitude_m must be a number, and vertical_uncertainty_m one from 0 on"
@@ -86,7 +86,7 @@ def check_products(products: Sequence[str], *, known: bool) -> None:
 
     Args:
         products: by their names.
-        known: whether somebody said where on Earth the map is.
+        known: whether the origin of the map on Earth is known.
 
     Raises:
         SurveyError: no such product, or one that needs an origin.
@@ -96,7 +96,7 @@ def check_products(products: Sequence[str], *, known: bool) -> None:
         asked = ", ".join(unknown) or "nothing"
         raise SurveyError(f"no such product: {asked}; allowed: {', '.join(PRODUCTS)}")
     if "positions" in products and not known:
-        raise SurveyError("positions need an origin: say where on Earth the map's zero lies")
+        raise SurveyError("positions need an origin: the place of the map's zero on Earth")
 
 
 def crs_of(product: str, origin: Origin | None) -> str:
@@ -151,7 +151,7 @@ def export_survey(
         out_dir: is made when it is not there.
         products: some of `PRODUCTS`; `positions` only with an origin.
         origin: where the map's zero lies on Earth; None where nobody knows.
-        progress: is told how many windows are done, of how many.
+        progress: receives the number of windows done, and of all.
         options: None are the defaults.
 
     Raises:
@@ -277,7 +277,7 @@ class _Export:
         return (
             Band(f"depth, positive down, of the {options.rule} voxel of the surface", "m"),
             Band("uncertainty of the depth, one standard deviation", "m"),
-            Band("pings that told something about the cell's best seen voxel"),
+            Band("pings that observed the cell's best seen voxel"),
         )
 
 

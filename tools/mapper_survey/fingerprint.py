@@ -48,7 +48,7 @@ def known_map_facts(path: Path) -> str:
 def _files_of_map(path: Path) -> list[Path]:
     """Its image; or its journal, which alone holds what a daemon wrote last.
 
-    An empty journal is none: looking into the map may leave it.
+    An empty journal does not count: reading the map may leave one.
     """
     if path.suffix.lower() in (".yaml", ".yml"):
         return [path, path.parent / image_of(path)]
@@ -59,15 +59,15 @@ def _files_of_map(path: Path) -> list[Path]:
 
 def _fact(path: Path) -> str:
     try:
-        told = path.stat()
+        status = path.stat()
     except OSError as error:
         return f"{path.name} {error.strerror}"
-    return f"{path.name} {told.st_size} {told.st_mtime_ns}"
+    return f"{path.name} {status.st_size} {status.st_mtime_ns}"
 
 
 @functools.cache
 def program_digest() -> str:
-    """Of the program's own files: another version makes everything anew."""
+    """Of the program's own files: another version makes everything again."""
     digest = hashlib.sha256()
     for path in _program_files():
         digest.update(path.name.encode())

@@ -206,13 +206,13 @@ PIECE = 1 << 20
 T = TypeVar("T", bound=msgspec.Struct)
 
 
-def mark(folder: Folder, name: str, told: msgspec.Struct) -> None:
+def mark(folder: Folder, name: str, record: msgspec.Struct) -> None:
     """Say that a result is there."""
-    folder.write(name, msgspec.json.format(msgspec.json.encode(told), indent=2))
+    folder.write(name, msgspec.json.format(msgspec.json.encode(record), indent=2))
 
 
 def marked(folder: Folder, name: str, kind: type[T]) -> T | None:
-    """What was said of a result; None where nothing was, or nothing of this version."""
+    """Read the record of a result; None if there is none of this version."""
     data = folder.read(name)
     if data is None:
         return None
@@ -256,7 +256,7 @@ def held(folder: Folder) -> Iterator[None]:
     Two that begin at the same moment may not see each other.
 
     Raises:
-        SurveyError: another one does, or was killed and cannot say that it does not.
+        SurveyError: another one does, or was killed and left its lock.
     """
     _refuse_another(folder)
     me = Holder(socket.gethostname(), this_system(), os.getpid(), uuid.uuid4().hex)

@@ -51,7 +51,7 @@ DEEP_M = 3.5
 """How thick a layer is taken to be observed, where tiles are chosen: 2.4 m were on a seabed of sand
 waves and wrecks, free water with them. Many small tiles cost, as each ping is read for several."""
 
-MOST_EDGE = 32
+MAX_EDGE = 32
 
 UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "ki": 1 << 10, "mi": 1 << 20, "gi": 1 << 30}
 
@@ -60,11 +60,11 @@ def bytes_of(text: str) -> int:
     """`2GB`, `1500 MiB` or a number of bytes.
 
     Raises:
-        SurveyError: it is none.
+        SurveyError: the text is not a size.
     """
     found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmg]i?)?b?\s*", text, re.IGNORECASE)
     if found is None:
-        raise SurveyError(f"{text!r} is no size of memory; allowed: such as 2GB or 1500MiB")
+        raise SurveyError(f"{text!r} is not a size of memory; allowed: such as 2GB or 1500MiB")
     return int(float(found[1]) * UNITS[(found[2] or "").lower()])
 
 
@@ -99,7 +99,7 @@ def edge_for(config: Config, voxel_bytes: int, tile_size_m: float | None) -> int
         voxels = voxel_bytes / VOXEL_BYTES
         tile_size_m = float((voxels * resolution_m**3 / DEEP_M) ** 0.5)
     edge = 1
-    while edge < MOST_EDGE and 2 * edge * brick_m <= tile_size_m:
+    while edge < MAX_EDGE and 2 * edge * brick_m <= tile_size_m:
         edge *= 2
     return edge
 

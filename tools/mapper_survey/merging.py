@@ -54,7 +54,7 @@ def merge_shards(task: MergeTask, show: Show) -> MergeResult:
 
     Args:
         task: what to do.
-        show: is told which part of the shards is done, and how many.
+        show: receives the share of the shards done, and their number.
 
     Raises:
         SurveyError: a shard is damaged, and has no mark any more.
@@ -89,5 +89,5 @@ def _rows(folder: Folder, shards: Sequence[str], show: Show) -> Generator[BrickR
                 yield from reader.rows()
         except StoreError as error:
             folder.remove(shard_mark(shard))
-            raise SurveyError(f"{error}; the same command makes it anew") from error
+            raise SurveyError(f"{error}; the same command makes it again") from error
         show(number / len(shards), number)

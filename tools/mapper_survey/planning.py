@@ -49,7 +49,7 @@ class PlanTask(Struct, frozen=True):
         name: of the dive.
         recording: a file or a folder.
         config: the dive's settings.
-        transform: into the survey's frame; None is none.
+        transform: into the survey's frame; None leaves poses as they are.
         folder: the survey's, as `Folder` takes it.
         fingerprint: of all that the plan depends on.
     """
@@ -127,7 +127,7 @@ def index_name(plan: DivePlan | PlanTask) -> str:
 
 
 def mark_name(plan: DivePlan | PlanTask) -> str:
-    """Of what is said of both."""
+    """Name of the record of both."""
     return f"plan/{plan.name}.{plan.fingerprint}.json"
 
 

@@ -227,7 +227,7 @@ MISSING = "no pictures: matplotlib cannot be imported (pip install 'mapperd[surv
 
 DPI = 110
 PAPER, INK, LOOKED = "#ffffff", "#1b2733", "#d9e0e6"
-MOST_LINES = 6
+MAX_LINES = 6
 """Pairs that are drawn for themselves; of more, the worst."""
 
 Floats = NDArray[np.float64]
@@ -325,7 +325,7 @@ def _distances(report: Report, ways: Mapping[tuple[str, str], Way]) -> Any:  # n
     axes = figure.subplots()
     pairs = [pair for pair in report.pairs if pair.a_to_b.compared or pair.b_to_a.compared]
     pairs.sort(key=lambda pair: pair.mean_missing_share or 0.0, reverse=True)
-    for number, pair in enumerate(pairs[:MOST_LINES]):
+    for number, pair in enumerate(pairs[:MAX_LINES]):
         for (a, b), style in (((pair.a, pair.b), "-"), ((pair.b, pair.a), "--")):
             way = ways[a, b]
             if way.compared:
@@ -338,8 +338,8 @@ def _distances(report: Report, ways: Mapping[tuple[str, str], Way]) -> Any:  # n
     axes.set_ylabel("share of compared voxels within it")
     axes.grid(alpha=0.25)
     if pairs:
-        chosen = f"; the worst {MOST_LINES} of {len(pairs)} pairs"
-        title = f"within {report.tolerance_m:g} m" + chosen * (len(pairs) > MOST_LINES)
+        chosen = f"; the worst {MAX_LINES} of {len(pairs)} pairs"
+        title = f"within {report.tolerance_m:g} m" + chosen * (len(pairs) > MAX_LINES)
         axes.legend(title=title, fontsize=8, loc="lower right")
     else:
         axes.text(0.5, 0.5, "no two dives looked at the same place", ha="center", color=INK)
@@ -413,7 +413,7 @@ def report_survey(
         merged: the map's file of all of them.
         out_dir: is made when it is not there; gets `report.json`, `difference.tif` and pictures.
         tolerance_m: within which voxels of two dives are the same.
-        progress: is told how many parts are done, of how many.
+        progress: receives the number of parts done, and of all.
         origin: of the GeoTIFF; None where nobody knows.
         config: its thresholds count; None takes the defaults.
 
@@ -458,7 +458,7 @@ class _Comparing:
 
     def write(self, out_dir: Path, origin: Origin | None) -> Report:
         """Count everything, then write it."""
-        tell = self._teller()
+        progress = self._progress_steps()
         place = grid_place(self._tiling, self._comparison.resolution_m, 1)
         with atomic_file(out_dir / DIFFERENCE) as file:
             tiles = cover(
@@ -468,12 +468,12 @@ class _Comparing:
                 self._coverage,
                 self._pictures,
                 raster=self._raster,
-                tell=tell,
+                progress=progress,
             )
             write_tiles(file, tiles, place, BANDS, origin, edge=self._tiling.edge)
             if not len(self._coverage.by_dives):
                 raise SurveyError("no dive has an occupied voxel: there is nothing to report")
-        self._compare(tell)
+        self._compare(progress)
         mapping = self._merged.config.mapping
         report = report_of(
             self._comparison,
@@ -488,14 +488,14 @@ class _Comparing:
         draw_pictures(out_dir, report, self._pictures, self._raster, self._ways)
         return report
 
-    def _compare(self, tell: Callable[[], None]) -> None:
+    def _compare(self, progress: Callable[[], None]) -> None:
         raster, pictures = self._raster, self._pictures
-        for found in differences(self._stores, self._ways, self._comparison, tell):
+        for found in differences(self._stores, self._ways, self._comparison, progress):
             x, y = found.index.T
             raster.put(pictures.compared, np.add.at, x, y, 1.0)
             raster.put(pictures.missing, np.add.at, x, y, found.missing)
 
-    def _teller(self) -> Callable[[], None]:
+    def _progress_steps(self) -> Callable[[], None]:
         total = self._tiling.columns * self._tiling.rows + len(cubes_of(self._stores))
         done = itertools.count(1)
         return lambda: self._progress(next(done), total)

@@ -55,7 +55,7 @@ class Dive(Struct, frozen=True, forbid_unknown_fields=True):
         recording: a file, or a folder of files.
         transform: into the survey's frame; None where the dive's frame is that already.
         localization: a known map in the survey's frame, on which the dive is localized; each ping
-            is mapped where that says, and only while it is sure.
+            is mapped at the localized poses, and only while they are certain.
     """
 
     name: Annotated[str, Meta(pattern="^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
@@ -145,8 +145,8 @@ def read_survey(path: Path) -> Request:
             )
         if dive.transform is not None and dive.localization is not None:
             raise SurveyError(
-                f"{here}: has a transform and localization; allowed: one of them, for either says "
-                "where the dive lies in the survey"
+                f"{here}: has a transform and localization; allowed: one of them, for either "
+                "determines where the dive lies in the survey"
             )
         if dive.localization is not None and not (folder / dive.localization).is_file():
             raise SurveyError(f"{here}.localization: {dive.localization}: there is no such map")
@@ -198,8 +198,8 @@ def _settings_of(survey: Survey, folder: Path, path: Path) -> Config:
     if survey.origin is None:
         return config
     zero = {"latitude": survey.origin.latitude, "longitude": survey.origin.longitude}
-    said = config.odometry.origin
-    if said is not None and msgspec.to_builtins(said) != zero:
+    configured = config.odometry.origin
+    if configured is not None and msgspec.to_builtins(configured) != zero:
         raise SurveyError(
             f"{path}: $.origin: the settings have another odometry.origin; allowed: the same, or "
             "only one of them"

@@ -12,7 +12,7 @@ from mapper_survey.planning import DivePlan
 from mapper_survey.spool import NO_TIME, Rows
 from mapper_survey.tiles import TileResult
 
-__all__ = ["PAUSE_S", "map_times", "plan_times", "recorded_s", "told"]
+__all__ = ["PAUSE_S", "dive_record", "map_times", "plan_times", "recorded_s"]
 
 
 Kind = Literal["plan", "tile", "merge"]
@@ -37,7 +37,7 @@ class TaskTime(msgspec.Struct, frozen=True, kw_only=True):
     after: tuple[str, ...] = ()
 
 
-class _Told(msgspec.Struct):
+class _TaskRecords(msgspec.Struct):
     """The part of `survey.json` that is read here."""
 
     tasks: list[TaskTime]
@@ -47,14 +47,14 @@ def read_task_times(path: Path) -> list[TaskTime]:
     """Tasks of a `survey.json`, each after those that it waits for.
 
     Raises:
-        ValueError: the file is no such record, or its tasks make no sense; says where.
+        ValueError: the file is no such record, or its tasks are inconsistent; names the place.
     """
     try:
-        told = msgspec.json.decode(path.read_bytes(), type=_Told)
+        record = msgspec.json.decode(path.read_bytes(), type=_TaskRecords)
     except msgspec.DecodeError as error:
         raise ValueError(f"{path}: no record of a survey: {error}") from error
     try:
-        return in_order(told.tasks)
+        return in_order(record.tasks)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -98,7 +98,7 @@ PAUSE_S = 10.0
 """A longer time without a ping is a pause: no sonar that maps is as slow."""
 
 
-def told(plan: DivePlan) -> dict[str, Any]:
+def dive_record(plan: DivePlan) -> dict[str, Any]:
     """Of a dive, for a person."""
     of_dive: dict[str, Any] = msgspec.to_builtins(plan)
     del of_dive["bearings"]

@@ -17,7 +17,7 @@ from mapper_survey.memory import edge_for, edge_within, voxel_bytes_of
 from mapper_survey.merging import MergeResult, MergeTask, merge_shards
 from mapper_survey.planning import DivePlan, index_name, mark_name, plan_all, rows_of, spool_name
 from mapper_survey.request import Request
-from mapper_survey.run_record import map_times, plan_times, recorded_s, told
+from mapper_survey.run_record import dive_record, map_times, plan_times, recorded_s
 from mapper_survey.tiles import Scope, TileResult, TileStage, shard_mark
 from mapperd import __version__
 from mapperd.cli.progress import ProgressBar
@@ -78,18 +78,18 @@ def was_begun(folder: Folder) -> bool:
 
 
 def plan_survey(request: Request, folder: Folder, engine: Engine, out: TextIO) -> dict[str, Any]:
-    """Plan the dives alone; returns what there is to say of them."""
+    """Plan the dives alone; return their records."""
     with _alone(folder):
         folder.forget_workspaces()
         with _bar("plan", out) as show:
             plans = plan_all(request, folder, engine, show)
-        return {"dives": [told(plan) for plan in plans]}
+        return {"dives": [dive_record(plan) for plan in plans]}
 
 
 def run_survey(
     request: Request, folder: Folder, engine: Engine, options: RunOptions, out: TextIO
 ) -> dict[str, Any]:
-    """Make the map of all dives; returns what `survey.json` says.
+    """Make the map of all dives; return the content of `survey.json`.
 
     Raises:
         SurveyError: somebody else is at work there, or a task cannot be done.
@@ -155,18 +155,18 @@ class _Running:
     def _merged(self, scope: Scope, shards: Sequence[str], show: Show) -> MergeResult:
         name = dive_map(scope.name) if scope.name else MAP
         key = digest_of(str(scope.pings), *shards)
-        said = _said_of(name)
-        before = marked(self._folder, said, _Merged)
+        record_name = _record_name(name)
+        before = marked(self._folder, record_name, _Merged)
         if before is not None and before.key == key and self._is_whole(before.result):
             return before.result
         config = self._request.config
         task = MergeTask(name, list(shards), config, scope.pings, self._folder.url)
-        for told_before in (RECORD, said):  # of the map that the merged one takes the place of
-            self._folder.remove(told_before)
+        for outdated in (RECORD, record_name):  # of the map that the merged one takes the place of
+            self._folder.remove(outdated)
         for suffix in BESIDE:
             self._folder.remove(f"{name}{suffix}")
         result = merge_shards(task, show)
-        mark(self._folder, said, _Merged(key, result))
+        mark(self._folder, record_name, _Merged(key, result))
         return result
 
     def _is_whole(self, merged: MergeResult) -> bool:
@@ -186,7 +186,7 @@ class _Running:
         for plan in plans:
             wanted |= {spool_name(plan), index_name(plan), mark_name(plan)}
         for name in maps:
-            wanted |= {name, _said_of(name)}
+            wanted |= {name, _record_name(name)}
         ours = [
             name
             for part, kind in (("shards", TileResult), ("plan", DivePlan), (DIVES, _Merged))
@@ -194,7 +194,7 @@ class _Running:
             if name.endswith(SUFFIXES) and _is_ours(self._folder, name, kind)
         ]
         if any(name.startswith(f"{DIVES}/") for name in ours):
-            self._folder.remove(RECORD)  # it tells of them
+            self._folder.remove(RECORD)  # it describes them
         for name in sorted(ours, key=lambda name: name.endswith(".json")):  # the marks last
             self._folder.remove(name)
 
@@ -212,7 +212,7 @@ class _Running:
             "settings": self._request.config,
             "outputs": self._request.survey.outputs,
             "wall_s": self._wall_s,
-            "dives": [told(plan) for plan in plans],
+            "dives": [dive_record(plan) for plan in plans],
             "maps": maps,
             "tasks": self._times,
         }
@@ -266,6 +266,6 @@ def _alone(folder: Folder) -> Iterator[None]:
         yield
 
 
-def _said_of(map_name: str) -> str:
-    """Name of what is said of a map's file."""
+def _record_name(map_name: str) -> str:
+    """Name of the record of a map's file."""
     return f"{map_name.removesuffix('.db')}.json"

@@ -41,7 +41,7 @@ class Step(msgspec.Struct, frozen=True):
 
 
 NOTICED = 0.01
-"""A limit that costs less is none."""
+"""Share of the time below which a limit does not count."""
 
 
 def scaling(
@@ -249,7 +249,7 @@ class ScalingRecord(msgspec.Struct, frozen=True):
     steps: list[Step]
 
 
-class _Told(msgspec.Struct):
+class _StageTimes(msgspec.Struct):
     """The part of `survey.json` that is read here."""
 
     wall_s: dict[str, float]
@@ -263,7 +263,7 @@ def read_run(workers: int, path: Path) -> Run:
     """
     tasks = read_task_times(path)
     try:
-        wall_s = sum(msgspec.json.decode(path.read_bytes(), type=_Told).wall_s.values())
+        wall_s = sum(msgspec.json.decode(path.read_bytes(), type=_StageTimes).wall_s.values())
     except msgspec.DecodeError as error:
         raise ValueError(f"{path}: no record of a survey: {error}") from error
     return Run(workers, wall_s, tasks)

@@ -1,6 +1,6 @@
 """What a dive's pings become between planning and mapping.
 
-Records one after the other, and rows that say of each where it is, when it was, and which part of
+Records one after the other, and rows with the place of each, its time, and which part of
 the map it may change.
 """
 
@@ -55,7 +55,7 @@ class Frame:
         return self._survey_T_dive @ dive_T_sonar
 
     def motion(self, motion: PingMotion | None) -> PingMotion | None:
-        """The same motion; its velocity is told in the map's frame, its turning in the sonar's."""
+        """The same motion; its velocity is in the map's frame, its turning in the sonar's."""
         if self._survey_T_dive is None or motion is None:
             return motion
         return PingMotion(
@@ -193,7 +193,7 @@ PACKED = struct.Struct("<qqi3i3i")
 
 NO_TIME = np.iinfo(np.int64).min
 NO_BOX = ((1, 1, 1), (0, 0, 0))
-"""A ping that says nothing."""
+"""A ping that observes nothing."""
 
 Rows = NDArray[np.void]
 
@@ -238,7 +238,7 @@ class SpoolMap(SonarMap):
     Args:
         config: the settings.
         out: where the records go.
-        rows: where what is said of them goes.
+        rows: file of their index.
         frame: of the dive.
 
     Attributes:

@@ -31,7 +31,7 @@ class Surface:
         column: (N,), 0 in the west.
         z_m: (N,) of the surface, map frame.
         uncertainty_m: (N,) standard deviation.
-        count: (N,) pings that told something about its best seen voxel.
+        count: (N,) pings that observed its best seen voxel.
     """
 
     row: Ints

@@ -1,4 +1,4 @@
-"""How often each whole number came, and what that says of medians: exact, however many came."""
+"""Counts of whole numbers, and exact quantiles of them."""
 
 import math
 from collections.abc import Iterator

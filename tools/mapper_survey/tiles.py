@@ -114,7 +114,7 @@ def children_of(
     dives: Sequence[Rows],
     ordinals: Sequence[NDArray[np.int64]],
 ) -> dict[Tile, NDArray[np.void]]:
-    """What `tiles_of` half its edge says of a tile's children, from the tile's own pings alone.
+    """Cut a tile: `tiles_of` half its edge, from the tile's own pings alone.
 
     Args:
         tile: to be cut.
@@ -145,18 +145,18 @@ def _key(item: tuple[Tile, object]) -> Key:
 
 def _touched(rows: Rows, edge: int) -> dict[Key, NDArray[np.int64]]:
     """Numbers of the pings that touch each tile."""
-    said = np.flatnonzero(np.all(rows["first"] <= rows["last"], axis=1))
-    if not len(said):
+    observing = np.flatnonzero(np.all(rows["first"] <= rows["last"], axis=1))
+    if not len(observing):
         return {}
-    first = rows["first"][said] // (edge * BLOCKS)
-    last = rows["last"][said] // (edge * BLOCKS)
+    first = rows["first"][observing] // (edge * BLOCKS)
+    last = rows["last"][observing] // (edge * BLOCKS)
     spans = (last - first).max(axis=0) + 1
     keys, numbers = [], []
     for step in itertools.product(*(range(int(span)) for span in spans)):
         at = first + np.array(step, dtype=np.int32)
         inside = np.all(at <= last, axis=1)
         keys.append(at[inside])
-        numbers.append(said[inside])
+        numbers.append(observing[inside])
     return _grouped(np.concatenate(keys), np.concatenate(numbers))
 
 
@@ -304,7 +304,7 @@ def _pings(
         except MapperdError as error:
             folder.remove(dives[dive].mark)
             raise SurveyError(
-                f"{dives[dive].spool}: {error}; the same command makes it anew"
+                f"{dives[dive].spool}: {error}; the same command makes it again"
             ) from error
         yield ordinal, record
 
@@ -333,7 +333,7 @@ class Scope:
 
 
 def shard_mark(shard: str) -> str:
-    """Name of what is said of a shard."""
+    """Name of the record of a shard."""
     return f"{shard.removesuffix('.db')}.json"
 
 

@@ -19,7 +19,7 @@ MODULES = ("_core", "acoustics_core")
 
 
 class NotBuiltError(Exception):
-    """What the compiler says."""
+    """Message of the compiler."""
 
 
 class Copy:
@@ -27,7 +27,7 @@ class Copy:
 
     def __init__(self, folder: Path, jobs: int) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        folder = folder.resolve()  # as programs tell where they import from
+        folder = folder.resolve()  # as programs report where they import from
         self._lock = (folder / "lock").open("w")
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -42,7 +42,7 @@ class Copy:
         if not self.root.exists():
             _run(["git", "clone", "--quiet", "--shared", str(REPOSITORY), str(self.root)])
         _run(["git", "fetch", "--quiet", "origin", "HEAD"], self.root)
-        # Only what differs is written anew, so that the build tree stays of use.
+        # Only what differs is written, so that the build tree stays of use.
         _run(["git", "checkout", "--quiet", "--force", "--detach", "FETCH_HEAD"], self.root)
         self.commit = _run(["git", "rev-parse", "--short", "HEAD"], self.root).strip()
 
@@ -114,7 +114,7 @@ class Copy:
 
 
 def _write(path: Path, text: str) -> None:
-    """Python tells compiled files by the second and the size: neither need change here."""
+    """Python recognizes compiled files by the second and the size: neither need change here."""
     path.write_text(text)
     for compiled in (path.parent / "__pycache__").glob(f"{path.stem}.*.pyc"):
         compiled.unlink()

@@ -25,7 +25,7 @@ class Mutation:
         breaks: what is wrong then, in words.
         killed_by: tests of which one must fail, tried in order: `tests/....py::test` for pytest,
             `program: part of a case's name` for the C++ tests.
-        survives: why no test can fail, where the change is none that could be seen; else empty.
+        survives: why no test can fail, where the change has no effect; else empty.
         may: ways to end that count as failing, besides checks that do: "hang", "crash".
     """
 
@@ -65,17 +65,17 @@ def load(folder: Path = CATALOGUE) -> list[Mutation]:
 
 def _of_file(path: Path) -> Iterator[Mutation]:
     for file in yaml.safe_load(path.read_text()):
-        for told in file["mutations"]:
-            tests = told.get("killed_by", file.get("killed_by", ()))
+        for entry in file["mutations"]:
+            tests = entry.get("killed_by", file.get("killed_by", ()))
             yield Mutation(
-                name=f"{path.stem}/{Path(file['file']).stem}/{told['name']}",
+                name=f"{path.stem}/{Path(file['file']).stem}/{entry['name']}",
                 file=file["file"],
-                old=told["old"],
-                new=told["new"],
-                breaks=told["breaks"],
+                old=entry["old"],
+                new=entry["new"],
+                breaks=entry["breaks"],
                 killed_by=(tests,) if isinstance(tests, str) else tuple(tests),
-                survives=told.get("survives", ""),
-                may=tuple(told.get("may", ())),
+                survives=entry.get("survives", ""),
+                may=tuple(entry.get("may", ())),
             )
 
 

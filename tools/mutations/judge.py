@@ -1,4 +1,4 @@
-"""Runs tests in the copy and says how they ended."""
+"""Runs tests in the copy and reports how they ended."""
 
 import re
 import subprocess
@@ -12,7 +12,7 @@ from mutations.forked import run_forked
 __all__ = ["End", "judge_cpp", "judge_pytest", "program_of", "run_test", "targets_of"]
 
 PATIENCE_S = 120.0
-# What a test says that a mutation has broken otherwise than meant.
+# Output of a test that a mutation has broken otherwise than meant.
 NO_FAILURE = re.compile(r"\b(SyntaxError|NameError|ImportError|ModuleNotFoundError)\b")
 
 

@@ -1,4 +1,4 @@
-"""What became of the mutations: kept from run to run, and told as tables."""
+"""What became of the mutations: kept from run to run, and written as tables."""
 
 import json
 from collections import Counter
@@ -68,7 +68,7 @@ class Results:
 
 
 def is_well(mutation: Mutation, result: Result | None) -> bool:
-    """Whether a mutation was killed, or survived as it is said that it must."""
+    """Whether a mutation was killed, or survived as expected."""
     if result is None:
         return False
     return result.outcome == ("survived" if mutation.survives else "killed")

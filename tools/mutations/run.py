@@ -26,7 +26,7 @@ from mutations.judge import End, program_of, run_test, targets_of
 from mutations.results import Result, Results, is_well, table
 from mutations.stamp import stamp
 
-MOST_BYTES = 8 << 30
+MAX_BYTES = 8 << 30
 """Of a program's memory: a loop that lost its end must not take the machine's with it."""
 
 
@@ -96,18 +96,18 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--again", action="store_true", help="also what is as it was measured")
     parser.add_argument("--write", action="store_true", help="write the tables into the page")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="of the compiler")
-    told = parser.parse_args(words)
-    resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
+    args = parser.parse_args(words)
+    resource.setrlimit(resource.RLIMIT_AS, (MAX_BYTES, MAX_BYTES))
     results = Results(REPOSITORY / "out" / "mutations" / "results.jsonl")
     mutations = load()
-    chosen = [one for one in mutations if _is_chosen(one, told.only, told.language)]
-    beside = f"-{told.language}" if told.language else ""
-    copy = Copy(REPOSITORY / "build" / f"mutations{beside}", told.jobs)
-    due = [one for one in chosen if told.again or not results.is_done(one, copy.root)]
+    chosen = [one for one in mutations if _is_chosen(one, args.only, args.language)]
+    beside = f"-{args.language}" if args.language else ""
+    copy = Copy(REPOSITORY / "build" / f"mutations{beside}", args.jobs)
+    due = [one for one in chosen if args.again or not results.is_done(one, copy.root)]
     due.sort(key=lambda one: results.of(one) is not None)  # what is not known at all comes first
     print(f"{len(due)} of {len(chosen)} mutations to measure at {copy.commit}")
     _measure(copy, due, results)
-    if told.write:
+    if args.write:
         write_section(PAGES["mutations"], "mutations", table(mutations, results))
     unwell = [one for one in chosen if not is_well(one, results.of(one))]
     for one in unwell:

@@ -22,11 +22,11 @@ def stamp(mutation: Mutation, tests: Sequence[str], root: Path) -> str:
         tests: the one that killed it, or all that it survived.
         root: of the tree whose files count.
     """
-    told = hashlib.sha256()
+    digest = hashlib.sha256()
     texts = [text for test in tests for text in texts_of(test, root)]
     for text in (mutation.old, mutation.new, (root / mutation.file).read_text(), *tests, *texts):
-        told.update(f"{len(text)}:{text}".encode())
-    return told.hexdigest()[:16]
+        digest.update(f"{len(text)}:{text}".encode())
+    return digest.hexdigest()[:16]
 
 
 def texts_of(test: str, root: Path) -> Iterator[str]:

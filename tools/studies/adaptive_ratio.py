@@ -74,7 +74,7 @@ def first_true(holds: Callable[[int], bool]) -> int:
 
 @cache
 def pings_to_occupied(min_ratio: float, free_before: int, intensity: float = MIDDLE) -> int:
-    """Pings that see a voxel occupied until the map says so, after pings that saw it free."""
+    """Count the pings until a voxel becomes occupied in the map, after pings that saw it free."""
     return first_true(
         lambda n: probability_after(min_ratio, [(free_before, 0), (n, intensity)]) > OCCUPIED
     )
@@ -282,14 +282,14 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Print the tables and draw the picture."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--picture", type=Path, default=PICTURE)
-    said = parser.parse_args(argv)
+    args = parser.parse_args(argv)
     alarms = {
         ratio: [false_alarms(ratio, rate, PROMISED_PINGS) for rate in NOISE]
         for ratio in (PUBLISHED, DEFAULT)
     }
     tables = (reclassification_table(), intensity_table(), burst_table(), noise_table(alarms))
     print("\n\n".join("\n".join(table) for table in tables))
-    draw(said.picture, alarms)
+    draw(args.picture, alarms)
 
 
 if __name__ == "__main__":

@@ -91,7 +91,7 @@ class Dive:
         return 2 * self.range_m / SOUND_MPS
 
     def config(self, policy: str = "interpolate", *, motion: bool = True) -> Config:
-        """Settings; the fan is thin, as the elevation that a sonar cannot tell would hide the rest.
+        """Settings; the fan is thin: the unknown elevation of echoes would hide the rest.
 
         The sonar sits off the middle of the vehicle and looks aside.
         """
@@ -162,7 +162,7 @@ class Dive:
         """In order: arrival and number of a ping, or arrival and bytes of a record.
 
         Args:
-            stamped: the records say when they were true, on the vehicle's clock.
+            stamped: the records hold the time when they were true, on the vehicle's clock.
         """
         rng = np.random.default_rng(self.seed)
         events: list[tuple[int, int | bytes]] = []
@@ -337,10 +337,10 @@ def main() -> None:
     """Measure, print, and write where asked."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--write", action="store_true", help="put the table into its page")
-    said = parser.parse_args()
+    args = parser.parse_args()
     text = table(rows(Dive()))
     print(text)
-    if said.write:
+    if args.write:
         write_section(PAGES["odometry"], "pose error", text, "python -m studies pose-error")
 
 

@@ -106,7 +106,7 @@ def look(place: Place, pings: int, seed: int = 1, config: Config | None = None) 
 
 
 def first_surfaces_m(truth: Truth, bearing_rad: Floats, beam_width_rad: float) -> Floats:
-    """(beams, STEPS) ranges of the first surfaces that each beam looks at; inf is none.
+    """(beams, STEPS) ranges of the first surfaces that each beam looks at; inf without one.
 
     Args:
         truth: rays within the vertical aperture.

@@ -127,7 +127,7 @@ def _camera(panel: Panel) -> Camera:
 
 ROOT = Path(__file__).resolve().parents[2]
 PICTURE = ROOT / "docs" / "images" / "scene-maps.png"
-MOST_PINGS = 300
+MAX_PINGS = 300
 EXACT_WITHIN_M = 0.5
 VOXEL_M = 0.1
 BOTH_WAYS = 2.0**0.5
@@ -162,20 +162,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="scene_maps", description=__doc__.partition("\n")[0])
     parser.add_argument("scenes", nargs="*", help="shipped names or files; all shipped if none")
     parser.add_argument("--out", type=Path, default=Path("out/scenes"), help="folder of results")
-    parser.add_argument("--pings", type=int, default=MOST_PINGS, help="at most, of each scene")
+    parser.add_argument("--pings", type=int, default=MAX_PINGS, help="at most, of each scene")
     parser.add_argument("--picture", type=Path, default=PICTURE, help="PNG to write")
-    said = parser.parse_args(argv)
+    args = parser.parse_args(argv)
     panels = []
-    for name in said.scenes or scene_names():
-        scenario = _thinned(load_scenario(name), said.pings)
-        out: Path = said.out / scenario.name
+    for name in args.scenes or scene_names():
+        scenario = _thinned(load_scenario(name), args.pings)
+        out: Path = args.out / scenario.name
         made = map_scene(scenario, out)
         if made is None:
             return 1
         print(f"{scenario.name}: {made.accuracy.sentences()}\n", flush=True)
         panels.append(_panel(made, out))
-    draw_panels(said.picture, panels)
-    print(f"picture: {said.picture}")
+    draw_panels(args.picture, panels)
+    print(f"picture: {args.picture}")
     return 0
 
 

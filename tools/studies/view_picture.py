@@ -2,7 +2,7 @@
 
     make demo && python tools/studies/view_picture.py [--chromium /usr/bin/chromium] [--out PNG]
 
-All that it shows is what the daemon tells: the dive is played to it as if it happened now.
+All that it shows is what the daemon sends: the dive is played to it as if it happened now.
 """
 
 import argparse
@@ -47,17 +47,17 @@ def main() -> None:
     parser.add_argument("--chromium", default="/usr/bin/chromium")
     parser.add_argument("--demo", type=Path, default=ROOT / "out" / "demo")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images" / "view.png")
-    said = parser.parse_args()
+    args = parser.parse_args()
     with (
         tempfile.TemporaryDirectory() as folder,
-        World(Path(folder), said.demo / "capture.bin") as world,
+        World(Path(folder), args.demo / "capture.bin") as world,
     ):
         world.start_daemon()
         world.start_dive()
-        png = asyncio.run(_draw(world, said.chromium))
+        png = asyncio.run(_draw(world, args.chromium))
     picture = Image.open(io.BytesIO(png)).convert("RGB")
-    picture.save(said.out, optimize=True)
-    print(f"{said.out}: {said.out.stat().st_size / 1e3:.0f} kB")
+    picture.save(args.out, optimize=True)
+    print(f"{args.out}: {args.out.stat().st_size / 1e3:.0f} kB")
 
 
 async def _draw(world: World, chromium: str) -> bytes:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from studies.stream.told_steps import told_steps
+from studies.stream.sent_steps import sent_steps
 
 from mapperd import _core
 from mapperd.client import Interest, MapClient, connect
@@ -68,7 +68,7 @@ def told_digest(sonar_map: SonarMap, facts: MapFacts, level: int) -> str:
     at = np.stack(np.unravel_index(np.arange(edge**3), (edge,) * 3, order="F"), axis=-1)
     voxels = (keys[:, None, :].astype(np.int64) * edge + at).reshape(-1, 3)
     known = counts.reshape(-1) > 0
-    told = told_steps(units.reshape(-1) * _core.LOG_ODDS_UNIT, facts)
+    told = sent_steps(units.reshape(-1) * _core.LOG_ODDS_UNIT, facts)
     blocks: dict[tuple[int, ...], NDArray[np.int8]] = {}
     for cell, value in zip(voxels[known] >> level, told[known], strict=True):
         block = blocks.setdefault(tuple(cell >> 3), np.full(512, UNKNOWN, np.int8))

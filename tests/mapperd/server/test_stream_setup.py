@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from studies.stream.told_steps import told_steps
+from studies.stream.sent_steps import sent_steps
 
 from mapperd.config.loader import config_from_text
 from mapperd.daemon.servers import map_listeners, stream_server
@@ -131,7 +131,7 @@ def cells_of(sonar_map: SonarMap, facts: MapFacts) -> dict[Key, bytes]:
     """Blocks of the stream as the map's own blocks have them."""
     found = {}
     for key, odds, counts in zip(*sonar_map.core.blocks(), strict=True):
-        cells = told_steps(odds * 2.0**-24, facts)
+        cells = sent_steps(odds * 2.0**-24, facts)
         cells = np.where(counts > 0, cells, np.int8(UNKNOWN)).reshape(2, 8, 2, 8, 2, 8)
         for z, y, x in np.ndindex(2, 2, 2):
             part = cells[z, :, y, :, x, :]

@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from studies.stream.told_steps import told_steps
+from studies.stream.sent_steps import sent_steps
 
 from mapperd import _core
 from mapperd.client.mirror import MapMirror
@@ -43,7 +43,7 @@ def _values(log_odds: NDArray[np.float64], facts: MapFacts, interest: Interest) 
         occupied = log_odds > facts.occupied_log_odds
         free = log_odds < facts.free_log_odds
         return occupied.astype(np.int8) - free.astype(np.int8)
-    return told_steps(log_odds, facts)
+    return sent_steps(log_odds, facts)
 
 
 def _counts(bits: NDArray[np.uint8], interest: Interest) -> bytes:

@@ -4,19 +4,19 @@ import numpy as np
 import pytest
 from demo.map_truth import MapAccuracy
 from demo.picture import Camera, cubes, render
-from demo.run import LEAST_COVERAGE, MOST_MEDIAN_M, SCENE, report
+from demo.run import MAX_MEDIAN_M, MIN_COVERAGE, SCENE, report
 from sonar_sim import CaptureSettings, load_scenario
 from sonar_sim.capture import ping_times_s
 
 GOOD = MapAccuracy(
     voxel_m=0.1,
     occupied_voxels=1000,
-    median_m=MOST_MEDIAN_M,
+    median_m=MAX_MEDIAN_M,
     p95_m=0.2,
     max_m=1.0,
     share_within_voxel=0.8,
     seen_points=1000,
-    coverage=LEAST_COVERAGE,
+    coverage=MIN_COVERAGE,
     coverage_one_voxel=0.85,
 )
 

@@ -179,9 +179,9 @@ def test_one_rule_for_an_origin(text: str, allowed: bool, tmp_path: Path) -> Non
         with pytest.raises(SurveyError, match=r"survey\.yaml: "):
             read_survey(survey)
         return
-    said = read_survey(survey).survey.origin
-    assert said is not None
-    assert _origin(text) == GeodeticOrigin.of_degrees(said.latitude, said.longitude)
+    known = read_survey(survey).survey.origin
+    assert known is not None
+    assert _origin(text) == GeodeticOrigin.of_degrees(known.latitude, known.longitude)
 
 
 def test_progress_says_the_time_that_is_left(capsys: pytest.CaptureFixture[str]) -> None:

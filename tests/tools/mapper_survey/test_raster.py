@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from mapper_survey.coverage import MOST_PIXELS, Raster
+from mapper_survey.coverage import MAX_PIXELS, Raster
 from mapper_survey.windows import Tiling
 
 
@@ -22,7 +22,7 @@ def test_corners_of_the_map_are_those_of_the_picture() -> None:
 
 def test_wide_map_has_several_columns_to_a_pixel() -> None:
     raster = Raster(Tiling(0, 128, 128, 100, 1, {}), 0.1)
-    assert max(raster.shape) <= MOST_PIXELS
+    assert max(raster.shape) <= MAX_PIXELS
     picture = raster.full(-np.inf)
     raster.put(picture, np.maximum.at, np.array([0, 10]), np.array([127, 120]), np.array([1, 7]))
     assert picture[0, 0] == 7

@@ -217,11 +217,11 @@ class Deadly:
 def test_workers_that_always_die_end_the_run() -> None:
     cluster = Deadly()
     pool = Pool(cluster, 2)
-    for _ in range(engine_dask.MOST_BEGUN - 1):
-        pool.fill_up(anew=False)
+    for _ in range(engine_dask.MAX_BEGUN - 1):
+        pool.fill_up(reset=False)
     with pytest.raises(SurveyError, match=r"\b20 .*--workers 0"):
-        pool.fill_up(anew=False)
-    pool.fill_up(anew=True)
+        pool.fill_up(reset=False)
+    pool.fill_up(reset=True)
 
 
 def test_an_interrupted_pool_is_not_left_half_begun() -> None:
@@ -229,5 +229,5 @@ def test_an_interrupted_pool_is_not_left_half_begun() -> None:
     pool = Pool(cluster, 2)
     cluster.interrupted = True
     with pytest.raises(KeyboardInterrupt):
-        pool.fill_up(anew=True)
+        pool.fill_up(reset=True)
     assert cluster.begun == 2

@@ -20,7 +20,7 @@ def looks(request: pytest.FixtureRequest) -> tuple[str, list[Look]]:
     return request.param.scene, look(request.param, PINGS, seed=5)
 
 
-LEAST_TRUE = {"harbour": 0.7, "tank": 0.8}
+MIN_TRUE = {"harbour": 0.7, "tank": 0.8}
 """Of the returns before floor and surface: what six pings give, less a tenth."""
 
 
@@ -31,7 +31,7 @@ def test_most_returns_are_within_a_cell_of_the_first_surface(
     scene, made = looks
     true = np.concatenate([one.true[one.sure] for one in made])
     assert len(true) > 500
-    assert true.mean() > LEAST_TRUE[scene]
+    assert true.mean() > MIN_TRUE[scene]
 
 
 def test_most_surfaces_that_beams_look_at_are_found(looks: tuple[str, list[Look]]) -> None:

@@ -1,4 +1,4 @@
-// The benchmark's pings as rays; tools/bench/bench_pings.py writes them and says the layout.
+// The benchmark's pings as rays; tools/bench/inputs.py writes them and documents the layout.
 #pragma once
 
 #include <array>

@@ -114,10 +114,10 @@ FAULT, USAGE, INTERRUPTED = 1, 2, 130
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; what a person can mend is one line and exit code 2."""
-    said = _parser().parse_args(argv)
+    args = _parser().parse_args(argv)
     try:
-        studies = load_all(said.only)
-        return int(said.does(studies, said))
+        studies = load_all(args.only)
+        return int(args.does(studies, args))
     except AccuracyCostError as error:
         sys.stderr.write(f"accuracy-cost: {error}\n")
         return USAGE
@@ -126,15 +126,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
-def _run(studies: Mapping[str, Study], said: argparse.Namespace) -> int:
-    selection = Selection(tuple(said.knob), said.quick)
+def _run(studies: Mapping[str, Study], args: argparse.Namespace) -> int:
+    selection = Selection(tuple(args.knob), args.quick)
     selection.check_names(studies.values())
-    tally = run(studies, selection, said.out, said.jobs)
+    tally = run(studies, selection, args.out, args.jobs)
     failures = f", {tally.failed} failed" if tally.failed else ""
-    print(f"{tally.total} measurements, {tally.kept} were there{failures}: {said.out}")
+    print(f"{tally.total} measurements, {tally.kept} were there{failures}: {args.out}")
     if tally.failed:
         return FAULT
-    return _record(studies, said.out) if said.write else 0
+    return _record(studies, args.out) if args.write else 0
 
 
 def _record(studies: Mapping[str, Study], out: Path) -> int:
@@ -150,15 +150,15 @@ def _record(studies: Mapping[str, Study], out: Path) -> int:
     return 0
 
 
-def _plot(studies: Mapping[str, Study], said: argparse.Namespace) -> int:
+def _plot(studies: Mapping[str, Study], args: argparse.Namespace) -> int:
     # matplotlib takes longer to import than a check of its names.
     from studies.accuracy_cost.drawing import draw  # noqa: PLC0415
 
-    selection = Selection(tuple(said.knob))
+    selection = Selection(tuple(args.knob))
     selection.check_names(studies.values())
     for study in studies.values():
-        results = _results(study, RECORDED if said.write else said.out)
-        for path in draw(study, results, selection, said.pictures, write=said.write):
+        results = _results(study, RECORDED if args.write else args.out)
+        for path in draw(study, results, selection, args.pictures, write=args.write):
             print(path)
     return 0
 

@@ -79,7 +79,7 @@ def lag(point: Point, others: Sequence[Point]) -> Lag:
     """How much less the error of another setting is, among those that cost no more.
 
     An error that does not exist (nothing was mapped) is worse than any other. A difference that
-    may be chance is none.
+    may be chance does not count.
     """
     error = math.inf if math.isnan(point.error) else point.error
     at_no_more = [o for o in others if o.known and o.cost <= point.cost * SAME_COST]

@@ -46,7 +46,7 @@ PUBLISHED_STYLE: dict[str, Any] = {"marker": "s", "markersize": 8, "color": "#7b
 DPI = 90
 LOG_FROM = 4.0
 """Axes that span more than this ratio are logarithmic."""
-LEAST_ROOM = 0.2
+MIN_ROOM = 0.2
 """Beside the costs: the noise of equal ones must not fill the plot."""
 STEPS, WIDE = (1.0, 2.0, 5.0), 100.0
 """Ticks of a logarithmic axis, but for one that spans more than this ratio."""
@@ -98,7 +98,7 @@ def scale(axes: Axes, points: Iterable[Point]) -> None:
             room = (high / low) ** 0.12
             getattr(axes, f"set_{name}lim")(low / room, high * room)
         else:
-            least = LEAST_ROOM * abs(high) if name == "x" else 0.0
+            least = MIN_ROOM * abs(high) if name == "x" else 0.0
             room = max(0.15 * (high - low), least) or 0.1 * abs(high) or 1.0
             getattr(axes, f"set_{name}lim")(low - room, high + room)
 
@@ -289,13 +289,13 @@ def _mark(axes: Axes, point: Point, *, published: bool) -> None:
 
 
 def _label(point: Point, knob: Knob) -> str:
-    said = [] if point.setting.overrides else ["default"]
-    said += ["published"] if point.setting.label == knob.published else []
-    return f"{point.setting.label} ({', '.join(said)})" if said else point.setting.label
+    names = [] if point.setting.overrides else ["default"]
+    names += ["published"] if point.setting.label == knob.published else []
+    return f"{point.setting.label} ({', '.join(names)})" if names else point.setting.label
 
 
 def _whole_label(study: Study, key: str, wholes: Mapping[str, Setting]) -> str:
-    """A setting is told by its knob too, where all knobs are in one plot."""
+    """Label a setting with its knob too, where all knobs are in one plot."""
     if not key:
         return DEFAULT.label
     if key in wholes:
@@ -322,23 +322,23 @@ def _name_axes(axes: Axes, study: Study, plane: Plane, title: str) -> None:
 
 BIN, BINS = "bin", 10
 """How the columns of a bin begin, such as `bin0_voxels`."""
-LEAST_VOXELS = 100
-"""A bin of fewer says nothing of its share."""
+MIN_VOXELS = 100
+"""Bins of fewer voxels are not drawn."""
 PROMISED = 0.1
 COLOURS = ("#d62728", "#7b3294", "#e08214", "#1f77b4", "#2ca02c", "#666666")
 
 
 def has_bins(results: Results) -> bool:
-    """Whether a study tells how many voxels there are of each probability."""
+    """Whether a study counts the voxels of each probability."""
     return f"{BIN}0_voxels" in results.columns
 
 
 def bins_of(figures: dict[str, float]) -> NDArray[np.float64]:
-    """Rows (N, 3) of the filled bins: probability that is said, occupied share, voxels."""
+    """Rows (N, 3) of the filled bins: mean probability, occupied share, voxels."""
     rows = np.array(
         [[figures[f"{BIN}{i}_{name}"] for name in ("said", "solid", "voxels")] for i in range(BINS)]
     )
-    return rows[rows[:, 2] >= LEAST_VOXELS]
+    return rows[rows[:, 2] >= MIN_VOXELS]
 
 
 def draw_reliability(study: Study, results: Results, path: Path) -> None:
@@ -362,9 +362,9 @@ def draw_reliability(study: Study, results: Results, path: Path) -> None:
 
 
 def _draw(axes: Axes, bins: NDArray[np.float64], setting: Setting, colour: str) -> None:
-    """A line, and points of an area that tells the number of voxels."""
-    said, solid, voxels = bins.T
-    axes.plot(said, solid, color=colour, lw=1.2, label=setting.label, zorder=2)
+    """A line, and points whose area grows with the number of voxels."""
+    probability, solid, voxels = bins.T
+    axes.plot(probability, solid, color=colour, lw=1.2, label=setting.label, zorder=2)
     axes.scatter(
-        said, solid, s=6.0 * np.log10(np.maximum(voxels, 1.0)) ** 2, color=colour, zorder=3
+        probability, solid, s=6.0 * np.log10(np.maximum(voxels, 1.0)) ** 2, color=colour, zorder=3
     )

@@ -1,6 +1,6 @@
 """Results on disk: comma-separated rows that outlive a stop at any instant.
 
-A file holds one study at one commit on one machine, which its first lines tell, each after a `#`:
+A file holds one study at one commit on one machine, which its first lines state, each after a `#`:
 `pandas.read_csv(file, comment="#")` reads it. A row is written in one go when its setting is
 measured. A last row that a stop has cut is dropped, and measured again.
 """
@@ -40,9 +40,9 @@ class Results:
     """Figures of a study.
 
     Attributes:
-        head: what the first lines tell: study, commit, machine, command.
+        head: of the first lines: study, commit, machine, command.
         columns: names of the figures.
-        rows: figures by setting and dive; NaN where there is none.
+        rows: figures by setting and dive; NaN where absent.
     """
 
     head: dict[str, str]
@@ -102,7 +102,7 @@ def open_results(path: Path, study: Study, head: Mapping[str, str]) -> Results:
 
 
 def write_results(path: Path, results: Results, order: Sequence[Key]) -> None:
-    """Write a file anew; it is whole at any instant."""
+    """Replace a file; atomic."""
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_suffix(".new")
     beside.write_text(results.text(order), encoding="utf-8")

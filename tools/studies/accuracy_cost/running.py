@@ -223,7 +223,7 @@ def wanted_keys(study: Study, selection: Selection) -> list[Key]:
 
 
 def run(studies: Mapping[str, Study], selection: Selection, out: Path, jobs: int) -> Tally:
-    """Measure what `out` does not hold yet of a selection; failures are told as they come.
+    """Measure what `out` does not hold yet of a selection; failures are reported as they come.
 
     Raises:
         AccuracyCostError: another run is at work there, or the commit is unknown.
@@ -264,7 +264,7 @@ def _jobs(module: str, study: Study, selection: Selection, folder: Path) -> list
 
 
 def _measure(logs: Mapping[str, _Log], missing: list[Job], workers: int, tally: Tally) -> Tally:
-    """Prepare the dives, then measure on them, in an order that lets the time left be told."""
+    """Prepare the dives, then measure on them, ordered for an estimate of the time left."""
     preparing = {job.folder: Job(job.module, job.dive, None, job.folder) for job in missing}
     on_dive = Counter(job.folder for job in missing)
     bad = set()

@@ -23,7 +23,7 @@ __all__ = [
 
 
 class AccuracyCostError(Exception):
-    """Told in one line."""
+    """An error that the user can correct; its message is one line."""
 
 
 Value = bool | int | float | str
@@ -231,7 +231,7 @@ class Selection:
         """Refuse names that no knob of these studies has.
 
         Raises:
-            AccuracyCostError: one of them, told with those that there are.
+            AccuracyCostError: an unknown name; the message lists those that there are.
         """
         names = [knob.name for study in studies for knob in study.knobs]
         for name in self.knobs:

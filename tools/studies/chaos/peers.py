@@ -26,7 +26,7 @@ class Program:
 
     Args:
         command: the program and its words.
-        log: takes what it says.
+        log: receives its output.
     """
 
     def __init__(self, command: list[str], log: Path) -> None:

@@ -168,7 +168,7 @@ class World:
         self.odometry.is_silent = on
 
     def status(self) -> dict[str, Any] | None:
-        """What `mapperctl status` says; None if nothing."""
+        """Read `mapperctl status`; None without an answer."""
         command: list[str | Path] = [
             Path(sys.executable).with_name("mapperctl"),
             "status",
@@ -182,8 +182,8 @@ class World:
         )
         if done.returncode:
             return None
-        said: dict[str, Any] = json.loads(done.stdout)
-        return said
+        status: dict[str, Any] = json.loads(done.stdout)
+        return status
 
 
 def free_ports(count: int) -> list[int]:
@@ -270,16 +270,16 @@ def main() -> int:
     add("--duration", type=float, default=600.0, metavar="S", help="(default: 600)")
     add("--dice", type=int, default=1, metavar="N", help="another number, another story")
     add("--keep", type=Path, metavar="DIR", help="leave everything here")
-    said = parser.parse_args()
+    args = parser.parse_args()
     with ExitStack() as stack:
-        folder = said.keep or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        folder = args.keep or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         folder.mkdir(parents=True, exist_ok=True)
-        world = World(folder, said.recording.resolve(), stack)
+        world = World(folder, args.recording.resolve(), stack)
         world.broker.start()
         time.sleep(BOOT_S)
         world.sonar.start()
-        script = list(trouble(said.dice, said.duration - HEAL_S))
-        happened = play(world, script, said.duration)
+        script = list(trouble(args.dice, args.duration - HEAL_S))
+        happened = play(world, script, args.duration)
         status = world.status()
         world.daemon.send_signal(signal.SIGTERM)
         code = world.daemon.wait(STOP_S)
@@ -299,7 +299,7 @@ def verdict(
     if code != 0:
         problems.append(f"the daemon ended with {code}")
     if status is None:
-        problems.append("the daemon does not say its status")
+        problems.append("the daemon does not report its status")
     else:
         pings = status["pings"]
         counted = pings["mapped"] + sum(pings["dropped"].values()) + pings["waiting"]

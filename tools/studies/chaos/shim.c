@@ -1,5 +1,5 @@
 /* What a test does to a process that it cannot do to the machine: another time of day, and a disk
- * without room. Loaded with LD_PRELOAD; the file named by CHAOS_CONTROL says what holds now:
+ * without room. Loaded with LD_PRELOAD; the file named by CHAOS_CONTROL states what holds now:
  * int64 nanoseconds added to CLOCK_REALTIME, then int64, not 0 when regular files take no bytes. */
 #define _GNU_SOURCE
 #include <dlfcn.h>

@@ -12,10 +12,10 @@ FACTS = struct.Struct("=qq")
 
 
 class Shim:
-    """Builds the library that a process is to load, and says what holds in it from now on.
+    """Builds the library that a process is to load, and sets what holds in it from now on.
 
     Args:
-        folder: for the library and the file that tells it.
+        folder: for the library and the file that controls it.
 
     Raises:
         subprocess.CalledProcessError: there is no C compiler, or it fails.

@@ -149,7 +149,7 @@ class Found:
 
     Attributes:
         after_m: of track, from where on the estimate was right and sure; None within `WITHIN_M`.
-        wrong_and_sure: updates before that said a wrong place without calling it ambiguous.
+        wrong_and_sure: updates before that reported a wrong place without calling it ambiguous.
         wrong: updates before that were wrong at all.
     """
 
@@ -205,7 +205,7 @@ def draw_finding(path: Path, world: World, known: VolumeMap, seed: int) -> None:
 
 
 def judged(moments: Iterable[Moment], right_m: float, after_s: float = 0.0) -> Found:
-    """When the right mode was found, and what was said before."""
+    """When the right mode was found, and the reports before."""
     begin_m, since_m, sure, wrong = None, None, 0, 0
     for moment in moments:
         if moment.time_s < after_s:
@@ -226,7 +226,7 @@ def judged(moments: Iterable[Moment], right_m: float, after_s: float = 0.0) -> F
     return Found(since_m, sure, wrong)
 
 
-def told(name: str, found: list[Found]) -> str:
+def finding_line(name: str, found: list[Found]) -> str:
     """One line."""
     after_m = sorted(one.after_m for one in found if one.after_m is not None)
     wrong, sure = sum(one.wrong for one in found), sum(one.wrong_and_sure for one in found)
@@ -248,24 +248,27 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="of the first run")
     parser.add_argument("--pings", action="store_true", help="follow with scans of simulated pings")
     parser.add_argument("--out", type=Path, default=Path("out/dives"))
-    said = parser.parse_args()
-    said.out.mkdir(parents=True, exist_ok=True)
-    for scene in said.scenes:
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    for scene in args.scenes:
         world = World(WORLDS[scene])
         known = world.known(20 * world.place.voxel_m)
-        if said.minutes > 0:
-            row, moments = follow(world, known, said.minutes, said.seed, pings=said.pings)
+        if args.minutes > 0:
+            row, moments = follow(world, known, args.minutes, args.seed, pings=args.pings)
             print(msgspec.json.encode(row).decode(), flush=True)
-            draw_errors(said.out / f"{scene}-error.png", moments, scene)
-            draw_clouds(said.out / f"{scene}-particles.png", known, moments, scene)
-        seeds = range(said.seed, said.seed + said.runs)
+            draw_errors(args.out / f"{scene}-error.png", moments, scene)
+            draw_clouds(args.out / f"{scene}-particles.png", known, moments, scene)
+        seeds = range(args.seed, args.seed + args.runs)
         if seeds:
-            draw_finding(said.out / f"{scene}-finding.png", world, known, said.seed)
-            print(told(f"{scene}, anywhere", [find(world, known, k) for k in seeds]), flush=True)
-        seeds = range(said.seed, said.seed + said.carried_off)
+            draw_finding(args.out / f"{scene}-finding.png", world, known, args.seed)
+            print(
+                finding_line(f"{scene}, anywhere", [find(world, known, k) for k in seeds]),
+                flush=True,
+            )
+        seeds = range(args.seed, args.seed + args.carried_off)
         if seeds:
             found = [find(world, known, k, carried_off=True) for k in seeds]
-            print(told(f"{scene}, carried off", found), flush=True)
+            print(finding_line(f"{scene}, carried off", found), flush=True)
     return 0
 
 

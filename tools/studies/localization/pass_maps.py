@@ -1,4 +1,4 @@
-"""Recordings of passes through `mapperd --replay`, and what its localization says on the way."""
+"""Recordings of passes through `mapperd --replay`, and its localization on the way."""
 
 import dataclasses
 import math
@@ -125,14 +125,14 @@ def record(path: Path, what: Pass, scenario: Scenario, place: Place, processes: 
     """
     driven = what.over(scenario, place)
     settings = CaptureSettings(what.seed, quiet_s=what.quiet_s(place), processes=processes)
-    said = navigation(driven.trajectory, place, what)
+    records = navigation(driven.trajectory, place, what)
     with tqdm(desc=path.stem, unit="ping", disable=None) as bar:
 
         def progress(done: int, of: int) -> None:
             bar.total = of
             bar.update(done - bar.n)
 
-        return write_capture(path, driven, settings, progress, said).points_m
+        return write_capture(path, driven, settings, progress, records).points_m
 
 
 def ping_poses(what: Pass, scenario: Scenario, place: Place) -> tuple[Floats, list[Pose]]:
@@ -143,20 +143,20 @@ def ping_poses(what: Pass, scenario: Scenario, place: Place) -> tuple[Floats, li
 
 
 def navigation(path: Trajectory, place: Place, what: Pass) -> list[OdometrySample]:
-    """What the odometry says on a path: right at its beginning, from there on with its drift.
+    """Odometry of a path: right at its beginning, from there on with its drift.
 
     Depth, roll and pitch are a sensor's and do not drift.
     """
     time_s = np.arange(0.0, path.duration_s, 1.0 / RECORD_HZ)
     poses = [path.pose(float(t)) for t in time_s]
     true = np.array([[*pose.position_m, *angles(pose.rotation)] for pose in poses])
-    said = _begun_at(true[0], drifted(Track(time_s, true), place, what.drift, what.seed))
-    place_m = np.column_stack([said[:, :2], true[:, 2]])
+    drifting = _begun_at(true[0], drifted(Track(time_s, true), place, what.drift, what.seed))
+    place_m = np.column_stack([drifting[:, :2], true[:, 2]])
     speed_mps = np.gradient(place_m, time_s, axis=0)
     noise = np.random.default_rng((what.seed, 4)).normal(size=(2, *place_m.shape))
     samples = []
     for k, t in enumerate(time_s.tolist()):
-        rotation = rotation_of(true[k, 3], true[k, 4], said[k, 2])
+        rotation = rotation_of(true[k, 3], true[k, 4], drifting[k, 2])
         tilt = rotation_of(*np.radians(NOISE_DEG * noise[1, k]))
         samples.append(
             OdometrySample(
@@ -175,12 +175,12 @@ def _trajectory(corners: tuple[Corner, ...], place: Place) -> Trajectory:
     return Trajectory(points, Motion(place.speed_mps, TURN_RATE_DPS, heave_m=0.02))
 
 
-def _begun_at(first: Floats, said: Floats) -> Floats:
+def _begun_at(first: Floats, drifting: Floats) -> Floats:
     """(N, 3) the odometry's places and headings in the map, its first one the true one."""
-    turn = first[5] - said[0, 2]
+    turn = first[5] - drifting[0, 2]
     c, s = math.cos(turn), math.sin(turn)
-    placed = (said[:, :2] - said[0, :2]) @ np.array([[c, s], [-s, c]]) + first[:2]
-    return np.column_stack([placed, said[:, 2] + turn])
+    placed = (drifting[:, :2] - drifting[0, :2]) @ np.array([[c, s], [-s, c]]) + first[:2]
+    return np.column_stack([placed, drifting[:, 2] + turn])
 
 
 replace = msgspec.structs.replace
@@ -197,17 +197,17 @@ class Course:
 
     Attributes:
         time_s: (N,) on the path.
-        true, said, odometry: (N, 3) x, y, yaw; where it was, where localization and where the
+        true, estimate, odometry: (N, 3) x, y, yaw; where it was, where localization and where the
             odometry has it.
     """
 
     time_s: Floats
     true: Floats
-    said: Floats
+    estimate: Floats
     odometry: Floats
 
     def errors_m(self, place: Floats) -> Floats:
-        """(N,) how far `said` or `odometry` is from the truth."""
+        """(N,) how far `estimate` or `odometry` is from the truth."""
         off: Floats = np.hypot(*(place - self.true)[:, :2].T)
         return off
 
@@ -219,7 +219,7 @@ class Course:
 
 
 def plain(place: Place, seed: int) -> Config:
-    """Settings that map where the odometry says."""
+    """Settings that map at the poses of the odometry."""
     config = settings(place, seed)
     mounting = MountingConfig(
         PositionConfig(*AHEAD.position_m),
@@ -235,7 +235,7 @@ def plain(place: Place, seed: int) -> Config:
 
 
 def localized(place: Place, seed: int, known: Path, start: Pose) -> Config:
-    """Settings that map where localization on a map says, begun near a pose."""
+    """Settings that map at the poses of localization on a map, begun near a pose."""
     config = plain(place, seed)
     sigma = np.array([START_M, START_M, START_RAD])
     off = sigma * np.random.default_rng((seed, 3)).normal(size=3)
@@ -275,7 +275,7 @@ def mapped(recording: Path, config: Config, out: Path) -> int:
 
 
 def course(recording: Path, config: Config, path: Trajectory) -> Course:
-    """What localization says on the way, by the same bytes and settings as `mapped`.
+    """Localization on the way, by the same bytes and settings as `mapped`.
 
     Args:
         recording: of a pass.

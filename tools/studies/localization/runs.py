@@ -34,7 +34,7 @@ class Moment:
     Attributes:
         time_s, way_m: since the beginning.
         true: (3,) x, y, yaw.
-        belief: what the filter says.
+        belief: of the filter.
         reckoned_m: how far odometry alone, begun at the truth, is off by then.
         particles: (N, 3), at some updates; None at the others.
     """
@@ -79,7 +79,7 @@ class Dive:
 
 
 def settings(place: Place, seed: int) -> Config:
-    """A sonar's; docs/guides/localization.md says why."""
+    """A sonar's; docs/guides/localization.md gives the reason."""
     amcl = AmclConfig(
         robot_model_type="omnidirectional_drive",
         odom_alpha1=0.002,
@@ -130,7 +130,7 @@ def dive(
     scans: ScanMaker | None = None,
     keep_particles_s: tuple[float, ...] = (),
 ) -> Iterator[Moment]:
-    """Dive, and say after each update where the filter is.
+    """Dive, and yield the estimate of the filter after each update.
 
     Args:
         world: where.

@@ -36,7 +36,7 @@ STEEP = 1.8
 SOFT_REACH = 0.15
 """Floor and sea are heard from where they come into the aperture up to so much farther."""
 
-LEAST_M = 0.5
+MIN_M = 0.5
 QUALITY, QUALITY_SIGMA, FLOOR_QUALITY = 0.70, 0.05, 0.3
 
 
@@ -97,13 +97,13 @@ def cast_scan(world: World, place: Floats, stamp_ns: int, random: np.random.Gene
     limits = np.cumsum([shares.beside, shares.steep, shares.elsewhere])
     range_m = np.where(kind < limits[0], drawn, range_m)
     range_m = np.where((kind >= limits[0]) & (kind < limits[1]), steep, range_m)
-    anywhere = random.uniform(LEAST_M, sonar.range_m, BEAMS)
+    anywhere = random.uniform(MIN_M, sonar.range_m, BEAMS)
     range_m = np.where((kind >= limits[1]) & (kind < limits[2]), anywhere, range_m)
     reach = random.uniform(0.0, SOFT_REACH, BEAMS)
     range_m = np.where(ahead, range_m, soft * (1.0 + reach))
     range_m = range_m + random.uniform(-row_m, row_m, BEAMS)
     heard = random.uniform(size=BEAMS) < np.where(ahead, shares.heard, shares.heard_floor)
-    heard &= (range_m > LEAST_M) & (range_m < sonar.range_m)
+    heard &= (range_m > MIN_M) & (range_m < sonar.range_m)
     beam = np.flatnonzero(heard)
     quality = np.clip(random.normal(QUALITY, QUALITY_SIGMA, len(beam)), 0.0, 1.0)
     quality *= np.where(range_m[beam] >= gate[beam], FLOOR_QUALITY, 1.0)
@@ -129,7 +129,7 @@ def _surfaces(
     """First ranges within the beam (B, 5), beside it (B, 4), and above and below it (B,).
 
     Of things, that is: floor and sea, at grazing incidence, are faint before them. Their own first
-    ranges in the beam are the last (B,). Infinite is none.
+    ranges in the beam are the last (B,). Infinite without a return.
     """
     sonar = world.scenario.sonar
     width_rad = math.radians(world.place.beam_width_deg)

@@ -124,8 +124,8 @@ def agreement(distance_m: Floats, voxel_m: float) -> Agreement:
 mpl.use("Agg")
 
 
-MOST_M = 1.0
-"""Of distances that colours tell apart."""
+MAX_M = 1.0
+"""Of distances that colours show."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,16 +133,16 @@ class Panel:
     """A second pass's map.
 
     Attributes:
-        title: says how it was mapped, and how well it agrees.
+        title: how it was mapped, and how well it agrees.
         centres_m: (N, 3) of its voxels.
         distance_m: (N,) to the nearest of the first pass.
-        said: (M, 2) where it thought it was.
+        track_m: (M, 2) where it thought it was.
     """
 
     title: str
     centres_m: Floats
     distance_m: Floats
-    said: Floats
+    track_m: Floats
 
 
 def draw(path: Path, first_m: Floats, panels: list[Panel], course: Course) -> None:
@@ -156,10 +156,10 @@ def draw(path: Path, first_m: Floats, panels: list[Panel], course: Course) -> No
         axes.scatter(places[:, 0], places[:, 1], s=1.5, color="#c8c8c8", lw=0)
         places, middle = _columns(panel.centres_m, panel.distance_m)
         colours = axes.scatter(
-            places[:, 0], places[:, 1], c=middle, s=1.5, cmap="turbo", vmin=0, vmax=MOST_M, lw=0
+            places[:, 0], places[:, 1], c=middle, s=1.5, cmap="turbo", vmin=0, vmax=MAX_M, lw=0
         )
         axes.plot(*course.true[:, :2].T, color="black", lw=1.0, label="true way")
-        axes.plot(*panel.said.T, color="#d62728", lw=1.0, label="way as mapped")
+        axes.plot(*panel.track_m.T, color="#d62728", lw=1.0, label="way as mapped")
         axes.set_title(panel.title, fontsize=9)
         axes.set(aspect="equal", xlim=window_m[:, 0], ylim=window_m[:, 1], ylabel="y, m")
         axes.legend(loc="lower right", fontsize=7)
@@ -180,12 +180,12 @@ def _window_m(first_m: Floats, course: Course) -> Floats:
 
 def _draw_errors(axes: Axes, course: Course, what: str) -> None:
     since_s = course.time_s - course.time_s[0]
-    for said, name, colour in (
+    for track, name, colour in (
         (course.odometry, "odometry", "#9a9a9a"),
-        (course.said, "localization", "#1f77b4"),
+        (course.estimate, "localization", "#1f77b4"),
     ):
         place = what == "place"
-        errors = course.errors_m(said) if place else np.degrees(course.errors_rad(said))
+        errors = course.errors_m(track) if place else np.degrees(course.errors_rad(track))
         axes.plot(since_s, errors, color=colour, lw=0.9, label=name)
     axes.set_ylim(0.0, None)
     axes.set_ylabel("error of the place, m" if what == "place" else "error of the heading, deg")
@@ -205,7 +205,7 @@ def _columns(centres_m: Floats, value: Floats | None = None) -> tuple[Floats, Fl
 
 PLACE = dataclasses.replace(HARBOUR, speed_mps=0.8)
 FANS_S = 1.0
-"""Between the pings whose fans say where a pass was looking."""
+"""Between the pings whose fans show where a pass was looking."""
 EXACT_WITHIN_M = 0.5
 """Of the comparison with the truth."""
 MAPS = ("first", "corrected", "uncorrected")
@@ -274,7 +274,7 @@ def run(study: Study, out: Path) -> Found:
     first_m = _seen_by_both(study, world, maps["first"])
     compared, panels = _compared(study, world, maps, way, surface)
     draw(out / "second-pass.png", maps["first"], panels, way)
-    errors_m, odometry_m = way.errors_m(way.said), way.errors_m(way.odometry)
+    errors_m, odometry_m = way.errors_m(way.estimate), way.errors_m(way.odometry)
     return Found(
         place.voxel_m,
         (first, second),
@@ -284,7 +284,7 @@ def run(study: Study, out: Path) -> Found:
         place_median_m=round(float(np.median(errors_m)), 3),
         place_p95_m=round(float(np.quantile(errors_m, 0.95)), 3),
         place_end_m=round(float(errors_m[-1]), 3),
-        heading_median_deg=round(float(np.degrees(np.median(way.errors_rad(way.said)))), 2),
+        heading_median_deg=round(float(np.degrees(np.median(way.errors_rad(way.estimate)))), 2),
         odometry_median_m=round(float(np.median(odometry_m)), 3),
         odometry_end_m=round(float(odometry_m[-1]), 3),
     )
@@ -296,7 +296,7 @@ def _compared(
     """Where both passes were looking, by the map's name, and its part of the picture."""
     voxel_m, first_m = study.place.voxel_m, _seen_by_both(study, world, maps["first"])
     compared, panels = {}, []
-    for name, said in (("uncorrected", way.odometry), ("corrected", way.said)):
+    for name, estimate in (("uncorrected", way.odometry), ("corrected", way.estimate)):
         second_m = _seen_by_both(study, world, maps[name])
         distance_m = to_nearest(second_m, maps["first"])
         there = agreement(distance_m, voxel_m)
@@ -307,7 +307,7 @@ def _compared(
             f"second pass {name}: {there.median_m:.2f} m median, {there.p95_m:.2f} m 95 %, "
             f"{there.within_voxel:.0%} within a voxel of the first"
         )
-        panels.append(Panel(title, second_m, distance_m, said[:, :2]))
+        panels.append(Panel(title, second_m, distance_m, estimate[:, :2]))
     return compared, panels
 
 
@@ -337,8 +337,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Dive, print; 0 if the second pass lands within a voxel of the first."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("out/second-pass"))
-    said = parser.parse_args(argv)
-    found = run(Study(), said.out)
+    args = parser.parse_args(argv)
+    found = run(Study(), args.out)
     print(msgspec.json.format(msgspec.json.encode(found)).decode())
     worst_m = max(found.corrected.to_first.median_m, found.corrected.from_first.median_m)
     return 0 if worst_m <= found.voxel_m else 1

@@ -237,7 +237,7 @@ class Track:
     Attributes:
         time_s: (N,).
         place: (N, 6) x, y, z in metres, roll, pitch, yaw in radians, map frame.
-        carried_at: row that the vehicle was put to without driving there; None is none.
+        carried_at: row that the vehicle was put to without driving there; None if never.
     """
 
     time_s: Floats
@@ -287,7 +287,7 @@ def _waypoint(here: Floats, place: Place, yaw_deg: float) -> Waypoint:
 
 
 def drifted(track: Track, place: Place, drift: Drift, seed: int) -> Floats:
-    """(N, 3) x, y, yaw that odometry says, from an origin of its own."""
+    """(N, 3) x, y, yaw of the odometry, from an origin of its own."""
     random = np.random.default_rng((seed, 2))
     sign = random.choice([-1.0, 1.0], 2)
     true, time_s = track.place, track.time_s

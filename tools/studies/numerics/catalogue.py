@@ -48,8 +48,8 @@ def case_of(file: str, name: str, docstring: str | None) -> Case:
     match = _FORM.fullmatch(" ".join((docstring or "").split()))
     if match is None or match["naive"].count("Naively") > 1:
         raise ValueError(
-            f"{file}: {name}: the docstring of a hard case says what it guards against, and then, "
-            'in a sentence that begins with "Naively", what would happen without care'
+            f"{file}: {name}: the docstring of a hard case states what it guards against, and "
+            'then, in a sentence that begins with "Naively", what would happen without care'
         )
     return Case(file, name, match["guard"], match["naive"])
 

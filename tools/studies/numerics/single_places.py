@@ -132,13 +132,13 @@ def _notch() -> Measured:
 
 
 def _path() -> Measured:
-    """What a client reads of the points that it is told."""
-    said = []
+    """What a client reads of the points that it receives."""
+    lines = []
     for far_m in (10_000.0, 5e6):
         at = np.random.default_rng(9).uniform(-far_m, far_m, (900, 3))
         off = np.abs(places_of(path_message(0, at)) - at).max()
-        said.append(f"{off:.1e} m at {far_m / 1000:.0f} km")
-    return Measured(", ".join(said), "a path is drawn; poses are in double precision")
+        lines.append(f"{off:.1e} m at {far_m / 1000:.0f} km")
+    return Measured(", ".join(lines), "a path is drawn; poses are in double precision")
 
 
 def _returns() -> Measured:
@@ -155,11 +155,11 @@ def _returns() -> Measured:
 
 
 def _heights() -> Measured:
-    said = []
+    lines = []
     for deep_m in (11_000, 200):
         height = np.random.default_rng(10).uniform(-deep_m, 0.0, 100_000)
-        said.append(f"{np.abs(height.astype(np.float32) - height).max():.0e} m at {deep_m} m")
-    return Measured(", ".join(said), "a voxel is 5 cm")
+        lines.append(f"{np.abs(height.astype(np.float32) - height).max():.0e} m at {deep_m} m")
+    return Measured(", ".join(lines), "a voxel is 5 cm")
 
 
 def _pictures() -> Measured:

@@ -25,10 +25,10 @@ def _rays() -> Measured:
     chance = np.random.default_rng(11)
     direction = np.column_stack([np.ones(20_000), chance.uniform(-0.4, 0.4, (20_000, 2))])
     direction /= np.linalg.norm(direction, axis=1)[:, None]
-    told = direction.astype(np.float32)
-    met = Meshes(Scene((plane,))).cast(far, told, 0.0, 500.0)
+    rounded = direction.astype(np.float32)
+    met = Meshes(Scene((plane,))).cast(far, rounded, 0.0, 500.0)
     normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-    exact = normal @ (corners[0] + [40.0, 0, 0]) / (told.astype(np.float64) @ normal)
+    exact = normal @ (corners[0] + [40.0, 0, 0]) / (rounded.astype(np.float64) @ normal)
     hit = np.isfinite(met.range_m)
     off = np.abs(met.range_m[hit] - exact[hit]).max()
     return Measured(f"{off:.1e} m of {exact[hit].max():.0f} m", "a hundredth of the thinnest row")
@@ -101,14 +101,14 @@ def _pixels() -> Measured:
     beams = np.random.default_rng(14).rayleigh(0.3, (1000, 256)).astype(np.float32)
     shown = amplitude(np.square(beams), np.ones(1000, np.float32))
     physics = Physics(saturation=True, gamma=True, quantised=True)
-    said = []
+    lines = []
     for bits in (8, 16):
         end = 2**bits - 1
         got = quantise(shown, physics, 127, bits).astype(np.int64)
         exact = np.rint(end * np.minimum(shown.astype(np.float64), 1.0) ** (127 / 255))
         off = np.abs(got - exact)
-        said.append(f"{100 * np.mean(off > 0):.2g} % of {bits}-bit pixels by {off.max():.0f}")
-    return Measured("; ".join(said), "speckle moves every pixel by 5 dB")
+        lines.append(f"{100 * np.mean(off > 0):.2g} % of {bits}-bit pixels by {off.max():.0f}")
+    return Measured("; ".join(lines), "speckle moves every pixel by 5 dB")
 
 
 PLACES = (

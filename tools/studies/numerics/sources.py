@@ -1,4 +1,4 @@
-"""Which sources hold single precision: each is measured by one row of the page, or said why not."""
+"""Which sources hold single precision: each is measured by one row of the page, or has a reason."""
 
 __all__ = ["MEASURED", "NOT_MEASURED"]
 

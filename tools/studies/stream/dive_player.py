@@ -109,10 +109,10 @@ def main() -> None:
     parser.add_argument("--sonar", default="127.0.0.1:52100", help="where the sonar listens")
     parser.add_argument("--odometry", default="127.0.0.1:52200", help="where records are sent")
     parser.add_argument("--loops", type=int, default=0, help="0 plays for ever")
-    said = parser.parse_args()
-    host, _, port = said.sonar.rpartition(":")
-    to_host, _, to_port = said.odometry.rpartition(":")
-    player = DivePlayer(said.capture, host, int(port), (to_host, int(to_port)), said.loops or None)
+    args = parser.parse_args()
+    host, _, port = args.sonar.rpartition(":")
+    to_host, _, to_port = args.odometry.rpartition(":")
+    player = DivePlayer(args.capture, host, int(port), (to_host, int(to_port)), args.loops or None)
     asyncio.run(player.run())
 
 

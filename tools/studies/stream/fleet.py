@@ -2,9 +2,9 @@
 
     python -m studies.stream.fleet ADDRESS TOKEN --clients 50 --seconds 60
 
-When standard input ends, which says that the map does not change any more, all are left in peace
+When standard input ends, which means that the map does not change any more, all are left in peace
 until their maps are complete. Prints JSON: the digest of each map, how often each was connected,
-and how many blocks each was told.
+and how many blocks each received.
 """
 
 import argparse
@@ -35,8 +35,8 @@ async def one(
     async with Relay(host, int(port), dice=dice) as relay:
         client = MapClient(f"127.0.0.1:{relay.port}", token=token, wants=MAP, name=f"{dice}")
         async with client:
-            told = {"blocks": 0}
-            following = asyncio.create_task(_follow(client, told))
+            received = {"blocks": 0}
+            following = asyncio.create_task(_follow(client, received))
             mischief = random.Random(dice)  # noqa: S311 no secret
             trouble = [_cuts(relay, mischief), _stalls(relay, mischief)]
             tasks = [asyncio.create_task(each) for each in trouble]
@@ -51,7 +51,7 @@ async def one(
             await asyncio.gather(following, return_exceptions=True)
             mirror = client.mirror
             digest = "" if mirror is None else mirror.digest()
-            return {"digest": digest, "connects": client.link.connects, **told}
+            return {"digest": digest, "connects": client.link.connects, **received}
 
 
 def _when_told() -> None:
@@ -59,10 +59,10 @@ def _when_told() -> None:
     sys.stdin.read()
 
 
-async def _follow(client: MapClient, told: dict[str, int]) -> None:
+async def _follow(client: MapClient, received: dict[str, int]) -> None:
     async for change in client.changes():
         if isinstance(change, MapChanged):
-            told["blocks"] += len(change.keys)
+            received["blocks"] += len(change.keys)
 
 
 async def _cuts(relay: Relay, mischief: random.Random) -> None:
@@ -79,19 +79,19 @@ async def _stalls(relay: Relay, mischief: random.Random) -> None:
         relay.go_on()
 
 
-async def live(said: argparse.Namespace) -> list[dict[str, Any]]:
+async def live(args: argparse.Namespace) -> list[dict[str, Any]]:
     """All of them."""
-    token = said.token.read_text().strip().encode()
+    token = args.token.read_text().strip().encode()
     settled = asyncio.create_task(asyncio.to_thread(_when_told))
     lives = [
-        one(said.address, token, said.seconds, said.dice + number, settled)
-        for number in range(said.clients)
+        one(args.address, token, args.seconds, args.dice + number, settled)
+        for number in range(args.clients)
     ]
     return await asyncio.gather(*lives)
 
 
 def main() -> None:
-    """Live, and tell."""
+    """Run the clients and report."""
     parser = argparse.ArgumentParser(prog="fleet", description=__doc__.partition("\n")[0])
     parser.add_argument("address")
     parser.add_argument("token", type=Path)

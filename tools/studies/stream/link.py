@@ -84,7 +84,7 @@ MTU = 1500
 
 
 class NotPermittedError(Exception):
-    """This machine, or this user, may not make hosts; the text says what failed."""
+    """This machine, or this user, may not make hosts; the text names what failed."""
 
 
 class Tether:
@@ -95,7 +95,7 @@ class Tether:
         down, up: the link from the server to the client, and back.
 
     Attributes:
-        down, up: as made; their counters say what was lost.
+        down, up: as made; their counters count what was lost.
     """
 
     def __init__(self, server: int, client: int, shape: LinkShape, dice: int) -> None:

@@ -53,7 +53,7 @@ class Relay:
         self._open.set()
 
     def cut(self) -> None:
-        """Break all connections, in the middle of whatever is said."""
+        """Break all connections, in the middle of any message."""
         for writer in self._writers:
             writer.transport.abort()
 

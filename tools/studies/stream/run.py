@@ -51,9 +51,9 @@ def draw_ages(path: Path, outcome: TetherOutcome) -> None:
         f"The map of a client that joins mid-dive: {shape.bits_per_s / 1e3:.0f} kbit/s, "
         f"{shape.delay_s * 1e3:.0f} ms each way, {shape.loss:.0%} of packets lost"
     )
-    told_s = (outcome.traffic[:, 0] - outcome.joined_ns) / 1e9
-    edges = np.arange(0, max(told_s.max(initial=1.0), 1.0) + SMOOTH_S, SMOOTH_S)
-    until = np.interp(edges, told_s, outcome.traffic[:, 1], left=0)
+    received_s = (outcome.traffic[:, 0] - outcome.joined_ns) / 1e9
+    edges = np.arange(0, max(received_s.max(initial=1.0), 1.0) + SMOOTH_S, SMOOTH_S)
+    until = np.interp(edges, received_s, outcome.traffic[:, 1], left=0)
     below.step(edges[1:], np.diff(until) * 8 / 1e3 / SMOOTH_S, where="pre", color="C2")
     below.axhline(shape.bits_per_s / 1e3, color="0.6", linewidth=1, linestyle="--")
     below.set_ylabel("received, kbit/s")
@@ -122,8 +122,8 @@ def _watcher_rows(costs: dict[str, Any]) -> list[str]:
 
 
 WATCHED_S = 35.0
-MOST_AGE_S = 3.0
-MOST_CORES = 0.15
+MAX_AGE_S = 3.0
+MAX_CORES = 0.15
 CLIENTS = (0, 1, 20)
 
 
@@ -137,30 +137,30 @@ def main() -> int:
     parser.add_argument("--clients", type=int, default=100, help="of the fleet")
     parser.add_argument("--seconds", type=float, default=60.0, help="of the fleet")
     parser.add_argument("--write", action="store_true", help="into docs/reports/map-stream.md")
-    said = parser.parse_args()
-    said.out.mkdir(parents=True, exist_ok=True)
-    file = said.out / "stream.json"
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    file = args.out / "stream.json"
     results: dict[str, Any] = json.loads(file.read_text()) if file.exists() else {}
-    for name in said.only or ["tether", "fleet", "watchers"]:
+    for name in args.only or ["tether", "fleet", "watchers"]:
         with tempfile.TemporaryDirectory(prefix="stream-study-") as folder:
-            results[name] = SCENES[name](Path(folder), said)
+            results[name] = SCENES[name](Path(folder), args)
         file.write_text(json.dumps(results, indent=1))
         print(f"\r{name}: {json.dumps(results[name])}")
-    if said.write:
+    if args.write:
         write_section(PAGES["map-stream"], "study", tables(results), "make stream-study")
-        if (said.out / "ages.png").exists():
-            shutil.copy(said.out / "ages.png", IMAGES / "stream-age.png")
+        if (args.out / "ages.png").exists():
+            shutil.copy(args.out / "ages.png", IMAGES / "stream-age.png")
     return 0 if _kept(results) else 1
 
 
-def _tether(_: Path, said: argparse.Namespace) -> dict[str, Any]:
-    """Told of the worst run, and of each how old what is near was."""
+def _tether(_: Path, args: argparse.Namespace) -> dict[str, Any]:
+    """Rows on the worst run, and of each how old what is near was."""
     runs = []
-    for dice in range(1, said.tethers + 1):
+    for dice in range(1, args.tethers + 1):
         with tempfile.TemporaryDirectory(prefix="stream-study-") as folder:
-            runs.append(tether(Path(folder), said.capture, LinkShape(), dice, _say))
+            runs.append(tether(Path(folder), args.capture, LinkShape(), dice, _say))
     outcome = max(runs, key=lambda run: run.near_s()[0])
-    draw_ages(said.out / "ages.png", outcome)
+    draw_ages(args.out / "ages.png", outcome)
     worst_s, most_s = outcome.near_s()
     return {
         "equal": all(run.equal for run in runs),
@@ -174,16 +174,16 @@ def _tether(_: Path, said: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _fleet(folder: Path, said: argparse.Namespace) -> dict[str, Any]:
-    outcome = fleet(folder, said.capture, said.clients, said.seconds, _say)
+def _fleet(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
+    outcome = fleet(folder, args.capture, args.clients, args.seconds, _say)
     return {name: getattr(outcome, name) for name in outcome.__slots__}
 
 
-def _watchers(_: Path, said: argparse.Namespace) -> dict[str, Any]:
+def _watchers(_: Path, args: argparse.Namespace) -> dict[str, Any]:
     costs = {}
     for clients in CLIENTS:
         with tempfile.TemporaryDirectory(prefix="stream-study-") as folder:
-            outcome = watchers(Path(folder), said.capture, clients, WATCHED_S, _say)
+            outcome = watchers(Path(folder), args.capture, clients, WATCHED_S, _say)
         costs[str(clients)] = outcome.plain()
     return costs
 
@@ -195,12 +195,12 @@ def _kept(results: dict[str, Any]) -> bool:
     """Whether the promises hold, of what was run."""
     kept = []
     if "tether" in results:
-        kept += [results["tether"]["equal"], results["tether"]["near_worst_s"] <= MOST_AGE_S]
+        kept += [results["tether"]["equal"], results["tether"]["near_worst_s"] <= MAX_AGE_S]
     if "fleet" in results:
         kept += [results["fleet"]["equal"] == results["fleet"]["clients"]]
     if "watchers" in results:
         cores = {number: cost["cores"] for number, cost in results["watchers"].items()}
-        kept += [cores["20"] - cores["0"] < MOST_CORES]
+        kept += [cores["20"] - cores["0"] < MAX_CORES]
     return all(kept)
 
 

@@ -73,7 +73,7 @@ def write_far_map(path: Path, config: Config) -> None:
         store.restore([(key, brick) for key, _, brick in bricks], whole=True)
 
 
-Say = Callable[[str], None]
+Log = Callable[[str], None]
 
 NEAR_M = 10.0
 """Around the vehicle: what a pilot steers by."""
@@ -147,7 +147,7 @@ class WatcherOutcome:
         cores: CPU seconds a second, of the daemon.
         pings_per_s: that it mapped meanwhile.
         memory_bytes: of the process in the end.
-        stream: what its status says of the stream.
+        stream: the part of its status on the stream.
     """
 
     clients: int
@@ -161,13 +161,13 @@ class WatcherOutcome:
         return asdict(self)
 
 
-def tether(folder: Path, capture: Path, shape: LinkShape, dice: int, say: Say) -> TetherOutcome:
+def tether(folder: Path, capture: Path, shape: LinkShape, dice: int, log: Log) -> TetherOutcome:
     """One client behind a bad link joins in the middle of a dive, where a large map is already."""
     with ExitStack() as stack:
         try:
             server, client, link = stack.enter_context(joined_hosts(shape, dice))
         except NotPermittedError as error:
-            say(f"no hosts ({error}): the link is a relay in a process")
+            log(f"no hosts ({error}): the link is a relay in a process")
             server, client, link = "", "", None
         world = stack.enter_context(
             World(
@@ -182,11 +182,11 @@ def tether(folder: Path, capture: Path, shape: LinkShape, dice: int, say: Say) -
         world.start_daemon()
         reference = _watch(world, "reference", server)
         dive = world.start_dive(loops=1)
-        _wait(JOINS_S, "the dive has begun", say)
+        _wait(JOINS_S, "the dive has begun", log)
         joined_ns = time.time_ns()
         far = world.address if server else _relayed(world)
         judged = _watch(world, "judged", client, far)
-        _until_over(world, say)
+        _until_over(world, log)
         dive.kill()
         for watcher in (reference, judged):
             watcher.send_signal(signal.SIGTERM)
@@ -210,7 +210,7 @@ def tether(folder: Path, capture: Path, shape: LinkShape, dice: int, say: Say) -
         )
 
 
-def fleet(folder: Path, capture: Path, clients: int, seconds: float, say: Say) -> FleetOutcome:
+def fleet(folder: Path, capture: Path, clients: int, seconds: float, log: Log) -> FleetOutcome:
     """Many clients whose links break and stall; the daemon is ended twice, once by force."""
     with World(folder, capture, use_store=True) as world:
         world.start_daemon()
@@ -223,14 +223,14 @@ def fleet(folder: Path, capture: Path, clients: int, seconds: float, say: Say) -
         began_s = time.monotonic()
         restarts = 0
         for share, with_signal in ((0.35, signal.SIGTERM), (0.7, signal.SIGKILL)):
-            _wait(began_s + share * seconds - time.monotonic(), "the fleet watches", say)
-            say(f"the daemon gets {with_signal.name}")
+            _wait(began_s + share * seconds - time.monotonic(), "the fleet watches", log)
+            log(f"the daemon gets {with_signal.name}")
             world.end_daemon(with_signal)
             world.start_daemon()
             restarts += 1
-        _wait(began_s + seconds - time.monotonic(), "the fleet watches", say)
+        _wait(began_s + seconds - time.monotonic(), "the fleet watches", log)
         dive.kill()
-        _wait(SETTLE_S, "the last pings", say)
+        _wait(SETTLE_S, "the last pings", log)
         facts = _facts(world)
         mapped = mirror_of(world.saved_map(), facts)
         lives: list[dict[str, Any]] = []
@@ -248,7 +248,7 @@ def fleet(folder: Path, capture: Path, clients: int, seconds: float, say: Say) -
         )
 
 
-def watchers(folder: Path, capture: Path, clients: int, seconds: float, say: Say) -> WatcherOutcome:
+def watchers(folder: Path, capture: Path, clients: int, seconds: float, log: Log) -> WatcherOutcome:
     """The daemon's cost with so many clients that want everything but images."""
     with World(folder, capture) as world:
         world.start_daemon()
@@ -257,10 +257,10 @@ def watchers(folder: Path, capture: Path, clients: int, seconds: float, say: Say
             for number in range(clients)
         ]
         world.start_dive(loops=1)
-        _wait(5.0, "all are there", say)
+        _wait(5.0, "all are there", log)
         before_s, before = world.usage()[0], world.status()["pings"]["mapped"]
         began_s = time.monotonic()
-        _wait(seconds, f"{clients} clients watch", say)
+        _wait(seconds, f"{clients} clients watch", log)
         used_s, memory = world.usage()
         took_s = time.monotonic() - began_s
         status = world.status()
@@ -309,7 +309,7 @@ def _fleet(world: World, dice: int, clients: int, seconds: float) -> subprocess.
 
 
 def _facts(world: World) -> MapFacts:
-    """Of the map as the stream tells them; what a digest depends on."""
+    """Of the map as the stream sends them; what a digest depends on."""
     config = world.config()
     occupied, free = config.mapping.occupied_threshold, config.mapping.free_threshold
     return MapFacts(
@@ -334,18 +334,18 @@ def _ages(reference: dict[str, Any], judged: dict[str, Any], joined_ns: int) -> 
     return staleness(known[0], known[1], moments, places, radius_m=NEAR_M, block_m=block_m)
 
 
-def _until_over(world: World, say: Say) -> None:
+def _until_over(world: World, log: Log) -> None:
     """Until no ping comes any more."""
     last, same = -1, 0
     while same < QUIET_S:
         mapped = int(world.status()["pings"]["mapped"])
         same = same + 1 if mapped == last else 0
         last = mapped
-        _wait(1.0, f"{mapped} pings are mapped", say)
+        _wait(1.0, f"{mapped} pings are mapped", log)
 
 
-def _wait(seconds: float, what: str, say: Say) -> None:
+def _wait(seconds: float, what: str, log: Log) -> None:
     until_s = time.monotonic() + seconds
     while (left_s := until_s - time.monotonic()) > 0:
-        say(f"{what} ({left_s:.0f} s)")
+        log(f"{what} ({left_s:.0f} s)")
         time.sleep(min(left_s, 1.0))

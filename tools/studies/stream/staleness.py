@@ -10,18 +10,18 @@ __all__ = ["Knowledge", "Staleness", "staleness"]
 Times = NDArray[np.int64]
 
 AHEAD_NS = 1_000_000_000
-"""So much earlier than the reference the judged client may have been told something."""
+"""So much earlier than the reference the judged client may have received something."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Knowledge:
-    """What a client was told, in the order of the times.
+    """What a client received, in the order of the times.
 
     Attributes:
         times_ns: (N,) int64.
         keys: (N, 3) int32, the block of which it was.
         digests: (N,) int64, of the block's content from then on.
-        stamps_ns: (N,) when the daemon says that it was so.
+        stamps_ns: (N,) when it was so, by the daemon.
     """
 
     times_ns: Times
@@ -57,14 +57,14 @@ def staleness(
 ) -> Staleness:
     """The age of a client's map.
 
-    A block is as old as the time since the reference was first told something that the client has
+    A block is as old as the time since the reference first received something that the client has
     not got: the first change after the one whose content the client holds. A content that comes
     again (a cell that goes back) counts as the newest time it was so, in the client's favour. One
-    that was read between two messages of the reference, which was never told it, or was told the
-    same long before, is as old as the daemon says.
+    that was read between two messages of the reference, which never received it, or received the
+    same long before, is as old as the daemon reports.
 
     Args:
-        reference: told at once of everything.
+        reference: receives everything at once.
         judged: on the bad link.
         moments_ns: (M,) ascending.
         places_m: (M, 3) of the vehicle at them.
@@ -101,11 +101,11 @@ def _by_block(knowledge: Knowledge) -> dict[Key, History]:
     )
     for key, time_ns, digest, stamp_ns in rows:
         held.setdefault(key, []).append((time_ns, digest, stamp_ns))
-    return {key: _columns(told) for key, told in held.items()}
+    return {key: _columns(received) for key, received in held.items()}
 
 
-def _columns(told: list[tuple[int, int, int]]) -> History:
-    times, digests, stamps = np.array(told, np.int64).T
+def _columns(received: list[tuple[int, int, int]]) -> History:
+    times, digests, stamps = np.array(received, np.int64).T
     return times, digests, stamps
 
 
@@ -120,8 +120,8 @@ def _ages(
         if last < 0:
             continue
         digest, stamp_ns = _held(known, int(moment))
-        told = int(np.searchsorted(times, moment + AHEAD_NS, side="right"))
-        same = np.nonzero(digests[:told] == digest)[0]
+        received = int(np.searchsorted(times, moment + AHEAD_NS, side="right"))
+        same = np.nonzero(digests[:received] == digest)[0]
         missed = int(np.searchsorted(stamps, stamp_ns, "right"))
         missed = max(missed, int(same[-1]) + 1) if len(same) else missed
         if missed <= last:
@@ -130,7 +130,7 @@ def _ages(
 
 
 def _held(known: History | None, moment: int) -> tuple[int, int]:
-    """Digest and stamp of the content held at a moment; -1, which is none, before there was any."""
+    """Digest and stamp of the content held at a moment; -1 before there was any."""
     if known is None:
         return -1, -1
     at = int(np.searchsorted(known[0], moment, side="right")) - 1

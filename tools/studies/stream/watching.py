@@ -32,11 +32,11 @@ class WatchLog:
     """Changes in their order, host clock.
 
     Attributes:
-        times_ns: (N,) when a block was told.
+        times_ns: (N,) when a block was received.
         keys: (N, 3) which.
         digests: (N,) of its content.
-        stamps_ns: (N,) when the daemon says that it was so.
-        pose_times_ns, poses_m: (M,), (M, 3) where the vehicle was said to be.
+        stamps_ns: (N,) when it was so, by the daemon.
+        pose_times_ns, poses_m: (M,), (M, 3) reported poses of the vehicle.
         traffic: (K, 2) time in ns and bytes received until then.
         connects: how often it was connected.
         digest: of the whole mirror at the end.
@@ -84,16 +84,16 @@ def read_log(path: Path) -> dict[str, NDArray[np.generic]]:
         return dict(held)
 
 
-async def watch(said: argparse.Namespace, log: WatchLog) -> None:
+async def watch(args: argparse.Namespace, log: WatchLog) -> None:
     """Follow the map until SIGTERM, and then perhaps until it is complete."""
     stop = asyncio.Event()
     asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, stop.set)
-    token = said.token.read_text().strip().encode()
-    wants = tuple(want for want in WANTS if want != "image") if said.everything else MAP_AND_POSE
-    async with MapClient(said.address, token=token, wants=wants, name="study") as client:
-        following = asyncio.create_task(_follow(client, log, written=not said.everything))
+    token = args.token.read_text().strip().encode()
+    wants = tuple(want for want in WANTS if want != "image") if args.everything else MAP_AND_POSE
+    async with MapClient(args.address, token=token, wants=wants, name="study") as client:
+        following = asyncio.create_task(_follow(client, log, written=not args.everything))
         await stop.wait()
-        if said.until_complete:
+        if args.until_complete:
             await client.complete(PATIENCE_S)
         following.cancel()
         await asyncio.gather(following, return_exceptions=True)
@@ -124,13 +124,13 @@ def main() -> None:
     parser.add_argument("token", type=Path)
     parser.add_argument("log", type=Path)
     parser.add_argument("--until-complete", action="store_true")
-    parser.add_argument("--everything", action="store_true", help="be told all but images")
-    said = parser.parse_args()
+    parser.add_argument("--everything", action="store_true", help="receive all but images")
+    args = parser.parse_args()
     log = WatchLog()
     try:
-        asyncio.run(watch(said, log))
+        asyncio.run(watch(args, log))
     finally:
-        log.save(said.log)
+        log.save(args.log)
 
 
 if __name__ == "__main__":

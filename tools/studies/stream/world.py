@@ -22,7 +22,7 @@ from mapperd.mapping.sonar_map import SonarMap
 from mapperd.wire.blocks import CELLS, UNKNOWN, BlockSet
 from mapperd.wire.messages import BLOCK_EDGE, Interest, MapFacts
 from studies.report import ROOT
-from studies.stream.told_steps import told_steps
+from studies.stream.sent_steps import sent_steps
 
 __all__ = ["RESOLUTION_M", "World", "mirror_of"]
 
@@ -141,7 +141,7 @@ class World:
         *,
         piped: bool = False,
     ) -> subprocess.Popen[bytes]:
-        """A program on the daemon's host, or another; what it says goes into `name`.log.
+        """A program on the daemon's host, or another; its output goes into `name`.log.
 
         With `piped` it is talked to by its standard input and output instead.
         """
@@ -167,7 +167,7 @@ class World:
         )
 
     def status(self) -> dict[str, Any]:
-        """As `mapperctl status --json` tells it."""
+        """Read `mapperctl status --json`."""
         status: dict[str, Any] = json.loads(self.ask("status", "--once", "--json").stdout)
         return status
 
@@ -204,7 +204,7 @@ def mirror_of(path: Path, facts: MapFacts) -> MapMirror:
         return mirror
     edge = round(units.shape[1] ** (1 / 3))
     parts = edge // BLOCK_EDGE
-    cells = np.where(counts > 0, told_steps(units * 2.0**-24, facts), np.int8(UNKNOWN))
+    cells = np.where(counts > 0, sent_steps(units * 2.0**-24, facts), np.int8(UNKNOWN))
     # Blocks of the core are z, y, x; each axis is cut into parts of a block of the stream.
     cut = cells.reshape(-1, parts, BLOCK_EDGE, parts, BLOCK_EDGE, parts, BLOCK_EDGE)
     cut = cut.transpose(0, 1, 3, 5, 2, 4, 6).reshape(-1, CELLS)

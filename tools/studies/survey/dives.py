@@ -91,7 +91,7 @@ SPEED_MPS = 2.5
 ALTITUDE_M = 6.0
 RANGE_M = 12.0
 """The floor is seen out to 60 degrees from straight down, 21 m wide. From higher up an imaging
-sonar's fan, 20 degrees thick, tells so little of a level floor that most of its echoes come to lie
+sonar's fan, 20 degrees thick, locates a level floor so poorly that most of its echoes come to lie
 under it: 12 m up and looking 30 m far, a ping marks a thousand cubic metres."""
 
 GAIN_PERCENT = 50

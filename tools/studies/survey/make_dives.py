@@ -276,15 +276,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--beams", type=int, choices=(256, 512), help="of the sonar, in place of the scale's")
     add("--processes", type=int, default=os.cpu_count() or 1, help="change nothing in the files")
     add("--damage", action="store_true", help="also damage copies of the first two recordings")
-    said = parser.parse_args(argv)
-    plan: Plan = PLANS[said.scale]
-    if said.beams is not None:
-        plan = replace(plan, beams=said.beams)
-    recordings = make(said.out, plan, said.processes)
+    args = parser.parse_args(argv)
+    plan: Plan = PLANS[args.scale]
+    if args.beams is not None:
+        plan = replace(plan, beams=args.beams)
+    recordings = make(args.out, plan, args.processes)
     size_mb = sum(path.stat().st_size for path in recordings) / 1e6
-    print(f"{said.out / 'survey.yaml'}: {len(recordings)} dives, {size_mb:.0f} MB")
-    if said.damage:
-        for one in damage(said.out, recordings, plan.seed):
+    print(f"{args.out / 'survey.yaml'}: {len(recordings)} dives, {size_mb:.0f} MB")
+    if args.damage:
+        for one in damage(args.out, recordings, plan.seed):
             print(f"{one.copy}: {one.kind} at {', '.join(map(str, one.places))}")
     return 0
 

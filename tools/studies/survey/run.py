@@ -55,7 +55,7 @@ class Judged(msgspec.Struct, frozen=True):
         run: what it took.
         recorded_s: of all recordings.
         map: of the merged file.
-        lost: what `survey.json` says was lost, by dive.
+        lost: what was lost, by dive, from `survey.json`.
     """
 
     run: Watched
@@ -86,24 +86,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--out", type=Path, default=Path("out/survey"), metavar="DIR")
     add("--scale", choices=list(PLANS), default="full", help="(default: full, two hours)")
     add("--memory", default=MEMORY, metavar="SIZE", help=f"of a worker (default: {MEMORY})")
-    said = parser.parse_args(argv)
-    out: Path = said.out
-    recordings = make(out, PLANS[said.scale], os.cpu_count() or 1)
-    damage(out, recordings, PLANS[said.scale].seed)
+    args = parser.parse_args(argv)
+    out: Path = args.out
+    recordings = make(out, PLANS[args.scale], os.cpu_count() or 1)
+    damage(out, recordings, PLANS[args.scale].seed)
     whole, damaged = out / "survey.yaml", out / "damaged.yaml"
-    one, two = (_judged(out / k, whole, n, said.memory) for n, k in ((1, "one"), (2, "two")))
+    one, two = (_judged(out / k, whole, n, args.memory) for n, k in ((1, "one"), (2, "two")))
     tasks = read_task_times(out / "two/survey.json")
-    every_s = kill_every_s(tasks, KILL_EVERY_S[said.scale])
+    every_s = kill_every_s(tasks, KILL_EVERY_S[args.scale])
     results = {
         "one": one,
         "two": two,
-        "killed": _judged(out / "killed", whole, 2, said.memory, every_s),
-        "damaged": _judged(out / "with-damage", damaged, 2, said.memory),
+        "killed": _judged(out / "killed", whole, 2, args.memory, every_s),
+        "damaged": _judged(out / "with-damage", damaged, 2, args.memory),
     }
     single = _once(out / "single.json", Single, lambda: _single(out, whole, recordings))
-    verdicts = verdicts_of(results, single, bytes_of(said.memory), long=said.scale == "full")
-    told = {**results, "single": single, "verdicts": verdicts}
-    (out / "study.json").write_bytes(msgspec.json.format(msgspec.json.encode(told), indent=2))
+    verdicts = verdicts_of(results, single, bytes_of(args.memory), long=args.scale == "full")
+    record = {**results, "single": single, "verdicts": verdicts}
+    (out / "study.json").write_bytes(msgspec.json.format(msgspec.json.encode(record), indent=2))
     for verdict, holds in verdicts.items():
         print(f"{'holds' if holds else 'FAILS'}: {verdict}")
     handed_out = _once(out / "scheduler.json", SchedulerTime, scheduler_time)
@@ -137,7 +137,7 @@ def _single(out: Path, survey: Path, recordings: Sequence[Path]) -> Single:
 
 
 def _once(path: Path, kind: type[Step], do: Callable[[], Step]) -> Step:
-    """What a step told, now or before."""
+    """Result of a step, of now or of an earlier run."""
     if path.exists():
         return msgspec.json.decode(path.read_bytes(), type=kind)
     result = do()
@@ -163,7 +163,7 @@ def verdicts_of(
         "one worker's map is that of a single process": one.map == single.map,
         "two workers' map is that of a single process": two.map == single.map,
         "killed workers change nothing in the map": killed.map == single.map,
-        "damage is told of both damaged dives": len(damaged.lost) == 2,  # noqa: PLR2004
+        "damage is reported of both damaged dives": len(damaged.lost) == 2,  # noqa: PLR2004
         "what stands before the damage is used": damaged.map.bricks > 0,
         "no worker takes more memory than it may": all(
             result.run.worker_peak_bytes <= memory_bytes for result in results.values()

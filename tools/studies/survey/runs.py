@@ -211,8 +211,8 @@ def peak_bytes(pid: int) -> int:
     Raises:
         OSError: there is no such process.
     """
-    told = Path(f"/proc/{pid}/status").read_text(encoding="ascii", errors="replace")
-    found = re.search(r"^VmHWM:\s*(\d+) kB$", told, re.MULTILINE)
+    status = Path(f"/proc/{pid}/status").read_text(encoding="ascii", errors="replace")
+    found = re.search(r"^VmHWM:\s*(\d+) kB$", status, re.MULTILINE)
     return 1024 * int(found[1]) if found else 0
 
 

@@ -86,7 +86,7 @@ def test_roc_area_is_the_share_of_pairs_in_order() -> None:
 def test_reliability_of_a_coin_and_of_a_liar() -> None:
     coin = reliability(np.zeros(1000), np.arange(1000) % 2 == 0)
     assert coin.counts.tolist() == [0, 0, 0, 0, 0, 1000, 0, 0, 0, 0]
-    assert (coin.said[5], coin.solid[5], coin.expected) == (0.5, 0.5, 0.0)
+    assert (coin.probability[5], coin.solid[5], coin.expected) == (0.5, 0.5, 0.0)
     log_odds = np.repeat([math.log(0.95 / 0.05), math.log(0.05 / 0.95)], [300, 100])
     liar = reliability(log_odds, np.repeat([False, True, False], [150, 200, 50]))
     assert liar.solid[9] == pytest.approx(0.5)

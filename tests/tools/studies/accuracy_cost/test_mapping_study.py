@@ -18,7 +18,7 @@ from studies.accuracy_cost.mapping.knobs import (
 )
 from studies.accuracy_cost.mapping.measuring import CONVERGED, Driven, drive, same_rule
 from studies.accuracy_cost.mapping.metrics import reliability
-from studies.accuracy_cost.mapping.recalibration import FILE, told_and_true
+from studies.accuracy_cost.mapping.recalibration import FILE, estimates_and_truth
 from studies.accuracy_cost.study import Dive, Setting
 
 from mapperd.config.loader import load_config
@@ -100,7 +100,7 @@ def test_profiles_err_less_than_the_published_aperture_on_their_grids(folder: Pa
 
 
 def test_calibrated_probabilities_are_shares_where_the_curve_was_not_fitted(folder: Path) -> None:
-    log_odds, solid = told_and_true(BASIN, folder)
+    log_odds, solid = estimates_and_truth(BASIN, folder)
     assert reliability(log_odds, solid).worst > 0.2
     mended = load_calibration(FILE).log_odds_of(log_odds)
     assert reliability(mended, solid).worst < 0.1

@@ -8,7 +8,7 @@ from studies.accuracy_cost.running import wanted_keys
 from studies.accuracy_cost.study import MODULES, Selection, Study, load
 from studies.accuracy_cost.tables import IMAGES, section
 
-MOST_BYTES = 80_000
+MAX_BYTES = 80_000
 
 
 @pytest.fixture(params=MODULES)
@@ -36,4 +36,4 @@ def test_every_picture_is_there_and_small(study: Study) -> None:
     pictures = PAGE.parent / IMAGES
     names = [study.name, *(f"{study.name}-{knob.name}" for knob in study.knobs)]
     sizes = {name: (pictures / f"{name}.png").stat().st_size for name in names}
-    assert {name: size for name, size in sizes.items() if size > MOST_BYTES} == {}
+    assert {name: size for name, size in sizes.items() if size > MAX_BYTES} == {}

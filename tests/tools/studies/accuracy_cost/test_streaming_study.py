@@ -10,12 +10,12 @@ import pytest
 from studies.accuracy_cost.streaming import STUDY, dives
 from studies.accuracy_cost.streaming.clients import (
     PlainClient,
-    PlainTeller,
+    PlainSender,
     StreamClient,
-    StreamTeller,
+    StreamSender,
 )
 from studies.accuracy_cost.streaming.dives import PLANS, Link, LinkShape
-from studies.accuracy_cost.streaming.knobs import constants, told_by
+from studies.accuracy_cost.streaming.knobs import constants, stream_setting
 from studies.accuracy_cost.streaming.measuring import Moment, moment, summary
 from studies.accuracy_cost.streaming.truth import Ages, Blocks, coded, distances_m
 from studies.accuracy_cost.study import Dive, Setting
@@ -40,7 +40,9 @@ VOXEL_M = 0.5
 
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda setting: setting.key or "default")
 def test_every_setting_is_one_and_turns_something(setting: Setting) -> None:
-    assert (told_by(setting.overrides, 0.2) == told_by({}, 0.2)) == (not setting.overrides)
+    assert (stream_setting(setting.overrides, 0.2) == stream_setting({}, 0.2)) == (
+        not setting.overrides
+    )
 
 
 def test_a_default_is_labelled_as_what_the_daemon_has() -> None:
@@ -64,12 +66,12 @@ def test_a_default_is_labelled_as_what_the_daemon_has() -> None:
 def test_a_setting_that_does_not_exist_is_refused() -> None:
     for name in ("stream.log_odds_steps", "client.levels", "study.near"):
         with pytest.raises(Exception, match=name.split(".")[1]):
-            told_by({name: 1}, 0.2)
+            stream_setting({name: 1}, 0.2)
 
 
 def test_what_is_no_setting_is_turned_for_a_while() -> None:
     before = priority_queue.NEAR_M, blocks.LEVEL
-    with constants(replace(told_by({}, 0.2), near_m=3.0, compression=1)):
+    with constants(replace(stream_setting({}, 0.2), near_m=3.0, compression=1)):
         assert (priority_queue.NEAR_M, blocks.LEVEL) == (3.0, 1)
     assert before == (priority_queue.NEAR_M, blocks.LEVEL)
 
@@ -114,7 +116,7 @@ def blocks_of(sonar_map: SonarMap) -> Blocks:
 
 
 def told_all(sonar_map: SonarMap, interest: Interest, step: float) -> StreamClient:
-    teller = StreamTeller(sonar_map, interest, step, 0)
+    teller = StreamSender(sonar_map, interest, step, 0)
     client = StreamClient(teller.facts(), interest)
     teller.look(0.0, HERE)
     while messages := teller.messages(1e3, HERE):
@@ -160,7 +162,7 @@ def test_what_an_interest_should_be_told_is_what_it_is_told(interest: Interest) 
     sonar_map = random_map()
     held = blocks_of(sonar_map)
     client = told_all(sonar_map, interest, 0.25)
-    facts = StreamTeller(sonar_map, interest, 0.25, 0).facts()
+    facts = StreamSender(sonar_map, interest, 0.25, 0).facts()
     told, size = coded(held, facts, interest), 2**interest.level
     whole = told.repeat(size, 1).repeat(size, 2).repeat(size, 3).reshape(len(told), -1)
     wanted = np.where(whole == -128, np.nan, 1 / (1 + np.exp(-0.25 * whole)))
@@ -192,7 +194,7 @@ def test_classes_are_a_step_beyond_their_thresholds() -> None:
 def test_plain_floats_are_exact() -> None:
     sonar_map = random_map()
     held = blocks_of(sonar_map)
-    teller, client = PlainTeller(sonar_map), PlainClient()
+    teller, client = PlainSender(sonar_map), PlainClient()
     teller.look(0.0, HERE)
     bytes_told = 0
     while messages := teller.messages(1e3, HERE):
@@ -213,7 +215,7 @@ def test_plain_floats_are_exact() -> None:
 def test_nothing_known_is_as_wrong_as_not_knowing() -> None:
     sonar_map = random_map()
     held = blocks_of(sonar_map)
-    teller = StreamTeller(sonar_map, Interest(), 0.25, 0)
+    teller = StreamSender(sonar_map, Interest(), 0.25, 0)
     client = StreamClient(teller.facts(), Interest())
     figures = moment(held, client, teller.facts(), HERE)
     true = 1 / (1 + np.exp(-held.units[held.counts > 0] * 2.0**-24))
@@ -229,25 +231,25 @@ def one_block(log_odds: float) -> Blocks:
 
 
 def test_a_block_is_as_old_as_the_first_change_after_what_was_told() -> None:
-    facts = StreamTeller(random_map(), Interest(), 0.25, 0).facts()
+    facts = StreamSender(random_map(), Interest(), 0.25, 0).facts()
     ages = Ages(facts, Interest())
     part = np.array([[2, 0, 0]], np.int32)
     for now_s, log_odds in ((1.0, 1.0), (2.0, 1.01), (3.0, 2.0)):
         ages.changed(one_block(log_odds), now_s)
     assert ages.oldest_s(4.0, HERE, 10.0) == (3.0, 0.0)
-    ages.told(part, 2.5)  # a hundredth was no step: as of then only that of 3 s is missing
+    ages.sent(part, 2.5)  # a hundredth was no step: as of then only that of 3 s is missing
     assert ages.oldest_s(4.0, HERE, 10.0) == (1.0, 0.0)
     assert ages.oldest_s(4.0, HERE, 7.9) == (0.0, 1.0)  # it begins 8 m away
-    ages.told(part, 3.0)
+    ages.sent(part, 3.0)
     assert ages.oldest_s(4.0, HERE, 10.0) == (0.0, 0.0)
 
 
 def test_a_block_that_is_again_what_was_told_is_not_old() -> None:
     """Where looks are rarer than pings nobody is told of what came and went between two of them."""
-    facts = StreamTeller(random_map(), Interest(), 0.25, 0).facts()
+    facts = StreamSender(random_map(), Interest(), 0.25, 0).facts()
     ages = Ages(facts, Interest())
     ages.changed(one_block(1.0), 1.0)
-    ages.told(np.array([[2, 0, 0]], np.int32), 1.0)
+    ages.sent(np.array([[2, 0, 0]], np.int32), 1.0)
     ages.changed(one_block(2.0), 2.0)
     assert ages.oldest_s(4.0, HERE, 10.0) == (2.0, 0.0)
     ages.changed(one_block(1.0), 3.0)

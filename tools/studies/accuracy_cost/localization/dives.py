@@ -81,7 +81,7 @@ class Run:
     Attributes:
         scans: of it.
         true: (N, 6) x, y, z, roll, pitch, yaw of the base at each.
-        odometry: (N, 3) x, y, yaw that the odometry says.
+        odometry: (N, 3) x, y, yaw of the odometry.
         start: about where it begins; None is anywhere.
     """
 

@@ -62,16 +62,16 @@ def published_overrides() -> dict[str, Value]:
     """
     profile = yaml.safe_load(PROFILE.read_text(encoding="utf-8"))
     defaults = msgspec.to_builtins(Config())
-    said: dict[str, Value] = {
+    overrides: dict[str, Value] = {
         f"{section}.{name}": defaults[section][name]
         for section in ("amcl", "localization")
         for name in profile[section]
     }
-    return said | {"localization.geometry": "2d"}
+    return overrides | {"localization.geometry": "2d"}
 
 
 def profile_overrides(name: str) -> dict[str, Value]:
-    """What a profile in `config/` says of localization; nothing where there is no such file."""
+    """Read the localization settings of a profile in `config/`; empty without such a file."""
     path = CONFIG / f"{name}.yaml"
     if not path.exists():
         return {}
@@ -89,11 +89,11 @@ MARGIN = 0.15
 
 
 def _turned(name: str, default: str, *values: Value) -> tuple[Setting, ...]:
-    """Positions of one setting; the one that `default` says has no overrides."""
-    said = [str(value) for value in values]
+    """Positions of one setting; that of `default` has no overrides."""
+    labels = [str(value) for value in values]
     return tuple(
         Setting(label, {} if label == default else {name: value})
-        for label, value in zip(said, values, strict=True)
+        for label, value in zip(labels, values, strict=True)
     )
 
 
@@ -174,7 +174,7 @@ KNOBS = (
         ),
         "likelihood_field",
         MARGIN,
-        "The product over a field; the sum of cubes can neither be tempered nor tell when it is "
+        "The product over a field; the sum of cubes can neither be tempered nor show when it is "
         "lost, and rays on a planar map hardly find who is.",
         quick=True,
     ),
@@ -206,7 +206,7 @@ KNOBS = (
     ),
     Knob(
         "resampling",
-        "When particles are drawn anew",
+        "When particles are resampled",
         (
             _resampled("every update", 1, selective=False),
             Setting("when half is lost", {}),
@@ -275,5 +275,5 @@ KNOBS = (
 
 WHOLES = (
     Setting("published", published_overrides()),
-    *(Setting(name, said) for name in PROFILES if (said := profile_overrides(name))),
+    *(Setting(name, values) for name in PROFILES if (values := profile_overrides(name))),
 )

@@ -114,9 +114,11 @@ def _run(localizer: Localizer, run: Run, config: Config) -> Moments:
 
 def _poses(run: Run) -> Iterator[Pose]:
     """Of the base, as odometry and the sensors of depth, roll and pitch have it."""
-    for true, said in zip(run.true, run.odometry, strict=True):
-        roll_pitch_yaw_deg = tuple(np.degrees([true[3], true[4], said[2]]).tolist())
-        yield pose_from_rpy((float(said[0]), float(said[1]), float(true[2])), roll_pitch_yaw_deg)
+    for true, estimate in zip(run.true, run.odometry, strict=True):
+        roll_pitch_yaw_deg = tuple(np.degrees([true[3], true[4], estimate[2]]).tolist())
+        yield pose_from_rpy(
+            (float(estimate[0]), float(estimate[1]), float(true[2])), roll_pitch_yaw_deg
+        )
 
 
 def _off(pose: Pose, true: Floats) -> tuple[float, float]:
@@ -137,7 +139,7 @@ def resident_bytes() -> int:
     for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
         if line.startswith("VmRSS:"):
             return int(line.split()[1]) * 1024
-    raise OSError("/proc tells nothing of this process's memory")
+    raise OSError("/proc has no entry on this process's memory")
 
 
 RIGHT_RAD = 0.2

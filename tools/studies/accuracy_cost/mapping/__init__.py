@@ -13,7 +13,7 @@ __all__ = ["STUDY", "MappingStudy"]
 
 @dataclass(frozen=True, slots=True)
 class MappingStudy:
-    """As `studies.accuracy_cost.study.Study` says."""
+    """See `studies.accuracy_cost.study.Study`."""
 
     name: str = "mapping"
     knobs: tuple[Knob, ...] = KNOBS

@@ -69,7 +69,7 @@ def config_for(setting: Setting, made: Made) -> tuple[Config, Thinning]:
     """
     sonar, mounting = made.sonar, made.mounting
     x, y, z = mounting.position_m
-    said: dict[str, Value] = {
+    values: dict[str, Value] = {
         "sonar.horizontal_fov": round(float(np.degrees(2.0 * sonar.half_aperture_rad)), 3),
         "mounting.position.x": x,
         "mounting.position.y": y,
@@ -77,16 +77,16 @@ def config_for(setting: Setting, made: Made) -> tuple[Config, Thinning]:
         "mounting.orientation.pitch": mounting.pitch_deg,
     }
     own = {name: v for name, v in setting.overrides.items() if name.startswith("study.")}
-    said |= {name: v for name, v in setting.overrides.items() if name not in own}
-    config = config_of(_tree(said), setting.label)
+    values |= {name: v for name, v in setting.overrides.items() if name not in own}
+    config = config_of(_tree(values), setting.label)
     asked_for = max(sonar.beams // config.device.beams, 1)  # what this sonar would have sent
     thinning = Thinning(**{name.removeprefix("study."): int(v) for name, v in own.items()})
     return config, replace(thinning, beams=thinning.beams * asked_for)
 
 
-def _tree(said: Mapping[str, Value]) -> dict[str, Any]:
+def _tree(values: Mapping[str, Value]) -> dict[str, Any]:
     tree: dict[str, Any] = {}
-    for name, value in said.items():
+    for name, value in values.items():
         *sections, field = name.split(".")
         place = tree
         for section in sections:
@@ -185,8 +185,8 @@ def _values(
     return [(f"{v}{unit}", {} if v == default else {field: v}) for v in values]
 
 
-def _told(knob: Knob) -> Knob:
-    """Its error is in what voxels are told: turning it moves log-odds, and surfaces hardly."""
+def _on_evidence(knob: Knob) -> Knob:
+    """Its error is in the evidence of voxels: it changes log-odds, and surfaces hardly."""
     return replace(knob, error="log_odds_error")
 
 
@@ -243,7 +243,7 @@ KNOBS = (
         "detail",
         "Detail of the evidence grid",
         _values("mapping.detail", (0.25, 0.5, 1.0, 2.0, 4.0, 8.0), 1.0),
-        "A finer grid takes more time and tells voxels more exactly what the image says of them.",
+        "A finer grid takes more time and gives voxels the evidence of the image more exactly.",
     ),
     _knob(
         "beams",
@@ -280,22 +280,23 @@ KNOBS = (
         published="20.0°",
         margin=APERTURE_MARGIN,
     ),
-    _told(
+    _on_evidence(
         _knob(
             "within-ping-motion",
             "Motion within the ping",
             [("true", {}), ("false", {"mapping.within_ping_motion": False})],
-            "Costs a third to a half more time and moves no surface up to 10 m: it shows in what "
-            "voxels are told, and in surfaces at 30 m and fast turns (docs/concepts/mapping.md).",
+            "Costs a third to a half more time and moves no surface up to 10 m: it shows in "
+            "the evidence of voxels, and in surfaces at 30 m and fast turns "
+            "(docs/concepts/mapping.md).",
             published="false",
         )
     ),
-    _told(
+    _on_evidence(
         _knob(
             "pose-policy",
             "Pose of a ping",
             _values("time_sync.policy", ("interpolate", "nearest", "latest"), "interpolate"),
-            "Costs no time; the newest pose is the wrong one, which shows in what voxels are told.",
+            "Costs no time; the newest pose is the wrong one: it shows in the evidence of voxels.",
             published="latest",
         )
     ),
@@ -349,7 +350,7 @@ KNOBS = (
             ("off", {"adaptive.update": False}),
             ("occupied unprotected", {"adaptive.protect_occupied": False}),
         ],
-        "Costs no time; off, one wrong echo counts for as much as it says.",
+        "Costs no time; off, one wrong echo counts in full.",
         published="on, min_ratio 0",
     ),
     _knob(

@@ -206,13 +206,16 @@ def measure(setting: Setting, dive: Dive, folder: Path) -> dict[str, float]:
     centres_m, log_odds, _ = driven.map.core.voxels()
     chosen = metrics.sampled(centres_m, edge_m)
     solid = world.touched(centres_m[chosen], edge_m)
-    told = log_odds[chosen].astype(np.float64)
-    row["roc_area"] = metrics.roc_area(told, solid)
-    found = metrics.reliability(told, solid)
+    evidence = log_odds[chosen].astype(np.float64)
+    row["roc_area"] = metrics.roc_area(evidence, solid)
+    found = metrics.reliability(evidence, solid)
     row |= {"calibration_expected": found.expected, "calibration_worst": found.worst}
     for i in range(metrics.BINS):
         row[f"bin{i}_voxels"] = float(found.counts[i])
-        row[f"bin{i}_said"], row[f"bin{i}_solid"] = float(found.said[i]), float(found.solid[i])
+        row[f"bin{i}_said"], row[f"bin{i}_solid"] = (
+            float(found.probability[i]),
+            float(found.solid[i]),
+        )
     row[ERROR] = row.pop("error_m")
     return {column.name: row[column.name] for column in COLUMNS}
 

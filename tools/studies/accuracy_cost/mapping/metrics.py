@@ -179,8 +179,8 @@ NEAR_M = 0.15
 FALSE_M = 0.25
 CAP_M = 0.5
 """Wrong is wrong: how far beyond this does not count any more."""
-LEAST_IN_BIN = 100
-"""Voxels; a bin with fewer says nothing of its share."""
+MIN_IN_BIN = 100
+"""Voxels; a bin with fewer does not count."""
 SAMPLED_EDGE_M = 0.1
 """Of finer voxels about as many are looked at as there are of these."""
 
@@ -276,29 +276,29 @@ class Reliability:
 
     Attributes:
         counts: voxels of each bin.
-        said: their mean probability, NaN in an empty bin.
+        probability: their mean, NaN in an empty bin.
         solid: share of them that is solid, NaN in an empty bin.
         expected: difference of both, mean over the voxels.
         worst: largest difference of a bin of at least 100 voxels.
     """
 
     counts: NDArray[np.int64]
-    said: Floats
+    probability: Floats
     solid: Floats
     expected: float
     worst: float
 
 
 def reliability(log_odds: Floats, solid: Bools) -> Reliability:
-    """Compare said probabilities with what is true."""
+    """Compare probabilities with what is true."""
     probability = 1.0 / (1.0 + np.exp(-np.asarray(log_odds, dtype=np.float64)))
     place = np.minimum((probability * BINS).astype(np.int64), BINS - 1)
     counts = np.bincount(place, minlength=BINS)
     with np.errstate(invalid="ignore"):
-        said = np.bincount(place, weights=probability, minlength=BINS) / counts
+        mean = np.bincount(place, weights=probability, minlength=BINS) / counts
         share = np.bincount(place, weights=solid, minlength=BINS) / counts
-    off = np.abs(said - share)
-    enough = counts >= LEAST_IN_BIN
+    off = np.abs(mean - share)
+    enough = counts >= MIN_IN_BIN
     expected = float(np.nansum(off * counts) / max(len(log_odds), 1))
     worst = float(off[enough].max()) if enough.any() else float("nan")
-    return Reliability(counts, said, share, expected, worst)
+    return Reliability(counts, mean, share, expected, worst)

@@ -52,7 +52,7 @@ class Kept:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """The same of what each voxel is told, on one dive: log-odds beside the converged map's.
+    """The same for the evidence of each voxel, on one dive: log-odds beside the converged map's.
 
     Attributes:
         rays_error, rays_ms: of sampled sub-rays, all else by default.
@@ -142,9 +142,9 @@ def sentences(dives: Mapping[str, Rows]) -> str:
     lines += ["", "| dive | log-odds off, rays | ours | times more exact | time, rays | ours |"]
     lines += ["|---|---:|---:|---:|---:|---:|"]
     for dive, rows in dives.items():
-        told = evidence(rows)
+        exact = evidence(rows)
         lines.append(
-            f"| {dive} | {told.rays_error:.3g} | {told.default_error:.3g} | "
-            f"{told.times_more_exact:.0f} | {told.rays_ms:.1f} ms | {told.default_ms:.1f} ms |"
+            f"| {dive} | {exact.rays_error:.3g} | {exact.default_error:.3g} | "
+            f"{exact.times_more_exact:.0f} | {exact.rays_ms:.1f} ms | {exact.default_ms:.1f} ms |"
         )
     return "\n".join(lines)

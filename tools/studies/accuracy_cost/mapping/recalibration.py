@@ -20,7 +20,7 @@ from studies.accuracy_cost.mapping.measuring import drive
 from studies.accuracy_cost.mapping.metrics import BINS, reliability, sampled
 from studies.accuracy_cost.study import Dive
 
-__all__ = ["FILE", "fit", "table", "told_and_true"]
+__all__ = ["FILE", "estimates_and_truth", "fit", "table"]
 
 FILE = PROFILE_FOLDER / "calibration" / "harbour.yaml"
 STEPS = 60
@@ -74,7 +74,7 @@ def _groups(log_odds: Floats) -> list[NDArray[np.int64]]:
     return groups
 
 
-def told_and_true(dive: Dive, folder: Path) -> tuple[Floats, Bools]:
+def estimates_and_truth(dive: Dive, folder: Path) -> tuple[Floats, Bools]:
     """Log-odds of a dive's voxels with the profile `survey`, and which of them are solid."""
     made = made_by(dive)
     sonar_map = drive(profile("survey"), made, capture_of(dive, folder)).map
@@ -88,12 +88,15 @@ def table(log_odds: Floats, solid: Bools, curve: Calibration) -> str:
     """Said and true shares before and after, Markdown."""
     raw = reliability(log_odds, solid)
     mended = reliability(curve.log_odds_of(log_odds), solid)
-    lines = ["| p | voxels | said | solid | voxels, calibrated | said | solid |"]
+    lines = ["| p | voxels | mean | solid | voxels, calibrated | mean | solid |"]
     lines.append("|---|---:|---:|---:|---:|---:|---:|")
     for i in range(BINS):
         cells = [f"{i / 10:g} to {(i + 1) / 10:g}"]
         for found in (raw, mended):
-            share = [f"{v:.2f}" if found.counts[i] else "" for v in (found.said[i], found.solid[i])]
+            share = [
+                f"{v:.2f}" if found.counts[i] else ""
+                for v in (found.probability[i], found.solid[i])
+            ]
             cells += [f"{found.counts[i]}", *share]
         lines.append(f"| {' | '.join(cells)} |")
     errors = [f"{v:.3f}" for v in (raw.expected, raw.worst, mended.expected, mended.worst)]
@@ -122,16 +125,18 @@ def main() -> None:
     """Fit, judge, and write where asked."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--folder", type=Path, default=Path("out/accuracy-cost"))
-    parser.add_argument("--write", action="store_true", help=f"write {FILE.name} anew")
-    said = parser.parse_args()
-    said.folder.mkdir(parents=True, exist_ok=True)
+    parser.add_argument("--write", action="store_true", help=f"write {FILE.name}")
+    args = parser.parse_args()
+    args.folder.mkdir(parents=True, exist_ok=True)
     for dive in (FIT, *DIVES):
-        make_dive(dive, said.folder)
-    if said.write:
-        FILE.write_text(written(fit(*told_and_true(FIT, said.folder))))
+        make_dive(dive, args.folder)
+    if args.write:
+        FILE.write_text(written(fit(*estimates_and_truth(FIT, args.folder))))
     curve = load_calibration(FILE)
     for dive in (FIT, *DIVES):
-        print(f"{dive.name}:\n\n{table(*told_and_true(dive, said.folder), curve)}\n", flush=True)
+        print(
+            f"{dive.name}:\n\n{table(*estimates_and_truth(dive, args.folder), curve)}\n", flush=True
+        )
 
 
 if __name__ == "__main__":

@@ -49,7 +49,7 @@ SCATTERERS = 64
 """In a row of a beam's width, of the reference's grain."""
 GRAINS = 3
 """Times as many random seeds as a setting has: the truth's chance is in all their errors."""
-MOST_SINE = 0.99
+MAX_SINE = 0.99
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +119,7 @@ def finer(sonar: SonarSettings) -> SonarSettings:
 
 def margin_beams(sonar: SonarSettings) -> int:
     """Beams on each side of the sonar's own: as many as the engine hears, and 90° has room for."""
-    room = (MOST_SINE - math.sin(sonar.half_aperture_rad)) / sonar.sine_pitch
+    room = (MAX_SINE - math.sin(sonar.half_aperture_rad)) / sonar.sine_pitch
     return min(MARGIN_BEAMS, int(room))
 
 

@@ -42,7 +42,7 @@ def making_of(overrides: Mapping[str, Value]) -> Making:
     """Read a setting's overrides.
 
     Raises:
-        ValueError: a name is none of the above.
+        ValueError: an unknown name.
         EffectError: an effect is not known.
     """
     plain = {n: v for n, v in overrides.items() if not n.startswith((EFFECT, TOLERANCE))}

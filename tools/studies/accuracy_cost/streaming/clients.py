@@ -26,10 +26,10 @@ __all__ = [
     "Client",
     "Made",
     "PlainClient",
-    "PlainTeller",
+    "PlainSender",
+    "Sender",
     "StreamClient",
-    "StreamTeller",
-    "Teller",
+    "StreamSender",
 ]
 
 
@@ -44,7 +44,7 @@ Made = tuple[bytes, float]
 """A message, and of when it is."""
 
 
-class Teller(Protocol):
+class Sender(Protocol):
     """Tells one client of a map."""
 
     pacer: Pacer
@@ -65,7 +65,7 @@ class Teller(Protocol):
 
 
 @dataclass
-class StreamTeller:
+class StreamSender:
     """The map stream's own source, pacer and turns.
 
     Attributes:
@@ -90,22 +90,22 @@ class StreamTeller:
 
     @property
     def memory_bytes(self) -> int:
-        """As of `Teller`."""
+        """As of `Sender`."""
         return self._source.memory_bytes
 
     def facts(self) -> MapFacts:
-        """As of `Teller`."""
+        """As of `Sender`."""
         return self._source.facts()
 
     def look(self, now_s: float, position_m: NDArray[np.float64]) -> None:
-        """As of `Teller`."""
+        """As of `Sender`."""
         began_s = time.thread_time()
         self._source.look(round(now_s * 1e9) + 1, position_m)
         self._looked = True
         self.cpu_s += time.thread_time() - began_s
 
     def messages(self, now_s: float, position_m: NDArray[np.float64]) -> list[Made]:
-        """As of `Teller`; a round as `MapRounds` has it."""
+        """As of `Sender`; a round as `MapRounds` has it."""
         rooms = self._turns.rooms(now_s)
         if not rooms or not (self._looked or self._view.left):
             return []
@@ -124,11 +124,11 @@ class StreamTeller:
         return [(frame, now_s) for frame, _, _ in frames]
 
 
-class PlainTeller:
+class PlainSender:
     """Every changed voxel as four floats, in the order of the changes: what is simplest.
 
     Args:
-        sonar_map: that is told.
+        sonar_map: map to send.
 
     Attributes:
         cpu_s: of finding and of packing; by numpy, so only roughly what a program would take.
@@ -144,16 +144,16 @@ class PlainTeller:
 
     @property
     def memory_bytes(self) -> int:
-        """As of `Teller`."""
+        """As of `Sender`."""
         seen = sum(block.nbytes for block in self._seen.values())
         return seen + sum(len(message) for message, _ in self._waiting)
 
     def facts(self) -> MapFacts:
-        """As of `Teller`."""
+        """As of `Sender`."""
         return self._source.facts()
 
     def look(self, now_s: float, position_m: NDArray[np.float64]) -> None:  # noqa: ARG002 plain
-        """As of `Teller`."""
+        """As of `Sender`."""
         began_s = time.thread_time()
         keys, units, counts = self._map.core.blocks()
         for key, block, count in zip(keys, units, counts, strict=True):
@@ -171,12 +171,12 @@ class PlainTeller:
         self.cpu_s += time.thread_time() - began_s
 
     def messages(self, now_s: float, position_m: NDArray[np.float64]) -> list[Made]:  # noqa: ARG002
-        """As of `Teller`: all that the connection takes."""
-        said = []
+        """As of `Sender`: all that the connection takes."""
+        sent = []
         while self._waiting and self.pacer.fits(len(self._waiting[0][0]), now_s):
-            said.append(self._waiting.popleft())
-            self.pacer.note_sent(len(said[-1][0]), now_s)
-        return said
+            sent.append(self._waiting.popleft())
+            self.pacer.note_sent(len(sent[-1][0]), now_s)
+        return sent
 
 
 Floats = NDArray[np.float32]
@@ -197,7 +197,7 @@ class StreamClient:
 
     Args:
         facts: of the map.
-        interest: that is told.
+        interest: what to send.
     """
 
     def __init__(self, facts: MapFacts, interest: Interest) -> None:
@@ -208,11 +208,11 @@ class StreamClient:
 
     def take(self, message: bytes) -> NDArray[np.int32]:
         """As of `Client`."""
-        (said,) = self._inbox.feed(message)
-        if not isinstance(said, Blocks) or not said.body:
+        (received,) = self._inbox.feed(message)
+        if not isinstance(received, Blocks) or not received.body:
             return np.zeros((0, 3), np.int32)
-        blocks = decode_blocks(said.body, counts=self._interest.detail == "counts")
-        self._mirror.put(blocks, said.stamp_ns)
+        blocks = decode_blocks(received.body, counts=self._interest.detail == "counts")
+        self._mirror.put(blocks, received.stamp_ns)
         return blocks.keys
 
     def probabilities(self, keys: NDArray[np.int32]) -> Floats:
@@ -259,14 +259,14 @@ class PlainClient:
 
 
 def _values(facts: MapFacts, interest: Interest) -> Floats:
-    """(256,) probabilities of told values from -128 on; a class is a step beyond its threshold."""
-    told = np.arange(-128, 128)
-    log_odds = told * facts.log_odds_step
+    """(256,) probabilities of sent values from -128 on; a class is a step beyond its threshold."""
+    steps = np.arange(-128, 128)
+    log_odds = steps * facts.log_odds_step
     if interest.detail == "classes":
         low = facts.free_log_odds - facts.log_odds_step
         high = facts.occupied_log_odds + facts.log_odds_step
         middle = (facts.free_log_odds + facts.occupied_log_odds) / 2
-        log_odds = np.choose(np.clip(told, -1, 1) + 1, [low, middle, high])
+        log_odds = np.choose(np.clip(steps, -1, 1) + 1, [low, middle, high])
     values = (1 / (1 + np.exp(-log_odds))).astype(np.float32)
-    values[told == UNKNOWN] = math.nan
+    values[steps == UNKNOWN] = math.nan
     return np.asarray(values)

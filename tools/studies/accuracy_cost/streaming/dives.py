@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 
-LEAST_ON_ITS_WAY = 3_000
+MIN_ON_ITS_WAY = 3_000
 """Bytes: two packets."""
 
 
@@ -40,11 +40,11 @@ class LinkShape:
 
 
 class Link:
-    """Moves messages, and tells the pacer what becomes of them.
+    """Moves messages, and reports to the pacer what becomes of them.
 
     Args:
         shape: of the link.
-        pacer: of the connection; told of each message before it is carried.
+        pacer: of the connection; notified of each message before it is carried.
 
     Attributes:
         carried: bytes so far.
@@ -86,7 +86,7 @@ class Link:
         return arrived
 
     def _send(self, now_s: float) -> None:
-        wire = max(2 * self._shape.rate * 2 * self._shape.delay_s, LEAST_ON_ITS_WAY)
+        wire = max(2 * self._shape.rate * 2 * self._shape.delay_s, MIN_ON_ITS_WAY)
         while self._waiting:
             on_its_way = max(self._free_s - now_s, 0.0) * self._shape.rate
             if on_its_way > wire:
@@ -105,7 +105,7 @@ RANGE_M, GAIN_PERCENT = 20.0, 50.0
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is dived and over which link it is told.
+    """A dive, and the link over which its map is sent.
 
     Attributes:
         pings: five a second.

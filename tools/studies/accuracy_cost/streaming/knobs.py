@@ -14,16 +14,16 @@ from mapperd.wire import blocks
 from mapperd.wire.messages import Interest
 from studies.accuracy_cost.study import Knob, Setting, Value
 
-__all__ = ["KNOBS", "WHOLES", "Told", "constants", "told_by"]
+__all__ = ["KNOBS", "WHOLES", "StreamSetting", "constants", "stream_setting"]
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class StreamSetting:
     """Settings of the daemon, and what the client asks for.
 
     Attributes:
         is_plain: as plain floats instead of by the map stream.
-        near_m: what is told first.
+        near_m: radius that is sent first.
         compression: level of zstd.
     """
 
@@ -34,7 +34,7 @@ class Told:
     compression: int = blocks.LEVEL
 
 
-def told_by(overrides: Mapping[str, Value], voxel_m: float) -> Told:
+def stream_setting(overrides: Mapping[str, Value], voxel_m: float) -> StreamSetting:
     """The defaults, with some settings turned.
 
     `stream.*` are settings of the daemon, `client.*` fields of a client's interest; `study.plain`,
@@ -57,14 +57,14 @@ def told_by(overrides: Mapping[str, Value], voxel_m: float) -> Told:
             tree.setdefault(section, {})[field] = value
     if not {*ours} <= {"is_plain", "near_m", "compression"}:
         raise ValueError(f"{', '.join(ours)}: allowed are plain, near_m and compression")
-    return Told(config_of(tree, "study"), msgspec.convert(asked, Interest), **ours)
+    return StreamSetting(config_of(tree, "study"), msgspec.convert(asked, Interest), **ours)
 
 
 @contextmanager
-def constants(told: Told) -> Iterator[None]:
+def constants(setting: StreamSetting) -> Iterator[None]:
     """Turn what is no setting, for a while."""
     before = priority_queue.NEAR_M, blocks.LEVEL
-    priority_queue.NEAR_M, blocks.LEVEL = told.near_m, told.compression
+    priority_queue.NEAR_M, blocks.LEVEL = setting.near_m, setting.compression
     try:
         yield
     finally:
@@ -85,7 +85,7 @@ KNOBS = (
         _turned("stream.log_odds_step", 0.25, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0),
         None,
         MARGIN,
-        "The first to turn up on a thin link: changes smaller than a step are not told.",
+        "The first to turn up on a thin link: changes smaller than a step are not sent.",
         quick=True,
     ),
     Knob(
@@ -99,7 +99,7 @@ KNOBS = (
         ),
         None,
         MARGIN,
-        "A coarse map takes a fraction of the bytes, and thickens walls, as a cell tells the "
+        "A coarse map takes a fraction of the bytes, and thickens walls, as a cell holds the "
         "highest of its voxels.",
         quick=True,
     ),
@@ -117,11 +117,11 @@ KNOBS = (
         _turned("stream.rate", 5.0, 0.5, 1.0, 2.0, 5.0, 10.0),
         None,
         MARGIN,
-        "Fewer looks tell a cell once that changed several times, and later.",
+        "Fewer updates send a cell once that changed several times, and later.",
     ),
     Knob(
         "budget",
-        "Bytes a second that a client is told at most (0: what the link carries)",
+        "Bytes a second that a client is sent at most (0: what the link carries)",
         _turned("stream.bytes_per_s", 0, 2000, 4000, 8000, 16000, 64000, 0),
         None,
         MARGIN,
@@ -129,11 +129,11 @@ KNOBS = (
     ),
     Knob(
         "near",
-        "Radius that is told first, metres",
+        "Radius that is sent first, metres",
         _turned("study.near_m", 13.0, 3.0, 8.0, 13.0, 20.0, 40.0),
         None,
         MARGIN,
-        "No setting: what is told first where a link is full.",
+        "No setting: what is sent first where a link is full.",
     ),
     Knob(
         "radius",

@@ -13,10 +13,10 @@ from mapperd.wire.messages import MapFacts
 from studies.accuracy_cost.streaming.clients import (
     Client,
     PlainClient,
-    PlainTeller,
+    PlainSender,
+    Sender,
     StreamClient,
-    StreamTeller,
-    Teller,
+    StreamSender,
 )
 from studies.accuracy_cost.streaming.dives import (
     DIVES,
@@ -28,7 +28,13 @@ from studies.accuracy_cost.streaming.dives import (
     position_of,
     prepare_dive,
 )
-from studies.accuracy_cost.streaming.knobs import KNOBS, WHOLES, Told, constants, told_by
+from studies.accuracy_cost.streaming.knobs import (
+    KNOBS,
+    WHOLES,
+    StreamSetting,
+    constants,
+    stream_setting,
+)
 from studies.accuracy_cost.streaming.truth import EDGE, UNIT, Ages, Blocks, distances_m
 from studies.accuracy_cost.study import Column, Dive, Knob, Setting
 
@@ -53,7 +59,7 @@ COLUMNS = (
     Column(ERROR, "error of the probability at the client, within 10 m (mean)"),
     Column("p_error", "the same, of the whole map"),
     Column(
-        "wrong_class_near", "occupied and free voxels within 10 m told as something else, share"
+        "wrong_class_near", "occupied and free voxels within 10 m sent as something else, share"
     ),
     Column("log_odds_rms", "error of the log-odds of voxels that the client knows (rms)"),
     Column("near_age_median_s", "age of the oldest block within 10 m, median (s)"),
@@ -61,14 +67,14 @@ COLUMNS = (
     Column("far_age_median_s", "age of the oldest block beyond 10 m, median (s)"),
     Column("far_age_p95_s", "age of the oldest block beyond 10 m, 95 % (s)"),
     Column("bytes_per_voxel", "bytes a voxel that changed"),
-    Column(COST, "told to one client (kB/s)"),
+    Column(COST, "sent to one client (kB/s)"),
     Column("cpu_ms_per_ping", "CPU time per ping, mean (ms)", repeatable=False),
     Column("cpu_median_ms", "CPU time per ping, median (ms)", repeatable=False),
     Column("cpu_p95_ms", "CPU time per ping, 95 % (ms)", repeatable=False),
     Column("memory_mb", "memory of index and client (MB)"),
 )
 
-MOST_LOG_ODDS = 20.0
+MAX_LOG_ODDS = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,22 +100,24 @@ def moment(blocks: Blocks, client: Client, facts: MapFacts, position_m: np.ndarr
     near = distances_m(wide, facts.resolution_m * EDGE, position_m) <= NEAR_M
     both = known & ~missing
     with np.errstate(divide="ignore", invalid="ignore"):
-        told = np.clip(np.log(held) - np.log1p(-held), -MOST_LOG_ODDS, MOST_LOG_ODDS)
-    apart = told[both] - true_log_odds[both]
+        received = np.clip(np.log(held) - np.log1p(-held), -MAX_LOG_ODDS, MAX_LOG_ODDS)
+    apart = received[both] - true_log_odds[both]
     at = known[near]
     return Moment(
         float(off[near][at].mean()) if at.any() else 0.0,
         float(off[known].mean()) if known.any() else 0.0,
-        _wrong_share(true_log_odds[near][at], told[near][at], facts),
+        _wrong_share(true_log_odds[near][at], received[near][at], facts),
         float(np.square(apart, dtype=np.float64).sum()),
         int(both.sum()),
     )
 
 
-def _wrong_share(true: np.ndarray, told: np.ndarray, facts: MapFacts) -> float:
+def _wrong_share(true: np.ndarray, received: np.ndarray, facts: MapFacts) -> float:
     """Of the voxels that are occupied or free; what is not known (NaN) is neither."""
     occupied, free = true > facts.occupied_log_odds, true < facts.free_log_odds
-    wrong = (occupied & ~(told > facts.occupied_log_odds)) | (free & ~(told < facts.free_log_odds))
+    wrong = (occupied & ~(received > facts.occupied_log_odds)) | (
+        free & ~(received < facts.free_log_odds)
+    )
     decided = occupied | free
     return float(wrong[decided].mean()) if decided.any() else 0.0
 
@@ -139,7 +147,7 @@ LOOK_S = 0.07
 class _Watch:
     """One client, its link, and what is judged."""
 
-    teller: Teller
+    sender: Sender
     client: Client
     link: Link
     ages: Ages
@@ -149,11 +157,11 @@ class _Watch:
 
     def step(self, now_s: float, position_m: np.ndarray) -> None:
         """Send what there is room for, and read what arrives."""
-        for message, made_s in self.teller.messages(now_s, position_m):
+        for message, made_s in self.sender.messages(now_s, position_m):
             self.link.carry(message)
             self.made_s.append(made_s)
         for message in self.link.step(now_s):
-            self.ages.told(self.client.take(message), self.made_s.popleft())
+            self.ages.sent(self.client.take(message), self.made_s.popleft())
 
     def count(self, blocks: Blocks) -> None:
         """Voxels that are otherwise than at the ping before."""
@@ -164,12 +172,12 @@ class _Watch:
             self.seen[name] = units.copy()
 
 
-def watched(pings: Pings, plan: Plan, told: Told) -> dict[str, float]:
+def watched(pings: Pings, plan: Plan, wanted: StreamSetting) -> dict[str, float]:
     """The figures of all columns."""
-    sonar_map = SonarMap(told.config)
+    sonar_map = SonarMap(wanted.config)
     for number in range(plan.joins):
         _map(sonar_map, pings, number)
-    watch = _joined(sonar_map, plan, told)
+    watch = _joined(sonar_map, plan, wanted)
     moments: list[Moment] = []
     ages_s: list[tuple[float, float]] = []
     cpu_s: list[float] = []
@@ -181,39 +189,39 @@ def watched(pings: Pings, plan: Plan, told: Told) -> dict[str, float]:
         blocks = Blocks(*sonar_map.core.blocks())
         watch.ages.changed(blocks, now_s)
         watch.count(blocks)
-        until_s, before_s = (number + 1) * PING_S, watch.teller.cpu_s
+        until_s, before_s = (number + 1) * PING_S, watch.sender.cpu_s
         while now_s < until_s - STEP_S / 2:
             if now_s >= next_look_s:
-                watch.teller.look(now_s, position_m)
-                next_look_s += 1 / told.config.stream.rate
+                watch.sender.look(now_s, position_m)
+                next_look_s += 1 / wanted.config.stream.rate
             watch.step(now_s, position_m)
             now_s += STEP_S
             ages_s.append(watch.ages.oldest_s(now_s, position_m, NEAR_M))
-        cpu_s.append(watch.teller.cpu_s - before_s)
+        cpu_s.append(watch.sender.cpu_s - before_s)
         if number % plan.judged_every == 0:
-            moments.append(moment(blocks, watch.client, watch.teller.facts(), position_m))
+            moments.append(moment(blocks, watch.client, watch.sender.facts(), position_m))
     return summary(moments, ages_s) | {
         "bytes_per_voxel": watch.link.carried / max(watch.changed, 1),
         "kb_per_s": watch.link.carried / (now_s - joined_s) / 1e3,
         "cpu_ms_per_ping": 1e3 * float(np.mean(cpu_s)),
         "cpu_median_ms": 1e3 * float(np.median(cpu_s)),
         "cpu_p95_ms": 1e3 * float(np.quantile(cpu_s, 0.95)),
-        "memory_mb": watch.teller.memory_bytes / 1e6,
+        "memory_mb": watch.sender.memory_bytes / 1e6,
     }
 
 
-def _joined(sonar_map: SonarMap, plan: Plan, told: Told) -> _Watch:
-    teller: Teller
+def _joined(sonar_map: SonarMap, plan: Plan, wanted: StreamSetting) -> _Watch:
+    sender: Sender
     client: Client
-    if told.is_plain:
-        teller, client = PlainTeller(sonar_map), PlainClient()
+    if wanted.is_plain:
+        sender, client = PlainSender(sonar_map), PlainClient()
     else:
-        stream = told.config.stream
+        stream = wanted.config.stream
         step, limit = stream.log_odds_step, stream.bytes_per_s
-        teller = StreamTeller(sonar_map, told.interest, step, limit)
-        client = StreamClient(teller.facts(), told.interest)
-    link = Link(plan.link, teller.pacer)
-    return _Watch(teller, client, link, Ages(teller.facts(), told.interest))
+        sender = StreamSender(sonar_map, wanted.interest, step, limit)
+        client = StreamClient(sender.facts(), wanted.interest)
+    link = Link(plan.link, sender.pacer)
+    return _Watch(sender, client, link, Ages(sender.facts(), wanted.interest))
 
 
 def _map(sonar_map: SonarMap, pings: Pings, number: int) -> None:
@@ -238,6 +246,6 @@ class StreamStudy:
     def measure(self, setting: Setting, dive: Dive, folder: Path) -> dict[str, float]:
         """As of `Study`."""
         plan = PLANS[dive.name]
-        told = told_by(setting.overrides, plan.voxel_m)
-        with constants(told):
-            return watched(load_dive(folder), plan, told)
+        wanted = stream_setting(setting.overrides, plan.voxel_m)
+        with constants(wanted):
+            return watched(load_dive(folder), plan, wanted)

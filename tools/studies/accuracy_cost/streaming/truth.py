@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from mapperd.wire.blocks import UNKNOWN
 from mapperd.wire.messages import Interest, MapFacts
-from studies.stream.told_steps import told_steps
+from studies.stream.sent_steps import sent_steps
 
 __all__ = ["EDGE", "UNIT", "Ages", "Blocks", "coded", "distances_m", "stream_keys"]
 
@@ -38,18 +38,18 @@ class Blocks:
 
 
 def coded(blocks: Blocks, facts: MapFacts, interest: Interest) -> NDArray[np.int8]:
-    """What an interest is told of the blocks: (M, E, E, E) z, y, x with E = 16 / 2**level."""
+    """Encode blocks as an interest receives them: (M, E, E, E) z, y, x with E = 16 / 2**level."""
     log_odds = blocks.units * UNIT
     if interest.detail == "classes":
         as_held = log_odds.astype(np.float32)
         occupied, free = as_held > facts.occupied_log_odds, as_held < facts.free_log_odds
-        told = occupied.astype(np.int8) - free.astype(np.int8)
+        sent = occupied.astype(np.int8) - free.astype(np.int8)
     else:
-        told = told_steps(log_odds, facts)
-    told = np.where(blocks.counts > 0, told, np.int8(UNKNOWN))
+        sent = sent_steps(log_odds, facts)
+    sent = np.where(blocks.counts > 0, sent, np.int8(UNKNOWN))
     size = 2**interest.level
     edge = EDGE // size
-    return np.asarray(told.reshape(-1, edge, size, edge, size, edge, size).max(axis=(2, 4, 6)))
+    return np.asarray(sent.reshape(-1, edge, size, edge, size, edge, size).max(axis=(2, 4, 6)))
 
 
 def stream_keys(keys: NDArray[np.int32], level: int) -> NDArray[np.int64]:
@@ -62,7 +62,7 @@ def stream_keys(keys: NDArray[np.int32], level: int) -> NDArray[np.int64]:
 
 
 class Ages:
-    """Of each block of the stream: when it changed since the client was told of it.
+    """Of each block of the stream: when it changed since it was last sent to the client.
 
     A block that is again what it was is not missed, a message about it under way or not.
 
@@ -74,11 +74,11 @@ class Ages:
     def __init__(self, facts: MapFacts, interest: Interest) -> None:
         self._facts, self._interest = facts, interest
         self._seen: dict[bytes, tuple[NDArray[np.int32], NDArray[np.int8]]] = {}
-        # Of each change: when it was, and what the block was told as before it.
+        # Of each change: when it was, and the block as sent before it.
         self._missed: dict[Key, deque[tuple[float, bytes]]] = {}
 
     def changed(self, blocks: Blocks, now_s: float) -> None:
-        """Note what is told otherwise than before."""
+        """Note what differs from what was sent before."""
         names = [key.tobytes() for key in blocks.keys]
         before = [self._seen.get(name) for name in names]
         rows = [
@@ -87,21 +87,21 @@ class Ages:
             if old is None or not np.array_equal(old[0], blocks.units[row])
         ]
         some = Blocks(blocks.keys[rows], blocks.units[rows], blocks.counts[rows])
-        told = _parts(coded(some, self._facts, self._interest), self._interest.level)
+        sent = _parts(coded(some, self._facts, self._interest), self._interest.level)
         keys = stream_keys(some.keys, self._interest.level)
         for k, row in enumerate(rows):
             old = before[row]
-            nothing = np.full_like(told[k], UNKNOWN)
+            nothing = np.full_like(sent[k], UNKNOWN)
             held = nothing if old is None else old[1]
-            for part in np.flatnonzero((told[k] != held).any(axis=1)):
+            for part in np.flatnonzero((sent[k] != held).any(axis=1)):
                 x, y, z = keys[k, part].tolist()
                 missed = self._missed.setdefault((x, y, z), deque())
                 missed.append((now_s, held[part].tobytes()))
-                if missed[0][1] == told[k, part].tobytes():
-                    missed.clear()  # it is again what the client has: there is nothing to tell
-            self._seen[names[row]] = some.units[k].copy(), told[k]
+                if missed[0][1] == sent[k, part].tobytes():
+                    missed.clear()  # it is again what the client has: there is nothing to send
+            self._seen[names[row]] = some.units[k].copy(), sent[k]
 
-    def told(self, keys: NDArray[np.int32], made_s: float) -> None:
+    def sent(self, keys: NDArray[np.int32], made_s: float) -> None:
         """The client has blocks (N, 3) as they were then."""
         for x, y, z in keys.tolist():
             missed = self._missed.get((x, y, z))
@@ -127,9 +127,9 @@ def distances_m(keys: NDArray[np.int64], block_m: float, position_m: Floats) -> 
     return np.asarray(np.linalg.norm(nearest - position_m, axis=1))
 
 
-def _parts(told: NDArray[np.int8], level: int) -> NDArray[np.int8]:
+def _parts(sent: NDArray[np.int8], level: int) -> NDArray[np.int8]:
     """(M, P, C) of `coded`, cut as `stream_keys` cuts."""
     if level > 0:
-        return told.reshape(len(told), 1, -1)
-    cut = told.reshape(-1, 2, 8, 2, 8, 2, 8).transpose(0, 1, 3, 5, 2, 4, 6)
-    return np.asarray(cut.reshape(len(told), 8, -1))
+        return sent.reshape(len(sent), 1, -1)
+    cut = sent.reshape(-1, 2, 8, 2, 8, 2, 8).transpose(0, 1, 3, 5, 2, 4, 6)
+    return np.asarray(cut.reshape(len(sent), 8, -1))

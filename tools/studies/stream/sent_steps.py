@@ -1,4 +1,4 @@
-"""Log-odds as the map stream tells them, by plain numpy: docs/reference/map-stream.md."""
+"""Log-odds as the map stream sends them, by plain numpy: docs/reference/map-stream.md."""
 
 from typing import Any
 
@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from mapperd.wire.messages import MapFacts
 
-__all__ = ["told_steps"]
+__all__ = ["sent_steps"]
 
 MOST = 127
 
 
-def told_steps(log_odds: NDArray[np.floating[Any]], facts: MapFacts) -> NDArray[np.int8]:
+def sent_steps(log_odds: NDArray[np.floating[Any]], facts: MapFacts) -> NDArray[np.int8]:
     """Whole steps of log-odds: the nearest that the thresholds sort as they do these, if any."""
     steps = np.arange(-MOST, MOST + 1)
     values = steps * facts.log_odds_step
@@ -25,7 +25,7 @@ def told_steps(log_odds: NDArray[np.floating[Any]], facts: MapFacts) -> NDArray[
     is_free = as_held < facts.free_log_odds
     least = np.where(is_occupied, least_occupied, np.where(is_free, -MOST, most_free + 1))
     most = np.where(is_free, most_free, np.where(is_occupied, MOST, least_occupied - 1))
-    told = np.clip(np.rint(log_odds / facts.log_odds_step), -MOST, MOST)
-    sided = np.minimum(np.maximum(told, least), most)
-    steps_told: NDArray[np.int8] = np.where(least <= most, sided, told).astype(np.int8)
-    return steps_told
+    steps = np.clip(np.rint(log_odds / facts.log_odds_step), -MOST, MOST)
+    sided = np.minimum(np.maximum(steps, least), most)
+    sided_steps: NDArray[np.int8] = np.where(least <= most, sided, steps).astype(np.int8)
+    return sided_steps
