@@ -15,7 +15,7 @@ CPP_SOURCES := $(shell find cpp -name '*.cpp' -o -name '*.hpp' -o -name 'CMakeLi
 # Programs and tests start hundreds of Pythons, which must not compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study fuzz docs check cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install prerequisites test-prerequisites clean
+.PHONY: demo test test-all bench sim-bench sim-check localization-bench localization-dives second-pass localization-soak soak store-soak crash-soak chaos stream-study mutations accuracy-cost numerical-growth survey-dives survey-study fuzz docs check tidy cpp-test cpp-test-asan cpp-test-tsan cpp-test-aarch64 python-test install prerequisites test-prerequisites clean
 
 demo: $(STAMP)
 	$(TOOL) demo --out out/demo
@@ -140,6 +140,11 @@ docs: $(STAMP)
 
 check: $(STAMP)
 	scripts/check
+
+# clang-tidy on the C++ libraries, with the checks of .clang-tidy. Some minutes.
+tidy: $(STAMP)
+	$(PIP) 'clang-tidy==23.1.4'
+	find cpp/*/src -name '*.cpp' | xargs -P 2 -n 4 $(BIN)/clang-tidy -p build/release --quiet --warnings-as-errors='*'
 
 cpp-test: $(STAMP)
 	scripts/cpp-test release

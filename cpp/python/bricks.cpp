@@ -32,7 +32,7 @@ void cut_into_tiles(VoxelMap& map, int tile_bricks, const py::function& fetch) {
   if (tile_bricks < 1 || tile_bricks > kMaxBlock / kBrickEdge) {
     throw std::invalid_argument("tile_bricks must be 1 or more");
   }
-  // Called by who integrates, without the GIL and without a lock of the map.
+  // The integrators call this without the GIL and without a lock of the map.
   const auto ask = [fetch](const std::vector<BlockKey>& tiles) {
     const py::gil_scoped_acquire acquire;
     py::list keys;

@@ -49,7 +49,7 @@ loc::FilterRule rule_of(std::size_t min_particles, std::size_t max_particles, do
   return rule;
 }
 
-// Filter and map are held by Python for the time of a call; nobody else must use the filter then.
+// Python holds filter and map during a call. No other thread may use the filter then.
 template <typename... Arguments>
 loc::Weighed weighed(loc::ParticleFilter& filter, const Arguments&... arguments) {
   const py::gil_scoped_release release;

@@ -160,7 +160,7 @@ py::tuple class_counts(const VoxelMap& map, double occupied_log_odds, double fre
   return py::make_tuple(counts.occupied, counts.free, counts.uncertain);
 }
 
-// Nobody waits for the map with the GIL in hand: who has the map may need the GIL.
+// Never wait for the map with the GIL held: the thread that holds the map may need the GIL.
 MapSize size_without_gil(const VoxelMap& map) {
   const py::gil_scoped_release release;
   return size_of(map);

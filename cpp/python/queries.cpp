@@ -16,7 +16,7 @@ namespace {
 
 using namespace pybind11::literals;
 
-// An array that owns the vector; T is what NumPy is told of a Stored.
+// An array that owns the vector; T is the NumPy element type of a Stored.
 template <typename T, typename Stored>
 py::array_t<T> array_from(std::vector<Stored>&& values, const std::vector<py::ssize_t>& shape) {
   static_assert(sizeof(T) == sizeof(Stored));

@@ -1,4 +1,4 @@
-// The map as the map stream tells it, as methods of VoxelMap, and the numbers of its blocks.
+// The map as the map stream encodes it, as methods of VoxelMap, and the numbers of its blocks.
 #include "mapperd/map/stream_view.hpp"
 
 #include <pybind11/pybind11.h>
@@ -76,24 +76,24 @@ py::tuple changed(const VoxelMap& map, std::uint64_t revision, const py::object&
 
 py::tuple digests(const VoxelMap& map, const StreamView& view, const py::object& keys_object) {
   const std::vector<BlockKey> keys = stream_keys_of(keys_object, "keys");
-  StreamDigests told;
+  StreamDigests encoded;
   {
     const py::gil_scoped_release release;
-    told = stream_digests(map, view, keys);
+    encoded = stream_digests(map, view, keys);
   }
-  return py::make_tuple(array_from(told.digests), array_from(told.revisions),
-                        flags_from(told.resident));
+  return py::make_tuple(array_from(encoded.digests), array_from(encoded.revisions),
+                        flags_from(encoded.resident));
 }
 
 py::tuple cells(const VoxelMap& map, const StreamView& view, const py::object& keys_object) {
   const std::vector<BlockKey> keys = stream_keys_of(keys_object, "keys");
-  StreamBlocks told;
+  StreamBlocks encoded;
   {
     const py::gil_scoped_release release;
-    told = stream_blocks(map, view, keys);
+    encoded = stream_blocks(map, view, keys);
   }
-  return py::make_tuple(told.revision, planes_from(told.cells, keys.size()),
-                        planes_from(told.count_bits, keys.size()), flags_from(told.resident));
+  return py::make_tuple(encoded.revision, planes_from(encoded.cells, keys.size()),
+                        planes_from(encoded.count_bits, keys.size()), flags_from(encoded.resident));
 }
 
 py::array_t<std::int64_t> numbers(KeyIndex& index, const py::object& keys_object, bool add) {

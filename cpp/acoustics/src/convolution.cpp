@@ -101,7 +101,7 @@ Convolution::Convolution(const float* taps, std::size_t count, std::size_t colum
   const std::size_t farthest = std::max(columns, first + beams);
   const std::size_t reach = std::min(count / 2, farthest);
   taps += count / 2 - reach;
-  // A circular transform of this length: what wraps around falls on results that nobody reads.
+  // A circular transform of this length: wrap-around only affects results that are not read.
   const std::size_t behind = columns > first ? columns - first : 0;
   while (length_ < std::max({columns, behind + reach, first + beams + reach})) length_ *= 2;
   start_ = first;

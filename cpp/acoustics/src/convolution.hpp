@@ -17,7 +17,7 @@ class Convolution {
     Lanes re, im;
   };
 
-  // For rows of `columns`, of which output b is the sum over k of taps[k] times column
+  // For rows of `columns`. Output b is the sum over k of taps[k] times column
   // first + b + k - (count - 1) / 2; count is odd.
   Convolution(const float* taps, std::size_t count, std::size_t columns, std::size_t first,
               std::size_t beams);

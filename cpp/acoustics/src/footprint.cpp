@@ -21,23 +21,23 @@ MAPPERD_VECTORISED void follow(const Leg& leg, const float* cell, double sign, F
   const double n0 = sign * patch.normal[0], n1 = sign * patch.normal[1];
   const double n2 = sign * patch.normal[2];
   const double height_m = std::fabs(patch.height_m);
-  const double least_facing = patch.least_facing;
-  const double least_m = patch.least_m, most_m = patch.most_m;
+  const double min_facing = patch.min_facing;
+  const double min_m = patch.min_m, max_m = patch.max_m;
   double range[4], x[4], y[4], z[4];
   for (std::size_t k = 0; k < 4; ++k) {
     // Where the fan of directions ends, cells end with it.
-    const double most_s = std::sqrt(1.0 - w[k] * w[k]);
-    const double below_s = s[k] < most_s ? s[k] : most_s;
-    const double real_s = below_s > -most_s ? below_s : -most_s;
+    const double max_s = std::sqrt(1.0 - w[k] * w[k]);
+    const double below_s = s[k] < max_s ? s[k] : max_s;
+    const double real_s = below_s > -max_s ? below_s : -max_s;
     const double square = 1.0 - real_s * real_s - w[k] * w[k];
     const double ahead = std::sqrt(square > 0.0 ? square : 0.0);
     x[k] = m[0] * ahead - m[1] * real_s + m[2] * w[k];
     y[k] = m[3] * ahead - m[4] * real_s + m[5] * w[k];
     z[k] = m[6] * ahead - m[7] * real_s + m[8] * w[k];
     const double facing = n0 * x[k] + n1 * y[k] + n2 * z[k];
-    const double reach_m = height_m / (facing > least_facing ? facing : least_facing);
-    const double beyond_m = reach_m > least_m ? reach_m : least_m;
-    range[k] = beyond_m < most_m ? beyond_m : most_m;
+    const double reach_m = height_m / (facing > min_facing ? facing : min_facing);
+    const double beyond_m = reach_m > min_m ? reach_m : min_m;
+    range[k] = beyond_m < max_m ? beyond_m : max_m;
   }
   for (std::size_t k = 0; k < 4; ++k) {
     range_m[k] = range[k];
@@ -66,9 +66,9 @@ bool footprint_of(const Echoes& echoes, std::size_t hit, Footprint& patch) {
       !(patch.height_m * patch.receive_height_m > 0.0)) {
     return false;
   }
-  patch.least_facing = std::fabs(facing) / kFarthest;
-  patch.least_m = hits.span_m[2 * hit];
-  patch.most_m = hits.span_m[2 * hit + 1];
+  patch.min_facing = std::fabs(facing) / kFarthest;
+  patch.min_m = hits.span_m[2 * hit];
+  patch.max_m = hits.span_m[2 * hit + 1];
   std::array<double, 4> range_m;
   follow(leg, cell, facing > 0.0 ? 1.0 : -1.0, patch, range_m);
   patch.near_m = std::min({range_m[0], range_m[1], range_m[2], range_m[3]});

@@ -52,7 +52,7 @@ MAPPERD_VECTORISED void round_cosines(const Nodes& nodes, const Sights& out, con
     const double transmit = std::fabs(there) * part;
     cosine[0][i] = static_cast<float>(transmit);
     cosine[1][i] = static_cast<float>(std::fabs(here) * part);
-    const double least = transmit > kLeastCosine ? transmit : kLeastCosine;
+    const double least = transmit > kMinCosine ? transmit : kMinCosine;
     area[i] = static_cast<float>(nodes.height_m[0][i] / (out.range_m[i] * least));
   }
 }

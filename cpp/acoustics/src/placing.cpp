@@ -8,7 +8,7 @@ namespace mapperd::acoustics {
 namespace {
 
 // From nodes to points of the patch's plane. Loops run to a multiple of the vectors' length, over
-// what nobody reads.
+// what is not read.
 MAPPERD_VECTORISED void points(const PatchModel& patch, std::size_t first, std::size_t count,
                                Nodes& nodes) {
   const Lattice& lattice = patch.lattice;

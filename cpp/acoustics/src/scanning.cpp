@@ -8,8 +8,8 @@ namespace mapperd::acoustics {
 
 namespace {
 
-double least_of(const double* x) { return std::min(std::min(x[0], x[1]), std::min(x[2], x[3])); }
-double most_of(const double* x) { return std::max(std::max(x[0], x[1]), std::max(x[2], x[3])); }
+double min_of(const double* x) { return std::min(std::min(x[0], x[1]), std::min(x[2], x[3])); }
+double max_of(const double* x) { return std::max(std::max(x[0], x[1]), std::max(x[2], x[3])); }
 
 // Where a line crosses the sides. Loops run to a multiple of the vectors' length.
 MAPPERD_VECTORISED void cross(const Outline& o, double row, std::size_t count,
@@ -52,8 +52,8 @@ Outline outline_of(const Corners& corner_m, const Axes& axes, const Lattice& lat
     v[k] = at_u * across_u + at_v * across_v - lattice.j0;
   }
   Outline o;
-  const double low_u = least_of(u), high_u = most_of(u);
-  const double low_v = least_of(v), high_v = most_of(v);
+  const double low_u = min_of(u), high_u = max_of(u);
+  const double low_v = min_of(v), high_v = max_of(v);
   // Long lines are quicker than many.
   o.turned = high_v - low_v > high_u - low_u;
   std::copy_n(o.turned ? v : u, 4, o.along);

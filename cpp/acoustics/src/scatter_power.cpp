@@ -11,9 +11,9 @@ namespace mapperd::acoustics {
 
 namespace {
 
-constexpr double kMostPieces = 512.0;
+constexpr double kMaxPieces = 512.0;
 constexpr double kRowsPerPiece = 1.0;
-constexpr double kLeastAhead = 1e-6;
+constexpr double kMinAhead = 1e-6;
 // Widths in s that are less than this part of x² are angles of width / x, to 0.03 %.
 constexpr double kEven = 0.05;
 
@@ -35,9 +35,9 @@ class Averager {
     const double s_mid = 0.5 * (cell[0] + cell[1]);
     const double w_mid = 0.5 * (cell[2] + cell[3]);
     const Extent all = extent_of(s_mid, w_mid, s_width, w_width);
-    const double most_m = patch_.far_m - patch_.near_m;
-    const double s_count = pieces(std::min(all.across_m, most_m));
-    const double w_count = pieces(std::min(all.along_m, most_m));
+    const double max_m = patch_.far_m - patch_.near_m;
+    const double s_count = pieces(std::min(all.across_m, max_m));
+    const double w_count = pieces(std::min(all.along_m, max_m));
     for (double i = 0.5; i < s_count; i += 1.0) {
       for (double j = 0.5; j < w_count; j += 1.0) {
         piece(cell[0] + s_width * i / s_count, cell[2] + w_width * j / w_count, s_width / s_count,
@@ -53,7 +53,7 @@ class Averager {
 
   [[nodiscard]] double pieces(double extent_m) const {
     const double rows = std::ceil(extent_m / (kRowsPerPiece * e_.grid.row_m));
-    return std::clamp(rows, bent_ != nullptr || strength_.has_lobe() ? 8.0 : 4.0, kMostPieces);
+    return std::clamp(rows, bent_ != nullptr || strength_.has_lobe() ? 8.0 : 4.0, kMaxPieces);
   }
 
   void begin(std::size_t hit) {
@@ -79,7 +79,7 @@ class Averager {
   [[nodiscard]] Extent extent_of(double s, double w, double s_width, double w_width) const {
     const double x = std::sqrt(std::max(1.0 - s * s - w * w, 1e-6));
     const double facing =
-        std::max(std::fabs(normal_[0] * x - normal_[1] * s + normal_[2] * w), patch_.least_facing);
+        std::max(std::fabs(normal_[0] * x - normal_[1] * s + normal_[2] * w), patch_.min_facing);
     const double reach_m = std::fabs(patch_.height_m) / (facing * facing);
     return {reach_m * std::fabs(normal_[0] * s / x + normal_[1]) * s_width,
             reach_m * std::fabs(normal_[2] - normal_[0] * w / x) * w_width};
@@ -98,11 +98,11 @@ class Averager {
       return {s, ahead, s_width / ahead};
     }
     const Reals reals = reals_of(s - 0.5 * s_width, s + 0.5 * s_width, w);
-    const double from_rad = std::asin(reals.from_s / reals.most_s);
-    const double to_rad = std::asin(reals.to_s / reals.most_s);
+    const double from_rad = std::asin(reals.from_s / reals.max_s);
+    const double to_rad = std::asin(reals.to_s / reals.max_s);
     const double middle_rad = 0.5 * (from_rad + to_rad);
-    return {reals.most_s * std::sin(middle_rad),
-            std::fmax(reals.most_s * std::cos(middle_rad), kLeastAhead), to_rad - from_rad};
+    return {reals.max_s * std::sin(middle_rad),
+            std::fmax(reals.max_s * std::cos(middle_rad), kMinAhead), to_rad - from_rad};
   }
 
   void piece(double middle_s, double w, double s_width, double w_width) {
@@ -113,17 +113,16 @@ class Averager {
     const double s = bearing.s;
     const Vector d = direction(*seen_, s, w);
     const double facing = dot(patch_.normal, d);
-    if (facing * patch_.height_m <= 0.0 || std::fabs(facing) < patch_.least_facing) {
+    if (facing * patch_.height_m <= 0.0 || std::fabs(facing) < patch_.min_facing) {
       return;
     }
-    const double range_m = std::clamp(patch_.height_m / facing, patch_.least_m, patch_.most_m);
+    const double range_m = std::clamp(patch_.height_m / facing, patch_.min_m, patch_.max_m);
     Vector point_m;
     for (std::size_t axis = 0; axis < 3; ++axis) {
       point_m[axis] = seen_->origin_m[axis] + range_m * d[axis];
     }
     const Vector normal = bent_ != nullptr ? bent_normal(bent_, point_m) : patch_.normal;
-    const double cosine =
-        std::max(std::fabs(dot(normal, d)), bent_ != nullptr ? kLeastCosine : 0.0);
+    const double cosine = std::max(std::fabs(dot(normal, d)), bent_ != nullptr ? kMinCosine : 0.0);
     const double area_m2 = range_m * range_m * bearing.angle_rad * w_width / cosine;
     const Sight seen{range_m, s, w, d};
     const Sight out = transmit_ == seen_ ? seen : sight_of(*transmit_, point_m);

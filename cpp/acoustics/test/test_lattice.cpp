@@ -40,7 +40,7 @@ double unfairness(double ones, double count) {
   return std::fabs(ones - 0.5 * count) / (0.5 * std::sqrt(count));
 }
 
-TEST_CASE("each bit of a node is fair, and tells nothing of a neighbour's or of the other word") {
+TEST_CASE("each bit of a node is fair, and independent of a neighbour's and of the other word") {
   constexpr std::uint32_t kSide = 300;
   constexpr double kCount = kSide * kSide;
   const auto at = [](std::uint32_t i, std::uint32_t j) {

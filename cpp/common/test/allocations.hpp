@@ -1,19 +1,19 @@
-// What the allocator says of the tests' memory, where glibc's own is in use.
+// Memory in use according to glibc's allocator, where that is the allocator.
 #pragma once
 
 #include <cstddef>
-#include <cstdlib>  // says whether it is glibc
+#include <cstdlib>  // defines __GLIBC__
 
 #if defined(__GLIBC__) && !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
 #define MAPPERD_COUNTS_ALLOCATIONS 1
 
 namespace allocations {
 
-// The sum of what malloc says that each allocation takes.
+// Sum of malloc_usable_size() of all allocations, bytes.
 std::size_t counted();
 
-// What malloc says of itself in all. Small pieces that it keeps at hand after they were freed count
-// as in use: too coarse for small maps.
+// Bytes in use according to mallinfo2(). Small freed chunks that it caches count as in use: too
+// coarse for small maps.
 std::size_t in_use();
 
 }  // namespace allocations

@@ -87,7 +87,7 @@ double cpu_s() {
 }
 
 struct Contender {
-  std::string who;
+  std::string name;
   std::function<void()> prepare;  // not timed
   std::function<void()> work;
 };
@@ -109,7 +109,7 @@ void time_all(const std::string& what, std::size_t particles, int repetitions,
     std::printf(
         "{\"what\": \"%s\", \"particles\": %zu, \"who\": \"%s\", \"best_us\": %.3f, "
         "\"median_us\": %.3f}\n",
-        what.c_str(), particles, contenders[i].who.c_str(), 1e6 * laps[i].front(),
+        what.c_str(), particles, contenders[i].name.c_str(), 1e6 * laps[i].front(),
         1e6 * laps[i][laps[i].size() / 2]);
   }
   std::fflush(stdout);

@@ -12,15 +12,15 @@ namespace plain {
 namespace {
 
 double range_along(const OccupancyGrid& grid, const State& s, double along_x, double along_y,
-                   double most_m) {
+                   double max_m) {
   const GridFrame& f = grid.frame;
   const auto cell = [&](double at, double origin) {
     return static_cast<long>(std::floor((at - origin) / f.resolution_m));
   };
   const long c0 = cell(s.x, f.origin.x);
   const long r0 = cell(s.y, f.origin.y);
-  const long dc = cell(s.x + most_m * along_x, f.origin.x) - c0;
-  const long dr = cell(s.y + most_m * along_y, f.origin.y) - r0;
+  const long dc = cell(s.x + max_m * along_x, f.origin.x) - c0;
+  const long dr = cell(s.y + max_m * along_y, f.origin.y) - r0;
   const bool wide = std::labs(dc) >= std::labs(dr);
   const long length = wide ? std::labs(dc) : std::labs(dr);
   const long aside = wide ? std::labs(dr) : std::labs(dc);
@@ -30,7 +30,7 @@ double range_along(const OccupancyGrid& grid, const State& s, double along_x, do
       break;
     if (!grid.is(static_cast<std::size_t>(r), static_cast<std::size_t>(c), kFree)) {
       const double cells = std::hypot(static_cast<double>(c - c0), static_cast<double>(r - r0));
-      return std::min(most_m, cells * f.resolution_m);
+      return std::min(max_m, cells * f.resolution_m);
     }
     error += aside;
     const bool step = 2 * error > length;
@@ -38,7 +38,7 @@ double range_along(const OccupancyGrid& grid, const State& s, double along_x, do
     if (wide || step) c += dc < 0 ? -1 : 1;
     if (!wide || step) r += dr < 0 ? -1 : 1;
   }
-  return most_m;
+  return max_m;
 }
 
 }  // namespace

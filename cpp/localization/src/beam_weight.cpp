@@ -13,7 +13,7 @@ namespace {
 constexpr double kTails = 8.5;  // sigmas within which the cut of the Gaussian shows in a double
 
 // A reading nearer than expected by more is a short one: rounding of ranges is no evidence.
-constexpr double kShorter_m = 1e-6;
+constexpr double kShorterM = 1e-6;
 
 // 1 over the Gaussian's part within 0 ... max_range.
 double hit_norm(const BeamModel& m, double expected_m) {
@@ -52,7 +52,7 @@ MAPPERD_VECTORISED_WIDE void mix(const Reading& reading, const double* expected,
     const double off = r.range - expected[i];
     const double hit = r.hit * norms[i] * fast_exp(r.per_m2 * off * off);
     const double cut = 1.0 - fast_exp(-r.lambda * expected[i]);
-    const double early = off < -kShorter_m ? r.short_now / cut : 0.0;
+    const double early = off < -kShorterM ? r.short_now / cut : 0.0;
     const double p = (hit + early) + r.always;
     const double known = expected[i] >= 0.0 ? p : r.background;
     out[i] = r.quality * known + (1.0 - r.quality) * r.background;
@@ -171,7 +171,7 @@ double BeamModel::density(double range_m, double expected_m) const {
   const double off = r.range - expected_m;
   const double hit = r.hit * hit_norm(*this, expected_m) * std::exp(r.per_m2 * off * off);
   const double cut = -std::expm1(-r.lambda * expected_m);
-  return hit + (off < -kShorter_m ? r.short_now / cut : 0.0) + r.always;
+  return hit + (off < -kShorterM ? r.short_now / cut : 0.0) + r.always;
 }
 
 void check_beam_model(const BeamModel& m) {

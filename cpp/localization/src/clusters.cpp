@@ -46,6 +46,7 @@ Cells cells_of(const Particles& p, const std::vector<double>& w, const ClusterRu
 
 void cap(std::vector<Cell>& cells, double percentile) {
   std::vector<double> weights;
+  weights.reserve(cells.size());
   for (const Cell& cell : cells) weights.push_back(cell.weight);
   const auto rank = static_cast<std::size_t>(percentile * static_cast<double>(weights.size()));
   const auto at = weights.begin() + static_cast<std::ptrdiff_t>(std::min(rank, weights.size() - 1));

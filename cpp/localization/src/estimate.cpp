@@ -75,9 +75,9 @@ Matrix3 covariance_of(const Means& m, const Spreads& s, bool spread, bool headin
   const double turn =
       heading ? -2.0 * std::log(m.resultant) + 0.0 : std::numeric_limits<double>::infinity();
   Matrix3 c{};
-  c[0][0] = std::max(kLeastVariance, s.xx * unbiased);
-  c[1][1] = std::max(kLeastVariance, s.yy * unbiased);
-  c[2][2] = std::max(kLeastVariance, turn);
+  c[0][0] = std::max(kMinVariance, s.xx * unbiased);
+  c[1][1] = std::max(kMinVariance, s.yy * unbiased);
+  c[2][2] = std::max(kMinVariance, turn);
   const double most = std::sqrt(c[0][0]) * std::sqrt(c[1][1]);
   c[0][1] = c[1][0] = std::clamp(s.xy * unbiased, -most, most);
   if (!heading) return c;

@@ -32,9 +32,9 @@ Pose2 FreeSpace::draw_pose(const Stream& stream, Purpose purpose, std::uint32_t 
   const Words words = draw(stream, purpose, particle);
   const auto pick =
       static_cast<std::size_t>((static_cast<std::uint64_t>(words.word[0]) * cells_.size()) >> 32);
-  const std::size_t cell = cells_[pick];
-  const double u = static_cast<double>(cell % frame_.columns) + uniform_of(words.word[1]);
-  const double v = static_cast<double>(cell / frame_.columns) + uniform_of(words.word[2]);
+  const std::size_t row = cells_[pick] / frame_.columns, column = cells_[pick] % frame_.columns;
+  const double u = static_cast<double>(column) + uniform_of(words.word[1]);
+  const double v = static_cast<double>(row) + uniform_of(words.word[2]);
   const double cosine = std::cos(frame_.origin.yaw) * frame_.resolution_m;
   const double sine = std::sin(frame_.origin.yaw) * frame_.resolution_m;
   return {frame_.origin.x + cosine * u - sine * v, frame_.origin.y + sine * u + cosine * v,

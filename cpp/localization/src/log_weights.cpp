@@ -33,10 +33,10 @@ Reweighted reweight(std::vector<double>& log_weight, const std::vector<double>& 
   std::vector<double> updated(log_weight.size());
   double largest = kNever;
   for (std::size_t i = 0; i < updated.size(); ++i) {
-    const double told = log_likelihood[i];
-    if (std::isnan(told) || told == -kNever) ++done.not_a_number;
-    const bool counts = std::isfinite(told);
-    updated[i] = counts ? log_weight[i] + told : kNever;
+    const double value = log_likelihood[i];
+    if (std::isnan(value) || value == -kNever) ++done.not_a_number;
+    const bool counts = std::isfinite(value);
+    updated[i] = counts ? log_weight[i] + value : kNever;
     if (std::isnan(updated[i])) updated[i] = kNever;
     largest = std::max(largest, updated[i]);
   }

@@ -9,7 +9,7 @@
 namespace mapperd::localization {
 namespace {
 
-constexpr double kNoDirection_m = 0.01;
+constexpr double kNoDirectionM = 0.01;
 constexpr double kStationarySigma = 0.02;  // m, m, rad
 
 double squared(double value) { return value * value; }
@@ -19,7 +19,7 @@ double folded(double angle) {
 }
 
 MotionDraws differential(double distance, double direction, double turn, const Alphas& alpha) {
-  const double first = distance > kNoDirection_m ? direction : 0.0;
+  const double first = distance > kNoDirectionM ? direction : 0.0;
   const double second = wrapped(turn - first);
   const double turning = squared(folded(first)) + squared(folded(second));
   const double drift = alpha[1] * squared(distance);
@@ -38,7 +38,7 @@ MotionDraws omnidirectional(double distance, double direction, double turn, cons
           {std::sqrt(alpha[2] * squared(distance) + alpha[3] * turning),
            std::sqrt(alpha[0] * turning + alpha[1] * squared(distance)),
            std::sqrt(alpha[4] * squared(distance) + alpha[3] * turning)},
-          distance > kNoDirection_m ? direction : 0.0};
+          distance > kNoDirectionM ? direction : 0.0};
 }
 
 // Arrays of one block; plain pointers, for the vectoriser.

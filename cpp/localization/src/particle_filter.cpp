@@ -13,7 +13,7 @@ namespace mapperd::localization {
 namespace {
 
 constexpr std::size_t kParticlesATask = 8 * kBlock;
-constexpr std::size_t kMostParticles = 10'000'000;
+constexpr std::size_t kMaxParticles = 10'000'000;
 
 // Mean likelihood of a beam: neither particles nor beams in numbers change it, nor kappa.
 double fit_of(double log_evidence, std::size_t beams, FitKind kind, double kappa) {
@@ -35,7 +35,7 @@ void check_kappa(double kappa) {
   }
 }
 
-// By a scan that says nothing.
+// Result for a scan without information.
 bool sum_to_one(Particles& particles) {
   return reweight(particles.log_weight, std::vector<double>(particles.size())).informative;
 }
@@ -44,8 +44,7 @@ bool sum_to_one(Particles& particles) {
 
 void check_filter_rule(const FilterRule& rule) {
   const ResampleRule& r = rule.resample;
-  if (r.min_particles < 1 || r.min_particles > r.max_particles ||
-      r.max_particles > kMostParticles) {
+  if (r.min_particles < 1 || r.min_particles > r.max_particles || r.max_particles > kMaxParticles) {
     throw std::invalid_argument("particles must be 1 <= min <= max <= 10000000");
   }
   check_kld(r.kld);
@@ -108,7 +107,7 @@ void ParticleFilter::start_anywhere(const FreeSpace& free) {
 
 void ParticleFilter::start_with(Particles particles) {
   // Twice as many: two clouds of the greatest size are judged together.
-  if (particles.size() > 2 * kMostParticles) throw std::invalid_argument("too many particles");
+  if (particles.size() > 2 * kMaxParticles) throw std::invalid_argument("too many particles");
   for (std::size_t i = 0; i < particles.size(); ++i) {
     if (!is_finite(particles.pose(i))) throw std::invalid_argument("particles must be finite");
     particles.yaw[i] = wrapped(particles.yaw[i]);
@@ -126,9 +125,9 @@ FilterState ParticleFilter::state() const {
 
 void ParticleFilter::restore(FilterState state) {
   const Particles& cloud = state.particles;
-  if (cloud.size() > kMostParticles) throw std::invalid_argument("too many particles");
+  if (cloud.size() > kMaxParticles) throw std::invalid_argument("too many particles");
   for (std::size_t i = 0; i < cloud.size(); ++i) {
-    // A weight may be 0, its logarithm then is none that is finite.
+    // A weight may be 0; its logarithm is then -infinity.
     if (!is_finite(cloud.pose(i)) || !(cloud.log_weight[i] <= 1e-6)) {
       throw std::invalid_argument("particles must be finite, and weights at most 1");
     }
@@ -226,7 +225,7 @@ Weighed ParticleFilter::weigh(const std::vector<double>& log_likelihood, std::si
   const double exponent = share > 0.0 ? bearable_exponent(before, log_likelihood, share) : 1.0;
   if (exponent < 1.0) {
     std::vector<double> raised = log_likelihood;
-    for (double& told : raised) told *= exponent;
+    for (double& value : raised) value *= exponent;
     particles_.log_weight = before;
     reweight(particles_.log_weight, raised);
   }

@@ -11,12 +11,12 @@
 namespace mapperd::localization {
 namespace {
 
-constexpr double kAhead = 1e-9;  // cells; who is that near to an edge ahead counts as beyond it
+constexpr double kAhead = 1e-9;  // cells; a point this close to an edge ahead counts as beyond it
 
-// What one octant of a cell says, in a byte.
+// Content of one octant of a cell, in a byte.
 constexpr std::uint8_t kBlocked = 0;
 constexpr std::uint8_t kOnlyHere = 1;  // free; k + 1: and so is the wedge of k columns
-constexpr std::uint8_t kMost = 254;
+constexpr std::uint8_t kMaxWedge = 254;
 constexpr std::uint8_t kOutside = 255;
 
 constexpr std::size_t kOctants = 8;
@@ -45,7 +45,7 @@ void fill_wedges(const Octant& way, std::size_t rows, std::size_t columns, std::
     std::uint8_t* cell = plane + row * (columns + 2) + (way.back_u ? 1 : columns);
     for (std::size_t i = 0; i < columns; ++i, cell -= right) {
       const std::uint8_t next = std::max(std::min(cell[on], cell[on + aside]), kOnlyHere);
-      const std::uint8_t wedge = std::min<std::uint8_t>(next, kMost - 1) + 1;
+      const std::uint8_t wedge = std::min<std::uint8_t>(next, kMaxWedge - 1) + 1;
       const std::uint8_t clear = cell[aside] == kBlocked ? kOnlyHere : wedge;
       *cell = *cell == kBlocked ? kBlocked : clear;
     }
@@ -70,7 +70,7 @@ struct March {
   double inverse_v[kRays];
   double gone[kRays];
   std::uint64_t shift[kRays];  // to the byte of the ray's octant
-  double found[kRays];         // what the map says there
+  double found[kRays];         // ranges found in the map
   double moved[kRays];         // 1: went on in the last step
   std::size_t place[kRays];
 };

@@ -13,7 +13,7 @@ namespace mapperd::localization {
 namespace {
 
 constexpr std::size_t kPosesATask = 64 * kBlock;
-constexpr std::size_t kMostPoses = 10'000'000;
+constexpr std::size_t kMaxPoses = 10'000'000;
 
 template <typename Task>
 void in_blocks(std::size_t count, int threads, const Task& task) {
@@ -42,7 +42,7 @@ void jitter(Particles& particles, std::size_t first, std::size_t last, const Sea
 Particles drawn_by_scan(const FreeSpace& free, const LikelihoodField& field, const Endpoints& ends,
                         const Search& search, std::size_t count, const Stream& stream,
                         int threads) {
-  if (search.poses < count || search.poses > kMostPoses) {
+  if (search.poses < count || search.poses > kMaxPoses) {
     throw std::invalid_argument("a search needs as many poses as particles, and at most 10000000");
   }
   Particles anywhere;
@@ -58,7 +58,7 @@ Particles drawn_by_scan(const FreeSpace& free, const LikelihoodField& field, con
   // The cloud's particles are to come from about as many poses.
   const double share = static_cast<double>(count) / static_cast<double>(search.poses);
   const double exponent = bearable_exponent(anywhere.log_weight, logs, share);
-  for (double& told : logs) told *= exponent;
+  for (double& value : logs) value *= exponent;
   reweight(anywhere.log_weight, logs);
   const std::vector<std::size_t> parent = comb(linear_weights(anywhere.log_weight), count, 0.5);
   Particles drawn;

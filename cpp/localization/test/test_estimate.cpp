@@ -68,7 +68,7 @@ TEST_CASE("a cloud on a slanting line has finite numbers and a correlation of 1 
     for (const auto& row : e.covariance) {
       for (const double value : row) CHECK(std::isfinite(value));
     }
-    // To the last bit: who takes the root of 1 less the square of the correlation gets a number.
+    // To the last bit: the root of 1 minus the squared correlation is a number.
     const double most = std::sqrt(e.covariance[0][0]) * std::sqrt(e.covariance[1][1]);
     CHECK(std::abs(e.covariance[0][1]) <= most);
   }
@@ -80,14 +80,14 @@ TEST_CASE("one particle, all weight on one, equal ones and opposite headings") {
   two.set(0, {1, 2, 0.5});
   two.set(1, {5, 5, 0.5 + kPi});
   const Estimate one = estimate_of(two, {1.0, 0.0});
-  CHECK((!one.spread_known && one.covariance[0][0] == kLeastVariance));
-  CHECK((one.covariance[2][2] == kLeastVariance && one.covariance[0][1] == 0.0));
+  CHECK((!one.spread_known && one.covariance[0][0] == kMinVariance));
+  CHECK((one.covariance[2][2] == kMinVariance && one.covariance[0][1] == 0.0));
   const Estimate opposite = estimate_of(two, {0.5, 0.5});
   CHECK((!opposite.heading_known && opposite.mean.yaw == 0.0));
   CHECK((std::isinf(opposite.covariance[2][2]) && opposite.covariance[0][2] == 0.0));
   two.set(1, {1, 2, 0.5});
   const Estimate equal = estimate_of(two, {0.5, 0.5});
-  CHECK((equal.spread_known && equal.covariance[1][1] == kLeastVariance));
+  CHECK((equal.spread_known && equal.covariance[1][1] == kMinVariance));
   CHECK(estimate_of({}, {}).particles == 0);
 }
 

@@ -11,8 +11,8 @@ using namespace scenes;
 
 // `make localization-soak` asks for ten millions.
 long updates_wished() {
-  const char* said = std::getenv("MAPPERD_LONG_UPDATES");
-  if (said != nullptr) return std::atol(said);
+  const char* requested = std::getenv("MAPPERD_LONG_UPDATES");
+  if (requested != nullptr) return std::atol(requested);
   return kSanitized ? 5000 : 100000;
 }
 
@@ -71,7 +71,7 @@ TEST_CASE("ten million reweightings leave weights of sum 1") {
   CHECK(weight[0] == near(weight[1], 1e-9));
 }
 
-TEST_CASE("a weight that became no number is none, and the others sum to 1") {
+TEST_CASE("a weight that is NaN becomes 0, and the others sum to 1") {
   std::vector<double> log_weight{std::log(0.5), std::nan(""), std::log(0.25)};
   const Reweighted done = reweight(log_weight, {-1.0, -1.0, -1.0});
   CHECK((done.informative && done.not_a_number == 0));

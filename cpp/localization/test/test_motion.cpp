@@ -125,7 +125,7 @@ TEST_CASE("omnidirectional: moments along, across and of the turn") {
   CHECK(m.sigma[2] == near(std::sqrt(0.02 * 0.09 + 0.01), 0.001));
 }
 
-TEST_CASE("stationary: 2 cm, 2 cm and 20 mrad, whatever odometry says") {
+TEST_CASE("stationary: 2 cm, 2 cm and 20 mrad, whatever the odometry") {
   const auto d = motion_draws(MotionModel::kStationary, {0, 0, 0}, {5, 5, 1}, {1, 1, 1, 1, 1});
   const Moments m = moments_of(d, {3, 3, 1.0});
   for (int k = 0; k < 3; ++k) {

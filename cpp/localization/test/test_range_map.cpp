@@ -135,10 +135,10 @@ TEST_CASE("the vector loop's densities are the formula's") {
       const double expected = map.cast({p.x + 0.4 * std::cos(p.yaw), p.y + 0.4 * std::sin(p.yaw),
                                         wrapped(p.yaw + beams.bearing_rad[j])},
                                        25.0);
-      const double told =
+      const double expected_density =
           expected < 0.0 ? model.background() : model.density(beams.range_m[j], expected);
       const double q = beams.quality[j];
-      const double density = q * told + (1.0 - q) * model.background();
+      const double density = q * expected_density + (1.0 - q) * model.background();
       sum += density * density * density;
       logs += std::log(density);
     }

@@ -113,7 +113,7 @@ TEST_CASE("a weight of 1 among zeros is every particle's parent, in first and la
       const ResampleRule rule{5, 50, {}, scheme};
       const Drawn drawn = draw_parents(in_a_row(10), weight, rule, false, 0.0, nullptr, {1, 1});
       for (const std::size_t parent : drawn.parent) CHECK(parent == place);
-      CHECK(drawn.parent.size() == 50);  // one bucket tells nothing
+      CHECK(drawn.parent.size() == 50);  // one bucket has no information
       CHECK(draw_parents(in_a_row(10), weight, rule, true, 0.0, nullptr, {1, 1}).parent.size() ==
             5);
     }

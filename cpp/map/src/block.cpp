@@ -59,14 +59,14 @@ bool Block::add_free(const IwloRule& rule, CellPool::Cache& pool, CellSet cells)
   } else {
     for_each_cell(cells, [&](int cell) { ++pending_[static_cast<std::size_t>(cell)]; });
   }
-  if (++most_pending_ >= pending_limit(rule)) settle(rule, pool);
+  if (++max_pending_ >= pending_limit(rule)) settle(rule, pool);
   return true;
 }
 
 // Applies what is pending where it is so much that it must be.
 void Block::settle(const IwloRule& rule, CellPool::Cache& pool) {
   const std::uint32_t limit = pending_limit(rule);
-  most_pending_ = 0;
+  max_pending_ = 0;
   for (int cell = 0; cell < kBlockCells; ++cell) {
     auto& pending = pending_[static_cast<std::size_t>(cell)];
     if (pending >= limit) {
@@ -79,7 +79,7 @@ void Block::settle(const IwloRule& rule, CellPool::Cache& pool) {
         set_alike(rule, cell, alike(rule, cell));
       }
     }
-    most_pending_ = std::max(most_pending_, pending);
+    max_pending_ = std::max(max_pending_, pending);
   }
 }
 

@@ -49,6 +49,7 @@ void decode_old(ByteReader& bytes, const IwloRule& rule, BlockStates& states) {
   }
   if (known.empty()) bytes.refuse("a block without observed voxels");
   std::vector<std::int64_t> units;
+  units.reserve(known.size());
   for (std::size_t k = 0; k < known.size(); ++k) {
     units.push_back(rule.units_of_file(bytes.get<std::int32_t>()));
   }

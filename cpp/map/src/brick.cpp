@@ -53,7 +53,7 @@ std::vector<DecodedBlock> decoded(const BrickView& brick, const IwloRule& rule) 
     if (!in_reach(block.key)) bytes.refuse("a block beyond the map's reach");
     block.revision = bytes.get<std::uint64_t>();
     decode_block(bytes, rule, block.states);
-    blocks.push_back(std::move(block));
+    blocks.push_back(block);
   }
   if (bytes.left() != 0) bytes.refuse("bytes follow the last block");
   return blocks;

@@ -35,7 +35,7 @@ double evenness(double ratio) {
   return least;
 }
 
-// A pitch up to a tenth finer than the wanted one, of which few multiples are whole ping rows: then
+// A pitch up to a tenth finer than requested, such that few multiples are whole ping rows: then
 // the rows of the grid meet those of the ping at all phases, and rounding to the nearest row
 // neither widens nor narrows what is seen on average.
 double uneven_pitch(double wanted_m, double ping_row_m) {
@@ -166,7 +166,7 @@ void EvidenceGrid::sum_returns(const PingImage& image, const IwloRule& rule, boo
   sums.free_end.assign(beams, 0.0F);
   std::vector<std::uint8_t> open(image.beams, 1);
   const float threshold = float_below(rule.params().intensity_threshold);
-  const double least = rule.least_weight();
+  const double least = rule.min_weight();
   const double scale = 1.0 / std::max(rule.largest_weight() - least, 1e-12);
   const auto weight_of = [&](float intensity) {
     return static_cast<float>(

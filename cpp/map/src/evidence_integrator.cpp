@@ -65,7 +65,7 @@ class PingUpdate {
   }
 
   PingStats run() {
-    if (grid_.says_nothing()) return {};
+    if (grid_.is_empty()) return {};
     find_cubes();
     fetch();
     return apply();
@@ -197,7 +197,7 @@ class PingUpdate {
       stats.free += result.stats.free;
       stats.blocks_visited += result.stats.blocks_visited;
       stats.blocks_created += result.created.size();
-      for (Block& block : result.created) map_.insert(std::move(block));
+      for (const Block& block : result.created) map_.insert(block);
     }
     return stats;
   }
@@ -222,11 +222,10 @@ class PingUpdate {
     const BlockKey key = absolute(at.first);
     Block* const known = map_.find(key);
     std::optional<Block> fresh;
-    if (known == nullptr) fresh.emplace(key, rule_);
-    Block& block = known != nullptr ? *known : *fresh;
+    Block& block = known != nullptr ? *known : fresh.emplace(key, rule_);
     const bool changed = update.change(block, result.stats);
     if (changed) block.revision = revision_;
-    if (fresh && changed) result.created.push_back(std::move(*fresh));
+    if (fresh && changed) result.created.push_back(*fresh);
   }
 
   // Whether all of a block lies in front of the sonar and between the aperture's faces.
@@ -237,7 +236,7 @@ class PingUpdate {
     return inside > kBlockReach && v.x > kBlockReach;
   }
 
-  // One block: what the ping says of its cells, then the change.
+  // Update of one block: first the evidence in its cells, then the change.
   class BlockUpdate {
    public:
     BlockUpdate(const PingUpdate& ping, const BlockView& view, CellPool::Cache& pool)
@@ -283,7 +282,7 @@ class PingUpdate {
       bool changed = false;
       std::array<std::uint8_t, kCellVoxels> codes;
       std::array<std::uint8_t, kCellVoxels> shares{};
-      std::uint8_t* const told_shares = ping_.grid_.averages() ? shares.data() : nullptr;
+      std::uint8_t* const found_shares = ping_.grid_.averages() ? shares.data() : nullptr;
       for (int m = 0; m < mixed.count; ++m) {
         const Mixed& at = mixed.cells[static_cast<std::size_t>(m)];
         if (m + kAhead < mixed.count) {
@@ -292,7 +291,7 @@ class PingUpdate {
         const CodeCounts found = at.near
                                      ? look_up_each(at.cell, codes.data(), shares.data())
                                      : ping_.kernels_.look_up(task_, ping_.grid_view_, places_,
-                                                              at.cell, codes.data(), told_shares);
+                                                              at.cell, codes.data(), found_shares);
         stats.occupied += static_cast<std::size_t>(found.occupied);
         if (found.free == kCellVoxels) {
           free_cells |= cell_bit(at.cell);
@@ -304,7 +303,7 @@ class PingUpdate {
           continue;
         }
         const CellVoxels voxels = block.open(ping_.rule_, pool_, at.cell);
-        changed |= ping_.kernels_.apply(ping_.tables_, codes.data(), told_shares, voxels.units(),
+        changed |= ping_.kernels_.apply(ping_.tables_, codes.data(), found_shares, voxels.units(),
                                         voxels.counts(), ping_.rule_.count_bytes());
         block.close(ping_.rule_, pool_, at.cell);
       }

@@ -73,9 +73,9 @@ IwloRule::IwloRule(const IwloParams& params) : params_(params) {
   max_units_ = static_cast<std::int16_t>(whole(params_.L_max));
   full_free_ =
       static_cast<std::int16_t>(whole(std::min(-params_.L_free, params_.L_max - params_.L_min)));
-  least_weight_ = sigmoid(-0.5 * params_.sharpness);
+  min_weight_ = sigmoid(-0.5 * params_.sharpness);
   largest_weight_ = sigmoid(0.5 * params_.sharpness);
-  code_base_ = full_step(least_weight_);
+  code_base_ = full_step(min_weight_);
   // Codes are shifted by 7 bits before they are multiplied.
   code_slope_ = static_cast<std::int16_t>(std::lround((full_step(largest_weight_) - code_base_) *
                                                       32768.0 / ((255 - kCodeOccupied) * 128)));

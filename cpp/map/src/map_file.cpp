@@ -14,7 +14,7 @@ namespace {
 constexpr std::uint32_t kVersion = 1;
 constexpr std::size_t kBegin = kMapFileMagic.size() + sizeof kVersion;
 constexpr std::size_t kChecksumBytes = sizeof(std::uint32_t);
-constexpr std::size_t kLeastBlockBytes = 12 + 2 + 2 + 2;  // key, form and shift, one state
+constexpr std::size_t kMinBlockBytes = 12 + 2 + 2 + 2;  // key, form and shift, one state
 
 [[noreturn]] void refuse(const std::string& what) {
   throw std::invalid_argument("map file: " + what);
@@ -71,7 +71,7 @@ BlockKey next_key(ByteReader& bytes) {
 
 void read_blocks(ByteReader& bytes, VoxelMap& map) {
   const auto count = bytes.get<std::uint64_t>();
-  if (count > bytes.left() / kLeastBlockBytes) bytes.refuse("more blocks than bytes for them");
+  if (count > bytes.left() / kMinBlockBytes) bytes.refuse("more blocks than bytes for them");
   BlockKey last;
   BlockStates states;
   for (std::uint64_t i = 0; i < count; ++i) {

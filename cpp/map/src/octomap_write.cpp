@@ -53,7 +53,7 @@ std::uint64_t key_of(std::int64_t voxel, double resolution_m) {
   return static_cast<std::uint64_t>(key);
 }
 
-// The leaves in the order of the file; a block of one state is one leaf. `value_of` says what a
+// The leaves in the order of the file; a block of one state is one leaf. `value_of` returns what a
 // voxel is written as, and whether.
 template <typename ValueOf>  // bool(float log_odds, float& value)
 std::vector<Leaf> sorted_leaves(const VoxelMap& map, const ValueOf& value_of) {

@@ -10,7 +10,8 @@ namespace {
 constexpr int kBearings = 16;
 constexpr int kElevations = 4;
 
-// How far the ping says anything: to the end of its last return, unless it carves beyond.
+// Range up to which the ping has evidence, m: the end of its last return, or max_range if it
+// carves.
 double said_range_m(const PingImage& image, const PingParams& settings, const IwloRule& rule) {
   if (settings.carve_no_return) return image.max_range_m();
   for (std::size_t row = image.rows; row > 0; --row) {

@@ -8,9 +8,9 @@
 namespace mapperd::map {
 namespace {
 
-constexpr double kMostSpeed = 0.02;  // of that of sound
-constexpr double kMostTurn = 1.0;    // rad, from transmission to the last row
-constexpr double kMostShift = 60.0;  // s
+constexpr double kMaxSpeed = 0.02;       // of that of sound
+constexpr double kMaxTurn = 1.0;         // rad, from transmission to the last row
+constexpr double kMaxTimeOffset = 60.0;  // s
 
 bool is_finite(const Vec3& v) {
   return std::isfinite(v.x) && std::isfinite(v.y) && std::isfinite(v.z);
@@ -55,9 +55,9 @@ class Turn {
   template <int kFrom>
   void sum(double s) {
     if constexpr (kFrom > 0) {
-      constexpr int n = 2 * kFrom - 1;
-      constexpr double kOfSine = 1.0 / ((n + 1) * (n + 2));
-      constexpr double kOfCosine = 1.0 / ((n + 2) * (n + 3));
+      constexpr int kN = 2 * kFrom - 1;
+      constexpr double kOfSine = 1.0 / ((kN + 1) * (kN + 2));
+      constexpr double kOfCosine = 1.0 / ((kN + 2) * (kN + 3));
       sine_ = 1 - s * sine_ * kOfSine;
       cosine_ = 1 - s * cosine_ * kOfCosine;
       sum<kFrom - 1>(s);
@@ -85,12 +85,12 @@ void check_motion(const PingMotion& motion, double max_range_m) {
   };
   const double c = motion.speed_of_sound_mps;
   require(std::isfinite(c) && c > 0, "motion: speed_of_sound_mps must be finite, above 0");
-  require(is_finite(motion.linear_mps) && norm(motion.linear_mps) <= kMostSpeed * c,
+  require(is_finite(motion.linear_mps) && norm(motion.linear_mps) <= kMaxSpeed * c,
           "motion: linear_mps must be finite, at most a fiftieth of the speed of sound");
   require(is_finite(motion.angular_radps) &&
-              2 * max_range_m / c * norm(motion.angular_radps) <= kMostTurn,
+              2 * max_range_m / c * norm(motion.angular_radps) <= kMaxTurn,
           "motion: angular_radps must be finite, at most a radian while the ping lasts");
-  require(std::isfinite(motion.valid_s) && std::abs(motion.valid_s) <= kMostShift,
+  require(std::isfinite(motion.valid_s) && std::abs(motion.valid_s) <= kMaxTimeOffset,
           "motion: valid_s must be finite, within a minute");
 }
 
@@ -127,7 +127,7 @@ void MovingView::see(CellPoints& places) const {
   for (std::size_t i = 0; i < CellPoints::kCount; ++i) {
     farthest = std::max(farthest, dot(places.at(i), places.at(i)));
   }
-  // The range is less than 1.03 times the distance, as no sonar exceeds `kMostSpeed`.
+  // The range is less than 1.03 times the distance, as no sonar exceeds `kMaxSpeed`.
   if (!(1.1 * farthest * turn_ * turn_ < Turn::kSmall)) {
     for (std::size_t i = 0; i < CellPoints::kCount; ++i) places.set(i, seen(places.at(i)));
     return;

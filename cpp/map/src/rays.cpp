@@ -59,7 +59,7 @@ class RaySampler {
     collect_first_hits();
     for (std::size_t j = 0; j < image_.beams; j += stride_) {
       const std::size_t hit = first_hit_row(j);
-      if (hit == image_.rows) continue;  // a beam without a return says nothing
+      if (hit == image_.rows) continue;  // a beam without a return has no information
       sample_free(j, hit);
       sample_returns(j, hit);
     }
@@ -156,6 +156,7 @@ class RaySampler {
   void fetch() const {
     if (!map_.residency().is_partial()) return;
     std::vector<BlockKey> blocks;
+    blocks.reserve(samples_.size());
     for (const Sample& sample : samples_) blocks.push_back(block_holding(sample.voxel));
     map_.residency().fetch(blocks);
   }
@@ -179,6 +180,7 @@ class RaySampler {
       cell.set_count(place.voxel, count);
       ++(sample.occupied ? stats.occupied : stats.free);
     }
+    // NOLINTNEXTLINE(bugprone-nondeterministic-pointer-iteration-order): each block by itself
     for (auto& [block, cells] : opened) {
       for (CellSet left = cells; left != 0; left &= left - 1) {
         block->close(map_.rule(), pool, __builtin_ctzll(left));

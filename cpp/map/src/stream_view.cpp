@@ -41,7 +41,7 @@ std::uint8_t bit_length(std::uint16_t count) {
   return bits;
 }
 
-// Takes stream blocks out of a map that nobody writes to; quick when those of one block of the map
+// Extracts stream blocks from a map that is read-locked; quick when those of one block of the map
 // follow each other.
 class Extractor {
  public:
@@ -86,7 +86,7 @@ class Extractor {
                   static_cast<int>(dz));
       }
     }
-    if (any_) tell();
+    if (any_) encode();
     return true;
   }
 
@@ -185,7 +185,7 @@ class Extractor {
     any_ |= count != 0;
   }
 
-  void tell() {
+  void encode() {
     for (std::size_t i = 0; i < kStreamCells; ++i) bits_[i] = told_bits(counts_[i]);
     if (view_.detail == StreamDetail::kClasses) return tell_classes();
     for (std::size_t i = 0; i < kStreamCells; ++i) {
@@ -280,36 +280,37 @@ ChangedBlocks changed_blocks(const VoxelMap& map, std::uint64_t revision,
 StreamDigests stream_digests(const VoxelMap& map, const StreamView& view,
                              const std::vector<BlockKey>& keys) {
   check(view);
-  StreamDigests told;
-  told.digests.reserve(keys.size());
-  told.revisions.reserve(keys.size());
-  told.resident.reserve(keys.size());
+  StreamDigests result;
+  result.digests.reserve(keys.size());
+  result.revisions.reserve(keys.size());
+  result.resident.reserve(keys.size());
   Extractor extractor(map, view);
   const ReadLock lock(map);
   for (const BlockKey& key : keys) {
-    told.resident.push_back(extractor.take(key) ? 1 : 0);
-    told.digests.push_back(extractor.digest());
-    told.revisions.push_back(extractor.revision());
+    result.resident.push_back(extractor.take(key) ? 1 : 0);
+    result.digests.push_back(extractor.digest());
+    result.revisions.push_back(extractor.revision());
   }
-  return told;
+  return result;
 }
 
 StreamBlocks stream_blocks(const VoxelMap& map, const StreamView& view,
                            const std::vector<BlockKey>& keys) {
   check(view);
-  StreamBlocks told;
-  told.cells.reserve(keys.size() * kStreamCells);
-  told.count_bits.reserve(keys.size() * kStreamCells);
-  told.resident.reserve(keys.size());
+  StreamBlocks result;
+  result.cells.reserve(keys.size() * kStreamCells);
+  result.count_bits.reserve(keys.size() * kStreamCells);
+  result.resident.reserve(keys.size());
   Extractor extractor(map, view);
   const ReadLock lock(map);
-  told.revision = map.revision();
+  result.revision = map.revision();
   for (const BlockKey& key : keys) {
-    told.resident.push_back(extractor.take(key) ? 1 : 0);
-    told.cells.insert(told.cells.end(), extractor.cells().begin(), extractor.cells().end());
-    told.count_bits.insert(told.count_bits.end(), extractor.bits().begin(), extractor.bits().end());
+    result.resident.push_back(extractor.take(key) ? 1 : 0);
+    result.cells.insert(result.cells.end(), extractor.cells().begin(), extractor.cells().end());
+    result.count_bits.insert(result.count_bits.end(), extractor.bits().begin(),
+                             extractor.bits().end());
   }
-  return told;
+  return result;
 }
 
 }  // namespace mapperd::map

@@ -54,7 +54,7 @@ PingOracle::PingOracle(const PingImage& image, const Settings& settings, Measure
   }
 }
 
-// What ends before min_range is none.
+// Returns that end before min_range are ignored.
 bool PingOracle::is_return(std::size_t row, std::size_t beam) const {
   return static_cast<double>(row + 1) * image_.range_resolution_m > settings_.ping.min_range_m &&
          image_.at(row, beam) > settings_.iwlo.intensity_threshold;

@@ -18,7 +18,7 @@ inline std::vector<mapperd::map::IwloParams> extreme() {
   all[2].L_free = 0;
   all[3].decay_rate = 0;  // settled at the first observation
   all[3].L_min = -127;
-  all[4].decay_rate = 1.0 / 65534.5;  // settled as late as a count can tell
+  all[4].decay_rate = 1.0 / 65534.5;  // settled at the largest count
   all[4].min_alpha = 0.5;
   all[5].adaptive_threshold = 1.0;
   all[5].L_max = 127;

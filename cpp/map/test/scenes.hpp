@@ -201,7 +201,7 @@ inline mapperd::Vec3 random_direction(Random& random) {
   return {flat * std::cos(around), flat * std::sin(around), z};
 }
 
-// Of a given speed and rate, in any direction; sound as slow as is said makes it matter more.
+// Of a given speed and rate, in any direction; a slow speed of sound increases the effect.
 inline mapperd::map::PingMotion motion_of(double speed_mps, double rate_radps, Random& random,
                                           double speed_of_sound_mps = 1500.0) {
   return {speed_mps * random_direction(random), rate_radps * random_direction(random),

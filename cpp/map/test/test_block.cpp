@@ -163,7 +163,7 @@ TEST_CASE("a cell that ends up free throughout gives its memory back") {
   CHECK(map.at(mapperd::map::VoxelIndex{5, 0, 0}).log_odds == -10.0F);
 }
 
-TEST_CASE("where free steps say nothing, a block is only counted, for ever") {
+TEST_CASE("where free steps change nothing, a block only counts") {
   IwloParams params;
   params.L_free = 0.0;
   VoxelMap map(0.1, params);

@@ -1,4 +1,4 @@
-// Bricks as bytes, and maps of which only some tiles are in memory.
+// Bricks as bytes, and maps with only some tiles in memory.
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -123,7 +123,7 @@ TEST_CASE("a ping whose tiles cannot be fetched leaves the map alone") {
   CHECK((asked > 0 && map.block_count() == 0 && map.revision() == 0));
 }
 
-TEST_CASE("who does not ask for a tile cannot write into it, and others are left alone") {
+TEST_CASE("a tile that was not fetched cannot be written, and others stay") {
   VoxelMap map(0.1, {});
   map.cut_into_tiles({2, [](const std::vector<BlockKey>&) {}});
   CHECK_THROWS_AS(map.set({0, 0, 0}, {1.0F, 1}), std::logic_error);

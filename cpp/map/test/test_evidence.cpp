@@ -131,7 +131,7 @@ class Nodes {
     return known_[key] = is_beside(column) ? Evidence{} : oracle.at(range_of(row), sine_of(column));
   }
 
-  // From eight beams beside the fan on, its beams made a multiple of eight, nothing is said.
+  // From eight beams beside the fan on, its beams made a multiple of eight, there is no evidence.
   bool is_beside(std::int64_t column) const {
     const std::size_t beams = scene_.ping.bearings_rad.size();
     const std::int64_t margin = 8 * grid_.subcolumns();
@@ -167,7 +167,7 @@ class Nodes {
                    scene_.settings);
     // Half a code of 253, three roundings to units, and what the sums are off by.
     const double L_occ = scene_.settings.iwlo.L_occ;
-    const double range_of_weights = rule_.largest_weight() - rule_.least_weight();
+    const double range_of_weights = rule_.largest_weight() - rule_.min_weight();
     double off = L_occ * (0.5 / 253 * range_of_weights + 2 * tolerance / e.returns) + 3 * unit;
     if (scene_.settings.ping.aggregation == Aggregation::kMean) {
       // Half a share of 255.
@@ -193,7 +193,7 @@ TEST_CASE("the grid holds the definition's values at its nodes") {
     const Scene scene = scene_of(static_cast<std::uint64_t>(seed));
     Nodes nodes(scene);
     const EvidenceGrid& grid = nodes.grid();
-    if (grid.says_nothing()) continue;
+    if (grid.is_empty()) continue;
     scenes::Random random(static_cast<std::uint64_t>(seed) + 9000);
     const mapperd::map::IwloRule rule(scene.settings.iwlo);
     const auto beams = static_cast<int>(scene.ping.bearings_rad.size());
@@ -242,13 +242,13 @@ TEST_CASE("the grid holds the definition's values at its nodes") {
   CHECK((kSanitized || (occupied > 10000 && free > 10000)));
 }
 
-TEST_CASE("points that are looked up together say what each says alone") {
-  int said = 0;
+TEST_CASE("points looked up together have the evidence of each alone") {
+  int with_evidence = 0;
   for (int seed = 0; seed < scene_count(60); ++seed) {
     const Scene scene = scene_of(static_cast<std::uint64_t>(seed));
     const Nodes nodes(scene);
     const EvidenceGrid& grid = nodes.grid();
-    if (grid.says_nothing()) continue;
+    if (grid.is_empty()) continue;
     scenes::Random random(static_cast<std::uint64_t>(seed) + 9500);
     const double reach_m = 1.1 * grid.reach_m();
     CellPoints points;
@@ -268,24 +268,24 @@ TEST_CASE("points that are looked up together say what each says alone") {
       free += alone.code == mapperd::map::kCodeFree ? 1 : 0;
     }
     CHECK((found.occupied == occupied && found.free == free));
-    said += occupied + free;
+    with_evidence += occupied + free;
   }
-  CHECK((kSanitized || said > 500));
+  CHECK((kSanitized || with_evidence > 500));
 }
 
 // One ping into an empty map, voxel by voxel.
 class Comparison {
  public:
   explicit Comparison(const Scene& scene) : Comparison(scene, scene.motion) {}
-  // Of a map whose maker was told of some motion.
-  Comparison(const Scene& scene, const PingMotion& told)
+  // With a motion passed to the integrator.
+  Comparison(const Scene& scene, const PingMotion& assumed)
       : scene_(scene),
         nodes_(scene),
         map_(scene.settings.edge_m, scene.settings.iwlo),
         track_(scene.pose, scene.motion),
         start_(track_.at(0)) {
     map_.limit_to(scene.limit);
-    integrate_evidence_grid(map_, scene.ping.image(), scene.pose, scene.settings.ping, told);
+    integrate_evidence_grid(map_, scene.ping.image(), scene.pose, scene.settings.ping, assumed);
   }
 
   int compared = 0;
@@ -325,7 +325,7 @@ class Comparison {
     if (state.count == 0 &&
         (nodes_.oracle.inside_aperture(coarse) < -8 || coarse.x < -8 * map_.resolution_m()))
       return;
-    if (nodes_.grid().says_nothing()) {
+    if (nodes_.grid().is_empty()) {
       wrong += state.count;
       return;
     }
@@ -336,7 +336,7 @@ class Comparison {
       return;
     }
     if (!agrees(v, state)) {
-      if (++wrong <= 3 && !quiet) tell(v, state);
+      if (++wrong <= 3 && !quiet) print(v, state);
     }
     const Evidence own = nodes_.oracle.at(v);
     const Class is = state.count == 0 ? Class::kNothing
@@ -405,7 +405,7 @@ class Comparison {
     return false;
   }
 
-  void tell(const Vec3& v, const VoxelState& state) const {
+  void print(const Vec3& v, const VoxelState& state) const {
     const double edge_m = map_.resolution_m();
     const Evidence e = nodes_.oracle.at(norm(v), PingOracle::sine_of(v));
     std::printf(
@@ -456,7 +456,7 @@ Scene usual_scene(std::uint64_t seed) {
   return scene;
 }
 
-TEST_CASE("of a moving sonar that is said to be at rest many voxels take other values") {
+TEST_CASE("a moving sonar mapped as if at rest changes many voxels") {
   for (std::uint64_t seed = 310; seed < 312; ++seed) {
     Scene scene = usual_scene(seed);
     scene.settings.edge_m = 0.3;
@@ -466,7 +466,7 @@ TEST_CASE("of a moving sonar that is said to be at rest many voxels take other v
     without.quiet = true;
     with.run();
     without.run();
-    std::printf("  %d voxels: %d of another class than their centres, %d if said to be at rest\n",
+    std::printf("  %d voxels: %d of another class than their centres, %d if mapped as at rest\n",
                 with.compared, with.other_class, without.other_class);
     CHECK((with.wrong == 0 && without.wrong > with.wrong));
     CHECK(without.other_class > 2 * with.other_class);

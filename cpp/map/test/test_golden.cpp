@@ -1,7 +1,7 @@
 // Maps of made-up pings, down to the last bit on every machine: their checksums stand below.
 //
 // Where they change, maps of recordings change too: that is a new version of the rule, of the grid
-// or of the file, and is said in the changelog.
+// or of the file, and is listed in the changelog.
 #include <cmath>
 #include <cstdint>
 #include <cstdio>

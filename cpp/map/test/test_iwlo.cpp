@@ -271,7 +271,7 @@ TEST_CASE("steps in whole units are those in log-odds, up to what is rounded") {
     for (int i = 0; i < 20000; ++i) {
       const Voxel voxel{rules::random_units(rule, random), rules::random_count(rule, random)};
       const double log_odds = rule.log_odds(voxel.units);
-      const double weight = random.uniform(rule.least_weight(), rule.largest_weight());
+      const double weight = random.uniform(rule.min_weight(), rule.largest_weight());
       const double up = std::min(rule.occupied_step(log_odds, voxel.count, weight), span);
       const double down = std::max(rule.free_step(log_odds, voxel.count), -span);
       const std::int16_t full = rule.full_step(weight);
@@ -295,8 +295,8 @@ TEST_CASE("codes divide the weights evenly") {
   for (const IwloParams& params : rules::extreme()) {
     const IwloRule rule(params);
     for (int code = mapperd::map::kCodeOccupied; code <= 255; ++code) {
-      const double weight = rule.least_weight() + (rule.largest_weight() - rule.least_weight()) *
-                                                      (code - mapperd::map::kCodeOccupied) / 253.0;
+      const double weight = rule.min_weight() + (rule.largest_weight() - rule.min_weight()) *
+                                                    (code - mapperd::map::kCodeOccupied) / 253.0;
       const double full = std::min(params.L_occ * weight, params.L_max - params.L_min);
       // The slope is rounded to 2^-15 over 253 * 128, the base to a unit.
       CHECK(rule.full_step_of_code(static_cast<std::uint8_t>(code)) ==
@@ -326,8 +326,8 @@ Way walk(const IwloParams& params, double returns, std::uint64_t seed, int pings
     if (ping % 200 == 0) share = random.integer(0, 3) == 0 ? random.integer(0, 1) : returns;
     if (random.uniform(0, 1) < share) {
       const auto code = static_cast<std::uint8_t>(random.integer(mapperd::map::kCodeOccupied, 255));
-      const double weight = rule.least_weight() + (rule.largest_weight() - rule.least_weight()) *
-                                                      (code - mapperd::map::kCodeOccupied) / 253.0;
+      const double weight = rule.min_weight() + (rule.largest_weight() - rule.min_weight()) *
+                                                    (code - mapperd::map::kCodeOccupied) / 253.0;
       exact += rule.occupied_step(exact, voxel.count, weight);
       const std::int16_t full = rule.full_step_of_code(code);
       rule.add(rule.occupied_units(voxel.units, voxel.count, full), voxel.units, voxel.count);
@@ -348,7 +348,7 @@ Way walk(const IwloParams& params, double returns, std::uint64_t seed, int pings
   return way;
 }
 
-// Roundings add up between the clamps to hundredths. The adaptive rule tells them apart where the
+// Roundings add up between the clamps to hundredths. The adaptive rule separates them where the
 // scale of a step jumps, at the threshold: from there two ways may lead to different clamps, in
 // units of 2^-24 as well (1.5 % of the time at 50 % returns, against 9.6 % here). What the ways
 // have in common is how often the voxel is occupied, and where it is on average.

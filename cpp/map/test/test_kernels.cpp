@@ -57,8 +57,8 @@ struct Rows {
     task.half_window = task.row_pitch * uniform(random, 0.5, 4);
     task.rows_per_m = 1 / row_m;
     task.min_range = random.integer(0, 1) == 0 ? 0.0F : row_m * uniform(random, 0, 20);
-    task.least_occupied = 0.02F;
-    task.least_free = 0.5F;
+    task.min_occupied = 0.02F;
+    task.min_free = 0.5F;
     const auto beams = static_cast<std::size_t>(task.beams);
     const auto rows = static_cast<std::size_t>(task.ping_rows);
     counted.assign((rows + 1) * beams, 0.0F);
@@ -251,7 +251,7 @@ struct RandomCells {
 
 TEST_CASE("look-ups of a block's voxels, to the bit, and those of double precision") {
   scenes::Random random(220);
-  long compared = 0, told = 0;
+  long compared = 0, known = 0;
   for (int turn = 0; turn < (kSanitized ? 50 : 1500); ++turn) {
     const RandomGrid grid(random);
     const RandomCells cells(random, grid.view);
@@ -280,12 +280,12 @@ TEST_CASE("look-ups of a block's voxels, to the bit, and those of double precisi
       for (std::size_t v = 0; v < 64; ++v) {
         if (expected[v] == RandomCells::kUnsure) continue;
         ++compared;
-        told += expected[v] != kCodeNothing ? 1 : 0;
+        known += expected[v] != kCodeNothing ? 1 : 0;
         CHECK(codes[v] == expected[v]);
       }
     }
   }
-  CHECK((kSanitized || (compared > 100000 && told > 20000)));
+  CHECK((kSanitized || (compared > 100000 && known > 20000)));
 }
 
 // A cell's voxels, as the pool holds them.

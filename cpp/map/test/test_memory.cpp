@@ -1,4 +1,4 @@
-// The memory that a map takes: little, and as much as it says.
+// The memory that a map takes: little, and as much as it reports.
 #include <cstdio>
 #include <memory>
 #include <vector>
@@ -86,14 +86,14 @@ TEST_CASE("the map of a usual ping takes less than four bytes a held voxel in al
 
 #ifdef MAPPERD_COUNTS_ALLOCATIONS
 
-// What a map says of its memory, against malloc.
+// The memory that a map reports, against malloc.
 class Watch {
  public:
   void check(const VoxelMap& map) const {
-    const double told = bytes_of(map);
-    CHECK((told / static_cast<double>(allocations::counted() - counted_)) == near(1.0, 0.05));
-    if (told > 1e6)
-      CHECK((told / static_cast<double>(allocations::in_use() - in_use_)) == near(1.0, 0.05));
+    const double reported = bytes_of(map);
+    CHECK((reported / static_cast<double>(allocations::counted() - counted_)) == near(1.0, 0.05));
+    if (reported > 1e6)
+      CHECK((reported / static_cast<double>(allocations::in_use() - in_use_)) == near(1.0, 0.05));
   }
 
  private:
@@ -115,7 +115,7 @@ void check_memory(const IwloParams& params, int blocks, int one_of, int water) {
   watch.check(*map);
 }
 
-TEST_CASE("the memory reported is the memory that malloc says was taken") {
+TEST_CASE("the memory reported is the memory that malloc counts") {
   IwloParams slow;  // whose tables are larger than a small map, and whose counts take two bytes
   slow.decay_rate = 1e-2;
   slow.min_alpha = 2e-3;

@@ -56,7 +56,7 @@ VoxelMap mapped(const Shot& shot, const PingParams& settings, const PingMotion& 
   return map;
 }
 
-TEST_CASE("no motion is the ping as ever, to the bit, whatever else it says") {
+TEST_CASE("zero motion leaves the ping bit-exact, whatever its other fields") {
   for (std::uint64_t scene = 0; scene < 3; ++scene) {
     const Shot shot = shot_of(820 + scene);
     const VoxelMap plain = mapped(shot, shot.settings.ping, {});

@@ -73,7 +73,7 @@ TEST_CASE("inner nodes of a .ot hold the maximum of their children") {
         ot_header(18) + ot_chain(15, kTwo) + last + kMinusThree + kZeroByte + kTwo + kZeroByte);
 }
 
-TEST_CASE("a .ot tells eight children apart that a .bt does not") {
+TEST_CASE("a .ot keeps eight children apart that a .bt merges") {
   VoxelMap map(0.5, {});
   set_eight(map, -3.0F);
   set(map, {1, 1, 1}, -2.0F);

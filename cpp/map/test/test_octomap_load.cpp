@@ -81,7 +81,7 @@ Contents contents_of(const VoxelMap& map) {
   return contents;
 }
 
-// What the refusal says; empty when there is none. The map must be untouched by it.
+// The message of the refusal, or empty. A refusal leaves the map as it was.
 std::string refusal_of(std::string_view file,
                        std::uint64_t max_voxels = mapperd::map::kMaxOctomapVoxels) {
   VoxelMap map(0.5, {});

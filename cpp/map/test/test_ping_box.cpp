@@ -1,4 +1,4 @@
-// The box told beforehand of what a ping may change.
+// The bounding box of what a ping may change.
 #include "mapperd/map/evidence_integrator.hpp"
 #include "mapperd/map/ping_box.hpp"
 #include "mapperd/map/rays.hpp"
@@ -53,7 +53,7 @@ void check_pings(double speed_mps, double rate_radps, bool carve) {
   CHECK(blocks > 1000);
 }
 
-TEST_CASE("what a ping changes lies in the box that was told") {
+TEST_CASE("what a ping changes lies in its box") {
   check_pings(0, 0, false);
   check_pings(0, 0, true);
 }

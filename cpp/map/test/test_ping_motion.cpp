@@ -42,7 +42,7 @@ void check_near(const Vec3& a, const Vec3& b, double tolerance) {
   CHECK(norm(a - b) == near(0.0, tolerance));
 }
 
-TEST_CASE("a moving sonar sees a place where poses in time say that it does") {
+TEST_CASE("a moving sonar sees a place where poses in time put it") {
   scenes::Random random(901);
   for (int i = 0; i < 2000; ++i) {
     const Scene scene = scene_of(random);
@@ -147,7 +147,7 @@ TEST_CASE("axes are the slopes of what is seen, and the bounds hold") {
   CHECK((fullest_stretch > 0.3 && fullest_bend > 0.2));  // nor are they far too wide
 }
 
-TEST_CASE("motion that is none is refused") {
+TEST_CASE("invalid motion is refused") {
   const double not_a_number = std::nan("");
   const auto refused = [](const PingMotion& motion) {
     CHECK_THROWS_AS(mapperd::map::check_motion(motion, 30.0), std::invalid_argument);

@@ -1,4 +1,4 @@
-// What the map stream is told of a map, against a look at every voxel.
+// The map stream's blocks, against a look at every voxel.
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -31,13 +31,13 @@ StreamView view_of(int level, StreamDetail detail, double step = 0.25) {
   return {level, detail, step, kThresholds};
 }
 
-struct Told {
+struct StreamCells {
   std::vector<std::int8_t> cells = std::vector<std::int8_t>(kStreamCells, -128);
   std::vector<std::uint8_t> bits = std::vector<std::uint8_t>(kStreamCells, 0);
 };
-using Content = std::map<BlockKey, Told>;
+using Content = std::map<BlockKey, StreamCells>;
 
-std::int8_t told_of(const VoxelState& state, const StreamView& view) {
+std::int8_t cell_value(const VoxelState& state, const StreamView& view) {
   if (view.detail == StreamDetail::kClasses) {
     const auto occupancy = kThresholds.of(state);
     if (occupancy == mapperd::map::Occupancy::kOccupied) return 1;
@@ -68,12 +68,12 @@ Content expected(const VoxelMap& map, const StreamView& view) {
   map.for_each_known([&](const VoxelIndex& voxel, const VoxelState& state) {
     const auto block = [&](std::int64_t i) { return static_cast<std::int32_t>(i >> shift); };
     const auto local = [&](std::int64_t i) { return (i >> view.level) & 7; };
-    Told& told = content[{block(voxel.x), block(voxel.y), block(voxel.z)}];
+    StreamCells& result = content[{block(voxel.x), block(voxel.y), block(voxel.z)}];
     const auto cell =
         static_cast<std::size_t>(local(voxel.x) + 8 * (local(voxel.y) + 8 * local(voxel.z)));
-    told.cells[cell] = std::max(told.cells[cell], told_of(state, view));
+    result.cells[cell] = std::max(result.cells[cell], cell_value(state, view));
     const auto bits = static_cast<std::uint8_t>(std::floor(std::log2(state.count)) + 1);
-    told.bits[cell] = std::max(told.bits[cell], bits);
+    result.bits[cell] = std::max(result.bits[cell], bits);
   });
   return content;
 }
@@ -86,22 +86,22 @@ std::vector<BlockKey> keys_of(const Content& content) {
 
 bool agree(const VoxelMap& map, const StreamView& view) {
   const Content content = expected(map, view);
-  const auto told = stream_blocks(map, view, keys_of(content));
+  const auto result = stream_blocks(map, view, keys_of(content));
   std::size_t i = 0;
   for (const auto& entry : content) {
     const auto at = static_cast<std::ptrdiff_t>(kStreamCells * i);
-    if (told.resident[i] != 1) return false;
+    if (result.resident[i] != 1) return false;
     if (!std::equal(entry.second.cells.begin(), entry.second.cells.end(),
-                    told.cells.begin() + at)) {
+                    result.cells.begin() + at)) {
       return false;
     }
     if (!std::equal(entry.second.bits.begin(), entry.second.bits.end(),
-                    told.count_bits.begin() + at)) {
+                    result.count_bits.begin() + at)) {
       return false;
     }
     ++i;
   }
-  return i > 0 && told.revision == map.revision();
+  return i > 0 && result.revision == map.revision();
 }
 
 TEST_CASE("cells and counts are those of all voxels, at every level and detail") {
@@ -115,7 +115,7 @@ TEST_CASE("cells and counts are those of all voxels, at every level and detail")
   }
 }
 
-TEST_CASE("blocks all alike, and free pings that are only counted, are told as they read") {
+TEST_CASE("blocks all alike, and free pings that are only counted, are encoded as they read") {
   VoxelMap map(0.1, {});
   scenes::Random random(4);
   for (int i = 0; i < 12; ++i) {
@@ -144,12 +144,12 @@ TEST_CASE("halves of a step go to the even one") {
   for (std::size_t i = 0; i < cases.size(); ++i) {
     map.set({static_cast<std::int64_t>(i), 0, 0}, {cases[i].first, 1});
   }
-  const auto told = stream_blocks(map, view_of(0, StreamDetail::kLogOdds, 1.0), {{0, 0, 0}});
-  for (std::size_t i = 0; i < cases.size(); ++i) CHECK(told.cells[i] == cases[i].second);
-  CHECK(told.cells[7] == -128);
+  const auto result = stream_blocks(map, view_of(0, StreamDetail::kLogOdds, 1.0), {{0, 0, 0}});
+  for (std::size_t i = 0; i < cases.size(); ++i) CHECK(result.cells[i] == cases[i].second);
+  CHECK(result.cells[7] == -128);
 }
 
-TEST_CASE("a digest changes with what is told, and with nothing else") {
+TEST_CASE("a digest changes with the encoded cells only") {
   VoxelMap map(0.1, {});
   const std::vector<BlockKey> key{{0, 0, 0}};
   const auto digest = [&](StreamDetail detail) {
@@ -194,7 +194,7 @@ TEST_CASE("blocks that changed after a revision, and when all were replaced") {
   CHECK(changed_blocks(map, next.revision, {}).replaced_at == 4);
 }
 
-TEST_CASE("what is not in memory is unknown, and said to be elsewhere") {
+TEST_CASE("what is not in memory is unknown and not resident") {
   VoxelMap map(0.1, {});
   map.cut_into_tiles({mapperd::map::kBrickEdge, [](const std::vector<BlockKey>&) {}});
   put_bricks(map, {}, {{0, 0, 0}});
@@ -205,10 +205,10 @@ TEST_CASE("what is not in memory is unknown, and said to be elsewhere") {
     const StreamView view = view_of(level, StreamDetail::kLogOdds);
     const int across = 64 >> (3 + level);  // stream blocks in a brick
     const std::vector<BlockKey> keys{{0, 0, 0}, {across - 1, 0, 0}, {across, 0, 0}, {-1, 0, 0}};
-    const auto told = stream_digests(map, view, keys);
-    CHECK((told.resident == std::vector<std::uint8_t>{1, 1, 0, 0}));
-    CHECK((told.digests[0] != 0 && told.digests[2] == 0));
-    CHECK(stream_blocks(map, view, keys).resident == told.resident);
+    const auto result = stream_digests(map, view, keys);
+    CHECK((result.resident == std::vector<std::uint8_t>{1, 1, 0, 0}));
+    CHECK((result.digests[0] != 0 && result.digests[2] == 0));
+    CHECK(stream_blocks(map, view, keys).resident == result.resident);
   }
 }
 
@@ -217,9 +217,9 @@ TEST_CASE("keys at the map's end are unknown, and bad views refused") {
   map.set({0, 0, 0}, {3.0F, 5});  // which multiples of 2^32 are in 32 bits
   const std::int32_t far = 2147483647;
   for (int level = 0; level <= 3; ++level) {
-    const auto told = stream_digests(map, view_of(level, StreamDetail::kLogOdds),
-                                     {{far, far, far}, {-far - 1, 0, 0}});
-    CHECK((told.digests[0] == 0 && told.digests[1] == 0));
+    const auto result = stream_digests(map, view_of(level, StreamDetail::kLogOdds),
+                                       {{far, far, far}, {-far - 1, 0, 0}});
+    CHECK((result.digests[0] == 0 && result.digests[1] == 0));
   }
   CHECK_THROWS_AS(stream_digests(map, view_of(4, StreamDetail::kLogOdds), {}),
                   std::invalid_argument);

@@ -94,13 +94,13 @@ std::vector<std::function<bool()>> all_reads(const VoxelMap& map) {
         for_dense_blocks(map, 7, [&](const auto& dense) { blocks += dense.keys.size(); });
         return blocks <= 4000;
       },
-      [&map] {  // the twins, as the map stream tells them
+      [&map] {  // the twins, as the map stream encodes them
         const mapperd::map::StreamView view{1, mapperd::map::StreamDetail::kCounts, 0.25,
                                             kThresholds};
-        const auto told = stream_blocks(map, view, {{18, 0, 0}, {-19, 0, 0}});
-        const auto first = told.cells.begin(), second = first + mapperd::map::kStreamCells;
+        const auto result = stream_blocks(map, view, {{18, 0, 0}, {-19, 0, 0}});
+        const auto first = result.cells.begin(), second = first + mapperd::map::kStreamCells;
         const auto digests = stream_digests(map, view, {{18, 0, 0}}).digests;
-        return std::count(first, second, -128) == std::count(second, told.cells.end(), -128) &&
+        return std::count(first, second, -128) == std::count(second, result.cells.end(), -128) &&
                digests.size() == 1 && changed_blocks(map, 0, {}).keys.size() <= 4000;
       },
       [&map] { return !octomap_ot(map).empty() && !octomap_bt(map, 0.8, -0.8).empty(); },
@@ -230,7 +230,7 @@ TEST_CASE("maps merged into each other at once, and in a ring, do not wait for e
   }
 }
 
-TEST_CASE("tiles come and go whole under everybody's eyes") {
+TEST_CASE("tiles come and go whole while threads read") {
   VoxelMap map(kResolution, {});
   map.cut_into_tiles({mapperd::map::kBrickEdge, [](const std::vector<mapperd::map::BlockKey>&) {}});
   const std::vector<mapperd::map::BlockKey> tiles{{4, 0, 0}, {-5, 0, 0}};  // with one twin each

@@ -55,8 +55,8 @@ TEST_CASE("points and blocks beyond the reach are unknown or refused") {
   CHECK(map.block_count() == 0);
 }
 
-TEST_CASE("a block's revision tells when it last changed, and it stops with the changes") {
-  mapperd::map::IwloParams quick;  // all is said after some twenty pings
+TEST_CASE("a block's revision is that of its last change") {
+  mapperd::map::IwloParams quick;  // saturates after some twenty pings
   quick.decay_rate = 1.0;
   quick.min_alpha = 0.5;
   VoxelMap map(0.1, quick);

@@ -1,4 +1,8 @@
-// Work shared among threads in parts that do not depend on their number, summed in a fixed order.
+/// \file
+/// \brief Division of work among threads. Results do not depend on the number of threads.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <cstddef>
@@ -9,10 +13,10 @@
 
 namespace mapperd::acoustics {
 
-// Runs task(0) .. task(count - 1), each once, on at most so many threads.
+/// Runs task(0) .. task(count - 1), each once, on at most so many threads.
 void share(std::size_t count, int threads, const std::function<void(std::size_t)>& task);
 
-// Hits first .. last and the columns that their echoes can reach.
+/// Hits first .. last and the columns that their echoes can reach.
 struct Band {
   std::size_t first, last;
   std::ptrdiff_t column, columns;
@@ -20,7 +24,7 @@ struct Band {
 
 std::vector<Band> bands_of(const Echoes& echoes, int threads);
 
-// Column of a direction cosine s, counted from the grid's first.
+/// Column of a direction cosine s, counted from the grid's first.
 double column_of(const EchoGrid& grid, double s);
 
 }  // namespace mapperd::acoustics

@@ -1,5 +1,8 @@
-// Circular complex Gaussian numbers that belong to a key: the same whatever the order or the thread
-// that asks.
+/// \file
+/// \brief Circular complex Gaussian numbers as functions of a key, independent of order and thread.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <cmath>
@@ -16,9 +19,9 @@ struct Gaussian {
   float re, im;
 };
 
-// 64 random bits as a circular complex Gaussian number of mean power 1 (Box and Muller 1958): the
-// upper half gives the amplitude by 24 bits, the lower one the angle by 21 bits within an octant,
-// and three to choose the octant. Powers beyond 17.3 (a chance of 3e-8) do not come.
+/// 64 random bits as a circular complex Gaussian number of mean power 1 (Box and Muller 1958): the
+/// upper half gives the amplitude by 24 bits, the lower one the angle by 21 bits within an octant,
+/// and three to choose the octant. Powers beyond 17.3 (a chance of 3e-8) do not come.
 MAPPERD_INLINE Gaussian gaussian_of(std::uint32_t upper, std::uint32_t lower) {
   constexpr float kEighthTurn = 0.78539816F;
   const float level = (static_cast<float>(static_cast<std::int32_t>(upper >> 8)) + 0.5F) * 0x1p-24F;
@@ -35,7 +38,7 @@ MAPPERD_INLINE Gaussian gaussian_of(std::uint32_t upper, std::uint32_t lower) {
           float_of(bits_of(swapped ? along : across) ^ im_sign)};
 }
 
-// A circular complex Gaussian number of mean power 1.
+/// A circular complex Gaussian number of mean power 1.
 inline std::complex<float> complex_gaussian(std::uint64_t key) {
   const std::uint64_t bits = mix(key);
   const Gaussian number =
@@ -43,8 +46,8 @@ inline std::complex<float> complex_gaussian(std::uint64_t key) {
   return {number.re, number.im};
 }
 
-// The numbers of the keys mix(key) + first, mix(key) + first + 1 and so on, real and imaginary
-// parts in turn.
+/// The numbers of the keys mix(key) + first, mix(key) + first + 1 and so on, real and imaginary
+/// parts in turn.
 void complex_gaussians(std::uint64_t key, std::uint64_t first, std::size_t count, float* out);
 
 }  // namespace mapperd::acoustics

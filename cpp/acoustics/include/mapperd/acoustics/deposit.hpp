@@ -1,4 +1,9 @@
-// Scatterers on their way into the field, many at a time so that the compiler can vectorise.
+/// \file
+/// \brief Scatterers on their way into the field, many at a time so that the compiler can
+/// vectorise.
+///
+/// \par Threads
+/// Const members may run concurrently; other members need exclusive access.
 #pragma once
 
 #include <array>
@@ -13,24 +18,24 @@ namespace mapperd::acoustics {
 
 constexpr std::size_t kBatch = 512;
 
-// Scatterers, side by side.
+/// Scatterers, side by side.
 struct Scatterers {
-  std::size_t count;          // at most kBatch
-  const float* pressure;      // rms
-  const float* turns;         // of phase
-  const std::uint32_t* bits;  // random, 16 each for level and angle
+  std::size_t count;          ///< at most kBatch
+  const float* pressure;      ///< rms
+  const float* turns;         ///< of phase
+  const std::uint32_t* bits;  ///< random, 16 each for level and angle
   const std::int32_t* row;
-  const float* column;  // of the grid
+  const float* column;  ///< of the grid
 };
 
 class Deposit {
  public:
-  // Writes into a field of the grid's rows and of `columns` from `first_column` on: at least as
-  // many as an echo spreads over.
+  /// Writes into a field of the grid's rows and of `columns` from `first_column` on: at least as
+  /// many as an echo spreads over.
   Deposit(const Hearing& response, std::ptrdiff_t rows, std::ptrdiff_t first_column,
           std::ptrdiff_t columns, std::complex<float>* field);
 
-  // Adds their echoes; those that do not lie within the field are left out.
+  /// Adds their echoes; those that do not lie within the field are left out.
   void add(const Scatterers& nodes);
 
  private:
@@ -39,7 +44,7 @@ class Deposit {
   const Hearing& response_;
   std::int32_t rows_, first_column_, columns_;
   std::complex<float>* field_;
-  std::vector<float> taps_;  // each twice, for the real and the imaginary part
+  std::vector<float> taps_;  ///< each twice, for the real and the imaginary part
   std::array<float, kBatch> pressure_{}, real_{}, imaginary_{};
   std::array<std::int32_t, kBatch> cell_{}, fraction_{};
 };

@@ -1,4 +1,9 @@
-// The patch of a face's plane that a ray's cell of directions covers, and how strongly it echoes.
+/// \file
+/// \brief The patch of a face's plane that a ray's cell of directions covers, and how strongly it
+/// echoes.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <array>
@@ -15,7 +20,7 @@ inline double dot(const Vector& a, const Vector& b) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-// A unit vector's direction cosines s (starboard) and w (up) turned into the object's frame.
+/// A unit vector's direction cosines s (starboard) and w (up) turned into the object's frame.
 inline Vector direction(const Leg& leg, double s, double w) {
   const double x = std::sqrt(std::fmax(1.0 - s * s - w * w, 1e-9));
   const auto& m = leg.rotation;
@@ -23,9 +28,9 @@ inline Vector direction(const Leg& leg, double s, double w) {
           m[6] * x - m[7] * s + m[8] * w};
 }
 
-// The part of a cell's width in s that belongs to directions: s² + w² is no more than 1.
+/// The part of a cell's width in s that belongs to directions: s² + w² is no more than 1.
 struct Reals {
-  double most_s, from_s, to_s;
+  double max_s, from_s, to_s;
 };
 
 inline Reals reals_of(double from_s, double to_s, double w) {
@@ -33,46 +38,46 @@ inline Reals reals_of(double from_s, double to_s, double w) {
   return {most, std::fmin(std::fmax(from_s, -most), most), std::fmin(std::fmax(to_s, -most), most)};
 }
 
-// Four points, axis by axis.
+/// Four points, axis by axis.
 using Corners = std::array<std::array<double, 4>, 3>;
 
 struct Footprint {
   Vector normal;
-  double height_m;           // of the plane over the seeing origin, along the normal
-  double transmit_height_m;  // over the transmitting one
-  double receive_height_m;   // over the receiving one
-  double least_facing;       // smallest |n.d| that still counts as this patch
-  Corners corner_m;          // object's frame, around the patch
-  double least_m, most_m;    // ranges between which the plane is followed
-  double near_m, far_m;      // ranges of the corners from the seeing origin
+  double height_m;           ///< of the plane over the seeing origin, along the normal
+  double transmit_height_m;  ///< over the transmitting one
+  double receive_height_m;   ///< over the receiving one
+  double min_facing;         ///< smallest |n.d| that still counts as this patch
+  Corners corner_m;          ///< object's frame, around the patch
+  double min_m, max_m;       ///< ranges between which the plane is followed
+  double near_m, far_m;      ///< ranges of the corners from the seeing origin
 };
 
-// A grazing plane is followed out to this many times the range at which it was met.
+/// A grazing plane is followed out to this many times the range at which it was met.
 constexpr double kFarthest = 1.6;
 
-// A round surface leans away no more than this.
-constexpr double kLeastCosine = 0.05;
+/// A round surface leans away no more than this.
+constexpr double kMinCosine = 0.05;
 
-// False where there is none: the plane is seen from behind by one of the legs, or not at all.
+/// Returns false if no footprint exists: a leg is behind the plane or does not see it.
 bool footprint_of(const Echoes& echoes, std::size_t hit, Footprint& patch);
 
-// A lobe weaker by exp of this is none.
+/// Lobes weaker than exp(-this) are ignored.
 constexpr double kFaintest = 25.0;
 
-// Back scattering cross-section of a unit of area.
+/// Back scattering cross-section of a unit of area.
 class Strength {
  public:
-  // `step_rad`: how far apart the directions are that will be asked for.
+  /// `step_rad`: how far apart the directions are that will be asked for.
   Strength(const ScatterModel& laws, const Material& material, double step_rad);
   [[nodiscard]] bool has_lobe() const { return lobe_ > 0.0; }
 
-  // Of the cosines to the transmitter, to the receiver, and of the half-way direction.
+  /// Of the cosines to the transmitter, to the receiver, and of the half-way direction.
   [[nodiscard]] double at(double transmit, double receive, double half) const {
     const double diffuse = lambert_ ? mu_ * transmit * receive : mu_;
     return lobe_ > 0.0 ? diffuse + lobe(half) : diffuse;
   }
 
-  // Its numbers, for those who work out many at once.
+  /// Its parameters, for vectorised callers.
   [[nodiscard]] float mu() const { return static_cast<float>(mu_); }
   [[nodiscard]] float lobe_height() const { return static_cast<float>(lobe_); }
   [[nodiscard]] float steepness() const { return static_cast<float>(steepness_); }
@@ -82,21 +87,21 @@ class Strength {
   [[nodiscard]] double lobe(double half) const;
   double mu_;
   bool lambert_;
-  double lobe_ = 0.0;        // |reflection|² / (8 pi slope²)
-  double steepness_ = 0.0;   // 1 / (2 slope²)
-  double smoothness_ = 0.0;  // 4 k² roughness²
+  double lobe_ = 0.0;        ///< |reflection|² / (8 pi slope²)
+  double steepness_ = 0.0;   ///< 1 / (2 slope²)
+  double smoothness_ = 0.0;  ///< 4 k² roughness²
 };
 
-// Cosine of the half-way direction of two unit vectors with a normal.
+/// Cosine of the half-way direction of two unit vectors with a normal.
 inline double half_cosine(const Vector& normal, const Vector& a, const Vector& b) {
   const Vector sum{a[0] + b[0], a[1] + b[1], a[2] + b[2]};
   return std::fabs(dot(normal, sum)) / std::sqrt(std::fmax(dot(sum, sum), 1e-12));
 }
 
-// How much a round surface's normal turns per metre, at most.
+/// How much a round surface's normal turns per metre, at most.
 double turn_per_m(const double* bent);
 
-// The normal of a round surface at a point of one of its faces.
+/// The normal of a round surface at a point of one of its faces.
 Vector bent_normal(const double* bent, const Vector& point_m);
 
 }  // namespace mapperd::acoustics

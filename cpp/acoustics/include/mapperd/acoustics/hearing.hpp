@@ -1,4 +1,8 @@
-// From a point of a surface to its row, column and loss.
+/// \file
+/// \brief From a point of a surface to its row, column and loss.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <algorithm>
@@ -10,7 +14,7 @@
 
 namespace mapperd::acoustics {
 
-// One-way pressure of the vertical pattern.
+/// One-way pressure of the vertical pattern.
 inline float vertical_at(const Hearing& response, double w) {
   const auto last = static_cast<double>(response.vertical_count - 1);
   const double at = std::min(std::fabs(w), 1.0) * last;
@@ -20,10 +24,10 @@ inline float vertical_at(const Hearing& response, double w) {
          part * (response.vertical[below + 1] - response.vertical[below]);
 }
 
-// A point as a leg has it.
+/// A point as a leg has it.
 struct Sight {
   double range_m, s, w;
-  Vector direction;  // object's frame
+  Vector direction;  ///< object's frame
 };
 
 inline Sight sight_of(const Leg& leg, const Vector& point_m) {
@@ -38,7 +42,7 @@ inline Sight sight_of(const Leg& leg, const Vector& point_m) {
           {d[0] * part, d[1] * part, d[2] * part}};
 }
 
-// Columns over which an echo between columns spreads.
+/// Columns over which an echo between columns spreads.
 struct Spread {
   std::ptrdiff_t column;
   std::size_t fraction;

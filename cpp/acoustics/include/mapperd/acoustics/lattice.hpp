@@ -1,4 +1,8 @@
-// The lattice of scatterers on a face's plane: fixed to the object, whatever its triangles.
+/// \file
+/// \brief The lattice of scatterers on a face's plane: fixed to the object, whatever its triangles.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <algorithm>
@@ -13,7 +17,7 @@
 
 namespace mapperd::acoustics {
 
-// Axes of the plane that faces a patch most (u, v) and the one across it (c).
+/// Axes of the plane that faces a patch most (u, v) and the one across it (c).
 struct Axes {
   std::size_t u, v, c;
 };
@@ -28,8 +32,8 @@ inline Axes axes_of(const Vector& normal) {
   return x >= y ? Axes{1, 2, 0} : Axes{2, 0, 1};
 }
 
-// Steps of the lattice are powers of 2^(1/4) m, so that near and far pings share their scatterers.
-// Of a step, which is at least 1e-5 m and at most 1e3 m, floor(4 log2 step_m).
+/// Steps of the lattice are powers of 2^(1/4) m, so that near and far pings share their scatterers.
+/// Of a step, which is at least 1e-5 m and at most 1e3 m, floor(4 log2 step_m).
 inline int level_of(double step_m) {
   constexpr double kQuarters[3] = {1.1892071150027210, 1.4142135623730951, 1.6817928305074290};
   const double step = std::clamp(step_m, 1e-5, 1e3);
@@ -51,7 +55,7 @@ inline double step_of(int level) {
   return power * kPart[level & 3];
 }
 
-// Area of a patch's shadow on its lattice's plane.
+/// Area of a patch's shadow on its lattice's plane.
 inline double shadow_m2(const Corners& corner, const Axes& axes) {
   const double u1 = corner[axes.u][2] - corner[axes.u][0];
   const double v1 = corner[axes.v][2] - corner[axes.v][0];
@@ -60,16 +64,16 @@ inline double shadow_m2(const Corners& corner, const Axes& axes) {
   return 0.5 * std::fabs(u1 * v2 - v1 * u2);
 }
 
-// A lattice turned within its plane: nodes at (i + i0) along_m and (j + j0) across_m.
+/// A lattice turned within its plane: nodes at (i + i0) along_m and (j + j0) across_m.
 struct Lattice {
-  std::uint64_t key;  // its nodes' keys follow from their indices
+  std::uint64_t key;  ///< its nodes' keys follow from their indices
   double along_m, across_m;
-  double cosine, sine;  // of the turn
+  double cosine, sine;  ///< of the turn
   double i0, j0;
 };
 
-// Which lattice a patch has. Turns go in eighths of a half turn: long before a sonar has gone so
-// far around a patch its speckle is another one anyway.
+/// Identity of a patch's lattice. Turns go in eighths of a half turn: long before a sonar has gone
+/// so far around a patch its speckle is another one anyway.
 struct LatticeName {
   Axes axes;
   int along_level, across_level;
@@ -78,7 +82,7 @@ struct LatticeName {
 
 constexpr int kTurns = 8;
 
-// Cosines and sines of the turns.
+/// Cosines and sines of the turns.
 constexpr double kCosine[kTurns] = {
     1.0, 0.92387953251128674,  0.70710678118654752,  0.38268343236508977,
     0.0, -0.38268343236508977, -0.70710678118654752, -0.92387953251128674};
@@ -86,7 +90,7 @@ constexpr double kSine[kTurns] = {
     0.0, 0.38268343236508977, 0.70710678118654752, 0.92387953251128674,
     1.0, 0.92387953251128674, 0.70710678118654752, 0.38268343236508977};
 
-// The turn nearest to a direction and its opposite.
+/// The turn nearest to a direction and its opposite.
 inline int turn_of(double u, double v) {
   constexpr double kTangent[4] = {0.19891236737965800, 0.66817863791929891, 1.4966057626654890,
                                   5.0273394921258481};  // of 1, 3, 5 and 7 halves of a turn
@@ -99,7 +103,7 @@ inline int turn_of(double u, double v) {
   return (u < 0.0) != (v < 0.0) ? (kTurns - turn) & (kTurns - 1) : turn;
 }
 
-// Its origin is random: a scene's symmetry must not decide how many nodes a patch has.
+/// Its origin is random: a scene's symmetry must not decide how many nodes a patch has.
 inline Lattice lattice_of(std::uint64_t key, std::uint32_t object, const LatticeName& name) {
   const auto word = [](int value) {
     return static_cast<std::uint64_t>(static_cast<std::uint32_t>(value) & 0xFFFFU);
@@ -117,20 +121,20 @@ inline Lattice lattice_of(std::uint64_t key, std::uint32_t object, const Lattice
           static_cast<double>(origin >> 16 & 0xFFFFU) * 0x1p-16};
 }
 
-// Random bits of a lattice's node (i, j): the first for its place, the second for its echo.
+/// Random bits of a lattice's node (i, j): the first for its place, the second for its echo.
 struct NodeBits {
   std::uint32_t place, echo;
 };
 
-// All bits of a number stirred (Wellons 2018, "Prospecting for hash functions", lowbias32).
+/// Mixes all bits of a number (Wellons 2018, "Prospecting for hash functions", lowbias32).
 MAPPERD_INLINE std::uint32_t stirred(std::uint32_t number) {
   number = (number ^ (number >> 16)) * 0x7FEB352DU;
   number = (number ^ (number >> 15)) * 0x846CA68BU;
   return number ^ (number >> 16);
 }
 
-// `low` and `high` are the halves of the lattice's key. Nodes of equal bits lie tens of thousands
-// of steps apart.
+/// `low` and `high` are the halves of the lattice's key. Nodes of equal bits lie tens of thousands
+/// of steps apart.
 MAPPERD_INLINE NodeBits node_bits(std::uint32_t low, std::uint32_t high, std::uint32_t i,
                                   std::uint32_t j) {
   const std::uint32_t place = stirred(low + i * 0xD192ED03U + j * 0x2F3D8DD7U);

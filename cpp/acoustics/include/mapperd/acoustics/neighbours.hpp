@@ -1,5 +1,9 @@
-// What the neighbours of a ray met tells about its own hit. Rays come column after column, in each
-// from below upwards.
+/// \file
+/// \brief Edges and extents of ray hits, from the hits of neighbouring rays. Rays come column after
+/// column, in each from below upwards.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <cstddef>
@@ -8,32 +12,32 @@
 
 namespace mapperd::acoustics {
 
-// What rays met; a negative face is none.
+/// Hits of rays; a negative face means no hit.
 struct Traced {
   std::size_t count;
-  const float* direction;  // (count, 3), map frame
+  const float* direction;  ///< (count, 3), map frame
   const float* range_m;
   const std::int32_t* face;
-  const std::int32_t* group;   // whose frame the face is given in
-  const std::int32_t* column;  // of the fan
+  const std::int32_t* group;   ///< whose frame the face is given in
+  const std::int32_t* column;  ///< of the fan
 };
 
-// When two neighbours met one and the same surface.
+/// Tolerances within which two neighbouring hits lie on the same surface.
 struct Sameness {
-  float bent;          // slope by which one may leave the other's plane
-  float least_step_m;  // by which it may in any case
-  float turned;        // least cosine between the normals on a round surface
+  float bent;          ///< slope by which one may leave the other's plane
+  float least_step_m;  ///< by which it may in any case
+  float turned;        ///< least cosine between the normals on a round surface
 };
 
-// Rays whose upper neighbour in the column met something else. `normals` (F, 3), `smooth` (F,) are
-// of the faces: not negative where round. Normals of moving objects, whose group is not 0, are in
-// their own frames: their rays are compared by owner alone.
+/// Returns the indices of rays whose upper neighbour in the column hit another surface. `normals`
+/// (F, 3), `smooth` (F,) are of the faces: not negative where round. Normals of moving objects,
+/// whose group is not 0, are in their own frames: their rays are compared by owner alone.
 std::vector<std::int64_t> edges(const Traced& rays, const float* normals,
                                 const std::int32_t* smooth, const Sameness& same);
 
-// Ranges between which each hit's plane is followed, (count, 2): between those at which its
-// neighbours in the column and in the columns beside met the same surface, widened by the face's
-// size. `up` (count,) is each ray's sine of elevation; `surface`, `size_m` are of the faces.
+/// Ranges between which each hit's plane is followed, (count, 2): between those at which its
+/// neighbours in the column and in the columns beside met the same surface, widened by the face's
+/// size. `up` (count,) is each ray's sine of elevation; `surface`, `size_m` are of the faces.
 void spans(const Traced& rays, const float* up, const std::int32_t* surface, const float* size_m,
            float* span_m);
 

@@ -1,4 +1,8 @@
-// Rows shared out among threads.
+/// \file
+/// \brief Division of rows among threads.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <algorithm>
@@ -8,8 +12,8 @@
 
 namespace mapperd::acoustics {
 
-// Calls work(first, last) for bands that together are all rows. Each row is worked on as if it
-// were alone, so how many bands there are changes no result.
+/// Calls work(first, last) for bands that together are all rows. Rows are independent, so the
+/// number of bands does not change the result.
 template <typename Work>
 void in_row_bands(std::size_t rows, unsigned threads, const Work& work) {
   const std::size_t bands = std::max<std::size_t>(1, std::min<std::size_t>(threads, rows));

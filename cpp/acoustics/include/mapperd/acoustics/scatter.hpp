@@ -1,4 +1,8 @@
-// What a ping's surfaces send back: the echo field, or its mean power, over range and bearing.
+/// \file
+/// \brief Echo of a ping's surfaces over range and bearing: the complex field, or its mean power.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <array>
@@ -8,62 +12,62 @@
 
 namespace mapperd::acoustics {
 
-// Where sound leaves or is heard, in the frame of the object that it meets. A mirror's image of the
-// sonar is a leg too: its rotation mirrors.
+/// Pose of transmitter or receiver in the frame of the insonified object. A mirror's image of
+/// the sonar is a leg too: its rotation mirrors.
 struct Leg {
   std::array<double, 3> origin_m;
-  std::array<double, 9> rotation;  // object from sonar, row by row; sonar x ahead, y port, z up
-  std::array<double, 3> drift_m;   // apparent range grows by this times the direction to the echo
-  double gain;                     // of pressure, signed
+  std::array<double, 9> rotation;  ///< object from sonar, row by row; sonar x ahead, y port, z up
+  std::array<double, 3> drift_m;   ///< apparent range grows by this times the direction to the echo
+  double gain;                     ///< of pressure, signed
 };
 
 struct Material {
-  double mu;                // Lambert's coefficient
-  double reflection_power;  // squared coefficient of reflection
-  double roughness_m;       // standard deviation of the height below a wavelength's scale
-  double slope_rad;         // standard deviation of the slope
+  double mu;                ///< Lambert's coefficient
+  double reflection_power;  ///< squared coefficient of reflection
+  double roughness_m;       ///< standard deviation of the height below a wavelength's scale
+  double slope_rad;         ///< standard deviation of the slope
 };
 
-// Triangles, as their planes n.p = offset in the frame of their object.
+/// Triangles, as their planes n.p = offset in the frame of their object.
 struct Faces {
   std::size_t count;
-  const double* planes;           // (count, 4): n, offset
-  const std::uint32_t* objects;   // key of the object
-  const std::int32_t* materials;  // index
-  const std::int32_t* smooth;     // index into the bent normals, or -1
-  const double* bent;             // (S, 12): normal of a round surface at p is G p + g, rows of G|g
+  const double* planes;           ///< (count, 4): n, offset
+  const std::uint32_t* objects;   ///< key of the object
+  const std::int32_t* materials;  ///< index
+  const std::int32_t* smooth;     ///< index into the bent normals, or -1
+  const double* bent;  ///< (S, 12): normal of a round surface at p is G p + g, rows of G|g
   const Material* table;
 };
 
-// What the rays met. Each owns the cell of directions around it, as the leg that saw it has them.
+/// Hits of the rays. Each owns the cell of directions around it, as the leg that saw it has them.
 struct Hits {
   std::size_t count;
-  const std::int32_t* face;      // negative: nothing that echoes
-  const std::int32_t* seen;      // leg that looked
-  const std::int32_t* transmit;  // leg
-  const std::int32_t* receive;   // leg
-  const float* cell;             // (count, 4): s from, s to, w from, w to
-  const float* span_m;           // (count, 2): ranges between which the face's plane is followed
-  const float* gain;             // of pressure
+  const std::int32_t* face;      ///< negative: nothing that echoes
+  const std::int32_t* seen;      ///< leg that looked
+  const std::int32_t* transmit;  ///< leg
+  const std::int32_t* receive;   ///< leg
+  const float* cell;             ///< (count, 4): s from, s to, w from, w to
+  const float* span_m;           ///< (count, 2): ranges between which the face's plane is followed
+  const float* gain;             ///< of pressure
   const Leg* legs;
 };
 
-// Rows of range, columns of bearing.
+/// Rows of range, columns of bearing.
 struct EchoGrid {
   std::ptrdiff_t rows;
   std::ptrdiff_t columns;
   double row_m;
-  double first_sine;  // of the bearing of column 0
+  double first_sine;  ///< of the bearing of column 0
   double sine_pitch;
-  double range_scale;  // apparent range over true range
+  double range_scale;  ///< apparent range over true range
 };
 
-// How the receiver weights what it hears.
+/// Weights of the receiver.
 struct Hearing {
-  const float* loss;      // (rows,): pressure that the way to a row and back leaves
-  const float* vertical;  // (vertical_count,): one-way pressure over |w| from 0 to 1
+  const float* loss;      ///< (rows,): pressure that the way to a row and back leaves
+  const float* vertical;  ///< (vertical_count,): one-way pressure over |w| from 0 to 1
   std::size_t vertical_count;
-  const float* taps;  // (fractions, tap_count): spreads an echo between columns over whole ones
+  const float* taps;  ///< (fractions, tap_count): spreads an echo between columns over whole ones
   std::size_t fractions;
   std::size_t tap_count;
 };
@@ -72,8 +76,8 @@ struct ScatterModel {
   bool lambert;
   bool specular;
   bool spreading;
-  double turns_per_m;     // of phase: 1 / wavelength
-  double nodes_per_cell;  // scatterers in a row's and column's cell
+  double turns_per_m;     ///< of phase: 1 / wavelength
+  double nodes_per_cell;  ///< scatterers in a row's and column's cell
   std::uint64_t key;
 };
 
@@ -85,10 +89,11 @@ struct Echoes {
   ScatterModel laws;
 };
 
-// Adds random scatterers that belong to the surfaces to a field (rows, columns).
+/// Adds the echoes of random scatterers on the surfaces to a complex field (rows, columns), in
+/// pressure.
 void scatter_field(const Echoes& echoes, std::complex<float>* field, int threads);
 
-// Adds the surfaces' mean powers to a picture (rows, columns).
+/// Adds the surfaces' mean power to a field (rows, columns).
 void scatter_power(const Echoes& echoes, float* power, int threads);
 
 }  // namespace mapperd::acoustics

@@ -1,5 +1,9 @@
-// Elementary functions as short series without branches, so that loops over them become vector
-// code; the same operations in the same order everywhere give the same bits everywhere.
+/// \file
+/// \brief Elementary functions as short series without branches, so that loops over them become
+/// vector code; the same operations in the same order everywhere give the same bits everywhere.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <cstdint>
@@ -23,8 +27,8 @@ MAPPERD_INLINE float float_of(std::int32_t bits) {
   return value;
 }
 
-// Natural logarithm of a normal positive number, to some 2e-7 absolutely.
-// The mantissa is taken from [sqrt(1/2), sqrt(2)); log m = 2 artanh((m - 1) / (m + 1)).
+/// Natural logarithm of a normal positive number, to some 2e-7 absolutely.
+/// The mantissa is taken from [sqrt(1/2), sqrt(2)); log m = 2 artanh((m - 1) / (m + 1)).
 MAPPERD_INLINE float fast_log(float value) {
   constexpr std::int32_t kRootHalf = 0x3F3504F3;
   const std::int32_t bits = bits_of(value);
@@ -37,7 +41,7 @@ MAPPERD_INLINE float fast_log(float value) {
   return s * series + static_cast<float>(exponent) * 0.69314718F;
 }
 
-// 2 to a power between -126 and 126, to some 2e-7 relatively: Taylor about the nearest integer.
+/// 2 to a power between -126 and 126, to some 2e-7 relatively: Taylor about the nearest integer.
 MAPPERD_INLINE float fast_exp2(float power) {
   const float clipped = power < -126.0F ? -126.0F : (power > 126.0F ? 126.0F : power);
   const auto whole = static_cast<std::int32_t>(clipped + (clipped < 0.0F ? -0.5F : 0.5F));
@@ -50,15 +54,15 @@ MAPPERD_INLINE float fast_exp2(float power) {
   return series * float_of((whole + 127) * (1 << 23));
 }
 
-// base^power for 0 <= base < 1e38 and |power| <= 2; bases under 1e-37 count as 0.
+/// base^power for 0 <= base < 1e38 and |power| <= 2; bases under 1e-37 count as 0.
 MAPPERD_INLINE float fast_power(float base, float power) {
-  // By bits, for a choice would become a branch.
+  // With bit operations, because a conditional would become a branch.
   const std::int32_t some = -static_cast<std::int32_t>(base > 1e-37F);
   const float raised = fast_exp2(power * 1.44269504F * fast_log(base > 1e-37F ? base : 1e-37F));
   return float_of(bits_of(raised) & some);
 }
 
-// Cosine and sine for 0 <= angle <= pi/4, by Taylor.
+/// Cosine and sine for 0 <= angle <= pi/4, by Taylor.
 MAPPERD_INLINE float octant_cos(float angle) {
   const float x2 = angle * angle;
   return 1.0F + x2 * (-0.5F + x2 * (1.0F / 24 + x2 * (-1.0F / 720 + x2 * (1.0F / 40320))));
@@ -69,7 +73,7 @@ MAPPERD_INLINE float octant_sin(float angle) {
   return angle * (1.0F + x2 * (-1.0F / 6 + x2 * (1.0F / 120 + x2 * (-1.0F / 5040))));
 }
 
-// Double precision. Errors are some 1e-15 relatively.
+// Double precision, to a relative error of about 1e-15.
 
 inline constexpr double kPi = 3.14159265358979323846;
 
@@ -85,18 +89,18 @@ MAPPERD_INLINE double double_of(std::uint64_t bits) {
   return value;
 }
 
-// Added to a number below 2^51, it leaves the nearest whole number in the lowest bits.
-inline constexpr double kRounder = 6755399441055744.0;  // 1.5 * 2^52
+/// Added to a number below 2^51, it leaves the nearest whole number in the lowest bits.
+inline constexpr double kRounder = 6755399441055744.0;  ///< 1.5 * 2^52
 
 MAPPERD_INLINE double nearest_whole(double value) { return (value + kRounder) - kRounder; }
 
-// The angle in (-pi, pi].
+/// The angle in (-pi, pi].
 MAPPERD_INLINE double wrapped(double angle) {
   const double turned = angle - 2.0 * kPi * nearest_whole(angle * (0.5 / kPi));
   return turned > -kPi ? turned : turned + 2.0 * kPi;
 }
 
-// e to a power, which is cut to +-708: Taylor about the nearest multiple of ln 2.
+/// e to a power, which is cut to +-708: Taylor about the nearest multiple of ln 2.
 MAPPERD_INLINE double fast_exp(double power) {
   constexpr double kLog2E = 1.44269504088896340736;
   constexpr double kLn2High = 6.93147180369123816490e-01;  // its product with a small number is
@@ -124,11 +128,11 @@ MAPPERD_INLINE double fast_exp(double power) {
 }
 
 struct Split {
-  double mantissa;  // in [sqrt(1/2), sqrt(2))
+  double mantissa;  ///< in [sqrt(1/2), sqrt(2))
   double exponent;
 };
 
-// A positive normal number as mantissa * 2^exponent.
+/// A positive normal number as mantissa * 2^exponent.
 MAPPERD_INLINE Split split(double value) {
   constexpr std::uint64_t kRootHalf = 0x3FE6A09E667F3BCDULL;
   const std::uint64_t bits = bits_of(value);
@@ -137,7 +141,7 @@ MAPPERD_INLINE Split split(double value) {
   return {double_of(bits - (biased << 52) + (std::uint64_t{1023} << 52)), exponent};
 }
 
-// Natural logarithm of a positive normal number: log m = 2 artanh((m - 1) / (m + 1)).
+/// Natural logarithm of a positive normal number: log m = 2 artanh((m - 1) / (m + 1)).
 MAPPERD_INLINE double fast_log(double value) {
   const Split parts = split(value);
   const double s = (parts.mantissa - 1.0) / (parts.mantissa + 1.0);
@@ -160,7 +164,7 @@ struct SineCosine {
   double sine, cosine;
 };
 
-// Of an angle below some 1e6: Taylor about the nearest multiple of pi / 2.
+/// Of an angle below some 1e6: Taylor about the nearest multiple of pi / 2.
 MAPPERD_INLINE SineCosine fast_sine_cosine(double angle) {
   constexpr double kQuarterHigh = 1.57079632673412561417e+00;  // 33 bits of pi / 2
   constexpr double kQuarterLow = 6.07710050650619224932e-11;
@@ -185,7 +189,7 @@ MAPPERD_INLINE SineCosine fast_sine_cosine(double angle) {
   even = even * r2 + 1.0 / 24.0;
   even = even * r2 - 0.5;
   even = even * r2 + 1.0;
-  // By bits: the quarter tells which is which, and the signs.
+  // Without branches: the quarter selects sine or cosine, and the signs.
   const std::uint64_t quarter = bits_of(rounded);
   const std::uint64_t swap = std::uint64_t{0} - (quarter & 1U);
   const std::uint64_t mixed = (bits_of(odd) ^ bits_of(even)) & swap;

@@ -1,4 +1,8 @@
-// What an allocation costs.
+/// \file
+/// \brief Heap memory taken by allocations.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <algorithm>
@@ -6,12 +10,12 @@
 
 namespace mapperd {
 
-// Bytes that glibc's malloc takes for an allocation on a 64-bit machine: a header of 8, rounded up
-// to 16, and at least 32 (the chunk layout in malloc/malloc.c). Others differ by little.
+/// Bytes that glibc's malloc takes for an allocation on a 64-bit machine: a header of 8, rounded up
+/// to 16, and at least 32 (the chunk layout in malloc/malloc.c). Others differ by little.
 inline std::size_t allocated_bytes(std::size_t requested) {
-  constexpr std::size_t header = 8, step = 16, least = 32;
+  constexpr std::size_t kHeader = 8, kStep = 16, kMin = 32;
   if (requested == 0) return 0;
-  return std::max(least, (requested + header + step - 1) / step * step);
+  return std::max(kMin, (requested + kHeader + kStep - 1) / kStep * kStep);
 }
 
 template <typename Vector>

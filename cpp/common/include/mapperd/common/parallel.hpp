@@ -1,4 +1,8 @@
-// A loop on several threads.
+/// \file
+/// \brief A loop on several threads.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <atomic>
@@ -11,9 +15,9 @@
 
 namespace mapperd {
 
-// Runs task(0) ... task(count - 1); which thread does which is left open. Where the system has no
-// more threads to give, fewer do. Rethrows the first exception of a task, after which no further
-// one is begun.
+/// Runs task(0) ... task(count - 1); the assignment to threads is unspecified. If the system has no
+/// more threads, fewer are used. Rethrows the first exception of a task, after which no further
+/// task starts.
 template <typename Task>
 void run_parallel(std::size_t count, int threads, const Task& task) {
   std::atomic<std::size_t> next{0};
@@ -33,8 +37,8 @@ void run_parallel(std::size_t count, int threads, const Task& task) {
     for (int i = 1; i < threads && static_cast<std::size_t>(i) < count; ++i) {
       helpers.emplace_back(work);
     }
-  } catch (const std::exception&) {
-    // Those that there are, and this one, do it all.
+  } catch (const std::exception&) {  // NOLINT(bugprone-empty-catch)
+    // The system has no more threads: those that started, and this one, do all tasks.
   }
   work();
   for (std::thread& helper : helpers) helper.join();

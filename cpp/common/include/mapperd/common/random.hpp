@@ -1,4 +1,8 @@
-// Random numbers that are functions of a key: the same whatever the order or the thread that asks.
+/// \file
+/// \brief Random numbers as functions of a key, independent of order and thread.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <cstdint>
@@ -7,7 +11,7 @@
 
 namespace mapperd {
 
-// A key's 64 well-mixed bits (the finaliser of SplitMix64, Steele, Lea and Flood 2014).
+/// Returns 64 well-mixed bits of a key (the finaliser of SplitMix64, Steele, Lea and Flood 2014).
 MAPPERD_INLINE std::uint64_t mix(std::uint64_t key) {
   key += 0x9E3779B97F4A7C15ULL;
   key = (key ^ (key >> 30)) * 0xBF58476D1CE4E5B9ULL;
@@ -15,7 +19,7 @@ MAPPERD_INLINE std::uint64_t mix(std::uint64_t key) {
   return key ^ (key >> 31);
 }
 
-// One key of two, in order.
+/// Combines two keys into one; their order matters.
 MAPPERD_INLINE std::uint64_t joined(std::uint64_t first, std::uint64_t second) {
   return mix(mix(first) ^ second);
 }
@@ -24,7 +28,7 @@ struct Words {
   std::uint32_t word[4];
 };
 
-// Philox4x32 with ten rounds (Salmon, Moraes, Dror and Shaw 2011).
+/// Philox4x32 with ten rounds (Salmon, Moraes, Dror and Shaw 2011).
 MAPPERD_INLINE Words philox(Words counter, std::uint64_t key) {
   auto low = static_cast<std::uint32_t>(key);
   auto high = static_cast<std::uint32_t>(key >> 32);
@@ -42,12 +46,12 @@ MAPPERD_INLINE Words philox(Words counter, std::uint64_t key) {
   return c;
 }
 
-// Uniform in (0, 1), with 32 bits.
+/// Uniform in (0, 1), with 32 bits.
 MAPPERD_INLINE double uniform_of(std::uint32_t word) {
   return (static_cast<double>(word) + 0.5) * 0x1p-32;
 }
 
-// Uniform in [0, 1), with 53 bits.
+/// Uniform in [0, 1), with 53 bits.
 MAPPERD_INLINE double uniform_of(std::uint32_t high, std::uint32_t low) {
   const std::uint64_t bits = (static_cast<std::uint64_t>(high) << 32) | low;
   return static_cast<double>(bits >> 11) * 0x1p-53;

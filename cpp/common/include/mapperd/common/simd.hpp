@@ -1,10 +1,11 @@
-// Loops that the compiler turns into vector code.
+/// \file
+/// \brief Loops that the compiler turns into vector code.
 #pragma once
 
-// Functions marked MAPPERD_VECTORISED are compiled with and without AVX2, and chosen between when
-// loaded; those marked MAPPERD_VECTORISED_WIDE with AVX-512 too. Every version does the same
-// operations in the same order (contraction is off): the same bits. Sanitizers do not support such
-// a choice, and other compilers do not know it.
+/// Functions marked MAPPERD_VECTORISED are compiled with and without AVX2, and chosen between when
+/// loaded; those marked MAPPERD_VECTORISED_WIDE with AVX-512 too. Every version does the same
+/// operations in the same order (contraction is off): the same bits. Sanitizers do not support such
+/// a choice, and other compilers do not know it.
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && \
     !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
 #define MAPPERD_VECTORISED __attribute__((target_clones("avx2", "default")))
@@ -14,7 +15,7 @@
 #define MAPPERD_VECTORISED_WIDE
 #endif
 
-// Functions that such loops call.
+/// Functions that such loops call.
 #if defined(__GNUC__)
 #define MAPPERD_INLINE inline __attribute__((always_inline))
 #else

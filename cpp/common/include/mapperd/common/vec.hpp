@@ -1,4 +1,8 @@
-// Fixed-size geometry in double precision: a vector and a rigid transform, nothing more.
+/// \file
+/// \brief Fixed-size geometry in double precision: a vector and a rigid transform, nothing more.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <array>
@@ -21,9 +25,9 @@ inline Vec3 cross(const Vec3& a, const Vec3& b) {
 }
 inline double norm(const Vec3& a) { return std::sqrt(dot(a, a)); }
 
-// a_T_b: takes coordinates in frame b to frame a.
+/// a_T_b: takes coordinates in frame b to frame a.
 struct Transform {
-  std::array<Vec3, 3> rows{Vec3{1, 0, 0}, Vec3{0, 1, 0}, Vec3{0, 0, 1}};  // of the rotation
+  std::array<Vec3, 3> rows{Vec3{1, 0, 0}, Vec3{0, 1, 0}, Vec3{0, 0, 1}};  ///< of the rotation
   Vec3 translation;
 
   Vec3 rotate(const Vec3& v) const { return {dot(rows[0], v), dot(rows[1], v), dot(rows[2], v)}; }

@@ -1,4 +1,8 @@
-// Poses of a block of particles in the cells of a padded grid.
+/// \file
+/// \brief Poses of a block of particles in the cells of a padded grid.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <cmath>
@@ -16,12 +20,12 @@ struct BlockPoses {
   double sine[kBlock];
 };
 
-// From the map frame to cells of the grid with its border.
+/// Transform from the map frame to cells of the padded grid.
 struct Lattice {
   double origin_x, origin_y;
-  double cosine, sine;  // of the grid, over the resolution
+  double cosine, sine;  ///< of the grid, over the resolution
   double yaw;
-  double last_u, last_v;  // the border
+  double last_u, last_v;  ///< the border
 };
 
 inline Lattice lattice_of(const GridFrame& frame) {
@@ -34,7 +38,7 @@ inline Lattice lattice_of(const GridFrame& frame) {
           static_cast<double>(frame.rows) + 1.0};
 }
 
-// The poses of `count` particles; the rest of the block is filled up.
+/// Computes the poses of `count` particles, and fills the rest of the block.
 void pose_block(const double* x, const double* y, const double* yaw, std::size_t count,
                 const Lattice& lattice, BlockPoses& out);
 

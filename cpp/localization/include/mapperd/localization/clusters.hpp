@@ -1,4 +1,8 @@
-// The cloud's modes.
+/// \file
+/// \brief Modes of a particle cloud.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <cstddef>
@@ -9,26 +13,28 @@
 
 namespace mapperd::localization {
 
-// Buckets of the clusters; finer than those of the KLD rule.
+/// Buckets of the clusters; finer than those of KLD-sampling.
 struct ClusterRule {
   double bucket_xy_m = 0.2;
   double bucket_yaw_rad = 0.524;
-  double cap_percentile = 0.9;  // buckets' mean weights are cut to this percentile's
+  double cap_percentile = 0.9;  ///< buckets' mean weights are cut to this percentile's
 };
 
-// Each particle's cluster, 0 the heaviest. Buckets are visited by falling mean weight; one without
-// a cluster begins one, which spreads to neighbours along x, y and yaw that are not heavier.
+/// Cluster of each particle; 0 is the heaviest. Buckets are visited by falling mean weight; one
+/// without a cluster begins one, which spreads to neighbours along x, y and yaw that are not
+/// heavier.
 struct Clusters {
   std::vector<std::size_t> label;
-  std::vector<double> mass;  // falling
+  std::vector<double> mass;  ///< falling
   std::vector<std::size_t> particles;
 };
 
-// Throws std::invalid_argument for buckets of no size.
+/// \throws std::invalid_argument for buckets of no size.
 Clusters clusters_of(const Particles& particles, const std::vector<double>& weight,
                      const ClusterRule& rule);
 
-// Of the heaviest cluster of at least two particles; of all particles where there is none.
+/// Estimate from the heaviest cluster of at least two particles, or from all particles if no
+/// cluster has two.
 Estimate best_estimate(const Particles& particles, const std::vector<double>& weight,
                        const Clusters& clusters);
 

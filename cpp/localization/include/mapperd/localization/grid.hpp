@@ -1,4 +1,8 @@
-// A flat occupancy grid and its free cells.
+/// \file
+/// \brief A flat occupancy grid and its free cells.
+///
+/// \par Threads
+/// Const members may run concurrently; other members need exclusive access.
 #pragma once
 
 #include <cstddef>
@@ -12,12 +16,12 @@ namespace mapperd::localization {
 
 inline constexpr std::int8_t kFree = 0;
 inline constexpr std::int8_t kOccupied = 100;
-inline constexpr std::int8_t kUnknown = -1;  // and so is any other value
+inline constexpr std::int8_t kUnknown = -1;  ///< any other value is unknown too
 
-inline constexpr std::size_t kMaxGridSide = 32000;  // squared distances fit 32 bits
+inline constexpr std::size_t kMaxGridSide = 32000;  ///< squared distances fit 32 bits
 
-// Where a grid's cells lie: cell (row, column) covers the square from column and row times the
-// resolution on, in the grid's frame, whose pose in the map frame is `origin`.
+/// Placement of a grid's cells: cell (row, column) covers the square from column and row times the
+/// resolution on, in the grid's frame, whose pose in the map frame is `origin`.
 struct GridFrame {
   std::size_t rows = 0;
   std::size_t columns = 0;
@@ -29,21 +33,21 @@ struct GridFrame {
 
 struct OccupancyGrid {
   GridFrame frame;
-  std::vector<std::int8_t> cells;  // row-major
+  std::vector<std::int8_t> cells;  ///< row-major
 
   bool is(std::size_t row, std::size_t column, std::int8_t value) const {
     return cells[row * frame.columns + column] == value;
   }
 };
 
-// Throws std::invalid_argument for a grid without cells, of more than kMaxGridSide cells along a
-// side, or whose resolution or origin is no finite number.
+/// \throws std::invalid_argument for a grid without cells, of more than kMaxGridSide cells along a
+/// side, or with a resolution or origin that is not finite.
 void check_frame(const GridFrame& frame);
 
-// The cells to draw from when nothing is known; each draw lies anywhere in its cell.
+/// Free cells, from which poses are drawn uniformly.
 class FreeSpace {
  public:
-  // Throws std::invalid_argument where no cell is free.
+  /// \throws std::invalid_argument where no cell is free.
   explicit FreeSpace(const OccupancyGrid& grid);
 
   std::size_t size() const { return cells_.size(); }

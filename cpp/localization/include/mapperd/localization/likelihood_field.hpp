@@ -1,4 +1,9 @@
-// How likely a return is at each place of the map: p(d) of the distance to the nearest obstacle.
+/// \file
+/// \brief The likelihood field: density p(d) of a return at distance d from the nearest obstacle,
+/// for each cell of a map.
+///
+/// \par Threads
+/// Const members may run concurrently; other members need exclusive access.
 #pragma once
 
 #include <array>
@@ -9,8 +14,8 @@
 
 namespace mapperd::localization {
 
-// p(d) = z_hit / (sigma sqrt(2 pi)) exp(-d^2 / (2 sigma^2)) + z_rand / max_range: a density in 1/m,
-// above 1 where sigma is small. Distances count up to max_distance_m.
+/// p(d) = z_hit / (sigma sqrt(2 pi)) exp(-d^2 / (2 sigma^2)) + z_rand / max_range: a density in
+/// 1/m, above 1 where sigma is small. Distances count up to max_distance_m.
 struct HitModel {
   double z_hit = 0.5;
   double z_rand = 0.5;
@@ -21,40 +26,41 @@ struct HitModel {
   double density(double distance_m) const;
 };
 
-// Throws std::invalid_argument for negative or not finite values, and where nothing is left of p.
+/// \throws std::invalid_argument for negative or not finite values, and where nothing is left of p.
 void check_hit_model(const HitModel& model);
 
 enum class UnknownSpace {
-  kAsFree,      // only its distance to obstacles counts
-  kBackground,  // p at max_distance_m
-  kUniform,     // 1 / max_range: the reference's `model_unknown_space`, which draws poses outward
+  kAsFree,      ///< only its distance to obstacles counts
+  kBackground,  ///< p at max_distance_m
+  kUniform,     ///< 1 / max_range: the reference's `model_unknown_space`, which draws poses outward
 };
 
 struct ObstacleRule {
-  bool only_boundaries = false;  // occupied cells with a free one at a side; the rest is far
+  bool only_boundaries = false;  ///< occupied cells with a free one at a side; the rest is far
   UnknownSpace unknown = UnknownSpace::kAsFree;
 };
 
-// One or more layers of cells, each with a border of one cell that stands for all that lies
-// outside: there p is that of max_distance_m, as in mapped water far from everything, or what is
-// told. Values below 1e-12 of the largest are raised to that: no product is ever 0.
+/// One or more layers of cells, each with a border of one cell that stands for all that lies
+/// outside: there p is that of max_distance_m, as in mapped water far from everything, or the value
+/// given. Values below 1e-12 of the largest are raised to that: no product is ever 0.
 class LikelihoodField {
  public:
   LikelihoodField(const OccupancyGrid& grid, const HitModel& model, const ObstacleRule& rule,
                   int threads);
-  // Values as they are, row-major.
+  /// Takes given values, row-major.
   LikelihoodField(const GridFrame& frame, const std::vector<float>& values, double outside);
-  // Of distances on a lattice of x, y, z, z fastest, as the voxel map gives them. `first_centre` is
-  // in the map frame.
+  /// Computes the field from distances on a lattice of x, y, z, z fastest, as distance_field()
+  /// returns them. `first_centre` is in the map frame.
   LikelihoodField(const std::vector<float>& distances_m, const std::array<std::size_t, 3>& size,
                   const std::array<double, 3>& first_centre_m, double resolution_m,
                   const HitModel& model);
 
   const GridFrame& frame() const { return frame_; }
-  double background() const { return background_; }  // of a place where nothing is known
+  double background() const { return background_; }  ///< density at an unknown place, 1/m
   bool is_flat() const { return flat_; }
   std::size_t layers() const { return layers_; }
-  // Where the layer that holds a height begins; a flat field holds all heights.
+  /// Returns the index of the first value of the layer at a height of the map frame, m; a flat
+  /// field has one layer for all heights.
   std::int32_t layer_at(double z_m) const;
   const float* values() const { return values_.data(); }
   std::int32_t stride() const { return static_cast<std::int32_t>(frame_.columns + 2); }
@@ -74,7 +80,7 @@ class LikelihoodField {
   double lowest_z_m_ = 0.0;
   double background_ = 0.0;
   float outside_ = 0.0F;
-  std::vector<float> values_;  // layers, and one more that is all outside
+  std::vector<float> values_;  ///< layers, and one more that is all outside
 };
 
 }  // namespace mapperd::localization

@@ -1,4 +1,8 @@
-// The particle filter: one cloud, moved, weighed and drawn anew.
+/// \file
+/// \brief The particle filter: one cloud that is moved, weighted and resampled.
+///
+/// \par Threads
+/// Const members may run concurrently; other members need exclusive access.
 #pragma once
 
 #include <cstddef>
@@ -21,40 +25,42 @@ struct FilterRule {
   ResampleRule resample;
   double alpha_slow = 0.0;
   double alpha_fast = 0.0;
-  std::size_t resample_interval = 1;  // in updates
-  bool selective = false;             // only when the effective size is below half the particles
-  double max_step_m = 1e6;            // longer steps of odometry are refused
-  // A scan's likelihoods are raised to a power below 1 where else less than this share of the
-  // effective size was left: 0 never. A scan that a cloud is too sparse for must not choose a mode.
+  std::size_t resample_interval = 1;  ///< in updates
+  bool selective = false;             ///< only when the effective size is below half the particles
+  double max_step_m = 1e6;            ///< longer steps of odometry are refused
+  /// A scan's likelihoods are raised to a power below 1 where else less than this share of the
+  /// effective size was left: 0 never. A scan that a cloud is too sparse for must not choose a
+  /// mode.
   double least_effective_share = 0.0;
-  // Draws go by weights to this power, and children keep the rest of the weight: below 1 light
-  // modes keep particles. 1 draws as published.
+  /// Draws go by weights to this power, and children keep the rest of the weight: below 1 light
+  /// modes keep particles. 1 draws as published.
   double draw_exponent = 1.0;
 };
 
-// Throws std::invalid_argument.
+/// \throws std::invalid_argument for values out of range.
 void check_filter_rule(const FilterRule& rule);
 
-// What was refused or worked around since the beginning.
+/// Counters since the start.
 struct FilterCounts {
   std::uint64_t updates = 0;
   std::uint64_t resamplings = 0;
   std::uint64_t injected_particles = 0;
-  std::uint64_t refused_steps = 0;        // odometry not finite, or a jump
-  std::uint64_t empty_scans = 0;          // moved, not weighed
-  std::uint64_t uninformative_scans = 0;  // every likelihood 0: weights kept
-  std::uint64_t not_a_number = 0;         // likelihoods that were no number
+  std::uint64_t refused_steps = 0;        ///< odometry not finite, or a jump
+  std::uint64_t empty_scans = 0;          ///< moved, not weighted
+  std::uint64_t uninformative_scans = 0;  ///< every likelihood 0: weights kept
+  std::uint64_t not_a_number = 0;         ///< likelihoods that were no number
 };
 
+/// Result of weighting the cloud by a scan.
 struct Weighed {
   bool informative = false;
-  double log_evidence = 0.0;    // of the likelihoods as they came
-  double fit = 0.0;             // mean likelihood of one beam, whatever the number of particles
-  double injected_share = 0.0;  // of the next resampling
-  double exponent = 1.0;        // that the likelihoods were raised to
+  double log_evidence = 0.0;    ///< of the likelihoods as they came
+  double fit = 0.0;             ///< mean likelihood of one beam, whatever the number of particles
+  double injected_share = 0.0;  ///< of the next resampling
+  double exponent = 1.0;        ///< exponent applied to the likelihoods
 };
 
-// All that a filter of the same rule needs to go on as another one would have.
+/// Complete state of a filter: another one with the same rule continues from it bit-exactly.
 struct FilterState {
   Particles particles;
   std::uint64_t seed = 0;
@@ -64,11 +70,11 @@ struct FilterState {
   FilterCounts counts;
 };
 
-// How a scan's likelihood was made, to tell the fit of one beam from it.
+/// How a scan's likelihood was computed, from which the fit per beam follows.
 enum class FitKind { kCubeSumFromOne, kCubeSum, kProduct };
 
-// All random numbers belong to (seed, step, particle): a run repeats exactly, whatever the number
-// of threads. Not to be used from two threads at once.
+/// All random numbers belong to (seed, step, particle): a run repeats exactly, whatever the number
+/// of threads. Not to be used from two threads at once.
 class ParticleFilter {
  public:
   ParticleFilter(const FilterRule& rule, std::uint64_t seed, int threads);
@@ -78,24 +84,26 @@ class ParticleFilter {
   const FilterCounts& counts() const { return counts_; }
   std::uint64_t seed() const { return seed_; }
 
-  // Keeps the cloud; numbers of particles change at the next resampling.
+  /// Replaces the rule and keeps the cloud; the number of particles changes at the next resampling.
   void set_rule(const FilterRule& rule);
   void set_threads(int threads);
 
-  // A new cloud of max_particles, or the one given; averages and the interval begin anew.
+  /// Starts with a new cloud of max_particles, or with the one given; resets the averages and the
+  /// interval.
   void start_about(const Pose2& mean, const Matrix3& covariance);
   void start_anywhere(const FreeSpace& free);
   void start_with(Particles particles);
-  // A new cloud of max_particles where the scan could have been taken: drawn by weight, of `search`
-  // poses anywhere. Throws std::invalid_argument where there are fewer of those than particles.
+  /// Starts with max_particles drawn by weight from `search` random poses, weighted by the scan.
+  /// \throws std::invalid_argument if `search` has fewer poses than particles.
   void start_by_scan(const FreeSpace& free, const LikelihoodField& field, const Endpoints& ends,
                      const Search& search);
 
   FilterState state() const;
-  // Throws std::invalid_argument where it is no filter's; then nothing is changed.
+  /// \throws std::invalid_argument for a state that no filter can have; nothing changes then.
   void restore(FilterState state);
 
-  // Moves the cloud; false where the step is refused: keep `before` then.
+  /// Moves the cloud by the step from `before` to `now` (odometry frame). Returns false if it
+  /// refuses the step: keep `before` then.
   bool predict(const Pose2& before, const Pose2& now, MotionModel model, const Alphas& alphas,
                const MotionFloor& floor);
 
@@ -103,11 +111,12 @@ class ParticleFilter {
                 double kappa);
   Weighed weigh(const RangeMap& map, const Beams& beams, const BeamModel& model,
                 BeamAggregation aggregation, double kappa);
-  // Log-likelihoods from elsewhere, of `beams` beams.
+  /// Weights the cloud by given log-likelihoods of `beams` beams.
   Weighed weigh(const std::vector<double>& log_likelihood, std::size_t beams, FitKind kind,
                 double kappa);
 
-  // Resamples when the interval and the effective size say so. `free` may be nullptr: no recovery.
+  /// Resamples when the interval has passed and the effective size is below its limit. `free` may
+  /// be nullptr: no recovery.
   bool resample_if_due(const FreeSpace* free);
   void resample(const FreeSpace* free);
 

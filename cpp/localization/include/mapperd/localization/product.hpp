@@ -1,4 +1,8 @@
-// Products of many densities that neither under- nor overflow.
+/// \file
+/// \brief Products of many densities that neither under- nor overflow.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <cstddef>
@@ -8,9 +12,10 @@
 
 namespace mapperd::localization {
 
-inline constexpr std::size_t kFactors = 8;  // multiplied before the exponent is split off
+inline constexpr std::size_t kFactors = 8;  ///< multiplied before the exponent is split off
 
-// One product a particle of a block: mantissa * 2^exponent. Factors must lie within 1e-30 ... 1e30.
+/// One product per particle of a block: mantissa * 2^exponent. Factors must lie within 1e-30 ...
+/// 1e30.
 struct Products {
   double mantissa[kBlock];
   double exponent[kBlock];

@@ -1,4 +1,8 @@
-// Ranges that the map lets one expect, with sub-cell accuracy.
+/// \file
+/// \brief Expected ranges from a map, with sub-cell accuracy.
+///
+/// \par Threads
+/// Const members may run concurrently; other members need exclusive access.
 #pragma once
 
 #include <cstdint>
@@ -9,9 +13,9 @@
 
 namespace mapperd::localization {
 
-inline constexpr std::size_t kRays = 8 * kBlock;  // cast at once
+inline constexpr std::size_t kRays = 8 * kBlock;  ///< cast at once
 
-// Rays from places in cells of the padded map, in directions of length 1.
+/// Rays from places in cells of the padded map, in directions of length 1.
 struct Rays {
   std::size_t count = 0;
   double u[kRays];
@@ -22,29 +26,29 @@ struct Rays {
 
 inline constexpr double kNoExpectation = -1.0;
 
-// Each ray goes from one free wedge to the next: a cell knows, for each octant of directions, how
-// many columns on a ray that begins anywhere in it meets nothing. Near obstacles the ray goes from
-// cell to cell. It ends where it enters an occupied cell, to 1e-9 cells. Eight bytes a cell, twice
-// that while it is built.
+/// Each ray steps from one free wedge to the next: a cell knows, for each octant of directions, how
+/// many columns on a ray that begins anywhere in it meets nothing. Near obstacles the ray goes from
+/// cell to cell. It ends where it enters an occupied cell, to 1e-9 cells. Eight bytes a cell, twice
+/// that while it is built.
 class RangeMap {
  public:
-  // Throws std::invalid_argument for a map without cells.
+  /// \throws std::invalid_argument for a map without cells.
   RangeMap(const OccupancyGrid& grid, bool unknown_blocks, int threads);
 
   const GridFrame& frame() const { return frame_; }
 
-  // Ranges in cells, `most` where nothing is hit until then, kNoExpectation where the
-  // ray begins outside the map or leaves it before.
+  /// Writes ranges in cells: `most` without a hit up to there, kNoExpectation where the
+  /// ray begins outside the map or leaves it before.
   void cast(const Rays& rays, double most, double* out) const;
 
-  // Of one ray in the map frame, in metres; with `max_range_m` and kNoExpectation as above.
+  /// Returns the range of one ray of the map frame, m: `max_range_m` and kNoExpectation as above.
   double cast(const Pose2& ray, double max_range_m) const;
 
   std::size_t memory_bytes() const { return clear_.size() * sizeof(std::uint64_t); }
 
  private:
   GridFrame frame_;
-  std::vector<std::uint64_t> clear_;  // a byte an octant, of the padded grid
+  std::vector<std::uint64_t> clear_;  ///< a byte an octant, of the padded grid
 };
 
 }  // namespace mapperd::localization

@@ -1,17 +1,21 @@
-// Augmented recovery: random particles where scans fit worse than they used to.
+/// \file
+/// \brief Augmented recovery: random particles when scans fit worse than before.
+///
+/// \par Threads
+/// Const members may run concurrently; other members need exclusive access.
 #pragma once
 
 namespace mapperd::localization {
 
-// Two exponential averages of the scans' fit, each begun with the first value.
+/// Two exponential averages of the scans' fit, each begun with the first value.
 class Recovery {
  public:
-  // Gains in 0 ... 1, slow at most fast; both 0: never any random particle.
-  // Throws std::invalid_argument.
+  /// Gains in 0 ... 1, slow at most fast; both 0: no random particles.   /// \throws
+  /// std::invalid_argument for other gains.
   Recovery(double alpha_slow, double alpha_fast);
 
   void add(double fit);
-  // Share of particles to draw at random: 1 - fast / slow, within 0 ... 1.
+  /// Share of particles to draw at random: 1 - fast / slow, within 0 ... 1.
   double injected_share() const;
   void reset() { begun_ = false; }
 

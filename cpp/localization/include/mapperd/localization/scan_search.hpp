@@ -1,4 +1,8 @@
-// Drawing a cloud from a scan, where nothing is known of the pose.
+/// \file
+/// \brief Initial cloud from a scan, without a prior pose.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <cstddef>
@@ -11,16 +15,16 @@
 namespace mapperd::localization {
 
 struct Search {
-  std::size_t poses = 0;  // drawn from all free space and weighed
-  double kappa = 1.0;     // tempering; less where few poses would carry the weight
-  double jitter_m = 0.1;  // added to those that are kept
+  std::size_t poses = 0;  ///< drawn from all free space and weighted
+  double kappa = 1.0;     ///< tempering; reduced if few poses would carry the weight
+  double jitter_m = 0.1;  ///< noise added to the poses that are kept
   double jitter_rad = 0.02;
 };
 
-// `count` poses of equal weight where the scan could have been taken: drawn by weight, of
-// `search.poses` anywhere. A field that is broader than the poses lie apart lets those near the
-// truth be seen. Threads change no value.
-// Throws std::invalid_argument where there are fewer poses than are to be drawn, or too many.
+/// Draws `count` poses of equal weight from `search.poses` random poses, weighted by the scan. The
+/// field should be broader than the distance of neighbouring poses. The result does not depend on
+/// `threads`.
+/// \throws std::invalid_argument if `search.poses` is less than `count`, or too large.
 Particles drawn_by_scan(const FreeSpace& free, const LikelihoodField& field, const Endpoints& ends,
                         const Search& search, std::size_t count, const Stream& stream, int threads);
 

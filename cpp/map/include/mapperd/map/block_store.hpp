@@ -1,4 +1,8 @@
-// The blocks of a map, in no order that means anything.
+/// \file
+/// \brief The blocks of a map, unordered.
+///
+/// \par Threads
+/// Not locked: the caller holds a lock of the map if other threads use it.
 #pragma once
 
 #include <cstddef>
@@ -10,8 +14,8 @@
 
 namespace mapperd::map {
 
-// As a std::deque, references stay valid while blocks are added; unlike there it is known what
-// memory it takes, and it is given back.
+/// Like in a std::deque, references stay valid while blocks are added. In addition the memory is
+/// known and can be released.
 class BlockStore {
  public:
   std::size_t size() const { return size_; }
@@ -29,7 +33,7 @@ class BlockStore {
     return added;
   }
 
-  // Gives back what the others took; the references to blocks end here.
+  /// Keeps some blocks and frees the memory of the others. Invalidates references to blocks.
   template <typename Keep>  // bool(const Block&)
   void keep_if(const Keep& keep) {
     BlockStore kept;
@@ -42,7 +46,7 @@ class BlockStore {
     *this = std::move(kept);
   }
 
-  // Without the voxels that the pool holds.
+  /// Bytes, without the voxels that the pool holds.
   std::size_t memory_bytes() const {
     std::size_t bytes = allocated_by(chunks_);
     for (const std::vector<Block>& chunk : chunks_) bytes += allocated_by(chunk);
@@ -52,7 +56,7 @@ class BlockStore {
  private:
   static constexpr std::size_t kChunk = 32;
 
-  std::vector<std::vector<Block>> chunks_;  // all but the last are full
+  std::vector<std::vector<Block>> chunks_;  ///< all but the last are full
   std::size_t size_ = 0;
 };
 

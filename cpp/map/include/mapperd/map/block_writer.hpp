@@ -1,5 +1,9 @@
-// Many voxels changed one by one, each cell opened once: opening and closing it costs more than
-// its voxels.
+/// \file
+/// \brief Writes many voxels one by one and opens each cell once, because opening and closing cost
+/// more than writing its voxels.
+///
+/// \par Threads
+/// Not locked: the caller holds a lock of the map if other threads use it.
 #pragma once
 
 #include <cstdint>
@@ -8,15 +12,15 @@
 
 namespace mapperd::map {
 
-// The block that holds a voxel within the map's reach.
+/// The block that holds a voxel within the map's reach.
 inline BlockKey block_holding(const VoxelIndex& voxel) {
   const auto block = [](std::int64_t i) { return static_cast<std::int32_t>(i >> kBlockShift); };
   return {block(voxel.x), block(voxel.y), block(voxel.z)};
 }
 
-// Takes voxels in any order, but is quick when those of a block follow each other. All must lie
-// within the map's reach, all states be observed and inside the clamps. As long as it lives,
-// nobody else may look at the map.
+/// Takes voxels in any order, and is fastest if those of a block follow each other. All must lie
+/// within the map's reach, and all states must be observed and within the clamps. No other thread
+/// may use the map during its lifetime.
 class BlockWriter {
  public:
   explicit BlockWriter(VoxelMap& map) : map_(map), pool_(map.pool()) {}

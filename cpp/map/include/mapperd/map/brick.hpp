@@ -1,9 +1,13 @@
-// Bricks of 4 x 4 x 4 blocks: what a map on disk is written and read by. Small enough that a ping
-// changes few of them, large enough that a row of a table costs little beside it.
-//
-// A brick as bytes, little endian: number of blocks u8; for each of them, in ascending order, its
-// place in the brick u8 (x fastest), its revision u64 and its voxels (block_codec.hpp). Blocks
-// without an observed voxel are left out.
+/// \file
+/// \brief Bricks of 4 x 4 x 4 blocks: what a map on disk is written and read by. Small enough that
+/// a ping changes few of them, large enough that a row of a table costs little beside it.
+///
+/// A brick as bytes, little endian: number of blocks u8; for each of them, in ascending order, its
+/// place in the brick u8 (x fastest), its revision u64 and its voxels (block_codec.hpp). Blocks
+/// without an observed voxel are left out.
+///
+/// \par Threads
+/// Each function locks the map itself: any thread may call it without holding a lock of the map.
 #pragma once
 
 #include <cstdint>
@@ -24,17 +28,17 @@ inline BlockKey brick_holding(const BlockKey& block) {
 }
 
 struct Brick {
-  BlockKey key;                // in bricks
-  std::uint64_t revision = 0;  // of the block that changed last
+  BlockKey key;                ///< in bricks
+  std::uint64_t revision = 0;  ///< of the block that changed last
   std::string bytes;
 };
 
 struct ChangedBricks {
-  std::uint64_t revision = 0;  // of the map, when they were taken
-  std::vector<Brick> bricks;   // in ascending order
+  std::uint64_t revision = 0;  ///< of the map, when they were taken
+  std::vector<Brick> bricks;   ///< in ascending order
 };
 
-// Resident bricks with a block that changed after a revision of the map, all of one state.
+/// Resident bricks with a block that changed after a revision of the map, all of one state.
 ChangedBricks bricks_since(const VoxelMap& map, std::uint64_t revision);
 
 struct BrickView {
@@ -42,14 +46,14 @@ struct BrickView {
   std::string_view bytes;
 };
 
-// Makes the content of bricks what their bytes say, and tiles resident, at once. Blocks keep the
-// revisions that they were written with, and the map's is not below them.
-// Throws std::invalid_argument for anything but bricks that a map of this rule may hold, and
-// std::logic_error where a tile is not resident; the map is then as before.
+/// Sets the content of bricks from their bytes and makes tiles resident, in one step. Blocks keep
+/// the revisions that they were written with, and the map's is not below them. Throws
+/// std::invalid_argument for anything but bricks that a map of this rule may hold, and
+/// std::logic_error where a tile is not resident; the map is then as before.
 void put_bricks(VoxelMap& map, const std::vector<BrickView>& bricks,
                 const std::vector<BlockKey>& tiles = {});
 
-// Takes tiles out of memory, as they are.
+/// Drops tiles from memory, without writing them.
 void drop_tiles(VoxelMap& map, const std::vector<BlockKey>& tiles);
 
 }  // namespace mapperd::map

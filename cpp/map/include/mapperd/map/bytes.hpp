@@ -1,4 +1,8 @@
-// Little-endian numbers in and out of bytes, and the checksum over them.
+/// \file
+/// \brief Little-endian numbers in and out of bytes, and the checksum over them.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <cstddef>
@@ -11,7 +15,7 @@
 
 namespace mapperd::map {
 
-// To and from bytes that are known to be there: compilers make one move of each loop.
+/// To and from bytes that are known to be there: compilers make one move of each loop.
 template <typename T>
 void write_number(char* at, T value) {
   static_assert(std::is_integral_v<T>);
@@ -41,7 +45,7 @@ inline void put(std::string& out, double value) {
   put(out, bits);
 }
 
-// Reads from front to back; throws std::invalid_argument, with the place, where bytes are missing.
+/// Reads from front to back; throws std::invalid_argument, with the place, where bytes are missing.
 class ByteReader {
  public:
   explicit ByteReader(std::string_view bytes) : bytes_(bytes) {}
@@ -57,7 +61,7 @@ class ByteReader {
 
   template <typename T>
   T get() {
-    return read_number<T>(take(sizeof(T)).data());
+    return read_number<T>(take(sizeof(T)).data());  // NOLINT(bugprone-suspicious-stringview*)
   }
 
   double get_double() {
@@ -76,7 +80,7 @@ class ByteReader {
   std::size_t at_ = 0;
 };
 
-// CRC-32 of IEEE 802.3 (reflected polynomial EDB88320), as zlib computes it.
+/// CRC-32 of IEEE 802.3 (reflected polynomial EDB88320), as zlib computes it.
 std::uint32_t crc32(std::string_view bytes);
 
 }  // namespace mapperd::map

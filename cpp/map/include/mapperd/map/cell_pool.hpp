@@ -1,4 +1,5 @@
-// Memory for cells of 4 x 4 x 4 voxels that are held voxel by voxel, in equal slots.
+/// \file
+/// \brief Memory for cells of 4 x 4 x 4 voxels that are held voxel by voxel, in equal slots.
 #pragma once
 
 #include <cstddef>
@@ -15,7 +16,7 @@ namespace mapperd::map {
 inline constexpr int kCellEdge = 4;
 inline constexpr int kCellVoxels = kCellEdge * kCellEdge * kCellEdge;
 
-// The voxels of one cell, x fastest: log-odds, then counts of one or two bytes.
+/// The voxels of one cell, x fastest: log-odds, then counts of one or two bytes.
 class CellVoxels {
  public:
   CellVoxels(std::byte* slot, int count_bytes) : slot_(slot), count_bytes_(count_bytes) {}
@@ -42,8 +43,8 @@ class CellVoxels {
   int count_bytes_;
 };
 
-// Slots have numbers. Several threads may read and write slots of their own at once, and take and
-// give back slots through a Cache each, after reserve().
+/// Slots have numbers. Several threads may read and write slots of their own at once, and take and
+/// give back slots through a Cache each, after reserve().
 class CellPool {
  public:
   explicit CellPool(int count_bytes)
@@ -65,11 +66,11 @@ class CellPool {
   std::size_t memory_bytes() const;
   bool is_sparse() const { return used_ > 2 * in_use() + kChunk; }
 
-  // Makes room for the numbers of so many slots more: only then may threads take slots side by
-  // side.
+  /// Reserves room for the numbers of `slots` more slots. Threads may take slots concurrently only
+  /// after it.
   void reserve(std::size_t slots);
 
-  // One thread's hand in the pool. Gives back what it holds when it ends.
+  /// Slots cached by one thread. The destructor returns unused ones to the pool.
   class Cache {
    public:
     explicit Cache(CellPool& pool) : pool_(pool) {}
@@ -104,7 +105,7 @@ class CellPool {
   std::mutex mutex_;
   std::vector<std::unique_ptr<std::byte[]>> chunks_;
   std::vector<std::uint32_t> free_;
-  std::size_t used_ = 0;  // slots that were ever taken
+  std::size_t used_ = 0;  ///< slots that were ever taken
 };
 
 }  // namespace mapperd::map

@@ -1,22 +1,28 @@
-// What one ping says, as an image in range and sine of bearing that each voxel looks up once.
-//
-// The definition. Around a point at range r and sine s of the bearing lies a footprint: in range
-// [r - a, r + a] with a = 0.54 voxel edges, and in sine [s - b, s + b] with b = a cos(bearing) / r.
-// Let N be the share of the footprint that holds a return, W the integral of w(I) over that share,
-// and F the share that is free: between min_range and the first return of its beam. The point is
-//
-//   occupied with weight W / N  where N >= 0.02,
-//   free                        elsewhere where F > 0.5,
-//   unknown                     elsewhere.
-//
-// A voxel's evidence is that of its centre, if the centre lies inside the vertical aperture; an
-// occupied one's centre may lie outside by half an edge. 0.54: the plane that cuts off 2 % of a
-// cube's volume lies 0.48 to 0.58 edges from its centre, whatever the plane's direction.
-//
-// The grid holds the definition's values at points: rows every 0.3 edges or less, columns every 0.5
-// edges at max_range or less, both divided by `detail`. A voxel takes the value of the nearest
-// point. cos(bearing) is that of the middle of each group of eight beams, whose beams count as
-// equally wide. The grid ends eight beams beside the fan.
+/// \file
+/// \brief Evidence of one ping as an image in range and sine of bearing, in which each voxel is
+/// looked up once.
+///
+/// The definition. Around a point at range r and sine s of the bearing lies a footprint: in range
+/// [r - a, r + a] with a = 0.54 voxel edges, and in sine [s - b, s + b] with b = a cos(bearing) /
+/// r. Let N be the share of the footprint that holds a return, W the integral of w(I) over that
+/// share, and F the share that is free: between min_range and the first return of its beam. The
+/// point is
+///
+///   occupied with weight W / N  where N >= 0.02,
+///   free                        elsewhere where F > 0.5,
+///   unknown                     elsewhere.
+///
+/// A voxel's evidence is that of its centre, if the centre lies inside the vertical aperture; an
+/// occupied one's centre may lie outside by half an edge. 0.54: the plane that cuts off 2 % of a
+/// cube's volume lies 0.48 to 0.58 edges from its centre, whatever the plane's direction.
+///
+/// The grid holds the definition's values at points: rows every 0.3 edges or less, columns every
+/// 0.5 edges at max_range or less, both divided by `detail`. A voxel takes the value of the nearest
+/// point. cos(bearing) is that of the middle of each group of eight beams, whose beams count as
+/// equally wide. The grid ends eight beams beside the fan.
+///
+/// \par Threads
+/// Const members may run concurrently; other members need exclusive access.
 #pragma once
 
 #include <cstddef>
@@ -30,18 +36,18 @@
 
 namespace mapperd::map {
 
-inline constexpr double kFootprintReach = 0.54;  // in voxel edges, each way
+inline constexpr double kFootprintReach = 0.54;  ///< in voxel edges, each way
 inline constexpr double kOccupiedShare = 0.02;
 inline constexpr double kFreeShare = 0.5;
-inline constexpr double kOccupiedSlack = 0.5;  // beyond the aperture's faces, in voxel edges
+inline constexpr double kOccupiedSlack = 0.5;  ///< beyond the aperture's faces, in voxel edges
 
-// How far the voxels of a cell and of a block lie from its centre, in voxel edges, with a hundredth
-// of room for rounding and motion.
-inline constexpr float kCellReach = 2.65F;    // 1.5 sqrt(3)
-inline constexpr float kBlockReach = 13.25F;  // 7.5 sqrt(3)
+/// How far the voxels of a cell and of a block lie from its centre, in voxel edges, with a
+/// hundredth of room for rounding and motion.
+inline constexpr float kCellReach = 2.65F;    ///< 1.5 sqrt(3)
+inline constexpr float kBlockReach = 13.25F;  ///< 7.5 sqrt(3)
 
-// A grid's memory, for the next grid of the same thread: a ping's grid takes megabytes, which the
-// system would clear again for each.
+/// Memory of a grid, reused for the next grid of the same thread: a grid takes megabytes, which the
+/// system would otherwise clear for each ping.
 struct GridMemory {
   std::vector<float> counted;
   std::vector<float> weighted;
@@ -54,15 +60,15 @@ struct GridMemory {
 
 class EvidenceGrid {
  public:
-  // Uses `memory` as long as it lives.
+  /// Uses `memory` during its lifetime.
   EvidenceGrid(GridMemory& memory, const PingImage& image, const PingParams& settings,
                const IwloRule& rule, double edge_m);
   EvidenceGrid(const EvidenceGrid&) = delete;
   EvidenceGrid& operator=(const EvidenceGrid&) = delete;
 
-  // The ping says nothing of points farther away.
+  /// Range beyond which the ping holds no evidence, m.
   double reach_m() const { return reach_m_; }
-  bool says_nothing() const { return !(reach_m_ > 0); }
+  bool is_empty() const { return !(reach_m_ > 0); }
   double edge_m() const { return edge_m_; }
   double min_range_m() const { return min_range_; }
   double sin_half_aperture() const { return sin_half_; }
@@ -71,32 +77,33 @@ class EvidenceGrid {
   double high_sine() const { return edge_sines_.back(); }
   bool averages() const { return averages_; }
 
-  // Neighbouring beams differ so much in width that a cell's columns are no linear function.
+  /// Neighbouring beams differ so much in width that a cell's columns are no linear function.
   bool is_irregular() const { return irregular_; }
 
   GridView view() const;
-  // Its table of bearings, and lengths in voxels; the caller adds the cells' places.
+  /// Returns its table of bearings, and lengths in voxels; the caller adds the cells' positions.
   CellsTask cells_task() const;
 
-  // Evidence of a point of the sonar frame, in metres.
+  /// Evidence of a point of the sonar frame, in metres.
   struct Evidence {
     std::uint8_t code = kCodeNothing;
     std::uint8_t share = 0;
   };
   Evidence at(const Vec3& in_sonar) const;
-  // The same of each of a cell's points, to the bit.
+  /// Evidence of each of a cell's points, bit-exactly as the above.
   CodeCounts at(const CellPoints& in_sonar, std::uint8_t* codes, std::uint8_t* shares) const;
 
-  // Classes of all that a block with its centre there may hold, within the aperture.
+  /// Classes of all that a block with its centre there may hold, within the aperture.
   std::uint8_t classes_of_block(double range_m, double sine) const;
 
   double row_pitch_m() const { return row_pitch_; }
   int subcolumns() const { return subcolumns_; }
 
  private:
-  struct Sums;  // of returns along range
+  struct Sums;  ///< of returns along range
 
-  // Of a point: how far, in voxels, it lies inside the aperture's faces, and its place in the grid.
+  /// Of a point: how far, in voxels, it lies inside the aperture's faces, and its place in the
+  /// grid.
   struct Place {
     double inside, row, sine;
   };
@@ -119,7 +126,7 @@ class EvidenceGrid {
   double cos_half_;
   double reach_m_ = 0.0;
   double row_pitch_ = 0.0;
-  double narrowest_ = 0.0;  // of the beams, in sine
+  double narrowest_ = 0.0;  ///< of the beams, in sine
   int subcolumns_ = 1;
   bool irregular_ = false;
   bool averages_ = false;

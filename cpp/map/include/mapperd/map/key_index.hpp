@@ -1,4 +1,8 @@
-// Numbers keys in the order in which they come: 0, 1, 2, ...; a number stays with its key.
+/// \file
+/// \brief Numbers keys in the order in which they come: 0, 1, 2, ...; a number stays with its key.
+///
+/// \par Threads
+/// Const members may run concurrently; other members need exclusive access.
 #pragma once
 
 #include <cstddef>
@@ -35,7 +39,7 @@ class KeyIndex {
  private:
   static constexpr std::size_t kFirstSlots = 64;
 
-  // The constants are those of the MurmurHash3 finaliser.
+  /// The constants are those of the MurmurHash3 finaliser.
   static std::uint64_t hash_of(const BlockKey& key) {
     const auto mix = [](std::uint64_t h) {
       h = (h ^ (h >> 33U)) * 0xff51afd7ed558ccdULL;
@@ -61,7 +65,7 @@ class KeyIndex {
   }
 
   std::vector<BlockKey> keys_;
-  std::vector<std::uint32_t> slots_;  // open addressing, a power of two, at most 3/4 full
+  std::vector<std::uint32_t> slots_;  ///< open addressing, a power of two, at most 3/4 full
 };
 
 }  // namespace mapperd::map

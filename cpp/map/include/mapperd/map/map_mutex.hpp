@@ -1,4 +1,5 @@
-// Who may touch a map when: any number of threads that read, or one that writes.
+/// \file
+/// \brief The lock of a map: many readers or one writer.
 #pragma once
 
 #include <mutex>
@@ -6,14 +7,13 @@
 
 namespace mapperd::map {
 
-// A shared mutex on which readers that follow each other closely cannot keep a writer waiting for
-// ever, as they may on a std::shared_mutex: everybody queues at the same turnstile, and a writer
-// waits in it for the readers inside to leave. Not recursive: a thread that reads and asks to read
-// again, while another waits to write, waits for itself.
+/// A shared mutex without starvation of writers, which std::shared_mutex permits: all threads queue
+/// at one turnstile, and a writer waits in it until the readers inside leave. Not recursive: a
+/// reader that locks again while a writer waits deadlocks.
 class MapMutex {
  public:
   MapMutex() = default;
-  // A map that moves takes its content along, and leaves its lock, which nobody may hold then.
+  /// Moving a map moves its content, not its lock, which must be free.
   MapMutex(MapMutex&& /*other*/) noexcept {}
   MapMutex& operator=(MapMutex&& /*other*/) noexcept { return *this; }
 

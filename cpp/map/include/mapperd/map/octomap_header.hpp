@@ -1,4 +1,8 @@
-// The text in front of an OctoMap tree, and what both directions know about its keys.
+/// \file
+/// \brief The text header of an OctoMap tree, and constants of its keys.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <cstddef>
@@ -9,22 +13,22 @@
 namespace mapperd::map {
 
 inline constexpr int kOctomapDepth = 16;
-inline constexpr std::int64_t kOctomapKeyOrigin = 32768;  // the key of voxel 0, on each axis
+inline constexpr std::int64_t kOctomapKeyOrigin = 32768;  ///< the key of voxel 0, on each axis
 
 struct OctomapHeader {
-  bool binary = false;      // .bt: two bits a child; else .ot: log-odds
-  std::uint64_t nodes = 0;  // as promised, inner ones included
+  bool binary = false;      ///< .bt: two bits a child; else .ot: log-odds
+  std::uint64_t nodes = 0;  ///< as stated, inner ones included
   double resolution_m = 0.0;
-  std::size_t data_begin = 0;  // where the text ends
+  std::size_t data_begin = 0;  ///< where the text ends
 };
 
-// Reads the text in front of a tree. Comments and unknown keywords are skipped, as OctoMap does.
-// Throws std::invalid_argument, with the byte where it went wrong.
+/// Reads the text in front of a tree. Comments and unknown keywords are skipped, as OctoMap does.
+/// \throws std::invalid_argument, with the byte of the error.
 OctomapHeader parse_octomap_header(std::string_view file);
 
 std::string format_octomap_header(bool binary, std::uint64_t nodes, double resolution_m);
 
-// Throws the std::invalid_argument of all refusals to read: what, and at which byte of the file.
+/// Throws std::invalid_argument with an error and the byte of the file where it is.
 [[noreturn]] void refuse_octomap(std::size_t at, const std::string& what);
 
 }  // namespace mapperd::map

@@ -1,4 +1,8 @@
-// The records of an OctoMap tree, read once from the root down.
+/// \file
+/// \brief The records of an OctoMap tree, read once from the root down.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <cstddef>
@@ -10,7 +14,7 @@
 
 namespace mapperd::map {
 
-// A node's space: 2^(16 - depth) voxels along each axis, from this key on.
+/// Extent of a node: 2^(16 - depth) voxels along each axis, from this key on.
 struct OctomapCube {
   std::uint32_t x = 0;
   std::uint32_t y = 0;
@@ -24,16 +28,16 @@ struct OctomapCube {
   }
 };
 
-// OctoMap's default clamps, which are the log-odds of a .bt's leaves.
+/// OctoMap's default clamps, which are the log-odds of a .bt's leaves.
 double octomap_free_log_odds();
 double octomap_occupied_log_odds();
 
 using OctomapVisit =
     std::function<void(std::size_t at, const OctomapCube& leaf, double log_odds)>;  // at: its byte
 
-// Visits the leaves of the tree behind a header, those of a cube after each other, as far as the
-// file is sound. Goes sixteen levels deep at most, in time proportional to the file's length.
-// Throws std::invalid_argument for all that is not exactly the tree that the header promises.
+/// Visits the leaves of the tree behind a header, those of a cube after each other, up to the first
+/// error. Goes sixteen levels deep at most, in time proportional to the file's length.
+/// \throws std::invalid_argument unless the file is exactly the tree that its header states.
 void for_each_octomap_leaf(std::string_view file, const OctomapHeader& header,
                            const OctomapVisit& visit);
 

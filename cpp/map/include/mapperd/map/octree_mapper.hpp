@@ -3,7 +3,7 @@
 /// Names and defaults are those of `OctreeMapper` of sonar_3d_reconstruction (octree_mapper.cpp),
 /// so that programs written for it compile against this map. Points are anything with members x(),
 /// y() and z() (Eigen::Vector3d, octomap::point3d); matrices are anything with rows() and (i, j).
-/// Where that class had defects this one differs, and says so.
+/// Comments name the defects of that class in which this one differs.
 #pragma once
 
 #include <array>
@@ -116,7 +116,7 @@ class OctreeMapper {
   void add_segment(const Vec3& origin_m, const Vec3& end_m);
 
   VoxelMap map_;
-  double hit_ = 0.0;  // log-odds, as all below
+  double hit_ = 0.0;  ///< log-odds, as all below
   double miss_ = 0.0;
   double low_ = 0.0;
   double high_ = 0.0;

@@ -1,5 +1,10 @@
-// Which blocks a ping may change, told from its geometry alone: for whoever sorts pings by place
-// before any of them is integrated.
+/// \file
+/// \brief Bounding box of the blocks that a ping may change, from its geometry alone: for sorting
+/// pings by place before any of them is integrated.
+///
+/// \par Threads
+/// Reads only the map's resolution, rule and limit: needs no lock unless a thread changes the
+/// rule's intensity threshold or the limit.
 #pragma once
 
 #include <optional>
@@ -9,8 +14,8 @@
 
 namespace mapperd::map {
 
-// A box that holds every block that the ping can change, by either integrator; nothing for a ping
-// that says nothing. Throws as the integrators do, for the same pings.
+/// Returns a box of all blocks that either integrator can change, or nullopt for a ping without
+/// evidence. Errors are those of the integrators.
 std::optional<BlockBox> blocks_of_ping(const VoxelMap& map, const PingImage& image,
                                        const Transform& map_T_sonar, const PingParams& settings,
                                        const PingMotion& motion = {});

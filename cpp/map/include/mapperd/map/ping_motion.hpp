@@ -1,13 +1,17 @@
-// A sonar that moves while its ping is in the water.
-//
-// The sound leaves at time 0 and is back from range r at 2 r / c. Half the sum of both legs is the
-// range; bearing and elevation are those from where the sonar is then, as it is turned then. With
-// constant velocity and rate both ways between a place and where the image has it are known in
-// closed form. Places are relative to the sonar at transmission, in the map's axes; what is seen
-// there is given as a point of the fan of a sonar that had stayed as it was at transmission.
-//
-// Far from the sonar's own size that is the motion to first order: ranges from where the sonar is
-// at r / c, directions as at 2 r / c.
+/// \file
+/// \brief A sonar that moves while its ping is in the water.
+///
+/// The sound leaves at time 0 and is back from range r at 2 r / c. Half the sum of both legs is the
+/// range; bearing and elevation are those from where the sonar is then, as it is turned then. With
+/// constant velocity and rate both ways between a place and where the image has it are known in
+/// closed form. Places are relative to the sonar at transmission, in the map's axes; what is seen
+/// there is given as a point of the fan of a sonar that had stayed as it was at transmission.
+///
+/// Far from the sonar's own size that is the motion to first order: ranges from where the sonar is
+/// at r / c, directions as at 2 r / c.
+///
+/// \par Threads
+/// Functions of their arguments: any thread may call them.
 #pragma once
 
 #include <array>
@@ -18,28 +22,28 @@
 namespace mapperd::map {
 
 struct PingMotion {
-  Vec3 linear_mps;       // of the sonar, in the map frame
-  Vec3 angular_radps;    // in the sonar's frame
-  double valid_s = 0.0;  // map_T_sonar is the pose at this time after transmission
+  Vec3 linear_mps;       ///< of the sonar, in the map frame
+  Vec3 angular_radps;    ///< in the sonar's frame
+  double valid_s = 0.0;  ///< map_T_sonar is the pose at this time after transmission
   double speed_of_sound_mps = 1500.0;
 
   bool any() const { return dot(linear_mps, linear_mps) + dot(angular_radps, angular_radps) > 0; }
 };
 
-// Throws std::invalid_argument for what is not finite, for a sonar faster than a fiftieth of sound,
-// and for one that turns by more than a radian while the ping is in the water.
+/// \throws std::invalid_argument for values that are not finite, for a sonar faster than a fiftieth
+/// of sound, and for one that turns by more than a radian while the ping is in the water.
 void check_motion(const PingMotion& motion, double max_range_m);
 
-// The rotation that the sonar had at transmission; the translation is left as it is.
+/// The rotation that the sonar had at transmission; the translation is left as it is.
 Transform turned_to_transmission(const Transform& map_T_sonar, const PingMotion& motion);
 
-// How a small piece of the map is seen: what its axes become.
+/// Linearised view of a small piece of the map: the images of its axes.
 struct SeenAxes {
   Vec3 x{1, 0, 0};
   Vec3 y{0, 1, 0};
   Vec3 z{0, 0, 1};
 
-  // A linear function of what is seen, as one of the place.
+  /// A linear function of what is seen, as one of the place.
   Vec3 of_place(const Vec3& normal) const {
     return {dot(x, normal), dot(y, normal), dot(z, normal)};
   }
@@ -52,7 +56,7 @@ struct Seen {
   SeenAxes axes;
 };
 
-// The points of a cell's voxels, coordinate by coordinate: compilers take several at once.
+/// The points of a cell's voxels, coordinate by coordinate: compilers take several at once.
 struct CellPoints {
   static constexpr std::size_t kCount = 64;
   std::array<double, kCount> x, y, z;
@@ -65,27 +69,27 @@ struct CellPoints {
   }
 };
 
-// By how much what is seen of a ball departs from the ball.
+/// Bound of the distortion of a ball by motion.
 struct MotionBound {
-  double stretch = 0.0;  // largest change of a length, relative to it
-  double bend = 0.0;     // m, from what `SeenAxes` of its centre make of it
+  double stretch = 0.0;  ///< largest change of a length, relative to it
+  double bend = 0.0;     ///< m, from what `SeenAxes` of its centre make of it
 };
 
 class MovingView {
  public:
-  // `map_R_sonar` at transmission.
+  /// `map_R_sonar` at transmission.
   MovingView(const PingMotion& motion, const Transform& map_R_sonar);
 
   Vec3 seen(const Vec3& place) const;
-  // `seen` of each of some places, to the bit.
+  /// Applies seen() to each place, bit-exactly.
   void see(CellPoints& places) const;
   Seen look(const Vec3& place) const;
-  // The way back: where a point of the fan is in the map.
+  /// Inverse of seen(): the place of a point of the fan.
   Vec3 place_of(const Vec3& seen) const;
 
-  // Bounds for the ball of a radius around a place.
+  /// Returns bounds for the ball of a radius around a place.
   MotionBound motion_bound(const Vec3& place, double radius_m) const;
-  // No place farther away is seen nearer than `range_m`.
+  /// Returns the distance, m, beyond which no place is seen nearer than `range_m`.
   double reach_m(double range_m) const { return range_m * (1 + speed_); }
 
  private:
@@ -95,8 +99,8 @@ class MovingView {
   template <typename Turned>
   Vec3 seen_by(const Vec3& place) const;
 
-  Vec3 linear_;   // velocity over the speed of sound
-  Vec3 angular_;  // turn between transmission and reception, a metre of range, in the map's axes
+  Vec3 linear_;   ///< velocity over the speed of sound
+  Vec3 angular_;  ///< turn between transmission and reception, a metre of range, in the map's axes
   double speed_;
   double turn_;
   double scale_;

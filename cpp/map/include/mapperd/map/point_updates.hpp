@@ -1,6 +1,10 @@
-// Evidence about single points, for programs that bring their own sensor model. Points are checked
-// before the first is taken: a call changes all of them or nothing. A voxel named twice is updated
-// twice, in the order of the points.
+/// \file
+/// \brief Updates of single points, for programs with their own sensor model. Points are checked
+/// before the first is taken: a call changes all of them or nothing. A voxel named twice is updated
+/// twice, in the order of the points.
+///
+/// \par Threads
+/// Each function locks the map itself: any thread may call it without holding a lock of the map.
 #pragma once
 
 #include <cstddef>
@@ -11,7 +15,7 @@
 
 namespace mapperd::map {
 
-// Limits that steps do not cross: they stop there, but never bring a voxel back that is beyond.
+/// Limits of the log-odds: a step stops at a limit, and never moves a voxel beyond it back.
 struct StepLimits {
   double low = 0.0;
   double high = 0.0;
@@ -19,26 +23,26 @@ struct StepLimits {
 
 struct ObservedPoints {
   Points points;
-  const double* intensity = nullptr;  // 0 .. intensity_max; used where occupied
+  const double* intensity = nullptr;  ///< 0 .. intensity_max; used where occupied
   const bool* occupied = nullptr;
-  const double* step_factor = nullptr;  // 0 or more; nullptr: 1 everywhere
+  const double* step_factor = nullptr;  ///< 0 or more; nullptr: 1 everywhere
 };
 
 // All throw std::invalid_argument, naming the row, for numbers that are not finite and points
-// beyond the map's reach.
+/// beyond the map's reach.
 
-// One IWLO observation a point, by the map's rule; the step is multiplied by the factor, which
-// plays no part in the count.
+/// Adds one observation per point with the map's rule. The factor scales the step, not the count.
 void observe(VoxelMap& map, const ObservedPoints& observed);
 
-// L + step, one observation more.
+/// Adds steps to the log-odds; counts one observation each.
 void add_log_odds(VoxelMap& map, const Points& points, const double* steps,
                   const StepLimits& limits);
 
-// L becomes the value, inside the map's clamps; one observation more.
+/// Sets the log-odds, within the map's clamps; counts one observation each.
 void set_log_odds(VoxelMap& map, const Points& points, const double* values);
 
-// `miss` for the voxels that the segment runs through, `hit` for the one that it ends in.
+/// Adds `miss` (log-odds) to the voxels along a segment of the map frame, m, and `hit` to its last
+/// one.
 void add_ray(VoxelMap& map, const Vec3& origin_m, const Vec3& end_m, double hit, double miss,
              const StepLimits& limits);
 

@@ -1,7 +1,11 @@
-// Which part of a map is in memory, where the whole of it is larger.
-//
-// Such a map is cut into tiles: cubes of whole blocks that come and go as one. A map that nobody
-// cut is resident everywhere.
+/// \file
+/// \brief Residency of a map's tiles in memory, for maps larger than memory.
+///
+/// Such a map is cut into tiles: cubes of whole blocks that come and go as one. A map without tiles
+/// is resident everywhere.
+///
+/// \par Threads
+/// Not locked: the caller holds a lock of the map if other threads use it.
 #pragma once
 
 #include <cstddef>
@@ -13,21 +17,21 @@
 
 namespace mapperd::map {
 
-// Makes tiles resident, whole, as they were when they went; throws when it cannot.
+/// Makes tiles resident with the content that they had when dropped; throws on failure.
 using FetchTiles = std::function<void(const std::vector<BlockKey>& tiles)>;
 
 class Residency {
  public:
   Residency() = default;
-  // Throws std::invalid_argument for tiles without blocks, or without somebody to fetch them.
+  /// \throws std::invalid_argument for tiles without blocks, or an empty `fetch`.
   Residency(int tile_blocks, FetchTiles fetch);
 
   bool is_partial() const { return tile_blocks_ != 0; }
   BlockKey tile_holding(const BlockKey& block) const;
   bool holds(const BlockKey& block) const;
 
-  // Has all tiles fetched that these blocks lie in, the resident ones too: they are in use. Who
-  // calls it holds no lock of the map.
+  /// Fetches all tiles that hold these blocks. Resident ones are passed too, because they are in
+  /// use. Threads: the caller must hold no lock of the map.
   void fetch(const std::vector<BlockKey>& blocks) const;
 
   void add(const BlockKey& tile);
@@ -35,9 +39,9 @@ class Residency {
   std::size_t memory_bytes() const { return allocated_by(tiles_); }
 
  private:
-  int tile_blocks_ = 0;  // along an edge
+  int tile_blocks_ = 0;  ///< along an edge
   FetchTiles fetch_;
-  std::vector<BlockKey> tiles_;  // resident, sorted
+  std::vector<BlockKey> tiles_;  ///< resident, sorted
 };
 
 }  // namespace mapperd::map

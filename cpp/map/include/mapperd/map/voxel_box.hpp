@@ -1,4 +1,8 @@
-// Boxes of voxels: what a question about a region of the map is about.
+/// \file
+/// \brief Boxes of voxels, for queries of a region of the map.
+///
+/// \par Threads
+/// Not locked: the caller holds a lock of the map if other threads use it.
 #pragma once
 
 #include <algorithm>
@@ -11,41 +15,43 @@
 
 namespace mapperd::map {
 
-// Answers are dense grids, and nobody means to ask for more voxels than this at once.
+/// Largest number of voxels in a query with a dense result.
 inline constexpr std::size_t kMaxBoxVoxels = std::size_t{1} << 27U;
 
-// Voxels first.x .. first.x + size[0] - 1, and so on; a size may be 0.
+/// Voxels first.x .. first.x + size[0] - 1, and so on; a size may be 0.
 struct VoxelBox {
   VoxelIndex first;
   std::array<std::int64_t, 3> size{};
 
-  // Voxels in the box; saturates.
+  /// Number of voxels in the box; saturates.
   std::size_t count() const;
   bool contains(const VoxelIndex& voxel) const;
 
-  // Place in a dense grid, z fastest, of a voxel that the box contains.
+  /// Place in a dense grid, z fastest, of a voxel that the box contains.
   std::size_t place_of(const VoxelIndex& voxel) const {
     const std::int64_t row = (voxel.x - first.x) * size[1] + (voxel.y - first.y);
     return static_cast<std::size_t>(row * size[2] + (voxel.z - first.z));
   }
 
-  // The box and `voxels` more on every side.
+  /// Returns the box enlarged by `voxels` on every side.
   VoxelBox grown(std::int64_t voxels) const;
 };
 
-// All voxels whose centres lie in low <= centre < high: boxes side by side share none.
-// Throws std::invalid_argument for corners that are not finite, not in order, or beyond the reach.
+/// Returns the box of all voxels with low <= centre < high (map frame, m): adjacent boxes share
+/// none.
+/// \throws std::invalid_argument for corners that are not finite, not in order, or beyond the
+/// reach.
 VoxelBox box_of(const VoxelMap& map, const Vec3& low_m, const Vec3& high_m);
 
-// The same, of x and y alone, in the one layer that holds the height z_m.
+/// Returns the box between low and high in x and y, one voxel thick at the height z_m.
 VoxelBox layer_of(const VoxelMap& map, const Vec3& low_m, const Vec3& high_m, double z_m);
 
-// Throws std::invalid_argument when the box holds more than kMaxBoxVoxels.
+/// \throws std::invalid_argument when the box holds more than kMaxBoxVoxels.
 void check_dense(const VoxelBox& box);
 
 namespace detail {
 
-// The box that holds all blocks which share voxels with a box of voxels, in blocks.
+/// The box that holds all blocks which share voxels with a box of voxels, in blocks.
 inline VoxelBox blocks_of(const VoxelBox& box) {
   const auto first = [](std::int64_t i) { return i >> kBlockShift; };
   const auto span = [](std::int64_t i, std::int64_t size) {
@@ -56,7 +62,7 @@ inline VoxelBox blocks_of(const VoxelBox& box) {
            span(box.first.z, box.size[2])}};
 }
 
-// Visits the observed voxels that a block shares with a box.
+/// Visits the observed voxels that a block shares with a box.
 template <typename Visit>
 void for_each_known_of(const VoxelMap& map, const Block& block, const VoxelBox& box,
                        const Visit& visit) {
@@ -80,8 +86,8 @@ void for_each_known_of(const VoxelMap& map, const Block& block, const VoxelBox& 
 
 }  // namespace detail
 
-// Visits the observed voxels of a box, in the map's canonical order. Looks up the blocks of the
-// box, or goes through those of the map, whichever are fewer.
+/// Visits the observed voxels of a box, in the map's canonical order. Looks up the blocks of the
+/// box, or goes through those of the map, whichever are fewer.
 template <typename Visit>  // void(const VoxelIndex&, const VoxelState&)
 void for_each_known_in(const VoxelMap& map, const VoxelBox& box, const Visit& visit) {
   const VoxelBox blocks = detail::blocks_of(box);

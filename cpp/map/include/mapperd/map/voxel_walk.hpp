@@ -1,5 +1,9 @@
-// The voxels that a ray runs through, in order (Amanatides and Woo, "A Fast Voxel Traversal
-// Algorithm for Ray Tracing", 1987).
+/// \file
+/// \brief The voxels that a ray runs through, in order (Amanatides and Woo, "A Fast Voxel Traversal
+/// Algorithm for Ray Tracing", 1987).
+///
+/// \par Threads
+/// Not locked: the caller holds a lock of the map if other threads use it.
 #pragma once
 
 #include <algorithm>
@@ -14,23 +18,23 @@
 
 namespace mapperd::map {
 
-// Longest ray, in voxels: a typing error shall not keep a processor busy for hours.
+/// Longest ray, in voxels, against typing errors.
 inline constexpr double kMaxRayVoxels = 1e6;
 
-// Of a vector that is finite and not 0. Scaled first, so that neither large nor small vectors leave
-// the range of a double.
+/// Returns the unit vector of a vector that is finite and not 0. Scaled first, so that neither
+/// large nor small vectors leave the range of a double.
 inline Vec3 unit_vector(const Vec3& v) {
   const double largest = std::max({std::abs(v.x), std::abs(v.y), std::abs(v.z)});
   const Vec3 scaled{v.x / largest, v.y / largest, v.z / largest};
   return (1.0 / norm(scaled)) * scaled;
 }
 
-// Each crossing is computed from the voxel's index, so that no error adds up on the way. A ray
-// that leaves a voxel exactly through an edge or a corner goes on diagonally: voxels that it only
-// touches are left out.
+/// Each crossing is computed from the voxel's index, so that no error adds up on the way. A ray
+/// that leaves a voxel exactly through an edge or a corner continues diagonally and skips voxels
+/// that it only touches.
 class VoxelWalk {
  public:
-  // `direction` of unit length; `start` is the voxel that holds `origin_m`.
+  /// `direction` of unit length; `start` is the voxel that holds `origin_m`.
   VoxelWalk(double resolution_m, const VoxelIndex& start, const Vec3& origin_m,
             const Vec3& direction)
       : resolution_(resolution_m),
@@ -42,10 +46,10 @@ class VoxelWalk {
 
   VoxelIndex voxel() const { return {index_[0], index_[1], index_[2]}; }
 
-  // Where the ray enters the voxel, along the ray; 0 in the first voxel.
+  /// Distance along the ray, m, at which it enters the voxel; 0 in the first voxel.
   double entry_m() const { return entry_; }
 
-  // Goes on to the next voxel.
+  /// Moves to the next voxel.
   void advance() {
     const double nearest = std::min({exit_[0], exit_[1], exit_[2]});
     for (std::size_t axis = 0; axis < 3; ++axis) {
