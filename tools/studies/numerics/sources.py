@@ -27,7 +27,8 @@ MEASURED: dict[str, tuple[str, ...]] = {
         *_in("cpp/map/include/mapperd/map/", "evidence_grid.hpp kernels.hpp ping.hpp"),
         *_in(
             "cpp/map/src/",
-            "evidence_grid.cpp evidence_integrator.cpp iwlo.cpp kernels_body.hpp rays.cpp",
+            "evidence_grid.cpp evidence_integrator.cpp iwlo.cpp kernels_body.hpp "
+            "lanes_body.hpp rays.cpp",
         ),
     ),
     "`distance_field`, `volume_map`": (
