@@ -22,7 +22,7 @@ SLACK_NS = 2 * S // 1_000_000
 
 
 def drifted(true_ns: int, ppm: int) -> int:
-    """What a clock says that counts so many millionths too little, exactly."""
+    """Return the exact reading of a clock that is slow by this many parts per million."""
     return round(true_ns * Fraction(1_000_000 - ppm, 1_000_000))
 
 
@@ -117,7 +117,7 @@ def test_least_squares_at_unix_seconds() -> None:
 
 
 def test_one_record_alone() -> None:
-    """One stamp says an offset and no drift: it is placed at its arrival.
+    """One stamp gives an offset and no drift: it is placed at its arrival.
 
     Naively two unknowns are solved for with one equation.
     """
@@ -142,7 +142,7 @@ def test_burst_of_records_in_one_nanosecond() -> None:
 
 
 def test_stamps_all_alike() -> None:
-    """Stamps that stand still are no clock, and are said not to be believed.
+    """Stamps that stand still are no clock, and are reported as invalid.
 
     Naively they are fitted with a drift of -1, and all records lie at one moment.
     """
@@ -216,7 +216,7 @@ def test_boot_milliseconds_over_49_days() -> None:
 
 
 def test_reboot_is_no_wrap() -> None:
-    """A counter that falls from anywhere but its end has begun anew.
+    """A counter that falls from anywhere but its end has restarted.
 
     Naively 49.7 days are added at every reboot, and the stamps lie years ahead.
     """
@@ -227,7 +227,7 @@ def test_reboot_is_no_wrap() -> None:
 
 
 def test_time_of_day_over_midnight() -> None:
-    """After 23:59:59 comes the next day, though the date is told a minute later; and back again.
+    """After 23:59:59 comes the next day, though the date is sent a minute later; and back again.
 
     Naively the vehicle goes back by a day at midnight, until the next sentence with a date.
     """

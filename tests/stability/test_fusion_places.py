@@ -77,7 +77,7 @@ def test_origin_on_the_antimeridian() -> None:
 
 @pytest.mark.parametrize("apart_rad", [0.0, 1e-13, 1e-10, 1e-6, 1e-3])
 def test_places_beside_the_origin(apart_rad: float) -> None:
-    """A place a micrometre, or 6 km, from the origin is told to a few nanometres.
+    """A place a micrometre, or 6 km, from the origin is exact to a few nanometres.
 
     Naively Earth-centred places are subtracted in single precision, which has steps of 0.5 m there.
     """
@@ -161,7 +161,7 @@ def test_pressure_in_single_precision(depth_m: float) -> None:
 
 @pytest.mark.parametrize("hectopascal", [math.nan, math.inf, -math.inf, 0.0, 3.4e38])
 def test_pressure_that_cannot_be(hectopascal: float) -> None:
-    """A sensor in vacuum, in the Earth's core, or that says no number has no depth.
+    """A sensor in vacuum, in the Earth's core, or that sends no number has no depth.
 
     Naively NaN becomes the height of the next ping, or the vehicle flies 10 m above the sea.
     """

@@ -157,7 +157,7 @@ def test_silence_of_ten_hours() -> None:
 
 
 def test_motion_of_one_nanosecond() -> None:
-    """Two records a nanosecond and a millimetre apart say nothing of how fast the vehicle is.
+    """Two records a nanosecond and a millimetre apart do not determine the vehicle's speed.
 
     Naively it does 1000 km/s, and a pose carried on by that for 10 ms lies 10 km away.
     """
@@ -193,7 +193,7 @@ def test_two_velocities_of_one_stamp() -> None:
 
 
 def test_way_summed_up_for_an_hour() -> None:
-    """36 000 steps of the way add up to what exact sums say, to a nanometre.
+    """36 000 steps add up to the exact sum, to a nanometre.
 
     Naively single precision adds 10 cm to 3 km with an error of up to 0.1 mm each: the way is off
     by a centimetre or two.
@@ -231,7 +231,7 @@ def test_stamp_at_the_ends_of_64_bits(stamp_ns: int) -> None:
 
 @pytest.mark.parametrize("t_ns", [-(10**30), -1, 0, 10**30])
 def test_moment_that_no_clock_says(t_ns: int) -> None:
-    """Asked for a pose at a time gone astray, fusion says how far off it is.
+    """Asked for a pose at a time far outside its records, fusion reports the distance in time.
 
     Naively the time is cast to 64 bits and wraps to some other moment, or motion is carried there.
     """

@@ -114,7 +114,7 @@ def test_cross_terms_around_pi() -> None:
 
 
 def test_opposite_headings() -> None:
-    """Two opposite headings have no mean, and it is said so.
+    """Two opposite headings have no mean, which is reported.
 
     Naively the mean vector of length 0 has an angle made of rounding, and a logarithm of minus
     infinity.
@@ -152,7 +152,7 @@ def test_mean_vector_rounded_above_one() -> None:
 
 
 def test_covariance_far_from_the_origin() -> None:
-    """A spread of a centimetre is told at 1e7 m from the origin.
+    """A spread of a centimetre is resolved at 1e7 m from the origin.
 
     Naively, as mean of squares less square of the mean, no digit of it is left there.
     """

@@ -92,7 +92,7 @@ def test_one_weight_not_a_number(wrong: float) -> None:
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
 def test_all_weights_not_a_number(wrong: float) -> None:
-    """Where no particle can be told from another, the scan counts for nothing.
+    """Where no particle can be distinguished from another, the scan has no effect.
 
     Naively every weight is NaN, and so is the estimate.
     """
@@ -205,7 +205,7 @@ def test_field_in_single_precision() -> None:
 
 
 def test_512_correlated_beams() -> None:
-    """Beams that say the same count as one where they are tempered to.
+    """Beams that agree count as one if tempering is set so.
 
     Naively 512 copies of one reading are 512 votes, and the cloud collapses to one particle.
     """

@@ -31,7 +31,7 @@ def test_a_tank_and_an_ocean_of_one_shape_give_the_same_bits(kind: dict[str, obj
 
 
 def test_a_quarter_turn_of_the_sonar_turns_the_map() -> None:
-    """What a ping says of a voxel does not depend on the way the sonar looks.
+    """The evidence of a ping for a voxel does not depend on the sonar's heading.
 
     Naively a bearing is taken as atan(y / x), which divides by 0 abeam and knows no astern.
     """
@@ -122,7 +122,7 @@ def test_a_fan_of_half_a_turn_sees_what_is_abeam() -> None:
 
 @pytest.mark.parametrize(("rows", "beams"), [(1, 1), (1, 2), (1, 33), (60, 1), (60, 2)])
 def test_an_image_of_one_row_or_one_beam_is_mapped_or_refused(rows: int, beams: int) -> None:
-    """A beam alone has no neighbour that says how wide it is, a row alone none before it.
+    """A single beam has no neighbour that gives its width, a single row none before it.
 
     Naively the width is half the distance to the next beam, read from beyond the table's end.
     """

@@ -122,7 +122,7 @@ def test_free_pings_taken_together_know_where_protection_begins(threshold: float
     ids=["usual", "wide", "plain", "published", "slow", "small"],
 )
 def test_a_series_of_pings_is_the_rule_in_whole_numbers(rule: Rule) -> None:
-    """A voxel's steps are whole units that its state says alone: two thousand pings have one sum.
+    """A voxel's steps are whole units that depend on its state alone: 2000 pings have one sum.
 
     Naively steps are products of floats, which a vector unit, a table and the free pings that are
     taken together round otherwise: the map depends on the machine.
@@ -335,7 +335,7 @@ def test_log_odds_of_probabilities_beside_0_and_1_are_those_of_fifty_digits() ->
 
 
 def test_probability_and_log_odds_are_each_other_s_way_back() -> None:
-    """A map is told in probabilities and set in log-odds, by the same clients.
+    """The same clients read a map as probabilities and set it as log-odds.
 
     Naively both ways lose as much as p has digits left below 1: at L = 20 that is 1e-7, and at 30 a
     thousandth.

@@ -80,7 +80,7 @@ def test_an_image_of_full_scale_is_a_wall_at_the_nearest_row() -> None:
 
 
 def test_an_image_of_silence_makes_no_map_and_no_memory() -> None:
-    """A sonar that looks into open water for a night says nothing, ten times a second.
+    """A sonar in open water for a night sends empty pings, ten a second.
 
     Naively beams without a return carve their whole length, and a wall out of hearing goes.
     """
@@ -127,7 +127,7 @@ def test_a_detail_of_any_size_is_finite_and_near(detail: float) -> None:
 
 
 def test_one_bright_sample_in_a_voxel_of_a_million_is_not_lost() -> None:
-    """A fine sonar in a coarse map: a voxel holds thousands of samples, of which one is a return.
+    """A fine sonar in a coarse map: a voxel holds thousands of samples, one of them a return.
 
     Naively the mean over samples rounds a part of 1e-4 away, or lets it stand for the whole voxel:
     2 % of the volume is the least that counts.

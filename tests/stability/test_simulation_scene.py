@@ -216,7 +216,7 @@ def test_a_bent_ray_straight_up_or_down_stays_so() -> None:
 
 
 def test_the_turn_between_directions_all_but_equal_is_a_rotation() -> None:
-    """A bent way is told as a straight one turned by next to nothing.
+    """A bent path is reported as a straight one with a tiny rotation.
 
     Naively the turn is about the cross product's axis, made a unit vector: 0 / 0 for equal ones.
     """

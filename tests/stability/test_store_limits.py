@@ -130,7 +130,7 @@ def test_voxels_at_the_end_of_the_map_s_reach_are_stored(tmp_path: Path) -> None
 
 
 def test_a_brick_of_noise_is_no_larger_than_a_row_may_be(tmp_path: Path) -> None:
-    """A brick of which every voxel differs from its neighbours does not become smaller by packing.
+    """A brick whose voxels all differ from their neighbours does not become smaller by packing.
 
     Naively the limit on what is read is a guess at how well maps can be packed: a map of noise is
     written, and called damaged when it is read.
@@ -257,7 +257,7 @@ def test_a_journal_torn_at_any_byte_gives_a_state_that_was_saved(tmp_path: Path)
 
 
 def state_of(path: Path, states: list[bytes]) -> int:
-    """Which of the states a file is of; -1 where it says that it is no map."""
+    """Return the index of the file's state; -1 if it is refused as no map."""
     sonar_map = SonarMap(WIDE)
     try:
         with StoreReader(path) as reader:

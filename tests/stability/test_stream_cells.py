@@ -47,7 +47,7 @@ def voxels_of(
 
 
 def mirrored(voxels: _core.VoxelMap, step: float, level: int = 0) -> MapMirror:
-    """What a client has when it was told all."""
+    """Return the state of a client that received everything."""
     keys = np.array(list(itertools.product(range(-2, 3), repeat=3)), np.int32)
     _, cells, counts, _ = voxels.stream_blocks(view(step, level, "counts"), keys)
     ages = np.zeros(len(keys), np.uint32)
@@ -59,7 +59,7 @@ def mirrored(voxels: _core.VoxelMap, step: float, level: int = 0) -> MapMirror:
 
 @pytest.mark.parametrize("step", [1e-6, 0.01, 0.25, 0.5, 1.0])
 def test_a_voxel_a_unit_beyond_a_threshold_is_told_on_its_side(step: float) -> None:
-    """The client's classes are the map's, although it is told log-odds in coarse steps.
+    """The client's classes are the map's, although it receives log-odds in coarse steps.
 
     Naively log-odds are rounded to the nearest step, which lies on the other side of the threshold:
     the pilot sees water where the map has a wall.
@@ -78,7 +78,7 @@ def test_a_voxel_a_unit_beyond_a_threshold_is_told_on_its_side(step: float) -> N
 
 
 def test_a_client_is_off_by_half_a_step_and_beside_a_threshold_by_less_than_one() -> None:
-    """A client reckons with what it was told, and the page says how far off that may be.
+    """A client computes with what it received, within the error that the page states.
 
     Naively half a step is told as the bound: 0.125. Beside a threshold the class has precedence,
     and the nearest step on its side is 0.155 away.
@@ -100,7 +100,7 @@ def test_a_client_is_off_by_half_a_step_and_beside_a_threshold_by_less_than_one(
 
 
 def test_the_ends_of_log_odds_are_told_as_such_and_not_as_unknown() -> None:
-    """Cells are bytes of which -128 is unknown: the surest water must not become that.
+    """Cells are bytes, with -128 for unknown: certain water must not become that.
 
     Naively -127 / 0.25 is cut off to eight bits: 4, which is occupied, and -32 / 0.25 is unknown.
     """
@@ -161,7 +161,7 @@ def test_a_coarse_cell_left_of_zero_holds_its_own_voxels() -> None:
 
 
 def test_a_count_of_65535_is_told_within_a_factor_of_two() -> None:
-    """Counts are told as their number of bits, up to 16, and become 16 bits again.
+    """Counts are sent as their number of bits, up to 16, and become 16 bits again.
 
     Naively 1 << 16 is made of it, which is 0 in 16 bits: what was seen most was never seen.
     """
@@ -205,7 +205,7 @@ def test_a_block_that_is_50_days_old_is_not_new() -> None:
 
 
 def test_distances_of_blocks_are_right_ten_thousand_kilometres_out() -> None:
-    """What is near the vehicle is told first, wherever on Earth the map has its origin.
+    """Blocks near the vehicle are sent first, wherever on Earth the map has its origin.
 
     Naively places are held in single precision, whose step is a metre at 1e7 m, or keys are
     multiplied by lengths in their 32 bits.
@@ -242,7 +242,7 @@ def test_revisions_beyond_2_to_the_53_are_told_apart() -> None:
 
 
 def test_a_block_of_unknown_cells_has_no_digest_and_others_never_share_that() -> None:
-    """The digest 0 says that nothing is known; a known block must not come to that by chance.
+    """The digest 0 means that nothing is known; a known block must not get it by chance.
 
     Naively a sum of cells is the digest: cells of log-odds 0, observed and uncertain, add up to
     nothing, and are never told.
@@ -261,7 +261,7 @@ def test_a_block_of_unknown_cells_has_no_digest_and_others_never_share_that() ->
 
 @pytest.mark.parametrize("step", [0.25, 2.0, 5.0])
 def test_a_mirror_of_the_surest_cells_becomes_a_map(step: float) -> None:
-    """127 log-odds told in steps of 2 are 64 of them, 128, which no map holds.
+    """127 log-odds sent in steps of 2 are 64 of them, 128, which no map holds.
 
     Naively the map that is made of the cells takes its clamps from them, and is refused.
     """

@@ -111,7 +111,7 @@ def test_bytes_beyond_2_to_the_53_are_counted_one_by_one() -> None:
 
 
 def test_round_trips_from_nothing_to_an_hour_leave_a_window() -> None:
-    """Round trips come from the system, which says 0 for a local one and hours after a sleep.
+    """Round trips come from the system, which reports 0 for a local one and hours after a sleep.
 
     Naively the window is the rate times the round trip: nothing, for ever; or all memory.
     """
@@ -148,7 +148,7 @@ def test_a_shortest_round_trip_of_long_ago_is_forgotten() -> None:
 
 @pytest.mark.parametrize("length", [MAX_FROM_CLIENT + 1, 2**31 - 1, 2**31, 2**32 - 1])
 def test_a_length_of_all_bits_is_refused_before_it_is_waited_for(length: int) -> None:
-    """Four bytes before each message say how long it is, and anybody may send them.
+    """Four bytes before each message give its length, and anybody may send them.
 
     Naively a length of 2**31 is a negative number, which is below every limit; or room for four
     gigabytes is made at once.
@@ -160,7 +160,7 @@ def test_a_length_of_all_bits_is_refused_before_it_is_waited_for(length: int) ->
 
 
 def test_messages_on_their_way_are_known_by_number_after_many_millions() -> None:
-    """A client that comes back says which message it used last, of as many as there were.
+    """A client that reconnects names the message that it used last, of any number of messages.
 
     Naively numbers begin anew at 2**32, or all of them are remembered: who comes back after a night
     is told the wrong blocks, or the daemon is out of memory.

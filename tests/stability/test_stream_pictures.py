@@ -126,7 +126,7 @@ def test_a_path_near_the_map_s_zero_has_no_rest() -> None:
 
 
 def test_a_position_beyond_all_numbers_is_no_point_of_the_path() -> None:
-    """Odometry may say 1e300 m for one moment, which single precision holds as infinity.
+    """Odometry may send 1e300 m once, which single precision holds as infinity.
 
     Naively it is sent as that, and every client that checks what it reads ends its connection.
     """

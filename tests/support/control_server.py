@@ -1,4 +1,4 @@
-"""A daemon that only says what it was asked, and a client that knows nothing of ours."""
+"""A daemon that records requests, and a client that is independent of ours."""
 
 import asyncio
 import hashlib
@@ -26,7 +26,7 @@ TOKEN = b"correct-horse-battery-staple"
 
 
 class FakeDaemon:
-    """Obeys `mapperd.api.DaemonApi`; `fault` is raised by whatever is asked next."""
+    """Implements `mapperd.api.DaemonApi`; the next request raises `fault`."""
 
     def __init__(self, config: Config | None = None) -> None:
         self.settings = ConfigStore(Layered(config or Config()))
@@ -104,7 +104,7 @@ class Served:
         return Counter(self.server.status()["counters"])
 
     async def raw(self, kind: str) -> "Line":
-        """A connection that was not greeted yet."""
+        """Connect without sending hello."""
         door = self.doors[kind]
         at = door.socket.getsockname()
         if kind == "unix":
@@ -118,7 +118,7 @@ class Served:
         return Line(*streams)
 
     async def line(self, kind: str = "unix", token: bytes = TOKEN) -> "Line":
-        """A connection that said hello."""
+        """Connect and authenticate."""
         line = await self.raw(kind)
         answer = await line.hello(token)
         assert answer.get("result") == {"version": 1}, answer
@@ -126,7 +126,7 @@ class Served:
 
 
 class Line:
-    """One connection, by json alone."""
+    """One connection that reads and writes JSON lines."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.reader = reader
@@ -174,7 +174,7 @@ class Line:
         return await self.ask("hello", **(said | more))
 
     async def is_cut(self) -> bool:
-        """Whether the other side ends it, whatever it says before."""
+        """Wait until the server disconnects; messages before that are dropped."""
         try:
             async with asyncio.timeout(60):
                 while await self.reader.read(65536):
@@ -203,7 +203,7 @@ async def served(
 
 
 async def until(true: Any) -> None:
-    """Wait until something holds; the suite's timeout ends what never does."""
+    """Wait until a condition holds, for at most a minute."""
     async with asyncio.timeout(60):
         while not true():  # noqa: ASYNC110 what is waited for has no event
             await asyncio.sleep(0.005)

@@ -1,4 +1,4 @@
-"""`mapperctl` for files, with no settings but those that are said."""
+"""`mapperctl` for files, with the settings of its command line alone."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A small daemon's end of the map stream, which says what a test wants."""
+"""A small server of the map stream that sends what a test sets."""
 
 import asyncio
 import contextlib
@@ -39,7 +39,7 @@ FACTS = MapFacts("map-1", 0.1, 0.25, 0.6, -1.4)
 
 
 def a_block(value: int, *, holes: bool = True) -> NDArray[np.int8]:
-    """Cells that are no others' than this value's."""
+    """Return cells that are unique to this value."""
     cells = np.random.default_rng(value).integers(-127, 127, CELLS).astype(np.int8)
     if holes:
         cells[::7] = UNKNOWN
@@ -48,7 +48,7 @@ def a_block(value: int, *, holes: bool = True) -> NDArray[np.int8]:
 
 @dataclass
 class Served:
-    """The map of a daemon, and what it is asked; tests change it in the server's loop."""
+    """The map and the requests of a daemon; tests change it in the server's event loop."""
 
     facts: MapFacts = FACTS
     session: str = "s-1"
@@ -68,22 +68,22 @@ class Served:
     sent: int = 0
 
     def put(self, key: tuple[int, int, int], cells: NDArray[np.int8]) -> None:
-        """Another revision, of which a block is other than before."""
+        """Replace a block in a new revision."""
         self.revision += 1
         self.blocks[key] = (self.revision, cells)
 
     def forget(self, key: tuple[int, int, int]) -> None:
-        """Another revision, in which nothing is known of a block any more."""
+        """Make a block unknown in a new revision."""
         self.put(key, np.full(CELLS, UNKNOWN, np.int8))
 
     def begin_anew(self, name: str) -> None:
-        """Another map, with one block."""
+        """Start a new map with one block."""
         self.facts = msgspec.structs.replace(self.facts, id=name)
         self.blocks.clear()
         self.put((0, 0, 0), a_block(5))
 
     def since(self, revision: int) -> BlockSet:
-        """All that changed after a revision."""
+        """Return the blocks that changed after a revision."""
         told = {key: cells for key, (at, cells) in self.blocks.items() if at > revision}
         cells = np.array(list(told.values()), np.int8).reshape(-1, CELLS)
         return BlockSet(
@@ -91,7 +91,7 @@ class Served:
         )
 
     def can_resume(self, hello: Hello) -> bool:
-        """Whether what a client says that it holds is right."""
+        """Return whether the client's resume state is valid."""
         held = hello.resume
         if held is None or held.revision is None:
             return False
@@ -199,7 +199,7 @@ class Connection:
                 self.say(Answer(id=ask["id"], result={"changed": ask.get("changes", {})}))
 
     def tell(self) -> None:
-        """What changed, and that this is all."""
+        """Send what changed, as a complete revision."""
         served = self.served
         blocks = served.since(self.told)
         self.told = served.revision
@@ -265,12 +265,12 @@ class Server:
         await self._server.wait_closed()
 
     def cut(self) -> None:
-        """Hang up on all."""
+        """Disconnect all clients."""
         for connection in self.connections:
             connection.writer.transport.abort()
 
     def tell(self) -> None:
-        """Tell all of what changed."""
+        """Send the changes to all clients."""
         for connection in self.connections:
             connection.tell()
 

@@ -1,4 +1,4 @@
-"""A fake autopilot: what it says is put on the wire by pymavlink's own encoder."""
+"""A fake autopilot whose messages pymavlink encodes."""
 
 import math
 from typing import Any
@@ -10,13 +10,13 @@ UNKNOWN_COVARIANCE = [NAN] + [0.0] * 20
 
 
 class Autopilot:
-    """One MAVLink system; every method gives the bytes of one message.
+    """One MAVLink system; every method returns the bytes of one message.
 
     Args:
         system: its id.
         component: of it.
         version: of the protocol, 1 or 2.
-        boot_ms: its clock; set it to let time pass, jump or begin anew.
+        boot_ms: its clock; set it to let time pass, jump or restart.
     """
 
     def __init__(

@@ -5,7 +5,7 @@ from typing import Any
 
 
 def crc8(data: bytes) -> int:
-    """Bit by bit, as the maker describes it: polynomial 0x07, start 0."""
+    """Compute it bit by bit, as the manual describes it: polynomial 0x07, start 0."""
     crc = 0
     for byte in data:
         for bit in range(7, -1, -1):
@@ -20,7 +20,7 @@ def sentence(body: str) -> bytes:
 
 
 class Dvl:
-    """One DVL; every method gives the bytes of one report.
+    """One DVL; every method returns the bytes of one report.
 
     Args:
         unix_us: its clock; set it to let time pass or jump.

@@ -1,4 +1,4 @@
-"""What goes wrong between a sender and us, on request and the same in every run."""
+"""Faults of a link, reproducible in every run."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ class Misbehaviour:
 
     Attributes:
         drop: part of the messages that are lost.
-        garble: part of the messages of which one byte is changed.
+        garble: share of the messages with one changed byte.
         noise: part of the messages that have line noise before them.
         most_bytes: a stream is cut into pieces of 1 to so many bytes; 0 leaves messages whole.
         stall_from: from this message on, nothing comes ...
@@ -29,7 +29,7 @@ class Misbehaviour:
     seed: int = 1
 
     def pieces(self, messages: Iterable[bytes]) -> Iterator[bytes]:
-        """What arrives, in the pieces in which it arrives; a stall is an empty piece each."""
+        """Yield the received pieces; a stall is a series of empty pieces."""
         chance = np.random.default_rng(self.seed)
         held = b""
         for number, message in enumerate(messages):

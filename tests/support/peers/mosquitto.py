@@ -16,13 +16,13 @@ BEGIN_S = 20.0
 
 
 def mosquitto_path() -> str | None:
-    """Where the broker is installed; Debian puts it where only root looks."""
+    """Return the path of the broker; Debian installs it in a folder of root's PATH alone."""
     return shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
 
 
 @contextlib.contextmanager
 def running_mosquitto(folder: Path, port: int, *lines: str) -> Iterator[None]:
-    """Run a broker, with more lines of its configuration."""
+    """Run a broker with these additional configuration lines."""
     path = mosquitto_path()
     assert path is not None
     config = folder / "mosquitto.conf"
@@ -79,7 +79,7 @@ class Cable:
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
     def cut(self) -> None:
-        """Reset every connection, without a word of farewell."""
+        """Reset every connection."""
         for writer in self._writers:
             writer.transport.abort()
 
@@ -96,7 +96,7 @@ class Cable:
     async def _pump(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         with contextlib.suppress(OSError):
             async for data in _pieces(reader):
-                while self.jammed:  # noqa: ASYNC110 a bool says enough
+                while self.jammed:  # noqa: ASYNC110 a bool is enough
                     await asyncio.sleep(0.01)
                 writer.write(data)
                 await writer.drain()

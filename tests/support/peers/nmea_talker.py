@@ -6,13 +6,13 @@ import pynmea2
 
 
 def sentence(body: str) -> bytes:
-    """A sentence with its check and end."""
+    """Return a sentence with checksum and line end."""
     check = reduce(lambda a, b: a ^ b, body.encode(), 0)
     return b"$%s*%02X\r\n" % (body.encode(), check)
 
 
 class NmeaTalker:
-    """One device; every method gives the bytes of one sentence.
+    """One device; every method returns the bytes of one sentence.
 
     Args:
         time: hhmmss.ss; set it to let time pass.

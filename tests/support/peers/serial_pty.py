@@ -31,23 +31,23 @@ class SerialPty:
         self.unplug()
 
     def plug(self) -> None:
-        """Make the line; raw, so that no byte is changed on its way."""
+        """Create the line in raw mode, which changes no byte."""
         self._ours, self._theirs = os.openpty()
         tty.setraw(self._theirs)
         self.path = os.ttyname(self._theirs)
 
     def unplug(self) -> None:
-        """Take it away: who reads it gets an end or an error."""
+        """Remove the line: its reader gets an end of file or an error."""
         for end in (self._ours, self._theirs):
             if end >= 0:
                 os.close(end)
         self._ours = self._theirs = -1
 
     def send(self, data: bytes) -> None:
-        """Say something to who reads the path; returns when all is in the line."""
+        """Write data to the reader of the path; return when all of it is written."""
         while data:
             data = data[os.write(self._ours, data) :]
 
     def heard(self, most_bytes: int = 4096) -> bytes:
-        """What was written to the path; waits for at least a byte."""
+        """Return what was written to the path; wait for at least one byte."""
         return os.read(self._ours, most_bytes)

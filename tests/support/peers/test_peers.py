@@ -1,4 +1,4 @@
-"""The peers reach their readers over real wires."""
+"""Peers send to their readers on real links."""
 
 import asyncio
 import os

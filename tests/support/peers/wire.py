@@ -1,4 +1,4 @@
-"""Ways for a peer's pieces to reach us on loopback: a TCP server and a UDP sender."""
+"""A TCP server and a UDP sender for a peer's messages on loopback."""
 
 import asyncio
 import socket
@@ -10,10 +10,10 @@ Pieces = Callable[[], Iterable[bytes]]
 
 @asynccontextmanager
 async def tcp_server(pieces: Pieces, *, reset: bool = False, port: int = 0) -> AsyncIterator[int]:
-    """Say the pieces to each client, then close; gives the port.
+    """Send the pieces to each client, then close; yield the port.
 
     Args:
-        pieces: asked anew for each client.
+        pieces: called for each client.
         reset: end with a reset instead of a close.
         port: to listen on; 0 takes a free one.
     """
@@ -34,7 +34,7 @@ async def tcp_server(pieces: Pieces, *, reset: bool = False, port: int = 0) -> A
 
 
 def send_udp(pieces: Iterable[bytes], port: int) -> None:
-    """Say each piece in a datagram of its own; empty ones are left out."""
+    """Send each piece as a datagram; skip empty pieces."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for piece in pieces:
             if piece:
