@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sonar_sim.engine import Engine
+from sonar_sim.engine import PingEngine
 from sonar_sim.errors import SceneError
 from sonar_sim.geometry.pose import SonarMotion
 from sonar_sim.geometry.trajectory import Drift
-from sonar_sim.propagation.physics import Cloud, Layers, Mirror, Physics
+from sonar_sim.propagation.physics import Cloud, Mirror, Physics, SoundSpeedProfile
 from sonar_sim.raycast.meshes import NOTHING, SEA
 from sonar_sim.scene.material import Material
 from sonar_sim.scene.scene import PointTarget, Scene, Sea, Surface
@@ -50,7 +50,7 @@ MODES = pytest.mark.parametrize("physics", [MEAN, SPECKLED, FULL], ids=["mean", 
 
 def picture(scene: Scene, physics: Physics, range_m: float = 6.0, **more: Any) -> NDArray[Any]:
     sonar = narrow_sonar(range_m, 0.01)
-    amplitude: NDArray[Any] = Engine(scene, sonar).ping(HERE, physics, **more).amplitude
+    amplitude: NDArray[Any] = PingEngine(scene, sonar).ping(HERE, physics, **more).amplitude
     assert np.isfinite(amplitude).all()
     assert (amplitude >= 0.0).all()
     return amplitude
@@ -134,11 +134,11 @@ def test_vertices_that_are_not_finite_are_refused() -> None:
 
 def test_the_farthest_range() -> None:
     sonar = SonarSettings(beams=256, demanded_range_m=120.0)
-    engine = Engine(Scene((floor(-10.0), plate(100.0))), sonar)
+    engine = PingEngine(Scene((floor(-10.0), plate(100.0))), sonar)
     ping = engine.ping(HERE, FULL)
     assert ping.image.shape == (sonar.rows, 256)
     assert np.isfinite(ping.amplitude).all()
-    alone = cell_power(Engine(Scene((plate(60.0),)), sonar), HERE, MEAN)
+    alone = cell_power(PingEngine(Scene((plate(60.0),)), sonar), HERE, MEAN)
     row = int(60.0 / sonar.range_resolution_m)
     assert abs(int(alone.sum(axis=1).argmax()) - row) <= 1
 
@@ -148,7 +148,7 @@ def test_everything_saturated_stays_at_full_scale(bits: int) -> None:
     sonar = dataclasses.replace(
         narrow_sonar(6.0, 0.01), source_level_db=380.0, bits=bits, gamma_byte=127
     )
-    ping = Engine(Scene((floor(-0.8), plate(5.0))), sonar).ping(HERE, FULL)
+    ping = PingEngine(Scene((floor(-0.8), plate(5.0))), sonar).ping(HERE, FULL)
     lit = np.asarray(ping.image)[300:480]
     assert lit.dtype.itemsize * 8 == bits
     # Speckle leaves a dark dot here and there, however loud.
@@ -163,7 +163,9 @@ def test_speckle_has_the_mean_power() -> None:
     drawn = np.mean(
         [
             np.square(
-                Engine(Scene((slope,)), narrow_sonar(9.0, 0.01), k).ping(HERE, SPECKLED).amplitude
+                PingEngine(Scene((slope,)), narrow_sonar(9.0, 0.01), k)
+                .ping(HERE, SPECKLED)
+                .amplitude
             ).sum()
             for k in range(4)
         ]
@@ -175,10 +177,10 @@ def test_speckle_is_rayleigh_through_the_beams() -> None:
     slope = rectangle((5.0, 0, -1.0), (6.0, 0, 2.0), (0.0, 6.0, 0.0))
     sonar = dataclasses.replace(narrow_sonar(9.0, 0.008, 128), beam_width_rad=0.0175)
     seen = dataclasses.replace(SPECKLED, beam_width_rad=0.0175, range_spread=True)
-    mean = Engine(Scene((slope,)), sonar).ping(HERE, dataclasses.replace(seen, speckle=False))
+    mean = PingEngine(Scene((slope,)), sonar).ping(HERE, dataclasses.replace(seen, speckle=False))
     ratios = []
     for seed in range(3):
-        ping = Engine(Scene((slope,)), sonar, seed).ping(HERE, seen)
+        ping = PingEngine(Scene((slope,)), sonar, seed).ping(HERE, seen)
         inside = (slice(400, 800, 2), slice(24, 104, 4))
         ratios.append((ping.amplitude[inside] / mean.amplitude[inside]).ravel())
     ratio = np.concatenate(ratios)
@@ -188,7 +190,7 @@ def test_speckle_is_rayleigh_through_the_beams() -> None:
 
 def test_speckle_stays_on_the_surface_when_the_sonar_moves() -> None:
     slope = rectangle((5.0, 0, -1.0), (6.0, 0, 2.0), (0.0, 6.0, 0.0))
-    engine = Engine(Scene((slope,)), narrow_sonar(9.0, 0.01, 128))
+    engine = PingEngine(Scene((slope,)), narrow_sonar(9.0, 0.01, 128))
     seen = dataclasses.replace(SPECKLED, beam_width_rad=0.0175, range_spread=True)
 
     def at(y_m: float) -> NDArray[np.float64]:
@@ -205,10 +207,10 @@ def test_speckle_stays_on_the_surface_when_the_sonar_moves() -> None:
 def test_other_grain_is_that_of_an_engine_of_that_seed() -> None:
     slope = rectangle((5.0, 0, -1.0), (6.0, 0, 2.0), (0.0, 6.0, 0.0))
     scene, sonar = Scene((slope,)), narrow_sonar(9.0, 0.01, 32)
-    engine = Engine(scene, sonar, 3)
+    engine = PingEngine(scene, sonar, 3)
     before = engine.ping(HERE, FULL).amplitude
     other = engine.reseeded(4).ping(HERE, FULL).amplitude
-    assert np.array_equal(other, Engine(scene, sonar, 4).ping(HERE, FULL).amplitude)
+    assert np.array_equal(other, PingEngine(scene, sonar, 4).ping(HERE, FULL).amplitude)
     assert not np.array_equal(other, before)
     assert np.array_equal(engine.ping(HERE, FULL).amplitude, before)
 
@@ -231,9 +233,9 @@ def test_the_sea_ends_the_water_and_scatters_if_told_to() -> None:
     scene = Scene((plate(5.0),), sea=Sea(lambert_db=-20.0))
     below = pose_at((0.0, 0.0, -1.0))
     sonar = narrow_sonar(6.0, 0.01)
-    mute = Engine(scene, sonar).ping(below, MEAN, truth=True)
+    mute = PingEngine(scene, sonar).ping(below, MEAN, truth=True)
     assert not mute.amplitude[150:400].any()
-    loud = Engine(scene, sonar).ping(below, dataclasses.replace(MEAN, sea_surface=True))
+    loud = PingEngine(scene, sonar).ping(below, dataclasses.replace(MEAN, sea_surface=True))
     assert loud.amplitude[250].any()
     assert mute.truth is not None
     assert (mute.truth.ray_surface == SEA).any()
@@ -270,7 +272,7 @@ def test_a_surface_has_the_ghosts_of_a_target(speckle: bool) -> None:  # noqa: F
     powers = np.zeros((1100, 65))
     for seed in range(1 if not speckle else 40):
         sonar = narrow_sonar(11.0, 0.01, 65)
-        engine = Engine(Scene((small,)), sonar, seed, elevations=1120)
+        engine = PingEngine(Scene((small,)), sonar, seed, elevations=1120)
         powers += cell_power(engine, pose_at((0.0, 0.0, -2.0)), physics)
     rows = powers.sum(axis=1)
     direct, once, twice = (rows[r - 3 : r + 4].sum() for r in (1000, 1038, 1077))
@@ -315,7 +317,7 @@ def test_mirrors_of_polished_plates_glint() -> None:
 def test_truth_names_what_rays_and_pixels_show() -> None:
     scene = Scene((floor(-2.0), dataclasses.replace(plate(4.0), name="wall")))
     sonar = narrow_sonar(8.0, 0.02)
-    truth = Engine(scene, sonar).ping(HERE, SPECKLED, truth=True).truth
+    truth = PingEngine(scene, sonar).ping(HERE, SPECKLED, truth=True).truth
     assert truth is not None
     middle = truth.surface[:, 32]
     assert middle[200] == 1
@@ -332,13 +334,13 @@ def test_truth_names_what_rays_and_pixels_show() -> None:
 
 def test_bent_rays_meet_what_straight_ones_would_miss() -> None:
     """Speed falls by 1 m/s a metre downwards: rays sag by g R² / 2c, 0.53 m at 40 m."""
-    layers = Layers(np.array([0.0, 100.0]), np.array([1550.0, 1450.0]))
+    layers = SoundSpeedProfile(np.array([0.0, 100.0]), np.array([1550.0, 1450.0]))
     deep = pose_at((0.0, 0.0, -50.0))
     sonar = narrow_sonar(44.0, 0.05)
     ledge = rectangle((40.0, 0.0, -52.0), (0.0, 8.0, 0.0), (0.0, 0.0, 2.9), DULL)
     top = dataclasses.replace(MEAN, vertical_width_rad=None)
     water = Water(profile=((0.0, 1500.0),))
-    engine = Engine(Scene((ledge,), water=water), sonar, elevations=1120)
+    engine = PingEngine(Scene((ledge,), water=water), sonar, elevations=1120)
     bent = engine.ping(deep, dataclasses.replace(top, layers=layers), truth=True).truth
     plain = engine.ping(deep, top, truth=True).truth
     assert bent is not None
@@ -350,7 +352,7 @@ def test_bent_rays_meet_what_straight_ones_would_miss() -> None:
 
 def test_layers_of_one_speed_bend_nothing() -> None:
     scene = Scene((floor(-2.0),), water=Water(profile=((0.0, 1500.0),)))
-    layers = Layers(np.array([0.0, 10.0]), np.array([1500.0, 1500.0]))
+    layers = SoundSpeedProfile(np.array([0.0, 10.0]), np.array([1500.0, 1500.0]))
     bent = np.square(picture(scene, dataclasses.replace(MEAN, layers=layers))).sum(axis=1)
     plain = np.square(picture(scene, MEAN)).sum(axis=1)
     assert np.allclose(bent[320:580], plain[320:580], rtol=0.02)
@@ -365,7 +367,7 @@ def test_a_pixel_shows_what_is_loudest_in_it() -> None:
         (-5.0, MEAN, 0),
     ):
         scene = Scene((floor(-4.0),), sea=Sea(0.1, sea_db))
-        truth = Engine(scene, sonar).ping(pose_at((0.0, 0.0, -2.0)), physics, truth=True).truth
+        truth = PingEngine(scene, sonar).ping(pose_at((0.0, 0.0, -2.0)), physics, truth=True).truth
         assert truth is not None
         owners = truth.surface[180:, 32]
         assert np.mean(owners == shown) > 0.9
@@ -380,7 +382,7 @@ def test_a_pixel_shows_the_flash_and_not_the_larger_dull_thing() -> None:
     sonar = narrow_sonar(6.0, 0.05)
     row = int(4.0 / 0.05)
     flashing, dull = (
-        Engine(scene, sonar).ping(HERE, physics, truth=True).truth
+        PingEngine(scene, sonar).ping(HERE, physics, truth=True).truth
         for physics in (MEAN, dataclasses.replace(MEAN, specular=False))
     )
     assert flashing is not None
@@ -402,6 +404,6 @@ def test_a_small_plate_far_away_is_seen() -> None:
     plate = rectangle((100.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     sonar = SonarSettings(demanded_range_m=110.0)
     for lift_m in np.linspace(0.0, 1.0, 5):
-        engine = Engine(Scene((plate,)), sonar)
+        engine = PingEngine(Scene((plate,)), sonar)
         power = cell_power(engine, pose_at((0.0, 0.0, float(lift_m))), MEAN).sum()
         assert decibel(power * 100.0**4 / plate.material.mu) == pytest.approx(-0.6, abs=1.0)

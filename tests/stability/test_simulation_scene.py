@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from mpmath import mpf
 from numpy.typing import NDArray
-from sonar_sim.engine import Engine
+from sonar_sim.engine import PingEngine
 from sonar_sim.geometry.pose import Pose, quaternion_of, rotation_of
 from sonar_sim.geometry.trajectory import Motion, Trajectory, Waypoint
-from sonar_sim.propagation.physics import Layers
+from sonar_sim.propagation.physics import SoundSpeedProfile
 from sonar_sim.propagation.refraction import _rotations, _turned
 from sonar_sim.raycast.meshes import NOTHING, Meshes
 from sonar_sim.scene.material import MATERIALS
@@ -69,7 +69,7 @@ def test_a_scene_of_nothing_but_triangles_without_area_is_open_water() -> None:
     Naively there is an extent of 0 to compare areas with, and a tree over no triangles.
     """
     point = surface([[1.0, 0, 0]] * 3, [[0, 1, 2]])
-    engine = Engine(Scene((point,)), narrow_sonar(5.0, 0.05))
+    engine = PingEngine(Scene((point,)), narrow_sonar(5.0, 0.05))
     shown = engine.ping(pose_at((0.0, 0.0, 0.0)), MEAN).amplitude
     assert (shown == 0).all()
 
@@ -87,7 +87,7 @@ def test_a_sonar_in_a_wall_or_a_hair_before_it_sees_what_is_ahead(gap_m: float) 
     sonar = narrow_sonar(5.0, 0.05)
     for beside in (behind, dataclasses.replace(floor(-gap_m), name="floor")):
         scene = Scene((wall, beside))
-        shown = Engine(scene, sonar).ping(pose_at((0.0, 0.0, 0.0)), MEAN).amplitude
+        shown = PingEngine(scene, sonar).ping(pose_at((0.0, 0.0, 0.0)), MEAN).amplitude
         assert np.isfinite(shown).all()
         assert abs(int(np.argmax(shown[20:, 32])) + 20 - 60) <= 1
 
@@ -103,7 +103,7 @@ def test_an_echo_from_next_to_the_transducer_is_finite() -> None:
         near = Scene(targets=(target((range_m, 0.0, 0.0)),))
         plate = rectangle((range_m, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), CHALK)
         for scene in (near, Scene((plate,))):
-            shown = Engine(scene, sonar).ping(pose_at((0.0, 0.0, 0.0)), MEAN).amplitude
+            shown = PingEngine(scene, sonar).ping(pose_at((0.0, 0.0, 0.0)), MEAN).amplitude
             assert np.isfinite(shown).all()
             assert shown.max() < 1e18
 
@@ -118,9 +118,9 @@ def test_two_surfaces_in_one_place_echo_as_one() -> None:
     twin = dataclasses.replace(wall, name="twin")
     cut = rectangle((3.0, 0.0, 0.0), (0.0, 4.0, 0.0), (0.0, 0.0, 4.0), DULL, cuts=7)
     sonar, pose = narrow_sonar(5.0, 0.05), pose_at((0.0, 0.0, 0.0))
-    once = Engine(Scene((wall,)), sonar).ping(pose, MEAN).amplitude.astype(float)
+    once = PingEngine(Scene((wall,)), sonar).ping(pose, MEAN).amplitude.astype(float)
     for other in (twin, dataclasses.replace(cut, name="cut")):
-        twice = Engine(Scene((wall, other)), sonar).ping(pose, MEAN).amplitude.astype(float)
+        twice = PingEngine(Scene((wall, other)), sonar).ping(pose, MEAN).amplitude.astype(float)
         assert np.square(twice).sum() == pytest.approx(np.square(once).sum(), rel=0.01)
 
 
@@ -136,9 +136,9 @@ def test_a_harbour_in_universal_coordinates_looks_as_at_the_origin() -> None:
         floor(-1.0),
     )
     sonar = narrow_sonar(5.0, 0.02)
-    here = Engine(Scene(parts), sonar).ping(pose_at((0.0, 0.0, 0.0)), MEAN).amplitude
+    here = PingEngine(Scene(parts), sonar).ping(pose_at((0.0, 0.0, 0.0)), MEAN).amplitude
     far_parts = tuple(moved(part, UTM) for part in parts)
-    far = Engine(Scene(far_parts), sonar).ping(pose_at(UTM), MEAN).amplitude
+    far = PingEngine(Scene(far_parts), sonar).ping(pose_at(UTM), MEAN).amplitude
     loud = here > 0.01 * here.max()
     assert np.median(np.abs(far[loud] / here[loud] - 1)) < 1e-3
     assert np.square(far.astype(float)).sum() == pytest.approx(
@@ -154,10 +154,10 @@ def test_a_floor_seen_along_has_no_infinite_patch(height_m: float) -> None:
     horizon: the floor is brighter than a wall.
     """
     sonar, pose = narrow_sonar(20.0, 0.1), pose_at((0.0, 0.0, height_m))
-    shown = Engine(Scene((floor(0.0),)), sonar).ping(pose, MEAN).amplitude
+    shown = PingEngine(Scene((floor(0.0),)), sonar).ping(pose, MEAN).amplitude
     assert np.isfinite(shown).all()
     wall = rectangle((10.0, 0.0, 0.0), (0.0, 20.0, 0.0), (0.0, 0.0, 20.0), DULL)
-    facing = Engine(Scene((wall,)), sonar).ping(pose, MEAN).amplitude
+    facing = PingEngine(Scene((wall,)), sonar).ping(pose, MEAN).amplitude
     assert shown[95:105, 32].mean() < 0.05 * facing[95:105, 32].max()
 
 
@@ -186,7 +186,7 @@ def test_a_gradient_that_goes_to_nothing_bends_as_little() -> None:
     """
     for gradient in (0.0, 1e-15, 1e-9, 1e-3, 0.3):
         speeds = np.array([1500.0, 1500.0 + 100 * gradient])
-        layers = Layers(np.array([0.0, 100.0]), speeds)
+        layers = SoundSpeedProfile(np.array([0.0, 100.0]), speeds)
         point = np.array([[0.0, 0.0, -20.0]])
         direction = np.array([[math.cos(0.1), 0.0, math.sin(0.1)]])
         angle = mpf("0.1")
@@ -205,7 +205,7 @@ def test_a_bent_ray_straight_up_or_down_stays_so() -> None:
 
     Naively its level part, by which it is divided, is 0.
     """
-    layers = Layers(np.array([0.0, 10.0, 11.0]), np.array([1530.0, 1530.0, 1480.0]))
+    layers = SoundSpeedProfile(np.array([0.0, 10.0, 11.0]), np.array([1530.0, 1530.0, 1480.0]))
     for z in (1.0, -1.0):
         direction = np.array([[0.0, 0.0, z], [1e-12, 0.0, z]])
         point = np.array([[0.0, 0.0, -10.5], [0.0, 0.0, -10.5]])
@@ -270,9 +270,9 @@ def test_one_speed_over_all_depths_bends_nothing_far_out_and_deep() -> None:
     even = Water(profile=((0.0, 1500.0), (10.0, 1480.0)))
     assert even.speed_at_mps(1e9) == 1480.0
     assert even.speed_at_mps(-1e9) == 1500.0
-    layers = Layers(np.array([0.0, 10.0]), np.array([1500.0, 1480.0]))
+    layers = SoundSpeedProfile(np.array([0.0, 10.0]), np.array([1500.0, 1480.0]))
     wall = rectangle((3.0, 0.0, -6000.0), (0.0, 4.0, 0.0), (0.0, 0.0, 4.0), CHALK)
-    engine = Engine(Scene((wall,)), narrow_sonar(5.0, 0.05))
+    engine = PingEngine(Scene((wall,)), narrow_sonar(5.0, 0.05))
     pose = Pose(np.array([0.0, 0.0, -6000.0]), np.eye(3))
     straight = engine.ping(pose, MEAN).amplitude
     bent = engine.ping(pose, dataclasses.replace(MEAN, layers=layers)).amplitude

@@ -15,12 +15,12 @@ from sonar_sim.effects.image_difference import (
     level_change_db,
     quantiser_change_db,
 )
-from sonar_sim.engine import Engine
+from sonar_sim.engine import PingEngine
 from sonar_sim.propagation.beam_pattern import azimuth_amplitude, vertical_two_way_power
-from sonar_sim.propagation.clouds import cloud_gain, passage
+from sonar_sim.propagation.clouds import box_crossing, cloud_gain
 from sonar_sim.propagation.physics import Cloud, Physics
 from sonar_sim.receiver.gain import FULL_SCALE_DB, quantise, row_gain
-from sonar_sim.scene.material import lobe_strength
+from sonar_sim.scene.material import specular_lobe
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.scene.suspended_matter import sediment_db_per_m
@@ -37,9 +37,9 @@ def test_a_range_of_100_km_is_silence_and_not_nan() -> None:
     Naively both are ratios: the gain overflows to infinity, the echo underflows to 0, and infinity
     times 0 is no number.
     """
-    sonar = SonarSettings(most_range_m=1e5, demanded_range_m=1e5, beams=32)
+    sonar = SonarSettings(max_range_m=1e5, demanded_range_m=1e5, beams=32)
     lossy = dataclasses.replace(MEAN, attenuation_db_per_m=0.25, tvg=True, gain=True)
-    shown = Engine(Scene((WALL,)), sonar).ping(pose_at((0.0, 0.0, 0.0)), lossy).amplitude
+    shown = PingEngine(Scene((WALL,)), sonar).ping(pose_at((0.0, 0.0, 0.0)), lossy).amplitude
     assert np.isfinite(shown).all()
     assert shown.max() == 0.0
     gain = row_gain(sonar, lossy, 0.25).astype(np.float64)
@@ -58,7 +58,7 @@ def test_a_loss_of_60_db_is_right_to_a_hundred_thousandth() -> None:
     lossy = dataclasses.replace(plain, attenuation_db_per_m=0.25)
     for range_m in (10.0, 110.0):
         wall = rectangle((range_m, 0.0, 0.0), (0.0, 400.0, 0.0), (0.0, 0.0, 400.0))
-        engine = Engine(Scene((wall,)), sonar)
+        engine = PingEngine(Scene((wall,)), sonar)
         less = engine.ping(pose, lossy).amplitude.astype(np.float64)
         more = engine.ping(pose, plain).amplitude.astype(np.float64)
         row = round(range_m / 0.25)
@@ -157,7 +157,7 @@ def test_a_mirror_s_lobe_is_finite_from_head_on_to_grazing(slope_rad: float) -> 
     """
     cosines = np.array([1.0, 1 - 1e-16, 0.5, 1e-3, 1e-9, 5e-324, 0.0])
     ones = np.ones(len(cosines))
-    got = lobe_strength(cosines, ones, 0.0 * ones, slope_rad * ones, 3000.0)
+    got = specular_lobe(cosines, ones, 0.0 * ones, slope_rad * ones, 3000.0)
     assert np.isfinite(got).all()
     exact = [
         mpf(1)
@@ -181,15 +181,15 @@ def test_a_cloud_is_passed_along_its_faces_and_edges() -> None:
     )
     reach = np.full(len(rays), 10.0)
     for origin in ((0.0, 1.0, 1.0), (0.0, 0.0, 0.0), (1.0, -1.0, -1.0), (3.0, 1.0, 1.0)):
-        enter, leave = passage(cloud, np.array(origin), rays, reach)
+        enter, leave = box_crossing(cloud, np.array(origin), rays, reach)
         assert np.isfinite(enter).all()
         assert (leave >= enter).all()
         assert (leave - enter <= 2.0 + 1e-9).all()
         gain = cloud_gain([cloud], np.array(origin), rays, reach)
         assert ((gain >= 0) & (gain <= 1)).all()
-    enter, leave = passage(cloud, np.zeros(3), rays, reach)
+    enter, leave = box_crossing(cloud, np.zeros(3), rays, reach)
     assert (enter[0], leave[0]) == pytest.approx((1.0, 3.0))
-    enter, leave = passage(cloud, np.zeros(3), rays, np.full(len(rays), 2.5))
+    enter, leave = box_crossing(cloud, np.zeros(3), rays, np.full(len(rays), 2.5))
     assert (enter[0], leave[0]) == pytest.approx((1.0, 2.5))
 
 

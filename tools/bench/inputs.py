@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from sonar_sim import Pose, Scene, SonarSettings
-from sonar_sim.simulator import Shot, SimulatorRecipe, simulate_pings
+from sonar_sim.simulator import PingRequest, SimulatorSpec, simulate_pings
 
 from bench import scene, seabed
 from mapperd.config.tree import Config
@@ -181,8 +181,8 @@ def simulate(setting: Setting, pings: int, seed: int) -> Pings:
     """Simulate pings along the look's path."""
     sonar, look = setting.sonar, LOOKS[setting.look]
     poses = look.poses(setting.range_m, pings)
-    recipe = SimulatorRecipe(look.scene(), sonar, seed)
-    shots = [Shot(pose) for pose in poses]
+    recipe = SimulatorSpec(look.scene(), sonar, seed)
+    shots = [PingRequest(pose) for pose in poses]
     made = simulate_pings(recipe, shots, processes=1)
     images = np.stack([ping.image for ping in made]).astype(np.uint8)
     map_T_sonar = np.tile(np.eye(4), (pings, 1, 1))  # noqa: N806 frames are named

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from sonar_sim import Simulator, load_scenario
 from sonar_sim.effects.rule_check import measured_costs_ms
-from sonar_sim.engine import Engine
+from sonar_sim.engine import PingEngine
 from sonar_sim.scene.scenario import Scenario, sonar_motion, sonar_pose
 from studies.report import PAGES, write_section
 
@@ -206,7 +206,7 @@ def _times_s(duration_s: float, rate_hz: float, pings: int) -> list[float]:
 
 def _stages(scenario: Scenario, simulator: Simulator, times_s: Sequence[float]) -> dict[str, float]:
     """Medians over the pings, on one thread."""
-    engine = Engine(scenario.scene, scenario.sonar, threads=1)
+    engine = PingEngine(scenario.scene, scenario.sonar, threads=1)
     laps: dict[str, list[float]] = {}
     for number, t in enumerate(times_s):
         pose, motion = sonar_pose(scenario, t), sonar_motion(scenario, t)
@@ -221,7 +221,7 @@ def _stages(scenario: Scenario, simulator: Simulator, times_s: Sequence[float]) 
 def _costs(scenario: Scenario, simulator: Simulator, time_s: float) -> dict[str, float]:
     pose, motion = sonar_pose(scenario, time_s), sonar_motion(scenario, time_s)
     planned = simulator.plan(pose, 0, time_s, motion)
-    engine = Engine(scenario.scene, scenario.sonar, threads=1)
+    engine = PingEngine(scenario.scene, scenario.sonar, threads=1)
     return measured_costs_ms(engine, planned.plan, planned.view, 5)
 
 

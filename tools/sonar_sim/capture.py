@@ -1,4 +1,4 @@
-"""A survey as a capture: what the links of a vehicle would have brought, byte for byte."""
+"""A survey as a capture: the bytes that the links of a vehicle would deliver."""
 
 import heapq
 import os
@@ -11,22 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oculus_driver.recording import OCULUS, ODOMETRY_NATIVE, RecordingWriter
-from sonar_sim.raycast.visible_surface import SeenSurface
+from sonar_sim.raycast.visible_surface import VisibleSurface
 from sonar_sim.scene.scenario import Scenario, sonar_motion, sonar_pose
 from sonar_sim.scene.vehicle import Odometry, OdometrySample, in_order_of_arrival, odometry_record
-from sonar_sim.simulator import Shot, SimulatorRecipe, simulate_pings
+from sonar_sim.simulator import PingRequest, SimulatorSpec, simulate_pings
 from sonar_sim.wire import Network, compass_heading_deg, delivered, ping_message
 
 EPOCH_NS = 1_767_225_600_000_000_000
 """2026-01-01T00:00:00Z: captures start at a fixed time, so that equal seeds give equal files."""
 POWER_UP_S = 100.0
-"""The sonar has been on for so long when the path begins."""
+"""Time from power-up of the sonar to the beginning of the path."""
 NETWORK_STREAM = 2
 """Keeps these random numbers apart from the simulator's own."""
 
 Progress = Callable[[int, int], None]
 """Called with the pings done and the pings in all."""
-Arrival = tuple[float, str, bytes]
+Delivery = tuple[float, str, bytes]
 Samples = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.uint32]
 
 
@@ -63,21 +63,21 @@ def write_capture(
     settings: CaptureSettings | None = None,
     progress: Progress | None = None,
     navigation: Iterable[OdometrySample] | None = None,
-) -> SeenSurface:
+) -> VisibleSurface:
     """Simulate a survey and record it.
 
     Args:
         path: the recording; links `sonar` (the TCP stream) and `odometry` (native records).
         scenario: what to simulate.
         settings: seed and network.
-        progress: is told after each ping.
-        navigation: what the vehicle says of its way; None is what the scenario's vehicle says.
+        progress: called after each ping.
+        navigation: odometry samples to record; None records those of the scenario's vehicle.
 
     Returns:
         The surface that the sonar had in sight.
     """
     settings = settings or CaptureSettings()
-    seen = SeenSurface()
+    seen = VisibleSurface()
     pings = _sonar_link(scenario, settings, seen, progress)
     if navigation is None:
         navigation = Odometry(scenario.trajectory, scenario.vehicle, settings.seed).samples()
@@ -93,15 +93,15 @@ def write_capture(
 
 
 def _sonar_link(
-    scenario: Scenario, settings: CaptureSettings, seen: SeenSurface, progress: Progress | None
-) -> Iterator[Arrival]:
+    scenario: Scenario, settings: CaptureSettings, seen: VisibleSurface, progress: Progress | None
+) -> Iterator[Delivery]:
     """The sonar's TCP stream, read by read."""
     sonar, water = scenario.sonar, scenario.scene.water
     times_s = ping_times_s(scenario, settings)
-    shots = [Shot(sonar_pose(scenario, t), t, sonar_motion(scenario, t)) for t in times_s]
+    shots = [PingRequest(sonar_pose(scenario, t), t, sonar_motion(scenario, t)) for t in times_s]
     generator = _generator(settings.seed, NETWORK_STREAM)
     listening_s = 2.0 * sonar.range_m / (sonar.told_speed_mps or water.speed_of_sound_mps)
-    recipe = SimulatorRecipe(scenario.scene, sonar, settings.seed)
+    recipe = SimulatorSpec(scenario.scene, sonar, settings.seed)
     pings = simulate_pings(recipe, shots, settings.processes)
     for ping_id, (time_s, ping) in enumerate(zip(times_s, pings, strict=True)):
         seen.add(ping.seen_m)
@@ -120,7 +120,7 @@ def _sonar_link(
             progress(ping_id + 1, len(times_s))
 
 
-def _odometry_link(samples: Iterable[OdometrySample]) -> Iterator[Arrival]:
+def _odometry_link(samples: Iterable[OdometrySample]) -> Iterator[Delivery]:
     """Native records, one a datagram."""
     for sample in in_order_of_arrival(samples):
         yield sample.arrival_s, "odometry", odometry_record(sample, _unix_ns(sample.time_s))

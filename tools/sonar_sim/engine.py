@@ -15,12 +15,17 @@ from sonar_sim.propagation.clouds import cloud_power
 from sonar_sim.propagation.ground_truth import Truth, truth_of
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.propagation.point_targets import add_targets
-from sonar_sim.propagation.propagation_path import Situation, direct_ways, heard_faces, mirror_ways
-from sonar_sim.propagation.refraction import bent_ways
-from sonar_sim.raycast.fan import ELEVATIONS, MARGIN_BEAMS, fan_of
+from sonar_sim.propagation.propagation_path import (
+    PingGeometry,
+    audible_faces,
+    direct_paths,
+    mirror_paths,
+)
+from sonar_sim.propagation.refraction import refracted_paths
+from sonar_sim.raycast.fan import ELEVATIONS, MARGIN_BEAMS, ray_fan
 from sonar_sim.raycast.meshes import Meshes
 from sonar_sim.raycast.tracing import Trace, trace
-from sonar_sim.raycast.visible_surface import seen_points
+from sonar_sim.raycast.visible_surface import visible_points
 from sonar_sim.receiver.beamformer import BeamFormer, beam_former, column_taps
 from sonar_sim.receiver.gain import amplitude as received
 from sonar_sim.receiver.gain import quantise, row_gain
@@ -72,10 +77,10 @@ class EnginePing:
     @cached_property
     def seen_m(self) -> NDArray[np.float64]:
         """Points of visible surfaces, map frame, (N, 3); see `raycast.visible_surface`."""
-        return seen_points(self.rays, self.sonar)
+        return visible_points(self.rays, self.sonar)
 
 
-class Engine:
+class PingEngine:
     """A sonar in a scene. Equal seed, pose, physics, number and time give equal bytes.
 
     Args:
@@ -105,10 +110,10 @@ class Engine:
         self._seed = seed
         self._threads = threads
         self._nodes_per_cell = nodes_per_beam / max(sonar.beam_width_rad / sonar.sine_pitch, 1.0)
-        # The sonar reckons with the water's absorption, whatever is computed of it.
-        self._told_db_per_m = scene.water.absorption_db_per_m(sonar.frequency_hz)
+        # The sonar compensates the water's absorption, even if it is not simulated.
+        self._assumed_db_per_m = scene.water.absorption_db_per_m(sonar.frequency_hz)
         self._meshes = Meshes(scene)
-        self._fan = fan_of(sonar, elevations)
+        self._fan = ray_fan(sonar, elevations)
         self._volume: (
             tuple[tuple[object, ...], tuple[NDArray[np.float32], NDArray[np.float32]]] | None
         ) = None
@@ -119,7 +124,7 @@ class Engine:
         """The scene's triangles, ready to be met by rays."""
         return self._meshes
 
-    def reseeded(self, seed: int) -> "Engine":
+    def reseeded(self, seed: int) -> "PingEngine":
         """The same sonar in the same scene, with other grain: shares all that is slow to make."""
         other = copy.copy(self)
         other._seed = seed  # noqa: SLF001 one of ours
@@ -158,7 +163,7 @@ class Engine:
         if physics.crosstalk_db is not None:
             add_crosstalk(beams, physics.crosstalk_db, stream_key(self._seed, "crosstalk"))
         clock.lap("beams")
-        gain = row_gain(self.sonar, physics, self._told_db_per_m)
+        gain = row_gain(self.sonar, physics, self._assumed_db_per_m)
         amplitude = received(beams, gain, self._threads)
         image = quantise(amplitude, physics, self.sonar.gamma_byte, self.sonar.bits, self._threads)
         clock.lap("receiver")
@@ -168,10 +173,10 @@ class Engine:
 
     def _situation(
         self, pose: Pose, physics: Physics, time_s: float, motion: SonarMotion | None
-    ) -> Situation:
+    ) -> PingGeometry:
         range_m = self.sonar.range_m / physics.range_scale
         names = tuple(surface.name for surface in self.scene.surfaces)
-        return Situation(
+        return PingGeometry(
             meshes=self._meshes,
             physics=physics,
             pose=pose,
@@ -179,16 +184,16 @@ class Engine:
             time_s=time_s,
             listening_s=2.0 * range_m / self.scene.water.speed_of_sound_mps,
             range_m=range_m,
-            heard=heard_faces(self._meshes, names, physics),
+            heard=audible_faces(self._meshes, names, physics),
             threads=self._threads,
         )
 
-    def _ways(self, here: Situation) -> tuple[Trace, list[_core.Rays]]:
+    def _ways(self, here: PingGeometry) -> tuple[Trace, list[_core.Rays]]:
         """Where the rays go, and the ways of the sound from there."""
         physics, reach_m = here.physics, REACH * here.range_m
         if physics.layers is not None:
             speed = self.scene.water.speed_of_sound_mps
-            rays, ways = bent_ways(here, physics.layers, self._fan, reach_m, speed)
+            rays, ways = refracted_paths(here, physics.layers, self._fan, reach_m, speed)
         else:
             rays = trace(
                 self._meshes,
@@ -199,12 +204,12 @@ class Engine:
                 shadows=physics.shadows,
                 threads=self._threads,
             )
-            ways = direct_ways(here, rays)
+            ways = direct_paths(here, rays)
         for mirror in physics.mirrors:
-            ways += mirror_ways(here, rays, mirror)
+            ways += mirror_paths(here, rays, mirror)
         return rays, ways
 
-    def _surfaces(self, here: Situation, ways: list[_core.Rays]) -> Cells:
+    def _surfaces(self, here: PingGeometry, ways: list[_core.Rays]) -> Cells:
         """What surfaces and targets send back, by all ways, (rows, columns)."""
         physics = here.physics
         shape = (self.sonar.rows, self._fan.columns)
@@ -256,7 +261,7 @@ class Engine:
         return loss
 
     def _fill(
-        self, cells: Cells, here: Situation, rays: Trace, former: BeamFormer, ping_id: int
+        self, cells: Cells, here: PingGeometry, rays: Trace, former: BeamFormer, ping_id: int
     ) -> None:
         """Add what is no surface: water, clouds, noise, other sonars."""
         physics, seed = here.physics, self._seed

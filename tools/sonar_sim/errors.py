@@ -1,8 +1,8 @@
-"""What can be wrong with what the simulator is given."""
+"""Errors of the simulator's input."""
 
 
 class SonarSimError(Exception):
-    """Root of them; the message says what, where and what to do."""
+    """Base class; the message states what is wrong, where, and what to do."""
 
 
 class SceneError(SonarSimError):
@@ -10,4 +10,4 @@ class SceneError(SonarSimError):
 
 
 class EffectError(SonarSimError):
-    """An effect that does not exist, or a parameter of it that cannot be."""
+    """An effect that does not exist, or an invalid parameter of one."""

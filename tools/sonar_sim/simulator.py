@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.effects.image_difference import Tolerance
-from sonar_sim.effects.plan import AUTO, Choice, Wish
-from sonar_sim.effects.planner import Planned, Planner
-from sonar_sim.effects.previewer import Look
-from sonar_sim.engine import NODES_PER_BEAM, Engine, Image
+from sonar_sim.effects.plan import AUTO, Choice, EffectSelection
+from sonar_sim.effects.planner import PlannedPing, Planner
+from sonar_sim.effects.previewer import Previewer
+from sonar_sim.engine import NODES_PER_BEAM, Image, PingEngine
 from sonar_sim.geometry.pose import Pose, SonarMotion
 from sonar_sim.propagation.ground_truth import Truth
 from sonar_sim.raycast.fan import ELEVATIONS
@@ -48,7 +48,7 @@ class Simulator:
         scene: what is there.
         sonar: what looks.
         seed: of speckle and noise.
-        effects: "auto" lets each ping's own rules decide; see `sonar_sim.effects.plan.Wish.read`.
+        effects: "auto" lets each ping's own rules decide; see `EffectSelection.read`.
         tolerance: by which they decide.
         threads: at most; the bytes do not depend on it.
         elevations: rays of a beam's column: fewer are faster and miss more.
@@ -74,11 +74,11 @@ class Simulator:
         self.scene = scene
         self.sonar = sonar
         self.tolerance = tolerance or Tolerance()
-        self._engine = Engine(
+        self._engine = PingEngine(
             scene, sonar, seed, threads, elevations=elevations, nodes_per_beam=nodes_per_beam
         )
-        look = Look(scene, sonar, self._engine.meshes)
-        self._planner = Planner(look, Wish.read(effects), self.tolerance)
+        look = Previewer(scene, sonar, self._engine.meshes)
+        self._planner = Planner(look, EffectSelection.read(effects), self.tolerance)
         self._warned: set[str] = set()
 
     def plan(
@@ -87,7 +87,7 @@ class Simulator:
         ping_id: int = 0,
         time_s: float = 0.0,
         motion: SonarMotion | None = None,
-    ) -> Planned:
+    ) -> PlannedPing:
         """Decide for one ping; pings nearly alike in pose and time are decided as one."""
         return self._planner.at(map_T_sonar, ping_id, time_s, motion)
 
@@ -153,7 +153,7 @@ PINGS_A_TASK = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shot:
+class PingRequest:
     """When and from where a ping is sent.
 
     Attributes:
@@ -168,7 +168,7 @@ class Shot:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SimulatorRecipe:
+class SimulatorSpec:
     """What a process needs to make its own simulator; Embree scenes cannot be sent."""
 
     scene: Scene
@@ -185,7 +185,7 @@ _worker: list[Simulator] = []
 
 
 def simulate_pings(
-    recipe: SimulatorRecipe, shots: Iterable[Shot], processes: int
+    recipe: SimulatorSpec, shots: Iterable[PingRequest], processes: int
 ) -> Iterator[Ping]:
     """Simulate one ping a shot, numbered from 0.
 
@@ -207,10 +207,10 @@ def simulate_pings(
         yield from pool.map(_work, enumerate(shots), chunksize=PINGS_A_TASK)
 
 
-def _start(recipe: SimulatorRecipe) -> None:
+def _start(recipe: SimulatorSpec) -> None:
     _worker.append(recipe.build(threads=1))
 
 
-def _work(job: tuple[int, Shot]) -> Ping:
+def _work(job: tuple[int, PingRequest]) -> Ping:
     ping_id, shot = job
     return _worker[0].ping(shot.map_T_sonar, ping_id, shot.time_s, shot.motion)

@@ -23,14 +23,14 @@ class Network:
         jitter_s: mean of what comes on top, exponentially distributed.
         bits_per_s: rate of the link.
         segment_bytes: payload of one Ethernet frame; a read returns a whole number of them.
-        most_segments: of one read.
+        max_segments: of one read.
     """
 
     processing_s: float = 0.003
     jitter_s: float = 0.001
     bits_per_s: float = 100e6
     segment_bytes: int = 1448
-    most_segments: int = 44
+    max_segments: int = 44
 
 
 def ping_message(
@@ -90,7 +90,7 @@ def delivered(
     time_s = ready_s + network.processing_s + network.jitter_s * generator.standard_exponential()
     start = 0
     while start < len(message):
-        segments = int(generator.integers(1, network.most_segments + 1))
+        segments = int(generator.integers(1, network.max_segments + 1))
         piece = message[start : start + segments * network.segment_bytes]
         # A read returns when its last segment is there; the first one stamps the header.
         time_s += 8.0 * (len(piece) if start else network.segment_bytes) / network.bits_per_s

@@ -10,7 +10,7 @@ import sys
 
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.registry import EFFECTS, effects_markdown
-from sonar_sim.effects.rule_check import Change, RuleCheck, RuleChecker
+from sonar_sim.effects.rule_check import PictureDifference, RuleCheck, RuleChecker
 from sonar_sim.scene_file import load_scenario, scene_names
 from tqdm import tqdm
 
@@ -59,11 +59,11 @@ def figures(checks: dict[str, RuleCheck]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _told(change: Change) -> str:
+def _told(change: PictureDifference) -> str:
     return f"{change.level_db:.2f}, {change.cells:.2f}, {change.texture:.3f}"
 
 
-def _weight(change: Change, tolerance: Tolerance) -> float:
+def _weight(change: PictureDifference, tolerance: Tolerance) -> float:
     """The largest of a change's three over its tolerance."""
     return max(
         change.level_db / tolerance.level_db,

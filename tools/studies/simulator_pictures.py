@@ -14,10 +14,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from sonar_sim.classic import classic_camera, classic_images
 from sonar_sim.geometry.pose import Pose, rotation_of
-from sonar_sim.products import Sounder, Sounding
-from sonar_sim.products.arrays import looked_up, raw_scan, snr_arrays
+from sonar_sim.products import PingProducts, ProductRenderer
+from sonar_sim.products.arrays import lookup_pixels, raw_scan, snr_arrays
 from sonar_sim.products.images import fan_picture, label_picture, level_picture, normal_picture
-from sonar_sim.raycast.depth_camera import Onlooker, pinhole_of
+from sonar_sim.raycast.depth_camera import DepthCamera, pinhole_of
 from sonar_sim.scene.scenario import Scenario, sonar_pose
 from sonar_sim.scene_file import load_scenario, scene_names
 from sonar_sim.validation import tank
@@ -47,25 +47,25 @@ def main() -> None:
     draw(out / "simulator-pings.png", [scene_ping(name) for name in scene_names()], 4)
 
 
-def harbour_ahead() -> Sounding:
+def harbour_ahead() -> PingProducts:
     """One ping of the harbour from a pose that shows all of it."""
     scenario = load_scenario("harbour")
     sonar = replace(scenario.sonar, demanded_range_m=AHEAD_M, gain_percent=50.0)
     return one_ping(replace(scenario, sonar=sonar), LOOKING_AHEAD, 0.0)
 
 
-def one_ping(scenario: Scenario, map_T_sonar: Pose, time_s: float) -> Sounding:  # noqa: N803
+def one_ping(scenario: Scenario, map_T_sonar: Pose, time_s: float) -> PingProducts:  # noqa: N803
     """One ping of a scenario."""
     camera = pinhole_of(scenario.sonar)
-    return Sounder(scenario.scene, scenario.sonar, camera).at(map_T_sonar, time_s=time_s)
+    return ProductRenderer(scenario.scene, scenario.sonar, camera).at(map_T_sonar, time_s=time_s)
 
 
-def classic_page(ours: Sounding) -> list[Picture]:
+def classic_page(ours: PingProducts) -> list[Picture]:
     """The published pipeline above, the simulator below: the same scene from the same place."""
     camera = classic_camera()
-    view = Onlooker(ours.scene).look(camera, ours.map_T_sonar)
+    view = DepthCamera(ours.scene).look(camera, ours.map_T_sonar)
     theirs = classic_images(view.depth_m, camera.horizontal_rad)
-    snr_db = looked_up(ours.snr_db, view, ours.sonar)
+    snr_db = lookup_pixels(ours.snr_db, view, ours.sonar)
     return [
         ("published pipeline: normals", theirs.normals),
         ("here: normals", rgb(normal_picture(view.normals))),
@@ -76,7 +76,7 @@ def classic_page(ours: Sounding) -> list[Picture]:
     ]
 
 
-def product_page(ours: Sounding) -> list[Picture]:
+def product_page(ours: PingProducts) -> list[Picture]:
     """All products of one ping."""
     depth = ours.view.depth_m
     return [

@@ -21,7 +21,7 @@ from sonar_sim.validation.recording import (
     noise_level_db,
     noisy_bands,
     read_recording,
-    simulate_alike,
+    simulate_recording,
     usual_floor_db,
 )
 from sonar_sim.validation.statistics import (
@@ -50,7 +50,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images" / "simulator-real.png")
     arguments = parser.parse_args()
     recorded = read_recording(arguments.recording)
-    both = {"recorded": recorded.pixels, "simulated": simulate_alike(recorded)}
+    both = {"recorded": recorded.pixels, "simulated": simulate_recording(recorded)}
     numbers = compare(recorded, both["simulated"])
     print(f"{'':38} reference  recorded  simulated  tolerance")
     for n in numbers:

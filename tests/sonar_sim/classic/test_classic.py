@@ -29,7 +29,7 @@ def test_gradients_vanish_well_inside_what_is_nothing() -> None:
 
 
 def test_each_channel_spans_its_range() -> None:
-    depth, _ = defects.seen(classic_camera(), defects.floor(2.0), defects.sphere(5.0, 0.5))
+    depth, _ = defects.depth_image(classic_camera(), defects.floor(2.0), defects.sphere(5.0, 0.5))
     bent = normals.normals(depth, classic_camera().focal_px)
     assert bent.reshape(-1, 3).min(axis=0) == pytest.approx(0.0, abs=1e-6)
     assert bent.reshape(-1, 3).max(axis=0) == pytest.approx(1.0, abs=1e-6)
@@ -39,7 +39,7 @@ def test_the_later_pixel_keeps_the_cell() -> None:
     depth = np.full((2, 1), 5.0, dtype=np.float32)
     level = np.array([[0.9], [0.3]], dtype=np.float32)
     zero = np.zeros(1, dtype=np.float32)
-    made = scan.strewn(
+    made = scan.projected(
         depth, level, zero, np.zeros(2, np.float32), np.zeros((400, 578), np.float32)
     )
     assert made[399 - int(400 * 5 / 17), 289] == np.float32(0.3)
@@ -49,7 +49,7 @@ def test_the_later_pixel_keeps_the_cell() -> None:
 def test_the_dilation_leaves_echoes_alone() -> None:
     made = np.zeros((400, 578), dtype=np.float32)
     made[200, 289], made[203, 289] = 0.9, 0.3
-    grown = scan.broadened(made)
+    grown = scan.blurred(made)
     assert grown[203, 289] == np.float32(0.3)
     assert grown[202, 289] == np.float32(0.9)
 
@@ -60,7 +60,7 @@ def test_colours_are_the_published_ones() -> None:
 
 
 def test_the_same_depth_gives_the_same_pictures_and_another_stream_other_speckle() -> None:
-    depth, _ = defects.seen(classic_camera(), defects.floor(2.0), defects.sphere(8.0, 0.5))
+    depth, _ = defects.depth_image(classic_camera(), defects.floor(2.0), defects.sphere(8.0, 0.5))
     first, again = classic_images(depth), classic_images(depth)
     other = classic_images(depth, generator=np.random.default_rng(2))
     assert np.array_equal(first.fan, again.fan)
@@ -83,7 +83,9 @@ def test_the_plan_view_s_places_miss_the_axis_by_a_pixel() -> None:
 
 
 def test_arcs_and_spokes_are_white() -> None:
-    fan = visual.picture(scan.pie(classic_camera().horizontal_rad), classic_camera().horizontal_rad)
+    fan = visual.picture(
+        scan.sector_mask(classic_camera().horizontal_rad), classic_camera().horizontal_rad
+    )
     assert fan[400 - 266, 289].min() > 200
     assert tuple(fan[0, 0]) == visual.BLUE
     assert cv2.countNonZero(cv2.inRange(fan, (250, 250, 250), (255, 255, 255))) > 300

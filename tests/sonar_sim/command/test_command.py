@@ -8,7 +8,7 @@ import sonar_sim.validation
 from matplotlib.axes import Axes
 from sonar_sim.command import main
 from sonar_sim.scene_file import scene_names
-from sonar_sim.validation.case import CaseResult, Check
+from sonar_sim.validation.case import ValidationCheck, ValidationResult
 from sonar_sim.validation.cases import CASES, draw_page
 
 
@@ -26,8 +26,8 @@ def test_list_tells_sonar_and_size(
 
 
 def test_render_writes_a_ping(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    said = ["render", "flat_floor", "--out", str(tmp_path), "--only", "polar,fan", "--height"]
-    assert main([*said, "200"]) == 0
+    argv = ["render", "flat_floor", "--out", str(tmp_path), "--only", "polar,fan", "--height"]
+    assert main([*argv, "200"]) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["fan.png", "polar.npz", "polar.png"]
     assert "3 files" in capsys.readouterr().out
     fan = cv2.imread(str(tmp_path / "fan.png"))
@@ -37,8 +37,8 @@ def test_render_writes_a_ping(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 @pytest.mark.slow
 def test_several_pings_have_folders_of_their_own(tmp_path: Path) -> None:
-    said = ["render", "flat_floor", "--out", str(tmp_path), "--only", "polar", "--pings", "2"]
-    assert main(said) == 0
+    argv = ["render", "flat_floor", "--out", str(tmp_path), "--only", "polar", "--pings", "2"]
+    assert main(argv) == 0
     first, second = (np.load(tmp_path / f"00000{k}" / "polar.npz") for k in (0, 1))
     assert first["time_s"] < second["time_s"]
     assert not np.array_equal(first["image"], second["image"])
@@ -48,16 +48,16 @@ def test_several_pings_have_folders_of_their_own(tmp_path: Path) -> None:
 def test_equal_seeds_give_equal_pings(tmp_path: Path) -> None:
     images = []
     for name, seed in (("a", "5"), ("b", "5"), ("c", "6")):
-        said = ["render", "flat_floor", "--out", str(tmp_path / name), "--only", "polar"]
-        assert main([*said, "--seed", seed, "--pose", "0,0,-3,0,60,0", "--range", "4"]) == 0
+        argv = ["render", "flat_floor", "--out", str(tmp_path / name), "--only", "polar"]
+        assert main([*argv, "--seed", seed, "--pose", "0,0,-3,0,60,0", "--range", "4"]) == 0
         images.append(np.load(tmp_path / name / "polar.npz")["image"])
     assert np.array_equal(images[0], images[1])
     assert not np.array_equal(images[0], images[2])
 
 
 def test_classic_writes_what_the_plugin_published(tmp_path: Path) -> None:
-    said = ["render", "flat_floor", "--out", str(tmp_path), "--mode", "classic"]
-    assert main([*said, "--pose", "0,0,-4,0,10,0", "--camera", "512x114"]) == 0
+    argv = ["render", "flat_floor", "--out", str(tmp_path), "--mode", "classic"]
+    assert main([*argv, "--pose", "0,0,-4,0,10,0", "--camera", "512x114"]) == 0
     classic = np.load(tmp_path / "classic.npz")
     assert classic["raw_scan"].shape == (400, 578)
     assert classic["depth_m"].shape == (114, 512)
@@ -65,7 +65,7 @@ def test_classic_writes_what_the_plugin_published(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("said", "reason"),
+    ("argv", "reason"),
     [
         (["render", "nowhere", "--out", "x"], "no scene is called nowhere"),
         (["render", "flat_floor", "--out", "x", "--only", "fun"], "no product is called fun"),
@@ -75,14 +75,14 @@ def test_classic_writes_what_the_plugin_published(tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_be_is_one_line_and_code_2(
-    said: list[str],
+    argv: list[str],
     reason: str,
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(said) == 2
+    assert main(argv) == 2
     error = capsys.readouterr().err
     assert reason in error
     assert error.strip().count("sonar-sim:") == 1
@@ -101,8 +101,8 @@ def test_bad_values_are_refused_with_a_reason(
     assert option[1] in capsys.readouterr().err
 
 
-def _case(got: float) -> CaseResult:
-    return CaseResult("V0 one", "us", (Check("one", 1.0, got, 0.1),), _draw)
+def _case(got: float) -> ValidationResult:
+    return ValidationResult("V0 one", "us", (ValidationCheck("one", 1.0, got, 0.1),), _draw)
 
 
 def _draw(axes: Axes) -> None:
@@ -144,7 +144,7 @@ def test_every_case_is_in_the_list() -> None:
 
 
 @pytest.mark.parametrize(
-    "said",
+    "argv",
     [
         ["explain", "flat_floor", "--tolerance-db", "0"],
         ["explain", "flat_floor", "--tolerance-cells", "nan"],
@@ -155,9 +155,9 @@ def test_every_case_is_in_the_list() -> None:
     ],
 )
 def test_a_value_that_cannot_be_is_refused(
-    said: list[str], capsys: pytest.CaptureFixture[str]
+    argv: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as exited:
-        main(said)
+        main(argv)
     assert exited.value.code == 2
-    assert said[-2] in capsys.readouterr().err
+    assert argv[-2] in capsys.readouterr().err

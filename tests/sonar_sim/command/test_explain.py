@@ -25,9 +25,9 @@ def test_explain_tells_every_effect(capsys: pytest.CaptureFixture[str]) -> None:
 def test_explain_warns_of_what_is_switched_off(capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["explain", "flat_floor", "--effects", "auto,-noise", "--repeats", "1"]
     assert main(arguments) == 0
-    said = capsys.readouterr()
-    assert "noise is switched off, but" in said.err
-    assert "noise                  off" in said.out
+    output = capsys.readouterr()
+    assert "noise is switched off, but" in output.err
+    assert "noise                  off" in output.out
 
 
 def test_explain_refuses_unknown_names(capsys: pytest.CaptureFixture[str]) -> None:

@@ -101,9 +101,9 @@ def test_what_cannot_be_served_is_one_line(
     scene: Path, words: list[str], reason: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["serve", str(scene), "--port", "0", *words]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert reason in said
+    stderr = capsys.readouterr().err
+    assert stderr.count("\n") == 1
+    assert reason in stderr
 
 
 def test_capture_writes_what_mapperd_reads(

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sonar_sim.device.fire_settings import (
     PROCESSING_S,
-    first_demand,
+    initial_request,
     part_number_of,
     period_s,
     settings_for,
@@ -43,14 +43,14 @@ def test_the_first_demand_asks_for_the_scenarios_sonar(
 ) -> None:
     for changes in ({}, {"beams": 512, "bits": 16}, {"bits": 32, "gain_percent": 20.0}):
         sonar = floor_scenario(**changes).sonar
-        assert settings_for(first_demand(sonar, 5.0), sonar, WATER) == sonar
+        assert settings_for(initial_request(sonar, 5.0), sonar, WATER) == sonar
 
 
 @pytest.mark.parametrize(
     ("rate_hz", "setting"), [(2, 4), (5, 3), (7, 0), (10, 0), (15, 1), (40, 2), (99, 2)]
 )
 def test_the_first_ping_rate_is_the_slowest_that_will_do(rate_hz: float, setting: int) -> None:
-    assert first_demand(sonar_preset(), rate_hz).ping_rate == setting
+    assert initial_request(sonar_preset(), rate_hz).ping_rate == setting
 
 
 def test_mode_range_gain_gamma_beams_and_bits_are_obeyed() -> None:
@@ -84,8 +84,8 @@ def test_a_mode_that_the_model_has_not_got_is_its_first() -> None:
 def test_the_sonar_believes_the_speed_and_salinity_it_is_told() -> None:
     sonar = sonar_preset()
     assert settings_for(FireRequest(flags=METRES), sonar, WATER).told_speed_mps is None
-    told = FireRequest(flags=METRES, speed_of_sound_demand_mps=1450.0)
-    assert settings_for(told, sonar, WATER).told_speed_mps == 1450.0
+    request = FireRequest(flags=METRES, speed_of_sound_demand_mps=1450.0)
+    assert settings_for(request, sonar, WATER).told_speed_mps == 1450.0
     fresh = settings_for(FireRequest(flags=METRES, salinity_ppt=0.0), sonar, WATER)
     assert fresh.told_speed_mps is not None
     assert fresh.told_speed_mps < WATER.speed_of_sound_mps - 30.0  # 1.3 m/s per ppt
@@ -154,7 +154,7 @@ ANY_DEMAND = st.builds(
 @given(ANY_DEMAND, st.sampled_from(["M370s", "M750d", "M1200d", "M3000d"]))
 def test_no_fire_message_asks_for_what_cannot_be(demand: FireRequest, model: str) -> None:
     sonar = settings_for(demand, sonar_preset(model), WATER)
-    assert 0.1 <= sonar.demanded_range_m <= sonar.most_range_m
+    assert 0.1 <= sonar.demanded_range_m <= sonar.max_range_m
     assert 1 <= sonar.rows <= 720
     assert 0.0 <= sonar.gain_percent <= 100.0
     assert sonar.told_speed_mps is None or 1300.0 <= sonar.told_speed_mps <= 1700.0

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sonar_sim.device.fire_settings import first_demand
-from sonar_sim.device.ping_generator import PingMaker, When
+from sonar_sim.device.fire_settings import initial_request
+from sonar_sim.device.ping_generator import PingGenerator, PingTime
 from sonar_sim.scene.scenario import Scenario
 
 from oculus_driver import Ping, StreamParser, decode_ping
@@ -16,14 +16,14 @@ from oculus_driver.wire import FireFlags
 MakeScenario = Callable[..., Scenario]
 
 
-def maker_of(scenario: Scenario) -> PingMaker:
-    return PingMaker(scenario.scene, scenario.sonar, scenario.mounting, seed=5, source_id=7)
+def maker_of(scenario: Scenario) -> PingGenerator:
+    return PingGenerator(scenario.scene, scenario.sonar, scenario.mounting, seed=5, source_id=7)
 
 
-def when_of(scenario: Scenario, ping_id: int = 1, time_s: float = 1.0) -> When:
+def when_of(scenario: Scenario, ping_id: int = 1, time_s: float = 1.0) -> PingTime:
     path = scenario.trajectory
     state = path.pose(time_s), path.velocity_mps(time_s), path.turn_rates_rps(time_s)
-    return When(ping_id, 100.0 + time_s, time_s, *state)
+    return PingTime(ping_id, 100.0 + time_s, time_s, *state)
 
 
 def ping_of(data: bytes) -> Ping:
@@ -36,7 +36,7 @@ def ping_of(data: bytes) -> Ping:
 
 def test_pings_are_the_same_in_whatever_order_they_are_made(floor_scenario: MakeScenario) -> None:
     scenario = floor_scenario()
-    demand = first_demand(scenario.sonar, 10.0)
+    demand = initial_request(scenario.sonar, 10.0)
     whens = [when_of(scenario, 1, 1.0), when_of(scenario, 2, 1.1)]
     one, other = maker_of(scenario), maker_of(scenario)
     ahead = [one.make(demand, when) for when in whens]

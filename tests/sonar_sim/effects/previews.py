@@ -1,10 +1,10 @@
 """Scenes and views that the tests of the rules share."""
 
 import numpy as np
-from sonar_sim.effects.effect import Verdict
+from sonar_sim.effects.effect import RuleResult
 from sonar_sim.effects.image_difference import Tolerance
-from sonar_sim.effects.preview import View
-from sonar_sim.effects.previewer import Look
+from sonar_sim.effects.preview import PingPreview
+from sonar_sim.effects.previewer import Previewer
 from sonar_sim.effects.registry import EFFECTS
 from sonar_sim.geometry.pose import Pose, SonarMotion
 from sonar_sim.scene.material import MATERIALS, Material
@@ -50,11 +50,11 @@ def view_of(
     at: Pose | None = None,
     moving: SonarMotion | None = None,
     time_s: float = 0.0,
-) -> View:
+) -> PingPreview:
     shown = scene or Scene(surfaces)
-    return Look(shown, sonar).at(at or pose(), 0, time_s, moving)
+    return Previewer(shown, sonar).at(at or pose(), 0, time_s, moving)
 
 
-def verdict(name: str, view: View, tolerance: Tolerance | None = None) -> Verdict:
-    decided: Verdict = EFFECTS[name].decide(view, tolerance or Tolerance())
+def verdict(name: str, view: PingPreview, tolerance: Tolerance | None = None) -> RuleResult:
+    decided: RuleResult = EFFECTS[name].decide(view, tolerance or Tolerance())
     return decided

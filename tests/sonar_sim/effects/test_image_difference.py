@@ -10,7 +10,7 @@ from sonar_sim.effects.image_difference import (
     level_change_db,
     quantiser_change_db,
 )
-from sonar_sim.effects.texture import displacement_cells, grain_of, texture_change
+from sonar_sim.effects.texture import displacement_cells, speckle_texture, texture_change
 from sonar_sim.scene.sonar import SonarSettings
 
 SONAR = SonarSettings(bits=16)
@@ -90,25 +90,25 @@ def test_speckle_shows_where_it_went(rows: int, beams: int) -> None:
     expected = np.full((128, 128), 0.01, dtype=np.float32)
     picture = speckle(1)
     moved = np.roll(picture, (rows, beams), axis=(0, 1))
-    first, second = (grain_of(p, expected, SONAR) for p in (picture, moved))
+    first, second = (speckle_texture(p, expected, SONAR) for p in (picture, moved))
     assert displacement_cells(first, second) == pytest.approx(max(rows, beams), abs=0.15)
 
 
 def test_grain_drawn_anew_is_neither_displaced_nor_of_another_kind() -> None:
     expected = np.full((128, 128), 0.01, dtype=np.float32)
-    first, second = (grain_of(speckle(seed), expected, SONAR) for seed in (1, 2))
+    first, second = (speckle_texture(speckle(seed), expected, SONAR) for seed in (1, 2))
     assert displacement_cells(first, second) == 0.0
     assert texture_change(first, second) < 0.05
 
 
 def test_grain_and_its_correlation_are_texture() -> None:
     expected = np.full((128, 128), 0.01, dtype=np.float32)
-    grained = grain_of(speckle(1), expected, SONAR)
-    smooth = grain_of(expected, expected, SONAR)
+    grained = speckle_texture(speckle(1), expected, SONAR)
+    smooth = speckle_texture(expected, expected, SONAR)
     shuffled = RNG.permuted(speckle(1), axis=0)
     assert grained.statistics[0] == pytest.approx(0.52, abs=0.02)
     assert texture_change(grained, smooth) > 0.5
-    assert texture_change(grained, grain_of(shuffled, expected, SONAR)) > 0.08
+    assert texture_change(grained, speckle_texture(shuffled, expected, SONAR)) > 0.08
 
 
 def test_grain_is_compared_where_both_show_some() -> None:
@@ -119,7 +119,7 @@ def test_grain_is_compared_where_both_show_some() -> None:
     # What only the first shows is of another kind, and would count if it were looked at.
     first = grained.copy()
     first[:, 64:] = expected[:, 64:]
-    pair = grain_of(first, expected, SONAR), grain_of(grained, dark, SONAR)
+    pair = speckle_texture(first, expected, SONAR), speckle_texture(grained, dark, SONAR)
     assert texture_change(*pair) < 0.01
 
 
@@ -129,8 +129,8 @@ def test_a_third_of_a_block_tells_where_it_went() -> None:
     for row in range(12, 28):
         expected[row::48, :] = 0.01
     picture = speckle(1)[:96, :96]
-    first = grain_of(picture, expected, SONAR)
-    second = grain_of(np.roll(picture, 2, axis=1), expected, SONAR)
+    first = speckle_texture(picture, expected, SONAR)
+    second = speckle_texture(np.roll(picture, 2, axis=1), expected, SONAR)
     assert displacement_cells(first, second) == pytest.approx(2.0, abs=0.2)
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 from sonar_sim.effects.image_difference import Tolerance
-from sonar_sim.effects.plan import EffectPlan, EffectWarning, Wish
+from sonar_sim.effects.plan import EffectPlan, EffectSelection, EffectWarning
 from sonar_sim.effects.registry import EFFECTS
 from sonar_sim.errors import EffectError
 from sonar_sim.propagation.physics import Physics
@@ -20,7 +20,7 @@ interference tvg gain saturation gamma quantisation
 
 
 def plan(choice: str | dict[str, bool]) -> EffectPlan:
-    return EffectPlan.make(view_of(floor()), Wish.read(choice), Tolerance())
+    return EffectPlan.make(view_of(floor()), EffectSelection.read(choice), Tolerance())
 
 
 def test_every_effect_of_the_catalogue_has_its_module() -> None:
@@ -53,9 +53,9 @@ def test_a_sign_overrules_the_rule() -> None:
 
 def test_an_unknown_effect_is_named() -> None:
     with pytest.raises(EffectError, match="no effect 'nois'"):
-        Wish.read("auto,-nois")
+        EffectSelection.read("auto,-nois")
     with pytest.raises(EffectError, match="no effect 'echo'"):
-        Wish.read({"echo": True})
+        EffectSelection.read({"echo": True})
 
 
 def test_a_missed_effect_is_warned_of_once() -> None:

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from sonar_sim.effects.image_difference import Tolerance
-from sonar_sim.effects.plan import Wish
-from sonar_sim.effects.planner import Planned, Planner
-from sonar_sim.effects.previewer import Look
+from sonar_sim.effects.plan import EffectSelection
+from sonar_sim.effects.planner import PlannedPing, Planner
+from sonar_sim.effects.previewer import Previewer
 from sonar_sim.geometry.pose import Pose, rotation_of
 from sonar_sim.scene.scene import Emitter, Scene
 
@@ -16,7 +16,7 @@ from tests.sonar_sim.effects.previews import LOUD, SONAR, floor, motion, wall
 
 def planner(*surfaces: object, scene: Scene | None = None) -> Planner:
     shown = scene or Scene(tuple(surfaces))  # type: ignore[arg-type]
-    return Planner(Look(shown, LOUD), Wish.read("auto"), Tolerance())
+    return Planner(Previewer(shown, LOUD), EffectSelection.read("auto"), Tolerance())
 
 
 def at(x_m: float = 0.0, yaw_deg: float = 0.0, pitch_deg: float = 0.0) -> Pose:
@@ -24,7 +24,7 @@ def at(x_m: float = 0.0, yaw_deg: float = 0.0, pitch_deg: float = 0.0) -> Pose:
     return Pose(np.array([x_m, 0.0, -3.0]), turn)
 
 
-def told(planned: Planned) -> list[tuple[str, bool, float]]:
+def decisions_of(planned: PlannedPing) -> list[tuple[str, bool, float]]:
     return [(d.effect.name, d.on, d.verdict.predicted_db) for d in planned.plan.decisions]
 
 
@@ -50,7 +50,7 @@ def test_a_decision_does_not_depend_on_the_pings_before() -> None:
     for x_m in (0.0, 0.2, 0.4):
         asked.at(at(x_m))
     later, alone = asked.at(at(0.21)), planner(floor(), wall(6.0)).at(at(0.21))
-    assert told(later) == told(alone)
+    assert decisions_of(later) == decisions_of(alone)
     assert later.physics.attenuation_db_per_m == alone.physics.attenuation_db_per_m
 
 
@@ -100,5 +100,5 @@ def test_each_ping_hears_other_sonars_at_its_own_time() -> None:
 
 @pytest.mark.parametrize(("choice", "on"), [("all", True), ("none", False)])
 def test_the_wish_is_obeyed(choice: str, *, on: bool) -> None:
-    asked = Planner(Look(Scene((floor(),)), LOUD), Wish.read(choice), Tolerance())
+    asked = Planner(Previewer(Scene((floor(),)), LOUD), EffectSelection.read(choice), Tolerance())
     assert {d.on for d in asked.at(at()).plan.decisions} == {on}

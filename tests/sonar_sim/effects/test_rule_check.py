@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 from sonar_sim.effects.image_difference import Tolerance
-from sonar_sim.effects.rule_check import Change, RuleChecker
+from sonar_sim.effects.rule_check import PictureDifference, RuleChecker
 from sonar_sim.scene_file import load_scenario, scene_names
 
 
@@ -22,11 +22,11 @@ def test_what_is_left_out_does_not_show_and_what_is_computed_does(name: str) -> 
 @pytest.mark.parametrize(
     ("change", "within"),
     [
-        (Change(0.5, 0.5, 0.05), True),
-        (Change(0.6, 0.0, 0.0), False),
-        (Change(0.0, 0.6, 0.0), False),
-        (Change(0.0, 0.0, 0.06), False),
+        (PictureDifference(0.5, 0.5, 0.05), True),
+        (PictureDifference(0.6, 0.0, 0.0), False),
+        (PictureDifference(0.0, 0.6, 0.0), False),
+        (PictureDifference(0.0, 0.0, 0.06), False),
     ],
 )
-def test_any_of_the_three_can_exceed(change: Change, *, within: bool) -> None:
+def test_any_of_the_three_can_exceed(change: PictureDifference, *, within: bool) -> None:
     assert change.within(Tolerance()) is within

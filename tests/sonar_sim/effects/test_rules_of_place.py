@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sonar_sim.effects.displacement import bending
+from sonar_sim.effects.displacement import path_bending
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.rule_check import RuleChecker
 from sonar_sim.geometry.pose import Mounting
@@ -24,8 +24,8 @@ STILL = Trajectory(
 
 @pytest.mark.parametrize(("off_mps", "on"), [(0.1, False), (2.0, True)])
 def test_a_wrong_speed_of_sound_shifts_rows(off_mps: float, *, on: bool) -> None:
-    told = replace(SONAR, told_speed_mps=Water().speed_of_sound_mps + off_mps)
-    found = verdict("sound_speed", view_of(wall(9.0), sonar=told, at=pose(0.0)))
+    sonar = replace(SONAR, told_speed_mps=Water().speed_of_sound_mps + off_mps)
+    found = verdict("sound_speed", view_of(wall(9.0), sonar=sonar, at=pose(0.0)))
     assert found.on is on
 
 
@@ -85,7 +85,7 @@ def test_paths_are_as_long_as_their_time_says() -> None:
     # Half of the way at 1510 m/s, half at 1490: the mean slowness is that of 1499.93 m/s.
     water = Water(profile=((0.0, 1510.0), (4.999, 1510.0), (5.001, 1490.0), (10.0, 1490.0)))
     view = view_of(scene=Scene((floor(8.0),), water=water), at=pose(2.0))
-    assert bending(view).stretch == pytest.approx(
+    assert path_bending(view).stretch == pytest.approx(
         np.full(len(view.echoes.range_m), view.speed_mps * (0.5 / 1510.0 + 0.5 / 1490.0)), rel=1e-6
     )
 
@@ -98,7 +98,7 @@ def test_paths_leave_by_half_of_the_bend() -> None:
         sonar=replace(SONAR, demanded_range_m=45.0),
     )
     # g R / (2 c), g 0.5 per second over 40 m.
-    assert abs(bending(view).turn_rad).max() == pytest.approx(0.5 * 40.0 / 3000.0, rel=0.15)
+    assert abs(path_bending(view).turn_rad).max() == pytest.approx(0.5 * 40.0 / 3000.0, rel=0.15)
 
 
 def test_beams_by_angle_would_be_far_off() -> None:

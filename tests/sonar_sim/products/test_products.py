@@ -7,9 +7,9 @@ import pytest
 import trimesh
 import yaml
 from sonar_sim.errors import SonarSimError
-from sonar_sim.products import Sounder, Sounding, write_products
-from sonar_sim.products.arrays import cells_of, labels_of, looked_up, raw_scan
-from sonar_sim.products.images import depth_picture, label_picture, normal_picture, ping_of
+from sonar_sim.products import PingProducts, ProductRenderer, write_products
+from sonar_sim.products.arrays import lookup_pixels, pixel_cells, raw_scan, surface_labels
+from sonar_sim.products.images import decoded_ping, depth_picture, label_picture, normal_picture
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.receiver.gain import noise_level_db
 from sonar_sim.scene.scene import Scene
@@ -18,7 +18,7 @@ WALL, BOARD = 0, 1
 
 
 @pytest.fixture(scope="module")
-def folder(sounding: Sounding, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(sounding: PingProducts, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path: Path = tmp_path_factory.mktemp("products")
     write_products(path, sounding)
     return path
@@ -41,7 +41,7 @@ def test_every_product_is_written_and_readable(folder: Path) -> None:
     )
 
 
-def test_the_polar_ping_is_the_image_with_its_places(folder: Path, sounding: Sounding) -> None:
+def test_the_polar_ping_is_the_image_with_its_places(folder: Path, sounding: PingProducts) -> None:
     polar = np.load(folder / "polar.npz")
     assert np.array_equal(polar["image"], sounding.image)
     assert polar["bearings_rad"][[0, -1]] == pytest.approx(np.radians([-65.0, 65.0]))
@@ -72,8 +72,8 @@ def test_ping_truth_knows_both_boards(folder: Path) -> None:
     assert truth["elevation_rad"].shape == truth["range_m"].shape
 
 
-def test_a_pixel_s_cell_is_that_of_its_range_and_cone(sounding: Sounding) -> None:
-    row, beam, inside = cells_of(sounding.view, sounding.sonar)
+def test_a_pixel_s_cell_is_that_of_its_range_and_cone(sounding: PingProducts) -> None:
+    row, beam, inside = pixel_cells(sounding.view, sounding.sonar)
     bearing = np.arcsin(
         (np.arange(sounding.sonar.beams) - (sounding.sonar.beams - 1) / 2.0)
         * sounding.sonar.sine_pitch
@@ -84,18 +84,18 @@ def test_a_pixel_s_cell_is_that_of_its_range_and_cone(sounding: Sounding) -> Non
     assert away == pytest.approx(sounding.view.range_m[board], abs=0.011)
 
 
-def test_levels_outside_the_ping_are_nan(sounding: Sounding) -> None:
-    level = looked_up(sounding.level, sounding.view, sounding.sonar)
-    assert np.array_equal(np.isnan(level), ~cells_of(sounding.view, sounding.sonar)[2])
+def test_levels_outside_the_ping_are_nan(sounding: PingProducts) -> None:
+    level = lookup_pixels(sounding.level, sounding.view, sounding.sonar)
+    assert np.array_equal(np.isnan(level), ~pixel_cells(sounding.view, sounding.sonar)[2])
 
 
-def test_the_louder_material_has_the_higher_snr(sounding: Sounding) -> None:
-    found = looked_up(sounding.snr_db, sounding.view, sounding.sonar)
+def test_the_louder_material_has_the_higher_snr(sounding: PingProducts) -> None:
+    found = lookup_pixels(sounding.snr_db, sounding.view, sounding.sonar)
     wall, board = (np.nanmedian(found[sounding.view.surface == s]) for s in (WALL, BOARD))
     assert board - wall > 15.0
 
 
-def test_the_snr_is_that_of_the_sonar_equation(sounding: Sounding) -> None:
+def test_the_snr_is_that_of_the_sonar_equation(sounding: PingProducts) -> None:
     """A wall of mud, Lambert's, seen on the axis: the patch of one beam and all elevations."""
     sonar, water = sounding.sonar, sounding.scene.water
     loss_db = 40.0 * np.log10(5.0) + 10.0 * water.absorption_db_per_m(sonar.frequency_hz)
@@ -111,14 +111,14 @@ def test_the_snr_is_that_of_the_sonar_equation(sounding: Sounding) -> None:
     assert target_db == pytest.approx(-32.0 + 10.0 * np.log10(patch_m2), abs=1.0)
 
 
-def test_the_driver_reads_the_ping_that_is_drawn(sounding: Sounding) -> None:
-    ping = ping_of(sounding)
+def test_the_driver_reads_the_ping_that_is_drawn(sounding: PingProducts) -> None:
+    ping = decoded_ping(sounding)
     assert np.array_equal(ping.image, sounding.image)
     assert ping.ping_id == 7
     assert ping.max_range_m == pytest.approx(sounding.sonar.range_m)
 
 
-def test_the_raw_scan_shows_starboard_right(sounding: Sounding) -> None:
+def test_the_raw_scan_shows_starboard_right(sounding: PingProducts) -> None:
     level = np.zeros((sounding.sonar.rows, sounding.sonar.beams), dtype=np.float32)
     level[:, 100:] = 1.0
     scan = raw_scan(level, sounding.sonar, rows=200)
@@ -130,26 +130,26 @@ def test_the_raw_scan_shows_starboard_right(sounding: Sounding) -> None:
     assert everywhere[100, everywhere.shape[1] // 2] == 1.0
 
 
-def test_the_points_are_those_of_the_surfaces(folder: Path, sounding: Sounding) -> None:
+def test_the_points_are_those_of_the_surfaces(folder: Path, sounding: PingProducts) -> None:
     cloud: Any = trimesh.load(folder / "points.ply")
     assert len(cloud.vertices) == np.count_nonzero(sounding.view.hit)
     assert set(np.round(cloud.vertices[:, 0], 3).tolist()) == {3.0, 5.0}
 
 
-def test_camera_info_is_of_the_camera(folder: Path, sounding: Sounding) -> None:
+def test_camera_info_is_of_the_camera(folder: Path, sounding: PingProducts) -> None:
     info = yaml.safe_load((folder / "camera_info.yaml").read_text())
     assert info["K"][0] == pytest.approx(sounding.view.camera.focal_px)
     assert (info["K"][2], info["K"][5]) == (47.5, 29.5)
     assert (info["width"], info["height"]) == (96, 60)
 
 
-def test_only_what_is_asked_for_is_written(sounding: Sounding, tmp_path: Path) -> None:
+def test_only_what_is_asked_for_is_written(sounding: PingProducts, tmp_path: Path) -> None:
     files = write_products(tmp_path / "a", sounding, ["depth"])
     assert sorted(path.name for path in files) == ["camera.npz", "depth.png"]
     assert sorted(tmp_path.glob("a/*")) == sorted(files)
 
 
-def test_a_product_that_does_not_exist_is_refused(sounding: Sounding, tmp_path: Path) -> None:
+def test_a_product_that_does_not_exist_is_refused(sounding: PingProducts, tmp_path: Path) -> None:
     with pytest.raises(SonarSimError, match=r"\bx\b.*polar, depth"):
         write_products(tmp_path, sounding, ["x"])
 
@@ -170,13 +170,13 @@ def test_labels_have_colours_of_their_own() -> None:
 
 
 def test_nothing_and_the_sea_have_no_material(scene: Scene) -> None:
-    labels = labels_of(scene)
+    labels = surface_labels(scene)
     assert labels.materials == ("mud", "rock")
     assert labels.material(np.array([-2, -1, 0, 1], dtype=np.int32)).tolist() == [-2, -1, 0, 1]
 
 
-def test_an_empty_scene_has_products_too(sounding: Sounding, tmp_path: Path) -> None:
-    sounder = Sounder(Scene(), sounding.sonar, sounding.view.camera)
+def test_an_empty_scene_has_products_too(sounding: PingProducts, tmp_path: Path) -> None:
+    sounder = ProductRenderer(Scene(), sounding.sonar, sounding.view.camera)
     made = sounder.at(sounding.map_T_sonar)
     assert len(write_products(tmp_path, made)) == 15
     assert np.isnan(made.snr_db).all()

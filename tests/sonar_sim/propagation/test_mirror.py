@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from sonar_sim.effects.planes import mirror_planes
-from sonar_sim.engine import Engine
+from sonar_sim.engine import PingEngine
 from sonar_sim.propagation.physics import Mirror
 from sonar_sim.raycast.meshes import SEA
 from sonar_sim.scene.material import MATERIALS, Material
@@ -44,7 +44,7 @@ MIRROR = Mirror(np.array([0.0, 0.0, -BELOW_M]), np.array([0.0, 0.0, 1.0]), 0.9, 
 def rows(scene: Scene, *mirrors: Mirror, speckle: bool = False) -> NDArray[np.float32]:
     """Loudest amplitude of each row."""
     physics = dataclasses.replace(MEAN, specular=False, mirrors=mirrors, speckle=speckle)
-    engine = Engine(scene, narrow_sonar(7.0, ROW_M), elevations=448)
+    engine = PingEngine(scene, narrow_sonar(7.0, ROW_M), elevations=448)
     loudest: NDArray[np.float32] = engine.ping(HERE, physics).amplitude.max(axis=1)
     return loudest
 
@@ -120,7 +120,7 @@ def test_the_sea_mirrors_all_over() -> None:
     mirror = Mirror(np.zeros(3), np.array([0.0, 0.0, -1.0]), -1.0, SEA)
     scene = Scene((deep,), sea=calm)
     physics = dataclasses.replace(MEAN, mirrors=(mirror,))
-    engine = Engine(scene, narrow_sonar(8.0, ROW_M), elevations=448)
+    engine = PingEngine(scene, narrow_sonar(8.0, ROW_M), elevations=448)
     level = engine.ping(pose_at((0.0, 0.0, -2.0)), physics).amplitude.max(axis=1)
     bounced_m = math.hypot(AWAY_M, 4.0)
     assert level[int(bounced_m / ROW_M) - 2 : int(bounced_m / ROW_M) + 3].max() > 0.0

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sonar_sim.engine import Engine
-from sonar_sim.propagation.physics import Cloud, Layers
+from sonar_sim.engine import PingEngine
+from sonar_sim.propagation.physics import Cloud, SoundSpeedProfile
 from sonar_sim.scene.scene import Scene, Surface
 from sonar_sim.scene.water import Water
 from sonar_sim.validation.setups import (
@@ -19,7 +19,7 @@ from sonar_sim.validation.setups import (
     sphere,
 )
 
-LAYERS = Layers(np.array([0.0, 10.0]), np.array([1500.0, 1500.0]))
+LAYERS = SoundSpeedProfile(np.array([0.0, 10.0]), np.array([1500.0, 1500.0]))
 WATER = Water(profile=((0.0, 1500.0),))
 LATH = rectangle((3.0, 0.1, 0.31), (0.0, 0.6, 0.0), (0.0, 0.0, 0.03))
 BALL = sphere((4.0, -0.3, 0.2), 0.05, MIRROR)
@@ -29,7 +29,7 @@ CLOUD = Cloud(np.array([1.0, -5.0, -5.0]), np.array([2.0, 5.0, 5.0]), 3.0, -40.0
 def straight_and_bent(
     *surfaces: Surface, clouds: tuple[Cloud, ...] = ()
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    engine = Engine(Scene(surfaces, water=WATER), narrow_sonar(6.0, 0.02))
+    engine = PingEngine(Scene(surfaces, water=WATER), narrow_sonar(6.0, 0.02))
     physics = dataclasses.replace(MEAN, clouds=clouds)
     pose = pose_at((0.0, 0.0, 0.0))
     bent = engine.ping(pose, dataclasses.replace(physics, layers=LAYERS)).amplitude

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sonar_sim.engine import Engine
-from sonar_sim.raycast.fan import fan_of, solid_angle_sr
+from sonar_sim.engine import PingEngine
+from sonar_sim.raycast.fan import ray_fan, solid_angle_sr
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
 from sonar_sim.validation.setups import MEAN, cell_power, floor, pose_at
@@ -46,7 +46,7 @@ def at_the_edge(power: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def test_the_mean_power_at_the_edge_is_the_floor_s_own() -> None:
-    power = cell_power(Engine(Scene((floor(),)), SONAR), pose_at((0.0, 0.0, HEIGHT_M)), MEAN)
+    power = cell_power(PingEngine(Scene((floor(),)), SONAR), pose_at((0.0, 0.0, HEIGHT_M)), MEAN)
     assert at_the_edge(power) == pytest.approx(at_the_edge(floor_power()), rel=0.1)
     rows = slice(130, 180)
     assert power[rows].sum() == pytest.approx(floor_power()[rows].sum(), rel=0.01)
@@ -55,14 +55,14 @@ def test_the_mean_power_at_the_edge_is_the_floor_s_own() -> None:
 def test_the_field_s_power_at_the_edge_is_the_floor_s_own() -> None:
     physics = replace(MEAN, speckle=True)
     pose, scene = pose_at((0.0, 0.0, HEIGHT_M)), Scene((floor(),))
-    powers = [cell_power(Engine(scene, SONAR, seed=seed), pose, physics) for seed in SEEDS]
+    powers = [cell_power(PingEngine(scene, SONAR, seed=seed), pose, physics) for seed in SEEDS]
     got, expected = at_the_edge(np.mean(powers, axis=0)), at_the_edge(floor_power())
     assert got.sum() == pytest.approx(expected.sum(), rel=0.1)
 
 
 def test_the_fan_covers_all_directions_ahead() -> None:
     sonar = replace(SONAR, half_aperture_rad=math.radians(85.0), beams=180)
-    fan = fan_of(sonar)
+    fan = ray_fan(sonar)
     top, left = float(fan.cell[:, 3].max()), float(fan.cell[:, 0].min())
     up = (np.arange(100_000) + 0.5) / 100_000 * 2.0 * top - top
     most = np.sqrt(1.0 - up**2)

@@ -29,10 +29,10 @@ def test_without_a_beam_width_each_echo_stays_in_its_own_beam() -> None:
 
 
 def test_main_lobe_alone_ends_at_its_null() -> None:
-    told = Physics(beam_width_rad=WIDTH, sine_bearings=True)
-    with_lobes = dataclasses.replace(told, side_lobe_db=SONAR.side_lobe_db)
+    settings = Physics(beam_width_rad=WIDTH, sine_bearings=True)
+    with_lobes = dataclasses.replace(settings, side_lobe_db=SONAR.side_lobe_db)
     main, whole = (
-        np.abs(beam_former(SONAR, p, MARGIN).form(target(200))[2]) for p in (told, with_lobes)
+        np.abs(beam_former(SONAR, p, MARGIN).form(target(200))[2]) for p in (settings, with_lobes)
     )
     inside = main > 0.0
     assert main[inside] == pytest.approx(whole[inside], abs=1e-5)
@@ -41,18 +41,20 @@ def test_main_lobe_alone_ends_at_its_null() -> None:
 
 
 def test_main_lobe_alone_hears_nothing_beyond_its_null_at_equal_angles() -> None:
-    told = Physics(beam_width_rad=WIDTH)
+    settings = Physics(beam_width_rad=WIDTH)
     at = (MARGIN + 333 - (COLUMNS - 1) / 2.0) * SONAR.sine_pitch
-    beams = np.abs(beam_former(SONAR, told, MARGIN).form(target(333))[2])
-    away = np.abs(beam_sines(SONAR, told) - at)
+    beams = np.abs(beam_former(SONAR, settings, MARGIN).form(target(333))[2])
+    away = np.abs(beam_sines(SONAR, settings) - at)
     null = main_lobe_end(WIDTH, SONAR.side_lobe_db)
     assert beams[away > null].max() == 0.0
     assert beams[away < 0.9 * null].min() > 0.0
 
 
 def test_powers_are_the_mean_of_fields() -> None:
-    told = Physics(beam_width_rad=WIDTH, side_lobe_db=30.0, sine_bearings=True, range_spread=True)
-    former = beam_former(SONAR, told, MARGIN)
+    settings = Physics(
+        beam_width_rad=WIDTH, side_lobe_db=30.0, sine_bearings=True, range_spread=True
+    )
+    former = beam_former(SONAR, settings, MARGIN)
     power = np.zeros((9, COLUMNS), dtype=np.float32)
     power[4, 200:230] = 3.0
     mean = np.zeros((9, SONAR.beams))
@@ -66,11 +68,11 @@ def test_powers_are_the_mean_of_fields() -> None:
 
 
 def test_side_lobes_of_powers_are_never_negative() -> None:
-    told = Physics(beam_width_rad=WIDTH, side_lobe_db=30.0, sine_bearings=True)
+    settings = Physics(beam_width_rad=WIDTH, side_lobe_db=30.0, sine_bearings=True)
     power = np.zeros((1, COLUMNS), dtype=np.float32)
     power[0, 40] = 1e12
     shown = _core.amplitudes(
-        beam_former(SONAR, told, MARGIN).form(power), np.ones(1, dtype=np.float32)
+        beam_former(SONAR, settings, MARGIN).form(power), np.ones(1, dtype=np.float32)
     )
     assert np.all(np.isfinite(shown))
     # The transform's own noise stays far below the side lobes.
@@ -81,11 +83,11 @@ def test_side_lobes_of_powers_are_never_negative() -> None:
 def test_beams_of_equal_angles_hear_the_same_pattern_about_their_own_bearing(
     side_lobe_db: float | None,
 ) -> None:
-    told = Physics(beam_width_rad=WIDTH, side_lobe_db=side_lobe_db)
-    sines = beam_sines(SONAR, told)
+    settings = Physics(beam_width_rad=WIDTH, side_lobe_db=side_lobe_db)
+    sines = beam_sines(SONAR, settings)
     place = MARGIN + 333
     at = (place - (COLUMNS - 1) / 2.0) * SONAR.sine_pitch
-    beams = np.abs(beam_former(SONAR, told, MARGIN).form(target(333))[2])
+    beams = np.abs(beam_former(SONAR, settings, MARGIN).form(target(333))[2])
     expected = np.abs(azimuth_amplitude(WIDTH, SONAR.side_lobe_db)(sines - at))
     loud = expected > 0.05
     assert beams[loud] == pytest.approx(expected[loud], abs=1e-4)
@@ -114,15 +116,17 @@ def test_range_response_keeps_the_power_of_independent_rows() -> None:
 
 
 def test_rows_leak_into_their_neighbours_alone() -> None:
-    told = Physics(range_spread=True, sine_bearings=True)
-    beams = np.abs(beam_former(SONAR, told, MARGIN).form(target(7)))
+    settings = Physics(range_spread=True, sine_bearings=True)
+    beams = np.abs(beam_former(SONAR, settings, MARGIN).form(target(7)))
     assert np.argwhere(beams).tolist() == [[1, 7], [2, 7], [3, 7]]
 
 
 def test_bytes_do_not_depend_on_threads() -> None:
-    told = Physics(beam_width_rad=WIDTH, side_lobe_db=30.0, sine_bearings=True, range_spread=True)
+    settings = Physics(
+        beam_width_rad=WIDTH, side_lobe_db=30.0, sine_bearings=True, range_spread=True
+    )
     cells = _core.complex_gaussian(4, 97 * COLUMNS).reshape(97, COLUMNS)
-    former = beam_former(SONAR, told, MARGIN)
+    former = beam_former(SONAR, settings, MARGIN)
     assert len({former.form(cells, threads).tobytes() for threads in (1, 2, 3, 5)}) == 1
 
 

@@ -3,7 +3,7 @@ import math
 
 import numpy as np
 import pytest
-from sonar_sim.propagation.physics import Arrival, Physics
+from sonar_sim.propagation.physics import InterferencePulse, Physics
 from sonar_sim.receiver.beamformer import beam_former
 from sonar_sim.receiver.noise import (
     add_arrival,
@@ -23,7 +23,7 @@ SPEED = 1500.0
 
 
 def physics(**changes: object) -> Physics:
-    told: dict[str, object] = {
+    settings: dict[str, object] = {
         "beam_width_rad": SONAR.beam_width_rad,
         "side_lobe_db": 30.0,
         "sine_bearings": True,
@@ -31,7 +31,7 @@ def physics(**changes: object) -> Physics:
         "spreading": True,
         "vertical_width_rad": SONAR.vertical_width_rad,
     }
-    return Physics(**(told | changes))  # type: ignore[arg-type]
+    return Physics(**(settings | changes))  # type: ignore[arg-type]
 
 
 def field() -> np.ndarray:
@@ -58,16 +58,16 @@ def test_streams_have_keys_of_their_own() -> None:
 @pytest.mark.parametrize("side_lobe_db", [None, 30.0])
 def test_noise_has_its_level_in_the_beams(cells: np.ndarray, side_lobe_db: float | None) -> None:
     cells = np.zeros_like(cells)
-    told = physics(noise_level_db=63.0, side_lobe_db=side_lobe_db)
-    former = beam_former(SONAR, told, MARGIN)
+    settings = physics(noise_level_db=63.0, side_lobe_db=side_lobe_db)
+    former = beam_former(SONAR, settings, MARGIN)
     everywhere = np.ones(COLUMNS, dtype=np.float32)
-    add_random(cells, noise_rms(SONAR, told, former.noise_gain), everywhere, key=5)
+    add_random(cells, noise_rms(SONAR, settings, former.noise_gain), everywhere, key=5)
     assert level_db(former.form(cells)[5:-5, 30:-30]) == pytest.approx(63.0, abs=0.15)
 
 
 def test_volume_follows_its_formula() -> None:
-    told = physics(volume_strength_db=-60.0, attenuation_db_per_m=0.2)
-    row_rms, column_rms = volume_rms(SONAR, told, COLUMNS)
+    settings = physics(volume_strength_db=-60.0, attenuation_db_per_m=0.2)
+    row_rms, column_rms = volume_rms(SONAR, settings, COLUMNS)
     range_m = SONAR.row_centres_m
     found_db = 20.0 * np.log10(row_rms * column_rms[COLUMNS // 2])
     # The integral of sinc(k w)^4, k = 2.551 for 20 deg, is 2 / 3k: 0.75 of the width.
@@ -91,9 +91,9 @@ def test_volume_falls_by_20_db_a_decade() -> None:
 
 def test_whole_sphere_of_columns_is_half_a_sphere_of_water() -> None:
     """Without a vertical pattern the columns between -90 and 90 degrees cover all that is ahead."""
-    told = physics(volume_strength_db=0.0, vertical_width_rad=None)
+    settings = physics(volume_strength_db=0.0, vertical_width_rad=None)
     wide = dataclasses.replace(SONAR, half_aperture_rad=math.radians(89.99))
-    _, column_rms = volume_rms(wide, told, wide.beams)
+    _, column_rms = volume_rms(wide, settings, wide.beams)
     assert float(np.sum(np.square(column_rms, dtype=np.float64))) == pytest.approx(
         2.0 * math.pi, rel=0.003
     )
@@ -110,7 +110,9 @@ def test_arrival_comes_at_its_time_from_its_bearing(empty: type) -> None:
     row_s = 2.0 * SONAR.range_resolution_m / SPEED
     sine = float(column_sines(COLUMNS, SONAR)[300])
     cells = empty()
-    add_arrival(cells, Arrival(100.0 * row_s, 7.0 * row_s, sine, 120.0), SONAR, SPEED, key=1)
+    add_arrival(
+        cells, InterferencePulse(100.0 * row_s, 7.0 * row_s, sine, 120.0), SONAR, SPEED, key=1
+    )
     rows, columns = np.nonzero(cells)
     assert set(columns) <= {300, 301}
     assert (rows.min(), rows.max()) in {(100, 106), (99, 106), (100, 107)}
@@ -122,9 +124,9 @@ def test_arrival_comes_at_its_time_from_its_bearing(empty: type) -> None:
 def test_arrival_between_two_columns_is_as_loud_in_the_beams(empty: type, part: float) -> None:
     sine = float(column_sines(COLUMNS, SONAR)[300]) + part * SONAR.sine_pitch
     cells = empty()
-    add_arrival(cells, Arrival(0.0, 1.0, sine, 120.0), SONAR, SPEED, key=1)
-    told = physics(range_spread=False)
-    beams = beam_former(SONAR, told, MARGIN).form(cells)
+    add_arrival(cells, InterferencePulse(0.0, 1.0, sine, 120.0), SONAR, SPEED, key=1)
+    settings = physics(range_spread=False)
+    beams = beam_former(SONAR, settings, MARGIN).form(cells)
     loudest = np.square(np.abs(beams)) if np.iscomplexobj(beams) else beams
     assert 10.0 * math.log10(loudest[50].max()) == pytest.approx(120.0, abs=0.3)
 
@@ -132,14 +134,14 @@ def test_arrival_between_two_columns_is_as_loud_in_the_beams(empty: type, part: 
 @pytest.mark.parametrize(("time_s", "sine"), [(1.0, 0.0), (-1.0, 0.0), (0.0, 0.99), (0.0, -0.99)])
 def test_arrival_outside_the_picture_is_not_heard(time_s: float, sine: float) -> None:
     cells = field()
-    add_arrival(cells, Arrival(time_s, 1e-4, sine, 120.0), SONAR, SPEED, key=1)
+    add_arrival(cells, InterferencePulse(time_s, 1e-4, sine, 120.0), SONAR, SPEED, key=1)
     assert not cells.any()
 
 
 def test_a_pulse_from_beside_the_first_column_is_heard_by_its_part() -> None:
     cells = field()
     sine = float(column_sines(COLUMNS, SONAR)[0]) - 0.75 * SONAR.sine_pitch
-    add_arrival(cells, Arrival(0.0, 1.0, sine, 120.0), SONAR, SPEED, key=1)
+    add_arrival(cells, InterferencePulse(0.0, 1.0, sine, 120.0), SONAR, SPEED, key=1)
     assert np.abs(cells[50, 0]) == pytest.approx(0.25e6, rel=1e-4)
     assert not cells[:, 1:].any()
 

@@ -18,7 +18,7 @@ def test_presets_are_the_drivers_models(model: str, mode: int) -> None:
     known = next(f for f in FAMILIES if f.name == model).modes[mode - 1]
     sonar = sonar_preset(model, mode)
     assert sonar.frequency_hz == pytest.approx(known.frequency_hz)
-    assert sonar.most_range_m == known.max_range_m
+    assert sonar.max_range_m == known.max_range_m
     assert (sonar.model, sonar.mode) == (model, mode)
     expected_deg = (known.aperture_deg or 130.0, known.resolution_deg or 2.0)
     found_rad = (2.0 * sonar.half_aperture_rad, sonar.beam_width_rad)

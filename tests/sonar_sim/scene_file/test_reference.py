@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[3]
 @pytest.mark.slow
 def test_page_is_what_the_types_say() -> None:
     page = (ROOT / PAGE).read_text(encoding="utf-8")
-    assert page == reference(), "write it anew: python -m sonar_sim.scene_file.reference"
+    assert page == reference(), "write it again: python -m sonar_sim.scene_file.reference"
 
 
 def test_every_setting_has_a_meaning() -> None:

@@ -1,7 +1,7 @@
 from collections.abc import Callable
 
 import pytest
-from sonar_sim.validation.case import CaseResult
+from sonar_sim.validation.case import ValidationResult
 from sonar_sim.validation.propagation import (
     v02_range_slopes,
     v10_mirror_ghosts,
@@ -29,7 +29,7 @@ from sonar_sim.validation.timing import v16_motion
         v19_determinism,
     ],
 )
-def test_the_case_holds(case: Callable[[], CaseResult]) -> None:
+def test_the_case_holds(case: Callable[[], ValidationResult]) -> None:
     result = case()
     assert result.checks
     assert [check for check in result.checks if not check.holds] == []

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sonar_sim.validation.alike import Alike, compare
+from sonar_sim.validation.alike import RecordingComparison, compare
 from sonar_sim.validation.recording import (
     Recorded,
     band_centres_m,
     noise_level_db,
     noisy_bands,
     read_recording,
-    simulate_alike,
+    simulate_recording,
     usual_floor_db,
 )
 
@@ -24,8 +24,8 @@ def recorded(shared_data: Path) -> Recorded:
 
 
 @pytest.fixture(scope="module")
-def numbers(recorded: Recorded) -> tuple[Alike, ...]:
-    return compare(recorded, simulate_alike(recorded))
+def numbers(recorded: Recorded) -> tuple[RecordingComparison, ...]:
+    return compare(recorded, simulate_recording(recorded))
 
 
 def test_header_gives_the_sonar(recorded: Recorded) -> None:
@@ -35,12 +35,14 @@ def test_header_gives_the_sonar(recorded: Recorded) -> None:
     assert (sonar.gamma_byte, sonar.gain_percent) == (127, 50.0)
 
 
-def test_every_number_of_the_simulation_is_near_the_recordings(numbers: tuple[Alike, ...]) -> None:
+def test_every_number_of_the_simulation_is_near_the_recordings(
+    numbers: tuple[RecordingComparison, ...],
+) -> None:
     assert len(numbers) == NUMBERS
     assert [number for number in numbers if not number.holds] == []
 
 
-def test_both_are_near_the_reference(numbers: tuple[Alike, ...]) -> None:
+def test_both_are_near_the_reference(numbers: tuple[RecordingComparison, ...]) -> None:
     compared = [number for number in numbers if number.reference is not None]
     assert compared
     for number in compared:
@@ -63,6 +65,6 @@ def test_floor_follows_the_usual_law_of_the_varied_gain(recorded: Recorded) -> N
 def test_simulation_is_the_same_each_time_and_another_with_another_seed(
     recorded: Recorded,
 ) -> None:
-    once, again, other = (simulate_alike(recorded, 1, seed) for seed in (0, 0, 1))
+    once, again, other = (simulate_recording(recorded, 1, seed) for seed in (0, 0, 1))
     assert np.array_equal(once, again)
     assert not np.array_equal(once, other)

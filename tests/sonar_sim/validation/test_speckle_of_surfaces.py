@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from sonar_sim.engine import Engine, EnginePing
+from sonar_sim.engine import EnginePing, PingEngine
 from sonar_sim.geometry.pose import Pose
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.scene.material import Material
@@ -44,15 +44,15 @@ def alike(one: EnginePing, other: EnginePing) -> float:
 
 
 @pytest.fixture(scope="module")
-def engine() -> Engine:
+def engine() -> PingEngine:
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * 200.0
     faces = np.array([[0, 1, 2], [0, 2, 3]])
     floor = Surface("floor", corners - [0.0, 0.0, 2.0], faces, Material("sand", -27.0))
-    return Engine(Scene((floor,)), SONAR, seed=1)
+    return PingEngine(Scene((floor,)), SONAR, seed=1)
 
 
 @pytest.fixture(scope="module")
-def relative(engine: Engine) -> NDArray[np.float64]:
+def relative(engine: PingEngine) -> NDArray[np.float64]:
     """Amplitude over the root of the mean power, from poses far apart, (poses, rows, beams)."""
     mean = engine.ping(at(0.0), dataclasses.replace(PHYSICS, speckle=False)).amplitude
     pings = [engine.ping(at(3.7 * pose), PHYSICS).amplitude for pose in range(POSES)]
@@ -77,7 +77,7 @@ def test_amplitude_is_rayleighs(relative: NDArray[np.float64]) -> None:
 def test_amplitude_is_rayleighs_however_many_beams(beams: int) -> None:
     corners = np.array([[-1, -1, -0.01], [1, -1, -0.01], [1, 1, -0.01], [-1, 1, -0.01]]) * 200.0
     floor = Surface("floor", corners, np.array([[0, 1, 2], [0, 2, 3]]), Material("sand", -27.0))
-    engine = Engine(Scene((floor,)), dataclasses.replace(SONAR, beams=beams), seed=1)
+    engine = PingEngine(Scene((floor,)), dataclasses.replace(SONAR, beams=beams), seed=1)
     mean = engine.ping(at(0.0), dataclasses.replace(PHYSICS, speckle=False)).amplitude
     edge = beams // 8
     heard = np.stack([engine.ping(at(3.7 * pose), PHYSICS).amplitude for pose in range(POSES)])
@@ -95,7 +95,7 @@ def test_neighbours_share_speckle_as_the_beams_and_lines_say(
     assert abs(correlation(relative[:, 2:], relative[:, :-2])) < 0.05
 
 
-def test_standing_still_repeats_the_speckle_through_faint_noise_only(engine: Engine) -> None:
+def test_standing_still_repeats_the_speckle_through_faint_noise_only(engine: PingEngine) -> None:
     quiet, loud = (
         [
             engine.ping(at(0.0), dataclasses.replace(PHYSICS, noise_level_db=level_db), ping_id)
@@ -107,7 +107,9 @@ def test_standing_still_repeats_the_speckle_through_faint_noise_only(engine: Eng
     assert abs(alike(*loud)) < 0.05
 
 
-def test_a_few_centimetres_aside_renew_it(engine: Engine, relative: NDArray[np.float64]) -> None:
+def test_a_few_centimetres_aside_renew_it(
+    engine: PingEngine, relative: NDArray[np.float64]
+) -> None:
     assert abs(correlation(relative[0], relative[1])) < 0.05
     here, aside = (
         engine.ping(Pose(np.array([0.0, y, 0.0]), np.eye(3)), PHYSICS) for y in (0.0, 0.1)

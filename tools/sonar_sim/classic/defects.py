@@ -14,7 +14,7 @@ from sonar_sim.classic import scan as visual
 from sonar_sim.classic.pipeline import ClassicImages, classic_camera, classic_images, places
 from sonar_sim.geometry.pose import Pose
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
-from sonar_sim.raycast.depth_camera import Onlooker, Pinhole
+from sonar_sim.raycast.depth_camera import DepthCamera, Pinhole
 from sonar_sim.scene.material import MATERIALS
 from sonar_sim.scene.scene import Scene, Surface
 from sonar_sim.scene.water import Water
@@ -41,16 +41,16 @@ class Defect:
 
 FAR_M = 1e4
 
-DepthOf = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+DepthFunction = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """Depth along rays (…, 3) in the sonar frame with x = 1; infinite where nothing is."""
 
 
-def wall(ahead_m: float) -> DepthOf:
+def wall(ahead_m: float) -> DepthFunction:
     """A plane across the axis."""
     return lambda rays: np.full(rays.shape[:-1], ahead_m)
 
 
-def floor(below_m: float) -> DepthOf:
+def floor(below_m: float) -> DepthFunction:
     """A level plane under the camera."""
 
     def depth(rays: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -61,7 +61,7 @@ def floor(below_m: float) -> DepthOf:
     return depth
 
 
-def sphere(ahead_m: float, radius_m: float) -> DepthOf:
+def sphere(ahead_m: float, radius_m: float) -> DepthFunction:
     """A sphere on the axis: nearer root of |t ray - centre| = radius."""
 
     def depth(rays: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -73,7 +73,9 @@ def sphere(ahead_m: float, radius_m: float) -> DepthOf:
     return depth
 
 
-def seen(camera: Pinhole, *shapes: DepthOf) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+def depth_image(
+    camera: Pinhole, *shapes: DepthFunction
+) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Depth image of shapes, 0 where nothing is, and which of them each pixel shows, or -1."""
     depths = np.stack([shape(camera.rays()) for shape in shapes])
     nearest = np.argmin(depths, axis=0)
@@ -104,10 +106,10 @@ def attenuation() -> Defect:
 def frame_gain() -> Defect:
     """A plane across the view; then a wall's level alone and with something near beside it."""
     camera = replace(classic_camera(), far_m=math.inf)
-    plane, _ = seen(camera, wall(5.0))
+    plane, _ = depth_image(camera, wall(5.0))
     lost = float(np.mean(np.isnan(classic_images(plane).normals[..., 2])))
-    alone, _ = seen(camera, floor(2.0), wall(12.0))
-    beside, shown = seen(camera, floor(2.0), wall(12.0), sphere(1.5, 0.2))
+    alone, _ = depth_image(camera, floor(2.0), wall(12.0))
+    beside, shown = depth_image(camera, floor(2.0), wall(12.0), sphere(1.5, 0.2))
     place = np.unravel_index(int(np.argmax(shown == 1)), shown.shape)
     levels = [float(classic_images(depth).snr[place]) for depth in (alone, beside)]
     return Defect(
@@ -148,7 +150,7 @@ def incidence() -> Defect:
     length = np.linalg.norm(rays, axis=-1)
     errors = []
     for shape, up, far_m in ((wall(12.0), 0, 1e4), (floor(3.0), 2, 17.0)):
-        depth_m, shown = seen(replace(camera, far_m=far_m), shape)
+        depth_m, shown = depth_image(replace(camera, far_m=far_m), shape)
         there = shown == 0
         there[1:-1, 1:-1] &= (shown[:-2, 1:-1] == 0) & (shown[2:, 1:-1] == 0)
         third = normals.gradients(depth_m, camera.focal_px)[..., 2]
@@ -166,7 +168,7 @@ def incidence() -> Defect:
 
 def pedestal() -> Defect:
     """Empty water in the plan view, and an echo weaker than it."""
-    empty = scan.pie(classic_camera().horizontal_rad)
+    empty = scan.sector_mask(classic_camera().horizontal_rad)
     grey = float(np.mean(empty[np.nonzero(empty)]))
     share = float(np.mean(empty == scan.PEDESTAL))
     weak = empty.copy()
@@ -220,7 +222,7 @@ def clipping() -> Defect:
 
 def infinite_depth() -> Defect:
     """Levels that are left when pixels without an echo are infinite instead of 0."""
-    depth_m, shown = seen(classic_camera(), floor(2.0))
+    depth_m, shown = depth_image(classic_camera(), floor(2.0))
     depth_m[shown < 0] = np.inf
     with np.errstate(invalid="ignore", over="ignore"):
         images = classic_images(depth_m)
@@ -239,10 +241,10 @@ def fixed_range() -> Defect:
     rows = []
     for far_m in (9.0, 17.0, 34.0):
         camera = replace(classic_camera(), far_m=far_m)
-        depth_m, _ = seen(camera, sphere(8.75, 0.25), floor(40.0))
+        depth_m, _ = depth_image(camera, sphere(8.75, 0.25), floor(40.0))
         row, _, inside = scan.cells(depth_m, *places(depth_m.shape, camera.focal_px), 578)
         rows.append(int(row[inside & (depth_m > 0.0)].max()))
-    beyond, _ = seen(replace(camera, far_m=34.0), sphere(20.0, 0.5))
+    beyond, _ = depth_image(replace(camera, far_m=34.0), sphere(20.0, 0.5))
     _, _, inside = scan.cells(beyond, *places(beyond.shape, camera.focal_px), 578)
     drawn = int(np.count_nonzero(inside & (beyond > 0.0)))
     return Defect(
@@ -258,7 +260,7 @@ def fixed_range() -> Defect:
 def last_write() -> Defect:
     """A ball over a floor: its pixels, its cells, and those it keeps."""
     camera = classic_camera(768, 492)
-    depth_m, shown = seen(camera, sphere(4.0, 0.25), floor(1.5))
+    depth_m, shown = depth_image(camera, sphere(4.0, 0.25), floor(1.5))
     images = classic_images(depth_m)
     row, column, inside = scan.cells(depth_m, *places(depth_m.shape, camera.focal_px), 578)
     written = inside & (depth_m != 0.0) & (images.snr != 0.0)
@@ -313,7 +315,7 @@ def broadening() -> Defect:
     """Extent of a single cell after what is called the median filter."""
     one = np.zeros((400, 578), dtype=np.float32)
     one[200, 289] = 1.0
-    rows, columns = np.nonzero(scan.broadened(one))
+    rows, columns = np.nonzero(scan.blurred(one))
     half = (float(np.ptp(rows)) / 2.0, float(np.ptp(columns)) / 2.0)
     cell_m = scan.RANGE_M / scan.ROWS
     return Defect(
@@ -362,7 +364,7 @@ def nothing_else() -> Defect:
     scans = []
     for name in ("mud", "rusty_steel"):
         scene = Scene((Surface("board", BOARD_M, FACES, MATERIALS[name]),))
-        view = Onlooker(scene).look(classic_camera(), Pose(np.zeros(3), np.eye(3)))
+        view = DepthCamera(scene).look(classic_camera(), Pose(np.zeros(3), np.eye(3)))
         scans.append(classic_images(view.depth_m).raw_scan)
     changed = float(np.count_nonzero(scans[0] != scans[1]))
     louder_db = MATERIALS["rusty_steel"].lambert_db - MATERIALS["mud"].lambert_db

@@ -172,6 +172,6 @@ def classic_images(
     x, y = places(depth_m.shape, focal_px)
     bent = normals(depth_m, focal_px)
     levels = snr(depth_m, bent[..., 2], x, y)
-    strewn = third.strewn(depth_m, levels, x, y, third.pie(horizontal_rad))
-    raw = third.speckled(third.broadened(strewn), generator or np.random.default_rng(1))
+    strewn = third.projected(depth_m, levels, x, y, third.sector_mask(horizontal_rad))
+    raw = third.speckled(third.blurred(strewn), generator or np.random.default_rng(1))
     return ClassicImages(depth_m, bent, levels, raw, fourth.picture(raw, horizontal_rad))

@@ -20,7 +20,7 @@ def columns_of(horizontal_rad: float) -> int:
     return 2 * int(ROWS * math.sin(horizontal_rad / 2.0)) + 20
 
 
-def pie(horizontal_rad: float) -> NDArray[np.float32]:
+def sector_mask(horizontal_rad: float) -> NDArray[np.float32]:
     """Empty water: 0.2 in the outer two thirds of the range, 0 in the inner, (400, columns)."""
     columns = columns_of(horizontal_rad)
     scan = np.zeros((ROWS, columns), dtype=np.float32)
@@ -49,7 +49,7 @@ def cells(
     return row, column, inside & (aside_m**2 + ahead_m**2 < RANGE_M**2)
 
 
-def strewn(
+def projected(
     depth_m: NDArray[np.float32],
     snr: NDArray[np.float32],
     x: NDArray[np.float32],
@@ -65,7 +65,7 @@ def strewn(
     return result
 
 
-def broadened(scan: NDArray[np.float32]) -> NDArray[np.float32]:
+def blurred(scan: NDArray[np.float32]) -> NDArray[np.float32]:
     """Let echoes grow over empty cells: what the original calls a median filter."""
     ellipse = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, BROADER_PX)
     grown = cv2.dilate(

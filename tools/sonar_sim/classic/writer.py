@@ -8,11 +8,11 @@ import yaml
 from oculus_driver.render.files import write_png
 from sonar_sim.classic.pipeline import CLOUD_FROM_M, classic_images
 from sonar_sim.products.images import camera_info, depth_picture
-from sonar_sim.products.point_cloud import cloud_of, write_cloud
-from sonar_sim.raycast.depth_camera import View
+from sonar_sim.products.point_cloud import hit_points, write_cloud
+from sonar_sim.raycast.depth_camera import DepthImage
 
 
-def write_classic(folder: Path, view: View, seed: int = 1) -> list[Path]:
+def write_classic(folder: Path, view: DepthImage, seed: int = 1) -> list[Path]:
     """Run the pipeline on what a camera sees, and write all it publishes.
 
     Args:
@@ -47,10 +47,10 @@ def write_classic(folder: Path, view: View, seed: int = 1) -> list[Path]:
     return sorted(folder.iterdir())
 
 
-def _write_points(path: Path, view: View) -> None:
+def _write_points(path: Path, view: DepthImage) -> None:
     kept = view.depth_m[view.hit] > CLOUD_FROM_M
     points_m = view.points_m()[kept]
     count = len(points_m)
     black = np.zeros((count, 3), dtype=np.uint8)
     nothing = np.full(count, np.nan, dtype=np.float32)
-    write_cloud(path, cloud_of(points_m, black, nothing, view.surface[view.hit][kept]), "sonar")
+    write_cloud(path, hit_points(points_m, black, nothing, view.surface[view.hit][kept]), "sonar")

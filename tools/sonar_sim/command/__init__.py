@@ -16,12 +16,11 @@ __all__ = ["main"]
 SUBCOMMANDS = (scene_list, explain, render, capture, serve, validate)
 
 EPILOG = """\
-exit codes: 0 done; 1 it failed, as told; 2 the command or the scene cannot be as given;
-130 interrupted"""
+exit codes: 0 success; 1 failure; 2 invalid command or scene; 130 interrupted"""
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line."""
+    """Reports an error in one line."""
 
     def error(self, message: str) -> NoReturn:
         """Exit with code 2."""
@@ -30,9 +29,9 @@ class _Parser(argparse.ArgumentParser):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; every failure that input can cause is one line and an exit code."""
-    arguments = _parser().parse_args(argv)
+    args = _parser().parse_args(argv)
     try:
-        return int(arguments.run(arguments))
+        return int(args.run(args))
     except SonarSimError as error:
         return _failure(error, USAGE)
     except (OculusError, OSError) as error:
@@ -49,7 +48,7 @@ def _failure(error: Exception, code: int) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="sonar-sim",
-        description="An Oculus sonar in a scene of your own: pictures, recordings, a live device.",
+        description="Simulate an Oculus sonar in a scene: pictures, recordings, a live device.",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,

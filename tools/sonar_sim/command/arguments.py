@@ -11,8 +11,8 @@ from sonar_sim.geometry.pose import Pose, rotation_of
 from sonar_sim.geometry.trajectory import Trajectory
 
 POSE_NUMBERS = 6
-MOST_PIXELS = 1 << 24
-"""Of a camera: some GB of arrays."""
+MAX_PIXELS = 1 << 24
+"""Limit of a camera's pixels: some GB of arrays."""
 
 
 def pose(text: str) -> Pose:
@@ -31,16 +31,16 @@ def size(text: str) -> tuple[int, int]:
     """Read `WIDTHxHEIGHT`."""
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal() and int(width) > 1 and int(height) > 1):
-        raise argparse.ArgumentTypeError(f"{text!r} is no WIDTHxHEIGHT in pixels")
-    if int(width) * int(height) > MOST_PIXELS:
-        raise argparse.ArgumentTypeError(f"{text!r} are more than {MOST_PIXELS} pixels")
+        raise argparse.ArgumentTypeError(f"{text!r} is not WIDTHxHEIGHT in pixels")
+    if int(width) * int(height) > MAX_PIXELS:
+        raise argparse.ArgumentTypeError(f"{text!r} is more than {MAX_PIXELS} pixels")
     return int(width), int(height)
 
 
 def count(text: str) -> int:
     """Read a number of at least 1."""
     if not (text.isdecimal() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of at least 1")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of at least 1")
     return int(text)
 
 
@@ -51,22 +51,22 @@ def positive(text: str) -> float:
     except ValueError:
         number = math.nan
     if not 0.0 < number < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number above 0")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
     return number
 
 
 def seed(text: str) -> int:
-    """Read a whole number of at least 0, which is what random numbers can begin with."""
+    """Read a seed: a whole number of at least 0."""
     if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number of at least 0")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 0")
     return int(text)
 
 
 def time_on(path: Trajectory, time_s: float) -> float:
-    """Check a time: before its begin and after its end a path is nowhere.
+    """Check that a time lies on the path.
 
     Raises:
-        SonarSimError: the path does not last so long, or the time is no number.
+        SonarSimError: the time is not on the path, or not a number.
     """
     if not 0.0 <= time_s <= path.duration_s:
         raise SonarSimError(f"time {time_s:g} s is not 0 to {path.duration_s:.3f} s of the path")

@@ -6,16 +6,16 @@ import sys
 
 from sonar_sim.command.arguments import OK, count, positive, time_on
 from sonar_sim.effects.image_difference import Tolerance
-from sonar_sim.effects.plan import Decision, EffectPlan, Wish
+from sonar_sim.effects.plan import Decision, EffectPlan, EffectSelection
 from sonar_sim.effects.planner import Planner
-from sonar_sim.effects.previewer import Look
+from sonar_sim.effects.previewer import Previewer
 from sonar_sim.effects.rule_check import measured_costs_ms
-from sonar_sim.engine import Engine
+from sonar_sim.engine import PingEngine
 from sonar_sim.scene.scenario import sonar_motion, sonar_pose
 from sonar_sim.scene_file import load_scenario
 
 NAME = "explain"
-HELP = "tell which effects a scene calls for, why, and what they cost"
+HELP = "list the effects that a scene needs, why, and what they cost"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,47 +25,47 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--effects",
         default="auto",
-        help="auto, all, none or names with commas; then +name and -name (default: auto)",
+        help="auto, all, none or names, separated by commas; then +name and -name (default: auto)",
     )
     parser.add_argument(
-        "--time", type=float, default=None, help="of the trajectory, s (default: its middle)"
+        "--time", type=float, default=None, help="time on the trajectory, s (default: its middle)"
     )
     parser.add_argument(
         "--tolerance-db",
         type=positive,
         default=default.level_db,
-        help="of level (default: %(default)s)",
+        help="tolerance of level, dB (default: %(default)s)",
     )
     parser.add_argument(
         "--tolerance-cells",
         type=positive,
         default=default.cells,
-        help="of displacement (default: %(default)s)",
+        help="tolerance of displacement, cells (default: %(default)s)",
     )
     parser.add_argument(
         "--repeats",
         type=count,
         default=3,
-        help="pings to time each cost with (default: %(default)s)",
+        help="pings to measure each cost with (default: %(default)s)",
     )
-    parser.add_argument("--json", action="store_true", help="print a list of objects instead")
+    parser.add_argument("--json", action="store_true", help="print JSON: a list of objects")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Print the table; warnings of missed effects go to the standard error."""
-    scenario = load_scenario(arguments.scene)
-    tolerance = Tolerance(arguments.tolerance_db, arguments.tolerance_cells)
+    scenario = load_scenario(args.scene)
+    tolerance = Tolerance(args.tolerance_db, args.tolerance_cells)
     path = scenario.trajectory
-    time_s = path.duration_s / 2.0 if arguments.time is None else time_on(path, arguments.time)
-    wish = Wish.read(arguments.effects)
-    engine = Engine(scenario.scene, scenario.sonar)
-    look = Look(scenario.scene, scenario.sonar, engine.meshes)
+    time_s = path.duration_s / 2.0 if args.time is None else time_on(path, args.time)
+    wish = EffectSelection.read(args.effects)
+    engine = PingEngine(scenario.scene, scenario.sonar)
+    look = Previewer(scenario.scene, scenario.sonar, engine.meshes)
     pose, motion = sonar_pose(scenario, time_s), sonar_motion(scenario, time_s)
-    # The simulator's own way, so that both say the same.
+    # As in the simulator, so that both give the same result.
     planned = Planner(look, wish, tolerance).at(pose, 0, time_s, motion)
     plan = planned.plan
-    costs_ms = measured_costs_ms(engine, plan, planned.view, arguments.repeats)
-    _print(plan, costs_ms, as_json=arguments.json)
+    costs_ms = measured_costs_ms(engine, plan, planned.view, args.repeats)
+    _print(plan, costs_ms, as_json=args.json)
     for decision in plan.missed:
         reason = decision.verdict.reason
         sys.stderr.write(f"sonar-sim: {decision.effect.name} is switched off, but {reason}\n")

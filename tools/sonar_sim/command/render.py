@@ -13,98 +13,102 @@ from sonar_sim.classic import classic_camera
 from sonar_sim.classic.writer import write_classic
 from sonar_sim.command.arguments import OK, count, names, pose, positive, seed, size, time_on
 from sonar_sim.geometry.pose import Pose
-from sonar_sim.products import PRODUCTS, Sounder, write_products
-from sonar_sim.products.writer import Look
-from sonar_sim.raycast.depth_camera import Onlooker, pinhole_of
+from sonar_sim.products import PRODUCTS, ProductRenderer, write_products
+from sonar_sim.products.writer import ProductSettings
+from sonar_sim.raycast.depth_camera import DepthCamera, pinhole_of
 from sonar_sim.scene.scenario import Scenario, sonar_motion, sonar_pose
 from sonar_sim.scene_file import load_scenario
 
 NAME = "render"
-HELP = "write pings of a scene, and the truth behind them, as PNG, NPZ and PLY"
+HELP = "write pings of a scene with their ground truth as PNG, NPZ and PLY"
 
 Draw = Callable[[Path, int, float, Pose], list[Path]]
 """Writes a ping into a folder: number, time, and the sonar's pose."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what may be said."""
+    """Declare the options."""
     add = parser.add_argument
     add("scene", metavar="SCENE", help="a shipped scene's name, or a YAML file")
     add("--out", metavar="DIR", type=Path, required=True)
     add("--mode", choices=("physical", "classic"), default="physical")
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--pings", metavar="N", type=count, default=1, help="along the trajectory")
+    where.add_argument(
+        "--pings", metavar="N", type=count, default=1, help="pings along the trajectory"
+    )
     where.add_argument("--time", metavar="S", type=float, help="one ping at this time")
-    where.add_argument("--pose", metavar="X,Y,Z,ROLL,PITCH,YAW", type=pose, help="of the sonar")
-    add("--only", metavar="A,B", type=names, default=(), help=f"of {', '.join(PRODUCTS)}")
+    where.add_argument(
+        "--pose", metavar="X,Y,Z,ROLL,PITCH,YAW", type=pose, help="one ping at this pose"
+    )
+    add("--only", metavar="A,B", type=names, default=(), help=f"products: {', '.join(PRODUCTS)}")
     add(
         "--effects",
         default="auto",
-        help="auto, all, none or names with commas; then +name and -name (default: auto)",
+        help="auto, all, none or names, separated by commas; then +name and -name (default: auto)",
     )
-    add("--range", metavar="M", type=positive, dest="range_m", help="(default: the scene's)")
+    add("--range", metavar="M", type=positive, dest="range_m", help="range (default: the scene's)")
     add("--seed", metavar="N", type=seed, default=0)
     add("--camera", metavar="WxH", type=size, help="pixels of the depth and normal images")
-    add("--height", metavar="PX", type=count, default=900, help="of the fan picture")
-    add("--scan-rows", metavar="N", type=count, default=400, help="of the raw scan")
+    add("--height", metavar="PX", type=count, default=900, help="height of the fan picture")
+    add("--scan-rows", metavar="N", type=count, default=400, help="rows of the raw scan")
     add("--colours", choices=tuple(COLOURS), default="inferno")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(args: argparse.Namespace) -> int:
     """Write, one folder a ping if there are several."""
-    scenario = load_scenario(arguments.scene)
-    if arguments.range_m is not None:
-        sonar = replace(scenario.sonar, demanded_range_m=arguments.range_m)
+    scenario = load_scenario(args.scene)
+    if args.range_m is not None:
+        sonar = replace(scenario.sonar, demanded_range_m=args.range_m)
         scenario = replace(scenario, sonar=sonar)
-    stops = list(_stops(arguments, scenario))
+    stops = list(_stops(args, scenario))
     files: list[Path] = []
-    make = _classic if arguments.mode == "classic" else _physical
-    draw = make(arguments, scenario)
+    make = _classic if args.mode == "classic" else _physical
+    draw = make(args, scenario)
     for ping_id, (time_s, map_T_sonar) in enumerate(tqdm(stops, unit="ping", disable=None)):  # noqa: N806
-        folder = arguments.out / f"{ping_id:06d}" if len(stops) > 1 else arguments.out
+        folder = args.out / f"{ping_id:06d}" if len(stops) > 1 else args.out
         files += draw(folder, ping_id, time_s, map_T_sonar)
-    print(f"{len(files)} files in {arguments.out}")
+    print(f"{len(files)} files in {args.out}")
     return OK
 
 
-def _stops(arguments: argparse.Namespace, scenario: Scenario) -> Iterator[tuple[float, Pose]]:
+def _stops(args: argparse.Namespace, scenario: Scenario) -> Iterator[tuple[float, Pose]]:
     """Time and sonar's pose of each ping, evenly over the trajectory."""
-    if arguments.pose is not None:
-        yield 0.0, arguments.pose
+    if args.pose is not None:
+        yield 0.0, args.pose
         return
-    share = (np.arange(arguments.pings) + 0.5) / arguments.pings
+    share = (np.arange(args.pings) + 0.5) / args.pings
     times_s = share * scenario.trajectory.duration_s
-    if arguments.time is not None:
-        times_s = np.array([time_on(scenario.trajectory, arguments.time)])
+    if args.time is not None:
+        times_s = np.array([time_on(scenario.trajectory, args.time)])
     for time_s in times_s:
         yield float(time_s), sonar_pose(scenario, float(time_s))
 
 
-def _physical(arguments: argparse.Namespace, scenario: Scenario) -> Draw:
+def _physical(args: argparse.Namespace, scenario: Scenario) -> Draw:
     """The simulator's own products."""
     camera = pinhole_of(scenario.sonar)
-    if arguments.camera is not None:
-        camera = replace(camera, width=arguments.camera[0], height=arguments.camera[1])
-    sounder = Sounder(
-        scenario.scene, scenario.sonar, camera, arguments.seed, effects=arguments.effects
+    if args.camera is not None:
+        camera = replace(camera, width=args.camera[0], height=args.camera[1])
+    sounder = ProductRenderer(
+        scenario.scene, scenario.sonar, camera, args.seed, effects=args.effects
     )
-    style = Style(height_px=arguments.height, colours=arguments.colours)
-    look = Look(style, arguments.scan_rows)
+    style = Style(height_px=args.height, colours=args.colours)
+    look = ProductSettings(style, args.scan_rows)
 
     def draw(folder: Path, ping_id: int, time_s: float, map_T_sonar: Pose) -> list[Path]:  # noqa: N803
-        moving = None if arguments.pose is not None else sonar_motion(scenario, time_s)
+        moving = None if args.pose is not None else sonar_motion(scenario, time_s)
         sounding = sounder.at(map_T_sonar, ping_id, time_s, moving)
-        return write_products(folder, sounding, arguments.only, look)
+        return write_products(folder, sounding, args.only, look)
 
     return draw
 
 
-def _classic(arguments: argparse.Namespace, scenario: Scenario) -> Draw:
+def _classic(args: argparse.Namespace, scenario: Scenario) -> Draw:
     """The published pipeline's products, from the same place."""
-    camera = classic_camera(*(arguments.camera or (760, 169)))
+    camera = classic_camera(*(args.camera or (760, 169)))
 
     def draw(folder: Path, ping_id: int, time_s: float, map_T_sonar: Pose) -> list[Path]:  # noqa: N803
-        view = Onlooker(scenario.scene, time_s).look(camera, map_T_sonar)
-        return write_classic(folder, view, arguments.seed + ping_id)
+        view = DepthCamera(scenario.scene, time_s).look(camera, map_T_sonar)
+        return write_classic(folder, view, args.seed + ping_id)
 
     return draw

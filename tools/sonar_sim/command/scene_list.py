@@ -10,14 +10,14 @@ HELP = "list the shipped scenes"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what may be said."""
-    parser.add_argument("--names", action="store_true", help="names alone, one a line")
+    """Declare the options."""
+    parser.add_argument("--names", action="store_true", help="print names only, one per line")
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Tell each scene's name, sonar, size and description."""
+def run(args: argparse.Namespace) -> int:
+    """Print each scene's name, sonar, size and description."""
     for name in scene_names():
-        if arguments.names:
+        if args.names:
             print(name)
             continue
         scenario = load_scenario(name)

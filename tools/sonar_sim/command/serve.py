@@ -13,7 +13,7 @@ from oculus_driver.virtual_sonar.server import broadcast_of
 from oculus_driver.wire import STATUS_PORT, TCP_PORT
 from sonar_sim.command.arguments import OK, seed
 from sonar_sim.device.fire_settings import part_number_of
-from sonar_sim.device.server import ENDS, ServedScenario, ServeSettings
+from sonar_sim.device.server import ROUTE_ENDS, ServedScenario, ServeSettings
 from sonar_sim.effects.plan import AUTO
 from sonar_sim.navigation.formats import FORMATS
 from sonar_sim.navigation.odometry_output import output_named
@@ -31,25 +31,39 @@ _FAULT_HELP = {
     "lose": "pings that are never sent",
     "garbage": "pings with noise in front",
     "restart": "pings before which the sonar restarts",
-    "restart_ids": "pings before which ids and device time begin anew",
+    "restart_ids": "pings before which ids and device time restart",
     "reorder_statuses": "statuses sent after the next one",
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what may be said."""
+    """Declare what may be args."""
     add = parser.add_argument
     add("scene", metavar="SCENE", help="name of a shipped scene, or a YAML file")
-    add("--model", choices=("M370s", "M750d", "M1200d", "M3000d"), help="instead of the scene's")
+    add(
+        "--model",
+        choices=("M370s", "M750d", "M1200d", "M3000d"),
+        help="sonar model (default: the scene's)",
+    )
     add("--listen", metavar="ADDRESS", type=address, default="127.0.0.1")
     add("--port", type=port, default=TCP_PORT, help="TCP port (default: %(default)s)")
-    add("--status-to", metavar="ADDRESS", type=address, help="instead of a broadcast")
+    add(
+        "--status-to",
+        metavar="ADDRESS",
+        type=address,
+        help="send status messages there instead of broadcasting",
+    )
     add("--status-port", type=port, default=STATUS_PORT, help="UDP port (default: %(default)s)")
     add("--serial", metavar="ID", type=count, default=ServeSettings().device_id)
-    add("--standby", action="store_true", help="be silent until a client asks for pings")
-    add("--ends", choices=ENDS, default="back", help="after the path (default: %(default)s)")
+    add("--standby", action="store_true", help="stay silent until a client requests pings")
+    add(
+        "--ends",
+        choices=ROUTE_ENDS,
+        default="back",
+        help="at the end of the path (default: %(default)s)",
+    )
     add("--duration", metavar="S", type=positive, help="stop after S seconds")
-    add("--seed", type=seed, default=0, help="of all random numbers")
+    add("--seed", type=seed, default=0, help="seed of all random numbers")
     add("--effects", default=AUTO, help='auto, all, or a list, such as "auto,-noise"')
     add(
         "--odometry",
@@ -59,24 +73,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"may be repeated; formats: {', '.join(FORMATS)}; links: udp:HOST:PORT, "
         "tcp:HOST:PORT, serial:PATH, pty",
     )
-    faults = parser.add_argument_group("misbehaviour; SHARE is 0 to 1 of all pings")
+    faults = parser.add_argument_group("faults; SHARE is 0 to 1 of all pings")
     for name in SHARES:
         option = "--" + name.replace("_", "-")
         faults.add_argument(
             option, metavar="SHARE", type=share, default=0.0, help=_FAULT_HELP[name]
         )
     faults.add_argument("--stall-s", metavar="S", type=positive, default=2.0)
-    faults.add_argument("--refuse-second", action="store_true", help="close a second client")
+    faults.add_argument("--refuse-second", action="store_true", help="refuse a second client")
     faults.add_argument(
-        "--silent-after", metavar="S", type=positive, help="needs a fire message this often"
+        "--silent-after",
+        metavar="S",
+        type=positive,
+        help="stop without a fire message for S seconds",
     )
-    faults.add_argument("--deaf-to-version", type=int, choices=(1, 2), help="of fire messages")
+    faults.add_argument(
+        "--deaf-to-version", type=int, choices=(1, 2), help="ignore fire messages of this version"
+    )
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Serve until somebody stops it, or the path ends."""
-    scenario = with_model(load_scenario(arguments.scene), arguments.model)
-    run_until_stopped(_serve(scenario, arguments), arguments.duration)
+def run(args: argparse.Namespace) -> int:
+    """Serve until stopped, or until the path ends."""
+    scenario = with_model(load_scenario(args.scene), args.model)
+    run_until_stopped(_serve(scenario, args), args.duration)
     return OK
 
 
@@ -85,36 +104,36 @@ def with_model(scenario: Scenario, model: str | None) -> Scenario:
     if model is None or model == scenario.sonar.model:
         return scenario
     preset = sonar_preset(model)
-    range_m = min(scenario.sonar.demanded_range_m, preset.most_range_m)
+    range_m = min(scenario.sonar.demanded_range_m, preset.max_range_m)
     return replace(scenario, sonar=replace(preset, demanded_range_m=range_m))
 
 
-async def _serve(scenario: Scenario, said: argparse.Namespace) -> None:
-    target = said.status_to or broadcast_of(said.listen)
+async def _serve(scenario: Scenario, args: argparse.Namespace) -> None:
+    target = args.status_to or broadcast_of(args.listen)
     settings = ServeSettings(
-        host=said.listen,
-        port=said.port,
-        status_to=[(target, said.status_port)],
-        device_id=said.serial,
-        standby=said.standby,
-        ends=said.ends,
-        faults=_faults(said),
-        outputs=[output_named(text) for text in said.odometry],
-        seed=said.seed,
-        effects=said.effects,
+        host=args.listen,
+        port=args.port,
+        status_to=[(target, args.status_port)],
+        device_id=args.serial,
+        standby=args.standby,
+        ends=args.ends,
+        faults=_faults(args),
+        outputs=[output_named(text) for text in args.odometry],
+        seed=args.seed,
+        effects=args.effects,
     )
     served = ServedScenario(scenario, settings)
     try:
         async with served:
             sonar = served.sonar
             name = model_of(part_number_of(scenario.sonar.model)).name
-            _say(f"an {name} in {scenario.name} at {sonar.host}:{sonar.port}")
-            _say(f"statuses to {target}:{said.status_port}")
+            _report(f"an {name} in {scenario.name} at {sonar.host}:{sonar.port}")
+            _report(f"statuses to {target}:{args.status_port}")
             for output in served.outputs:
-                _say(f"odometry {output.name} at {output.link.name}")
+                _report(f"odometry {output.name} at {output.link.name}")
             await served.run()
     finally:
-        _say(f"served: {_counted(served)}")
+        _report(f"served: {_counted(served)}")
 
 
 def _counted(served: ServedScenario) -> str:
@@ -131,17 +150,17 @@ def _counted(served: ServedScenario) -> str:
     return ", ".join(f"{name} {value}" for name, value in counts.items() if value) or "nothing"
 
 
-def _faults(said: argparse.Namespace) -> Faults:
+def _faults(args: argparse.Namespace) -> Faults:
     return Faults(
-        **{name: getattr(said, name) for name in SHARES},
-        stall_s=said.stall_s,
-        refuse_second=said.refuse_second,
-        silent_after_s=said.silent_after,
-        ignored_fire_version=said.deaf_to_version,
-        seed=said.seed,
+        **{name: getattr(args, name) for name in SHARES},
+        stall_s=args.stall_s,
+        refuse_second=args.refuse_second,
+        silent_after_s=args.silent_after,
+        ignored_fire_version=args.deaf_to_version,
+        seed=args.seed,
     )
 
 
-def _say(line: str) -> None:
+def _report(line: str) -> None:
     sys.stdout.write(f"{line}\n")
     sys.stdout.flush()

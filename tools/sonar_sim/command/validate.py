@@ -7,38 +7,38 @@ from tqdm import tqdm
 
 from sonar_sim.command.arguments import FAULT, OK, names
 from sonar_sim.errors import SonarSimError
-from sonar_sim.validation.case import CaseResult
+from sonar_sim.validation.case import ValidationResult
 from sonar_sim.validation.cases import CASES, draw_page
 
 NAME = "validate"
-HELP = "work out the validation cases, draw them, and fail if one does not hold"
+HELP = "compute and draw the validation cases; fail if one does not hold"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what may be said."""
+    """Declare the options."""
     add = parser.add_argument
-    add("--out", metavar="DIR", type=Path, required=True, help="for the page and the table")
-    add("--only", metavar="V2,V18", type=names, default=(), help="these cases alone")
-    add("--verbose", action="store_true", help="every number, not only those that fail")
+    add("--out", metavar="DIR", type=Path, required=True, help="folder of the page")
+    add("--only", metavar="V2,V18", type=names, default=(), help="only these cases")
+    add("--verbose", action="store_true", help="print every number, not only those that fail")
 
 
-def run(arguments: argparse.Namespace) -> int:
-    """Tell case by case what was expected and what came; 1 if anything is off."""
-    unknown = [name for name in arguments.only if name not in CASES]
+def run(args: argparse.Namespace) -> int:
+    """Print expected and computed values of each case; return 1 if one is off."""
+    unknown = [name for name in args.only if name not in CASES]
     if unknown:
-        raise SonarSimError(f"no case is called {unknown[0]}; there are {', '.join(CASES)}")
-    chosen = arguments.only or tuple(CASES)
+        raise SonarSimError(f"no case is named {unknown[0]}; use {', '.join(CASES)}")
+    chosen = args.only or tuple(CASES)
     results = [CASES[name]() for name in tqdm(chosen, unit="case", disable=None)]
     for result in results:
-        print("\n".join(_said(result, verbose=arguments.verbose)))
-    page = arguments.out / "simulator-validation.png"
+        print("\n".join(_lines(result, verbose=args.verbose)))
+    page = args.out / "simulator-validation.png"
     draw_page(page, results)
     failed = sum(not check.holds for result in results for check in result.checks)
     print(f"{len(results)} cases, {failed} numbers off; drawn: {page}")
     return FAULT if failed else OK
 
 
-def _said(result: CaseResult, *, verbose: bool) -> list[str]:
+def _lines(result: ValidationResult, *, verbose: bool) -> list[str]:
     held = sum(check.holds for check in result.checks)
     lines = [f"{result.name}: {held} of {len(result.checks)} hold ({result.source})"]
     return lines + [

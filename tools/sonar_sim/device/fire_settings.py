@@ -14,7 +14,7 @@ from sonar_sim.scene.water import Water
 FULL_BEAMS, HALF_BEAMS = 512, 256
 BITS_32 = 32
 SPEEDS_MPS = (1300.0, 1700.0)
-MOST_SALT_PPT = 42.0
+MAX_SALT_PPT = 42.0
 LINK_SPEED = (0, 255)
 """Bytes that mean: as fast as the link."""
 
@@ -35,8 +35,8 @@ def part_number_of(model: str) -> int:
     raise SceneError(f"sonar: no part number of {model}; known: {names}")
 
 
-def first_demand(sonar: SonarSettings, ping_rate_hz: float) -> FireRequest:
-    """What the sonar was told last: the scenario's own settings.
+def initial_request(sonar: SonarSettings, ping_rate_hz: float) -> FireRequest:
+    """The initial fire request: the scenario's own settings.
 
     Args:
         sonar: of the scenario.
@@ -65,8 +65,8 @@ def settings_for(demand: FireRequest, sonar: SonarSettings, water: Water) -> Son
 
     Args:
         demand: the fire message.
-        sonar: of the scenario; what no fire message says stays.
-        water: tells the speed of sound where the sonar computes it.
+        sonar: of the scenario; settings that fire messages lack stay.
+        water: gives the speed of sound where the sonar computes it.
     """
     part = part_number_of(sonar.model)
     mode = demand.mode if _has_mode(sonar.model, demand.mode) else 1
@@ -74,9 +74,7 @@ def settings_for(demand: FireRequest, sonar: SonarSettings, water: Water) -> Son
     gain = demand.gain_percent if math.isfinite(demand.gain_percent) else base.gain_percent
     return replace(
         base,
-        demanded_range_m=min(
-            requested_range_m(replace(demand, mode=mode), part), base.most_range_m
-        ),
+        demanded_range_m=min(requested_range_m(replace(demand, mode=mode), part), base.max_range_m),
         beams=FULL_BEAMS if demand.flags & FireFlags.FULL_BEAMS else HALF_BEAMS,
         gain_percent=min(max(gain, 0.0), 100.0),
         gamma_byte=demand.gamma,
@@ -119,10 +117,10 @@ def _has_mode(model: str, mode: int) -> bool:
 
 
 def _told_speed_mps(demand: FireRequest, water: Water) -> float | None:
-    """What the sonar reckons with: told, or computed for the salinity told; None is the truth."""
+    """Assumed speed of sound: as set, or from the salinity set; None is the true one."""
     slowest_mps, fastest_mps = SPEEDS_MPS
     if slowest_mps <= demand.speed_of_sound_demand_mps <= fastest_mps:
         return demand.speed_of_sound_demand_mps
-    if demand.salinity_ppt == water.salinity_ppt or not 0 <= demand.salinity_ppt <= MOST_SALT_PPT:
+    if demand.salinity_ppt == water.salinity_ppt or not 0 <= demand.salinity_ppt <= MAX_SALT_PPT:
         return None
     return replace(water, salinity_ppt=demand.salinity_ppt, profile=None).speed_of_sound_mps

@@ -32,7 +32,7 @@ SIMULATORS_KEPT = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class When:
+class PingTime:
     """A ping's number, times, and the vehicle's state at the transmission.
 
     Attributes:
@@ -51,7 +51,7 @@ class When:
     turn_rates_rps: NDArray[np.float64]
 
 
-class PingMaker:
+class PingGenerator:
     """Simulates pings as they are asked for; slow, so call it in a thread of its own.
 
     Args:
@@ -89,7 +89,7 @@ class PingMaker:
         """The sonar as the fire message sets it."""
         return settings_for(demand, self._sonar, self._scene.water)
 
-    def make(self, demand: FireRequest, when: When) -> bytes:
+    def make(self, demand: FireRequest, when: PingTime) -> bytes:
         """Simulate a ping and encode it.
 
         Args:
@@ -100,13 +100,13 @@ class PingMaker:
         map_T_sonar = when.map_T_base @ self._mounting.pose  # noqa: N806 frames are named
         simulator, motion = self._simulator(sonar), self._motion(when)
         with warnings.catch_warnings():
-            if sonar.bits == BITS_32:  # asked for without varying gain, whatever the scene wants
+            if sonar.bits == BITS_32:  # requested without varying gain, regardless of the scene
                 warnings.simplefilter("ignore", EffectWarning)
             ping = simulator.ping(map_T_sonar, when.ping_id, when.time_s, motion)
         image: NDArray[Any] = ping.image  # whole numbers, as quantisation is always on
         return self._encoded(demand, sonar, image, when)
 
-    def _motion(self, when: When) -> SonarMotion:
+    def _motion(self, when: PingTime) -> SonarMotion:
         """Of the sonar, which sits off the vehicle's origin."""
         mounting = self._mounting.pose
         body_mps = when.velocity_mps + np.cross(when.turn_rates_rps, mounting.position_m)
@@ -120,7 +120,7 @@ class PingMaker:
         demand: FireRequest,
         sonar: SonarSettings,
         image: NDArray[Any],
-        when: When,
+        when: PingTime,
     ) -> bytes:
         water, map_T_base = self._scene.water, when.map_T_base  # noqa: N806 frames are named
         depth_m = max(0.0, -float(map_T_base.position_m[2]))

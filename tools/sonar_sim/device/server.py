@@ -17,15 +17,15 @@ from oculus_driver.virtual_sonar.faults import Faults
 from oculus_driver.virtual_sonar.playback import advertised_address
 from oculus_driver.virtual_sonar.server import VirtualSonar
 from sonar_sim.device.simulated_device import SimulatedDevice
-from sonar_sim.effects.plan import AUTO, Wish
+from sonar_sim.effects.plan import AUTO, EffectSelection
 from sonar_sim.errors import SonarSimError
 from sonar_sim.geometry.pose import Pose
 from sonar_sim.geometry.trajectory import Trajectory
-from sonar_sim.navigation.odometry_output import OdometrySender, Output
+from sonar_sim.navigation.odometry_output import OdometryOutput, OdometrySender
 from sonar_sim.scene.scenario import Scenario
 
-Ends = Literal["stop", "stay", "back"]
-ENDS: tuple[Ends, ...] = ("stop", "stay", "back")
+RouteEnd = Literal["stop", "stay", "back"]
+ROUTE_ENDS: tuple[RouteEnd, ...] = ("stop", "stay", "back")
 DAY_S = 86_400.0
 
 
@@ -41,7 +41,7 @@ class Route(Trajectory):
         duration_s: of the whole; a day where it does not stop.
     """
 
-    def __init__(self, trajectory: Trajectory, ends: Ends) -> None:
+    def __init__(self, trajectory: Trajectory, ends: RouteEnd) -> None:
         self._there = trajectory
         self._ends = ends
         self.duration_s = trajectory.duration_s if ends == "stop" else DAY_S
@@ -93,9 +93,9 @@ class ServeSettings:
     status_to: Sequence[tuple[str, int]] = ()
     device_id: int = 750
     standby: bool = False
-    ends: Ends = "back"
+    ends: RouteEnd = "back"
     faults: Faults = field(default_factory=Faults)
-    outputs: list[Output] = field(default_factory=list)
+    outputs: list[OdometryOutput] = field(default_factory=list)
     seed: int = 0
     effects: str = AUTO
 
@@ -115,7 +115,7 @@ class ServedScenario:
 
     def __init__(self, scenario: Scenario, settings: ServeSettings | None = None) -> None:
         settings = settings or ServeSettings()
-        Wish.read(settings.effects)  # a name that is wrong is told now, not at the first ping
+        EffectSelection.read(settings.effects)  # report a wrong name now, not at the first ping
         self.route = Route(scenario.trajectory, settings.ends)
         self.outputs = settings.outputs
         self._unix_offset_ns = time.time_ns() - time.monotonic_ns()

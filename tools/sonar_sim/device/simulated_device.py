@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from oculus_driver.sound_speed import pressure_bar_at
 from oculus_driver.virtual_sonar.device import FireRequest, Identity, VirtualDevice
 from sonar_sim.capture import POWER_UP_S
-from sonar_sim.device.fire_settings import PROCESSING_S, first_demand, listening_s, period_s
-from sonar_sim.device.ping_generator import PingMaker, When
+from sonar_sim.device.fire_settings import PROCESSING_S, initial_request, listening_s, period_s
+from sonar_sim.device.ping_generator import PingGenerator, PingTime
 from sonar_sim.effects.plan import AUTO
 from sonar_sim.geometry.trajectory import Trajectory
 from sonar_sim.scene.scenario import Scenario
@@ -33,7 +33,7 @@ class SimulatedDevice(VirtualDevice):
 
     It transmits as fast as the rate, the sound's way there and back, and this computer allow:
     where simulating takes longer than that, the next ping is transmitted later, not sent late.
-    Until a fire message comes it pings as the scenario says, or is in standby.
+    Until a fire message arrives it pings with the scenario's settings, or is in standby.
 
     Args:
         scenario: scene, sonar and mounting.
@@ -63,7 +63,7 @@ class SimulatedDevice(VirtualDevice):
         ignored_fire_version: int | None = None,
     ) -> None:
         device_id = identity.device_id or 1
-        self._maker = PingMaker(
+        self._maker = PingGenerator(
             scenario.scene,
             scenario.sonar,
             scenario.mounting,
@@ -76,7 +76,7 @@ class SimulatedDevice(VirtualDevice):
         self._route = route
         self._clock = clock
         self._standby = standby
-        self._first_demand = first_demand(scenario.sonar, scenario.ping_rate_hz)
+        self._first_demand = initial_request(scenario.sonar, scenario.ping_rate_hz)
         self._thread = ThreadPoolExecutor(1, "simulator")
         self._ready: _Ready | None = None
         self._transmit_s = 0.0  # the earliest next one, on the route
@@ -99,7 +99,7 @@ class SimulatedDevice(VirtualDevice):
 
     @property
     def next_is_ping(self) -> bool:
-        """True: it says nothing else by itself."""
+        """True: only pings are sent unprompted."""
         return True
 
     @property
@@ -134,7 +134,7 @@ class SimulatedDevice(VirtualDevice):
         return ready.message, ready.ping_id
 
     def restart(self) -> None:
-        """Begin ids and device time anew; settings stay."""
+        """Restart ids and device time; settings stay."""
         self._ready = None
         self._next_id = FIRST_ID
         self._boot_s = self._clock()
@@ -147,7 +147,7 @@ class SimulatedDevice(VirtualDevice):
         transmit_s = max(self._transmit_s, self._clock())
         sonar = self._maker.settings(demand)
         map_T_base = self._route.pose(transmit_s)  # noqa: N806 frames are named
-        when = When(
+        when = PingTime(
             self._next_id,
             transmit_s - self._boot_s,
             transmit_s,

@@ -1,1 +1,1 @@
-"""The physical effects, one module each, and the rules that say which of them a ping calls for."""
+"""The physical effects, and the rules that choose the effects of each ping."""

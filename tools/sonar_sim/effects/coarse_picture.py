@@ -7,23 +7,23 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.effects.echoes import COLUMNS, Echoes, Fan
+from sonar_sim.effects.echoes import COLUMNS, CoarseFan, Echoes
 from sonar_sim.effects.image_difference import Tolerance, level_change_db
-from sonar_sim.geometry.matmul import product
+from sonar_sim.geometry.matmul import chunked_matmul
 from sonar_sim.geometry.pose import Pose
 from sonar_sim.propagation.beam_pattern import (
     azimuth_amplitude,
     main_lobe_end,
     vertical_two_way_power,
 )
-from sonar_sim.propagation.clouds import passage
+from sonar_sim.propagation.clouds import box_crossing
 from sonar_sim.propagation.physics import Cloud
-from sonar_sim.receiver.gain import MOST_DB
+from sonar_sim.receiver.gain import MAX_DB
 from sonar_sim.scene.sonar import SonarSettings
 
-MOST_ROWS = 128
-MOST_LOSS_DB = 2000.0
-"""Beyond it all is silent, but not so that nobody could tell what was there without the loss."""
+MAX_ROWS = 128
+MAX_LOSS_DB = 2000.0
+"""Limit of loss: beyond it echoes are inaudible, but the loss can still be removed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,16 +32,16 @@ class CoarseGrid:
 
     Attributes:
         sonar: whose picture it is.
-        most_rows: of the coarse picture.
+        max_rows: of the coarse picture.
     """
 
     sonar: SonarSettings
-    most_rows: int = MOST_ROWS
+    max_rows: int = MAX_ROWS
 
     @property
     def rows(self) -> int:
         """Number of coarse rows."""
-        return min(self.most_rows, self.sonar.rows)
+        return min(self.max_rows, self.sonar.rows)
 
     @property
     def row_m(self) -> float:
@@ -69,7 +69,7 @@ class CoarseGrid:
     def picture(self, echoes: Echoes, power: NDArray[np.float64]) -> NDArray[np.float64]:
         """Expected power of a pixel in each coarse cell, side lobes included, (rows, COLUMNS)."""
         main = self.main_lobes(echoes, power)
-        leaked = product(main.astype(np.float32), side_lobe_matrix(self.sonar))
+        leaked = chunked_matmul(main.astype(np.float32), side_lobe_matrix(self.sonar))
         picture: NDArray[np.float64] = main + leaked
         return picture
 
@@ -109,14 +109,14 @@ class Gains:
 
     def amplitude(self, power: NDArray[np.float64]) -> NDArray[np.float64]:
         """Amplitude of full scale, not clipped, (rows, COLUMNS)."""
-        gain_db = np.minimum(self.varied_db + self.operator_db - self.full_scale_db, MOST_DB)
+        gain_db = np.minimum(self.varied_db + self.operator_db - self.full_scale_db, MAX_DB)
         shown: NDArray[np.float64] = np.sqrt(power) * (10.0 ** (gain_db / 20.0))[:, None]
         return shown
 
 
-def left_by(loss_db: NDArray[np.float64]) -> NDArray[np.float64]:
+def transmitted_power(loss_db: NDArray[np.float64]) -> NDArray[np.float64]:
     """What a loss leaves of a power, any shape."""
-    ratio: NDArray[np.float64] = 10.0 ** (-np.minimum(loss_db, MOST_LOSS_DB) / 10.0)
+    ratio: NDArray[np.float64] = 10.0 ** (-np.minimum(loss_db, MAX_LOSS_DB) / 10.0)
     return ratio
 
 
@@ -179,10 +179,10 @@ def _pattern(sonar: SonarSettings, sine: NDArray[np.float64]) -> NDArray[np.floa
     return azimuth_amplitude(sonar.beam_width_rad, sonar.side_lobe_db)(sine)
 
 
-def filled_by(
+def cloud_filling(
     cloud: Cloud,
     grid: CoarseGrid,
-    fan: Fan,
+    fan: CoarseFan,
     map_T_sonar: Pose,  # noqa: N803 frames in the name
     end_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
@@ -198,7 +198,7 @@ def filled_by(
         end_m: where each ends, (N,).
     """
     direction = fan.directions @ map_T_sonar.rotation.T
-    enter_m, leave_m = passage(
+    enter_m, leave_m = box_crossing(
         cloud, map_T_sonar.position_m, direction.astype(np.float32), np.minimum(end_m, 1e6)
     )
     inside = np.flatnonzero(leave_m > enter_m)

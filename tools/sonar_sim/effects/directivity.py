@@ -11,27 +11,27 @@ from sonar_sim.effects.effect import (
     ROW_CORRELATION,
     Cost,
     Effect,
-    Parameter,
-    Verdict,
+    EffectParameter,
+    RuleResult,
     by_cells,
     by_level,
 )
 from sonar_sim.effects.image_difference import Tolerance
-from sonar_sim.effects.preview import View
+from sonar_sim.effects.preview import PingPreview
 from sonar_sim.propagation.physics import Physics
 
 
-def decide_azimuth_pattern(view: View, tolerance: Tolerance) -> Verdict:
+def decide_azimuth_pattern(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if a beam is wider than half the beams' distance."""
     del tolerance
     width = 2.0 * math.sin(view.sonar.beam_width_rad / 2.0)
     pitch = view.sonar.sine_pitch
     predicted_db = abs(10.0 * math.log10(equivalent_beams(view.sonar)))
     reason = f"a beam is {width / pitch:.1f} times as wide as the beams' distance"
-    return Verdict(width > pitch / 2.0, reason, predicted_db)
+    return RuleResult(width > pitch / 2.0, reason, predicted_db)
 
 
-def configure_azimuth_pattern(physics: Physics, view: View) -> None:
+def configure_azimuth_pattern(physics: Physics, view: PingPreview) -> None:
     """Give the beam its width."""
     physics.beam_width_rad = view.sonar.beam_width_rad
 
@@ -44,13 +44,13 @@ AZIMUTH_PATTERN = Effect(
     source="line array shaded by a Gaussian, receive only: as a public recording shows",
     rule="beam width above half the beams' distance",
     cost=Cost.CELL,
-    parameters=(Parameter("sonar.beam_width_rad", "rad", "-3 dB full width at broadside"),),
+    parameters=(EffectParameter("sonar.beam_width_rad", "rad", "-3 dB full width at broadside"),),
     decide=decide_azimuth_pattern,
     configure=configure_azimuth_pattern,
 )
 
 
-def decide_side_lobes(view: View, tolerance: Tolerance) -> Verdict:
+def decide_side_lobes(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if arcs rise out of what is in their rows anyway.
 
     An arc is as thin as its echo is short, and thinner ones are brighter: rows are those of the
@@ -65,7 +65,7 @@ def decide_side_lobes(view: View, tolerance: Tolerance) -> Verdict:
     return by_level(predicted_db, tolerance, reason)
 
 
-def configure_side_lobes(physics: Physics, view: View) -> None:
+def configure_side_lobes(physics: Physics, view: PingPreview) -> None:
     """Give the lobes their level."""
     physics.side_lobe_db = view.sonar.side_lobe_db
 
@@ -78,14 +78,14 @@ SIDE_LOBES = Effect(
     source="line array shaded by a Gaussian on a pedestal",
     rule="the arcs change any pixel by more than the tolerance",
     cost=Cost.CELL,
-    parameters=(Parameter("sonar.side_lobe_db", "dB", "under the main lobe, positive"),),
+    parameters=(EffectParameter("sonar.side_lobe_db", "dB", "under the main lobe, positive"),),
     decide=decide_side_lobes,
     configure=configure_side_lobes,
     anywhere=True,
 )
 
 
-def decide_vertical_pattern(view: View, tolerance: Tolerance) -> Verdict:
+def decide_vertical_pattern(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if echoes lie so far off the fan's plane that the picture changes."""
     echoes = view.echoes
     power = view.echo_power / np.maximum(view.pattern, 1e-12)
@@ -96,7 +96,7 @@ def decide_vertical_pattern(view: View, tolerance: Tolerance) -> Verdict:
     return by_level(view.change_of_echoes_db(power, tolerance), tolerance, reason)
 
 
-def configure_vertical_pattern(physics: Physics, view: View) -> None:
+def configure_vertical_pattern(physics: Physics, view: PingPreview) -> None:
     """Give the aperture its width."""
     physics.vertical_width_rad = view.sonar.vertical_width_rad
 
@@ -109,13 +109,13 @@ VERTICAL_PATTERN = Effect(
     source="unshaded aperture",
     rule="the picture without it differs by more than the tolerance",
     cost=Cost.FREE,
-    parameters=(Parameter("sonar.vertical_width_rad", "rad", "-3 dB full width, one way"),),
+    parameters=(EffectParameter("sonar.vertical_width_rad", "rad", "-3 dB full width, one way"),),
     decide=decide_vertical_pattern,
     configure=configure_vertical_pattern,
 )
 
 
-def decide_bearing_table(view: View, tolerance: Tolerance) -> Verdict:
+def decide_bearing_table(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if equal angles would put any direction into another beam."""
     half_rad = view.sonar.half_aperture_rad
     place = np.linspace(-1.0, 1.0, view.sonar.beams)
@@ -124,7 +124,7 @@ def decide_bearing_table(view: View, tolerance: Tolerance) -> Verdict:
     return by_cells(float(off.max()), tolerance, reason)
 
 
-def configure_bearing_table(physics: Physics, view: View) -> None:
+def configure_bearing_table(physics: Physics, view: PingPreview) -> None:
     """Lay the beams by sine."""
     del view
     physics.sine_bearings = True
@@ -138,23 +138,25 @@ BEARING_TABLE = Effect(
     source="public Oculus recording, to 0.01°",
     rule="equal angles displace any direction by more than the tolerated part of a beam",
     cost=Cost.FREE,
-    parameters=(Parameter("sonar.half_aperture_rad", "rad", "bearing of the outermost beams"),),
+    parameters=(
+        EffectParameter("sonar.half_aperture_rad", "rad", "bearing of the outermost beams"),
+    ),
     decide=decide_bearing_table,
     configure=configure_bearing_table,
 )
 
 
-def decide_range_spread(view: View, tolerance: Tolerance) -> Verdict:
+def decide_range_spread(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the resolution of the pulse is not much finer than a row."""
     bandwidth_hz = view.sonar.bandwidth_hz(view.speed_mps)
     resolution_rows = view.speed_mps / (2.0 * bandwidth_hz) / view.sonar.range_resolution_m
     on = resolution_rows >= 0.5 and tolerance.texture < ROW_CORRELATION  # noqa: PLR2004 half a row
     reason = f"the pulse resolves {resolution_rows:.1f} rows; rows correlate {ROW_CORRELATION}"
     leak_db = LEVEL_SPREAD_DB * (2.0 * ROW_CORRELATION) ** 0.5
-    return Verdict(on, reason, leak_db)
+    return RuleResult(on, reason, leak_db)
 
 
-def configure_range_spread(physics: Physics, view: View) -> None:
+def configure_range_spread(physics: Physics, view: PingPreview) -> None:
     """Let neighbouring rows overlap."""
     del view
     physics.range_spread = True
@@ -168,23 +170,25 @@ RANGE_SPREAD = Effect(
     source="public Oculus recording: correlation of neighbouring rows 0.19",
     rule="c / (2 B) of at least half a row, and a tolerance of texture below the correlation",
     cost=Cost.CELL,
-    parameters=(Parameter("sonar.base_row_m", "m", "finest row, which the bandwidth resolves"),),
+    parameters=(
+        EffectParameter("sonar.base_row_m", "m", "finest row, which the bandwidth resolves"),
+    ),
     decide=decide_range_spread,
     configure=configure_range_spread,
 )
 
 
-def decide_crosstalk(view: View, tolerance: Tolerance) -> Verdict:
+def decide_crosstalk(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the leak rises out of what is in the rows anyway."""
     level_db = view.sonar.crosstalk_db
     if level_db is None:
-        return Verdict(on=False, reason="the sonar has none", predicted_db=0.0)
+        return RuleResult(on=False, reason="the sonar has none", predicted_db=0.0)
     leak = 10.0 ** (level_db / 10.0) * view.picture.mean(axis=1, keepdims=True)
     reason = f"{level_db:.0f} dB of each row's mean over its background"
     return by_level(view.change_db(view.picture + leak, tolerance), tolerance, reason)
 
 
-def configure_crosstalk(physics: Physics, view: View) -> None:
+def configure_crosstalk(physics: Physics, view: PingPreview) -> None:
     """Give the level."""
     physics.crosstalk_db = view.sonar.crosstalk_db
 
@@ -197,7 +201,7 @@ CROSSTALK = Effect(
     source="electrical leakage of -40 to -60 dB",
     rule="the leak changes the picture by more than the tolerance",
     cost=Cost.ROW,
-    parameters=(Parameter("sonar.crosstalk_db", "dB", "of the row's mean power, negative"),),
+    parameters=(EffectParameter("sonar.crosstalk_db", "dB", "of the row's mean power, negative"),),
     decide=decide_crosstalk,
     configure=configure_crosstalk,
 )

@@ -17,17 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.effects.echoes import COLUMNS, Echoes
-from sonar_sim.effects.effect import Verdict, displaced_db
+from sonar_sim.effects.effect import RuleResult, displaced_db
 from sonar_sim.effects.image_difference import Tolerance, full_scale, gamma_of
-from sonar_sim.effects.preview import View
-from sonar_sim.effects.texture import FARTHEST, LEAST_STEPS
+from sonar_sim.effects.preview import PingPreview
+from sonar_sim.effects.texture import FARTHEST, MIN_STEPS
 from sonar_sim.scene.sonar import SonarSettings
 
 STEP_S = 1e-3
 """Of the difference that gives an object's velocity."""
 
 
-def leaving_mps(view: View) -> NDArray[np.float64]:
+def object_velocity_mps(view: PingPreview) -> NDArray[np.float64]:
     """Velocity of what each echo came from, map frame, (N, 3)."""
     velocity = np.zeros((len(view.echoes.range_m), 3))
     for number, surface in enumerate(view.scene.surfaces):
@@ -38,12 +38,12 @@ def leaving_mps(view: View) -> NDArray[np.float64]:
     return velocity
 
 
-def speed_mps(view: View) -> float:
+def speed_mps(view: PingPreview) -> float:
     """Of the sonar."""
     return 0.0 if view.motion is None else float(np.linalg.norm(view.motion.linear_mps))
 
 
-def turn_rps(view: View) -> float:
+def turn_rps(view: PingPreview) -> float:
     """Rate of turn, rad/s."""
     return 0.0 if view.motion is None else float(np.linalg.norm(view.motion.angular_rps))
 
@@ -55,7 +55,7 @@ HALF_STEP_M = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bending:
+class PathBending:
     """What the profile does to each echo's path, (N,) each.
 
     Attributes:
@@ -67,7 +67,7 @@ class Bending:
     stretch: NDArray[np.float64]
 
 
-def bending(view: View) -> Bending:
+def path_bending(view: PingPreview) -> PathBending:
     """Follow the straight paths through the profile.
 
     In a constant gradient g a path is an arc of curvature g cos / c, whose chord leaves it by half
@@ -76,7 +76,7 @@ def bending(view: View) -> Bending:
     """
     profile, echoes = view.scene.water.profile, view.echoes
     if profile is None:
-        return Bending(np.zeros(len(echoes.range_m)), np.ones(len(echoes.range_m)))
+        return PathBending(np.zeros(len(echoes.range_m)), np.ones(len(echoes.range_m)))
     depths_m, speeds_mps = np.array(profile, dtype=np.float64).T
     steps = (np.arange(STEPS) + 0.5) / STEPS
     depth_s = -float(view.map_T_sonar.position_m[2])
@@ -87,15 +87,17 @@ def bending(view: View) -> Bending:
     mean = ((below - above) / (2.0 * HALF_STEP_M) * (1.0 - steps)).mean(axis=1) * 2.0
     level_m = np.hypot(*(echoes.point_m - view.map_T_sonar.position_m)[:, :2].T)
     speed = np.interp(along_m, depths_m, speeds_mps)
-    return Bending(-mean * level_m / (2.0 * view.speed_mps), (view.speed_mps / speed).mean(axis=1))
+    return PathBending(
+        -mean * level_m / (2.0 * view.speed_mps), (view.speed_mps / speed).mean(axis=1)
+    )
 
 
-MOST_PARTS = 1024
-"""More say no more of how far nine in ten of them move."""
+MAX_PARTS = 1024
+"""Limit of parts; more do not change the displacement that nine in ten stay below."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Parts:
+class VisibleParts:
     """Coarse cells bright enough to be seen, each by its echoes' mean weighted by their powers.
 
     Echoes that share a cell move as one: what lies above and below can move to and fro. u is the
@@ -124,10 +126,10 @@ class Parts:
     passing_mps: NDArray[np.float64]
 
 
-_PARTS_KNOWN: WeakKeyDictionary[Echoes, Parts] = WeakKeyDictionary()
+_PARTS_KNOWN: WeakKeyDictionary[Echoes, VisibleParts] = WeakKeyDictionary()
 
 
-def parts_of(view: View) -> Parts:
+def visible_parts(view: PingPreview) -> VisibleParts:
     """The parts of what a look saw, whatever the motion."""
     known = _PARTS_KNOWN.get(view.echoes)
     if known is None:
@@ -135,10 +137,10 @@ def parts_of(view: View) -> Parts:
     return known
 
 
-def _parts_of(view: View) -> Parts:
+def _parts_of(view: PingPreview) -> VisibleParts:
     place, its, total = _seen(view)
     u, range_m = view.echoes.direction[its], view.echoes.range_m[its]
-    leaving = leaving_mps(view)[its] @ view.map_T_sonar.rotation
+    leaving = object_velocity_mps(view)[its] @ view.map_T_sonar.rotation
     along = np.sum(leaving * u, axis=1)
     # s = -y; the direction to a fixed point turns by -omega x u and passes by -(v - (v u) u) / R.
     turned = np.stack([-u[:, 2], np.zeros(len(u)), u[:, 0]], axis=1)
@@ -147,7 +149,7 @@ def _parts_of(view: View) -> Parts:
     values = np.column_stack(
         [
             range_m,
-            range_m * (bending(view).stretch[its] - 1.0),
+            range_m * (path_bending(view).stretch[its] - 1.0),
             u,
             range_m[:, None] * u,
             along,
@@ -160,7 +162,7 @@ def _parts_of(view: View) -> Parts:
     values *= view.echo_power[its, None]
     sums = [np.bincount(place, each, len(total)) for each in values.T]
     mean: NDArray[np.float64] = np.column_stack(sums) / total[:, None]
-    return Parts(
+    return VisibleParts(
         mean[:, 0],
         mean[:, 1],
         mean[:, 2:5],
@@ -173,16 +175,16 @@ def _parts_of(view: View) -> Parts:
     )
 
 
-def _seen(view: View) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+def _seen(view: PingPreview) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Part of each echo in one (M,), those echoes (M,), and each part's power (P,)."""
     grid, echoes = view.grid, view.echoes
     row = np.clip((echoes.range_m / grid.row_m).astype(np.int64), 0, grid.rows - 1)
     cell = row * COLUMNS + echoes.column
     total = np.bincount(cell, view.echo_power, grid.rows * COLUMNS)
-    least = (LEAST_STEPS / full_scale(view.sonar)) ** (1.0 / gamma_of(view.sonar))
+    least = (MIN_STEPS / full_scale(view.sonar)) ** (1.0 / gamma_of(view.sonar))
     bright = view.gains.amplitude(view.echo_picture).ravel() > least
     seen = np.flatnonzero((total > 0.0) & bright)
-    seen = seen[:: max(1, -(-len(seen) // MOST_PARTS))]
+    seen = seen[:: max(1, -(-len(seen) // MAX_PARTS))]
     number = np.full(len(total), -1, dtype=np.int64)
     number[seen] = np.arange(len(seen))
     part: NDArray[np.int64] = number[cell]
@@ -190,11 +192,11 @@ def _seen(view: View) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.
     return part[its], its, total[seen].astype(np.float64)
 
 
-MOVERS = ("sound_speed", "motion", "doppler", "refraction")
+DISPLACING_EFFECTS = ("sound_speed", "motion", "doppler", "refraction")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Move:
+class Displacement:
     """Displacement of the picture's parts, (P,) each: to farther rows, and to starboard beams."""
 
     rows: NDArray[np.float64]
@@ -206,13 +208,13 @@ class Move:
         return max(_farthest(self.rows), _farthest(self.beams))
 
 
-def moves(view: View) -> dict[str, Move]:
+def displacement(view: PingPreview) -> dict[str, Displacement]:
     """What each mover does to each part of the picture.
 
     Sound that comes back from range R after 2 R / c meets a sonar that has come v R / c nearer, on
     the way there and back together, and has turned by omega 2 R / c.
     """
-    sonar, speed_mps, parts = view.sonar, view.speed_mps, parts_of(view)
+    sonar, speed_mps, parts = view.sonar, view.speed_mps, visible_parts(view)
     row_m, none = sonar.range_resolution_m, np.zeros(len(parts.range_m))
     velocity_mps, turn_rps = np.zeros(3), np.zeros(3)
     if view.motion is not None:
@@ -222,17 +224,17 @@ def moves(view: View) -> dict[str, Move]:
     closing_m2ps = parts.away_m @ velocity_mps - parts.leaving_m2ps
     sines = parts.turned_m @ turn_rps + parts.passed @ velocity_mps - parts.passing_mps
     return {
-        "sound_speed": Move(parts.range_m * (range_scale(view) - 1.0) / row_m, none),
-        "motion": Move(
+        "sound_speed": Displacement(parts.range_m * (range_scale(view) - 1.0) / row_m, none),
+        "motion": Displacement(
             -closing_m2ps / speed_mps / row_m, 2.0 / speed_mps * sines / sonar.sine_pitch
         ),
-        "doppler": Move(closing_mps * doppler_shift_s(sonar, speed_mps) / row_m, none),
-        "refraction": Move(parts.stretched_m / row_m, none),
+        "doppler": Displacement(closing_mps * doppler_shift_s(sonar, speed_mps) / row_m, none),
+        "refraction": Displacement(parts.stretched_m / row_m, none),
     }
 
 
-def range_scale(view: View) -> float:
-    """Apparent range over true range, by the speed of sound that the sonar was told."""
+def range_scale(view: PingPreview) -> float:
+    """Apparent range over true range, by the speed of sound that the sonar assumes."""
     told_mps = view.sonar.told_speed_mps
     return 1.0 if told_mps is None else told_mps / view.speed_mps
 
@@ -243,7 +245,7 @@ def doppler_shift_s(sonar: SonarSettings, speed_mps: float) -> float:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Movers:
+class Displacements:
     """What moves one ping's picture.
 
     Attributes:
@@ -252,39 +254,41 @@ class Movers:
         left_out: movers whose displacements together stay within the tolerance, at `cells`.
     """
 
-    moves: dict[str, Move]
+    moves: dict[str, Displacement]
     cells: dict[str, float]
     left_out: dict[float, frozenset[str]]
 
 
-_MOVERS_KNOWN: WeakKeyDictionary[View, Movers] = WeakKeyDictionary()
+_MOVERS_KNOWN: WeakKeyDictionary[PingPreview, Displacements] = WeakKeyDictionary()
 
 
-def moved_cells(view: View, name: str) -> float:
+def displaced_cells(view: PingPreview, name: str) -> float:
     """How far one mover takes all but a few of the picture's parts."""
     return _movers(view).cells[name]
 
 
-def move_verdict(name: str, view: View, tolerance: Tolerance, reason: str) -> Verdict:
+def displacement_result(
+    name: str, view: PingPreview, tolerance: Tolerance, reason: str
+) -> RuleResult:
     """On if the picture would be displaced too far without this one of the movers."""
     movers = _movers(view)
     left = movers.left_out.get(tolerance.cells)
     if left is None:
         left = movers.left_out[tolerance.cells] = _left_out(movers, tolerance.cells)
     cells = movers.cells[name]
-    return Verdict(name not in left, f"{reason}: {cells:.2g} cells", displaced_db(cells))
+    return RuleResult(name not in left, f"{reason}: {cells:.2g} cells", displaced_db(cells))
 
 
-def _movers(view: View) -> Movers:
+def _movers(view: PingPreview) -> Displacements:
     known = _MOVERS_KNOWN.get(view)
     if known is None:
-        found = moves(view)
-        known = Movers(found, {name: move.cells for name, move in found.items()}, {})
+        found = displacement(view)
+        known = Displacements(found, {name: move.cells for name, move in found.items()}, {})
         _MOVERS_KNOWN[view] = known
     return known
 
 
-def _left_out(movers: Movers, cells: float) -> frozenset[str]:
+def _left_out(movers: Displacements, cells: float) -> frozenset[str]:
     """Drop the farthest mover until the rest together stay within the tolerance."""
     left = sorted(movers.cells, key=lambda mover: (movers.cells[mover], mover))
     if sum(movers.cells.values()) <= cells:
@@ -294,9 +298,9 @@ def _left_out(movers: Movers, cells: float) -> frozenset[str]:
     return frozenset(left)
 
 
-def _sum(parts: Iterable[Move]) -> Move:
+def _sum(parts: Iterable[Displacement]) -> Displacement:
     rows, beams = zip(*((move.rows, move.beams) for move in parts), strict=True)
-    return Move(np.sum(rows, axis=0), np.sum(beams, axis=0))
+    return Displacement(np.sum(rows, axis=0), np.sum(beams, axis=0))
 
 
 def _farthest(cells: NDArray[np.float64]) -> float:

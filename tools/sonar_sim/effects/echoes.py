@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sonar_sim.geometry.pose import Pose
 from sonar_sim.raycast import meshes
 from sonar_sim.raycast.fan import solid_angle_sr
-from sonar_sim.scene.material import lobe_strength
+from sonar_sim.scene.material import specular_lobe
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
 
@@ -21,7 +21,7 @@ SKIP_M = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Met:
+class CoarseHits:
     """What rays met.
 
     Attributes:
@@ -44,7 +44,7 @@ def cast(
     direction: NDArray[np.float64],
     time_s: float,
     reach_m: float,
-) -> Met:
+) -> CoarseHits:
     """Find what rays meet first.
 
     Args:
@@ -68,7 +68,7 @@ def cast(
     turn = np.zeros((len(hit), 3))
     tangent = direction[hit] - np.sum(direction[hit] * normal[hit], axis=1)[:, None] * normal[hit]
     turn[hit] = _turn(scene, face, found.group[hit], tangent, time_s)
-    return Met(range_m, normal, surface, turn)
+    return CoarseHits(range_m, normal, surface, turn)
 
 
 def _turn(
@@ -78,7 +78,7 @@ def _turn(
     tangent: NDArray[np.float64],
     time_s: float,
 ) -> NDArray[np.float64]:
-    """As in `Met`: the normal's gradient has the principal curvatures as its eigenvalues."""
+    """As in `CoarseHits`: the normal's gradient has the principal curvatures as its eigenvalues."""
     turn = np.zeros((len(face), 3))
     place = scene.smooth[face]
     round_ = np.flatnonzero(place >= 0)
@@ -138,14 +138,14 @@ COLUMNS = 96
 ELEVATIONS = 64
 TOP = math.sin(math.radians(40.0))
 """Sine of the highest elevation: out to the vertical pattern's second lobe."""
-LEAST_AHEAD = 1e-3
-"""Sine of the angle to the plane across the sonar below which a ray tells nothing."""
+MIN_AHEAD = 1e-3
+"""Sine of the angle to the plane across the sonar below which a ray is ignored."""
 GRAZING = 1e-3
 """Cosine of incidence below which a patch has no size worth naming."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fan:
+class CoarseFan:
     """Directions of the coarse rays, uniform in s = -y and w = z as the array hears them.
 
     Attributes:
@@ -205,7 +205,7 @@ class Echoes:
         return self.lambert_m2 + self.lobe_m2
 
 
-def coarse_fan(sonar: SonarSettings) -> Fan:
+def coarse_fan(sonar: SonarSettings) -> CoarseFan:
     """Lay the coarse rays over the fan and the vertical pattern's two lobes."""
     edge = math.sin(sonar.half_aperture_rad) + sonar.sine_pitch / 2.0
     sine_step, up_step = 2.0 * edge / COLUMNS, 2.0 * TOP / ELEVATIONS
@@ -219,17 +219,17 @@ def coarse_fan(sonar: SonarSettings) -> Fan:
     most = np.sqrt(1.0 - ww**2)
     middle = (np.clip(ss - half_s, -most, most) + np.clip(ss + half_s, -most, most)) / 2.0
     ahead = np.sqrt(np.maximum(1.0 - middle**2 - ww**2, 0.0))
-    real = (solid_angle > 0.0) & (ahead > LEAST_AHEAD)
+    real = (solid_angle > 0.0) & (ahead > MIN_AHEAD)
     directions = np.stack([ahead[real], -middle[real], ww[real]], axis=1)
-    return Fan(directions, column[real], sine_step, up_step, -edge, solid_angle[real])
+    return CoarseFan(directions, column[real], sine_step, up_step, -edge, solid_angle[real])
 
 
-def echoes_of(
+def coarse_echoes(
     scene: Scene,
     sonar: SonarSettings,
-    fan: Fan,
+    fan: CoarseFan,
     map_T_sonar: Pose,  # noqa: N803 frames in the name
-    met: Met,
+    met: CoarseHits,
 ) -> Echoes:
     """Give what the rays met its scattering strengths; what is out of range is left out."""
     near = np.flatnonzero(met.range_m < sonar.range_m)
@@ -262,7 +262,7 @@ def echoes_of(
 def _scattering(
     scene: Scene,
     sonar: SonarSettings,
-    fan: Fan,
+    fan: CoarseFan,
     *,
     surface: NDArray[np.int64],
     cos_incidence: NDArray[np.float64],
@@ -271,7 +271,7 @@ def _scattering(
     """Lambert's coefficient, and the mirror lobe's scattering per unit area, of each patch.
 
     `turn` holds the variances of the normal within a patch by its curvature: their sum, their
-    product, and what the ray's part in the tangent plane has of them (see `Met`).
+    product, and what the ray's part in the tangent plane has of them (see `CoarseHits`).
     """
     wave_number = 2.0 * math.pi * sonar.frequency_hz / scene.water.speed_of_sound_mps
     materials = [s.material for s in scene.surfaces]
@@ -294,7 +294,7 @@ def _scattering(
     sin2 = np.maximum(1.0 - cos2, GRAZING**2)
     # g S^-1 g = ((own + trace) g² - g turn g) / det S for a direction g of the tangent plane.
     variance = both / np.maximum(own + turn[:, 0] - turn[:, 2] / sin2, 1e-12)
-    lobe = lobe_strength(np.cos(incidence), reflection, roughness_m, np.sqrt(variance), wave_number)
+    lobe = specular_lobe(np.cos(incidence), reflection, roughness_m, np.sqrt(variance), wave_number)
     lobe *= variance / np.sqrt(both)
     return mu, np.where(reflection != 0.0, lobe, 0.0)
 
@@ -304,7 +304,7 @@ def _extent_m(
     normal: NDArray[np.float64],
     range_m: NDArray[np.float64],
     facing: NDArray[np.float64],
-    fan: Fan,
+    fan: CoarseFan,
 ) -> NDArray[np.float64]:
     """How far a ray's cell reaches in range over its patch's plane: dR = -R (n.dd) / (n.d)."""
     x, y, z = direction.T

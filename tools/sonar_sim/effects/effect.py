@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from sonar_sim.effects.image_difference import Tolerance
-from sonar_sim.effects.preview import View
+from sonar_sim.effects.preview import PingPreview
 from sonar_sim.propagation.physics import Physics
 
 
@@ -22,7 +22,7 @@ class Cost(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class EffectParameter:
     """A number that an effect takes.
 
     Attributes:
@@ -37,8 +37,8 @@ class Parameter:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
-    """What a rule says of one ping.
+class RuleResult:
+    """A rule's result for one ping.
 
     Attributes:
         on: whether the ping calls for the effect.
@@ -78,9 +78,9 @@ class Effect:
     source: str
     rule: str
     cost: Cost
-    parameters: tuple[Parameter, ...]
-    decide: Callable[[View, Tolerance], Verdict]
-    configure: Callable[[Physics, View], None]
+    parameters: tuple[EffectParameter, ...]
+    decide: Callable[[PingPreview, Tolerance], RuleResult]
+    configure: Callable[[Physics, PingPreview], None]
     anywhere: bool = False
 
 
@@ -90,14 +90,14 @@ LEVEL_SPREAD_DB = 5.57
 """Standard deviation of speckle's level."""
 
 
-def by_level(predicted_db: float, tolerance: Tolerance, reason: str) -> Verdict:
+def by_level(predicted_db: float, tolerance: Tolerance, reason: str) -> RuleResult:
     """On if the picture would change by more than the tolerated level."""
-    return Verdict(predicted_db > tolerance.level_db, reason, predicted_db)
+    return RuleResult(predicted_db > tolerance.level_db, reason, predicted_db)
 
 
-def by_cells(cells: float, tolerance: Tolerance, reason: str) -> Verdict:
+def by_cells(cells: float, tolerance: Tolerance, reason: str) -> RuleResult:
     """On if the picture would be displaced by more than the tolerated part of a cell."""
-    return Verdict(cells > tolerance.cells, f"{reason}: {cells:.2g} cells", displaced_db(cells))
+    return RuleResult(cells > tolerance.cells, f"{reason}: {cells:.2g} cells", displaced_db(cells))
 
 
 def displaced_db(cells: float) -> float:

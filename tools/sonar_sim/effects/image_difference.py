@@ -20,7 +20,7 @@ from scipy.special import erf
 from sonar_sim.scene.sonar import SonarSettings
 
 LOUDEST = 1e18
-"""Of full scale: louder is not told apart, and pixels of 32 bits stay within single precision."""
+"""Limit of amplitude, of full scale: keeps pixels of 32 bits within single precision."""
 
 
 def level_change_db(
@@ -35,7 +35,7 @@ def level_change_db(
     Args:
         first: expected amplitudes of full scale, (rows, beams).
         second: of the other picture.
-        sonar: whose gamma and bits say what a step of the quantiser is.
+        sonar: its gamma and bits set the step of the quantiser.
         share: of the pixels.
         cells: displacement that does not count, in rows and in columns.
 

@@ -4,21 +4,21 @@ import math
 
 import numpy as np
 
-from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict, by_level
+from sonar_sim.effects.effect import Cost, Effect, EffectParameter, RuleResult, by_level
 from sonar_sim.effects.image_difference import Tolerance
-from sonar_sim.effects.preview import View
+from sonar_sim.effects.preview import PingPreview
 from sonar_sim.propagation.beam_pattern import azimuth_amplitude, vertical_two_way_power
-from sonar_sim.propagation.physics import Arrival, Physics
+from sonar_sim.propagation.physics import InterferencePulse, Physics
 from sonar_sim.scene.scene import Emitter
 
 
-def arrivals(view: View) -> tuple[Arrival, ...]:
+def arrivals(view: PingPreview) -> tuple[InterferencePulse, ...]:
     """What is heard of all emitters in this ping."""
     heard = [arrival for emitter in view.scene.emitters for arrival in _arrivals_of(emitter, view)]
     return tuple(sorted(heard, key=lambda a: (a.time_s, a.sine)))
 
 
-def _arrivals_of(emitter: Emitter, view: View) -> list[Arrival]:
+def _arrivals_of(emitter: Emitter, view: PingPreview) -> list[InterferencePulse]:
     band_hz = (emitter.bandwidth_hz + view.sonar.bandwidth_hz(view.speed_mps)) / 2.0
     if abs(emitter.frequency_hz - view.sonar.frequency_hz) > band_hz:
         return []
@@ -33,24 +33,24 @@ def _arrivals_of(emitter: Emitter, view: View) -> list[Arrival]:
     # The first transmission of the emitter that is still heard at or after ours.
     since_s = view.own_time_s - range_m / view.speed_mps - emitter.offset_s - emitter.pulse_s
     number = max(math.ceil(since_s / emitter.period_s), 0)
-    heard: list[Arrival] = []
+    heard: list[InterferencePulse] = []
     end_s = 2.0 * view.sonar.range_m / view.speed_mps
     while True:
         sent_s = emitter.offset_s + number * emitter.period_s
         time_s = sent_s + range_m / view.speed_mps - view.own_time_s
         if time_s > end_s:
             return heard
-        heard.append(Arrival(time_s, emitter.pulse_s, -float(y), level_db))
+        heard.append(InterferencePulse(time_s, emitter.pulse_s, -float(y), level_db))
         number += 1
 
 
-def decide(view: View, tolerance: Tolerance) -> Verdict:
+def decide(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if an emitter in band is heard in this ping above what is there."""
     if not view.scene.emitters:
-        return Verdict(on=False, reason="nothing else sounds", predicted_db=0.0)
+        return RuleResult(on=False, reason="nothing else sounds", predicted_db=0.0)
     heard = arrivals(view)
     if not heard:
-        return Verdict(
+        return RuleResult(
             on=False, reason="no other sonar in band is heard in this ping", predicted_db=0.0
         )
     added = sum((_picture(arrival, view) for arrival in heard), np.zeros_like(view.picture))
@@ -59,7 +59,9 @@ def decide(view: View, tolerance: Tolerance) -> Verdict:
     return by_level(view.change_db(view.picture + added, tolerance), tolerance, reason)
 
 
-def _picture(arrival: Arrival, view: View) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def _picture(
+    arrival: InterferencePulse, view: PingPreview
+) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     start_m = arrival.time_s * view.speed_mps / 2.0
     end_m = start_m + arrival.duration_s * view.speed_mps / 2.0
     half = view.grid.row_m / 2.0
@@ -71,7 +73,7 @@ def _picture(arrival: Arrival, view: View) -> np.ndarray[tuple[int, ...], np.dty
     return picture
 
 
-def configure(physics: Physics, view: View) -> None:
+def configure(physics: Physics, view: PingPreview) -> None:
     """List the arrivals."""
     physics.arrivals = arrivals(view)
 
@@ -85,9 +87,11 @@ INTERFERENCE = Effect(
     rule="an arrival in this ping changes the picture by more than the tolerance",
     cost=Cost.ROW,
     parameters=(
-        Parameter("emitter.source_level_db", "dB re 1 µPa", "at 1 m"),
-        Parameter("emitter.frequency_hz", "Hz", "with its bandwidth"),
-        Parameter("emitter.period_s", "s", "between transmissions, with their length and offset"),
+        EffectParameter("emitter.source_level_db", "dB re 1 µPa", "at 1 m"),
+        EffectParameter("emitter.frequency_hz", "Hz", "with its bandwidth"),
+        EffectParameter(
+            "emitter.period_s", "s", "between transmissions, with their length and offset"
+        ),
     ),
     decide=decide,
     configure=configure,

@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.effects.echoes import COLUMNS, GRAZING, Echoes, cast
-from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict, by_level
+from sonar_sim.effects.effect import Cost, Effect, EffectParameter, RuleResult, by_level
 from sonar_sim.effects.image_difference import Tolerance
-from sonar_sim.effects.planes import Plane, coherence
-from sonar_sim.effects.preview import View
-from sonar_sim.geometry.matmul import along
+from sonar_sim.effects.planes import MirrorPlane, coherence
+from sonar_sim.effects.preview import PingPreview
+from sonar_sim.geometry.matmul import rows_dot
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
-from sonar_sim.propagation.mirror import bounces
+from sonar_sim.propagation.mirror import reaches_mirror
 from sonar_sim.propagation.physics import Mirror, Physics
 
-LEAST_REFLECTION = 0.01
+MIN_REFLECTION = 0.01
 """Of pressure: a bounce that keeps less is 40 dB down."""
 NEAR_M = 0.02
 """How near a ray must come to the point it was sent to."""
@@ -36,8 +36,8 @@ class Ghosts:
     picture: NDArray[np.float64]
 
 
-def ghosts_of(view: View, plane: Plane) -> Ghosts | None:
-    """Work out the ghosts; None if there is none in range."""
+def mirror_ghosts(view: PingPreview, plane: MirrorPlane) -> Ghosts | None:
+    """Compute the ghosts; None if no ghost is in range."""
     sonar_m, echoes = view.map_T_sonar.position_m, view.echoes
     sonar_height = float((sonar_m - plane.point_m) @ plane.normal)
     k = 2.0 * math.pi * view.sonar.frequency_hz / view.speed_mps
@@ -48,18 +48,18 @@ def ghosts_of(view: View, plane: Plane) -> Ghosts | None:
     if abs(sonar_height) > 2.0 * view.sonar.range_m * _steepest_cosine(plane, k):
         return None
     normal = plane.normal * math.copysign(1.0, sonar_height)
-    height = along(echoes.point_m - plane.point_m, normal)
+    height = rows_dot(echoes.point_m - plane.point_m, normal)
     away = echoes.point_m - 2.0 * height[:, None] * normal - sonar_m
     bounced_m = np.linalg.norm(away, axis=1)
     away /= bounced_m[:, None]
-    cos_bounce = np.maximum(-along(away, normal), GRAZING)
+    cos_bounce = np.maximum(-rows_dot(away, normal), GRAZING)
     foot = sonar_m + away * (abs(sonar_height) / cos_bounce)[:, None]
     on_plane = np.all((foot > plane.low_m - NEAR_M) & (foot < plane.high_m + NEAR_M), axis=1)
     local = away @ view.map_T_sonar.rotation
     usable = (height > NEAR_M) & on_plane & (local[:, 0] > 0.0)
     usable &= (echoes.range_m + bounced_m) / 2.0 < view.sonar.range_m
     gamma = abs(plane.reflection) * coherence(k, plane.roughness_m, cos_bounce)
-    usable &= gamma > LEAST_REFLECTION
+    usable &= gamma > MIN_REFLECTION
     if not usable.any():
         return None
     usable[usable] &= _bounces(view, plane, foot[usable])
@@ -86,15 +86,15 @@ def ghosts_of(view: View, plane: Plane) -> Ghosts | None:
     )
 
 
-def _steepest_cosine(plane: Plane, wave_number_per_m: float) -> float:
-    """Cosine of incidence above which the plane keeps less than `LEAST_REFLECTION`."""
-    margin = math.log(max(abs(plane.reflection), LEAST_REFLECTION) / LEAST_REFLECTION) / 2.0
+def _steepest_cosine(plane: MirrorPlane, wave_number_per_m: float) -> float:
+    """Cosine of incidence above which the plane keeps less than `MIN_REFLECTION`."""
+    margin = math.log(max(abs(plane.reflection), MIN_REFLECTION) / MIN_REFLECTION) / 2.0
     phase = wave_number_per_m * plane.roughness_m
     return 1.0 if phase**2 <= margin else math.sqrt(margin) / phase
 
 
 def _ratio(
-    view: View,
+    view: PingPreview,
     local: NDArray[np.float64],
     away: NDArray[np.float64],
     bounced_m: NDArray[np.float64],
@@ -114,7 +114,7 @@ def _ratio(
     return ratio
 
 
-def _column(view: View, local: NDArray[np.float64]) -> NDArray[np.int64]:
+def _column(view: PingPreview, local: NDArray[np.float64]) -> NDArray[np.int64]:
     step = view.grid.sine[1] - view.grid.sine[0]
     column: NDArray[np.int64] = np.floor((-local[:, 1] - view.grid.sine[0]) / step + 0.5).astype(
         np.int64
@@ -122,7 +122,9 @@ def _column(view: View, local: NDArray[np.float64]) -> NDArray[np.int64]:
     return column
 
 
-def _bounces(view: View, plane: Plane, foot_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _bounces(
+    view: PingPreview, plane: MirrorPlane, foot_m: NDArray[np.float64]
+) -> NDArray[np.bool_]:
     """Whether the sonar sees the plane's own surface at points of the plane."""
     sonar_m = view.map_T_sonar.position_m
     way = foot_m - sonar_m
@@ -131,11 +133,11 @@ def _bounces(view: View, plane: Plane, foot_m: NDArray[np.float64]) -> NDArray[n
     reach_m = 2.0 * view.sonar.range_m
     met = view.meshes.cast(sonar_m, direction.astype(np.float32), view.time_s, reach_m, 1)
     mirror = Mirror(plane.point_m, plane.normal, plane.reflection, plane.surface)
-    return bounces(view.meshes, mirror, met.face, met.range_m, length)
+    return reaches_mirror(view.meshes, mirror, met.face, met.range_m, length)
 
 
 def _free(
-    view: View, start_m: NDArray[np.float64], end_m: NDArray[np.float64]
+    view: PingPreview, start_m: NDArray[np.float64], end_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """Whether nothing stands between points."""
     way = end_m - start_m
@@ -150,10 +152,10 @@ def _free(
 _KNOWN: WeakKeyDictionary[Echoes, list[Ghosts]] = WeakKeyDictionary()
 
 
-def decide_multipath(view: View, tolerance: Tolerance) -> Verdict:
+def decide_multipath(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the ghosts in all planes together show."""
     if not view.planes:
-        return Verdict(on=False, reason="no plane is smooth enough to mirror", predicted_db=0.0)
+        return RuleResult(on=False, reason="no plane is smooth enough to mirror", predicted_db=0.0)
     found = _ghosts(view)
     picture = view.picture + sum((g.picture for g in found), np.zeros_like(view.picture))
     strongest = max((abs(g.mirror.reflection) for g in found), default=0.0)
@@ -161,15 +163,15 @@ def decide_multipath(view: View, tolerance: Tolerance) -> Verdict:
     return by_level(view.change_db(picture, tolerance), tolerance, reason)
 
 
-def _ghosts(view: View) -> list[Ghosts]:
+def _ghosts(view: PingPreview) -> list[Ghosts]:
     known = _KNOWN.get(view.echoes)
     if known is None:
-        found = (ghosts_of(view, plane) for plane in view.planes)
+        found = (mirror_ghosts(view, plane) for plane in view.planes)
         known = _KNOWN[view.echoes] = [ghosts for ghosts in found if ghosts is not None]
     return known
 
 
-def configure_multipath(physics: Physics, view: View) -> None:
+def configure_multipath(physics: Physics, view: PingPreview) -> None:
     """List the planes that have ghosts in range."""
     physics.mirrors = tuple(ghosts.mirror for ghosts in _ghosts(view))
 
@@ -183,9 +185,9 @@ MULTIPATH = Effect(
     rule="the ghosts of a coarse picture change it by more than the tolerance",
     cost=Cost.CAST,
     parameters=(
-        Parameter("sea.rms_height_m", "m", "standard deviation of the surface's height"),
-        Parameter("material.reflection", "1", "of pressure, signed"),
-        Parameter("material.roughness_m", "m", "standard deviation of a wall's height"),
+        EffectParameter("sea.rms_height_m", "m", "standard deviation of the surface's height"),
+        EffectParameter("material.reflection", "1", "of pressure, signed"),
+        EffectParameter("material.roughness_m", "m", "standard deviation of a wall's height"),
     ),
     decide=decide_multipath,
     configure=configure_multipath,

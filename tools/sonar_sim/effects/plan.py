@@ -4,9 +4,9 @@ import warnings
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
-from sonar_sim.effects.effect import Effect, Verdict
+from sonar_sim.effects.effect import Effect, RuleResult
 from sonar_sim.effects.image_difference import Tolerance
-from sonar_sim.effects.preview import View
+from sonar_sim.effects.preview import PingPreview
 from sonar_sim.effects.registry import EFFECTS
 from sonar_sim.errors import EffectError
 from sonar_sim.propagation.physics import Physics
@@ -16,7 +16,7 @@ HIDING = "shadows"
 """The one effect that saves work where it is computed."""
 
 Choice = str | Mapping[str, bool]
-"""See `Wish`."""
+"""See `EffectSelection`."""
 
 
 class EffectWarning(UserWarning):
@@ -24,19 +24,19 @@ class EffectWarning(UserWarning):
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
-    """Which effects a user wants.
+class EffectSelection:
+    """The effects that a user requests.
 
     Attributes:
         ground: "auto" asks the rules, "all" computes everything, "none" nothing.
-        forced: effects that are on or off whatever the ground says.
+        forced: effects that are on or off regardless of the ground.
     """
 
     ground: str
     forced: Mapping[str, bool]
 
     @classmethod
-    def read(cls, choice: Choice) -> "Wish":
+    def read(cls, choice: Choice) -> "EffectSelection":
         """Read a choice.
 
         Args:
@@ -58,8 +58,8 @@ class Wish:
                 forced[_known(word.lstrip("+-"))] = not word.startswith("-")
         return cls(ground, forced)
 
-    def on(self, name: str, verdict: Verdict) -> bool:
-        """Whether an effect of which the rule says this is computed."""
+    def on(self, name: str, verdict: RuleResult) -> bool:
+        """Return whether an effect with this rule result is computed."""
         ground = verdict.on if self.ground == AUTO else self.ground == ALL
         return self.forced.get(name, ground)
 
@@ -71,11 +71,11 @@ class Decision:
     Attributes:
         effect: which.
         verdict: of its rule.
-        on: whether it is computed, whatever the rule says.
+        on: whether it is computed, regardless of the rule.
     """
 
     effect: Effect
-    verdict: Verdict
+    verdict: RuleResult
     on: bool
 
 
@@ -94,8 +94,8 @@ class EffectPlan:
     @classmethod
     def make(
         cls,
-        view: View,
-        wish: Wish,
+        view: PingPreview,
+        wish: EffectSelection,
         tolerance: Tolerance,
         names: Collection[str] = frozenset(EFFECTS),
     ) -> "EffectPlan":
@@ -141,13 +141,13 @@ class EffectPlan:
                 message = f"{decision.effect.name} is switched off, but {decision.verdict.reason}"
                 warnings.warn(message, EffectWarning, stacklevel=3)
 
-    def physics(self, view: View) -> Physics:
+    def physics(self, view: PingPreview) -> Physics:
         """Fill in the settings of the effects that are on."""
         physics = Physics(silent=view.bottoms)
         self.configure(physics, view)
         return physics
 
-    def configure(self, physics: Physics, view: View) -> None:
+    def configure(self, physics: Physics, view: PingPreview) -> None:
         """Fill them into given settings."""
         for decision in self.decisions:
             if decision.on:

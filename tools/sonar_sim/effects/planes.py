@@ -11,9 +11,9 @@ from sonar_sim.raycast.meshes import SEA
 from sonar_sim.scene.scene import Scene, Surface
 from sonar_sim.scene.sonar import SonarSettings
 
-MOST_PLANES = 8
-LEAST_AREA_M2 = 0.2
-LEAST_REFLECTION = 0.03
+MAX_PLANES = 8
+MIN_AREA_M2 = 0.2
+MIN_REFLECTION = 0.03
 """Of pressure, coherence included, at `GRAZING_COSINE`: less is 30 dB down on each bounce."""
 GRAZING_COSINE = 0.1
 STEP = 0.01
@@ -21,7 +21,7 @@ STEP = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plane:
+class MirrorPlane:
     """One plane.
 
     Attributes:
@@ -50,24 +50,24 @@ def coherence(
     return part
 
 
-def mirror_planes(scene: Scene, sonar: SonarSettings) -> tuple[Plane, ...]:
+def mirror_planes(scene: Scene, sonar: SonarSettings) -> tuple[MirrorPlane, ...]:
     """The sea and the largest planes of what is smooth enough and does not move."""
     k = 2.0 * math.pi * sonar.frequency_hz / scene.water.speed_of_sound_mps
     planes = []
     if scene.sea is not None:
         far = np.array([1e6, 1e6, 0.0])
         down = np.array([0.0, 0.0, -1.0])
-        planes.append(Plane(np.zeros(3), down, -far, far, -1.0, scene.sea.rms_height_m, SEA))
+        planes.append(MirrorPlane(np.zeros(3), down, -far, far, -1.0, scene.sea.rms_height_m, SEA))
     for number, surface in enumerate(scene.surfaces):
         material = surface.material
         left = coherence(k, material.roughness_m, np.array(GRAZING_COSINE))
-        bright = abs(material.reflection) * float(left) > LEAST_REFLECTION
+        bright = abs(material.reflection) * float(left) > MIN_REFLECTION
         if bright and surface.motion is None and not surface.smooth and len(surface.faces):
             planes += _planes_of(surface, number)
     return tuple(planes)
 
 
-def _planes_of(surface: Surface, number: int) -> list[Plane]:
+def _planes_of(surface: Surface, number: int) -> list[MirrorPlane]:
     """The largest planes; each face in one of them at most, or its ghosts would show twice."""
     triangles = surface.vertices_m[surface.faces]
     across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
@@ -79,23 +79,23 @@ def _planes_of(surface: Surface, number: int) -> list[Plane]:
     _, first, group = np.unique(key, axis=0, return_index=True, return_inverse=True)
     largest = np.argsort(-np.bincount(group.ravel(), length), kind="stable")
     left = np.ones(len(triangles), dtype=np.bool_)
-    planes: list[Plane] = []
-    for face in first[largest[: 2 * MOST_PLANES]]:
+    planes: list[MirrorPlane] = []
+    for face in first[largest[: 2 * MAX_PLANES]]:
         if not left[face]:
             continue
         flat = np.abs(normal @ triangles[face, 0] - offset) < FLAT_M
         faces = left & flat & (np.abs(normal @ normal[face]) > PARALLEL)
         left &= ~faces
-        if length[faces].sum() / 2.0 >= LEAST_AREA_M2 and len(planes) < MOST_PLANES:
+        if length[faces].sum() / 2.0 >= MIN_AREA_M2 and len(planes) < MAX_PLANES:
             planes.append(_plane(surface, number, triangles[faces], normal[face]))
     return planes
 
 
 def _plane(
     surface: Surface, number: int, triangles_m: NDArray[np.float64], normal: NDArray[np.float64]
-) -> Plane:
+) -> MirrorPlane:
     corners = triangles_m.reshape(-1, 3)
-    return Plane(
+    return MirrorPlane(
         triangles_m[0, 0],
         normal,
         corners.min(axis=0),

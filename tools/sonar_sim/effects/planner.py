@@ -7,11 +7,11 @@ looks from its own pose. What motion displaces and what other sonars send is
 asked of every ping, by its own motion and time. A decision thus depends on the ping alone, never on
 which pings went before: that would make the bytes depend on who computes which ping.
 
-How sure the rules are of what they say from near a ping's own pose.
+How certain a rule's result is when it is taken from near a ping's own pose.
 
 From the middle of a cell of poses a ping is seen a little brighter or dimmer than it is, and most
 changes show or not by a step of the quantiser. So a rule is asked for a brighter ping, and for a
-dimmer one where that calls for its effect. If both say the same it is sure; else it is left to the
+dimmer one where that calls for its effect. Equal results are certain; else the rule is left to the
 ping itself.
 """
 
@@ -25,11 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sonar_sim.effects.displacement import MOVERS
+from sonar_sim.effects.displacement import DISPLACING_EFFECTS
 from sonar_sim.effects.image_difference import Tolerance
-from sonar_sim.effects.plan import AUTO, Decision, EffectPlan, Wish
-from sonar_sim.effects.preview import OwnPing, View
-from sonar_sim.effects.previewer import Look
+from sonar_sim.effects.plan import AUTO, Decision, EffectPlan, EffectSelection
+from sonar_sim.effects.preview import PingInstance, PingPreview
+from sonar_sim.effects.previewer import Previewer
 from sonar_sim.effects.registry import EFFECTS
 from sonar_sim.geometry.pose import Pose, SonarMotion
 from sonar_sim.propagation.physics import Physics
@@ -43,8 +43,8 @@ CLEAR_DB = 6.0
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
-    """What the rules say of a cell.
+class CellDecision:
+    """Results of the rules for a cell of poses.
 
     Attributes:
         plan: every effect's verdict.
@@ -55,18 +55,20 @@ class Judged:
     doubtful: frozenset[str]
 
 
-def judged(view: View, wish: Wish, tolerance: Tolerance, names: Collection[str]) -> Judged:
+def decide_cell(
+    view: PingPreview, wish: EffectSelection, tolerance: Tolerance, names: Collection[str]
+) -> CellDecision:
     """Ask the rules of some effects, and how sure they are."""
     bright = replace(tolerance, brighter_db=MARGIN_DB)
     plan = EffectPlan.make(view, wish, bright, names)
     if wish.ground != AUTO:
-        return Judged(plan, frozenset())
+        return CellDecision(plan, frozenset())
     asked = [d for d in plan.decisions if d.effect.name not in wish.forced]
     doubtful = [d.effect.name for d in asked if _doubtful(d, view, tolerance)]
-    return Judged(plan, frozenset(doubtful))
+    return CellDecision(plan, frozenset(doubtful))
 
 
-def _doubtful(decision: Decision, view: View, tolerance: Tolerance) -> bool:
+def _doubtful(decision: Decision, view: PingPreview, tolerance: Tolerance) -> bool:
     predicted_db = decision.verdict.predicted_db
     if predicted_db <= OFF * tolerance.level_db or predicted_db > CLEAR_DB:
         return False
@@ -82,21 +84,21 @@ ANGLE_RAD = math.radians(6.0)
 """Steps of the rotation vector, which has no direction in which it turns about wildly."""
 TIME_S = 0.5
 """How long moving objects are taken to stand."""
-KEPT = 8
+MAX_PREVIEWS = 8
 """Views at a time; each holds a few MB."""
-OWN = frozenset({*MOVERS, "interference"})
-"""Effects that each ping decides anew: by its motion, and when another sonar is heard."""
-CLOUDY = frozenset({"bubbles", "turbidity"})
+PER_PING = frozenset({*DISPLACING_EFFECTS, "interference"})
+"""Effects that are decided for each ping: by its motion, and by other sonars in range."""
+CLOUD_EFFECTS = frozenset({"bubbles", "turbidity"})
 """Effects that each ping looks for itself where a cloud is in range: a plume at the edge of the
 vertical pattern comes and goes by fewer degrees than a cell has."""
-SHARED = frozenset(EFFECTS) - OWN
-CAREFUL_DB = 0.5
+SHARED = frozenset(EFFECTS) - PER_PING
+CAUTION_DB = 0.5
 """How much brighter than its own coarse picture a ping is taken to be: what is left out without
 need shows more than what is computed without need."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Planned:
+class PlannedPing:
     """What was decided for one ping.
 
     Attributes:
@@ -107,7 +109,7 @@ class Planned:
 
     plan: EffectPlan
     physics: Physics
-    view: View
+    view: PingPreview
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,8 +148,8 @@ class _Shared:
     plan: EffectPlan
     doubtful: frozenset[str]
     physics: Physics
-    view: View
-    closer: View | None
+    view: PingPreview
+    closer: PingPreview | None
 
 
 class Planner:
@@ -159,13 +161,13 @@ class Planner:
         tolerance: by which the rules decide.
     """
 
-    def __init__(self, look: Look, wish: Wish, tolerance: Tolerance) -> None:
+    def __init__(self, look: Previewer, wish: EffectSelection, tolerance: Tolerance) -> None:
         self._look = look
         self._wish = wish
         self._tolerance = tolerance
         self._known: OrderedDict[_Cell, _Shared] = OrderedDict()
         self._lock = Lock()
-        self._cloudy = CLOUDY if look.scene.clouds else frozenset()
+        self._cloudy = CLOUD_EFFECTS if look.scene.clouds else frozenset()
 
     def at(
         self,
@@ -173,9 +175,9 @@ class Planner:
         ping_id: int = 0,
         time_s: float = 0.0,
         motion: SonarMotion | None = None,
-    ) -> Planned:
+    ) -> PlannedPing:
         """Decide for one ping."""
-        ping = OwnPing(map_T_sonar, ping_id, time_s, motion)
+        ping = PingInstance(map_T_sonar, ping_id, time_s, motion)
         cell = self._near(map_T_sonar, time_s)
         if cell is not None:
             return self._own(self._of(cell), ping)
@@ -197,20 +199,20 @@ class Planner:
             shared = self._judged(self._look.at(cell.pose, 0, cell.time * TIME_S))
             with self._lock:
                 self._known[cell] = shared
-                while len(self._known) > KEPT:
+                while len(self._known) > MAX_PREVIEWS:
                     self._known.popitem(last=False)
         return shared
 
-    def _judged(self, view: View, closer: View | None = None) -> _Shared:
+    def _judged(self, view: PingPreview, closer: PingPreview | None = None) -> _Shared:
         """What does not depend on motion."""
-        found = judged(view, self._wish, self._tolerance, SHARED - self._cloudy)
+        found = decide_cell(view, self._wish, self._tolerance, SHARED - self._cloudy)
         sure = found.plan.without(found.doubtful)
         return _Shared(sure, found.doubtful, sure.physics(view), view, closer)
 
-    def _own(self, shared: _Shared, ping: OwnPing) -> Planned:
-        """With what each ping decides anew."""
+    def _own(self, shared: _Shared, ping: PingInstance) -> PlannedPing:
+        """Add the effects that are decided for each ping."""
         view = shared.view.of_ping(ping)
-        own = EffectPlan.make(view, self._wish, self._tolerance, OWN)
+        own = EffectPlan.make(view, self._wish, self._tolerance, PER_PING)
         physics = replace(shared.physics)
         own.configure(physics, view)
         closer = shared.doubtful | self._cloudy
@@ -218,11 +220,11 @@ class Planner:
             near = view
             if shared.doubtful or self._clouds_near(ping.map_T_sonar):
                 near = shared.closer or self._look.at(ping.map_T_sonar, 0, ping.time_s)
-            careful = replace(self._tolerance, brighter_db=CAREFUL_DB)
+            careful = replace(self._tolerance, brighter_db=CAUTION_DB)
             more = EffectPlan.make(near, self._wish, careful, closer)
             more.configure(physics, near)
             own = own.with_more(more)
-        return Planned(shared.plan.with_more(own), physics, view)
+        return PlannedPing(shared.plan.with_more(own), physics, view)
 
     def _clouds_near(self, map_T_sonar: Pose) -> bool:  # noqa: N803
         position_m, reach_m = map_T_sonar.position_m, self._look.sonar.range_m

@@ -1,4 +1,4 @@
-"""What the rules know before a ping is computed: settings, poses, and a coarse cast with levels."""
+"""Input of the rules before a ping is computed: settings, poses, and a coarse cast with levels."""
 
 import copy
 import math
@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.effects.coarse_picture import (
-    MOST_ROWS,
+    MAX_ROWS,
     CoarseGrid,
     Gains,
     change_db,
+    cloud_filling,
     equivalent_beams,
-    filled_by,
-    left_by,
+    transmitted_power,
 )
-from sonar_sim.effects.echoes import COLUMNS, Echoes, Fan
+from sonar_sim.effects.echoes import COLUMNS, CoarseFan, Echoes
 from sonar_sim.effects.image_difference import Tolerance
-from sonar_sim.effects.planes import Plane
+from sonar_sim.effects.planes import MirrorPlane
 from sonar_sim.geometry.pose import Pose, SonarMotion
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.physics import Cloud
@@ -36,13 +36,13 @@ from sonar_sim.scene.suspended_matter import (
     sediment_strength,
 )
 
-LEAST_RANGE_M = 0.05
+MIN_RANGE_M = 0.05
 FINE_ROWS = 512
 """Most rows of the fine picture."""
 
 
 @dataclass(frozen=True, slots=True)
-class CloudInSight:
+class VisibleCloud:
     """A cloud and what it does at the sonar's frequency."""
 
     spec: CloudSpec
@@ -60,7 +60,7 @@ class CloudInSight:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OwnPing:
+class PingInstance:
     """What a ping has of its own when several are decided by one look."""
 
     map_T_sonar: Pose  # noqa: N815 frames in the name
@@ -70,7 +70,7 @@ class OwnPing:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class PingPreview:
     """One ping before it is computed. Its levels contain every effect of level.
 
     Attributes:
@@ -85,7 +85,7 @@ class View:
         end_m: where each met something, infinite for nothing, (N,).
         echoes: what they met in range, points included.
         look_behind: casts once more, from behind the first hits.
-        most_rows: of the coarse picture.
+        max_rows: of the coarse picture.
         ping: if it was looked from near the ping's own pose and time; None: from there.
     """
 
@@ -96,16 +96,16 @@ class View:
     time_s: float
     ping_id: int
     meshes: Meshes
-    planes: tuple[Plane, ...]
+    planes: tuple[MirrorPlane, ...]
     bottoms: frozenset[str]
-    fan: Fan
+    fan: CoarseFan
     end_m: NDArray[np.float64]
     echoes: Echoes
     look_behind: Callable[[], Echoes]
-    most_rows: int = MOST_ROWS
-    ping: "OwnPing | None" = None
+    max_rows: int = MAX_ROWS
+    ping: "PingInstance | None" = None
 
-    def of_ping(self, ping: "OwnPing") -> "View":
+    def of_ping(self, ping: "PingInstance") -> "PingPreview":
         """The same, for a ping of its own motion; what is already worked out is kept."""
         own = copy.copy(self)
         vars(own).update(ping=ping, motion=ping.motion, ping_id=ping.ping_id)
@@ -127,14 +127,14 @@ class View:
         return self.look_behind()
 
     @cached_property
-    def fine(self) -> "View":
+    def fine(self) -> "PingPreview":
         """The same with a coarse picture of the sonar's own rows, or the most that are worth it."""
-        return replace(self, most_rows=FINE_ROWS)
+        return replace(self, max_rows=FINE_ROWS)
 
     @cached_property
     def grid(self) -> CoarseGrid:
         """The coarse picture's rows and columns."""
-        return CoarseGrid(self.sonar, self.most_rows)
+        return CoarseGrid(self.sonar, self.max_rows)
 
     @property
     def speed_mps(self) -> float:
@@ -181,22 +181,22 @@ class View:
 
     def travelled(self, echoes: Echoes) -> NDArray[np.float64]:
         """Source, spreading, absorption, sediment and clouds, (N,)."""
-        range_m = np.maximum(echoes.range_m, LEAST_RANGE_M)
+        range_m = np.maximum(echoes.range_m, MIN_RANGE_M)
         loss_db = 2.0 * (self.water_db_per_m + self.sediment_db_per_m) * range_m
         loss_db += self.two_way_cloud_db(self.clouds, echoes)
-        power: NDArray[np.float64] = self.source_power * left_by(loss_db) / range_m**4
+        power: NDArray[np.float64] = self.source_power * transmitted_power(loss_db) / range_m**4
         return power
 
     @cached_property
-    def clouds(self) -> tuple[CloudInSight, ...]:
+    def clouds(self) -> tuple[VisibleCloud, ...]:
         """The scene's clouds and what they do at this frequency."""
         return tuple(
-            CloudInSight(spec, cloud_matter(spec, self.sonar, self.speed_mps))
+            VisibleCloud(spec, cloud_matter(spec, self.sonar, self.speed_mps))
             for spec in self.scene.clouds
         )
 
     def two_way_cloud_db(
-        self, clouds: tuple[CloudInSight, ...], echoes: Echoes
+        self, clouds: tuple[VisibleCloud, ...], echoes: Echoes
     ) -> NDArray[np.float64]:
         """What clouds take on the way to each echo and back, (N,)."""
         loss_db = np.zeros(len(echoes.range_m))
@@ -206,7 +206,7 @@ class View:
             loss_db += 2.0 * cloud.matter.db_per_m * path_m
         return loss_db
 
-    def clouds_of(self, kind: type[Bubbles] | type[Sediment]) -> tuple[CloudInSight, ...]:
+    def clouds_of(self, kind: type[Bubbles] | type[Sediment]) -> tuple[VisibleCloud, ...]:
         """The clouds of one kind."""
         return tuple(cloud for cloud in self.clouds if isinstance(cloud.spec.matter, kind))
 
@@ -214,10 +214,10 @@ class View:
         """What would be heard of a pixel if the clouds of one kind were not, (rows, COLUMNS)."""
         gone = self.clouds_of(kind)
         left = tuple(cloud for cloud in self.clouds if cloud not in gone)
-        power = self.echo_power / left_by(self.two_way_cloud_db(gone, self.echoes))
+        power = self.echo_power / transmitted_power(self.two_way_cloud_db(gone, self.echoes))
         return self.grid.picture(self.echoes, power) + self._of_the_water(left)
 
-    def _of_the_water(self, clouds: tuple[CloudInSight, ...]) -> NDArray[np.float64]:
+    def _of_the_water(self, clouds: tuple[VisibleCloud, ...]) -> NDArray[np.float64]:
         return self.volume_picture + self.picture_of_clouds(clouds)
 
     @cached_property
@@ -245,10 +245,10 @@ class View:
     @cached_property
     def open_water(self) -> NDArray[np.float64]:
         """Power that scatterers of 0 dB re 1/m in all the water would send, (rows, 1)."""
-        range_m = np.maximum(self.grid.range_m, LEAST_RANGE_M)
+        range_m = np.maximum(self.grid.range_m, MIN_RANGE_M)
         loss_db = 2.0 * (self.water_db_per_m + self.sediment_db_per_m) * range_m
         cell_m3 = self.listened_sr * range_m**2 * self.sonar.range_resolution_m
-        power = self.source_power * cell_m3 * left_by(loss_db) / range_m**4
+        power = self.source_power * cell_m3 * transmitted_power(loss_db) / range_m**4
         column: NDArray[np.float64] = power[:, None]
         return column
 
@@ -271,11 +271,11 @@ class View:
         picture: NDArray[np.float64] = power
         return picture
 
-    def picture_of_clouds(self, clouds: tuple[CloudInSight, ...]) -> NDArray[np.float64]:
+    def picture_of_clouds(self, clouds: tuple[VisibleCloud, ...]) -> NDArray[np.float64]:
         """Expected power of a pixel by bubbles and sediment in clouds, (rows, COLUMNS)."""
         picture = np.zeros((self.grid.rows, COLUMNS))
         for cloud in clouds:
-            filled = filled_by(cloud.box, self.grid, self.fan, self.map_T_sonar, self.end_m)
+            filled = cloud_filling(cloud.box, self.grid, self.fan, self.map_T_sonar, self.end_m)
             picture += self.open_water * cloud.matter.strength * filled
         return picture
 
@@ -286,12 +286,12 @@ class View:
 
     @cached_property
     def picture(self) -> NDArray[np.float64]:
-        """Expected power of a pixel, all told, (rows, COLUMNS)."""
+        """Expected power of a pixel, noise included, (rows, COLUMNS)."""
         return self.heard + self.noise_power
 
     @cached_property
     def gains(self) -> Gains:
-        """The receiver's gains; its time-varied gain knows the water's absorption."""
+        """The receiver's gains; the time-varied gain compensates the water's absorption."""
         range_m = self.grid.range_m
         varied_db = self.sonar.tvg_spreading_log * np.log10(range_m)
         varied_db += 2.0 * self.water_db_per_m * range_m

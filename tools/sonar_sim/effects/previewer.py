@@ -1,4 +1,4 @@
-"""Looking before the ping: the coarse cast that the rules see."""
+"""Preview a ping: the coarse cast that the rules evaluate."""
 
 from dataclasses import fields, replace
 
@@ -9,15 +9,15 @@ from sonar_sim.effects.echoes import (
     COLUMNS,
     NOTHING,
     SKIP_M,
+    CoarseHits,
     Echoes,
-    Met,
     cast,
+    coarse_echoes,
     coarse_fan,
-    echoes_of,
 )
 from sonar_sim.effects.planes import mirror_planes
-from sonar_sim.effects.preview import View
-from sonar_sim.geometry.matmul import product
+from sonar_sim.effects.preview import PingPreview
+from sonar_sim.geometry.matmul import chunked_matmul
 from sonar_sim.geometry.pose import Pose, SonarMotion
 from sonar_sim.raycast.meshes import Meshes
 from sonar_sim.scene.scene import Scene, Surface
@@ -26,13 +26,13 @@ from sonar_sim.scene.sonar import SonarSettings
 LEVEL = 0.7
 """A floor's mean |vertical part of the normal|, at least."""
 BEHIND = 3
-"""Every so manieth ray goes on behind what it met: what lies there is wide, or hardly hidden."""
+"""One ray in this many continues behind its hit: hidden objects are wide, or barely hidden."""
 FOOT_M = 0.5
 """How far above the scene's lowest point a floor's lowest point may lie."""
 
 
-class Look:
-    """A scene and a sonar, ready to be looked at from any pose."""
+class Previewer:
+    """A scene and a sonar, to preview pings from any pose."""
 
     def __init__(self, scene: Scene, sonar: SonarSettings, meshes: Meshes | None = None) -> None:
         self._scene = scene
@@ -40,7 +40,7 @@ class Look:
         self._meshes = meshes or Meshes(scene)
         self._fan = coarse_fan(sonar)
         self._planes = mirror_planes(scene, sonar)
-        self._bottoms = bottoms_of(scene)
+        self._bottoms = floor_surfaces(scene)
 
     @property
     def scene(self) -> Scene:
@@ -78,12 +78,12 @@ class Look:
         ping_id: int = 0,
         time_s: float = 0.0,
         motion: SonarMotion | None = None,
-    ) -> View:
+    ) -> PingPreview:
         """Cast the coarse rays; once more from behind what they met if that is asked for."""
-        turned = product(self._fan.directions, map_T_sonar.rotation.T)
+        turned = chunked_matmul(self._fan.directions, map_T_sonar.rotation.T)
         origin_m = map_T_sonar.position_m
         met = cast(self._meshes, origin_m, turned, time_s, self._sonar.range_m)
-        echoes = echoes_of(self._scene, self._sonar, self._fan, map_T_sonar, met)
+        echoes = coarse_echoes(self._scene, self._sonar, self._fan, map_T_sonar, met)
 
         def hidden() -> Echoes:
             some = slice(None, None, BEHIND)
@@ -95,10 +95,10 @@ class Look:
                 up_step=BEHIND * self._fan.up_step,
                 solid_angle_sr=BEHIND * self._fan.solid_angle_sr[some],
             )
-            return echoes_of(self._scene, self._sonar, fan, map_T_sonar, behind)
+            return coarse_echoes(self._scene, self._sonar, fan, map_T_sonar, behind)
 
         points = self._points(map_T_sonar, time_s)
-        return View(
+        return PingPreview(
             scene=self._scene,
             sonar=self._sonar,
             map_T_sonar=map_T_sonar,
@@ -120,8 +120,8 @@ class Look:
         direction: NDArray[np.float64],
         time_s: float,
         range_m: NDArray[np.float64],
-    ) -> Met:
-        behind = Met(
+    ) -> CoarseHits:
+        behind = CoarseHits(
             np.full(len(range_m), np.inf),
             np.zeros((len(range_m), 3)),
             np.full(len(range_m), NOTHING, dtype=np.int64),
@@ -167,7 +167,7 @@ class Look:
         )
 
 
-def bottoms_of(scene: Scene) -> frozenset[str]:
+def floor_surfaces(scene: Scene) -> frozenset[str]:
     """Names of the surfaces that are the floor: they lie level, and at the scene's foot."""
     solid = [s for s in scene.surfaces if s.motion is None and len(s.faces)]
     if not solid:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.effects.coarse_picture import Gains, change_db
-from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict, by_level
+from sonar_sim.effects.effect import Cost, Effect, EffectParameter, RuleResult, by_level
 from sonar_sim.effects.image_difference import (
     Tolerance,
     expected_clipped,
@@ -14,12 +14,12 @@ from sonar_sim.effects.image_difference import (
     level_change_db,
     quantiser_change_db,
 )
-from sonar_sim.effects.preview import View
+from sonar_sim.effects.preview import PingPreview
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.receiver.gain import GAIN_DB_PER_PERCENT, noise_level_db
 
 
-def decide_noise(view: View, tolerance: Tolerance) -> Verdict:
+def decide_noise(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the noise, after the gains, shows anywhere."""
     silence = np.maximum(view.picture - view.noise_power, 0.0)
     floor = view.gains.amplitude(np.full_like(view.picture, view.noise_power)).max()
@@ -27,7 +27,7 @@ def decide_noise(view: View, tolerance: Tolerance) -> Verdict:
     return by_level(view.change_db(silence, tolerance), tolerance, reason)
 
 
-def configure_noise(physics: Physics, view: View) -> None:
+def configure_noise(physics: Physics, view: PingPreview) -> None:
     """Give the level in a cell."""
     physics.noise_level_db = noise_level_db(view.sonar, view.scene.water)
 
@@ -41,15 +41,17 @@ NOISE = Effect(
     rule="the picture without noise differs by more than the tolerance",
     cost=Cost.CELL,
     parameters=(
-        Parameter("sonar.array_gain_db", "dB", "against ambient noise"),
-        Parameter("sonar.noise_excess_db", "dB", "of the receiver's own noise over ambient noise"),
+        EffectParameter("sonar.array_gain_db", "dB", "against ambient noise"),
+        EffectParameter(
+            "sonar.noise_excess_db", "dB", "of the receiver's own noise over ambient noise"
+        ),
     ),
     decide=decide_noise,
     configure=configure_noise,
 )
 
 
-def decide_tvg(view: View, tolerance: Tolerance) -> Verdict:
+def decide_tvg(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the picture without it differs."""
     gains = view.gains
     flat = Gains(np.zeros_like(gains.varied_db), gains.operator_db, gains.full_scale_db)
@@ -58,7 +60,7 @@ def decide_tvg(view: View, tolerance: Tolerance) -> Verdict:
     return by_level(predicted_db, tolerance, reason)
 
 
-def configure_tvg(physics: Physics, view: View) -> None:
+def configure_tvg(physics: Physics, view: PingPreview) -> None:
     """Switch the receiver's gain on."""
     del view
     physics.tvg = True
@@ -72,13 +74,13 @@ TVG = Effect(
     source="public Oculus recording: 30 log R + 2 alpha R",
     rule="the picture without it differs by more than the tolerance",
     cost=Cost.ROW,
-    parameters=(Parameter("sonar.tvg_spreading_log", "dB a decade", "a"),),
+    parameters=(EffectParameter("sonar.tvg_spreading_log", "dB a decade", "a"),),
     decide=decide_tvg,
     configure=configure_tvg,
 )
 
 
-def decide_gain(view: View, tolerance: Tolerance) -> Verdict:
+def decide_gain(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the picture without it differs."""
     none = Gains(view.gains.varied_db, 0.0, view.gains.full_scale_db)
     predicted_db = change_db(view.amplitude, none.amplitude(view.picture), view.sonar, tolerance)
@@ -86,7 +88,7 @@ def decide_gain(view: View, tolerance: Tolerance) -> Verdict:
     return by_level(predicted_db, tolerance, reason)
 
 
-def configure_gain(physics: Physics, view: View) -> None:
+def configure_gain(physics: Physics, view: PingPreview) -> None:
     """Switch the operator's gain on."""
     del view
     physics.gain = True
@@ -100,7 +102,7 @@ GAIN = Effect(
     source="a choice: the device's own law is not published",
     rule="the picture without it differs by more than the tolerance",
     cost=Cost.ROW,
-    parameters=(Parameter("sonar.gain_percent", "%", "the operator's gain"),),
+    parameters=(EffectParameter("sonar.gain_percent", "%", "the operator's gain"),),
     decide=decide_gain,
     configure=configure_gain,
 )
@@ -112,7 +114,7 @@ ROW_LEAK = 0.24
 """Part of a row's amplitude in each neighbour (see `range_spread`)."""
 
 
-def decide_saturation(view: View, tolerance: Tolerance) -> Verdict:
+def decide_saturation(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if speckle's peaks are clipped so that what is expected of a pixel falls.
 
     A flash is thin, and brighter than its mean over a coarse row: rows are those of the sonar.
@@ -143,7 +145,7 @@ def _spread(picture: NDArray[np.float64]) -> NDArray[np.float64]:
     return spread
 
 
-def configure_saturation(physics: Physics, view: View) -> None:
+def configure_saturation(physics: Physics, view: PingPreview) -> None:
     """Clip."""
     del view
     physics.saturation = True
@@ -157,14 +159,14 @@ SATURATION = Effect(
     source="the converter's end",
     rule="clipped speckle lowers any pixel's expected level by more than the tolerance",
     cost=Cost.CELL,
-    parameters=(Parameter("sonar.gain_percent", "%", "the operator's gain"),),
+    parameters=(EffectParameter("sonar.gain_percent", "%", "the operator's gain"),),
     decide=decide_saturation,
     configure=configure_saturation,
     anywhere=True,
 )
 
 
-def decide_gamma(view: View, tolerance: Tolerance) -> Verdict:
+def decide_gamma(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if linear pixels, read by the sonar's curve, show other levels."""
     gamma = gamma_of(view.sonar)
     shown = np.minimum(view.amplitude, 1.0)
@@ -172,7 +174,7 @@ def decide_gamma(view: View, tolerance: Tolerance) -> Verdict:
     return by_level(predicted_db, tolerance, f"pixels go with the amplitude's power {gamma:.2f}")
 
 
-def configure_gamma(physics: Physics, view: View) -> None:
+def configure_gamma(physics: Physics, view: PingPreview) -> None:
     """Obey the byte."""
     del view
     physics.gamma = True
@@ -186,20 +188,20 @@ GAMMA = Effect(
     source="public Oculus recording: byte 127 shows the amplitude's square root",
     rule="linear pixels differ by more than the tolerance",
     cost=Cost.CELL,
-    parameters=(Parameter("sonar.gamma_byte", "1", "0 to 255"),),
+    parameters=(EffectParameter("sonar.gamma_byte", "1", "0 to 255"),),
     decide=decide_gamma,
     configure=configure_gamma,
 )
 
 
-def decide_quantisation(view: View, tolerance: Tolerance) -> Verdict:
-    """On: an Oculus sends integers. What rounding does to the picture is told."""
+def decide_quantisation(view: PingPreview, tolerance: Tolerance) -> RuleResult:
+    """On: an Oculus sends integers. The result holds the change by rounding."""
     shown = np.minimum(view.amplitude, 1.0)
     predicted_db = quantiser_change_db(shown, view.sonar, tolerance.share)
-    return Verdict(on=True, reason=f"{view.sonar.bits} bits a sample", predicted_db=predicted_db)
+    return RuleResult(on=True, reason=f"{view.sonar.bits} bits a sample", predicted_db=predicted_db)
 
 
-def configure_quantisation(physics: Physics, view: View) -> None:
+def configure_quantisation(physics: Physics, view: PingPreview) -> None:
     """Round to integers."""
     del view
     physics.quantised = True
@@ -213,7 +215,7 @@ QUANTISATION = Effect(
     source="Oculus data format: 8, 16 or 32 bits",
     rule="always, since an Oculus sends integers",
     cost=Cost.CELL,
-    parameters=(Parameter("sonar.bits", "bit", "of a sample"),),
+    parameters=(EffectParameter("sonar.bits", "bit", "of a sample"),),
     decide=decide_quantisation,
     configure=configure_quantisation,
 )

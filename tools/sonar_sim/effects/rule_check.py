@@ -3,7 +3,8 @@
 What the rules leave out must not show: the picture must stay within the tolerance of the one with
 all effects. What they compute must be worth it: without any one of them it must not. Level is
 compared between expected pictures, grain and displacement between speckled ones of the same seeds:
-of several, since a picture may hold too few blocks of speckle to tell a displacement from chance.
+of several, since a picture may hold too few blocks of speckle to separate a displacement from
+chance.
 """
 
 import time
@@ -22,13 +23,19 @@ from sonar_sim.effects.image_difference import (
     level_change_db,
     quantiser_change_db,
 )
-from sonar_sim.effects.plan import Decision, EffectPlan, Wish
+from sonar_sim.effects.plan import Decision, EffectPlan, EffectSelection
 from sonar_sim.effects.planner import Planner
-from sonar_sim.effects.preview import View
-from sonar_sim.effects.previewer import Look
+from sonar_sim.effects.preview import PingPreview
+from sonar_sim.effects.previewer import Previewer
 from sonar_sim.effects.registry import EFFECTS
-from sonar_sim.effects.texture import Grain, displacement_cells, grain_of, texture_change, together
-from sonar_sim.engine import Engine
+from sonar_sim.effects.texture import (
+    SpeckleTexture,
+    displacement_cells,
+    merged_texture,
+    speckle_texture,
+    texture_change,
+)
+from sonar_sim.engine import PingEngine
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.scene.scenario import Scenario, sonar_motion, sonar_pose
 
@@ -36,7 +43,7 @@ SEEDS = (0, 1, 2)
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class PictureDifference:
     """How much two pictures differ; see `Tolerance` for the three."""
 
     level_db: float
@@ -60,13 +67,13 @@ class RuleCheck:
         plan: what the rules chose.
         left_out: from what they chose to everything.
         without: from what they chose to the same without one effect, for each that is on; where
-            the level tells enough, cells and texture are not looked at and stay 0.
+            the level already exceeds its tolerance, cells and texture stay 0.
         tolerance: by which they decided.
     """
 
     plan: EffectPlan
-    left_out: Change
-    without: Mapping[str, Change]
+    left_out: PictureDifference
+    without: Mapping[str, PictureDifference]
     tolerance: Tolerance
 
     @property
@@ -78,7 +85,7 @@ class RuleCheck:
 
 
 @dataclass(frozen=True, eq=False)
-class Pictures:
+class RenderedPing:
     """One ping both ways.
 
     Attributes:
@@ -87,10 +94,10 @@ class Pictures:
     """
 
     expected: NDArray[np.float32]
-    look_closer: Callable[[], Grain]
+    look_closer: Callable[[], SpeckleTexture]
 
     @cached_property
-    def grain(self) -> Grain:
+    def grain(self) -> SpeckleTexture:
         """Of the speckled pictures of surfaces, without noise."""
         return self.look_closer()
 
@@ -112,9 +119,9 @@ class RuleChecker:
     ) -> None:
         self._scenario = scenario
         self._tolerance = tolerance or Tolerance()
-        self._engines = [Engine(scenario.scene, scenario.sonar, seed) for seed in seeds]
-        look = Look(scenario.scene, scenario.sonar, self._engines[0].meshes)
-        self._planner = Planner(look, Wish.read("auto"), self._tolerance)
+        self._engines = [PingEngine(scenario.scene, scenario.sonar, seed) for seed in seeds]
+        look = Previewer(scenario.scene, scenario.sonar, self._engines[0].meshes)
+        self._planner = Planner(look, EffectSelection.read("auto"), self._tolerance)
 
     def check(self, time_s: float) -> RuleCheck:
         """Check them at a time of the trajectory."""
@@ -122,58 +129,60 @@ class RuleChecker:
         planned = self._planner.at(pose, 0, time_s, motion)
         plan, view = planned.plan, planned.view
         chosen = self._pictures(planned.physics, view)
-        all_on = EffectPlan.make(view, Wish.read("all"), self._tolerance)
+        all_on = EffectPlan.make(view, EffectSelection.read("all"), self._tolerance)
         everything = self._pictures(all_on.physics(view), view)
         left_out = self._change(chosen, everything, self._tolerance.share)
         without = {name: self._change_without(name, chosen, plan, view) for name in plan.names}
         return RuleCheck(plan, left_out, without, self._tolerance)
 
     def _change_without(
-        self, name: str, everything: Pictures, plan: EffectPlan, view: View
-    ) -> Change:
+        self, name: str, everything: RenderedPing, plan: EffectPlan, view: PingPreview
+    ) -> PictureDifference:
         if name == "quantisation":
             shown = np.minimum(everything.expected, 1.0)
             change_db = quantiser_change_db(shown, self._scenario.sonar, self._tolerance.share)
-            return Change(change_db, 0.0, 0.0)
+            return PictureDifference(change_db, 0.0, 0.0)
         share = 0.0 if EFFECTS[name].anywhere else self._tolerance.share
         other = self._pictures(plan.switched_off(name).physics(view), view)
         level_db = self._level_db(everything, other, share)
         if level_db > self._tolerance.level_db:
             # That is enough: grain takes four more pictures.
-            return Change(level_db, 0.0, 0.0)
+            return PictureDifference(level_db, 0.0, 0.0)
         return self._change(everything, other, share)
 
-    def _change(self, first: Pictures, second: Pictures, share: float) -> Change:
-        return Change(
+    def _change(self, first: RenderedPing, second: RenderedPing, share: float) -> PictureDifference:
+        return PictureDifference(
             self._level_db(first, second, share),
             displacement_cells(first.grain, second.grain),
             texture_change(first.grain, second.grain),
         )
 
-    def _level_db(self, first: Pictures, second: Pictures, share: float) -> float:
+    def _level_db(self, first: RenderedPing, second: RenderedPing, share: float) -> float:
         cells = self._tolerance.cells
         sonar = self._scenario.sonar
         return level_change_db(first.expected, second.expected, sonar, share, (cells, cells))
 
-    def _pictures(self, physics: Physics, view: View) -> Pictures:
+    def _pictures(self, physics: Physics, view: PingPreview) -> RenderedPing:
         physics = replace(physics, quantised=False)
         expected = self._shown(replace(physics, speckle=False, saturation=False), view)
         if physics.saturation:
             expected = expected_clipped(expected)
-        return Pictures(expected, lambda: self._grain(physics, view))
+        return RenderedPing(expected, lambda: self._grain(physics, view))
 
-    def _grain(self, physics: Physics, view: View) -> Grain:
+    def _grain(self, physics: Physics, view: PingPreview) -> SpeckleTexture:
         # Noise does not move with the surfaces.
         still = replace(physics, noise_level_db=None, volume_strength_db=None)
         surfaces = self._shown(replace(still, speckle=False), view)
         sonar, engines = self._scenario.sonar, self._engines
-        grains = [grain_of(self._shown(still, view, engine), surfaces, sonar) for engine in engines]
-        return together(grains)
+        grains = [
+            speckle_texture(self._shown(still, view, engine), surfaces, sonar) for engine in engines
+        ]
+        return merged_texture(grains)
 
     def _shown(
-        self, physics: Physics, view: View, engine: Engine | None = None
+        self, physics: Physics, view: PingPreview, engine: PingEngine | None = None
     ) -> NDArray[np.float32]:
-        """Amplitude of full scale as one reads it who knows the sonar's gamma."""
+        """Amplitude of full scale, with the sonar's gamma undone."""
         made = (engine or self._engines[0]).ping(
             view.own_pose, physics, 0, view.own_time_s, view.motion
         )
@@ -182,7 +191,7 @@ class RuleChecker:
 
 
 def measured_costs_ms(
-    engine: Engine, plan: EffectPlan, view: View, repeats: int
+    engine: PingEngine, plan: EffectPlan, view: PingPreview, repeats: int
 ) -> dict[str, float]:
     """CPU time of all threads that each effect adds to the plan's ping, or would add, by name, ms.
 
@@ -208,7 +217,7 @@ def _toggled(plan: EffectPlan, toggled: Decision) -> EffectPlan:
     return replace(plan, decisions=decisions)
 
 
-def _ping_ms(engine: Engine, physics: Physics, view: View) -> float:
+def _ping_ms(engine: PingEngine, physics: Physics, view: PingPreview) -> float:
     start = time.process_time()
     engine.ping(view.own_pose, physics, view.ping_id, view.own_time_s, view.motion)
     return (time.process_time() - start) * 1e3

@@ -6,14 +6,21 @@ from dataclasses import replace
 import numpy as np
 
 from sonar_sim.effects.echoes import is_sea
-from sonar_sim.effects.effect import LEVEL_SPREAD_DB, Cost, Effect, Parameter, Verdict, by_level
+from sonar_sim.effects.effect import (
+    LEVEL_SPREAD_DB,
+    Cost,
+    Effect,
+    EffectParameter,
+    RuleResult,
+    by_level,
+)
 from sonar_sim.effects.image_difference import Tolerance
-from sonar_sim.effects.preview import View
+from sonar_sim.effects.preview import PingPreview
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.physics import Physics
 
 
-def decide_lambert(view: View, tolerance: Tolerance) -> Verdict:
+def decide_lambert(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if surfaces are not all seen head on."""
     echoes = view.echoes
     power = (echoes.even_m2 + echoes.lobe_m2) * view.unscattered
@@ -22,7 +29,7 @@ def decide_lambert(view: View, tolerance: Tolerance) -> Verdict:
     return by_level(view.change_of_echoes_db(power, tolerance), tolerance, reason)
 
 
-def configure_lambert(physics: Physics, view: View) -> None:
+def configure_lambert(physics: Physics, view: PingPreview) -> None:
     """Let scattering fall with incidence."""
     del view
     physics.lambert = True
@@ -36,13 +43,13 @@ LAMBERT = Effect(
     source="Lambert 1760; 10 log mu by material",
     rule="the picture with surfaces that scatter alike in all directions differs",
     cost=Cost.FREE,
-    parameters=(Parameter("material.lambert_db", "dB", "10 log mu"),),
+    parameters=(EffectParameter("material.lambert_db", "dB", "10 log mu"),),
     decide=decide_lambert,
     configure=configure_lambert,
 )
 
 
-def decide_specular(view: View, tolerance: Tolerance) -> Verdict:
+def decide_specular(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the lobe of a smooth surface reaches back to the sonar."""
     echoes = view.echoes
     # A ball's flash or a distant plate's fills few pixels, but those are what one looks for.
@@ -57,7 +64,7 @@ def decide_specular(view: View, tolerance: Tolerance) -> Verdict:
     return by_level(predicted_db, tolerance, f"{named} mirrors more than it scatters")
 
 
-def configure_specular(physics: Physics, view: View) -> None:
+def configure_specular(physics: Physics, view: PingPreview) -> None:
     """Add the lobe."""
     del view
     physics.specular = True
@@ -72,9 +79,9 @@ SPECULAR = Effect(
     rule="any pixel without the lobe differs by more than the tolerance",
     cost=Cost.SCATTERER,
     parameters=(
-        Parameter("material.reflection", "1", "of pressure, signed"),
-        Parameter("material.roughness_m", "m", "standard deviation of the height"),
-        Parameter("material.slope_rad", "rad", "standard deviation of the slope"),
+        EffectParameter("material.reflection", "1", "of pressure, signed"),
+        EffectParameter("material.roughness_m", "m", "standard deviation of the height"),
+        EffectParameter("material.slope_rad", "rad", "standard deviation of the slope"),
     ),
     decide=decide_specular,
     configure=configure_specular,
@@ -82,11 +89,11 @@ SPECULAR = Effect(
 )
 
 
-def decide_shadows(view: View, tolerance: Tolerance) -> Verdict:
+def decide_shadows(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if a second cast from behind the first hits finds echoes that would show."""
     hidden = view.hidden
     if len(hidden.range_m) == 0:
-        return Verdict(on=False, reason="nothing lies behind anything", predicted_db=0.0)
+        return RuleResult(on=False, reason="nothing lies behind anything", predicted_db=0.0)
     pattern = vertical_two_way_power(hidden.up, view.sonar.vertical_width_rad)
     behind = view.grid.picture(hidden, hidden.section_m2 * view.travelled(hidden) * pattern)
     share = len(hidden.range_m) / len(view.echoes.range_m)
@@ -96,7 +103,7 @@ def decide_shadows(view: View, tolerance: Tolerance) -> Verdict:
     return by_level(view.change_db(view.picture + behind, anywhere), tolerance, reason)
 
 
-def configure_shadows(physics: Physics, view: View) -> None:
+def configure_shadows(physics: Physics, view: PingPreview) -> None:
     """Stop each ray at what it meets first."""
     del view
     physics.shadows = True
@@ -121,14 +128,14 @@ VARIATION = 0.5227
 """Standard deviation over mean of a Rayleigh amplitude."""
 
 
-def decide_speckle(view: View, tolerance: Tolerance) -> Verdict:
+def decide_speckle(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On; expected powers are asked for by switching it off."""
     del view
     reason = f"echoes of many scatterers vary by {LEVEL_SPREAD_DB} dB"
-    return Verdict(tolerance.texture < VARIATION, reason, LEVEL_SPREAD_DB)
+    return RuleResult(tolerance.texture < VARIATION, reason, LEVEL_SPREAD_DB)
 
 
-def configure_speckle(physics: Physics, view: View) -> None:
+def configure_speckle(physics: Physics, view: PingPreview) -> None:
     """Compute a field instead of mean powers."""
     del view
     physics.speckle = True
@@ -142,18 +149,18 @@ SPECKLE = Effect(
     source="Goodman 1975: Rayleigh amplitude, coefficient of variation 0.5227",
     rule="always, unless expected values are asked for",
     cost=Cost.SCATTERER,
-    parameters=(Parameter("seed", "1", "of the scatterers"),),
+    parameters=(EffectParameter("seed", "1", "of the scatterers"),),
     decide=decide_speckle,
     configure=configure_speckle,
 )
 
 
-def strength_db(view: View) -> float:
+def strength_db(view: PingPreview) -> float:
     """Back scattering of the open water, grains included, dB re 1/m."""
     return 10.0 * math.log10(max(view.volume_strength, 1e-30))
 
 
-def decide_volume(view: View, tolerance: Tolerance) -> Verdict:
+def decide_volume(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the water's echo rises out of noise and quantiser somewhere."""
     predicted_db = view.change_db(np.maximum(view.picture - view.volume_picture, 0.0), tolerance)
     return by_level(
@@ -161,7 +168,7 @@ def decide_volume(view: View, tolerance: Tolerance) -> Verdict:
     )
 
 
-def configure_volume(physics: Physics, view: View) -> None:
+def configure_volume(physics: Physics, view: PingPreview) -> None:
     """Give the water its strength."""
     physics.volume_strength_db = strength_db(view)
 
@@ -175,25 +182,25 @@ VOLUME = Effect(
     rule="the picture without it differs by more than the tolerance",
     cost=Cost.CELL,
     parameters=(
-        Parameter("water.volume_strength_db", "dB re 1/m", "S_v"),
-        Parameter("water.sediment_kg_per_m3", "kg/m³", "adds its own back scattering"),
+        EffectParameter("water.volume_strength_db", "dB re 1/m", "S_v"),
+        EffectParameter("water.sediment_kg_per_m3", "kg/m³", "adds its own back scattering"),
     ),
     decide=decide_volume,
     configure=configure_volume,
 )
 
 
-def decide_surface_reverberation(view: View, tolerance: Tolerance) -> Verdict:
+def decide_surface_reverberation(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the surface's echo shows."""
     if view.scene.sea is None:
-        return Verdict(on=False, reason="the scene has no sea surface", predicted_db=0.0)
+        return RuleResult(on=False, reason="the scene has no sea surface", predicted_db=0.0)
     sea = is_sea(view.echoes)
     power = np.where(sea, 0.0, view.echo_power)
     reason = f"{sea.mean() if len(sea) else 0.0:.0%} of what is heard is the surface's"
     return by_level(view.change_of_echoes_db(power, tolerance), tolerance, reason)
 
 
-def configure_surface_reverberation(physics: Physics, view: View) -> None:
+def configure_surface_reverberation(physics: Physics, view: PingPreview) -> None:
     """Let the surface scatter."""
     physics.sea_surface = view.scene.sea is not None
 
@@ -206,16 +213,16 @@ SURFACE_REVERBERATION = Effect(
     source="Lambert's law with 10 log mu of -20 to -10 dB, bubbles included",
     rule="the picture without the surface's echo differs by more than the tolerance",
     cost=Cost.SCATTERER,
-    parameters=(Parameter("sea.lambert_db", "dB", "10 log mu of the surface"),),
+    parameters=(EffectParameter("sea.lambert_db", "dB", "10 log mu of the surface"),),
     decide=decide_surface_reverberation,
     configure=configure_surface_reverberation,
 )
 
 
-def decide_bottom_reverberation(view: View, tolerance: Tolerance) -> Verdict:
+def decide_bottom_reverberation(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the floor's echo shows."""
     if not view.bottoms:
-        return Verdict(on=False, reason="the scene has no floor", predicted_db=0.0)
+        return RuleResult(on=False, reason="the scene has no floor", predicted_db=0.0)
     places = [i for i, s in enumerate(view.scene.surfaces) if s.name in view.bottoms]
     floor = np.isin(view.echoes.surface, places)
     power = np.where(floor, 0.0, view.echo_power)
@@ -225,7 +232,7 @@ def decide_bottom_reverberation(view: View, tolerance: Tolerance) -> Verdict:
     return by_level(view.change_of_echoes_db(power, anywhere), tolerance, reason)
 
 
-def configure_bottom_reverberation(physics: Physics, view: View) -> None:
+def configure_bottom_reverberation(physics: Physics, view: PingPreview) -> None:
     """Take the floor out of what is silent."""
     physics.silent = physics.silent - view.bottoms
 
@@ -238,7 +245,7 @@ BOTTOM_REVERBERATION = Effect(
     source="Lambert's law with the floor's 10 log mu",
     rule="a silent floor would change any pixel by more than the tolerance",
     cost=Cost.SCATTERER,
-    parameters=(Parameter("material.lambert_db", "dB", "10 log mu of the floor"),),
+    parameters=(EffectParameter("material.lambert_db", "dB", "10 log mu of the floor"),),
     decide=decide_bottom_reverberation,
     configure=configure_bottom_reverberation,
     anywhere=True,

@@ -1,4 +1,4 @@
-"""What speckle tells of a picture: how it is grained, and where its parts have gone."""
+"""Texture of speckle in a picture, and displacement of its parts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from sonar_sim.effects.image_difference import full_scale, gamma_of
 from sonar_sim.scene.sonar import SonarSettings
 
-LEAST_STEPS = 3.0
+MIN_STEPS = 3.0
 """Steps of the quantiser under which a pixel's grain is not looked at."""
-LEAST_PIXELS = 1000
+MIN_PIXELS = 1000
 BLOCK = 48
-LEAST_SEEN = 1.0 / 3.0
-"""Part of a block that must be looked at: enough to tell where it went."""
+MIN_SEEN = 1.0 / 3.0
+"""Minimum part of a block that must be visible to find its displacement."""
 REACH = 16
 """Cells within which a block is looked for."""
 FOUND = 0.4
@@ -28,7 +28,7 @@ GRAINED = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Grain:
+class SpeckleTexture:
     """A speckled picture divided by its expectation.
 
     Attributes:
@@ -43,7 +43,7 @@ class Grain:
     def statistics(self) -> tuple[float, float, float]:
         """Coefficient of variation, correlation with the next row, and with the next beam."""
         values = self.relative[self.looked_at]
-        if len(values) < LEAST_PIXELS:
+        if len(values) < MIN_PIXELS:
             return 0.0, 0.0, 0.0
         variation = float(values.std() / values.mean())
         if variation < GRAINED:
@@ -56,46 +56,48 @@ class Grain:
         first[axis], second[axis] = slice(None, -1), slice(1, None)
         both = self.looked_at[tuple(first)] & self.looked_at[tuple(second)]
         pair = self.relative[tuple(first)][both], self.relative[tuple(second)][both]
-        return float(np.corrcoef(*pair)[0, 1]) if both.sum() > LEAST_PIXELS else 0.0
+        return float(np.corrcoef(*pair)[0, 1]) if both.sum() > MIN_PIXELS else 0.0
 
 
-def grain_of(
+def speckle_texture(
     speckled: NDArray[np.floating], expected: NDArray[np.floating], sonar: SonarSettings
-) -> Grain:
+) -> SpeckleTexture:
     """Divide a picture by its expectation where that is bright enough; amplitudes of full scale."""
-    least = (LEAST_STEPS / full_scale(sonar)) ** (1.0 / gamma_of(sonar))
+    least = (MIN_STEPS / full_scale(sonar)) ** (1.0 / gamma_of(sonar))
     looked_at: NDArray[np.bool_] = (expected > least) & (speckled < 1.0)
     relative = np.ones(expected.shape, dtype=np.float32)
     relative[looked_at] = speckled[looked_at] / expected[looked_at]
-    return Grain(relative, looked_at)
+    return SpeckleTexture(relative, looked_at)
 
 
-def together(grains: Sequence[Grain]) -> Grain:
+def merged_texture(grains: Sequence[SpeckleTexture]) -> SpeckleTexture:
     """Pictures of the same surfaces by several seeds as one, below one another."""
     # No block, and no pair of neighbours, is of two pictures.
     fill = ((0, BLOCK - len(grains[0].relative) % BLOCK), (0, 0))
-    return Grain(
+    return SpeckleTexture(
         np.concatenate([np.pad(g.relative, fill, constant_values=1.0) for g in grains]),
         np.concatenate([np.pad(g.looked_at, fill) for g in grains]),
     )
 
 
-def texture_change(first: Grain, second: Grain) -> float:
+def texture_change(first: SpeckleTexture, second: SpeckleTexture) -> float:
     """Largest difference of coefficient of variation and neighbours' correlations.
 
     Both are read where both pictures show some grain: what shows in one of them alone is a
     difference of level.
     """
     both = first.looked_at & second.looked_at
-    pairs = zip(*(Grain(g.relative, both).statistics for g in (first, second)), strict=True)
+    pairs = zip(
+        *(SpeckleTexture(g.relative, both).statistics for g in (first, second)), strict=True
+    )
     return max(float(abs(a - b)) for a, b in pairs)
 
 
-def displacement_cells(first: Grain, second: Grain) -> float:
+def displacement_cells(first: SpeckleTexture, second: SpeckleTexture) -> float:
     """How far the second picture's parts have moved, in rows or beams.
 
     Blocks are looked for by cross-correlation, and the farthest of nine in ten counts. A
-    block that is found nowhere was grained anew, which is no displacement: millimetres of motion
+    block that is found nowhere has new speckle, which is no displacement: millimetres of motion
     do that to echoes that share a cell from above and below.
     """
     blocks = [_blocks(grain.relative - 1.0) for grain in (first, second)]
@@ -103,7 +105,7 @@ def displacement_cells(first: Grain, second: Grain) -> float:
         *(_blocks(g.looked_at.astype(np.float32)).mean(axis=(1, 2)) for g in (first, second))
     )
     spread = np.minimum(*(block.std(axis=(1, 2)) for block in blocks))
-    good = (seen > LEAST_SEEN) & (spread > GRAINED)
+    good = (seen > MIN_SEEN) & (spread > GRAINED)
     if not good.any():
         return 0.0
     moved = [_moved(a, b) for a, b in zip(blocks[0][good], blocks[1][good], strict=True)]
@@ -136,7 +138,7 @@ def _moved(first: NDArray[np.float32], second: NDArray[np.float32]) -> float | N
 def _vertex(three: NDArray[np.floating]) -> float:
     """Place of a peak from the middle one of three values.
 
-    A broad peak is a parabola. A narrow one is no wider than a cell: its weight's centre tells.
+    A broad peak is a parabola. A narrow one is no wider than a cell: its centre of weight is taken.
     """
     left, middle, right = (max(float(value), 0.0) for value in three)
     if left + right < middle * BROAD:

@@ -6,31 +6,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.effects.displacement import (
-    bending,
+    displaced_cells,
+    displacement_result,
     doppler_shift_s,
-    move_verdict,
-    moved_cells,
+    path_bending,
     range_scale,
     speed_mps,
     turn_rps,
 )
 from sonar_sim.effects.echoes import GRAZING
-from sonar_sim.effects.effect import Cost, Effect, Parameter, Verdict, by_level, displaced_db
+from sonar_sim.effects.effect import (
+    Cost,
+    Effect,
+    EffectParameter,
+    RuleResult,
+    by_level,
+    displaced_db,
+)
 from sonar_sim.effects.image_difference import Tolerance
-from sonar_sim.effects.preview import View
+from sonar_sim.effects.preview import PingPreview
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
-from sonar_sim.propagation.physics import Layers, Physics
+from sonar_sim.propagation.physics import Physics, SoundSpeedProfile
 from sonar_sim.raycast.fan import CENTRE_SINE, ELEVATIONS
 
 
-def decide_sound_speed(view: View, tolerance: Tolerance) -> Verdict:
+def decide_sound_speed(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the farthest echo moves by more than the tolerated part of a row."""
     told_mps = view.sonar.told_speed_mps or view.speed_mps
     reason = f"told {told_mps:.1f} m/s, true {view.speed_mps:.1f} m/s, echoes to {view.far_m:.1f} m"
-    return move_verdict("sound_speed", view, tolerance, reason)
+    return displacement_result("sound_speed", view, tolerance, reason)
 
 
-def configure_sound_speed(physics: Physics, view: View) -> None:
+def configure_sound_speed(physics: Physics, view: PingPreview) -> None:
     """Scale the apparent ranges."""
     physics.range_scale = range_scale(view)
 
@@ -44,10 +51,10 @@ SOUND_SPEED = Effect(
     rule="the picture's parts move too far with this and the lesser movers left out",
     cost=Cost.FREE,
     parameters=(
-        Parameter(
+        EffectParameter(
             "sonar.told_speed_mps", "m/s", "speed the sonar reckons with; none: the true one"
         ),
-        Parameter("water.profile", "m, m/s", "speed over depth"),
+        EffectParameter("water.profile", "m, m/s", "speed over depth"),
     ),
     decide=decide_sound_speed,
     configure=configure_sound_speed,
@@ -57,35 +64,35 @@ SOUND_SPEED = Effect(
 RAY_RAD = 2.0 * CENTRE_SINE / ELEVATIONS
 """Between rays of a column, on the fan's plane: what is as narrow is hit or passed by, and a flash
 comes or goes, if paths turn by as much."""
-MOST_TURN = 0.3
+MAX_TURN = 0.3
 """rad; a steeper bend is beyond the rule's small angles, and called for anyway."""
 
 
-def decide_refraction(view: View, tolerance: Tolerance) -> Verdict:
+def decide_refraction(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the bend changes incidence and pattern, or the profile's speeds move echoes."""
     gradient = view.scene.water.largest_gradient_per_s
     if gradient == 0.0 or len(view.echoes.range_m) == 0:
-        return Verdict(
+        return RuleResult(
             on=False, reason="the speed of sound does not change with depth", predicted_db=0.0
         )
-    turn = bending(view).turn_rad
+    turn = path_bending(view).turn_rad
     largest = float(np.abs(turn).max(initial=0.0))
     reason = (
         f"largest gradient {gradient:.2g} /s, paths leave up to {math.degrees(largest):.2g}° off"
     )
-    if largest > MOST_TURN:
-        return Verdict(on=True, reason=reason, predicted_db=40.0)
+    if largest > MAX_TURN:
+        return RuleResult(on=True, reason=reason, predicted_db=40.0)
     passed_by = largest / RAY_RAD
     if passed_by > tolerance.cells:
-        return Verdict(on=True, reason=reason, predicted_db=displaced_db(passed_by))
+        return RuleResult(on=True, reason=reason, predicted_db=displaced_db(passed_by))
     level = by_level(
         view.change_of_echoes_db(_bent_power(view, turn), tolerance), tolerance, reason
     )
-    moved = move_verdict("refraction", view, tolerance, reason)
+    moved = displacement_result("refraction", view, tolerance, reason)
     return moved if moved.on and not level.on else level
 
 
-def _bent_power(view: View, turn_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+def _bent_power(view: PingPreview, turn_rad: NDArray[np.float64]) -> NDArray[np.float64]:
     """Power of each echo if its path leaves and arrives turned about the horizontal, (N,)."""
     echoes = view.echoes
     ahead = echoes.direction @ view.map_T_sonar.rotation.T
@@ -106,12 +113,14 @@ def _bent_power(view: View, turn_rad: NDArray[np.float64]) -> NDArray[np.float64
     return power
 
 
-def configure_refraction(physics: Physics, view: View) -> None:
+def configure_refraction(physics: Physics, view: PingPreview) -> None:
     """Give the profile."""
     profile = view.scene.water.profile
     if profile is not None:
         depth_m, speed_mps = np.array(profile, dtype=np.float64).T
-        physics.layers = Layers(np.ascontiguousarray(depth_m), np.ascontiguousarray(speed_mps))
+        physics.layers = SoundSpeedProfile(
+            np.ascontiguousarray(depth_m), np.ascontiguousarray(speed_mps)
+        )
 
 
 REFRACTION = Effect(
@@ -122,28 +131,28 @@ REFRACTION = Effect(
     source="Snell's law in a constant gradient",
     rule="paths turn by the tolerated part of the rays' distance, or levels or ranges change more",
     cost=Cost.RAY,
-    parameters=(Parameter("water.profile", "m, m/s", "speed of sound over depth"),),
+    parameters=(EffectParameter("water.profile", "m, m/s", "speed of sound over depth"),),
     decide=decide_refraction,
     configure=configure_refraction,
 )
 
 
-LEAST_BLOCKS, MOST_BLOCKS = 4, 16
+MIN_BLOCKS, MAX_BLOCKS = 4, 16
 BLOCK_CELLS = 0.25
-"""Motion within a block of rows, at most, until there are `MOST_BLOCKS`."""
+"""Motion within a block of rows, at most, until there are `MAX_BLOCKS`."""
 
 
-def decide_motion(view: View, tolerance: Tolerance) -> Verdict:
+def decide_motion(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if range shifts or the picture turns by more than the tolerated part of a cell."""
     speed, turn = speed_mps(view), math.degrees(turn_rps(view))
     reason = f"{speed:.2f} m/s, {turn:.1f}°/s, echoes to {view.far_m:.0f} m"
-    return move_verdict("motion", view, tolerance, reason)
+    return displacement_result("motion", view, tolerance, reason)
 
 
-def configure_motion(physics: Physics, view: View) -> None:
+def configure_motion(physics: Physics, view: PingPreview) -> None:
     """Give the ping as many poses as keep the motion within each small."""
-    blocks = math.ceil(moved_cells(view, "motion") / BLOCK_CELLS)
-    physics.pose_blocks = min(max(blocks, LEAST_BLOCKS), MOST_BLOCKS)
+    blocks = math.ceil(displaced_cells(view, "motion") / BLOCK_CELLS)
+    physics.pose_blocks = min(max(blocks, MIN_BLOCKS), MAX_BLOCKS)
 
 
 MOTION = Effect(
@@ -155,22 +164,22 @@ MOTION = Effect(
     rule="the picture's parts move too far with this and the lesser movers left out",
     cost=Cost.CAST,
     parameters=(
-        Parameter("motion.linear_mps", "m/s", "velocity of the sonar, map frame"),
-        Parameter("motion.angular_rps", "rad/s", "turn rate, sonar frame"),
+        EffectParameter("motion.linear_mps", "m/s", "velocity of the sonar, map frame"),
+        EffectParameter("motion.angular_rps", "rad/s", "turn rate, sonar frame"),
     ),
     decide=decide_motion,
     configure=configure_motion,
 )
 
 
-def decide_doppler(view: View, tolerance: Tolerance) -> Verdict:
+def decide_doppler(view: PingPreview, tolerance: Tolerance) -> RuleResult:
     """On if the chirp's coupling shifts echoes by more than the tolerated part of a row."""
     chirp_ms = view.sonar.pulse_s * 1e3
     reason = f"{speed_mps(view):.2f} m/s with a chirp of {chirp_ms:.1f} ms"
-    return move_verdict("doppler", view, tolerance, reason)
+    return displacement_result("doppler", view, tolerance, reason)
 
 
-def configure_doppler(physics: Physics, view: View) -> None:
+def configure_doppler(physics: Physics, view: PingPreview) -> None:
     """Give the coupling."""
     physics.doppler_shift_s = doppler_shift_s(view.sonar, view.speed_mps)
 
@@ -184,8 +193,8 @@ DOPPLER = Effect(
     rule="the picture's parts move too far with this and the lesser movers left out",
     cost=Cost.FREE,
     parameters=(
-        Parameter("sonar.pulse_s", "s", "length of the chirp"),
-        Parameter("motion.linear_mps", "m/s", "velocity of the sonar, map frame"),
+        EffectParameter("sonar.pulse_s", "s", "length of the chirp"),
+        EffectParameter("motion.linear_mps", "m/s", "velocity of the sonar, map frame"),
     ),
     decide=decide_doppler,
     configure=configure_doppler,

@@ -11,20 +11,20 @@ from numpy.typing import NDArray
 
 Real = TypeVar("Real", np.float32, np.float64)
 
-LARGEST = 2**17
+MAX_MULTIPLICATIONS = 2**17
 """Multiplications of one call; the library begins to share them out at twice as many."""
 
 
-def product(rows: NDArray[Real], matrix: NDArray[Real]) -> NDArray[Real]:
+def chunked_matmul(rows: NDArray[Real], matrix: NDArray[Real]) -> NDArray[Real]:
     """The matrix product rows @ matrix, (N, K) by (K, M)."""
     out = np.empty((len(rows), matrix.shape[1]), dtype=np.result_type(rows, matrix))
-    step = max(LARGEST // matrix.size, 1)
+    step = max(MAX_MULTIPLICATIONS // matrix.size, 1)
     for start in range(0, len(rows), step):
         np.matmul(rows[start : start + step], matrix, out=out[start : start + step])
     return out
 
 
-def along(rows: NDArray[np.floating], vector: NDArray[np.float64]) -> NDArray[np.float64]:
+def rows_dot(rows: NDArray[np.floating], vector: NDArray[np.float64]) -> NDArray[np.float64]:
     """The products of rows (N, K) with one vector, (N,)."""
     products: NDArray[np.float64] = np.einsum("ij,j->i", rows, vector)
     return products

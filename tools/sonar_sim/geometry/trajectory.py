@@ -160,7 +160,7 @@ class Drift:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tour:
-    """Along a path, over and over: a diver, another vehicle. It begins anew where the path ends.
+    """Along a path, repeatedly: a diver, another vehicle. The path restarts at its end.
 
     Attributes:
         path: of the object's frame.

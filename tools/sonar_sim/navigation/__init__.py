@@ -1,1 +1,1 @@
-"""The vehicle's odometry in the formats that vehicles speak, and the links that carry it."""
+"""The vehicle's odometry in the formats of real vehicles, and the links that carry it."""

@@ -1,6 +1,6 @@
 """A navigation fix, as all odometry formats take it, and their rates.
 
-The simulator's map is ENU and its base FLU; vehicles speak NED and FRD.
+The simulator's map is ENU and its base FLU; vehicles send NED and FRD.
 """
 
 import math
@@ -33,7 +33,7 @@ class Fix:
         valid_ns, sent_ns: Unix time of its validity and of its sending.
         boot_s: of its validity, seconds since the vehicle's power-up.
         altitude_m: of the vehicle above what is below it; None where nothing is.
-        vehicle: which says it.
+        vehicle: source of the fix.
         water: which it is in.
     """
 
@@ -47,7 +47,7 @@ class Fix:
 
     @property
     def errors(self) -> OdometryErrors:
-        """How good the navigation is, as it knows itself."""
+        """Errors that the navigation reports of itself."""
         return self.vehicle.errors
 
     @property
@@ -132,7 +132,7 @@ def angles_rad(rotation: NDArray[np.float64]) -> tuple[float, float, float]:
 EARLY = 1e-6
 
 
-class Every:
+class RateLimiter:
     """Says when a message is due.
 
     Args:

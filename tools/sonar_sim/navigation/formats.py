@@ -20,7 +20,7 @@ class Native:
 
 
 class Format(Protocol):
-    """One way to say it."""
+    """One odometry format."""
 
     def encode(self, fix: Fix) -> list[bytes]:
         """Return what is sent of a fix: datagrams, lines or sentences; perhaps none."""

@@ -13,7 +13,7 @@ from sonar_sim.errors import SonarSimError
 
 __all__ = ["OdometryLink", "link_named"]
 
-MOST_UNREAD_BYTES = 1 << 20
+MAX_UNREAD_BYTES = 1 << 20
 """A TCP client that reads slower than this is let go."""
 
 
@@ -83,7 +83,7 @@ class TcpLink:
     def send(self, data: bytes) -> None:
         """Send to all; who does not read is let go."""
         for client in list(self._clients):
-            if client.transport.get_write_buffer_size() > MOST_UNREAD_BYTES:
+            if client.transport.get_write_buffer_size() > MAX_UNREAD_BYTES:
                 client.transport.abort()
             else:
                 client.write(data)
@@ -97,7 +97,7 @@ class TcpLink:
             await self._server.wait_closed()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Keep a client until it leaves; what it says is not obeyed."""
+        """Keep a client until it disconnects; ignore what it sends."""
         self._clients.add(writer)
         try:
             with suppress(OSError):
@@ -150,7 +150,7 @@ def link_named(text: str) -> OdometryLink:
     """A link from `udp:HOST:PORT`, `tcp:HOST:PORT`, `serial:PATH` or `pty`.
 
     Raises:
-        SonarSimError: it is none of these.
+        SonarSimError: the text is not a link.
     """
     kind, _, where = text.partition(":")
     if text == "pty":
@@ -161,5 +161,5 @@ def link_named(text: str) -> OdometryLink:
     if kind in ("udp", "tcp") and host and port.isdecimal() and int(port) < 1 << 16:
         return UdpLink(host, int(port)) if kind == "udp" else TcpLink(host, int(port))
     raise SonarSimError(
-        f"odometry: {text!r} is no link; say udp:HOST:PORT, tcp:HOST:PORT, serial:PATH or pty"
+        f"odometry: {text!r} is not a link; use udp:HOST:PORT, tcp:HOST:PORT, serial:PATH or pty"
     )

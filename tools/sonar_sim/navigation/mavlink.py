@@ -7,7 +7,7 @@ import math
 
 from pymavlink.dialects.v20 import common as dialect
 
-from sonar_sim.navigation.fix import ATMOSPHERE_BAR, Every, Fix
+from sonar_sim.navigation.fix import ATMOSPHERE_BAR, Fix, RateLimiter
 
 AUTOPILOT = 1
 """System and component id."""
@@ -24,7 +24,7 @@ class _Autopilot:
     def __init__(self, kind: int) -> None:
         self._link = dialect.MAVLink(None, srcSystem=AUTOPILOT, srcComponent=AUTOPILOT)
         self._kind = kind
-        self._heartbeat = Every(HEARTBEAT_S)
+        self._heartbeat = RateLimiter(HEARTBEAT_S)
 
     def _signs_of_life(self, fix: Fix) -> bytes:
         if not self._heartbeat.due(fix.boot_s):

@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 from functools import reduce
 from operator import xor
 
-from sonar_sim.navigation.fix import Every, Fix
+from sonar_sim.navigation.fix import Fix, RateLimiter
 
 POSITION_S = 1.0
 """Between position fixes; the gyro's sentences come with every fix."""
@@ -21,7 +21,7 @@ class Nmea:
     """Sentences of one receiver and one gyro."""
 
     def __init__(self) -> None:
-        self._position = Every(POSITION_S)
+        self._position = RateLimiter(POSITION_S)
 
     def encode(self, fix: Fix) -> list[bytes]:
         """Return the sentences that are due, each with its CR LF."""

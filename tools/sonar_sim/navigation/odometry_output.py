@@ -19,7 +19,7 @@ from sonar_sim.scene.scenario import Scenario
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.vehicle import Odometry, OdometrySample
 
-__all__ = ["OdometrySender", "Output", "output_named"]
+__all__ = ["OdometryOutput", "OdometrySender", "output_named"]
 
 
 class Altimeter:
@@ -43,7 +43,7 @@ class Altimeter:
 
 
 @dataclass(slots=True)
-class Output:
+class OdometryOutput:
     """A format on a link.
 
     Attributes:
@@ -58,14 +58,14 @@ class Output:
     sent: int = 0
 
 
-def output_named(text: str) -> Output:
+def output_named(text: str) -> OdometryOutput:
     """An output from `FORMAT@LINK`, such as `native@udp:127.0.0.1:52200`.
 
     Raises:
         SonarSimError: format or link is unknown.
     """
     form, _, link = text.partition("@")
-    return Output(text, format_named(form), link_named(link))
+    return OdometryOutput(text, format_named(form), link_named(link))
 
 
 class OdometrySender:
@@ -83,7 +83,7 @@ class OdometrySender:
         self,
         scenario: Scenario,
         route: Trajectory,
-        outputs: list[Output],
+        outputs: list[OdometryOutput],
         unix_ns: Callable[[float], int],
         seed: int = 0,
     ) -> None:
@@ -120,7 +120,7 @@ class OdometrySender:
             await output.link.close()
 
     def fix(self, sample: OdometrySample) -> Fix:
-        """A sample with all that formats say of it."""
+        """A sample with everything that the formats encode."""
         return Fix(
             sample=sample,
             valid_ns=self._unix_ns(sample.time_s),

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.navigation.fix import Every, Fix, angles_rad
+from sonar_sim.navigation.fix import Fix, RateLimiter, angles_rad
 
 FORMAT = "json_v3.1"
 RSSI_DBM, NSD_DBM = -35, -95
@@ -23,7 +23,7 @@ TOP_BIT = 0x80
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Velocity:
+class VelocityReport:
     """A velocity report.
 
     Attributes:
@@ -55,7 +55,7 @@ class Velocity:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DeadReckoning:
+class DeadReckoningReport:
     """A dead-reckoning report; angles in degrees."""
 
     unix_s: float
@@ -67,7 +67,7 @@ class DeadReckoning:
 class JsonWords:
     """JSON lines."""
 
-    def velocity(self, report: Velocity) -> list[bytes]:
+    def velocity(self, report: VelocityReport) -> list[bytes]:
         """A velocity report."""
         vx, vy, vz = (float(part) for part in report.velocity_mps)
         transducers = [
@@ -101,7 +101,7 @@ class JsonWords:
         }
         return [_line(fields)]
 
-    def dead_reckoning(self, report: DeadReckoning) -> bytes:
+    def dead_reckoning(self, report: DeadReckoningReport) -> bytes:
         """A dead-reckoning report."""
         x, y, z = (float(part) for part in report.position_m)
         roll, pitch, yaw = report.roll_pitch_yaw_deg
@@ -125,7 +125,7 @@ class JsonWords:
 class SentenceWords:
     """Serial sentences."""
 
-    def velocity(self, report: Velocity) -> list[bytes]:
+    def velocity(self, report: VelocityReport) -> list[bytes]:
         """A velocity report."""
         covariance = ";".join(f"{number:g}" for row in report.covariance for number in row)
         parts = [
@@ -148,7 +148,7 @@ class SentenceWords:
             sentence("wrz", *parts),
         ]
 
-    def dead_reckoning(self, report: DeadReckoning) -> bytes:
+    def dead_reckoning(self, report: DeadReckoningReport) -> bytes:
         """A dead-reckoning report."""
         return sentence(
             "wrp",
@@ -194,10 +194,10 @@ UNKNOWN_FOM_MPS = 10.0
 class _Words(Protocol):
     """How reports are written."""
 
-    def velocity(self, report: Velocity) -> list[bytes]:
+    def velocity(self, report: VelocityReport) -> list[bytes]:
         """A velocity report."""
 
-    def dead_reckoning(self, report: DeadReckoning) -> bytes:
+    def dead_reckoning(self, report: DeadReckoningReport) -> bytes:
         """A dead-reckoning report."""
 
 
@@ -206,7 +206,7 @@ class _Dvl:
 
     def __init__(self, words: _Words) -> None:
         self._words = words
-        self._dead_reckoning = Every(DEAD_RECKONING_S)
+        self._dead_reckoning = RateLimiter(DEAD_RECKONING_S)
         self._last_s: float | None = None
         self._origin: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
@@ -217,12 +217,12 @@ class _Dvl:
             sent.append(self._words.dead_reckoning(self._reckoned(fix)))
         return sent
 
-    def _velocity(self, fix: Fix) -> Velocity:
+    def _velocity(self, fix: Fix) -> VelocityReport:
         interval_ms = 0.0 if self._last_s is None else 1e3 * (fix.boot_s - self._last_s)
         self._last_s = fix.boot_s
         validity_us, transmission_us = fix.valid_ns // 1000, fix.sent_ns // 1000
         if fix.altitude_m is None or fix.altitude_m > FARTHEST_M:
-            return Velocity(
+            return VelocityReport(
                 interval_ms=interval_ms,
                 valid=False,
                 velocity_mps=np.zeros(3),
@@ -235,7 +235,7 @@ class _Dvl:
             )
         velocity = fix.velocity_frd_mps
         slant_m = fix.altitude_m / math.cos(BEAM_TILT_RAD)
-        return Velocity(
+        return VelocityReport(
             interval_ms=interval_ms,
             valid=True,
             velocity_mps=velocity,
@@ -247,7 +247,7 @@ class _Dvl:
             transmission_us=transmission_us,
         )
 
-    def _reckoned(self, fix: Fix) -> DeadReckoning:
+    def _reckoned(self, fix: Fix) -> DeadReckoningReport:
         if self._origin is None:
             yaw = fix.roll_pitch_yaw_rad[2]
             start_R_ned = np.array(  # noqa: N806 frames are named
@@ -260,7 +260,7 @@ class _Dvl:
             self._origin = fix.position_ned_m, start_R_ned
         start_m, start_R_ned = self._origin  # noqa: N806 as above
         roll, pitch, yaw = angles_rad(start_R_ned @ fix.ned_R_frd)
-        return DeadReckoning(
+        return DeadReckoningReport(
             fix.valid_ns / 1e9,
             start_R_ned @ (fix.position_ned_m - start_m),
             fix.errors.position_noise_m,

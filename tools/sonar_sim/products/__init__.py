@@ -1,6 +1,6 @@
 """What one ping gives besides its samples: camera pictures, fans, point clouds, ground truth."""
 
-from sonar_sim.products.sounding import Sounder, Sounding
+from sonar_sim.products.sounding import PingProducts, ProductRenderer
 from sonar_sim.products.writer import PRODUCTS, write_products
 
-__all__ = ["PRODUCTS", "Sounder", "Sounding", "write_products"]
+__all__ = ["PRODUCTS", "PingProducts", "ProductRenderer", "write_products"]

@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oculus_driver.render import fit_fan, warp_to_fan
-from sonar_sim.products.sounding import Sounding
-from sonar_sim.raycast.depth_camera import View
+from sonar_sim.products.sounding import PingProducts
+from sonar_sim.raycast.depth_camera import DepthImage
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
 
 
-def cells_of(
-    view: View, sonar: SonarSettings
+def pixel_cells(
+    view: DepthImage, sonar: SonarSettings
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
     """Row and beam of each pixel, and whether it lies in the ping; (height, width) each.
 
@@ -29,7 +29,9 @@ def cells_of(
     return np.where(inside, row, 0), np.where(inside, beam, 0), inside
 
 
-def looked_up(values: NDArray[np.float32], view: View, sonar: SonarSettings) -> NDArray[np.float32]:
+def lookup_pixels(
+    values: NDArray[np.float32], view: DepthImage, sonar: SonarSettings
+) -> NDArray[np.float32]:
     """Value of each pixel's cell, (height, width); NaN where it has none.
 
     Args:
@@ -37,7 +39,7 @@ def looked_up(values: NDArray[np.float32], view: View, sonar: SonarSettings) -> 
         view: what the camera sees.
         sonar: whose cells they are.
     """
-    row, beam, inside = cells_of(view, sonar)
+    row, beam, inside = pixel_cells(view, sonar)
     found: NDArray[np.float32] = np.where(inside, values[row, beam], np.float32(np.nan))
     return found
 
@@ -62,7 +64,7 @@ class Labels:
         return np.where(surface >= 0, padded[np.maximum(surface, -1)], surface).astype(np.int32)
 
 
-def labels_of(scene: Scene) -> Labels:
+def surface_labels(scene: Scene) -> Labels:
     """Number a scene's surfaces and materials."""
     used = [surface.material.name for surface in scene.surfaces]
     materials = tuple(sorted(set(used)))
@@ -77,7 +79,7 @@ def labels_of(scene: Scene) -> Labels:
 Arrays = dict[str, NDArray[Any]]
 
 
-def polar_arrays(sounding: Sounding) -> Arrays:
+def polar_arrays(sounding: PingProducts) -> Arrays:
     """The ping: samples, and all that is needed to place them."""
     sonar = sounding.sonar
     sines = (np.arange(sonar.beams) - (sonar.beams - 1) / 2.0) * sonar.sine_pitch
@@ -95,15 +97,15 @@ def polar_arrays(sounding: Sounding) -> Arrays:
     }
 
 
-def snr_arrays(sounding: Sounding) -> Arrays:
+def snr_arrays(sounding: PingProducts) -> Arrays:
     """Expected echo over noise, of the ping's cells and of the cells that the camera sees."""
-    camera = looked_up(sounding.snr_db, sounding.view, sounding.sonar)
+    camera = lookup_pixels(sounding.snr_db, sounding.view, sounding.sonar)
     return {"polar_db": sounding.snr_db, "camera_db": camera}
 
 
-def truth_arrays(sounding: Sounding) -> Arrays:
+def truth_arrays(sounding: PingProducts) -> Arrays:
     """What each pixel of the ping shows: the strongest echo in the cell. NaN and -1 are nothing."""
-    truth, labels = sounding.truth, labels_of(sounding.scene)
+    truth, labels = sounding.truth, surface_labels(sounding.scene)
     return {
         "range_m": truth.range_m,
         "surface": truth.surface,
@@ -116,9 +118,9 @@ def truth_arrays(sounding: Sounding) -> Arrays:
     }
 
 
-def camera_arrays(sounding: Sounding) -> Arrays:
+def camera_arrays(sounding: PingProducts) -> Arrays:
     """What each pixel of the camera sees; normals in its optical frame."""
-    view, labels = sounding.view, labels_of(sounding.scene)
+    view, labels = sounding.view, surface_labels(sounding.scene)
     rays = view.camera.rays()
     elevation = np.arcsin(rays[..., 2] / np.linalg.norm(rays, axis=-1))
     hit = view.hit
@@ -136,7 +138,7 @@ def camera_arrays(sounding: Sounding) -> Arrays:
     }
 
 
-def _matrix(sounding: Sounding) -> NDArray[np.float64]:
+def _matrix(sounding: PingProducts) -> NDArray[np.float64]:
     matrix = np.eye(4)
     matrix[:3, :3] = sounding.map_T_sonar.rotation
     matrix[:3, 3] = sounding.map_T_sonar.position_m

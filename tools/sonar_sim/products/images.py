@@ -10,7 +10,7 @@ from oculus_driver.errors import OculusError
 from oculus_driver.ping import Ping, decode_ping
 from oculus_driver.render import COLOURS, Painter, Style
 from oculus_driver.stream import StreamParser
-from sonar_sim.products.sounding import Sounding
+from sonar_sim.products.sounding import PingProducts
 from sonar_sim.raycast import meshes
 from sonar_sim.raycast.depth_camera import Pinhole
 from sonar_sim.wire import compass_heading_deg, ping_message
@@ -42,7 +42,7 @@ def level_picture(level_db: NDArray[np.float32], colours: str = "viridis") -> ND
     """Levels from -20 to 60 dB in colours; NaN is dark."""
     share = (level_db - SNR_FLOOR_DB) / (SNR_TOP_DB - SNR_FLOOR_DB)
     grey = np.rint(255.0 * np.clip(np.nan_to_num(share), 0.0, 1.0)).astype(np.uint8)
-    picture = coloured(grey, colours)
+    picture = colour_map(grey, colours)
     picture[np.isnan(level_db)] = NOTHING
     return picture
 
@@ -61,7 +61,7 @@ def label_picture(label: NDArray[np.int32]) -> NDArray[np.uint8]:
     return picture
 
 
-def coloured(grey: NDArray[np.uint8], colours: str) -> NDArray[np.uint8]:
+def colour_map(grey: NDArray[np.uint8], colours: str) -> NDArray[np.uint8]:
     """Apply one of the driver's colour maps."""
     if grey.size == 0:
         return np.zeros((*grey.shape, 3), dtype=np.uint8)
@@ -71,7 +71,7 @@ def coloured(grey: NDArray[np.uint8], colours: str) -> NDArray[np.uint8]:
     return cv2.applyColorMap(grey, chosen).astype(np.uint8)
 
 
-def ping_of(sounding: Sounding) -> Ping:
+def decoded_ping(sounding: PingProducts) -> Ping:
     """Send the ping through the sonar's protocol, and read it as the driver does."""
     image = sounding.image
     if image.dtype.kind == "f":
@@ -92,9 +92,9 @@ def ping_of(sounding: Sounding) -> Ping:
     raise OculusError(f"ping {sounding.ping_id}: the driver cannot read it")
 
 
-def fan_picture(sounding: Sounding, style: Style) -> NDArray[np.uint8]:
+def fan_picture(sounding: PingProducts, style: Style) -> NDArray[np.uint8]:
     """Draw with range rings, bearing spokes and captions; blue first."""
-    return Painter(style).paint(ping_of(sounding))
+    return Painter(style).paint(decoded_ping(sounding))
 
 
 def camera_info(camera: Pinhole, frame_id: str = "sonar_optical") -> dict[str, Any]:

@@ -18,7 +18,7 @@ POINT = np.dtype(
 _PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<i4": "int"}
 
 
-def cloud_of(
+def hit_points(
     points_m: NDArray[np.float64],
     colours: NDArray[np.uint8],
     intensity: NDArray[np.float32],

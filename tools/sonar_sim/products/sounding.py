@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from sonar_sim.effects.image_difference import Tolerance
 from sonar_sim.effects.plan import AUTO, Choice
-from sonar_sim.engine import Engine
+from sonar_sim.engine import PingEngine
 from sonar_sim.geometry.pose import Pose, SonarMotion
 from sonar_sim.propagation.ground_truth import Truth
 from sonar_sim.propagation.physics import Physics
-from sonar_sim.raycast.depth_camera import Onlooker, Pinhole, View
+from sonar_sim.raycast.depth_camera import DepthCamera, DepthImage, Pinhole
 from sonar_sim.receiver.gain import FULL_SCALE_DB, noise_level_db
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
@@ -23,7 +23,7 @@ TINY = 1e-30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sounding:
+class PingProducts:
     """A ping and what is true of it.
 
     Attributes:
@@ -47,7 +47,7 @@ class Sounding:
     image: NDArray[Any]
     snr_db: NDArray[np.float32] = field(repr=False)
     truth: Truth = field(repr=False)
-    view: View = field(repr=False)
+    view: DepthImage = field(repr=False)
 
     @property
     def level(self) -> NDArray[np.float32]:
@@ -57,7 +57,7 @@ class Sounding:
         return level
 
 
-class Sounder:
+class ProductRenderer:
     """A sonar in a scene, with a camera in its place.
 
     Args:
@@ -81,7 +81,7 @@ class Sounder:
     ) -> None:
         self._camera = camera
         self._simulator = Simulator(scene, sonar, seed, effects=effects, tolerance=tolerance)
-        self._engine = Engine(scene, sonar, seed)
+        self._engine = PingEngine(scene, sonar, seed)
 
     def at(
         self,
@@ -89,7 +89,7 @@ class Sounder:
         ping_id: int = 0,
         time_s: float = 0.0,
         motion: SonarMotion | None = None,
-    ) -> Sounding:
+    ) -> PingProducts:
         """Simulate one ping and look at the scene from where it was sent.
 
         Args:
@@ -104,7 +104,7 @@ class Sounder:
         planned = self._simulator.plan(map_T_sonar, ping_id, time_s, motion)
         expected = expected_echo(planned.physics)
         quiet = self._engine.ping(map_T_sonar, expected, ping_id, time_s, motion)
-        return Sounding(
+        return PingProducts(
             scene,
             sonar,
             map_T_sonar,
@@ -113,7 +113,7 @@ class Sounder:
             ping.image,
             snr_db_of(quiet.amplitude, sonar, scene),
             ping.truth,
-            Onlooker(scene, time_s).look(self._camera, map_T_sonar),
+            DepthCamera(scene, time_s).look(self._camera, map_T_sonar),
         )
 
 

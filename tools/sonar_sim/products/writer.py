@@ -14,22 +14,22 @@ from oculus_driver.render import Style
 from oculus_driver.render.files import write_png
 from sonar_sim.errors import SonarSimError
 from sonar_sim.products import arrays
-from sonar_sim.products.arrays import looked_up, raw_scan
+from sonar_sim.products.arrays import lookup_pixels, raw_scan
 from sonar_sim.products.images import (
     camera_info,
-    coloured,
+    colour_map,
     depth_picture,
     fan_picture,
     label_picture,
     level_picture,
     normal_picture,
 )
-from sonar_sim.products.point_cloud import cloud_of, write_cloud
-from sonar_sim.products.sounding import Sounding
+from sonar_sim.products.point_cloud import hit_points, write_cloud
+from sonar_sim.products.sounding import PingProducts
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class ProductSettings:
     """How pictures look.
 
     Attributes:
@@ -42,7 +42,10 @@ class Look:
 
 
 def write_products(
-    folder: Path, sounding: Sounding, only: Sequence[str] = (), look: Look | None = None
+    folder: Path,
+    sounding: PingProducts,
+    only: Sequence[str] = (),
+    look: ProductSettings | None = None,
 ) -> list[Path]:
     """Write a ping's products; nothing is worked out for those that are not asked for.
 
@@ -64,11 +67,11 @@ def write_products(
     folder.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
     for name in only or PRODUCTS:
-        files += PRODUCTS[name](folder, sounding, look or Look())
+        files += PRODUCTS[name](folder, sounding, look or ProductSettings())
     return files
 
 
-def _polar(folder: Path, sounding: Sounding, look: Look) -> list[Path]:
+def _polar(folder: Path, sounding: PingProducts, look: ProductSettings) -> list[Path]:
     del look
     grey = np.rint(sounding.level * 255.0).astype(np.uint8)
     return [
@@ -77,7 +80,7 @@ def _polar(folder: Path, sounding: Sounding, look: Look) -> list[Path]:
     ]
 
 
-def _depth(folder: Path, sounding: Sounding, look: Look) -> list[Path]:
+def _depth(folder: Path, sounding: PingProducts, look: ProductSettings) -> list[Path]:
     del look
     return [
         _npz(folder / "camera.npz", arrays.camera_arrays(sounding)),
@@ -85,12 +88,12 @@ def _depth(folder: Path, sounding: Sounding, look: Look) -> list[Path]:
     ]
 
 
-def _normals(folder: Path, sounding: Sounding, look: Look) -> list[Path]:
+def _normals(folder: Path, sounding: PingProducts, look: ProductSettings) -> list[Path]:
     del look
     return [_png(folder / "normals.png", normal_picture(sounding.view.normals))]
 
 
-def _snr(folder: Path, sounding: Sounding, look: Look) -> list[Path]:
+def _snr(folder: Path, sounding: PingProducts, look: ProductSettings) -> list[Path]:
     found, colours = arrays.snr_arrays(sounding), look.style.colours
     return [
         _npz(folder / "snr.npz", found),
@@ -99,7 +102,7 @@ def _snr(folder: Path, sounding: Sounding, look: Look) -> list[Path]:
     ]
 
 
-def _raw_scan(folder: Path, sounding: Sounding, look: Look) -> list[Path]:
+def _raw_scan(folder: Path, sounding: PingProducts, look: ProductSettings) -> list[Path]:
     scan = raw_scan(sounding.level, sounding.sonar, look.scan_rows)
     per_px = np.array(sounding.sonar.range_m / look.scan_rows)
     return [
@@ -108,29 +111,29 @@ def _raw_scan(folder: Path, sounding: Sounding, look: Look) -> list[Path]:
     ]
 
 
-def _fan(folder: Path, sounding: Sounding, look: Look) -> list[Path]:
+def _fan(folder: Path, sounding: PingProducts, look: ProductSettings) -> list[Path]:
     return [_png(folder / "fan.png", fan_picture(sounding, look.style))]
 
 
-def _points(folder: Path, sounding: Sounding, look: Look) -> list[Path]:
+def _points(folder: Path, sounding: PingProducts, look: ProductSettings) -> list[Path]:
     view, pose = sounding.view, sounding.map_T_sonar
-    level = looked_up(sounding.level, view, sounding.sonar)[view.hit]
+    level = lookup_pixels(sounding.level, view, sounding.sonar)[view.hit]
     shade = np.rint(255.0 * np.nan_to_num(level)).astype(np.uint8)
-    colours = coloured(shade[:, None], look.style.colours)[:, 0, ::-1]
+    colours = colour_map(shade[:, None], look.style.colours)[:, 0, ::-1]
     points_m = view.points_m() @ pose.rotation.T + pose.position_m
     path = folder / "points.ply"
-    write_cloud(path, cloud_of(points_m, colours, level, view.surface[view.hit]), "map frame")
+    write_cloud(path, hit_points(points_m, colours, level, view.surface[view.hit]), "map frame")
     return [path]
 
 
-def _camera_info(folder: Path, sounding: Sounding, look: Look) -> list[Path]:
+def _camera_info(folder: Path, sounding: PingProducts, look: ProductSettings) -> list[Path]:
     del look
     path = folder / "camera_info.yaml"
     path.write_text(yaml.safe_dump(camera_info(sounding.view.camera), sort_keys=False))
     return [path]
 
 
-def _truth(folder: Path, sounding: Sounding, look: Look) -> list[Path]:
+def _truth(folder: Path, sounding: PingProducts, look: ProductSettings) -> list[Path]:
     del look
     return [
         _npz(folder / "truth.npz", arrays.truth_arrays(sounding)),
@@ -138,18 +141,20 @@ def _truth(folder: Path, sounding: Sounding, look: Look) -> list[Path]:
     ]
 
 
-PRODUCTS: MappingProxyType[str, Callable[[Path, Sounding, Look], list[Path]]] = MappingProxyType(
-    {
-        "polar": _polar,
-        "depth": _depth,
-        "normals": _normals,
-        "snr": _snr,
-        "raw_scan": _raw_scan,
-        "fan": _fan,
-        "points": _points,
-        "camera_info": _camera_info,
-        "truth": _truth,
-    }
+PRODUCTS: MappingProxyType[str, Callable[[Path, PingProducts, ProductSettings], list[Path]]] = (
+    MappingProxyType(
+        {
+            "polar": _polar,
+            "depth": _depth,
+            "normals": _normals,
+            "snr": _snr,
+            "raw_scan": _raw_scan,
+            "fan": _fan,
+            "points": _points,
+            "camera_info": _camera_info,
+            "truth": _truth,
+        }
+    )
 )
 """What can be written, by name."""
 

@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 UNSHADED_DB = 13.2615
 """First side lobe of an unshaded aperture; no shading makes it worse."""
 FAINTEST_DB = 60.0
-"""Side lobes deeper than this are none."""
+"""Side lobes below this level are ignored."""
 MAIN_LOBE_END = 2.0
 """Where a Gaussian main lobe has fallen by 61 dB and ends if no null ended it, lambda/L."""
 HALF_POWER_SINC = 0.44295

@@ -11,7 +11,7 @@ from sonar_sim.raycast.tracing import Trace
 from sonar_sim.scene.sonar import SonarSettings
 
 
-def passage(
+def box_crossing(
     cloud: Cloud,
     origin_m: NDArray[np.float64],
     direction: NDArray[np.float32],
@@ -42,7 +42,7 @@ def cloud_gain(
     """Pressure that the clouds leave to echoes, there and back, (N,)."""
     loss_db = np.zeros(len(direction))
     for cloud in clouds:
-        enter, leave = passage(cloud, origin_m, direction, range_m)
+        enter, leave = box_crossing(cloud, origin_m, direction, range_m)
         loss_db += 2.0 * cloud.attenuation_db_per_m * (leave - enter)
     gain: NDArray[np.float32] = (10.0 ** (-loss_db / 20.0)).astype(np.float32)
     return gain
@@ -72,7 +72,7 @@ def cloud_power(
         weight = weight * vertical_two_way_power(up, physics.vertical_width_rad)
     middle_m = sonar.row_centres_m[:, None] / physics.range_scale
     for cloud in physics.clouds:
-        enter, leave = passage(cloud, trace.origin_m, trace.direction, end)
+        enter, leave = box_crossing(cloud, trace.origin_m, trace.direction, end)
         inside = np.flatnonzero(leave > enter)
         column = trace.fan.column[inside]
         share = weight[inside]

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
-from sonar_sim.propagation.propagation_path import Situation
+from sonar_sim.propagation.propagation_path import PingGeometry
 from sonar_sim.raycast.meshes import NOTHING, Meshes
 from sonar_sim.raycast.tracing import Trace
-from sonar_sim.scene.material import LEAST_COSINE, lobe_strength
+from sonar_sim.scene.material import MIN_COSINE, specular_lobe
 from sonar_sim.scene.sonar import SonarSettings
 
-LEAST_RANGE_M = 0.01
+MIN_RANGE_M = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +48,7 @@ class Truth:
 
 
 def truth_of(
-    rays: Trace, meshes: Meshes, sonar: SonarSettings, here: Situation, wavelength_m: float
+    rays: Trace, meshes: Meshes, sonar: SonarSettings, here: PingGeometry, wavelength_m: float
 ) -> Truth:
     """Work out a ping's truth; apparent ranges count for the rows."""
     met = rays.met[0]
@@ -92,7 +92,7 @@ def truth_of(
 def _power(
     rays: Trace,
     meshes: Meshes,
-    here: Situation,
+    here: PingGeometry,
     *,
     hit: NDArray[np.int64],
     facing: NDArray[np.float64],
@@ -104,11 +104,11 @@ def _power(
     strength = mu * (np.square(facing) if physics.lambert else 1.0)
     if physics.specular:
         wave_number_per_m = 2.0 * np.pi / wavelength_m
-        strength = strength + lobe_strength(
+        strength = strength + specular_lobe(
             facing, np.sqrt(reflection2), roughness_m, slope_rad, wave_number_per_m
         )
-    range_m = np.maximum(rays.met[0].range_m[hit].astype(np.float64), LEAST_RANGE_M)
-    power = strength * rays.fan.solid_angle_sr[hit] / np.maximum(facing, LEAST_COSINE)
+    range_m = np.maximum(rays.met[0].range_m[hit].astype(np.float64), MIN_RANGE_M)
+    power = strength * rays.fan.solid_angle_sr[hit] / np.maximum(facing, MIN_COSINE)
     power /= np.square(range_m)
     power *= 10.0 ** (-0.2 * physics.attenuation_db_per_m * range_m)
     if physics.vertical_width_rad is not None:

@@ -1,4 +1,4 @@
-"""Where a mirror is: sound bounces off its own faces, and nowhere else on its plane."""
+"""Mirrors: sound is reflected by a mirror's own faces, and nowhere else on its plane."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,19 +10,19 @@ FLAT_M = 2e-3
 """A face of the mirror's surface belongs to the mirror if it lies no farther off its plane."""
 PARALLEL = 0.9999
 """Cosine between a mirror's normal and its faces', at least."""
-TOUCH_M = 0.02
+MIRROR_GAP_M = 0.02
 """An endless mirror is met though a mesh lies so near before it: the mesh stands for it."""
-OFF_M = 1e-3
+RELATIVE_GAP = 1e-3
 
 
-def bounces(
+def reaches_mirror(
     meshes: Meshes,
     mirror: Mirror,
     face: NDArray[np.int32],
     range_m: NDArray[np.float32],
     crossing_m: NDArray[np.float64],
 ) -> NDArray[np.bool_]:
-    """Which rays get to the mirror unhindered, and find it there, (N,).
+    """Return which rays reach the mirror unobstructed and hit its faces, (N,).
 
     Args:
         meshes: of the scene; mirrors stand still, so their faces are given in the map's frame.
@@ -32,7 +32,9 @@ def bounces(
         crossing_m: range at which each ray crosses the mirror's plane.
     """
     if mirror.surface is None:
-        free: NDArray[np.bool_] = (face < 0) | (range_m > crossing_m * (1.0 - OFF_M) - TOUCH_M)
+        free: NDArray[np.bool_] = (face < 0) | (
+            range_m > crossing_m * (1.0 - RELATIVE_GAP) - MIRROR_GAP_M
+        )
         return free
     found = np.zeros(len(face), dtype=np.bool_)
     own = np.flatnonzero((face >= 0) & (meshes.surface[face] == mirror.surface))

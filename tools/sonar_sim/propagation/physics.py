@@ -1,4 +1,4 @@
-"""What the engine is told to compute: the effects fill it in, each its own fields.
+"""Settings of the engine for one ping: each effect sets its own fields.
 
 A field's default leaves its effect out.
 """
@@ -27,7 +27,7 @@ class Mirror:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Layers:
+class SoundSpeedProfile:
     """Speed of sound over depth, for refraction: linear between the depths, constant beyond.
 
     Attributes:
@@ -56,7 +56,7 @@ class Cloud:
 
 
 @dataclass(frozen=True, slots=True)
-class Arrival:
+class InterferencePulse:
     """The direct sound of another sonar in one ping.
 
     Attributes:
@@ -80,7 +80,7 @@ class Physics:
         spreading: amplitude falls as 1/range each way.
         attenuation_db_per_m: one way, absorption and suspended sediment together.
         layers: for bent paths; None is straight.
-        range_scale: apparent range over true range (speed of sound told over true).
+        range_scale: apparent range over true range (assumed over true speed of sound).
         pose_blocks: poses a ping, spread evenly over its listening time; 1 stands still.
         doppler_shift_s: apparent range grows by this times the closing speed, metres per m/s.
         lambert: back scattering falls as cos² of incidence; else each surface scatters alike.
@@ -108,7 +108,7 @@ class Physics:
 
     spreading: bool = False
     attenuation_db_per_m: float = 0.0
-    layers: Layers | None = None
+    layers: SoundSpeedProfile | None = None
     range_scale: float = 1.0
     pose_blocks: int = 1
     doppler_shift_s: float = 0.0
@@ -127,7 +127,7 @@ class Physics:
     volume_strength_db: float | None = None
     noise_level_db: float | None = None
     crosstalk_db: float | None = None
-    arrivals: tuple[Arrival, ...] = field(default=())
+    arrivals: tuple[InterferencePulse, ...] = field(default=())
     tvg: bool = False
     gain: bool = False
     saturation: bool = False

@@ -6,22 +6,22 @@ from numpy.typing import NDArray
 from sonar_sim.geometry.pose import Pose
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
 from sonar_sim.propagation.clouds import cloud_gain
-from sonar_sim.propagation.mirror import OFF_M, bounces
+from sonar_sim.propagation.mirror import RELATIVE_GAP, reaches_mirror
 from sonar_sim.propagation.physics import Mirror
-from sonar_sim.propagation.propagation_path import Situation, mirrored, pair_gain
+from sonar_sim.propagation.propagation_path import PingGeometry, mirrored, pair_gain
 from sonar_sim.scene.scene import PointTarget
 from sonar_sim.scene.sonar import SonarSettings
 
 HIDDEN_M = 0.01
 """A surface hides a target that lies farther than this behind it."""
-LEAST_SPREAD_M = 0.01
+MIN_SPREAD_M = 0.01
 """Right before the transducer nothing spreads as from a point, and no echo is infinite."""
 
 
 def add_targets(
     cells: NDArray[np.complex64] | NDArray[np.float32],
     targets: tuple[PointTarget, ...],
-    here: Situation,
+    here: PingGeometry,
     sonar: SonarSettings,
     *,
     loss: NDArray[np.float32],
@@ -52,7 +52,7 @@ class _Way:
 
     def __init__(
         self,
-        here: Situation,
+        here: PingGeometry,
         there: Pose,
         back: Pose,
         position_m: NDArray[np.float64],
@@ -73,10 +73,10 @@ class _Way:
             two_way = vertical_two_way_power(up, physics.vertical_width_rad)
             self.factor = float(np.prod(two_way)) ** 0.25
         if physics.spreading:
-            self.factor /= max(out_m, LEAST_SPREAD_M) * max(heard_m, LEAST_SPREAD_M)
+            self.factor /= max(out_m, MIN_SPREAD_M) * max(heard_m, MIN_SPREAD_M)
 
 
-def _ways(here: Situation, position_m: NDArray[np.float64]) -> list[tuple[Pose, Pose, float]]:
+def _ways(here: PingGeometry, position_m: NDArray[np.float64]) -> list[tuple[Pose, Pose, float]]:
     """Pairs of poses there and back, with the mirrors' gain."""
     ways: list[tuple[Pose, Pose, float]] = []
     visible = not here.physics.shadows or _free(here, here.pose.position_m, position_m)
@@ -94,7 +94,9 @@ def _ways(here: Situation, position_m: NDArray[np.float64]) -> list[tuple[Pose, 
     return ways
 
 
-def _bounced(here: Situation, mirror: Mirror, image: Pose, position_m: NDArray[np.float64]) -> bool:
+def _bounced(
+    here: PingGeometry, mirror: Mirror, image: Pose, position_m: NDArray[np.float64]
+) -> bool:
     """Whether sound gets to a target by a mirror, unhindered on both parts of the way."""
     height = float(np.dot(mirror.normal, position_m - mirror.point_m))
     image_height = float(np.dot(mirror.normal, image.position_m - mirror.point_m))
@@ -107,12 +109,14 @@ def _bounced(here: Situation, mirror: Mirror, image: Pose, position_m: NDArray[n
     direction = (way / range_m).astype(np.float32)[None, :]
     reach_m = 2.0 * here.range_m
     met = here.meshes.cast(here.pose.position_m, direction, here.time_s, reach_m, 1)
-    if not bounces(here.meshes, mirror, met.face, met.range_m, range_m)[0]:
+    if not reaches_mirror(here.meshes, mirror, met.face, met.range_m, range_m)[0]:
         return False
-    return not here.physics.shadows or _free(here, foot + OFF_M * mirror.normal, position_m)
+    return not here.physics.shadows or _free(here, foot + RELATIVE_GAP * mirror.normal, position_m)
 
 
-def _free(here: Situation, start_m: NDArray[np.float64], position_m: NDArray[np.float64]) -> bool:
+def _free(
+    here: PingGeometry, start_m: NDArray[np.float64], position_m: NDArray[np.float64]
+) -> bool:
     """Whether nothing stands between a point and a target."""
     way = position_m - start_m
     range_m = max(float(np.linalg.norm(way)), 1e-9)
@@ -121,7 +125,7 @@ def _free(here: Situation, start_m: NDArray[np.float64], position_m: NDArray[np.
     return bool(met.face[0] < 0 or met.range_m[0] > range_m - HIDDEN_M)
 
 
-def _later(here: Situation, position_m: NDArray[np.float64]) -> Pose:
+def _later(here: PingGeometry, position_m: NDArray[np.float64]) -> Pose:
     """The sonar when the echo is back."""
     if here.motion is None or here.physics.pose_blocks == 1:
         return here.pose
@@ -129,7 +133,7 @@ def _later(here: Situation, position_m: NDArray[np.float64]) -> Pose:
     return here.motion.pose(here.pose, here.listening_s * range_m / here.range_m)
 
 
-def _swallowed(here: Situation, position_m: NDArray[np.float64]) -> float:
+def _swallowed(here: PingGeometry, position_m: NDArray[np.float64]) -> float:
     way = position_m - here.pose.position_m
     range_m = np.array([max(float(np.linalg.norm(way)), 1e-9)])
     direction = (way / range_m).astype(np.float32)[None, :]

@@ -7,19 +7,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim import _core
-from sonar_sim.geometry.matmul import along, product
+from sonar_sim.geometry.matmul import chunked_matmul, rows_dot
 from sonar_sim.geometry.pose import Pose, SonarMotion
 from sonar_sim.propagation.clouds import cloud_gain
-from sonar_sim.propagation.mirror import OFF_M, TOUCH_M, bounces
+from sonar_sim.propagation.mirror import MIRROR_GAP_M, RELATIVE_GAP, reaches_mirror
 from sonar_sim.propagation.physics import Mirror, Physics
-from sonar_sim.raycast.meshes import NOTHING, Meshes, Met
+from sonar_sim.raycast.meshes import NOTHING, Hits, Meshes
 from sonar_sim.raycast.tracing import Trace, span_about, spans
 
-LEG = 16
+LEG_SIZE = 16
 """Numbers of a leg: origin (3), rotation (9), drift (3), gain (1)."""
 
 
-def leg_in(
+def leg_in_frame(
     map_T_object: Pose,  # noqa: N803
     origin_m: NDArray[np.float64],
     rotation: NDArray[np.float64],
@@ -47,7 +47,7 @@ SAME_COLUMN = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Situation:
+class PingGeometry:
     """What the ways of one ping share.
 
     Attributes:
@@ -73,14 +73,14 @@ class Situation:
     threads: int
 
 
-def heard_faces(meshes: Meshes, names: tuple[str, ...], physics: Physics) -> NDArray[np.bool_]:
+def audible_faces(meshes: Meshes, names: tuple[str, ...], physics: Physics) -> NDArray[np.bool_]:
     """Faces that send something back: not the silent surfaces', and the sea's if it scatters."""
     surfaces = [name not in physics.silent for name in names]
     by_surface = np.array([*surfaces, physics.sea_surface])
     return by_surface[meshes.material]
 
 
-def direct_ways(here: Situation, trace: Trace) -> list[_core.Rays]:
+def direct_paths(here: PingGeometry, trace: Trace) -> list[_core.Rays]:
     """Straight to what was met and straight back to where the sonar is by then."""
     legs = _LegTable(here)
     ways = []
@@ -110,14 +110,14 @@ def direct_ways(here: Situation, trace: Trace) -> list[_core.Rays]:
 class _LegTable:
     """Legs of each group at the transmission, then of each block of the listening time."""
 
-    def __init__(self, here: Situation) -> None:
+    def __init__(self, here: PingGeometry) -> None:
         self._blocks = here.physics.pose_blocks if here.motion is not None else 1
         self._block_m = here.range_m / self._blocks
         start = here.meshes.poses(here.time_s)
         self._groups = len(start)
         drifts = [_drift(here, number) for number in range(self._groups)]
         rows = [
-            leg_in(frame, here.pose.position_m, here.pose.rotation, drift)
+            leg_in_frame(frame, here.pose.position_m, here.pose.rotation, drift)
             for frame, drift in zip(start, drifts, strict=True)
         ]
         if self._blocks > 1 and here.motion is not None:
@@ -125,7 +125,7 @@ class _LegTable:
                 after_s = (block + 0.5) / self._blocks * here.listening_s
                 pose = here.motion.pose(here.pose, after_s)
                 rows += [
-                    leg_in(frame, pose.position_m, pose.rotation, drift)
+                    leg_in_frame(frame, pose.position_m, pose.rotation, drift)
                     for frame, drift in zip(
                         here.meshes.poses(here.time_s + after_s), drifts, strict=True
                     )
@@ -143,7 +143,7 @@ class _LegTable:
         return legs
 
 
-def _drift(here: Situation, group: int) -> NDArray[np.float64]:
+def _drift(here: PingGeometry, group: int) -> NDArray[np.float64]:
     """Growth of the apparent range by a closing speed of each direction's own, map frame."""
     if here.physics.doppler_shift_s == 0.0:
         return np.zeros(3)
@@ -154,7 +154,7 @@ def _drift(here: Situation, group: int) -> NDArray[np.float64]:
     return drift
 
 
-def mirror_ways(here: Situation, trace: Trace, mirror: Mirror) -> list[_core.Rays]:
+def mirror_paths(here: PingGeometry, trace: Trace, mirror: Mirror) -> list[_core.Rays]:
     """By a mirror there or back or both; the sonar is taken to stand still.
 
     The mirror's image of the sonar sees what the sonar sees in the mirror. Its rays begin on the
@@ -166,11 +166,13 @@ def mirror_ways(here: Situation, trace: Trace, mirror: Mirror) -> list[_core.Ray
     met, ray = _seen_in_mirror(here, trace, mirror)
     hit = np.flatnonzero((met.face >= 0) & here.heard[met.face])
     frames = here.meshes.poses(here.time_s)
-    direct = [leg_in(f, here.pose.position_m, here.pose.rotation) for f in frames]
-    bounced = [leg_in(f, image.position_m, image.rotation, gain=mirror.reflection) for f in frames]
-    legs = np.array([*direct, *bounced]).reshape(-1, LEG)
+    direct = [leg_in_frame(f, here.pose.position_m, here.pose.rotation) for f in frames]
+    bounced = [
+        leg_in_frame(f, image.position_m, image.rotation, gain=mirror.reflection) for f in frames
+    ]
+    legs = np.array([*direct, *bounced]).reshape(-1, LEG_SIZE)
     point = image.position_m + met.range_m[hit, None].astype(np.float64) * (
-        product(trace.direction[ray[hit]].astype(np.float64), _reflector(mirror))
+        chunked_matmul(trace.direction[ray[hit]].astype(np.float64), _reflector(mirror))
     )
     group = met.group[hit]
     span = span_about(here.meshes, met, met.range_m, met.range_m)
@@ -203,7 +205,7 @@ def mirror_ways(here: Situation, trace: Trace, mirror: Mirror) -> list[_core.Ray
     ]
 
 
-def pair_gain(here: Situation, mirror: Mirror) -> float:
+def pair_gain(here: PingGeometry, mirror: Mirror) -> float:
     """Gain of the two ways that use a mirror once: there or back.
 
     They are equally long, so their pressures add: where both are heard in one column, the sum of
@@ -227,24 +229,26 @@ def _reflector(mirror: Mirror) -> NDArray[np.float64]:
     return reflector
 
 
-def _seen_in_mirror(here: Situation, trace: Trace, mirror: Mirror) -> tuple[Met, NDArray[np.int64]]:
+def _seen_in_mirror(
+    here: PingGeometry, trace: Trace, mirror: Mirror
+) -> tuple[Hits, NDArray[np.int64]]:
     """What rays meet after the mirror: ranges from the image, and which rays they are."""
-    falling = along(trace.direction, mirror.normal)
+    falling = rows_dot(trace.direction, mirror.normal)
     height = float(np.dot(mirror.normal, here.pose.position_m - mirror.point_m))
     crossing = height / np.maximum(-falling, 1e-9)
     first = trace.met[0]
-    there = bounces(here.meshes, mirror, first.face, first.range_m, crossing)
+    there = reaches_mirror(here.meshes, mirror, first.face, first.range_m, crossing)
     ray = np.flatnonzero((falling < 0.0) & (crossing < 2.0 * here.range_m) & there)
     direction = trace.direction[ray].astype(np.float64)
-    start = here.pose.position_m + crossing[ray, None] * direction + OFF_M * mirror.normal
-    onward = product(direction, _reflector(mirror)).astype(np.float32)
+    start = here.pose.position_m + crossing[ray, None] * direction + RELATIVE_GAP * mirror.normal
+    onward = chunked_matmul(direction, _reflector(mirror)).astype(np.float32)
     met = here.meshes.cast(start, onward, here.time_s, 2.0 * here.range_m, here.threads)
     range_m = (met.range_m + crossing[ray]).astype(np.float32)
-    return Met(range_m, met.face, met.group), ray
+    return Hits(range_m, met.face, met.group), ray
 
 
 def _in_sight(
-    here: Situation, point_m: NDArray[np.float64], reach_m: NDArray[np.float32]
+    here: PingGeometry, point_m: NDArray[np.float64], reach_m: NDArray[np.float32]
 ) -> NDArray[np.bool_]:
     """Which points the sonar sees directly, no farther than their reach."""
     way = point_m - here.pose.position_m
@@ -253,6 +257,6 @@ def _in_sight(
     met = here.meshes.cast(
         here.pose.position_m, direction, here.time_s, 2.0 * here.range_m, here.threads
     )
-    clear = (met.face < 0) | (met.range_m > range_m * (1.0 - OFF_M) - TOUCH_M)
+    clear = (met.face < 0) | (met.range_m > range_m * (1.0 - RELATIVE_GAP) - MIRROR_GAP_M)
     sight: NDArray[np.bool_] = clear & (range_m < reach_m)
     return sight

@@ -1,8 +1,8 @@
 """Refraction: rays that bend where the speed of sound changes with depth.
 
-A bent way is told to the kernels as a straight one from a virtual sonar: as far from the point
-that was met as the sound's time says, in the direction in which it arrived, and turned so that it
-leaves in the direction in which it left.
+The kernels take a refracted path as a straight one from a virtual sonar. Its distance from the hit
+follows from the travel time, its direction is that of arrival, and it is turned so that the ray
+leaves in the original direction.
 """
 
 from dataclasses import dataclass
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from sonar_sim import _core
 from sonar_sim.propagation.clouds import cloud_gain
-from sonar_sim.propagation.physics import Layers
-from sonar_sim.propagation.propagation_path import LEG, Situation
-from sonar_sim.raycast.fan import Fan, finer
-from sonar_sim.raycast.meshes import NOTHING, Met
+from sonar_sim.propagation.physics import SoundSpeedProfile
+from sonar_sim.propagation.propagation_path import LEG_SIZE, PingGeometry
+from sonar_sim.raycast.fan import RayFan, refined_fan
+from sonar_sim.raycast.meshes import NOTHING, Hits
 from sonar_sim.raycast.tracing import BEHIND, Trace, edges_of, joined_fan, spans
 
 Number = TypeVar("Number", np.float32, np.float64, np.int32)
@@ -26,8 +26,8 @@ SEGMENTS = 16
 STEEP = 1e-6
 
 
-def bent_ways(
-    here: Situation, layers: Layers, fan: Fan, reach_m: float, speed_mps: float
+def refracted_paths(
+    here: PingGeometry, layers: SoundSpeedProfile, fan: RayFan, reach_m: float, speed_mps: float
 ) -> tuple[Trace, list[_core.Rays]]:
     """Trace bent rays and make their ways; the sonar is taken to stand still.
 
@@ -44,7 +44,7 @@ def bent_ways(
     start, found = _followed(here, layers, fan, reach_m, speed_mps)
     edges = edges_of(here.meshes, fan, start.astype(np.float32), found[0].met)
     if len(edges):
-        more = finer(fan, edges)
+        more = refined_fan(fan, edges)
         fan = joined_fan(fan, edges, more)
         more_start, more_found = _followed(here, layers, more, reach_m, speed_mps)
         start = _core.inserted(start, edges, more_start)
@@ -55,7 +55,7 @@ def bent_ways(
 
 
 def _followed(
-    here: Situation, layers: Layers, fan: Fan, reach_m: float, speed_mps: float
+    here: PingGeometry, layers: SoundSpeedProfile, fan: RayFan, reach_m: float, speed_mps: float
 ) -> tuple[NDArray[np.float64], list["_Found"]]:
     """Directions in which rays leave, map frame, (N, 3), and what they meet, first and behind."""
     start = fan.directions.astype(np.float64) @ here.pose.rotation.T
@@ -116,11 +116,11 @@ class _Found:
         )
 
     @property
-    def met(self) -> Met:
-        return Met(self.range_m.astype(np.float32), self.face, self.group)
+    def met(self) -> Hits:
+        return Hits(self.range_m.astype(np.float32), self.face, self.group)
 
 
-def _ways(here: Situation, fan: Fan, start: NDArray[np.float64], found: _Found) -> _core.Rays:
+def _ways(here: PingGeometry, fan: RayFan, start: NDArray[np.float64], found: _Found) -> _core.Rays:
     """The sound's ways to what was met and back."""
     hit = np.flatnonzero((found.face >= 0) & here.heard[found.face])
     legs = _virtual_legs(
@@ -152,7 +152,10 @@ def _ways(here: Situation, fan: Fan, start: NDArray[np.float64], found: _Found) 
 
 
 def _turned(
-    layers: Layers, point_m: NDArray[np.float64], direction: NDArray[np.float64], step_m: float
+    layers: SoundSpeedProfile,
+    point_m: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    step_m: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Speed in the middle of the next segment and the segment's direction.
 
@@ -172,7 +175,7 @@ def _turned(
 
 
 def _virtual_legs(
-    here: Situation,
+    here: PingGeometry,
     group: NDArray[np.int32],
     *,
     start: NDArray[np.float64],
@@ -186,7 +189,7 @@ def _virtual_legs(
     frames = here.meshes.poses(here.time_s)
     back = np.stack([frame.rotation.T for frame in frames])[group]
     from_m = np.stack([frame.position_m for frame in frames])[group]
-    legs = np.zeros((len(group), LEG))
+    legs = np.zeros((len(group), LEG_SIZE))
     legs[:, :3] = np.einsum("nij,nj->ni", back, origin - from_m)
     legs[:, 3:12] = (back @ turn).reshape(-1, 9)
     legs[:, 15] = 1.0

@@ -1,4 +1,4 @@
-"""What a depth camera in the sonar's place would see: one ray a pixel, cast with Embree.
+"""A depth camera in the sonar's place: one ray per pixel, cast with Embree.
 
 Optical frame: x right, y down, z ahead. The sonar frame's x is ahead, y to port, z up.
 """
@@ -16,7 +16,7 @@ from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings
 
 OPTICAL_FROM_SONAR = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-MOST_ASIDE_RAD = math.radians(80.0)
+MAX_ASIDE_RAD = math.radians(80.0)
 """A pinhole's pixels grow without bound towards 90° from its axis."""
 
 
@@ -62,15 +62,15 @@ class Pinhole:
 
 def pinhole_of(sonar: SonarSettings, width: int = 640) -> Pinhole:
     """Cover the sonar's fan, and up and down twice its vertical -3 dB width."""
-    half_rad = min(sonar.half_aperture_rad, MOST_ASIDE_RAD)
+    half_rad = min(sonar.half_aperture_rad, MAX_ASIDE_RAD)
     focal_px = width / (2.0 * math.tan(half_rad))
-    up_rad = min(sonar.vertical_width_rad, MOST_ASIDE_RAD)
+    up_rad = min(sonar.vertical_width_rad, MAX_ASIDE_RAD)
     height = max(2, 2 * round(focal_px * math.tan(up_rad)))
     return Pinhole(width, height, 2.0 * half_rad, near_m=0.1, far_m=sonar.range_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class DepthImage:
     """What the pixels see; all arrays are (height, width, ...).
 
     Attributes:
@@ -100,8 +100,8 @@ class View:
         return points
 
 
-class Onlooker:
-    """A scene at one moment, to be looked at from any pose."""
+class DepthCamera:
+    """A depth camera in a scene at one time, for any pose."""
 
     def __init__(self, scene: Scene, time_s: float = 0.0) -> None:
         triangles = scene.triangles_at_m(time_s)
@@ -114,7 +114,7 @@ class Onlooker:
         if len(triangles):
             self._mesh = TriangleMesh(self._scene, triangles.astype(np.float32))
 
-    def look(self, camera: Pinhole, map_T_sonar: Pose) -> View:  # noqa: N803
+    def look(self, camera: Pinhole, map_T_sonar: Pose) -> DepthImage:  # noqa: N803
         """Cast the camera's rays; what lies outside its near and far planes is not seen."""
         rays = camera.rays().reshape(-1, 3)
         length = np.linalg.norm(rays, axis=1)
@@ -129,7 +129,7 @@ class Onlooker:
         surface = np.full(len(rays), -1, dtype=np.int32)
         surface[seen] = self._surface[face[seen]]
         optical = (normals @ OPTICAL_FROM_SONAR.T).astype(np.float32)
-        return View(
+        return DepthImage(
             camera,
             np.where(seen, depth_m, 0.0).astype(np.float32).reshape(shape),
             np.where(seen, away_m, 0.0).astype(np.float32).reshape(shape),

@@ -21,14 +21,14 @@ CENTRE_SINE = 0.3
 MARGIN_BEAMS = 12
 """Columns traced beyond each outermost beam: their main lobes reach out there."""
 STRIPS = 4
-INSIDE = 1e-5
+MIN_CELL_SINE = 1e-5
 """A cell whose part of directions is narrower than this is left out."""
-FINER = 8
+REFINED_RAYS = 8
 """Rays cast between two neighbours that met different things."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fan:
+class RayFan:
     """Rays, column after column, each column from below upwards.
 
     Attributes:
@@ -77,7 +77,7 @@ def solid_angle_sr(
     return whole
 
 
-def fan_of(sonar: SonarSettings, elevations: int = ELEVATIONS) -> Fan:
+def ray_fan(sonar: SonarSettings, elevations: int = ELEVATIONS) -> RayFan:
     """Lay the rays: one a beam pitch across, closest in the vertical pattern's main lobe."""
     columns = sonar.beams + 2 * MARGIN_BEAMS
     column = np.arange(columns, dtype=np.int32)
@@ -90,11 +90,11 @@ def fan_of(sonar: SonarSettings, elevations: int = ELEVATIONS) -> Fan:
     half = sonar.sine_pitch / 2.0
     halves = np.tile(w_half, columns)
     lowest = np.maximum(np.abs(ww) - halves, 0.0)
-    real = np.abs(ss) - half < np.sqrt(1.0 - lowest**2) - INSIDE
+    real = np.abs(ss) - half < np.sqrt(1.0 - lowest**2) - MIN_CELL_SINE
     ss, ww, halves = ss[real], ww[real], halves[real]
     most = np.sqrt(1.0 - ww**2)
     middle = (np.clip(ss - half, -most, most) + np.clip(ss + half, -most, most)) / 2.0
-    return Fan(
+    return RayFan(
         *_rays(middle, ww, (ss - half, ss + half), halves),
         np.repeat(column, elevations)[real],
         columns,
@@ -111,19 +111,23 @@ def _up_sines(elevations: int) -> NDArray[np.float64]:
     return sines
 
 
-def finer(fan: Fan, below: NDArray[np.int64]) -> Fan:
+def refined_fan(fan: RayFan, below: NDArray[np.int64]) -> RayFan:
     """Rays between each of the given rays and the next one of its column.
 
     Returns:
-        `FINER` rays for each, together covering what lies between the two.
+        `REFINED_RAYS` rays for each, together covering what lies between the two.
     """
     start = fan.directions[below].astype(np.float64)
-    step = (fan.directions[below + 1, 2] - start[:, 2]) / FINER
-    ww = (start[:, 2, None] + (np.arange(FINER) + 0.5) * step[:, None]).ravel()
-    ss = np.repeat(-start[:, 1], FINER)
-    edges = np.repeat(fan.cell[below, :2].astype(np.float64), FINER, axis=0)
-    directions, cell = _rays(ss, ww, (edges[:, 0], edges[:, 1]), np.repeat(step / 2.0, FINER))
-    return Fan(directions, cell, np.repeat(fan.column[below], FINER), fan.columns, fan.sine_pitch)
+    step = (fan.directions[below + 1, 2] - start[:, 2]) / REFINED_RAYS
+    ww = (start[:, 2, None] + (np.arange(REFINED_RAYS) + 0.5) * step[:, None]).ravel()
+    ss = np.repeat(-start[:, 1], REFINED_RAYS)
+    edges = np.repeat(fan.cell[below, :2].astype(np.float64), REFINED_RAYS, axis=0)
+    directions, cell = _rays(
+        ss, ww, (edges[:, 0], edges[:, 1]), np.repeat(step / 2.0, REFINED_RAYS)
+    )
+    return RayFan(
+        directions, cell, np.repeat(fan.column[below], REFINED_RAYS), fan.columns, fan.sine_pitch
+    )
 
 
 def _rays(
@@ -133,7 +137,7 @@ def _rays(
     half_w: NDArray[np.float64],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Directions and cells of rays at given sines, the cells between edges in s."""
-    most = np.sqrt(1.0 - w**2) * (1.0 - INSIDE)
+    most = np.sqrt(1.0 - w**2) * (1.0 - MIN_CELL_SINE)
     s = np.clip(s, -most, most)
     ahead = np.sqrt(1.0 - s**2 - w**2)
     directions = np.stack([ahead, -s, w], axis=1).astype(np.float32)

@@ -1,4 +1,4 @@
-"""The scene's triangles: in Embree's hands for the rays, in the kernels' for the echoes."""
+"""The scene's triangles: in Embree for the rays, in tables for the echoes."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -11,23 +11,23 @@ from numpy.typing import NDArray
 
 from sonar_sim import _core
 from sonar_sim.errors import SceneError
-from sonar_sim.geometry.matmul import product
+from sonar_sim.geometry.matmul import chunked_matmul
 from sonar_sim.geometry.pose import Pose
 from sonar_sim.scene.scene import Scene, Surface
 
 SEA = -2
 """The sea's surface, where surfaces are numbered by their place in the scene."""
 NOTHING = -1
-LEAST_AREA = 1e-14
+MIN_AREA = 1e-14
 """Of a triangle, against the square of its scene's extent; smaller ones have no normal."""
-AHEAD_M = 1e-4
+START_OFFSET_M = 1e-4
 """So far from a sonar that lies in a face its rays begin."""
-SPLIT = 4096
+MIN_RAYS_PER_THREAD = 4096
 """Rays that are worth a thread of their own."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Met:
+class Hits:
     """What rays met first, (N,) each.
 
     Attributes:
@@ -42,7 +42,7 @@ class Met:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Group:
+class FrameGroup:
     """Surfaces that share one frame: all that stand still, or one that moves.
 
     Attributes:
@@ -60,7 +60,7 @@ class Group:
 
 
 class Meshes:
-    """All of a scene that rays can meet.
+    """All geometry of a scene that rays can hit.
 
     Attributes:
         groups: by frame.
@@ -80,7 +80,7 @@ class Meshes:
         moving = [[i] for i, surface in enumerate(scene.surfaces) if surface.motion is not None]
         parts = [_Part(scene, members) for members in ([still] if still else []) + moving]
         self._sea = scene.sea is not None
-        self.groups: list[Group] = []
+        self.groups: list[FrameGroup] = []
         count = 0
         for part in parts:
             self.groups.append(part.group(count))
@@ -125,7 +125,7 @@ class Meshes:
         time_s: float,
         reach_m: float | NDArray[np.float32],
         threads: int = 2,
-    ) -> Met:
+    ) -> Hits:
         """What rays meet first.
 
         Args:
@@ -136,10 +136,10 @@ class Meshes:
             threads: that share the rays.
         """
         count = len(direction)
-        parts = min(threads, max(1, count // SPLIT))
+        parts = min(threads, max(1, count // MIN_RAYS_PER_THREAD))
         cuts = [(count * i // parts, count * (i + 1) // parts) for i in range(parts)]
 
-        def work(cut: tuple[int, int]) -> Met:
+        def work(cut: tuple[int, int]) -> Hits:
             part = slice(*cut)
             origin = origin_m if origin_m.ndim == 1 else origin_m[part]
             reach = reach_m[part] if isinstance(reach_m, np.ndarray) else reach_m
@@ -149,7 +149,7 @@ class Meshes:
             return work(cuts[0])
         with ThreadPoolExecutor(parts) as pool:
             met = list(pool.map(work, cuts))
-        return Met(
+        return Hits(
             np.concatenate([m.range_m for m in met]),
             np.concatenate([m.face for m in met]),
             np.concatenate([m.group for m in met]),
@@ -161,7 +161,7 @@ class Meshes:
         direction: NDArray[np.float32],
         time_s: float,
         reach_m: float | NDArray[np.float32],
-    ) -> Met:
+    ) -> Hits:
         count = len(direction)
         nearest = np.full(count, np.inf, dtype=np.float32)
         face = np.full(count, NOTHING, dtype=np.int32)
@@ -175,7 +175,7 @@ class Meshes:
         if self._sea:
             self._meet_sea(origin_m, direction, nearest, face, owner)
         face[~(nearest < reach_m)] = NOTHING
-        return Met(nearest, face, owner)
+        return Hits(nearest, face, owner)
 
     def _meet_sea(
         self,
@@ -196,7 +196,7 @@ class Meshes:
 
 
 def _run(
-    group: Group,
+    group: FrameGroup,
     map_T_object: Pose,  # noqa: N803
     origin_m: NDArray[np.float64],
     direction: NDArray[np.float32],
@@ -206,8 +206,8 @@ def _run(
     start = origin_m - map_T_object.position_m
     still = np.array_equal(turn, np.eye(3))
     if not still:
-        start = product(np.atleast_2d(start), turn)
-        direction = product(direction, turn.astype(np.float32))
+        start = chunked_matmul(np.atleast_2d(start), turn)
+        direction = chunked_matmul(direction, turn.astype(np.float32))
     start = start - group.centre_m
     origins = np.empty((len(direction), 3), dtype=np.float32)
     origins[:] = start
@@ -216,9 +216,9 @@ def _run(
     # A sonar in the plane of a face would see nothing else, on either side of it.
     blind = np.flatnonzero((face >= 0) & (range_m <= 0.0)) if origin_m.ndim == 1 else ()
     if len(blind):
-        ahead = origins[blind] + np.float32(AHEAD_M) * direction[blind]
+        ahead = origins[blind] + np.float32(START_OFFSET_M) * direction[blind]
         found = group.embree.run(ahead, np.ascontiguousarray(direction[blind]), output=True)
-        range_m[blind], face[blind] = found["tfar"] + np.float32(AHEAD_M), found["primID"]
+        range_m[blind], face[blind] = found["tfar"] + np.float32(START_OFFSET_M), found["primID"]
     return range_m, face
 
 
@@ -237,7 +237,7 @@ class _Part:
         cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(cross, axis=1)
         extent = np.ptp(corners.reshape(-1, 3), axis=0).max() if len(corners) else 0.0
-        keep = length > LEAST_AREA * extent**2
+        keep = length > MIN_AREA * extent**2
         self.surface = np.repeat(members, counts)[keep]
         self.bent = np.concatenate(bent)[keep[is_bent]]
         self.is_bent = is_bent[keep]
@@ -248,12 +248,12 @@ class _Part:
         middle = self._corners.mean(axis=1)
         self.planes = np.concatenate([normal, np.sum(normal * middle, axis=1)[:, None]], axis=1)
 
-    def group(self, first_face: int) -> Group:
+    def group(self, first_face: int) -> FrameGroup:
         points = self._corners.reshape(-1, 3)
         centre = (points.min(axis=0) + points.max(axis=0)) / 2.0 if len(points) else np.zeros(3)
         embree = EmbreeScene()
         mesh = TriangleMesh(embree, (self._corners - centre).astype(np.float32))
-        return Group(embree, mesh, centre, self._pose, first_face)
+        return FrameGroup(embree, mesh, centre, self._pose, first_face)
 
 
 def _pose_of(surface: Surface) -> Callable[[float], Pose]:

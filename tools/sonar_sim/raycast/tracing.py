@@ -4,7 +4,7 @@ How far a face's plane stands for the surface about a hit.
 
 A ray's cell may reach far beyond the face that it met: over a floor of small triangles at grazing
 incidence it has to, around a ball it must not. What the neighbouring rays met on the same surface
-tells one from the other.
+distinguishes the two.
 """
 
 from dataclasses import dataclass
@@ -14,16 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim import _core
-from sonar_sim.geometry.matmul import product
+from sonar_sim.geometry.matmul import chunked_matmul
 from sonar_sim.geometry.pose import Pose
-from sonar_sim.raycast.fan import Fan, finer
-from sonar_sim.raycast.meshes import NOTHING, Meshes, Met
+from sonar_sim.raycast.fan import RayFan, refined_fan
+from sonar_sim.raycast.meshes import NOTHING, Hits, Meshes
 
 Number = TypeVar("Number", np.float32, np.int32)
 
 BENT = 0.15
 """Neighbours met one surface if neither leaves the other's plane by more than this slope."""
-LEAST_STEP_M = 0.02
+MIN_STEP_M = 0.02
 TURNED = 0.995
 """Neighbours on a round surface stand for each other up to this cosine between their normals: a
 mirror's glint on it is found by its normals."""
@@ -45,15 +45,15 @@ class Trace:
         met: what each met first; further entries lie behind where shadows are off.
     """
 
-    fan: Fan
+    fan: RayFan
     direction: NDArray[np.float32]
     origin_m: NDArray[np.float64]
-    met: tuple[Met, ...]
+    met: tuple[Hits, ...]
 
 
 def trace(
     meshes: Meshes,
-    fan: Fan,
+    fan: RayFan,
     map_T_sonar: Pose,  # noqa: N803
     time_s: float,
     reach_m: float,
@@ -74,12 +74,12 @@ def trace(
     """
     origin = map_T_sonar.position_m
     turn = map_T_sonar.rotation.T.astype(np.float32)
-    direction = product(fan.directions, turn)
+    direction = chunked_matmul(fan.directions, turn)
     met = meshes.cast(origin, direction, time_s, reach_m, threads)
     edges = edges_of(meshes, fan, direction, met)
     if len(edges):
-        more = finer(fan, edges)
-        more_direction = product(more.directions, turn)
+        more = refined_fan(fan, edges)
+        more_direction = chunked_matmul(more.directions, turn)
         more_met = meshes.cast(origin, more_direction, time_s, reach_m, threads)
         fan, direction, met = _joined(
             fan, edges, direction, met, more=more, more_direction=more_direction, more_met=more_met
@@ -93,7 +93,7 @@ def trace(
 
 
 def edges_of(
-    meshes: Meshes, fan: Fan, direction: NDArray[np.float32], met: Met
+    meshes: Meshes, fan: RayFan, direction: NDArray[np.float32], met: Hits
 ) -> NDArray[np.int64]:
     """Rays whose upper neighbour in the column met something else."""
     edges = _core.edges(
@@ -105,7 +105,7 @@ def edges_of(
         meshes.normals,
         meshes.smooth,
         bent=BENT,
-        least_step_m=LEAST_STEP_M,
+        least_step_m=MIN_STEP_M,
         turned=TURNED,
     )
     most = len(direction) // FINER_SHARE
@@ -117,21 +117,21 @@ def edges_of(
 
 
 def _joined(
-    fan: Fan,
+    fan: RayFan,
     edges: NDArray[np.int64],
     direction: NDArray[np.float32],
-    met: Met,
+    met: Hits,
     *,
-    more: Fan,
+    more: RayFan,
     more_direction: NDArray[np.float32],
-    more_met: Met,
-) -> tuple[Fan, NDArray[np.float32], Met]:
+    more_met: Hits,
+) -> tuple[RayFan, NDArray[np.float32], Hits]:
     """Both fans and what they met in one."""
 
     def both(coarse: NDArray[Number], fine: NDArray[Number]) -> NDArray[Number]:
         return _core.inserted(coarse, edges, fine)
 
-    all_met = Met(
+    all_met = Hits(
         both(met.range_m, more_met.range_m),
         both(met.face, more_met.face),
         both(met.group, more_met.group),
@@ -139,12 +139,12 @@ def _joined(
     return joined_fan(fan, edges, more), both(direction, more_direction), all_met
 
 
-def joined_fan(fan: Fan, edges: NDArray[np.int64], more: Fan) -> Fan:
+def joined_fan(fan: RayFan, edges: NDArray[np.int64], more: RayFan) -> RayFan:
     """Both fans in one; the coarse cells give way to the finer ones."""
     cell = fan.cell.copy()
     cell[edges, 3] = fan.directions[edges, 2]
     cell[edges + 1, 2] = fan.directions[edges + 1, 2]
-    return Fan(
+    return RayFan(
         _core.inserted(fan.directions, edges, more.directions),
         _core.inserted(cell, edges, more.cell),
         _core.inserted(fan.column, edges, more.column),
@@ -157,14 +157,14 @@ def _behind(
     meshes: Meshes,
     origin_m: NDArray[np.float64],
     direction: NDArray[np.float32],
-    first: Met,
+    first: Hits,
     *,
     time_s: float,
     reach_m: float,
     threads: int,
-) -> list[Met]:
+) -> list[Hits]:
     """What the rays meet behind what they met."""
-    layers: list[Met] = []
+    layers: list[Hits] = []
     past = np.where(first.face >= 0, first.range_m + np.float32(PAST_M), np.float32(0.0))
     open_way = first.face >= 0
     for _ in range(BEHIND):
@@ -172,20 +172,20 @@ def _behind(
         met = meshes.cast(start, direction, time_s, reach_m, threads)
         range_m = (met.range_m + past).astype(np.float32)
         face = np.where(open_way & (range_m < reach_m), met.face, NOTHING).astype(np.int32)
-        layers.append(Met(range_m, face, met.group))
+        layers.append(Hits(range_m, face, met.group))
         open_way = face >= 0
         past = np.where(open_way, range_m + np.float32(PAST_M), past).astype(np.float32)
     return layers
 
 
-def spans(meshes: Meshes, fan: Fan, met: Met) -> NDArray[np.float32]:
+def spans(meshes: Meshes, fan: RayFan, met: Hits) -> NDArray[np.float32]:
     """Ranges between which each hit's plane is followed, (N, 2)."""
     up = np.ascontiguousarray(fan.directions[:, 2])
     return _core.spans(met.range_m, met.face, fan.column, up, meshes.surface, meshes.size_m)
 
 
 def span_about(
-    meshes: Meshes, met: Met, low_m: NDArray[np.float32], high_m: NDArray[np.float32]
+    meshes: Meshes, met: Hits, low_m: NDArray[np.float32], high_m: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """Widened by the face's own size, (N, 2)."""
     size = meshes.size_m[met.face]

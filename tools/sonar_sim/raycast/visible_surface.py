@@ -1,4 +1,4 @@
-"""The seen surface: which parts of the scene the sonar had in sight during a survey.
+"""The visible surface: the parts of the scene in the sonar's field of view during a survey.
 
 A point belongs to it if in at least one ping a ray of the fan met it first: inside the -3 dB
 apertures (elevation ±half the vertical width, bearing ±half the fan), within the sonar's range, not
@@ -21,7 +21,7 @@ KEY_OFFSET = 1 << 20
 """Makes indices positive; 20 bits of 5 cm cells reach 52 km either way."""
 
 
-class SeenSurface:
+class VisibleSurface:
     """Collects points, one a cell, the first that came."""
 
     def __init__(self) -> None:
@@ -60,7 +60,7 @@ def _cell_keys(points_m: NDArray[np.float64]) -> NDArray[np.int64]:
     return keys
 
 
-def seen_points(rays: Trace, sonar: SonarSettings) -> NDArray[np.float64]:
+def visible_points(rays: Trace, sonar: SonarSettings) -> NDArray[np.float64]:
     """First hits inside the -3 dB aperture, map frame, whether or not their echo can be heard."""
     met = rays.met[0]
     direction = rays.fan.directions

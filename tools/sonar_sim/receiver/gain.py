@@ -12,7 +12,7 @@ GAIN_DB_PER_PERCENT = 0.96
 FULL_SCALE_DB = 210.0
 """Level after gains that fills the quantiser; one constant, free because levels are relative."""
 
-MOST_DB = 700.0
+MAX_DB = 700.0
 """Of all gains: beyond, single precision is infinite, and silence would be no number."""
 
 
@@ -62,7 +62,7 @@ def row_gain(
         total_db += 2.0 * absorption_db_per_m * range_m
     if physics.gain:
         total_db += GAIN_DB_PER_PERCENT * sonar.gain_percent
-    gain: NDArray[np.float32] = (10.0 ** (np.minimum(total_db, MOST_DB) / 20.0)).astype(np.float32)
+    gain: NDArray[np.float32] = (10.0 ** (np.minimum(total_db, MAX_DB) / 20.0)).astype(np.float32)
     return gain
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sonar_sim import _core
 from sonar_sim.propagation.beam_pattern import vertical_two_way_power
-from sonar_sim.propagation.physics import Arrival, Physics
+from sonar_sim.propagation.physics import InterferencePulse, Physics
 from sonar_sim.scene.sonar import SonarSettings
 
 Cells = NDArray[np.complex64] | NDArray[np.float32]
@@ -104,7 +104,11 @@ def _solid_angle_sr(sonar: SonarSettings, physics: Physics, columns: int) -> NDA
 
 
 def add_arrival(
-    cells: Cells, arrival: Arrival, sonar: SonarSettings, speed_of_sound_mps: float, key: int
+    cells: Cells,
+    arrival: InterferencePulse,
+    sonar: SonarSettings,
+    speed_of_sound_mps: float,
+    key: int,
 ) -> None:
     """Add the direct sound of another sonar, in place.
 

@@ -82,14 +82,14 @@ MATERIALS = _named(
 Reflections follow from the impedances Z in MRayl (steel 46, aluminium 17.3, glass 14, concrete 8,
 sand and PVC 3.3, wood 2.5, mud 2.1, rubber 1.8) against water's 1.54: (Z - 1.54) / (Z + 1.54).
 Scattering strengths are orders of magnitude; published values at these frequencies scatter by 5 dB.
-Neoprene is full of gas, hence its sign. An absorber hides what is behind and says nothing itself.
+Neoprene is full of gas, hence its sign. An absorber hides what is behind it and is silent itself.
 """
 
 
-LEAST_COSINE = 1e-3
+MIN_COSINE = 1e-3
 
 
-def lobe_strength(
+def specular_lobe(
     cos_incidence: NDArray[np.float64],
     reflection: NDArray[np.float64],
     roughness_m: NDArray[np.float64],
@@ -101,7 +101,7 @@ def lobe_strength(
     Geometric optics over facets of slope s; |G|² = reflection² exp(-4 k² h² cos²i) is what
     roughness h within a wavelength's patch leaves of the mirror.
     """
-    cos2 = np.maximum(np.square(cos_incidence), LEAST_COSINE**2)
+    cos2 = np.maximum(np.square(cos_incidence), MIN_COSINE**2)
     kept = np.square(reflection) * np.exp(-4.0 * np.square(wave_number_per_m * roughness_m) * cos2)
     spread = 2.0 * np.square(slope_rad)
     tan2 = 1.0 / cos2 - 1.0

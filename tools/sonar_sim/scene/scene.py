@@ -90,7 +90,7 @@ class PointTarget:
 
 @dataclass(frozen=True, slots=True)
 class Emitter:
-    """Another sonar or pinger; its clock knows nothing of ours.
+    """Another sonar or pinger, not synchronised with ours.
 
     Attributes:
         name: for people.

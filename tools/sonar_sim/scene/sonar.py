@@ -37,7 +37,7 @@ class SonarSettings:
             recording shows, and what levels an extended surface.
         gamma_byte: pixel = full scale * amplitude^(gamma_byte / 255); 0 and 255 mean linear.
         model, mode: what it calls itself; see `sonar_preset`.
-        most_range_m: what may be asked for.
+        max_range_m: what may be asked for.
         bits: of a sample, 8, 16 or 32.
         forced_rows: rows of the image whatever an Oculus would choose; None lets it choose.
         told_speed_mps: speed of sound that the sonar reckons with; None is the true one.
@@ -61,7 +61,7 @@ class SonarSettings:
     gamma_byte: int = 255
     model: str = "M750d"
     mode: int = 1
-    most_range_m: float = 120.0
+    max_range_m: float = 120.0
     bits: int = 8
     forced_rows: int | None = None
     told_speed_mps: float | None = None
@@ -69,9 +69,9 @@ class SonarSettings:
     crosstalk_db: float | None = -60.0
 
     def __post_init__(self) -> None:
-        if not 0.1 <= self.demanded_range_m <= self.most_range_m:  # noqa: PLR2004 Oculus' nearest
+        if not 0.1 <= self.demanded_range_m <= self.max_range_m:  # noqa: PLR2004 Oculus' nearest
             raise SceneError(
-                f"range {self.demanded_range_m:g} m is not 0.1 to {self.most_range_m:g} m, "
+                f"range {self.demanded_range_m:g} m is not 0.1 to {self.max_range_m:g} m, "
                 f"which is what an {self.model} in mode {self.mode} hears"
             )
         if self.bits not in (8, 16, 32):
@@ -120,7 +120,7 @@ class SonarSettings:
 def sonar_preset(model: str = "M750d", mode: int = 1, **changes: Any) -> SonarSettings:  # noqa: ANN401 any field
     """One of the sonars that can be had, in one of its modes.
 
-    Frequencies, ranges and angles are those that the driver knows (docs/reference/models.md).
+    Frequencies, ranges and angles are those of the driver (docs/reference/models.md).
 
     Args:
         model: M370s, M750d, M1200d or M3000d.
@@ -145,13 +145,13 @@ def sonar_preset(model: str = "M750d", mode: int = 1, **changes: Any) -> SonarSe
         base_row_m=_BASE_ROW_M[frequency_hz],
         model=model,
         mode=mode,
-        most_range_m=band.max_range_m,
+        max_range_m=band.max_range_m,
     )
     return replace(standard, **changes)
 
 
 UNKNOWN_APERTURE_DEG, UNKNOWN_BEAM_DEG, UNKNOWN_ELEVATION_DEG = 130.0, 2.0, (20.0,)
-"""Of the M370s, of which no one says: its neighbour's fan, and the beam of an array as long."""
+"""Unpublished values of the M370s: the swath of the M750d, the beam of an array of its length."""
 _BASE_ROW_M = {375e3: 0.008, 750e3: 0.004, 1.2e6: 0.0025, 2.1e6: 0.0025, 3.0e6: 0.002}
 """Finest row by frequency: 4 mm and 2.5 mm by the M750d's data sheet, the others by their like."""
 _BANDS = {

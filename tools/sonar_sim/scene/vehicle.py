@@ -170,10 +170,10 @@ FORMAT_VERSION = 1
 
 
 def odometry_record(sample: OdometrySample, unix_ns: int) -> bytes:
-    """Encode what the vehicle's navigation says at one time.
+    """Encode one odometry sample.
 
     Args:
-        sample: what it says.
+        sample: the odometry at one time.
         unix_ns: the time of its validity.
 
     Returns:

@@ -22,14 +22,14 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         name_or_path: a shipped scene's name, or a file's path (with a folder or an ending).
 
     Raises:
-        SceneError: there is none, or something in it is wrong: one line with file, place, reason.
+        SceneError: the scene is missing or invalid; one line with file, place and reason.
     """
     path = Path(name_or_path)
     if path.suffix == "" and path.parent == Path():
         path = SHIPPED / f"{path}.yaml"
         if not path.is_file():
             known = ", ".join(scene_names())
-            raise SceneError(f"no scene is called {name_or_path}; there are {known}, and files")
+            raise SceneError(f"no scene is named {name_or_path}; use {known}, or a file")
     return build_scenario(path.stem, read_scene_file(path), path.parent)
 
 

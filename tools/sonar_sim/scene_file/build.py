@@ -40,7 +40,7 @@ MICRO, MILLI, KILO = 1e6, 1e3, 1e3
 
 
 def build_scenario(name: str, file: schema.SceneFile, folder: Path) -> Scenario:
-    """Build what a file says.
+    """Build the scenario of a file.
 
     Args:
         name: of the scenario.

@@ -120,9 +120,9 @@ def motion_of(
             )
 
 
-MOST_ROUNDS = 20
+MAX_ROUNDS = 20
 """Of cutting triangles in halves."""
-LOOKS = ((0.44, 0.62, 0.65), (-0.27, 0.83, 0.48), (0.71, -0.19, 0.67))
+SIGHT_LINES = ((0.44, 0.62, 0.65), (-0.27, 0.83, 0.48), (0.71, -0.19, 0.67))
 """Directions in which a body's walls are counted from a point."""
 
 
@@ -145,9 +145,9 @@ def place(
     """Build an object and its copies.
 
     Args:
-        section: what the file says.
+        section: the object's section of the file.
         material: of its name.
-        floor_m: height of the floor, None where there is none.
+        floor_m: height of the floor, None without a floor.
         folder: where its files are.
 
     Raises:
@@ -206,9 +206,9 @@ def _inside(body: trimesh.Trimesh, points: NDArray[np.float64]) -> NDArray[np.bo
     at random then, and a scene would have other triangles at each loading.
     """
     votes = np.zeros(len(points), dtype=np.int64)
-    for direction in LOOKS:
+    for direction in SIGHT_LINES:
         votes += contains_points(body.ray, points, direction)
-    most: NDArray[np.bool_] = 2 * votes > len(LOOKS)
+    most: NDArray[np.bool_] = 2 * votes > len(SIGHT_LINES)
     return most
 
 
@@ -233,7 +233,7 @@ def _mesh(section: schema.ObjectSection, floor_m: HeightOf | None, folder: Path)
     if section.cell_m is None:
         return mesh
     vertices, faces = trimesh.remesh.subdivide_to_size(  # type: ignore[no-untyped-call]
-        mesh.vertices, mesh.faces, section.cell_m, max_iter=MOST_ROUNDS
+        mesh.vertices, mesh.faces, section.cell_m, max_iter=MAX_ROUNDS
     )
     fine = trimesh.Trimesh(vertices, faces, process=False)
     fine.merge_vertices()
@@ -244,7 +244,7 @@ def _shaped(shape: schema.Shape, floor_m: HeightOf | None, folder: Path) -> trim
     match shape:
         case schema.Mesh(file=file, scale=scale):
             mesh = read_mesh(folder / file, scale)
-        case schema.Group(parts=parts):
+        case schema.ShapeGroup(parts=parts):
             meshes = [_part(part, floor_m, folder) for part in parts]
             mesh = cast("trimesh.Trimesh", trimesh.util.concatenate(meshes))
         case _:
@@ -252,7 +252,7 @@ def _shaped(shape: schema.Shape, floor_m: HeightOf | None, folder: Path) -> trim
     return mesh
 
 
-def _part(part: schema.Part, floor_m: HeightOf | None, folder: Path) -> trimesh.Trimesh:
+def _part(part: schema.ShapePart, floor_m: HeightOf | None, folder: Path) -> trimesh.Trimesh:
     mesh = _shaped(part.shape, floor_m, folder)
     return _turned(mesh, np.array(part.position_m), (part.roll_deg, part.pitch_deg, part.yaw_deg))
 

@@ -24,7 +24,7 @@ def triangles_of(shape: schema.BuiltShape, floor_m: HeightOf | None) -> trimesh.
     """Build a shape that needs no file.
 
     Args:
-        shape: what the file says.
+        shape: the shape's section of the file.
         floor_m: for pipes that follow the floor.
 
     Raises:
@@ -90,7 +90,7 @@ def _cylinder(shape: schema.Cylinder) -> trimesh.Trimesh:
 
 def _sphere(shape: schema.Sphere) -> trimesh.Trimesh:
     radii = np.broadcast_to(np.asarray(shape.radius_m, dtype=np.float64), 3)
-    if not np.all((radii > 0.0) & (radii <= 1e4)):  # noqa: PLR2004 the message says it
+    if not np.all((radii > 0.0) & (radii <= 1e4)):  # noqa: PLR2004 the message states it
         raise SceneError(f"radius_m {radii.tolist()} is not 0 to 10000 m")
     mesh = _solid(trimesh.creation.icosphere(subdivisions=shape.subdivisions, radius=1.0))
     mesh.vertices *= radii
@@ -168,16 +168,16 @@ def _solid(made: object) -> trimesh.Trimesh:
 
 
 OCTAVE_WAVES = 12
-MOST_OCTAVES = 12
+MAX_OCTAVES = 12
 """Between the longest and the shortest waves: each costs as many sines of all points again."""
-MOST_CELLS = 20_000_000
+MAX_CELLS = 20_000_000
 
 
 def height_of(terrain: schema.TerrainSection, folder: Path) -> HeightOf:
     """The floor's height, z up, as a function of x and y.
 
     Args:
-        terrain: what the file says.
+        terrain: the terrain's section of the file.
         folder: where its files are.
 
     Raises:
@@ -199,7 +199,7 @@ def floor_of(terrain: schema.TerrainSection, height_m: HeightOf) -> trimesh.Trim
         SceneError: the terrain has no area, or too many cells.
     """
     axes = [_steps(span, terrain.cell_m) for span in (terrain.x_m, terrain.y_m)]
-    if len(axes[0]) * len(axes[1]) > MOST_CELLS:
+    if len(axes[0]) * len(axes[1]) > MAX_CELLS:
         raise SceneError(f"{len(axes[0])} x {len(axes[1])} points: cell_m is too small")
     x, y = np.meshgrid(*axes, indexing="ij")
     return sheet(np.stack([x, y, height_m(x, y)], axis=-1))
@@ -219,7 +219,7 @@ def _waves(relief: schema.Procedural) -> HeightOf:
     """
     if relief.shortest_m > relief.longest_m:
         raise SceneError("the shortest waves are longer than the longest")
-    least_m = relief.longest_m / 2.0**MOST_OCTAVES
+    least_m = relief.longest_m / 2.0**MAX_OCTAVES
     if relief.shortest_m < least_m:
         raise SceneError(
             f"shortest_m is {relief.shortest_m:g} m; with longest_m of {relief.longest_m:g} m it "

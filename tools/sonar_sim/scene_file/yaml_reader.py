@@ -13,7 +13,7 @@ from sonar_sim.errors import SceneError
 from sonar_sim.scene_file import schema
 from sonar_sim.scene_file.schema import Section
 
-MOST_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
 MAX_DEPTH = 20
 
 
@@ -58,8 +58,8 @@ def _refuse_twice(node: yaml.MappingNode) -> None:
         names.add(key.value)
 
 
-# All that an unquoted word may be besides text: YAML 1.1 knows more (no, 1:30, 010, 2001-01-01),
-# and does not know 1e-3.
+# All that an unquoted word may be besides text: YAML 1.1 has more (no, 1:30, 010, 2001-01-01),
+# and lacks 1e-3.
 _Loader.yaml_implicit_resolvers = {}
 for _kind, _pattern, _first in (
     ("bool", r"true|false", "tf"),
@@ -82,11 +82,11 @@ def read_tree(path: Path) -> object:
     """
     try:
         with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
+            data = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise SceneError(f"{path}: cannot be read: {error.strerror}") from error
-    if len(data) > MOST_BYTES:
-        raise SceneError(f"{path}: larger than {MOST_BYTES >> 20} MiB, not a scene")
+    if len(data) > MAX_BYTES:
+        raise SceneError(f"{path}: larger than {MAX_BYTES >> 20} MiB, not a scene")
     try:
         return yaml.load(data.decode("utf-8-sig"), _Loader)  # noqa: S506 a subclass of the safe one
     except SceneError as error:

@@ -32,7 +32,7 @@ RISE_M = (0.26, 1.9)
 
 
 @dataclass(frozen=True, slots=True)
-class Alike:
+class RecordingComparison:
     """One number of both.
 
     Attributes:
@@ -55,7 +55,7 @@ class Alike:
         return abs(self.real - self.simulated) <= self.tolerance
 
 
-def compare(recorded: Recorded, simulated: NDArray[np.uint8]) -> tuple[Alike, ...]:
+def compare(recorded: Recorded, simulated: NDArray[np.uint8]) -> tuple[RecordingComparison, ...]:
     """Work out all numbers on both.
 
     Args:
@@ -80,7 +80,7 @@ def _pair(numbers: Iterable[float]) -> tuple[float, float]:
     return real, simulated
 
 
-def _speckle(recorded: Recorded, both: Both) -> list[Alike]:
+def _speckle(recorded: Recorded, both: Both) -> list[RecordingComparison]:
     gamma_byte = recorded.sonar.gamma_byte
     patches = [np.concatenate([flat_blocks(p, gamma_byte) for p in pixels]) for pixels in both]
     real, simulated = (speckle(patch) for patch in patches)
@@ -88,13 +88,13 @@ def _speckle(recorded: Recorded, both: Both) -> list[Alike]:
     cvs = _pair(_block_cv(patch) for patch in raised)
     power_cvs = _pair(_block_cv(np.square(patch)) for patch in patches)
     return [
-        Alike("CV of amplitude", 0.519, real.cv, simulated.cv, 0.03),
-        Alike("skewness", 0.679, real.skewness, simulated.skewness, 0.12),
-        Alike("median over mean", 0.942, real.median, simulated.median, 0.012),
-        Alike("P(A > 2 means)", 0.0411, real.above_2, simulated.above_2, 0.006),
-        Alike("CV of power, median block", 0.967, *power_cvs, 0.06),
-        Alike("CV of pixel, median block", 0.279, *cvs, 0.015),
-        Alike(
+        RecordingComparison("CV of amplitude", 0.519, real.cv, simulated.cv, 0.03),
+        RecordingComparison("skewness", 0.679, real.skewness, simulated.skewness, 0.12),
+        RecordingComparison("median over mean", 0.942, real.median, simulated.median, 0.012),
+        RecordingComparison("P(A > 2 means)", 0.0411, real.above_2, simulated.above_2, 0.006),
+        RecordingComparison("CV of power, median block", 0.967, *power_cvs, 0.06),
+        RecordingComparison("CV of pixel, median block", 0.279, *cvs, 0.015),
+        RecordingComparison(
             "Kolmogorov to Rayleigh",
             0.005,
             real.rayleigh_distance,
@@ -108,7 +108,7 @@ def _block_cv(patches: NDArray[np.float64]) -> float:
     return float(np.median(patches.std(axis=(1, 2)) / patches.mean(axis=(1, 2))))
 
 
-def _lines(recorded: Recorded, both: Both) -> list[Alike]:
+def _lines(recorded: Recorded, both: Both) -> list[RecordingComparison]:
     amplitudes = [linear_amplitude(pixels, recorded.sonar.gamma_byte) for pixels in both]
 
     def beams(lag: int) -> tuple[float, float]:
@@ -124,14 +124,14 @@ def _lines(recorded: Recorded, both: Both) -> list[Alike]:
         )
 
     return [
-        Alike("beams at lag 1, even part", 0.63, *beams(1), 0.03),
-        Alike("beams at lag 2, even part", None, *beams(2), 0.05),
-        Alike("rows at lag 1", 0.19, *rows(1), 0.03),
-        Alike("rows at lag 2", 0.04, *rows(2), 0.04),
+        RecordingComparison("beams at lag 1, even part", 0.63, *beams(1), 0.03),
+        RecordingComparison("beams at lag 2, even part", None, *beams(2), 0.05),
+        RecordingComparison("rows at lag 1", 0.19, *rows(1), 0.03),
+        RecordingComparison("rows at lag 2", 0.04, *rows(2), 0.04),
     ]
 
 
-def _pings(recorded: Recorded, both: Both) -> list[Alike]:
+def _pings(recorded: Recorded, both: Both) -> list[RecordingComparison]:
     amplitudes = [linear_amplitude(pixels, recorded.sonar.gamma_byte) for pixels in both]
 
     def of_class(bounds: tuple[float, float]) -> tuple[float, float]:
@@ -145,29 +145,33 @@ def _pings(recorded: Recorded, both: Both) -> list[Alike]:
 
     return [
         *(
-            Alike(f"pings, pixels {c[0]:g} to {c[1]:g}", reference, *of_class(c), tolerance)
+            RecordingComparison(
+                f"pings, pixels {c[0]:g} to {c[1]:g}", reference, *of_class(c), tolerance
+            )
             for c, reference, tolerance in zip(
                 CLASSES, CLASS_REFERENCE, CLASS_TOLERANCE, strict=True
             )
         ),
-        Alike("pings, noise alone", 0.0, *of_rows(SILENT_ROWS), 0.1),
-        Alike("pings, bright", 0.98, *of_rows(BRIGHT_ROWS), 0.05),
+        RecordingComparison("pings, noise alone", 0.0, *of_rows(SILENT_ROWS), 0.1),
+        RecordingComparison("pings, bright", 0.98, *of_rows(BRIGHT_ROWS), 0.05),
     ]
 
 
-def _floor(recorded: Recorded, both: Both) -> list[Alike]:
+def _floor(recorded: Recorded, both: Both) -> list[RecordingComparison]:
     sonar = recorded.sonar
     range_m = band_centres_m(sonar)
     levels = [noise_level_db(pixels, sonar.gamma_byte) for pixels in both]
     rises = _pair(float(np.diff(np.interp(RISE_M, range_m, v))[0]) for v in levels)
     gap = (levels[1] - levels[0])[noisy_bands(sonar)]
     return [
-        Alike("noise, rise from 0.26 to 1.9 m, dB", 30.0, *rises, 3.0),
-        Alike("noise, largest difference, dB", None, 0.0, float(np.abs(gap).max()), 3.0),
+        RecordingComparison("noise, rise from 0.26 to 1.9 m, dB", 30.0, *rises, 3.0),
+        RecordingComparison(
+            "noise, largest difference, dB", None, 0.0, float(np.abs(gap).max()), 3.0
+        ),
     ]
 
 
-def _bearings(recorded: Recorded) -> Alike:
+def _bearings(recorded: Recorded) -> RecordingComparison:
     sines = beam_sines(recorded.sonar, Physics(sine_bearings=True))
     gap_deg = np.abs(np.degrees(np.arcsin(sines)) - recorded.bearings_deg).max()
-    return Alike("bearings, largest difference, deg", 0.0, 0.0, float(gap_deg), 0.01)
+    return RecordingComparison("bearings, largest difference, deg", 0.0, 0.0, float(gap_deg), 0.01)

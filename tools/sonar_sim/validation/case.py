@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class ValidationCheck:
     """One number.
 
     Attributes:
@@ -32,7 +32,7 @@ class Check:
 
 
 @dataclass(frozen=True, slots=True)
-class CaseResult:
+class ValidationResult:
     """One case, worked out.
 
     Attributes:
@@ -44,5 +44,5 @@ class CaseResult:
 
     name: str
     source: str
-    checks: tuple[Check, ...]
+    checks: tuple[ValidationCheck, ...]
     draw: "Callable[[Axes], None]"

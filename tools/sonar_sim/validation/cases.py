@@ -8,7 +8,7 @@ from types import MappingProxyType
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from sonar_sim.validation.case import CaseResult
+from sonar_sim.validation.case import ValidationResult
 from sonar_sim.validation.propagation import (
     v01_absorption,
     v02_range_slopes,
@@ -23,7 +23,7 @@ from sonar_sim.validation.speckle import v07_speckle, v08_ping_correlation, v09_
 from sonar_sim.validation.tank import v20_tank
 from sonar_sim.validation.timing import v15_timing, v16_motion
 
-CASES: MappingProxyType[str, Callable[[], CaseResult]] = MappingProxyType(
+CASES: MappingProxyType[str, Callable[[], ValidationResult]] = MappingProxyType(
     {
         "V1": v01_absorption,
         "V2": v02_range_slopes,
@@ -53,7 +53,7 @@ COLUMNS = 4
 GOOD, BAD = "#1b7f3b", "#b3261e"
 
 
-def draw_page(path: Path, results: Sequence[CaseResult]) -> None:
+def draw_page(path: Path, results: Sequence[ValidationResult]) -> None:
     """Draw each case with its verdict.
 
     Args:

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.engine import Engine
+from sonar_sim.engine import PingEngine
 from sonar_sim.propagation.physics import Mirror
 from sonar_sim.scene.scene import Scene, Surface
 from sonar_sim.scene.water import Water
-from sonar_sim.validation.case import CaseResult, Check
+from sonar_sim.validation.case import ValidationCheck, ValidationResult
 from sonar_sim.validation.setups import (
     MEAN,
     MIRROR,
@@ -49,13 +49,13 @@ PEER = (700e3, Water(20.0, 35.0, 1.0, 8.1), 0.2146)
 RELATIVE = 1e-3
 
 
-def v01_absorption() -> CaseResult:
+def v01_absorption() -> ValidationResult:
     """Work out the table."""
     checks = [*_table(), *_over_frequency()]
     frequency_hz, water, expected = PEER
     got = water.ainslie_mccolm_db_per_m(frequency_hz)
-    checks.append(Check("AM 700 kHz, dB/m", expected, got, RELATIVE * expected))
-    return CaseResult(
+    checks.append(ValidationCheck("AM 700 kHz, dB/m", expected, got, RELATIVE * expected))
+    return ValidationResult(
         "V1 absorption",
         "Francois and Garrison 1982, Ainslie and McColm 1998",
         tuple(checks),
@@ -63,7 +63,7 @@ def v01_absorption() -> CaseResult:
     )
 
 
-def _table() -> list[Check]:
+def _table() -> list[ValidationCheck]:
     """Half a unit of the last digit is what the table itself leaves open."""
     checks = []
     for conditions, francois_garrison, ainslie_mccolm in ABSORPTION_TABLE:
@@ -75,13 +75,13 @@ def _table() -> list[Check]:
                 ("AM", am, water.ainslie_mccolm_db_per_m(f_hz)),
             ):
                 what = f"{label} {f_hz / 1e3:g} kHz {of}, dB/m"
-                checks.append(Check(what, expected, got, RELATIVE * expected))
+                checks.append(ValidationCheck(what, expected, got, RELATIVE * expected))
     return checks
 
 
-def _over_frequency() -> list[Check]:
+def _over_frequency() -> list[ValidationCheck]:
     return [
-        Check(
+        ValidationCheck(
             f"FG {f_hz / 1e3:g} kHz D {depth_m:g}, dB/m",
             expected,
             Water(depth_m=depth_m).francois_garrison_db_per_m(f_hz),
@@ -113,13 +113,13 @@ GRAZING = 0.2
 TOLERANCE = 0.2
 
 
-def v02_range_slopes() -> CaseResult:
+def v02_range_slopes() -> ValidationResult:
     """Slopes in dB a decade, fitted over a decade."""
     checks = tuple(
-        Check(f"{name}, dB/decade", expected, _slope(levels()), TOLERANCE)
+        ValidationCheck(f"{name}, dB/decade", expected, _slope(levels()), TOLERANCE)
         for name, expected, levels in CURVES
     )
-    return CaseResult("V2 range slopes", "spreading laws", checks, _draw_range_slopes)
+    return ValidationResult("V2 range slopes", "spreading laws", checks, _draw_range_slopes)
 
 
 def _slope(levels_db: list[float]) -> float:
@@ -195,7 +195,7 @@ SURFACE = Mirror(np.zeros(3), np.array([0.0, 0.0, -1.0]), REFLECTION)
 MIRROR_GHOSTS_PHYSICS = dataclasses.replace(MEAN, speckle=True, mirrors=(SURFACE,))
 
 
-def v10_mirror_ghosts() -> CaseResult:
+def v10_mirror_ghosts() -> ValidationResult:
     """Ranges within half a cell; levels against the direct echo; the bearing kept."""
     checks = []
     for sonar_m, target_m, away_m, direct_m, once_m, twice_m in MIRROR_GHOSTS_TABLE:
@@ -205,20 +205,28 @@ def v10_mirror_ghosts() -> CaseResult:
         for row, expected in zip(rows, (direct_m, once_m, twice_m), strict=True):
             got = (row + 0.5) * MIRROR_GHOSTS_ROW_M
             checks.append(
-                Check(f"{name}: echo, m", expected, float(got), MIRROR_GHOSTS_ROW_M / 2.0 + 1e-4)
+                ValidationCheck(
+                    f"{name}: echo, m", expected, float(got), MIRROR_GHOSTS_ROW_M / 2.0 + 1e-4
+                )
             )
         level = 20.0 * np.log10(amplitude.max(axis=1)[rows])
         once_db = 20.0 * math.log10(2.0 * abs(REFLECTION) * direct_m / twice_m)
         twice_db = 20.0 * math.log10(REFLECTION**2 * direct_m**2 / twice_m**2)
-        checks.append(Check(f"{name}: ghost A, dB", once_db, float(level[1] - level[0]), 0.05))
-        checks.append(Check(f"{name}: ghost B, dB", twice_db, float(level[2] - level[0]), 0.05))
+        checks.append(
+            ValidationCheck(f"{name}: ghost A, dB", once_db, float(level[1] - level[0]), 0.05)
+        )
+        checks.append(
+            ValidationCheck(f"{name}: ghost B, dB", twice_db, float(level[2] - level[0]), 0.05)
+        )
         beams = amplitude.argmax(axis=1)[rows]
-        checks.append(Check(f"{name}: beams apart", 0.0, float(np.ptp(beams)), 0.0))
-    return CaseResult("V10 mirror ghosts", "image sources", tuple(checks), _draw_mirror_ghosts)
+        checks.append(ValidationCheck(f"{name}: beams apart", 0.0, float(np.ptp(beams)), 0.0))
+    return ValidationResult(
+        "V10 mirror ghosts", "image sources", tuple(checks), _draw_mirror_ghosts
+    )
 
 
 def _seen(sonar_m: float, target_m: float, away_m: float) -> NDArray[np.float32]:
-    engine = Engine(
+    engine = PingEngine(
         Scene(targets=(target((away_m, 0.0, -target_m)),)),
         narrow_sonar(24.0, MIRROR_GHOSTS_ROW_M, 65),
     )
@@ -241,7 +249,7 @@ END_M = AWAY_M * SONAR_M / (SONAR_M - WALL_M)
 SHADOW_ROW_M = 0.01
 
 
-def v11_shadow() -> CaseResult:
+def v11_shadow() -> ValidationResult:
     """From the wall's foot to where the ray over its top meets the floor."""
     middle = _middle()
     range_m = (np.arange(len(middle)) + 0.5) * SHADOW_ROW_M
@@ -250,16 +258,20 @@ def v11_shadow() -> CaseResult:
     end_m = range_m[dark[range_m[dark] < float(np.hypot(END_M, SONAR_M)) + 0.3][-1]]
     inside = middle[(range_m > foot_m + 0.1) & (range_m < end_m - 0.1)]
     checks = (
-        Check("darkness begins, slant m", foot_m, float(range_m[dark[0]]), 0.03),
-        Check("darkness ends, slant m", float(np.hypot(END_M, SONAR_M)), float(end_m), 0.08),
-        Check("power in the dark", 0.0, float(inside.max()), 0.0),
+        ValidationCheck("darkness begins, slant m", foot_m, float(range_m[dark[0]]), 0.03),
+        ValidationCheck(
+            "darkness ends, slant m", float(np.hypot(END_M, SONAR_M)), float(end_m), 0.08
+        ),
+        ValidationCheck("power in the dark", 0.0, float(inside.max()), 0.0),
     )
-    return CaseResult("V11 shadow", "similar triangles: x hs / (hs - H)", checks, _draw_shadow)
+    return ValidationResult(
+        "V11 shadow", "similar triangles: x hs / (hs - H)", checks, _draw_shadow
+    )
 
 
 def _middle() -> NDArray[np.float64]:
     wall = rectangle((AWAY_M, 0.0, WALL_M / 2.0), (0.0, 40.0, 0.0), (0.0, 0.0, WALL_M))
-    engine = Engine(Scene((floor(), wall)), narrow_sonar(16.0, SHADOW_ROW_M))
+    engine = PingEngine(Scene((floor(), wall)), narrow_sonar(16.0, SHADOW_ROW_M))
     power = cell_power(engine, pose_at((0.0, 0.0, SONAR_M)), MEAN)
     middle = power.shape[1] // 2
     mean: NDArray[np.float64] = power[:, middle - 1 : middle + 1].mean(axis=1)
@@ -282,16 +294,20 @@ RANGE_M = 10.0
 NO_WRAP_PHYSICS = dataclasses.replace(MEAN, speckle=True, beam_width_rad=0.0175, range_spread=True)
 
 
-def v17_no_wrap() -> CaseResult:
+def v17_no_wrap() -> ValidationResult:
     """A loud target and a wall at 1.2 times the range."""
     alone = _picture(Scene((floor(-2.0),)))
     far = target((1.2 * RANGE_M, 0.0, 0.0))
     wall = _wall(1.2 * RANGE_M)
     checks = (
-        Check("cells a target changes", 0.0, _changed(alone, Scene((floor(-2.0),), (far,))), 0.0),
-        Check("cells a wall changes", 0.0, _changed(alone, Scene((floor(-2.0), wall))), 0.0),
+        ValidationCheck(
+            "cells a target changes", 0.0, _changed(alone, Scene((floor(-2.0),), (far,))), 0.0
+        ),
+        ValidationCheck(
+            "cells a wall changes", 0.0, _changed(alone, Scene((floor(-2.0), wall))), 0.0
+        ),
     )
-    return CaseResult(
+    return ValidationResult(
         "V17 no wrap-around", "nothing beyond the range is heard", checks, _draw_no_wrap
     )
 
@@ -303,7 +319,7 @@ def _wall(range_m: float) -> Surface:
 
 
 def _picture(scene: Scene) -> NDArray[np.float32]:
-    ping = Engine(scene, narrow_sonar(RANGE_M, 0.02)).ping(
+    ping = PingEngine(scene, narrow_sonar(RANGE_M, 0.02)).ping(
         pose_at((0.0, 0.0, 0.0)), NO_WRAP_PHYSICS
     )
     return ping.amplitude

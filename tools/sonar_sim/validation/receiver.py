@@ -13,7 +13,7 @@ from sonar_sim.propagation.physics import Physics
 from sonar_sim.receiver.beamformer import beam_former, beam_sines
 from sonar_sim.receiver.gain import quantise
 from sonar_sim.scene.sonar import SonarSettings
-from sonar_sim.validation.case import CaseResult, Check
+from sonar_sim.validation.case import ValidationCheck, ValidationResult
 from sonar_sim.validation.setups import Homogeneous
 from sonar_sim.validation.statistics import correlation
 
@@ -33,10 +33,10 @@ FINE = SonarSettings(half_aperture_rad=math.radians(7.0))
 """So narrow a fan that 37 beams sample one beam's width."""
 
 
-def v06_beam_pattern() -> CaseResult:
+def v06_beam_pattern() -> ValidationResult:
     """One target through the beam former, and speckle through neighbouring beams."""
     checks = (*_unshaded(), *_scanned(), *_steered(), *(_neighbours(*s) for s in SETUPS))
-    return CaseResult(
+    return ValidationResult(
         "V6 beam pattern", "line array theory; a Gaussian beam", checks, _draw_beam_pattern
     )
 
@@ -61,7 +61,7 @@ def _crossing(x: NDArray[np.floating], falling: NDArray[np.floating], level: flo
     return float(x[i - 1] + part * (x[i] - x[i - 1]))
 
 
-def _unshaded() -> tuple[Check, ...]:
+def _unshaded() -> tuple[ValidationCheck, ...]:
     """Widths and lobes of a line without shading, in lambda / L."""
     wavelength_over_length = math.sin(FINE.beam_width_rad / 2.0) / 0.44295
     middle = FINE.beams // 2
@@ -70,16 +70,20 @@ def _unshaded() -> tuple[Check, ...]:
     null = int(np.argmax(np.diff(seen) > 0.0))
     lobe = null + int(np.argmax(seen[null : 2 * null]))
     return (
-        Check("half-power half-width, lambda/L", 0.44295, _crossing(x, seen, 0.5**0.5), 0.002),
-        Check("two-way half width, lambda/L", 0.31892, _crossing(x, seen**2, 0.5**0.5), 0.002),
-        Check("first null, lambda/L", 1.0, float(x[null]), 0.03),
-        Check("first side lobe, dB", -13.261, 20.0 * math.log10(seen[lobe]), 0.02),
-        Check("side lobe two way, dB", -26.523, 40.0 * math.log10(seen[lobe]), 0.04),
-        Check("where it is, lambda/L", 1.4303, float(x[lobe]), 0.03),
+        ValidationCheck(
+            "half-power half-width, lambda/L", 0.44295, _crossing(x, seen, 0.5**0.5), 0.002
+        ),
+        ValidationCheck(
+            "two-way half width, lambda/L", 0.31892, _crossing(x, seen**2, 0.5**0.5), 0.002
+        ),
+        ValidationCheck("first null, lambda/L", 1.0, float(x[null]), 0.03),
+        ValidationCheck("first side lobe, dB", -13.261, 20.0 * math.log10(seen[lobe]), 0.02),
+        ValidationCheck("side lobe two way, dB", -26.523, 40.0 * math.log10(seen[lobe]), 0.04),
+        ValidationCheck("where it is, lambda/L", 1.4303, float(x[lobe]), 0.03),
     )
 
 
-def _scanned() -> tuple[Check, ...]:
+def _scanned() -> tuple[ValidationCheck, ...]:
     """Worst deviation from the design's pattern down to -30 dB, over the fan and finely."""
     checks = []
     for name, sonar in (("fan of 130 deg", SonarSettings()), ("fine scan", FINE)):
@@ -89,16 +93,18 @@ def _scanned() -> tuple[Check, ...]:
         designed = np.abs(azimuth_amplitude(sonar.beam_width_rad, sonar.side_lobe_db)(offsets))
         loud = designed > 10.0 ** (-30.0 / 20.0)
         worst = np.abs(20.0 * np.log10(seen[loud] / designed[loud])).max()
-        checks.append(Check(f"{name}: deviation to -30 dB, dB", 0.0, float(worst), 0.1))
+        checks.append(ValidationCheck(f"{name}: deviation to -30 dB, dB", 0.0, float(worst), 0.1))
     middle = FINE.beams // 2
     seen = _seen(FINE, 30.0, middle)[middle:]
     end = math.ceil(main_lobe_end(FINE.beam_width_rad, 30.0) / FINE.sine_pitch)
     highest_db = 20.0 * math.log10(seen[end:].max())
-    checks.append(Check("shaded for 30 dB: highest side lobe, dB", -30.0, highest_db, 0.1))
+    checks.append(
+        ValidationCheck("shaded for 30 dB: highest side lobe, dB", -30.0, highest_db, 0.1)
+    )
     return tuple(checks)
 
 
-def _steered() -> tuple[Check, ...]:
+def _steered() -> tuple[ValidationCheck, ...]:
     """Full width on the axis and at 60 degrees, deg; it doubles."""
     sonar = dataclasses.replace(SonarSettings(), beams=4096)
     sines = (np.arange(sonar.beams) - (sonar.beams - 1) / 2.0) * sonar.sine_pitch
@@ -110,12 +116,16 @@ def _steered() -> tuple[Check, ...]:
         left = _crossing(sines[column::-1], seen[column::-1], 0.5**0.5)
         width_deg = math.degrees(math.asin(right) - math.asin(left))
         checks.append(
-            Check(f"width at {steer_deg:g} deg, deg", expected, width_deg, 0.01 * expected)
+            ValidationCheck(
+                f"width at {steer_deg:g} deg, deg", expected, width_deg, 0.01 * expected
+            )
         )
     return tuple(checks)
 
 
-def _neighbours(name: str, width_deg: float, beams: int, half_deg: float, expected: float) -> Check:
+def _neighbours(
+    name: str, width_deg: float, beams: int, half_deg: float, expected: float
+) -> ValidationCheck:
     """Correlation of power between neighbouring Gaussian beams of speckle."""
     sonar = dataclasses.replace(
         SonarSettings(),
@@ -125,7 +135,7 @@ def _neighbours(name: str, width_deg: float, beams: int, half_deg: float, expect
         side_lobe_db=math.inf,
     )
     power = np.square(np.abs(Homogeneous(sonar, 102400 // beams).beams()).astype(np.float64))
-    return Check(
+    return ValidationCheck(
         f"{name}: neighbours' power", expected, correlation(power[:, 1:], power[:, :-1]), 0.015
     )
 
@@ -151,7 +161,7 @@ TABLES = (
 """Beams, half aperture deg, first two bearings deg, either side of the middle deg."""
 
 
-def v13_bearings() -> CaseResult:
+def v13_bearings() -> ValidationResult:
     """Ends and middle of two fans, and the equal angles that the law is not."""
     checks = []
     for beams, half_deg, first_deg, middle_deg in TABLES:
@@ -160,12 +170,12 @@ def v13_bearings() -> CaseResult:
         expected = (*first_deg, -middle_deg, middle_deg)
         got = (*found[:2], *found[beams // 2 - 1 : beams // 2 + 1])
         checks += [
-            Check(f"{name}: beam {i}, deg", want, float(have), 0.01)
+            ValidationCheck(f"{name}: beam {i}, deg", want, float(have), 0.01)
             for i, want, have in zip((0, 1, "-", "+"), expected, got, strict=True)
         ]
     gap = np.abs(bearings_deg(512, 65.0) - bearings_deg(512, 65.0, sine=False)).max()
-    checks.append(Check("equal angles are off by, deg", 6.2, float(gap), 0.05))
-    return CaseResult(
+    checks.append(ValidationCheck("equal angles are off by, deg", 6.2, float(gap), 0.05))
+    return ValidationResult(
         "V13 bearings", "recording; asin of equal steps", tuple(checks), _draw_bearings
     )
 
@@ -191,28 +201,30 @@ AT_ONE_HALF = (255.0, 127.5, 63.75, 1.0)
 BOTH = Physics(gamma=True, saturation=True, quantised=True)
 
 
-def v14_quantiser() -> CaseResult:
+def v14_quantiser() -> ValidationResult:
     """Values of the reference, and the ends of 8, 16 and 32 bits."""
     curve = 255.0 * _core.pixels(AMPLITUDES, 0.5, 0, clip=True)
     eight = _core.pixels(AMPLITUDES, 0.5, 8, clip=True)
     checks = [
-        Check(f"255 A^0.5 at A = {a:.3g}", want, float(got), 1e-3)
+        ValidationCheck(f"255 A^0.5 at A = {a:.3g}", want, float(got), 1e-3)
         for a, want, got in zip(AMPLITUDES, AT_ONE_HALF, curve, strict=True)
     ]
     checks += [
-        Check(f"8 bit at A = {a:.3g}", want, float(got), 0.5)
+        ValidationCheck(f"8 bit at A = {a:.3g}", want, float(got), 0.5)
         for a, want, got in zip(AMPLITUDES, AT_ONE_HALF, eight, strict=True)
     ]
     sixteen = quantise(AMPLITUDES, BOTH, gamma_byte=255, bits=16)
     checks += [
-        Check(f"16 bit, linear, at A = {a:.3g}", 65535.0 * float(a), float(got), 0.5)
+        ValidationCheck(f"16 bit, linear, at A = {a:.3g}", 65535.0 * float(a), float(got), 0.5)
         for a, got in zip(AMPLITUDES, sixteen, strict=True)
     ]
     over = np.array([1.0, 1.7, 1e9], dtype=np.float32)
     for bits in (8, 16, 32):
         end = float(quantise(over, BOTH, gamma_byte=127, bits=bits).min())
-        checks.append(Check(f"{bits} bit: end of the scale", 2.0**bits - 1.0, end, 0.0))
-    return CaseResult("V14 quantiser", "pixel = full scale A^gamma", tuple(checks), _draw_quantiser)
+        checks.append(ValidationCheck(f"{bits} bit: end of the scale", 2.0**bits - 1.0, end, 0.0))
+    return ValidationResult(
+        "V14 quantiser", "pixel = full scale A^gamma", tuple(checks), _draw_quantiser
+    )
 
 
 def _draw_quantiser(axes: "Axes") -> None:

@@ -45,7 +45,7 @@ class Recorded:
     Attributes:
         pixels: (pings, rows, beams).
         bearings_deg: (beams,).
-        sonar: as the header says it was set.
+        sonar: settings of the recording's header.
     """
 
     pixels: NDArray[np.uint8]
@@ -146,7 +146,7 @@ def usual_floor_db(recorded: Recorded) -> NDArray[np.float64]:
     return law_db + float(np.mean((level_db - law_db)[noisy]))
 
 
-def simulate_alike(recorded: Recorded, pings: int = 3, seed: int = 0) -> NDArray[np.uint8]:
+def simulate_recording(recorded: Recorded, pings: int = 3, seed: int = 0) -> NDArray[np.uint8]:
     """Simulate pings of the recorded sonar, standing still before a scene of the recorded power.
 
     Returns:

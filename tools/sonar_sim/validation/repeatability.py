@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sonar_sim.classic import classic_camera, classic_images, defects, pipeline, scan
-from sonar_sim.engine import Engine
+from sonar_sim.engine import PingEngine
 from sonar_sim.scene.scene import Scene
-from sonar_sim.validation.case import CaseResult, Check
+from sonar_sim.validation.case import ValidationCheck, ValidationResult
 from sonar_sim.validation.setups import (
     CHALK,
     MEAN,
@@ -27,22 +27,24 @@ if TYPE_CHECKING:
 ON_AXIS = np.zeros(1, dtype=np.float32)
 
 
-def v18_classic() -> CaseResult:
+def v18_classic() -> ValidationResult:
     """Focal lengths, the plan view's size, a row on the axis, levels before the frame's gain."""
     checks = [
-        Check(f"focal length at {width} px, px", focal, classic_camera(width).focal_px, 0.005)
+        ValidationCheck(
+            f"focal length at {width} px, px", focal, classic_camera(width).focal_px, 0.005
+        )
         for width, focal in ((760, 389.08), (768, 393.17), (512, 262.11))
     ]
-    empty = scan.pie(classic_camera().horizontal_rad)
+    empty = scan.sector_mask(classic_camera().horizontal_rad)
     checks += [
-        Check("rows of the plan view", 400, empty.shape[0], 0),
-        Check("columns of the plan view", 578, empty.shape[1], 0),
-        Check("row of z = 8.5 m on the axis", 199, _row_on_axis(8.5), 0),
-        Check("level at 1 m, channel 1, dB", 260, _level_db(1.0, 1.0), 1e-3),
-        Check("level at 17 m, channel 0, dB", 0, _level_db(17.0, 0.0), 1e-3),
+        ValidationCheck("rows of the plan view", 400, empty.shape[0], 0),
+        ValidationCheck("columns of the plan view", 578, empty.shape[1], 0),
+        ValidationCheck("row of z = 8.5 m on the axis", 199, _row_on_axis(8.5), 0),
+        ValidationCheck("level at 1 m, channel 1, dB", 260, _level_db(1.0, 1.0), 1e-3),
+        ValidationCheck("level at 17 m, channel 0, dB", 0, _level_db(17.0, 0.0), 1e-3),
     ]
     source = "uuv_simulator's gazebo_ros_image_sonar, computed"
-    return CaseResult("V18 the published pipeline", source, tuple(checks), _drawing())
+    return ValidationResult("V18 the published pipeline", source, tuple(checks), _drawing())
 
 
 def _row_on_axis(depth_m: float) -> int:
@@ -59,7 +61,7 @@ def _level_db(depth_m: float, channel: float) -> float:
 
 def _drawing() -> "Callable[[Axes], None]":
     camera = classic_camera()
-    depth_m, _ = defects.seen(
+    depth_m, _ = defects.depth_image(
         camera, defects.floor(2.0), defects.wall(15.0), defects.sphere(8.75, 0.25)
     )
     fan = classic_images(depth_m, camera.horizontal_rad).fan
@@ -79,21 +81,23 @@ PHYSICS = dataclasses.replace(
 )
 
 
-def v19_determinism() -> CaseResult:
+def v19_determinism() -> ValidationResult:
     """One to five threads; another ping; another seed."""
     first = _picture(threads=1)
     checks = [
-        Check(f"cells that {n} threads change", 0.0, _differing(first, _picture(threads=n)), 0.0)
+        ValidationCheck(
+            f"cells that {n} threads change", 0.0, _differing(first, _picture(threads=n)), 0.0
+        )
         for n in (1, 2, 3, 5)
     ]
     share = _differing(first, _picture(seed=1)) / first.size
-    checks.append(Check("share that another seed changes", 1.0, share, 0.01))
-    return CaseResult("V19 determinism", "bytes compared", tuple(checks), _draw)
+    checks.append(ValidationCheck("share that another seed changes", 1.0, share, 0.01))
+    return ValidationResult("V19 determinism", "bytes compared", tuple(checks), _draw)
 
 
 def _picture(threads: int = 2, seed: int = 0) -> NDArray[np.float32]:
     scene = Scene((floor(-2.0), sphere((5.0, 0.0, 0.0), 0.5, CHALK)))
-    engine = Engine(scene, narrow_sonar(10.0, 0.01, 128), seed, threads)
+    engine = PingEngine(scene, narrow_sonar(10.0, 0.01, 128), seed, threads)
     return engine.ping(pose_at((0.0, 0.0, 0.0)), PHYSICS, ping_id=3).amplitude
 
 

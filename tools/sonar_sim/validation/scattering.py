@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sonar_sim.engine import Engine
+from sonar_sim.engine import PingEngine
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.raycast.fan import ELEVATIONS
 from sonar_sim.scene.scene import PointTarget, Scene
 from sonar_sim.scene.sonar import SonarSettings
-from sonar_sim.validation.case import CaseResult, Check
+from sonar_sim.validation.case import ValidationCheck, ValidationResult
 from sonar_sim.validation.setups import (
     CHALK,
     DULL,
@@ -44,23 +44,25 @@ RING_M = 5.10
 TOLERANCE_DB = 0.3
 
 
-def v03_lambert_floor() -> CaseResult:
+def v03_lambert_floor() -> ValidationResult:
     """Levels of a cell of 1 degree by 4 mm; the first echo; the ring."""
     sonar = narrow_sonar(44.0, 0.008)
     plain, patterned = _power(sonar, None), _power(sonar, WIDTH_RAD)
     checks = []
     for range_m, without_db, with_db in LAMBERT_FLOOR_TABLE:
         got = _cell_db(plain, sonar, range_m)
-        checks.append(Check(f"at {range_m:g} m, dB", without_db, got, TOLERANCE_DB))
+        checks.append(ValidationCheck(f"at {range_m:g} m, dB", without_db, got, TOLERANCE_DB))
         got = _cell_db(patterned, sonar, range_m)
-        checks.append(Check(f"at {range_m:g} m, 20° pattern, dB", with_db, got, TOLERANCE_DB))
+        checks.append(
+            ValidationCheck(f"at {range_m:g} m, 20° pattern, dB", with_db, got, TOLERANCE_DB)
+        )
     checks += _near_checks()
-    return CaseResult(
+    return ValidationResult(
         "V3 Lambert floor", "mu sin² of grazing a unit area", tuple(checks), _draw_lambert_floor
     )
 
 
-def _near_checks() -> list[Check]:
+def _near_checks() -> list[ValidationCheck]:
     """Close to the foot: the level at 3 m, the foot itself, the ring."""
     sonar = narrow_sonar(8.0)
     down = math.radians(45.0)
@@ -68,14 +70,18 @@ def _near_checks() -> list[Check]:
         [[math.cos(down), 0, math.sin(down)], [0, 1, 0], [-math.sin(down), 0, math.cos(down)]]
     )
     pose = dataclasses.replace(pose_at((0.0, 0.0, HEIGHT_M)), rotation=pitch)
-    power = cell_power(Engine(Scene((floor(),)), sonar), pose, MEAN)
+    power = cell_power(PingEngine(Scene((floor(),)), sonar), pose, MEAN)
     # A cone of the pitched array holds the same ground: its sine is along the same axis.
-    level = Check(f"at {NEAR[0]:g} m, dB", NEAR[1], _cell_db(power, sonar, NEAR[0]), TOLERANCE_DB)
+    level = ValidationCheck(
+        f"at {NEAR[0]:g} m, dB", NEAR[1], _cell_db(power, sonar, NEAR[0]), TOLERANCE_DB
+    )
     straight = dataclasses.replace(pose_at((0.0, 0.0, HEIGHT_M)), rotation=_straight_down())
-    power = cell_power(Engine(Scene((floor(),)), sonar), straight, MEAN)
+    power = cell_power(PingEngine(Scene((floor(),)), sonar), straight, MEAN)
     first = float(np.flatnonzero(power.sum(axis=1))[0]) * sonar.range_resolution_m
-    foot = Check("nearest floor echo, m", HEIGHT_M, first, 1.01 * sonar.range_resolution_m)
-    ring = Check("dark ring, m", RING_M, _ring_m(), 0.03)
+    foot = ValidationCheck(
+        "nearest floor echo, m", HEIGHT_M, first, 1.01 * sonar.range_resolution_m
+    )
+    ring = ValidationCheck("dark ring, m", RING_M, _ring_m(), 0.03)
     return [level, foot, ring]
 
 
@@ -93,7 +99,7 @@ def _ring_m() -> float:
 
 def _power(sonar: SonarSettings, width_rad: float | None) -> NDArray[np.float64]:
     physics = dataclasses.replace(MEAN, vertical_width_rad=width_rad)
-    return cell_power(Engine(Scene((floor(),)), sonar), pose_at((0.0, 0.0, HEIGHT_M)), physics)
+    return cell_power(PingEngine(Scene((floor(),)), sonar), pose_at((0.0, 0.0, HEIGHT_M)), physics)
 
 
 def _cell_db(power: NDArray[np.float64], sonar: SonarSettings, range_m: float) -> float:
@@ -127,7 +133,7 @@ FINE = 1120
 """Rays a column that meet a sphere so far off within a facet of its limb."""
 
 
-def v04_spheres() -> CaseResult:
+def v04_spheres() -> ValidationResult:
     """Sums over all cells, with each one's own spreading taken off."""
     checks = []
     for radius_m, rigid_db, dull_db in SPHERES_TABLE:
@@ -135,17 +141,17 @@ def v04_spheres() -> CaseResult:
         range_m = AWAY * radius_m
         # From a distance d the mirrored wave spreads as if from behind: a²/4 / (d² (d + a)²).
         got = decibel(power.sum() * (range_m - radius_m) ** 2 * range_m**2)
-        checks.append(Check(f"rigid, {radius_m:g} m, dB", rigid_db, got, TOLERANCE_DB))
+        checks.append(ValidationCheck(f"rigid, {radius_m:g} m, dB", rigid_db, got, TOLERANCE_DB))
         sonar, power = _seen_spheres(radius_m, CHALK)
         got = decibel(float((power.sum(axis=1) * sonar.row_centres_m**4).sum()))
-        checks.append(Check(f"Lambert, {radius_m:g} m, dB", dull_db, got, TOLERANCE_DB))
+        checks.append(ValidationCheck(f"Lambert, {radius_m:g} m, dB", dull_db, got, TOLERANCE_DB))
     checks += _extents(*_seen_spheres(SPHERES_TABLE[-1][0], CHALK, FINE))
-    return CaseResult(
+    return ValidationResult(
         "V4 spheres", "20 log(a/2); 10 log(2 pi mu a²/3)", tuple(checks), _draw_spheres
     )
 
 
-def _extents(sonar: SonarSettings, power: NDArray[np.float64]) -> list[Check]:
+def _extents(sonar: SonarSettings, power: NDArray[np.float64]) -> list[ValidationCheck]:
     """From the nearest point to the limb, and from side to side."""
     radius_m = SPHERES_TABLE[-1][0]
     range_m = AWAY * radius_m
@@ -156,9 +162,9 @@ def _extents(sonar: SonarSettings, power: NDArray[np.float64]) -> list[Check]:
     limb_m = math.sqrt(range_m**2 - radius_m**2)
     wide = float(beams[-1] - beams[0] + 1) * sonar.sine_pitch
     return [
-        Check("nearest echo, m", range_m - radius_m, float(rows[0]), facet_m),
-        Check("limb, m", limb_m, float(rows[-1]), 2.5 * facet_m),
-        Check("width in sine", 2.0 * radius_m / range_m, wide, 2.0 * sonar.sine_pitch),
+        ValidationCheck("nearest echo, m", range_m - radius_m, float(rows[0]), facet_m),
+        ValidationCheck("limb, m", limb_m, float(rows[-1]), 2.5 * facet_m),
+        ValidationCheck("width in sine", 2.0 * radius_m / range_m, wide, 2.0 * sonar.sine_pitch),
     ]
 
 
@@ -168,7 +174,7 @@ def _seen_spheres(
     range_m = AWAY * radius_m
     sonar = narrow_sonar(1.1 * range_m)
     scene = Scene((sphere((range_m, 0.0, 0.0), radius_m, material),))
-    engine = Engine(scene, sonar, elevations=elevations)
+    engine = PingEngine(scene, sonar, elevations=elevations)
     return sonar, cell_power(engine, pose_at((0.0, 0.0, 0.0)), MEAN)
 
 
@@ -190,23 +196,29 @@ CUTS = (1, 2, 4, 8)
 SPECKLED = dataclasses.replace(MEAN, speckle=True)
 
 
-def v05_plate() -> CaseResult:
+def v05_plate() -> ValidationResult:
     """0.5 m by 0.6 m: the mirror law near by, and invariance of the dull plate."""
     checks = [
-        Check(f"mirror at {r:g} m, dB", 20.0 * math.log10(r / 2.0), _mirror_db(r), 0.3)
+        ValidationCheck(f"mirror at {r:g} m, dB", 20.0 * math.log10(r / 2.0), _mirror_db(r), 0.3)
         for r in RANGES_M
     ]
     whole = decibel(_dull(1).sum())
     checks += [
-        Check(f"{2 * cuts**2} triangles, dB", whole, decibel(_dull(cuts).sum()), 0.05)
+        ValidationCheck(f"{2 * cuts**2} triangles, dB", whole, decibel(_dull(cuts).sum()), 0.05)
         for cuts in CUTS[1:]
     ]
-    checks.append(Check("twice the rays, dB", whole, decibel(_dull(1, rays=2).sum()), 0.1))
+    checks.append(
+        ValidationCheck("twice the rays, dB", whole, decibel(_dull(1, rays=2).sum()), 0.1)
+    )
     area_db = decibel(DULL.mu * 0.3 / 5.0**4)
-    checks.append(Check("mu A / R⁴, dB", area_db, whole, 0.1))
+    checks.append(ValidationCheck("mu A / R⁴, dB", area_db, whole, 0.1))
     same = np.abs(_speckled(1) - _speckled(8)).max() / _speckled(1).max()
-    checks.append(Check("speckle of 2 and 128 triangles, of its peak", 0.0, float(same), 1e-3))
-    return CaseResult("V5 plate", "mirror law R²/4; sums of mu cos² dA", tuple(checks), _draw_plate)
+    checks.append(
+        ValidationCheck("speckle of 2 and 128 triangles, of its peak", 0.0, float(same), 1e-3)
+    )
+    return ValidationResult(
+        "V5 plate", "mirror law R²/4; sums of mu cos² dA", tuple(checks), _draw_plate
+    )
 
 
 def _mirror_db(range_m: float) -> float:
@@ -219,14 +231,14 @@ def _dull(cuts: int, rays: int = 1) -> NDArray[np.float64]:
 
 def _seen_plate(range_m: float, material: "Material", cuts: int, rays: int) -> NDArray[np.float64]:
     plate = rectangle((range_m, 0, 0), (0, 0.5, 0), (0, 0, 0.6), material, cuts)
-    engine = Engine(Scene((plate,)), narrow_sonar(1.1 * range_m), elevations=ELEVATIONS * rays)
+    engine = PingEngine(Scene((plate,)), narrow_sonar(1.1 * range_m), elevations=ELEVATIONS * rays)
     return cell_power(engine, pose_at((0.0, 0.0, 0.0)), MEAN)
 
 
 def _speckled(cuts: int) -> NDArray[np.float32]:
     """A plate askew, so that its echo has many rows."""
     plate = rectangle((5.0, 0, 0), (0.3, 0.4, 0), (0.3, 0, 0.5), DULL, cuts)
-    engine = Engine(Scene((plate,)), narrow_sonar(6.0))
+    engine = PingEngine(Scene((plate,)), narrow_sonar(6.0))
     return engine.ping(pose_at((0.0, 0.0, 0.0)), SPECKLED).amplitude
 
 
@@ -246,7 +258,7 @@ PAIRS = 24
 PHYSICS = dataclasses.replace(MEAN, speckle=True, vertical_width_rad=math.radians(20.0))
 
 
-def v12_elevation() -> CaseResult:
+def v12_elevation() -> ValidationResult:
     """Two targets in one cell; the cone of a target aside and above."""
     one = _peak((_at(TILT_RAD, RANGE_M),), PHYSICS)
     level = _peak((_at(TILT_RAD, RANGE_M),), dataclasses.replace(PHYSICS, vertical_width_rad=None))
@@ -256,11 +268,11 @@ def v12_elevation() -> CaseResult:
         _peak((_at(TILT_RAD, RANGE_M), _at(-TILT_RAD, RANGE_M + step)), PHYSICS) for step in steps
     ]
     checks = (
-        Check("one target, dB", -1.44, decibel(one / level), 0.02),
-        Check("two over one, dB", 3.01, decibel(float(np.mean(both)) / one), 0.02),
-        Check("bearing of the cone, deg", 39.27, _cone_deg(), 0.15),
+        ValidationCheck("one target, dB", -1.44, decibel(one / level), 0.02),
+        ValidationCheck("two over one, dB", 3.01, decibel(float(np.mean(both)) / one), 0.02),
+        ValidationCheck("bearing of the cone, deg", 39.27, _cone_deg(), 0.15),
     )
-    return CaseResult("V12 elevation", "sin(cone) = sin(az) cos(el)", checks, _draw_elevation)
+    return ValidationResult("V12 elevation", "sin(cone) = sin(az) cos(el)", checks, _draw_elevation)
 
 
 def _at(elevation_rad: float, range_m: float) -> PointTarget:
@@ -279,7 +291,7 @@ def _peak(targets: tuple[PointTarget, ...], physics: Physics) -> float:
 def _picture(
     targets: tuple[PointTarget, ...], sonar: SonarSettings, physics: Physics
 ) -> NDArray[np.float64]:
-    engine = Engine(Scene(targets=targets), sonar, elevations=1)
+    engine = PingEngine(Scene(targets=targets), sonar, elevations=1)
     shown = engine.ping(pose_at((0.0, 0.0, 0.0)), physics).amplitude
     return shown.astype(np.float64)
 

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from sonar_sim.engine import Engine
+from sonar_sim.engine import PingEngine
 from sonar_sim.geometry.pose import Pose
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.receiver.beamformer import BeamFormer, beam_former
@@ -71,7 +71,7 @@ def target(position_m: Vector, name: str = "target") -> PointTarget:
     return PointTarget(name, position_m, 0.0)
 
 
-def cell_power(engine: Engine, pose: Pose, physics: Physics) -> NDArray[np.float64]:
+def cell_power(engine: PingEngine, pose: Pose, physics: Physics) -> NDArray[np.float64]:
     """Echo power over the source's at 1 m, (rows, beams)."""
     shown = engine.ping(pose, physics).amplitude.astype(np.float64)
     level = 10.0 ** ((FULL_SCALE_DB - engine.sonar.source_level_db) / 10.0)
@@ -83,7 +83,7 @@ def power_of(
     scene: Scene, sonar: SonarSettings, pose: Pose, physics: Physics = MEAN
 ) -> NDArray[np.float64]:
     """`cell_power` of a scene seen once."""
-    return cell_power(Engine(scene, sonar), pose, physics)
+    return cell_power(PingEngine(scene, sonar), pose, physics)
 
 
 def decibel(power: float) -> float:

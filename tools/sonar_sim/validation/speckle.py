@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sonar_sim.scene.sonar import SonarSettings
-from sonar_sim.validation.case import CaseResult, Check
+from sonar_sim.validation.case import ValidationCheck, ValidationResult
 from sonar_sim.validation.setups import Homogeneous
 from sonar_sim.validation.statistics import RAYLEIGH, Speckle, correlation, speckle
 
@@ -22,23 +22,27 @@ GAMMA_CV = ((0.25, 0.1484), (0.5, 0.2805), (0.75, 0.4039), (1.0, 0.5227), (1.5, 
 LOOKS = (4, 16)
 
 
-def v07_speckle() -> CaseResult:
+def v07_speckle() -> ValidationResult:
     """Moments, tails, distance to Rayleigh; powers of the amplitude; averages of looks."""
     sample = _independent()
     found = speckle(sample)
     checks = [
-        Check(f.name, getattr(RAYLEIGH, f.name), getattr(found, f.name), getattr(TOLERANCE, f.name))
+        ValidationCheck(
+            f.name, getattr(RAYLEIGH, f.name), getattr(found, f.name), getattr(TOLERANCE, f.name)
+        )
         for f in fields(Speckle)
     ]
     for exponent, expected in GAMMA_CV:
         raised = sample**exponent
         cv = float(raised.std() / raised.mean())
-        checks.append(Check(f"CV of amplitude^{exponent:g}", expected, cv, 0.012 * exponent))
+        checks.append(
+            ValidationCheck(f"CV of amplitude^{exponent:g}", expected, cv, 0.012 * exponent)
+        )
     for looks in LOOKS:
         power = np.square(sample[: len(sample) // looks * looks]).reshape(-1, looks).mean(axis=1)
         cv = float(power.std() / power.mean())
-        checks.append(Check(f"CV of {looks} looks' power", looks**-0.5, cv, 0.02))
-    return CaseResult("V7 speckle", "complex Gaussian field", tuple(checks), _draw_speckle)
+        checks.append(ValidationCheck(f"CV of {looks} looks' power", looks**-0.5, cv, 0.02))
+    return ValidationResult("V7 speckle", "complex Gaussian field", tuple(checks), _draw_speckle)
 
 
 def _independent() -> "np.ndarray[tuple[int], np.dtype[np.float64]]":
@@ -61,25 +65,31 @@ RATIOS_DB = (-10.0, -5.0, 0.0, 5.0, 10.0, 15.0)
 PING_CORRELATION_ROWS = 400
 
 
-def v08_ping_correlation() -> CaseResult:
+def v08_ping_correlation() -> ValidationResult:
     """Correlation of two pings from one pose against the ratio of signal to noise."""
     sheet = Homogeneous(SonarSettings(), PING_CORRELATION_ROWS, seed=2)
     checks = [
-        Check(f"power at {ratio_db:+g} dB", _model(ratio_db), _found(sheet, ratio_db)[0], 0.025)
+        ValidationCheck(
+            f"power at {ratio_db:+g} dB", _model(ratio_db), _found(sheet, ratio_db)[0], 0.025
+        )
         for ratio_db in RATIOS_DB
     ]
     loud, _ = _found(sheet, 20.0)
     silent = [sheet.beams(ping_id, -200.0, 0.0) for ping_id in (1, 2)]
     noise = correlation(np.abs(silent[0]), np.abs(silent[1]))
     checks += [
-        Check("above 0.95 at 20 dB", 1.0, loud, 0.05),
-        Check("noise alone, below 0.05", 0.0, noise, 0.05),
+        ValidationCheck("above 0.95 at 20 dB", 1.0, loud, 0.05),
+        ValidationCheck("noise alone, below 0.05", 0.0, noise, 0.05),
     ]
     amplitude_less = [np.subtract(*_found(sheet, ratio_db)) for ratio_db in RATIOS_DB]
     checks.append(
-        Check("amplitude's less than power's", 0.0, float(np.abs(amplitude_less).max()), 0.03)
+        ValidationCheck(
+            "amplitude's less than power's", 0.0, float(np.abs(amplitude_less).max()), 0.03
+        )
     )
-    return CaseResult("V8 ping to ping", "(S / (S + N))²", tuple(checks), _draw_ping_correlation)
+    return ValidationResult(
+        "V8 ping to ping", "(S / (S + N))²", tuple(checks), _draw_ping_correlation
+    )
 
 
 def _model(ratio_db: float) -> float:
@@ -109,16 +119,16 @@ RECORDED = (0.19, 0.04)
 RANGE_LINES_ROWS = 3000
 
 
-def v09_range_lines() -> CaseResult:
+def v09_range_lines() -> ValidationResult:
     """Correlation of amplitude over lags in range."""
     found = _by_lag(2)
     checks = tuple(
-        Check(f"amplitude at lag {lag}", expected, got, tolerance)
+        ValidationCheck(f"amplitude at lag {lag}", expected, got, tolerance)
         for lag, expected, got, tolerance in zip(
             (1, 2), RECORDED, found[1:], (0.02, 0.05), strict=True
         )
     )
-    return CaseResult("V9 range lines", "public recording", checks, _draw_range_lines)
+    return ValidationResult("V9 range lines", "public recording", checks, _draw_range_lines)
 
 
 def _by_lag(most: int) -> list[float]:

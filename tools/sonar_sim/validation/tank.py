@@ -16,16 +16,16 @@ import trimesh
 from numpy.typing import NDArray
 
 from oculus_driver.render import Style
-from sonar_sim.engine import Engine
+from sonar_sim.engine import PingEngine
 from sonar_sim.geometry.pose import Pose
 from sonar_sim.products.images import fan_picture
-from sonar_sim.products.sounding import Sounder
+from sonar_sim.products.sounding import ProductRenderer
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.raycast.depth_camera import pinhole_of
 from sonar_sim.scene.material import MATERIALS
 from sonar_sim.scene.scene import Scene, Sea, Surface
 from sonar_sim.scene.sonar import SonarSettings, sonar_preset
-from sonar_sim.validation.case import CaseResult, Check
+from sonar_sim.validation.case import ValidationCheck, ValidationResult
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -86,11 +86,11 @@ LOUD = 10.0 ** (-10.0 / 20.0)
 """A target reaches as far as its echo is within 10 dB of its loudest."""
 
 
-def v20_tank() -> CaseResult:
+def v20_tank() -> ValidationResult:
     """Range, width and contrast of each target."""
     checks = [check for mode in (1, 2) for check in _checks(band(mode))]
     source = "geometry; Choi et al. 2021 show the like"
-    return CaseResult("V20 round tank", source, tuple(checks), partial(_draw, mode=2))
+    return ValidationResult("V20 round tank", source, tuple(checks), partial(_draw, mode=2))
 
 
 def band(mode: int) -> SonarSettings:
@@ -101,16 +101,16 @@ def band(mode: int) -> SonarSettings:
 def picture(target: str, mode: int, height_px: int = 420) -> NDArray[np.uint8]:
     """Fan picture of one target, blue first."""
     sonar = band(mode)
-    sounder = Sounder(tank_scene(target), sonar, pinhole_of(sonar, 64))
+    sounder = ProductRenderer(tank_scene(target), sonar, pinhole_of(sonar, 64))
     return fan_picture(sounder.at(tank_pose()), Style(height_px=height_px, labels=False))
 
 
-def _checks(sonar: SonarSettings) -> list[Check]:
+def _checks(sonar: SonarSettings) -> list[ValidationCheck]:
     name = f"{sonar.frequency_hz / 1e6:.1f} MHz"
     quiet = _echo("background", sonar)
     wall_m = _loudest_m(quiet[:, sonar.beams // 2], sonar, WALL_RANGE_M)
     row_m = sonar.range_resolution_m
-    checks = [Check(f"{name}: wall, m", WALL_RANGE_M, wall_m, 2.0 * row_m)]
+    checks = [ValidationCheck(f"{name}: wall, m", WALL_RANGE_M, wall_m, 2.0 * row_m)]
     halves_m = {"vertical rod": ROD_RADIUS_M, "horizontal rod": 0.3, "plate": 0.25}
     fronts_m = {"plate": PLATE_M[0] / 2.0}
     for target, half_m in halves_m.items():
@@ -119,8 +119,10 @@ def _checks(sonar: SonarSettings) -> list[Check]:
         near = np.abs(sonar.row_centres_m - front_m) < NEAR_TARGET_M
         middle = echo[:, sonar.beams // 2]
         checks += [
-            Check(f"{name}: {target}, m", front_m, _loudest_m(middle, sonar, front_m), 2.0 * row_m),
-            Check(
+            ValidationCheck(
+                f"{name}: {target}, m", front_m, _loudest_m(middle, sonar, front_m), 2.0 * row_m
+            ),
+            ValidationCheck(
                 f"{name}: half width of the {target}, °",
                 math.degrees(math.atan(half_m / front_m)),
                 _half_width_deg(echo[near].max(axis=0), sonar),
@@ -140,7 +142,7 @@ def _echo(target: str, sonar: SonarSettings) -> NDArray[np.float32]:
         beam_width_rad=sonar.beam_width_rad,
         sine_bearings=True,
     )
-    return Engine(tank_scene(target), sonar).ping(tank_pose(), physics).amplitude
+    return PingEngine(tank_scene(target), sonar).ping(tank_pose(), physics).amplitude
 
 
 def _loudest_m(column: NDArray[np.float32], sonar: SonarSettings, about_m: float) -> float:

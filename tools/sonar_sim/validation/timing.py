@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sonar_sim.engine import Engine
+from sonar_sim.engine import PingEngine
 from sonar_sim.geometry.pose import Mounting, SonarMotion
 from sonar_sim.geometry.trajectory import Trajectory, Waypoint
 from sonar_sim.scene.scenario import Scenario
 from sonar_sim.scene.scene import Scene
 from sonar_sim.scene.sonar import SonarSettings, sonar_preset
 from sonar_sim.scene.water import Water
-from sonar_sim.validation.case import CaseResult, Check
+from sonar_sim.validation.case import ValidationCheck, ValidationResult
 from sonar_sim.validation.setups import DULL, MEAN, pose_at, rectangle, target
 
 if TYPE_CHECKING:
@@ -26,17 +26,21 @@ PERIODS_MS = (13.33, 53.33, 160.0)
 SPEED_MPS = 1500.0
 
 
-def v15_timing() -> CaseResult:
+def v15_timing() -> ValidationResult:
     """Ping period against range, under each cap of the rate."""
     checks = [
-        Check(f"period at {range_m:g} m, ms", expected, _period_ms(range_m, math.inf), 0.01)
+        ValidationCheck(
+            f"period at {range_m:g} m, ms", expected, _period_ms(range_m, math.inf), 0.01
+        )
         for range_m, expected in zip(RANGES_M, PERIODS_MS, strict=True)
     ]
     checks += [
-        Check(f"rate at 1 m under a cap of {cap:g} Hz, Hz", cap, 1e3 / _period_ms(1.0, cap), 1e-9)
+        ValidationCheck(
+            f"rate at 1 m under a cap of {cap:g} Hz, Hz", cap, 1e3 / _period_ms(1.0, cap), 1e-9
+        )
         for cap in CAPS_HZ
     ]
-    return CaseResult(
+    return ValidationResult(
         "V15 timing", "2 R / c; caps of the fire message", tuple(checks), _draw_timing
     )
 
@@ -85,14 +89,14 @@ FINE = SonarSettings(
 )
 
 
-def v16_motion() -> CaseResult:
+def v16_motion() -> ValidationResult:
     """Apparent range and bearing of what is 40 m away, targets and surfaces alike."""
     checks = (
-        Check("closing 1 m/s, target, mm", -26.7, _shift_mm(_target()), 1.0),
-        Check("closing 1 m/s, plate, mm", -26.7, _shift_mm(_plate()), 1.5),
-        Check("turning 10°/s, bearing, deg", 0.53, _turn_deg(), 0.04),
+        ValidationCheck("closing 1 m/s, target, mm", -26.7, _shift_mm(_target()), 1.0),
+        ValidationCheck("closing 1 m/s, plate, mm", -26.7, _shift_mm(_plate()), 1.5),
+        ValidationCheck("turning 10°/s, bearing, deg", 0.53, _turn_deg(), 0.04),
     )
-    return CaseResult("V16 motion", "v R / c; 2 omega R / c", checks, _draw_motion)
+    return ValidationResult("V16 motion", "v R / c; 2 omega R / c", checks, _draw_motion)
 
 
 def _target() -> Scene:
@@ -105,7 +109,7 @@ def _plate() -> Scene:
 
 
 def _shift_mm(scene: Scene) -> float:
-    engine = Engine(scene, FINE)
+    engine = PingEngine(scene, FINE)
     rows = []
     for motion in (CLOSING, STILL):
         amplitude = engine.ping(pose_at((0, 0, 0)), PHYSICS, motion=motion).amplitude
@@ -115,7 +119,7 @@ def _shift_mm(scene: Scene) -> float:
 
 def _turn_deg() -> float:
     """A turn to port moves what is ahead to starboard: positive bearings."""
-    engine = Engine(_target(), FINE)
+    engine = PingEngine(_target(), FINE)
     amplitude = engine.ping(pose_at((0, 0, 0)), PHYSICS, motion=TURNING).amplitude
     beam = int(amplitude.max(axis=0).argmax())
     return math.degrees(math.asin((beam - (FINE.beams - 1) / 2.0) * FINE.sine_pitch))
@@ -123,7 +127,7 @@ def _turn_deg() -> float:
 
 def _draw_motion(axes: "Axes") -> None:
     speeds = np.linspace(-2.0, 2.0, 9)
-    engine = Engine(_target(), FINE)
+    engine = PingEngine(_target(), FINE)
     found = []
     for speed in speeds:
         motion = SonarMotion(np.array([speed, 0.0, 0.0]), np.zeros(3))

@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from sonar_sim.engine import Engine
+from sonar_sim.engine import PingEngine
 from sonar_sim.geometry.pose import Pose
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.raycast.meshes import Meshes
@@ -61,7 +61,7 @@ def _amplitude(side: float) -> NDArray[np.float64]:
         gain=True,
         sine_bearings=True,
     )
-    ping = Engine(scene, sonar).ping(Pose(np.zeros(3), np.eye(3)), physics)
+    ping = PingEngine(scene, sonar).ping(Pose(np.zeros(3), np.eye(3)), physics)
     return ping.amplitude.astype(np.float64)
 
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from sonar_sim.effects.image_difference import expected_clipped, gamma_of
 from sonar_sim.effects.planner import Planner
-from sonar_sim.effects.previewer import Look
-from sonar_sim.engine import Engine, EnginePing
+from sonar_sim.effects.previewer import Previewer
+from sonar_sim.engine import EnginePing, PingEngine
 from sonar_sim.propagation.physics import Physics
 from sonar_sim.scene.sonar import SonarSettings
 
@@ -49,7 +49,7 @@ class Ours:
         self.sonar = sonar if making.beams is None else replace(sonar, beams=making.beams)
         self._dive, self._making = dive, making
         self._engine = _engine(dive, self.sonar, making.elevations, making.nodes_per_beam)
-        self._look = Look(scenario_of(dive).scene, self.sonar, self._engine.meshes)
+        self._look = Previewer(scenario_of(dive).scene, self.sonar, self._engine.meshes)
 
     def cpu_ms(self) -> list[float]:
         """CPU time of each ping, deciding included, as they follow one another."""
@@ -131,14 +131,14 @@ class Ours:
         return _ping(self._engine, moment, physics)
 
 
-def expected(engine: Engine, sonar: SonarSettings, moment: Moment, physics: Physics) -> Picture:
+def expected(engine: PingEngine, sonar: SonarSettings, moment: Moment, physics: Physics) -> Picture:
     """Amplitude of full scale with speckle averaged, before pixels are rounded, (rows, beams)."""
     even = replace(physics, quantised=False, speckle=False, saturation=False)
     amplitude = _ping(engine, moment, even).image.astype(np.float64) ** (1.0 / gamma_of(sonar))
     return (expected_clipped(amplitude) if physics.saturation else amplitude).astype(np.float64)
 
 
-def _ping(engine: Engine, moment: Moment, physics: Physics) -> EnginePing:
+def _ping(engine: PingEngine, moment: Moment, physics: Physics) -> EnginePing:
     return engine.ping(moment.map_T_sonar, physics, moment.number, moment.time_s, moment.motion)
 
 
@@ -153,9 +153,9 @@ def widened(picture: Picture, beams: int) -> Picture:
 
 
 @functools.lru_cache(maxsize=2)
-def _engine(dive: Dive, sonar: SonarSettings, elevations: int, nodes_per_beam: float) -> Engine:
+def _engine(dive: Dive, sonar: SonarSettings, elevations: int, nodes_per_beam: float) -> PingEngine:
     """Once for all settings of a process that need the same: a big scene takes a second."""
-    return Engine(
+    return PingEngine(
         scenario_of(dive).scene,
         sonar,
         dive.seed,

@@ -21,11 +21,11 @@ from sonar_sim.classic import ClassicImages, classic_camera, classic_images
 from sonar_sim.classic import scan as plan_view
 from sonar_sim.classic.pipeline import places
 from sonar_sim.effects.image_difference import Tolerance
-from sonar_sim.effects.plan import Wish
+from sonar_sim.effects.plan import EffectSelection
 from sonar_sim.effects.planner import Planner
-from sonar_sim.effects.previewer import Look
-from sonar_sim.engine import Engine
-from sonar_sim.raycast.depth_camera import Onlooker, View
+from sonar_sim.effects.previewer import Previewer
+from sonar_sim.engine import PingEngine
+from sonar_sim.raycast.depth_camera import DepthCamera, DepthImage
 from sonar_sim.raycast.fan import MARGIN_BEAMS
 from sonar_sim.scene.sonar import SonarSettings
 
@@ -91,10 +91,10 @@ def reference_pictures(dive: Dive) -> list[Picture]:
     scenario = scenario_of(dive)
     sonar, fine = scenario.sonar, finer(scenario.sonar)
     elevations = STRETCHES[dive.name].elevations
-    engine = Engine(scenario.scene, fine, dive.seed, threads=1, elevations=elevations)
+    engine = PingEngine(scenario.scene, fine, dive.seed, threads=1, elevations=elevations)
     # What is decided is decided for the sonar itself: mirrors and poses are those of its picture.
-    look = Look(scenario.scene, sonar, engine.meshes)
-    planner = Planner(look, Wish.read("all"), Tolerance())
+    look = Previewer(scenario.scene, sonar, engine.meshes)
+    planner = Planner(look, EffectSelection.read("all"), Tolerance())
     margin = margin_beams(sonar)
     beams = slice(margin * FINER, (margin + sonar.beams - 1) * FINER + 1, FINER)
     return [
@@ -123,7 +123,7 @@ def margin_beams(sonar: SonarSettings) -> int:
     return min(MARGIN_BEAMS, int(room))
 
 
-def _picture(engine: Engine, sonar: SonarSettings, planner: Planner, moment: Moment) -> Picture:
+def _picture(engine: PingEngine, sonar: SonarSettings, planner: Planner, moment: Moment) -> Picture:
     planned = planner.at(moment.map_T_sonar, moment.number, moment.time_s, moment.motion)
     physics = planned.physics
     if physics.pose_blocks > 1:
@@ -197,8 +197,8 @@ class Published:
         """Before and after speckle, (400, columns)."""
         view, images = self._frame(moment, generator)
         x, y = places(view.depth_m.shape, self._camera.focal_px)
-        pie = plan_view.pie(self._camera.horizontal_rad)
-        smooth = plan_view.broadened(plan_view.strewn(view.depth_m, images.snr, x, y, pie))
+        pie = plan_view.sector_mask(self._camera.horizontal_rad)
+        smooth = plan_view.blurred(plan_view.projected(view.depth_m, images.snr, x, y, pie))
         return smooth.astype(np.float64), images.raw_scan.astype(np.float64)
 
     def _timed_ms(self, moment: Moment) -> float:
@@ -208,7 +208,7 @@ class Published:
 
     def _frame(
         self, moment: Moment, generator: np.random.Generator | None = None
-    ) -> tuple[View, ClassicImages]:
+    ) -> tuple[DepthImage, ClassicImages]:
         view = self._onlooker.look(self._camera, moment.map_T_sonar)
         return view, classic_images(view.depth_m, self._camera.horizontal_rad, generator)
 
@@ -238,5 +238,5 @@ def levelled(values: Picture, truth: Picture, sonar: SonarSettings) -> Picture:
 
 
 @functools.lru_cache(maxsize=1)
-def _onlooker(dive: Dive) -> Onlooker:
-    return Onlooker(scenario_of(dive).scene)
+def _onlooker(dive: Dive) -> DepthCamera:
+    return DepthCamera(scenario_of(dive).scene)

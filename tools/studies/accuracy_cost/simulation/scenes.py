@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 
 from sonar_sim import load_scenario
 from sonar_sim.effects.image_difference import Tolerance
-from sonar_sim.effects.plan import Wish
+from sonar_sim.effects.plan import EffectSelection
 from sonar_sim.engine import NODES_PER_BEAM
 from sonar_sim.geometry.pose import Pose, SonarMotion
 from sonar_sim.raycast.fan import ELEVATIONS
@@ -30,7 +30,7 @@ class Making:
         camera: width and height of the published pipeline's depth image; None is our own engine.
     """
 
-    effects: Wish
+    effects: EffectSelection
     tolerance: Tolerance
     elevations: int
     nodes_per_beam: float
@@ -58,7 +58,7 @@ def making_of(overrides: Mapping[str, Value]) -> Making:
     if plain:
         raise ValueError(f"the simulator's study knows no {', '.join(sorted(plain))}")
     return Making(
-        Wish.read(",".join([ground, *switched])),
+        EffectSelection.read(",".join([ground, *switched])),
         _tolerance(overrides),
         elevations,
         nodes_per_beam,
