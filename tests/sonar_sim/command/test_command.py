@@ -67,9 +67,9 @@ def test_classic_writes_what_the_plugin_published(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("argv", "reason"),
     [
-        (["render", "nowhere", "--out", "x"], "no scene is called nowhere"),
+        (["render", "nowhere", "--out", "x"], "no scene is named nowhere"),
         (["render", "flat_floor", "--out", "x", "--only", "fun"], "no product is called fun"),
-        (["validate", "--out", "x", "--only", "V99"], "no case is called V99"),
+        (["validate", "--out", "x", "--only", "V99"], "no case is named V99"),
         (["render", "flat_floor", "--out", "x", "--time", "nan"], "time nan s is not 0 to"),
         (["explain", "flat_floor", "--time", "1e9"], "time 1e+09 s is not 0 to"),
     ],

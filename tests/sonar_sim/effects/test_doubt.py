@@ -31,7 +31,7 @@ def rule_predicting(
 
     def decide(view: PingPreview, tolerance: Tolerance) -> RuleResult:
         predicted_db = predict(view, tolerance.brighter_db)
-        return RuleResult(predicted_db > tolerance.level_db, "told to", predicted_db)
+        return RuleResult(predicted_db > tolerance.level_db, "predicted", predicted_db)
 
     return decide
 

@@ -1,4 +1,4 @@
-"""The vehicle's odometry, decoded by others: mapperd, pymavlink, pynmea2, tables of the protocols."""
+"""The vehicle's odometry, decoded by mapperd, pymavlink, pynmea2 and tables of the protocols."""
 
 import json
 import math
