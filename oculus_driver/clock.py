@@ -11,11 +11,11 @@ from __future__ import annotations
 from collections import Counter, deque
 from dataclasses import dataclass
 from statistics import median
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
 
-from oculus_driver.clock_fit import ClockFit
+from oculus_driver.clock_fit import ClockFit, ClockFitState
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -50,6 +50,25 @@ class PingTime:
     end_ns: int
     lateness_ns: int
     method: Literal["device", "arrival"]
+
+
+class SonarClockState(NamedTuple):
+    """State of a `SonarClock`.
+
+    Attributes:
+        placed, restarts: the counts.
+        ticks: total and (ticks, arrival) of the last ping; None if ticks are not used.
+        fit: of the sonar's clock to the host's.
+        periods_ns: the last ping periods.
+        last: id, device time and arrival of the last ping.
+    """
+
+    placed: dict[str, int]
+    restarts: int
+    ticks: tuple[int, tuple[int, int] | None] | None
+    fit: ClockFitState
+    periods_ns: list[float]
+    last: tuple[int, int | None, int] | None
 
 
 class SonarClock:
@@ -87,6 +106,26 @@ class SonarClock:
     def period_s(self) -> float | None:
         """Median time between the last pings, lost ones included; None before the second ping."""
         return median(self._periods_ns) * 1e-9 if self._periods_ns else None
+
+    def state(self) -> SonarClockState:
+        """Return everything that `restore` needs to continue exactly."""
+        return SonarClockState(
+            dict(self.placed),
+            self.restarts,
+            None if self._ticks is None else self._ticks.state(),
+            self._envelope.state(),
+            list(self._periods_ns),
+            self._last,
+        )
+
+    def restore(self, state: SonarClockState) -> None:
+        """Continue as the clock of which `state` was taken; the arguments must be the same."""
+        self.placed, self.restarts = Counter(state.placed), state.restarts
+        if self._ticks is not None and state.ticks is not None:
+            self._ticks.restore(*state.ticks)
+        self._envelope.restore(state.fit)
+        self._periods_ns = deque(state.periods_ns, maxlen=_PERIODS)
+        self._last = state.last
 
     def place(self, ping: Ping) -> PingTime | None:
         """Return the times of the ping; None if its arrival is unknown.
@@ -183,6 +222,12 @@ class _Ticks:
 
     def restart(self) -> None:
         self._total, self._last = 0, None
+
+    def state(self) -> tuple[int, tuple[int, int] | None]:
+        return self._total, self._last
+
+    def restore(self, total: int, last: tuple[int, int] | None) -> None:
+        self._total, self._last = total, last
 
     def unwrapped_ns(self, ticks: int, arrival_ns: int) -> int:
         if self._last is None:

@@ -14,12 +14,12 @@ from collections import deque
 from dataclasses import dataclass
 from itertools import pairwise, takewhile
 from operator import itemgetter
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = ["ClockFit"]
+__all__ = ["ClockFit", "ClockFitState"]
 
 WINDOW_NS: Final = 30_000_000_000
 """Lifetime of a point: long enough to measure a drift, short enough for a constant drift."""
@@ -85,6 +85,13 @@ class _Points:
         self._points.clear()
         self._hull = []
 
+    def state(self) -> tuple[list[_Point], list[_Point] | None]:
+        return list(self._points), None if self._hull is None else list(self._hull)
+
+    def restore(self, points: list[_Point], hull: list[_Point] | None) -> None:
+        self._points = deque(points)
+        self._hull = hull
+
     def add(self, point: _Point) -> None:
         if len(self) == MAX_POINTS:
             self.drop_first()
@@ -126,6 +133,24 @@ class _Points:
         return max(arrivals) - min(arrivals), sum(arrivals) // len(arrivals)
 
 
+class ClockFitState(NamedTuple):
+    """State of a `ClockFit`; times in ns.
+
+    Attributes:
+        points: (arrival, arrival minus stamp) of the points that count, in their order.
+        hull: lower convex hull of all points but the last; None if it is to be computed again.
+        line: arrival, offset, slope and slope before it was limited; None before the first stamp.
+        last_stamp_ns: newest stamp.
+        suspect: (stamp, arrival) that seemed to be a clock jump.
+    """
+
+    points: list[tuple[int, int]]
+    hull: list[tuple[int, int]] | None
+    line: tuple[int, int, float, float] | None
+    last_stamp_ns: int | None
+    suspect: tuple[int, int] | None
+
+
 class ClockFit:
     """Offset and drift of one remote clock, estimated from arriving stamps."""
 
@@ -144,6 +169,24 @@ class ClockFit:
     def is_valid(self) -> bool:
         """False if the stamps do not advance like a clock; then their host times are useless."""
         return self._line is None or abs(self._line.rate_error) <= MAX_RATE_ERROR
+
+    def state(self) -> ClockFitState:
+        """Return everything that `restore` needs to continue exactly."""
+        line = self._line
+        return ClockFitState(
+            *self._points.state(),
+            None
+            if line is None
+            else (line.arrival_ns, line.offset_ns, line.slope, line.rate_error),
+            self._last_stamp_ns,
+            self._suspect,
+        )
+
+    def restore(self, state: ClockFitState) -> None:
+        """Continue as the fit of which `state` was taken."""
+        self._points.restore(state.points, state.hull)
+        self._line = None if state.line is None else _Line(*state.line)
+        self._last_stamp_ns, self._suspect = state.last_stamp_ns, state.suspect
 
     def restart(self) -> None:
         """Forget everything, after a known restart of the remote clock."""

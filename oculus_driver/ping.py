@@ -339,6 +339,14 @@ class PingSequence:
     restarts: int = 0
     _last: int | None = None
 
+    def state(self) -> tuple[int, int, int, int | None]:
+        """Return the counts and the last id, for `restore`."""
+        return self.lost_pings, self.duplicates, self.restarts, self._last
+
+    def restore(self, state: tuple[int, int, int, int | None]) -> None:
+        """Continue as the sequence of which `state` was taken."""
+        self.lost_pings, self.duplicates, self.restarts, self._last = state
+
     def accept(self, ping_id: int) -> bool:
         """Add the next id. Return False if it repeats the previous one."""
         last, self._last = self._last, ping_id

@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from oculus_driver.framing import (
     CANDIDATE,
@@ -73,6 +74,36 @@ class StreamCounters:
     warnings: Counter[str] = field(default_factory=Counter)
 
 
+class StreamParserState(NamedTuple):
+    """State of a `StreamParser`.
+
+    Attributes:
+        bytes_total, bytes_rejected, resyncs, messages, rejects, warnings: as `StreamCounters`.
+        source_id: the sonar's id, None until it is known.
+        pending: bytes fed but not parsed yet.
+        base: stream offset of the first of them.
+        needed: pending bytes needed for the next decision.
+        synchronised: False while searching for the start of a message.
+        lost_at: stream offset at which synchronisation was lost.
+        stamp_offsets, stamps: stream offsets from which on arrival times apply.
+    """
+
+    bytes_total: int
+    bytes_rejected: int
+    resyncs: int
+    messages: dict[int, int]
+    rejects: dict[str, int]
+    warnings: dict[str, int]
+    source_id: int | None
+    pending: bytes
+    base: int
+    needed: int
+    synchronised: bool
+    lost_at: int
+    stamp_offsets: list[int]
+    stamps: list[int | None]
+
+
 class StreamParser:
     """Splits a TCP stream, or a recording of one, into messages. Never raises on any bytes.
 
@@ -125,6 +156,42 @@ class StreamParser:
     def bytes_since_lost(self) -> int:
         """Bytes fed since synchronisation was lost; 0 while synchronised."""
         return 0 if self._synchronised else self._base + len(self._buffer) - self._lost_at
+
+    def state(self) -> StreamParserState:
+        """Return everything that `restore` needs to continue exactly; between two feeds."""
+        counters = self.counters
+        return StreamParserState(
+            counters.bytes_total,
+            counters.bytes_rejected,
+            counters.resyncs,
+            dict(counters.messages),
+            dict(counters.rejects),
+            dict(counters.warnings),
+            self._source_id,
+            bytes(self._buffer),
+            self._base,
+            self._needed,
+            self._synchronised,
+            self._lost_at,
+            list(self._stamp_offsets),
+            list(self._stamps),
+        )
+
+    def restore(self, state: StreamParserState) -> None:
+        """Continue as the parser of which `state` was taken; the arguments must be the same."""
+        self.counters = StreamCounters(
+            state.bytes_total,
+            state.bytes_rejected,
+            state.resyncs,
+            Counter(state.messages),
+            Counter(state.rejects),
+            Counter(state.warnings),
+        )
+        self._source_id = state.source_id
+        self._buffer, self._position = bytearray(state.pending), 0
+        self._base, self._needed = state.base, state.needed
+        self._synchronised, self._lost_at = state.synchronised, state.lost_at
+        self._stamp_offsets, self._stamps = list(state.stamp_offsets), list(state.stamps)
 
     def feed(
         self,

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,26 @@ the weight a metre away indicates another mode."""
 def wrapped(angle_rad: float) -> float:
     """The same angle in -pi to pi."""
     return math.remainder(angle_rad, math.tau)
+
+
+class GaussianState(NamedTuple):
+    """The fields of a `PlanarGaussian`."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    covariance: Floats
+
+
+class BeliefState(NamedTuple):
+    """The fields of a `Belief`."""
+
+    best: GaussianState
+    overall: GaussianState
+    masses: Floats
+    elsewhere: float
+    effective_size: float
+    fits: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +74,18 @@ class PlanarGaussian:
         object.__setattr__(self, "yaw_rad", wrapped(mean[2]))
         object.__setattr__(self, "covariance", _mended(np.array(self.covariance, np.float64)))
 
+    def state(self) -> GaussianState:
+        """Its numbers."""
+        return GaussianState(self.x_m, self.y_m, self.yaw_rad, self.covariance)
+
+    @classmethod
+    def restored(cls, state: GaussianState) -> "PlanarGaussian":
+        """The one of which `state` was taken: equal to the bit, so nothing is mended again."""
+        made = object.__new__(cls)
+        for name, value in state._asdict().items():
+            object.__setattr__(made, name, value)
+        return made
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Belief:
@@ -75,6 +108,29 @@ class Belief:
     elsewhere: float
     effective_size: float
     fits: bool = True
+
+    def state(self) -> BeliefState:
+        """Its parts."""
+        return BeliefState(
+            self.best.state(),
+            self.overall.state(),
+            self.masses,
+            self.elsewhere,
+            self.effective_size,
+            self.fits,
+        )
+
+    @classmethod
+    def restored(cls, state: BeliefState) -> "Belief":
+        """The one of which `state` was taken."""
+        return cls(
+            PlanarGaussian.restored(state.best),
+            PlanarGaussian.restored(state.overall),
+            state.masses,
+            state.elsewhere,
+            state.effective_size,
+            state.fits,
+        )
 
     @property
     def ambiguous(self) -> bool:

@@ -7,16 +7,25 @@ ping after a burst by the one before it, and what really changed by its own repe
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BurstWatch", "unexplained_share"]
+__all__ = ["BurstState", "BurstWatch", "unexplained_share"]
 
 Floats = NDArray[np.float64]
 
 MIN_RETURNS = 16
 """Fewer returns give no share."""
+
+
+class BurstState(NamedTuple):
+    """State of a `BurstWatch`: its limits, and time, bearings and ranges of the last pings."""
+
+    max_speed_mps: float
+    max_turn_radps: float
+    last: list[tuple[int, Floats, Floats]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,6 +79,18 @@ class BurstWatch:
         self._max_speed_mps = max_speed_mps
         self._max_turn_radps = max_turn_radps
         self._last: tuple[_Seen, ...] = ()
+
+    def state(self) -> BurstState:
+        """Everything that `restored` needs to continue exactly."""
+        last = [(one.stamp_ns, one.bearing_rad, one.range_m) for one in self._last]
+        return BurstState(self._max_speed_mps, self._max_turn_radps, last)
+
+    @classmethod
+    def restored(cls, state: BurstState) -> "BurstWatch":
+        """The watch of which `state` was taken."""
+        watch = cls(state.max_speed_mps, state.max_turn_radps)
+        watch._last = tuple(_Seen(*seen) for seen in state.last)
+        return watch
 
     def share(self, stamp_ns: int, bearing_rad: Floats, range_m: Floats, cell_m: float) -> float:
         """Share of the returns that no ping before explains, 0..1; the ping is then remembered.

@@ -26,7 +26,7 @@ from mapperd.errors import Reject
 from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.maps import LocalizationMap
 
-__all__ = ["Lifecycle", "Start", "parameter_pose"]
+__all__ = ["Lifecycle", "Mode", "Start", "parameter_pose"]
 
 Mode = Literal["off", "track", "global"]
 

@@ -2,14 +2,14 @@
 
 from collections import Counter
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from mapperd.config.tree import Config
 from mapperd.errors import Reject
 from mapperd.geometry.frames import Pose
-from mapperd.geometry.gaussian import Belief, PlanarGaussian
+from mapperd.geometry.gaussian import Belief, GaussianState, PlanarGaussian
 from mapperd.localization.levelling import yaw_of
-from mapperd.localization.lifecycle import Lifecycle, Start
+from mapperd.localization.lifecycle import Lifecycle, Mode, Start
 from mapperd.localization.maps import LocalizationMap
 from mapperd.localization.odom_correction import MapFromOdom, map_from_odom
 from mapperd.localization.scan import Scan, decimated
@@ -70,18 +70,21 @@ class Localized:
         return None if self.belief is None else self.belief.best
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LocalizerState:
+class LocalizerState(NamedTuple):
     """What a localizer knows.
 
     Attributes:
-        life: the rules' state, without its map.
+        mode, running, publishing, waiting, last: of the rules' state, as `Lifecycle`.
         gate: of the updates.
         transform: of the last update.
         counts: of scans and refusals.
     """
 
-    life: Lifecycle
+    mode: Mode
+    running: bool
+    publishing: bool
+    waiting: GaussianState | None
+    last: GaussianState | None
     gate: UpdateGate
     transform: MapFromOdom | None
     counts: dict[str, int]
@@ -130,8 +133,17 @@ class Localizer:
 
     def state(self) -> LocalizerState:
         """All that changes, but for filter, map and settings."""
-        life = replace(self.life, map=None)
-        return LocalizerState(life, self._gate, self._transform, dict(self.counts))
+        life = self.life
+        return LocalizerState(
+            life.mode,
+            life.running,
+            life.publishing,
+            None if life.waiting is None else life.waiting.state(),
+            None if life.last is None else life.last.state(),
+            self._gate,
+            self._transform,
+            dict(self.counts),
+        )
 
     def restore(self, state: LocalizerState, known: LocalizationMap | None) -> None:
         """Go on as the localizer that `state` was called of; the filter takes the map.
@@ -142,7 +154,11 @@ class Localizer:
         """
         if known is not None:
             self._filter.take_map(known)
-        self.life = replace(state.life, map=known)
+        waiting, last = (
+            None if one is None else PlanarGaussian.restored(one)
+            for one in (state.waiting, state.last)
+        )
+        self.life = Lifecycle(state.mode, known, state.running, state.publishing, waiting, last)
         self._gate, self._transform = state.gate, state.transform
         self.counts = Counter(state.counts)
 

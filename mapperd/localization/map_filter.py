@@ -1,7 +1,7 @@
 """The core's particle filter on a map, by the settings."""
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,14 +34,13 @@ HURRY_M = 1.0
 """Of way between rivals, where scans do not lie on the map."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FilterState:
+class FilterState(NamedTuple):
     """All that changes in a filter, but for the map and the settings.
 
     Attributes:
         cloud: the particles.
         stamp_ns: of the last scan; None before the first.
-        watch: how well scans lie on the map.
+        hit_share: of recent scans, on the map; None before the first.
         rival: cloud, odds and way of the rival; or None.
         rivals: how many there have been.
         blind: particles are anywhere, and no scan was searched by yet.
@@ -50,7 +49,7 @@ class FilterState:
 
     cloud: CloudState
     stamp_ns: int | None
-    watch: FitWatch
+    hit_share: float | None
     rival: tuple[CloudState, float, float] | None
     rivals: int
     blind: bool
@@ -129,7 +128,7 @@ class MapFilter:
         return FilterState(
             cloud_state(self._particles),
             self._stamp_ns,
-            self.watch,
+            self.watch.share,
             rival,
             self.rivals,
             self._blind,
@@ -143,7 +142,8 @@ class MapFilter:
             ValueError: it is no filter's state; this one is then of no use.
         """
         restore_cloud(self._particles, state.cloud)
-        self._stamp_ns, self.watch, self.rivals = state.stamp_ns, state.watch, state.rivals
+        self._stamp_ns, self.rivals = state.stamp_ns, state.rivals
+        self.watch = FitWatch(state.hit_share)
         self._blind, self._alone_m, self.rival = state.blind, state.alone_m, None
         if state.rival is not None:
             cloud, log_odds, way_m = state.rival

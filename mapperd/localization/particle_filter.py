@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,8 +85,7 @@ def gaussian_of(estimate: Estimate) -> PlanarGaussian:
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CloudState:
+class CloudState(NamedTuple):
     """All that the core's filter holds, but for its rule.
 
     Attributes:

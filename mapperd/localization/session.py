@@ -7,17 +7,19 @@ now: the saved pose stands in the recording, and of the map its fingerprint.
 import threading
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 
+from mapperd.config.loader import config_of
 from mapperd.config.tree import Config
 from mapperd.errors import CheckpointError, ConfigError, MapError
 from mapperd.geometry.gaussian import PlanarGaussian
 from mapperd.localization.known_map import KnownMap, load_known_map
 from mapperd.localization.stage import LocalizationStage, OnboardState
 from mapperd.session_log import Numbers12, Session
-from mapperd.store.checkpoint_reader import overlay
-from mapperd.store.checkpoint_writer import written
+from mapperd.store.checkpoint import decode_state, encode_state
 
 __all__ = [
     "KnownMaps",
@@ -153,9 +155,17 @@ def poses_depend_on(localizing: LocalizationSession | None) -> LocalizationSessi
     return localizing
 
 
+class _SavedState(NamedTuple):
+    """State of the stage, and the settings that maps are loaded by, as plain values."""
+
+    onboard: OnboardState
+    loaded_by: dict[str, Any]
+
+
 def saved_state(localizing: LocalizationSession) -> bytes:
     """All that `restored_session` needs; in the thread that maps."""
-    return written(localizing.onboard.state(), localizing.maps.config)
+    loaded_by = msgspec.to_builtins(localizing.maps.config)
+    return encode_state(_SavedState(localizing.onboard.state(), loaded_by))
 
 
 def restored_session(config: Config, data: bytes) -> LocalizationSession:
@@ -166,17 +176,15 @@ def restored_session(config: Config, data: bytes) -> LocalizationSession:
         data: of `saved_state`.
 
     Raises:
-        CheckpointError: the bytes are damaged or of another program, or the map is not there.
+        CheckpointError: the bytes are damaged or of another format, or the map is not there.
     """
-    state, loaded_by = overlay(data, None, None)
-    if not (isinstance(state, OnboardState) and isinstance(loaded_by, Config)):
-        raise CheckpointError("is of other objects")
-    maps = KnownMaps(loaded_by)
+    state, loaded_by = decode_state(data, _SavedState)
     try:
+        maps = KnownMaps(config_of(loaded_by, "the checkpoint"))
         known = maps.take(state.path, state.sha256) if state.sha256 else None
         onboard = LocalizationStage(config, load=maps.take)
         onboard.restore(state, known)
-    except (MapError, ValueError, TypeError, AttributeError) as error:
+    except (ConfigError, MapError, ValueError, TypeError) as error:
         raise CheckpointError(f"localization cannot go on: {error}") from error
     return LocalizationSession(onboard, maps)
 

@@ -8,15 +8,15 @@ is due: bursts are detected with the two pings before, and viewers show each sca
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import assert_never
+from typing import NamedTuple, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.config.tree import Config
 from mapperd.errors import MapError, Reject
-from mapperd.geometry.gaussian import Belief, PlanarGaussian
-from mapperd.localization.burst_filter import BurstWatch
+from mapperd.geometry.gaussian import Belief, BeliefState, PlanarGaussian
+from mapperd.localization.burst_filter import BurstState, BurstWatch
 from mapperd.localization.extraction import burst_watch, scan_of_ping
 from mapperd.localization.known_map import KnownMap
 from mapperd.localization.localizer import Localized, Localizer, LocalizerState
@@ -53,22 +53,21 @@ class _Updated:
     base_height_m: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OnboardState:
+class OnboardState(NamedTuple):
     """What localization knows.
 
     Attributes:
         filter, localizer, watch: of the parts.
         updates: so far.
-        updated: the last of them.
+        updated: belief, scan and height of the base of the last of them.
         path, sha256: of the map in use; empty without one.
     """
 
     filter: FilterState
     localizer: LocalizerState
-    watch: BurstWatch
+    watch: BurstState
     updates: int
-    updated: _Updated | None
+    updated: tuple[BeliefState, Scan, float] | None
     path: str
     sha256: str
 
@@ -162,13 +161,13 @@ class LocalizationStage:
 
     def state(self) -> OnboardState:
         """All that a map at corrected poses depends on, but for the settings in force."""
-        known = self._known
+        known, last = self._known, self._updated
         return OnboardState(
             self._filter.state(),
             self._localizer.state(),
-            self._watch,
+            self._watch.state(),
             self._updates,
-            self._updated,
+            None if last is None else (last.belief.state(), last.scan, last.base_height_m),
             "" if known is None else known.path,
             "" if known is None else known.sha256,
         )
@@ -185,8 +184,11 @@ class LocalizationStage:
         """
         self._localizer.restore(state.localizer, None if known is None else known.map)
         self._filter.restore(state.filter)
-        self._watch, self._known = state.watch, known
-        self._updates, self._updated = state.updates, state.updated
+        self._watch, self._known = BurstWatch.restored(state.watch), known
+        self._updates, self._updated = state.updates, None
+        if state.updated is not None:
+            belief, scan, height_m = state.updated
+            self._updated = _Updated(Belief.restored(belief), scan, height_m)
         self._changes += 1
 
     def facts(self) -> LocalizationFacts:

@@ -1,8 +1,8 @@
 """The bridge: bytes of the vehicle's links become records, records become poses."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 from mapperd.config.link_address import parse_address
 from mapperd.config.odometry import FormatSettings, OdometrySourceConfig
@@ -10,10 +10,10 @@ from mapperd.config.tree import Config
 from mapperd.errors import ConfigError, Reject
 from mapperd.odometry.decoder import Decoder
 from mapperd.odometry.formats import make_decoder
-from mapperd.odometry.fusion import Fusion
+from mapperd.odometry.fusion import Fusion, FusionState
 from mapperd.odometry.records import Odometry
 
-__all__ = ["ENCODING_PREFIX", "OdometryBridge", "encoding_of"]
+__all__ = ["ENCODING_PREFIX", "BridgeState", "OdometryBridge", "encoding_of"]
 
 ENCODING_PREFIX = "odometry-"
 """Of the encodings of recorded links that hold odometry; the format's name follows."""
@@ -22,6 +22,22 @@ ENCODING_PREFIX = "odometry-"
 def encoding_of(settings: FormatSettings) -> str:
     """Encoding of a recorded link of this format."""
     return ENCODING_PREFIX + settings.format
+
+
+class BridgeState(NamedTuple):
+    """State of an `OdometryBridge`.
+
+    Attributes:
+        decoders: link to its encoding and the state of its decoder.
+        unreadable: link to pieces that no decoder could be made for.
+        accepted: as of `OdometryBridge`.
+        fusion: of its part.
+    """
+
+    decoders: dict[str, tuple[str | None, Any]]
+    unreadable: dict[str, int]
+    accepted: int
+    fusion: FusionState
 
 
 class OdometryBridge:
@@ -83,16 +99,29 @@ class OdometryBridge:
             ):
                 self.accepted += 1
 
-    def prepare(self, encodings: Mapping[str, str | None]) -> None:
-        """Make the decoders of links, as their first bytes would.
+    def state(self) -> BridgeState:
+        """Everything that `restore` needs to continue exactly."""
+        decoders = {
+            link: (self._encodings[link], decoder.state())
+            for link, decoder in self._decoders.items()
+        }
+        return BridgeState(decoders, dict(self._unreadable), self.accepted, self.fusion.state())
 
-        Args:
-            encodings: link to encoding, as `feed` was given them.
+    def restore(self, state: BridgeState) -> None:
+        """Continue as the bridge of which `state` was taken, with the same settings.
+
+        Raises:
+            ValueError: a format of it cannot be read here, or its state is of another one.
         """
-        for link, encoding in encodings.items():
+        for link, (encoding, inner) in state.decoders.items():
             decoder = self._decoder(link, encoding)
-            if decoder is not None:
-                self._decoders[link] = decoder
+            if decoder is None:
+                raise ValueError(f"{link!r} cannot be read: {encoding!r}")
+            decoder.restore(inner)
+            self._decoders[link], self._encodings[link] = decoder, encoding
+        self._unreadable = Counter(state.unreadable)
+        self.accepted = state.accepted
+        self.fusion.restore(state.fusion)
 
     @staticmethod
     def _decoded(

@@ -8,13 +8,13 @@ make it noisier, and out of order.
 
 from collections import deque
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from mapperd.errors import Reject
 from mapperd.odometry.records import Odometry
-from oculus_driver.clock_fit import ClockFit
+from oculus_driver.clock_fit import ClockFit, ClockFitState
 
-__all__ = ["OdometryClock", "Precedence"]
+__all__ = ["Leaders", "OdometryClock", "OdometryClockState", "Precedence"]
 
 DISTRUST_AFTER = 10
 """So many Unix stamps in a row that cannot be are of a clock that was never set."""
@@ -24,6 +24,24 @@ STEP_NS = 50_000_000
 
 AHEAD_NS = 5_000_000
 """A stamp so much later than its arrival is of a clock that is not ours."""
+
+
+class OdometryClockState(NamedTuple):
+    """State of an `OdometryClock`.
+
+    Attributes:
+        fit: of the sender's clock to the host's.
+        off: records in a row whose stamp was too far from their arrival.
+        distrusted: Unix stamps are fitted, too.
+        delays_ns: the last delays.
+        least_delay_ns: the least of them so far.
+    """
+
+    fit: ClockFitState
+    off: int
+    distrusted: bool
+    delays_ns: list[int]
+    least_delay_ns: int | None
 
 
 class OdometryClock:
@@ -49,6 +67,23 @@ class OdometryClock:
         self._distrusted = False
         self._delays: deque[int] = deque(maxlen=DISTRUST_AFTER)
         self._least_delay_ns: int | None = None
+
+    def state(self) -> OdometryClockState:
+        """Everything that `restore` needs to continue exactly."""
+        return OdometryClockState(
+            self._fit.state(),
+            self._off,
+            self._distrusted,
+            list(self._delays),
+            self._least_delay_ns,
+        )
+
+    def restore(self, state: OdometryClockState) -> None:
+        """Continue as the clock of which `state` was taken."""
+        self._fit.restore(state.fit)
+        self._off, self._distrusted = state.off, state.distrusted
+        self._delays = deque(state.delays_ns, maxlen=DISTRUST_AFTER)
+        self._least_delay_ns = state.least_delay_ns
 
     def t_host_ns(self, odometry: Odometry, arrival_ns: int | None) -> int | Reject:
         """The record's host time, on the clock of the arrival stamps.
@@ -121,6 +156,10 @@ QUANTITIES = {
 """Quantity of each field that several messages carry."""
 
 
+Leaders = dict[str, tuple[int, int | None]]
+"""Quantity to the rank of the message that tells it, and when that came last."""
+
+
 class Precedence:
     """Remembers which message provides each quantity.
 
@@ -130,7 +169,15 @@ class Precedence:
 
     def __init__(self, order: tuple[str, ...]) -> None:
         self._rank = {name: rank for rank, name in enumerate(order)}
-        self._leaders: dict[str, tuple[int, int | None]] = {}
+        self._leaders: Leaders = {}
+
+    def state(self) -> Leaders:
+        """Everything that `restore` needs to continue exactly."""
+        return dict(self._leaders)
+
+    def restore(self, state: Leaders) -> None:
+        """Continue as the one of which `state` was taken."""
+        self._leaders = dict(state)
 
     def filtered(self, name: str, odometry: Odometry, arrival_ns: int | None) -> Odometry | None:
         """Remove what a better message provides; None when nothing is left."""

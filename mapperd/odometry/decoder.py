@@ -4,15 +4,37 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import msgspec
 
 from mapperd.errors import Reject
 from mapperd.odometry.records import Odometry
 
-__all__ = ["Decoder", "DecoderCounters", "LineDecoder", "ReadLine"]
+__all__ = [
+    "CountersState",
+    "Decoder",
+    "DecoderCounters",
+    "LineDecoder",
+    "ReadLine",
+    "RememberingReader",
+]
 
 MAX_NAMES = 100
 """Of one counter; no sender has more kinds of messages."""
+
+
+class CountersState(NamedTuple):
+    """The attributes of `DecoderCounters`."""
+
+    bytes_total: int
+    bytes_skipped: int
+    frames: int
+    messages: dict[str, int]
+    ignored: dict[str, int]
+    warnings: dict[str, int]
+    records: int
+    rejects: dict[str, int]
 
 
 @dataclass(slots=True)
@@ -38,6 +60,26 @@ class DecoderCounters:
     warnings: Counter[str] = field(default_factory=Counter)
     records: int = 0
     rejects: Counter[str] = field(default_factory=Counter)
+
+    def state(self) -> CountersState:
+        """All counts."""
+        return CountersState(
+            self.bytes_total,
+            self.bytes_skipped,
+            self.frames,
+            dict(self.messages),
+            dict(self.ignored),
+            dict(self.warnings),
+            self.records,
+            dict(self.rejects),
+        )
+
+    def restore(self, state: CountersState) -> None:
+        """Count on from `state`."""
+        self.bytes_total, self.bytes_skipped = state.bytes_total, state.bytes_skipped
+        self.frames, self.records = state.frames, state.records
+        self.messages, self.ignored = Counter(state.messages), Counter(state.ignored)
+        self.warnings, self.rejects = Counter(state.warnings), Counter(state.rejects)
 
     def heard(self, name: str, size: int, *, whole: bool = True) -> None:
         """Count a piece of `size` bytes that is one frame of that name, or none."""
@@ -83,12 +125,44 @@ class Decoder(Protocol):
     def restart(self) -> None:
         """Forget what is half received: the link was interrupted."""
 
+    def state(self) -> Any:  # noqa: ANN401 each format has its own
+        """Everything that `restore` needs to continue exactly, as a named tuple."""
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401 as read from a checkpoint
+        """Continue as the decoder of which `state` was taken; the arguments must be the same.
+
+        Args:
+            state: of a decoder of the same format; as plain lists where it was stored.
+
+        Raises:
+            msgspec.ValidationError: it is no such state.
+        """
+
 
 ReadLine = Callable[[bytes, int | None, DecoderCounters], Odometry | Reject | None]
 """Reads a line without its end, given its arrival. Counts the frame as heard if its check holds.
 
 None: whole, and of no use.
 """
+
+
+@runtime_checkable
+class RememberingReader(Protocol):
+    """A `ReadLine` that remembers something between lines."""
+
+    def state(self) -> Any:  # noqa: ANN401 each format has its own
+        """As `Decoder.state`."""
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401
+        """As `Decoder.restore`."""
+
+
+class _LineState(NamedTuple):
+    counters: CountersState
+    rest: bytes
+    skipping: bool
+    reader: Any
+
 
 _LINE_END = re.compile(rb"[\r\n]+")
 
@@ -131,6 +205,20 @@ class LineDecoder:
         """Forget what is half received."""
         self.counters.bytes_skipped += len(self._rest)
         self._rest, self._skipping = b"", False
+
+    def state(self) -> _LineState:
+        """As `Decoder.state`."""
+        reader = self._read.state() if isinstance(self._read, RememberingReader) else None
+        return _LineState(self.counters.state(), self._rest, self._skipping, reader)
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401 as read from a checkpoint
+        """As `Decoder.restore`."""
+        counters, self._rest, self._skipping, reader = msgspec.convert(
+            state, _LineState, strict=False
+        )
+        self.counters.restore(counters)
+        if isinstance(self._read, RememberingReader):
+            self._read.restore(reader)
 
     def _line(self, line: bytes, arrival_ns: int | None) -> Iterator[Odometry | Reject]:
         if self._skipping or len(line) > self._max_line_bytes:

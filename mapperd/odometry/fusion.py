@@ -8,7 +8,7 @@ comes, the way by velocity and attitude is carried on from the last one.
 import math
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +22,10 @@ from mapperd.config.odometry import (
 )
 from mapperd.errors import Reject
 from mapperd.geometry.frames import Pose, quaternion_to_matrix
-from mapperd.odometry.clock import OdometryClock
-from mapperd.odometry.gate import ConfidenceGate, bad_record
-from mapperd.odometry.intake import Intake
-from mapperd.odometry.levelling import Levelling, levelled
+from mapperd.odometry.clock import OdometryClock, OdometryClockState
+from mapperd.odometry.gate import ConfidenceGate, GateState, bad_record
+from mapperd.odometry.intake import Intake, IntakeState
+from mapperd.odometry.levelling import Levelling, LevellingState, levelled
 from mapperd.odometry.records import Odometry
 from mapperd.odometry.series import Reach, enclosing, is_settled, stretch, value_at
 from mapperd.odometry.states import (
@@ -40,7 +40,7 @@ from mapperd.odometry.states import (
 if TYPE_CHECKING:
     from mapperd.odometry.series import Sample
 
-__all__ = ["FusedPose", "Fusion"]
+__all__ = ["FusedPose", "Fusion", "FusionState"]
 
 Floats = NDArray[np.float64]
 
@@ -74,6 +74,23 @@ class _Placed:
     value: Position
     segment: int
     reckoned_s: float = 0.0
+
+
+class FusionState(NamedTuple):
+    """State of a `Fusion`.
+
+    Attributes:
+        clocks: source, sender and clock of each stream of stamps, and its state.
+        gate, level, intake: of its parts.
+        received, rejects: its attributes.
+    """
+
+    clocks: list[tuple[tuple[str, str, str], OdometryClockState]]
+    gate: GateState
+    level: LevellingState
+    intake: IntakeState
+    received: dict[str, int]
+    rejects: dict[str, dict[str, int]]
 
 
 class Fusion:
@@ -132,6 +149,28 @@ class Fusion:
             clock.max_age_ns = self._max_age_ns
         self._gate.settings = quality
         self._in.reconfigure(settings, self._reach.max_gap_ns)
+
+    def state(self) -> FusionState:
+        """Everything that `restore` needs to continue exactly."""
+        return FusionState(
+            [(key, clock.state()) for key, clock in self._clocks.items()],
+            self._gate.state(),
+            self._level.state(),
+            self._in.state(),
+            dict(self.received),
+            {source: dict(counts) for source, counts in self.rejects.items()},
+        )
+
+    def restore(self, state: FusionState) -> None:
+        """Continue as the fusion of which `state` was taken, with the same settings."""
+        for key, clock in state.clocks:
+            self._clocks[key] = self._clock(key[0])
+            self._clocks[key].restore(clock)
+        self._gate.restore(state.gate)
+        self._level.restore(state.level)
+        self._in.restore(state.intake)
+        self.received = Counter(state.received)
+        self.rejects = {source: Counter(counts) for source, counts in state.rejects.items()}
 
     def take(self, source: str, odometry: Odometry, arrival_ns: int | None) -> Reject | None:
         """Take a record; None when anything of it was used, else why not (and it is counted).
@@ -204,8 +243,7 @@ class Fusion:
         key = (*who, odometry.clock)
         clock = self._clocks.get(key)
         if clock is None:
-            clock = OdometryClock(self._max_age_ns, self._latency_ns.get(source, 0))
-            self._clocks[key] = clock
+            clock = self._clocks[key] = self._clock(source)
         t_ns = clock.t_host_ns(odometry, arrival_ns)
         if isinstance(t_ns, Reject):
             return t_ns
@@ -297,6 +335,9 @@ class Fusion:
             placed.segment + attitude.segment + by_depth,
             placed.reckoned_s,
         )
+
+    def _clock(self, source: str) -> OdometryClock:
+        return OdometryClock(self._max_age_ns, self._latency_ns.get(source, 0))
 
     def _height_m(self, t_ns: int) -> float | Reject:
         height = value_at(self._in.depth.series, t_ns, self._reach, HEIGHT)

@@ -7,12 +7,22 @@ by a program that uses the library; one NaN of such a one would stay in the seri
 beside it could not be made.
 """
 
+from typing import NamedTuple
+
 from mapperd.config.odometry import SlamQualityConfig
 from mapperd.errors import Reject
 from mapperd.geometry.frames import UNIT_TOLERANCE
 from mapperd.odometry.records import Odometry, bad_numbers
 
-__all__ = ["ConfidenceGate", "bad_record"]
+__all__ = ["ConfidenceGate", "GateState", "bad_record"]
+
+
+class GateState(NamedTuple):
+    """State of a `ConfidenceGate`: the first record's time, and the last confidence with its."""
+
+    first_ns: int | None
+    last: tuple[int, float] | None
+    unchecked: int
 
 
 class ConfidenceGate:
@@ -31,6 +41,14 @@ class ConfidenceGate:
         self._last: tuple[int, float] | None = None
         self.unchecked = 0
         """Pings that passed without a fresh confidence."""
+
+    def state(self) -> GateState:
+        """Everything that `restore` needs to continue exactly."""
+        return GateState(self._first_ns, self._last, self.unchecked)
+
+    def restore(self, state: GateState) -> None:
+        """Continue as the gate of which `state` was taken."""
+        self._first_ns, self._last, self.unchecked = state
 
     @property
     def confidence(self) -> float | None:

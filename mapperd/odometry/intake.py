@@ -2,6 +2,7 @@
 
 import math
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from mapperd.config.odometry import OdometryFusionConfig
 from mapperd.errors import Reject
 from mapperd.geometry.frames import quaternion_to_matrix, rotation_from_rpy
 from mapperd.geometry.geodesy import Origin
-from mapperd.odometry.reckoning import DeadReckoning
+from mapperd.odometry.reckoning import DeadReckoning, DeadReckoningState
 from mapperd.odometry.records import UNKNOWN_VARIANCE, Odometry
 from mapperd.odometry.states import (
     Attitude,
@@ -20,11 +21,33 @@ from mapperd.odometry.states import (
     length,
     turn_between,
 )
-from mapperd.odometry.track import Anchor, Owner, Track, yaw_between
+from mapperd.odometry.track import Anchor, Owner, Track, TrackState, yaw_between
 
-__all__ = ["Intake"]
+__all__ = ["Intake", "IntakeState"]
 
 Floats = NDArray[np.float64]
+
+
+class IntakeState(NamedTuple):
+    """State of an `Intake`.
+
+    Attributes:
+        anchor: turn and shift (3,) from the source's world to the map.
+        rejoin: the position's world turned with the attitude's.
+        north_of: who says a heading, and whether north is its reference.
+        origin_rad: latitude and longitude of the map's zero.
+        position, attitude, depth, velocity, reckoning: of its parts.
+    """
+
+    anchor: tuple[float, Floats]
+    rejoin: bool
+    north_of: list[tuple[Owner, bool]]
+    origin_rad: tuple[float, float] | None
+    position: TrackState
+    attitude: TrackState
+    depth: TrackState
+    velocity: TrackState
+    reckoning: DeadReckoningState
 
 
 class Intake:
@@ -59,6 +82,32 @@ class Intake:
         self._settings = settings
         self.reckoning.max_gap_ns = max_gap_ns
         self.reckoning.noise = settings.dead_reckoning.noise
+
+    def state(self) -> IntakeState:
+        """Everything that `restore` needs to continue exactly."""
+        origin = self._origin
+        return IntakeState(
+            (self._anchor.yaw_rad, self._anchor.shift_m),
+            self._rejoin,
+            list(self._north_of.items()),
+            None if origin is None else (origin.latitude_rad, origin.longitude_rad),
+            self.position.state(),
+            self.attitude.state(),
+            self.depth.state(),
+            self.velocity.state(),
+            self.reckoning.state(),
+        )
+
+    def restore(self, state: IntakeState) -> None:
+        """Continue as the one of which `state` was taken, with the same settings."""
+        self._anchor, self._rejoin = Anchor(*state.anchor), state.rejoin
+        self._north_of = dict(state.north_of)
+        self._origin = None if state.origin_rad is None else Origin(*state.origin_rad)
+        self.position.restore(state.position, Position)
+        self.attitude.restore(state.attitude, Attitude)
+        self.depth.restore(state.depth, np.asarray)
+        self.velocity.restore(state.velocity, np.asarray)
+        self.reckoning.restore(state.reckoning)
 
     def take(self, who: Owner, odometry: Odometry, t_ns: int) -> Reject | None:
         """Let the record's quantities in; None when any was used, else why none was."""

@@ -6,7 +6,7 @@ at any tilt, and leaves the heading of level vehicles alone.
 """
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from mapperd.config.odometry import WorldInitConfig
 from mapperd.errors import Reject
 from mapperd.geometry.frames import quaternion_product, quaternion_to_matrix
 
-__all__ = ["Levelling"]
+__all__ = ["Levelling", "LevellingState"]
 
 Floats = NDArray[np.float64]
 
@@ -23,6 +23,14 @@ GRAVITY_MPS2 = (9.0, 10.6)
 """What standing still feels like, with some margin for an accelerometer's own errors."""
 
 OPPOSITE = 1e-9
+
+
+class LevellingState(NamedTuple):
+    """State of a `Levelling`: the forces (3,) so far, and its attributes."""
+
+    forces: list[Floats]
+    level_q_odometry: Floats | None
+    refused: int
 
 
 class Levelling:
@@ -38,6 +46,15 @@ class Levelling:
         self._forces: list[Floats] = []
         self.level_q_odometry: Floats | None = None
         self.refused = 0
+
+    def state(self) -> LevellingState:
+        """Everything that `restore` needs to continue exactly."""
+        return LevellingState(list(self._forces), self.level_q_odometry, self.refused)
+
+    def restore(self, state: LevellingState) -> None:
+        """Continue as the one of which `state` was taken."""
+        self._forces = list(state.forces)
+        self.level_q_odometry, self.refused = state.level_q_odometry, state.refused
 
     @property
     def pending(self) -> Reject | None:

@@ -8,14 +8,15 @@ wrong length made us wait for: 280 bytes at most, none of a datagram.
 """
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
+import msgspec
 from pymavlink.dialects.v20 import common
 
 from mapperd.config.odometry import FormatSettings
 from mapperd.errors import Reject
-from mapperd.odometry.clock import Precedence
-from mapperd.odometry.decoder import DecoderCounters
+from mapperd.odometry.clock import Leaders, Precedence
+from mapperd.odometry.decoder import CountersState, DecoderCounters
 from mapperd.odometry.mavlink_messages import ORDER, READERS
 from mapperd.odometry.records import Clock, Odometry
 
@@ -50,6 +51,14 @@ class MavlinkFrames:
         """Forget what is half received."""
         self.skipped += len(self._buffer)
         self._buffer.clear()
+
+    def state(self) -> tuple[int, bytes, bool]:
+        """Bytes skipped, bytes of a frame that is not complete, and whether frames follow on."""
+        return self.skipped, bytes(self._buffer), self._in_sync
+
+    def restore(self, skipped: int, buffer: bytes, *, in_sync: bool) -> None:
+        """Continue as the one of which `state` was taken."""
+        self.skipped, self._buffer, self._in_sync = skipped, bytearray(buffer), in_sync
 
     def feed(self, data: bytes) -> Iterator[Any]:
         """Messages, and one Reject for each time that bytes belonged to none."""
@@ -146,6 +155,14 @@ class BootClock:
         self._wraps = 0
         self._last_ms: int | None = None
 
+    def state(self) -> tuple[int, int, int | None]:
+        """Reboots, wraps, and the last number."""
+        return self.reboots, self._wraps, self._last_ms
+
+    def restore(self, reboots: int, wraps: int, last_ms: int | None) -> None:
+        """Continue as the clock of which `state` was taken."""
+        self.reboots, self._wraps, self._last_ms = reboots, wraps, last_ms
+
     def stamp_ns(self, boot_ms: int) -> int:
         """Nanoseconds since boot."""
         last_ms = boot_ms if self._last_ms is None else self._last_ms
@@ -168,6 +185,14 @@ def stamp_of_us(time_us: int) -> tuple[int, Clock]:
 
 RESETS = 256
 """The estimator's own counter has 8 bits; each reboot counts as a step above them."""
+
+
+class _MavlinkState(NamedTuple):
+    counters: CountersState
+    frames: tuple[int, bytes, bool]
+    leaders: Leaders
+    boot: tuple[int, int, int | None]
+    resets: int
 
 
 class MavlinkDecoder:
@@ -198,6 +223,26 @@ class MavlinkDecoder:
         """Forget what is half received."""
         self._frames.restart()
         self.counters.bytes_skipped = self._frames.skipped
+
+    def state(self) -> _MavlinkState:
+        """As `Decoder.state`."""
+        return _MavlinkState(
+            self.counters.state(),
+            self._frames.state(),
+            self._precedence.state(),
+            self._boot.state(),
+            self._resets,
+        )
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401 as read from a checkpoint
+        """As `Decoder.restore`."""
+        known = msgspec.convert(state, _MavlinkState, strict=False)
+        self.counters.restore(known.counters)
+        skipped, buffer, in_sync = known.frames
+        self._frames.restore(skipped, buffer, in_sync=in_sync)
+        self._precedence.restore(known.leaders)
+        self._boot.restore(*known.boot)
+        self._resets = known.resets
 
     def _read(self, message: Any, arrival_ns: int | None) -> Odometry | Reject | None:  # noqa: ANN401
         name = message.get_type()

@@ -28,7 +28,7 @@ Networking 7(2), 1999.
 
 import zlib
 from collections.abc import Iterator
-from typing import Annotated
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from mapperd.errors import Reject
 from mapperd.geometry.frames import BODY_TO_FLU, WORLD_TO_ENU, Body, World
-from mapperd.odometry.decoder import DecoderCounters
+from mapperd.odometry.decoder import CountersState, DecoderCounters
 from mapperd.odometry.records import (
     MAX_COVARIANCE,
     MAX_DISTANCE_M,
@@ -204,6 +204,14 @@ class NativeDecoder:
     def restart(self) -> None:
         """Nothing is half received: each datagram is whole."""
 
+    def state(self) -> CountersState:
+        """As `Decoder.state`."""
+        return self.counters.state()
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401 as read from a checkpoint
+        """As `Decoder.restore`."""
+        self.counters.restore(msgspec.convert(state, CountersState, strict=False))
+
 
 MAX_LINE_BYTES = 4096
 """A full record takes about 1500 bytes."""
@@ -285,6 +293,12 @@ def encode_native_serial(record: NativeRecord) -> bytes:
     return cobs_encoded(data + zlib.crc32(data).to_bytes(CRC_BYTES, "little")) + b"\0"
 
 
+class _SerialState(NamedTuple):
+    counters: CountersState
+    rest: bytes
+    skipping: bool
+
+
 class NativeSerialDecoder:
     """Frames between zero bytes, however the stream was split.
 
@@ -317,6 +331,15 @@ class NativeSerialDecoder:
         """Forget what is half received."""
         self.counters.bytes_skipped += len(self._rest)
         self._rest, self._skipping = b"", False
+
+    def state(self) -> _SerialState:
+        """As `Decoder.state`."""
+        return _SerialState(self.counters.state(), self._rest, self._skipping)
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401 as read from a checkpoint
+        """As `Decoder.restore`."""
+        counters, self._rest, self._skipping = msgspec.convert(state, _SerialState, strict=False)
+        self.counters.restore(counters)
 
     def _record(self, frame: bytes) -> Odometry | Reject:
         data = cobs_decoded(frame)

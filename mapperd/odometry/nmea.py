@@ -8,8 +8,9 @@ starboard down, heading clockwise from true north.
 import math
 import re
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import msgspec
 import numpy as np
 import pynmea2
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from pynmea2.types.proprietary.rdi import RDID
 
 from mapperd.errors import Reject
 from mapperd.geometry.frames import compass_quaternion, compass_to_map
-from mapperd.odometry.clock import Precedence
+from mapperd.odometry.clock import Leaders, Precedence
 from mapperd.odometry.decoder import DecoderCounters
 from mapperd.odometry.records import MAX_SPEED_MPS, Clock, GeoPoint, Odometry
 
@@ -41,6 +42,14 @@ class UtcDay:
     def __init__(self) -> None:
         self._midnight_ns: int | None = None
         self._last_ns: int | None = None
+
+    def state(self) -> tuple[int | None, int | None]:
+        """Midnight of the last date, and the last stamp."""
+        return self._midnight_ns, self._last_ns
+
+    def restore(self, midnight_ns: int | None, last_ns: int | None) -> None:
+        """Continue as the one of which `state` was taken."""
+        self._midnight_ns, self._last_ns = midnight_ns, last_ns
 
     def learn(self, day: str, month: str, year: str) -> None:
         """Take a date in digits.
@@ -111,6 +120,12 @@ class _NoFixError(ValueError):
     """Whether the receiver reports no fix."""
 
 
+class _NmeaState(NamedTuple):
+    midnight_ns: int | None
+    last_ns: int | None
+    leaders: Leaders
+
+
 class NmeaReader:
     """Reads sentences of one link; remembers the date between them."""
 
@@ -125,6 +140,16 @@ class NmeaReader:
             "PRDID": _prdid,
             "PASHR": self._pashr,
         }
+
+    def state(self) -> _NmeaState:
+        """As `Decoder.state`."""
+        return _NmeaState(*self._day.state(), self._precedence.state())
+
+    def restore(self, state: Any) -> None:  # noqa: ANN401 as read from a checkpoint
+        """As `Decoder.restore`."""
+        midnight_ns, last_ns, leaders = msgspec.convert(state, _NmeaState, strict=False)
+        self._day.restore(midnight_ns, last_ns)
+        self._precedence.restore(leaders)
 
     def __call__(
         self, line: bytes, arrival_ns: int | None, counters: DecoderCounters

@@ -3,13 +3,14 @@
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mapperd.odometry.series import Sample, Series
+from mapperd.odometry.series import Sample, Series, SeriesState
 
-__all__ = ["DeadReckoning", "Way"]
+__all__ = ["DeadReckoning", "DeadReckoningState", "Way"]
 
 Floats = NDArray[np.float64]
 
@@ -30,6 +31,22 @@ class Way:
     way_m: Floats
     velocity_mps: Floats
     variance_m2: float
+
+
+class DeadReckoningState(NamedTuple):
+    """State of a `DeadReckoning`.
+
+    Attributes:
+        waiting: time, velocity, whether it is in map axes, and noise, of velocities that wait.
+        segment: of the newest way.
+        ways: what was summed up.
+        unattended: as of `DeadReckoning`.
+    """
+
+    waiting: list[tuple[int, Floats | None, bool, float | None]]
+    segment: int
+    ways: SeriesState
+    unattended: int
 
 
 class DeadReckoning:
@@ -68,6 +85,18 @@ class DeadReckoning:
             self._waiting.popleft()
             self.unattended += 1
         self._waiting.append((t_ns, velocity_mps, in_map, noise))
+
+    def state(self) -> DeadReckoningState:
+        """Everything that `restore` needs to continue exactly."""
+        return DeadReckoningState(
+            list(self._waiting), self._segment, self.ways.state(), self.unattended
+        )
+
+    def restore(self, state: DeadReckoningState) -> None:
+        """Continue as the one of which `state` was taken."""
+        self._waiting, self._segment = deque(state.waiting), state.segment
+        self.ways.restore(state.ways, Way)
+        self.unattended = state.unattended
 
     def restart(self) -> None:
         """Forget the way: time was set back."""

@@ -3,8 +3,11 @@
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Generic, TypeVar
+from dataclasses import dataclass, fields
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mapperd.config.odometry import TimeSyncConfig
 from mapperd.errors import Reject
@@ -15,6 +18,7 @@ __all__ = [
     "Reach",
     "Sample",
     "Series",
+    "SeriesState",
     "enclosing",
     "is_settled",
     "stretch",
@@ -43,6 +47,20 @@ class Sample(Generic[V]):
     segment: int
 
 
+class SeriesState(NamedTuple):
+    """State of a `Series` of n samples.
+
+    Attributes:
+        t_ns, segment: int64 (n,).
+        columns: values of each field of the samples' values, in their order: (n, ...) where all
+            are arrays of one shape or numbers, else a list of n.
+    """
+
+    t_ns: NDArray[np.int64]
+    segment: NDArray[np.int64]
+    columns: list[Any]
+
+
 class Series(Generic[V]):
     """Samples, oldest first.
 
@@ -60,6 +78,33 @@ class Series(Generic[V]):
     def newest(self) -> Sample[V] | None:
         """The newest sample, or None."""
         return self._samples[-1] if self._samples else None
+
+    def state(self) -> SeriesState:
+        """All samples; their values are arrays, or records of a few fields."""
+        samples = self._samples
+        return SeriesState(
+            np.array([one.t_ns for one in samples], dtype=np.int64),
+            np.array([one.segment for one in samples], dtype=np.int64),
+            [
+                _column(list(column))
+                for column in zip(*(_parts(one.value) for one in samples), strict=True)
+            ],
+        )
+
+    def restore(self, state: SeriesState, make: Callable[..., V]) -> None:
+        """Hold the samples of which `state` was taken.
+
+        Args:
+            state: of a series of the same values.
+            make: a value of its fields.
+        """
+        rows = zip(
+            state.t_ns.tolist(), state.segment.tolist(), *map(_values, state.columns), strict=True
+        )
+        self._samples = deque(
+            (Sample(t_ns, make(*parts), segment) for t_ns, segment, *parts in rows),
+            maxlen=self._samples.maxlen,
+        )
 
     def problem(self, t_ns: int) -> Reject | None:
         """Why a sample of that time could not be taken."""
@@ -98,6 +143,35 @@ class Series(Generic[V]):
         if samples[-1].t_ns <= t_ns:
             return len(samples)
         return bisect_right(samples, t_ns, key=lambda sample: sample.t_ns)
+
+
+def _parts(value: Any) -> list[Any]:  # noqa: ANN401 any record
+    if isinstance(value, np.ndarray):
+        return [value]
+    return [getattr(value, field.name) for field in fields(value)]
+
+
+def _column(values: list[Any]) -> Any:  # noqa: ANN401 an array or a list
+    """As one array, where the values are alike; products round by the order of an array."""
+    first = values[0]
+    if isinstance(first, np.ndarray):
+        alike = all(
+            isinstance(one, np.ndarray)
+            and (one.shape, one.dtype) == (first.shape, first.dtype)
+            and (one.flags.c_contiguous or not one.flags.f_contiguous)
+            for one in values
+        )
+        return np.stack(values) if alike else values
+    if all(isinstance(one, float) for one in values) or all(type(one) is bool for one in values):
+        return np.array(values)
+    return values
+
+
+def _values(column: Any) -> list[Any]:  # noqa: ANN401 an array or a list
+    """The rows of a column, each with memory of its own."""
+    if not isinstance(column, np.ndarray):
+        return list(column)
+    return column.tolist() if column.ndim == 1 else [row.copy() for row in column]
 
 
 STRETCH_NS = 100_000_000

@@ -4,16 +4,16 @@ import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mapperd.errors import Reject
 from mapperd.geometry.frames import quaternion_product
-from mapperd.odometry.series import Series
+from mapperd.odometry.series import Series, SeriesState
 
-__all__ = ["AUTO", "Anchor", "JumpWatch", "Owner", "Track", "yaw_between"]
+__all__ = ["AUTO", "Anchor", "JumpWatch", "Owner", "Track", "TrackState", "yaw_between"]
 
 V = TypeVar("V")
 
@@ -48,6 +48,14 @@ class JumpWatch(Generic[V]):
         self._suspect = (t_ns, value)
         return None
 
+    def state(self) -> "tuple[tuple[int, V] | None, tuple[int, V] | None]":
+        """The last value and the suspected one, each with its time."""
+        return self._last, self._suspect
+
+    def restore(self, last: tuple[int, V] | None, suspect: tuple[int, V] | None) -> None:
+        """Continue as the one of which `state` was taken."""
+        self._last, self._suspect = last, suspect
+
     def moved(self, t_ns: int, value: V) -> None:
         """Take a jump that is known to be one."""
         self._last, self._suspect = (t_ns, value), None
@@ -70,6 +78,29 @@ RESTART_NS = 1_000_000_000
 RESTART_RECORDS = 10
 """So many records in a row, in order, and all so much before the newest one: the host's clock was
 set back, or a stamp far ahead was believed. Without this nothing would be taken any more."""
+
+
+class TrackState(NamedTuple):
+    """State of a `Track`.
+
+    Attributes:
+        series, segment, owner, taken, rejects: its attributes.
+        reset_count: of the last value; None before one.
+        taken_over: another sender has just become the owner.
+        behind: records in a row before the newest value, and the time of the last of them.
+        last, suspect: time and value by which jumps are judged.
+    """
+
+    series: SeriesState
+    segment: int
+    owner: Owner | None
+    taken: int
+    rejects: dict[str, int]
+    reset_count: int | None
+    taken_over: bool
+    behind: tuple[int, int]
+    last: tuple[int, Floats] | None
+    suspect: tuple[int, Floats] | None
 
 
 class Track(Generic[V]):
@@ -100,6 +131,30 @@ class Track(Generic[V]):
         self.owner: Owner | None = None
         self.taken = 0
         self.rejects: Counter[str] = Counter()
+
+    def state(self) -> TrackState:
+        """Everything that `restore` needs to continue exactly."""
+        return TrackState(
+            self.series.state(),
+            self.segment,
+            self.owner,
+            self.taken,
+            dict(self.rejects),
+            self._reset_count,
+            self._taken_over,
+            self._behind,
+            *((None, None) if self._watch is None else self._watch.state()),
+        )
+
+    def restore(self, state: TrackState, make: Callable[..., V]) -> None:
+        """Continue as the track of which `state` was taken; `make` as of `Series.restore`."""
+        self.series.restore(state.series, make)
+        self.segment, self.owner, self.taken = state.segment, state.owner, state.taken
+        self.rejects = Counter(state.rejects)
+        self._reset_count, self._taken_over = state.reset_count, state.taken_over
+        self._behind = state.behind
+        if self._watch is not None:
+            self._watch.restore(state.last, state.suspect)
 
     def owned_by(self, who: Owner, t_ns: int) -> bool:
         """Return whether a source may provide this quantity; the first that may owns it.

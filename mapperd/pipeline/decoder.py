@@ -6,7 +6,8 @@ was mapped live and what its recording gives are equal by construction.
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from typing import NamedTuple
 
 from mapperd.config.changes import with_values
 from mapperd.config.tree import Config
@@ -14,7 +15,7 @@ from mapperd.errors import Reject
 from mapperd.odometry.bridge import ENCODING_PREFIX
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.counters import PipelineCounters
-from mapperd.pipeline.pose_lookup import PoseLookup, ping_time_ns
+from mapperd.pipeline.pose_lookup import PoseLookup, PoseLookupState, ping_time_ns
 from mapperd.session_log import (
     DECISIONS,
     Gap,
@@ -25,13 +26,21 @@ from mapperd.session_log import (
     decision_of,
     is_remark,
 )
-from oculus_driver.clock import SonarClock
+from oculus_driver.clock import SonarClock, SonarClockState
 from oculus_driver.ping import Ping, PingSequence, decode_ping
 from oculus_driver.recording import OCULUS, Chunk
-from oculus_driver.stream import Message, StreamParser
+from oculus_driver.stream import Message, StreamParser, StreamParserState
 from oculus_driver.wire import MessageId
 
-__all__ = ["Arrival", "NewSettings", "PingStream", "PosedPing", "SessionDecoder", "Work"]
+__all__ = [
+    "Arrival",
+    "NewSettings",
+    "PingStream",
+    "PosedPing",
+    "SessionDecoder",
+    "SessionDecoderState",
+    "Work",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +54,24 @@ class Arrival:
 
     t_ns: int | None
     ping: Ping | Reject
+
+
+class PingStreamState(NamedTuple):
+    """State of a `PingStream`.
+
+    Attributes:
+        parsers: link to the state of its parser.
+        sequence: of the ping numbers.
+        owner: link whose pings are mapped; None before the first ping.
+        unnumbered: messages since the last ping that gave none.
+        not_lost: numbers that are missing because of those.
+    """
+
+    parsers: dict[str, StreamParserState]
+    sequence: tuple[int, int, int, int | None]
+    owner: str | None
+    unnumbered: int
+    not_lost: int
 
 
 class PingStream:
@@ -76,6 +103,25 @@ class PingStream:
         """
         parser = self._parsers.setdefault(link, StreamParser(confirm=self._confirm))
         yield from self._arrivals(link, parser.feed(data, arrival_ns, gap_before=gap_before))
+
+    def state(self) -> PingStreamState:
+        """Everything that `restore` needs to continue exactly."""
+        return PingStreamState(
+            {link: parser.state() for link, parser in self._parsers.items()},
+            self._sequence.state(),
+            self._owner,
+            self._unnumbered,
+            self._not_lost,
+        )
+
+    def restore(self, state: PingStreamState) -> None:
+        """Continue as the one of which `state` was taken; the arguments must be the same."""
+        for link, parser in state.parsers.items():
+            self._parsers[link] = StreamParser(confirm=self._confirm)
+            self._parsers[link].restore(parser)
+        self._sequence.restore(state.sequence)
+        self._owner, self._unnumbered = state.owner, state.unnumbered
+        self._not_lost = state.not_lost
 
     def finish(self) -> Iterator[Arrival]:
         """Settle what is pending at the end of all links."""
@@ -156,6 +202,29 @@ class _Ticket:
     t_ns: int | None
 
 
+class SessionDecoderState(NamedTuple):
+    """State of a `SessionDecoder`, without settings and counters.
+
+    Attributes:
+        pings, bytes_taken, orders_taken: its attributes.
+        clocks: source id to the state of that sonar's clock.
+        poses, stream: of its parts.
+        tickets: number, time of the last byte and time of each ping that waits for its pose.
+        whole: pings that were complete so far.
+        gaps: links of which bytes are missing before the next ones.
+    """
+
+    pings: int
+    bytes_taken: int
+    orders_taken: int
+    clocks: dict[int, SonarClockState]
+    poses: PoseLookupState
+    stream: PingStreamState
+    tickets: list[tuple[int, int | None, int | None]]
+    whole: int
+    gaps: list[str]
+
+
 class SessionDecoder:
     """Parses, fuses and pairs one session.
 
@@ -206,6 +275,35 @@ class SessionDecoder:
     def waiting(self) -> int:
         """Pings that wait for their poses."""
         return len(self._tickets)
+
+    def state(self) -> SessionDecoderState:
+        """Everything that `restore` needs to continue exactly; between two chunks."""
+        return SessionDecoderState(
+            self.pings,
+            self.bytes_taken,
+            self.orders_taken,
+            {source_id: clock.state() for source_id, clock in self.clocks.items()},
+            self.poses.state(),
+            self._stream.state(),
+            [astuple(ticket) for ticket in self._tickets],
+            self._whole,
+            sorted(self._gaps),
+        )
+
+    def restore(self, state: SessionDecoderState) -> None:
+        """Continue as the decoder of which `state` was taken, with the settings then in force.
+
+        Raises:
+            ValueError: the state does not belong to these settings.
+        """
+        self.pings = state.pings
+        self.bytes_taken, self.orders_taken = state.bytes_taken, state.orders_taken
+        for source_id, clock in state.clocks.items():
+            self._clock_of(source_id).restore(clock)
+        self.poses.restore(state.poses)
+        self._stream.restore(state.stream)
+        self._tickets = deque(_Ticket(*ticket) for ticket in state.tickets)
+        self._whole, self._gaps = state.whole, set(state.gaps)
 
     def feed(self, chunk: Chunk, *, late: bool = False) -> list[Work]:
         """Take the next chunk; returns what is to be done because of it, in order.
@@ -310,10 +408,13 @@ class SessionDecoder:
         """By the sonar's own clock, where it has one."""
         if isinstance(ping, Reject):
             return None
-        if ping.source_id not in self.clocks:
+        return ping_time_ns(ping, self._clock_of(ping.source_id))
+
+    def _clock_of(self, source_id: int) -> SonarClock:
+        if source_id not in self.clocks:
             latency_ns = round(self.config.device.latency_sec * 1e9)
-            self.clocks[ping.source_id] = SonarClock(latency_ns=latency_ns)
-        return ping_time_ns(ping, self.clocks[ping.source_id])
+            self.clocks[source_id] = SonarClock(latency_ns=latency_ns)
+        return self.clocks[source_id]
 
     def _settled(self, now_ns: int | None, *, final: bool = False) -> list[Work]:
         work: list[Work] = []

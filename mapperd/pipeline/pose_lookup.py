@@ -2,14 +2,16 @@
 
 from collections import deque
 from collections.abc import Iterator
-from typing import Protocol
+from dataclasses import fields
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mapperd.config.tree import Config, TimeSyncConfig
 from mapperd.errors import Reject
 from mapperd.geometry.frames import Pose
-from mapperd.odometry.bridge import OdometryBridge
+from mapperd.odometry.bridge import BridgeState, OdometryBridge
 from mapperd.odometry.fusion import FusedPose
 from oculus_driver.clock import SonarClock
 from oculus_driver.ping import Ping
@@ -19,9 +21,12 @@ __all__ = [
     "FixedPose",
     "OdometryPoses",
     "PoseLookup",
+    "PoseLookupState",
     "origin_of",
     "ping_time_ns",
 ]
+
+Floats = NDArray[np.float64]
 
 ODOMETRY_FOLLOWS = (
     "time_sync",
@@ -36,6 +41,22 @@ ODOMETRY_FOLLOWS = (
 
 MAX_WAITING_BYTES = 128 * 1024 * 1024
 """Images that may wait; beyond, the oldest ping is settled with what is known."""
+
+
+class PoseLookupState(NamedTuple):
+    """State of a `PoseLookup`.
+
+    Attributes:
+        pings: values of the fields of each ping that waits, and its time.
+        odometry: of the bridge; None where the vehicle stands still.
+        fixed: position (3,) and orientation (4,) of a vehicle that stands still.
+        ignored: pieces of odometry that it ignored.
+    """
+
+    pings: list[tuple[list[Any], int | None]]
+    odometry: BridgeState | None = None
+    fixed: tuple[Floats, Floats] | None = None
+    ignored: int = 0
 
 
 class PoseLookup(Protocol):
@@ -84,6 +105,25 @@ class PoseLookup(Protocol):
             now_ns: the clock of the arrivals: now, or the stamp of a recording's newest chunk.
             final: nothing more will come.
         """
+
+    def state(self) -> PoseLookupState:
+        """Everything that `restore` needs to continue exactly."""
+
+    def restore(self, state: PoseLookupState) -> None:
+        """Continue as the one of which `state` was taken, with the same settings.
+
+        Raises:
+            ValueError: it is the state of another kind, or cannot be read here.
+        """
+
+
+def _fields_of(ping: Ping) -> list[Any]:
+    return [getattr(ping, field.name) for field in fields(Ping)]
+
+
+def _ping_of(values: list[Any]) -> Ping:
+    named = {field.name: value for field, value in zip(fields(Ping), values, strict=True)}
+    return Ping(**named | {"warnings": frozenset(named["warnings"])})
 
 
 def origin_of(config: Config, poses: PoseLookup) -> tuple[float, float] | None:
@@ -145,6 +185,23 @@ class FixedPose:
         while self._pings:
             yield self._pings.popleft(), self._pose
 
+    def state(self) -> PoseLookupState:
+        """As `PoseLookup.state`."""
+        pings: list[tuple[list[Any], int | None]] = [
+            (_fields_of(ping), None) for ping in self._pings
+        ]
+        fixed = (self.pose.position_m, self.pose.map_q_base)
+        return PoseLookupState(pings, fixed=fixed, ignored=self.ignored)
+
+    def restore(self, state: PoseLookupState) -> None:
+        """As `PoseLookup.restore`."""
+        if state.fixed is None:
+            raise ValueError("a fixed pose was expected")
+        self.pose = Pose(*state.fixed)
+        self._pose = FusedPose(self.pose, None, None, np.zeros((6, 6)), 0, 0.0)
+        self._pings = deque(_ping_of(values) for values, _ in state.pings)
+        self.ignored = state.ignored
+
 
 class OdometryPoses:
     """Poses from the vehicle's odometry.
@@ -202,6 +259,19 @@ class OdometryPoses:
             ping, t_ns = self._pings.popleft()
             self._waiting_bytes -= ping.image.nbytes
             yield ping, self._pose_at(t_ns)
+
+    def state(self) -> PoseLookupState:
+        """As `PoseLookup.state`."""
+        pings = [(_fields_of(ping), t_ns) for ping, t_ns in self._pings]
+        return PoseLookupState(pings, odometry=self.odometry.state())
+
+    def restore(self, state: PoseLookupState) -> None:
+        """As `PoseLookup.restore`."""
+        if state.odometry is None:
+            raise ValueError("odometry was expected")
+        self.odometry.restore(state.odometry)
+        self._pings = deque((_ping_of(values), t_ns) for values, t_ns in state.pings)
+        self._waiting_bytes = sum(ping.image.nbytes for ping, _ in self._pings)
 
     def _is_ripe(self, t_ns: int | None, now_ns: int | None) -> bool:
         if t_ns is None or self._waiting_bytes > MAX_WAITING_BYTES:

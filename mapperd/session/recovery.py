@@ -8,8 +8,8 @@ import time
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+import msgspec
 import numpy as np
 
 from mapperd.config.loader import config_of
@@ -21,20 +21,20 @@ from mapperd.localization.session import (
     begun_again,
     poses_depend_on,
     restored_session,
+    saved_state,
 )
 from mapperd.localization.stage import LocalizationStage
 from mapperd.mapping.sonar_map import SonarMap
-from mapperd.odometry.bridge import OdometryBridge
 from mapperd.pipeline.counters import PipelineCounters
-from mapperd.pipeline.decoder import SessionDecoder, Work
+from mapperd.pipeline.decoder import SessionDecoder, SessionDecoderState, Work
 from mapperd.pipeline.executor import PingExecutor
 from mapperd.pipeline.persistence import MemoryPersistence
 from mapperd.pipeline.pose_lookup import FixedPose, OdometryPoses
 from mapperd.pipeline.step import StepRunner
 from mapperd.session.recordings import RecordedSession, Tail, files_in, files_of
 from mapperd.session.store_session import SqlitePersistence
-from mapperd.session_log import SESSION, Remarks, remarks_in, without_skipped
-from mapperd.store.checkpoint_reader import overlay
+from mapperd.session_log import SESSION, Remarks, Session, remarks_in, without_skipped
+from mapperd.store.checkpoint import decode_state, encode_state
 from mapperd.store.metadata import kind_of
 from mapperd.store.position import Position, RecordingOffset
 from mapperd.store.tile_store import TileStore
@@ -65,12 +65,15 @@ class Recovered:
         pings: that were mapped now.
         seconds: that it took.
         problem: why the rest of it is not in the map; None when it is.
+        from_start: why the estimators were computed again from the recording's start; empty where
+            they came from the checkpoint.
     """
 
     session: str
     pings: int
     seconds: float
     problem: str | None = None
+    from_start: str = ""
 
 
 def restored(position: Position, counters: PipelineCounters) -> SessionDecoder:
@@ -85,16 +88,61 @@ def restored(position: Position, counters: PipelineCounters) -> SessionDecoder:
         raise CheckpointError(str(error)) from error
     poses = FixedPose(NOWHERE) if position.fixed else OdometryPoses(config)
     engine = SessionDecoder(config, poses, counters, confirm=False, obey=True)
-    overlay(position.checkpoint, engine, prepare={OdometryBridge: _prepare})
+    state = decode_state(position.checkpoint, SessionDecoderState)
+    try:
+        engine.restore(state)
+    except (ValueError, TypeError, KeyError) as error:
+        raise CheckpointError(f"the checkpoint cannot be read: {error}") from error
     return engine
+
+
+def _fresh(
+    config: Config, beginning: Session, counters: PipelineCounters
+) -> tuple[SessionDecoder, LocalizationSession | None]:
+    """The estimators as a session begins.
+
+    Raises:
+        ConfigError: the known map cannot be used, or is another one by now.
+    """
+    pose = beginning.pose
+    poses = OdometryPoses(config) if pose is None else FixedPose(_pose(pose))
+    engine = SessionDecoder(config, poses, counters, confirm=False, obey=True)
+    return engine, poses_depend_on(begun_again(config, beginning))
+
+
+def _at_start(position: Position, files: dict[int, Path]) -> Position:
+    """The same position, with a checkpoint at the recording's start instead of the one it has.
+
+    The estimators make all pieces of work again from there; those that are in the map are left out.
+
+    Raises:
+        CheckpointError: the recording's start is missing.
+        ConfigError: its settings or its known map cannot be used.
+    """
+    recorded = RecordedSession(list(files.values()), position.session) if files else None
+    beginning = None if recorded is None else recorded.beginning()
+    if beginning is None:
+        raise CheckpointError("the start of its recordings is missing")
+    config = config_of(beginning.settings, "the recording")
+    engine, localizing = _fresh(config, beginning, PipelineCounters())
+    at_start = msgspec.structs.replace(
+        position,
+        place=RecordingOffset(),
+        config=beginning.settings,
+        fixed=beginning.pose is not None,
+        checkpoint=encode_state(engine.state()),
+        localization=b"" if localizing is None else saved_state(localizing),
+    )
+    tail, done = Tail(files, RecordingOffset()), position.done
+    for chunk in without_skipped(tail):
+        if tail.place > position.place:
+            break
+        done += len(engine.feed(chunk))
+    return msgspec.structs.replace(at_start, done=done)
 
 
 def _restored_localizing(position: Position, config: Config) -> LocalizationSession | None:
     return restored_session(config, position.localization) if position.localization else None
-
-
-def _prepare(bridge: OdometryBridge, saved: dict[str, Any]) -> None:
-    bridge.prepare(saved["_encodings"])
 
 
 def recover(
@@ -120,10 +168,16 @@ def recover(
     began_s = time.monotonic()
     files = files_of(folder, position.session)
     counters = PipelineCounters()
+    from_start = ""
     try:
-        engine = restored(position, counters)
+        try:
+            engine = restored(position, counters)
+            localizing = _restored_localizing(position, engine.config)
+        except CheckpointError as error:
+            from_start, position = str(error), _at_start(position, files)
+            engine = restored(position, counters)
+            localizing = _restored_localizing(position, engine.config)
         sonar_map.reconfigure(engine.config)
-        localizing = _restored_localizing(position, engine.config)
     except (CheckpointError, ConfigError) as error:
         return Recovered(position.session, 0, 0.0, str(error))
     if not any(number >= position.place.file for number in files):
@@ -137,7 +191,7 @@ def recover(
     except CheckpointError as error:  # the vehicle was then localized on a map that is gone
         problem = str(error)
     seconds = time.monotonic() - began_s
-    return Recovered(position.session, counters.pings_mapped, seconds, problem)
+    return Recovered(position.session, counters.pings_mapped, seconds, problem, from_start)
 
 
 @dataclass(frozen=True, slots=True)

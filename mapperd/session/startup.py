@@ -220,6 +220,8 @@ class _Startup:
         session, pings = recovered.session, recovered.pings
         if recovered.problem is None:
             text = f"session {session} was cut short: its last {pings} pings are mapped now"
+            if recovered.from_start:
+                text += f", read from the recording's start because {recovered.from_start}"
             self._events.add(Severity.NOTICE, "recovered", text, session=session, pings=pings)
         else:
             text = f"the end of session {session} is not in the map: {recovered.problem}"

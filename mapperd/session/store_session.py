@@ -21,7 +21,7 @@ from mapperd.mapping.sonar_map import SonarMap
 from mapperd.pipeline.decoder import SessionDecoder, Work
 from mapperd.pipeline.pose_lookup import FixedPose, origin_of
 from mapperd.pipeline.watchdog import Worker
-from mapperd.store.checkpoint_writer import written
+from mapperd.store.checkpoint import encode_state
 from mapperd.store.position import Position, RecordingOffset, RecordingOffsets
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
@@ -260,7 +260,7 @@ class SqlitePersistence:
             works,
             msgspec.to_builtins(engine.config),
             isinstance(engine.poses, FixedPose),
-            written(engine),
+            encode_state(engine.state()),
         )
 
     def _settle(self) -> None:

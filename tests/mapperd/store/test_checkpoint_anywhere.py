@@ -1,28 +1,34 @@
 """Cut a dive anywhere: what was saved, and the rest, give what the whole dive gives, to the bit."""
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from mapperd.config.loader import config_from_text
 from mapperd.config.tree import Config
-from mapperd.odometry.bridge import ENCODING_PREFIX, OdometryBridge
+from mapperd.odometry.bridge import ENCODING_PREFIX
 from mapperd.odometry.fusion import FusedPose
 from mapperd.pipeline.counters import PipelineCounters
-from mapperd.pipeline.decoder import PingStream, SessionDecoder
-from mapperd.pipeline.pose_lookup import OdometryPoses, ping_time_ns
-from mapperd.store.checkpoint_reader import overlay
-from mapperd.store.checkpoint_writer import written
-from oculus_driver.clock import SonarClock
+from mapperd.pipeline.decoder import (
+    PingStream,
+    PingStreamState,
+    SessionDecoder,
+    SessionDecoderState,
+)
+from mapperd.pipeline.pose_lookup import OdometryPoses, PoseLookupState, ping_time_ns
+from mapperd.store.checkpoint import decode_state, encode_state
+from oculus_driver.clock import SonarClock, SonarClockState
 from oculus_driver.ping import Ping
 from oculus_driver.recording import Chunk
 from tests.mapperd.store.checkpoint_streams import FORMATS, chunks_of
 
-PREPARE: dict[type, Any] = {
-    OdometryBridge: lambda bridge, saved: bridge.prepare(saved["_encodings"])
-}
+
+class State(NamedTuple):
+    poses: PoseLookupState
+    stream: PingStreamState
+    clocks: dict[int, SonarClockState]
 
 
 class Estimators:
@@ -34,10 +40,16 @@ class Estimators:
         self.clocks: dict[int, SonarClock] = {}
 
     def save(self) -> bytes:
-        return written(self.poses, self.stream, self.clocks)
+        clocks = {source_id: clock.state() for source_id, clock in self.clocks.items()}
+        return encode_state(State(self.poses.state(), self.stream.state(), clocks))
 
     def restore(self, data: bytes) -> "Estimators":
-        overlay(data, self.poses, self.stream, self.clocks, prepare=PREPARE)
+        poses, stream, clocks = decode_state(data, State)
+        self.poses.restore(poses)
+        self.stream.restore(stream)
+        for source_id, clock in clocks.items():
+            self.clocks[source_id] = SonarClock()
+            self.clocks[source_id].restore(clock)
         return self
 
     def take(self, chunk: Chunk) -> list[Any]:
@@ -130,5 +142,5 @@ def test_the_whole_engine_with_the_sonars_clock_and_every_third_ping() -> None:
         cut = engine_of()
         before = [work for chunk in chunks[:at] for work in cut.feed(chunk)]
         again = engine_of()
-        overlay(written(cut), again, prepare=PREPARE)
+        again.restore(decode_state(encode_state(cut.state()), SessionDecoderState))
         assert works(again, chunks[at:]) == truth[len(before) :], at

@@ -1,8 +1,10 @@
 """What the daemon finds at its start: a session cut short, damage, another map, a full disk."""
 
+import itertools
 import sqlite3
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -31,7 +33,6 @@ from mapperd.session_log import (
     chunk_of,
     remarks_in,
 )
-from mapperd.store.checkpoint_writer import written
 from mapperd.store.position import Position, RecordingOffset, position_in
 from mapperd.store.reader import StoreReader
 from mapperd.store.tile_store import TileStore
@@ -192,9 +193,6 @@ def test_a_session_of_an_earlier_version_goes_on(tmp_path: Path, what: Any) -> N
     with closing(sqlite3.connect(tmp_path / "dive.map")) as file, file:
         ((data,),) = file.execute("SELECT position FROM progress").fetchall()
         position = aged(msgspec.msgpack.decode(data)) | {"error_bound": 0.5}
-        position["checkpoint"] = msgspec.msgpack.encode(
-            aged(msgspec.msgpack.decode(position["checkpoint"]))
-        )
         file.execute("UPDATE progress SET position = ?", (msgspec.msgpack.encode(position),))
     assert not content(config)[1].whole
     assert codes(opened(config)) == ["recovered"]
@@ -306,13 +304,49 @@ def test_a_map_of_other_settings_is_refused_and_untouched(tmp_path: Path) -> Non
     assert content(config) == before
 
 
-def test_a_checkpoint_of_another_program_is_said_and_the_map_stays(tmp_path: Path) -> None:
-    config = config_of(tmp_path)
-    record(config, 1, "a", range(30))
-    mapped(config, "a", chunks=60)
-    found, position = content(config)
-    bad = msgspec.structs.replace(position, checkpoint=written(1))
-    with closing(sqlite3.connect(tmp_path / "dive.map")) as file, file:
+def take_checkpoints_often(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a second pass with each look at the clock."""
+    seconds = itertools.count(0.0)
+    clock = SimpleNamespace(monotonic=lambda: next(seconds))
+    monkeypatch.setattr("mapperd.session.store_session.time", clock)
+
+
+def spoil_checkpoint(config: Config, folder: Path) -> None:
+    """Replace the checkpoint by one of an earlier format."""
+    _, position = content(config)
+    assert position.place > RecordingOffset()
+    earlier = msgspec.msgpack.encode([1, [["o", "mapperd.engine:Engine", []]]])
+    bad = msgspec.structs.replace(position, checkpoint=earlier)
+    with closing(sqlite3.connect(folder / "dive.map")) as file, file:
         file.execute("UPDATE progress SET position = ?", (bad.encoded(),))
+
+
+@pytest.mark.parametrize("what", [None, Reset(1, "test"), Settings({"filtering.min_range": 1.5})])
+def test_with_a_checkpoint_of_an_earlier_format_the_recording_is_read_from_its_start(
+    tmp_path: Path, what: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = config_of(tmp_path)
+    record(config, 1, "a", range(30), **({} if what is None else {"at": 12, "what": what}))
+    take_checkpoints_often(monkeypatch)
+    mapped(config, "a", chunks=60, save_at=40)
+    spoil_checkpoint(config, tmp_path)
+    events = opened(config)
+    assert codes(events) == ["recovered"]
+    (text,) = [event.text for event in events.since(0)[0] if event.code == "recovered"]
+    assert "recording's start" in text
+    assert "format 1" in text
+    assert content(config)[0] == reference(config, "a")
+
+
+def test_without_the_recordings_start_an_earlier_checkpoint_leaves_the_map(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = config_of(tmp_path)
+    path = record(config, 1, "a", range(30))
+    take_checkpoints_often(monkeypatch)
+    mapped(config, "a", chunks=60, save_at=40)
+    spoil_checkpoint(config, tmp_path)
+    found, _ = content(config)
+    path.unlink()
     assert codes(opened(config)) == ["not_recovered"]
     assert content(config)[0] == found
