@@ -4,6 +4,7 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from operator import attrgetter
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -85,10 +86,7 @@ class Series(Generic[V]):
         return SeriesState(
             np.array([one.t_ns for one in samples], dtype=np.int64),
             np.array([one.segment for one in samples], dtype=np.int64),
-            [
-                _column(list(column))
-                for column in zip(*(_parts(one.value) for one in samples), strict=True)
-            ],
+            [_column(column) for column in _columns([one.value for one in samples])],
         )
 
     def restore(self, state: SeriesState, make: Callable[..., V]) -> None:
@@ -145,26 +143,24 @@ class Series(Generic[V]):
         return bisect_right(samples, t_ns, key=lambda sample: sample.t_ns)
 
 
-def _parts(value: Any) -> list[Any]:  # noqa: ANN401 any record
-    if isinstance(value, np.ndarray):
-        return [value]
-    return [getattr(value, field.name) for field in fields(value)]
+def _columns(values: list[Any]) -> list[list[Any]]:
+    """The values of each field, in the order of the fields; of arrays there is one column."""
+    if not values or isinstance(values[0], np.ndarray):
+        return [values] if values else []
+    return [list(map(attrgetter(field.name), values)) for field in fields(values[0])]
 
 
 def _column(values: list[Any]) -> Any:  # noqa: ANN401 an array or a list
     """As one array, where the values are alike; products round by the order of an array."""
-    first = values[0]
-    if isinstance(first, np.ndarray):
-        alike = all(
-            isinstance(one, np.ndarray)
-            and (one.shape, one.dtype) == (first.shape, first.dtype)
-            and (one.flags.c_contiguous or not one.flags.f_contiguous)
-            for one in values
-        )
-        return np.stack(values) if alike else values
-    if all(isinstance(one, float) for one in values) or all(type(one) is bool for one in values):
-        return np.array(values)
-    return values
+    kinds = set(map(type, values))
+    if kinds == {np.ndarray}:
+        forms = {(one.shape, one.dtype, one.strides) for one in values}
+        shapes = {(shape, dtype) for shape, dtype, _ in forms}
+        ordered = all(len(shape) == 1 or steps[0] >= steps[-1] for shape, _, steps in forms)
+        if len(shapes) == 1 and ordered and values[0].ndim:
+            return np.concatenate(values).reshape(len(values), *values[0].shape)
+        return values
+    return np.array(values) if kinds <= {float, np.float64} or kinds == {bool} else values
 
 
 def _values(column: Any) -> list[Any]:  # noqa: ANN401 an array or a list
