@@ -165,9 +165,9 @@ def quick_config(tmp_path_factory: pytest.TempPathFactory) -> Path:
 class Ran:
     """What one run of the command did; every ping is accounted for."""
 
-    def __init__(self, code: int, said: str, out: Path) -> None:
+    def __init__(self, code: int, output: str, out: Path) -> None:
         self.code = code
-        self.said = said
+        self.output = output
         self.out = out
 
     @property

@@ -60,7 +60,7 @@ def test_corrected_pings_lie_nearer_the_truth(tmp_path: Path, recording: Path, r
     shares = {}
     for mapping in ("odometry", "corrected"):
         ran = run(recording, config=written(tmp_path, mapping=mapping))
-        assert ran.code == 0, ran.said
+        assert ran.code == 0, ran.output
         shares[mapping] = share_in_place(tmp_path, ran.out)
         reported = ran.summary["localization"]
         assert reported["state"] == "localizing"
@@ -77,7 +77,7 @@ def test_localize_only_maps_nothing_and_is_no_failure(
     tmp_path: Path, recording: Path, run: Runs
 ) -> None:
     ran = run(recording, config=written(tmp_path, mapping="off"))
-    assert ran.code == 0, ran.said
+    assert ran.code == 0, ran.output
     assert ran.summary["pings_mapped"] == 0
     assert ran.summary["pings_dropped"] == {"mapping_off": 120}
     assert ran.summary["localization"]["updates"] > 100
@@ -107,7 +107,7 @@ def test_missing_map_is_one_clear_message(tmp_path: Path, recording: Path, run: 
     (tmp_path / "room.yaml").unlink()
     ran = run(recording, config=path)
     assert ran.code == 78
-    (line,) = ran.said.strip().splitlines()
+    (line,) = ran.output.strip().splitlines()
     assert "$.localization.map_path" in line
     assert "room.yaml" in line
 
@@ -124,7 +124,7 @@ def test_vehicle_is_followed_on_the_3d_map_of_an_earlier_dive(
     start = {"mapping_max_std_yaw": 15.0}  # its heading is not known better at first
     path.write_text(settings(tmp_path / "earlier.map", mapping="corrected", **start), "utf-8")
     ran = run(recording, config=path)
-    assert ran.code == 0, ran.said
+    assert ran.code == 0, ran.output
     assert ran.summary["pings_mapped"] > 110
     pose = ran.summary["localization"]["pose"]
     assert math.dist((pose["x_m"], pose["y_m"]), true.truth[-1][:2]) < 0.3
