@@ -2,8 +2,8 @@
 
 A node declares parameters, reads them, and has a callback that calls a handler of the mapper for
 each that changed. Here the node is a thin view of the store of settings: values, limits and
-what may change while running are the settings' own, and a callback hears of every change, whoever
-made it. A callback that refuses undoes the change.
+what may change while running are the settings' own, and callbacks receive every change from any
+source. A callback that refuses undoes the change.
 """
 
 from collections.abc import Callable, Iterable, Mapping

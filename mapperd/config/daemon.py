@@ -1,10 +1,8 @@
 """Settings of the daemon: its service, the map on disk, exports, names of frames.
 
-Sections of the published mapper that tell a ROS node what to call things and what to show.
-
-Here they name frames in telemetry and draw debug pictures. What only a ROS node could do keeps its
-name and its default, so that files written for it load; any other value is refused with what to
-say instead.
+The sections `frames`, `topics` and `visualization` come from a ROS node. Here they name frames in
+telemetry and topics in bags, and draw debug pictures. Topics that only a ROS node could subscribe
+to load with their defaults; any other value is an error that names the setting to use instead.
 """
 
 from typing import Annotated

@@ -1,6 +1,6 @@
 """The settings in force, and the one way to change them while the program runs.
 
-Whoever asks, a command, a broker or a signal, comes through `apply` or `reload`. A change holds
+Commands, the broker and signals all change settings through `apply` or `reload`. A change holds
 as a whole or not at all, and only if everything that it concerns follows it.
 """
 

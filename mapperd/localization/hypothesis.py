@@ -8,8 +8,8 @@ change places. Odds fade: older scans contain less information about the present
 
 Whether scans fit the map at the particles is judged by the fit alone.
 
-A cloud that is at one wrong place is as sure of itself as one at the right place, so weights do not
-tell. Of returns at the right place most lie on a surface of the map: with a share h of them, the
+A cloud at one wrong place is as narrow as one at the right place, so weights do not show which it
+is. Of returns at the right place most lie on a surface of the map: with a share h of them, the
 fit, which is the mean likelihood of one beam, is hit^h miss^(1 - h).
 """
 

@@ -12,7 +12,7 @@ the published node's:
   anywhere on the map that only a map caused does not publish it.
 
 And ours, where nothing is known: the published node then begins anywhere on the map. Here mode
-`global` says that, and is as good as a request for it; mode `track` waits for a pose. A map without
+`global` does so, as if it were requested; mode `track` waits for a pose. A map without
 a free cell is refused where the vehicle would have to be anywhere on it, and the old one stays.
 """
 

@@ -157,7 +157,7 @@ QUANTITIES = {
 
 
 Leaders = dict[str, tuple[int, int | None]]
-"""Quantity to the rank of the message that tells it, and when that came last."""
+"""Quantity to the rank of the message that it is taken from, and the last arrival of that."""
 
 
 class Precedence:

@@ -137,8 +137,8 @@ class Fusion:
         """Judge records and moments to come by other settings.
 
         Args:
-            settings: as before but for what may change while running; whoever owns a quantity
-                keeps it.
+            settings: as before but for what may change while running; owners of
+                quantities keep them.
             time_sync: how far records are believed around a moment.
             quality: the confidence gate.
         """

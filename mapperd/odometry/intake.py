@@ -34,7 +34,7 @@ class IntakeState(NamedTuple):
     Attributes:
         anchor: turn and shift (3,) from the source's world to the map.
         rejoin: the position's world turned with the attitude's.
-        north_of: who says a heading, and whether north is its reference.
+        north_of: senders of headings, and whether north is their reference.
         origin_rad: latitude and longitude of the map's zero.
         position, attitude, depth, velocity, reckoning: of its parts.
     """

@@ -141,7 +141,7 @@ def _row(parameter: Parameter) -> str:
 def _default(parameter: Parameter) -> str:
     value = parameter.default
     if value is msgspec.UNSET:
-        return "must be said"
+        return "required"
     if inner_parameters(parameter):
         return "nothing" if value is None else f"{len(value)}, as below"
     if value == "":

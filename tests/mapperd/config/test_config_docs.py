@@ -98,7 +98,7 @@ def test_page_has_every_setting_with_default_limits_and_meaning() -> None:
         assert default
         assert all(inner.name in page for inner in inner_parameters(one))
     assert page["octree.voxel_resolution"][0] == "`0.05`"
-    assert page["odometry.origin.latitude"][0] == "must be said"
+    assert page["odometry.origin.latitude"][0] == "required"
 
 
 def test_page_s_example_loads() -> None:
