@@ -128,7 +128,7 @@ def measure_case(case: Case, build: Path, budget_s: float, only: Sequence[str]) 
 
 
 def chosen(only: Sequence[str]) -> list[Contender]:
-    """The contenders whose name contains any of the words; all, if there are none."""
+    """The contenders whose name contains any of the words; without words, all."""
     return [c for c in CONTENDERS if not only or any(word in c.name for word in only)]
 
 

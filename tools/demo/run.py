@@ -87,7 +87,7 @@ def draw(out: Path, accuracy: MapAccuracy) -> list[Path]:
 
 
 def report(accuracy: MapAccuracy, pictures: Sequence[Path]) -> int:
-    """Say how good the map is; 0 if it is good enough."""
+    """Print the quality of the map; return 0 if it is good enough."""
     print(accuracy.sentences())
     print("pictures:", *pictures)
     if accuracy.median_m <= MAX_MEDIAN_M and accuracy.coverage >= MIN_COVERAGE:

@@ -84,7 +84,7 @@ class _SharedStorage:
         heapq.heappush(self._over, (self._carried + size, task))
 
     def next_end_s(self) -> float:
-        """When the next transfer ends, if nothing else begins; infinite if there is none."""
+        """When the next transfer ends, if nothing else begins; infinite without one."""
         if not self._over:
             return inf
         return self._updated_s + max(self._over[0][0] - self._carried, 0.0) / self._rate()

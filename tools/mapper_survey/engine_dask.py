@@ -141,7 +141,7 @@ class DaskEngine:
         """See to it that there are workers.
 
         Raises:
-            SurveyError: there are none, and none come.
+            SurveyError: no worker exists and none appears.
         """
         if self._pool is not None:
             self._pool.fill_up(reset=some_ended)

@@ -105,7 +105,7 @@ class Folder:
         return bool(self._fs.exists(self._at(name)))
 
     def read(self, name: str) -> bytes | None:
-        """All of a file; None where there is none."""
+        """Read a file; None if it does not exist."""
         try:
             return bytes(self._fs.cat_file(self._at(name)))
         except FileNotFoundError:
@@ -207,12 +207,12 @@ T = TypeVar("T", bound=msgspec.Struct)
 
 
 def mark(folder: Folder, name: str, record: msgspec.Struct) -> None:
-    """Say that a result is there."""
+    """Write the record of a result."""
     folder.write(name, msgspec.json.format(msgspec.json.encode(record), indent=2))
 
 
 def marked(folder: Folder, name: str, kind: type[T]) -> T | None:
-    """Read the record of a result; None if there is none of this version."""
+    """Read the record of a result; None if it does not exist in this version."""
     data = folder.read(name)
     if data is None:
         return None
@@ -251,7 +251,7 @@ class Holder(msgspec.Struct, frozen=True):
 
 @contextlib.contextmanager
 def held(folder: Folder) -> Iterator[None]:
-    """Say that this process works there, as long as it does.
+    """Mark the folder as in use by this process.
 
     Two that begin at the same moment may not see each other.
 

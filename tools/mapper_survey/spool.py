@@ -219,7 +219,7 @@ class RowFile:
         self.count += 1
 
     def close(self) -> None:
-        """Say how many there are."""
+        """Write the number of records."""
         self._out.seek(0)
         self._out.write(self._head())
         self._out.flush()

@@ -33,7 +33,7 @@ class Window:
         x: index of the westernmost column.
         y: index of the southernmost one.
         edge: columns along each side.
-        z: keys of the lowest and the highest brick in it; None where there is none.
+        z: keys of the lowest and the highest brick in it; None without bricks.
     """
 
     x: int

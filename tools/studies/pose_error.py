@@ -185,9 +185,9 @@ class Dive:
             nearest = np.minimum(nearest, off_m)
         return nearest
 
-    def _record(self, t_s: float, said_s: float, *, stamped: bool) -> bytes:
+    def _record(self, t_s: float, stated_s: float, *, stamped: bool) -> bytes:
         pose = self.base_at(t_s)
-        stamp_ns = round((4321.0 + said_s * (1 + self.drift)) * 1e9)
+        stamp_ns = round((4321.0 + stated_s * (1 + self.drift)) * 1e9)
         return encode_native(
             NativeRecord(
                 v=1,

@@ -53,13 +53,13 @@ def figures(checks: dict[str, RuleCheck]) -> str:
         idle = " (idle)" if check.without[least].within(check.tolerance) else ""
         wrong = "" if check.left_out.within(check.tolerance) else " (too much)"
         lines.append(
-            f"| {name} | {len(check.without)} of {len(EFFECTS)} | {_told(check.left_out)}{wrong} "
-            f"| `{least}`: {_told(check.without[least])}{idle} |"
+            f"| {name} | {len(check.without)} of {len(EFFECTS)} | {_text(check.left_out)}{wrong} "
+            f"| `{least}`: {_text(check.without[least])}{idle} |"
         )
     return "\n".join(lines) + "\n"
 
 
-def _told(change: PictureDifference) -> str:
+def _text(change: PictureDifference) -> str:
     return f"{change.level_db:.2f}, {change.cells:.2f}, {change.texture:.3f}"
 
 

@@ -177,7 +177,7 @@ def test_map_is_written_into_its_folder_alone(tmp_path: Path, pings: list[bytes]
     run(work())
 
 
-def test_what_cannot_be_done_says_why(tmp_path: Path, pings: list[bytes]) -> None:
+def test_what_cannot_be_done_reports_the_reason(tmp_path: Path, pings: list[bytes]) -> None:
     async def refused(work: Coroutine[Any, Any, Any]) -> str:
         with pytest.raises(OperationError) as caught:
             await work

@@ -58,7 +58,7 @@ def test_an_event_is_one_line_and_cannot_forge_another() -> None:
     assert stream.getvalue() == "<5>name <3>all is lost\n"
 
 
-def test_repeats_are_counted_and_said_once() -> None:
+def test_repeats_are_counted_and_reported_once() -> None:
     writer, stream, clock = journal()
     for clock.now_s in (0.0, 1.0, 2.0, 9.9):
         writer.write(event("disk full"))
@@ -103,7 +103,7 @@ def test_only_the_journals_own_stream_gets_priorities() -> None:
     os.close(reader)
 
 
-def test_events_are_numbered_kept_for_a_while_and_told() -> None:
+def test_events_are_numbered_kept_for_a_while_and_reported() -> None:
     log = EventLog(lambda: 5_000_000_000, kept=3)
     told: list[int] = []
     end = log.listen(lambda one: told.append(one.number))

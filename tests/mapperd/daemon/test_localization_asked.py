@@ -145,7 +145,7 @@ NAN, INF = float("nan"), float("inf")
         (PoseRequest(0, 0, 0, 1.0, covariance=((1, 0, 0), (0, 1, 0), (0, 0, 1))), "not both"),
     ],
 )
-def test_pose_that_is_none_is_refused(bench: Bench, pose: PoseRequest, words: str) -> None:
+def test_pose_that_is_invalid_is_refused(bench: Bench, pose: PoseRequest, words: str) -> None:
     for work in (
         bench.requests.initial_pose(pose, "me"),
         bench.requests.set_map("tank.yaml", pose, "me"),

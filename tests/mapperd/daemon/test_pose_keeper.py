@@ -91,7 +91,7 @@ def test_it_saves_while_it_runs(told: Told) -> None:
     asyncio.run(work())
 
 
-def test_full_disk_is_told_once(told: Told) -> None:
+def test_full_disk_is_reported_once(told: Told) -> None:
     told.path.mkdir()
     for k in (1, 2):
         told.now_at(float(k), k)
@@ -114,7 +114,7 @@ def test_map_that_is_being_made_is_not_the_known_one(tmp_path: Path) -> None:
         _localizing(config(mapping="off"), events)
 
 
-def test_saved_pose_that_is_none_is_told_and_passed_over(told: Told, tmp_path: Path) -> None:
+def test_saved_pose_that_is_invalid_is_reported_and_passed_over(told: Told, tmp_path: Path) -> None:
     config = config_from_text(settings(write_room(tmp_path), pose_path=f"'{told.path}'"))
     for text, codes in (("{}", ["saved_pose_ignored"]), (None, [])):
         told.path.unlink(missing_ok=True)

@@ -26,7 +26,7 @@ def texts(daemon: Daemon) -> list[str]:
     return [event.text for event in daemon.events.since(0)[0]]
 
 
-def test_reload_reads_the_files_again_and_says_what_became_of_it(tmp_path: Path) -> None:
+def test_reload_reads_the_files_again_and_reports_what_became_of_it(tmp_path: Path) -> None:
     path = tmp_path / "a.yaml"
     path.write_text("filtering: {min_range: 1}", encoding="utf-8")
 
@@ -61,7 +61,7 @@ def test_files_that_became_wrong_leave_the_settings_as_they_are(tmp_path: Path) 
     assert list(result["refused"]) == ["$.filtering.min_range"]
 
 
-def test_refused_reload_says_why(tmp_path: Path) -> None:
+def test_refused_reload_reports_the_reason(tmp_path: Path) -> None:
     path = tmp_path / "a.yaml"
     path.write_text("mapping: {occupied_threshold: 0.4, free_threshold: 0.3}", encoding="utf-8")
     daemon = daemon_of(load_files([path]), path)
@@ -74,7 +74,7 @@ def test_refused_reload_says_why(tmp_path: Path) -> None:
     assert texts(daemon)[0].startswith("settings stay as they are: ")
 
 
-def test_nothing_new_is_said_too(tmp_path: Path) -> None:
+def test_nothing_new_is_reported_too(tmp_path: Path) -> None:
     path = tmp_path / "a.yaml"
     path.write_text("{}", encoding="utf-8")
     daemon = daemon_of(load_files([path]), path)

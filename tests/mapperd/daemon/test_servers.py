@@ -34,7 +34,7 @@ def daemon_of(tmp_path: Path, mqtt: dict[str, Any]) -> Daemon:
     return Daemon(settings, sonar_map, live, events, read=Layered, folder=tmp_path)
 
 
-def test_the_status_of_a_real_daemon_can_be_told(tmp_path: Path) -> None:
+def test_the_status_of_a_real_daemon_can_be_reported(tmp_path: Path) -> None:
     daemon = daemon_of(tmp_path, {})
     outbox = Outbox(100)
     reporter = Reporter(daemon, Topics.of(daemon.settings.current.mqtt), outbox, dict, dict)

@@ -110,7 +110,7 @@ def test_a_ping_without_odometry_is_dropped_with_its_reason(ping_bytes: PingByte
     run(work())
 
 
-def test_a_port_that_is_taken_is_told_and_tried_again(ping_bytes: PingBytes) -> None:
+def test_a_port_that_is_taken_is_reported_and_tried_again(ping_bytes: PingBytes) -> None:
     async def work() -> None:
         port = free_port()
         events = EventLog(host_clock())
@@ -161,7 +161,7 @@ def pose_at_origin() -> Any:
     return pose_from_rpy((0, 0, 0), (0, 0, 0))
 
 
-def test_the_settings_say_what_the_sonar_is_asked_for() -> None:
+def test_the_settings_report_what_the_sonar_is_asked_for() -> None:
     config = config_from_text(
         "device: {mode: 2, ping_rate: low, range: 4.5, gain: 33, beams: 256, address: 10.0.0.7}"
     )
@@ -200,7 +200,9 @@ def test_the_command_writes_the_same_folder(
     assert "sonar: pinging" in said.err
 
 
-def test_no_sonar_is_told_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_sonar_is_reported_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with socket.socket() as silent:
         silent.bind(("127.0.0.1", 0))
         port = silent.getsockname()[1]

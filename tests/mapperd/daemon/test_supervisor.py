@@ -166,7 +166,7 @@ def test_without_a_watchdog_none_is_fed(manager: Manager) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_told_to_stop(manager: Manager, number: int) -> None:
+def test_stopped(manager: Manager, number: int) -> None:
     async def scene(stop: asyncio.Event, _: list[str]) -> None:
         os.kill(os.getpid(), number)
         async with asyncio.timeout(5):
@@ -178,7 +178,7 @@ def test_told_to_stop(manager: Manager, number: int) -> None:
 
 
 @pytest.mark.parametrize("refuses", [False, True])
-def test_reload_says_when_it_begins_and_ends(manager: Manager, *, refuses: bool) -> None:
+def test_reload_reports_when_it_begins_and_ends(manager: Manager, *, refuses: bool) -> None:
     daemon = Daemon()
     daemon.refuses = refuses
 

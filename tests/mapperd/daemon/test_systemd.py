@@ -51,7 +51,7 @@ def test_abstract_sockets() -> None:
 
 
 @pytest.mark.parametrize("name", ["", "relative/path", "vsock:2:1234"])
-def test_without_a_manager_nothing_is_said(name: str) -> None:
+def test_without_a_manager_nothing_is_reported(name: str) -> None:
     notifier = Notifier({"NOTIFY_SOCKET": name})
     notifier.ready()
     assert not notifier.is_supervised

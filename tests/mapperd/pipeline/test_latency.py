@@ -17,7 +17,7 @@ def test_percentiles_are_of_the_last_minute() -> None:
     assert list(found.values()) == pytest.approx([50.5, 95.05, 99.01])
 
 
-def test_there_is_none_without_pings() -> None:
+def test_there_is_invalid_without_pings() -> None:
     latency = Latency()
     assert latency.percentiles_ms(0) is None
     latency.add(0, 1)

@@ -22,7 +22,7 @@ def test_pings_come_out_with_their_arrival(ping_bytes: PingBytes) -> None:
     assert isinstance(arrivals[0].ping, Ping)
 
 
-def test_duplicates_are_told_once(ping_bytes: PingBytes) -> None:
+def test_duplicates_are_reported_once(ping_bytes: PingBytes) -> None:
     stream = PingStream()
     data = b"".join(ping_bytes(number) for number in (1, 1, 2, 5))
     assert [outcome(each) for each in stream.feed("sonar", data, 0)] == [1, "duplicate", 2, 5]
@@ -105,7 +105,7 @@ def test_ping_without_a_message_behind_it_is_taken_and_called_doubtful(
     assert counters.bytes_rejected == 777
 
 
-def test_known_gap_in_a_recording_starts_the_parser_anew(ping_bytes: PingBytes) -> None:
+def test_known_gap_in_a_recording_starts_the_parser_again(ping_bytes: PingBytes) -> None:
     stream = PingStream(confirm=True)
     came = [
         *stream.feed("sonar", ping_bytes(1)[:2000], 0),

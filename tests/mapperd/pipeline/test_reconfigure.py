@@ -135,7 +135,7 @@ def bright_spot() -> np.ndarray:
     return image
 
 
-def test_robots_are_told_and_kept_out_of_the_map(ping: MakePing) -> None:
+def test_robots_are_reported_and_kept_out_of_the_map(ping: MakePing) -> None:
     seen = ping(1, image=bright_spot())
     kept_out = SonarMap(config_with(robot_detection={"enabled": True, "keep_out": True}))
     result = process_ping(seen, HERE, kept_out)

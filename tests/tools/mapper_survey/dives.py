@@ -94,7 +94,7 @@ def write_survey(folder: Path, **changes: Any) -> Path:
     """Two dives across each other, at the same time; returns `survey.yaml`."""
     write_dive(folder / "a.mcap", 1)
     write_dive(folder / "b.mcap", 2, begin_s=1.03, y=4.0)
-    told: dict[str, Any] = {
+    reported: dict[str, Any] = {
         "settings": SETTINGS,
         "dives": [
             {"name": "a", "recording": "a.mcap"},
@@ -106,7 +106,7 @@ def write_survey(folder: Path, **changes: Any) -> Path:
         ],
     }
     path = folder / "survey.yaml"
-    path.write_text(json.dumps(told | changes), encoding="utf-8")  # YAML takes JSON
+    path.write_text(json.dumps(reported | changes), encoding="utf-8")  # YAML takes JSON
     return path
 
 

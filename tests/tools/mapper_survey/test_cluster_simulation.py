@@ -124,10 +124,10 @@ def test_no_survey_is_faster_than_any_of_its_bounds(seed: int) -> None:
     assert went.wall_s >= went.computing_s / 7
     assert went.wall_s >= went.moved_bytes / 5000.0
     assert went.wall_s >= went.scheduling_s
-    for told in tasks:
-        transfer_s = (told.read_bytes + told.written_bytes) / 2000.0
-        began_s = max((went.ended_s[name] for name in told.after), default=0.0)
-        assert went.ended_s[told.name] - began_s >= told.cpu_s + transfer_s + 0.01 - 1e-9
+    for reported in tasks:
+        transfer_s = (reported.read_bytes + reported.written_bytes) / 2000.0
+        began_s = max((went.ended_s[name] for name in reported.after), default=0.0)
+        assert went.ended_s[reported.name] - began_s >= reported.cpu_s + transfer_s + 0.01 - 1e-9
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ def test_export_writes_what_can_be(folder: Path, capsys: pytest.CaptureFixture[s
     assert "depth.tif" in capsys.readouterr().out
 
 
-def test_export_does_what_it_is_told(folder: Path, tmp_path: Path) -> None:
+def test_export_does_what_it_is_reported(folder: Path, tmp_path: Path) -> None:
     settings = tmp_path / "strict.yaml"
     settings.write_text("mapping: {occupied_threshold: 0.9}\n")
     words = ["--origin=54.36,10.16", "--out", tmp_path / "here", "--cell-voxels", 4]
@@ -63,15 +63,17 @@ def test_export_does_what_it_is_told(folder: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_report_says_how_the_dives_agree(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_report_reports_how_the_dives_agree(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run("report", folder, "--tolerance", 0.2) == 0
-    told = capsys.readouterr().out
-    assert re.search(r"one, two: 100\.0% .*0\.2 m \(poor\); 64 conflicts", told)
+    reported = capsys.readouterr().out
+    assert re.search(r"one, two: 100\.0% .*0\.2 m \(poor\); 64 conflicts", reported)
     assert (folder / "report" / "report.json").exists()
 
 
 @pytest.mark.parametrize(
-    ("command", "words", "said"),
+    ("command", "words", "stated"),
     [
         ("export", ["--products", "positions"], "positions need an origin"),
         ("report", ["--tolerance", "0"], "tolerance: 0 m is not allowed"),
@@ -79,12 +81,12 @@ def test_report_says_how_the_dives_agree(folder: Path, capsys: pytest.CaptureFix
     ],
 )
 def test_what_a_person_can_mend_is_one_line(
-    folder: Path, capsys: pytest.CaptureFixture[str], command: str, words: list[str], said: str
+    folder: Path, capsys: pytest.CaptureFixture[str], command: str, words: list[str], stated: str
 ) -> None:
     assert run(command, folder, *words) == 2
-    told = capsys.readouterr().err
-    assert said in told
-    assert told.count("\n") == 1
+    reported = capsys.readouterr().err
+    assert stated in reported
+    assert reported.count("\n") == 1
 
 
 def test_survey_that_was_not_run_is_named(
@@ -99,7 +101,7 @@ def test_survey_that_was_not_run_is_named(
     assert "--dives" in capsys.readouterr().err
 
 
-def test_what_the_survey_says_of_itself_need_not_be_said_again(folder: Path) -> None:
+def test_what_the_survey_reports_of_itself_need_not_be_reported_again(folder: Path) -> None:
     record = {
         "origin": {"latitude": 54.36, "longitude": 10.16, "altitude": 0.5},
         "settings": msgspec.to_builtins(
@@ -129,7 +131,7 @@ def test_what_the_survey_says_of_itself_need_not_be_said_again(folder: Path) -> 
         assert grid.crs is not None
 
 
-def test_damaged_record_is_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damaged_record_is_reported(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "survey.json").write_text('{"origin": 3}')
     assert run("export", folder) == 2
     assert "survey.json: " in capsys.readouterr().err
@@ -150,7 +152,7 @@ def test_folder_elsewhere_is_read_from_there(folder: Path, tmp_path: Path) -> No
     assert [dive["name"] for dive in report["dives"]] == ["one", "two"]
 
 
-def test_place_that_is_none_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_place_that_is_invalid_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         run("export", folder, "--origin=91,0")
     assert "latitude,longitude" in capsys.readouterr().err
@@ -167,7 +169,7 @@ def test_place_that_is_none_is_refused(folder: Path, capsys: pytest.CaptureFixtu
         ("0,nan", False),
     ],
 )
-def test_one_rule_for_an_origin(text: str, allowed: bool, tmp_path: Path) -> None:  # noqa: FBT001 said of each
+def test_one_rule_for_an_origin(text: str, allowed: bool, tmp_path: Path) -> None:  # noqa: FBT001 parametrized
     latitude, longitude = text.replace("nan", ".nan").split(",")
     (tmp_path / "a.mcap").touch()
     survey = tmp_path / "survey.yaml"
@@ -184,7 +186,7 @@ def test_one_rule_for_an_origin(text: str, allowed: bool, tmp_path: Path) -> Non
     assert _origin(text) == GeodeticOrigin.of_degrees(known.latitude, known.longitude)
 
 
-def test_progress_says_the_time_that_is_left(capsys: pytest.CaptureFixture[str]) -> None:
+def test_progress_reports_the_time_that_is_left(capsys: pytest.CaptureFixture[str]) -> None:
     times = iter([0.0, 1.0, 10.0, 11.0])
     show = progress_lines("export", lambda: next(times))
     for done in (1, 5, 6):

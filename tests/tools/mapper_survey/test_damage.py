@@ -1,4 +1,4 @@
-"""Recordings that were cut or damaged: what stands before is used, what was lost is told."""
+"""Truncated or damaged recordings: the intact part is used, losses are reported."""
 
 import errno
 import json
@@ -72,13 +72,13 @@ def test_what_is_no_recording_is_lost_as_a_whole(
     words = ["run", str(survey), "--out", str(tmp_path / "out"), "--workers", "0"]
     assert main(words) == 3
     assert main(["plan", *words[1:]]) == 3
-    said = capsys.readouterr()
-    assert "30 pings of 6 s: " in said.out
+    stated = capsys.readouterr()
+    assert "30 pings of 6 s: " in stated.out
     for dive, file in (("gone", "gone.mcap"), ("x", "x")):
-        assert f"mapper-survey: dive {dive}: {tmp_path / file}: " in said.err
+        assert f"mapper-survey: dive {dive}: {tmp_path / file}: " in stated.err
         assert re.search(
             rf"^mapper-survey: dive {dive}: (?!{re.escape(str(tmp_path))}).+$",
-            said.err,
+            stated.err,
             re.MULTILINE,
         )
     alone = write_survey(tmp_path / "alone", dives=ALONE)
@@ -94,8 +94,8 @@ def test_what_was_damaged_is_a_line_and_the_map_is_made(
     (tmp_path / "a.mcap").write_bytes((tmp_path / "a.mcap").read_bytes()[: sizes[20] - 5])
     out = tmp_path / "out"
     assert main(["run", str(survey), "--out", str(out), "--workers", "0"]) == 0
-    said = capsys.readouterr().err.splitlines()
-    (line,) = [line for line in said if line.startswith("mapper-survey: ")]  # no progress
+    stated = capsys.readouterr().err.splitlines()
+    (line,) = [line for line in stated if line.startswith("mapper-survey: ")]  # no progress
     assert line.startswith(f"mapper-survey: dive a: {tmp_path / 'a.mcap'}: ")
     (dive,) = json.loads((out / "survey.json").read_text("utf-8"))["dives"]
     assert line.endswith(dive["lost"][0]["reason"])

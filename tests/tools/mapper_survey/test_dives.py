@@ -1,4 +1,4 @@
-"""The dives of the survey's study: overlapping, told truly, and the same for the same plan."""
+"""The dives of the survey's study: overlapping, described correctly, and reproducible."""
 
 import json
 from dataclasses import replace
@@ -82,7 +82,7 @@ def test_a_dive_that_cannot_be_made_ends_the_making(tmp_path: Path) -> None:
         record_all([wrong] * 4, tmp_path, 1)
 
 
-def test_another_dive_under_the_same_name_is_recorded_anew(tmp_path: Path) -> None:
+def test_another_dive_under_the_same_name_is_recorded_again(tmp_path: Path) -> None:
     dive = short()
     (tmp_path / "dive-01.mcap").write_bytes(b"of another plan")
     (tmp_path / "dive-01.yaml").write_text("{}")
@@ -108,10 +108,10 @@ def test_the_survey_file_names_recordings_and_settings_from_where_it_lies(tmp_pa
         recording.touch()
     request = read_survey(write_survey(tmp_path, recordings))
     assert [request.path_of(dive) for dive in request.survey.dives] == recordings
-    said, mounting = request.config.mounting, short().scene["mounting"]
+    stated, mounting = request.config.mounting, short().scene["mounting"]
     assert request.config.octree.voxel_resolution == 0.1
-    assert [said.position.x, said.position.y, said.position.z] == mounting["position_m"]
-    assert said.orientation.pitch == mounting["pitch_deg"]
+    assert [stated.position.x, stated.position.y, stated.position.z] == mounting["position_m"]
+    assert stated.orientation.pitch == mounting["pitch_deg"]
 
 
 def test_a_cut_copy_is_the_beginning_of_the_recording(tmp_path: Path) -> None:
@@ -122,7 +122,7 @@ def test_a_cut_copy_is_the_beginning_of_the_recording(tmp_path: Path) -> None:
     assert 900_000 <= done.places[0] <= 2_100_000
 
 
-def test_flipped_bytes_are_those_that_are_told(tmp_path: Path) -> None:
+def test_flipped_bytes_are_those_that_are_reported(tmp_path: Path) -> None:
     recording = tmp_path / "whole"
     recording.write_bytes(np.random.default_rng(5).bytes(100_000))
     done = flip(recording, tmp_path / "copies" / "flipped", seed=1, flips=7)

@@ -176,18 +176,18 @@ def test_memory_holds_one_window(
         return found
 
     monkeypatch.setattr(StoredMap, "part", watched)
-    told: list[tuple[int, int]] = []
+    reported: list[tuple[int, int]] = []
     export_survey(
         stored,
         tmp_path,
         ["grid", "cloud"],
         None,
-        lambda *at: told.append(at),
+        lambda *at: reported.append(at),
         options=ExportOptions(window_bricks=1),
     )
     assert sum(sizes) == bottom.core.block_count
     assert max(sizes) < bottom.core.block_count / 8
-    assert told == [(number, told[0][1]) for number in range(1, told[0][1] + 1)]
+    assert reported == [(number, reported[0][1]) for number in range(1, reported[0][1] + 1)]
 
 
 def test_damaged_map_is_refused_and_files_stay(stored: Path, tmp_path: Path) -> None:
@@ -215,7 +215,7 @@ def test_map_without_a_surface_is_refused(tmp_path: Path, free: NDArray[np.int64
 
 
 @pytest.mark.parametrize(
-    ("products", "origin", "said"),
+    ("products", "origin", "stated"),
     [
         (["chart"], KIEL, "no such product: chart; allowed: grid, cloud, soundings, positions"),
         ([], KIEL, "no such product: nothing"),
@@ -223,15 +223,15 @@ def test_map_without_a_surface_is_refused(tmp_path: Path, free: NDArray[np.int64
     ],
 )
 def test_wrong_wishes_are_named(
-    stored: Path, tmp_path: Path, products: list[str], origin: Origin | None, said: str
+    stored: Path, tmp_path: Path, products: list[str], origin: Origin | None, stated: str
 ) -> None:
-    with pytest.raises(SurveyError, match=said):
+    with pytest.raises(SurveyError, match=stated):
         export_survey(stored, tmp_path / "out", products, origin)
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
-    ("how", "said"),
+    ("how", "stated"),
     [
         ({"cell_voxels": 3}, "allowed: 1, 2, 4, 8, 16"),
         ({"rule": "mean"}, "allowed: shoalest, median"),
@@ -239,6 +239,6 @@ def test_wrong_wishes_are_named(
         ({"altitude_m": math.nan}, "altitude_m"),
     ],
 )
-def test_wrong_options_are_named(how: dict[str, Any], said: str) -> None:
-    with pytest.raises(SurveyError, match=said):
+def test_wrong_options_are_named(how: dict[str, Any], stated: str) -> None:
+    with pytest.raises(SurveyError, match=stated):
         ExportOptions(**how)

@@ -1,4 +1,4 @@
-"""A survey goes on where it was stopped, and makes anew only what changed inputs touch."""
+"""A survey resumes where it stopped, and repeats only what changed inputs affect."""
 
 import json
 import re
@@ -97,9 +97,9 @@ def test_done_work_is_not_done_again(tmp_path: Path) -> None:
 def with_dive(survey: Path, name: str, begin_s: float) -> None:
     """Add a short dive to a survey."""
     write_dive(survey.parent / f"{name}.mcap", 3, pings=6, begin_s=begin_s, y=1.0)
-    told = json.loads(survey.read_text("utf-8"))
-    told["dives"].append({"name": name, "recording": f"{name}.mcap"})
-    survey.write_text(json.dumps(told), encoding="utf-8")
+    reported = json.loads(survey.read_text("utf-8"))
+    reported["dives"].append({"name": name, "recording": f"{name}.mcap"})
+    survey.write_text(json.dumps(reported), encoding="utf-8")
 
 
 def test_a_later_dive_touches_only_its_own_tiles(tmp_path: Path) -> None:
@@ -133,8 +133,8 @@ def test_an_earlier_dive_gives_all_pings_other_numbers(tmp_path: Path) -> None:
 def test_maps_of_dives_that_are_no_more_are_removed(tmp_path: Path) -> None:
     survey = write_survey(tmp_path)
     run_here(survey, tmp_path / "out", by_dive=True)
-    told = json.loads(survey.read_text("utf-8"))
-    survey.write_text(json.dumps(told | {"dives": told["dives"][:1]}), encoding="utf-8")
+    reported = json.loads(survey.read_text("utf-8"))
+    survey.write_text(json.dumps(reported | {"dives": reported["dives"][:1]}), encoding="utf-8")
     for by_dive, left in ((True, {"a.db", "a.json"}), (False, set())):
         run_here(survey, tmp_path / "out", by_dive=by_dive)
         assert {path.name for path in (tmp_path / "out/dives").iterdir()} == left
@@ -165,8 +165,8 @@ def test_whatever_changes_makes_another_map(tmp_path: Path, what: str) -> None:
     before = rows_in(tmp_path / "out/map.db")
     settings = SETTINGS | ({"sonar": {"horizontal_fov": 60}} if what == "settings" else {})
     dive |= {"transform": {"x": 0.35}} if what == "transform" else {}
-    told = {"settings": settings, "dives": [dive]}
-    survey.write_text(json.dumps(told), encoding="utf-8")
+    reported = {"settings": settings, "dives": [dive]}
+    survey.write_text(json.dumps(reported), encoding="utf-8")
     if what == "recording":
         write_dive(tmp_path / "a.mcap", 1, pings=20)
     run_here(survey, tmp_path / "out")
@@ -179,13 +179,13 @@ def test_what_a_stop_leaves_is_not_taken_for_what_was_there(
     whole: tuple[Path, list[tuple[Any, ...]]], tmp_path: Path, stage: str
 ) -> None:
     survey, expected = whole
-    told = json.loads(survey.read_text("utf-8"))
-    told["dives"][0] |= {"recording": str(survey.parent / "a.mcap")}
-    told["dives"][1] |= {"recording": str(survey.parent / "b.mcap")}
+    reported = json.loads(survey.read_text("utf-8"))
+    reported["dives"][0] |= {"recording": str(survey.parent / "a.mcap")}
+    reported["dives"][1] |= {"recording": str(survey.parent / "b.mcap")}
     mine = tmp_path / "survey.yaml"
     for shift_m in (0, 10, 0):
-        told["dives"][0]["transform"] = {"x": shift_m}
-        mine.write_text(json.dumps(told), encoding="utf-8")
+        reported["dives"][0]["transform"] = {"x": shift_m}
+        mine.write_text(json.dumps(reported), encoding="utf-8")
         with pytest.MonkeyPatch.context() as patch:
             if shift_m:
                 patch.setattr(f"mapper_survey.{stage}.mark", stopped)
@@ -202,7 +202,7 @@ def test_what_a_stop_leaves_is_not_taken_for_what_was_there(
 
 @pytest.mark.parametrize("name", ["plan/a.*.spool", "plan/a.*.npy", "shards/*.db", "map.db"])
 @pytest.mark.parametrize("empty", [True, False])
-def test_what_a_power_cut_damages_is_made_anew(tmp_path: Path, name: str, empty: bool) -> None:  # noqa: FBT001 two ways
+def test_what_a_power_cut_damages_is_made_again(tmp_path: Path, name: str, empty: bool) -> None:  # noqa: FBT001 two ways
     survey = write_survey(tmp_path, dives=[{"name": "a", "recording": "a.mcap"}])
     out = tmp_path / "out"
     run_here(survey, out)
@@ -270,7 +270,7 @@ def test_the_folder_may_lie_elsewhere(tmp_path: Path) -> None:
         Folder("nothing-known://x")
 
 
-def test_each_task_tells_what_it_took_and_what_it_waited_for(tmp_path: Path) -> None:
+def test_each_task_reports_what_it_took_and_what_it_waited_for(tmp_path: Path) -> None:
     record = run_here(write_survey(tmp_path, tile_size_m=12.8), tmp_path / "out")
     tasks = {task.name: task for task in record["tasks"]}
     plans, tiles, merges = (

@@ -1,4 +1,4 @@
-"""A dive is planned anew when the map that it is localized on changed, wherever its bytes lie."""
+"""A dive is planned again when its localization map changes, wherever it is stored."""
 
 from pathlib import Path
 

@@ -25,9 +25,9 @@ def elsewhere(tmp_path: Path) -> Folder:
 def holder(folder: Folder, **changes: Any) -> Holder:
     """Put one there."""
     mine = Holder("near", this_system(), 1, "a")
-    said = msgspec.structs.replace(mine, **changes)
-    folder.write(LOCK, msgspec.json.encode(said))
-    return said
+    stated = msgspec.structs.replace(mine, **changes)
+    folder.write(LOCK, msgspec.json.encode(stated))
+    return stated
 
 
 def test_a_second_run_is_refused(
@@ -37,9 +37,9 @@ def test_a_second_run_is_refused(
     words = ["run", str(survey), "--out", elsewhere.url, "--workers", "0"]
     with held(elsewhere):
         assert main(words) == 2
-    told = capsys.readouterr().err
-    assert "another mapper-survey is at work" in told
-    assert f"remove {elsewhere.url}/{LOCK}" in told
+    reported = capsys.readouterr().err
+    assert "another mapper-survey is at work" in reported
+    assert f"remove {elsewhere.url}/{LOCK}" in reported
     assert not elsewhere.has("map.db")
     assert main(words) == 0
     assert elsewhere.has("map.db")
@@ -82,7 +82,7 @@ def test_a_lock_that_nobody_can_read_is_one(elsewhere: Folder) -> None:
         pass
 
 
-def test_whoever_wrote_last_has_it(elsewhere: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_anyone_who_wrote_last_has_it(elsewhere: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
     """Both saw no lock and wrote one."""
     write = Folder.write
 

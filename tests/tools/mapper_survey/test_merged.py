@@ -31,7 +31,7 @@ def short_survey(folder: Path, z: float = 0.0, **changes: Any) -> Path:
     return survey
 
 
-def test_the_merge_says_how_far_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_merge_reports_how_far_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("mapperd.cli.progress.TTY_PERIOD_S", 0.0)
     survey, out = write_survey(tmp_path, tile_size_m=12.8), Terminal()
     folder = Folder(str(tmp_path / "out"))
@@ -44,7 +44,7 @@ def test_the_merge_says_how_far_it_is(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("name", ["map.db", "dives/a.db"])
-def test_a_map_that_is_not_what_was_merged_is_merged_anew(tmp_path: Path, name: str) -> None:
+def test_a_map_that_is_not_what_was_merged_is_merged_again(tmp_path: Path, name: str) -> None:
     survey = short_survey(tmp_path)
     path = tmp_path / "out" / name
     run_here(survey, tmp_path / "out", by_dive=True)
@@ -57,7 +57,7 @@ def test_a_map_that_is_not_what_was_merged_is_merged_anew(tmp_path: Path, name: 
 
 
 @pytest.mark.parametrize("suffix", ["-wal", "-journal", "-shm"])
-def test_a_map_that_somebody_began_to_change_is_merged_anew(tmp_path: Path, suffix: str) -> None:
+def test_a_map_that_somebody_began_to_change_is_merged_again(tmp_path: Path, suffix: str) -> None:
     survey = short_survey(tmp_path)
     path = tmp_path / "out/map.db"
     run_here(survey, tmp_path / "out")
@@ -71,7 +71,7 @@ def test_a_map_that_somebody_began_to_change_is_merged_anew(tmp_path: Path, suff
 
 
 def stopped_before(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run ends before a file, or what is said of a map, takes its place."""
+    """A run ends before a file or the record of a map takes its place."""
     put = Folder.put
 
     def stopping(self: Folder, path: Path, at: str) -> None:
@@ -87,7 +87,7 @@ def export(out: Path) -> int:
 
 
 @pytest.mark.parametrize("name", ["map.db", "map.json", "dives/a.json", "survey.json"])
-def test_a_record_never_tells_of_another_map(
+def test_a_record_never_reports_of_another_map(
     tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"

@@ -11,7 +11,7 @@ from mapper_survey.tiles import BLOCKS, PLACE, Tile, children_of, ordinals_of, t
 
 
 def random_rows(seed: int, count: int) -> Rows:
-    """Pings on a way to and fro, some of which say nothing, and one large one."""
+    """Pings back and forth, some without evidence, and one large one."""
     random = np.random.default_rng(seed)
     rows = np.zeros(count, dtype=ROW)
     rows["t_ns"] = np.sort(random.integers(0, 10**6, count))

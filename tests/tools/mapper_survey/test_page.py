@@ -1,4 +1,4 @@
-"""docs/reference/survey-products.md says what the programs write."""
+"""The page of survey products matches what the programs write."""
 
 import re
 from pathlib import Path
@@ -29,12 +29,12 @@ PAGE = (Path(__file__).resolve().parents[3] / "docs/reference/survey-products.md
 @pytest.mark.parametrize(
     "record", [Report, CoverageRecord, DiveRecord, HeightRecord, PairRecord, WayRecord]
 )
-def test_every_field_of_the_report_is_told(record: type[msgspec.Struct]) -> None:
+def test_every_field_of_the_report_is_reported(record: type[msgspec.Struct]) -> None:
     names = {field.name for field in msgspec.structs.fields(record)}
     assert names - set(re.findall(r"`(\w+)`", PAGE)) == set()
 
 
-def test_every_file_is_told() -> None:
+def test_every_file_is_reported() -> None:
     pictures = [getattr(report, name) for name in ("COVERAGE", "OVERLAP", "DISAGREEMENT")]
     for name in (*PRODUCTS.values(), *pictures, report.DISTANCES, REPORT, DIFFERENCE):
         assert f"`{name}`" in PAGE
@@ -42,7 +42,7 @@ def test_every_file_is_told() -> None:
     assert f"of this layout: {VERSION}" in PAGE
 
 
-def test_choices_are_told() -> None:
+def test_choices_are_reported() -> None:
     *some, last = CELL_VOXELS
     assert f"`--cell-voxels` {', '.join(map(str, some))} or {last}" in PAGE
     for rule in RULES:

@@ -72,14 +72,14 @@ def test_bearings_are_kept_once() -> None:
 
 
 @pytest.mark.parametrize("cut", [0, 100, -1])
-def test_damage_is_told(cut: int) -> None:
+def test_damage_is_reported(cut: int) -> None:
     writer = RecordWriter(35)
     record = writer.pack(noise(np.round), POSE, None)
     with pytest.raises(MapperdError, match="spool is damaged"):
         RecordReader(writer.bearings).unpack(record[:cut])
 
 
-def test_a_turned_bit_of_a_pose_is_told() -> None:
+def test_a_turned_bit_of_a_pose_is_reported() -> None:
     writer = RecordWriter(35)
     record = bytearray(writer.pack(noise(np.round), POSE, None))
     record[40] ^= 1

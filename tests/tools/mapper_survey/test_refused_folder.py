@@ -1,4 +1,4 @@
-"""A survey's folder that cannot be written into is told, and nothing else is told as that."""
+"""A survey folder that cannot be written is reported, and no other error is reported as that."""
 
 import errno
 from pathlib import Path
@@ -14,17 +14,17 @@ def refused(*_: object, **__: object) -> None:
 
 
 @pytest.mark.parametrize(
-    ("what", "error", "said"),
+    ("what", "error", "stated"),
     [
         ("pathlib.Path.mkdir", SurveyError, "out: cannot be written into: Permission denied"),
         ("mapper_survey.running.plan_all", PermissionError, "Permission denied: 'a.mcap'"),
     ],
 )
-def test_only_the_folder_is_said_not_to_be_written_into(
-    tmp_path: Path, what: str, error: type[Exception], said: str
+def test_only_the_folder_is_reported_not_to_be_written_into(
+    tmp_path: Path, what: str, error: type[Exception], stated: str
 ) -> None:
     survey = write_survey(tmp_path)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(what, refused)
-        with pytest.raises(error, match=said):
+        with pytest.raises(error, match=stated):
             run_here(survey, tmp_path / "out")

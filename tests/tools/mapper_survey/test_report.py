@@ -117,9 +117,9 @@ def test_distances_are_those_of_a_tree(made: tuple[Report, Path], maps: Maps) ->
             assert (way.median_m, way.p95_m, way.missing_share) == (None, None, None)
             continue
         assert way.missing_share == pytest.approx((compared & ~near).sum() / compared.sum())
-        for share, told in ((0.5, way.median_m), (0.95, way.p95_m)):
+        for share, reported in ((0.5, way.median_m), (0.95, way.p95_m)):
             expected = np.quantile(metres[compared], share, method="inverted_cdf")
-            assert told == pytest.approx(expected if expected <= 1.0 else None)
+            assert reported == pytest.approx(expected if expected <= 1.0 else None)
     assert ways["a", "b"].conflicts != ways["b", "a"].conflicts
     assert min(ways["a", "b"].conflicts, ways["b", "a"].missing, ways["a", "b"].common) > 20
     assert ways["a", "b"].farther > 0
@@ -163,11 +163,11 @@ def test_heights_differ_as_the_surfaces_do(made: tuple[Report, Path], maps: Maps
         assert (dives == 2).sum() == (spread != -9999).sum() == len(dz)
         rows, columns = np.nonzero(dives == 2)
         places = np.floor(np.array(grid.xy(rows, columns)).T / RESOLUTION_M).astype(int)
-    told = dict(zip(map(tuple, places.tolist()), spread[rows, columns].tolist(), strict=True))
-    assert told == {place: pytest.approx(abs(z) * RESOLUTION_M) for place, z in dz.items()}
+    reported = dict(zip(map(tuple, places.tolist()), spread[rows, columns].tolist(), strict=True))
+    assert reported == {place: pytest.approx(abs(z) * RESOLUTION_M) for place, z in dz.items()}
 
 
-def test_file_says_the_same_and_pictures_are_there(made: tuple[Report, Path]) -> None:
+def test_file_reports_the_same_and_pictures_are_there(made: tuple[Report, Path]) -> None:
     report, out = made
     data = (out / "report.json").read_bytes()
     assert msgspec.json.decode(data, type=Report) == report
@@ -209,23 +209,23 @@ def test_pieces_of_any_size_give_the_same(
         return found
 
     undrawn.setattr(StoredMap, "part", watched)
-    told: list[tuple[int, int]] = []
-    assert reported(files, tmp_path, progress=lambda *at: told.append(at)) == made[0]
+    progress: list[tuple[int, int]] = []
+    assert reported(files, tmp_path, progress=lambda *at: progress.append(at)) == made[0]
     with StoredMap(files["merged"]) as merged:
         assert max(sizes) < part(merged, (-9,) * 3, (9,) * 3).core.block_count / 2
-    assert told == [(number, len(told)) for number in range(1, len(told) + 1)]
+    assert progress == [(number, len(progress)) for number in range(1, len(progress) + 1)]
 
 
 def test_maps_that_cannot_be_compared_are_named(files: dict[str, Path], tmp_path: Path) -> None:
     coarse = SonarMap(Config(octree=OctreeConfig(voxel_resolution=0.2)))
     other = store_of(tmp_path / "coarse.db", coarse)
-    for dives, tolerance_m, said in (
+    for dives, tolerance_m, stated in (
         ({"x": other}, 0.2, r"x: its voxels are 0\.2 m, those of the merged map 0\.1 m"),
         ({}, 0.2, "no dives"),
         ({"a": files["a"]}, 0.0, "tolerance: 0 m"),
         ({"a": files["a"]}, 7.0, r"allowed: up to 6 m"),
     ):
-        with pytest.raises(SurveyError, match=said):
+        with pytest.raises(SurveyError, match=stated):
             report_survey(dives, files["merged"], tmp_path / "out", tolerance_m)
     with pytest.raises(StoreError, match=r"gone\.db"):
         report_survey({"x": tmp_path / "gone.db"}, files["merged"], tmp_path / "out", 0.2)

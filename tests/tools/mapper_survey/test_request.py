@@ -1,4 +1,4 @@
-"""`survey.yaml` is taken at its word, or refused with one line that says what and where."""
+"""`survey.yaml` is accepted, or refused with one line that names the error and its place."""
 
 import json
 from pathlib import Path
@@ -14,10 +14,12 @@ from mapper_survey.request import Transform, read_survey
 DIVES = [{"name": "a", "recording": "a.mcap"}]
 
 
-def written(folder: Path, told: object) -> Path:
+def written(folder: Path, reported: object) -> Path:
     path = folder / "survey.yaml"
     (folder / "a.mcap").touch()
-    path.write_text(told if isinstance(told, str) else json.dumps(told), encoding="utf-8")
+    path.write_text(
+        reported if isinstance(reported, str) else json.dumps(reported), encoding="utf-8"
+    )
     return path
 
 
@@ -26,9 +28,9 @@ def test_settings_of_the_file_lie_below_those_of_the_survey(tmp_path: Path) -> N
         "octree: {voxel_resolution: 0.3}\nfiltering: {min_range: 2.0}\n", encoding="utf-8"
     )
     settings = {"octree": {"voxel_resolution": 0.2}, "mapping.integrator": "rays"}
-    told = {"dives": DIVES, "configuration": "mapperd.yaml", "settings": settings}
+    reported = {"dives": DIVES, "configuration": "mapperd.yaml", "settings": settings}
     origin = {"latitude": 53.5, "longitude": 8.0, "altitude": 1.5}
-    request = read_survey(written(tmp_path, told | {"origin": origin}))
+    request = read_survey(written(tmp_path, reported | {"origin": origin}))
     config = request.config
     assert config.octree.voxel_resolution == 0.2
     assert config.filtering.min_range == 2.0
@@ -52,7 +54,7 @@ def test_a_dive_on_a_known_map_is_mapped_where_it_is_localized(tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    ("told", "said"),
+    ("reported", "stated"),
     [
         ("dives: [", "survey.yaml: line"),
         ({}, "missing required field `dives`"),
@@ -76,11 +78,11 @@ def test_a_dive_on_a_known_map_is_mapped_where_it_is_localized(tmp_path: Path) -
         ({"dives": DIVES, "origin": {"latitude": 91, "longitude": 0}}, "origin.latitude"),
     ],
 )
-def test_what_is_wrong_is_told_in_one_line(
-    tmp_path: Path, told: object, said: str, capsys: pytest.CaptureFixture[str]
+def test_what_is_wrong_is_reported_in_one_line(
+    tmp_path: Path, reported: object, stated: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = written(tmp_path, told)
-    with pytest.raises(SurveyError, match=said):
+    path = written(tmp_path, reported)
+    with pytest.raises(SurveyError, match=stated):
         read_survey(path)
     assert main(["plan", str(path), "--out", str(tmp_path / "out"), "--workers", "0"]) == 2
     error = capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""What `survey.json` tells of a run: its tasks as they can be done, and the time recorded."""
+"""Contents of `survey.json`: tasks in a possible order, and the recorded time."""
 
 import json
 from pathlib import Path
@@ -83,7 +83,7 @@ def test_the_simulation_of_such_a_run_counts_each_task_once(tasks: list[TaskTime
         assert step.speedup <= step.workers + 1e-9
 
 
-def test_large_tiles_are_told_first_as_they_are_begun(out: Path, tasks: list[TaskTime]) -> None:
+def test_large_tiles_are_reported_first_as_they_are_begun(out: Path, tasks: list[TaskTime]) -> None:
     firsts = [task.name for task in tasks if task.after[:1] == ("plan/a",)]
     marks = {f"tile/{path.name.split('.')[0]}": path for path in (out / "shards").glob("*.json")}
     pings = [json.loads(marks[name].read_bytes())["pings"] for name in firsts]

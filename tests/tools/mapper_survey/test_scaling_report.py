@@ -35,8 +35,8 @@ def survey_json(path: Path, wall_s: float, slower: float = 1.0) -> Path:
             after=tuple(f"tile/{k}" for k in range(6)),
         ),
     ]
-    told = {"wall_s": {"plan": wall_s / 4, "tiles": wall_s * 3 / 4}, "tasks": tasks, "pings": 8}
-    path.write_bytes(msgspec.json.encode(told))
+    reported = {"wall_s": {"plan": wall_s / 4, "tiles": wall_s * 3 / 4}, "tasks": tasks, "pings": 8}
+    path.write_bytes(msgspec.json.encode(reported))
     return path
 
 
@@ -56,8 +56,8 @@ def out_fixture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(name="record", scope="module")
 def record_fixture(out: Path) -> dict[str, Any]:
-    told: dict[str, Any] = json.loads((out / "scaling.json").read_text())
-    return told
+    reported: dict[str, Any] = json.loads((out / "scaling.json").read_text())
+    return reported
 
 
 def test_measured_runs_stand_beside_their_simulation(record: dict[str, Any]) -> None:
@@ -114,6 +114,6 @@ def test_a_file_that_is_no_record_is_one_line_and_a_code(
     path.write_text('{"tasks": []}')
     assert report(tmp_path, f"1={path}") == 2
     assert report(tmp_path, f"1={tmp_path / 'none'}") == 2
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) == 2
-    assert "no record of a survey" in said[0]
+    stated = capsys.readouterr().err.splitlines()
+    assert len(stated) == 2
+    assert "no record of a survey" in stated[0]

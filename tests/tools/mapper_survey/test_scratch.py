@@ -105,8 +105,8 @@ def test_a_file_has_its_name_only_when_it_is_whole(
 
 def test_what_the_killed_have_left_is_removed(temporary: Path) -> None:
     words = [sys.executable, "-c", KILLED, str(ROOT / "tools")]
-    told = subprocess.run(words, cwd=ROOT, check=False, stdout=subprocess.PIPE, text=True)  # noqa: S603 our own
-    left = Path(told.stdout.strip())
+    reported = subprocess.run(words, cwd=ROOT, check=False, stdout=subprocess.PIPE, text=True)  # noqa: S603 our own
+    left = Path(reported.stdout.strip())
     assert (left / "shard.db").exists()
     long_ago_s = time.time() - 2 * YOUNG_S
     with scratch() as mine:

@@ -1,4 +1,4 @@
-"""What is said of a dive's pings goes into a file as they come."""
+"""The evidence of a dive's pings is written to a file as they come."""
 
 import io
 from typing import Any

@@ -19,7 +19,7 @@ def test_a_wait_that_is_named_twice_is_one_wait() -> None:
 
 
 @pytest.mark.parametrize(
-    ("tasks", "told"),
+    ("tasks", "reported"),
     [
         ([task("a"), task("a")], "two tasks are called 'a'"),
         ([task("a", "b")], "'a' waits for 'b', which is not there"),
@@ -29,12 +29,12 @@ def test_a_wait_that_is_named_twice_is_one_wait() -> None:
         ([task("a", cpu_s=float("nan"))], "negative or infinite"),
     ],
 )
-def test_tasks_that_make_no_sense_are_refused(tasks: list[TaskTime], told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_tasks_that_make_no_sense_are_refused(tasks: list[TaskTime], reported: str) -> None:
+    with pytest.raises(ValueError, match=reported):
         in_order(tasks)
 
 
-def test_a_survey_is_read_whatever_else_it_tells(tmp_path: Path) -> None:
+def test_a_survey_is_read_whatever_else_it_reports(tmp_path: Path) -> None:
     path = tmp_path / "survey.json"
     tasks = [task("tile", "plan"), task("plan", kind="plan", cpu_s=0.25)]
     path.write_bytes(msgspec.json.encode({"version": 3, "tasks": tasks, "lost": []}))
@@ -49,7 +49,7 @@ def test_a_file_that_is_no_survey_is_named(tmp_path: Path, text: str) -> None:
         read_task_times(path)
 
 
-def test_tasks_in_a_circle_are_told_with_the_file(tmp_path: Path) -> None:
+def test_tasks_in_a_circle_are_reported_with_the_file(tmp_path: Path) -> None:
     path = tmp_path / "survey.json"
     path.write_bytes(msgspec.json.encode({"tasks": [task("a", "a")]}))
     with pytest.raises(ValueError, match=r"survey\.json: 'a' waits for itself"):

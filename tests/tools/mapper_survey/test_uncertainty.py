@@ -38,7 +38,7 @@ def mapped(floor_m: float, ping_noise_m: float, beam_noise_m: float) -> SonarMap
 
 
 class Judge:
-    """Root mean squares of errors and of what is told of them, over the floors."""
+    """Root mean squares of errors and of their estimates, over the floors."""
 
     def __init__(self, folder: Path, ping_noise_m: float, beam_noise_m: float) -> None:
         self._folder = folder
@@ -61,7 +61,7 @@ class Judge:
 
 
 @pytest.mark.parametrize("noise_m", [(0.0, 0.0), (0.1, 0.0), (0.0, 0.1)])
-def test_noise_of_a_voxel_is_in_what_the_map_tells(
+def test_noise_of_a_voxel_is_in_what_the_map_reports(
     tmp_path: Path, noise_m: tuple[float, float]
 ) -> None:
     judge = Judge(tmp_path, *noise_m)
@@ -73,4 +73,4 @@ def test_larger_noise_of_all_beams_has_to_be_given(tmp_path: Path) -> None:
     judge = Judge(tmp_path, 0.3, 0.0)
     for rule in RULES:
         assert 0.8 < judge.ratio(rule, 0.3) < 1.2
-        assert judge.ratio(rule, 0.0) > 2.0  # as docs/reference/survey-products.md says
+        assert judge.ratio(rule, 0.0) > 2.0  # as documented

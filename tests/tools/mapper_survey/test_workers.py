@@ -183,7 +183,7 @@ class Lost:
         raise FutureCancelledError("map_tile-1", "scheduler-connection-lost")
 
 
-def test_a_lost_scheduler_is_told_in_one_line() -> None:
+def test_a_lost_scheduler_is_reported_in_one_line() -> None:
     with pytest.raises(SurveyError, match="connection-lost"):
         engine_dask._result_of(Lost())
 

@@ -24,7 +24,7 @@ for _ in sys.stdin:
 """
 
 
-def test_a_story_is_told_again_by_its_number() -> None:
+def test_a_story_is_sent_again_by_its_number() -> None:
     story = list(trouble(3, 600.0))
     assert story == list(trouble(3, 600.0))
     assert story != list(trouble(4, 600.0))
@@ -48,14 +48,16 @@ def test_a_process_sees_another_time_and_a_full_disk(tmp_path: Path) -> None:
         with subprocess.Popen(  # noqa: S603 our own words
             command, env=shim.environ, stdin=pipe, stdout=pipe, text=True
         ) as process:
-            said, told = process.stdin, process.stdout
-            assert said is not None
-            assert told is not None
+            stated, reported = process.stdin, process.stdout
+            assert stated is not None
+            assert reported is not None
 
-            def asked(said: IO[str] = said, told: IO[str] = told) -> tuple[int, int, str]:
-                said.write("\n")
-                said.flush()
-                unix, monotonic, wrote = told.readline().strip().split("|")
+            def asked(
+                stated: IO[str] = stated, reported: IO[str] = reported
+            ) -> tuple[int, int, str]:
+                stated.write("\n")
+                stated.flush()
+                unix, monotonic, wrote = reported.readline().strip().split("|")
                 return int(unix), int(monotonic), wrote
 
             before = asked()

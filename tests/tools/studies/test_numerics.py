@@ -63,7 +63,7 @@ def test_the_picture_is_on_the_page() -> None:
     assert f"({os.path.relpath(PICTURE, PAGE.parent)})" in PAGE.read_text(encoding="utf-8")
 
 
-def test_tables_say_where_numbers_end() -> None:
+def test_tables_report_where_numbers_end() -> None:
     curves = (
         Curve("ours", np.array([0.0, 1e-9]), ours=True),
         Curve("plain", np.array([1, np.nan]), ours=False),

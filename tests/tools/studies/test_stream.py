@@ -8,8 +8,8 @@ from studies.stream.staleness import Knowledge, staleness
 SECOND = 10**9
 
 
-def told(*rows: tuple[float, int, int], late_s: float = 0.0) -> Knowledge:
-    """Rows of (time in seconds, x of the block, its content); told later than they were so."""
+def reported(*rows: tuple[float, int, int], late_s: float = 0.0) -> Knowledge:
+    """Rows of (time in seconds, x of the block, its content), received after they were valid."""
     times = np.array([round((time_s + late_s) * SECOND) for time_s, _, _ in rows], np.int64)
     keys = np.array([(x, 0, 0) for _, x, _ in rows], np.int32).reshape(-1, 3)
     digests = np.array([content for _, _, content in rows], np.int64)
@@ -24,34 +24,36 @@ def ages(reference: Knowledge, judged: Knowledge, *moments_s: float) -> tuple[li
 
 
 def test_a_block_is_as_old_as_the_first_change_that_was_missed() -> None:
-    reference = told((1, 0, 11), (2, 0, 12), (3, 0, 13))
-    assert ages(reference, told((1, 0, 11)), 1.5, 2.5, 4.0)[0] == pytest.approx([0, 0.5, 2.0])
+    reference = reported((1, 0, 11), (2, 0, 12), (3, 0, 13))
+    assert ages(reference, reported((1, 0, 11)), 1.5, 2.5, 4.0)[0] == pytest.approx([0, 0.5, 2.0])
 
 
-def test_what_was_never_told_is_as_old_as_the_block() -> None:
-    assert ages(told((1, 0, 11), (2, 0, 12)), told(), 0.5, 4.0)[0] == pytest.approx([0, 3.0])
+def test_what_was_never_reported_is_as_old_as_the_block() -> None:
+    assert ages(reported((1, 0, 11), (2, 0, 12)), reported(), 0.5, 4.0)[0] == pytest.approx(
+        [0, 3.0]
+    )
 
 
 def test_a_content_that_comes_again_is_the_newest_of_its_kind() -> None:
-    reference = told((1, 0, 11), (2, 0, 12), (5, 0, 11))
-    assert ages(reference, told((1, 0, 11)), 2.5, 6.0)[0] == pytest.approx([0.5, 0])
+    reference = reported((1, 0, 11), (2, 0, 12), (5, 0, 11))
+    assert ages(reference, reported((1, 0, 11)), 2.5, 6.0)[0] == pytest.approx([0.5, 0])
 
 
-def test_what_the_reference_was_never_told_is_as_old_as_the_daemon_says() -> None:
-    reference = told((1, 0, 11), (2, 0, 12), (4, 0, 14))
-    judged = told((3.0, 0, 99), late_s=0.5)  # read between two messages of the reference
+def test_what_the_reference_was_never_reported_is_as_old_as_the_daemon_reports() -> None:
+    reference = reported((1, 0, 11), (2, 0, 12), (4, 0, 14))
+    judged = reported((3.0, 0, 99), late_s=0.5)  # read between two messages of the reference
     assert ages(reference, judged, 3.8, 6.0)[0] == pytest.approx([0, 2.0])
 
 
-def test_what_went_back_unseen_by_the_reference_is_as_old_as_the_daemon_says() -> None:
-    reference = told((1, 0, 11), (2, 0, 12), (4, 0, 14))
-    judged = told((3.0, 0, 11), late_s=0.5)
+def test_what_went_back_unseen_by_the_reference_is_as_old_as_the_daemon_reports() -> None:
+    reference = reported((1, 0, 11), (2, 0, 12), (4, 0, 14))
+    judged = reported((3.0, 0, 11), late_s=0.5)
     assert ages(reference, judged, 3.8, 6.0)[0] == pytest.approx([0, 2.0])
 
 
-def test_near_and_far_are_told_apart() -> None:
-    reference = told((1, 9, 1), (1, 12, 2))
-    near, far = ages(reference, told((1.1, 9, 1)), 3.0)
+def test_near_and_far_are_distinguished() -> None:
+    reference = reported((1, 9, 1), (1, 12, 2))
+    near, far = ages(reference, reported((1.1, 9, 1)), 3.0)
     assert (near, far) == ([0.0], [2.0])
 
 

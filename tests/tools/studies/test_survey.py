@@ -56,8 +56,8 @@ def judged(
     lost: int = 0,
     peak: int = MEMORY_BYTES,
 ) -> Judged:
-    told: dict[str, list[object]] = {f"dive-{k}": ["cut"] for k in range(lost)}
-    return Judged(Watched(2, wall_s, 1.0, peak, killed), 200.0, found, told)
+    reported: dict[str, list[object]] = {f"dive-{k}": ["cut"] for k in range(lost)}
+    return Judged(Watched(2, wall_s, 1.0, peak, killed), 200.0, found, reported)
 
 
 def hold(results: dict[str, Judged], single: Single, *, long: bool) -> bool:
@@ -164,7 +164,7 @@ def test_the_study_goes_through_to_its_report(
     words = ["--out", str(tmp_path), "--scale", "small"]
     assert [main(words), main(words)] == [0, 0]
     assert "FAILS" not in capsys.readouterr().out
-    told = json.loads((tmp_path / "study.json").read_text("utf-8"))
-    assert told["one"]["map"] == told["killed"]["map"] == told["single"]["map"]
-    assert told["damaged"]["lost"].keys() == {"a", "b"}
+    reported = json.loads((tmp_path / "study.json").read_text("utf-8"))
+    assert reported["one"]["map"] == reported["killed"]["map"] == reported["single"]["map"]
+    assert reported["damaged"]["lost"].keys() == {"a", "b"}
     assert (tmp_path / "scaling/scaling.json").exists()

@@ -82,7 +82,7 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of a job: its figures, or why there are none."""
+    """What came of a job: its figures, or why it has none."""
 
     job: Job
     figures: dict[str, float] | None = None
@@ -277,18 +277,18 @@ def _measure(logs: Mapping[str, _Log], missing: list[Job], workers: int, tally: 
                 bad.add(folder)
                 tally.failed += on_dive[folder]
                 bar.update(on_dive[folder])
-                _tell(bar, logs, outcome.job, f"is not prepared: {outcome.failure}")
+                _log_failure(bar, logs, outcome.job, f"is not prepared: {outcome.failure}")
         order = np.random.default_rng(0).permutation(len(missing))
         shuffled = [missing[place] for place in order if missing[place].folder not in bad]
         for outcome in outcomes(shuffled, workers):
             bar.update()
             if failure := logs[outcome.job.module].take(outcome):
                 tally.failed += 1
-                _tell(bar, logs, outcome.job, failure)
+                _log_failure(bar, logs, outcome.job, failure)
     return tally
 
 
-def _tell(bar: "tqdm[None]", logs: Mapping[str, _Log], job: Job, failure: str) -> None:
+def _log_failure(bar: "tqdm[None]", logs: Mapping[str, _Log], job: Job, failure: str) -> None:
     setting = f" ({job.setting.key or 'default'})" if job.setting else ""
     bar.write(f"{logs[job.module].study.name}: {job.dive.name}{setting} {failure}", file=sys.stderr)
 

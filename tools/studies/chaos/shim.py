@@ -38,16 +38,16 @@ class Shim:
     def step_clock(self, offset_s: float) -> None:
         """Set the process's time of day off by so much."""
         self._offset_ns = round(offset_s * 1e9)
-        self._tell()
+        self._write()
 
     def fill_disk(self, *, full: bool) -> None:
         """Let regular files take no bytes, or take them again."""
         self._full = full
-        self._tell()
+        self._write()
 
     def close(self) -> None:
         """Let go of the file."""
         self._mapped.close()
 
-    def _tell(self) -> None:
+    def _write(self) -> None:
         self._mapped[:] = FACTS.pack(self._offset_ns, int(self._full))

@@ -100,7 +100,7 @@ def in_fans(points_m: Floats, fans: Fans) -> Mask:
 
 
 def to_nearest(from_m: Floats, to_m: Floats) -> Floats:
-    """(N,) distance of each point to the nearest of the others; infinite where there is none."""
+    """(N,) distance of each point to the nearest of the others; infinite without one."""
     if len(to_m) == 0:
         return np.full(len(from_m), np.inf)
     distance: Floats = cKDTree(to_m).query(from_m)[0]
@@ -111,7 +111,7 @@ def agreement(distance_m: Floats, voxel_m: float) -> Agreement:
     """The figures of distances.
 
     Raises:
-        ValueError: there are none.
+        ValueError: without points.
     """
     if len(distance_m) == 0:
         raise ValueError("no voxel to compare")

@@ -55,7 +55,7 @@ def case_of(file: str, name: str, docstring: str | None) -> Case:
 
 
 def cases(folder: Path = CASES) -> Iterator[Case]:
-    """All hard cases, in the order of files and lines; tests of catalogues are none.
+    """All hard cases, in the order of files and lines; without tests of catalogues.
 
     Raises:
         ValueError: one is not of the form.

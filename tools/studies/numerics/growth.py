@@ -40,7 +40,7 @@ class Curve:
 
     Attributes:
         label: in the legend.
-        error: at every checkpoint; NaN where the numbers themselves are none.
+        error: at every checkpoint; NaN where the numbers are not finite.
         ours: the product's; others are what a plain program would do.
     """
 

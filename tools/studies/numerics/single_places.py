@@ -182,13 +182,13 @@ PLACES = (
         "`field_weight`",
         "likelihoods looked up for a block of particles; products and logarithms are doubles",
         _weighing,
-        "particles are told apart by tenths of a logarithm",
+        "particles differ by tenths of a logarithm",
     ),
     Place(
         "`levels`, `first_return`",
         "levels in dB and running sums of them",
         _levels,
-        "a scan is taken of every ping; sums begin anew in each",
+        "a scan is taken of every ping; sums restart in each",
         "means alone, whose running sums lie within the search for a return; levels are ours",
     ),
     Place(

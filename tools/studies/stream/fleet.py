@@ -54,7 +54,7 @@ async def one(
             return {"digest": digest, "connects": client.link.connects, **received}
 
 
-def _when_told() -> None:
+def _wait_for_release() -> None:
     """Wait for the end of standard input: from then on the map does not change."""
     sys.stdin.read()
 
@@ -82,7 +82,7 @@ async def _stalls(relay: Relay, mischief: random.Random) -> None:
 async def live(args: argparse.Namespace) -> list[dict[str, Any]]:
     """All of them."""
     token = args.token.read_text().strip().encode()
-    settled = asyncio.create_task(asyncio.to_thread(_when_told))
+    settled = asyncio.create_task(asyncio.to_thread(_wait_for_release))
     lives = [
         one(args.address, token, args.seconds, args.dice + number, settled)
         for number in range(args.clients)

@@ -158,7 +158,7 @@ def _tether(_: Path, args: argparse.Namespace) -> dict[str, Any]:
     runs = []
     for dice in range(1, args.tethers + 1):
         with tempfile.TemporaryDirectory(prefix="stream-study-") as folder:
-            runs.append(tether(Path(folder), args.capture, LinkShape(), dice, _say))
+            runs.append(tether(Path(folder), args.capture, LinkShape(), dice, _print))
     outcome = max(runs, key=lambda run: run.near_s()[0])
     draw_ages(args.out / "ages.png", outcome)
     worst_s, most_s = outcome.near_s()
@@ -175,7 +175,7 @@ def _tether(_: Path, args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _fleet(folder: Path, args: argparse.Namespace) -> dict[str, Any]:
-    outcome = fleet(folder, args.capture, args.clients, args.seconds, _say)
+    outcome = fleet(folder, args.capture, args.clients, args.seconds, _print)
     return {name: getattr(outcome, name) for name in outcome.__slots__}
 
 
@@ -183,7 +183,7 @@ def _watchers(_: Path, args: argparse.Namespace) -> dict[str, Any]:
     costs = {}
     for clients in CLIENTS:
         with tempfile.TemporaryDirectory(prefix="stream-study-") as folder:
-            outcome = watchers(Path(folder), args.capture, clients, WATCHED_S, _say)
+            outcome = watchers(Path(folder), args.capture, clients, WATCHED_S, _print)
         costs[str(clients)] = outcome.plain()
     return costs
 
@@ -204,7 +204,7 @@ def _kept(results: dict[str, Any]) -> bool:
     return all(kept)
 
 
-def _say(text: str) -> None:
+def _print(text: str) -> None:
     sys.stderr.write(f"\r\x1b[K{text}")
     sys.stderr.flush()
 

@@ -134,7 +134,7 @@ class FleetOutcome:
     equal: int
     connects: int
     restarts: int
-    blocks_told: int
+    blocks_sent: int
     blocks: int
 
 

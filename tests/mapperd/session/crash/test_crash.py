@@ -166,7 +166,7 @@ def test_map_after_a_kill_is_that_of_the_recordings(
     assert mapped > 10 * KILLS
 
 
-def test_who_is_told_to_end_leaves_a_whole_map(
+def test_who_is_reported_to_end_leaves_a_whole_map(
     tmp_path: Path, world: World, daemons: Daemons
 ) -> None:
     text = settings_of(world, tmp_path)

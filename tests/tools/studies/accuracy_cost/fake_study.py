@@ -1,4 +1,4 @@
-"""A study of known figures that takes no time; some of its settings fail, as said."""
+"""A study of known figures that takes no time; some of its settings fail as configured."""
 
 import math
 import os

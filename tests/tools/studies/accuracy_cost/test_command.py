@@ -1,4 +1,4 @@
-"""The command, on a fake study: what it says, writes and draws."""
+"""The command, on a fake study: what it prints, writes and draws."""
 
 import re
 import sys
@@ -73,7 +73,7 @@ def test_a_part_is_never_recorded_as_the_whole(
     assert not recorded.exists()
 
 
-def test_a_failed_measurement_is_told_by_the_exit_code(
+def test_a_failed_measurement_is_reported_by_the_exit_code(
     recorded: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -96,7 +96,7 @@ def test_an_unknown_knob_is_named_with_those_that_there_are(
 
 
 @pytest.mark.usefixtures("recorded")
-def test_an_interrupt_says_how_to_go_on(
+def test_an_interrupt_reports_how_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def interrupted(*_: object) -> None:
@@ -108,6 +108,6 @@ def test_an_interrupt_says_how_to_go_on(
 
 
 @pytest.mark.usefixtures("recorded")
-def test_nothing_to_draw_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_to_draw_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert accuracy_cost(tmp_path, "plot") == 2
     assert re.fullmatch("accuracy-cost: fake: .*accuracy-cost run\n", capsys.readouterr().err)

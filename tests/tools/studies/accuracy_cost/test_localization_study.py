@@ -85,7 +85,7 @@ def test_quantiles_are_those_of_errors_and_times_that_differ() -> None:
     assert figures["nees"] == pytest.approx(0.5)
 
 
-def test_a_turned_pose_is_wrong_and_one_that_says_so_is_not_sure() -> None:
+def test_a_turned_pose_is_wrong_and_one_that_is_reported_is_not_sure() -> None:
     figures = figures_of([moments([0.1] * 8, turn_rad=0.5)], 1.0, 3_000_000)
     assert (figures["success"], figures["wrong_and_sure"]) == (0.0, 1.0)
     assert figures["heading_median_deg"] == pytest.approx(math.degrees(0.5))
@@ -172,13 +172,13 @@ def test_errors_are_those_of_the_pose_that_the_vehicle_would_use(
     assert there.nees.min() > here.nees.max()
 
 
-def test_defaults_of_the_knobs_are_the_published_ones_only_where_they_say_so() -> None:
+def test_defaults_of_the_knobs_are_the_published_ones_only_where_they_are_reported() -> None:
     published = Config()
     for knob in STUDY.knobs:
-        said = next((s for s in knob.settings if s.label == knob.published), None)
-        if said is None:
+        stated = next((s for s in knob.settings if s.label == knob.published), None)
+        if stated is None:
             continue
-        config = config_for(WORLDS["harbour"], said.overrides, 0)
+        config = config_for(WORLDS["harbour"], stated.overrides, 0)
         turned = {name for setting in knob.settings for name in setting.overrides}
         for name in (n for turn in turned for n in SCALES.get(turn, (turn,))):
             section, field = name.split(".")

@@ -57,6 +57,6 @@ def test_what_is_not_committed_has_a_name_by_its_content(root: Path) -> None:
     assert commit(root) not in (first, *names)
 
 
-def test_no_checkout_is_told(tmp_path: Path) -> None:
+def test_no_checkout_is_reported(tmp_path: Path) -> None:
     with pytest.raises(AccuracyCostError, match="no checkout of git"):
         commit(tmp_path)

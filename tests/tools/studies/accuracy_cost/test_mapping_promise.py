@@ -52,7 +52,7 @@ def test_sentences_name_each_dive_and_what_was_not_kept() -> None:
     assert text.count("**no**") == 2
 
 
-def test_sentences_say_where_none_of_ours_comes_near() -> None:
+def test_sentences_report_where_none_of_ours_comes_near() -> None:
     rows = {
         "": row(0.4, 80.0, 0.01),
         PUBLISHED.key: row(0.3, 1.0),

@@ -31,15 +31,15 @@ def test_what_falls_is_pooled() -> None:
     log_odds = np.repeat([-3.0, 0.0, 3.0], 1000)
     solid = np.concatenate([np.arange(1000) < n for n in (100, 700, 500)])
     curve = fit(log_odds, solid)
-    told = 1.0 / (1.0 + np.exp(-curve.log_odds_of(np.array([-3.0, 0.0, 3.0]))))
-    assert told == pytest.approx([0.1, 0.6, 0.6], abs=2e-3)
+    reported = 1.0 / (1.0 + np.exp(-curve.log_odds_of(np.array([-3.0, 0.0, 3.0]))))
+    assert reported == pytest.approx([0.1, 0.6, 0.6], abs=2e-3)
 
 
 def test_voxels_alike_stay_together() -> None:
     log_odds = np.concatenate([np.full(5000, -3.0), np.full(100, -2.9)])
     solid = np.concatenate([np.arange(5000) < 500, np.arange(100) < 40])
-    told = 1.0 / (1.0 + np.exp(-fit(log_odds, solid).log_odds_of(np.array([-3.0, -2.9]))))
-    assert told == pytest.approx([0.1, 0.4], abs=5e-3)
+    reported = 1.0 / (1.0 + np.exp(-fit(log_odds, solid).log_odds_of(np.array([-3.0, -2.9]))))
+    assert reported == pytest.approx([0.1, 0.4], abs=5e-3)
 
 
 def test_file_holds_the_curve(tmp_path: Path) -> None:
@@ -54,13 +54,13 @@ def test_file_holds_the_curve(tmp_path: Path) -> None:
 
 def test_the_shipped_curve_trusts_the_map_less_than_it_trusts_itself() -> None:
     curve = load_calibration(FILE)
-    told = curve.probability_of(np.array([0.0, 0.001, 0.7, 0.99, 1.0]))
-    assert 0.0 < told[0] < told[1] < 0.3
-    assert 0.5 < told[2] <= told[3] == pytest.approx(told[4], abs=0.02)
-    assert told[4] < 0.7
+    reported = curve.probability_of(np.array([0.0, 0.001, 0.7, 0.99, 1.0]))
+    assert 0.0 < reported[0] < reported[1] < 0.3
+    assert 0.5 < reported[2] <= reported[3] == pytest.approx(reported[4], abs=0.02)
+    assert reported[4] < 0.7
 
 
-def test_table_says_both_errors() -> None:
+def test_table_reports_both_errors() -> None:
     log_odds, solid = overconfident(20_000, 4)
     text = table(log_odds, solid, fit(log_odds, solid))
     assert text.count("\n") == 13

@@ -27,8 +27,8 @@ def to_mesh(solid: Solid, points_m: np.ndarray) -> np.ndarray:
     ],
 )
 def test_distance_is_that_to_the_mesh(solid: Solid, within_m: float) -> None:
-    said = solid.distance_m(AROUND)
-    assert np.abs(said) == pytest.approx(to_mesh(solid, AROUND), abs=within_m)
+    stated = solid.distance_m(AROUND)
+    assert np.abs(stated) == pytest.approx(to_mesh(solid, AROUND), abs=within_m)
 
 
 @pytest.mark.parametrize("off_m", [-0.2, 0.1])

@@ -42,8 +42,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def driven(folder: Path, **overrides: float | str | bool) -> Driven:
-    said = COARSE | {name.replace("__", "."): value for name, value in overrides.items()}
-    return drive(Setting("tried", said), made_by(BASIN), capture_of(BASIN, folder))
+    stated = COARSE | {name.replace("__", "."): value for name, value in overrides.items()}
+    return drive(Setting("tried", stated), made_by(BASIN), capture_of(BASIN, folder))
 
 
 def first_ping(folder: Path) -> Ping:

@@ -10,7 +10,7 @@ from studies.accuracy_cost.study import DEFAULT, Study
 
 
 def figures(voxels: int, solid: float = 0.5) -> dict[str, float]:
-    """Ten bins; where the map says p, a share of p is occupied."""
+    """Ten bins; where the map has p, a share of p is occupied."""
     found: dict[str, float] = {}
     for i in range(10):
         p = i / 10 + 0.05
@@ -18,7 +18,7 @@ def figures(voxels: int, solid: float = 0.5) -> dict[str, float]:
     return found
 
 
-def test_a_bin_of_few_voxels_says_nothing() -> None:
+def test_a_bin_of_few_voxels_is_silent() -> None:
     bins = bins_of(figures(120))
     assert bins[:, 2].tolist() == [120, 110, 100]
     assert bins[2, :2].tolist() == [0.25, 0.125]

@@ -67,11 +67,11 @@ def test_a_setting_that_fails_is_one_line_and_the_rest_goes_on(
     monkeypatch.setenv("FAKE_2", "dies")
     monkeypatch.setenv("FAKE_3", "forgets")
     assert run_fake(fake, tmp_path) == Tally(4, 0, 3)
-    said = sorted(capsys.readouterr().err.splitlines())
-    assert len(said) == 3
-    assert said[0] == "fake: calm (size=0.5) ValueError: no such setting"
-    assert re.fullmatch(r"fake: calm \(size=2\) .*SIGKILL", said[1])
-    assert re.fullmatch(r"fake: calm \(size=3\) .*: cpu_ms, share", said[2])
+    stated = sorted(capsys.readouterr().err.splitlines())
+    assert len(stated) == 3
+    assert stated[0] == "fake: calm (size=0.5) ValueError: no such setting"
+    assert re.fullmatch(r"fake: calm \(size=2\) .*SIGKILL", stated[1])
+    assert re.fullmatch(r"fake: calm \(size=3\) .*: cpu_ms, share", stated[2])
     assert set(read_results(tmp_path / "fake.csv").rows) == {Key("calm", 1, "default")}
 
 

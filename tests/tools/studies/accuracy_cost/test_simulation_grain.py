@@ -40,13 +40,13 @@ def test_pictures_are_one_sample_about_the_expected_level() -> None:
 
 def test_chance_is_what_other_samples_differ_by() -> None:
     samples = [grain_of([speckle_db(16 * k + s, 30) for s in range(16)]) for k in range(40)]
-    for told, figure in (
+    for reported, figure in (
         ("spread_chance_db", "spread_db"),
         ("correlation_chance", "row_correlation"),
     ):
         found = np.std([getattr(grain, figure) for grain in samples])
-        said = np.mean([getattr(grain, told) for grain in samples])
-        assert said == pytest.approx(found, rel=0.3), figure
+        stated = np.mean([getattr(grain, reported) for grain in samples])
+        assert stated == pytest.approx(found, rel=0.3), figure
     alone = grain_of([speckle_db(1, 30)])
     assert math.isnan(alone.spread_chance_db)
     assert math.isnan(alone.correlation_chance)

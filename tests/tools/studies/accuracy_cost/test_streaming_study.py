@@ -115,14 +115,14 @@ def blocks_of(sonar_map: SonarMap) -> Blocks:
     return Blocks(*sonar_map.core.blocks())
 
 
-def told_all(sonar_map: SonarMap, interest: Interest, step: float) -> StreamClient:
-    teller = StreamSender(sonar_map, interest, step, 0)
-    client = StreamClient(teller.facts(), interest)
-    teller.look(0.0, HERE)
-    while messages := teller.messages(1e3, HERE):
+def receive_all(sonar_map: SonarMap, interest: Interest, step: float) -> StreamClient:
+    sender = StreamSender(sonar_map, interest, step, 0)
+    client = StreamClient(sender.facts(), interest)
+    sender.look(0.0, HERE)
+    while messages := sender.messages(1e3, HERE):
         for message, _ in messages:
             client.take(message)
-        teller.pacer.note_ack(teller.pacer.sent, 1e3)
+        sender.pacer.note_ack(sender.pacer.sent, 1e3)
     return client
 
 
@@ -136,13 +136,13 @@ def dense(held: Blocks, values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("level", [0, 1, 2, 3])
-def test_a_client_that_was_told_all_has_the_highest_of_each_cell(level: int) -> None:
+def test_a_client_that_was_reported_all_has_the_highest_of_each_cell(level: int) -> None:
     sonar_map = random_map()
     held, size = blocks_of(sonar_map), 2**level
-    client = told_all(sonar_map, Interest(level=level), 0.01)
+    client = receive_all(sonar_map, Interest(level=level), 0.01)
     log_odds = np.where(held.counts > 0, held.units * 2.0**-24, -np.inf)
-    told = np.clip(np.round(log_odds, 2), -1.27, 1.27)
-    cube = dense(held, np.where(np.isinf(log_odds), -np.inf, told))
+    reported = np.clip(np.round(log_odds, 2), -1.27, 1.27)
+    cube = dense(held, np.where(np.isinf(log_odds), -np.inf, reported))
     cells = cube.reshape(96 // size, size, 96 // size, size, 96 // size, size)
     top = np.where(np.isnan(cells), -np.inf, cells).max(axis=(1, 3, 5))
     whole = top.repeat(size, 0).repeat(size, 1).repeat(size, 2)
@@ -150,29 +150,29 @@ def test_a_client_that_was_told_all_has_the_highest_of_each_cell(level: int) -> 
     found = dense(held, client.probabilities(held.keys).astype(np.float64))
     inside = ~np.isnan(cube)
     assert inside.sum() > 10_000
-    # Thresholds move a told step by one at most.
+    # Thresholds move a sent step by at most one.
     assert np.isnan(found[inside]).tolist() == np.isnan(wanted[inside]).tolist()
     assert np.nanmax(np.abs(found[inside] - wanted[inside])) < 0.004
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("interest", [Interest(level=k) for k in range(4)], ids=str)
-def test_what_an_interest_should_be_told_is_what_it_is_told(interest: Interest) -> None:
+def test_what_an_interest_should_be_reported_is_what_it_is_reported(interest: Interest) -> None:
     """Else a block would never be as new as the judge has it."""
     sonar_map = random_map()
     held = blocks_of(sonar_map)
-    client = told_all(sonar_map, interest, 0.25)
+    client = receive_all(sonar_map, interest, 0.25)
     facts = StreamSender(sonar_map, interest, 0.25, 0).facts()
-    told, size = coded(held, facts, interest), 2**interest.level
-    whole = told.repeat(size, 1).repeat(size, 2).repeat(size, 3).reshape(len(told), -1)
+    reported, size = coded(held, facts, interest), 2**interest.level
+    whole = reported.repeat(size, 1).repeat(size, 2).repeat(size, 3).reshape(len(reported), -1)
     wanted = np.where(whole == -128, np.nan, 1 / (1 + np.exp(-0.25 * whole)))
     assert client.probabilities(held.keys) == pytest.approx(wanted, abs=1e-6, nan_ok=True)
 
 
-def test_a_client_of_a_radius_is_told_what_is_within() -> None:
+def test_a_client_of_a_radius_is_reported_what_is_within() -> None:
     sonar_map = random_map()
     held = blocks_of(sonar_map)
-    client = told_all(sonar_map, Interest(radius_m=6.0), 0.25)
+    client = receive_all(sonar_map, Interest(radius_m=6.0), 0.25)
     known = ~np.isnan(client.probabilities(held.keys))
     assert 0 < known.sum() < (held.counts > 0).sum()
     away_m = distances_m(held.keys.astype(np.int64), 16 * VOXEL_M, HERE)
@@ -182,7 +182,7 @@ def test_a_client_of_a_radius_is_told_what_is_within() -> None:
 def test_classes_are_a_step_beyond_their_thresholds() -> None:
     sonar_map = random_map()
     held = blocks_of(sonar_map)
-    client = told_all(sonar_map, Interest(detail="classes"), 0.25)
+    client = receive_all(sonar_map, Interest(detail="classes"), 0.25)
     found = client.probabilities(held.keys)[held.counts > 0]
     assert len(np.unique(found)) == 3
     mapping = sonar_map.config.mapping
@@ -194,30 +194,30 @@ def test_classes_are_a_step_beyond_their_thresholds() -> None:
 def test_plain_floats_are_exact() -> None:
     sonar_map = random_map()
     held = blocks_of(sonar_map)
-    teller, client = PlainSender(sonar_map), PlainClient()
-    teller.look(0.0, HERE)
-    bytes_told = 0
-    while messages := teller.messages(1e3, HERE):
+    sender, client = PlainSender(sonar_map), PlainClient()
+    sender.look(0.0, HERE)
+    bytes_sent = 0
+    while messages := sender.messages(1e3, HERE):
         for message, made_s in messages:
             assert made_s == 0.0
             client.take(message)
-            bytes_told += len(message)
-        teller.pacer.note_ack(teller.pacer.sent, 1e3)
+            bytes_sent += len(message)
+        sender.pacer.note_ack(sender.pacer.sent, 1e3)
     known = held.counts > 0
-    assert bytes_told == pytest.approx(16 * known.sum(), rel=0.25)
-    figures = moment(held, client, teller.facts(), HERE)
+    assert bytes_sent == pytest.approx(16 * known.sum(), rel=0.25)
+    figures = moment(held, client, sender.facts(), HERE)
     assert figures.p_error == pytest.approx(0.0, abs=1e-6)
     assert figures.known == known.sum()
-    teller.look(1.0, HERE)
-    assert teller.messages(2e3, HERE) == []
+    sender.look(1.0, HERE)
+    assert sender.messages(2e3, HERE) == []
 
 
 def test_nothing_known_is_as_wrong_as_not_knowing() -> None:
     sonar_map = random_map()
     held = blocks_of(sonar_map)
-    teller = StreamSender(sonar_map, Interest(), 0.25, 0)
-    client = StreamClient(teller.facts(), Interest())
-    figures = moment(held, client, teller.facts(), HERE)
+    sender = StreamSender(sonar_map, Interest(), 0.25, 0)
+    client = StreamClient(sender.facts(), Interest())
+    figures = moment(held, client, sender.facts(), HERE)
     true = 1 / (1 + np.exp(-held.units[held.counts > 0] * 2.0**-24))
     assert figures.p_error == pytest.approx(np.abs(true - 0.5).mean(), rel=1e-5)
     assert (figures.wrong_class_near, figures.known) == (1.0, 0)
@@ -230,7 +230,7 @@ def one_block(log_odds: float) -> Blocks:
     return Blocks(np.array([[1, 0, 0]], np.int32), units, counts)
 
 
-def test_a_block_is_as_old_as_the_first_change_after_what_was_told() -> None:
+def test_a_block_is_as_old_as_the_first_change_after_what_was_reported() -> None:
     facts = StreamSender(random_map(), Interest(), 0.25, 0).facts()
     ages = Ages(facts, Interest())
     part = np.array([[2, 0, 0]], np.int32)
@@ -244,8 +244,8 @@ def test_a_block_is_as_old_as_the_first_change_after_what_was_told() -> None:
     assert ages.oldest_s(4.0, HERE, 10.0) == (0.0, 0.0)
 
 
-def test_a_block_that_is_again_what_was_told_is_not_old() -> None:
-    """Where looks are rarer than pings nobody is told of what came and went between two of them."""
+def test_a_block_that_is_again_what_was_reported_is_not_old() -> None:
+    """Changes that come and go between two looks are never sent."""
     facts = StreamSender(random_map(), Interest(), 0.25, 0).facts()
     ages = Ages(facts, Interest())
     ages.changed(one_block(1.0), 1.0)
@@ -256,7 +256,7 @@ def test_a_block_that_is_again_what_was_told_is_not_old() -> None:
     assert ages.oldest_s(4.0, HERE, 10.0) == (0.0, 0.0)
 
 
-def test_ages_are_told_by_their_quantiles_and_moments_by_their_mean() -> None:
+def test_ages_are_reported_by_their_quantiles_and_moments_by_their_mean() -> None:
     moments = [Moment(0.1, 0.2, 0.3, 8.0, 2), Moment(0.3, 0.2, 0.1, 0.0, 0)]
     figures = summary(moments, [(1.0, 5.0), (2.0, 6.0), (3.0, 7.0)])
     assert (figures["near_age_median_s"], figures["far_age_median_s"]) == (2.0, 6.0)
@@ -277,7 +277,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Dive, Path
 
 
 @pytest.mark.slow
-def test_a_dive_is_told_alike_every_time(short: tuple[Dive, Path]) -> None:
+def test_a_dive_is_reported_alike_every_time(short: tuple[Dive, Path]) -> None:
     dive, folder = short
     kept = (folder / "pings.npz").stat().st_mtime_ns
     STUDY.prepare(dive, folder)
@@ -285,10 +285,10 @@ def test_a_dive_is_told_alike_every_time(short: tuple[Dive, Path]) -> None:
     once, again = (STUDY.measure(Setting("", {}), dive, folder) for _ in range(2))
     assert set(once) == {column.name for column in STUDY.columns}
     times = [
-        [told.pop(name) for name in ("cpu_median_ms", "cpu_ms_per_ping", "cpu_p95_ms")]
-        for told in (once, again)
+        [reported.pop(name) for name in ("cpu_median_ms", "cpu_ms_per_ping", "cpu_p95_ms")]
+        for reported in (once, again)
     ]
-    assert all(min(told) > 0 and max(told) == told[-1] for told in times)
+    assert all(min(reported) > 0 and max(reported) == reported[-1] for reported in times)
     assert once == again
 
 

@@ -12,7 +12,7 @@ def test_a_good_study_is_loaded(fake: Study) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "said"),
+    ("name", "value", "stated"),
     [
         ("own_error", "share", "share is no column of which less is better"),
         ("own_error", "cpu_ms", "differs from run to run"),
@@ -25,8 +25,8 @@ def test_a_good_study_is_loaded(fake: Study) -> None:
         ("published", "9", "size has no setting 9"),
     ],
 )
-def test_a_contradiction_is_told(
-    fake: Study, monkeypatch: pytest.MonkeyPatch, name: str, value: Any, said: str
+def test_a_contradiction_is_reported(
+    fake: Study, monkeypatch: pytest.MonkeyPatch, name: str, value: Any, stated: str
 ) -> None:
     if name == "own_error":
         name, value = "knobs", (replace(fake.knobs[0], error=value),)
@@ -34,5 +34,5 @@ def test_a_contradiction_is_told(
         knob = replace(fake.knobs[0], **{"published": None, name: value})
         name, value = "knobs", (knob,)
     monkeypatch.setattr(type(fake), name, value)
-    with pytest.raises(AccuracyCostError, match=said):
+    with pytest.raises(AccuracyCostError, match=stated):
         load("fake_study")

@@ -1,4 +1,4 @@
-"""What the page says of knobs, from figures that are known."""
+"""Tables of settings, from known figures."""
 
 from studies.accuracy_cost.results import Results, key_of
 from studies.accuracy_cost.study import Study
@@ -27,7 +27,7 @@ def test_a_twentieth_of_the_time_is_no_saving(fake: Study) -> None:
     assert "| size | 2 | 0.95 | +0 % |" in page(fake, _1=(1.0, 10.0), _2=(1.0, 9.5))
 
 
-def test_a_default_behind_the_front_is_told_with_its_margin(fake: Study) -> None:
+def test_a_default_behind_the_front_is_reported_with_its_margin(fake: Study) -> None:
     text = page(fake, _1=(1.0, 10.0), _2=(0.8, 5.0))
     assert "| 20 % behind 2 (margin 10 %) |" in text
     assert "| on the front |" in text

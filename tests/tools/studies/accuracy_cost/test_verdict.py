@@ -80,15 +80,15 @@ def test_the_quick_subset_is_the_quick_knobs_on_the_quick_dives(
 
 
 @pytest.mark.parametrize(
-    ("fault", "said"),
+    ("fault", "stated"),
     [
         ("FAKE_2=raises", "fake: calm, 2: ValueError: no such setting"),
         ("FAKE_UNPREPARED=calm", "fake: calm, its files: OSError: no sea"),
     ],
 )
 def test_what_cannot_be_measured_ends_the_check(
-    fake: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str, said: str
+    fake: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str, stated: str
 ) -> None:
     monkeypatch.setenv(*fault.split("="))
-    with pytest.raises(AccuracyCostError, match=said):
+    with pytest.raises(AccuracyCostError, match=stated):
         measure_quick("fake_study", fake, tmp_path)

@@ -1,4 +1,4 @@
-"""Dives: odometry that drifts as it says, and when the right mode counts as found."""
+"""Dives: odometry that drifts as configured, and when the right mode counts as found."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ def test_profile_is_the_one_of_the_page() -> None:
 
 def test_odometry_is_off_by_its_share_of_the_way_and_turns() -> None:
     track = track_of(HARBOUR, 120.0, 0.4, seed=3)
-    said = drifted(track, HARBOUR, Drift(), seed=3)
-    steps = np.hypot(*np.diff(said[:, :2], axis=0).T)
+    stated = drifted(track, HARBOUR, Drift(), seed=3)
+    steps = np.hypot(*np.diff(stated[:, :2], axis=0).T)
     true = np.hypot(*np.diff(track.place[:, :2], axis=0).T)
     ratio = steps.sum() / true.sum()
     assert abs(ratio - 1.0) == pytest.approx(0.02, abs=1e-6)
-    turned = np.unwrap(said[:, 2] - track.place[:, 5])
+    turned = np.unwrap(stated[:, 2] - track.place[:, 5])
     minutes = (track.time_s[-1] - track.time_s[0]) / 60.0
     assert abs(turned[-1] - turned[0]) == pytest.approx(math.radians(minutes), rel=1e-6)
 
@@ -68,11 +68,11 @@ def test_odometry_does_not_notice_being_carried_off() -> None:
     place = track.place.copy()
     place[75:, :2] += (8.0, -3.0)
     place[75:, 5] += 1.0
-    said = drifted(Track(track.time_s, place, 75), HARBOUR, Drift(0.0, 0.0), seed=3)
-    assert said[75, :2] == pytest.approx(said[74, :2])
-    assert said[75, 2] == pytest.approx(said[74, 2])
-    assert np.hypot(*np.diff(said[:, :2], axis=0).T).max() < 0.25
-    toward = np.arctan2(*np.diff(said[100:, :2], axis=0).T[::-1]) - said[100:-1, 2]
+    stated = drifted(Track(track.time_s, place, 75), HARBOUR, Drift(0.0, 0.0), seed=3)
+    assert stated[75, :2] == pytest.approx(stated[74, :2])
+    assert stated[75, 2] == pytest.approx(stated[74, 2])
+    assert np.hypot(*np.diff(stated[:, :2], axis=0).T).max() < 0.25
+    toward = np.arctan2(*np.diff(stated[100:, :2], axis=0).T[::-1]) - stated[100:-1, 2]
     true = np.arctan2(*np.diff(place[100:, :2], axis=0).T[::-1]) - place[100:-1, 5]
     assert np.cos(toward - true).min() > 0.999
 

@@ -64,14 +64,14 @@ def test_fan_has_what_lies_before_the_sonar() -> None:
 def test_odometry_begins_at_the_truth_and_drifts_while_the_sonar_is_silent() -> None:
     scenario = SECOND.over(World(HARBOUR).scenario, HARBOUR)
     quiet_s = SECOND.quiet_s(HARBOUR)
-    said = navigation(scenario.trajectory, HARBOUR, SECOND)
-    assert said[0].pose.position_m == pytest.approx(
+    stated = navigation(scenario.trajectory, HARBOUR, SECOND)
+    assert stated[0].pose.position_m == pytest.approx(
         scenario.trajectory.pose(0.0).position_m, abs=0.03
     )
     pings_s = ping_times_s(scenario, CaptureSettings(quiet_s=quiet_s))
     assert pings_s[0] == pytest.approx(quiet_s + 0.5)
     assert pings_s[-1] < scenario.trajectory.duration_s
-    at = next(sample for sample in said if sample.time_s >= quiet_s)
+    at = next(sample for sample in stated if sample.time_s >= quiet_s)
     off = at.pose.rotation @ scenario.trajectory.pose(at.time_s).rotation.T
     turned_deg = abs(math.degrees(math.atan2(off[1, 0], off[0, 0])))
     assert turned_deg == pytest.approx(DRIFT_DPM * quiet_s / 60, abs=0.4)

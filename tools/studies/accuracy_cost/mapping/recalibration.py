@@ -85,7 +85,7 @@ def estimates_and_truth(dive: Dive, folder: Path) -> tuple[Floats, Bools]:
 
 
 def table(log_odds: Floats, solid: Bools, curve: Calibration) -> str:
-    """Said and true shares before and after, Markdown."""
+    """Predicted and true shares before and after, Markdown."""
     raw = reliability(log_odds, solid)
     mended = reliability(curve.log_odds_of(log_odds), solid)
     lines = ["| p | voxels | mean | solid | voxels, calibrated | mean | solid |"]
